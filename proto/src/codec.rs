@@ -1,0 +1,123 @@
+//! The one door to the wire: the only file that names the encoding.
+//!
+//! Decoding always has a limit (without one a 20-byte message can claim a terabyte and abort the process), and
+//! always consumes everything (the encoding itself would accept trailing bytes and even another struct).
+
+use bincode::config::{self, Config};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use thiserror::Error;
+
+use crate::limits;
+
+/// Why a message could not be encoded or decoded.
+#[derive(Debug, Error)]
+pub enum CodecError {
+    /// The value cannot be written in this encoding.
+    #[error("message cannot be encoded")]
+    Encode(#[source] bincode::error::EncodeError),
+    /// The bytes are no such message, or claim more than the limit.
+    #[error("message cannot be decoded")]
+    Decode(#[source] bincode::error::DecodeError),
+    /// The message ended before its bytes did.
+    #[error("message has {left} bytes too many")]
+    Trailing {
+        /// How many bytes were left.
+        left: usize,
+    },
+    /// The message is larger than its kind may be.
+    #[error("message has {found} bytes, at most {limit} are possible")]
+    TooLarge {
+        /// Its size.
+        found: usize,
+        /// The limit of its kind.
+        limit: usize,
+    },
+}
+
+/// Slack over the size limit: the decoder also counts the containers' own overhead.
+const DECODE_LIMIT: usize = limits::MAX_MESSAGE_BYTES + limits::MAX_MESSAGE_BYTES / 4;
+
+fn encoding() -> impl Config {
+    config::standard().with_limit::<DECODE_LIMIT>()
+}
+
+/// Encodes a message body.
+///
+/// # Errors
+///
+/// [`CodecError::Encode`] if the value cannot be represented, which no message of this crate is.
+pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
+    bincode::serde::encode_to_vec(message, encoding()).map_err(CodecError::Encode)
+}
+
+/// Decodes a message body of at most `max_bytes`, all of it.
+///
+/// # Errors
+///
+/// [`CodecError`] if it is too large, malformed, or longer than the message in it.
+pub fn decode<T: DeserializeOwned>(bytes: &[u8], max_bytes: usize) -> Result<T, CodecError> {
+    if bytes.len() > max_bytes {
+        return Err(CodecError::TooLarge { found: bytes.len(), limit: max_bytes });
+    }
+    let (message, used) =
+        bincode::serde::decode_from_slice(bytes, encoding()).map_err(CodecError::Decode)?;
+    if used != bytes.len() {
+        return Err(CodecError::Trailing { left: bytes.len() - used });
+    }
+    Ok(message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{EnvId, Iteration, PolicyVersion, Rollout};
+
+    fn rollout() -> Rollout {
+        Rollout {
+            env_id: EnvId(3),
+            iteration: Iteration(4),
+            version: PolicyVersion(5),
+            n_steps: 2,
+            observations: vec![0.5, -1.5],
+            next_observation: vec![2.0],
+            masks: vec![1, u64::MAX],
+            actions: vec![0, 1],
+            log_probs: vec![-0.1, -0.2],
+            values: vec![0.0, 1.0],
+            next_value: 3.0,
+            rewards: vec![1.0, 1.0],
+            ends: Vec::new(),
+            recurrent: Vec::new(),
+            snapshot: vec![1, 2, 3],
+        }
+    }
+
+    #[test]
+    fn a_rollout_survives_the_wire() {
+        let bytes = encode(&rollout()).unwrap();
+        assert_eq!(decode::<Rollout>(&bytes, limits::MAX_ROLLOUT_BYTES).unwrap(), rollout());
+    }
+
+    #[test]
+    fn trailing_bytes_are_refused() {
+        let mut bytes = encode(&rollout()).unwrap();
+        bytes.push(0);
+        let error = decode::<Rollout>(&bytes, limits::MAX_ROLLOUT_BYTES).unwrap_err();
+        assert!(matches!(error, CodecError::Trailing { left: 1 }));
+    }
+
+    #[test]
+    fn a_claim_of_a_terabyte_is_refused_without_allocating_it() {
+        // A string of 2^40 bytes, in the encoding's own words: marker 253, then the length as a u64.
+        let mut bytes = vec![253];
+        bytes.extend_from_slice(&(1_u64 << 40).to_le_bytes());
+        assert!(matches!(decode::<String>(&bytes, 1 << 20), Err(CodecError::Decode(_))));
+    }
+
+    #[test]
+    fn a_message_over_its_limit_is_refused_unread() {
+        let bytes = encode(&rollout()).unwrap();
+        assert!(matches!(decode::<Rollout>(&bytes, 8), Err(CodecError::TooLarge { .. })));
+    }
+}

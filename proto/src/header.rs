@@ -1,0 +1,208 @@
+//! The 48 bytes in front of every message: what it is, whose, which, and whether it arrived whole.
+//!
+//! ```text
+//! offset 0      4        6       8        12        16           24        32     40       48
+//!        magic  schema   flags   crc32c   protocol  incarnation  sequence  epoch  version
+//!        u32    u16      u16     u32      u32       u64          u64       u64    u64
+//! ```
+//!
+//! All little-endian, readable without the codec. It travels beside the payload, so a receiver can refuse a
+//! message before it decodes a byte of it.
+
+use thiserror::Error;
+
+use crate::{Epoch, Incarnation, PolicyVersion, Sequence};
+
+/// The version of everything in this crate that crosses a process boundary.
+pub const PROTOCOL_VERSION: u32 = 1;
+/// `LDTM` in little-endian bytes.
+const MAGIC: u32 = u32::from_le_bytes(*b"LDTM");
+/// Length of an encoded header.
+pub const HEADER_BYTES: usize = 48;
+
+/// What a payload holds; a receiver decodes only what it expects at that key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub enum Schema {
+    /// [`crate::message::Hello`]
+    Hello = 1,
+    /// [`crate::message::HelloReply`]
+    HelloReply = 2,
+    /// [`crate::message::Control`]
+    Control = 3,
+    /// [`crate::message::ControlAck`]
+    ControlAck = 4,
+    /// [`crate::Rollout`]
+    Rollout = 5,
+    /// [`crate::message::Credit`]
+    Credit = 6,
+    /// [`crate::message::Announcement`]
+    Announcement = 7,
+    /// Policy parameters as safetensors, not in the codec's encoding.
+    Weights = 8,
+    /// Metrics as JSON, not in the codec's encoding.
+    Metrics = 9,
+}
+
+impl Schema {
+    fn from_u16(id: u16) -> Option<Self> {
+        use Schema as S;
+        [
+            S::Hello,
+            S::HelloReply,
+            S::Control,
+            S::ControlAck,
+            S::Rollout,
+            S::Credit,
+            S::Announcement,
+            S::Weights,
+            S::Metrics,
+        ]
+        .into_iter()
+        .find(|schema| *schema as u16 == id)
+    }
+}
+
+/// The fixed-size front of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// What the payload holds.
+    pub schema: Schema,
+    /// CRC-32C of the payload.
+    pub checksum: u32,
+    /// Start of the sending process.
+    pub incarnation: Incarnation,
+    /// The sender's count of rollouts; 0 in other messages.
+    pub sequence: Sequence,
+    /// The assignment under which a rollout was made; 0 in other messages.
+    pub epoch: Epoch,
+    /// The policy version that the message is about; 0 where none is.
+    pub version: PolicyVersion,
+}
+
+/// Why a header cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum HeaderError {
+    /// Not 48 bytes.
+    #[error("header has {found} bytes, expected {HEADER_BYTES}")]
+    Length {
+        /// As sent.
+        found: usize,
+    },
+    /// Not one of our messages.
+    #[error("header does not start with the magic number")]
+    Magic,
+    /// A sender of another version.
+    #[error("peer speaks protocol {found}, this program speaks {PROTOCOL_VERSION}: run the same release on both sides")]
+    Protocol {
+        /// The sender's version.
+        found: u32,
+    },
+    /// A message kind that this version does not know.
+    #[error("unknown message schema {found}")]
+    Schema {
+        /// As sent.
+        found: u16,
+    },
+}
+
+impl Header {
+    /// Describes a payload that belongs to no rollout sequence.
+    pub fn plain(schema: Schema, incarnation: Incarnation, payload: &[u8]) -> Self {
+        Self {
+            schema,
+            checksum: crc32c::crc32c(payload),
+            incarnation,
+            sequence: Sequence(0),
+            epoch: Epoch(0),
+            version: PolicyVersion(0),
+        }
+    }
+
+    /// Tells whether `payload` is the one this header was made for.
+    pub fn matches(&self, payload: &[u8]) -> bool {
+        crc32c::crc32c(payload) == self.checksum
+    }
+
+    /// Writes the header as it crosses the wire.
+    pub fn to_bytes(self) -> [u8; HEADER_BYTES] {
+        let mut bytes = [0; HEADER_BYTES];
+        bytes[0..4].copy_from_slice(&MAGIC.to_le_bytes());
+        bytes[4..6].copy_from_slice(&(self.schema as u16).to_le_bytes());
+        bytes[8..12].copy_from_slice(&self.checksum.to_le_bytes());
+        bytes[12..16].copy_from_slice(&PROTOCOL_VERSION.to_le_bytes());
+        bytes[16..24].copy_from_slice(&self.incarnation.0.to_le_bytes());
+        bytes[24..32].copy_from_slice(&self.sequence.0.to_le_bytes());
+        bytes[32..40].copy_from_slice(&self.epoch.0.to_le_bytes());
+        bytes[40..48].copy_from_slice(&self.version.0.to_le_bytes());
+        bytes
+    }
+
+    /// Reads a header.
+    ///
+    /// # Errors
+    ///
+    /// [`HeaderError`]: wrong length, magic, protocol version or schema, in this order.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, HeaderError> {
+        let bytes: &[u8; HEADER_BYTES] =
+            bytes.try_into().map_err(|_| HeaderError::Length { found: bytes.len() })?;
+        let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
+        let long = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
+        if word(0) != MAGIC {
+            return Err(HeaderError::Magic);
+        }
+        if word(12) != PROTOCOL_VERSION {
+            return Err(HeaderError::Protocol { found: word(12) });
+        }
+        let id = u16::from_le_bytes([bytes[4], bytes[5]]);
+        Ok(Self {
+            schema: Schema::from_u16(id).ok_or(HeaderError::Schema { found: id })?,
+            checksum: word(8),
+            incarnation: Incarnation(long(16)),
+            sequence: Sequence(long(24)),
+            epoch: Epoch(long(32)),
+            version: PolicyVersion(long(40)),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header() -> Header {
+        Header {
+            sequence: Sequence(7),
+            epoch: Epoch(8),
+            version: PolicyVersion(9),
+            ..Header::plain(Schema::Rollout, Incarnation(6), b"payload")
+        }
+    }
+
+    #[test]
+    fn a_header_survives_the_wire() {
+        assert_eq!(Header::from_bytes(&header().to_bytes()), Ok(header()));
+    }
+
+    #[test]
+    fn a_payload_with_a_flipped_bit_does_not_match() {
+        assert!(header().matches(b"payload"));
+        assert!(!header().matches(b"qayload"));
+    }
+
+    #[test]
+    fn another_protocol_version_is_named() {
+        let mut bytes = header().to_bytes();
+        bytes[12] = 200;
+        assert_eq!(Header::from_bytes(&bytes), Err(HeaderError::Protocol { found: 200 }));
+    }
+
+    #[test]
+    fn short_foreign_and_unknown_headers_are_refused() {
+        assert_eq!(Header::from_bytes(&[0; 47]), Err(HeaderError::Length { found: 47 }));
+        assert_eq!(Header::from_bytes(&[0; 48]), Err(HeaderError::Magic));
+        let mut bytes = header().to_bytes();
+        bytes[4] = 99;
+        assert_eq!(Header::from_bytes(&bytes), Err(HeaderError::Schema { found: 99 }));
+    }
+}

@@ -1,0 +1,38 @@
+//! The vocabulary between Leadtime's processes: identifiers, specifications, messages, limits and one codec.
+//!
+//! What this crate does not know: networks, files, clocks, how a policy computes or how a world moves. Two
+//! processes that agree on this crate's [`header::PROTOCOL_VERSION`] and schema ids understand each other.
+//!
+//! ```text
+//! ids      who and which        EnvId, ActorId, PolicyVersion, Epoch, Sequence ...
+//! spec     what can be done     EnvSpec, ActionSpec (factored heads, masks), PolicySpec, TaskSpec
+//! schedule who waits for whom   Schedule (sync, lag k, async)
+//! rollout  what an actor sends  Rollout, EpisodeEnd
+//! message  everything else      Hello, Welcome, Control, Credit, Announcement ...
+//! header   48 bytes in front    Header
+//! codec    the one door         encode, decode (the only file that names bincode)
+//! ```
+//!
+//! # Where to start
+//!
+//! [`rollout::Rollout`] is the message that everything else exists for.
+
+pub mod codec;
+pub mod header;
+pub mod ids;
+pub mod limits;
+pub mod message;
+pub mod packed;
+pub mod rollout;
+pub mod schedule;
+pub mod spec;
+
+pub use header::Header;
+pub use ids::{
+    ActorId, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, Sequence, Staleness,
+};
+pub use rollout::{EpisodeEnd, EpisodeSummary, Rollout};
+pub use schedule::Schedule;
+pub use spec::{
+    ActionSpec, Conditional, Encoder, EnvSpec, Gate, Head, HeadCredit, Mask, PolicySpec, TaskSpec,
+};

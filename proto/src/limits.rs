@@ -1,0 +1,24 @@
+//! Every limit on what may cross the network, in one place.
+
+/// The largest rollout message, in bytes.
+pub const MAX_ROLLOUT_BYTES: usize = 16 << 20;
+/// The largest control message (an assignment carries a snapshot per environment), in bytes.
+pub const MAX_CONTROL_BYTES: usize = 8 << 20;
+/// The largest set of policy parameters, in bytes.
+pub const MAX_WEIGHTS_BYTES: usize = 64 << 20;
+/// The largest message a process takes from the network at all, in bytes.
+pub const MAX_MESSAGE_BYTES: usize = 64 << 20;
+/// The largest snapshot of one environment, in bytes.
+pub const MAX_SNAPSHOT_BYTES: usize = 256 << 10;
+/// The most steps in one rollout.
+pub const MAX_ROLLOUT_STEPS: usize = 65_536;
+/// The most environments in one run.
+pub const MAX_ENVS: usize = 65_536;
+/// The most rollouts that one actor may have unacknowledged.
+pub const MAX_WINDOW: u32 = 4_096;
+/// The most choices over all heads of an action (a [`crate::Mask`] is one 64-bit word).
+pub const MAX_CHOICES: usize = 64;
+/// The most heads of an action.
+pub const MAX_HEADS: usize = 8;
+/// How many refused messages an actor may send before it is cut off.
+pub const REFUSALS_BEFORE_CUT_OFF: u64 = 16;

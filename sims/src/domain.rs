@@ -1,0 +1,121 @@
+//! What the notifier environment needs of a world.
+//!
+//! A domain is a world with a person in it who acts by their own plan. It knows nothing of words, delays,
+//! interruptions or notifiers: those are the [`human`](crate::human) model's and the notifier environment's. It
+//! is told, step by step, which reaction (if any) the person carries out, and what a fully delivered message
+//! disclosed.
+//!
+//! | | lander | highway | steakhouse |
+//! |---|---|---|---|
+//! | unaided person | trained pilot | IDM + MOBIL | tiered cook on beliefs |
+//! | reaction acts | every frame | once (lane) or every step (speed) | every step |
+//! | reaction may be refused | leg on the ground, low | impossible lane change | - |
+//! | world ends reaction | - | - | blocked move |
+//! | plan invalid after it | no | no | yes |
+//! | full delivery discloses | - | - | true station states |
+//! | observation | fixed vector | entities with presence flags | fixed vector |
+
+use crate::environment::{End, EpisodeSeed, SnapshotError};
+use crate::scene::Scene;
+
+/// A notification: what to do, when it can be understood, how long it takes to say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Message {
+    /// Content topic c: index into [`Domain::topics`].
+    pub topic: usize,
+    /// Comprehension time k, in words.
+    pub comprehension: u32,
+    /// Conveyance time l, in words; at least k.
+    pub conveyance: u32,
+}
+
+/// The reaction that the person carries out in the coming step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReactionStep {
+    /// What was asked for.
+    pub topic: usize,
+    /// This is the first step of this reaction: a reaction that acts once acts now.
+    pub first: bool,
+}
+
+/// What became of the reaction in a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReactionStatus {
+    /// The person did (at least part of) what was asked for.
+    Followed,
+    /// The world did not let them, and they went on by their own plan; the reaction's time runs on.
+    Refused,
+    /// The world ended the reaction (after this step).
+    Ended,
+}
+
+/// What one step of the world gave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Advance {
+    /// The domain's reward for the step, without the cost of messages.
+    pub reward: f64,
+    /// What became of the reaction, if one was asked for.
+    pub reaction: Option<ReactionStatus>,
+    /// The end of the episode, if the world ended it (time limits included).
+    pub end: Option<End>,
+}
+
+/// What the full delivery of a message did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Delivery {
+    /// A reaction that ran before is off: the person re-plans with what they now know.
+    pub cancels_reaction: bool,
+}
+
+/// A world with a person in it.
+pub trait Domain: Send {
+    /// Names the topics, in the order of their ids.
+    fn topics(&self) -> &[&'static str];
+
+    /// Returns the length of the domain's own observation.
+    fn obs_dim(&self) -> usize;
+
+    /// Starts an episode.
+    fn reset(&mut self, seed: EpisodeSeed);
+
+    /// Writes the domain's observation. Shape `[obs_dim]`.
+    fn observe(&self, out: &mut [f32]);
+
+    /// Advances the world by one step (one word): the person reacts, or acts by their own plan.
+    fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance;
+
+    /// Is told that a reaction is over (run out, replaced or cancelled): a plan made before it may be invalid.
+    fn reaction_over(&mut self) {}
+
+    /// Is told that a message was heard to its end.
+    fn deliver(&mut self, _message: Message) -> Delivery {
+        Delivery::default()
+    }
+
+    /// Returns the message that the domain's scripted notifier would start now, if any.
+    fn heuristic(&self) -> Option<Message> {
+        None
+    }
+
+    /// Tells whether the episode so far is a success, judged at its end.
+    fn success(&self) -> bool;
+
+    /// Names the domain's own metrics, after `success`.
+    fn metric_names(&self) -> &'static [&'static str];
+
+    /// Writes the domain's own metrics of the episode so far.
+    fn metrics(&self, out: &mut [f32]);
+
+    /// Appends everything the future depends on.
+    fn snapshot(&self, out: &mut Vec<u8>);
+
+    /// Continues from a snapshot, bit for bit.
+    ///
+    /// # Errors
+    ///
+    /// [`SnapshotError`] if the bytes are no snapshot of such a domain.
+    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError>;
+
+    /// Describes the present moment for a picture; the notifier environment adds what is said and done.
+    fn scene(&self) -> Scene;
+}

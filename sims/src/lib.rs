@@ -1,0 +1,21 @@
+//! Worlds and people: environments, the delayed human, and the notifier problem built from both.
+//!
+//! Everything here is a pure function of (state, action, seed): no clock, no file, no environment variable, no
+//! network, no thread. What this crate does not know: how a policy is trained, or where its actions come from.
+//!
+//! ```text
+//! Domain (lander with zones, ...) + human  --notifier-->  Environment  <--  pilot task, classic control
+//! ```
+//!
+//! # Where to start
+//!
+//! [`environment::Environment`] is what actors and evaluation see; [`domain::Domain`] is what a new world
+//! implements to become a notifier problem.
+
+pub mod domain;
+pub mod environment;
+pub mod scene;
+
+pub use domain::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};
+pub use environment::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
+pub use scene::{Listener, Scene, Shape, Speech, Tone, View};

@@ -1,0 +1,107 @@
+//! The present moment as a picture's ingredients: shapes in the world's own units, and what the person hears and does.
+//!
+//! Worlds describe, [`eval`](https://docs.rs) draws: no colour, size or file format is decided here.
+
+/// What a shape means; the painter chooses the colour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    /// Ground, road, walls.
+    Ground,
+    /// Where the task ends well.
+    Goal,
+    /// Where one must not be.
+    Danger,
+    /// The person's vehicle or body.
+    Own,
+    /// Other vehicles and things.
+    Other,
+    /// Faint help lines: lane markings, field of view.
+    Hint,
+}
+
+/// One thing to draw.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shape {
+    /// A filled axis-parallel rectangle.
+    Rectangle {
+        /// Lower left corner.
+        min: [f64; 2],
+        /// Upper right corner.
+        max: [f64; 2],
+        /// Meaning.
+        tone: Tone,
+    },
+    /// A line through points.
+    Line {
+        /// The points.
+        points: Vec<[f64; 2]>,
+        /// Meaning.
+        tone: Tone,
+    },
+    /// A filled polygon.
+    Polygon {
+        /// The corners.
+        points: Vec<[f64; 2]>,
+        /// Meaning.
+        tone: Tone,
+    },
+    /// A short text.
+    Label {
+        /// Where it is centred.
+        at: [f64; 2],
+        /// The text.
+        text: String,
+    },
+}
+
+/// The part of the world to show.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Lower left corner.
+    pub min: [f64; 2],
+    /// Upper right corner.
+    pub max: [f64; 2],
+}
+
+/// An utterance while it is spoken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Speech {
+    /// Topic id.
+    pub topic: usize,
+    /// k, in words.
+    pub comprehension: u32,
+    /// l, in words.
+    pub conveyance: u32,
+    /// Words heard so far.
+    pub heard: u32,
+    /// It was started in the last step.
+    pub started: bool,
+}
+
+/// What the person hears and does.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Listener {
+    /// Names of the topics, by id.
+    pub topics: Vec<&'static str>,
+    /// The running utterance.
+    pub speech: Option<Speech>,
+    /// Topic of the comprehended message that waits for the reaction delay.
+    pub pending: Option<usize>,
+    /// Topic of the reaction carried out in the last step.
+    pub reacting: Option<usize>,
+}
+
+/// A moment to draw.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// What to show of the world.
+    pub view: View,
+    /// Everything that is there, back to front.
+    pub shapes: Vec<Shape>,
+    /// Where the person is.
+    pub position: [f64; 2],
+    /// What the person hears and does; filled in by the notifier environment.
+    pub listener: Listener,
+    /// How the episode stands, in a word or two: `landed`, `entered a danger zone`; empty while it goes on.
+    pub outcome: String,
+}
