@@ -1,0 +1,103 @@
+//! How a lander world can be set up.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Which physics moves the lander.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Physics {
+    /// The contact world near the ground, the exact free-flight integrator elsewhere: about four times as fast.
+    #[default]
+    TwoGears,
+    /// The contact world in every frame.
+    Rapier,
+}
+
+/// Settings of the lander world; the defaults are those of `LunarLander-v3`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LanderSettings {
+    /// Which physics moves the lander.
+    pub physics: Physics,
+    /// Whether wind and turbulence act while no leg is on the ground.
+    pub wind: bool,
+    /// Largest wind force, in newtons, 0 to 20.
+    pub wind_power: f64,
+    /// Largest turbulence torque, in newton metres, 0 to 2.
+    pub turbulence_power: f64,
+    /// Largest horizontal and vertical start force, in newtons, 0 to 3000: larger throws the lander further off.
+    pub start_impulse: f64,
+    /// Whether engines push in slightly random directions.
+    pub dispersion: bool,
+}
+
+impl Default for LanderSettings {
+    fn default() -> Self {
+        Self {
+            physics: Physics::TwoGears,
+            wind: false,
+            wind_power: 15.0,
+            turbulence_power: 1.5,
+            start_impulse: 1000.0,
+            dispersion: true,
+        }
+    }
+}
+
+/// A setting outside its range.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[error("`{key}` is {value}; {low} to {high} is possible")]
+pub struct SettingsError {
+    /// The setting's name.
+    pub key: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// The smallest possible value.
+    pub low: f64,
+    /// The largest possible value.
+    pub high: f64,
+}
+
+impl LanderSettings {
+    /// Checks every range.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingsError`] naming the first setting outside its range.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        in_range("wind_power", self.wind_power, 0.0, 20.0)?;
+        in_range("turbulence_power", self.turbulence_power, 0.0, 2.0)?;
+        in_range("start_impulse", self.start_impulse, 0.0, 3000.0)
+    }
+}
+
+/// Checks one number; a NaN is in no range.
+pub(super) fn in_range(
+    key: &'static str,
+    value: f64,
+    low: f64,
+    high: f64,
+) -> Result<(), SettingsError> {
+    if (low..=high).contains(&value) { Ok(()) } else { Err(SettingsError { key, value, low, high }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_outside_their_range_are_named() {
+        LanderSettings::default().check().unwrap();
+        let error = LanderSettings { wind_power: f64::NAN, ..LanderSettings::default() }.check();
+        assert_eq!(error.unwrap_err().key, "wind_power");
+        let error = LanderSettings { start_impulse: -1.0, ..LanderSettings::default() }.check();
+        assert_eq!(error.unwrap_err().to_string(), "`start_impulse` is -1; 0 to 3000 is possible");
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused() {
+        let error = serde_json::from_str::<LanderSettings>(r#"{"wnd": true}"#).unwrap_err();
+        assert!(error.to_string().contains("unknown field `wnd`"), "{error}");
+    }
+}
