@@ -12,10 +12,17 @@
 //! [`environment::Environment`] is what actors and evaluation see; [`domain::Domain`] is what a new world
 //! implements to become a notifier problem.
 
+pub mod classic;
 pub mod domain;
 pub mod environment;
+pub mod human;
+pub mod lander;
+pub mod registry;
 pub mod scene;
+pub mod setting;
 
 pub use domain::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};
 pub use environment::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
+pub use registry::{Registry, TaskError};
 pub use scene::{Listener, Scene, Shape, Speech, Tone, View};
+pub use setting::SettingError;

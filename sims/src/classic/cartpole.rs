@@ -1,0 +1,227 @@
+//! `CartPole-v1` of Gymnasium: the same dynamics in the same order of operations, the same limits, the same start.
+//!
+//! # Source
+//!
+//! Barto, Sutton, Anderson, *Neuronlike Adaptive Elements That Can Solve Difficult Learning Control Problems*,
+//! 1983; Gymnasium 1.x, `gymnasium/envs/classic_control/cartpole.py` (explicit Euler).
+
+use leadtime_numerics::{Pcg64, Purpose};
+use leadtime_proto::{ActionSpec, EnvSpec};
+use serde::{Deserialize, Serialize};
+
+use crate::environment::{
+    End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
+};
+use crate::scene::{Scene, Shape, Tone, View};
+use crate::setting::{SettingError, require};
+
+const GRAVITY: f64 = 9.8;
+const CART_MASS: f64 = 1.0;
+const POLE_MASS: f64 = 0.1;
+const TOTAL_MASS: f64 = CART_MASS + POLE_MASS;
+/// Half the pole's length, in metres.
+const HALF_LENGTH: f64 = 0.5;
+const POLE_MASS_LENGTH: f64 = POLE_MASS * HALF_LENGTH;
+const FORCE: f64 = 10.0;
+/// Seconds per step.
+const TAU: f64 = 0.02;
+const ANGLE_LIMIT_RAD: f64 = 12.0 * 2.0 * std::f64::consts::PI / 360.0;
+const POSITION_LIMIT: f64 = 2.4;
+
+/// Settings of [`CartPole`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CartPoleSettings {
+    /// Steps until the time limit (1..=100000). Default 500, as in `CartPole-v1`.
+    pub max_steps: u32,
+}
+
+impl Default for CartPoleSettings {
+    fn default() -> Self {
+        Self { max_steps: 500 }
+    }
+}
+
+impl CartPoleSettings {
+    /// Checks ranges.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] naming the first impossible setting.
+    pub fn check(&self) -> Result<(), SettingError> {
+        let fits = (1..=100_000).contains(&self.max_steps);
+        require(fits, "world.max_steps", self.max_steps, "1 to 100000 steps")
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct State {
+    /// Cart position (m), its velocity (m/s), pole angle (rad), its velocity (rad/s).
+    motion: [f64; 4],
+    n_steps: u32,
+}
+
+/// A pole on a cart that is pushed left or right.
+///
+/// # Shapes
+///
+/// Observation `[4]`: cart position and velocity, pole angle and angular velocity. Action: one head, 0 pushes left
+/// and 1 right. Reward 1 per step; the metric `success` is 1 when the time limit was reached.
+#[derive(Clone, Debug)]
+pub struct CartPole {
+    spec: EnvSpec,
+    max_steps: u32,
+    state: State,
+}
+
+impl CartPole {
+    /// Creates the task.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] if a setting is out of range.
+    pub fn new(settings: &CartPoleSettings) -> Result<Self, SettingError> {
+        settings.check()?;
+        let spec = EnvSpec {
+            obs_dim: 4,
+            actions: ActionSpec::discrete("push", 2),
+            metrics: vec!["success".to_owned()],
+        };
+        Ok(Self { spec, max_steps: settings.max_steps, state: State::default() })
+    }
+
+    /// Starts an episode from a given generator; `Pcg64::seed_from_u64(seed)` is Gymnasium's `reset(seed=seed)`.
+    pub fn reset_with(&mut self, mut generator: Pcg64, observation: &mut [f32]) {
+        let motion = std::array::from_fn(|_| generator.uniform(-0.05, 0.05));
+        self.state = State { motion, n_steps: 0 };
+        self.observe(observation);
+    }
+
+    fn observe(&self, observation: &mut [f32]) {
+        for (out, value) in observation.iter_mut().zip(self.state.motion) {
+            *out = value as f32;
+        }
+    }
+
+    fn has_fallen(&self) -> bool {
+        let [x, _, theta, _] = self.state.motion;
+        x.abs() > POSITION_LIMIT || theta.abs() > ANGLE_LIMIT_RAD
+    }
+}
+
+/// Advances the motion by one Euler step under a horizontal force.
+fn advance([x, x_dot, theta, theta_dot]: [f64; 4], force: f64) -> [f64; 4] {
+    let (cos, sin) = (libm::cos(theta), libm::sin(theta));
+    let temp = (force + POLE_MASS_LENGTH * (theta_dot * theta_dot) * sin) / TOTAL_MASS;
+    let theta_acc = (GRAVITY * sin - cos * temp)
+        / (HALF_LENGTH * (4.0 / 3.0 - POLE_MASS * (cos * cos) / TOTAL_MASS));
+    let x_acc = temp - POLE_MASS_LENGTH * theta_acc * cos / TOTAL_MASS;
+    [x + TAU * x_dot, x_dot + TAU * x_acc, theta + TAU * theta_dot, theta_dot + TAU * theta_acc]
+}
+
+impl Environment for CartPole {
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+
+    fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
+        self.reset_with(seed.stream(Purpose::World), observation);
+    }
+
+    fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
+        let force = if action[0] == 1 { FORCE } else { -FORCE };
+        self.state.motion = advance(self.state.motion, force);
+        self.state.n_steps += 1;
+        self.observe(observation);
+        let end = if self.has_fallen() {
+            Some(End::Terminated)
+        } else {
+            (self.state.n_steps >= self.max_steps).then_some(End::Truncated)
+        };
+        StepOutcome { reward: 1.0, end }
+    }
+
+    fn metrics(&self, out: &mut [f32]) {
+        out[0] = f32::from(u8::from(self.state.n_steps >= self.max_steps && !self.has_fallen()));
+    }
+
+    fn snapshot(&self, out: &mut Vec<u8>) {
+        write_snapshot(&self.state, out);
+    }
+
+    fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        self.state = read_snapshot(snapshot)?;
+        self.observe(observation);
+        Ok(())
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        let [x, _, theta, _] = self.state.motion;
+        let top = [x + 2.0 * HALF_LENGTH * libm::sin(theta), 2.0 * HALF_LENGTH * libm::cos(theta)];
+        let rail = vec![[-POSITION_LIMIT, 0.0], [POSITION_LIMIT, 0.0]];
+        Some(Scene {
+            view: View { min: [-POSITION_LIMIT, -0.5], max: [POSITION_LIMIT, 1.5] },
+            shapes: vec![
+                Shape::Line { points: rail, tone: Tone::Ground },
+                Shape::Rectangle { min: [x - 0.25, -0.15], max: [x + 0.25, 0.0], tone: Tone::Own },
+                Shape::Line { points: vec![[x, 0.0], top], tone: Tone::Other },
+            ],
+            position: [x, 0.0],
+            listener: crate::Listener::default(),
+            outcome: if self.has_fallen() { "fallen".to_owned() } else { String::new() },
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    include!("../../tests/golden_cartpole.rs");
+
+    #[test]
+    fn episodes_equal_gymnasiums() {
+        for case in GOLDEN {
+            let mut task = CartPole::new(&CartPoleSettings::default()).unwrap();
+            let mut observation = [0.0; 4];
+            task.reset_with(Pcg64::seed_from_u64(case.seed), &mut observation);
+            assert_eq!(observation, case.first, "seed {}", case.seed);
+            let mut n_steps = 0;
+            // The original's own action cycle: left, right, right.
+            loop {
+                let action = u8::from(n_steps % 3 != 0);
+                n_steps += 1;
+                if task.step(&[action], &mut observation).end.is_some() {
+                    break;
+                }
+            }
+            assert_eq!(n_steps, case.n_steps, "seed {}", case.seed);
+            // Sine and cosine of another library may differ in the last bit; nothing here amplifies that much.
+            for (ours, theirs) in observation.iter().zip(case.last) {
+                assert!((ours - theirs).abs() < 1e-5, "{observation:?} {:?}", case.last);
+            }
+        }
+    }
+
+    #[test]
+    fn balancing_to_the_limit_is_a_truncated_success() {
+        let mut task = CartPole::new(&CartPoleSettings { max_steps: 60 }).unwrap();
+        let mut observation = [0.0; 4];
+        task.reset_with(Pcg64::seed_from_u64(3), &mut observation);
+        let mut last = None;
+        while last.is_none() {
+            let [_, _, theta, theta_dot] = task.state.motion;
+            let action = u8::from(theta + 0.5 * theta_dot > 0.0);
+            last = task.step(&[action], &mut observation).end;
+        }
+        let mut success = [0.0];
+        task.metrics(&mut success);
+        assert_eq!((last, success), (Some(End::Truncated), [1.0]));
+    }
+
+    #[test]
+    fn impossible_settings_are_named() {
+        let error = CartPole::new(&CartPoleSettings { max_steps: 0 }).unwrap_err();
+        assert_eq!(error.to_string(), "`world.max_steps` is 0; allowed: 1 to 100000 steps");
+    }
+}

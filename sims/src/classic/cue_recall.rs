@@ -1,0 +1,197 @@
+//! A memory task: a cue is shown in the first step, asked for in the last, and blanked in between.
+//!
+//! ```text
+//! step         0        1 ... delay     delay + 1
+//! sees         cue      nothing         "now"
+//! choice                                counts: +1 if it is the cue, -1 if not
+//! ```
+//!
+//! A policy without memory cannot beat chance, 1 / `n_cues`, so this tells whether a recurrent state is carried
+//! correctly through rollouts, snapshots and learner.
+
+use leadtime_numerics::Purpose;
+use leadtime_proto::{ActionSpec, EnvSpec};
+use serde::{Deserialize, Serialize};
+
+use crate::environment::{
+    End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
+};
+use crate::setting::{SettingError, require};
+
+/// Settings of [`CueRecall`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CueRecallSettings {
+    /// How many cues there are (2..=16). Default 2.
+    pub n_cues: usize,
+    /// The fewest blank steps between cue and question (0..=1000). Default 2.
+    pub delay_min: u32,
+    /// The most blank steps (`delay_min`..=1000). Default 6.
+    pub delay_max: u32,
+}
+
+impl Default for CueRecallSettings {
+    fn default() -> Self {
+        Self { n_cues: 2, delay_min: 2, delay_max: 6 }
+    }
+}
+
+impl CueRecallSettings {
+    /// Checks ranges.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] naming the first impossible setting.
+    pub fn check(&self) -> Result<(), SettingError> {
+        let fits = (2..=16).contains(&self.n_cues);
+        require(fits, "world.n_cues", self.n_cues, "2 to 16 cues")?;
+        let fits = self.delay_min <= self.delay_max && self.delay_max <= 1000;
+        let given = format_args!("{} (with delay_min {})", self.delay_max, self.delay_min);
+        require(fits, "world.delay_max", given, "delay_min to 1000 steps")
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct State {
+    cue: u8,
+    delay: u32,
+    n_steps: u32,
+    recalled: bool,
+}
+
+/// The cue-recall task.
+///
+/// # Shapes
+///
+/// Observation `[n_cues + 1]`: the cue one-hot in the first step, then zeros, and 1 in the last place when the
+/// answer is asked for. Action: one head of `n_cues` choices.
+#[derive(Clone, Debug)]
+pub struct CueRecall {
+    spec: EnvSpec,
+    settings: CueRecallSettings,
+    state: State,
+}
+
+impl CueRecall {
+    /// Creates the task.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] if a setting is out of range.
+    pub fn new(settings: &CueRecallSettings) -> Result<Self, SettingError> {
+        settings.check()?;
+        let spec = EnvSpec {
+            obs_dim: settings.n_cues + 1,
+            actions: ActionSpec::discrete("recall", settings.n_cues),
+            metrics: vec!["success".to_owned()],
+        };
+        Ok(Self { spec, settings: settings.clone(), state: State::default() })
+    }
+
+    fn observe(&self, observation: &mut [f32]) {
+        observation.fill(0.0);
+        if self.state.n_steps == 0 {
+            observation[usize::from(self.state.cue)] = 1.0;
+        } else if self.state.n_steps == self.state.delay + 1 {
+            observation[self.settings.n_cues] = 1.0;
+        }
+    }
+}
+
+impl Environment for CueRecall {
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+
+    fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
+        let mut generator = seed.stream(Purpose::World);
+        let cue = generator.below(self.settings.n_cues) as u8;
+        let (low, high) = (self.settings.delay_min, self.settings.delay_max);
+        let delay = generator.integers(i64::from(low), i64::from(high) + 1) as u32;
+        self.state = State { cue, delay, n_steps: 0, recalled: false };
+        self.observe(observation);
+    }
+
+    fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
+        let asked = self.state.n_steps == self.state.delay + 1;
+        self.state.recalled = asked && action[0] == self.state.cue;
+        self.state.n_steps += 1;
+        self.observe(observation);
+        let reward = match (asked, self.state.recalled) {
+            (false, _) => 0.0,
+            (true, false) => -1.0,
+            (true, true) => 1.0,
+        };
+        StepOutcome { reward, end: asked.then_some(End::Terminated) }
+    }
+
+    fn metrics(&self, out: &mut [f32]) {
+        out[0] = f32::from(u8::from(self.state.recalled));
+    }
+
+    fn snapshot(&self, out: &mut Vec<u8>) {
+        write_snapshot(&self.state, out);
+    }
+
+    fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        let state: State = read_snapshot(snapshot)?;
+        if usize::from(state.cue) >= self.settings.n_cues {
+            return Err(SnapshotError::Mismatch { what: "number of cues" });
+        }
+        self.state = state;
+        self.observe(observation);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::EnvId;
+
+    use super::*;
+
+    /// Plays an episode with a fixed answer, or with the cue itself; returns (cue, return, length).
+    fn play(task: &mut CueRecall, episode: u64, answer: Option<u8>) -> (u8, f32, u32) {
+        let mut observation = vec![0.0; task.spec.obs_dim];
+        task.reset(EpisodeSeed { run_seed: 1, env_id: EnvId(0), episode }, &mut observation);
+        let cue = observation.iter().position(|&x| x == 1.0).unwrap() as u8;
+        let mut total = 0.0;
+        loop {
+            let outcome = task.step(&[answer.unwrap_or(cue)], &mut observation);
+            total += outcome.reward;
+            if outcome.end.is_some() {
+                return (cue, total, task.state.n_steps);
+            }
+        }
+    }
+
+    #[test]
+    fn remembering_wins_and_a_fixed_answer_is_chance() {
+        let mut task = CueRecall::new(&CueRecallSettings::default()).unwrap();
+        let remembered: f32 = (0..100).map(|e| play(&mut task, e, None).1).sum();
+        assert_eq!(remembered, 100.0);
+        let fixed: f32 = (0..100).map(|e| play(&mut task, e, Some(0)).1).sum();
+        assert!(fixed.abs() < 40.0, "{fixed}");
+    }
+
+    #[test]
+    fn the_cue_is_seen_once_and_the_question_once() {
+        let settings = CueRecallSettings { n_cues: 3, delay_min: 2, delay_max: 2 };
+        let mut task = CueRecall::new(&settings).unwrap();
+        let mut observation = [0.0; 4];
+        task.reset(EpisodeSeed { run_seed: 1, env_id: EnvId(0), episode: 0 }, &mut observation);
+        assert_eq!(observation[3], 0.0);
+        for expected in [[0.0; 4], [0.0; 4], [0.0, 0.0, 0.0, 1.0]] {
+            assert_eq!(task.step(&[0], &mut observation).end, None);
+            assert_eq!(observation, expected);
+        }
+        assert_eq!(task.step(&[0], &mut observation).end, Some(End::Terminated));
+    }
+
+    #[test]
+    fn impossible_settings_are_named() {
+        let error = CueRecall::new(&CueRecallSettings { delay_min: 9, ..Default::default() });
+        let text = "`world.delay_max` is 6 (with delay_min 9); allowed: delay_min to 1000 steps";
+        assert_eq!(error.unwrap_err().to_string(), text);
+    }
+}

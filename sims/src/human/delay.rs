@@ -1,0 +1,89 @@
+//! Drawing reaction delays.
+
+use leadtime_numerics::Pcg64;
+use serde::{Deserialize, Serialize};
+
+use super::settings::{Drawn, MAX_REACTION_DELAY, ReactionDelay};
+
+/// A person's reaction delay in one episode: what was drawn at its start, and the stream for what is drawn later.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct DelaySource {
+    generator: Pcg64,
+    /// The delay, in steps, as drawn for the episode; not rounded.
+    of_episode: f64,
+}
+
+impl DelaySource {
+    /// Draws what is drawn once per episode.
+    pub(super) fn new(setting: ReactionDelay, mut generator: Pcg64) -> Self {
+        let of_episode = match setting {
+            ReactionDelay::Person { mean, spread, .. } => mean + spread * generator.normal(),
+            other => draw(other, &mut generator),
+        };
+        Self { generator, of_episode }
+    }
+
+    /// Returns the delay, in steps, of a message comprehended at time `now`.
+    pub(super) fn next(&mut self, setting: ReactionDelay, now: u32) -> u32 {
+        let delay = match setting {
+            ReactionDelay::Normal { drawn: Drawn::PerNotification, .. }
+            | ReactionDelay::Uniform { drawn: Drawn::PerNotification, .. } => {
+                draw(setting, &mut self.generator)
+            }
+            ReactionDelay::Person { drift, .. } => self.of_episode + drift * f64::from(now),
+            _ => self.of_episode,
+        };
+        (libm::round(delay).max(0.0) as u32).min(MAX_REACTION_DELAY)
+    }
+}
+
+fn draw(setting: ReactionDelay, generator: &mut Pcg64) -> f64 {
+    match setting {
+        ReactionDelay::Fixed(steps) => f64::from(steps),
+        ReactionDelay::Normal { mean, deviation, .. } => mean + deviation * generator.normal(),
+        ReactionDelay::Uniform { low, high, .. } => {
+            generator.integers(i64::from(low), i64::from(high) + 1) as f64
+        }
+        ReactionDelay::Person { mean, .. } => mean,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn delays(setting: ReactionDelay, seed: u64) -> Vec<u32> {
+        let mut source = DelaySource::new(setting, Pcg64::seed_from_u64(seed));
+        (0..400).map(|now| source.next(setting, now)).collect()
+    }
+
+    #[test]
+    fn a_delay_drawn_per_episode_stays() {
+        let setting = ReactionDelay::Normal { mean: 2.0, deviation: 1.0, drawn: Drawn::PerEpisode };
+        let means: Vec<u32> = (0..50)
+            .map(|seed| {
+                let drawn = delays(setting, seed);
+                assert!(drawn.iter().all(|&delay| delay == drawn[0]));
+                drawn[0]
+            })
+            .collect();
+        assert!(means.iter().any(|&delay| delay != means[0]));
+    }
+
+    #[test]
+    fn a_delay_drawn_per_notification_has_its_distribution() {
+        let drawn = Drawn::PerNotification;
+        let uniform = delays(ReactionDelay::Uniform { low: 1, high: 3, drawn }, 7);
+        assert_eq!((uniform.iter().min(), uniform.iter().max()), (Some(&1), Some(&3)));
+        let normal = delays(ReactionDelay::Normal { mean: 4.0, deviation: 1.0, drawn }, 7);
+        let mean = f64::from(normal.iter().sum::<u32>()) / 400.0;
+        // Four standard errors of a unit deviation over 400 draws.
+        assert!((mean - 4.0).abs() < 0.2, "{mean}");
+    }
+
+    #[test]
+    fn a_person_tires() {
+        let drawn = delays(ReactionDelay::Person { mean: 2.0, spread: 0.0, drift: 0.01 }, 7);
+        assert_eq!([drawn[0], drawn[49], drawn[50], drawn[200], drawn[399]], [2, 2, 3, 4, 6]);
+    }
+}

@@ -1,0 +1,397 @@
+//! The state machine of the listener: one place for speech, one (or a queue) for what was understood, one for what
+//! is being done.
+//!
+//! A step is driven in this order; `t` is the step's index and the time at its start:
+//!
+//! 1. [`Human::begin_step`]: is a reaction due?
+//! 2. [`Human::obey`]: the notifier starts a message, stops its own, or does neither.
+//! 3. [`Human::reaction`] is carried out in the world (unless there is none), and
+//! 4. [`Human::acted`] is told how that went.
+//! 5. [`Human::hear_word`]: one more word is heard, and the time is `t + 1`.
+//!
+//! # Transitions
+//!
+//! `k'` is the effective comprehension time, `l'` the effective conveyance time (`k'` but at least 1 if speech does
+//! not occupy the channel), `d` the delay drawn for the message. "Over" means that the world is told
+//! ([`Human::take_reaction_over`]). Everything that no row names stays as it is.
+//!
+//! | row | event | state and setting | becomes |
+//! |---|---|---|---|
+//! | D1 | step begins | pending, not due | - |
+//! | D2 | step begins | pending, due; nothing running | running, d_f steps left; not pending |
+//! | D3 | step begins | pending, due; a reaction running | that one over; as D2 |
+//! | D4 | step begins | pending, due; d_f is 0 | unheeded; not pending |
+//! | I1 | initiation | silent | spoken, 0 words heard |
+//! | I2 | initiation | spoken, not understood; `interrupt = replace` | old one preempted; as I1 |
+//! | I3 | initiation | spoken, understood; `replace` or `until_comprehended` | old one's tail cut; as I1 |
+//! | I4 | initiation | spoken, not understood; `until_comprehended` | blocked |
+//! | I5 | initiation | spoken; `finish` | blocked |
+//! | I6 | initiation | its topic spoken, pending or running; `repeat = continue` | continued: nothing changes |
+//! | I7 | a message starts | pending; `pending = cancel_on_initiation` | pending overwritten |
+//! | I8 | a message starts | running; `running = cancel_on_initiation` | running over |
+//! | I9 | a message starts | `k'` = 0 | understood at once (C rows, then D rows) |
+//! | S1 | stop | spoken, not understood | preempted; silent |
+//! | S2 | stop | spoken, understood | tail cut; silent |
+//! | S3 | stop | silent, or `can_stop = false` | - |
+//! | A1 | acted | followed or refused, steps left | one step fewer |
+//! | A2 | acted | followed or refused, last step | running over |
+//! | A3 | acted | the world ended it | running over |
+//! | C1 | `k'`-th word | nothing pending | pending, due at now + `d` |
+//! | C2 | `k'`-th word | pending, due later; one slot | old one overwritten; as C1 |
+//! | C5 | `k'`-th word | pending, due now | it still starts with the next step, unless the new one is due now too; as C1 |
+//! | C3 | `k'`-th word | pending; `pending = queue` | both pending; the older one is due first |
+//! | C4 | `k'`-th word | running; `running = cancel_on_comprehension` | running over |
+//! | L1 | `l'`-th word | | delivered; silent |
+//! | L2 | delivery cancels | running | running over |
+//!
+//! # Invariants
+//!
+//! * started = preempted + comprehended + (1 if one is spoken and not understood yet);
+//! * comprehended = overwritten + followed + unheeded + pending + (1 if one runs and was not followed yet).
+
+use std::collections::VecDeque;
+
+use leadtime_numerics::Pcg64;
+use serde::{Deserialize, Serialize};
+
+use super::delay::DelaySource;
+use super::settings::{HumanSettings, Interrupt, PendingRule, ReactionReward, Repeat, RunningRule};
+use super::tally::Tally;
+use crate::{Message, ReactionStatus, ReactionStep};
+
+/// The most messages that can wait in a queue; a further one is dropped as overwritten.
+pub const MAX_PENDING: usize = 64;
+
+/// From how many words on a message counts as long.
+pub const LONG_FROM_WORDS: u32 = 4;
+
+/// What the notifier wants in a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Nothing new: a running utterance goes on.
+    Continue,
+    /// To start a message.
+    Start(Message),
+    /// To break off the running utterance.
+    Stop,
+}
+
+/// What became of the notifier's order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Initiation {
+    /// There was none.
+    None,
+    /// The message started.
+    Started,
+    /// The message could not start.
+    Blocked,
+    /// What it repeats goes on; nothing started.
+    Continued,
+    /// The utterance was broken off.
+    Stopped,
+}
+
+/// What a step of a reaction meant for the human's reward.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reacted {
+    /// R_react of this step.
+    pub reward: f64,
+}
+
+/// What one more word did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Heard {
+    /// The message that became actionable.
+    pub comprehended: Option<Message>,
+    /// The message that was heard to its end.
+    pub delivered: Option<Message>,
+}
+
+/// A message while it is spoken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Utterance {
+    message: Message,
+    heard: u32,
+    understood: bool,
+}
+
+/// A message that was understood, and the time of its reaction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Pending {
+    message: Message,
+    due: u32,
+}
+
+/// A message that is being acted upon.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Running {
+    message: Message,
+    steps_left: u32,
+    /// At least one step was asked of the world.
+    begun: bool,
+    /// At least one step was not refused.
+    followed: bool,
+}
+
+/// Everything about a listener that the future depends on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HumanState {
+    now: u32,
+    speech: Option<Utterance>,
+    pending: VecDeque<Pending>,
+    running: Option<Running>,
+    delay: DelaySource,
+    tally: Tally,
+}
+
+/// A person who listens and reacts.
+#[derive(Clone, Debug)]
+pub struct Human {
+    settings: HumanSettings,
+    state: HumanState,
+    /// A reaction ended since this was last asked.
+    reaction_over: bool,
+}
+
+impl Human {
+    /// Creates a listener who has heard nothing; [`Human::reset`] gives it an episode's generator.
+    pub fn new(settings: &HumanSettings) -> Self {
+        let delay = DelaySource::new(settings.reaction_delay, Pcg64::seed_from_u64(0));
+        let state = HumanState {
+            now: 0,
+            speech: None,
+            pending: VecDeque::with_capacity(MAX_PENDING),
+            running: None,
+            delay,
+            tally: Tally::default(),
+        };
+        Self { settings: settings.clone(), state, reaction_over: false }
+    }
+
+    /// Forgets everything and starts an episode; `generator` gives its delays.
+    pub fn reset(&mut self, generator: Pcg64) {
+        self.state.now = 0;
+        self.state.speech = None;
+        self.state.pending.clear();
+        self.state.running = None;
+        self.state.delay = DelaySource::new(self.settings.reaction_delay, generator);
+        self.state.tally = Tally::default();
+        self.reaction_over = false;
+    }
+
+    /// Returns the state between two steps.
+    pub fn state(&self) -> &HumanState {
+        &self.state
+    }
+
+    /// Continues from a state, bit for bit.
+    pub fn restore(&mut self, state: HumanState) {
+        self.state = state;
+        self.reaction_over = false;
+    }
+
+    /// Returns what became of the episode's messages so far.
+    pub fn tally(&self) -> &Tally {
+        &self.state.tally
+    }
+
+    /// Returns the running utterance and how many of its words were heard.
+    pub fn speech(&self) -> Option<(Message, u32)> {
+        self.state.speech.map(|utterance| (utterance.message, utterance.heard))
+    }
+
+    /// Returns the message that will be acted upon next.
+    pub fn pending(&self) -> Option<Message> {
+        self.state.pending.front().map(|pending| pending.message)
+    }
+
+    /// Tells whether a message (of another topic) would start now.
+    pub fn may_start(&self) -> bool {
+        match (self.state.speech, self.settings.interrupt) {
+            (None, _) | (Some(_), Interrupt::Replace) => true,
+            (Some(utterance), Interrupt::UntilComprehended) => utterance.understood,
+            (Some(_), Interrupt::Finish) => false,
+        }
+    }
+
+    /// Tells whether there is an utterance that may be broken off.
+    pub fn may_stop(&self) -> bool {
+        self.settings.can_stop && self.state.speech.is_some()
+    }
+
+    /// Tells whether a reaction ended since this was last asked.
+    pub fn take_reaction_over(&mut self) -> bool {
+        std::mem::take(&mut self.reaction_over)
+    }
+
+    /// Begins a step: a reaction whose time has come starts, and replaces one that runs (rows D).
+    pub fn begin_step(&mut self) {
+        let Some(pending) = self.state.pending.front().copied() else { return };
+        if pending.due > self.state.now {
+            return;
+        }
+        self.state.pending.pop_front();
+        let steps_left = self.settings.reaction_steps(pending.message);
+        if steps_left == 0 {
+            self.state.tally.unheeded += 1;
+            return;
+        }
+        self.end_running();
+        let message = pending.message;
+        self.state.running = Some(Running { message, steps_left, begun: false, followed: false });
+    }
+
+    /// Obeys the notifier's order, as far as the settings let it (rows I and S).
+    pub fn obey(&mut self, order: Order) -> Initiation {
+        match order {
+            Order::Continue => Initiation::None,
+            Order::Stop if self.may_stop() => {
+                self.cut_speech();
+                Initiation::Stopped
+            }
+            Order::Stop => Initiation::None,
+            Order::Start(message) => self.initiate(message),
+        }
+    }
+
+    fn initiate(&mut self, message: Message) -> Initiation {
+        if self.settings.repeat == Repeat::Continue && self.is_under_way(message.topic) {
+            self.state.tally.continued += 1;
+            return Initiation::Continued;
+        }
+        if !self.may_start() {
+            self.state.tally.ignored += 1;
+            return Initiation::Blocked;
+        }
+        self.start(message);
+        Initiation::Started
+    }
+
+    fn is_under_way(&self, topic: usize) -> bool {
+        self.state.speech.is_some_and(|utterance| utterance.message.topic == topic)
+            || self.state.pending.iter().any(|pending| pending.message.topic == topic)
+            || self.state.running.is_some_and(|running| running.message.topic == topic)
+    }
+
+    fn start(&mut self, message: Message) {
+        self.cut_speech();
+        if self.settings.pending == PendingRule::CancelOnInitiation {
+            self.drop_pending_after(None);
+        }
+        if self.settings.running == RunningRule::CancelOnInitiation {
+            self.end_running();
+        }
+        let tally = &mut self.state.tally;
+        tally.started += 1;
+        tally.sum_k += message.comprehension;
+        tally.sum_l += message.conveyance;
+        tally.long += u32::from(message.conveyance >= LONG_FROM_WORDS);
+        let understood = self.settings.effective_comprehension(message) == 0;
+        self.state.speech = Some(Utterance { message, heard: 0, understood });
+        if understood {
+            self.comprehend(message);
+            self.begin_step();
+        }
+    }
+
+    /// Returns what the person is to do in this step, if not what they planned themselves.
+    pub fn reaction(&self) -> Option<ReactionStep> {
+        let running = self.state.running?;
+        Some(ReactionStep { topic: running.message.topic, first: !running.begun })
+    }
+
+    /// Is told how this step of the running reaction went (rows A).
+    ///
+    /// A world that says nothing about a reaction it was asked for has refused it.
+    pub fn acted(&mut self, status: Option<ReactionStatus>) -> Reacted {
+        let Some(running) = self.state.running.as_mut() else { return Reacted::default() };
+        let status = status.unwrap_or(ReactionStatus::Refused);
+        let follows = status != ReactionStatus::Refused;
+        let first_followed = follows && !running.followed;
+        running.begun = true;
+        running.followed |= follows;
+        running.steps_left -= 1;
+        let (message, is_last) = (running.message, running.steps_left == 0);
+        self.state.tally.followed += u32::from(first_followed);
+        if is_last || status == ReactionStatus::Ended {
+            self.end_running();
+        }
+        let pays = match self.settings.reaction_reward {
+            ReactionReward::Off => false,
+            ReactionReward::Once => first_followed,
+            ReactionReward::PerStep => follows,
+        };
+        let reward = if pays { self.settings.informativeness_of(message) - 2.0 } else { 0.0 };
+        Reacted { reward }
+    }
+
+    /// Hears one more word, if one is spoken, and ends the step (rows C and L1).
+    pub fn hear_word(&mut self) -> Heard {
+        self.state.now += 1;
+        let Some(utterance) = self.state.speech.as_mut() else { return Heard::default() };
+        utterance.heard += 1;
+        let Utterance { message, heard, understood } = *utterance;
+        let comprehension = self.settings.effective_comprehension(message);
+        let length = if self.settings.occupies { message.conveyance } else { comprehension.max(1) };
+        let mut result = Heard::default();
+        if !understood && heard >= comprehension {
+            utterance.understood = true;
+            self.comprehend(message);
+            result.comprehended = Some(message);
+        }
+        if heard >= length {
+            self.state.speech = None;
+            self.state.tally.delivered += 1;
+            result.delivered = Some(message);
+        }
+        result
+    }
+
+    /// Drops the running reaction because what was delivered made the person think again (row L2).
+    pub fn cancel_reaction(&mut self) {
+        self.end_running();
+    }
+
+    fn comprehend(&mut self, message: Message) {
+        self.state.tally.comprehended += 1;
+        if self.settings.running == RunningRule::CancelOnComprehension {
+            self.end_running();
+        }
+        let delay = self.state.delay.next(self.settings.reaction_delay, self.state.now);
+        let is_queue = self.settings.pending == PendingRule::Queue;
+        if is_queue && self.state.pending.len() == MAX_PENDING {
+            self.state.tally.overwritten += 1;
+            return;
+        }
+        if !is_queue {
+            // A reaction whose time has come starts before this one is processed.
+            self.drop_pending_after(if delay == 0 { None } else { Some(self.state.now) });
+        }
+        self.state.pending.push_back(Pending { message, due: self.state.now + delay });
+    }
+
+    /// Drops what is due later than `time`; everything for `None`.
+    fn drop_pending_after(&mut self, time: Option<u32>) {
+        let before = self.state.pending.len();
+        self.state.pending.retain(|pending| time.is_some_and(|time| pending.due <= time));
+        self.state.tally.overwritten += (before - self.state.pending.len()) as u32;
+    }
+
+    fn cut_speech(&mut self) {
+        if let Some(utterance) = self.state.speech.take() {
+            self.state.tally.preempted += u32::from(!utterance.understood);
+        }
+    }
+
+    fn end_running(&mut self) {
+        if let Some(running) = self.state.running.take() {
+            self.reaction_over |= running.begun;
+            self.state.tally.overwritten += u32::from(!running.begun);
+            self.state.tally.unheeded += u32::from(running.begun && !running.followed);
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "machine_tests.rs"]
+mod tests;

@@ -1,0 +1,35 @@
+//! What became of an episode's messages, in numbers.
+
+use serde::{Deserialize, Serialize};
+
+/// Counts messages by their fate.
+///
+/// A started message is first comprehended or `preempted`; a comprehended one is acted upon, or dropped before
+/// (`overwritten`), or comes to nothing (`unheeded`). What is still under way is in none of these.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Tally {
+    /// Messages that started.
+    pub started: u32,
+    /// Initiations that were blocked.
+    pub ignored: u32,
+    /// Initiations that repeated what was under way, and so changed nothing.
+    pub continued: u32,
+    /// Messages cut before their k-th word.
+    pub preempted: u32,
+    /// Messages understood.
+    pub comprehended: u32,
+    /// Messages heard to their last word.
+    pub delivered: u32,
+    /// Comprehended messages dropped before a single step of reaction.
+    pub overwritten: u32,
+    /// Messages that were followed for at least one step.
+    pub followed: u32,
+    /// Messages whose time came and of which the world let no step happen.
+    pub unheeded: u32,
+    /// Sum of k over started messages.
+    pub sum_k: u32,
+    /// Sum of l over started messages.
+    pub sum_l: u32,
+    /// Started messages of at least four words.
+    pub long: u32,
+}

@@ -1,0 +1,182 @@
+//! From a task's name and settings to an environment: what every process does before the first step.
+//!
+//! A [`TaskSpec`] travels between processes as a name and JSON text. [`Registry::builtin`] knows the tasks of this
+//! crate; a user's own domain joins by [`Registry::with`], in every process that steps it.
+//!
+//! | name | task | settings |
+//! |---|---|---|
+//! | `cartpole` | [`classic::CartPole`] | `{"world": CartPoleSettings}` |
+//! | `cue_recall` | [`classic::CueRecall`] | `{"world": CueRecallSettings}` |
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+use leadtime_proto::TaskSpec;
+use leadtime_proto::spec::SpecError;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::classic;
+use crate::environment::Environment;
+use crate::setting::SettingError;
+
+/// Why a task cannot be built.
+#[derive(Debug, Error)]
+pub enum TaskError {
+    /// No task of that name.
+    #[error("there is no domain `{domain}`; known: {}", known.join(", "))]
+    UnknownDomain {
+        /// As asked for.
+        domain: String,
+        /// What there is.
+        known: Vec<String>,
+    },
+    /// The settings are not of the right form: an unknown key, a wrong type.
+    #[error("settings of domain `{domain}` cannot be read: {source}")]
+    Settings {
+        /// The domain.
+        domain: &'static str,
+        /// Which key, and what is allowed.
+        source: serde_json::Error,
+    },
+    /// A well-formed setting that is impossible.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
+    /// An action space that is impossible, for instance with too many choices.
+    #[error("the task's action space is impossible")]
+    Actions(#[from] SpecError),
+}
+
+/// Makes an environment from settings, given as JSON text.
+pub type Builder = Arc<dyn Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync>;
+
+/// The settings of a task that has nothing but a world.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WorldOnly<W: Default> {
+    /// The world.
+    pub world: W,
+}
+
+/// The tasks that a process can build.
+#[derive(Clone)]
+pub struct Registry {
+    builders: BTreeMap<String, Builder>,
+}
+
+impl fmt::Debug for Registry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.builders.keys()).finish()
+    }
+}
+
+impl Registry {
+    /// Knows the tasks of this crate.
+    pub fn builtin() -> Self {
+        Self { builders: BTreeMap::new() }
+            .with("cartpole", |settings| {
+                let settings: WorldOnly<classic::CartPoleSettings> = read("cartpole", settings)?;
+                Ok(Box::new(classic::CartPole::new(&settings.world)?))
+            })
+            .with("cue_recall", |settings| {
+                let settings: WorldOnly<classic::CueRecallSettings> = read("cue_recall", settings)?;
+                Ok(Box::new(classic::CueRecall::new(&settings.world)?))
+            })
+    }
+
+    /// Adds a task, or replaces the one of that name.
+    ///
+    /// # Example
+    ///
+    /// ```
+    /// use leadtime_proto::TaskSpec;
+    /// use leadtime_sims::Registry;
+    /// use leadtime_sims::classic::{CartPole, CartPoleSettings};
+    ///
+    /// let registry = Registry::builtin().with("short_pole", |_settings| {
+    ///     Ok(Box::new(CartPole::new(&CartPoleSettings { max_steps: 20 })?))
+    /// });
+    /// let task = TaskSpec { domain: "short_pole".to_owned(), settings: "{}".to_owned() };
+    /// assert_eq!(registry.build(&task)?.spec().obs_dim, 4);
+    /// # Ok::<(), leadtime_sims::TaskError>(())
+    /// ```
+    pub fn with<F>(mut self, name: &str, builder: F) -> Self
+    where
+        F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
+    {
+        self.builders.insert(name.to_owned(), Arc::new(builder));
+        self
+    }
+
+    /// Lists the names of the tasks, in alphabetical order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.builders.keys().map(String::as_str)
+    }
+
+    /// Builds the environment of a task; it must be reset before the first step.
+    ///
+    /// # Errors
+    ///
+    /// [`TaskError`] naming the key, what was given and what is allowed.
+    pub fn build(&self, task: &TaskSpec) -> Result<Box<dyn Environment>, TaskError> {
+        let Some(builder) = self.builders.get(&task.domain) else {
+            let known = self.names().map(str::to_owned).collect();
+            return Err(TaskError::UnknownDomain { domain: task.domain.clone(), known });
+        };
+        let environment = builder(&task.settings)?;
+        environment.spec().actions.check()?;
+        Ok(environment)
+    }
+}
+
+/// Builds the environment of one of the built-in tasks.
+///
+/// # Errors
+///
+/// As [`Registry::build`].
+pub fn build(task: &TaskSpec) -> Result<Box<dyn Environment>, TaskError> {
+    Registry::builtin().build(task)
+}
+
+/// Reads a domain's settings; for builders.
+///
+/// # Errors
+///
+/// [`TaskError::Settings`] naming the key that is unknown or of the wrong type, and where it stands.
+pub fn read<T: DeserializeOwned>(domain: &'static str, settings: &str) -> Result<T, TaskError> {
+    serde_json::from_str(settings).map_err(|source| TaskError::Settings { domain, source })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refuse(domain: &str, settings: &str) -> String {
+        let task = TaskSpec { domain: domain.to_owned(), settings: settings.to_owned() };
+        build(&task).err().expect("the task is refused").to_string()
+    }
+
+    #[test]
+    fn every_builtin_task_has_a_default() {
+        let registry = Registry::builtin();
+        for name in registry.names() {
+            let task = TaskSpec { domain: name.to_owned(), settings: "{}".to_owned() };
+            let environment = registry.build(&task).unwrap();
+            assert!(environment.spec().obs_dim > 0, "{name}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_built_says_why() {
+        let text = refuse("lunar", "{}");
+        assert!(text.starts_with("there is no domain `lunar`; known: cartpole, cue_recall"), "{text}");
+        let text = refuse("cartpole", r#"{"world": {"max_step": 5}}"#);
+        assert!(text.contains("unknown field `max_step`, expected `max_steps`"), "{text}");
+        let text = refuse("cartpole", r#"{"human": {}}"#);
+        assert!(text.contains("unknown field `human`, expected `world`"), "{text}");
+        let text = refuse("cartpole", r#"{"world": {"max_steps": 0}}"#);
+        assert_eq!(text, "`world.max_steps` is 0; allowed: 1 to 100000 steps");
+    }
+}
