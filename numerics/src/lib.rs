@@ -7,8 +7,17 @@
 //!
 //! [`streams::stream`] is where every random draw of the project begins.
 
+pub mod dense;
+pub mod kernel;
+pub mod orthogonal;
 pub mod pcg64;
+pub mod stats;
 pub mod streams;
+pub mod tanh;
 
+pub use dense::{Dense, DenseError};
+pub use kernel::{Activation, Panels};
+pub use orthogonal::orthogonal;
 pub use pcg64::Pcg64;
 pub use streams::{Purpose, stream};
+pub use tanh::tanh_inplace;
