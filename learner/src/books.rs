@@ -1,0 +1,204 @@
+//! The books of a run: where every published rollout went.
+//!
+//! ```text
+//! published - rolled_back = trained + dropped_stale + refused + superseded + unused_at_end
+//! ```
+//!
+//! `published` is the sum, over every start of every actor, of the highest sequence that arrived in order; the
+//! right-hand side is counted one rollout at a time where its fate is decided. The two sides share no counter,
+//! so the identity can fail, and an [`Imbalance`] means that a rollout was lost or counted twice.
+//!
+//! What a killed learner had accepted after its last checkpoint is `rolled_back`: those rollouts are made and
+//! counted again. What lies beyond a gap in an actor's sequences was not delivered; it is sent again.
+
+use std::collections::BTreeMap;
+
+use leadtime_proto::{ActorId, Incarnation, Sequence};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::refusal::RefusalKind;
+
+/// One start of one actor: sequences are counted per start.
+pub type SenderKey = (ActorId, Incarnation);
+
+/// The counters of a run, kept in its checkpoints.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Books {
+    /// Rollouts that arrived in order, over all actors and their starts.
+    pub published: u64,
+    /// Rollouts that an update trained on.
+    pub trained: u64,
+    /// Rollouts that were too stale when their turn came (`async` only).
+    pub dropped_stale: u64,
+    /// Rollouts that broke a rule of the wire or of the run.
+    pub refused: u64,
+    /// Rollouts of an environment that had moved on, or to another actor.
+    pub superseded: u64,
+    /// Rollouts that were waiting when the run ended.
+    pub unused_at_end: u64,
+    /// Rollouts accepted after the checkpoint that a run was resumed from.
+    pub rolled_back: u64,
+    /// Copies of rollouts that had arrived before; not part of `published`.
+    pub duplicates: u64,
+    /// Steps that were simulated again: rolled back, superseded, or (at most) under way in an actor that left.
+    pub steps_redone: u64,
+    /// Refused messages by cause, those without a sequence included.
+    pub refusals: BTreeMap<RefusalKind, u64>,
+    sequences: BTreeMap<SenderKey, Sequence>,
+}
+
+/// The books do not balance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error(
+    "the books do not balance: {published} rollouts published - {rolled_back} rolled back, but {accounted} \
+     accounted for; please report this"
+)]
+pub struct Imbalance {
+    /// Rollouts published.
+    pub published: u64,
+    /// Rollouts rolled back.
+    pub rolled_back: u64,
+    /// Rollouts whose fate is known.
+    pub accounted: u64,
+}
+
+impl Books {
+    /// Returns the highest sequence that one start of an actor delivered in order.
+    pub fn sequence(&self, sender: &SenderKey) -> Sequence {
+        self.sequences.get(sender).copied().unwrap_or_default()
+    }
+
+    /// Enters the next rollout of a sender.
+    ///
+    /// # Panics
+    ///
+    /// If the sequence is not the sender's next one: the caller checks the order.
+    pub fn enter(&mut self, sender: &SenderKey, sequence: Sequence) {
+        assert_eq!(sequence, self.sequence(sender).next(), "sequences are entered in order");
+        self.sequences.insert(sender.clone(), sequence);
+        self.published += 1;
+    }
+
+    /// Enters a gap: rollouts of T steps, up to `through`, that a learner before this one accepted and lost.
+    pub fn roll_back_through(&mut self, sender: &SenderKey, through: Sequence, n_steps: u64) {
+        let lost = through.0.saturating_sub(self.sequence(sender).0);
+        if lost > 0 {
+            self.sequences.insert(sender.clone(), through);
+            self.published += lost;
+            self.rolled_back += lost;
+            self.steps_redone += lost * n_steps;
+        }
+    }
+
+    /// Starts again from a checkpoint: what was waiting or in training then will be made again.
+    pub fn resume(&mut self, waiting: u64, n_steps: u64) {
+        self.rolled_back += waiting;
+        self.steps_redone += waiting * n_steps;
+        self.unused_at_end = 0;
+    }
+
+    /// Counts a refused message; one with a sequence is also part of the identity.
+    pub fn refuse(&mut self, kind: RefusalKind, sequenced: bool) {
+        *self.refusals.entry(kind).or_default() += 1;
+        self.refused += u64::from(sequenced);
+    }
+
+    /// Checks the identity.
+    ///
+    /// # Errors
+    ///
+    /// [`Imbalance`] with both sides.
+    pub fn check(&self) -> Result<(), Imbalance> {
+        let sent: u64 = self.sequences.values().map(|sequence| sequence.0).sum();
+        let accounted = self.trained
+            + self.dropped_stale
+            + self.refused
+            + self.superseded
+            + self.unused_at_end;
+        let balanced = sent == self.published && sent == accounted + self.rolled_back;
+        let error =
+            Imbalance { published: sent, rolled_back: self.rolled_back, accounted };
+        if balanced { Ok(()) } else { Err(error) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sender(start: u64) -> SenderKey {
+        (ActorId::new("a").unwrap(), Incarnation(start))
+    }
+
+    fn entered(n: u64) -> Books {
+        let mut books = Books::default();
+        (1..=n).for_each(|sequence| books.enter(&sender(1), Sequence(sequence)));
+        books
+    }
+
+    #[test]
+    fn every_fate_balances_and_each_missing_one_does_not() {
+        let mut books = entered(5);
+        books.trained = 1;
+        books.dropped_stale = 1;
+        books.superseded = 1;
+        books.unused_at_end = 1;
+        books.refuse(RefusalKind::Checksum, true);
+        assert_eq!(books.check(), Ok(()));
+        for forget in [
+            |b: &mut Books| b.trained = 0,
+            |b: &mut Books| b.dropped_stale = 0,
+            |b: &mut Books| b.superseded = 0,
+            |b: &mut Books| b.unused_at_end = 0,
+            |b: &mut Books| b.refused = 0,
+            |b: &mut Books| b.rolled_back = 1,
+            |b: &mut Books| b.published = 4,
+        ] {
+            let mut broken = books.clone();
+            forget(&mut broken);
+            assert!(broken.check().is_err());
+        }
+    }
+
+    #[test]
+    fn two_starts_of_one_actor_count_apart() {
+        let mut books = entered(3);
+        books.enter(&sender(2), Sequence(1));
+        assert_eq!(books.published, 4);
+        books.trained = 4;
+        assert_eq!(books.check(), Ok(()));
+    }
+
+    #[test]
+    fn a_gap_after_a_resume_is_rolled_back_once() {
+        let mut books = entered(3);
+        books.trained = 3;
+        books.roll_back_through(&sender(1), Sequence(10), 4);
+        books.roll_back_through(&sender(1), Sequence(10), 4);
+        assert_eq!((books.published, books.rolled_back, books.steps_redone), (10, 7, 28));
+        assert_eq!(books.check(), Ok(()));
+        books.enter(&sender(1), Sequence(11));
+        assert!(books.check().is_err(), "its fate is not known yet");
+    }
+
+    #[test]
+    fn what_waited_at_a_checkpoint_is_rolled_back_at_the_resume() {
+        let mut books = entered(3);
+        books.trained = 1;
+        books.unused_at_end = 2;
+        assert_eq!(books.check(), Ok(()));
+        books.resume(2, 8);
+        assert_eq!(books.check(), Ok(()));
+        assert_eq!((books.unused_at_end, books.rolled_back, books.steps_redone), (0, 2, 16));
+    }
+
+    #[test]
+    fn refusals_without_a_sequence_stay_out_of_the_identity() {
+        let mut books = entered(1);
+        books.trained = 1;
+        books.refuse(RefusalKind::Transport, false);
+        assert_eq!(books.check(), Ok(()));
+        assert_eq!(books.refusals[&RefusalKind::Transport], 1);
+    }
+}

@@ -1,0 +1,490 @@
+//! The learner's decisions, without network, clock or threads: what to do about each thing that happens.
+//!
+//! ```text
+//! hello, token, rollout, refusal  ->  Coordinator  ->  Effect (say this, credit that, tell the log)
+//!                                         |
+//!                        rollouts that are ready -> the trainer -> trained()
+//! ```
+//!
+//! A rollout counts if its environment's owner sent it, under an assignment not older than that ownership, and
+//! if it is the environment's next one. Every other rollout that arrives in order is *superseded* (its
+//! environment went on elsewhere) or *refused* (it breaks a rule); either way it is acknowledged, because the
+//! actor need not send it again.
+//!
+//! # Invariants
+//!
+//! * Everything that arrives in order is counted exactly once in the [`Books`].
+//! * After a refused rollout its sender gets its environments anew, from their newest snapshots: the refused
+//!   one will not come again, so without that its environment would wait for ever.
+
+use std::collections::BTreeSet;
+
+use leadtime_proto::message::{Assignment, Control, Credit, EnvAssignment, Hello};
+use leadtime_proto::{
+    ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, PolicyVersion, Rollout, Schedule, Sequence,
+    codec, limits,
+};
+
+use crate::assign::{Assigner, Change};
+use crate::books::{Books, SenderKey};
+use crate::collect::{Batch, Collector};
+use crate::refusal::{Refusal, RefusalKind};
+use crate::report::RunEvent;
+use crate::roster::Roster;
+
+/// The most bytes of snapshots in one assignment; more environments go into a second one.
+const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
+/// A count of rollouts that no actor reaches: a hello beyond it is nonsense.
+const MAX_SEQUENCE: u64 = 1 << 48;
+
+/// What a run agreed on, as far as decisions depend on it.
+#[derive(Clone, Debug)]
+pub struct Terms {
+    /// This start of the learner.
+    pub learner: Incarnation,
+    /// What rollouts must look like.
+    pub env: EnvSpec,
+    /// Width of the policy's recurrent state.
+    pub recurrent_dim: usize,
+    /// Steps per rollout.
+    pub n_steps: u32,
+    /// Who waits for whom.
+    pub schedule: Schedule,
+    /// The most rollouts an actor may have unacknowledged.
+    pub window: u32,
+    /// Actors that must be there before a run starts.
+    pub actors_min: usize,
+    /// The learner's own CPU fingerprint.
+    pub cpu: String,
+}
+
+/// Where a coordinator starts: the beginning, or a checkpoint.
+#[derive(Clone, Debug)]
+pub struct Start {
+    /// Where every environment stands.
+    pub places: Vec<EnvAssignment>,
+    /// The newest assignment so far.
+    pub epoch: Epoch,
+    /// The policy's version.
+    pub version: PolicyVersion,
+    /// The books so far.
+    pub books: Books,
+}
+
+/// What has to be done about something that happened.
+#[derive(Clone, Debug)]
+pub enum Effect {
+    /// Tell an actor something, in this order.
+    Control {
+        /// Whom.
+        to: SenderKey,
+        /// What.
+        control: Control,
+    },
+    /// Acknowledge and permit.
+    Credit {
+        /// Whom.
+        to: ActorId,
+        /// What.
+        credit: Credit,
+    },
+    /// Tell the person.
+    Event(RunEvent),
+}
+
+/// Why a hello is answered with a refusal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unwelcome {
+    /// The actor was cut off.
+    #[error("this actor was cut off because it kept sending messages that were refused: restart it")]
+    CutOff,
+    /// Its counts contradict each other.
+    #[error("its counts of published and unacknowledged rollouts make no sense")]
+    Nonsense,
+}
+
+/// The state behind a learner's decisions.
+#[derive(Debug)]
+pub struct Coordinator {
+    terms: Terms,
+    version: PolicyVersion,
+    roster: Roster,
+    assigner: Assigner,
+    collector: Collector,
+    books: Books,
+    in_training: u64,
+    started: bool,
+    rebalance_due: bool,
+    same_cpu: bool,
+    credit_due: BTreeSet<ActorId>,
+    effects: Vec<Effect>,
+}
+
+impl Coordinator {
+    /// Starts with nobody.
+    pub fn new(terms: Terms, start: Start) -> Self {
+        Self {
+            assigner: Assigner::new(start.places.len(), start.epoch),
+            collector: Collector::new(terms.schedule, start.places),
+            terms,
+            version: start.version,
+            roster: Roster::default(),
+            books: start.books,
+            in_training: 0,
+            started: false,
+            rebalance_due: false,
+            same_cpu: true,
+            credit_due: BTreeSet::new(),
+            effects: Vec::new(),
+        }
+    }
+
+    /// Hears an actor's hello and returns the sequence from which its rollouts count.
+    ///
+    /// # Errors
+    ///
+    /// [`Unwelcome`], to be told to the actor.
+    pub fn hello(&mut self, hello: &Hello) -> Result<Sequence, Unwelcome> {
+        let key = (hello.actor.clone(), hello.incarnation);
+        if self.roster.sender(&key).is_some_and(|sender| sender.cut_off) {
+            return Err(Unwelcome::CutOff);
+        }
+        let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
+        if published > MAX_SEQUENCE || first > published + 1 || first == 0 {
+            return Err(Unwelcome::Nonsense);
+        }
+        self.roster.greet(&key, hello.published);
+        let n_steps = u64::from(self.terms.n_steps);
+        self.books.roll_back_through(&key, Sequence(first - 1), n_steps);
+        if hello.cpu != self.terms.cpu {
+            self.same_cpu = false;
+            let (actor, cpu) = (hello.actor.clone(), hello.cpu.clone());
+            self.effects.push(Effect::Event(RunEvent::OtherCpu { actor, cpu }));
+        }
+        self.admit(&key);
+        self.credit_due.insert(hello.actor.clone());
+        let heard = self.books.sequence(&key);
+        if let Some(sender) = self.roster.sender(&key) {
+            sender.limit = sender.limit.max(Sequence(heard.0 + u64::from(self.terms.window)));
+        }
+        Ok(heard.next())
+    }
+
+    /// Notes that an actor's token is there.
+    pub fn joined(&mut self, actor: ActorId, incarnation: Incarnation) {
+        let key = (actor, incarnation);
+        self.roster.appear(&key);
+        self.admit(&key);
+    }
+
+    /// Notes that an actor's token is gone: its environments go to the others.
+    pub fn left(&mut self, actor: ActorId, incarnation: Incarnation) {
+        let key = (actor, incarnation);
+        if self.roster.vanish(&key) {
+            self.lose(&key.0);
+            self.rebalance_if_orphaned();
+        }
+    }
+
+    /// Gives up an actor that does not answer.
+    pub fn give_up(&mut self, key: &SenderKey) {
+        if self.roster.expel(key) {
+            self.lose(&key.0);
+            self.rebalance_if_orphaned();
+        }
+    }
+
+    /// Counts a message that the network layer refused.
+    pub fn refused_by_link(&mut self, actor: Option<ActorId>, reason: String) {
+        let key = actor
+            .as_ref()
+            .and_then(|actor| self.roster.members().get_key_value(actor))
+            .map(|(actor, &incarnation)| (actor.clone(), incarnation));
+        match key {
+            Some(key) => self.refuse(&key, RefusalKind::Transport, reason, false),
+            None => self.refuse_stranger(actor, RefusalKind::Transport, reason),
+        }
+    }
+
+    /// Takes in a rollout message.
+    pub fn rollout(&mut self, actor: ActorId, header: &Header, payload: &[u8]) {
+        let key = (actor, header.incarnation);
+        let heard = self.books.sequence(&key);
+        let Some(sender) = self.roster.sender(&key) else {
+            let reason = "it never said hello to this learner".to_owned();
+            return self.refuse_stranger(Some(key.0), RefusalKind::Stranger, reason);
+        };
+        if sender.cut_off {
+            return;
+        }
+        self.credit_due.insert(key.0.clone());
+        if header.sequence <= heard {
+            self.books.duplicates += 1;
+            return;
+        }
+        if header.sequence > sender.limit {
+            let refusal = Refusal::Credit { found: header.sequence, limit: sender.limit };
+            return self.refuse(&key, refusal.kind(), refusal.to_string(), false);
+        }
+        if header.sequence > heard.next() {
+            return; // Beyond a gap: not acknowledged, so it comes again in order.
+        }
+        let made_before = header.sequence <= sender.made_before;
+        self.books.enter(&key, header.sequence);
+        if made_before {
+            return self.supersede();
+        }
+        match self.read(header, payload) {
+            Err(refusal) => self.refuse(&key, refusal.kind(), refusal.to_string(), true),
+            Ok(rollout) => self.place(&key, header.epoch, rollout),
+        }
+    }
+
+    /// Takes the rollouts of the next update, if they are all there.
+    pub fn next_batch(&mut self) -> Option<Batch> {
+        let n_stale = self.collector.drop_stale(self.version);
+        self.books.dropped_stale += n_stale;
+        let batch = self.collector.take_batch(self.version);
+        self.in_training = batch.as_ref().map_or(0, |batch| batch.rollouts.len() as u64);
+        if n_stale > 0 || batch.is_some() {
+            self.credit_everyone();
+        }
+        batch
+    }
+
+    /// Notes that the batch is trained and the policy has a new version.
+    pub fn trained(&mut self, version: PolicyVersion) {
+        self.books.trained += self.in_training;
+        self.in_training = 0;
+        self.version = version;
+        if self.rebalance_due {
+            self.rebalance();
+        }
+    }
+
+    /// Ends the run: what still waits, or was in training, is unused.
+    pub fn close(&mut self) {
+        self.books.unused_at_end = self.n_pending();
+    }
+
+    /// Tells every actor to leave.
+    pub fn stop_everyone(&mut self, reason: &str) {
+        for (actor, &incarnation) in self.roster.members() {
+            let control = Control::Stop { reason: reason.to_owned(), cut_off: false };
+            self.effects.push(Effect::Control { to: (actor.clone(), incarnation), control });
+        }
+    }
+
+    /// Makes every actor's credit due, as once a second in case one was lost.
+    pub fn credit_everyone(&mut self) {
+        self.credit_due.extend(self.roster.members().keys().cloned());
+    }
+
+    /// Returns what is to be done since the last call.
+    pub fn take_effects(&mut self) -> Vec<Effect> {
+        for actor in std::mem::take(&mut self.credit_due) {
+            if let Some(credit) = self.credit(&actor) {
+                self.effects.push(Effect::Credit { to: actor, credit });
+            }
+        }
+        std::mem::take(&mut self.effects)
+    }
+
+    /// Returns the books as they are.
+    pub fn books(&self) -> &Books {
+        &self.books
+    }
+
+    /// Returns the newest assignment's number.
+    pub fn epoch(&self) -> Epoch {
+        self.assigner.epoch()
+    }
+
+    /// Returns where environments go on after a resume.
+    pub fn places(&self) -> Vec<EnvAssignment> {
+        self.collector.consumed()
+    }
+
+    /// Returns how many rollouts have been accepted and not yet trained on.
+    pub fn n_pending(&self) -> u64 {
+        self.collector.len() as u64 + self.in_training
+    }
+
+    /// Returns how many actors are here.
+    pub fn n_actors(&self) -> usize {
+        self.roster.members().len()
+    }
+
+    /// Tells whether everyone so far ran on the learner's class of CPU.
+    pub fn is_on_one_cpu(&self) -> bool {
+        self.same_cpu
+    }
+
+    fn read(&self, header: &Header, payload: &[u8]) -> Result<Rollout, Refusal> {
+        if !header.matches(payload) {
+            return Err(Refusal::Checksum);
+        }
+        let rollout: Rollout = codec::decode(payload, limits::MAX_ROLLOUT_BYTES)?;
+        rollout.check(&self.terms.env, self.terms.n_steps as usize, self.terms.recurrent_dim)?;
+        let env_id = rollout.env_id;
+        if self.collector.expected(env_id).is_none() {
+            return Err(Refusal::Environment { env_id });
+        }
+        let found = rollout.version;
+        let newest = self.version;
+        let required = self.terms.schedule.behavior_version(rollout.iteration);
+        let expected = required.unwrap_or(newest);
+        let wrong = found > newest || (required.is_some() && found != expected);
+        if wrong || header.version != found {
+            return Err(Refusal::Version { found, expected });
+        }
+        Ok(rollout)
+    }
+
+    fn supersede(&mut self) {
+        self.books.superseded += 1;
+        self.books.steps_redone += u64::from(self.terms.n_steps);
+    }
+
+    fn place(&mut self, key: &SenderKey, epoch: Epoch, rollout: Rollout) {
+        let owned = self.assigner.owner(rollout.env_id).is_some_and(|owner| {
+            owner.actor == key.0 && owner.incarnation == key.1 && epoch >= owner.since
+        });
+        let expected = self.collector.expected(rollout.env_id).unwrap_or_default();
+        if !owned || rollout.iteration < expected {
+            self.supersede();
+        } else if rollout.iteration > expected {
+            let refusal = Refusal::Iteration { found: rollout.iteration, expected };
+            self.refuse(key, refusal.kind(), refusal.to_string(), true);
+        } else {
+            self.collector.accept(rollout);
+        }
+    }
+
+    fn refuse(&mut self, key: &SenderKey, kind: RefusalKind, reason: String, sequenced: bool) {
+        self.books.refuse(kind, sequenced);
+        let Some(sender) = self.roster.sender(key) else { return };
+        let verdict = sender.refuse(kind);
+        if verdict.first {
+            let (actor, reason) = (Some(key.0.clone()), reason.clone());
+            self.effects.push(Effect::Event(RunEvent::Refused { actor, kind, reason }));
+        }
+        if verdict.cut_off {
+            self.cut_off(key, reason);
+        } else if sequenced
+            && self.roster.members().get(&key.0) == Some(&key.1)
+            && let Some(change) = self.assigner.renew(&key.0)
+        {
+            self.tell(change);
+        }
+    }
+
+    fn refuse_stranger(&mut self, actor: Option<ActorId>, kind: RefusalKind, reason: String) {
+        let first = !self.books.refusals.contains_key(&kind);
+        self.books.refuse(kind, false);
+        if first {
+            self.effects.push(Effect::Event(RunEvent::Refused { actor, kind, reason }));
+        }
+    }
+
+    fn cut_off(&mut self, key: &SenderKey, reason: String) {
+        let control = Control::Stop {
+            reason: format!("the learner refused too many messages; the last one: {reason}"),
+            cut_off: true,
+        };
+        self.effects.push(Effect::Control { to: key.clone(), control });
+        self.effects.push(Effect::Event(RunEvent::CutOff { actor: key.0.clone(), reason }));
+        self.give_up(key);
+    }
+
+    /// Makes an actor a member if it may be one; an older start of it is gone by that.
+    fn admit(&mut self, key: &SenderKey) {
+        let older = self.roster.members().get(&key.0).copied().filter(|start| *start != key.1);
+        if !self.roster.admit(key) {
+            return;
+        }
+        if older.is_some() {
+            self.lose(&key.0);
+        } else {
+            // An actor that comes back within its lease still has environments under this name.
+            self.assigner.release(&key.0);
+        }
+        let (actor, n_actors) = (key.0.clone(), self.n_actors());
+        self.effects.push(Effect::Event(RunEvent::ActorJoined { actor, n_actors }));
+        self.credit_due.insert(key.0.clone());
+        self.rebalance_due = true;
+        self.rebalance_if_orphaned();
+    }
+
+    fn lose(&mut self, actor: &ActorId) {
+        let n_envs = self.assigner.release(actor);
+        self.books.steps_redone += n_envs as u64 * u64::from(self.terms.n_steps);
+        let (actor, n_actors) = (actor.clone(), self.n_actors());
+        self.effects.push(Effect::Event(RunEvent::ActorLeft { actor, n_actors, n_envs }));
+    }
+
+    fn rebalance_if_orphaned(&mut self) {
+        self.started |= self.n_actors() >= self.terms.actors_min;
+        if self.started && self.assigner.has_orphans() {
+            self.rebalance();
+        }
+    }
+
+    fn rebalance(&mut self) {
+        self.rebalance_due = false;
+        for change in self.assigner.rebalance(self.roster.members()) {
+            self.tell(change);
+        }
+    }
+
+    /// Says an assignment, in as many parts as its snapshots need; every part is an epoch of its own.
+    fn tell(&mut self, change: Change) {
+        let Change { actor, mut epoch, given, mut kept } = change;
+        let Some(&incarnation) = self.roster.members().get(&actor) else { return };
+        let (n_given, n_kept) = (given.len(), kept.len());
+        self.effects.push(Effect::Event(RunEvent::Assigned {
+            actor: actor.clone(),
+            epoch,
+            n_given,
+            n_kept,
+        }));
+        for (index, envs) in self.parts(&given).into_iter().enumerate() {
+            if index > 0 {
+                epoch = self.assigner.next_epoch();
+            }
+            let ids: Vec<EnvId> = envs.iter().map(|env| env.env_id).collect();
+            let control = Control::Assign(Assignment { epoch, envs, keep: kept.clone() });
+            self.effects.push(Effect::Control { to: (actor.clone(), incarnation), control });
+            kept.extend(ids);
+        }
+    }
+
+    fn parts(&self, given: &[EnvId]) -> Vec<Vec<EnvAssignment>> {
+        let mut parts = vec![Vec::new()];
+        let mut n_bytes = 0;
+        for env in given.iter().map(|&env_id| self.collector.newest(env_id)) {
+            n_bytes += env.snapshot.len();
+            if n_bytes > ASSIGNMENT_BYTES {
+                n_bytes = env.snapshot.len();
+                parts.push(Vec::new());
+            }
+            if let Some(part) = parts.last_mut() {
+                part.push(env);
+            }
+        }
+        parts
+    }
+
+    fn credit(&mut self, actor: &ActorId) -> Option<Credit> {
+        let incarnation = *self.roster.members().get(actor)?;
+        let key = (actor.clone(), incarnation);
+        let acknowledged = self.books.sequence(&key);
+        let room = if self.collector.is_full() { 0 } else { u64::from(self.terms.window) };
+        let sender = self.roster.sender(&key)?;
+        sender.limit = sender.limit.max(Sequence(acknowledged.0 + room));
+        Some(Credit { incarnation, learner: self.terms.learner, acknowledged, limit: sender.limit })
+    }
+}
+
+#[cfg(test)]
+mod tests;

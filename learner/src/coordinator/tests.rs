@@ -1,0 +1,335 @@
+//! Everything that can happen to a rollout, without a network.
+
+use leadtime_proto::header::Schema;
+use leadtime_proto::{ActionSpec, Iteration};
+
+use super::*;
+
+const WINDOW: u32 = 4;
+
+fn spec() -> EnvSpec {
+    EnvSpec { obs_dim: 1, actions: ActionSpec::discrete("a", 2), metrics: Vec::new() }
+}
+
+fn coordinator(n_envs: usize, schedule: Schedule) -> Coordinator {
+    let terms = Terms {
+        learner: Incarnation(99),
+        env: spec(),
+        recurrent_dim: 0,
+        n_steps: 1,
+        schedule,
+        window: WINDOW,
+        actors_min: 1,
+        cpu: "cpu".to_owned(),
+    };
+    let start = Start {
+        places: Collector::beginning(n_envs),
+        epoch: Epoch(0),
+        version: PolicyVersion(0),
+        books: Books::default(),
+    };
+    Coordinator::new(terms, start)
+}
+
+fn actor(name: &str) -> ActorId {
+    ActorId::new(name).unwrap()
+}
+
+fn hello(name: &str, published: u64, first_unacknowledged: u64) -> Hello {
+    Hello {
+        protocol: leadtime_proto::header::PROTOCOL_VERSION,
+        program: "test".to_owned(),
+        actor: actor(name),
+        incarnation: Incarnation(1),
+        cpu: "cpu".to_owned(),
+        published: Sequence(published),
+        first_unacknowledged: Sequence(first_unacknowledged),
+    }
+}
+
+fn join(coordinator: &mut Coordinator, name: &str) {
+    coordinator.hello(&hello(name, 0, 1)).unwrap();
+    coordinator.joined(actor(name), Incarnation(1));
+}
+
+fn rollout(env_id: u32, iteration: u64, version: u64) -> Rollout {
+    Rollout {
+        env_id: EnvId(env_id),
+        iteration: Iteration(iteration),
+        version: PolicyVersion(version),
+        n_steps: 1,
+        observations: vec![0.0],
+        next_observation: vec![0.0],
+        masks: vec![u64::MAX],
+        actions: vec![0],
+        log_probs: vec![0.0],
+        values: vec![0.0],
+        rewards: vec![0.0],
+        snapshot: vec![iteration as u8],
+        ..Rollout::default()
+    }
+}
+
+/// Sends a rollout under an epoch.
+fn send(coordinator: &mut Coordinator, name: &str, sequence: u64, epoch: u64, rollout: &Rollout) {
+    let payload = codec::encode(rollout).unwrap();
+    let header = Header {
+        sequence: Sequence(sequence),
+        epoch: Epoch(epoch),
+        version: rollout.version,
+        ..Header::plain(Schema::Rollout, Incarnation(1), &payload)
+    };
+    coordinator.rollout(actor(name), &header, &payload);
+}
+
+fn assignments(coordinator: &mut Coordinator) -> Vec<(ActorId, Assignment)> {
+    let effects = coordinator.take_effects().into_iter();
+    let assignment = |effect| match effect {
+        Effect::Control { to, control: Control::Assign(assignment) } => Some((to.0, assignment)),
+        _ => None,
+    };
+    effects.filter_map(assignment).collect()
+}
+
+fn credits(coordinator: &mut Coordinator) -> Vec<(u64, u64)> {
+    let effects = coordinator.take_effects().into_iter();
+    let credit = |effect| match effect {
+        Effect::Credit { credit, .. } => Some((credit.acknowledged.0, credit.limit.0)),
+        _ => None,
+    };
+    effects.filter_map(credit).collect()
+}
+
+fn close_balanced(coordinator: &mut Coordinator) -> Books {
+    coordinator.close();
+    coordinator.books().check().unwrap();
+    coordinator.books().clone()
+}
+
+#[test]
+fn one_actor_feeds_one_update() {
+    let mut c = coordinator(2, Schedule::Lag(0));
+    join(&mut c, "a");
+    let (_, assignment) = assignments(&mut c).remove(0);
+    assert_eq!(assignment.envs.len(), 2);
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    assert!(c.next_batch().is_none());
+    send(&mut c, "a", 2, 1, &rollout(1, 0, 0));
+    assert_eq!(c.next_batch().unwrap().rollouts.len(), 2);
+    c.trained(PolicyVersion(1));
+    assert_eq!(credits(&mut c), [(2, 2 + u64::from(WINDOW))]);
+    assert_eq!(close_balanced(&mut c).trained, 2);
+}
+
+#[test]
+fn duplicates_are_counted_and_gaps_wait_for_what_is_missing() {
+    let mut c = coordinator(1, Schedule::Lag(2));
+    join(&mut c, "a");
+    c.take_effects();
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    send(&mut c, "a", 3, 1, &rollout(0, 2, 0));
+    assert_eq!(credits(&mut c), [(1, 5)]);
+    send(&mut c, "a", 2, 1, &rollout(0, 1, 0));
+    send(&mut c, "a", 3, 1, &rollout(0, 2, 0));
+    let books = close_balanced(&mut c);
+    assert_eq!((books.duplicates, books.unused_at_end, books.published), (1, 3, 3));
+}
+
+#[test]
+fn who_leaves_is_replaced_from_the_newest_snapshot_and_heard_no_more() {
+    let mut c = coordinator(2, Schedule::Lag(1));
+    join(&mut c, "a");
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    join(&mut c, "b");
+    assert_eq!(assignments(&mut c).len(), 1, "the joiner waits for the end of the update");
+    c.left(actor("a"), Incarnation(1));
+    let (to, assignment) = assignments(&mut c).remove(0);
+    assert_eq!((to, assignment.epoch), (actor("b"), Epoch(2)));
+    let places: Vec<(u64, usize)> =
+        assignment.envs.iter().map(|env| (env.iteration.0, env.snapshot.len())).collect();
+    assert_eq!(places, [(1, 1), (0, 0)]);
+    send(&mut c, "a", 2, 1, &rollout(1, 0, 0));
+    send(&mut c, "b", 1, 2, &rollout(1, 0, 0));
+    assert_eq!(c.next_batch().unwrap().rollouts.len(), 2);
+    c.trained(PolicyVersion(1));
+    let books = close_balanced(&mut c);
+    assert_eq!((books.trained, books.superseded), (2, 1));
+}
+
+#[test]
+fn a_joiner_gets_its_share_when_an_update_is_done() {
+    let mut c = coordinator(2, Schedule::Lag(0));
+    join(&mut c, "a");
+    c.take_effects();
+    join(&mut c, "b");
+    for env in 0..2 {
+        send(&mut c, "a", u64::from(env) + 1, 1, &rollout(env, 0, 0));
+    }
+    c.next_batch().unwrap();
+    c.trained(PolicyVersion(1));
+    let told = assignments(&mut c);
+    assert_eq!(told[0].1.keep, [EnvId(0)]);
+    assert_eq!(told[1].1.envs[0].env_id, EnvId(1));
+    assert_eq!(told[1].1.envs[0].iteration, Iteration(1));
+    send(&mut c, "a", 3, 1, &rollout(0, 1, 1));
+    assert_eq!(c.n_pending(), 1, "a kept environment's rollout counts although its epoch is old");
+    close_balanced(&mut c);
+}
+
+#[test]
+fn an_environment_that_came_back_ignores_what_was_under_way_before() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    join(&mut c, "a");
+    c.left(actor("a"), Incarnation(1));
+    c.joined(actor("a"), Incarnation(1));
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    assert_eq!(c.books().superseded, 1);
+    send(&mut c, "a", 2, 2, &rollout(0, 0, 0));
+    assert_eq!(c.n_pending(), 1);
+    close_balanced(&mut c);
+}
+
+#[test]
+fn a_token_that_is_reported_twice_disturbs_nobody() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    join(&mut c, "a");
+    c.take_effects();
+    c.joined(actor("a"), Incarnation(1));
+    c.hello(&hello("a", 0, 1)).unwrap();
+    assert!(assignments(&mut c).is_empty());
+}
+
+#[test]
+fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
+    use RefusalKind as Kind;
+    let mut c = coordinator(1, Schedule::Lag(0));
+    join(&mut c, "a");
+    c.take_effects();
+    let mut nan = rollout(0, 0, 0);
+    nan.rewards[0] = f32::NAN;
+    let bad = [
+        (nan, Kind::Invalid),
+        (rollout(9, 0, 0), Kind::Environment),
+        (rollout(0, 0, 1), Kind::Version),
+    ];
+    let mut sequence = 0;
+    for (rollout, kind) in bad {
+        sequence += 1;
+        send(&mut c, "a", sequence, 100, &rollout);
+        assert_eq!(c.books().refusals.get(&kind), Some(&1), "{kind:?}");
+        assert_eq!(assignments(&mut c).len(), 1, "given anew after {kind:?}");
+    }
+    let payload = codec::encode(&rollout(0, 0, 0)).unwrap();
+    let header = |sequence, payload: &[u8]| Header {
+        sequence: Sequence(sequence),
+        epoch: Epoch(100),
+        ..Header::plain(Schema::Rollout, Incarnation(1), payload)
+    };
+    c.rollout(actor("a"), &header(4, b"else"), &payload);
+    c.rollout(actor("a"), &header(5, b"short"), b"short");
+    c.rollout(actor("a"), &header(500, &payload), &payload);
+    c.rollout(actor("x"), &header(1, &payload), &payload);
+    c.refused_by_link(Some(actor("a")), "too large".to_owned());
+    for kind in [Kind::Checksum, Kind::Malformed, Kind::Credit, Kind::Stranger, Kind::Transport] {
+        assert_eq!(c.books().refusals.get(&kind), Some(&1), "{kind:?}");
+    }
+    assert_eq!(close_balanced(&mut c).refused, 5);
+}
+
+#[test]
+fn skipping_a_rollout_is_refused() {
+    let mut c = coordinator(1, Schedule::Async { staleness_max: 8 });
+    join(&mut c, "a");
+    send(&mut c, "a", 1, 1, &rollout(0, 3, 0));
+    assert_eq!(c.books().refusals.get(&RefusalKind::Iteration), Some(&1));
+    close_balanced(&mut c);
+}
+
+#[test]
+fn a_rogue_is_told_why_and_cut_off_and_the_others_go_on() {
+    let mut c = coordinator(2, Schedule::Lag(0));
+    join(&mut c, "good");
+    join(&mut c, "rogue");
+    let mut nan = rollout(0, 0, 0);
+    nan.next_value = f32::INFINITY;
+    let mut told = Vec::new();
+    for sequence in 1..=limits::REFUSALS_BEFORE_CUT_OFF + 4 {
+        send(&mut c, "rogue", sequence, 100, &nan);
+        told.extend(c.take_effects());
+    }
+    let stops: Vec<&Effect> = told
+        .iter()
+        .filter(|effect| {
+            matches!(effect, Effect::Control { control: Control::Stop { cut_off: true, .. }, .. })
+        })
+        .collect();
+    assert_eq!(stops.len(), 1);
+    assert_eq!(c.n_actors(), 1);
+    assert_eq!(c.hello(&hello("rogue", 20, 21)), Err(Unwelcome::CutOff));
+    for env in 0..2 {
+        send(&mut c, "good", u64::from(env) + 1, 100, &rollout(env, 0, 0));
+    }
+    assert_eq!(c.next_batch().unwrap().rollouts.len(), 2);
+    let books = close_balanced(&mut c);
+    assert_eq!(books.refused, limits::REFUSALS_BEFORE_CUT_OFF);
+}
+
+#[test]
+fn a_resumed_learner_rolls_back_what_was_lost_and_supersedes_what_was_made_before() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)));
+    c.joined(actor("a"), Incarnation(1));
+    assert_eq!(c.books().rolled_back, 5);
+    send(&mut c, "a", 6, 100, &rollout(0, 5, 5));
+    send(&mut c, "a", 7, 100, &rollout(0, 0, 0));
+    assert_eq!((c.books().superseded, c.books().refused), (2, 0));
+    send(&mut c, "a", 8, 1, &rollout(0, 0, 0));
+    assert_eq!(c.n_pending(), 1);
+    close_balanced(&mut c);
+}
+
+#[test]
+fn a_hello_that_contradicts_itself_is_refused() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    for (published, first) in [(0, 0), (1, 3), (u64::MAX, 1)] {
+        assert_eq!(c.hello(&hello("a", published, first)), Err(Unwelcome::Nonsense));
+    }
+}
+
+#[test]
+fn a_full_queue_gives_no_more_credit_until_it_is_used() {
+    let mut c = coordinator(1, Schedule::Async { staleness_max: 0 });
+    join(&mut c, "a");
+    c.take_effects();
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    assert_eq!(credits(&mut c), [(1, 5)]);
+    send(&mut c, "a", 2, 1, &rollout(0, 1, 0));
+    send(&mut c, "a", 3, 1, &rollout(0, 2, 0));
+    assert_eq!(credits(&mut c), [(3, 5)], "full: the limit stays");
+    c.next_batch().unwrap();
+    c.trained(PolicyVersion(1));
+    c.next_batch();
+    assert_eq!(credits(&mut c), [(3, 7)]);
+    assert_eq!(close_balanced(&mut c).dropped_stale, 2);
+}
+
+#[test]
+fn an_assignment_with_large_snapshots_comes_in_parts() {
+    let mut c = coordinator(3, Schedule::Lag(0));
+    let big = vec![0; ASSIGNMENT_BYTES / 2];
+    let place = |id| EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: big.clone() };
+    c.collector = Collector::new(Schedule::Lag(0), (0..3).map(place).collect());
+    join(&mut c, "a");
+    let told = assignments(&mut c);
+    let shape: Vec<(u64, usize, usize)> =
+        told.iter().map(|(_, a)| (a.epoch.0, a.envs.len(), a.keep.len())).collect();
+    assert_eq!(shape, [(1, 2, 0), (2, 1, 2)]);
+}
+
+#[test]
+fn another_class_of_cpu_is_noticed() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    c.hello(&Hello { cpu: "other".to_owned(), ..hello("a", 0, 1) }).unwrap();
+    assert!(!c.is_on_one_cpu());
+}

@@ -1,0 +1,131 @@
+//! How the last training episodes went.
+
+use std::collections::VecDeque;
+
+use leadtime_proto::{EnvSpec, EpisodeSummary, Rollout};
+use serde::{Deserialize, Serialize};
+
+/// How many episodes the means are over.
+pub const WINDOW: usize = 100;
+/// The metric that says whether an episode went well.
+const SUCCESS: &str = "success";
+
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Episode {
+    episode_return: f64,
+    length: u32,
+    success: Option<f32>,
+}
+
+/// Means over the last episodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EpisodeMeans {
+    /// Episodes finished since the run began.
+    pub n_finished: u64,
+    /// Episodes that the means are over, at most [`WINDOW`].
+    pub n_averaged: u64,
+    /// Mean undiscounted return; `None` before the first episode.
+    pub episode_return: Option<f64>,
+    /// Mean share of successes; `None` where the task knows no success.
+    pub success: Option<f64>,
+    /// Mean length in steps.
+    pub length: Option<f64>,
+}
+
+/// The last training episodes, in the order in which they were trained on.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Episodes {
+    n_finished: u64,
+    last: VecDeque<Episode>,
+}
+
+impl Episodes {
+    /// Takes in the episodes that ended in rollouts sorted by environment.
+    pub fn extend(&mut self, spec: &EnvSpec, rollouts: &[Rollout]) {
+        let success = spec.metrics.iter().position(|name| name == SUCCESS);
+        let summaries =
+            rollouts.iter().flat_map(|rollout| rollout.ends.iter().map(|end| &end.summary));
+        for summary in summaries {
+            self.push(summary, success);
+        }
+    }
+
+    fn push(&mut self, summary: &EpisodeSummary, success: Option<usize>) {
+        if self.last.len() == WINDOW {
+            self.last.pop_front();
+        }
+        self.last.push_back(Episode {
+            episode_return: summary.episode_return,
+            length: summary.length,
+            success: success.and_then(|index| summary.metrics.get(index).copied()),
+        });
+        self.n_finished += 1;
+    }
+
+    /// Computes the means.
+    pub fn means(&self) -> EpisodeMeans {
+        let mean = |value: fn(&Episode) -> Option<f64>| {
+            let values: Option<Vec<f64>> = self.last.iter().map(value).collect();
+            let values = values.filter(|values| !values.is_empty())?;
+            Some(values.iter().sum::<f64>() / values.len() as f64)
+        };
+        EpisodeMeans {
+            n_finished: self.n_finished,
+            n_averaged: self.last.len() as u64,
+            episode_return: mean(|episode| Some(episode.episode_return)),
+            success: mean(|episode| episode.success.map(f64::from)),
+            length: mean(|episode| Some(f64::from(episode.length))),
+        }
+    }
+
+    /// Returns what makes one policy better than another: mean success, or mean return where there is none.
+    ///
+    /// `None` until the window is full: a handful of lucky episodes is not the best policy.
+    pub fn score(&self) -> Option<f64> {
+        let means = self.means();
+        let score = means.success.or(means.episode_return);
+        score.filter(|_| self.last.len() == WINDOW)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use leadtime_proto::{ActionSpec, EpisodeEnd};
+
+    fn spec(metrics: &[&str]) -> EnvSpec {
+        let metrics = metrics.iter().map(|&name| name.to_owned()).collect();
+        EnvSpec { obs_dim: 1, actions: ActionSpec::discrete("a", 2), metrics }
+    }
+
+    fn ended(returns: &[f64], metric: f32) -> Rollout {
+        let end = |&episode_return| EpisodeEnd {
+            step: 0,
+            truncated: false,
+            final_observation: vec![0.0],
+            final_value: 0.0,
+            summary: EpisodeSummary { episode: 0, episode_return, length: 2, metrics: vec![metric] },
+        };
+        Rollout { ends: returns.iter().map(end).collect(), ..Rollout::default() }
+    }
+
+    #[test]
+    fn only_the_last_hundred_episodes_count() {
+        let mut episodes = Episodes::default();
+        episodes.extend(&spec(&["success"]), &[ended(&[1000.0], 1.0)]);
+        assert_eq!(episodes.score(), None);
+        episodes.extend(&spec(&["success"]), &[ended(&[1.0; 50], 0.0), ended(&[3.0; 50], 1.0)]);
+        let means = episodes.means();
+        assert_eq!((means.n_finished, means.n_averaged), (101, 100));
+        assert_eq!((means.episode_return, means.success, means.length), (Some(2.0), Some(0.5), Some(2.0)));
+        assert_eq!(episodes.score(), Some(0.5));
+    }
+
+    #[test]
+    fn a_task_without_success_is_judged_by_its_return() {
+        let mut episodes = Episodes::default();
+        episodes.extend(&spec(&["speed"]), &[ended(&[5.0; 100], 1.0)]);
+        assert_eq!(episodes.means().success, None);
+        assert_eq!(episodes.score(), Some(5.0));
+    }
+}

@@ -1,0 +1,160 @@
+//! The actors that a learner knows: who is here, and how far each start of each actor has been heard.
+//!
+//! An actor is a **member** from the moment it has both said hello and shown its liveliness token, until the
+//! token is gone. A **sender** is one start of an actor, member or not: its sequences, credit and refusals.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use leadtime_proto::limits::REFUSALS_BEFORE_CUT_OFF;
+use leadtime_proto::{ActorId, Incarnation, Sequence};
+
+use crate::books::SenderKey;
+use crate::refusal::RefusalKind;
+
+/// One start of an actor, as far as this start of the learner knows it.
+#[derive(Clone, Debug, Default)]
+pub struct Sender {
+    /// Rollouts up to this one were made before this learner started, and belong to a timeline that is gone.
+    pub made_before: Sequence,
+    /// The highest sequence it may publish.
+    pub limit: Sequence,
+    /// It sent too many refused messages.
+    pub cut_off: bool,
+    n_refused: u64,
+    kinds: BTreeSet<RefusalKind>,
+}
+
+/// What a refusal means for its sender.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Verdict {
+    /// It is the first of its kind: worth a line in the log.
+    pub first: bool,
+    /// It was one too many.
+    pub cut_off: bool,
+}
+
+impl Sender {
+    /// Counts a refusal against the sender.
+    pub fn refuse(&mut self, kind: RefusalKind) -> Verdict {
+        self.n_refused += 1;
+        let cut_off = !self.cut_off && self.n_refused >= REFUSALS_BEFORE_CUT_OFF;
+        self.cut_off |= cut_off;
+        Verdict { first: self.kinds.insert(kind), cut_off }
+    }
+}
+
+/// Everyone a learner knows.
+#[derive(Clone, Debug, Default)]
+pub struct Roster {
+    senders: BTreeMap<SenderKey, Sender>,
+    members: BTreeMap<ActorId, Incarnation>,
+    /// Tokens seen; a member is a known sender with a token.
+    present: BTreeSet<SenderKey>,
+}
+
+impl Roster {
+    /// Returns a sender that has said hello to this start of the learner.
+    pub fn sender(&mut self, key: &SenderKey) -> Option<&mut Sender> {
+        self.senders.get_mut(key)
+    }
+
+    /// Notes a hello; `published` is how far the actor had got when it first spoke to this learner.
+    pub fn greet(&mut self, key: &SenderKey, published: Sequence) {
+        let sender = || Sender { made_before: published, ..Sender::default() };
+        self.senders.entry(key.clone()).or_insert_with(sender);
+    }
+
+    /// Notes a token, as often as it is reported.
+    pub fn appear(&mut self, key: &SenderKey) {
+        self.present.insert(key.clone());
+    }
+
+    /// Makes a sender a member if it may be one and is not yet.
+    pub fn admit(&mut self, key: &SenderKey) -> bool {
+        let welcome = self.senders.get(key).is_some_and(|sender| !sender.cut_off);
+        let is_new = self.members.get(&key.0) != Some(&key.1);
+        let admitted = welcome && is_new && self.present.contains(key);
+        if admitted {
+            self.members.insert(key.0.clone(), key.1);
+        }
+        admitted
+    }
+
+    /// Notes that a token is gone. Returns whether a member was lost by it.
+    pub fn vanish(&mut self, key: &SenderKey) -> bool {
+        self.present.remove(key);
+        self.expel(key)
+    }
+
+    /// Ends a membership. Returns whether there was one.
+    pub fn expel(&mut self, key: &SenderKey) -> bool {
+        let was_member = self.members.get(&key.0) == Some(&key.1);
+        if was_member {
+            self.members.remove(&key.0);
+        }
+        was_member
+    }
+
+    /// Returns the members.
+    pub fn members(&self) -> &BTreeMap<ActorId, Incarnation> {
+        &self.members
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(start: u64) -> SenderKey {
+        (ActorId::new("a").unwrap(), Incarnation(start))
+    }
+
+    #[test]
+    fn a_member_has_said_hello_and_is_alive() {
+        let mut roster = Roster::default();
+        roster.appear(&key(1));
+        assert!(!roster.admit(&key(1)), "alive, but it has not said hello");
+        roster.greet(&key(1), Sequence(0));
+        assert!(roster.admit(&key(1)));
+        assert!(!roster.admit(&key(1)), "it is one already");
+        assert!(roster.vanish(&key(1)));
+        assert!(roster.members().is_empty());
+        roster.appear(&key(1));
+        assert!(roster.admit(&key(1)), "back from a network cut: known already");
+    }
+
+    #[test]
+    fn the_end_of_an_older_start_does_not_end_the_newer() {
+        let mut roster = Roster::default();
+        for start in [1, 2] {
+            roster.greet(&key(start), Sequence(0));
+            roster.appear(&key(start));
+            assert!(roster.admit(&key(start)));
+        }
+        assert!(!roster.vanish(&key(1)));
+        assert_eq!(roster.members()[&key(2).0], Incarnation(2));
+    }
+
+    #[test]
+    fn too_many_refusals_end_a_membership_for_good() {
+        let mut roster = Roster::default();
+        roster.greet(&key(1), Sequence(0));
+        let sender = roster.sender(&key(1)).unwrap();
+        let verdicts: Vec<Verdict> = (0..REFUSALS_BEFORE_CUT_OFF + 1)
+            .map(|_| sender.refuse(RefusalKind::Invalid))
+            .collect();
+        assert_eq!(verdicts.iter().filter(|verdict| verdict.first).count(), 1);
+        assert_eq!(verdicts.iter().position(|verdict| verdict.cut_off), Some(15));
+        assert_eq!(verdicts.iter().filter(|verdict| verdict.cut_off).count(), 1);
+        roster.appear(&key(1));
+        assert!(!roster.admit(&key(1)));
+    }
+
+    #[test]
+    fn what_a_sender_had_published_at_its_first_hello_stays_noted() {
+        let mut roster = Roster::default();
+        roster.greet(&key(1), Sequence(7));
+        roster.greet(&key(1), Sequence(9));
+        assert_eq!(roster.sender(&key(1)).unwrap().made_before, Sequence(7));
+    }
+}
