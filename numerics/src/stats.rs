@@ -267,8 +267,8 @@ mod tests {
             assert!(interval.contains(mean(&flips)), "{interval:?}");
             assert_eq!(Some(interval), BOOTSTRAP.mean(&flips, seed));
         }
-        let flips = coin_flips(50, 0);
-        assert_ne!(BOOTSTRAP.mean(&flips, 0), Bootstrap { seed: 12, ..BOOTSTRAP }.mean(&flips, 0));
+        assert_ne!(BOOTSTRAP.mean(&B, 0), Bootstrap { seed: 12, ..BOOTSTRAP }.mean(&B, 0));
+        assert_ne!(BOOTSTRAP.mean(&B, 0), BOOTSTRAP.mean(&B, 1));
     }
 
     #[test]
