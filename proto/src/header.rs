@@ -93,7 +93,9 @@ pub enum HeaderError {
     #[error("header does not start with the magic number")]
     Magic,
     /// A sender of another version.
-    #[error("peer speaks protocol {found}, this program speaks {PROTOCOL_VERSION}: run the same release on both sides")]
+    #[error(
+        "peer speaks protocol {found}, this program speaks {PROTOCOL_VERSION}: run the same release on both sides"
+    )]
     Protocol {
         /// The sender's version.
         found: u32,

@@ -67,7 +67,9 @@ impl Staleness {
 
 /// Why a text cannot be an identifier.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("`{text}` is not a valid {kind}: use 1 to {max_len} of a-z, 0-9 and `-`, starting with a letter or digit")]
+#[error(
+    "`{text}` is not a valid {kind}: use 1 to {max_len} of a-z, 0-9 and `-`, starting with a letter or digit"
+)]
 pub struct InvalidId {
     /// The text as given (at most its first 80 characters).
     pub text: String,
@@ -140,6 +142,34 @@ macro_rules! slug {
     };
 }
 
+/// Names a domain (`lander`, `cue_recall`, one of the user's own) where it is part of a key or a file name.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct DomainName(String);
+
+impl DomainName {
+    /// Checks a text and makes it a domain's name: a slug in which `_` is possible too.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidId`] unless the text can be part of a key.
+    pub fn new(text: impl Into<String>) -> Result<Self, InvalidId> {
+        let text = text.into();
+        check_slug(&text.replace('_', "-"), "domain name", 48)?;
+        Ok(Self(text))
+    }
+
+    /// Returns the text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for DomainName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
 slug! {
     /// Names an actor for as long as its person wants it to be the same actor.
     ActorId, "actor id", 48
@@ -159,6 +189,14 @@ mod tests {
             assert!(RunName::new(text).is_err(), "{text}");
         }
         assert_eq!(RunName::new("lander-20260101").unwrap().as_str(), "lander-20260101");
+    }
+
+    #[test]
+    fn a_domain_may_have_an_underscore_and_nothing_else_that_a_slug_has_not() {
+        assert_eq!(DomainName::new("cue_recall").unwrap().as_str(), "cue_recall");
+        for text in ["", "_a", "a/b", "*", "A"] {
+            assert!(DomainName::new(text).is_err(), "{text}");
+        }
     }
 
     #[test]

@@ -11,6 +11,7 @@
 //! message  everything else      Hello, Welcome, Control, Credit, Announcement ...
 //! header   48 bytes in front    Header
 //! codec    the one door         encode, decode (the only file that names bincode)
+//! receive  the doorman          size, header, schema, checksum, decode; every refusal has a cause
 //! ```
 //!
 //! # Where to start
@@ -23,14 +24,17 @@ pub mod ids;
 pub mod limits;
 pub mod message;
 pub mod packed;
+pub mod receive;
 pub mod rollout;
 pub mod schedule;
 pub mod spec;
 
 pub use header::Header;
 pub use ids::{
-    ActorId, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, Sequence, Staleness,
+    ActorId, DomainName, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, Sequence,
+    Staleness,
 };
+pub use receive::{Refusal, RefusalCause};
 pub use rollout::{EpisodeEnd, EpisodeSummary, Rollout};
 pub use schedule::Schedule;
 pub use spec::{

@@ -206,11 +206,7 @@ impl Rollout {
 }
 
 fn length(field: &'static str, found: usize, expected: usize) -> Result<(), InvalidRollout> {
-    if found == expected {
-        Ok(())
-    } else {
-        Err(InvalidRollout::Length { field, found, expected })
-    }
+    if found == expected { Ok(()) } else { Err(InvalidRollout::Length { field, found, expected }) }
 }
 
 fn finite(field: &'static str, values: &[f32]) -> Result<(), InvalidRollout> {

@@ -193,7 +193,9 @@ pub enum SpecError {
         choice: usize,
     },
     /// A restriction that is out of order, has the wrong shape, or leaves no choice.
-    #[error("conditional of head {head} given head {given} is out of order, misshapen, or leaves no choice")]
+    #[error(
+        "conditional of head {head} given head {given} is out of order, misshapen, or leaves no choice"
+    )]
     Conditional {
         /// The restricted head.
         head: usize,
