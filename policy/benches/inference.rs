@@ -1,0 +1,48 @@
+//! Observations per second of fast inference: 60 inputs, actor 60-64-64 with heads 2+4+4+4, critic 60-64-64-1.
+//!
+//! `cargo bench -p leadtime-policy --bench inference`
+
+use std::hint::black_box;
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use leadtime_numerics::Pcg64;
+use leadtime_policy::{Parameters, Policy};
+use leadtime_proto::{ActionSpec, Encoder, Head, HeadCredit, PolicySpec};
+
+fn spec() -> PolicySpec {
+    let head = |name: &str, n_choices| Head { name: name.to_owned(), n_choices };
+    let heads = vec![head("initiate", 2), head("topic", 4), head("k", 4), head("l", 4)];
+    PolicySpec {
+        obs_dim: 60,
+        encoder: Encoder::Identity,
+        hidden: vec![64, 64],
+        actions: ActionSpec { heads, gate: None, conditionals: Vec::new() },
+        head_credit: HeadCredit::All,
+        logit_bias: Vec::new(),
+        normalize_observations: false,
+    }
+}
+
+fn inference(criterion: &mut Criterion) {
+    let spec = spec();
+    let parameters = Parameters::initialize(&spec, 1).expect("the specification is sound");
+    let mut policy = Policy::new(&spec, &parameters).expect("the parameters fit");
+    let mut generator = Pcg64::seed_from_u64(1);
+    let mut group = criterion.benchmark_group("inference");
+    for batch in [1, 4, 16, 64, 256, 1024] {
+        let observations: Vec<f32> =
+            (0..batch * 60).map(|_| generator.uniform(-1.0, 1.0) as f32).collect();
+        let (mut logits, mut values) = (vec![0.0; batch * 14], vec![0.0; batch]);
+        group.throughput(Throughput::Elements(batch as u64));
+        group.bench_function(BenchmarkId::from_parameter(batch), |bencher| {
+            bencher.iter(|| {
+                policy.evaluate(black_box(&observations), &mut [], &mut logits, &mut values);
+                black_box(&logits);
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, inference);
+criterion_main!(benches);

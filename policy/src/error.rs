@@ -1,0 +1,68 @@
+//! What can be wrong with a policy, its parameters or a file of them.
+
+use leadtime_numerics::DenseError;
+use thiserror::Error;
+
+/// Why parameters cannot be made, read, written or used.
+#[derive(Debug, Error)]
+pub enum Error {
+    /// The tensor engine refused.
+    #[error("tensor operation failed")]
+    Tensor(#[from] candle_core::Error),
+    /// The bytes are no safetensors file.
+    #[error("parameters cannot be read as safetensors")]
+    Read(#[source] safetensors::SafeTensorError),
+    /// The tensors cannot be written.
+    #[error("parameters cannot be written as safetensors")]
+    Write(#[source] safetensors::SafeTensorError),
+    /// A tensor that the architecture needs is not there.
+    #[error("parameters hold no tensor `{name}`")]
+    Missing {
+        /// The tensor's name.
+        name: String,
+    },
+    /// A tensor that the architecture does not know.
+    #[error("parameters hold a tensor `{name}` that this architecture does not know")]
+    Unknown {
+        /// The tensor's name.
+        name: String,
+    },
+    /// A tensor of the wrong shape.
+    #[error("tensor `{name}` has shape {found:?}, the architecture needs {expected:?}")]
+    Shape {
+        /// The tensor's name.
+        name: String,
+        /// Its shape.
+        found: Vec<usize>,
+        /// The shape it must have.
+        expected: Vec<usize>,
+    },
+    /// A tensor of another number type.
+    #[error("tensor `{name}` has numbers of type {found:?}")]
+    Type {
+        /// The tensor's name.
+        name: String,
+        /// Its type.
+        found: safetensors::Dtype,
+    },
+    /// A NaN or an infinity.
+    #[error("tensor `{name}` holds a value that is not finite")]
+    NonFinite {
+        /// The tensor's name.
+        name: String,
+    },
+    /// As many initial biases as logits are needed, or none.
+    #[error("`logit_bias` has {found} entries, the heads have {expected} choices")]
+    LogitBias {
+        /// As given.
+        found: usize,
+        /// One per choice.
+        expected: usize,
+    },
+    /// The action space is impossible.
+    #[error("impossible action space")]
+    Actions(#[from] leadtime_proto::spec::SpecError),
+    /// A layer's numbers do not fit together.
+    #[error("a layer's weights do not fit its biases")]
+    Layer(#[from] DenseError),
+}

@@ -1,0 +1,56 @@
+//! Actor-critic policies: architecture, parameters, fast inference and the distribution over actions.
+//!
+//! What this crate does not know: networks, files, clocks, environments, or how a policy is trained. It holds what
+//! acting and learning must share to agree: the same weights give the same logits, the same mask the same support,
+//! the same action the same log-probability, bit for bit.
+//!
+//! ```text
+//! PolicySpec ──► architecture (names, shapes) ──► Parameters ⇄ safetensors
+//!                                                   │
+//!                                raw observation ──► Policy ──► logits ──► ActionDistribution ──► action, log π
+//!                                                      └──────► value
+//! ```
+//!
+//! # Where to start
+//!
+//! [`Parameters::initialize`], [`Policy::evaluate`], [`ActionDistribution::sample`].
+
+pub mod architecture;
+pub mod distribution;
+pub mod error;
+pub mod file;
+pub mod inference;
+pub mod normalizer;
+pub mod parameters;
+
+pub use distribution::{ActionDistribution, Terms};
+pub use error::Error;
+pub use file::read_metadata;
+pub use inference::Policy;
+pub use normalizer::{FrozenNormalizer, ObservationNormalizer};
+pub use parameters::Parameters;
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::{ActionSpec, Conditional, Encoder, Gate, Head, HeadCredit, PolicySpec};
+
+    /// The notifier's heads: initiate 2, topic 4, k 4, l 4 with l >= k.
+    pub(crate) fn notifier(obs_dim: usize) -> PolicySpec {
+        let head = |name: &str, n_choices| Head { name: name.to_owned(), n_choices };
+        let allowed = vec![0b1111, 0b1110, 0b1100, 0b1000];
+        let actions = ActionSpec {
+            heads: vec![head("initiate", 2), head("topic", 4), head("k", 4), head("l", 4)],
+            gate: Some(Gate { head: 0, choice: 1 }),
+            conditionals: vec![Conditional { head: 3, given: 2, allowed }],
+        };
+        PolicySpec {
+            obs_dim,
+            encoder: Encoder::Identity,
+            hidden: vec![64, 64],
+            actions,
+            head_credit: HeadCredit::Active,
+            logit_bias: Vec::new(),
+            normalize_observations: false,
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! Running mean and variance of observations: part of the parameters, frozen wherever the policy acts.
+//!
+//! Only the learner updates it, in the order of environment ids; actors get it with the weights, so that both compute
+//! the same inputs from the same raw observation, bit for bit.
+//!
+//! # Source
+//!
+//! The update is Chan, Golub and LeVeque's (1979); start count and the small constant are those of Gymnasium's
+//! `NormalizeObservation`.
+
+use serde::{Deserialize, Serialize};
+
+/// Normalised inputs are clipped to this range.
+pub const CLIP: f32 = 10.0;
+/// Added to the variance before its root.
+const EPSILON: f64 = 1e-8;
+/// Weight of the initial mean 0 and variance 1.
+const INITIAL_COUNT: f64 = 1e-4;
+
+/// Running moments of each component of an observation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ObservationNormalizer {
+    /// Mean per component. `[D]`
+    pub mean: Vec<f64>,
+    /// Population variance per component. `[D]`
+    pub variance: Vec<f64>,
+    /// How many observations are in them.
+    pub count: f64,
+}
+
+impl ObservationNormalizer {
+    /// Starts with mean 0 and variance 1, which the first observations replace.
+    pub fn new(dim: usize) -> Self {
+        Self { mean: vec![0.0; dim], variance: vec![1.0; dim], count: INITIAL_COUNT }
+    }
+
+    /// Takes in a batch of raw observations.
+    ///
+    /// # Shapes
+    ///
+    /// `observations`: `[N, D]`.
+    pub fn update(&mut self, observations: &[f32]) {
+        let dim = self.mean.len();
+        let n = observations.len().checked_div(dim).unwrap_or(0) as f64;
+        if n == 0.0 {
+            return;
+        }
+        let mut mean = vec![0.0; dim];
+        for row in observations.chunks_exact(dim) {
+            mean.iter_mut().zip(row).for_each(|(sum, &x)| *sum += f64::from(x));
+        }
+        mean.iter_mut().for_each(|sum| *sum /= n);
+        let mut squares = vec![0.0; dim];
+        for row in observations.chunks_exact(dim) {
+            for ((sum, &x), mean) in squares.iter_mut().zip(row).zip(&mean) {
+                *sum += (f64::from(x) - mean) * (f64::from(x) - mean);
+            }
+        }
+        let total = self.count + n;
+        for i in 0..dim {
+            let delta = mean[i] - self.mean[i];
+            let square = self.variance[i] * self.count
+                + squares[i]
+                + delta * delta * (self.count * n / total);
+            self.mean[i] += delta * (n / total);
+            self.variance[i] = square / total;
+        }
+        self.count = total;
+    }
+
+    /// Prepares the statistics for use.
+    pub fn freeze(&self) -> FrozenNormalizer {
+        FrozenNormalizer {
+            mean: self.mean.iter().map(|&mean| mean as f32).collect(),
+            scale: self.variance.iter().map(|v| (1.0 / (v + EPSILON).sqrt()) as f32).collect(),
+        }
+    }
+}
+
+/// Statistics at one moment, ready to be applied.
+#[derive(Clone, Debug)]
+pub struct FrozenNormalizer {
+    mean: Vec<f32>,
+    scale: Vec<f32>,
+}
+
+impl FrozenNormalizer {
+    /// Writes `clip((x - mean) / sqrt(variance), ±10)` for each row.
+    ///
+    /// # Shapes
+    ///
+    /// Both: `[N, D]`.
+    pub fn apply(&self, raw: &[f32], out: &mut [f32]) {
+        let dim = self.mean.len().max(1);
+        for (raw, out) in raw.chunks_exact(dim).zip(out.chunks_exact_mut(dim)) {
+            let statistics = self.mean.iter().zip(&self.scale);
+            for ((out, &x), (mean, scale)) in out.iter_mut().zip(raw).zip(statistics) {
+                *out = ((x - mean) * scale).clamp(-CLIP, CLIP);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn batches_add_up_to_the_moments_of_all() {
+        let all: Vec<f32> = (0..60).map(|i| ((i * 37) % 23) as f32 * 0.5 + 3.0).collect();
+        let mut normalizer = ObservationNormalizer { count: 0.0, ..ObservationNormalizer::new(2) };
+        normalizer.update(&all[..14]);
+        normalizer.update(&all[14..]);
+        for component in 0..2 {
+            let values: Vec<f64> =
+                all.iter().skip(component).step_by(2).map(|&x| f64::from(x)).collect();
+            let mean = values.iter().sum::<f64>() / 30.0;
+            let variance = values.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / 30.0;
+            assert!((normalizer.mean[component] - mean).abs() < 1e-12);
+            assert!((normalizer.variance[component] - variance).abs() < 1e-12);
+        }
+        assert_eq!(normalizer.count, 30.0);
+    }
+
+    #[test]
+    fn far_outliers_are_clipped() {
+        let mut out = [0.0; 2];
+        ObservationNormalizer::new(2).freeze().apply(&[1e6, -0.5], &mut out);
+        assert_eq!(out, [10.0, -0.5]);
+    }
+}

@@ -1,0 +1,233 @@
+//! A policy's numbers: tensors by name and the observation statistics, as one value with a version and a digest.
+//!
+//! The tensors are candle's; iteration is always in the order of names, so that whatever folds over them (digest,
+//! gradient norm, optimiser) does so in one order. Reading and writing files is in [`crate::file`].
+
+use std::collections::BTreeMap;
+
+use candle_core::{Device, Tensor};
+use leadtime_numerics::{Purpose, orthogonal, stream};
+use leadtime_proto::PolicySpec;
+use sha2::{Digest as _, Sha256};
+
+use crate::architecture::{Layer, Network, all_layers, layers};
+use crate::{Error, ObservationNormalizer};
+
+/// All weights of an actor-critic and the statistics of its inputs.
+#[derive(Clone, Debug)]
+pub struct Parameters {
+    tensors: BTreeMap<String, Tensor>,
+    normalizer: Option<ObservationNormalizer>,
+}
+
+impl Parameters {
+    /// Draws initial parameters: orthogonal weights (gain √2, actor head 0.01, critic head 1), zero biases except for
+    /// the specification's [`PolicySpec::logit_bias`].
+    ///
+    /// # Errors
+    ///
+    /// [`Error::LogitBias`] or [`Error::Actions`] if the specification contradicts itself.
+    pub fn initialize(spec: &PolicySpec, run_seed: u64) -> Result<Self, Error> {
+        spec.actions.check()?;
+        let n_choices = spec.actions.n_choices();
+        if !spec.logit_bias.is_empty() && spec.logit_bias.len() != n_choices {
+            return Err(Error::LogitBias { found: spec.logit_bias.len(), expected: n_choices });
+        }
+        let mut values = BTreeMap::new();
+        for (index, layer) in all_layers(spec).into_iter().enumerate() {
+            let mut generator = stream(run_seed, Purpose::Initialise, 0, index as u64);
+            let weight = orthogonal(layer.n_out, layer.n_in, layer.gain, &mut generator);
+            let biased = layer.name == "actor.head" && !spec.logit_bias.is_empty();
+            let bias = if biased { spec.logit_bias.clone() } else { vec![0.0; layer.n_out] };
+            values.insert(layer.weight(), weight);
+            values.insert(layer.bias(), bias);
+        }
+        let normalizer =
+            spec.normalize_observations.then(|| ObservationNormalizer::new(spec.obs_dim));
+        Self::from_values(spec, values, normalizer)
+    }
+
+    /// Makes parameters of plain numbers, checked against the architecture.
+    ///
+    /// # Shapes
+    ///
+    /// `values`: by tensor name, each by rows.
+    ///
+    /// # Errors
+    ///
+    /// [`Error`] naming the first tensor that is missing, unknown, misshapen or not finite.
+    pub fn from_values(
+        spec: &PolicySpec,
+        mut values: BTreeMap<String, Vec<f32>>,
+        normalizer: Option<ObservationNormalizer>,
+    ) -> Result<Self, Error> {
+        let mut tensors = BTreeMap::new();
+        for (name, shape) in shapes(spec) {
+            let Some(numbers) = values.remove(&name) else {
+                return Err(Error::Missing { name });
+            };
+            if numbers.len() != shape.iter().product::<usize>() {
+                return Err(Error::Shape { name, found: vec![numbers.len()], expected: shape });
+            }
+            if numbers.iter().any(|x| !x.is_finite()) {
+                return Err(Error::NonFinite { name });
+            }
+            tensors.insert(name, Tensor::from_vec(numbers, shape, &Device::Cpu)?);
+        }
+        if let Some(name) = values.into_keys().next() {
+            return Err(Error::Unknown { name });
+        }
+        check_normalizer(spec, normalizer.as_ref())?;
+        Ok(Self { tensors, normalizer })
+    }
+
+    /// Returns the tensors by name.
+    pub fn tensors(&self) -> &BTreeMap<String, Tensor> {
+        &self.tensors
+    }
+
+    /// Returns the observation statistics, if the policy normalises its input.
+    pub fn normalizer(&self) -> Option<&ObservationNormalizer> {
+        self.normalizer.as_ref()
+    }
+
+    /// Returns a tensor's numbers by rows.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Missing`] if there is no such tensor.
+    pub fn values(&self, name: &str) -> Result<Vec<f32>, Error> {
+        let tensor =
+            self.tensors.get(name).ok_or_else(|| Error::Missing { name: name.to_owned() })?;
+        Ok(tensor.flatten_all()?.to_vec1()?)
+    }
+
+    /// Computes the SHA-256 over names and little-endian numbers, in the order of names.
+    ///
+    /// Two parameter sets have the same digest exactly if every bit of them agrees.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Tensor`] if the engine cannot read a tensor.
+    pub fn digest(&self) -> Result<[u8; 32], Error> {
+        let mut hasher = Sha256::new();
+        for name in self.tensors.keys() {
+            hasher.update(name.as_bytes());
+            for value in self.values(name)? {
+                hasher.update(value.to_le_bytes());
+            }
+        }
+        if let Some(normalizer) = &self.normalizer {
+            for (name, values) in normalizer_tensors(normalizer) {
+                hasher.update(name.as_bytes());
+                values.iter().for_each(|value| hasher.update(value.to_le_bytes()));
+            }
+        }
+        Ok(hasher.finalize().into())
+    }
+
+    /// Computes logits and values with the engine's own operations: slow, plain, and what the fast paths are
+    /// tested against.
+    ///
+    /// # Shapes
+    ///
+    /// `features`: `[N, D]`, already normalised. Returns logits `[N, C]` and values `[N, 1]`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Tensor`] if the shapes do not hold.
+    pub fn forward(&self, spec: &PolicySpec, features: &Tensor) -> Result<(Tensor, Tensor), Error> {
+        let run = |network| -> Result<Tensor, Error> {
+            layers(spec, network)
+                .iter()
+                .try_fold(features.clone(), |x, layer| self.apply(&x, layer))
+        };
+        Ok((run(Network::Actor)?, run(Network::Critic)?))
+    }
+
+    fn apply(&self, x: &Tensor, layer: &Layer) -> Result<Tensor, Error> {
+        let tensor = |name: String| self.tensors.get(&name).ok_or(Error::Missing { name });
+        let product = x.matmul(&tensor(layer.weight())?.t()?)?;
+        let sum = product.broadcast_add(tensor(layer.bias())?)?;
+        Ok(if layer.tanh { sum.tanh()? } else { sum })
+    }
+}
+
+/// Lists the names and shapes of all weights in the order of names.
+pub fn shapes(spec: &PolicySpec) -> BTreeMap<String, Vec<usize>> {
+    let mut shapes = BTreeMap::new();
+    for layer in all_layers(spec) {
+        shapes.insert(layer.weight(), vec![layer.n_out, layer.n_in]);
+        shapes.insert(layer.bias(), vec![layer.n_out]);
+    }
+    shapes
+}
+
+/// Lists the statistics as tensors, in the order of names.
+pub(crate) fn normalizer_tensors(
+    normalizer: &ObservationNormalizer,
+) -> [(&'static str, Vec<f64>); 3] {
+    [
+        ("normalizer.count", vec![normalizer.count]),
+        ("normalizer.mean", normalizer.mean.clone()),
+        ("normalizer.variance", normalizer.variance.clone()),
+    ]
+}
+
+fn check_normalizer(
+    spec: &PolicySpec,
+    normalizer: Option<&ObservationNormalizer>,
+) -> Result<(), Error> {
+    let Some(normalizer) = normalizer else {
+        let missing = Error::Missing { name: "normalizer.mean".to_owned() };
+        return if spec.normalize_observations { Err(missing) } else { Ok(()) };
+    };
+    if !spec.normalize_observations {
+        return Err(Error::Unknown { name: "normalizer.mean".to_owned() });
+    }
+    for (name, values) in normalizer_tensors(normalizer) {
+        let expected = if name == "normalizer.count" { 1 } else { spec.obs_dim };
+        let name = name.to_owned();
+        if values.len() != expected {
+            return Err(Error::Shape { name, found: vec![values.len()], expected: vec![expected] });
+        }
+        if values.iter().any(|x| !x.is_finite() || (*x < 0.0 && name != "normalizer.mean")) {
+            return Err(Error::NonFinite { name });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::notifier;
+
+    #[test]
+    fn initial_parameters_derive_from_the_seed_alone() {
+        let spec = notifier(60);
+        let digest = |seed| Parameters::initialize(&spec, seed).unwrap().digest().unwrap();
+        assert_eq!(digest(1), digest(1));
+        assert_ne!(digest(1), digest(2));
+    }
+
+    #[test]
+    fn heads_start_small_and_biased_as_asked() {
+        let mut spec = notifier(8);
+        spec.logit_bias = (0..14).map(|i| i as f32).collect();
+        let parameters = Parameters::initialize(&spec, 1).unwrap();
+        assert_eq!(parameters.values("actor.head.bias").unwrap(), spec.logit_bias);
+        assert_eq!(parameters.values("critic.head.bias").unwrap(), [0.0]);
+        let norm = |name: &str| -> f32 {
+            parameters.values(name).unwrap().iter().map(|x| x * x).sum::<f32>().sqrt()
+        };
+        assert!((norm("actor.head.weight") - 0.01 * 14_f32.sqrt()).abs() < 1e-5);
+        assert!((norm("critic.head.weight") - 1.0).abs() < 1e-5);
+        assert!((norm("critic.1.weight") - 128_f32.sqrt()).abs() < 1e-4);
+        spec.logit_bias.pop();
+        assert!(matches!(
+            Parameters::initialize(&spec, 1),
+            Err(Error::LogitBias { found: 13, expected: 14 })
+        ));
+    }
+}
