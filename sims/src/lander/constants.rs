@@ -23,7 +23,7 @@ pub(super) const PAD_X: f64 = 10.0;
 /// Where y is 0 in an observation: a hull at this height stands on the pad.
 pub(super) const REST_Y: f64 = HEIGHT / 4.0 + 18.0 / SCALE;
 /// Half the world's width and height: the unit of observed positions.
-pub(super) const HALF_WORLD: Vec2 = Vec2::new(10.0, HEIGHT / 2.0);
+pub(super) const HALF_WORLD: [f64; 2] = [10.0, HEIGHT / 2.0];
 /// Frames per second, the divisor of observed velocities.
 pub(super) const FPS: f64 = 50.0;
 

@@ -128,8 +128,10 @@ impl WindClock {
 
     /// Returns the wind of this frame and moves on.
     pub(super) fn blow(&mut self, wind_power: f64, turbulence_power: f64) -> Gust {
-        let gust =
-            Gust { force: course(self.force) * wind_power, torque: course(self.torque) * turbulence_power };
+        let gust = Gust {
+            force: course(self.force) * wind_power,
+            torque: course(self.torque) * turbulence_power,
+        };
         self.force += 1;
         self.torque += 1;
         gust
@@ -147,7 +149,13 @@ mod tests {
     use super::*;
 
     fn upright() -> Body {
-        Body { center: Vec2::new(10.0, 8.0), cos: 1.0, sin: 0.0, velocity: Vec2::zeros(), spin: 0.0 }
+        Body {
+            center: Vec2::new(10.0, 8.0),
+            cos: 1.0,
+            sin: 0.0,
+            velocity: Vec2::zeros(),
+            spin: 0.0,
+        }
     }
 
     #[test]

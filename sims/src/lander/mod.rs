@@ -18,28 +18,40 @@
 //! | `flight`, `contact` (`contact_template`) | the two gears |
 //! | `touch`, `sleep`, `observe` | leg flags and nearness, coming to rest, observation and reward |
 //! | `world` | one frame from beginning to end; snapshot and restore |
-//! | `heuristic` | the scripted pilot |
+//! | `heuristic`, `pilot`, `evaluate` | the scripted pilot, the trained one, and how well either flies |
+//! | `task` | the trained pilot's own training task |
+//! | [`conformance`] | recorded episodes of the original, replayed |
+//! | `draw` | the world as a picture's ingredients |
 //!
 //! # Where to start
 //!
 //! [`Lander::step`].
 
 mod body;
+pub mod conformance;
 mod constants;
 mod contact;
 mod contact_template;
+mod draw;
 mod engines;
+mod evaluate;
 mod flight;
 mod heuristic;
 mod observe;
+mod pilot;
 mod settings;
 mod sleep;
 mod start;
+mod task;
 mod terrain;
 mod touch;
 mod world;
 
+pub use draw::{VIEW, caption};
 pub use engines::{Engine, NoSuchEngine};
+pub use evaluate::{Evaluation, Flown, Flyer, MAX_FRAMES, evaluate, fly, summarize};
 pub use heuristic::heuristic;
-pub use settings::{LanderSettings, Physics, SettingsError};
+pub use pilot::{Pilot, PilotError, engines_off};
+pub use settings::{LanderSettings, Physics};
+pub use task::{PilotTask, PilotTaskSettings};
 pub use world::{Frame, Lander, LanderSnapshot, Outcome};

@@ -18,8 +18,8 @@ pub(super) fn state(bodies: &[Body; 3], angle: f64, legs: [bool; 2]) -> State {
     [
         position.x,
         position.y,
-        hull.velocity.x * HALF_WORLD.x / FPS,
-        hull.velocity.y * HALF_WORLD.y / FPS,
+        hull.velocity.x * HALF_WORLD[0] / FPS,
+        hull.velocity.y * HALF_WORLD[1] / FPS,
         angle,
         20.0 * hull.spin / FPS,
         f64::from(u8::from(legs[0])),
@@ -29,7 +29,7 @@ pub(super) fn state(bodies: &[Body; 3], angle: f64, legs: [bool; 2]) -> State {
 
 /// Turns a point of the world into the units of observed positions.
 pub(super) fn to_observation_units(point: Vec2) -> Vec2 {
-    (point - Vec2::new(PAD_X, REST_Y)).component_div(&HALF_WORLD)
+    (point - Vec2::new(PAD_X, REST_Y)).component_div(&Vec2::from(HALF_WORLD))
 }
 
 /// Computes the shaping potential: nearer, slower, more upright and standing is better.

@@ -1,7 +1,8 @@
 //! How a lander world can be set up.
 
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
+
+use crate::setting::{SettingError, require};
 
 /// Which physics moves the lander.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,41 +46,28 @@ impl Default for LanderSettings {
     }
 }
 
-/// A setting outside its range.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("`{key}` is {value}; {low} to {high} is possible")]
-pub struct SettingsError {
-    /// The setting's name.
-    pub key: &'static str,
-    /// Its value.
-    pub value: f64,
-    /// The smallest possible value.
-    pub low: f64,
-    /// The largest possible value.
-    pub high: f64,
-}
-
 impl LanderSettings {
     /// Checks every range.
     ///
     /// # Errors
     ///
-    /// [`SettingsError`] naming the first setting outside its range.
-    pub fn check(&self) -> Result<(), SettingsError> {
-        in_range("wind_power", self.wind_power, 0.0, 20.0)?;
-        in_range("turbulence_power", self.turbulence_power, 0.0, 2.0)?;
-        in_range("start_impulse", self.start_impulse, 0.0, 3000.0)
+    /// [`SettingError`] naming the first setting outside its range.
+    pub fn check(&self) -> Result<(), SettingError> {
+        check_powers(self.wind_power, self.turbulence_power)?;
+        check_impulse("world.start_impulse", self.start_impulse)
     }
 }
 
-/// Checks one number; a NaN is in no range.
-pub(super) fn in_range(
-    key: &'static str,
-    value: f64,
-    low: f64,
-    high: f64,
-) -> Result<(), SettingsError> {
-    if (low..=high).contains(&value) { Ok(()) } else { Err(SettingsError { key, value, low, high }) }
+/// Checks the strength of the weather; a NaN is in no range.
+pub(super) fn check_powers(wind: f64, turbulence: f64) -> Result<(), SettingError> {
+    require((0.0..=20.0).contains(&wind), "world.wind_power", wind, "0 to 20 N")?;
+    let mild = (0.0..=2.0).contains(&turbulence);
+    require(mild, "world.turbulence_power", turbulence, "0 to 2 N m")
+}
+
+/// Checks a start force.
+pub(super) fn check_impulse(key: &'static str, newtons: f64) -> Result<(), SettingError> {
+    require((0.0..=3000.0).contains(&newtons), key, newtons, "0 to 3000 N")
 }
 
 #[cfg(test)]
@@ -90,9 +78,10 @@ mod tests {
     fn settings_outside_their_range_are_named() {
         LanderSettings::default().check().unwrap();
         let error = LanderSettings { wind_power: f64::NAN, ..LanderSettings::default() }.check();
-        assert_eq!(error.unwrap_err().key, "wind_power");
+        assert_eq!(error.unwrap_err().key, "world.wind_power");
         let error = LanderSettings { start_impulse: -1.0, ..LanderSettings::default() }.check();
-        assert_eq!(error.unwrap_err().to_string(), "`start_impulse` is -1; 0 to 3000 is possible");
+        let text = error.unwrap_err().to_string();
+        assert_eq!(text, "`world.start_impulse` is -1; allowed: 0 to 3000 N");
     }
 
     #[test]

@@ -43,8 +43,8 @@ impl Touch {
         self.near = false;
         for (i, body) in bodies.iter().enumerate() {
             let outline = body.outline(i == HULL);
-            let reach =
-                NEAR_GAP + NEAR_PER_SPEED * (body.velocity.norm() + NEAR_PER_SPIN * body.spin.abs());
+            let reach = NEAR_GAP
+                + NEAR_PER_SPEED * (body.velocity.norm() + NEAR_PER_SPIN * body.spin.abs());
             self.near |= clearance(&outline, terrain) < reach;
             let edges = touched_edges(&outline, terrain);
             let began = edges & !self.edges[i] != 0;

@@ -275,9 +275,9 @@ impl Episode {
         let mut force = Vec2::new(rng.uniform(-reach, reach), rng.uniform(-reach, reach));
         let mut wind = settings.wind.then(|| WindClock::draw(&mut rng));
         let still = Gust { force: 0.0, torque: 0.0 };
-        let gust = wind.as_mut().map_or(still, |clock| {
-            clock.blow(settings.wind_power, settings.turbulence_power)
-        });
+        let gust = wind
+            .as_mut()
+            .map_or(still, |clock| clock.blow(settings.wind_power, settings.turbulence_power));
         force.x += gust.force;
         Dispersion::draw(&mut rng);
         let (bodies, angle) = start::after_hidden_frame(force, gust.torque);

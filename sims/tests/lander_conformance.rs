@@ -1,0 +1,53 @@
+//! The lander against recorded episodes of Gymnasium's (Box2D): same seeds, same actions, same flight.
+
+use std::io::Read as _;
+
+use flate2::read::GzDecoder;
+use leadtime_sims::lander::Physics;
+use leadtime_sims::lander::conformance::{ReplayError, Report, replay, replay_with};
+
+fn traces() -> String {
+    let packed = include_bytes!("../../tests/data/lander_traces.json.gz");
+    let mut text = String::new();
+    GzDecoder::new(packed.as_slice()).read_to_string(&mut text).unwrap();
+    text
+}
+
+fn assert_passed(report: &Report) {
+    assert!(report.passed, "{report:#?}");
+    let winds: Vec<bool> = report.comparisons.iter().map(|comparison| comparison.wind).collect();
+    assert_eq!(winds, [false, true]);
+    let n_frames: usize = report.comparisons.iter().map(|comparison| comparison.n_frames).sum();
+    assert!(n_frames > 1500, "only {n_frames} frames compared");
+}
+
+#[test]
+fn both_physics_fly_like_the_original() {
+    let traces = traces();
+    assert_passed(&replay(&traces).unwrap());
+    assert_passed(&replay_with(&traces, Physics::Rapier).unwrap());
+}
+
+#[test]
+fn a_wrong_action_does_not_pass() {
+    let wrong = traces().replacen(r#"{"a":1,"#, r#"{"a":2,"#, 3);
+    let report = replay(&wrong).unwrap();
+    assert!(!report.passed && !report.comparisons[0].passed && report.comparisons[1].passed);
+}
+
+#[test]
+fn another_seed_does_not_pass() {
+    let report = replay(&traces().replace(r#""seed":0,"#, r#""seed":9,"#)).unwrap();
+    assert!(!report.passed);
+    assert!(report.comparisons[0].reset_error > 0.1);
+}
+
+#[test]
+fn what_is_no_trace_says_so() {
+    assert!(matches!(replay("{}"), Err(ReplayError::Format(_))));
+    let empty = replay(r#"{"source": "nobody", "episodes": []}"#);
+    assert!(matches!(empty, Err(ReplayError::Empty)));
+    let impossible = traces().replacen(r#"{"a":1,"#, r#"{"a":7,"#, 1);
+    let error = replay(&impossible).unwrap_err();
+    assert_eq!(error.to_string(), "episode 0 of the traces has an impossible action");
+}
