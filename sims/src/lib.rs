@@ -17,12 +17,17 @@ pub mod domain;
 pub mod environment;
 pub mod human;
 pub mod lander;
+pub mod notifier;
+pub mod piloting;
 pub mod registry;
 pub mod scene;
 pub mod setting;
+pub mod vectorized;
 
 pub use domain::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};
 pub use environment::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
+pub use notifier::NotifierEnv;
 pub use registry::{Registry, TaskError};
 pub use scene::{Listener, Scene, Shape, Speech, Tone, View};
 pub use setting::SettingError;
+pub use vectorized::Vectorized;

@@ -6,6 +6,8 @@
 //! | name | task | settings |
 //! |---|---|---|
 //! | `cartpole` | [`classic::CartPole`] | `{"world": CartPoleSettings}` |
+//! | `lander` | [`NotifierEnv`] over [`Piloting`] | [`PilotingSettings`] |
+//! | `pilot` | [`PilotTask`] | `{"world": PilotTaskSettings}` |
 //! | `cue_recall` | [`classic::CueRecall`] | `{"world": CueRecallSettings}` |
 
 use std::collections::BTreeMap;
@@ -20,6 +22,9 @@ use thiserror::Error;
 
 use crate::classic;
 use crate::environment::Environment;
+use crate::lander::{PilotTask, PilotTaskSettings};
+use crate::notifier::NotifierEnv;
+use crate::piloting::{Piloting, PilotingSettings};
 use crate::setting::SettingError;
 
 /// Why a task cannot be built.
@@ -52,6 +57,9 @@ pub enum TaskError {
 /// Makes an environment from settings, given as JSON text.
 pub type Builder = Arc<dyn Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync>;
 
+/// Turns a task's settings for training into those for evaluation, both as JSON text.
+type ForEvaluation = fn(&str) -> Result<String, TaskError>;
+
 /// The settings of a task that has nothing but a world.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -64,6 +72,7 @@ pub struct WorldOnly<W: Default> {
 #[derive(Clone)]
 pub struct Registry {
     builders: BTreeMap<String, Builder>,
+    for_evaluation: BTreeMap<String, ForEvaluation>,
 }
 
 impl fmt::Debug for Registry {
@@ -75,7 +84,16 @@ impl fmt::Debug for Registry {
 impl Registry {
     /// Knows the tasks of this crate.
     pub fn builtin() -> Self {
-        Self { builders: BTreeMap::new() }
+        let none = Self { builders: BTreeMap::new(), for_evaluation: BTreeMap::new() };
+        let mut registry = none
+            .with("lander", |settings| {
+                let PilotingSettings { world, human, notifier } = read("lander", settings)?;
+                Ok(Box::new(NotifierEnv::new(Piloting::new(&world)?, &human, &notifier)?))
+            })
+            .with("pilot", |settings| {
+                let settings: WorldOnly<PilotTaskSettings> = read("pilot", settings)?;
+                Ok(Box::new(PilotTask::new(&settings.world)?))
+            })
             .with("cartpole", |settings| {
                 let settings: WorldOnly<classic::CartPoleSettings> = read("cartpole", settings)?;
                 Ok(Box::new(classic::CartPole::new(&settings.world)?))
@@ -83,7 +101,9 @@ impl Registry {
             .with("cue_recall", |settings| {
                 let settings: WorldOnly<classic::CueRecallSettings> = read("cue_recall", settings)?;
                 Ok(Box::new(classic::CueRecall::new(&settings.world)?))
-            })
+            });
+        registry.for_evaluation.insert("lander".to_owned(), evaluate_piloting);
+        registry
     }
 
     /// Adds a task, or replaces the one of that name.
@@ -107,6 +127,7 @@ impl Registry {
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
     {
         self.builders.insert(name.to_owned(), Arc::new(builder));
+        self.for_evaluation.remove(name);
         self
     }
 
@@ -129,6 +150,25 @@ impl Registry {
         environment.spec().actions.check()?;
         Ok(environment)
     }
+
+    /// Returns the task as a policy is measured in it, where that differs from how it is trained.
+    ///
+    /// # Errors
+    ///
+    /// [`TaskError`] if the settings cannot be read.
+    pub fn for_evaluation(&self, task: &TaskSpec) -> Result<TaskSpec, TaskError> {
+        let settings = match self.for_evaluation.get(&task.domain) {
+            Some(convert) => convert(&task.settings)?,
+            None => task.settings.clone(),
+        };
+        Ok(TaskSpec { domain: task.domain.clone(), settings })
+    }
+}
+
+fn evaluate_piloting(settings: &str) -> Result<String, TaskError> {
+    let settings: PilotingSettings = read("lander", settings)?;
+    serde_json::to_string(&settings.for_evaluation())
+        .map_err(|source| TaskError::Settings { domain: "lander", source })
 }
 
 /// Builds the environment of one of the built-in tasks.
@@ -171,12 +211,42 @@ mod tests {
     #[test]
     fn what_cannot_be_built_says_why() {
         let text = refuse("lunar", "{}");
-        assert!(text.starts_with("there is no domain `lunar`; known: cartpole, cue_recall"), "{text}");
+        assert!(
+            text.starts_with(
+                "there is no domain `lunar`; known: cartpole, cue_recall, lander, pilot"
+            ),
+            "{text}"
+        );
         let text = refuse("cartpole", r#"{"world": {"max_step": 5}}"#);
         assert!(text.contains("unknown field `max_step`, expected `max_steps`"), "{text}");
         let text = refuse("cartpole", r#"{"human": {}}"#);
         assert!(text.contains("unknown field `human`, expected `world`"), "{text}");
         let text = refuse("cartpole", r#"{"world": {"max_steps": 0}}"#);
         assert_eq!(text, "`world.max_steps` is 0; allowed: 1 to 100000 steps");
+        let text = refuse("lander", r#"{"notifier": {"topics": []}}"#);
+        assert!(
+            text.starts_with("`notifier.topics` is []; allowed: at least one of ascend"),
+            "{text}"
+        );
+        let text = refuse("lander", r#"{"human": {"reaction_delay": {"fixed": "two"}}}"#);
+        assert!(text.contains("invalid type: string \"two\", expected u32"), "{text}");
+        let words: Vec<u32> = (1..40).collect();
+        let text = refuse("lander", &format!(r#"{{"notifier": {{"words": {words:?}}}}}"#));
+        assert!(text.contains("action space is impossible"), "{text}");
+    }
+
+    #[test]
+    fn evaluation_lets_an_episode_go_on_after_a_zone() {
+        let registry = Registry::builtin();
+        let task = |domain: &str, settings: &str| TaskSpec {
+            domain: domain.to_owned(),
+            settings: settings.to_owned(),
+        };
+        let lander = task("lander", r#"{"world": {"max_steps": 7}}"#);
+        let settings = registry.for_evaluation(&lander).unwrap().settings;
+        let settings: PilotingSettings = serde_json::from_str(&settings).unwrap();
+        assert_eq!((settings.world.zone_ends_episode, settings.world.max_steps), (false, 7));
+        let pole = task("cartpole", "{}");
+        assert_eq!(registry.for_evaluation(&pole).unwrap(), pole);
     }
 }

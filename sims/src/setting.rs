@@ -1,5 +1,6 @@
 //! What is said about a setting that cannot be: its key, what was given, what is allowed.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use thiserror::Error;
@@ -13,7 +14,7 @@ pub struct SettingError {
     /// What was given.
     pub given: String,
     /// What would do.
-    pub allowed: &'static str,
+    pub allowed: Cow<'static, str>,
 }
 
 /// Returns an error about `key` unless the condition holds.
@@ -25,7 +26,11 @@ pub fn require(
     holds: bool,
     key: &'static str,
     given: impl fmt::Display,
-    allowed: &'static str,
+    allowed: impl Into<Cow<'static, str>>,
 ) -> Result<(), SettingError> {
-    if holds { Ok(()) } else { Err(SettingError { key, given: given.to_string(), allowed }) }
+    if holds {
+        Ok(())
+    } else {
+        Err(SettingError { key, given: given.to_string(), allowed: allowed.into() })
+    }
 }

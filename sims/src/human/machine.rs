@@ -65,6 +65,12 @@ pub const MAX_PENDING: usize = 64;
 /// From how many words on a message counts as long.
 pub const LONG_FROM_WORDS: u32 = 4;
 
+/// The most words a message can have.
+pub const MAX_WORDS: u32 = 1000;
+
+/// The longest episode that is counted, in steps.
+const MAX_TIME: u32 = 1 << 30;
+
 /// What the notifier wants in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
@@ -142,6 +148,27 @@ pub struct HumanState {
     running: Option<Running>,
     delay: DelaySource,
     tally: Tally,
+}
+
+impl HumanState {
+    /// Tells whether a listener of `n_topics` topics could be in this state.
+    ///
+    /// States come back from other processes, so nothing about them is taken on trust.
+    pub fn fits(&self, n_topics: usize) -> bool {
+        let known = |message: Message| {
+            message.topic < n_topics
+                && message.comprehension <= message.conveyance
+                && message.conveyance <= MAX_WORDS
+        };
+        self.pending.len() <= MAX_PENDING
+            && self.now <= MAX_TIME
+            && self
+                .pending
+                .iter()
+                .all(|pending| known(pending.message) && pending.due <= 2 * MAX_TIME)
+            && self.speech.is_none_or(|speech| known(speech.message) && speech.heard <= MAX_WORDS)
+            && self.running.is_none_or(|running| known(running.message) && running.steps_left > 0)
+    }
 }
 
 /// A person who listens and reacts.

@@ -1,0 +1,234 @@
+//! From choices to orders and back: the factored action of a notifier.
+//!
+//! | type | heads | k, l |
+//! |---|---|---|
+//! | topic only | initiate, topic | both the shortest |
+//! | complete utterance | initiate, topic, l | k = l |
+//! | incrementally actionable | initiate, topic, k, l | l >= k given k |
+//!
+//! The initiate head has the choices silence (0), start (1) and, where a message can be stopped, stop (2).
+
+use leadtime_proto::{ActionSpec, Conditional, Gate, Head, Mask};
+
+use super::settings::{NotificationType, NotifierSettings};
+use crate::Message;
+use crate::human::Order;
+use crate::setting::SettingError;
+
+const START: u8 = 1;
+const STOP: u8 = 2;
+
+/// The action space of one notifier, and what its choices mean.
+#[derive(Clone, Debug)]
+pub(super) struct Actions {
+    notification: NotificationType,
+    words: Vec<u32>,
+    /// The domain's id of each topic choice.
+    topic_ids: Vec<usize>,
+    can_stop: bool,
+}
+
+impl Actions {
+    pub(super) fn new(
+        settings: &NotifierSettings,
+        known_topics: &[&str],
+        can_stop: bool,
+    ) -> Result<Self, SettingError> {
+        settings.check(known_topics)?;
+        Ok(Self {
+            notification: settings.notification,
+            words: settings.words.clone(),
+            topic_ids: settings.topic_ids(known_topics)?,
+            can_stop,
+        })
+    }
+
+    /// Describes the heads, the gate on starting, and the rule k <= l.
+    pub(super) fn spec(&self) -> ActionSpec {
+        let head = |name: &str, n_choices| Head { name: name.to_owned(), n_choices };
+        let n_words = self.words.len();
+        let initiate = head("initiate", if self.can_stop { 3 } else { 2 });
+        let mut heads = vec![initiate, head("topic", self.topic_ids.len())];
+        let mut conditionals = Vec::new();
+        match self.notification {
+            NotificationType::TopicOnly => {}
+            NotificationType::CompleteUtterance => heads.push(head("l", n_words)),
+            NotificationType::IncrementallyActionable => {
+                heads.extend([head("k", n_words), head("l", n_words)]);
+                // Words increase, so l >= k means a choice of at least the same index. At most 64 choices fit a
+                // mask, which the caller checks; shifts of more are cut so that it gets to say so.
+                let allowed = (0..n_words).map(|k| u64::MAX << k.min(63)).collect();
+                conditionals.push(Conditional { head: 3, given: 2, allowed });
+            }
+        }
+        let gate = Some(Gate { head: 0, choice: usize::from(START) });
+        ActionSpec { heads, gate, conditionals }
+    }
+
+    /// Reads an action.
+    ///
+    /// # Panics
+    ///
+    /// If a choice is none of its head's.
+    pub(super) fn order(&self, action: &[u8]) -> Order {
+        match action[0] {
+            START => Order::Start(self.message(action)),
+            STOP => Order::Stop,
+            _ => Order::Continue,
+        }
+    }
+
+    fn message(&self, action: &[u8]) -> Message {
+        let words = |choice: u8| self.words[usize::from(choice)];
+        let (comprehension, conveyance) = match self.notification {
+            NotificationType::TopicOnly => (self.words[0], self.words[0]),
+            NotificationType::CompleteUtterance => (words(action[2]), words(action[2])),
+            NotificationType::IncrementallyActionable => (words(action[2]), words(action[3])),
+        };
+        let topic = self.topic_ids[usize::from(action[1])];
+        Message { topic, comprehension, conveyance: conveyance.max(comprehension) }
+    }
+
+    /// Writes the action that starts a message, with the nearest k and l there are; silence if it cannot be said.
+    pub(super) fn write(&self, message: Option<Message>, action: &mut [u8]) {
+        action.fill(0);
+        let Some(message) = message else { return };
+        let Some(topic) = self.topic_ids.iter().position(|&id| id == message.topic) else { return };
+        (action[0], action[1]) = (START, topic as u8);
+        match self.notification {
+            NotificationType::TopicOnly => {}
+            NotificationType::CompleteUtterance => action[2] = self.nearest(message.conveyance),
+            NotificationType::IncrementallyActionable => {
+                action[2] = self.nearest(message.comprehension);
+                action[3] = self.nearest(message.conveyance).max(action[2]);
+            }
+        }
+    }
+
+    fn nearest(&self, words: u32) -> u8 {
+        let distance = |&i: &usize| self.words[i].abs_diff(words);
+        (0..self.words.len()).min_by_key(distance).unwrap_or(0) as u8
+    }
+
+    /// Returns what may be chosen, given what the listener's rules allow.
+    pub(super) fn mask(&self, offers_start: bool, offers_stop: bool) -> Mask {
+        let withheld =
+            u64::from(!offers_start) << START | u64::from(self.can_stop && !offers_stop) << STOP;
+        Mask(!withheld)
+    }
+
+    /// Returns the length of an encoded action.
+    pub(super) fn encoded_dim(&self) -> usize {
+        1 + self.topic_ids.len() + 2 * self.words.len() + usize::from(self.can_stop)
+    }
+
+    /// Returns how many topics there are to choose from.
+    pub(super) fn n_topics(&self) -> usize {
+        self.topic_ids.len()
+    }
+
+    /// Writes what was done in a step: initiate flag, one-hot topic, k and l (and stop); zeros for silence.
+    pub(super) fn encode(&self, started: Option<Message>, stopped: bool, out: &mut [f32]) {
+        out.fill(0.0);
+        if stopped && let Some(flag) = out.last_mut() {
+            *flag = 1.0;
+        }
+        let Some(message) = started else { return };
+        let (n_topics, n_words) = (self.n_topics(), self.words.len());
+        out[0] = 1.0;
+        self.encode_topic(message.topic, &mut out[1..=n_topics]);
+        out[1 + n_topics + usize::from(self.nearest(message.comprehension))] = 1.0;
+        out[1 + n_topics + n_words + usize::from(self.nearest(message.conveyance))] = 1.0;
+    }
+
+    /// Writes a one-hot topic. Shape `[n_topics]`.
+    pub(super) fn encode_topic(&self, topic: usize, out: &mut [f32]) {
+        for (flag, &id) in out.iter_mut().zip(&self.topic_ids) {
+            *flag = f32::from(u8::from(id == topic));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TOPICS: &[&str] = &["up", "down", "wait"];
+
+    fn actions(notification: NotificationType, can_stop: bool) -> Actions {
+        let settings = NotifierSettings { notification, ..NotifierSettings::default() };
+        Actions::new(&settings, TOPICS, can_stop).unwrap()
+    }
+
+    fn message(topic: usize, comprehension: u32, conveyance: u32) -> Message {
+        Message { topic, comprehension, conveyance }
+    }
+
+    #[test]
+    fn a_type_restricts_the_heads() {
+        let names = |notification| -> Vec<String> {
+            let spec = actions(notification, false).spec();
+            spec.check().unwrap();
+            spec.heads.iter().map(|head| head.name.clone()).collect()
+        };
+        assert_eq!(names(NotificationType::TopicOnly), ["initiate", "topic"]);
+        assert_eq!(names(NotificationType::CompleteUtterance), ["initiate", "topic", "l"]);
+        let all = names(NotificationType::IncrementallyActionable);
+        assert_eq!(all, ["initiate", "topic", "k", "l"]);
+    }
+
+    #[test]
+    fn ten_of_the_sixteen_pairs_are_possible() {
+        let actions = actions(NotificationType::IncrementallyActionable, false);
+        let spec = actions.spec();
+        let pairs = (0..4).flat_map(|k| (0..4).map(move |l| [1, 0, k, l]));
+        let possible: Vec<[u8; 4]> = pairs.filter(|a| spec.allows(Mask::ALL, a)).collect();
+        assert_eq!(possible.len(), 10);
+        for action in possible {
+            let Order::Start(message) = actions.order(&action) else { panic!("{action:?}") };
+            assert!(message.comprehension <= message.conveyance);
+        }
+    }
+
+    #[test]
+    fn actions_and_messages_correspond() {
+        let topic_only = actions(NotificationType::TopicOnly, false);
+        assert_eq!(topic_only.order(&[1, 2]), Order::Start(message(2, 2, 2)));
+        let complete = actions(NotificationType::CompleteUtterance, false);
+        assert_eq!(complete.order(&[1, 1, 3]), Order::Start(message(1, 5, 5)));
+        let full = actions(NotificationType::IncrementallyActionable, true);
+        assert_eq!(full.order(&[1, 0, 1, 3]), Order::Start(message(0, 3, 5)));
+        assert_eq!(full.order(&[0, 0, 1, 3]), Order::Continue);
+        assert_eq!(full.order(&[2, 0, 1, 3]), Order::Stop);
+        let mut action = [9; 4];
+        full.write(Some(message(0, 3, 9)), &mut action);
+        assert_eq!(action, [1, 0, 1, 3]);
+        full.write(None, &mut action);
+        assert_eq!(action, [0; 4]);
+    }
+
+    #[test]
+    fn masks_withhold_start_and_stop() {
+        let actions = actions(NotificationType::IncrementallyActionable, true);
+        let spec = actions.spec();
+        let allowed = |start, stop| {
+            let mask = actions.mask(start, stop);
+            [0, 1, 2].map(|choice| spec.allows(mask, &[choice, 0, 0, 0]))
+        };
+        assert_eq!(allowed(true, true), [true, true, true]);
+        assert_eq!(allowed(false, true), [true, false, true]);
+        assert_eq!(allowed(true, false), [true, true, false]);
+        assert!(spec.allows(actions.mask(false, false), &[0, 2, 1, 3]));
+    }
+
+    #[test]
+    fn what_was_done_is_encoded_one_hot() {
+        let actions = actions(NotificationType::IncrementallyActionable, true);
+        let mut out = [7.0; 13];
+        assert_eq!(actions.encoded_dim(), out.len());
+        actions.encode(Some(message(1, 2, 4)), false, &mut out);
+        assert_eq!(out, [1., 0., 1., 0., 1., 0., 0., 0., 0., 0., 1., 0., 0.]);
+        actions.encode(None, true, &mut out);
+        assert_eq!(out, [0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 1.]);
+    }
+}

@@ -1,0 +1,315 @@
+//! The environment that joins a domain, a listener and a notifier.
+
+use leadtime_numerics::Purpose;
+use leadtime_proto::{EnvSpec, Mask};
+use serde::{Deserialize, Serialize};
+
+use super::actions::Actions;
+use super::history::History;
+use super::settings::NotifierSettings;
+use crate::environment::{
+    Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
+};
+use crate::human::{BlockedInitiation, Human, HumanSettings, HumanState, Initiation, Order};
+use crate::registry::TaskError;
+use crate::scene::{Listener, Scene, Speech};
+use crate::{Domain, Message};
+
+/// The notifier's own metrics; `success` first, and the domain's follow.
+const METRICS: [&str; 16] = [
+    "success",
+    "notifications",
+    "notifications_per_step",
+    "ignored_initiations",
+    "comprehended",
+    "delivered",
+    "followed",
+    "followed_of_initiated",
+    "followed_of_comprehended",
+    "unheeded",
+    "long_notifications",
+    "preempted",
+    "overwritten",
+    "continued",
+    "mean_k",
+    "mean_l",
+];
+
+/// What the last step left behind that no other part remembers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct LastStep {
+    n_steps: u32,
+    started: bool,
+    reacting: Option<usize>,
+}
+
+/// Everything that the future of a [`NotifierEnv`] depends on.
+#[derive(Serialize, Deserialize)]
+struct Snapshot {
+    domain: Vec<u8>,
+    human: HumanState,
+    history: Vec<f32>,
+    last: LastStep,
+}
+
+/// The notifier problem of a domain, as an [`Environment`].
+///
+/// # Shapes
+///
+/// The observation is `[n * (D + A)]`, the last n pairs of the domain's observation (D) and the own action (A = 1 +
+/// topics + 2 * words, and 1 more with `can_stop`), oldest first. With `observe_utterance` 1 + topics numbers about
+/// the running utterance follow: the share of its words that was spoken, and its topic one-hot. Nothing in it tells
+/// what the listener has understood or is about to do.
+#[derive(Debug)]
+pub struct NotifierEnv<D> {
+    spec: EnvSpec,
+    domain: D,
+    human: Human,
+    actions: Actions,
+    history: History,
+    observe_utterance: bool,
+    initiation_cost: f64,
+    blocked: BlockedInitiation,
+    last: LastStep,
+}
+
+impl<D: Domain> NotifierEnv<D> {
+    /// Joins a domain with a listener and a notifier.
+    ///
+    /// # Errors
+    ///
+    /// [`TaskError`] if a setting or the action space is impossible.
+    pub fn new(
+        domain: D,
+        human: &HumanSettings,
+        notifier: &NotifierSettings,
+    ) -> Result<Self, TaskError> {
+        human.check()?;
+        let actions = Actions::new(notifier, domain.topics(), human.can_stop)?;
+        let history = History::new(notifier.history, domain.obs_dim(), actions.encoded_dim());
+        let status_dim = if notifier.observe_utterance { 1 + actions.n_topics() } else { 0 };
+        let metrics = METRICS.iter().chain(domain.metric_names()).map(|&name| name.to_owned());
+        let spec = EnvSpec {
+            obs_dim: history.row().len() + status_dim,
+            actions: actions.spec(),
+            metrics: metrics.collect(),
+        };
+        spec.actions.check()?;
+        Ok(Self {
+            spec,
+            domain,
+            human: Human::new(human),
+            actions,
+            history,
+            observe_utterance: notifier.observe_utterance,
+            initiation_cost: notifier.initiation_cost,
+            blocked: human.blocked_initiation,
+            last: LastStep::default(),
+        })
+    }
+
+    /// Returns the world.
+    pub fn domain(&self) -> &D {
+        &self.domain
+    }
+
+    /// Returns the listener.
+    pub fn human(&self) -> &Human {
+        &self.human
+    }
+
+    /// Takes one step with an order instead of a policy's choices, and returns what became of the order.
+    ///
+    /// A scripted notifier may use messages that no choice of the policy's stands for.
+    pub fn step_order(
+        &mut self,
+        order: Order,
+        observation: &mut [f32],
+    ) -> (StepOutcome, Initiation) {
+        self.human.begin_step();
+        self.tell_reaction_over();
+        let initiation = self.human.obey(order);
+        self.tell_reaction_over();
+        let reaction = self.human.reaction();
+        let advance = self.domain.advance(reaction);
+        let reacted = self.human.acted(advance.reaction);
+        self.tell_reaction_over();
+        self.hear_word();
+        self.last = LastStep {
+            n_steps: self.last.n_steps + 1,
+            started: initiation == Initiation::Started,
+            reacting: reaction.map(|reaction| reaction.topic),
+        };
+        self.remember(order, initiation);
+        self.write_observation(observation);
+        let reward = advance.reward + reacted.reward - self.cost(initiation);
+        (StepOutcome { reward: reward as f32, end: advance.end }, initiation)
+    }
+
+    fn tell_reaction_over(&mut self) {
+        if self.human.take_reaction_over() {
+            self.domain.reaction_over();
+        }
+    }
+
+    fn hear_word(&mut self) {
+        let heard = self.human.hear_word();
+        self.tell_reaction_over();
+        if let Some(message) = heard.delivered
+            && self.domain.deliver(message).cancels_reaction
+        {
+            self.human.cancel_reaction();
+            self.tell_reaction_over();
+        }
+    }
+
+    fn cost(&self, initiation: Initiation) -> f64 {
+        match initiation {
+            Initiation::Started => self.initiation_cost,
+            Initiation::Blocked if self.blocked == BlockedInitiation::IgnoreCharged => {
+                self.initiation_cost
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Adds the step to the history: what the world looks like now, and what was really started or stopped.
+    fn remember(&mut self, order: Order, initiation: Initiation) {
+        let started = match (order, initiation) {
+            (Order::Start(message), Initiation::Started) => Some(message),
+            _ => None,
+        };
+        let stopped = initiation == Initiation::Stopped;
+        let (domain, actions) = (&self.domain, &self.actions);
+        self.history.push(|out| domain.observe(out), |out| actions.encode(started, stopped, out));
+    }
+
+    fn write_observation(&self, observation: &mut [f32]) {
+        let (row, status) = observation.split_at_mut(self.history.row().len());
+        row.copy_from_slice(self.history.row());
+        if !self.observe_utterance {
+            return;
+        }
+        status.fill(0.0);
+        if let Some((message, heard)) = self.human.speech() {
+            status[0] = heard as f32 / message.conveyance as f32;
+            self.actions.encode_topic(message.topic, &mut status[1..]);
+        }
+    }
+
+    fn heuristic(&self) -> Option<Message> {
+        self.human.may_start().then(|| self.domain.heuristic()).flatten()
+    }
+}
+
+/// Divides, and calls nothing divided by nothing 0: a metric must be a number.
+fn share(part: u32, whole: u32) -> f32 {
+    if whole == 0 { 0.0 } else { part as f32 / whole as f32 }
+}
+
+impl<D: Domain> Environment for NotifierEnv<D> {
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+
+    fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
+        self.domain.reset(seed);
+        self.human.reset(seed.stream(Purpose::Human));
+        self.last = LastStep::default();
+        let domain = &self.domain;
+        self.history.begin(|out| domain.observe(out));
+        self.write_observation(observation);
+    }
+
+    fn mask(&self) -> Mask {
+        let offers_start = self.blocked != BlockedInitiation::Mask || self.human.may_start();
+        self.actions.mask(offers_start, self.human.may_stop())
+    }
+
+    fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
+        self.step_order(self.actions.order(action), observation).0
+    }
+
+    fn metrics(&self, out: &mut [f32]) {
+        let tally = self.human.tally();
+        let own = [
+            f32::from(u8::from(self.domain.success())),
+            tally.started as f32,
+            share(tally.started, self.last.n_steps),
+            tally.ignored as f32,
+            tally.comprehended as f32,
+            tally.delivered as f32,
+            tally.followed as f32,
+            share(tally.followed, tally.started),
+            share(tally.followed, tally.comprehended),
+            tally.unheeded as f32,
+            tally.long as f32,
+            tally.preempted as f32,
+            tally.overwritten as f32,
+            tally.continued as f32,
+            share(tally.sum_k, tally.started),
+            share(tally.sum_l, tally.started),
+        ];
+        let (notifier, domain) = out.split_at_mut(METRICS.len());
+        notifier.copy_from_slice(&own);
+        self.domain.metrics(domain);
+    }
+
+    fn snapshot(&self, out: &mut Vec<u8>) {
+        let mut domain = Vec::new();
+        self.domain.snapshot(&mut domain);
+        let human = self.human.state().clone();
+        let history = self.history.row().to_vec();
+        write_snapshot(&Snapshot { domain, human, history, last: self.last }, out);
+    }
+
+    fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        let snapshot: Snapshot = read_snapshot(snapshot)?;
+        if !snapshot.human.fits(self.domain.topics().len()) {
+            return Err(SnapshotError::Mismatch { what: "topics or words" });
+        }
+        if !self.history.restore(&snapshot.history) {
+            return Err(SnapshotError::Mismatch { what: "history" });
+        }
+        self.domain.restore(&snapshot.domain)?;
+        self.human.restore(snapshot.human);
+        self.last = snapshot.last;
+        self.write_observation(observation);
+        Ok(())
+    }
+
+    fn baselines(&self) -> &'static [&'static str] {
+        &["unaided", "heuristic"]
+    }
+
+    fn baseline_action(&self, name: &str, action: &mut [u8]) -> bool {
+        match name {
+            "unaided" => self.actions.write(None, action),
+            "heuristic" => self.actions.write(self.heuristic(), action),
+            _ => return false,
+        }
+        true
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        let started = self.last.started;
+        let speech = self.human.speech().map(|(message, heard)| Speech {
+            topic: message.topic,
+            comprehension: message.comprehension,
+            conveyance: message.conveyance,
+            heard,
+            started,
+        });
+        let listener = Listener {
+            topics: self.domain.topics().to_vec(),
+            speech,
+            pending: self.human.pending().map(|message| message.topic),
+            reacting: self.last.reacting,
+        };
+        Some(Scene { listener, ..self.domain.scene() })
+    }
+}
+
+#[cfg(test)]
+#[path = "environment_tests.rs"]
+mod tests;

@@ -1,0 +1,73 @@
+//! The last n (observation, action) pairs, oldest first: what a notifier knows of the past.
+//!
+//! The pair of step t is the observation that is acted on now and the action that led to it. At the start of an
+//! episode every pair is the first observation with a silent action, so no place is ever empty.
+
+/// A window over the last pairs.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct History {
+    /// `[n_pairs, pair_dim]`
+    pairs: Vec<f32>,
+    obs_dim: usize,
+    pair_dim: usize,
+}
+
+impl History {
+    pub(super) fn new(n_pairs: usize, obs_dim: usize, action_dim: usize) -> Self {
+        let pair_dim = obs_dim + action_dim;
+        Self { pairs: vec![0.0; n_pairs * pair_dim], obs_dim, pair_dim }
+    }
+
+    /// Forgets the past; `observe` writes the first observation.
+    pub(super) fn begin(&mut self, observe: impl FnOnce(&mut [f32])) {
+        self.pairs.fill(0.0);
+        let (first, rest) = self.pairs.split_at_mut(self.pair_dim);
+        observe(&mut first[..self.obs_dim]);
+        for pair in rest.chunks_exact_mut(self.pair_dim) {
+            pair.copy_from_slice(first);
+        }
+    }
+
+    /// Moves on by one step: the oldest pair goes, and the new one is written in two parts.
+    pub(super) fn push(
+        &mut self,
+        observe: impl FnOnce(&mut [f32]),
+        encode_action: impl FnOnce(&mut [f32]),
+    ) {
+        self.pairs.copy_within(self.pair_dim.., 0);
+        let newest = self.pairs.len() - self.pair_dim;
+        let (observation, action) = self.pairs[newest..].split_at_mut(self.obs_dim);
+        observe(observation);
+        encode_action(action);
+    }
+
+    /// Returns all pairs in one row.
+    pub(super) fn row(&self) -> &[f32] {
+        &self.pairs
+    }
+
+    /// Takes over a stored row; `false` if it is of another length.
+    pub(super) fn restore(&mut self, row: &[f32]) -> bool {
+        let fits = row.len() == self.pairs.len();
+        if fits {
+            self.pairs.copy_from_slice(row);
+        }
+        fits
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_pair_comes_last() {
+        let mut history = History::new(2, 1, 1);
+        history.begin(|out| out[0] = 5.0);
+        assert_eq!(history.row(), [5.0, 0.0, 5.0, 0.0]);
+        history.push(|out| out[0] = 6.0, |out| out[0] = 1.0);
+        assert_eq!(history.row(), [5.0, 0.0, 6.0, 1.0]);
+        history.push(|out| out[0] = 7.0, |out| out[0] = 0.0);
+        assert_eq!(history.row(), [6.0, 1.0, 7.0, 0.0]);
+    }
+}

@@ -1,0 +1,22 @@
+//! The notifier problem: a world with a delayed human in it, seen by a policy that may only speak.
+//!
+//! ```text
+//! policy --(initiate, topic, k, l)--> NotifierEnv --order--> Human --reaction--> Domain
+//!    ↑                                    │                                        │
+//!    └── last n (observation, action) ────┘ <───── observation, reward, end ───────┘
+//! ```
+//!
+//! One step is one word. Its order is that of [`human::machine`](crate::human::machine): a due reaction starts, the
+//! notifier acts, the human acts, the world advances, a word is heard; then reward, observation and metrics.
+//!
+//! # Where to start
+//!
+//! [`NotifierEnv`] is the environment; [`NotifierSettings`] what can be chosen about it.
+
+mod actions;
+mod environment;
+mod history;
+mod settings;
+
+pub use environment::NotifierEnv;
+pub use settings::{NotificationType, NotifierSettings};

@@ -1,0 +1,274 @@
+//! The piloting task with the scripted pilot, so that nothing here depends on trained weights.
+
+use leadtime_proto::EnvId;
+use proptest::prelude::*;
+
+use super::*;
+use crate::Environment;
+use crate::human::HumanSettings;
+use crate::notifier::{NotifierEnv, NotifierSettings};
+use crate::piloting::PilotingSettings;
+use crate::piloting::maneuver::{DESCEND, SHIFT_LEFT};
+
+/// Everything above y = 1: where every episode starts.
+const SKY: Zone = Zone { x0: -2.0, x1: 2.0, y0: 1.0, y1: 3.0 };
+
+fn settings(change: impl FnOnce(&mut WorldSettings)) -> WorldSettings {
+    let mut settings = WorldSettings {
+        pilot: PilotKind::Heuristic,
+        zones: Vec::new(),
+        near_penalty: NearPenalty::Off,
+        ..WorldSettings::default()
+    };
+    change(&mut settings);
+    settings
+}
+
+fn seed(episode: u64) -> EpisodeSeed {
+    EpisodeSeed { run_seed: 11, env_id: EnvId(2), episode }
+}
+
+fn start(settings: &WorldSettings, episode: u64) -> Piloting {
+    let mut task = Piloting::new(settings).unwrap();
+    task.reset(seed(episode));
+    task
+}
+
+/// Flies to the end of the episode; returns the last step and the return.
+fn fly(task: &mut Piloting, reaction: Option<ReactionStep>) -> (Advance, f64) {
+    let mut total = 0.0;
+    loop {
+        let advance = task.advance(reaction);
+        total += advance.reward;
+        if advance.end.is_some() {
+            return (advance, total);
+        }
+    }
+}
+
+fn metric(task: &Piloting, name: &str) -> f32 {
+    let mut metrics = vec![f32::NAN; task.metric_names().len()];
+    task.metrics(&mut metrics);
+    metrics[task.metric_names().iter().position(|metric| *metric == name).unwrap()]
+}
+
+#[test]
+fn a_landing_pays_its_reward_less_the_fuel() {
+    let settings = settings(|s| s.landing_reward = 250.0);
+    let landings = (0..20).filter(|&episode| {
+        let mut task = start(&settings, episode);
+        let (last, total) = fly(&mut task, None);
+        let landed = metric(&task, "landed_on_pad") == 1.0;
+        assert_eq!(task.success(), landed);
+        if landed {
+            let expected = 250.0 - task.progress.fuel;
+            assert!((total - expected).abs() < 1e-9, "{total} {expected}");
+            assert_eq!(last.end, Some(End::Terminated));
+        }
+        landed
+    });
+    // The scripted pilot lands safely in nine of ten episodes, mostly on the pad.
+    assert!(landings.count() >= 12);
+}
+
+#[test]
+fn entering_a_zone_ends_the_episode_or_costs_per_step_or_once() {
+    let mut task = start(&settings(|s| s.zones = vec![SKY]), 0);
+    let advance = task.advance(None);
+    assert_eq!((advance.end, advance.reward), (Some(End::Terminated), -100.0 - task.progress.fuel));
+    assert_eq!((metric(&task, "enter_danger"), task.success()), (1.0, false));
+    assert_eq!(task.scene().outcome, "entered a danger zone");
+
+    for (entry_charged, second) in [(EntryPenalty::PerStep, -20.0), (EntryPenalty::Once, 0.0)] {
+        let settings = settings(|s| {
+            s.zones = vec![SKY];
+            s.zone_ends_episode = false;
+            s.entry_charged = entry_charged;
+            (s.main_fuel, s.side_fuel) = (0.0, 0.0);
+        });
+        let mut task = start(&settings, 0);
+        assert_eq!((task.advance(None).reward, task.advance(None).reward), (-20.0, second));
+        assert_eq!(metric(&task, "danger_steps"), 2.0);
+    }
+}
+
+#[test]
+fn a_landing_after_a_zone_is_no_success() {
+    let settings = settings(|s| {
+        s.zones = vec![SKY];
+        s.zone_ends_episode = false;
+    });
+    let task = (0..20)
+        .map(|episode| {
+            let mut task = start(&settings, episode);
+            fly(&mut task, None);
+            task
+        })
+        .find(|task| metric(task, "landed_on_pad") == 1.0)
+        .unwrap();
+    assert!(!task.success());
+}
+
+#[test]
+fn being_near_costs_by_depth_by_side_or_by_distance() {
+    let cost = |near_penalty| {
+        // A narrow pillar to the right of the start, reaching far up and down.
+        let pillar = Zone { x0: 0.1, x1: 0.14, y0: -5.0, y1: 5.0 };
+        let settings = settings(|s| {
+            s.zones = vec![pillar];
+            s.near_penalty = near_penalty;
+            (s.main_fuel, s.side_fuel, s.start_impulse) = (0.0, 0.0, 0.0);
+        });
+        let mut task = start(&settings, 0);
+        let reward = task.advance(None).reward;
+        (reward, 0.1 - task.place()[0])
+    };
+    let (off, _) = cost(NearPenalty::Off);
+    assert_eq!(off, 0.0);
+    let (depth, distance) = cost(NearPenalty::Depth);
+    assert!((0.0..0.16).contains(&distance), "{distance}");
+    assert!((depth + 10.0 * (0.2 - distance)).abs() < 1e-9, "{depth}");
+    let (sides, _) = cost(NearPenalty::Sides);
+    assert!((sides + 10.0 * (0.4 - distance - (distance + 0.04))).abs() < 1e-9, "{sides}");
+    let (literal, _) = cost(NearPenalty::Literal);
+    assert!((literal + 10.0 * distance).abs() < 1e-9, "{literal}");
+}
+
+#[test]
+fn running_out_of_time_is_a_costly_end() {
+    let settings = settings(|s| {
+        s.max_steps = 3;
+        (s.main_fuel, s.side_fuel) = (0.0, 0.0);
+    });
+    let mut task = start(&settings, 0);
+    let (last, total) = fly(&mut task, None);
+    assert_eq!((last.end, total), (Some(End::Terminated), -300.0));
+    assert_eq!((metric(&task, "timed_out"), task.progress.n_steps), (1.0, 3));
+}
+
+#[test]
+fn shifting_left_for_ever_leaves_the_view_and_costs_as_a_crash() {
+    let settings = settings(|s| (s.main_fuel, s.side_fuel) = (0.0, 0.0));
+    let mut task = start(&settings, 0);
+    let (_, total) = fly(&mut task, Some(ReactionStep { topic: SHIFT_LEFT, first: true }));
+    assert_eq!((metric(&task, "out"), total), (1.0, -300.0));
+    assert!(task.place()[0] <= -1.0);
+}
+
+#[test]
+fn near_the_ground_the_pilot_does_not_listen() {
+    let mut task = start(&settings(|_| {}), 0);
+    let descend = Some(ReactionStep { topic: DESCEND, first: false });
+    assert_eq!(task.advance(descend).reaction, Some(ReactionStatus::Followed));
+    assert_eq!(task.advance(None).reaction, None);
+    let refused = loop {
+        let before = *task.lander.observation();
+        let advance = task.advance(descend);
+        if advance.reaction == Some(ReactionStatus::Refused) {
+            break before;
+        }
+        assert_eq!(advance.end, None);
+    };
+    assert!(refused[1] < 0.1, "{refused:?}");
+}
+
+#[test]
+fn zones_that_move_are_observed_and_stay_in_reach() {
+    let settings = settings(|s| {
+        s.zones = crate::piloting::DEFAULT_ZONES.to_vec();
+        s.zone_jitter = [0.1, 0.05];
+    });
+    let mut first_sides = Vec::new();
+    for episode in 0..5 {
+        let task = start(&settings, episode);
+        let mut observation = vec![f32::NAN; task.obs_dim()];
+        task.observe(&mut observation);
+        assert_eq!(observation.len(), 8 + 12);
+        for (zone, original) in task.zones().iter().zip(&settings.zones) {
+            assert!((zone.x0 - original.x0).abs() <= 0.1 && (zone.y1 - original.y1).abs() <= 0.05);
+        }
+        assert_eq!(observation[8], task.zones()[0].x0 as f32);
+        first_sides.push(observation[8]);
+    }
+    assert!(first_sides.iter().any(|&side| side != first_sides[0]));
+}
+
+#[test]
+fn the_scripted_notifier_speaks_near_zones_only() {
+    let task = start(&settings(|s| s.zones = vec![SKY]), 0);
+    assert!(task.heuristic().is_some());
+    let far = Zone { x0: 1.5, x1: 2.0, y0: 0.0, y1: 0.1 };
+    assert_eq!(start(&settings(|s| s.zones = vec![far]), 0).heuristic(), None);
+}
+
+#[test]
+fn a_scene_shows_zones_ground_and_lander() {
+    let task = start(&WorldSettings::default(), 0);
+    let tones: Vec<Tone> = task
+        .scene()
+        .shapes
+        .iter()
+        .filter_map(|shape| match shape {
+            Shape::Rectangle { tone, .. } | Shape::Polygon { tone, .. } => Some(*tone),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(tones.iter().filter(|tone| **tone == Tone::Danger).count(), 3);
+    assert!(tones.contains(&Tone::Ground) && tones.contains(&Tone::Own));
+}
+
+fn notifier_env() -> NotifierEnv<Piloting> {
+    let world = settings(|s| {
+        s.zones = crate::piloting::DEFAULT_ZONES.to_vec();
+        s.zone_jitter = [0.05, 0.05];
+        s.zone_ends_episode = false;
+        s.wind = true;
+    });
+    let task = Piloting::new(&world).unwrap();
+    NotifierEnv::new(task, &HumanSettings::default(), &NotifierSettings::default()).unwrap()
+}
+
+#[test]
+fn the_documented_input_width_is_right() {
+    let PilotingSettings { world, human, mut notifier } = PilotingSettings::default();
+    notifier.observe_utterance = false;
+    let env = NotifierEnv::new(Piloting::new(&world).unwrap(), &human, &notifier).unwrap();
+    assert_eq!(env.spec().obs_dim, 84);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn a_restored_flight_goes_on_bit_for_bit(
+        choices in prop::collection::vec((0_u8..4, 0_u8..4, 0_u8..4, 0_u8..4), 200),
+        cut in 0_usize..150,
+        episode in 0_u64..100,
+    ) {
+        let (mut straight, mut resumed) = (notifier_env(), notifier_env());
+        let mut expected = vec![0.0; straight.spec().obs_dim];
+        let mut observation = expected.clone();
+        straight.reset(seed(episode), &mut expected);
+        resumed.reset(seed(episode), &mut observation);
+        for (t, &(speaks, topic, k, l)) in choices.iter().enumerate() {
+            if t == cut {
+                let mut bytes = Vec::new();
+                resumed.snapshot(&mut bytes);
+                resumed = notifier_env();
+                resumed.restore(&bytes, &mut observation).unwrap();
+                prop_assert_eq!(&observation, &expected);
+            }
+            // One step in four starts a message.
+            let action = [u8::from(speaks == 0), topic, k, l.max(k)];
+            let outcome = straight.step(&action, &mut expected);
+            prop_assert_eq!(resumed.step(&action, &mut observation), outcome);
+            prop_assert_eq!(&observation, &expected);
+            if outcome.end.is_some() {
+                break;
+            }
+        }
+        let (mut a, mut b) = (Vec::new(), Vec::new());
+        straight.snapshot(&mut a);
+        resumed.snapshot(&mut b);
+        prop_assert_eq!(a, b);
+    }
+}
