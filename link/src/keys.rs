@@ -1,0 +1,272 @@
+//! Every key on the network, declared once and built from checked names.
+//!
+//! ```text
+//! leadtime/1/{run}/alive/{role}/{id}/{incarnation}   presence; incarnation as 16 hexadecimal digits
+//! leadtime/1/{run}/ctl/hello                         query to the learner
+//! leadtime/1/{run}/ctl/actor/{id}                    query to one actor
+//! leadtime/1/{run}/traj/{domain}/{id}                rollouts
+//! leadtime/1/{run}/credit/{id}                       acknowledgement and window
+//! leadtime/1/{run}/weights/{domain}                  announcements
+//! leadtime/1/{run}/weights/{domain}/latest           query for weights, `?version=N` for an older one
+//! leadtime/1/{run}/metrics/{role}/{id}               metrics
+//! ```
+//!
+//! The `1` is the layout of the keys; the version of the messages is in their headers. The learner's `{id}` is
+//! `learner`.
+
+use std::fmt;
+
+use leadtime_proto::{ActorId, DomainName, Incarnation, RunName};
+use zenoh::key_expr::OwnedKeyExpr;
+
+const ROOT: &str = "leadtime/1";
+const LEARNER: &str = "learner";
+const ACTOR: &str = "actor";
+
+/// Who takes part in a run.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Member {
+    /// The learner.
+    Learner,
+    /// An actor.
+    Actor(ActorId),
+}
+
+impl Member {
+    fn parse(role: &str, id: &str) -> Option<Self> {
+        match role {
+            LEARNER if id == LEARNER => Some(Self::Learner),
+            ACTOR => ActorId::new(id).ok().map(Self::Actor),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for Member {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Learner => write!(f, "{LEARNER}/{LEARNER}"),
+            Self::Actor(id) => write!(f, "{ACTOR}/{id}"),
+        }
+    }
+}
+
+/// One key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Key<'a> {
+    /// Presence of one start of a member.
+    Alive(&'a RunName, &'a Member, Incarnation),
+    /// Where actors say hello.
+    Hello(&'a RunName),
+    /// Where an actor takes orders.
+    Control(&'a RunName, &'a ActorId),
+    /// An actor's rollouts.
+    Rollouts(&'a RunName, &'a DomainName, &'a ActorId),
+    /// An actor's credit.
+    Credit(&'a RunName, &'a ActorId),
+    /// Announcements of weights.
+    Announcement(&'a RunName, &'a DomainName),
+    /// Where weights are pulled.
+    Weights(&'a RunName, &'a DomainName),
+    /// A member's metrics.
+    Metrics(&'a RunName, &'a Member),
+}
+
+impl fmt::Display for Key<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Alive(run, member, Incarnation(start)) => {
+                write!(f, "{ROOT}/{run}/alive/{member}/{start:016x}")
+            }
+            Self::Hello(run) => write!(f, "{ROOT}/{run}/ctl/hello"),
+            Self::Control(run, actor) => write!(f, "{ROOT}/{run}/ctl/actor/{actor}"),
+            Self::Rollouts(run, domain, actor) => write!(f, "{ROOT}/{run}/traj/{domain}/{actor}"),
+            Self::Credit(run, actor) => write!(f, "{ROOT}/{run}/credit/{actor}"),
+            Self::Announcement(run, domain) => write!(f, "{ROOT}/{run}/weights/{domain}"),
+            Self::Weights(run, domain) => write!(f, "{ROOT}/{run}/weights/{domain}/latest"),
+            Self::Metrics(run, member) => write!(f, "{ROOT}/{run}/metrics/{member}"),
+        }
+    }
+}
+
+/// A set of keys that one subscription covers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keys<'a> {
+    /// Learners of whatever run.
+    Learners,
+    /// The learner of a run.
+    LearnerOf(&'a RunName),
+    /// Actors of a run.
+    ActorsOf(&'a RunName),
+    /// Everyone in a run.
+    MembersOf(&'a RunName),
+    /// Rollouts of all actors.
+    RolloutsOf(&'a RunName, &'a DomainName),
+    /// Announcements of all domains.
+    AnnouncementsOf(&'a RunName),
+    /// Metrics of everyone.
+    MetricsOf(&'a RunName),
+}
+
+impl fmt::Display for Keys<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Learners => write!(f, "{ROOT}/*/alive/{LEARNER}/*/*"),
+            Self::LearnerOf(run) => write!(f, "{ROOT}/{run}/alive/{LEARNER}/*/*"),
+            Self::ActorsOf(run) => write!(f, "{ROOT}/{run}/alive/{ACTOR}/*/*"),
+            Self::MembersOf(run) => write!(f, "{ROOT}/{run}/alive/*/*/*"),
+            Self::RolloutsOf(run, domain) => write!(f, "{ROOT}/{run}/traj/{domain}/*"),
+            Self::AnnouncementsOf(run) => write!(f, "{ROOT}/{run}/weights/*"),
+            Self::MetricsOf(run) => write!(f, "{ROOT}/{run}/metrics/*/*"),
+        }
+    }
+}
+
+/// Who is alive in which run, as read from a key.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Alive {
+    /// The run.
+    pub run: RunName,
+    /// Who.
+    pub member: Member,
+    /// Its start.
+    pub incarnation: Incarnation,
+}
+
+/// Reads a key of presence, `None` if it is none of ours.
+pub fn parse_alive(key: &str) -> Option<Alive> {
+    let mut chunks = chunks(key)?;
+    let run = RunName::new(chunks.next()?).ok()?;
+    if chunks.next()? != "alive" {
+        return None;
+    }
+    let member = Member::parse(chunks.next()?, chunks.next()?)?;
+    let digits = chunks.next()?;
+    let start = u64::from_str_radix(digits, 16).ok()?;
+    let exact = digits.len() == 16 && chunks.next().is_none();
+    exact.then_some(Alive { run, member, incarnation: Incarnation(start) })
+}
+
+/// Reads the sender from a key of rollouts, `None` if it is none of ours.
+pub fn parse_rollouts(key: &str) -> Option<ActorId> {
+    let mut chunks = chunks(key)?.skip(1);
+    if chunks.next()? != "traj" {
+        return None;
+    }
+    let actor = ActorId::new(chunks.nth(1)?).ok()?;
+    chunks.next().is_none().then_some(actor)
+}
+
+/// Reads the sender from a key of metrics, `None` if it is none of ours.
+pub fn parse_metrics(key: &str) -> Option<Member> {
+    let mut chunks = chunks(key)?.skip(1);
+    if chunks.next()? != "metrics" {
+        return None;
+    }
+    let member = Member::parse(chunks.next()?, chunks.next()?)?;
+    chunks.next().is_none().then_some(member)
+}
+
+/// Reads the domain from a key of announcements, `None` if it is none of ours.
+pub fn parse_announcement(key: &str) -> Option<DomainName> {
+    let mut chunks = chunks(key)?.skip(1);
+    if chunks.next()? != "weights" {
+        return None;
+    }
+    let domain = DomainName::new(chunks.next()?).ok()?;
+    chunks.next().is_none().then_some(domain)
+}
+
+/// Splits what follows the root, the run's name first.
+fn chunks(key: &str) -> Option<std::str::Split<'_, char>> {
+    Some(key.strip_prefix(ROOT)?.strip_prefix('/')?.split('/'))
+}
+
+/// Makes a key what the network takes; names are checked, so this cannot fail.
+pub(crate) fn expr(key: impl fmt::Display) -> OwnedKeyExpr {
+    OwnedKeyExpr::try_from(key.to_string())
+        .expect("keys of checked names are valid key expressions")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run() -> RunName {
+        RunName::new("lander-1").unwrap()
+    }
+
+    #[test]
+    fn keys_read_as_documented() {
+        let (run, actor) = (run(), ActorId::new("a7").unwrap());
+        let domain = DomainName::new("cue_recall").unwrap();
+        let member = Member::Actor(actor.clone());
+        for (key, text) in [
+            (Key::Alive(&run, &member, Incarnation(255)), "alive/actor/a7/00000000000000ff"),
+            (
+                Key::Alive(&run, &Member::Learner, Incarnation(1)),
+                "alive/learner/learner/0000000000000001",
+            ),
+            (Key::Hello(&run), "ctl/hello"),
+            (Key::Control(&run, &actor), "ctl/actor/a7"),
+            (Key::Rollouts(&run, &domain, &actor), "traj/cue_recall/a7"),
+            (Key::Credit(&run, &actor), "credit/a7"),
+            (Key::Announcement(&run, &domain), "weights/cue_recall"),
+            (Key::Weights(&run, &domain), "weights/cue_recall/latest"),
+            (Key::Metrics(&run, &member), "metrics/actor/a7"),
+        ] {
+            assert_eq!(expr(key).as_str(), format!("leadtime/1/lander-1/{text}"));
+        }
+    }
+
+    #[test]
+    fn what_is_built_can_be_read_back() {
+        let (run, actor) = (run(), ActorId::new("a7").unwrap());
+        let domain = DomainName::new("lander").unwrap();
+        let member = Member::Actor(actor.clone());
+        let incarnation = Incarnation(u64::MAX);
+        assert_eq!(
+            parse_alive(&Key::Alive(&run, &member, incarnation).to_string()),
+            Some(Alive { run: run.clone(), member: member.clone(), incarnation })
+        );
+        assert_eq!(parse_rollouts(&Key::Rollouts(&run, &domain, &actor).to_string()), Some(actor));
+        assert_eq!(parse_metrics(&Key::Metrics(&run, &member).to_string()), Some(member));
+        assert_eq!(parse_announcement(&Key::Announcement(&run, &domain).to_string()), Some(domain));
+    }
+
+    #[test]
+    fn foreign_keys_are_not_read() {
+        for key in [
+            "",
+            "leadtime/1",
+            "leadtime/2/r/alive/actor/a/0000000000000001",
+            "leadtime/1/r/alive/actor/a/1",
+            "leadtime/1/r/alive/actor/A/0000000000000001",
+            "leadtime/1/r/alive/learner/other/0000000000000001",
+            "leadtime/1/r/alive/actor/a/0000000000000001/x",
+        ] {
+            assert_eq!(parse_alive(key), None, "{key}");
+        }
+        assert_eq!(parse_rollouts("leadtime/1/r/traj/lander/A"), None);
+        assert_eq!(parse_rollouts("leadtime/1/r/traj/lander/a/b"), None);
+    }
+
+    #[test]
+    fn subscriptions_cover_their_keys() {
+        let (run, actor) = (run(), ActorId::new("a7").unwrap());
+        let domain = DomainName::new("lander").unwrap();
+        let member = Member::Actor(actor.clone());
+        let alive = expr(Key::Alive(&run, &member, Incarnation(3)));
+        assert!(expr(Keys::ActorsOf(&run)).includes(&alive));
+        assert!(expr(Keys::MembersOf(&run)).includes(&alive));
+        assert!(!expr(Keys::LearnerOf(&run)).includes(&alive));
+        let learner = expr(Key::Alive(&run, &Member::Learner, Incarnation(3)));
+        assert!(expr(Keys::Learners).includes(&learner));
+        assert!(expr(Keys::LearnerOf(&run)).includes(&learner));
+        let rollouts = expr(Key::Rollouts(&run, &domain, &actor));
+        assert!(expr(Keys::RolloutsOf(&run, &domain)).includes(&rollouts));
+        // A subscription to announcements must not answer for the queryable beside it.
+        assert!(!expr(Keys::AnnouncementsOf(&run)).includes(&expr(Key::Weights(&run, &domain))));
+        assert!(expr(Keys::MetricsOf(&run)).includes(&expr(Key::Metrics(&run, &member))));
+    }
+}

@@ -1,0 +1,58 @@
+//! Leadtime's network: the only crate that names zenoh.
+//!
+//! What this crate does not know: environments, policies, optimisers, files. It carries the messages of
+//! `leadtime-proto` between a learner, its actors and whoever watches, and says who is there.
+//!
+//! ```text
+//!                 ┌───────────────── ctl/hello ── ctl/actor/{id} ── credit/{id} ─────────────────┐
+//!   ActorLink ────┤                                                                              ├── LearnerLink
+//!  (client, dials)└── traj/{domain}/{id} ──▶      ◀── weights/{domain} (announce), …/latest (pull)┘  (listens)
+//!                            metrics/{role}/{id}, alive/{role}/{id}/{incarnation} ──▶ ObserverLink
+//! ```
+//!
+//! # Invariants
+//!
+//! * **Callbacks never block.** What arrives goes into a bounded queue by `try_send`; what does not fit is refused and
+//!   counted. A sender that keeps to its window always fits, so a stalled consumer costs nobody else anything.
+//! * Nothing relies on the network's congestion control as flow control; the credit window does that.
+//! * Topology is a star, dialled one way: actors and observers are clients of the learner or of a router.
+//! * Every wait has a limit and every error names the address, key, actor or run it is about.
+//!
+//! | flow | priority | when the network is congested |
+//! |---|---|---|
+//! | control (hello, orders) | `RealTime` | waits |
+//! | credit, announcements | `InteractiveHigh` | dropped; both are repeated |
+//! | rollouts, weights | `Data` | waits; publish from a thread of its own |
+//! | metrics | `Background` | dropped |
+//!
+//! Needs tokio's multi-threaded runtime.
+//!
+//! # Where to start
+//!
+//! [`LearnerLink::open`] and [`ActorLink::open`]; the keys are in [`keys`], the order of the receiver's checks in
+//! [`leadtime_proto::receive`].
+
+pub mod keys;
+
+mod actor;
+mod ask;
+mod discovery;
+mod endpoint;
+mod error;
+mod intake;
+mod learner;
+mod observer;
+mod queue;
+mod responder;
+mod session;
+mod weights;
+mod wire;
+
+pub use actor::{ActorEvent, ActorLink};
+pub use endpoint::{Endpoint, EndpointProblem};
+pub use error::{Error, NetworkFault, Result};
+pub use intake::{Payload, Place};
+pub use learner::{LearnerEvent, LearnerLink};
+pub use observer::{ObserverEvent, ObserverLink};
+pub use responder::{ControlResponder, HelloResponder};
+pub use session::{ConnectSettings, ListenSettings};

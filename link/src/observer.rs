@@ -1,0 +1,175 @@
+//! The observer's end: reads presence, metrics, announcements and weights, and touches nothing.
+
+use std::collections::BTreeSet;
+
+use leadtime_proto::message::Announcement;
+use leadtime_proto::receive::{self, ANNOUNCEMENT, METRICS};
+use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
+use tracing::warn;
+use zenoh::Wait as _;
+use zenoh::sample::{Sample, SampleKind};
+use zenoh::session::Session;
+
+use crate::actor::pull;
+use crate::keys::{self, Keys, Member};
+use crate::queue::{Class, EventQueue};
+use crate::{ConnectSettings, Error, Result, discovery, session, wire};
+
+/// Places in the event queue for metrics and announcements.
+const N_BULK: usize = 4_096;
+
+/// What an observer sees.
+#[derive(Debug)]
+pub enum ObserverEvent {
+    /// A member's metrics.
+    Metrics {
+        /// Whose.
+        member: Member,
+        /// As the member wrote them.
+        json: Vec<u8>,
+    },
+    /// A version of the weights is there.
+    Announcement {
+        /// Of which domain.
+        domain: DomainName,
+        /// What is told.
+        announcement: Announcement,
+    },
+    /// A member is there (may be told more than once).
+    Joined {
+        /// Who.
+        member: Member,
+        /// Its start.
+        incarnation: Incarnation,
+    },
+    /// A member is gone.
+    Left {
+        /// Who.
+        member: Member,
+        /// Its start.
+        incarnation: Incarnation,
+    },
+}
+
+/// An observer's place on the network.
+#[derive(Debug)]
+pub struct ObserverLink {
+    session: Session,
+    events: EventQueue<ObserverEvent>,
+}
+
+impl ObserverLink {
+    /// Connects to a learner or a router.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NobodyThere`] if nobody answers within the settings' time-out.
+    pub async fn open(
+        settings: &ConnectSettings,
+    ) -> Result<(Self, flume::Receiver<ObserverEvent>)> {
+        let session = session::connect(settings).await?;
+        let (events, receiver) = EventQueue::new(N_BULK);
+        Ok((Self { session, events }, receiver))
+    }
+
+    /// Lists the runs that are there now.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network cannot be asked.
+    pub async fn runs(&self) -> Result<BTreeSet<RunName>> {
+        discovery::runs(&self.session).await
+    }
+
+    /// Follows a run from now on, whether it is there already or not.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if it cannot be subscribed to.
+    pub fn follow(&self, run: &RunName) -> Result<()> {
+        self.subscribe(Keys::MetricsOf(run), on_metrics)?;
+        self.subscribe(Keys::AnnouncementsOf(run), on_announcement)?;
+        let members = Keys::MembersOf(run);
+        let events = self.events.clone();
+        self.session
+            .liveliness()
+            .declare_subscriber(keys::expr(members))
+            .history(true)
+            .callback(move |sample| on_presence(&events, &sample))
+            .background()
+            .wait()
+            .map_err(Error::network("subscribe to", &members.to_string()))
+    }
+
+    /// Pulls the newest weights, or one version of them, and checks their digest.
+    ///
+    /// # Errors
+    ///
+    /// As [`crate::ActorLink::pull_weights`].
+    pub async fn pull_weights(
+        &self,
+        run: &RunName,
+        domain: &DomainName,
+        version: Option<PolicyVersion>,
+    ) -> Result<(PolicyVersion, Vec<u8>)> {
+        pull(&self.session, (run, domain), Incarnation(0), version).await
+    }
+
+    /// Leaves the network, within a limited time.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Close`] if it takes too long.
+    pub async fn close(&self) -> Result<()> {
+        session::close(&self.session).await
+    }
+
+    fn subscribe(
+        &self,
+        keys: Keys<'_>,
+        take: fn(&EventQueue<ObserverEvent>, &Sample),
+    ) -> Result<()> {
+        let events = self.events.clone();
+        self.session
+            .declare_subscriber(keys::expr(keys))
+            .callback(move |sample| take(&events, &sample))
+            .background()
+            .wait()
+            .map_err(Error::network("subscribe to", &keys.to_string()))
+    }
+}
+
+fn on_metrics(events: &EventQueue<ObserverEvent>, sample: &Sample) {
+    let Some(member) = keys::parse_metrics(sample.key_expr()) else { return };
+    let json = sample.payload().to_bytes();
+    let checked = wire::inspect(sample.attachment(), Some(sample.payload()), METRICS)
+        .and_then(|header| receive::verify(&header, &json));
+    match checked {
+        Ok(()) => {
+            let event = ObserverEvent::Metrics { member, json: json.into_owned() };
+            events.offer_or_drop(event, Class::Bulk);
+        }
+        Err(refusal) => warn!(%refusal, "metrics refused"),
+    }
+}
+
+fn on_announcement(events: &EventQueue<ObserverEvent>, sample: &Sample) {
+    let Some(domain) = keys::parse_announcement(sample.key_expr()) else { return };
+    match wire::unseal(sample.attachment(), Some(sample.payload()), ANNOUNCEMENT) {
+        Ok((_, announcement)) => {
+            let event = ObserverEvent::Announcement { domain, announcement };
+            events.offer_or_drop(event, Class::Bulk);
+        }
+        Err(refusal) => warn!(%refusal, "announcement refused"),
+    }
+}
+
+fn on_presence(events: &EventQueue<ObserverEvent>, sample: &Sample) {
+    let Some(alive) = keys::parse_alive(sample.key_expr()) else { return };
+    let (member, incarnation) = (alive.member, alive.incarnation);
+    let event = match sample.kind() {
+        SampleKind::Put => ObserverEvent::Joined { member, incarnation },
+        SampleKind::Delete => ObserverEvent::Left { member, incarnation },
+    };
+    events.offer_or_drop(event, Class::Presence);
+}

@@ -1,0 +1,109 @@
+//! The bounded queue between the network's callbacks and the consumer.
+//!
+//! A callback runs on one of the network's few receiving threads, shared by every connection of the process. It must
+//! never wait, so it offers and goes on. The queue has a reserve: floods of one kind of message cannot keep out the
+//! kinds above it.
+//!
+//! ```text
+//! 0 ────────────── bulk ──────────────┬── requests ──┬── presence ──┐ capacity
+//!   rollouts, credit, metrics …       │ hello, orders│ joined, left │
+//! ```
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Queue places that only requests and presence may use.
+const REQUESTS: usize = 1_024;
+/// Queue places that only presence may use.
+const PRESENCE: usize = 1_024;
+
+/// How far up an event may fill the queue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Class {
+    Bulk,
+    Request,
+    Presence,
+}
+
+/// The event did not fit; it is given back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Overflow<T>(pub T);
+
+/// The callbacks' end.
+#[derive(Debug)]
+pub(crate) struct EventQueue<T> {
+    sender: flume::Sender<T>,
+    n_bulk: usize,
+    n_lost: Arc<AtomicU64>,
+}
+
+impl<T> Clone for EventQueue<T> {
+    fn clone(&self) -> Self {
+        Self { sender: self.sender.clone(), n_bulk: self.n_bulk, n_lost: Arc::clone(&self.n_lost) }
+    }
+}
+
+impl<T> EventQueue<T> {
+    /// Makes a queue with `n_bulk` places for bulk and a reserve for the rest.
+    pub(crate) fn new(n_bulk: usize) -> (Self, flume::Receiver<T>) {
+        let (sender, receiver) = flume::bounded(n_bulk + REQUESTS + PRESENCE);
+        (Self { sender, n_bulk, n_lost: Arc::default() }, receiver)
+    }
+
+    /// Puts an event into the queue without waiting, or gives it back and counts it.
+    pub(crate) fn offer(&self, event: T, class: Class) -> Result<(), Overflow<T>> {
+        let limit = match class {
+            Class::Bulk => self.n_bulk,
+            Class::Request => self.n_bulk + REQUESTS,
+            Class::Presence => self.n_bulk + REQUESTS + PRESENCE,
+        };
+        if self.sender.len() >= limit {
+            self.n_lost.fetch_add(1, Ordering::Relaxed);
+            return Err(Overflow(event));
+        }
+        self.sender.try_send(event).map_err(|error| {
+            self.n_lost.fetch_add(1, Ordering::Relaxed);
+            Overflow(error.into_inner())
+        })
+    }
+
+    /// Puts an event into the queue, or lets go of it: for what is repeated or counted elsewhere.
+    pub(crate) fn offer_or_drop(&self, event: T, class: Class) {
+        if let Err(Overflow(event)) = self.offer(event, class) {
+            drop(event);
+        }
+    }
+
+    /// Returns how many events did not fit since the start.
+    pub(crate) fn n_lost(&self) -> u64 {
+        self.n_lost.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_of_bulk_leaves_room_for_requests_and_presence() {
+        let (queue, receiver) = EventQueue::new(2);
+        for i in 0..2 {
+            queue.offer(i, Class::Bulk).unwrap();
+        }
+        assert_eq!(queue.offer(2, Class::Bulk), Err(Overflow(2)));
+        queue.offer(3, Class::Request).unwrap();
+        queue.offer(4, Class::Presence).unwrap();
+        assert_eq!(receiver.drain().collect::<Vec<_>>(), [0, 1, 3, 4]);
+        assert_eq!(queue.n_lost(), 1);
+    }
+
+    #[test]
+    fn a_full_queue_gives_the_event_back_instead_of_waiting() {
+        let (queue, receiver) = EventQueue::new(1);
+        for i in 0..1 + REQUESTS + PRESENCE {
+            queue.offer(i, Class::Presence).unwrap();
+        }
+        assert_eq!(queue.offer(0, Class::Presence), Err(Overflow(0)));
+        assert_eq!(receiver.len(), 1 + REQUESTS + PRESENCE);
+    }
+}

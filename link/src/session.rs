@@ -1,0 +1,216 @@
+//! Opening and closing a session: who listens, who dials, what may arrive.
+//!
+//! No multicast, no gossip, no shared memory: a session talks to the addresses it was given and to nobody else.
+
+use std::time::{Duration, Instant};
+
+use leadtime_proto::limits;
+use tracing::{debug, info};
+use zenoh::Wait as _;
+use zenoh::config::Config;
+use zenoh::session::Session;
+
+use crate::error::NetworkFault;
+use crate::{Endpoint, Error, Result};
+
+/// After this silence a peer counts as gone (frozen host, cut cable); a killed process is noticed at once.
+const LEASE_MS: u64 = 2_000;
+/// How long an actor's rollout may wait for a stalled learner before the connection is given up, in microseconds.
+const ACTOR_WAIT_BEFORE_CLOSE_US: u64 = 60_000_000;
+/// The same for a learner, which must not wait long for one actor, in microseconds.
+const LEARNER_WAIT_BEFORE_CLOSE_US: u64 = 5_000_000;
+/// Room over the largest message for keys and headers.
+const MESSAGE_SLACK: usize = 64 << 10;
+/// First and longest pause between attempts to connect, in milliseconds.
+const RETRY_MS: (u64, u64) = (100, 1_000);
+/// Longest single round of attempts, after which it is told that nobody answers.
+const ROUND: Duration = Duration::from_secs(2);
+/// Longest time that closing may take.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How a learner is reached.
+#[derive(Clone, Debug)]
+pub struct ListenSettings {
+    /// Addresses to listen on; port 0 takes a free one. Empty if the learner only connects to a router.
+    pub endpoints: Vec<Endpoint>,
+    /// Routers to connect to. Default: none.
+    pub connect: Vec<Endpoint>,
+    /// How long to try to reach a router that the learner depends on. Default: 30 s.
+    pub timeout: Duration,
+    /// The most rollouts of one actor that wait in the event queue, at least the run's window. Default: 64.
+    pub rollouts_per_actor: usize,
+    /// The most actors whose rollouts wait in the event queue at once. Default: 256.
+    pub max_actors: usize,
+    /// The most bytes of rollouts that wait in the event queue. Default: 256 MiB.
+    pub max_queued_bytes: usize,
+}
+
+impl ListenSettings {
+    /// Listens on these addresses, everything else as documented.
+    pub fn new(endpoints: Vec<Endpoint>) -> Self {
+        Self {
+            endpoints,
+            connect: Vec::new(),
+            timeout: Duration::from_secs(30),
+            rollouts_per_actor: 64,
+            max_actors: 256,
+            max_queued_bytes: 256 << 20,
+        }
+    }
+}
+
+/// How an actor or an observer finds a learner or a router.
+#[derive(Clone, Debug)]
+pub struct ConnectSettings {
+    /// Addresses to try, in order.
+    pub endpoints: Vec<Endpoint>,
+    /// How long to try before giving up. Default: 30 s.
+    pub timeout: Duration,
+}
+
+impl ConnectSettings {
+    /// Connects to these addresses, everything else as documented.
+    pub fn new(endpoints: Vec<Endpoint>) -> Self {
+        Self { endpoints, timeout: Duration::from_secs(30) }
+    }
+
+    /// Returns the addresses as a person reads them.
+    pub(crate) fn described(&self) -> String {
+        describe(&self.endpoints)
+    }
+}
+
+fn describe(endpoints: &[Endpoint]) -> String {
+    endpoints.iter().map(|endpoint| format!("`{endpoint}`")).collect::<Vec<_>>().join(", ")
+}
+
+/// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on.
+pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
+    if settings.endpoints.is_empty() {
+        return dial(&settings.connect, settings.timeout, LEARNER_WAIT_BEFORE_CLOSE_US).await;
+    }
+    // Twice the largest rollout, so that what is a little too large is refused and counted by us.
+    let config = config(&[
+        ("mode", "\"peer\"".to_owned()),
+        ("listen/endpoints", json_list(&settings.endpoints)),
+        ("connect/endpoints", json_list(&settings.connect)),
+        max_message(2 * limits::MAX_ROLLOUT_BYTES),
+        wait_before_close(LEARNER_WAIT_BEFORE_CLOSE_US),
+    ]);
+    open(config).await.map_err(|source| {
+        let endpoint = describe(&settings.endpoints).trim_matches('`').to_owned();
+        let text = source.to_string();
+        let source = NetworkFault::new(source);
+        // The library has no codes, only words: the kernel's for a port, its own for a socket's lock file.
+        if text.contains("in use") || text.contains("Unable to acquire lock") {
+            Error::AddressInUse { endpoint, source }
+        } else {
+            Error::Listen { endpoint, source }
+        }
+    })
+}
+
+/// Opens a client's session, trying again with growing pauses until the time-out.
+pub(crate) async fn connect(settings: &ConnectSettings) -> Result<Session> {
+    dial(&settings.endpoints, settings.timeout, ACTOR_WAIT_BEFORE_CLOSE_US).await
+}
+
+async fn dial(endpoints: &[Endpoint], timeout: Duration, wait_us: u64) -> Result<Session> {
+    if endpoints.is_empty() {
+        return Err(Error::NoEndpoint);
+    }
+    let deadline = Instant::now() + timeout;
+    let mut told = false;
+    loop {
+        let round = deadline.saturating_duration_since(Instant::now()).min(ROUND);
+        let config = config(&[
+            ("mode", "\"client\"".to_owned()),
+            ("connect/endpoints", json_list(endpoints)),
+            // 0 would mean a single attempt without a limit of its own.
+            ("connect/timeout_ms", round.as_millis().max(1).to_string()),
+            ("connect/exit_on_failure", "true".to_owned()),
+            max_message(limits::MAX_MESSAGE_BYTES),
+            wait_before_close(wait_us),
+        ]);
+        let source = match open(config).await {
+            Ok(session) => return Ok(session),
+            Err(source) => source,
+        };
+        debug!(%source, "round of attempts to connect failed");
+        if Instant::now() >= deadline {
+            let (endpoints, source) = (describe(endpoints), NetworkFault::new(source));
+            return Err(Error::NobodyThere { endpoints, timeout, source });
+        }
+        if !told {
+            told = true;
+            info!(endpoints = describe(endpoints), ?timeout, "nobody answers yet, trying again");
+        }
+    }
+}
+
+/// Closes a session within a limited time. What was published and not acknowledged may be lost.
+pub(crate) async fn close(session: &Session) -> Result<()> {
+    match tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await {
+        Ok(Ok(())) => Ok(()),
+        Ok(Err(source)) => Err(Error::network("close", "session")(source)),
+        Err(_) => Err(Error::Close { timeout: CLOSE_TIMEOUT }),
+    }
+}
+
+/// Opening waits on its thread, so it gets one of its own.
+async fn open(config: Config) -> zenoh::Result<Session> {
+    let opened = tokio::task::spawn_blocking(move || zenoh::open(config).wait()).await;
+    opened.expect("opening a session does not panic")
+}
+
+fn max_message(bytes: usize) -> (&'static str, String) {
+    ("transport/link/rx/max_message_size", (bytes + MESSAGE_SLACK).to_string())
+}
+
+fn wait_before_close(micros: u64) -> (&'static str, String) {
+    ("transport/link/tx/queue/congestion_control/block/wait_before_close", micros.to_string())
+}
+
+fn config(special: &[(&'static str, String)]) -> Config {
+    let (first, longest) = RETRY_MS;
+    let always = [
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("scouting/gossip/enabled", "false".to_owned()),
+        ("transport/shared_memory/enabled", "false".to_owned()),
+        ("transport/link/tx/lease", LEASE_MS.to_string()),
+        ("connect/retry/period_init_ms", first.to_string()),
+        ("connect/retry/period_max_ms", longest.to_string()),
+        ("connect/retry/period_increase_factor", "2".to_owned()),
+    ];
+    let mut config = Config::default();
+    for (key, value) in always.iter().chain(special) {
+        config.insert_json5(key, value).expect("settings of this module are known and well-typed");
+    }
+    config
+}
+
+fn json_list(endpoints: &[Endpoint]) -> String {
+    // An endpoint holds no quotation mark, backslash or control character, so quotes are all it needs.
+    let quoted: Vec<String> = endpoints.iter().map(|endpoint| format!("\"{endpoint}\"")).collect();
+    format!("[{}]", quoted.join(","))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_setting_is_one_that_the_network_knows() {
+        let endpoint: Endpoint = "tcp/127.0.0.1:0".parse().unwrap();
+        let config = config(&[
+            ("mode", "\"client\"".to_owned()),
+            ("listen/endpoints", json_list(std::slice::from_ref(&endpoint))),
+            ("connect/endpoints", json_list(&[endpoint])),
+            ("connect/timeout_ms", "1".to_owned()),
+            ("connect/exit_on_failure", "true".to_owned()),
+            max_message(1),
+            wait_before_close(1),
+        ]);
+        assert!(config.get_json("listen/endpoints").unwrap().contains("127.0.0.1:0"));
+    }
+}

@@ -1,0 +1,68 @@
+//! Priorities, and how a message meets its header.
+
+use std::borrow::Cow;
+
+use leadtime_proto::header::Schema;
+use leadtime_proto::receive::{self, Expected};
+use leadtime_proto::{Header, Incarnation, Refusal, codec};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use zenoh::bytes::ZBytes;
+use zenoh::qos::{CongestionControl, Priority};
+
+use crate::Result;
+
+/// How a message travels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Lane {
+    pub(crate) priority: Priority,
+    pub(crate) congestion: CongestionControl,
+    pub(crate) express: bool,
+}
+
+/// Hello and orders: first of all, never lost.
+pub(crate) const CONTROL: Lane =
+    Lane { priority: Priority::RealTime, congestion: CongestionControl::Block, express: true };
+/// Credit and announcements: small, repeated, so that one slow peer does not hold up the rest.
+pub(crate) const NOTICE: Lane = Lane {
+    priority: Priority::InteractiveHigh,
+    congestion: CongestionControl::Drop,
+    express: true,
+};
+/// Rollouts and weights.
+pub(crate) const BULK: Lane =
+    Lane { priority: Priority::Data, congestion: CongestionControl::Block, express: false };
+/// Metrics: nobody waits for them.
+pub(crate) const METRICS: Lane =
+    Lane { priority: Priority::Background, congestion: CongestionControl::Drop, express: false };
+
+/// Encodes a message and makes its header.
+pub(crate) fn seal<T: Serialize>(
+    schema: Schema,
+    incarnation: Incarnation,
+    message: &T,
+) -> Result<(Header, Vec<u8>)> {
+    let payload = codec::encode(message)?;
+    Ok((Header::plain(schema, incarnation, &payload), payload))
+}
+
+/// Reads a message that came with its header as an attachment.
+pub(crate) fn unseal<T: DeserializeOwned>(
+    attachment: Option<&ZBytes>,
+    payload: Option<&ZBytes>,
+    expected: Expected,
+) -> Result<(Header, T), Refusal> {
+    let header = inspect(attachment, payload, expected)?;
+    let bytes = payload.map_or(Cow::Borrowed(&[][..]), ZBytes::to_bytes);
+    Ok((header, receive::open(&header, &bytes, expected)?))
+}
+
+/// Checks size, header, protocol and schema; touches no payload byte.
+pub(crate) fn inspect(
+    attachment: Option<&ZBytes>,
+    payload: Option<&ZBytes>,
+    expected: Expected,
+) -> Result<Header, Refusal> {
+    let attachment = attachment.map(ZBytes::to_bytes);
+    receive::inspect(attachment.as_deref(), payload.map_or(0, ZBytes::len), expected)
+}
