@@ -173,18 +173,21 @@ fn wait_before_close(micros: u64) -> (&'static str, String) {
 
 fn config(special: &[(&'static str, String)]) -> Config {
     let (first, longest) = RETRY_MS;
+    let retry = format!(
+        "{{ period_init_ms: {first}, period_max_ms: {longest}, period_increase_factor: 2 }}"
+    );
     let always = [
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
         ("transport/shared_memory/enabled", "false".to_owned()),
         ("transport/link/tx/lease", LEASE_MS.to_string()),
-        ("connect/retry/period_init_ms", first.to_string()),
-        ("connect/retry/period_max_ms", longest.to_string()),
-        ("connect/retry/period_increase_factor", "2".to_owned()),
+        ("connect/retry", retry),
     ];
     let mut config = Config::default();
     for (key, value) in always.iter().chain(special) {
-        config.insert_json5(key, value).expect("settings of this module are known and well-typed");
+        config
+            .insert_json5(key, value)
+            .unwrap_or_else(|error| panic!("setting `{key}` is not known to the network: {error}"));
     }
     config
 }

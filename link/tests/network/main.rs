@@ -1,0 +1,12 @@
+//! The link over real sockets: learner, actors, observers and intruders in one process.
+//!
+//! Hermetic: every test has a socket of its own in a temporary directory (or a port that the kernel chooses), and
+//! waits for events with a limit instead of sleeping.
+
+mod joining;
+mod messages;
+mod presence;
+mod refusals;
+mod stall;
+mod support;
+mod weights;

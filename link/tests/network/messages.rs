@@ -1,0 +1,160 @@
+//! Rollouts, orders, credit and metrics, each from end to end.
+
+use std::time::Duration;
+
+use leadtime_link::keys::Member;
+use leadtime_link::{ActorEvent, Error, LearnerEvent, ObserverEvent, ObserverLink};
+use leadtime_proto::message::{Assignment, Control, ControlAck, Credit, EnvAssignment};
+use leadtime_proto::receive::{self, ROLLOUT};
+use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, Rollout, Sequence, codec};
+
+use crate::support::*;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rollout_arrives_with_its_header_and_can_be_opened() {
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let (actor, _actor_events) = site.welcomed("a", &events).await;
+    let (sent_header, sent) = rollout(7);
+    actor.publish_rollout(&sent_header, sent.clone()).unwrap();
+    let (sender, header, payload) = until(&events, |event| match event {
+        LearnerEvent::Rollout { actor, header, payload } => Some((actor, header, payload)),
+        _ => None,
+    })
+    .await;
+    assert_eq!((sender, header), (actor_id("a"), sent_header));
+    let opened: Rollout = receive::open(&header, &payload, ROLLOUT).unwrap();
+    assert_eq!(codec::encode(&opened).unwrap(), sent);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rollout_of_many_fragments_arrives_whole() {
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let (actor, _actor_events) = site.welcomed("a", &events).await;
+    let rollout = Rollout { observations: vec![0.25; 300_000], n_steps: 2, ..Rollout::default() };
+    let payload = codec::encode(&rollout).unwrap();
+    let header = leadtime_proto::Header::plain(ROLLOUT.schema, ACTOR, &payload);
+    actor.publish_rollout(&header, payload).unwrap();
+    let opened: Rollout = until(&events, |event| match event {
+        LearnerEvent::Rollout { header, payload, .. } => {
+            Some(receive::open(&header, &payload, ROLLOUT).unwrap())
+        }
+        _ => None,
+    })
+    .await;
+    assert_eq!(opened, rollout);
+}
+
+fn order() -> Control {
+    let env =
+        EnvAssignment { env_id: EnvId(4), iteration: Iteration(2), snapshot: vec![9; 200_000] };
+    Control::Assign(Assignment { epoch: Epoch(3), envs: vec![env], keep: vec![EnvId(1)] })
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_is_acknowledged() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (_actor, actor_events) = site.welcomed("a", &events).await;
+    let obey = async {
+        let (control, ack) = until(&actor_events, |event| match event {
+            ActorEvent::Control { control, ack } => Some((control, ack)),
+            _ => None,
+        })
+        .await;
+        ack.acknowledge(ControlAck { epoch: Epoch(3) }).unwrap();
+        control
+    };
+    let (id, order) = (actor_id("a"), order());
+    let (ack, taken) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
+    assert_eq!(ack.unwrap(), ControlAck { epoch: Epoch(3) });
+    assert_eq!(taken, order);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_nobody_takes_ends_in_time() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (_actor, actor_events) = site.welcomed("a", &events).await;
+    let short = Duration::from_millis(200);
+
+    let absent = learner.control(&actor_id("b"), ACTOR, &Control::Pause, short).await;
+    assert!(matches!(absent.unwrap_err(), Error::NoAnswer { timeout, .. } if timeout == short));
+
+    // The order waits in the queue of an actor that does not look.
+    let silent = learner.control(&actor_id("a"), ACTOR, &Control::Pause, short).await;
+    assert!(matches!(silent.unwrap_err(), Error::NoAnswer { .. }));
+    drop(actor_events);
+
+    let earlier = learner.control(&actor_id("a"), Incarnation(1), &Control::Pause, SOON).await;
+    assert!(matches!(earlier.unwrap_err(), Error::Rejected { .. }));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn credit_reaches_the_start_it_is_meant_for() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (_actor, actor_events) = site.welcomed("a", &events).await;
+    let credit = |incarnation, limit| Credit {
+        incarnation,
+        learner: LEARNER,
+        acknowledged: Sequence(1),
+        limit: Sequence(limit),
+    };
+    learner.send_credit(&actor_id("a"), credit(Incarnation(1), 50)).unwrap();
+    learner.send_credit(&actor_id("a"), credit(ACTOR, 5)).unwrap();
+    let first = until(&actor_events, |event| match event {
+        ActorEvent::Credit(credit) => Some(credit),
+        _ => None,
+    });
+    assert_eq!(first.await, credit(ACTOR, 5));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_observer_reads_metrics_presence_and_announcements() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (observer, seen) = ObserverLink::open(&site.connect()).await.unwrap();
+    assert!(observer.runs().await.unwrap().contains(&run("one")));
+    observer.follow(&run("one")).unwrap();
+    let (actor, _actor_events) = site.welcomed("a", &events).await;
+    let member = Member::Actor(actor_id("a"));
+    until(&seen, |event| match event {
+        ObserverEvent::Joined { member: who, incarnation } => {
+            (who == member && incarnation == ACTOR).then_some(())
+        }
+        _ => None,
+    })
+    .await;
+
+    learner.offer_weights(leadtime_proto::PolicyVersion(4), b"weights").unwrap();
+    let announced = until(&seen, |event| match event {
+        ObserverEvent::Announcement { domain, announcement } => Some((domain, announcement)),
+        _ => None,
+    })
+    .await;
+    assert_eq!((announced.0, announced.1.version.0, announced.1.size), (domain(), 4, 7));
+    let pulled = observer.pull_weights(&run("one"), &domain(), None).await.unwrap();
+    assert_eq!(pulled, (leadtime_proto::PolicyVersion(4), b"weights".to_vec()));
+
+    actor.publish_metrics(b"{\"steps\":1}").unwrap();
+    let read = until(&seen, |event| match event {
+        ObserverEvent::Metrics { member, json } => Some((member, json)),
+        _ => None,
+    });
+    assert_eq!(read.await, (member.clone(), b"{\"steps\":1}".to_vec()));
+    learner.publish_metrics(b"{}").unwrap();
+    let read = until(&seen, |event| match event {
+        ObserverEvent::Metrics { member, json } => Some((member, json)),
+        _ => None,
+    });
+    assert_eq!(read.await, (Member::Learner, b"{}".to_vec()));
+
+    drop(actor);
+    until(&seen, |event| match event {
+        ObserverEvent::Left { member: who, .. } => (who == member).then_some(()),
+        _ => None,
+    })
+    .await;
+}

@@ -1,0 +1,137 @@
+//! What an intruder can send to a learner, and what becomes of it.
+
+use leadtime_link::keys::Key;
+use leadtime_link::{Error, LearnerEvent};
+use leadtime_proto::header::Schema;
+use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
+use leadtime_proto::receive::{self, ROLLOUT};
+use leadtime_proto::{ActorId, Header, Refusal, RefusalCause, Rollout};
+use zenoh::Session;
+
+use crate::support::*;
+
+async fn put(session: &Session, key: &str, attachment: Option<Vec<u8>>, payload: &[u8]) {
+    let message = session.put(key, payload);
+    match attachment {
+        Some(attachment) => message.attachment(attachment).await.unwrap(),
+        None => message.await.unwrap(),
+    }
+}
+
+async fn refused(events: &LearnerEvents) -> (Option<ActorId>, Option<Header>, Refusal) {
+    until(events, |event| match event {
+        LearnerEvent::Refused { actor, header, refusal, .. } => Some((actor, header, refusal)),
+        LearnerEvent::Rollout { header, .. } => panic!("{header:?} was taken"),
+        _ => None,
+    })
+    .await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_no_rollout_is_refused_with_its_cause_before_it_is_read() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let intruder = site.raw("client").await;
+    let (name, domain, rogue) = (run("one"), domain(), actor_id("rogue"));
+    let key = Key::Rollouts(&name, &domain, &rogue).to_string();
+    let (header, payload) = rollout(1);
+    let good = header.to_bytes();
+
+    let mut foreign = good;
+    foreign[12] = 9;
+    let credit = Header::plain(Schema::Credit, ACTOR, &payload).to_bytes();
+    let huge = vec![0; MAX_ROLLOUT_BYTES + 1];
+    let cases: [(Option<Vec<u8>>, &[u8], RefusalCause); 6] = [
+        (None, &payload, RefusalCause::Header),
+        (Some(b"garbage".to_vec()), b"garbage", RefusalCause::Header),
+        (Some(vec![0; 48]), &payload, RefusalCause::Header),
+        (Some(foreign.to_vec()), &payload, RefusalCause::Protocol),
+        (Some(credit.to_vec()), &payload, RefusalCause::Schema),
+        (Some(good.to_vec()), &huge, RefusalCause::Oversize),
+    ];
+    for (attachment, payload, cause) in cases {
+        put(&intruder, &key, attachment, payload).await;
+        let (actor, _, refusal) = refused(&events).await;
+        assert_eq!((actor, refusal.cause()), (Some(rogue.clone()), cause));
+    }
+    let elsewhere = key.replace("rogue", "ROGUE");
+    put(&intruder, &elsewhere, Some(good.to_vec()), &payload).await;
+    let (actor, _, refusal) = refused(&events).await;
+    assert_eq!((actor, refusal.cause()), (None, RefusalCause::Key));
+
+    let counted = learner.refusals();
+    assert_eq!(counted[&RefusalCause::Header], 3);
+    assert_eq!(counted.values().sum::<u64>(), 7);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_payload_that_is_not_the_headers_is_refused_when_opened() {
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let (actor, _actor_events) = site.welcomed("a", &events).await;
+    let (header, mut damaged) = rollout(1);
+    damaged[3] ^= 0x10;
+    let garbage = Header::plain(Schema::Rollout, ACTOR, b"garbage");
+    let cases = [
+        (header, damaged, RefusalCause::Checksum),
+        (garbage, b"garbage".to_vec(), RefusalCause::Malformed),
+    ];
+    for (header, payload, cause) in cases {
+        actor.publish_rollout(&header, payload).unwrap();
+        let opened = until(&events, |event| match event {
+            LearnerEvent::Rollout { header, payload, .. } => {
+                Some(receive::open::<Rollout>(&header, &payload, ROLLOUT))
+            }
+            _ => None,
+        });
+        assert_eq!(opened.await.unwrap_err().cause(), cause);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_the_network_would_drop_unsaid_is_not_even_sent() {
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let (actor, _actor_events) = site.welcomed("a", &events).await;
+    let payload = vec![0; 2 * MAX_ROLLOUT_BYTES + 1];
+    let header = Header::plain(Schema::Rollout, ACTOR, &payload);
+    let error = actor.publish_rollout(&header, payload).unwrap_err();
+    assert!(matches!(error, Error::TooLarge { .. }), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_that_is_cut_off_is_only_counted() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (rogue, _rogue_events) = site.welcomed("rogue", &events).await;
+    let (honest, _honest_events) = site.welcomed("honest", &events).await;
+    learner.cut_off(&actor_id("rogue"), ACTOR);
+    let (header, payload) = rollout(1);
+    rogue.publish_rollout(&header, payload.clone()).unwrap();
+    // The answer to a query shows that what this connection sent before has been looked at.
+    rogue.pull_weights(None).await.unwrap_err();
+    while !learner.refusals().contains_key(&RefusalCause::CutOff) {
+        rogue.pull_weights(None).await.unwrap_err();
+    }
+    honest.publish_rollout(&header, payload).unwrap();
+    let sender = until(&events, |event| match event {
+        LearnerEvent::Rollout { actor, .. } => Some(actor),
+        _ => None,
+    });
+    assert_eq!(sender.await, actor_id("honest"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hello_that_is_none_is_answered_and_counted() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let intruder = site.raw("client").await;
+    let key = Key::Hello(&run("one")).to_string();
+    let header = Header::plain(Schema::Hello, ACTOR, b"garbage").to_bytes();
+    let answers = intruder.get(&key).payload(b"garbage").attachment(header).await.unwrap();
+    let answer = answers.recv_async().await.unwrap();
+    let sentence = answer.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
+    assert_eq!(sentence, "payload cannot be decoded");
+    assert_eq!(refused(&events).await.2.cause(), RefusalCause::Malformed);
+    assert_eq!(learner.refusals()[&RefusalCause::Malformed], 1);
+}
