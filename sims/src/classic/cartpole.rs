@@ -150,7 +150,12 @@ impl Environment for CartPole {
     }
 
     fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
-        self.state = read_snapshot(snapshot)?;
+        let state: State = read_snapshot(snapshot)?;
+        let finite = state.motion.iter().all(|value| value.is_finite());
+        if !finite || state.n_steps > self.max_steps {
+            return Err(SnapshotError::Mismatch { what: "motion or time limit" });
+        }
+        self.state = state;
         self.observe(observation);
         Ok(())
     }
@@ -177,7 +182,7 @@ impl Environment for CartPole {
 mod tests {
     use super::*;
 
-    include!("../../tests/golden_cartpole.rs");
+    include!("../../tests/golden/cartpole.rs");
 
     #[test]
     fn episodes_equal_gymnasiums() {

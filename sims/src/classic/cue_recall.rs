@@ -138,6 +138,10 @@ impl Environment for CueRecall {
         if usize::from(state.cue) >= self.settings.n_cues {
             return Err(SnapshotError::Mismatch { what: "number of cues" });
         }
+        let delays = self.settings.delay_min..=self.settings.delay_max;
+        if !delays.contains(&state.delay) || state.n_steps > state.delay + 2 {
+            return Err(SnapshotError::Mismatch { what: "delay" });
+        }
         self.state = state;
         self.observe(observation);
         Ok(())

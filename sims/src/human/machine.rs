@@ -18,9 +18,9 @@
 //! | row | event | state and setting | becomes |
 //! |---|---|---|---|
 //! | D1 | step begins | pending, not due | - |
-//! | D2 | step begins | pending, due; nothing running | running, d_f steps left; not pending |
+//! | D2 | step begins | pending, due; nothing running | running, `d_f` steps left; not pending |
 //! | D3 | step begins | pending, due; a reaction running | that one over; as D2 |
-//! | D4 | step begins | pending, due; d_f is 0 | unheeded; not pending |
+//! | D4 | step begins | pending, due; `d_f` is 0 | unheeded; not pending |
 //! | I1 | initiation | silent | spoken, 0 words heard |
 //! | I2 | initiation | spoken, not understood; `interrupt = replace` | old one preempted; as I1 |
 //! | I3 | initiation | spoken, understood; `replace` or `until_comprehended` | old one's tail cut; as I1 |
@@ -100,7 +100,7 @@ pub enum Initiation {
 /// What a step of a reaction meant for the human's reward.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reacted {
-    /// R_react of this step.
+    /// `R_react` of this step.
     pub reward: f64,
 }
 
@@ -162,6 +162,7 @@ impl HumanState {
         };
         self.pending.len() <= MAX_PENDING
             && self.now <= MAX_TIME
+            && self.tally.is_plausible()
             && self
                 .pending
                 .iter()
@@ -271,12 +272,11 @@ impl Human {
     /// Obeys the notifier's order, as far as the settings let it (rows I and S).
     pub fn obey(&mut self, order: Order) -> Initiation {
         match order {
-            Order::Continue => Initiation::None,
             Order::Stop if self.may_stop() => {
                 self.cut_speech();
                 Initiation::Stopped
             }
-            Order::Stop => Initiation::None,
+            Order::Continue | Order::Stop => Initiation::None,
             Order::Start(message) => self.initiate(message),
         }
     }

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::ReactionStatus::{Followed, Refused};
 use crate::human::{BlockedInitiation, Comprehension, FollowThrough, ReactionDelay};
 
 const A: usize = 0;
@@ -417,7 +418,6 @@ fn the_reaction_reward_is_paid_as_set() {
         human.begin_step();
         statuses.map(|status| human.acted(Some(status)).reward).to_vec()
     };
-    use ReactionStatus::{Followed, Refused};
     assert_eq!(paid(ReactionReward::Off, [Followed; 3]), [0.0, 0.0, 0.0]);
     assert_eq!(paid(ReactionReward::Once, [Refused, Followed, Followed]), [0.0, 3.0, 0.0]);
     assert_eq!(paid(ReactionReward::PerStep, [Followed, Refused, Followed]), [3.0, 0.0, 3.0]);

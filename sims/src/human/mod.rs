@@ -20,7 +20,7 @@
 //!
 //! # Source
 //!
-//! Hsu, DeCastro, Silva, Rosman, *Timing the Message: Language-Based Notifications for Time-Critical Assistive
+//! Hsu et al., *Timing the Message: Language-Based Notifications for Time-Critical Assistive
 //! Settings* (arXiv:2509.07438), section on the listener model.
 
 mod delay;

@@ -77,7 +77,7 @@ pub enum Informativeness {
     Tail,
 }
 
-/// How many steps the reaction lasts (d_f), from the informativeness I.
+/// How many steps the reaction lasts (`d_f`), from the informativeness I.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FollowThrough {
@@ -93,9 +93,9 @@ pub enum FollowThrough {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FollowThroughEnd {
-    /// d_f steps.
+    /// `d_f` steps.
     Exclusive,
-    /// d_f + 1 steps: the source's closed interval.
+    /// `d_f` + 1 steps: the source's closed interval.
     Inclusive,
 }
 
@@ -173,7 +173,7 @@ pub enum Repeat {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HumanSettings {
-    /// Steps from comprehension to reaction, d_r (0..=60). Default `{ fixed = 2 }`.
+    /// Steps from comprehension to reaction, `d_r` (0..=60). Default `{ fixed = 2 }`.
     pub reaction_delay: ReactionDelay,
     /// When a message is understood. Default `words`: after its k-th word.
     pub comprehension: Comprehension,
@@ -189,9 +189,9 @@ pub struct HumanSettings {
     pub reason_weight: f64,
     /// Messages of at least this many words state a reason (at least 1). Default 4.
     pub reason_from_words: u32,
-    /// Steps that a reaction lasts, d_f. Default `length`.
+    /// Steps that a reaction lasts, `d_f`. Default `length`.
     pub follow_through: FollowThrough,
-    /// Whether a reaction lasts d_f steps or one more. Default `exclusive`.
+    /// Whether a reaction lasts `d_f` steps or one more. Default `exclusive`.
     pub follow_through_end: FollowThroughEnd,
     /// When the reaction reward I - 2 is added to the notifier's reward. Default `off`.
     pub reaction_reward: ReactionReward,
@@ -334,6 +334,7 @@ impl HumanSettings {
 
 #[cfg(test)]
 mod tests {
+    use super::FollowThroughEnd::{Exclusive, Inclusive};
     use super::*;
 
     fn message(comprehension: u32, conveyance: u32) -> Message {
@@ -347,7 +348,6 @@ mod tests {
                 HumanSettings { follow_through, follow_through_end, ..HumanSettings::default() };
             settings.reaction_steps(message(2, l))
         };
-        use FollowThroughEnd::{Exclusive, Inclusive};
         assert_eq!(steps(FollowThrough::Length, Exclusive, 5), 5);
         assert_eq!(steps(FollowThrough::Length, Inclusive, 5), 6);
         assert_eq!(steps(FollowThrough::TwiceLengthMinusTwo, Exclusive, 4), 6);

@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// No episode counts further than this.
+const MAX_COUNT: u32 = 1 << 30;
+
 /// Counts messages by their fate.
 ///
 /// A started message is first comprehended or `preempted`; a comprehended one is acted upon, or dropped before
@@ -32,4 +35,27 @@ pub struct Tally {
     pub sum_l: u32,
     /// Started messages of at least four words.
     pub long: u32,
+}
+
+impl Tally {
+    /// Tells whether an episode could have come to these numbers, with room to count on.
+    pub(super) fn is_plausible(&self) -> bool {
+        let &Self {
+            started,
+            ignored,
+            continued,
+            preempted,
+            comprehended,
+            delivered,
+            overwritten,
+            followed,
+            unheeded,
+            sum_k,
+            sum_l,
+            long,
+        } = self;
+        let initiations = [started, ignored, continued, sum_k, sum_l, long];
+        let fates = [preempted, comprehended, delivered, overwritten, followed, unheeded];
+        initiations.iter().chain(&fates).all(|&count| count <= MAX_COUNT)
+    }
 }

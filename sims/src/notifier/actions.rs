@@ -18,6 +18,13 @@ use crate::setting::SettingError;
 const START: u8 = 1;
 const STOP: u8 = 2;
 
+/// Which choices of the initiate head, beside silence, a step offers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Offered {
+    pub(super) start: bool,
+    pub(super) stop: bool,
+}
+
 /// The action space of one notifier, and what its choices mean.
 #[derive(Clone, Debug)]
 pub(super) struct Actions {
@@ -111,10 +118,10 @@ impl Actions {
     }
 
     /// Returns what may be chosen, given what the listener's rules allow.
-    pub(super) fn mask(&self, offers_start: bool, offers_stop: bool) -> Mask {
-        let withheld =
-            u64::from(!offers_start) << START | u64::from(self.can_stop && !offers_stop) << STOP;
-        Mask(!withheld)
+    pub(super) fn mask(&self, offered: Offered) -> Mask {
+        let start = u64::from(!offered.start) << START;
+        let stop = u64::from(self.can_stop && !offered.stop) << STOP;
+        Mask(!(start | stop))
     }
 
     /// Returns the length of an encoded action.
@@ -212,13 +219,13 @@ mod tests {
         let actions = actions(NotificationType::IncrementallyActionable, true);
         let spec = actions.spec();
         let allowed = |start, stop| {
-            let mask = actions.mask(start, stop);
+            let mask = actions.mask(Offered { start, stop });
             [0, 1, 2].map(|choice| spec.allows(mask, &[choice, 0, 0, 0]))
         };
         assert_eq!(allowed(true, true), [true, true, true]);
         assert_eq!(allowed(false, true), [true, false, true]);
         assert_eq!(allowed(true, false), [true, true, false]);
-        assert!(spec.allows(actions.mask(false, false), &[0, 2, 1, 3]));
+        assert!(spec.allows(actions.mask(Offered { start: false, stop: false }), &[0, 2, 1, 3]));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use leadtime_numerics::Purpose;
 use leadtime_proto::{EnvSpec, Mask};
 use serde::{Deserialize, Serialize};
 
-use super::actions::Actions;
+use super::actions::{Actions, Offered};
 use super::history::History;
 use super::settings::NotifierSettings;
 use crate::environment::{
@@ -34,6 +34,9 @@ const METRICS: [&str; 16] = [
     "mean_k",
     "mean_l",
 ];
+
+/// No episode of a notifier is longer.
+const MAX_STEPS: u32 = 1 << 30;
 
 /// What the last step left behind that no other part remembers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -222,8 +225,8 @@ impl<D: Domain> Environment for NotifierEnv<D> {
     }
 
     fn mask(&self) -> Mask {
-        let offers_start = self.blocked != BlockedInitiation::Mask || self.human.may_start();
-        self.actions.mask(offers_start, self.human.may_stop())
+        let start = self.blocked != BlockedInitiation::Mask || self.human.may_start();
+        self.actions.mask(Offered { start, stop: self.human.may_stop() })
     }
 
     fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
@@ -265,10 +268,14 @@ impl<D: Domain> Environment for NotifierEnv<D> {
 
     fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
         let snapshot: Snapshot = read_snapshot(snapshot)?;
-        if !snapshot.human.fits(self.domain.topics().len()) {
+        let n_topics = self.domain.topics().len();
+        let known = snapshot.last.reacting.is_none_or(|topic| topic < n_topics);
+        if !snapshot.human.fits(n_topics) || !known {
             return Err(SnapshotError::Mismatch { what: "topics or words" });
         }
-        if !self.history.restore(&snapshot.history) {
+        let finite = snapshot.history.iter().all(|value| value.is_finite());
+        let counts_on = snapshot.last.n_steps < MAX_STEPS;
+        if !finite || !counts_on || !self.history.restore(&snapshot.history) {
             return Err(SnapshotError::Mismatch { what: "history" });
         }
         self.domain.restore(&snapshot.domain)?;

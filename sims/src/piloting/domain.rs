@@ -172,13 +172,13 @@ impl Piloting {
         self.settings.near_weight * sum
     }
 
-    /// Computes what the zones cost in a step.
-    fn zone_cost(&self, inside: bool, entered_before: bool) -> f64 {
+    /// Computes what the zones cost in a step that is not part of the progress yet.
+    fn zone_cost(&self, inside: bool) -> f64 {
         let settings = &self.settings;
         let entry = match (inside, settings.zone_ends_episode, settings.entry_charged) {
             (false, ..) => 0.0,
             (true, true, _) => settings.zone_end_penalty,
-            (true, false, EntryPenalty::Once) if entered_before => 0.0,
+            (true, false, EntryPenalty::Once) if self.progress.entered => 0.0,
             (true, false, _) => settings.entry_penalty,
         };
         entry + self.near_cost()
@@ -236,12 +236,11 @@ impl Domain for Piloting {
 
     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
         let frames = self.fly(reaction);
-        let entered_before = self.progress.entered;
+        let zone_cost = self.zone_cost(frames.inside);
         self.progress.n_steps += 1;
         self.progress.entered |= frames.inside;
         self.progress.zone_steps += u32::from(frames.inside);
         self.progress.fuel += frames.fuel;
-        let zone_cost = self.zone_cost(frames.inside, entered_before);
         let (ending, end) = self.finish(frames.inside);
         let status =
             if frames.followed { ReactionStatus::Followed } else { ReactionStatus::Refused };
@@ -308,6 +307,10 @@ impl Domain for Piloting {
         let right_number = snapshot.zones.len() == self.settings.zones.len();
         if !right_number || !snapshot.zones.iter().all(Zone::is_proper) {
             return Err(SnapshotError::Mismatch { what: "danger zones" });
+        }
+        let Progress { n_steps, zone_steps, fuel, .. } = snapshot.progress;
+        if n_steps > self.settings.max_steps || zone_steps > n_steps || !fuel.is_finite() {
+            return Err(SnapshotError::Mismatch { what: "progress" });
         }
         self.lander.restore(&snapshot.lander)?;
         self.zones = snapshot.zones;

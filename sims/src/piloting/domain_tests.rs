@@ -4,7 +4,7 @@ use leadtime_proto::EnvId;
 use proptest::prelude::*;
 
 use super::*;
-use crate::Environment;
+use crate::Environment as _;
 use crate::human::HumanSettings;
 use crate::notifier::{NotifierEnv, NotifierSettings};
 use crate::piloting::PilotingSettings;

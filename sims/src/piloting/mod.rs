@@ -18,7 +18,7 @@
 //!
 //! # Source
 //!
-//! Hsu, DeCastro, Silva, Rosman (arXiv:2509.07438), the piloting task. It gives no coordinates: zones, path and
+//! Hsu et al. (arXiv:2509.07438), the piloting task. It gives no coordinates: zones, path and
 //! controller are ours.
 
 mod domain;

@@ -55,6 +55,7 @@ pub enum EntryPenalty {
 /// The world of the piloting task. Positions are in observed units: the pad at (0, 0), the view's edges at x = ±1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own in a configuration")]
 pub struct WorldSettings {
     /// Which physics moves the lander. Default `two_gears`.
     pub physics: Physics,

@@ -1,9 +1,10 @@
-"""Prints golden_cartpole.rs: python3 golden_cartpole.py > golden_cartpole.rs (gymnasium 1.4.0)."""
+"""Prints cartpole.rs: python3 cartpole.py > cartpole.rs (gymnasium 1.4.0)."""
 
 import gymnasium
 
-print("// Written by golden_cartpole.py (gymnasium 1.4.0); do not edit.")
+print("// Written by cartpole.py (gymnasium 1.4.0); do not edit.")
 print("struct Golden {\n    seed: u64,\n    first: [f32; 4],\n    n_steps: usize,\n    last: [f32; 4],\n}\n")
+print('#[expect(clippy::unreadable_literal, reason = "as numpy prints them")]')
 print("const GOLDEN: &[Golden] = &[")
 for seed in (0, 1, 7, 123, 2**40):
     env = gymnasium.make("CartPole-v1")
