@@ -13,11 +13,9 @@
 
 use std::collections::BTreeMap;
 
-use leadtime_proto::{ActorId, Incarnation, Sequence};
+use leadtime_proto::{ActorId, Incarnation, RefusalCause, Sequence};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-
-use crate::refusal::RefusalKind;
 
 /// One start of one actor: sequences are counted per start.
 pub type SenderKey = (ActorId, Incarnation);
@@ -44,7 +42,7 @@ pub struct Books {
     /// Steps that were simulated again: rolled back, superseded, or (at most) under way in an actor that left.
     pub steps_redone: u64,
     /// Refused messages by cause, those without a sequence included.
-    pub refusals: BTreeMap<RefusalKind, u64>,
+    pub refusals: BTreeMap<RefusalCause, u64>,
     sequences: BTreeMap<SenderKey, Sequence>,
 }
 
@@ -99,8 +97,8 @@ impl Books {
     }
 
     /// Counts a refused message; one with a sequence is also part of the identity.
-    pub fn refuse(&mut self, kind: RefusalKind, sequenced: bool) {
-        *self.refusals.entry(kind).or_default() += 1;
+    pub fn refuse(&mut self, cause: RefusalCause, sequenced: bool) {
+        *self.refusals.entry(cause).or_default() += 1;
         self.refused += u64::from(sequenced);
     }
 
@@ -144,7 +142,7 @@ mod tests {
         books.dropped_stale = 1;
         books.superseded = 1;
         books.unused_at_end = 1;
-        books.refuse(RefusalKind::Checksum, true);
+        books.refuse(RefusalCause::Checksum, true);
         assert_eq!(books.check(), Ok(()));
         for forget in [
             |b: &mut Books| b.trained = 0,
@@ -197,8 +195,8 @@ mod tests {
     fn refusals_without_a_sequence_stay_out_of_the_identity() {
         let mut books = entered(1);
         books.trained = 1;
-        books.refuse(RefusalKind::Transport, false);
+        books.refuse(RefusalCause::Oversize, false);
         assert_eq!(books.check(), Ok(()));
-        assert_eq!(books.refusals[&RefusalKind::Transport], 1);
+        assert_eq!(books.refusals[&RefusalCause::Oversize], 1);
     }
 }

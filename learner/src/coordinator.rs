@@ -17,18 +17,18 @@
 //! * After a refused rollout its sender gets its environments anew, from their newest snapshots: the refused
 //!   one will not come again, so without that its environment would wait for ever.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use leadtime_proto::message::{Assignment, Control, Credit, EnvAssignment, Hello};
 use leadtime_proto::{
-    ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, PolicyVersion, Rollout, Schedule, Sequence,
-    codec, limits,
+    ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, PolicyVersion, RefusalCause, Rollout,
+    Schedule, Sequence, limits, receive,
 };
 
 use crate::assign::{Assigner, Change};
 use crate::books::{Books, SenderKey};
 use crate::collect::{Batch, Collector};
-use crate::refusal::{Refusal, RefusalKind};
+use crate::refusal::Fault;
 use crate::report::RunEvent;
 use crate::roster::Roster;
 
@@ -114,6 +114,7 @@ pub struct Coordinator {
     books: Books,
     in_training: u64,
     started: bool,
+    closing: bool,
     rebalance_due: bool,
     same_cpu: bool,
     credit_due: BTreeSet<ActorId>,
@@ -132,6 +133,7 @@ impl Coordinator {
             books: start.books,
             in_training: 0,
             started: false,
+            closing: false,
             rebalance_due: false,
             same_cpu: true,
             credit_due: BTreeSet::new(),
@@ -195,14 +197,19 @@ impl Coordinator {
     }
 
     /// Counts a message that the network layer refused.
-    pub fn refused_by_link(&mut self, actor: Option<ActorId>, reason: String) {
+    pub fn refused_by_link(
+        &mut self,
+        actor: Option<ActorId>,
+        cause: RefusalCause,
+        reason: String,
+    ) {
         let key = actor
             .as_ref()
             .and_then(|actor| self.roster.members().get_key_value(actor))
             .map(|(actor, &incarnation)| (actor.clone(), incarnation));
         match key {
-            Some(key) => self.refuse(&key, RefusalKind::Transport, reason, false),
-            None => self.refuse_stranger(actor, RefusalKind::Transport, reason),
+            Some(key) => self.refuse(&key, cause, reason, false),
+            None => self.refuse_stranger(actor, cause, reason),
         }
     }
 
@@ -212,7 +219,7 @@ impl Coordinator {
         let heard = self.books.sequence(&key);
         let Some(sender) = self.roster.sender(&key) else {
             let reason = "it never said hello to this learner".to_owned();
-            return self.refuse_stranger(Some(key.0), RefusalKind::Stranger, reason);
+            return self.refuse_stranger(Some(key.0), RefusalCause::Stranger, reason);
         };
         if sender.cut_off {
             return;
@@ -223,8 +230,8 @@ impl Coordinator {
             return;
         }
         if header.sequence > sender.limit {
-            let refusal = Refusal::Credit { found: header.sequence, limit: sender.limit };
-            return self.refuse(&key, refusal.kind(), refusal.to_string(), false);
+            let fault = Fault::Credit { found: header.sequence, limit: sender.limit };
+            return self.refuse(&key, fault.cause(), fault.to_string(), false);
         }
         if header.sequence > heard.next() {
             return; // Beyond a gap: not acknowledged, so it comes again in order.
@@ -235,7 +242,7 @@ impl Coordinator {
             return self.supersede();
         }
         match self.read(header, payload) {
-            Err(refusal) => self.refuse(&key, refusal.kind(), refusal.to_string(), true),
+            Err(fault) => self.refuse(&key, fault.cause(), fault.to_string(), true),
             Ok(rollout) => self.place(&key, header.epoch, rollout),
         }
     }
@@ -257,7 +264,7 @@ impl Coordinator {
         self.books.trained += self.in_training;
         self.in_training = 0;
         self.version = version;
-        if self.rebalance_due {
+        if self.rebalance_due && !self.closing {
             self.rebalance();
         }
     }
@@ -267,8 +274,9 @@ impl Coordinator {
         self.books.unused_at_end = self.n_pending();
     }
 
-    /// Tells every actor to leave.
+    /// Tells every actor to leave; environments move no more.
     pub fn stop_everyone(&mut self, reason: &str) {
+        self.closing = true;
         for (actor, &incarnation) in self.roster.members() {
             let control = Control::Stop { reason: reason.to_owned(), cut_off: false };
             self.effects.push(Effect::Control { to: (actor.clone(), incarnation), control });
@@ -310,6 +318,11 @@ impl Coordinator {
         self.collector.len() as u64 + self.in_training
     }
 
+    /// Returns the actors that are here.
+    pub fn members(&self) -> &BTreeMap<ActorId, Incarnation> {
+        self.roster.members()
+    }
+
     /// Returns how many actors are here.
     pub fn n_actors(&self) -> usize {
         self.roster.members().len()
@@ -320,15 +333,12 @@ impl Coordinator {
         self.same_cpu
     }
 
-    fn read(&self, header: &Header, payload: &[u8]) -> Result<Rollout, Refusal> {
-        if !header.matches(payload) {
-            return Err(Refusal::Checksum);
-        }
-        let rollout: Rollout = codec::decode(payload, limits::MAX_ROLLOUT_BYTES)?;
+    fn read(&self, header: &Header, payload: &[u8]) -> Result<Rollout, Fault> {
+        let rollout: Rollout = receive::open(header, payload, receive::ROLLOUT)?;
         rollout.check(&self.terms.env, self.terms.n_steps as usize, self.terms.recurrent_dim)?;
         let env_id = rollout.env_id;
         if self.collector.expected(env_id).is_none() {
-            return Err(Refusal::Environment { env_id });
+            return Err(Fault::Environment { env_id });
         }
         let found = rollout.version;
         let newest = self.version;
@@ -336,7 +346,7 @@ impl Coordinator {
         let expected = required.unwrap_or(newest);
         let wrong = found > newest || (required.is_some() && found != expected);
         if wrong || header.version != found {
-            return Err(Refusal::Version { found, expected });
+            return Err(Fault::Version { found, expected });
         }
         Ok(rollout)
     }
@@ -354,20 +364,20 @@ impl Coordinator {
         if !owned || rollout.iteration < expected {
             self.supersede();
         } else if rollout.iteration > expected {
-            let refusal = Refusal::Iteration { found: rollout.iteration, expected };
-            self.refuse(key, refusal.kind(), refusal.to_string(), true);
+            let fault = Fault::Iteration { found: rollout.iteration, expected };
+            self.refuse(key, fault.cause(), fault.to_string(), true);
         } else {
             self.collector.accept(rollout);
         }
     }
 
-    fn refuse(&mut self, key: &SenderKey, kind: RefusalKind, reason: String, sequenced: bool) {
-        self.books.refuse(kind, sequenced);
+    fn refuse(&mut self, key: &SenderKey, cause: RefusalCause, reason: String, sequenced: bool) {
+        self.books.refuse(cause, sequenced);
         let Some(sender) = self.roster.sender(key) else { return };
-        let verdict = sender.refuse(kind);
+        let verdict = sender.refuse(cause);
         if verdict.first {
             let (actor, reason) = (Some(key.0.clone()), reason.clone());
-            self.effects.push(Effect::Event(RunEvent::Refused { actor, kind, reason }));
+            self.effects.push(Effect::Event(RunEvent::Refused { actor, cause, reason }));
         }
         if verdict.cut_off {
             self.cut_off(key, reason);
@@ -379,11 +389,11 @@ impl Coordinator {
         }
     }
 
-    fn refuse_stranger(&mut self, actor: Option<ActorId>, kind: RefusalKind, reason: String) {
-        let first = !self.books.refusals.contains_key(&kind);
-        self.books.refuse(kind, false);
+    fn refuse_stranger(&mut self, actor: Option<ActorId>, cause: RefusalCause, reason: String) {
+        let first = !self.books.refusals.contains_key(&cause);
+        self.books.refuse(cause, false);
         if first {
-            self.effects.push(Effect::Event(RunEvent::Refused { actor, kind, reason }));
+            self.effects.push(Effect::Event(RunEvent::Refused { actor, cause, reason }));
         }
     }
 
@@ -393,7 +403,8 @@ impl Coordinator {
             cut_off: true,
         };
         self.effects.push(Effect::Control { to: key.clone(), control });
-        self.effects.push(Effect::Event(RunEvent::CutOff { actor: key.0.clone(), reason }));
+        let (actor, incarnation) = key.clone();
+        self.effects.push(Effect::Event(RunEvent::CutOff { actor, incarnation, reason }));
         self.give_up(key);
     }
 
@@ -418,14 +429,16 @@ impl Coordinator {
 
     fn lose(&mut self, actor: &ActorId) {
         let n_envs = self.assigner.release(actor);
-        self.books.steps_redone += n_envs as u64 * u64::from(self.terms.n_steps);
+        if !self.closing {
+            self.books.steps_redone += n_envs as u64 * u64::from(self.terms.n_steps);
+        }
         let (actor, n_actors) = (actor.clone(), self.n_actors());
         self.effects.push(Effect::Event(RunEvent::ActorLeft { actor, n_actors, n_envs }));
     }
 
     fn rebalance_if_orphaned(&mut self) {
         self.started |= self.n_actors() >= self.terms.actors_min;
-        if self.started && self.assigner.has_orphans() {
+        if self.started && !self.closing && self.assigner.has_orphans() {
             self.rebalance();
         }
     }

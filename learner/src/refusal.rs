@@ -1,62 +1,34 @@
-//! Why a message is refused: counted by kind, told to the actor in words.
+//! Why a rollout is refused: counted by cause, told to the actor in words.
 
-use leadtime_proto::codec::CodecError;
+use leadtime_proto::receive::{Refusal, RefusalCause};
 use leadtime_proto::rollout::InvalidRollout;
 use leadtime_proto::{EnvId, Iteration, PolicyVersion, Sequence};
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// What refusals are counted by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RefusalKind {
-    /// Refused by the network layer, before anyone looked at what it says.
-    Transport,
-    /// The payload is not the one that was sent.
-    Checksum,
-    /// The payload is no rollout.
-    Malformed,
-    /// Wrong shapes, impossible actions, or numbers that are not finite.
-    Invalid,
-    /// An environment that the run does not have.
-    Environment,
-    /// A policy version that should not have acted this rollout.
-    Version,
-    /// A rollout that skips others.
-    Iteration,
-    /// More rollouts than the learner gave credit for.
-    Credit,
-    /// A sender that never said hello.
-    Stranger,
-}
-
-/// Why one rollout is refused.
+/// What is wrong with one rollout.
 #[derive(Debug, Error)]
-pub enum Refusal {
-    /// See [`RefusalKind::Checksum`].
-    #[error("its checksum does not match")]
-    Checksum,
-    /// See [`RefusalKind::Malformed`].
+pub enum Fault {
+    /// It did not arrive whole, or is none.
     #[error(transparent)]
-    Malformed(#[from] CodecError),
-    /// See [`RefusalKind::Invalid`].
+    Wire(#[from] Refusal),
+    /// Wrong shapes, impossible actions, or numbers that are not finite.
     #[error(transparent)]
     Invalid(#[from] InvalidRollout),
-    /// See [`RefusalKind::Environment`].
+    /// The run has no such environment.
     #[error("the run has no environment {env_id}")]
     Environment {
         /// As sent.
         env_id: EnvId,
     },
-    /// See [`RefusalKind::Version`].
-    #[error("version {found} acted it where {expected} had to")]
+    /// Another policy version should have acted it.
+    #[error("policy version {found} acted it where {expected} had to")]
     Version {
         /// As sent.
         found: PolicyVersion,
         /// By the schedule; in `async` the newest one that exists.
         expected: PolicyVersion,
     },
-    /// See [`RefusalKind::Iteration`].
+    /// It skips others.
     #[error("it is rollout {found} of its environment where {expected} is next")]
     Iteration {
         /// As sent.
@@ -64,7 +36,7 @@ pub enum Refusal {
         /// The next one.
         expected: Iteration,
     },
-    /// See [`RefusalKind::Credit`].
+    /// The actor had no credit for it.
     #[error("its sequence {found} is over the limit {limit}")]
     Credit {
         /// As sent.
@@ -74,17 +46,15 @@ pub enum Refusal {
     },
 }
 
-impl Refusal {
-    /// Returns what this refusal is counted by.
-    pub fn kind(&self) -> RefusalKind {
+impl Fault {
+    /// Returns the cause that this is counted under.
+    pub fn cause(&self) -> RefusalCause {
         match self {
-            Self::Checksum => RefusalKind::Checksum,
-            Self::Malformed(_) => RefusalKind::Malformed,
-            Self::Invalid(_) => RefusalKind::Invalid,
-            Self::Environment { .. } => RefusalKind::Environment,
-            Self::Version { .. } => RefusalKind::Version,
-            Self::Iteration { .. } => RefusalKind::Iteration,
-            Self::Credit { .. } => RefusalKind::Credit,
+            Self::Wire(refusal) => refusal.cause(),
+            Self::Invalid(invalid) => invalid.into(),
+            Self::Environment { .. } | Self::Iteration { .. } => RefusalCause::Assignment,
+            Self::Version { .. } => RefusalCause::Version,
+            Self::Credit { .. } => RefusalCause::Credit,
         }
     }
 }

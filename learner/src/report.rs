@@ -5,13 +5,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use leadtime_proto::{ActorId, Epoch, PolicyVersion};
+use leadtime_proto::{ActorId, Epoch, Incarnation, PolicyVersion, RefusalCause};
 
 use crate::UpdateReport;
 use crate::books::{Books, Imbalance};
 use crate::checkpoint::Damage;
 use crate::episodes::EpisodeMeans;
-use crate::refusal::RefusalKind;
 
 /// Where the learner's time went between two updates.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -96,12 +95,12 @@ pub enum RunEvent {
         /// How many it keeps.
         n_kept: usize,
     },
-    /// The first refused message of a kind from an actor; the following ones are only counted.
+    /// The first refused message of a cause from an actor; the following ones are only counted.
     Refused {
         /// From whom, if that is known.
         actor: Option<ActorId>,
         /// What it is counted by.
-        kind: RefusalKind,
+        cause: RefusalCause,
         /// In words.
         reason: String,
     },
@@ -109,6 +108,8 @@ pub enum RunEvent {
     CutOff {
         /// Which.
         actor: ActorId,
+        /// Its start.
+        incarnation: Incarnation,
         /// Why.
         reason: String,
     },

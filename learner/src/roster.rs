@@ -6,10 +6,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use leadtime_proto::limits::REFUSALS_BEFORE_CUT_OFF;
-use leadtime_proto::{ActorId, Incarnation, Sequence};
+use leadtime_proto::{ActorId, Incarnation, RefusalCause, Sequence};
 
 use crate::books::SenderKey;
-use crate::refusal::RefusalKind;
 
 /// One start of an actor, as far as this start of the learner knows it.
 #[derive(Clone, Debug, Default)]
@@ -21,13 +20,13 @@ pub struct Sender {
     /// It sent too many refused messages.
     pub cut_off: bool,
     n_refused: u64,
-    kinds: BTreeSet<RefusalKind>,
+    causes: BTreeSet<RefusalCause>,
 }
 
 /// What a refusal means for its sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Verdict {
-    /// It is the first of its kind: worth a line in the log.
+    /// It is the first of its cause: worth a line in the log.
     pub first: bool,
     /// It was one too many.
     pub cut_off: bool,
@@ -35,11 +34,11 @@ pub struct Verdict {
 
 impl Sender {
     /// Counts a refusal against the sender.
-    pub fn refuse(&mut self, kind: RefusalKind) -> Verdict {
+    pub fn refuse(&mut self, cause: RefusalCause) -> Verdict {
         self.n_refused += 1;
         let cut_off = !self.cut_off && self.n_refused >= REFUSALS_BEFORE_CUT_OFF;
         self.cut_off |= cut_off;
-        Verdict { first: self.kinds.insert(kind), cut_off }
+        Verdict { first: self.causes.insert(cause), cut_off }
     }
 }
 
@@ -141,7 +140,7 @@ mod tests {
         roster.greet(&key(1), Sequence(0));
         let sender = roster.sender(&key(1)).unwrap();
         let verdicts: Vec<Verdict> = (0..REFUSALS_BEFORE_CUT_OFF + 1)
-            .map(|_| sender.refuse(RefusalKind::Invalid))
+            .map(|_| sender.refuse(RefusalCause::NonFinite))
             .collect();
         assert_eq!(verdicts.iter().filter(|verdict| verdict.first).count(), 1);
         assert_eq!(verdicts.iter().position(|verdict| verdict.cut_off), Some(15));

@@ -1,7 +1,7 @@
 //! Everything that can happen to a rollout, without a network.
 
 use leadtime_proto::header::Schema;
-use leadtime_proto::{ActionSpec, Iteration};
+use leadtime_proto::{ActionSpec, Iteration, codec};
 
 use super::*;
 
@@ -202,23 +202,23 @@ fn a_token_that_is_reported_twice_disturbs_nobody() {
 
 #[test]
 fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
-    use RefusalKind as Kind;
+    use RefusalCause as Cause;
     let mut c = coordinator(1, Schedule::Lag(0));
     join(&mut c, "a");
     c.take_effects();
     let mut nan = rollout(0, 0, 0);
     nan.rewards[0] = f32::NAN;
     let bad = [
-        (nan, Kind::Invalid),
-        (rollout(9, 0, 0), Kind::Environment),
-        (rollout(0, 0, 1), Kind::Version),
+        (nan, Cause::NonFinite),
+        (rollout(9, 0, 0), Cause::Assignment),
+        (rollout(0, 0, 1), Cause::Version),
     ];
     let mut sequence = 0;
-    for (rollout, kind) in bad {
+    for (rollout, cause) in bad {
         sequence += 1;
         send(&mut c, "a", sequence, 100, &rollout);
-        assert_eq!(c.books().refusals.get(&kind), Some(&1), "{kind:?}");
-        assert_eq!(assignments(&mut c).len(), 1, "given anew after {kind:?}");
+        assert_eq!(c.books().refusals.get(&cause), Some(&1), "{cause:?}");
+        assert_eq!(assignments(&mut c).len(), 1, "given anew after {cause:?}");
     }
     let payload = codec::encode(&rollout(0, 0, 0)).unwrap();
     let header = |sequence, payload: &[u8]| Header {
@@ -230,9 +230,9 @@ fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
     c.rollout(actor("a"), &header(5, b"short"), b"short");
     c.rollout(actor("a"), &header(500, &payload), &payload);
     c.rollout(actor("x"), &header(1, &payload), &payload);
-    c.refused_by_link(Some(actor("a")), "too large".to_owned());
-    for kind in [Kind::Checksum, Kind::Malformed, Kind::Credit, Kind::Stranger, Kind::Transport] {
-        assert_eq!(c.books().refusals.get(&kind), Some(&1), "{kind:?}");
+    c.refused_by_link(Some(actor("a")), Cause::Oversize, "too large".to_owned());
+    for cause in [Cause::Checksum, Cause::Malformed, Cause::Credit, Cause::Stranger, Cause::Oversize] {
+        assert_eq!(c.books().refusals.get(&cause), Some(&1), "{cause:?}");
     }
     assert_eq!(close_balanced(&mut c).refused, 5);
 }
@@ -242,7 +242,7 @@ fn skipping_a_rollout_is_refused() {
     let mut c = coordinator(1, Schedule::Async { staleness_max: 8 });
     join(&mut c, "a");
     send(&mut c, "a", 1, 1, &rollout(0, 3, 0));
-    assert_eq!(c.books().refusals.get(&RefusalKind::Iteration), Some(&1));
+    assert_eq!(c.books().refusals.get(&RefusalCause::Assignment), Some(&1));
     close_balanced(&mut c);
 }
 

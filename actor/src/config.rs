@@ -1,0 +1,56 @@
+//! What an actor process is told, and what it leaves behind.
+
+use std::time::Duration;
+
+use leadtime_link::ConnectSettings;
+use leadtime_proto::{ActorId, Incarnation, RunName, Sequence};
+
+/// Everything an actor needs before it meets a learner; the rest comes with the welcome.
+#[derive(Clone, Debug)]
+pub struct ActorSettings {
+    /// The actor's name.
+    pub actor: ActorId,
+    /// This start of it; drawn anew for every start.
+    pub incarnation: Incarnation,
+    /// The run to join; `None`: the only one at the address.
+    pub run: Option<RunName>,
+    /// Where to look for it, and for how long.
+    pub connect: ConnectSettings,
+    /// How long to look for a learner that was lost.
+    pub reconnect_timeout: Duration,
+    /// Release of the program, for the learner's log.
+    pub program: String,
+    /// CPU fingerprint: equal fingerprints give equal bits.
+    pub cpu: String,
+}
+
+/// Why an actor left in good order.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ActorEnd {
+    /// The learner sent it home.
+    Dismissed {
+        /// The learner's sentence.
+        reason: String,
+    },
+    /// This process was asked to stop.
+    Cancelled,
+}
+
+/// An actor's own account of what it did: the other half of the learner's books.
+#[derive(Clone, Debug)]
+pub struct ActorReport {
+    /// The run.
+    pub run: RunName,
+    /// Why it ended.
+    pub end: ActorEnd,
+    /// Environment steps simulated.
+    pub n_steps: u64,
+    /// Rollouts made and numbered.
+    pub made: Sequence,
+    /// Rollouts handed to the network at least once.
+    pub sent: Sequence,
+    /// Rollouts that the learner acknowledged.
+    pub acknowledged: Sequence,
+    /// Hellos after the first: losses of the learner that were survived, and doubts about them.
+    pub n_reconnects: u64,
+}

@@ -1,0 +1,78 @@
+//! Why an actor cannot go on.
+
+use std::time::Duration;
+
+use leadtime_proto::codec::CodecError;
+use leadtime_proto::{EnvId, RunName};
+use leadtime_sims::{SnapshotError, TaskError};
+use thiserror::Error;
+
+/// Why an actor ended in bad order.
+#[derive(Debug, Error)]
+pub enum Error {
+    /// Nobody at the address, several runs, refused by the learner, and the like.
+    #[error(transparent)]
+    Link(#[from] leadtime_link::Error),
+    /// This process was asked to stop before it was in a run.
+    #[error("stopped before a run was joined")]
+    CancelledEarly,
+    /// The run's task cannot be built here.
+    #[error("this program cannot build the run's task")]
+    Task(#[from] TaskError),
+    /// The task is another one here than in the learner.
+    #[error(
+        "domain `{domain}` has another observation, action space or metrics here than in the learner: \
+         run the same release on both sides"
+    )]
+    SpecMismatch {
+        /// The domain.
+        domain: String,
+    },
+    /// An environment's snapshot cannot be restored here.
+    #[error("environment {env_id} cannot go on from its snapshot: run the same release everywhere")]
+    Snapshot {
+        /// The environment.
+        env_id: EnvId,
+        /// What is wrong with the snapshot.
+        source: SnapshotError,
+    },
+    /// The weights do not fit the policy's shape.
+    #[error("the learner's weights cannot be used")]
+    Policy(#[from] leadtime_policy::Error),
+    /// A rollout cannot be encoded.
+    #[error("a rollout cannot be encoded")]
+    Codec(#[from] CodecError),
+    /// The learner cut this actor off.
+    #[error("run `{run}` cut this actor off: {reason}")]
+    CutOff {
+        /// The run.
+        run: RunName,
+        /// The learner's sentence.
+        reason: String,
+    },
+    /// The learner was lost and not found again.
+    #[error("the learner of run `{run}` was lost and did not come back within {timeout:?}")]
+    LearnerLost {
+        /// The run.
+        run: RunName,
+        /// How long it was looked for.
+        timeout: Duration,
+        /// What the last attempt met.
+        source: leadtime_link::Error,
+    },
+    /// A learner of the same run name came back with another task.
+    #[error("run `{run}` has become another run: start this actor again")]
+    RunChanged {
+        /// The run.
+        run: RunName,
+    },
+    /// A thread could not be started.
+    #[error("a thread of the actor cannot be started")]
+    Thread(#[source] std::io::Error),
+    /// A thread of ours ended, which is a bug (or a domain that panicked).
+    #[error("the thread `{name}` ended unexpectedly")]
+    ThreadGone {
+        /// The thread.
+        name: &'static str,
+    },
+}

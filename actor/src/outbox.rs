@@ -1,0 +1,183 @@
+//! Rollouts on their way: numbered, sent within the credit, kept until they are acknowledged.
+//!
+//! ```text
+//! acknowledged │ sent, kept │ not sent yet │ not made yet
+//!              └────────── entries ────────┘
+//!                           ↑ at most up to the credit's limit
+//! ```
+//!
+//! A lost message is noticed by the missing acknowledgement; [`Outbox::rewind`] then sends everything that is
+//! kept once more, in order, and the learner drops what it has.
+
+use std::collections::VecDeque;
+
+use leadtime_proto::{Header, Sequence};
+
+/// One encoded rollout.
+#[derive(Clone, Debug)]
+pub(crate) struct Parcel {
+    pub(crate) header: Header,
+    pub(crate) payload: Vec<u8>,
+}
+
+/// The rollouts of one start of an actor.
+#[derive(Debug, Default)]
+pub(crate) struct Outbox {
+    entries: VecDeque<Parcel>,
+    made: Sequence,
+    acknowledged: Sequence,
+    sent: Sequence,
+    limit: Sequence,
+}
+
+impl Outbox {
+    /// Takes a rollout in and gives it the next sequence.
+    pub(crate) fn push(&mut self, mut parcel: Parcel) {
+        self.made = self.made.next();
+        parcel.header.sequence = self.made;
+        self.entries.push_back(parcel);
+    }
+
+    /// Returns the next rollout that may be sent, as often as it is asked before [`Self::mark_sent`].
+    pub(crate) fn next_to_send(&self) -> Option<&Parcel> {
+        let next = self.sent.next();
+        let index = (next.0 - self.acknowledged.next().0) as usize;
+        self.entries.get(index).filter(|_| next <= self.limit)
+    }
+
+    /// Notes that the next rollout is on its way.
+    pub(crate) fn mark_sent(&mut self) {
+        self.sent = self.sent.next();
+    }
+
+    /// Takes an acknowledgement and a permission. Returns whether anything new was acknowledged.
+    pub(crate) fn credit(&mut self, acknowledged: Sequence, limit: Sequence) -> bool {
+        // More than was made cannot have been received: such a credit is about something else.
+        if acknowledged > self.made {
+            return false;
+        }
+        self.limit = self.limit.max(limit);
+        let is_new = acknowledged > self.acknowledged;
+        while self.acknowledged < acknowledged {
+            self.entries.pop_front();
+            self.acknowledged = self.acknowledged.next();
+        }
+        self.sent = self.sent.max(self.acknowledged);
+        is_new
+    }
+
+    /// Starts over with a learner that counts from `resend_from` and grants a window.
+    pub(crate) fn resume(&mut self, resend_from: Sequence, window: u32) {
+        let acknowledged = Sequence(resend_from.0.saturating_sub(1));
+        self.limit = Sequence(acknowledged.0 + u64::from(window));
+        self.credit(acknowledged, self.limit);
+        self.rewind();
+    }
+
+    /// Sends everything unacknowledged once more.
+    pub(crate) fn rewind(&mut self) {
+        self.sent = self.acknowledged;
+    }
+
+    /// Lets go of what was not sent: the actor is leaving.
+    pub(crate) fn drop_unsent(&mut self) {
+        self.entries.truncate((self.sent.0 - self.acknowledged.0) as usize);
+    }
+
+    /// Returns how many rollouts are kept.
+    pub(crate) fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Tells whether something was sent and is not acknowledged.
+    pub(crate) fn is_waiting(&self) -> bool {
+        self.sent > self.acknowledged
+    }
+
+    /// Returns the highest sequence given out.
+    pub(crate) fn made(&self) -> Sequence {
+        self.made
+    }
+
+    /// Returns the highest sequence sent.
+    pub(crate) fn sent(&self) -> Sequence {
+        self.sent
+    }
+
+    /// Returns the highest sequence acknowledged.
+    pub(crate) fn acknowledged(&self) -> Sequence {
+        self.acknowledged
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use leadtime_proto::Incarnation;
+    use leadtime_proto::header::Schema;
+
+    fn outbox(n: u64, limit: u64) -> Outbox {
+        let mut outbox = Outbox::default();
+        for _ in 0..n {
+            let header = Header::plain(Schema::Rollout, Incarnation(1), &[]);
+            outbox.push(Parcel { header, payload: Vec::new() });
+        }
+        outbox.credit(Sequence(0), Sequence(limit));
+        outbox
+    }
+
+    fn send_all(outbox: &mut Outbox) -> Vec<u64> {
+        let mut sent = Vec::new();
+        while let Some(parcel) = outbox.next_to_send() {
+            sent.push(parcel.header.sequence.0);
+            outbox.mark_sent();
+        }
+        sent
+    }
+
+    #[test]
+    fn no_more_is_sent_than_there_is_credit_for() {
+        let mut outbox = outbox(5, 2);
+        assert_eq!(send_all(&mut outbox), [1, 2]);
+        assert!(outbox.credit(Sequence(1), Sequence(4)));
+        assert_eq!(send_all(&mut outbox), [3, 4]);
+        assert!(!outbox.credit(Sequence(1), Sequence(3)), "an old credit changes nothing");
+        assert_eq!(outbox.len(), 4);
+        assert!(outbox.is_waiting());
+    }
+
+    #[test]
+    fn what_is_not_acknowledged_is_sent_again_in_order() {
+        let mut outbox = outbox(4, 9);
+        send_all(&mut outbox);
+        outbox.credit(Sequence(1), Sequence(9));
+        outbox.rewind();
+        assert_eq!(send_all(&mut outbox), [2, 3, 4]);
+    }
+
+    #[test]
+    fn a_new_learner_says_from_where() {
+        let mut outbox = outbox(4, 9);
+        send_all(&mut outbox);
+        outbox.resume(Sequence(3), 1);
+        assert_eq!(send_all(&mut outbox), [3]);
+        assert_eq!(outbox.acknowledged(), Sequence(2));
+    }
+
+    #[test]
+    fn an_acknowledgement_of_what_was_never_made_is_ignored() {
+        let mut outbox = outbox(1, 1);
+        assert!(!outbox.credit(Sequence(7), Sequence(9)));
+        assert_eq!(send_all(&mut outbox), [1]);
+    }
+
+    #[test]
+    fn who_leaves_keeps_only_what_was_sent() {
+        let mut outbox = outbox(4, 2);
+        send_all(&mut outbox);
+        outbox.drop_unsent();
+        assert_eq!((outbox.len(), outbox.sent(), outbox.made()), (2, Sequence(2), Sequence(4)));
+        outbox.credit(Sequence(2), Sequence(2));
+        assert!(!outbox.is_waiting());
+    }
+}

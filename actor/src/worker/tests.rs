@@ -1,0 +1,149 @@
+//! Lanes together give the bits of lanes apart; a snapshot goes on as if nothing had happened.
+
+use leadtime_policy::Parameters;
+use leadtime_proto::{Encoder, HeadCredit};
+use leadtime_sims::classic::{CartPole, CartPoleSettings};
+
+use super::*;
+
+const N_STEPS: u32 = 40;
+
+fn settings() -> WorkerSettings {
+    let env = cart_pole().spec().clone();
+    let policy = PolicySpec {
+        obs_dim: env.obs_dim,
+        encoder: Encoder::Identity,
+        hidden: vec![16, 16],
+        actions: env.actions.clone(),
+        head_credit: HeadCredit::All,
+        logit_bias: Vec::new(),
+        normalize_observations: false,
+    };
+    WorkerSettings { run_seed: 5, n_steps: N_STEPS, env, policy }
+}
+
+/// Short episodes: some end by falling, some by the time limit.
+fn cart_pole() -> Box<dyn Environment> {
+    Box::new(CartPole::new(&CartPoleSettings { max_steps: 15 }).unwrap())
+}
+
+fn policy() -> Policy {
+    let spec = settings().policy;
+    Policy::new(&spec, &Parameters::initialize(&spec, 9).unwrap()).unwrap()
+}
+
+fn beginning(env_id: u32) -> EnvAssignment {
+    EnvAssignment { env_id: EnvId(env_id), iteration: Iteration(0), snapshot: Vec::new() }
+}
+
+fn worker(assignments: &[EnvAssignment]) -> Worker {
+    let mut worker = Worker::new(settings());
+    for assignment in assignments {
+        worker.insert(cart_pole(), assignment).unwrap();
+    }
+    worker
+}
+
+fn collect(worker: &mut Worker) -> Vec<Rollout> {
+    worker.collect(&mut policy(), PolicyVersion(3), &mut ()).to_vec()
+}
+
+#[test]
+fn a_rollout_is_what_the_learner_expects() {
+    let mut worker = worker(&[beginning(0), beginning(1)]);
+    for iteration in 0..2 {
+        for rollout in collect(&mut worker) {
+            rollout.check(&settings().env, N_STEPS as usize, 0).unwrap();
+            assert_eq!((rollout.iteration, rollout.version), (Iteration(iteration), PolicyVersion(3)));
+        }
+    }
+}
+
+#[test]
+fn lanes_together_give_the_bits_of_lanes_apart() {
+    let ids: Vec<EnvAssignment> = (0..5).map(beginning).collect();
+    let mut together = worker(&ids);
+    let mut apart: Vec<Worker> = ids.iter().map(|id| worker(std::slice::from_ref(id))).collect();
+    for _ in 0..3 {
+        let expected: Vec<Rollout> = apart.iter_mut().flat_map(collect).collect();
+        assert_eq!(collect(&mut together), expected);
+    }
+}
+
+#[test]
+fn two_environments_of_a_run_differ() {
+    let rollouts = collect(&mut worker(&[beginning(0), beginning(1)]));
+    assert_ne!(rollouts[0].observations, rollouts[1].observations);
+}
+
+#[test]
+fn a_lane_goes_on_elsewhere_from_its_snapshot() {
+    let mut here = worker(&[beginning(2)]);
+    let first = collect(&mut here).remove(0);
+    let moved = EnvAssignment {
+        env_id: EnvId(2),
+        iteration: Iteration(1),
+        snapshot: first.snapshot.clone(),
+    };
+    let mut there = worker(&[moved, beginning(0)]);
+    assert_eq!(there.next_iteration(), Some(Iteration(0)));
+    assert_eq!(collect(&mut there)[0].env_id, EnvId(0), "the lowest iteration comes first");
+    there.retain(&[EnvId(2)]);
+    for _ in 0..3 {
+        assert_eq!(collect(&mut there), collect(&mut here));
+    }
+}
+
+#[test]
+fn rollouts_of_a_lane_join_without_a_seam() {
+    let mut worker = worker(&[beginning(0)]);
+    let first = collect(&mut worker).remove(0);
+    let second = collect(&mut worker).remove(0);
+    assert_eq!(first.next_observation, second.observations[..4]);
+    assert_eq!(first.next_value, second.values[0]);
+}
+
+#[test]
+fn ends_are_told_with_their_values_and_summaries() {
+    let mut worker = worker(&[beginning(0), beginning(1), beginning(2)]);
+    let rollouts: Vec<Rollout> = (0..3).flat_map(|_| collect(&mut worker)).collect();
+    let ends: Vec<&EpisodeEnd> = rollouts.iter().flat_map(|rollout| &rollout.ends).collect();
+    let (truncated, fallen): (Vec<&EpisodeEnd>, Vec<&EpisodeEnd>) =
+        ends.iter().partition(|end| end.truncated);
+    assert!(!truncated.is_empty() && !fallen.is_empty(), "the test needs both kinds of end");
+    assert!(fallen.iter().all(|end| end.final_value == 0.0));
+    for end in truncated {
+        let mut value = [0.0];
+        policy().values_only(&end.final_observation, &[], &mut value);
+        assert_eq!(end.final_value, value[0]);
+        assert_eq!((end.summary.length, end.summary.episode_return), (15, 15.0));
+    }
+    let episodes: Vec<u64> = rollouts
+        .iter()
+        .filter(|rollout| rollout.env_id == EnvId(1))
+        .flat_map(|rollout| rollout.ends.iter().map(|end| end.summary.episode))
+        .collect();
+    assert_eq!(episodes, (0..episodes.len() as u64).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_foreign_snapshot_is_refused() {
+    let mut worker = worker(&[]);
+    let assignment = EnvAssignment { snapshot: vec![1, 2, 3], ..beginning(0) };
+    assert!(worker.insert(cart_pole(), &assignment).is_err());
+    assert_eq!(worker.next_iteration(), None);
+}
+
+#[test]
+fn time_is_told_by_the_callers_stopwatch() {
+    struct Laps(Vec<Phase>);
+    impl Stopwatch for Laps {
+        fn lap(&mut self, phase: Phase) {
+            self.0.push(phase);
+        }
+    }
+    let mut laps = Laps(Vec::new());
+    worker(&[beginning(0)]).collect(&mut policy(), PolicyVersion(0), &mut laps);
+    assert_eq!(laps.0.len(), 2 * N_STEPS as usize + 2);
+    assert_eq!(laps.0[..2], [Phase::Infer, Phase::Simulate]);
+}

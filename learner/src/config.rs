@@ -1,0 +1,82 @@
+//! What a run needs to know before it starts; checked by whoever builds it.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use leadtime_link::ListenSettings;
+use leadtime_proto::message::Welcome;
+use leadtime_proto::{EnvSpec, Incarnation, PolicySpec, PolicyVersion, RunName, Sequence, TaskSpec};
+
+use crate::LearnerSettings;
+
+/// How often the state of a run goes to the disk; whichever comes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CheckpointInterval {
+    /// Updates between checkpoints, at least 1.
+    pub updates: u64,
+    /// Time between checkpoints.
+    pub time: Duration,
+}
+
+impl Default for CheckpointInterval {
+    fn default() -> Self {
+        Self { updates: 100, time: Duration::from_secs(30) }
+    }
+}
+
+/// Everything about a run that its learner must be told.
+#[derive(Clone, Debug)]
+pub struct LearnerConfig {
+    /// The run.
+    pub run: RunName,
+    /// This start of the learner; drawn anew for every start.
+    pub incarnation: Incarnation,
+    /// Seed of every random stream.
+    pub run_seed: u64,
+    /// What actors simulate.
+    pub task: TaskSpec,
+    /// What that looks like.
+    pub env: EnvSpec,
+    /// The policy's shape.
+    pub policy: PolicySpec,
+    /// How to train.
+    pub settings: LearnerSettings,
+    /// The most rollouts that one actor may have unacknowledged, 1..=[`leadtime_proto::limits::MAX_WINDOW`].
+    pub window: u32,
+    /// Actors that must be there before the run starts, at least 1.
+    pub actors_min: usize,
+    /// Where to be reached.
+    pub listen: ListenSettings,
+    /// The learner's CPU fingerprint.
+    pub cpu: String,
+    /// The directory of the run's checkpoints.
+    pub checkpoints: PathBuf,
+    /// How often to write one.
+    pub checkpoint_interval: CheckpointInterval,
+    /// Hash over what must not change when a run is resumed.
+    pub identity: [u8; 32],
+}
+
+impl LearnerConfig {
+    /// Composes the answer to an actor's hello.
+    pub(crate) fn welcome(&self, version: PolicyVersion, resend_from: Sequence) -> Welcome {
+        Welcome {
+            run: self.run.clone(),
+            learner: self.incarnation,
+            run_seed: self.run_seed,
+            task: self.task.clone(),
+            env: self.env.clone(),
+            policy: self.policy.clone(),
+            n_steps: self.settings.n_steps as u32,
+            schedule: self.settings.schedule(),
+            window: self.window,
+            version,
+            resend_from,
+        }
+    }
+
+    /// Returns the environment steps of one update.
+    pub(crate) fn steps_per_update(&self) -> u64 {
+        self.settings.n_envs as u64 * self.settings.n_steps as u64
+    }
+}

@@ -1,0 +1,43 @@
+//! Why a run cannot start or go on.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::TrainError;
+use crate::checkpoint::CheckpointError;
+
+/// Why a run ended without a report.
+#[derive(Debug, Error)]
+pub enum Error {
+    /// The network.
+    #[error("network of the learner failed")]
+    Link(#[from] leadtime_link::Error),
+    /// The disk.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// Training.
+    #[error("training failed")]
+    Train(#[from] TrainError),
+    /// The policy's parameters cannot be written.
+    #[error("policy cannot be offered")]
+    Policy(#[from] leadtime_policy::Error),
+    /// The run was begun with another configuration.
+    #[error(
+        "{} belongs to a run with another configuration: use that configuration, or another run name",
+        path.display()
+    )]
+    ConfigurationChanged {
+        /// The checkpoint.
+        path: PathBuf,
+    },
+    /// The thread that trains could not be started.
+    #[error("the training thread cannot be started")]
+    Thread(#[source] std::io::Error),
+    /// The thread that trains is gone, which is a bug.
+    #[error("the training thread ended unexpectedly; please report this")]
+    TrainerGone,
+    /// The network layer ended, which is a bug.
+    #[error("the network ended unexpectedly; please report this")]
+    LinkGone,
+}

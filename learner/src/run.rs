@@ -1,0 +1,503 @@
+//! A run from its first hello to its last checkpoint.
+//!
+//! ```text
+//! network events ──┐                      ┌─> credit, orders, weights
+//! trained updates ─┼─> one loop: Wake ────┼─> rollouts to the training thread
+//! silent actors ───┤   (Coordinator       ├─> checkpoints
+//! time, stop ──────┘    decides)          └─> the sink: progress, events
+//! ```
+//!
+//! The loop never trains and never waits for an actor, so it answers within milliseconds whatever happens.
+//! Everything that decides is in the [`Coordinator`]; everything here carries it out.
+//!
+//! # Shutdown
+//!
+//! When all updates are done, or when asked to stop: actors are told, the update under way is waited for (for a
+//! limited time), the state goes to the disk, the books are closed. All of it takes less than five seconds; an
+//! update that takes longer is lost and made again after a resume, with the same bits.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use leadtime_link::{LearnerEvent, LearnerLink};
+use leadtime_policy::Parameters;
+use leadtime_proto::PolicyVersion;
+use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
+use tokio_util::sync::CancellationToken;
+use tracing::{debug, warn};
+
+use crate::books::SenderKey;
+use crate::checkpoint::CheckpointStore;
+use crate::coordinator::{Coordinator, Effect, Terms};
+use crate::episodes::Episodes;
+use crate::orders::Orders;
+use crate::report::{
+    PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
+};
+use crate::resume::{self, Checkpoint, SavedPolicy, Standing};
+use crate::training::{Job, Outcome, Training, Updated};
+use crate::{Error, LearnerConfig, TrainerState};
+
+/// How often credit is repeated and actors that are gone are forgotten.
+const TICK: Duration = Duration::from_millis(500);
+/// How many events of the network are taken before anything else is looked at.
+const EVENTS_AT_ONCE: usize = 256;
+/// How long the end of a run waits for actors to leave and for the update under way.
+const FAREWELL: Duration = Duration::from_millis(2_500);
+/// How long copying the trainer's state may take.
+const STATE_TIMEOUT: Duration = Duration::from_secs(1);
+/// The best policy's file beside the checkpoints.
+pub const BEST_POLICY: &str = "best.safetensors";
+
+/// Everything that can wake a learner.
+#[derive(Debug)]
+enum Wake {
+    /// Something came from the network.
+    Network(LearnerEvent),
+    /// The training thread is done with its job.
+    Trained(Outcome),
+    /// An actor does not take its orders.
+    Silent(SenderKey),
+    /// Time has passed.
+    Tick,
+    /// The run is asked to end.
+    Stop,
+}
+
+/// Runs a learner until all updates are done or it is asked to stop.
+///
+/// Needs tokio's multi-threaded runtime. A run that was interrupted goes on from its newest whole checkpoint.
+///
+/// # Errors
+///
+/// [`Error`]: the network cannot be opened, the disk is full or not writable, the configuration differs from the
+/// one that the run was begun with, no checkpoint is whole, or training diverged. What is on the disk stays.
+pub async fn run(
+    config: LearnerConfig,
+    mut sink: Box<dyn ProgressSink>,
+    stop: CancellationToken,
+) -> Result<RunReport, Error> {
+    let store = CheckpointStore::open(&config.checkpoints)?;
+    let mut standing = resume::begin(&config, &store)?;
+    for event in standing.events.drain(..) {
+        sink.on_event(&event);
+    }
+    if standing.start.version.0 >= config.settings.n_updates() {
+        return already_finished(&config, standing);
+    }
+    let mut listen = config.listen.clone();
+    listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
+    let (link, events) =
+        LearnerLink::open(&config.run, &config.task.domain, config.incarnation, &listen).await?;
+    sink.on_event(&RunEvent::Listening { locators: link.locators() });
+    let mut run = Run::new(config, store, sink, standing, link)?;
+    let result = run.live(&events, &stop).await;
+    if let Err(error) = &result {
+        run.coordinator.stop_everyone(&format!("the learner ended: {error}"));
+        run.act();
+        run.farewell(&events).await.unwrap_or_else(|error| debug!(%error, "farewell failed"));
+    }
+    if let Err(error) = run.link.close().await {
+        debug!(%error, "network not closed in time");
+    }
+    result
+}
+
+struct Run {
+    config: LearnerConfig,
+    store: CheckpointStore,
+    sink: Box<dyn ProgressSink>,
+    link: Arc<LearnerLink>,
+    orders: Orders,
+    coordinator: Coordinator,
+    training: Training,
+    is_training: bool,
+    n_updates: u64,
+    offered: BTreeMap<PolicyVersion, Arc<[u8]>>,
+    version: PolicyVersion,
+    best: Option<RatedPolicy>,
+    episodes: Episodes,
+    staleness: BTreeMap<u64, u64>,
+    same_cpu_before: bool,
+    last_update: Instant,
+    last_checkpoint: (Instant, u64),
+    wait: Duration,
+    idle_since: Instant,
+}
+
+impl Run {
+    fn new(
+        config: LearnerConfig,
+        store: CheckpointStore,
+        sink: Box<dyn ProgressSink>,
+        standing: Standing,
+        link: LearnerLink,
+    ) -> Result<Self, Error> {
+        let Standing { trainer, start, offered, best, episodes, staleness, same_cpu, .. } = standing;
+        let (version, n_updates) = (trainer.version(), trainer.version().0);
+        for (&version, weights) in &offered {
+            link.offer_weights(version, weights)?;
+        }
+        let link = Arc::new(link);
+        let now = Instant::now();
+        Ok(Self {
+            coordinator: Coordinator::new(terms(&config), start),
+            orders: Orders::new(Arc::clone(&link)),
+            training: Training::start(trainer)?,
+            is_training: false,
+            config,
+            store,
+            sink,
+            link,
+            n_updates,
+            offered,
+            version,
+            best,
+            episodes,
+            staleness,
+            same_cpu_before: same_cpu,
+            last_update: now,
+            last_checkpoint: (now, n_updates),
+            wait: Duration::ZERO,
+            idle_since: now,
+        })
+    }
+
+    async fn live(
+        &mut self,
+        events: &flume::Receiver<LearnerEvent>,
+        stop: &CancellationToken,
+    ) -> Result<RunReport, Error> {
+        let mut ticks = interval(TICK);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            match self.next_wake(events, &mut ticks, stop).await? {
+                Wake::Stop => return self.end(events, RunEnd::Stopped).await,
+                wake => self.handle(wake, events)?,
+            }
+            if self.n_updates >= self.config.settings.n_updates() {
+                return self.end(events, RunEnd::Finished).await;
+            }
+            self.train()?;
+            self.act();
+        }
+    }
+
+    async fn next_wake(
+        &mut self,
+        events: &flume::Receiver<LearnerEvent>,
+        ticks: &mut Interval,
+        stop: &CancellationToken,
+    ) -> Result<Wake, Error> {
+        Ok(tokio::select! {
+            biased;
+            () = stop.cancelled() => Wake::Stop,
+            outcome = self.training.outcome(), if self.is_training => Wake::Trained(outcome),
+            silent = self.orders.failure() => Wake::Silent(silent),
+            event = events.recv_async() => Wake::Network(event.map_err(|_| Error::LinkGone)?),
+            _ = ticks.tick() => Wake::Tick,
+        })
+    }
+
+    fn handle(&mut self, wake: Wake, events: &flume::Receiver<LearnerEvent>) -> Result<(), Error> {
+        match wake {
+            Wake::Network(event) => {
+                self.network(event);
+                for event in events.try_iter().take(EVENTS_AT_ONCE) {
+                    self.network(event);
+                }
+            }
+            Wake::Trained(outcome) => self.trained(outcome)?,
+            Wake::Silent(key) => self.coordinator.give_up(&key),
+            Wake::Tick => self.tick(),
+            Wake::Stop => {}
+        }
+        Ok(())
+    }
+
+    fn network(&mut self, event: LearnerEvent) {
+        match event {
+            LearnerEvent::Hello { hello, reply } => {
+                let answered = match self.coordinator.hello(&hello) {
+                    Ok(resend_from) => {
+                        reply.welcome(self.config.welcome(self.version, resend_from))
+                    }
+                    Err(unwelcome) => reply.refuse(&unwelcome.to_string()),
+                };
+                if let Err(error) = answered {
+                    debug!(actor = %hello.actor, %error, "hello not answered; it will come again");
+                }
+            }
+            LearnerEvent::Rollout { actor, header, payload } => {
+                self.coordinator.rollout(actor, &header, &payload);
+            }
+            LearnerEvent::Joined { actor, incarnation } => {
+                self.coordinator.joined(actor, incarnation);
+            }
+            LearnerEvent::Left { actor, incarnation } => self.coordinator.left(actor, incarnation),
+            LearnerEvent::Refused { actor, refusal, .. } => {
+                self.coordinator.refused_by_link(actor, refusal.cause(), refusal.to_string());
+            }
+        }
+    }
+
+    fn tick(&mut self) {
+        self.coordinator.credit_everyone();
+        let members = self.coordinator.members();
+        self.orders.retain(|(actor, incarnation)| members.get(actor) == Some(incarnation));
+        let metrics = format!(
+            "{{\"version\":{},\"n_actors\":{},\"n_queued\":{}}}",
+            self.version,
+            self.coordinator.n_actors(),
+            self.coordinator.n_pending(),
+        );
+        if let Err(error) = self.link.publish_metrics(metrics.as_bytes()) {
+            debug!(%error, "metrics not published");
+        }
+    }
+
+    /// Hands the next batch to the training thread, if it is idle and the batch is there.
+    fn train(&mut self) -> Result<(), Error> {
+        if self.is_training {
+            return Ok(());
+        }
+        let Some(batch) = self.coordinator.next_batch() else { return Ok(()) };
+        let (since, n_then) = self.last_checkpoint;
+        let interval = self.config.checkpoint_interval;
+        let next = self.n_updates + 1;
+        let want_state = next == self.config.settings.n_updates()
+            || next - n_then >= interval.updates
+            || since.elapsed() >= interval.time;
+        self.training.begin(Job::Update { rollouts: batch.rollouts, want_state })?;
+        self.is_training = true;
+        self.wait = self.idle_since.elapsed();
+        Ok(())
+    }
+
+    fn trained(&mut self, outcome: Outcome) -> Result<(), Error> {
+        self.is_training = false;
+        self.idle_since = Instant::now();
+        let updated = match outcome {
+            Outcome::Failed(error) => return Err(error),
+            Outcome::State(_) => return Ok(()),
+            Outcome::Updated(updated) => *updated,
+        };
+        self.version = updated.version;
+        self.n_updates += 1;
+        self.coordinator.trained(updated.version);
+        self.offered.insert(updated.version, Arc::clone(&updated.weights));
+        self.link.offer_weights(updated.version, &updated.weights)?;
+        let oldest = self.config.settings.schedule().oldest_needed(self.version);
+        self.offered = self.offered.split_off(&oldest);
+        self.link.retire_weights(oldest);
+        self.episodes.extend(&self.config.env, &updated.rollouts);
+        for (&staleness, &n_rollouts) in &updated.report.staleness {
+            *self.staleness.entry(staleness).or_default() += n_rollouts;
+        }
+        self.rate(&updated.weights);
+        self.tell_progress(&updated);
+        match updated.state {
+            Some(state) => self.checkpoint(*state),
+            None => Ok(()),
+        }
+    }
+
+    /// Keeps the policy if it is the best so far.
+    fn rate(&mut self, weights: &Arc<[u8]>) {
+        let Some(score) = self.episodes.score() else { return };
+        let best = self.best.as_ref().and_then(|best| best.score);
+        if best.is_none_or(|best| score > best) {
+            let (version, weights) = (self.version, Arc::clone(weights));
+            self.best = Some(RatedPolicy { version, score: Some(score), weights });
+        }
+    }
+
+    fn tell_progress(&mut self, updated: &Updated) {
+        let n_steps = self.config.steps_per_update();
+        let elapsed = std::mem::replace(&mut self.last_update, Instant::now()).elapsed();
+        self.sink.on_update(&UpdateProgress {
+            update: updated.report.clone(),
+            n_updates: self.n_updates,
+            n_updates_total: self.config.settings.n_updates(),
+            n_steps: self.n_updates * n_steps,
+            steps_per_second: n_steps as f64 / elapsed.as_secs_f64().max(f64::EPSILON),
+            phases: PhaseTimes { wait: self.wait, train: updated.took },
+            episodes: self.episodes.means(),
+            n_actors: self.coordinator.n_actors(),
+            n_queued: self.coordinator.n_pending() as usize,
+            books: self.coordinator.books().clone(),
+        });
+    }
+
+    /// Carries out what the coordinator decided.
+    fn act(&mut self) {
+        for effect in self.coordinator.take_effects() {
+            match effect {
+                Effect::Event(event) => {
+                    if let RunEvent::CutOff { actor, incarnation, .. } = &event {
+                        self.link.cut_off(actor, *incarnation);
+                    }
+                    self.sink.on_event(&event);
+                }
+                Effect::Control { to, control } => {
+                    if !self.orders.give(&to, control) {
+                        self.coordinator.give_up(&to);
+                    }
+                }
+                Effect::Credit { to, credit } => {
+                    if let Err(error) = self.link.send_credit(&to, credit) {
+                        debug!(actor = %to, %error, "credit not sent; it will be repeated");
+                    }
+                }
+            }
+        }
+    }
+
+    fn last(&self) -> RatedPolicy {
+        RatedPolicy {
+            version: self.version,
+            score: self.episodes.score(),
+            weights: Arc::clone(&self.offered[&self.version]),
+        }
+    }
+
+    fn checkpoint(&mut self, trainer: TrainerState) -> Result<(), Error> {
+        let older = self.offered.range(..self.version).map(|(&version, weights)| {
+            let policy = RatedPolicy { version, score: None, weights: Arc::clone(weights) };
+            SavedPolicy::from(&policy)
+        });
+        let checkpoint = Checkpoint {
+            identity: self.config.identity,
+            trainer,
+            places: self.coordinator.places(),
+            epoch: self.coordinator.epoch(),
+            older: older.collect(),
+            best: self.best.as_ref().map(SavedPolicy::from),
+            episodes: self.episodes.clone(),
+            staleness: self.staleness.clone(),
+            books: self.coordinator.books().clone(),
+            waiting: self.coordinator.n_pending(),
+            same_cpu: self.is_on_one_cpu(),
+        };
+        let (store, best, n_updates) = (&self.store, &self.best, self.n_updates);
+        let path = tokio::task::block_in_place(|| {
+            let path = store.write(n_updates, &checkpoint)?;
+            if let Some(best) = best {
+                store.write_file(BEST_POLICY, &best.weights)?;
+            }
+            Ok::<_, Error>(path)
+        })?;
+        self.last_checkpoint = (Instant::now(), n_updates);
+        self.sink.on_policies(&self.last(), self.best.as_ref());
+        self.sink.on_event(&RunEvent::CheckpointWritten { path, n_updates });
+        Ok(())
+    }
+
+    fn is_on_one_cpu(&self) -> bool {
+        self.same_cpu_before && self.coordinator.is_on_one_cpu()
+    }
+
+    async fn end(
+        &mut self,
+        events: &flume::Receiver<LearnerEvent>,
+        end: RunEnd,
+    ) -> Result<RunReport, Error> {
+        self.sink.on_event(&RunEvent::Stopping);
+        let reason = match end {
+            RunEnd::Stopped => "the learner was asked to stop",
+            RunEnd::Finished | RunEnd::AlreadyFinished => "the run is finished",
+        };
+        self.coordinator.stop_everyone(reason);
+        self.act();
+        self.farewell(events).await?;
+        let state = self.final_state().await?;
+        self.coordinator.close();
+        let checkpointed = state.is_some();
+        match state {
+            Some(state) => self.checkpoint(*state)?,
+            None => warn!("the update under way took too long; a resume will make it again"),
+        }
+        let last = self.last();
+        let parameters = Parameters::from_safetensors(&last.weights, &self.config.policy)?;
+        let books = self.coordinator.books().clone();
+        Ok(RunReport {
+            end,
+            n_updates: self.n_updates,
+            n_steps: self.n_updates * self.config.steps_per_update(),
+            digest: parameters.digest()?,
+            last,
+            best: self.best.clone(),
+            episodes: self.episodes.means(),
+            staleness: self.staleness.clone(),
+            balance: books.check(),
+            books,
+            reproducible: self.is_on_one_cpu()
+                && self.config.settings.schedule().is_deterministic(),
+            checkpointed,
+        })
+    }
+
+    /// Goes on listening until the actors have left and the update under way is done, or time is up.
+    async fn farewell(&mut self, events: &flume::Receiver<LearnerEvent>) -> Result<(), Error> {
+        let never = CancellationToken::new();
+        let mut ticks = interval(TICK);
+        let deadline = tokio::time::Instant::now() + FAREWELL;
+        while self.coordinator.n_actors() > 0 || self.is_training {
+            let wake = self.next_wake(events, &mut ticks, &never);
+            match tokio::time::timeout_at(deadline, wake).await {
+                Ok(wake) => self.handle(wake?, events)?,
+                Err(_) => break,
+            }
+            self.act();
+        }
+        Ok(())
+    }
+
+    /// Copies the trainer's state, unless it is busy beyond patience.
+    async fn final_state(&mut self) -> Result<Option<Box<TrainerState>>, Error> {
+        if self.is_training {
+            return Ok(None);
+        }
+        self.training.begin(Job::State)?;
+        match timeout(STATE_TIMEOUT, self.training.outcome()).await {
+            Ok(Outcome::State(state)) => Ok(Some(state)),
+            Ok(Outcome::Failed(error)) => Err(error),
+            Ok(Outcome::Updated(_)) | Err(_) => Ok(None),
+        }
+    }
+}
+
+fn terms(config: &LearnerConfig) -> Terms {
+    Terms {
+        learner: config.incarnation,
+        env: config.env.clone(),
+        recurrent_dim: config.policy.recurrent_dim(),
+        n_steps: config.settings.n_steps as u32,
+        schedule: config.settings.schedule(),
+        window: config.window,
+        actors_min: config.actors_min,
+        cpu: config.cpu.clone(),
+    }
+}
+
+fn already_finished(config: &LearnerConfig, standing: Standing) -> Result<RunReport, Error> {
+    let version = standing.trainer.version();
+    let score = standing.episodes.score();
+    let last = RatedPolicy { version, score, weights: Arc::clone(&standing.offered[&version]) };
+    let books = standing.start.books;
+    Ok(RunReport {
+        end: RunEnd::AlreadyFinished,
+        n_updates: version.0,
+        n_steps: version.0 * config.steps_per_update(),
+        digest: standing.trainer.parameters().digest()?,
+        last,
+        best: standing.best,
+        episodes: standing.episodes.means(),
+        staleness: standing.staleness,
+        balance: books.check(),
+        books,
+        reproducible: standing.same_cpu && config.settings.schedule().is_deterministic(),
+        checkpointed: true,
+    })
+}

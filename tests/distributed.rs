@@ -1,0 +1,324 @@
+//! Learner and actors over a unix socket, in one process: whatever happens on the way, the weights are those of a
+//! loop without any network, and the books balance.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker, WorkerSettings};
+use leadtime_learner::{
+    CheckpointInterval, LearnerConfig, LearnerSettings, Mode, ProgressSink, RatedPolicy, RunEnd,
+    RunEvent, RunReport, Trainer, UpdateProgress,
+};
+use leadtime_link::{ConnectSettings, Endpoint, ListenSettings};
+use leadtime_policy::{Parameters, Policy};
+use leadtime_proto::message::EnvAssignment;
+use leadtime_proto::{
+    ActorId, Encoder, EnvId, EnvSpec, HeadCredit, Incarnation, Iteration, PolicySpec, PolicyVersion,
+    RunName, TaskSpec,
+};
+use leadtime_sims::Registry;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+const N_ENVS: usize = 3;
+const N_UPDATES: u64 = 12;
+const RUN_SEED: u64 = 11;
+/// Nothing in these tests takes this long.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn task() -> TaskSpec {
+    TaskSpec { domain: "cartpole".to_owned(), settings: r#"{"world": {"max_steps": 30}}"#.to_owned() }
+}
+
+fn env_spec() -> EnvSpec {
+    Registry::builtin().build(&task()).unwrap().spec().clone()
+}
+
+fn policy_spec() -> PolicySpec {
+    let env = env_spec();
+    PolicySpec {
+        obs_dim: env.obs_dim,
+        encoder: Encoder::Identity,
+        hidden: vec![16, 16],
+        actions: env.actions,
+        head_credit: HeadCredit::All,
+        logit_bias: Vec::new(),
+        normalize_observations: true,
+    }
+}
+
+fn settings(mode: Mode) -> LearnerSettings {
+    let n_steps = 32;
+    LearnerSettings {
+        n_envs: N_ENVS,
+        n_steps,
+        total_steps: N_UPDATES * (N_ENVS * n_steps) as u64,
+        learning_rate: 1e-3,
+        normalize_rewards: true,
+        mode,
+        ..LearnerSettings::default()
+    }
+}
+
+/// The weights of a run without processes, network or time.
+fn reference(mode: Mode) -> [u8; 32] {
+    let (settings, env, policy) = (settings(mode), env_spec(), policy_spec());
+    let mut worker = Worker::new(WorkerSettings {
+        run_seed: RUN_SEED,
+        n_steps: settings.n_steps as u32,
+        env: env.clone(),
+        policy: policy.clone(),
+    });
+    for id in 0..N_ENVS as u32 {
+        let beginning =
+            EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: Vec::new() };
+        worker.insert(Registry::builtin().build(&task()).unwrap(), &beginning).unwrap();
+    }
+    let mut trainer = Trainer::new(&policy, &env, &settings, RUN_SEED).unwrap();
+    let pack = |trainer: &Trainer| Policy::new(&policy, trainer.parameters()).unwrap();
+    let mut policies = BTreeMap::from([(PolicyVersion(0), pack(&trainer))]);
+    for update in 0..N_UPDATES {
+        let version = settings.schedule().behavior_version(Iteration(update)).unwrap();
+        let acting = policies.get_mut(&version).unwrap();
+        let rollouts = worker.collect(acting, version, &mut ()).to_vec();
+        trainer.update(&rollouts).unwrap();
+        policies.insert(trainer.version(), pack(&trainer));
+    }
+    trainer.parameters().digest().unwrap()
+}
+
+/// Tells a test how far a run is, and remembers what happened.
+struct Witness {
+    n_updates: watch::Sender<u64>,
+    events: Arc<Mutex<Vec<RunEvent>>>,
+}
+
+impl ProgressSink for Witness {
+    fn on_update(&mut self, progress: &UpdateProgress) {
+        self.n_updates.send_replace(progress.n_updates);
+    }
+
+    fn on_event(&mut self, event: &RunEvent) {
+        self.events.lock().unwrap().push(event.clone());
+    }
+
+    fn on_policies(&mut self, last: &RatedPolicy, _best: Option<&RatedPolicy>) {
+        Parameters::from_safetensors(&last.weights, &policy_spec()).unwrap();
+    }
+}
+
+/// A learner that runs beside the test.
+struct Learner {
+    task: JoinHandle<Result<RunReport, leadtime_learner::Error>>,
+    n_updates: watch::Receiver<u64>,
+    events: Arc<Mutex<Vec<RunEvent>>>,
+    stop: CancellationToken,
+}
+
+impl Learner {
+    fn start(directory: &Path, mode: Mode, actors_min: usize, incarnation: u64) -> Self {
+        let config = LearnerConfig {
+            run: RunName::new("test").unwrap(),
+            incarnation: Incarnation(incarnation),
+            run_seed: RUN_SEED,
+            task: task(),
+            env: env_spec(),
+            policy: policy_spec(),
+            settings: settings(mode),
+            window: 4,
+            actors_min,
+            listen: ListenSettings::new(vec![endpoint(directory)]),
+            cpu: "cpu".to_owned(),
+            checkpoints: directory.join("checkpoints"),
+            checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_secs(60) },
+            identity: [mode as u8; 32],
+        };
+        let (progress, n_updates) = watch::channel(0);
+        let events = Arc::new(Mutex::new(Vec::new()));
+        let sink = Witness { n_updates: progress, events: Arc::clone(&events) };
+        let stop = CancellationToken::new();
+        let run = leadtime_learner::run(config, Box::new(sink), stop.clone());
+        Self { task: tokio::spawn(run), n_updates, events, stop }
+    }
+
+    async fn reach(&mut self, n_updates: u64) {
+        let reached = self.n_updates.wait_for(|n| *n >= n_updates);
+        tokio::time::timeout(PATIENCE, reached).await.expect("in time").expect("still running");
+    }
+
+    async fn report(self) -> RunReport {
+        let joined = tokio::time::timeout(PATIENCE, self.task).await.expect("in time");
+        let report = joined.unwrap().unwrap();
+        assert_eq!(report.balance, Ok(()), "{:?}", report.books);
+        report
+    }
+}
+
+fn endpoint(directory: &Path) -> Endpoint {
+    format!("unixsock-stream/{}", directory.join("z.sock").display()).parse().unwrap()
+}
+
+type Actor = JoinHandle<Result<ActorReport, leadtime_actor::Error>>;
+
+fn actor(directory: &Path, name: &str, incarnation: u64) -> Actor {
+    let settings = ActorSettings {
+        actor: ActorId::new(name).unwrap(),
+        incarnation: Incarnation(incarnation),
+        run: None,
+        connect: ConnectSettings::new(vec![endpoint(directory)]),
+        reconnect_timeout: PATIENCE,
+        program: "test".to_owned(),
+        cpu: "cpu".to_owned(),
+    };
+    tokio::spawn(leadtime_actor::run(settings, Registry::builtin(), CancellationToken::new()))
+}
+
+async fn dismissed(actor: Actor) -> ActorReport {
+    let joined = tokio::time::timeout(PATIENCE, actor).await.expect("in time");
+    let report = joined.unwrap().unwrap();
+    assert!(matches!(report.end, ActorEnd::Dismissed { .. }), "{:?}", report.end);
+    report
+}
+
+async fn undisturbed(mode: Mode, n_actors: usize) -> RunReport {
+    let directory = tempfile::tempdir().unwrap();
+    let learner = Learner::start(directory.path(), mode, n_actors, 1);
+    let actors: Vec<Actor> =
+        (0..n_actors).map(|i| actor(directory.path(), &format!("a{i}"), 1)).collect();
+    let report = learner.report().await;
+    let mut journal = 0;
+    for actor in actors {
+        let own = dismissed(actor).await;
+        assert_eq!(own.acknowledged, own.sent, "everything sent was acknowledged");
+        journal += own.sent.0;
+    }
+    assert_eq!(report.books.published, journal, "the learner's books and the actors' journals");
+    assert_eq!(report.end, RunEnd::Finished);
+    assert_eq!(report.n_updates, N_UPDATES);
+    report
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_two_or_four_actors_learn_what_a_loop_without_a_network_learns() {
+    for mode in [Mode::Sync, Mode::Lag] {
+        let expected = reference(mode);
+        for n_actors in [1, 2, 4] {
+            let report = undisturbed(mode, n_actors).await;
+            assert_eq!(report.digest, expected, "{mode:?} with {n_actors} actors");
+            assert!(report.reproducible);
+            assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);
+        }
+    }
+    assert_ne!(reference(Mode::Sync), reference(Mode::Lag), "the modes differ, so digests tell");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_that_is_lost_and_replaced_changes_nothing() {
+    for mode in [Mode::Sync, Mode::Lag] {
+        let directory = tempfile::tempdir().unwrap();
+        let mut learner = Learner::start(directory.path(), mode, 2, 1);
+        let lost = actor(directory.path(), "lost", 1);
+        let stays = actor(directory.path(), "stays", 1);
+        learner.reach(4).await;
+        lost.abort();
+        let comes = actor(directory.path(), "comes", 1);
+        let events = Arc::clone(&learner.events);
+        let report = learner.report().await;
+        assert_eq!(report.digest, reference(mode), "{mode:?}");
+        dismissed(stays).await;
+        dismissed(comes).await;
+        let left = |event: &RunEvent| {
+            matches!(event, RunEvent::ActorLeft { actor, n_envs, .. }
+                if actor.as_str() == "lost" && *n_envs > 0)
+        };
+        assert!(events.lock().unwrap().iter().any(left), "its loss was noticed");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_without_actors_waits_for_a_new_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut learner = Learner::start(directory.path(), Mode::Lag, 1, 1);
+    let lost = actor(directory.path(), "a", 1);
+    learner.reach(3).await;
+    lost.abort();
+    let again = actor(directory.path(), "a", 2);
+    let report = learner.report().await;
+    assert_eq!(report.digest, reference(Mode::Lag));
+    dismissed(again).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_learner_that_comes_back_goes_on_to_the_same_weights() {
+    for mode in [Mode::Sync, Mode::Lag] {
+        let directory = tempfile::tempdir().unwrap();
+        let mut learner = Learner::start(directory.path(), mode, 1, 1);
+        let first = actor(directory.path(), "first", 1);
+        learner.reach(5).await;
+        learner.stop.cancel();
+        let stopped = learner.report().await;
+        assert_eq!(stopped.end, RunEnd::Stopped);
+        assert!(stopped.checkpointed && stopped.n_updates < N_UPDATES);
+        dismissed(first).await;
+        let resumed = Learner::start(directory.path(), mode, 1, 2);
+        let second = actor(directory.path(), "second", 1);
+        let report = resumed.report().await;
+        assert_eq!(report.digest, reference(mode), "{mode:?}");
+        assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);
+        dismissed(second).await;
+        let again = Learner::start(directory.path(), mode, 1, 3).report().await;
+        assert_eq!((again.end, again.digest), (RunEnd::AlreadyFinished, report.digest));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut learner = Learner::start(directory.path(), Mode::Lag, 1, 1);
+    let first = actor(directory.path(), "a", 1);
+    learner.reach(7).await;
+    learner.stop.cancel();
+    let stopped = learner.report().await;
+    dismissed(first).await;
+    let mut files: Vec<_> = std::fs::read_dir(directory.path().join("checkpoints"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "checkpoint"))
+        .collect();
+    files.sort();
+    std::fs::write(files.last().unwrap(), b"torn").unwrap();
+    let resumed = Learner::start(directory.path(), Mode::Lag, 1, 2);
+    let events = Arc::clone(&resumed.events);
+    let second = actor(directory.path(), "a", 2);
+    let report = resumed.report().await;
+    dismissed(second).await;
+    assert_eq!(report.digest, reference(Mode::Lag));
+    assert!(stopped.n_updates > 6);
+    let is_damage = |event: &RunEvent| matches!(event, RunEvent::CheckpointDamaged { .. });
+    assert!(events.lock().unwrap().iter().any(is_damage), "the damage is told");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn async_takes_what_comes_and_accounts_for_all_of_it() {
+    let report = undisturbed(Mode::Async, 2).await;
+    assert!(!report.reproducible);
+    assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);
+    assert_eq!(report.staleness.values().sum::<u64>(), report.books.trained);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_changed_configuration_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut learner = Learner::start(directory.path(), Mode::Sync, 1, 1);
+    let only = actor(directory.path(), "a", 1);
+    learner.reach(1).await;
+    learner.stop.cancel();
+    learner.report().await;
+    dismissed(only).await;
+    let changed = Learner::start(directory.path(), Mode::Lag, 1, 2);
+    let error = changed.task.await.unwrap().unwrap_err();
+    assert!(matches!(error, leadtime_learner::Error::ConfigurationChanged { .. }), "{error}");
+}
