@@ -1,0 +1,12 @@
+#[expect(clippy::unreadable_literal, reason = "as golden.py wrote them")]
+pub(super) const REWARDS: [f32; 7] = [-1.2800038, -1.8592421, 0.29072556, 0.39837962, -1.4316908, -0.732549, -0.05697801];
+#[expect(clippy::unreadable_literal, reason = "as golden.py wrote them")]
+pub(super) const VALUES: [f32; 7] = [-0.2673376, -0.110337354, 0.58378243, -0.8446347, 0.043488488, -0.63652056, 0.26993886];
+#[expect(clippy::unreadable_literal, reason = "as golden.py wrote them")]
+pub(super) const LOG_RHOS: [f32; 7] = [-0.55549693, 0.4513197, -0.86937374, 0.15138926, 0.42981777, -0.17056985, -0.6835161];
+#[expect(clippy::unreadable_literal, reason = "as golden.py wrote them")]
+pub(super) const VALUE_TARGETS: [f32; 7] = [-1.6343526, -1.4121411, 0.4609289, 0.42098954, 0.023309182, -0.8372632, -0.14644171];
+#[expect(clippy::unreadable_literal, reason = "as golden.py wrote them")]
+pub(super) const PG_ADVANTAGES: [f32; 7] = [-1.367015, -1.3018037, -0.12285355, 1.2656243, -0.020179303, -0.20074266, -0.41638058];
+#[expect(clippy::unreadable_literal, reason = "as golden.py wrote them")]
+pub(super) const NEXT_VALUE: f32 = -0.5132602;

@@ -1,0 +1,153 @@
+//! From rollouts to the samples of an update: normalised inputs, advantages, targets.
+
+use leadtime_policy::{ActionDistribution, FrozenNormalizer, Policy};
+use leadtime_proto::{Mask, Rollout};
+
+use crate::gae::{Cut, Segment, gae};
+use crate::loss::Samples;
+use crate::settings::{LearnerSettings, Truncation};
+use crate::vtrace::vtrace;
+
+/// All samples of an update, one environment after the other.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Batch {
+    /// Normalised observations. `[N, D]`
+    pub(crate) features: Vec<f32>,
+    pub(crate) samples: Samples,
+}
+
+impl Batch {
+    pub(crate) fn n_samples(&self) -> usize {
+        self.samples.masks.len()
+    }
+
+    /// Appends a rollout's inputs, actions and behaviour; targets follow from one of the two below.
+    pub(crate) fn push(&mut self, rollout: &Rollout, normalizer: Option<&FrozenNormalizer>) {
+        let start = self.features.len();
+        self.features.extend_from_slice(&rollout.observations);
+        if let Some(normalizer) = normalizer {
+            normalizer.apply(&rollout.observations, &mut self.features[start..]);
+        }
+        self.samples.masks.extend_from_slice(&rollout.masks);
+        self.samples.actions.extend_from_slice(&rollout.actions);
+        self.samples.log_probs.extend_from_slice(&rollout.log_probs);
+    }
+
+    /// Appends targets from the stored behaviour values by generalised advantage estimation.
+    pub(crate) fn push_gae(
+        &mut self,
+        rollout: &Rollout,
+        rewards: &[f32],
+        settings: &LearnerSettings,
+    ) {
+        let cuts = cuts(rollout, settings.truncation, |end| rollout.ends[end].final_value);
+        let values = rollout.values.as_slice();
+        let segment = Segment { rewards, values, next_value: rollout.next_value, cuts: &cuts };
+        let start = self.samples.advantages.len();
+        self.samples.advantages.resize(start + values.len(), 0.0);
+        let advantages = &mut self.samples.advantages[start..];
+        gae(&segment, settings.gamma as f32, settings.gae_lambda as f32, advantages);
+        self.samples.returns.extend(advantages.iter().zip(values).map(|(a, v)| a + v));
+        self.samples.values.extend_from_slice(values);
+    }
+
+    /// Appends targets under the policy at the start of the update, by V-trace.
+    pub(crate) fn push_vtrace(
+        &mut self,
+        rollout: &Rollout,
+        rewards: &[f32],
+        settings: &LearnerSettings,
+        (policy, distribution): (&mut Policy, &ActionDistribution),
+    ) {
+        let present = Present::of(rollout, policy, distribution);
+        let cuts = cuts(rollout, settings.truncation, |end| present.final_values[end]);
+        let segment = Segment {
+            rewards,
+            values: &present.values,
+            next_value: present.next_value,
+            cuts: &cuts,
+        };
+        let targets = vtrace(&segment, &present.log_rhos, settings.gamma as f32);
+        self.samples.advantages.extend_from_slice(&targets.advantages);
+        self.samples.returns.extend_from_slice(&targets.value_targets);
+        self.samples.values.extend_from_slice(&present.values);
+    }
+
+    /// Copies the samples at `indices`, and their inputs into `features`.
+    pub(crate) fn gather(&self, indices: &[usize], obs_dim: usize) -> (Vec<f32>, Samples) {
+        let n_heads = self.samples.actions.len() / self.n_samples();
+        let mut features = Vec::with_capacity(indices.len() * obs_dim);
+        let mut actions = Vec::with_capacity(indices.len() * n_heads);
+        for &i in indices {
+            features.extend_from_slice(&self.features[i * obs_dim..(i + 1) * obs_dim]);
+            actions.extend_from_slice(&self.samples.actions[i * n_heads..(i + 1) * n_heads]);
+        }
+        let pick = |values: &[f32]| indices.iter().map(|&i| values[i]).collect();
+        let samples = Samples {
+            masks: indices.iter().map(|&i| self.samples.masks[i]).collect(),
+            actions,
+            log_probs: pick(&self.samples.log_probs),
+            advantages: pick(&self.samples.advantages),
+            returns: pick(&self.samples.returns),
+            values: pick(&self.samples.values),
+        };
+        (features, samples)
+    }
+
+    /// Returns how much of the targets' variance the values explain: 1 all, 0 none (also where there is no variance).
+    pub(crate) fn explained_variance(&self) -> f64 {
+        let (returns, values) = (&self.samples.returns, &self.samples.values);
+        let total = variance(returns.iter().map(|&r| f64::from(r)));
+        let left = variance(returns.iter().zip(values).map(|(r, v)| f64::from(r - v)));
+        if total > 0.0 { 1.0 - left / total } else { 0.0 }
+    }
+}
+
+fn variance(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let n = values.clone().count() as f64;
+    let mean = values.clone().sum::<f64>() / n;
+    values.map(|x| (x - mean) * (x - mean)).sum::<f64>() / n
+}
+
+/// Returns a rollout's episode ends with what stands for the future behind each.
+fn cuts(rollout: &Rollout, truncation: Truncation, final_value: impl Fn(usize) -> f32) -> Vec<Cut> {
+    let bootstraps = truncation == Truncation::Bootstrap;
+    let cut = |(i, end): (usize, &leadtime_proto::EpisodeEnd)| {
+        let bootstrap = if end.truncated && bootstraps { final_value(i) } else { 0.0 };
+        Cut { step: end.step as usize, bootstrap }
+    };
+    rollout.ends.iter().enumerate().map(cut).collect()
+}
+
+/// What the present policy thinks of a rollout that an older one acted.
+struct Present {
+    values: Vec<f32>,
+    next_value: f32,
+    /// Per episode end.
+    final_values: Vec<f32>,
+    log_rhos: Vec<f32>,
+}
+
+impl Present {
+    fn of(rollout: &Rollout, policy: &mut Policy, distribution: &ActionDistribution) -> Self {
+        let n = rollout.masks.len();
+        let (n_choices, n_heads) = (distribution.n_choices(), distribution.n_heads());
+        let (mut logits, mut values) = (vec![0.0; n * n_choices], vec![0.0; n]);
+        policy.evaluate(&rollout.observations, &mut [], &mut logits, &mut values);
+        let log_rho = |i: usize| {
+            let action = &rollout.actions[i * n_heads..(i + 1) * n_heads];
+            let logits = &logits[i * n_choices..(i + 1) * n_choices];
+            let log_prob = distribution.log_prob(logits, Mask(rollout.masks[i]), action);
+            log_prob - rollout.log_probs[i]
+        };
+        let log_rhos = (0..n).map(log_rho).collect();
+        let mut value = |observation: &[f32]| {
+            let mut value = [0.0];
+            policy.values_only(observation, &[], &mut value);
+            value[0]
+        };
+        let next_value = value(&rollout.next_observation);
+        let final_values = rollout.ends.iter().map(|end| value(&end.final_observation)).collect();
+        Self { values, next_value, final_values, log_rhos }
+    }
+}

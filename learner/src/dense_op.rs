@@ -1,0 +1,132 @@
+//! A fully connected layer as one node of the engine's graph: product, bias and tanh fused, forward and backward.
+//!
+//! The arithmetic is that of [`leadtime_numerics::kernel`]: single-threaded, in a fixed order, and forward the same
+//! bits as an actor's inference.
+
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
+use leadtime_numerics::Panels;
+use leadtime_numerics::kernel::{Activation, add_outer_products};
+
+use crate::storage::{floats, with_floats};
+
+/// `activation(x Wᵀ + b)` of x `[N, n_in]`, W `[n_out, n_in]` and b `[n_out]`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DenseOp {
+    pub(crate) activation: Activation,
+    /// Whether anything upstream learns; the first layer's input does not.
+    pub(crate) input_gradient: bool,
+}
+
+impl CustomOp3 for DenseOp {
+    fn name(&self) -> &'static str {
+        "dense"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        x_layout: &Layout,
+        weight: &CpuStorage,
+        weight_layout: &Layout,
+        bias: &CpuStorage,
+        bias_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (n, n_in) = x_layout.shape().dims2()?;
+        let (n_out, expected) = weight_layout.shape().dims2()?;
+        if expected != n_in {
+            candle_core::bail!("dense: {n_in} inputs, the weights expect {expected}")
+        }
+        let panels = Panels::from_columns(floats(weight, weight_layout)?, n_out, n_in);
+        let mut out = vec![0.0; n * n_out];
+        let bias = floats(bias, bias_layout)?;
+        panels.multiply(floats(x, x_layout)?, bias, self.activation, &mut out);
+        Ok((CpuStorage::F32(out), Shape::from((n, n_out))))
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        bias: &Tensor,
+        y: &Tensor,
+        y_gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let (n, n_in) = x.dims2()?;
+        let n_out = bias.dims1()?;
+        let device = x.device();
+        let delta = self.delta(y, y_gradient)?;
+        let mut d_bias = vec![0.0; n_out];
+        for row in delta.chunks_exact(n_out) {
+            d_bias.iter_mut().zip(row).for_each(|(sum, d)| *sum += d);
+        }
+        let mut d_weight = vec![0.0; n_out * n_in];
+        with_floats(x, |x| add_outer_products(&delta, x, n_out, n_in, &mut d_weight))?;
+        let d_x = if self.input_gradient {
+            let mut d_x = vec![0.0; n * n_in];
+            let panels = with_floats(weight, |weight| Panels::from_rows(weight, n_out, n_in))?;
+            panels.multiply(&delta, &[], Activation::Linear, &mut d_x);
+            Some(Tensor::from_vec(d_x, (n, n_in), device)?)
+        } else {
+            None
+        };
+        let d_weight = Tensor::from_vec(d_weight, (n_out, n_in), device)?;
+        Ok((d_x, Some(d_weight), Some(Tensor::from_vec(d_bias, n_out, device)?)))
+    }
+}
+
+impl DenseOp {
+    /// Computes the gradient before the activation: `dy (1 - y²)` behind a tanh.
+    fn delta(self, y: &Tensor, y_gradient: &Tensor) -> Result<Vec<f32>> {
+        let mut delta = with_floats(y_gradient, <[f32]>::to_vec)?;
+        if self.activation == Activation::Tanh {
+            with_floats(y, |y| {
+                delta.iter_mut().zip(y).for_each(|(d, y)| *d *= 1.0 - y * y);
+            })?;
+        }
+        Ok(delta)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{Device, Var};
+    use leadtime_numerics::Pcg64;
+
+    use super::*;
+
+    fn draw(shape: (usize, usize), seed: u64) -> Var {
+        let mut generator = Pcg64::seed_from_u64(seed);
+        let values: Vec<f32> =
+            (0..shape.0 * shape.1).map(|_| generator.uniform(-1.0, 1.0) as f32).collect();
+        Var::from_tensor(&Tensor::from_vec(values, shape, &Device::Cpu).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn the_fused_layer_is_the_engines_own_layer_with_the_engines_own_gradients() {
+        for (n, n_in, n_out) in [(1, 60, 64), (130, 64, 14), (77, 5, 1)] {
+            let (x, weight) = (draw((n, n_in), 1), draw((n_out, n_in), 2));
+            let bias = draw((1, n_out), 3).squeeze(0).unwrap();
+            let bias = Var::from_tensor(&bias.copy().unwrap()).unwrap();
+            let target = draw((n, n_out), 4);
+            let op = DenseOp { activation: Activation::Tanh, input_gradient: true };
+            let fused = x.apply_op3(&weight, &bias, op).unwrap();
+            let sum = x.matmul(&weight.t().unwrap()).unwrap().broadcast_add(&bias).unwrap();
+            let plain = sum.tanh().unwrap();
+            let gradients =
+                |y: &Tensor| (y * target.as_tensor()).unwrap().sum_all().unwrap().backward();
+            let (of_fused, of_plain) = (gradients(&fused).unwrap(), gradients(&plain).unwrap());
+            close(&fused, &plain, 1e-5);
+            for var in [&x, &weight, &bias] {
+                close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap(), 5e-5);
+            }
+        }
+    }
+
+    fn close(a: &Tensor, b: &Tensor, tolerance: f32) {
+        let flat = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(a.dims(), b.dims());
+        for (i, (a, b)) in flat(a).iter().zip(flat(b)).enumerate() {
+            assert!((a - b).abs() < tolerance, "{i}: {a} {b}");
+        }
+    }
+}

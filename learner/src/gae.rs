@@ -1,0 +1,106 @@
+//! Generalised advantage estimation: how much better an action was than the critic expected.
+
+/// Where an episode ends inside a rollout.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cut {
+    /// The episode's last step.
+    pub step: usize,
+    /// The value that stands for what would have come: 0 at a true end.
+    pub bootstrap: f32,
+}
+
+/// One environment's consecutive steps, ready for returns.
+///
+/// # Shapes
+///
+/// T steps; `rewards` and `values`: `[T]`.
+#[derive(Clone, Copy, Debug)]
+pub struct Segment<'a> {
+    /// Rewards as the critic sees them (scaled, normalised).
+    pub rewards: &'a [f32],
+    /// Values of the observations acted on.
+    pub values: &'a [f32],
+    /// Value of the observation after the last step.
+    pub next_value: f32,
+    /// Episode ends in the order of their steps.
+    pub cuts: &'a [Cut],
+}
+
+impl Segment<'_> {
+    /// Visits the steps from the last to the first with the value of what follows and whether the episode goes on.
+    pub(crate) fn backwards(&self, mut visit: impl FnMut(usize, f32, bool)) {
+        let mut cuts = self.cuts.iter().rev().peekable();
+        let mut following = self.next_value;
+        for step in (0..self.rewards.len()).rev() {
+            match cuts.next_if(|cut| cut.step == step) {
+                Some(cut) => visit(step, cut.bootstrap, false),
+                None => visit(step, following, true),
+            }
+            following = self.values[step];
+        }
+    }
+}
+
+/// Computes advantages; the returns are advantages plus values.
+///
+/// `δ_t = r_t + γ V(s_{t+1}) - V(s_t)`, `A_t = δ_t + γ λ A_{t+1}`, where an episode's end cuts the second sum and
+/// replaces `V(s_{t+1})` by the cut's bootstrap.
+///
+/// # Shapes
+///
+/// `advantages`: `[T]`.
+///
+/// # Panics
+///
+/// If the lengths differ.
+///
+/// # Source
+///
+/// Schulman et al., *High-dimensional continuous control using generalized advantage estimation*, ICLR 2016,
+/// equation 16.
+pub fn gae(segment: &Segment<'_>, gamma: f32, lambda: f32, advantages: &mut [f32]) {
+    assert_eq!(segment.rewards.len(), segment.values.len(), "`values` must be [T]");
+    assert_eq!(segment.rewards.len(), advantages.len(), "`advantages` must be [T]");
+    let mut later = 0.0;
+    segment.backwards(|step, following, goes_on| {
+        let delta = segment.rewards[step] + gamma * following - segment.values[step];
+        later = if goes_on { delta + gamma * lambda * later } else { delta };
+        advantages[step] = later;
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    mod golden {
+        include!("../golden/gae.rs");
+    }
+    use golden::{ADVANTAGES, NEXT_VALUE, REWARDS, VALUES};
+
+    #[test]
+    fn advantages_equal_cleanrls() {
+        // learner/golden/golden.py, `gae`: CleanRL's loop (ppo.py) in numpy, float32. Dones after steps 2 and 5.
+        let cuts = [Cut { step: 2, bootstrap: 0.0 }, Cut { step: 5, bootstrap: 0.0 }];
+        let segment =
+            Segment { rewards: &REWARDS, values: &VALUES, next_value: NEXT_VALUE, cuts: &cuts };
+        let mut advantages = [f32::NAN; 8];
+        gae(&segment, 0.99, 0.95, &mut advantages);
+        for (i, (a, b)) in advantages.iter().zip(&ADVANTAGES).enumerate() {
+            assert!((a - b).abs() < 1e-6, "{i}: {a} {b}");
+        }
+    }
+
+    #[test]
+    fn a_time_limit_bootstraps_and_a_true_end_does_not() {
+        let run = |bootstrap| {
+            let cuts = [Cut { step: 0, bootstrap }];
+            let segment =
+                Segment { rewards: &[1.0, 1.0], values: &[0.0, 0.0], next_value: 8.0, cuts: &cuts };
+            let mut advantages = [0.0; 2];
+            gae(&segment, 0.5, 1.0, &mut advantages);
+            advantages
+        };
+        assert_eq!(run(0.0), [1.0, 5.0]);
+        assert_eq!(run(4.0), [3.0, 5.0]);
+    }
+}

@@ -1,0 +1,255 @@
+//! PPO's loss as one node of the engine's graph: logits and values in, one number out, gradients in closed form.
+//!
+//! Spelled out in the engine's operations the loss is some sixty small tensors per minibatch; here it is one pass over
+//! the samples.
+//!
+//! ```text
+//! r = π(a|s) / μ(a|s)      L = mean max(-A r, -A clip(r, 1 ± ε))                                  policy
+//!                            + value_coef · ½ mean max((v - R)², (v₀ + clip(v - v₀, ±ε) - R)²)    value
+//!                            - entropy_coef · mean H                                              entropy
+//! ```
+//!
+//! # Source
+//!
+//! Schulman et al., *Proximal policy optimization algorithms*, 2017 (arXiv:1707.06347), with the details of `CleanRL`'s
+//! `ppo.py`: advantages normalised per minibatch with the unbiased deviation, values clipped like ratios.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use leadtime_numerics::tanh::exp;
+use leadtime_policy::{ActionDistribution, Terms};
+use leadtime_proto::Mask;
+
+use crate::settings::LearnerSettings;
+use crate::storage::{floats, with_floats};
+
+/// What the loss takes from the settings.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LossSettings {
+    clip: f32,
+    value_clip: bool,
+    normalize_advantages: bool,
+    entropy_coef: f32,
+    value_coef: f32,
+}
+
+impl From<&LearnerSettings> for LossSettings {
+    fn from(settings: &LearnerSettings) -> Self {
+        Self {
+            clip: settings.clip as f32,
+            value_clip: settings.value_clip,
+            normalize_advantages: settings.normalize_advantages,
+            entropy_coef: settings.entropy_coef as f32,
+            value_coef: settings.value_coef as f32,
+        }
+    }
+}
+
+/// The samples of one minibatch, but for their observations.
+///
+/// # Shapes
+///
+/// M samples, H heads.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Samples {
+    /// `[M]`
+    pub(crate) masks: Vec<u64>,
+    /// `[M, H]`
+    pub(crate) actions: Vec<u8>,
+    /// Under the behaviour policy. `[M]`
+    pub(crate) log_probs: Vec<f32>,
+    /// `[M]`
+    pub(crate) advantages: Vec<f32>,
+    /// Targets of the critic. `[M]`
+    pub(crate) returns: Vec<f32>,
+    /// What clipped values start from. `[M]`
+    pub(crate) values: Vec<f32>,
+}
+
+/// Means over the samples of a minibatch.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct LossReport {
+    pub(crate) total: f64,
+    pub(crate) policy_loss: f64,
+    pub(crate) value_loss: f64,
+    pub(crate) entropy: f64,
+    pub(crate) old_approx_kl: f64,
+    pub(crate) approx_kl: f64,
+    pub(crate) clip_fraction: f64,
+}
+
+/// What the forward pass leaves for the backward pass and for the report.
+#[derive(Debug, Default)]
+struct Outcome {
+    report: LossReport,
+    d_logits: Vec<f32>,
+    d_values: Vec<f32>,
+}
+
+/// The loss of one minibatch.
+#[derive(Debug)]
+pub(crate) struct PpoLoss {
+    distribution: Arc<ActionDistribution>,
+    settings: LossSettings,
+    samples: Samples,
+    outcome: Mutex<Outcome>,
+}
+
+impl PpoLoss {
+    pub(crate) fn new(
+        distribution: Arc<ActionDistribution>,
+        settings: LossSettings,
+        samples: Samples,
+    ) -> Arc<Self> {
+        Arc::new(Self { distribution, settings, samples, outcome: Mutex::default() })
+    }
+
+    /// Returns the means of the last forward pass.
+    pub(crate) fn report(&self) -> LossReport {
+        self.outcome.lock().unwrap_or_else(PoisonError::into_inner).report
+    }
+
+    fn compute(&self, logits: &[f32], values: &[f32]) -> Outcome {
+        let n_choices = self.distribution.n_choices();
+        let n_heads = self.distribution.n_heads();
+        let n = values.len();
+        let (offset, scale) = self.advantage_transform();
+        let mut sums = LossReport::default();
+        let mut d_logits = vec![0.0; logits.len()];
+        let mut d_values = vec![0.0; n];
+        let share = 1.0 / n as f32;
+        let mut terms = Terms::default();
+        let rows = logits.chunks_exact(n_choices).zip(d_logits.chunks_exact_mut(n_choices));
+        for (i, (logits, d_logits)) in rows.enumerate() {
+            let action = &self.samples.actions[i * n_heads..(i + 1) * n_heads];
+            self.distribution.terms(logits, Mask(self.samples.masks[i]), action, &mut terms);
+            let advantage = (self.samples.advantages[i] - offset) * scale;
+            let log_ratio = terms.log_prob - self.samples.log_probs[i];
+            let d_log_prob = self.settings.policy_term(log_ratio, advantage, &mut sums);
+            sums.entropy += f64::from(terms.entropy);
+            let d_entropy = -self.settings.entropy_coef * share;
+            terms.gradient(&self.distribution, action, (d_log_prob * share, d_entropy), d_logits);
+            let (old, target) = (self.samples.values[i], self.samples.returns[i]);
+            let slope = self.settings.value_term(values[i], old, target, &mut sums);
+            d_values[i] = slope * self.settings.value_coef * share;
+        }
+        Outcome { report: self.settings.means(sums, n as f64), d_logits, d_values }
+    }
+
+    /// Returns what to subtract from advantages and what to multiply them with then.
+    fn advantage_transform(&self) -> (f32, f32) {
+        let advantages = &self.samples.advantages;
+        let n = advantages.len() as f64;
+        // One sample has no deviation: it keeps its advantage.
+        if !self.settings.normalize_advantages || advantages.len() < 2 {
+            return (0.0, 1.0);
+        }
+        let mean = advantages.iter().map(|&a| f64::from(a)).sum::<f64>() / n;
+        let squares: f64 = advantages.iter().map(|&a| (f64::from(a) - mean).powi(2)).sum();
+        let deviation = (squares / (n - 1.0)).sqrt();
+        (mean as f32, (1.0 / (deviation + 1e-8)) as f32)
+    }
+}
+
+impl LossSettings {
+    /// Adds one sample's policy loss to the sums and returns its slope in the log-probability.
+    #[inline]
+    fn policy_term(&self, log_ratio: f32, advantage: f32, sums: &mut LossReport) -> f32 {
+        let ratio = exp(log_ratio);
+        let clipped = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
+        let (free, bound) = (-advantage * ratio, -advantage * clipped);
+        sums.policy_loss += f64::from(free.max(bound));
+        sums.old_approx_kl -= f64::from(log_ratio);
+        sums.approx_kl += f64::from((ratio - 1.0) - log_ratio);
+        sums.clip_fraction += f64::from(u8::from((ratio - 1.0).abs() > self.clip));
+        // Within the range both branches are one; outside, only the free branch has a slope.
+        if free >= bound { free } else { 0.0 }
+    }
+
+    /// Adds one sample's value loss to the sums and returns its slope in the value.
+    #[inline]
+    fn value_term(&self, value: f32, old: f32, target: f32, sums: &mut LossReport) -> f32 {
+        let error = value - target;
+        if !self.value_clip {
+            sums.value_loss += 0.5 * f64::from(error * error);
+            return error;
+        }
+        let change = value - old;
+        let clipped = old + change.clamp(-self.clip, self.clip) - target;
+        sums.value_loss += 0.5 * f64::from((error * error).max(clipped * clipped));
+        let within = change.abs() <= self.clip;
+        if within || error * error >= clipped * clipped { error } else { 0.0 }
+    }
+
+    fn means(&self, sums: LossReport, n: f64) -> LossReport {
+        let (policy_loss, value_loss) = (sums.policy_loss / n, sums.value_loss / n);
+        let entropy = sums.entropy / n;
+        LossReport {
+            total: policy_loss + f64::from(self.value_coef) * value_loss
+                - f64::from(self.entropy_coef) * entropy,
+            policy_loss,
+            value_loss,
+            entropy,
+            old_approx_kl: sums.old_approx_kl / n,
+            approx_kl: sums.approx_kl / n,
+            clip_fraction: sums.clip_fraction / n,
+        }
+    }
+}
+
+/// The graph's handle on a [`PpoLoss`].
+pub(crate) struct LossOp(pub(crate) Arc<PpoLoss>);
+
+impl CustomOp2 for LossOp {
+    fn name(&self) -> &'static str {
+        "ppo-loss"
+    }
+
+    fn cpu_fwd(
+        &self,
+        logits: &CpuStorage,
+        logits_layout: &Layout,
+        values: &CpuStorage,
+        values_layout: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (n, n_choices) = logits_layout.shape().dims2()?;
+        let fits = n_choices == self.0.distribution.n_choices()
+            && values_layout.shape().elem_count() == n
+            && self.0.samples.masks.len() == n;
+        if !fits {
+            candle_core::bail!("ppo-loss: logits, values and samples differ in shape")
+        }
+        let logits = floats(logits, logits_layout)?;
+        let outcome = self.0.compute(logits, floats(values, values_layout)?);
+        let total = outcome.report.total as f32;
+        *self.0.outcome.lock().unwrap_or_else(PoisonError::into_inner) = outcome;
+        Ok((CpuStorage::F32(vec![total]), Shape::from(())))
+    }
+
+    fn bwd(
+        &self,
+        logits: &Tensor,
+        values: &Tensor,
+        _loss: &Tensor,
+        gradient: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let factor = with_floats(gradient, |gradient| gradient[0])?;
+        let mut outcome = self.0.outcome.lock().unwrap_or_else(PoisonError::into_inner);
+        let scaled = |mut gradient: Vec<f32>| {
+            // The loss is the root of the graph, so the factor is 1 but for tests.
+            if factor != 1.0 {
+                gradient.iter_mut().for_each(|x| *x *= factor);
+            }
+            gradient
+        };
+        let d_logits = scaled(std::mem::take(&mut outcome.d_logits));
+        let d_values = scaled(std::mem::take(&mut outcome.d_values));
+        let d_logits = Tensor::from_vec(d_logits, logits.shape(), logits.device())?;
+        Ok((Some(d_logits), Some(Tensor::from_vec(d_values, values.shape(), values.device())?)))
+    }
+}
+
+#[cfg(test)]
+#[path = "loss_tests.rs"]
+mod tests;

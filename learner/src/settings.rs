@@ -1,0 +1,218 @@
+//! Every setting of training, with the defaults of the main job.
+//!
+//! What is written is checked once ([`LearnerSettings::check`]); afterwards the rest of the crate relies on it.
+
+use leadtime_proto::{Schedule, limits};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// How acting and learning interleave; see [`Schedule`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// Every update waits for rollouts of its own policy: staleness 0, reproducible.
+    #[default]
+    Sync,
+    /// Acting runs `lag` updates ahead: reproducible, and acting and learning overlap.
+    Lag,
+    /// The first rollouts to arrive, corrected by V-trace: elastic, not reproducible.
+    Async,
+}
+
+/// What a time limit means for the return.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Truncation {
+    /// The value of the true final observation stands for what would have come.
+    #[default]
+    Bootstrap,
+    /// As a true end: nothing comes after it. For comparison with `CleanRL`, which does so.
+    Cleanrl,
+}
+
+/// The settings of PPO, its normalisers and its schedule.
+#[expect(clippy::struct_excessive_bools, reason = "independent switches of a configuration file")]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearnerSettings {
+    /// Environments of the run, over all actors. Default 4; more make larger, smoother updates.
+    pub n_envs: usize,
+    /// Steps per rollout. Default 128; longer ones see further before they bootstrap.
+    pub n_steps: usize,
+    /// Environment steps of the whole run. Default 500 000; rounded down to whole updates, at least one.
+    pub total_steps: u64,
+    /// Adam's step size. Default 2.5e-4.
+    pub learning_rate: f64,
+    /// Whether the learning rate falls linearly over the run. Default true.
+    pub anneal: bool,
+    /// Discount per step, 0..=1. Default 0.99.
+    pub gamma: f64,
+    /// Decay of generalised advantages, 0..=1. Default 0.95; 1 trusts returns, 0 trusts the critic. V-trace ignores it.
+    pub gae_lambda: f64,
+    /// Minibatches per epoch. Default 4.
+    pub n_minibatches: usize,
+    /// Passes over the data per update. Default 4.
+    pub n_epochs: usize,
+    /// Clip range of the probability ratio, and of the value where it is clipped. Default 0.2.
+    pub clip: f64,
+    /// Whether the value's change is clipped too. Default true.
+    pub value_clip: bool,
+    /// Whether advantages are normalised per minibatch. Default true.
+    pub normalize_advantages: bool,
+    /// Weight of the entropy bonus. Default 0.01; more keeps the policy random for longer.
+    pub entropy_coef: f64,
+    /// Weight of the value loss. Default 0.5.
+    pub value_coef: f64,
+    /// Largest global gradient norm; longer gradients are shortened to it. Default 0.5.
+    pub max_grad_norm: f64,
+    /// Ends the epochs of an update early once an epoch's mean approximate KL exceeds it. Default: never.
+    pub target_kl: Option<f64>,
+    /// `bootstrap` (default) or `cleanrl`.
+    pub truncation: Truncation,
+    /// Factor on every reward, before normalisation. Default 1.
+    pub reward_scale: f64,
+    /// Whether rewards are divided by the running deviation of the discounted return. Default false.
+    pub normalize_rewards: bool,
+    /// `sync` (default), `lag` or `async`.
+    pub mode: Mode,
+    /// Updates that acting runs ahead in mode `lag`. Default 1.
+    pub lag: u64,
+    /// Oldest rollouts, in versions, that mode `async` trains on. Default 8.
+    pub staleness_max: u64,
+}
+
+impl Default for LearnerSettings {
+    fn default() -> Self {
+        Self {
+            n_envs: 4,
+            n_steps: 128,
+            total_steps: 500_000,
+            learning_rate: 2.5e-4,
+            anneal: true,
+            gamma: 0.99,
+            gae_lambda: 0.95,
+            n_minibatches: 4,
+            n_epochs: 4,
+            clip: 0.2,
+            value_clip: true,
+            normalize_advantages: true,
+            entropy_coef: 0.01,
+            value_coef: 0.5,
+            max_grad_norm: 0.5,
+            target_kl: None,
+            truncation: Truncation::Bootstrap,
+            reward_scale: 1.0,
+            normalize_rewards: false,
+            mode: Mode::Sync,
+            lag: 1,
+            staleness_max: 8,
+        }
+    }
+}
+
+/// A setting that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("`learner.{key}` must be {requirement}")]
+pub struct SettingsError {
+    /// The key.
+    pub key: &'static str,
+    /// What would do.
+    pub requirement: &'static str,
+}
+
+impl LearnerSettings {
+    /// Checks ranges, and that the numbers fit together.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingsError`] naming the first key that is wrong.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        let unit = |x: f64| (0.0..=1.0).contains(&x);
+        let positive = |x: f64| x.is_finite() && x > 0.0;
+        let not_negative = |x: f64| x.is_finite() && x >= 0.0;
+        let n_samples = self.n_envs.saturating_mul(self.n_steps);
+        let rules: [(bool, &'static str, &'static str); 16] = [
+            ((1..=limits::MAX_ENVS).contains(&self.n_envs), "n_envs", "from 1 to 65536"),
+            ((1..=limits::MAX_ROLLOUT_STEPS).contains(&self.n_steps), "n_steps", "from 1 to 65536"),
+            (self.total_steps > 0, "total_steps", "at least 1"),
+            (positive(self.learning_rate), "learning_rate", "above 0"),
+            (unit(self.gamma), "gamma", "from 0 to 1"),
+            (unit(self.gae_lambda), "gae_lambda", "from 0 to 1"),
+            (
+                (1..=n_samples).contains(&self.n_minibatches),
+                "n_minibatches",
+                "from 1 to n_envs * n_steps",
+            ),
+            (self.n_epochs > 0, "n_epochs", "at least 1"),
+            (positive(self.clip), "clip", "above 0"),
+            (not_negative(self.entropy_coef), "entropy_coef", "at least 0"),
+            (not_negative(self.value_coef), "value_coef", "at least 0"),
+            (positive(self.max_grad_norm), "max_grad_norm", "above 0"),
+            (self.target_kl.is_none_or(positive), "target_kl", "above 0"),
+            (positive(self.reward_scale), "reward_scale", "above 0"),
+            (self.mode != Mode::Lag || (1..=64).contains(&self.lag), "lag", "from 1 to 64"),
+            (self.staleness_max <= 10_000, "staleness_max", "at most 10000"),
+        ];
+        match rules.into_iter().find(|(holds, _, _)| !holds) {
+            None => Ok(()),
+            Some((_, key, requirement)) => Err(SettingsError { key, requirement }),
+        }
+    }
+
+    /// Returns the order between acting and learning that the mode means.
+    pub fn schedule(&self) -> Schedule {
+        match self.mode {
+            Mode::Sync => Schedule::Lag(0),
+            Mode::Lag => Schedule::Lag(self.lag),
+            Mode::Async => Schedule::Async { staleness_max: self.staleness_max },
+        }
+    }
+
+    /// Returns the number of updates of the whole run.
+    pub fn n_updates(&self) -> u64 {
+        (self.total_steps / (self.n_envs as u64 * self.n_steps as u64)).max(1)
+    }
+
+    /// Returns the learning rate of the update that leads to version `index + 1`: never 0.
+    pub fn learning_rate_at(&self, index: u64) -> f64 {
+        if !self.anneal {
+            return self.learning_rate;
+        }
+        let n_updates = self.n_updates();
+        let index = index.min(n_updates - 1);
+        (1.0 - index as f64 / n_updates as f64) * self.learning_rate
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_learning_rate_falls_to_one_nth_and_not_to_zero() {
+        let settings = LearnerSettings { total_steps: 4 * 512 + 7, ..LearnerSettings::default() };
+        assert_eq!(settings.n_updates(), 4);
+        let rates: Vec<f64> = (0..6).map(|i| settings.learning_rate_at(i) / 2.5e-4).collect();
+        assert_eq!(rates, [1.0, 0.75, 0.5, 0.25, 0.25, 0.25]);
+    }
+
+    #[test]
+    fn an_impossible_setting_is_named() {
+        let settings = LearnerSettings { n_minibatches: 513, ..LearnerSettings::default() };
+        assert_eq!(
+            settings.check().unwrap_err().to_string(),
+            "`learner.n_minibatches` must be from 1 to n_envs * n_steps"
+        );
+        assert_eq!(LearnerSettings::default().check(), Ok(()));
+        let settings = LearnerSettings { gamma: f64::NAN, ..LearnerSettings::default() };
+        assert_eq!(settings.check().unwrap_err().key, "gamma");
+    }
+
+    #[test]
+    fn modes_become_schedules() {
+        let with = |mode| LearnerSettings { mode, ..LearnerSettings::default() }.schedule();
+        assert_eq!(with(Mode::Sync), Schedule::Lag(0));
+        assert_eq!(with(Mode::Lag), Schedule::Lag(1));
+        assert_eq!(with(Mode::Async), Schedule::Async { staleness_max: 8 });
+    }
+}

@@ -1,0 +1,239 @@
+use leadtime_numerics::{Pcg64, Purpose, stream};
+use leadtime_policy::Policy;
+use leadtime_proto::{
+    ActionSpec, Encoder, EnvId, EpisodeEnd, EpisodeSummary, HeadCredit, Iteration, Mask, codec,
+};
+
+use super::*;
+use crate::settings::Mode;
+use crate::state::TrainerState;
+
+/// A corridor of seven cells: the walker starts in the middle, the right end pays 1, the left end 0, 20 steps at most.
+const CELLS: usize = 7;
+
+struct Corridor {
+    cell: usize,
+    steps: u32,
+}
+
+impl Corridor {
+    fn observe(&self) -> [f32; CELLS] {
+        std::array::from_fn(|i| f32::from(u8::from(i == self.cell)))
+    }
+
+    /// Steps left (0) or right (1); returns the reward and, at an end, whether it is a time limit.
+    fn step(&mut self, choice: u8) -> (f32, Option<bool>) {
+        self.cell = if choice == 1 { self.cell + 1 } else { self.cell - 1 };
+        self.steps += 1;
+        match self.cell {
+            0 => (0.0, Some(false)),
+            6 => (1.0, Some(false)),
+            _ => (0.0, (self.steps == 20).then_some(true)),
+        }
+    }
+}
+
+fn specs() -> (PolicySpec, EnvSpec) {
+    let actions = ActionSpec::discrete("direction", 2);
+    let policy = PolicySpec {
+        obs_dim: CELLS,
+        encoder: Encoder::Identity,
+        hidden: vec![16, 16],
+        actions: actions.clone(),
+        head_credit: HeadCredit::All,
+        logit_bias: Vec::new(),
+        normalize_observations: true,
+    };
+    (policy, EnvSpec { obs_dim: CELLS, actions, metrics: Vec::new() })
+}
+
+fn settings(mode: Mode) -> LearnerSettings {
+    LearnerSettings {
+        n_envs: 4,
+        n_steps: 32,
+        total_steps: 128 * 40,
+        learning_rate: 3e-3,
+        normalize_rewards: true,
+        mode,
+        ..LearnerSettings::default()
+    }
+}
+
+/// Acts one rollout of each of four corridors; episodes restart with every rollout. Returns the mean return, too.
+fn collect(trainer: &Trainer, iteration: u64) -> (Vec<Rollout>, f64) {
+    let (spec, _) = specs();
+    let mut policy = Policy::new(&spec, trainer.parameters()).unwrap();
+    let mut returns = Vec::new();
+    let act = |env: u32| {
+        let mut generator = stream(5, Purpose::Act, env, iteration);
+        collect_one(&mut policy, trainer.version(), env, (iteration, &mut generator), &mut returns)
+    };
+    let rollouts = (0..4).map(act).collect();
+    (rollouts, returns.iter().sum::<f64>() / returns.len().max(1) as f64)
+}
+
+fn collect_one(
+    policy: &mut Policy,
+    version: PolicyVersion,
+    env: u32,
+    (iteration, generator): (u64, &mut Pcg64),
+    returns: &mut Vec<f64>,
+) -> Rollout {
+    let distribution = ActionDistribution::new(&specs().0.actions, HeadCredit::All);
+    let mut judge = |observation: &[f32]| {
+        let (mut logits, mut value) = ([0.0; 2], [0.0]);
+        policy.evaluate(observation, &mut [], &mut logits, &mut value);
+        (logits, value[0])
+    };
+    let mut rollout = Rollout {
+        env_id: EnvId(env),
+        iteration: Iteration(iteration),
+        version,
+        n_steps: 32,
+        masks: vec![u64::MAX; 32],
+        snapshot: vec![0],
+        ..Rollout::default()
+    };
+    let start = || Corridor { cell: 3, steps: 0 };
+    let mut corridor = start();
+    for step in 0..32 {
+        let observation = corridor.observe();
+        let (logits, value) = judge(&observation);
+        let mut action = [0];
+        let log_prob = distribution.sample(&logits, Mask::ALL, generator, &mut action);
+        let (reward, end) = corridor.step(action[0]);
+        rollout.observations.extend(observation);
+        rollout.actions.extend(action);
+        rollout.log_probs.push(log_prob);
+        rollout.values.push(value);
+        rollout.rewards.push(reward);
+        if let Some(truncated) = end {
+            returns.push(f64::from(reward));
+            let final_observation = corridor.observe().to_vec();
+            let final_value = if truncated { judge(&final_observation).1 } else { 0.0 };
+            let summary = EpisodeSummary {
+                episode: 0,
+                episode_return: f64::from(reward),
+                length: corridor.steps,
+                metrics: Vec::new(),
+            };
+            let end = EpisodeEnd { step, truncated, final_observation, final_value, summary };
+            rollout.ends.push(end);
+            corridor = start();
+        }
+    }
+    rollout.next_observation = corridor.observe().to_vec();
+    rollout.next_value = judge(&rollout.next_observation).1;
+    rollout
+}
+
+fn trainer(mode: Mode, run_seed: u64) -> Trainer {
+    let (policy, env) = specs();
+    Trainer::new(&policy, &env, &settings(mode), run_seed).unwrap()
+}
+
+#[test]
+fn the_corridor_is_learned_in_every_mode() {
+    for (mode, run_seed) in [(Mode::Sync, 1), (Mode::Lag, 2), (Mode::Async, 3)] {
+        let mut trainer = trainer(mode, run_seed);
+        // A waiting rollout makes the lag: what is trained on was acted one version ago.
+        let mut waiting = (mode != Mode::Sync).then(|| collect(&trainer, 0));
+        let mut last = 0.0;
+        for iteration in 1..=trainer.n_updates() {
+            let fresh = collect(&trainer, iteration);
+            let (rollouts, mean) = match waiting.replace(fresh) {
+                Some(waited) if mode != Mode::Sync => waited,
+                _ => waiting.take().unwrap(),
+            };
+            let report = trainer.update(&rollouts).unwrap();
+            assert!(report.entropy.is_finite() && report.n_samples == 128);
+            last = mean;
+        }
+        // The walker that turns neither way reaches the right end half the time.
+        assert!(last > 0.95, "{mode:?}: mean return {last}");
+    }
+}
+
+#[test]
+fn the_first_ratio_is_exactly_one() {
+    let (policy, env) = specs();
+    let settings = LearnerSettings { n_epochs: 1, n_minibatches: 1, ..settings(Mode::Sync) };
+    let mut trainer = Trainer::new(&policy, &env, &settings, 9).unwrap();
+    for iteration in 0..3 {
+        let (rollouts, _) = collect(&trainer, iteration);
+        let report = trainer.update(&rollouts).unwrap();
+        assert_eq!((report.old_approx_kl, report.approx_kl, report.clip_fraction), (0.0, 0.0, 0.0));
+        assert_eq!(report.staleness, BTreeMap::from([(0, 4)]));
+    }
+}
+
+#[test]
+fn a_resumed_trainer_goes_on_bit_for_bit() {
+    let mut straight = trainer(Mode::Sync, 7);
+    let mut broken = trainer(Mode::Sync, 7);
+    for iteration in 0..6 {
+        let (rollouts, _) = collect(&straight, iteration);
+        let report = straight.update(&rollouts).unwrap();
+        if iteration == 3 {
+            let bytes = codec::encode(&broken.state().unwrap()).unwrap();
+            let state: TrainerState = codec::decode(&bytes, 1 << 20).unwrap();
+            broken = trainer(Mode::Sync, 7);
+            broken.restore(state).unwrap();
+        }
+        let (again, _) = collect(&broken, iteration);
+        assert_eq!(again, rollouts, "iteration {iteration}");
+        assert_eq!(broken.update(&again).unwrap(), report, "iteration {iteration}");
+        let digest = |trainer: &Trainer| trainer.parameters().digest().unwrap();
+        assert_eq!(digest(&broken), digest(&straight), "iteration {iteration}");
+        assert_eq!(broken.state().unwrap(), straight.state().unwrap());
+    }
+}
+
+#[test]
+fn the_seed_reaches_the_weights() {
+    let run = |run_seed| {
+        let mut trainer = trainer(Mode::Sync, run_seed);
+        let (rollouts, _) = collect(&trainer, 0);
+        trainer.update(&rollouts).unwrap();
+        trainer.parameters().digest().unwrap()
+    };
+    assert_eq!(run(1), run(1));
+    assert_ne!(run(1), run(2));
+}
+
+#[test]
+fn what_cannot_be_trained_on_is_refused_by_name() {
+    let mut trainer = trainer(Mode::Sync, 1);
+    let (rollouts, _) = collect(&trainer, 0);
+    assert!(matches!(trainer.update(&[]), Err(TrainError::NoRollouts)));
+    let mut unsorted = rollouts.clone();
+    unsorted.swap(1, 2);
+    assert!(matches!(trainer.update(&unsorted), Err(TrainError::Unsorted { index: 2 })));
+    let mut short = rollouts;
+    short[3].rewards.pop();
+    let error = trainer.update(&short).unwrap_err();
+    assert!(matches!(error, TrainError::Rollout { env_id: EnvId(3), .. }), "{error}");
+    assert_eq!(trainer.version(), PolicyVersion(0));
+}
+
+#[test]
+fn a_target_kl_ends_an_update_early() {
+    let (policy, env) = specs();
+    let settings =
+        LearnerSettings { target_kl: Some(1e-9), learning_rate: 1e-2, ..settings(Mode::Sync) };
+    let mut trainer = Trainer::new(&policy, &env, &settings, 1).unwrap();
+    let (rollouts, _) = collect(&trainer, 0);
+    let report = trainer.update(&rollouts).unwrap();
+    assert!(report.n_epochs < 4 && report.approx_kl > 1e-9, "{report:?}");
+}
+
+#[test]
+fn a_state_of_another_architecture_is_refused() {
+    let state = trainer(Mode::Sync, 1).state().unwrap();
+    let (mut policy, env) = specs();
+    policy.hidden = vec![8];
+    let mut other = Trainer::new(&policy, &env, &settings(Mode::Sync), 1).unwrap();
+    let before = other.parameters().digest().unwrap();
+    assert!(other.restore(state).is_err());
+    assert_eq!(other.parameters().digest().unwrap(), before);
+}
