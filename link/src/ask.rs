@@ -34,7 +34,7 @@ pub(crate) struct Question {
 #[derive(Debug)]
 pub(crate) enum Answer {
     /// The first good answer.
-    Reply(Sample),
+    Reply(Box<Sample>),
     /// Only answers that say no; the last one's sentence.
     Rejected(String),
     /// Nobody was there to answer.
@@ -57,7 +57,7 @@ pub(crate) async fn ask(session: &Session, question: Question) -> Result<Answer>
             Err(_) => return Ok(Answer::TimedOut),
             Ok(Err(flume::RecvError::Disconnected)) => break,
             Ok(Ok(reply)) => match reply.into_result() {
-                Ok(sample) => return Ok(Answer::Reply(sample)),
+                Ok(sample) => return Ok(Answer::Reply(Box::new(sample))),
                 Err(error) => rejected = Some(error.payload().to_bytes().into_owned()),
             },
         }

@@ -1,7 +1,8 @@
 //! The one door to the wire: the only file that names the encoding.
 //!
-//! Decoding always has a limit (without one a 20-byte message can claim a terabyte and abort the process), and
-//! always consumes everything (the encoding itself would accept trailing bytes and even another struct).
+//! Decoding always has a limit that grows with the message (without one a 20-byte message can claim a terabyte and
+//! abort the process), and always consumes everything (the encoding itself would accept trailing bytes and even
+//! another struct).
 
 use bincode::config::{self, Config};
 use serde::Serialize;
@@ -35,11 +36,12 @@ pub enum CodecError {
     },
 }
 
-/// Slack over the size limit: the decoder also counts the containers' own overhead.
-const DECODE_LIMIT: usize = limits::MAX_MESSAGE_BYTES + limits::MAX_MESSAGE_BYTES / 4;
+/// The most that a message of the largest size may claim while it is decoded: its bytes and a quarter.
+const LARGEST: usize = limits::MAX_MESSAGE_BYTES + limits::MAX_MESSAGE_BYTES / 4;
 
-fn encoding() -> impl Config {
-    config::standard().with_limit::<DECODE_LIMIT>()
+/// The encoding, with a limit on what a message may claim (and thereby have allocated) while it is decoded.
+fn encoding<const LIMIT: usize>() -> impl Config {
+    config::standard().with_limit::<LIMIT>()
 }
 
 /// Encodes a message body.
@@ -48,7 +50,7 @@ fn encoding() -> impl Config {
 ///
 /// [`CodecError::Encode`] if the value cannot be represented, which no message of this crate is.
 pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
-    bincode::serde::encode_to_vec(message, encoding()).map_err(CodecError::Encode)
+    bincode::serde::encode_to_vec(message, encoding::<LARGEST>()).map_err(CodecError::Encode)
 }
 
 /// Decodes a message body of at most `max_bytes`, all of it.
@@ -60,8 +62,15 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8], max_bytes: usize) -> Result<T, 
     if bytes.len() > max_bytes {
         return Err(CodecError::TooLarge { found: bytes.len(), limit: max_bytes });
     }
-    let (message, used) =
-        bincode::serde::decode_from_slice(bytes, encoding()).map_err(CodecError::Decode)?;
+    // The limit is a constant of the encoding, so there are a few. No honest message claims more than 8 times its
+    // bytes (a number of 8 bytes may be written in one), and large ones are nearly all plain bytes.
+    let decoded = match bytes.len() {
+        0..=0x1000 => bincode::serde::decode_from_slice(bytes, encoding::<0x1_0000>()),
+        0x1001..=0x1_0000 => bincode::serde::decode_from_slice(bytes, encoding::<0x10_0000>()),
+        0x1_0001..=0x10_0000 => bincode::serde::decode_from_slice(bytes, encoding::<0x100_0000>()),
+        _ => bincode::serde::decode_from_slice(bytes, encoding::<LARGEST>()),
+    };
+    let (message, used) = decoded.map_err(CodecError::Decode)?;
     if used != bytes.len() {
         return Err(CodecError::Trailing { left: bytes.len() - used });
     }
@@ -113,6 +122,23 @@ mod tests {
         let mut bytes = vec![253];
         bytes.extend_from_slice(&(1_u64 << 40).to_le_bytes());
         assert!(matches!(decode::<String>(&bytes, 1 << 20), Err(CodecError::Decode(_))));
+    }
+
+    #[test]
+    fn a_short_message_cannot_claim_a_long_one() {
+        // 1 MiB is far below the largest message, and far above what 9 bytes can hold.
+        let mut bytes = vec![253];
+        bytes.extend_from_slice(&(1_u64 << 20).to_le_bytes());
+        let error = decode::<String>(&bytes, limits::MAX_MESSAGE_BYTES).unwrap_err();
+        assert!(matches!(error, CodecError::Decode(bincode::error::DecodeError::LimitExceeded)));
+    }
+
+    #[test]
+    fn the_densest_honest_messages_are_within_the_limits() {
+        for n in [100, 4_000, 60_000, 1_000_000] {
+            let dense = vec![1_u64; n];
+            assert_eq!(decode::<Vec<u64>>(&encode(&dense).unwrap(), 1 << 24).unwrap(), dense);
+        }
     }
 
     #[test]

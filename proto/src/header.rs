@@ -146,8 +146,10 @@ impl Header {
     ///
     /// [`HeaderError`]: wrong length, magic, protocol version or schema, in this order.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, HeaderError> {
-        let bytes: &[u8; HEADER_BYTES] =
-            bytes.try_into().map_err(|_| HeaderError::Length { found: bytes.len() })?;
+        let found = bytes.len();
+        let Ok(bytes) = <&[u8; HEADER_BYTES]>::try_from(bytes) else {
+            return Err(HeaderError::Length { found });
+        };
         let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
         let long = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
         if word(0) != MAGIC {

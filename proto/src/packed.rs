@@ -52,12 +52,14 @@ pub fn deserialize<'de, T: Packed, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Vec<T>, D::Error> {
     let bytes: Vec<u8> = serde_bytes::deserialize(deserializer)?;
-    if bytes.len() % size_of::<T>() != 0 {
+    if !bytes.len().is_multiple_of(size_of::<T>()) {
         return Err(D::Error::custom("byte count is not a multiple of the element size"));
     }
     let mut values: Vec<T> = bytemuck::allocation::pod_collect_to_vec(&bytes);
     if cfg!(target_endian = "big") {
-        values.iter_mut().for_each(|value| *value = value.swap_to_little_endian());
+        for value in &mut values {
+            *value = value.swap_to_little_endian();
+        }
     }
     Ok(values)
 }

@@ -3,6 +3,8 @@
 //! Hermetic: every test has a socket of its own in a temporary directory (or a port that the kernel chooses), and
 //! waits for events with a limit instead of sleeping.
 
+#![expect(clippy::unwrap_used, reason = "the tests' helpers fail as their tests do")]
+
 mod joining;
 mod messages;
 mod presence;

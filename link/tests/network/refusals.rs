@@ -7,11 +7,13 @@ use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
 use leadtime_proto::receive::{self, ROLLOUT};
 use leadtime_proto::{ActorId, Header, Refusal, RefusalCause, Rollout};
 use zenoh::Session;
+use zenoh::qos::CongestionControl;
 
 use crate::support::*;
 
 async fn put(session: &Session, key: &str, attachment: Option<Vec<u8>>, payload: &[u8]) {
-    let message = session.put(key, payload);
+    // Waits for room: by default a message of many fragments is dropped on a busy machine.
+    let message = session.put(key, payload).congestion_control(CongestionControl::Block);
     match attachment {
         Some(attachment) => message.attachment(attachment).await.unwrap(),
         None => message.await.unwrap(),
@@ -41,9 +43,9 @@ async fn what_is_no_rollout_is_refused_with_its_cause_before_it_is_read() {
     foreign[12] = 9;
     let credit = Header::plain(Schema::Credit, ACTOR, &payload).to_bytes();
     let huge = vec![0; MAX_ROLLOUT_BYTES + 1];
-    let cases: [(Option<Vec<u8>>, &[u8], RefusalCause); 6] = [
-        (None, &payload, RefusalCause::Header),
-        (Some(b"garbage".to_vec()), b"garbage", RefusalCause::Header),
+    let cases = [
+        (None, payload.as_slice(), RefusalCause::Header),
+        (Some(b"garbage".to_vec()), b"garbage".as_slice(), RefusalCause::Header),
         (Some(vec![0; 48]), &payload, RefusalCause::Header),
         (Some(foreign.to_vec()), &payload, RefusalCause::Protocol),
         (Some(credit.to_vec()), &payload, RefusalCause::Schema),

@@ -37,7 +37,7 @@ async fn older_versions_can_be_pulled_until_they_are_retired() {
     let (actor, _actor_events) = site.welcomed("a", &events).await;
     assert!(matches!(actor.pull_weights(None).await.unwrap_err(), Error::Rejected { .. }));
     for version in 1..=3 {
-        learner.offer_weights(PolicyVersion(version), &[version as u8; 70_000]).unwrap();
+        learner.offer_weights(PolicyVersion(version), &vec![version as u8; 70_000]).unwrap();
     }
     let pulled = actor.pull_weights(Some(PolicyVersion(2))).await.unwrap();
     assert_eq!(pulled, (PolicyVersion(2), vec![2; 70_000]));

@@ -1,0 +1,299 @@
+//! Mutated messages on the receiving path: no panic, no more memory than the message deserves, a cause for every refusal.
+//!
+//! Three kinds of damage: bytes that arrive changed (the checksum sees them), bytes that an intruder sealed (it does
+//! not), and headers. What gets through the receiver's checks is a message like any other, so it is also given to
+//! the last step, the check of a rollout's shapes.
+
+#![expect(clippy::unwrap_used, reason = "the tests' helpers fail as their tests do")]
+
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::{Assignment, Control, EnvAssignment, Hello, HelloReply, Welcome};
+use leadtime_proto::receive::{self, CONTROL, Expected, HELLO, HELLO_REPLY, ROLLOUT};
+use leadtime_proto::{
+    ActionSpec, ActorId, Encoder, EnvId, EnvSpec, EpisodeEnd, EpisodeSummary, Epoch, HeadCredit,
+    Header, Incarnation, Iteration, PolicySpec, PolicyVersion, RefusalCause, Rollout, RunName,
+    Schedule, Sequence, TaskSpec, codec,
+};
+use proptest::collection::vec;
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// One way in which bytes are spoilt; positions are taken modulo the length.
+#[derive(Clone, Debug)]
+enum Damage {
+    Flip {
+        at: usize,
+        mask: u8,
+    },
+    Set {
+        at: usize,
+        value: u8,
+    },
+    Cut {
+        at: usize,
+    },
+    Insert {
+        at: usize,
+        bytes: Vec<u8>,
+    },
+    /// Writes a length in the encoding's own words.
+    Claim {
+        at: usize,
+        length: u64,
+    },
+}
+
+fn damage() -> impl Strategy<Value = Damage> {
+    let at = any::<usize>();
+    prop_oneof![
+        (at, 1..=u8::MAX).prop_map(|(at, mask)| Damage::Flip { at, mask }),
+        (at, prop_oneof![Just(0), Just(1), 250..=255_u8])
+            .prop_map(|(at, value)| Damage::Set { at, value }),
+        at.prop_map(|at| Damage::Cut { at }),
+        (at, vec(any::<u8>(), 1..16)).prop_map(|(at, bytes)| Damage::Insert { at, bytes }),
+        (at, 0..63_u32).prop_map(|(at, bits)| Damage::Claim { at, length: 1 << bits }),
+    ]
+}
+
+fn spoil(mut bytes: Vec<u8>, damages: &[Damage]) -> Vec<u8> {
+    for damage in damages {
+        let n = bytes.len().max(1);
+        match damage {
+            Damage::Flip { at, mask } => {
+                if let Some(byte) = bytes.get_mut(at % n) {
+                    *byte ^= mask;
+                }
+            }
+            Damage::Set { at, value } => {
+                if let Some(byte) = bytes.get_mut(at % n) {
+                    *byte = *value;
+                }
+            }
+            Damage::Cut { at } => bytes.truncate(at % n),
+            Damage::Insert { at, bytes: inserted } => {
+                let at = at % n;
+                drop(
+                    bytes
+                        .splice(at.min(bytes.len())..at.min(bytes.len()), inserted.iter().copied()),
+                );
+            }
+            Damage::Claim { at, length } => {
+                let word = [&[253], length.to_le_bytes().as_slice()].concat();
+                let start = (at % n).min(bytes.len());
+                let end = (start + 1).min(bytes.len());
+                drop(bytes.splice(start..end, word));
+            }
+        }
+    }
+    bytes
+}
+
+fn spec() -> EnvSpec {
+    EnvSpec {
+        obs_dim: 2,
+        actions: ActionSpec::discrete("choice", 3),
+        metrics: vec!["success".to_owned()],
+    }
+}
+
+fn rollout() -> impl Strategy<Value = Rollout> {
+    (1..20_usize, vec(any::<u8>(), 1..64)).prop_map(|(n_steps, snapshot)| Rollout {
+        env_id: EnvId(3),
+        iteration: Iteration(4),
+        version: PolicyVersion(5),
+        n_steps: n_steps as u32,
+        observations: vec![0.5; 2 * n_steps],
+        next_observation: vec![0.25; 2],
+        masks: vec![u64::MAX; n_steps],
+        actions: vec![2; n_steps],
+        log_probs: vec![-1.0; n_steps],
+        values: vec![0.0; n_steps],
+        next_value: 0.5,
+        rewards: vec![1.0; n_steps],
+        ends: vec![EpisodeEnd {
+            step: n_steps as u32 - 1,
+            truncated: true,
+            final_observation: vec![0.0; 2],
+            final_value: 1.0,
+            summary: EpisodeSummary {
+                episode: 7,
+                episode_return: 3.0,
+                length: 11,
+                metrics: vec![1.0],
+            },
+        }],
+        recurrent: Vec::new(),
+        snapshot,
+    })
+}
+
+fn control() -> Control {
+    let env = |id| EnvAssignment {
+        env_id: EnvId(id),
+        iteration: Iteration(2),
+        snapshot: vec![id as u8; 40],
+    };
+    Control::Assign(Assignment {
+        epoch: Epoch(3),
+        envs: (0..5).map(env).collect(),
+        keep: vec![EnvId(9)],
+    })
+}
+
+fn hello() -> Hello {
+    Hello {
+        protocol: 1,
+        program: "0.1.0".to_owned(),
+        actor: ActorId::new("actor-1").unwrap(),
+        incarnation: Incarnation(7),
+        cpu: "x86_64".to_owned(),
+        published: Sequence(10),
+        first_unacknowledged: Sequence(9),
+    }
+}
+
+fn reply() -> HelloReply {
+    let policy = PolicySpec {
+        obs_dim: 2,
+        encoder: Encoder::Identity,
+        hidden: vec![64, 64],
+        actions: spec().actions,
+        head_credit: HeadCredit::Active,
+        logit_bias: vec![0.0; 3],
+        normalize_observations: true,
+    };
+    HelloReply::Welcome(Box::new(Welcome {
+        run: RunName::new("run").unwrap(),
+        learner: Incarnation(1),
+        run_seed: 2,
+        task: TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() },
+        env: spec(),
+        policy,
+        n_steps: 20,
+        schedule: Schedule::Async { staleness_max: 8 },
+        window: 4,
+        version: PolicyVersion(3),
+        resend_from: Sequence(1),
+    }))
+}
+
+fn header(schema: Schema, payload: &[u8]) -> Header {
+    Header {
+        sequence: Sequence(7),
+        epoch: Epoch(8),
+        version: PolicyVersion(9),
+        ..Header::plain(schema, Incarnation(6), payload)
+    }
+}
+
+/// Sends spoilt bytes through the receiver twice: as damaged on the way, and as sealed by an intruder.
+///
+/// Returns what the intruder got through.
+fn receive_spoilt<T: Serialize + DeserializeOwned>(
+    message: &T,
+    damages: &[Damage],
+    expected: Expected,
+) -> Result<Option<T>, TestCaseError> {
+    let sent = codec::encode(message).unwrap();
+    let sealed = header(expected.schema, &sent).to_bytes();
+    prop_assert!(receive::receive::<T>(Some(&sealed), &sent, expected).is_ok());
+
+    let spoilt = spoil(sent.clone(), damages);
+    let arrived = receive::receive::<T>(Some(&sealed), &spoilt, expected);
+    if spoilt == sent {
+        prop_assert!(arrived.is_ok());
+    } else {
+        let cause = arrived.map(drop).unwrap_err().cause();
+        prop_assert_eq!(cause, RefusalCause::Checksum);
+    }
+
+    let resealed = header(expected.schema, &spoilt).to_bytes();
+    match receive::receive::<T>(Some(&resealed), &spoilt, expected) {
+        Ok((_, message)) => {
+            // It is a message like any other: it can be written, and reads back the same.
+            let again = codec::encode(&message).unwrap();
+            let back: T = codec::decode(&again, expected.max_bytes).unwrap();
+            prop_assert_eq!(codec::encode(&back).unwrap(), again);
+            Ok(Some(message))
+        }
+        Err(refusal) => {
+            prop_assert_eq!(refusal.cause(), RefusalCause::Malformed);
+            Ok(None)
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 2_000,
+        failure_persistence: None,
+        rng_seed: RngSeed::Fixed(20_260_101),
+        ..ProptestConfig::default()
+    })]
+
+    #[test]
+    fn a_spoilt_rollout_is_refused_or_checked(
+        rollout in rollout(),
+        damages in vec(damage(), 1..6),
+    ) {
+        if let Some(got) = receive_spoilt(&rollout, &damages, ROLLOUT)? {
+            match got.check(&spec(), rollout.n_steps as usize, 0) {
+                Ok(()) => prop_assert_eq!(got.observations.len(), rollout.observations.len()),
+                Err(invalid) => {
+                    let cause = RefusalCause::from(&invalid);
+                    prop_assert!(RefusalCause::ALL.contains(&cause));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_spoilt_order_is_refused_or_an_order(damages in vec(damage(), 1..6)) {
+        receive_spoilt(&control(), &damages, CONTROL)?;
+    }
+
+    #[test]
+    fn a_spoilt_hello_is_refused_or_a_hello(damages in vec(damage(), 1..6)) {
+        if let Some(hello) = receive_spoilt(&hello(), &damages, HELLO)? {
+            // Names become parts of keys and paths, so they are checked while they are decoded.
+            prop_assert!(ActorId::new(hello.actor.as_str()).is_ok());
+        }
+    }
+
+    #[test]
+    fn a_spoilt_welcome_is_refused_or_a_welcome(damages in vec(damage(), 1..6)) {
+        if let Some(HelloReply::Welcome(welcome)) = receive_spoilt(&reply(), &damages, HELLO_REPLY)? {
+            prop_assert!(RunName::new(welcome.run.as_str()).is_ok());
+        }
+    }
+
+    #[test]
+    fn a_spoilt_header_is_refused_with_a_cause_or_is_a_header(
+        rollout in rollout(),
+        damages in vec(damage(), 1..4),
+    ) {
+        let payload = codec::encode(&rollout).unwrap();
+        let sent = header(Schema::Rollout, &payload).to_bytes().to_vec();
+        let spoilt = spoil(sent.clone(), &damages);
+        match receive::receive::<Rollout>(Some(&spoilt), &payload, ROLLOUT) {
+            // Who, which and under what are the sender's word; the rest of a header is checked.
+            Ok((header, got)) => {
+                prop_assert_eq!(header.checksum, Header::from_bytes(&sent).unwrap().checksum);
+                prop_assert_eq!(got, rollout);
+            }
+            Err(refusal) => {
+                use RefusalCause as C;
+                let cause = refusal.cause();
+                prop_assert!([C::Header, C::Protocol, C::Schema, C::Checksum].contains(&cause), "{cause}");
+            }
+        }
+    }
+
+    #[test]
+    fn noise_is_refused(header in vec(any::<u8>(), 0..64), payload in vec(any::<u8>(), 0..256)) {
+        let refusal = receive::receive::<Rollout>(Some(&header), &payload, ROLLOUT).unwrap_err();
+        prop_assert_eq!(refusal.cause(), RefusalCause::Header);
+    }
+}
