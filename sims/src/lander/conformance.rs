@@ -3,7 +3,7 @@
 //! A trace holds an episode of Gymnasium's `LunarLander-v3`: the seed, the wind, and for every frame the action and
 //! the observation after it. The replay resets our world with the same seed, so it draws the same ground, start,
 //! wind and dispersion, takes the recorded actions, and compares observations until the first contact with the
-//! ground (from there on chaos decides), for at most 100 frames.
+//! ground in either world (from there on chaos decides), for at most 100 frames.
 //!
 //! # Source
 //!
@@ -16,7 +16,7 @@ use thiserror::Error;
 
 use super::engines::{Engine, NoSuchEngine};
 use super::settings::{LanderSettings, Physics};
-use super::world::Lander;
+use super::world::{Lander, Outcome};
 
 /// The compared components of an observation; the leg flags are all zero before the first contact.
 pub const COMPONENTS: [&str; 6] = ["x", "y", "vx", "vy", "angle", "angular_velocity"];
@@ -172,6 +172,9 @@ fn compare(trace: &Trace, physics: Physics) -> Result<EpisodeError, NoSuchEngine
     let mut found = EpisodeError { reset, components: [0.0; 6], n_frames: 0 };
     for step in trace.steps.iter().take(MAX_FRAMES).take_while(|step| !step.contact()) {
         let frame = lander.step(Engine::try_from(step.action)?);
+        if frame.outcome == Some(Outcome::Crashed) || lander.leg_contacts() != [false; 2] {
+            break;
+        }
         let errors = errors(&frame.observation, &step.obs);
         for (largest, error) in found.components.iter_mut().zip(errors) {
             *largest = worse(*largest, error);

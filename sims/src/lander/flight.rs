@@ -18,6 +18,10 @@ use super::constants::{
 };
 use super::engines::Load;
 
+/// What a spinning lander adds to its legs' speed, per squared spin: Box2D's joint correction pulls them in a little.
+/// Fitted (residual 1.3e-5 rad over 22 frames), because it decides in which frame a leg reaches its stop.
+const LEG_CREEP: f64 = 8.0e-4;
+
 /// The lander in free flight.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Flight {
@@ -125,9 +129,10 @@ impl Flight {
             self.angular_momentum += cross(hull.center - self.center, impulse) + gust.torque * DT;
         }
         self.velocity.y -= GRAVITY * DT;
+        let speed = LEG_SPEED + LEG_CREEP * self.spin * self.spin;
         for k in 0..2 {
             let above_stop = -LEG_SIGN[k] * self.leg_angles[k] - LEG_LOWER;
-            self.leg_rates[k] = if above_stop > 0.0 { LEG_SPEED * LEG_SIGN[k] } else { 0.0 };
+            self.leg_rates[k] = if above_stop > 0.0 { speed * LEG_SIGN[k] } else { 0.0 };
         }
         self.spin = self.stance.spin(self.angular_momentum, self.leg_rates);
         self.angular_momentum -= self.joint_loss();

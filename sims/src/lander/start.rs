@@ -9,6 +9,10 @@ use nalgebra::Vector4;
 use super::body::Body;
 use super::constants::{HEIGHT, HULL, HULL_COM, PAD_X, Vec2};
 
+/// In the first two frames Box2D turns the legs by a little more or less than their motors' speed, in proportion to
+/// the vertical force. The legs start with that difference, so that they reach their stops in the right frame.
+const LEG_LEAD: f64 = 3.02e-4;
+
 /// Rows x - 10, y - H, angle, vx, vy, w of hull and legs (positions of body origins, velocities of centres of
 /// mass); columns 1, horizontal force / 1000, vertical force / 1000, torque.
 const MAP: [[[f64; 4]; 6]; 3] = [
@@ -23,7 +27,7 @@ const MAP: [[[f64; 4]; 6]; 3] = [
     [
         [0.870_981_7, 0.077_260_6, 0.0, 0.000_160_5],
         [-0.211_867, -0.010_449_1, 0.080_663_4, 0.000_496_3],
-        [0.491_884_5, -0.011_995_9, 0.0, 0.000_569_4],
+        [0.491_884_5, -0.011_995_9, LEG_LEAD, 0.000_569_4],
         [0.0, 3.706_773_3, 0.0, 0.015_507],
         [-0.2, -0.291_139_2, 4.033_161_5, 0.013_832_3],
         [0.0, -0.457_877_6, 0.0, 0.021_754_2],
@@ -31,7 +35,7 @@ const MAP: [[[f64; 4]; 6]; 3] = [
     [
         [-0.871_038_5, 0.077_260_1, 0.0, 0.000_162_9],
         [-0.211_639_2, 0.010_452_8, 0.080_663_4, -0.000_496_8],
-        [-0.492_145_2, -0.012_000_8, 0.0, 0.000_570_7],
+        [-0.492_145_2, -0.012_000_8, -LEG_LEAD, 0.000_570_7],
         [0.0, 3.706_773_3, 0.0, 0.015_507],
         [-0.2, 0.291_139_4, 4.033_161_5, -0.013_832_3],
         [0.0, -0.457_877_4, 0.0, 0.021_754_1],
