@@ -1,0 +1,393 @@
+//! An SVG file in the making: elements are appended, coordinates are rounded, text is escaped.
+//!
+//! It cannot be asked for anything that is not well formed: groups are closures, every text and attribute value
+//! goes through [`escape`], and a coordinate that is no number is written as 0.
+
+use std::borrow::Cow;
+use std::fmt::Write as _;
+
+use super::font::{FAMILY, Weight};
+use super::ink::Ink;
+
+/// Replaces the characters that mean something in XML and HTML, and drops those that XML forbids.
+pub fn escape(text: &str) -> Cow<'_, str> {
+    let special = |c: char| matches!(c, '&' | '<' | '>' | '"' | '\'') || forbidden(c);
+    if !text.contains(special) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            c if forbidden(c) => {}
+            c => out.push(c),
+        }
+    }
+    Cow::Owned(out)
+}
+
+fn forbidden(c: char) -> bool {
+    (c.is_control() && !matches!(c, '\n' | '\t')) || matches!(c, '\u{fffe}' | '\u{ffff}')
+}
+
+/// Writes a coordinate with at most two decimals.
+pub fn number(value: f64) -> String {
+    if !value.is_finite() {
+        return "0".to_owned();
+    }
+    let text = format!("{value:.2}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+/// A rectangle on the canvas, in pixels; y grows downward.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Area {
+    /// Left edge.
+    pub x: f64,
+    /// Top edge.
+    pub y: f64,
+    /// Width.
+    pub width: f64,
+    /// Height.
+    pub height: f64,
+}
+
+impl Area {
+    /// Names a rectangle by its corner and size.
+    pub fn new(x: f64, y: f64, width: f64, height: f64) -> Self {
+        Self { x, y, width, height }
+    }
+
+    /// Returns the right edge.
+    pub fn right(&self) -> f64 {
+        self.x + self.width
+    }
+
+    /// Returns the bottom edge.
+    pub fn bottom(&self) -> f64 {
+        self.y + self.height
+    }
+
+    /// Tells whether two rectangles share any point.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        self.x < other.right()
+            && other.x < self.right()
+            && self.y < other.bottom()
+            && other.y < self.bottom()
+    }
+
+    /// Tells whether `other` lies wholly inside.
+    pub fn encloses(&self, other: &Self) -> bool {
+        self.x <= other.x
+            && other.right() <= self.right()
+            && self.y <= other.y
+            && other.bottom() <= self.bottom()
+    }
+}
+
+/// How a shape is filled and outlined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Paint {
+    fill: Option<Ink>,
+    stroke: Option<Ink>,
+    width: f64,
+    opacity: f64,
+    fill_opacity: f64,
+    dash: Option<(f64, f64)>,
+}
+
+impl Paint {
+    /// Fills, without an outline.
+    pub fn fill(ink: Ink) -> Self {
+        let (fill, stroke) = (Some(ink), None);
+        Self { fill, stroke, width: 0.0, opacity: 1.0, fill_opacity: 1.0, dash: None }
+    }
+
+    /// Outlines, without a filling; `width` in pixels.
+    pub fn stroke(ink: Ink, width: f64) -> Self {
+        let (fill, stroke) = (None, Some(ink));
+        Self { fill, stroke, width, opacity: 1.0, fill_opacity: 1.0, dash: None }
+    }
+
+    /// Adds an outline.
+    pub fn outlined(self, ink: Ink, width: f64) -> Self {
+        Self { stroke: Some(ink), width, ..self }
+    }
+
+    /// Makes the whole shape translucent, 0 to 1.
+    pub fn opacity(self, opacity: f64) -> Self {
+        Self { opacity, ..self }
+    }
+
+    /// Makes the filling alone translucent, 0 to 1.
+    pub fn fill_opacity(self, fill_opacity: f64) -> Self {
+        Self { fill_opacity, ..self }
+    }
+
+    /// Dashes the outline: drawn and skipped lengths in pixels.
+    pub fn dashed(self, drawn: f64, skipped: f64) -> Self {
+        Self { dash: Some((drawn, skipped)), ..self }
+    }
+
+    fn attributes(&self) -> String {
+        let mut classes = Vec::new();
+        let mut out = String::new();
+        match self.fill {
+            Some(ink) => {
+                classes.push(format!("f-{}", ink.class()));
+                attribute(&mut out, "fill", ink.light());
+            }
+            None => attribute(&mut out, "fill", "none"),
+        }
+        if let Some(ink) = self.stroke {
+            classes.push(format!("s-{}", ink.class()));
+            attribute(&mut out, "stroke", ink.light());
+            attribute(&mut out, "stroke-width", &number(self.width));
+            attribute(&mut out, "stroke-linejoin", "round");
+            attribute(&mut out, "stroke-linecap", "round");
+        }
+        if let Some((drawn, skipped)) = self.dash {
+            let pattern = format!("{} {}", number(drawn), number(skipped));
+            attribute(&mut out, "stroke-dasharray", &pattern);
+        }
+        if self.opacity < 1.0 {
+            attribute(&mut out, "opacity", &number(self.opacity));
+        }
+        if self.fill_opacity < 1.0 {
+            attribute(&mut out, "fill-opacity", &number(self.fill_opacity));
+        }
+        attribute(&mut out, "class", &classes.join(" "));
+        out
+    }
+}
+
+fn attribute(out: &mut String, name: &str, value: &str) {
+    write!(out, " {name}=\"{}\"", escape(value)).expect("a string takes what is written");
+}
+
+/// Which point of a text its position names.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Anchor {
+    /// Its left end.
+    #[default]
+    Start,
+    /// Its middle.
+    Middle,
+    /// Its right end.
+    End,
+}
+
+/// How text is set; the position is on its baseline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TextStyle {
+    /// Size in pixels.
+    pub size: f64,
+    /// Weight.
+    pub weight: Weight,
+    /// Colour.
+    pub ink: Ink,
+    /// Point that is placed.
+    pub anchor: Anchor,
+    /// A halo in this colour keeps the text legible on lines.
+    pub halo: Option<Ink>,
+}
+
+impl TextStyle {
+    /// Sets regular text that starts at its position.
+    pub fn new(size: f64, ink: Ink) -> Self {
+        Self { size, weight: Weight::Regular, ink, anchor: Anchor::Start, halo: None }
+    }
+
+    /// Makes it semi-bold.
+    pub fn bold(self) -> Self {
+        Self { weight: Weight::Bold, ..self }
+    }
+
+    /// Moves the anchor.
+    pub fn anchored(self, anchor: Anchor) -> Self {
+        Self { anchor, ..self }
+    }
+
+    /// Adds a halo.
+    pub fn haloed(self, ink: Ink) -> Self {
+        Self { halo: Some(ink), ..self }
+    }
+}
+
+/// A picture to draw on.
+#[derive(Clone, Debug)]
+pub struct Canvas {
+    width: f64,
+    height: f64,
+    body: String,
+    n_clips: usize,
+    /// Keeps clip ids of several pictures on one page apart.
+    id: String,
+}
+
+impl Canvas {
+    /// Starts a picture on white paper. `id` must be unique on the page that will hold the picture.
+    pub fn new(id: &str, width: f64, height: f64) -> Self {
+        let id = id.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
+        let mut canvas = Self { width, height, body: String::new(), n_clips: 0, id };
+        canvas.rectangle(Area::new(0.0, 0.0, width, height), 0.0, Paint::fill(Ink::Paper));
+        canvas
+    }
+
+    /// Draws a rectangle with corners rounded by `radius` pixels.
+    pub fn rectangle(&mut self, area: Area, radius: f64, paint: Paint) {
+        let [x, y] = [area.x, area.y].map(number);
+        let [width, height] = [area.width.max(0.0), area.height.max(0.0)].map(number);
+        let rounding =
+            if radius > 0.0 { format!(" rx=\"{}\"", number(radius)) } else { String::new() };
+        let place = format!("x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"{rounding}");
+        self.element("rect", &place, paint);
+    }
+
+    /// Draws a line through points; fewer than two are nothing.
+    pub fn line(&mut self, points: &[[f64; 2]], paint: Paint) {
+        if points.len() >= 2 {
+            let place = format!("points=\"{}\"", joined(points));
+            self.element("polyline", &place, paint);
+        }
+    }
+
+    /// Draws a closed polygon; fewer than three corners are nothing.
+    pub fn polygon(&mut self, points: &[[f64; 2]], paint: Paint) {
+        if points.len() >= 3 {
+            let place = format!("points=\"{}\"", joined(points));
+            self.element("polygon", &place, paint);
+        }
+    }
+
+    /// Draws a circle.
+    pub fn circle(&mut self, center: [f64; 2], radius: f64, paint: Paint) {
+        let [x, y] = center.map(number);
+        self.element("circle", &format!("cx=\"{x}\" cy=\"{y}\" r=\"{}\"", number(radius)), paint);
+    }
+
+    /// Sets a line of text.
+    pub fn text(&mut self, at: [f64; 2], text: &str, style: TextStyle) {
+        self.set_text(at, text, style, "");
+    }
+
+    /// Sets a line of text that runs upward, for the label of a vertical axis.
+    pub fn text_upward(&mut self, at: [f64; 2], text: &str, style: TextStyle) {
+        let turn = format!(" transform=\"rotate(-90 {} {})\"", number(at[0]), number(at[1]));
+        self.set_text(at, text, style, &turn);
+    }
+
+    fn set_text(&mut self, at: [f64; 2], text: &str, style: TextStyle, extra: &str) {
+        let mut attributes = String::new();
+        attribute(&mut attributes, "font-size", &number(style.size));
+        if style.weight == Weight::Bold {
+            attribute(&mut attributes, "font-weight", "600");
+        }
+        match style.anchor {
+            Anchor::Start => {}
+            Anchor::Middle => attribute(&mut attributes, "text-anchor", "middle"),
+            Anchor::End => attribute(&mut attributes, "text-anchor", "end"),
+        }
+        let mut class = format!("f-{}", style.ink.class());
+        attribute(&mut attributes, "fill", style.ink.light());
+        if let Some(halo) = style.halo {
+            class = format!("{class} s-{}", halo.class());
+            attribute(&mut attributes, "stroke", halo.light());
+            attribute(&mut attributes, "stroke-width", "3.5");
+            attribute(&mut attributes, "stroke-linejoin", "round");
+            attribute(&mut attributes, "paint-order", "stroke");
+        }
+        attribute(&mut attributes, "class", &class);
+        let [x, y] = at.map(number);
+        let text = escape(text);
+        let line = format!("<text x=\"{x}\" y=\"{y}\"{attributes}{extra}>{text}</text>\n");
+        self.body.push_str(&line);
+    }
+
+    /// Draws with everything outside `area` cut off.
+    pub fn clipped(&mut self, area: Area, draw: impl FnOnce(&mut Self)) {
+        self.n_clips += 1;
+        let name = format!("{}-clip{}", self.id, self.n_clips);
+        let [x, y, width, height] =
+            [area.x, area.y, area.width.max(0.0), area.height.max(0.0)].map(number);
+        let opening = format!(
+            "<clipPath id=\"{name}\"><rect x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"/></clipPath>\n\
+             <g clip-path=\"url(#{name})\">\n"
+        );
+        self.body.push_str(&opening);
+        draw(self);
+        self.body.push_str("</g>\n");
+    }
+
+    fn element(&mut self, name: &str, place: &str, paint: Paint) {
+        let line = format!("<{name} {place}{}/>\n", paint.attributes());
+        self.body.push_str(&line);
+    }
+
+    /// Closes the picture; the title is what a screen reader says.
+    pub fn finish(self, title: &str) -> String {
+        let [width, height] = [self.width, self.height].map(number);
+        let (family, title) = (escape(FAMILY), escape(title));
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
+             height=\"{height}\" role=\"img\" font-family=\"{family}\">\n<title>{title}</title>\n{}</svg>\n",
+            self.body
+        )
+    }
+}
+
+fn joined(points: &[[f64; 2]]) -> String {
+    let pairs = points.iter().map(|p| format!("{},{}", number(p[0]), number(p[1])));
+    pairs.collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_cannot_break_out() {
+        assert_eq!(escape("a<b & \"c\" 'd'\u{1}>"), "a&lt;b &amp; &quot;c&quot; &#39;d&#39;&gt;");
+        assert!(matches!(escape("plain"), Cow::Borrowed("plain")));
+    }
+
+    #[test]
+    fn numbers_are_short_and_finite() {
+        let cases = [(1.0, "1"), (-0.001, "0"), (2.346, "2.35"), (10.0, "10"), (f64::NAN, "0")];
+        for (value, text) in cases {
+            assert_eq!(number(value), text);
+        }
+    }
+
+    #[test]
+    fn a_picture_of_everything_is_an_svg_file() {
+        let mut canvas = Canvas::new("a<b", 100.0, 50.0);
+        canvas.clipped(Area::new(0.0, 0.0, 10.0, 10.0), |c| {
+            c.line(
+                &[[0.0, 0.0], [5.0, f64::INFINITY]],
+                Paint::stroke(Ink::Blue, 2.0).dashed(3.0, 2.0),
+            );
+            c.polygon(&[[0.0, 0.0], [5.0, 0.0], [0.0, 5.0]], Paint::fill(Ink::Green).opacity(0.5));
+        });
+        canvas.circle([3.0, 3.0], 2.0, Paint::fill(Ink::Orange).outlined(Ink::Paper, 1.0));
+        canvas.text([1.0, 9.0], "<&\"'>", TextStyle::new(9.0, Ink::Text).haloed(Ink::Paper));
+        canvas.text_upward([1.0, 9.0], "up", TextStyle::new(9.0, Ink::Text).anchored(Anchor::End));
+        let svg = canvas.finish("title & more");
+        let tree = resvg::usvg::Tree::from_str(&svg, &resvg::usvg::Options::default()).unwrap();
+        assert_eq!((tree.size().width(), tree.size().height()), (100.0, 50.0));
+    }
+
+    #[test]
+    fn rectangles_know_their_neighbours() {
+        let area = Area::new(0.0, 0.0, 10.0, 10.0);
+        assert!(area.overlaps(&Area::new(9.0, 9.0, 5.0, 5.0)));
+        assert!(!area.overlaps(&Area::new(10.0, 0.0, 5.0, 5.0)));
+        assert!(area.encloses(&Area::new(1.0, 1.0, 9.0, 9.0)));
+        assert!(!area.encloses(&Area::new(1.0, 1.0, 9.5, 9.0)));
+    }
+}

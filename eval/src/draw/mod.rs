@@ -1,0 +1,22 @@
+//! Drawing: a small SVG writer, its inks and fonts, axes, and the way to pixels.
+//!
+//! Why not a plotting crate: half of our pictures are worlds with paths and speech, which no such crate draws, so
+//! a canvas is needed anyway; on top of it the three charts of a report are a few hundred lines. `kuva` (MIT), the
+//! best candidate, would add some tens of thousands of lines to every build and its own look to half of the
+//! pictures. All charts live in [`crate::figure`] behind plain functions, so this can be revisited there.
+//!
+//! A picture is written for a light page with its colours as attributes, so that it is complete on its own and in
+//! PNG; the same elements carry classes (`f-text`, `s-grid`, ...), with which a page may recolour them for
+//! dark surroundings ([`Ink::dark_css`]).
+
+mod axis;
+mod canvas;
+mod font;
+mod ink;
+mod raster;
+
+pub use axis::{Panel, Scale, compact, nice_ticks};
+pub use canvas::{Anchor, Area, Canvas, Paint, TextStyle, escape, number};
+pub use font::{FAMILY, Weight, text_width};
+pub use ink::Ink;
+pub use raster::{Pixels, Rasterizer, gif};

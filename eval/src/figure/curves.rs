@@ -1,0 +1,189 @@
+//! Curves over training: panels above each other that share the horizontal axis.
+
+use serde::{Deserialize, Serialize};
+
+use crate::draw::{Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
+
+const WIDTH: f64 = 760.0;
+const PANEL_HEIGHT: f64 = 170.0;
+const LEFT: f64 = 68.0;
+const RIGHT: f64 = 18.0;
+const TOP: f64 = 34.0;
+const GAP: f64 = 32.0;
+const BOTTOM: f64 = 46.0;
+
+/// One quantity over training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Series {
+    /// What it is, for the legend; empty if the panel's label says it.
+    pub label: String,
+    /// Points (environment steps, value) in order; points that are no numbers are left out.
+    pub points: Vec<[f64; 2]>,
+}
+
+/// Quantities of one unit, drawn into one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CurvePanel {
+    /// The vertical axis' label.
+    pub label: String,
+    /// Fixed range of the axis, such as 0 to 1 for a rate; `None`: that of the data.
+    pub range: Option<[f64; 2]>,
+    /// A level to compare with, such as the unaided person's, and its name.
+    pub reference: Option<(f64, String)>,
+    /// The quantities.
+    pub series: Vec<Series>,
+}
+
+/// Averages every point with its neighbours, `half` on each side where there are as many.
+///
+/// The window shrinks towards both ends and stays centred, so that a curve does not lag behind its data.
+pub fn smoothed(points: &[[f64; 2]], half: usize) -> Vec<[f64; 2]> {
+    let n = points.len();
+    let average = |i: usize| {
+        let reach = half.min(i).min(n - 1 - i);
+        let window = &points[i - reach..=i + reach];
+        let sum: f64 = window.iter().map(|p| p[1]).sum();
+        [points[i][0], sum / window.len() as f64]
+    };
+    (0..n).map(average).collect()
+}
+
+/// Draws panels of curves above each other. `id` must be unique on the page.
+pub fn curves(id: &str, title: &str, x_label: &str, panels: &[CurvePanel]) -> String {
+    let panels: Vec<CurvePanel> = panels.iter().map(without_gaps).collect();
+    let n = panels.len().max(1) as f64;
+    let height = TOP + n * PANEL_HEIGHT + (n - 1.0) * GAP + BOTTOM;
+    let mut canvas = Canvas::new(id, WIDTH, height);
+    canvas.text([LEFT, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
+    let everything: Vec<f64> = points(&panels).map(|p| p[0]).collect();
+    let x_range = extent(&everything).unwrap_or([0.0, 1.0]);
+    for (i, panel) in panels.iter().enumerate() {
+        let top = TOP + i as f64 * (PANEL_HEIGHT + GAP);
+        let area = Area::new(LEFT, top, WIDTH - LEFT - RIGHT, PANEL_HEIGHT);
+        let frame = Panel::new(area, x_range, y_range(panel));
+        frame.draw_y(&mut canvas, 4, &panel.label);
+        let last = i + 1 == panels.len();
+        frame.draw_x(&mut canvas, 7, last.then_some(x_label));
+        draw_panel(&mut canvas, &frame, panel);
+    }
+    canvas.finish(title)
+}
+
+fn without_gaps(panel: &CurvePanel) -> CurvePanel {
+    let mut panel = panel.clone();
+    for series in &mut panel.series {
+        series.points.retain(|p| p.iter().all(|v| v.is_finite()));
+    }
+    panel
+}
+
+fn points(panels: &[CurvePanel]) -> impl Iterator<Item = &[f64; 2]> {
+    panels.iter().flat_map(|panel| &panel.series).flat_map(|series| &series.points)
+}
+
+fn extent(values: &[f64]) -> Option<[f64; 2]> {
+    let low = values.iter().copied().reduce(f64::min)?;
+    let high = values.iter().copied().reduce(f64::max)?;
+    Some([low, high])
+}
+
+/// Takes the fixed range, or that of the data (and the reference) with a small margin.
+fn y_range(panel: &CurvePanel) -> [f64; 2] {
+    let mut values: Vec<f64> =
+        panel.series.iter().flat_map(|s| &s.points).map(|point| point[1]).collect();
+    values.extend(panel.reference.iter().map(|(level, _)| *level));
+    let [low, high] = panel.range.or_else(|| extent(&values)).unwrap_or([0.0, 1.0]);
+    let margin = 0.05 * (high - low);
+    [low - margin, high + margin]
+}
+
+fn draw_panel(canvas: &mut Canvas, frame: &Panel, panel: &CurvePanel) {
+    canvas.clipped(frame.area, |canvas| {
+        if let Some((level, _)) = &panel.reference {
+            let y = frame.y.at(*level);
+            let ends = [[frame.area.x, y], [frame.area.right(), y]];
+            canvas.line(&ends, Paint::stroke(Ink::Muted, 1.2).dashed(5.0, 4.0));
+        }
+        for (i, series) in panel.series.iter().enumerate() {
+            let half = (series.points.len() / 40).max(1);
+            let place = |points: &[[f64; 2]]| -> Vec<[f64; 2]> {
+                points.iter().map(|p| frame.at(*p)).collect()
+            };
+            let ink = Ink::series(i);
+            let raw = thinned(&place(&series.points));
+            canvas.line(&raw, Paint::stroke(ink, 1.0).opacity(0.35));
+            let smooth = thinned(&place(&smoothed(&series.points, half)));
+            canvas.line(&smooth, Paint::stroke(ink, 2.2));
+            if let [only] = series.points.as_slice() {
+                canvas.circle(frame.at(*only), 3.0, Paint::fill(ink));
+            }
+        }
+    });
+    if let Some((level, name)) = &panel.reference {
+        let style = TextStyle::new(11.0, Ink::Muted).haloed(Ink::Paper);
+        canvas.text([frame.area.x + 6.0, frame.y.at(*level) - 5.0], name, style);
+    }
+    draw_legend(canvas, frame, panel);
+}
+
+/// Keeps the file small: at most about two points per pixel.
+fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let every = points.len() / 1500 + 1;
+    let last = points.len().saturating_sub(1);
+    let kept = points.iter().enumerate().filter(|(i, _)| i % every == 0 || *i == last);
+    kept.map(|(_, point)| *point).collect()
+}
+
+fn draw_legend(canvas: &mut Canvas, frame: &Panel, panel: &CurvePanel) {
+    let mut x = frame.area.right();
+    for (i, series) in panel.series.iter().enumerate().rev() {
+        if series.label.is_empty() {
+            continue;
+        }
+        x -= text_width(&series.label, 11.5, Weight::Regular) + 34.0;
+        let y = frame.area.y - 8.0;
+        let ends = [[x, y - 4.0], [x + 16.0, y - 4.0]];
+        canvas.line(&ends, Paint::stroke(Ink::series(i), 2.5));
+        canvas.text([x + 22.0, y], &series.label, TextStyle::new(11.5, Ink::Text));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::draw::Rasterizer;
+
+    fn panel(points: Vec<[f64; 2]>) -> CurvePanel {
+        let series = vec![Series { label: "a <b>".to_owned(), points }];
+        let reference = Some((0.1, "unaided & alone".to_owned()));
+        CurvePanel { label: "success".to_owned(), range: Some([0.0, 1.0]), reference, series }
+    }
+
+    #[test]
+    fn smoothing_keeps_a_straight_line_and_halves_noise() {
+        let line: Vec<[f64; 2]> = (0..9).map(|i| [f64::from(i), 2.0 * f64::from(i)]).collect();
+        for (got, expected) in smoothed(&line, 3).iter().zip(&line) {
+            assert!((got[1] - expected[1]).abs() < 1e-12);
+        }
+        let zigzag: Vec<[f64; 2]> = (0..9).map(|i| [f64::from(i), f64::from(i % 2)]).collect();
+        let middle = smoothed(&zigzag, 2)[4];
+        assert_eq!(middle, [4.0, 0.4]);
+    }
+
+    #[test]
+    fn curves_survive_no_data_one_point_and_points_that_are_no_numbers() {
+        let odd = vec![[0.0, f64::NAN], [1.0, 0.5], [f64::INFINITY, 0.2]];
+        for points in [vec![], vec![[5.0, 0.5]], odd] {
+            let svg = curves("c", "t & t", "steps", &[panel(points)]);
+            assert!(!svg.contains("NaN") && !svg.contains("inf"));
+            Rasterizer::new().png(&svg, 1.0).unwrap();
+        }
+        Rasterizer::new().png(&curves("c", "nothing", "steps", &[]), 1.0).unwrap();
+    }
+
+    #[test]
+    fn names_are_escaped() {
+        let svg = curves("c", "t", "steps", &[panel(vec![[0.0, 0.1], [1.0, 0.2]])]);
+        assert!(svg.contains("a &lt;b&gt;") && svg.contains("unaided &amp; alone"));
+    }
+}

@@ -1,0 +1,25 @@
+//! Measures and draws from policy files, in process.
+//!
+//! What this crate does not know: the network, the clock, files and arguments. It is given environments and
+//! policies, and gives numbers, tables and pictures as text and bytes; `deploy` puts them where they belong.
+//!
+//! ```text
+//! measure      players x environments --> episodes --> means with intervals, tables
+//! playthrough  one episode --> SVG, PNG, GIF
+//! figure       curves, histograms, shares of time --> SVG
+//! report       all of it --> one self-contained HTML file
+//! draw         canvas, inks, typeface, axes, pixels
+//! ```
+//!
+//! # Where to start
+//!
+//! [`measure::evaluate`] and [`measure::Comparison`]; [`playthrough::Playthrough::record`]; [`report::Report`].
+
+pub mod draw;
+mod error;
+pub mod figure;
+pub mod measure;
+pub mod playthrough;
+pub mod report;
+
+pub use error::Error;

@@ -1,0 +1,189 @@
+//! Several players on the same task, side by side.
+
+use leadtime_numerics::stats::{Bootstrap, Interval};
+use serde::{Deserialize, Serialize};
+
+use super::episodes::Evaluation;
+use super::summary::{self, Summary};
+use super::table::Table;
+
+/// How one measure of two players differs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Difference {
+    /// The measure's name.
+    pub measure: String,
+    /// Whose mean is taken.
+    pub of: String,
+    /// Whose mean is subtracted.
+    pub minus: String,
+    /// The difference of means. The two samples are resampled independently, which is the careful choice where
+    /// both met the same worlds.
+    pub interval: Interval,
+}
+
+impl Difference {
+    /// Computes `of - minus` in one measure; `None` if it is undefined for one of them.
+    pub fn new(
+        of: &Evaluation,
+        minus: &Evaluation,
+        measure: &str,
+        bootstrap: &Bootstrap,
+    ) -> Option<Self> {
+        let (a, b) = (summary::values(of, measure), summary::values(minus, measure));
+        // An index that no mean uses: a difference has draws of its own.
+        let interval = bootstrap.difference(&a, &b, u64::from(u32::MAX))?;
+        let (of, minus) = (of.player.clone(), minus.player.clone());
+        Some(Self { measure: measure.to_owned(), of, minus, interval })
+    }
+
+    /// Writes the difference as a sentence.
+    pub fn sentence(&self, confidence: f64) -> String {
+        let Interval { estimate, low, high } = self.interval;
+        format!(
+            "{}, {} minus {}: {estimate:+.3}, {:.0} % interval [{low:+.3}, {high:+.3}]",
+            summary::title(&self.measure),
+            self.of,
+            self.minus,
+            100.0 * confidence,
+        )
+    }
+}
+
+/// Summaries of several players, and the differences that were asked for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Comparison {
+    /// How intervals were made.
+    pub bootstrap: Bootstrap,
+    /// One summary per player.
+    pub summaries: Vec<Summary>,
+    /// Differences between players.
+    pub differences: Vec<Difference>,
+}
+
+impl Comparison {
+    /// Sums up evaluations of several players.
+    pub fn new(evaluations: &[Evaluation], bootstrap: Bootstrap) -> Self {
+        let summaries = evaluations.iter().map(|e| Summary::new(e, &bootstrap)).collect();
+        Self { bootstrap, summaries, differences: Vec::new() }
+    }
+
+    /// Adds a difference, if it is defined.
+    pub fn with_difference(mut self, of: &Evaluation, minus: &Evaluation, measure: &str) -> Self {
+        self.differences.extend(Difference::new(of, minus, measure, &self.bootstrap));
+        self
+    }
+
+    /// Returns a player's summary.
+    pub fn get(&self, player: &str) -> Option<&Summary> {
+        self.summaries.iter().find(|summary| summary.player == player)
+    }
+
+    /// Lists the measures of all players, each once.
+    pub fn measure_names(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for measure in self.summaries.iter().flat_map(|summary| &summary.measures) {
+            if !names.contains(&measure.name.as_str()) {
+                names.push(&measure.name);
+            }
+        }
+        names
+    }
+
+    /// Lays the summaries out: one row per measure, one column per player.
+    pub fn table(&self) -> Table {
+        let players = self.summaries.iter().map(|s| s.player.clone());
+        let mut table = Table::new(std::iter::once(String::new()).chain(players));
+        for name in self.measure_names() {
+            let cells = self.summaries.iter().map(|summary| {
+                let interval = summary.get(name).and_then(|measure| measure.interval);
+                interval.map_or_else(|| "\u{2013}".to_owned(), |i| cell(&i))
+            });
+            table.push(std::iter::once(summary::title(name)).chain(cells));
+        }
+        table
+    }
+
+    /// Writes table and differences as plain text.
+    pub fn text(&self) -> String {
+        let percent = 100.0 * self.bootstrap.confidence;
+        let episodes = self.summaries.iter().map(|s| s.n_episodes.to_string());
+        let episodes = episodes.collect::<Vec<_>>().join(", ");
+        let mut text = self.table().text();
+        let kind = format!("Means with {percent:.0} % bootstrap intervals; episodes: {episodes}.");
+        let sentences = self.differences.iter().map(|d| d.sentence(self.bootstrap.confidence));
+        for line in std::iter::once(kind).chain(sentences) {
+            text.push_str(&line);
+            text.push('\n');
+        }
+        text
+    }
+}
+
+/// Writes a mean and its interval with digits that suit its size.
+fn cell(interval: &Interval) -> String {
+    let [mean, bounds] = written(interval);
+    format!("{mean} {bounds}")
+}
+
+/// Writes a mean, and its bounds in brackets, with digits that suit their size.
+pub(crate) fn written(interval: &Interval) -> [String; 2] {
+    let Interval { estimate, low, high } = interval;
+    let digits = match [*estimate, *low, *high].map(f64::abs).into_iter().fold(0.0, f64::max) {
+        size if size >= 100.0 => 0,
+        size if size >= 10.0 => 1,
+        size if size > 1.0 => 2,
+        _ => 3,
+    };
+    let texts = [format!("{estimate:.digits$}"), format!("[{low:.digits$}, {high:.digits$}]")];
+    texts.map(|text| text.replace('-', "\u{2212}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::Episode;
+
+    fn player(name: &str, successes: &[f32]) -> Evaluation {
+        let episode = |&success: &f32| Episode {
+            total_reward: f64::from(success) * 400.0 - 150.0,
+            n_steps: 80,
+            truncated: false,
+            metrics: vec![success],
+        };
+        Evaluation {
+            player: name.to_owned(),
+            seed: 1,
+            metrics: vec!["success".to_owned()],
+            episodes: successes.iter().map(episode).collect(),
+        }
+    }
+
+    fn comparison() -> Comparison {
+        let trained = player("trained", &[1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0]);
+        let unaided = player("unaided", &[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        Comparison::new(&[trained.clone(), unaided.clone()], Bootstrap::new(1))
+            .with_difference(&trained, &unaided, "success")
+            .with_difference(&trained, &unaided, "no such measure")
+    }
+
+    #[test]
+    fn a_difference_has_its_own_interval() {
+        let comparison = comparison();
+        let [difference] = comparison.differences.as_slice() else { panic!("one is defined") };
+        assert_eq!(difference.interval.estimate, 0.75);
+        assert!(difference.interval.low > 0.3 && difference.interval.high <= 1.0);
+    }
+
+    #[test]
+    fn the_table_lines_up() {
+        insta::assert_snapshot!(comparison().text());
+    }
+
+    #[test]
+    fn a_comparison_read_from_json_gives_the_same_table() {
+        let comparison = comparison();
+        let json = serde_json::to_string(&comparison).unwrap();
+        let again: Comparison = serde_json::from_str(&json).unwrap();
+        assert_eq!(again.text(), comparison.text());
+    }
+}

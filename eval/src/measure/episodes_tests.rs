@@ -1,0 +1,94 @@
+//! Evaluations are functions of task, player and seed, and of nothing else.
+
+use leadtime_proto::{ActionSpec, Encoder, HeadCredit, PolicySpec};
+use leadtime_sims::classic::{CartPole, CartPoleSettings};
+use leadtime_sims::{Environment, TaskError};
+
+use super::*;
+use crate::measure::Choice;
+use crate::playthrough::Playthrough;
+
+fn cartpole() -> Result<Box<dyn Environment>, TaskError> {
+    Ok(Box::new(CartPole::new(&CartPoleSettings::default())?))
+}
+
+fn policy_spec(obs_dim: usize) -> PolicySpec {
+    PolicySpec {
+        obs_dim,
+        encoder: Encoder::Identity,
+        hidden: vec![16, 16],
+        actions: ActionSpec::discrete("push", 2),
+        head_credit: HeadCredit::All,
+        logit_bias: Vec::new(),
+        normalize_observations: false,
+    }
+}
+
+fn untrained() -> Player {
+    Player::untrained(&policy_spec(4), 5, Choice::Sample).unwrap()
+}
+
+fn play(settings: &EvaluateSettings) -> Evaluation {
+    evaluate(&cartpole, &untrained(), settings).unwrap()
+}
+
+#[test]
+fn neither_lanes_nor_threads_change_a_result() {
+    let settings = EvaluateSettings::new(23, 9);
+    let reference = play(&EvaluateSettings { n_lanes: 1, ..settings });
+    assert_eq!(reference.episodes.len(), 23);
+    for (n_lanes, n_threads) in [(7, 1), (64, 1), (4, 2), (1, 3)] {
+        let again = play(&EvaluateSettings { n_lanes, ..settings }.threads(n_threads));
+        assert_eq!(again, reference, "{n_lanes} lanes, {n_threads} threads");
+    }
+}
+
+#[test]
+fn the_seed_decides_and_fewer_episodes_are_a_prefix() {
+    let long = play(&EvaluateSettings::new(12, 9));
+    let short = play(&EvaluateSettings::new(5, 9));
+    assert_eq!(long.episodes[..5], short.episodes);
+    assert_ne!(play(&EvaluateSettings::new(12, 10)).episodes, long.episodes);
+}
+
+#[test]
+fn sampling_and_greedy_choice_differ() {
+    let greedy = Player::untrained(&policy_spec(4), 5, Choice::Greedy).unwrap();
+    let settings = EvaluateSettings::new(12, 9);
+    let greedy = evaluate(&cartpole, &greedy, &settings).unwrap();
+    assert_ne!(greedy.episodes, play(&settings).episodes);
+}
+
+#[test]
+fn a_playthrough_is_the_episode_that_was_evaluated() {
+    let evaluation = play(&EvaluateSettings::new(4, 9));
+    let mut environment = cartpole().unwrap();
+    for (index, episode) in (0..).zip(&evaluation.episodes) {
+        let recorded = Playthrough::record(environment.as_mut(), &untrained(), 9, index).unwrap();
+        assert_eq!(recorded.n_steps() as u64, episode.n_steps);
+        assert_eq!(recorded.total_reward, episode.total_reward);
+    }
+}
+
+#[test]
+fn a_player_for_another_task_is_refused() {
+    let settings = EvaluateSettings::new(1, 0);
+    let wide = Player::untrained(&policy_spec(9), 5, Choice::Sample).unwrap();
+    let error = evaluate(&cartpole, &wide, &settings).unwrap_err();
+    assert!(matches!(error, Error::PolicyShape { found: [9, 2], expected: [4, 2] }), "{error}");
+    let script = Player::baseline("no such script");
+    let error = evaluate(&cartpole, &script, &settings).unwrap_err();
+    assert!(matches!(error, Error::UnknownBaseline { .. }), "{error}");
+}
+
+#[test]
+fn an_episode_without_an_end_is_given_up() {
+    let settings = EvaluateSettings { max_steps: 3, ..EvaluateSettings::new(1, 0) };
+    let error = evaluate(&cartpole, &untrained(), &settings).unwrap_err();
+    assert!(matches!(error, Error::Endless { index: 0, n_steps: 3 }), "{error}");
+}
+
+#[test]
+fn no_episodes_are_an_empty_evaluation() {
+    assert!(play(&EvaluateSettings::new(0, 0)).episodes.is_empty());
+}

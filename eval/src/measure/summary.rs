@@ -1,0 +1,244 @@
+//! What a player's episodes say in sum: means with intervals.
+//!
+//! A rate that an episode leaves undefined (the share of notifications followed, where there was none) is no zero:
+//! that episode does not count for the rate, and `n` says how many did.
+
+use leadtime_numerics::stats::{Bootstrap, Interval, standard_deviation};
+use serde::{Deserialize, Serialize};
+
+use super::episodes::Evaluation;
+
+/// Rates that are made from two counts: name, numerator, denominator.
+const RATES: [(&str, &str, &str); 4] = [
+    ("followed_of_initiated", "followed", "notifications"),
+    ("followed_of_comprehended", "followed", "comprehended"),
+    ("long_rate", "long_notifications", "notifications"),
+    ("preempted_rate", "preempted", "notifications"),
+];
+
+/// Means that need at least one notification to be defined.
+const MEANS: [&str; 2] = ["mean_k", "mean_l"];
+
+/// What comes first in a table; everything else follows in the task's order.
+const ORDER: [&str; 10] = [
+    "success",
+    "notifications_per_step",
+    "notifications",
+    "followed_of_initiated",
+    "followed_of_comprehended",
+    "preempted_rate",
+    "long_rate",
+    "enter_danger",
+    "return",
+    "length",
+];
+
+/// Counts whose rates say more.
+const HIDDEN: [&str; 3] = ["followed", "long_notifications", "preempted"];
+
+/// One number about a player, with its uncertainty.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Measure {
+    /// The metric's name.
+    pub name: String,
+    /// Episodes in which it was defined.
+    pub n: usize,
+    /// Mean with bootstrap interval; `None` if it was defined nowhere.
+    pub interval: Option<Interval>,
+    /// Standard deviation over episodes; `None` for fewer than two.
+    pub standard_deviation: Option<f64>,
+}
+
+/// All measures of one player.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// The player's name.
+    pub player: String,
+    /// Number of episodes, over all training seeds.
+    pub n_episodes: usize,
+    /// Number of evaluations (training seeds) that were put together.
+    pub n_seeds: usize,
+    /// The measures, most telling first.
+    pub measures: Vec<Measure>,
+}
+
+impl Summary {
+    /// Sums up one evaluation.
+    pub fn new(evaluation: &Evaluation, bootstrap: &Bootstrap) -> Self {
+        Self::over_seeds(&evaluation.player, std::slice::from_ref(evaluation), bootstrap)
+    }
+
+    /// Sums up evaluations of policies from several training seeds; intervals resample seeds, then episodes.
+    pub fn over_seeds(player: &str, evaluations: &[Evaluation], bootstrap: &Bootstrap) -> Self {
+        let names = evaluations.first().map(measure_names).unwrap_or_default();
+        let measures = names.into_iter().enumerate().map(|(i, name)| {
+            let values: Vec<Vec<f64>> = evaluations.iter().map(|e| values(e, &name)).collect();
+            measure(name, &values, bootstrap, i as u64)
+        });
+        Self {
+            player: player.to_owned(),
+            n_episodes: evaluations.iter().map(|e| e.episodes.len()).sum(),
+            n_seeds: evaluations.len(),
+            measures: measures.collect(),
+        }
+    }
+
+    /// Returns a measure by name.
+    pub fn get(&self, name: &str) -> Option<&Measure> {
+        self.measures.iter().find(|measure| measure.name == name)
+    }
+}
+
+fn measure(name: String, values: &[Vec<f64>], bootstrap: &Bootstrap, index: u64) -> Measure {
+    let groups: Vec<&[f64]> = values.iter().map(Vec::as_slice).collect();
+    let interval = match groups.as_slice() {
+        [only] => bootstrap.mean(only, index),
+        several => bootstrap.hierarchical_mean(several, index),
+    };
+    let all = values.concat();
+    let deviation = (all.len() >= 2).then(|| standard_deviation(&all));
+    Measure { name, n: all.len(), interval, standard_deviation: deviation }
+}
+
+/// Lists what can be said about an evaluation, most telling first.
+fn measure_names(evaluation: &Evaluation) -> Vec<String> {
+    let has = |name: &str| evaluation.metrics.iter().any(|metric| metric == name);
+    let mut names: Vec<&str> = vec!["return", "length"];
+    names.extend(evaluation.metrics.iter().map(String::as_str).filter(|n| !HIDDEN.contains(n)));
+    let rates = RATES.iter().filter(|(_, top, bottom)| has(top) && has(bottom));
+    names.extend(rates.map(|rate| rate.0));
+    let first = ORDER.iter().copied().filter(|name| names.contains(name));
+    let mut ordered: Vec<String> = Vec::new();
+    for name in first.chain(names.iter().copied()) {
+        if !ordered.iter().any(|known| known == name) {
+            ordered.push(name.to_owned());
+        }
+    }
+    ordered
+}
+
+/// Returns a measure's value in every episode in which it is defined.
+pub(super) fn values(evaluation: &Evaluation, name: &str) -> Vec<f64> {
+    let rate = RATES.iter().find(|rate| rate.0 == name).and_then(|(_, top, bottom)| {
+        let (top, bottom) = (evaluation.column(top)?, evaluation.column(bottom)?);
+        let pairs = top.into_iter().zip(bottom).filter(|pair| pair.1 > 0.0);
+        Some(pairs.map(|(top, bottom)| top / bottom).collect())
+    });
+    if let Some(rate) = rate {
+        return rate;
+    }
+    let mut column = match name {
+        "return" => evaluation.episodes.iter().map(|e| e.total_reward).collect(),
+        "length" => evaluation.episodes.iter().map(|e| e.n_steps as f64).collect(),
+        _ => evaluation.column(name).unwrap_or_default(),
+    };
+    if MEANS.contains(&name)
+        && let Some(counts) = evaluation.column("notifications")
+    {
+        let pairs = column.into_iter().zip(counts).filter(|pair| pair.1 > 0.0);
+        column = pairs.map(|pair| pair.0).collect();
+    }
+    column.retain(|value| value.is_finite());
+    column
+}
+
+/// Returns the words that a table uses for a measure.
+pub fn title(name: &str) -> String {
+    let known = match name {
+        "success" => "success rate",
+        "notifications_per_step" => "notifications per step",
+        "notifications" => "notifications per episode",
+        "followed_of_initiated" => "follow-through, of initiated",
+        "followed_of_comprehended" => "follow-through, of comprehended",
+        "preempted_rate" => "preempted, of initiated",
+        "long_rate" => "long notifications, of initiated",
+        "enter_danger" => "enters danger",
+        "length" => "length (steps)",
+        "mean_k" => "mean comprehension time k",
+        "mean_l" => "mean conveyance time l",
+        other => return other.replace('_', " "),
+    };
+    known.to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::Episode;
+
+    fn evaluation(rows: &[[f32; 5]]) -> Evaluation {
+        let names = ["success", "notifications", "comprehended", "followed", "mean_k"];
+        let episode = |row: &[f32; 5]| Episode {
+            total_reward: f64::from(row[0]) * 100.0,
+            n_steps: 50,
+            truncated: false,
+            metrics: row.to_vec(),
+        };
+        Evaluation {
+            player: "p".to_owned(),
+            seed: 1,
+            metrics: names.map(str::to_owned).to_vec(),
+            episodes: rows.iter().map(episode).collect(),
+        }
+    }
+
+    const ROWS: [[f32; 5]; 4] = [
+        [1.0, 4.0, 2.0, 1.0, 3.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0],
+        [1.0, 2.0, 2.0, 2.0, 2.0],
+        [1.0, 1.0, 0.0, 0.0, 5.0],
+    ];
+
+    fn summary() -> Summary {
+        Summary::new(&evaluation(&ROWS), &Bootstrap::new(3))
+    }
+
+    fn mean_of(name: &str) -> (usize, f64) {
+        let summary = summary();
+        let measure = summary.get(name).unwrap();
+        (measure.n, measure.interval.unwrap().estimate)
+    }
+
+    #[test]
+    fn rates_leave_out_episodes_where_they_are_undefined() {
+        assert_eq!(mean_of("success"), (4, 0.75));
+        assert_eq!(mean_of("followed_of_initiated"), (3, (0.25 + 1.0 + 0.0) / 3.0));
+        assert_eq!(mean_of("followed_of_comprehended"), (2, 0.75));
+        assert_eq!(mean_of("mean_k"), (3, 10.0 / 3.0));
+        assert_eq!(mean_of("return"), (4, 75.0));
+    }
+
+    #[test]
+    fn the_most_telling_measures_come_first_and_none_twice() {
+        let summary = summary();
+        let names: Vec<_> = summary.measures.iter().map(|m| m.name.as_str()).collect();
+        let expected = [
+            "success",
+            "notifications",
+            "followed_of_initiated",
+            "followed_of_comprehended",
+            "return",
+            "length",
+            "comprehended",
+            "mean_k",
+        ];
+        assert_eq!(names, expected);
+    }
+
+    #[test]
+    fn a_rate_defined_nowhere_has_no_interval() {
+        let silent = evaluation(&[[1.0, 0.0, 0.0, 0.0, 0.0]; 3]);
+        let summary = Summary::new(&silent, &Bootstrap::new(3));
+        let measure = summary.get("followed_of_initiated").unwrap();
+        assert_eq!((measure.n, measure.interval, measure.standard_deviation), (0, None, None));
+    }
+
+    #[test]
+    fn several_training_seeds_weigh_the_same() {
+        let short = evaluation(&[[0.0; 5]]);
+        let both = [evaluation(&ROWS), short];
+        let summary = Summary::over_seeds("p", &both, &Bootstrap::new(3));
+        assert_eq!((summary.n_seeds, summary.n_episodes), (2, 5));
+        assert_eq!(summary.get("success").unwrap().interval.unwrap().estimate, 0.375);
+    }
+}

@@ -1,0 +1,23 @@
+//! One episode as a picture: where the person went, what was said, what they did about it.
+//!
+//! ```text
+//! record: Environment + Player --> Playthrough (a scene per step)
+//! story:  scenes --> what the person was doing in each step, utterances and reactions as spans of time
+//! picture, animation: SVG, PNG, GIF
+//! ```
+//!
+//! Everything is drawn from [`Scene`](leadtime_sims::Scene)s, so a road or a kitchen draws as a lander does.
+
+mod animation;
+mod labels;
+mod picture;
+mod record;
+mod story;
+mod strip;
+mod world;
+
+pub use record::Playthrough;
+pub use story::{Doing, Span, Story, Utterance};
+
+#[cfg(test)]
+pub(crate) mod synthetic;

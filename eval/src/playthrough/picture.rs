@@ -1,0 +1,137 @@
+//! The whole picture: title, world, legend, strip.
+
+use leadtime_sims::Tone;
+
+use super::record::Playthrough;
+use super::story::{Doing, Story};
+use super::strip;
+use super::world::{World, draw_marker, shows};
+use crate::draw::{Area, Canvas, Ink, Paint, Rasterizer, TextStyle, Weight, compact, text_width};
+use crate::error::Error;
+
+const WIDTH: f64 = 860.0;
+const MARGIN: f64 = 16.0;
+const TITLE_HEIGHT: f64 = 58.0;
+const LEGEND_HEIGHT: f64 = 40.0;
+const LEGEND_SIZE: f64 = 11.5;
+
+impl Playthrough {
+    /// Draws the episode. `id` must be unique on the page that will hold the picture.
+    pub fn svg(&self, id: &str) -> String {
+        let story = Story::new(&self.scenes);
+        let width = WIDTH - 2.0 * MARGIN;
+        let world = World::new([MARGIN, TITLE_HEIGHT], width, &self.scenes);
+        let legend_y = world.area.bottom() + 22.0;
+        let strip_y = world.area.bottom() + LEGEND_HEIGHT;
+        let mut canvas = Canvas::new(id, WIDTH, strip_y + strip::HEIGHT);
+        self.draw_title(&mut canvas);
+        if let Some(last) = self.scenes.last() {
+            world.draw_place(&mut canvas, last);
+            world.draw_ghosts(&mut canvas, &self.scenes);
+            world.draw_path(&mut canvas, &self.scenes, &story);
+            world.draw_body(&mut canvas, last, 1.0);
+            world.draw_starts(&mut canvas, &self.scenes, &story);
+            world.draw_labels(&mut canvas, &self.scenes, &story);
+            self.draw_legend(&mut canvas, legend_y);
+            strip::draw(&mut canvas, [MARGIN, strip_y], width, &self.scenes, &story);
+        }
+        canvas.finish(&self.title())
+    }
+
+    /// Draws the episode as a PNG file, `scale` pixels per unit of the 860 units wide picture.
+    ///
+    /// # Errors
+    ///
+    /// As [`Rasterizer::png`].
+    pub fn png(&self, rasterizer: &Rasterizer, scale: f32) -> Result<Vec<u8>, Error> {
+        rasterizer.png(&self.svg("playthrough"), scale)
+    }
+
+    /// Returns the picture's title: who played, and how it ended.
+    pub fn title(&self) -> String {
+        let outcome = self.scenes.last().map_or("", |scene| scene.outcome.as_str());
+        let verdict = match self.success {
+            Some(true) => "success",
+            Some(false) => "no success",
+            None => "",
+        };
+        let parts = [outcome, verdict].into_iter().filter(|part| !part.is_empty());
+        let end = parts.collect::<Vec<_>>().join(", ");
+        if end.is_empty() { self.player.clone() } else { format!("{}: {end}", self.player) }
+    }
+
+    fn draw_title(&self, canvas: &mut Canvas) {
+        canvas.text([MARGIN, 27.0], &self.title(), TextStyle::new(18.0, Ink::Text).bold());
+        let said = Story::new(&self.scenes).utterances.len();
+        let line = format!(
+            "return {}   \u{b7}   {} steps   \u{b7}   {said} notifications   \u{b7}   episode {} of seed {}",
+            compact((self.total_reward * 10.0).round() / 10.0),
+            self.n_steps(),
+            self.index,
+            self.seed,
+        );
+        canvas.text([MARGIN, 47.0], &line, TextStyle::new(12.0, Ink::Muted));
+    }
+
+    fn draw_legend(&self, canvas: &mut Canvas, y: f64) {
+        let mut x = MARGIN + 4.0;
+        let speaks = self.scenes.iter().any(|scene| !scene.listener.topics.is_empty());
+        for doing in Doing::ALL.into_iter().filter(|doing| speaks || *doing == Doing::OwnPlan) {
+            let ends = [[x, y - 4.0], [x + 20.0, y - 4.0]];
+            canvas.line(&ends, Paint::stroke(doing.ink(), doing.width()));
+            x = legend_text(canvas, x + 26.0, y, doing.label());
+        }
+        if speaks {
+            draw_marker(canvas, [x + 5.0, y - 4.0]);
+            x = legend_text(canvas, x + 16.0, y, "notification starts");
+        }
+        let shown = |tone: Tone| self.scenes.last().is_some_and(|scene| shows(scene, tone));
+        for (tone, ink, label) in
+            [(Tone::Danger, Ink::Vermilion, "danger"), (Tone::Goal, Ink::Green, "goal")]
+        {
+            if shown(tone) {
+                let swatch = Area::new(x, y - 9.5, 14.0, 11.0);
+                canvas.rectangle(
+                    swatch,
+                    1.0,
+                    Paint::fill(ink).fill_opacity(0.25).outlined(ink, 1.2),
+                );
+                x = legend_text(canvas, x + 20.0, y, label);
+            }
+        }
+    }
+}
+
+/// Writes an entry and returns where the next one begins.
+fn legend_text(canvas: &mut Canvas, x: f64, y: f64, text: &str) -> f64 {
+    canvas.text([x, y], text, TextStyle::new(LEGEND_SIZE, Ink::Text));
+    x + text_width(text, LEGEND_SIZE, Weight::Regular) + 18.0
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::draw::Rasterizer;
+    use crate::playthrough::synthetic;
+
+    #[test]
+    fn a_playthrough_becomes_a_picture_with_everything_named() {
+        let playthrough = synthetic::playthrough();
+        let svg = playthrough.svg("p");
+        for text in [
+            "trained &amp; tested: landed &lt;safely&gt;, success",
+            "shift right \u{d7}3",
+            "ascend",
+        ] {
+            assert!(svg.contains(text), "{text}");
+        }
+        let pixels = Rasterizer::new().pixels(&svg, 1.0).unwrap();
+        assert_eq!(pixels.width, 860);
+    }
+
+    #[test]
+    fn an_episode_of_one_scene_can_be_drawn() {
+        let mut playthrough = synthetic::playthrough();
+        playthrough.scenes.truncate(1);
+        Rasterizer::new().png(&playthrough.svg("p"), 1.0).unwrap();
+    }
+}

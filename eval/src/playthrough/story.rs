@@ -1,0 +1,183 @@
+//! What the person was doing in each step, and what was said when.
+//!
+//! A scene describes the moment after a step; step `i` leads from scene `i` to scene `i + 1`. Several things can be
+//! true of a step (following one message while hearing the next), so a path has the colour of the first that
+//! holds: following, waiting, hearing, own plan.
+
+use leadtime_sims::Scene;
+
+use crate::draw::Ink;
+
+/// What the person was doing in a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Doing {
+    /// Acting by their own plan, and nothing is being said to them.
+    OwnPlan,
+    /// Hearing words that cannot be understood yet.
+    Hearing,
+    /// Having understood, not yet reacting.
+    Waiting,
+    /// Doing what they were told.
+    Following,
+}
+
+impl Doing {
+    /// Lists everything, in the order of a message's life.
+    pub const ALL: [Self; 4] = [Self::OwnPlan, Self::Hearing, Self::Waiting, Self::Following];
+
+    /// Returns the words of a legend.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::OwnPlan => "own plan",
+            Self::Hearing => "hearing, not yet understood",
+            Self::Waiting => "reaction delay",
+            Self::Following => "follows through",
+        }
+    }
+
+    pub(super) fn ink(self) -> Ink {
+        match self {
+            Self::OwnPlan => Ink::Neutral,
+            Self::Hearing => Ink::Orange,
+            Self::Waiting => Ink::Purple,
+            Self::Following => Ink::Blue,
+        }
+    }
+
+    pub(super) fn width(self) -> f64 {
+        if self == Self::OwnPlan { 2.0 } else { 3.6 }
+    }
+}
+
+/// A message that was spoken, whole or in part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Utterance {
+    /// Topic id.
+    pub topic: usize,
+    /// Scene in which it was started.
+    pub start: usize,
+    /// Words that it needs to be understood.
+    pub comprehension: usize,
+    /// Scene at which it ended or was cut off.
+    pub end: usize,
+}
+
+/// A stretch of time about one topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Span {
+    /// Topic id.
+    pub topic: usize,
+    /// First scene.
+    pub start: usize,
+    /// Scene at which it is over.
+    pub end: usize,
+}
+
+/// An episode retold.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Story {
+    /// Per step.
+    pub doing: Vec<Doing>,
+    /// What was said.
+    pub utterances: Vec<Utterance>,
+    /// When a comprehended message waited for the reaction delay.
+    pub waits: Vec<Span>,
+    /// When the person reacted.
+    pub reactions: Vec<Span>,
+}
+
+impl Story {
+    /// Retells an episode from its scenes.
+    pub fn new(scenes: &[Scene]) -> Self {
+        let doing = scenes.windows(2).map(|pair| doing(&pair[0], &pair[1])).collect();
+        let reacting = scenes.iter().skip(1).map(|scene| scene.listener.reacting);
+        let pending = scenes.iter().map(|scene| scene.listener.pending);
+        Self {
+            doing,
+            utterances: utterances(scenes),
+            waits: spans(pending),
+            reactions: spans(reacting),
+        }
+    }
+}
+
+fn doing(before: &Scene, after: &Scene) -> Doing {
+    let begun = after.listener.speech.is_some_and(|speech| speech.started);
+    let unclear = before.listener.speech.is_some_and(|s| s.heard < s.comprehension);
+    if after.listener.reacting.is_some() {
+        Doing::Following
+    } else if before.listener.pending.is_some() {
+        Doing::Waiting
+    } else if begun || unclear {
+        Doing::Hearing
+    } else {
+        Doing::OwnPlan
+    }
+}
+
+fn utterances(scenes: &[Scene]) -> Vec<Utterance> {
+    let mut all: Vec<Utterance> = Vec::new();
+    for (i, scene) in scenes.iter().enumerate().skip(1) {
+        let Some(speech) = scene.listener.speech.filter(|speech| speech.started) else { continue };
+        let start = i - 1;
+        // Up to the last word, or until it is no longer the running utterance.
+        let goes_on = |scene: &&Scene| {
+            scene.listener.speech.is_some_and(|s| !s.started && s.topic == speech.topic)
+        };
+        let heard = 1 + scenes[i + 1..].iter().take_while(goes_on).count();
+        let replaced = scenes
+            .get(i + heard)
+            .is_some_and(|scene| scene.listener.speech.is_some_and(|speech| speech.started));
+        // A finished utterance is gone in the scene after its last word.
+        let words = heard + usize::from(!replaced);
+        let end = (start + words.min(speech.conveyance as usize)).min(scenes.len() - 1);
+        let comprehension = speech.comprehension as usize;
+        all.push(Utterance { topic: speech.topic, start, comprehension, end });
+    }
+    all
+}
+
+/// Joins equal neighbours: item `i` lasts from scene `i` to `i + 1`.
+fn spans(topics: impl Iterator<Item = Option<usize>>) -> Vec<Span> {
+    let mut all: Vec<Span> = Vec::new();
+    for (i, topic) in topics.enumerate() {
+        let Some(topic) = topic else { continue };
+        match all.last_mut().filter(|span| span.topic == topic && span.end == i) {
+            Some(span) => span.end = i + 1,
+            None => all.push(Span { topic, start: i, end: i + 1 }),
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::playthrough::synthetic;
+
+    #[test]
+    fn a_message_is_heard_then_waited_for_then_followed() {
+        // Said at 3 with k = 2, l = 3; comprehended at 5; two steps of delay; followed for three steps.
+        let story = Story::new(&synthetic::scenes(14, &[(3, 1, 2, 3)]));
+        let expected = Utterance { topic: 1, start: 3, comprehension: 2, end: 6 };
+        assert_eq!(story.utterances, [expected]);
+        assert_eq!(story.waits, [Span { topic: 1, start: 5, end: 7 }]);
+        assert_eq!(story.reactions, [Span { topic: 1, start: 7, end: 10 }]);
+        let letters: String =
+            story.doing.iter().map(|d| d.label().chars().next().unwrap()).collect();
+        assert_eq!(letters, "ooohhrrfffooo");
+    }
+
+    #[test]
+    fn a_message_that_is_cut_off_ends_where_the_next_begins() {
+        let story = Story::new(&synthetic::scenes(20, &[(3, 1, 4, 5), (5, 0, 2, 2)]));
+        let ends: Vec<_> = story.utterances.iter().map(|u| (u.start, u.end)).collect();
+        assert_eq!(ends, [(3, 5), (5, 7)]);
+    }
+
+    #[test]
+    fn an_episode_of_one_scene_has_no_steps() {
+        let story = Story::new(&synthetic::scenes(1, &[]));
+        assert!(story.doing.is_empty() && story.utterances.is_empty());
+    }
+}

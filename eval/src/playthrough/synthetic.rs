@@ -1,0 +1,83 @@
+//! An episode made by hand, for tests of the drawing: a gliding box, zones, and messages at given steps.
+
+use leadtime_sims::{Listener, Scene, Shape, Speech, Tone, View};
+
+use super::Playthrough;
+
+const DELAY: usize = 2;
+
+/// Makes `n` scenes; a message is (step at which it starts, topic, k, l). It is understood unless the next one
+/// starts before, waits two steps, and is followed for l steps.
+pub(crate) fn scenes(n: usize, messages: &[(usize, usize, usize, usize)]) -> Vec<Scene> {
+    (0..n).map(|i| scene(i, n, messages)).collect()
+}
+
+pub(crate) fn playthrough() -> Playthrough {
+    let messages =
+        [(6, 2, 2, 4), (18, 2, 2, 2), (24, 2, 3, 5), (44, 0, 2, 3), (46, 1, 5, 5), (70, 3, 2, 2)];
+    let mut scenes = scenes(110, &messages);
+    if let Some(last) = scenes.last_mut() {
+        "landed <safely>".clone_into(&mut last.outcome);
+    }
+    let player = "trained & tested".to_owned();
+    Playthrough { player, seed: 7, index: 3, scenes, total_reward: 215.4, success: Some(true) }
+}
+
+fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene {
+    let mut listener = Listener {
+        topics: vec!["ascend", "shift_left", "shift_right", "descend"],
+        ..Listener::default()
+    };
+    for (m, &(start, topic, k, l)) in messages.iter().enumerate() {
+        let cut = messages.get(m + 1).map_or(usize::MAX, |next| next.0);
+        if i > start && i < start + l && i <= cut {
+            listener.speech = Some(Speech {
+                topic,
+                comprehension: k as u32,
+                conveyance: l as u32,
+                heard: (i - start) as u32,
+                started: i == start + 1,
+            });
+        }
+        let understood = start + k;
+        if understood > cut {
+            continue;
+        }
+        if (understood..understood + DELAY).contains(&i) {
+            listener.pending = Some(topic);
+        }
+        if (understood + DELAY + 1..=understood + DELAY + l).contains(&i) {
+            listener.reacting = Some(topic);
+        }
+    }
+    let t = i as f64 / (n.max(2) - 1) as f64;
+    let at = [0.55 * (4.2 * t).sin() * (1.0 - t) + 0.02, 1.4 * (1.0 - t) * (1.0 - 0.25 * t)];
+    let view = View { min: [-1.0, -0.25], max: [1.0, 1.75] };
+    Scene { view, shapes: shapes(at), position: at, listener, outcome: String::new() }
+}
+
+fn shapes(at: [f64; 2]) -> Vec<Shape> {
+    let zone = |min, max| Shape::Rectangle { min, max, tone: Tone::Danger };
+    let label = |at, text: &str| Shape::Label { at, text: text.to_owned() };
+    let ground = vec![[-1.0, 0.15], [-0.5, 0.05], [-0.2, 0.0], [0.2, 0.0], [0.6, 0.2], [1.0, 0.1]];
+    let mut soil = ground;
+    soil.extend([[1.0, -0.25], [-1.0, -0.25]]);
+    let corner = |x: f64, y: f64| [at[0] + x, at[1] + y];
+    vec![
+        Shape::Polygon { points: soil, tone: Tone::Ground },
+        Shape::Line { points: vec![[-0.2, 0.0], [0.2, 0.0]], tone: Tone::Goal },
+        zone([-1.5, 0.95], [-0.4, 1.1]),
+        zone([-0.3, 0.5], [0.3, 0.65]),
+        zone([0.3, 0.4], [1.5, 0.65]),
+        label([-0.7, 1.02], "top-left"),
+        Shape::Polygon {
+            points: vec![
+                corner(-0.05, 0.0),
+                corner(0.05, 0.0),
+                corner(0.03, 0.08),
+                corner(-0.03, 0.08),
+            ],
+            tone: Tone::Own,
+        },
+    ]
+}

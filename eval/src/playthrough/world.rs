@@ -1,0 +1,228 @@
+//! The world's part of a picture: shapes, path, markers.
+
+use leadtime_sims::{Scene, Shape, Tone, View};
+
+use super::labels::{self, Placer};
+use super::story::{Doing, Story};
+use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Scale, TextStyle};
+
+/// A world is drawn at most this much higher than wide ...
+const MAX_RATIO: f64 = 2.0 / 3.0;
+/// ... and at least this much: a long road is stretched.
+const MIN_RATIO: f64 = 0.25;
+
+/// How often the person's body is drawn on the way.
+const N_GHOSTS: usize = 7;
+
+/// Where the points of a world lie in a picture.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct World {
+    pub(super) area: Area,
+    x: Scale,
+    y: Scale,
+}
+
+impl World {
+    /// Fits everything that the scenes show into a panel of the given corner and width.
+    pub(super) fn new(corner: [f64; 2], width: f64, scenes: &[Scene]) -> Self {
+        let view = union(scenes);
+        let size = [view.max[0] - view.min[0], view.max[1] - view.min[1]];
+        let ratio = if size[0] > 0.0 { size[1] / size[0] } else { MAX_RATIO };
+        let area =
+            Area::new(corner[0], corner[1], width, width * ratio.clamp(MIN_RATIO, MAX_RATIO));
+        let x = Scale::new([view.min[0], view.max[0]], [area.x, area.right()]);
+        let y = Scale::new([view.min[1], view.max[1]], [area.bottom(), area.y]);
+        Self { area, x, y }
+    }
+
+    pub(super) fn at(&self, point: [f64; 2]) -> [f64; 2] {
+        [self.x.at(point[0]), self.y.at(point[1])]
+    }
+
+    fn all(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        points.iter().map(|point| self.at(*point)).collect()
+    }
+
+    /// Draws the panel with everything in the scene but the person's body.
+    pub(super) fn draw_place(&self, canvas: &mut Canvas, scene: &Scene) {
+        canvas.rectangle(self.area, 6.0, Paint::fill(Ink::Panel));
+        canvas.clipped(self.area, |canvas| {
+            for shape in scene.shapes.iter().filter(|shape| tone(shape) != Some(Tone::Own)) {
+                self.draw_shape(canvas, shape, 1.0);
+            }
+        });
+    }
+
+    /// Draws the person's body, more or less visible.
+    pub(super) fn draw_body(&self, canvas: &mut Canvas, scene: &Scene, opacity: f64) {
+        canvas.clipped(self.area, |canvas| {
+            for shape in scene.shapes.iter().filter(|shape| tone(shape) == Some(Tone::Own)) {
+                self.draw_shape(canvas, shape, opacity);
+            }
+        });
+    }
+
+    /// Draws faint bodies along the way.
+    pub(super) fn draw_ghosts(&self, canvas: &mut Canvas, scenes: &[Scene]) {
+        let every = (scenes.len() / N_GHOSTS).max(1);
+        for scene in scenes.iter().step_by(every) {
+            self.draw_body(canvas, scene, 0.22);
+        }
+    }
+
+    /// Draws the way, coloured by what the person was doing; `scenes` may be the first part of an episode.
+    pub(super) fn draw_path(&self, canvas: &mut Canvas, scenes: &[Scene], story: &Story) {
+        let steps = &story.doing[..scenes.len().saturating_sub(1)];
+        canvas.clipped(self.area, |canvas| {
+            let mut start = 0;
+            for run in steps.chunk_by(|a, b| a == b) {
+                let end = start + run.len();
+                let points: Vec<[f64; 2]> =
+                    scenes[start..=end].iter().map(|scene| self.at(scene.position)).collect();
+                canvas.line(&points, Paint::stroke(run[0].ink(), run[0].width()));
+                start = end;
+            }
+        });
+    }
+
+    /// Marks where messages were started.
+    pub(super) fn draw_starts(&self, canvas: &mut Canvas, scenes: &[Scene], story: &Story) {
+        canvas.clipped(self.area, |canvas| {
+            for utterance in story.utterances.iter().filter(|u| u.start + 1 < scenes.len()) {
+                draw_marker(canvas, self.at(scenes[utterance.start].position));
+            }
+        });
+    }
+
+    /// Names the messages beside their markers, as many as fit; repetitions share a label.
+    pub(super) fn draw_labels(&self, canvas: &mut Canvas, scenes: &[Scene], story: &Story) {
+        let path = scenes.iter().map(|scene| self.at(scene.position)).collect();
+        let mut placer = Placer::new(self.area, path);
+        for utterance in &story.utterances {
+            let [x, y] = self.at(scenes[utterance.start].position);
+            placer.block(Area::new(x - 5.0, y - 5.0, 10.0, 10.0));
+        }
+        for text in self.texts(scenes) {
+            placer.block(text);
+        }
+        for run in story.utterances.chunk_by(|a, b| a.topic == b.topic) {
+            let name = topic_name(&scenes[0], run[0].topic);
+            let text = if run.len() > 1 { format!("{name} \u{d7}{}", run.len()) } else { name };
+            let marker = self.at(scenes[run[0].start].position);
+            let Some(area) = placer.place(marker, &text) else { continue };
+            draw_leader(canvas, marker, &area);
+            let style =
+                TextStyle::new(labels::SIZE, Ink::Text).anchored(Anchor::Middle).haloed(Ink::Panel);
+            canvas.text([area.x + area.width / 2.0, area.bottom() - 3.2], &text, style);
+        }
+    }
+
+    /// Returns where the scene's own labels stand.
+    fn texts(&self, scenes: &[Scene]) -> Vec<Area> {
+        let labels = scenes.last().into_iter().flat_map(|scene| &scene.shapes);
+        let area = |shape: &Shape| match shape {
+            Shape::Label { at, text } => {
+                let [x, y] = self.at(*at);
+                let width = 7.0 * text.chars().count() as f64;
+                Some(Area::new(x - width / 2.0, y - 8.0, width, 14.0))
+            }
+            _ => None,
+        };
+        labels.filter_map(area).collect()
+    }
+
+    fn draw_shape(&self, canvas: &mut Canvas, shape: &Shape, opacity: f64) {
+        match shape {
+            Shape::Rectangle { min, max, tone } => {
+                let ([x0, y0], [x1, y1]) = (self.at(*min), self.at(*max));
+                let area = Area::new(x0.min(x1), y0.min(y1), (x1 - x0).abs(), (y1 - y0).abs());
+                canvas.rectangle(area, 0.0, filled(*tone).opacity(opacity));
+            }
+            Shape::Line { points, tone } => {
+                canvas.line(&self.all(points), lined(*tone).opacity(opacity));
+            }
+            Shape::Polygon { points, tone } => {
+                canvas.polygon(&self.all(points), filled(*tone).opacity(opacity));
+            }
+            Shape::Label { at, text } => {
+                let [x, y] = self.at(*at);
+                let style = TextStyle::new(11.0, Ink::Muted).anchored(Anchor::Middle);
+                canvas.text([x, y + 4.0], text, style);
+            }
+        }
+    }
+}
+
+/// Returns a topic's name in words.
+pub(super) fn topic_name(scene: &Scene, topic: usize) -> String {
+    let name = scene.listener.topics.get(topic).copied();
+    name.map_or_else(|| format!("topic {topic}"), |name| name.replace('_', " "))
+}
+
+/// Draws the mark of a message's start.
+pub(super) fn draw_marker(canvas: &mut Canvas, at: [f64; 2]) {
+    canvas.circle(at, 4.6, Paint::fill(Ink::Paper).outlined(Doing::Hearing.ink(), 2.4));
+}
+
+/// Connects a label with its marker, unless it is right beside it.
+fn draw_leader(canvas: &mut Canvas, marker: [f64; 2], label: &Area) {
+    let nearest =
+        [marker[0].clamp(label.x, label.right()), marker[1].clamp(label.y, label.bottom())];
+    let gap = [nearest[0] - marker[0], nearest[1] - marker[1]];
+    let length = gap[0].hypot(gap[1]);
+    if length > 14.0 {
+        let from = [marker[0] + gap[0] / length * 6.0, marker[1] + gap[1] / length * 6.0];
+        canvas.line(&[from, nearest], Paint::stroke(Ink::Axis, 0.9));
+    }
+}
+
+/// Tells whether a scene has anything of a meaning.
+pub(super) fn shows(scene: &Scene, wanted: Tone) -> bool {
+    scene.shapes.iter().any(|shape| tone(shape) == Some(wanted))
+}
+
+fn tone(shape: &Shape) -> Option<Tone> {
+    match shape {
+        Shape::Rectangle { tone, .. } | Shape::Line { tone, .. } | Shape::Polygon { tone, .. } => {
+            Some(*tone)
+        }
+        Shape::Label { .. } => None,
+    }
+}
+
+fn filled(tone: Tone) -> Paint {
+    match tone {
+        Tone::Ground => Paint::fill(Ink::Ground),
+        Tone::Goal => Paint::fill(Ink::Green).fill_opacity(0.3).outlined(Ink::Green, 1.2),
+        Tone::Danger => {
+            let paint = Paint::fill(Ink::Vermilion).fill_opacity(0.16);
+            paint.outlined(Ink::Vermilion, 1.2).dashed(5.0, 4.0)
+        }
+        Tone::Own => Paint::fill(Ink::Text),
+        Tone::Other => Paint::fill(Ink::Muted).fill_opacity(0.6),
+        Tone::Hint => Paint::fill(Ink::Grid),
+    }
+}
+
+fn lined(tone: Tone) -> Paint {
+    match tone {
+        Tone::Ground => Paint::stroke(Ink::Ground, 2.5),
+        Tone::Goal => Paint::stroke(Ink::Green, 5.0),
+        Tone::Danger => Paint::stroke(Ink::Vermilion, 1.5).dashed(5.0, 4.0),
+        Tone::Own => Paint::stroke(Ink::Text, 2.0),
+        Tone::Other => Paint::stroke(Ink::Muted, 3.0),
+        Tone::Hint => Paint::stroke(Ink::Grid, 1.0),
+    }
+}
+
+/// Returns the smallest view that holds every scene's.
+fn union(scenes: &[Scene]) -> View {
+    let mut view = scenes.first().map_or(View { min: [0.0; 2], max: [1.0; 2] }, |s| s.view);
+    for scene in scenes {
+        for d in 0..2 {
+            view.min[d] = view.min[d].min(scene.view.min[d]);
+            view.max[d] = view.max[d].max(scene.view.max[d]);
+        }
+    }
+    view
+}

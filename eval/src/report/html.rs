@@ -1,0 +1,48 @@
+//! The page around the sections.
+
+use super::contents::Report;
+use super::sections;
+use crate::draw::{Ink, escape};
+
+const STYLE: &str = include_str!("style.css");
+
+impl Report {
+    /// Writes the page.
+    ///
+    /// # Example
+    ///
+    /// ```
+    /// let report = leadtime_eval::report::Report {
+    ///     title: "A run".to_owned(),
+    ///     lead: "Success <always>.".to_owned(),
+    ///     ..Default::default()
+    /// };
+    /// let page = report.html();
+    /// assert!(page.starts_with("<!DOCTYPE html>") && page.contains("Success &lt;always&gt;."));
+    /// ```
+    pub fn html(&self) -> String {
+        let title = escape(&self.title);
+        let lead = escape(&self.lead);
+        let dark = format!("@media (prefers-color-scheme: dark) {{\n{}\n}}\n", Ink::dark_css());
+        let body = [
+            sections::verdicts(self),
+            sections::comparison(self),
+            sections::pictures(self),
+            sections::training(self),
+            sections::system(self),
+            sections::provenance(self),
+            sections::notes(self),
+        ];
+        format!(
+            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
+             <title>{title}</title>\n<style>\n{STYLE}{dark}</style>\n</head>\n<body>\n<main>\n<header>\n\
+             <h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n</header>\n{}</main>\n</body>\n</html>\n",
+            body.concat()
+        )
+    }
+}
+
+#[cfg(test)]
+#[path = "html_tests.rs"]
+mod tests;

@@ -1,0 +1,126 @@
+//! The page is well formed, needs nothing from outside, and cannot be broken by its texts.
+
+use std::collections::BTreeMap;
+
+use leadtime_numerics::stats::Bootstrap;
+
+use crate::figure::{CurvePanel, Series, ShareRow};
+use crate::measure::{Comparison, Episode, Evaluation};
+use crate::playthrough::synthetic;
+use crate::report::{Book, Fact, Picture, Report, Verdict};
+
+/// What every text of the report under test contains.
+const NASTY: &str = "<script>alert('&')</script>\"";
+
+fn evaluation(player: &str, success: f32) -> Evaluation {
+    let episode = |i: u8| Episode {
+        total_reward: f64::from(i),
+        n_steps: 10,
+        truncated: false,
+        metrics: vec![if i < 8 { success } else { 1.0 - success }],
+    };
+    Evaluation {
+        player: player.to_owned(),
+        seed: 1,
+        metrics: vec!["success".to_owned()],
+        episodes: (0..10).map(episode).collect(),
+    }
+}
+
+fn report() -> Report {
+    let text = |words: &str| format!("{words} {NASTY}");
+    let (trained, unaided) = (evaluation(&text("trained"), 1.0), evaluation("unaided", 0.0));
+    let comparison = Comparison::new(&[trained.clone(), unaided.clone()], Bootstrap::new(1))
+        .with_difference(&trained, &unaided, "success");
+    let points = (0..80).map(|i| [f64::from(i) * 4000.0, f64::from(i % 7)]).collect();
+    let series = vec![Series { label: text("trained"), points }];
+    let reference = Some((2.0, text("unaided")));
+    let svg = synthetic::playthrough().svg("play-0");
+    Report {
+        title: text("Report"),
+        lead: text("A notifier was trained."),
+        verdicts: vec![
+            Verdict { holds: true, sentence: text("It learned.") },
+            Verdict { holds: false, sentence: text("It is perfect.") },
+        ],
+        comparison: Some(comparison),
+        pictures: vec![Picture { title: text("An episode"), caption: text("Look."), svg }],
+        curves: vec![CurvePanel { label: text("return"), range: None, reference, series }],
+        staleness: BTreeMap::from([(0, 4), (1, 90)]),
+        phases: vec![ShareRow { label: text("actor"), parts: vec![(text("wait"), 4.0)] }],
+        books: vec![Book { name: text("trained"), count: 94, meaning: text("used") }],
+        books_balance: Some(true),
+        provenance: vec![Fact::new(text("command"), text("leadtime smoke"))],
+        notes: vec![text("One seed.")],
+    }
+}
+
+/// Walks through the tags of a page and checks that each is closed in turn.
+fn assert_well_formed(page: &str) {
+    let body = page.strip_prefix("<!DOCTYPE html>").unwrap();
+    let mut open: Vec<&str> = Vec::new();
+    for piece in body.split('<').skip(1) {
+        let (tag, _) = piece.split_once('>').expect("a tag ends");
+        assert_eq!(tag.matches('"').count() % 2, 0, "{tag}");
+        let name = tag.split([' ', '\n', '/']).find(|part| !part.is_empty()).unwrap();
+        if tag.starts_with('/') {
+            assert_eq!(open.pop(), Some(name), "closing tag");
+        } else if !tag.ends_with('/') {
+            open.push(name);
+        }
+    }
+    assert_eq!(open, Vec::<&str>::new());
+}
+
+#[test]
+fn the_page_is_well_formed_and_has_every_section() {
+    let page = report().html();
+    assert_well_formed(&page);
+    for id in ["results", "playthroughs", "training", "system", "provenance", "notes"] {
+        assert_eq!(page.matches(&format!("<section id=\"{id}\">")).count(), 1, "{id}");
+    }
+}
+
+#[test]
+fn no_text_becomes_markup() {
+    let page = report().html();
+    assert!(!page.contains("<script"));
+    assert!(
+        page.matches("&lt;script&gt;alert(&#39;&amp;&#39;)&lt;/script&gt;&quot;").count() >= 15
+    );
+}
+
+#[test]
+fn the_page_needs_nothing_from_outside() {
+    let page = report().html();
+    for reference in ["src=", "href=", "url(http", "@import", "<link"] {
+        assert!(!page.contains(reference), "{reference}");
+    }
+    // The one address is SVG's namespace, which nobody fetches.
+    assert_eq!(page.matches("http").count(), page.matches("http://www.w3.org/2000/svg").count());
+}
+
+#[test]
+fn ids_are_unique() {
+    let page = report().html();
+    let mut ids: Vec<&str> =
+        page.split(" id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
+    let n = ids.len();
+    ids.sort_unstable();
+    ids.dedup();
+    assert_eq!(ids.len(), n);
+}
+
+#[test]
+fn an_empty_report_is_still_a_page() {
+    let page = Report::default().html();
+    assert_well_formed(&page);
+    assert!(!page.contains("<section"));
+}
+
+#[test]
+fn a_report_read_from_json_gives_the_same_page() {
+    let report = report();
+    let json = serde_json::to_string(&report).unwrap();
+    assert_eq!(serde_json::from_str::<Report>(&json).unwrap().html(), report.html());
+}
