@@ -9,7 +9,7 @@ use leadtime_sims::lander::conformance::{ReplayError, Report, replay, replay_wit
 fn traces() -> String {
     let packed = include_bytes!("../../tests/data/lander_traces.json.gz");
     let mut text = String::new();
-    GzDecoder::new(packed.as_slice()).read_to_string(&mut text).unwrap();
+    GzDecoder::new(packed.as_slice()).read_to_string(&mut text).expect("the traces are gzip");
     text
 }
 

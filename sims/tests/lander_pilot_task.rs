@@ -9,7 +9,7 @@ fn seed(env: u32, episode: u64) -> EpisodeSeed {
 }
 
 fn task(settings: &PilotTaskSettings) -> PilotTask {
-    PilotTask::new(settings).unwrap()
+    PilotTask::new(settings).expect("the settings are possible")
 }
 
 /// Lets the heuristic fly `n` steps; returns what each step gave.

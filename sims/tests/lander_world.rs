@@ -27,9 +27,9 @@ fn fly_until(lander: &mut Lander, holds: impl Fn(&Lander) -> bool) {
 }
 
 fn through_the_codec(snapshot: &LanderSnapshot) -> LanderSnapshot {
-    let bytes = leadtime_proto::codec::encode(snapshot).unwrap();
+    let bytes = leadtime_proto::codec::encode(snapshot).expect("plain data");
     assert!(bytes.len() < 16_384, "a snapshot of {} bytes", bytes.len());
-    leadtime_proto::codec::decode(&bytes, 1 << 20).unwrap()
+    leadtime_proto::codec::decode(&bytes, 1 << 20).expect("it was encoded")
 }
 
 /// Goes on from a snapshot in another, used world and in the same one: 60 frames must agree bit for bit.
@@ -39,9 +39,9 @@ fn assert_continues(lander: &mut Lander, physics: Physics) {
     let mut other = self::lander(physics, false);
     other.reset(Pcg64::seed_from_u64(99));
     frames(&mut other, 200);
-    other.restore(&through_the_codec(&snapshot)).unwrap();
+    other.restore(&through_the_codec(&snapshot)).expect("the snapshot fits");
     assert_eq!(frames(&mut other, 60), expected);
-    lander.restore(&snapshot).unwrap();
+    lander.restore(&snapshot).expect("the snapshot fits");
     assert_eq!(frames(lander, 60), expected);
 }
 

@@ -130,9 +130,9 @@ impl Flight {
         }
         self.velocity.y -= GRAVITY * DT;
         let speed = LEG_SPEED + LEG_CREEP * self.spin * self.spin;
-        for k in 0..2 {
-            let above_stop = -LEG_SIGN[k] * self.leg_angles[k] - LEG_LOWER;
-            self.leg_rates[k] = if above_stop > 0.0 { speed * LEG_SIGN[k] } else { 0.0 };
+        for ((rate, angle), sign) in self.leg_rates.iter_mut().zip(self.leg_angles).zip(LEG_SIGN) {
+            let above_stop = -sign * angle - LEG_LOWER;
+            *rate = if above_stop > 0.0 { speed * sign } else { 0.0 };
         }
         self.spin = self.stance.spin(self.angular_momentum, self.leg_rates);
         self.angular_momentum -= self.joint_loss();
@@ -235,11 +235,10 @@ mod tests {
         for _ in 0..100 {
             flight.step(&flight.bodies()[HULL], &Load::default());
         }
-        for k in 0..2 {
-            let angle = -LEG_SIGN[k] * flight.leg_angles[k];
-            assert!((0.343..=0.351).contains(&angle), "{angle}");
-            assert_eq!(flight.leg_rates[k], 0.0);
+        for (angle, sign) in flight.leg_angles.iter().zip(LEG_SIGN) {
+            assert!((0.343..=0.351).contains(&(-sign * angle)), "{angle}");
         }
+        assert_eq!(flight.leg_rates, [0.0; 2]);
     }
 
     #[test]
