@@ -239,7 +239,9 @@ impl CustomOp2 for LossOp {
         let scaled = |mut gradient: Vec<f32>| {
             // The loss is the root of the graph, so the factor is 1 but for tests.
             if factor != 1.0 {
-                gradient.iter_mut().for_each(|x| *x *= factor);
+                for x in &mut gradient {
+                    *x *= factor;
+                }
             }
             gradient
         };

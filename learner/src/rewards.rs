@@ -62,7 +62,9 @@ impl ReturnNormalizer {
     /// Divides rewards by the deviation of the return and clips them.
     pub fn apply(&self, rewards: &mut [f32]) {
         let scale = (1.0 / (self.variance + EPSILON).sqrt()) as f32;
-        rewards.iter_mut().for_each(|reward| *reward = (*reward * scale).clamp(-CLIP, CLIP));
+        for reward in rewards {
+            *reward = (*reward * scale).clamp(-CLIP, CLIP);
+        }
     }
 }
 

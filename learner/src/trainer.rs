@@ -153,7 +153,9 @@ impl Trainer {
         let learning_rate = self.settings.learning_rate_at(self.version.0);
         let totals = self.learn(&batch, learning_rate)?;
         if let Some(normalizer) = &mut self.observations {
-            rollouts.iter().for_each(|rollout| normalizer.update(&rollout.observations));
+            for rollout in rollouts {
+                normalizer.update(&rollout.observations);
+            }
         }
         self.parameters = self.network.parameters(self.observations.clone())?;
         let mut staleness = BTreeMap::new();
@@ -226,7 +228,9 @@ impl Trainer {
             for (rollout, rewards) in rollouts.iter().zip(&rewards) {
                 self.rewards.update(rollout, rewards, self.settings.gamma);
             }
-            rewards.iter_mut().for_each(|rewards| self.rewards.apply(rewards));
+            for rewards in &mut rewards {
+                self.rewards.apply(rewards);
+            }
         }
         rewards
     }

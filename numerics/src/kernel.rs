@@ -327,9 +327,7 @@ fn load<S: Simd, const V: usize>(row: &[f32; PANEL]) -> [S::f32s; V] {
 fn store<S: Simd, const V: usize>(vectors: [S::f32s; V], out: &mut [f32]) {
     if out.len() == PANEL {
         let (slots, _) = S::as_mut_simd_f32s(out);
-        for v in 0..V {
-            slots[v] = vectors[v];
-        }
+        slots[..V].copy_from_slice(&vectors);
         return;
     }
     let mut row = [0.0; PANEL];

@@ -13,7 +13,7 @@ use crate::Pcg64;
 ///
 /// # Source
 ///
-/// Saxe, McClelland, Ganguli, *Exact solutions to the nonlinear dynamics of learning in deep linear neural networks*,
+/// Saxe, `McClelland`, Ganguli, *Exact solutions to the nonlinear dynamics of learning in deep linear neural networks*,
 /// ICLR 2014; as `torch.nn.init.orthogonal_`, with our own generator.
 pub fn orthogonal(rows: usize, columns: usize, gain: f64, generator: &mut Pcg64) -> Vec<f32> {
     let (n_vectors, length) = (rows.min(columns), rows.max(columns));
@@ -31,8 +31,7 @@ pub fn orthogonal(rows: usize, columns: usize, gain: f64, generator: &mut Pcg64)
         let left = norm(&vector);
         // A vector within the span of the others is drawn again: its direction would be rounding noise.
         if left > 1e-9 * drawn {
-            vector.iter_mut().for_each(|a| *a /= left);
-            basis.push(vector);
+            basis.push(vector.iter().map(|a| a / left).collect());
         }
     }
     let element = |row: usize, column: usize| {

@@ -92,7 +92,7 @@ pub(crate) fn tanh_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 }
 
 /// High and low part of ln 2: the high part times an exponent is exact.
-const LN_2: (f32, f32) = (0.693_359_375, -2.121_944_4e-4);
+const LN_2: (f32, f32) = (0.693_359_4, -2.121_944_4e-4);
 
 /// Computes the exponential; below -87 the result is 0, above 88 it is as for 88.
 #[inline(always)]

@@ -49,7 +49,9 @@ impl ObservationNormalizer {
         for row in observations.chunks_exact(dim) {
             mean.iter_mut().zip(row).for_each(|(sum, &x)| *sum += f64::from(x));
         }
-        mean.iter_mut().for_each(|sum| *sum /= n);
+        for sum in &mut mean {
+            *sum /= n;
+        }
         let mut squares = vec![0.0; dim];
         for row in observations.chunks_exact(dim) {
             for ((sum, &x), mean) in squares.iter_mut().zip(row).zip(&mean) {

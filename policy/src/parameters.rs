@@ -120,7 +120,9 @@ impl Parameters {
         if let Some(normalizer) = &self.normalizer {
             for (name, values) in normalizer_tensors(normalizer) {
                 hasher.update(name.as_bytes());
-                values.iter().for_each(|value| hasher.update(value.to_le_bytes()));
+                for value in values {
+                    hasher.update(value.to_le_bytes());
+                }
             }
         }
         Ok(hasher.finalize().into())
