@@ -1,0 +1,354 @@
+//! The command line, as clap reads it; every command's arguments are one struct.
+
+use std::ops::Range;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::config::raw::EvaluationAction;
+use crate::config::table::Assignment;
+use crate::exit::EXIT_CODE_HELP;
+
+/// Trains assistants that warn people in time: in words, with the delay of listening and reacting.
+#[derive(Debug, Parser)]
+#[command(name = "leadtime", version, propagate_version = true, after_help = EXAMPLES,
+          after_long_help = format!("{EXAMPLES}\n\n{EXIT_CODE_HELP}"))]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const EXAMPLES: &str = "Examples:\n  \
+    leadtime smoke                                        the whole path, trained and judged, in minutes\n  \
+    leadtime up -c cartpole --actors 2                    learner and actors on this machine\n  \
+    leadtime learner -c my.toml --listen tcp/0.0.0.0:7447  a learner for actors anywhere\n  \
+    leadtime actor --connect tcp/HOST:7447                one more actor, at any time\n  \
+    leadtime play runs/NAME -o flight.png                 a picture of what it learned\n  \
+    leadtime config lander > my.toml                      every setting with its comment";
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Train, judge and draw once, end to end, and check that it learned.
+    Smoke(SmokeArgs),
+    /// Run a learner and actors on this machine, supervised.
+    Up(UpArgs),
+    /// Own a run: assign environments, receive rollouts, train, offer weights.
+    Learner(LearnerArgs),
+    /// Step environments for a learner; join and leave at any time.
+    Actor(ActorArgs),
+    /// Judge a policy over many episodes, with 95 % intervals.
+    Eval(EvalArgs),
+    /// Draw one episode of a policy as PNG, SVG, GIF or HTML.
+    Play(PlayArgs),
+    /// Judge a pilot of the lander.
+    Pilot {
+        /// What to do with it.
+        #[command(subcommand)]
+        command: PilotCommand,
+    },
+    /// Compare a world with recorded traces of its public original.
+    Conformance {
+        /// Which world.
+        #[command(subcommand)]
+        command: ConformanceCommand,
+    },
+    /// Print the default configuration of a domain, every key with its comment.
+    Config(ConfigArgs),
+    /// List runs, or compare their configurations and results.
+    Runs(RunsArgs),
+    /// Check a configuration, this machine, and (with --connect) the way to a learner.
+    Check(CheckArgs),
+    /// Print shell completions, to be sourced or put where the shell looks for them.
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Where the configuration comes from, and what to change in it.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ConfigSource {
+    /// Configuration file, or the name of a built-in one (`leadtime config` lists them).
+    #[arg(short, long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Change one key: `--set learner.learning_rate=1e-4`; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
+    pub set: Vec<Assignment>,
+    /// Seed of every random stream (as `--set seed=N`).
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Directory that holds the runs (as `--set run.directory=DIR`).
+    #[arg(long, value_name = "DIR")]
+    pub runs: Option<PathBuf>,
+}
+
+/// Which run to work on.
+#[derive(Clone, Debug, Default, Args)]
+pub struct RunChoice {
+    /// Name of the run (as `--set run.name=NAME`); without one, an unfinished run of the same configuration is taken
+    /// up again, or a new one begins.
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Start a new run from the weights of this one (a name or a directory).
+    #[arg(long, value_name = "RUN")]
+    pub fork: Option<String>,
+    /// Stop with a checkpoint after this many updates in all; the run can be taken up again.
+    #[arg(long, value_name = "UPDATES")]
+    pub stop_after: Option<u64>,
+}
+
+/// `leadtime smoke`
+#[derive(Debug, Args)]
+pub struct SmokeArgs {
+    /// Check the mechanics only, in about half a minute: no claim about what is learned.
+    #[arg(long)]
+    pub quick: bool,
+    /// What to train on.
+    #[arg(long, default_value = "lander")]
+    pub domain: String,
+    /// Actor processes.
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=256))]
+    pub actors: u32,
+    /// Episodes per judged policy (default: 200, with --quick 10).
+    #[arg(long)]
+    pub episodes: Option<u32>,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// Where the configuration comes from.
+    #[command(flatten)]
+    pub source: ConfigSource,
+}
+
+/// `leadtime up`
+#[derive(Debug, Args)]
+pub struct UpArgs {
+    /// Where the configuration comes from.
+    #[command(flatten)]
+    pub source: ConfigSource,
+    /// Which run.
+    #[command(flatten)]
+    pub run: RunChoice,
+    /// Actor processes.
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=256))]
+    pub actors: u32,
+    /// Also listen here, so that actors elsewhere can join: `tcp/0.0.0.0:7447`.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub listen: Vec<String>,
+}
+
+/// `leadtime learner`
+#[derive(Debug, Args)]
+pub struct LearnerArgs {
+    /// Where the configuration comes from.
+    #[command(flatten)]
+    pub source: ConfigSource,
+    /// Which run.
+    #[command(flatten)]
+    pub run: RunChoice,
+    /// Where to listen: `tcp/127.0.0.1:7447`, `tcp/0.0.0.0:7447`, `unixsock-stream//tmp/learner.sock`.
+    #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
+    pub listen: Vec<String>,
+    /// Stop when standard input closes: whoever started this process holds the other end.
+    #[arg(long, hide = true)]
+    pub supervised: bool,
+}
+
+/// `leadtime actor`
+#[derive(Debug, Args)]
+pub struct ActorArgs {
+    /// Where the learner (or a router) is: `tcp/HOST:7447`.
+    #[arg(long, value_name = "ENDPOINT", required = true)]
+    pub connect: Vec<String>,
+    /// The run, where several share the address.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<String>,
+    /// Name of this actor (default: host and process id).
+    #[arg(long)]
+    pub id: Option<String>,
+    /// How long to look for a learner, at the start and after losing one.
+    #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = duration)]
+    pub connect_timeout: Duration,
+    /// Stop when standard input closes: whoever started this process holds the other end.
+    #[arg(long, hide = true)]
+    pub supervised: bool,
+}
+
+/// `leadtime eval`
+#[derive(Debug, Args)]
+pub struct EvalArgs {
+    /// A policy file, a run directory or the name of a run.
+    pub policy: String,
+    /// Episodes per policy (default: the configuration's).
+    #[arg(long)]
+    pub episodes: Option<u32>,
+    /// Seed of the evaluation's random streams; another than in training.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub eval_seed: u64,
+    /// How the policy chooses (default: the configuration's).
+    #[arg(long, value_enum)]
+    pub action: Option<EvaluationAction>,
+    /// Also judge this scripted policy, such as `unaided` or `heuristic`; may be given again.
+    #[arg(long, value_name = "NAME")]
+    pub baseline: Vec<String>,
+    /// Change one key of the task: `--set human.reaction_delay={fixed=3}`; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
+    pub set: Vec<Assignment>,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `leadtime play`
+#[derive(Debug, Args)]
+pub struct PlayArgs {
+    /// A policy file, a run directory or the name of a run.
+    pub policy: String,
+    /// The picture; its extension decides: png, svg, gif or html.
+    #[arg(short, long, value_name = "FILE", default_value = "playthrough.png")]
+    pub output: PathBuf,
+    /// Which episode.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub eval_seed: u64,
+    /// Draw this scripted policy instead, such as `unaided` or `heuristic`.
+    #[arg(long, value_name = "NAME")]
+    pub baseline: Option<String>,
+    /// How the policy chooses (default: the configuration's).
+    #[arg(long, value_enum)]
+    pub action: Option<EvaluationAction>,
+    /// Change one key of the task; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
+    pub set: Vec<Assignment>,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
+}
+
+/// `leadtime pilot ...`
+#[derive(Debug, Subcommand)]
+pub enum PilotCommand {
+    /// Fly it without zones and messages: mean return, and how the flights end.
+    Eval(PilotEvalArgs),
+}
+
+/// `leadtime pilot eval`
+#[derive(Debug, Args)]
+pub struct PilotEvalArgs {
+    /// `heuristic`, `embedded`, or a policy file.
+    #[arg(long, default_value = "embedded")]
+    pub pilot: String,
+    /// Seeds of the flights, half open: the same seeds fly the same terrain and start in Gymnasium.
+    #[arg(long, value_name = "A..B", default_value = "0..100", value_parser = seed_range)]
+    pub seeds: Range<u64>,
+    /// With wind and turbulence.
+    #[arg(long)]
+    pub wind: bool,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `leadtime conformance ...`
+#[derive(Debug, Subcommand)]
+pub enum ConformanceCommand {
+    /// Replay recorded actions of `LunarLander-v3` open loop and compare every observation before first contact.
+    Lander {
+        /// The traces: JSON, plain or gzip.
+        file: PathBuf,
+        /// Print the results as JSON.
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+/// `leadtime config`
+#[derive(Debug, Args)]
+pub struct ConfigArgs {
+    /// The configuration; without one, the names are listed.
+    pub domain: Option<String>,
+}
+
+/// `leadtime runs`
+#[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true)]
+pub struct RunsArgs {
+    /// What to do; without a command, runs are listed.
+    #[command(subcommand)]
+    pub command: Option<RunsCommand>,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs", global = true)]
+    pub runs: PathBuf,
+    /// Print the results as JSON.
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// `leadtime runs ...`
+#[derive(Debug, Subcommand)]
+pub enum RunsCommand {
+    /// List every run: domain, state, steps, success.
+    List,
+    /// Show what differs between two runs: configuration and results.
+    Compare {
+        /// A run.
+        first: String,
+        /// Another run.
+        second: String,
+    },
+}
+
+/// `leadtime check`
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// Where the configuration comes from.
+    #[command(flatten)]
+    pub source: ConfigSource,
+    /// Also say hello to the learner at this address.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
+    /// How long to look for it.
+    #[arg(long, value_name = "DURATION", default_value = "5s", value_parser = duration)]
+    pub connect_timeout: Duration,
+}
+
+/// Reads `60s`, `2m` or `500ms`.
+fn duration(text: &str) -> Result<Duration, String> {
+    let span: jiff::SignedDuration =
+        text.parse().map_err(|error| format!("{error}; write 60s or 2m"))?;
+    Duration::try_from(span).map_err(|error| format!("{error}; write 60s or 2m"))
+}
+
+/// Reads `A..B`, half open.
+fn seed_range(text: &str) -> Result<Range<u64>, String> {
+    let (from, to) = text.split_once("..").ok_or("write A..B, B not included")?;
+    let number = |text: &str| text.trim().parse::<u64>().map_err(|error| error.to_string());
+    let range = number(from)?..number(to)?;
+    if range.is_empty() { Err("the range is empty: A must be below B".to_owned()) } else { Ok(range) }
+}
+
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn ranges_and_durations_read_as_people_write_them() {
+        assert_eq!(seed_range("0..1000"), Ok(0..1000));
+        assert!(seed_range("5..5").is_err());
+        assert!(seed_range("5").is_err());
+        assert_eq!(duration("2m"), Ok(Duration::from_secs(120)));
+        assert!(duration("-1s").is_err());
+    }
+}

@@ -1,0 +1,110 @@
+//! `leadtime actor`: environments for a learner somewhere else.
+
+use std::fs;
+
+use anyhow::Context as _;
+use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Error};
+use leadtime_link::{ConnectSettings, Endpoint, Error as LinkError};
+use leadtime_proto::{ActorId, RunName};
+use serde_json::json;
+
+use crate::cli::ActorArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::shutdown::{Watch, watch};
+use crate::{Program, clock, cpu, output};
+
+/// The longest part of a host's name that becomes part of an actor's.
+const HOST_CHARS: usize = 24;
+
+pub(super) async fn run(program: &Program, args: &ActorArgs) -> Result<(), Failure> {
+    let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
+    let shutdown = watch(watched).blame(ExitCode::Failed)?;
+    let settings = settings(args).blame(ExitCode::WrongInput)?;
+    tracing::info!(actor = %settings.actor, at = %args.connect.join(", "), "looking for a learner");
+    let report = leadtime_actor::run(settings, program.registry.clone(), shutdown).await;
+    let report = report.map_err(failure)?;
+    output::json(&account(&report));
+    match report.end {
+        ActorEnd::Dismissed { .. } => Ok(()),
+        ActorEnd::Cancelled => Err(Failure::silent(ExitCode::Interrupted)),
+    }
+}
+
+fn settings(args: &ActorArgs) -> anyhow::Result<ActorSettings> {
+    let endpoints: Result<Vec<Endpoint>, _> = args.connect.iter().map(|text| text.parse()).collect();
+    let mut connect = ConnectSettings::new(endpoints.context("--connect")?);
+    connect.timeout = args.connect_timeout;
+    let run = args.run.clone().map(RunName::new).transpose().context("--run")?;
+    let id = args.id.clone().unwrap_or_else(|| default_id(&host()));
+    Ok(ActorSettings {
+        actor: ActorId::new(id).context("--id")?,
+        incarnation: clock::incarnation(),
+        run,
+        connect,
+        reconnect_timeout: args.connect_timeout,
+        program: format!("leadtime {}", env!("CARGO_PKG_VERSION")),
+        cpu: cpu::fingerprint(),
+    })
+}
+
+/// Reads the host's name, where the system keeps one.
+fn host() -> String {
+    let files = ["/proc/sys/kernel/hostname", "/etc/hostname"];
+    files.iter().find_map(|file| fs::read_to_string(file).ok()).unwrap_or_default()
+}
+
+/// Makes an actor's name from its host's and its process id.
+fn default_id(host: &str) -> String {
+    let keep = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+    let host: String = host.trim().chars().take(HOST_CHARS).map(keep).collect();
+    let host = host.trim_matches('-');
+    let host = if host.is_empty() { "actor" } else { host };
+    format!("{host}-{}", std::process::id())
+}
+
+/// The actor's own account of what it did; the learner's books must agree with it.
+fn account(report: &ActorReport) -> serde_json::Value {
+    json!({
+        "run": report.run,
+        "steps": report.n_steps,
+        "made": report.made,
+        "published": report.sent,
+        "acknowledged": report.acknowledged,
+        "reconnects": report.n_reconnects,
+    })
+}
+
+/// Decides whose fault an actor's end is.
+fn failure(error: Error) -> Failure {
+    let code = match &error {
+        Error::CancelledEarly => return Failure::silent(ExitCode::Interrupted),
+        Error::Task(_)
+        | Error::Link(
+            LinkError::Endpoint { .. }
+            | LinkError::NoEndpoint
+            | LinkError::Name(_)
+            | LinkError::SeveralRuns { .. }
+            | LinkError::RunNotFound { .. },
+        ) => ExitCode::WrongInput,
+        Error::Link(_)
+        | Error::SpecMismatch { .. }
+        | Error::CutOff { .. }
+        | Error::LearnerLost { .. }
+        | Error::RunChanged { .. } => ExitCode::PeerLost,
+        _ => ExitCode::Failed,
+    };
+    Failure { code, error: Some(error.into()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_hosts_name_becomes_part_of_an_actors() {
+        for host in ["", "box", "My_Host.example.org\n", "-", &"x".repeat(300), "Ünï"] {
+            let id = default_id(host);
+            assert!(ActorId::new(id.clone()).is_ok(), "{id}");
+        }
+    }
+}

@@ -1,0 +1,23 @@
+//! `leadtime config`: the built-in configurations, comments and all.
+
+use crate::cli::ConfigArgs;
+use crate::exit::Failure;
+use crate::{Program, output};
+
+pub(super) fn run(program: &Program, args: &ConfigArgs) -> Result<(), Failure> {
+    let names: Vec<&str> = program.catalog.names().collect();
+    let Some(domain) = &args.domain else {
+        names.iter().for_each(|name| output::line(name));
+        return Ok(());
+    };
+    match program.catalog.text(domain) {
+        Some(text) => {
+            output::line(text.trim_end());
+            Ok(())
+        }
+        None => Err(Failure::input(format!(
+            "there is no configuration `{domain}`; built-in ones: {}",
+            names.join(", ")
+        ))),
+    }
+}

@@ -1,0 +1,54 @@
+//! From a parsed command line to the command.
+
+use clap::CommandFactory as _;
+use tokio::runtime;
+
+use super::{actor, check, config, conformance, eval, learner, pilot, play, runs, smoke, up};
+use crate::cli::{Cli, Command, ConformanceCommand, PilotCommand};
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::{Program, logging, output};
+
+/// Carries out one command.
+///
+/// # Errors
+///
+/// [`Failure`] with the exit code that the program should end with.
+pub fn dispatch(program: &Program, command: Command) -> Result<(), Failure> {
+    let quiet = matches!(&command, Command::Actor(args) if args.supervised);
+    logging::start(if quiet { "warn" } else { "info" });
+    match command {
+        Command::Smoke(args) => block_on(smoke::run(program, &args)),
+        Command::Up(args) => block_on(up::run(program, &args)),
+        Command::Learner(args) => block_on(learner::run(program, &args)),
+        Command::Actor(args) => block_on(actor::run(program, &args)),
+        Command::Eval(args) => eval::run(program, &args),
+        Command::Play(args) => play::run(program, &args),
+        Command::Pilot { command: PilotCommand::Eval(args) } => pilot::run(&args),
+        Command::Conformance { command: ConformanceCommand::Lander { file, json } } => {
+            conformance::run(&file, json)
+        }
+        Command::Config(args) => config::run(program, &args),
+        Command::Runs(args) => runs::run(&args),
+        Command::Check(args) => block_on(check::run(program, &args)),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "leadtime", &mut script);
+            output::line(String::from_utf8_lossy(&script).trim_end());
+            Ok(())
+        }
+    }
+}
+
+/// Runs a command that waits for several things at once.
+fn block_on(work: impl Future<Output = Result<(), Failure>>) -> Result<(), Failure> {
+    let runtime = runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .thread_name("leadtime-async")
+        .enable_all()
+        .build()
+        .blame(ExitCode::Failed)?;
+    let result = runtime.block_on(work);
+    // Whatever still runs has been asked to stop; the process does not wait for it.
+    runtime.shutdown_background();
+    result
+}

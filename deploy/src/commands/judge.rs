@@ -1,0 +1,81 @@
+//! Playing episodes with several players under the same seeds, and comparing them.
+
+use std::path::Path;
+use std::thread::available_parallelism;
+
+use leadtime_eval::measure::{
+    Choice, Comparison, EvaluateSettings, Evaluation, Player, evaluate,
+};
+use leadtime_eval::playthrough::Playthrough;
+use leadtime_numerics::stats::Bootstrap;
+use leadtime_policy::Parameters;
+
+use crate::Program;
+use crate::config::Config;
+use crate::config::raw::EvaluationAction;
+
+/// Seed of evaluations: another than any run's by default, so that nothing is judged on what it was trained on.
+pub(super) const EVAL_SEED: u64 = 1_000_000;
+
+/// How a judged policy chooses.
+pub(super) fn choice(action: EvaluationAction) -> Choice {
+    match action {
+        EvaluationAction::Sample => Choice::Sample,
+        EvaluationAction::Greedy => Choice::Greedy,
+    }
+}
+
+/// Lets a policy be judged under a name.
+pub(super) fn policy(
+    name: &str,
+    config: &Config,
+    parameters: &Parameters,
+    action: EvaluationAction,
+) -> anyhow::Result<Player> {
+    Ok(Player::policy(name, &config.policy, parameters, choice(action))?)
+}
+
+/// Plays the same episodes with every player.
+pub(super) fn evaluate_all(
+    program: &Program,
+    config: &Config,
+    players: &[Player],
+    n_episodes: u32,
+    seed: u64,
+) -> anyhow::Result<Vec<Evaluation>> {
+    let make = || program.registry.build(&config.evaluation.task);
+    let n_threads = available_parallelism().map_or(1, usize::from);
+    let settings = EvaluateSettings::new(u64::from(n_episodes), seed).threads(n_threads);
+    let evaluate = |player| Ok(evaluate(&make, player, &settings)?);
+    players.iter().map(evaluate).collect()
+}
+
+/// Returns the measure by which players of a task are compared: success where it is known.
+pub(super) fn main_measure(config: &Config) -> &'static str {
+    if config.env.metrics.iter().any(|name| name == "success") { "success" } else { "return" }
+}
+
+/// Compares the first player with every other one.
+pub(super) fn compare(config: &Config, evaluations: &[Evaluation]) -> Comparison {
+    let comparison = Comparison::new(evaluations, Bootstrap::new(config.seed));
+    let Some((first, others)) = evaluations.split_first() else { return comparison };
+    let measure = main_measure(config);
+    others.iter().fold(comparison, |so_far, other| so_far.with_difference(first, other, measure))
+}
+
+/// Plays one episode to be drawn.
+pub(super) fn record(
+    program: &Program,
+    config: &Config,
+    player: &Player,
+    seed: u64,
+    index: u64,
+) -> anyhow::Result<Playthrough> {
+    let mut environment = program.registry.build(&config.evaluation.task)?;
+    Ok(Playthrough::record(environment.as_mut(), player, seed, index)?)
+}
+
+/// Returns the extension of a path in lower case.
+pub(super) fn extension(path: &Path) -> String {
+    path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase()
+}

@@ -1,0 +1,147 @@
+//! `leadtime learner`: one run, from its directory to its result.
+
+use anyhow::Context as _;
+use leadtime_learner::{LearnerConfig, RunEnd, RunReport};
+use leadtime_link::{Endpoint, ListenSettings};
+
+use super::policy_file;
+use crate::cli::LearnerArgs;
+use crate::config::{self, Config};
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::progress::RunSink;
+use crate::record::RunResult;
+use crate::run_dir::{self, RunDir, State};
+use crate::shutdown::{Watch, watch};
+use crate::{Program, clock, cpu, output};
+
+pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Failure> {
+    let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
+    let shutdown = watch(watched).blame(ExitCode::Failed)?;
+    let name = args.run.name.as_deref();
+    let config = config::load(&args.source, name, &program.catalog, &program.registry)
+        .blame(ExitCode::WrongInput)?;
+    let listen = listen_settings(&args.listen).blame(ExitCode::WrongInput)?;
+    let (mut run_dir, state) = RunDir::open(&config).blame(ExitCode::WrongInput)?;
+    if state == State::Finished {
+        let (name, path) = (run_dir.name(), run_dir.path().display());
+        output::say(&format!(
+            "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
+        ));
+        return Ok(());
+    }
+    tracing::info!(run = %run_dir.name(), directory = %run_dir.path().display(), "run opened");
+    let metadata = policy_file::metadata(&config, run_dir.name().as_str());
+    let mut sink = RunSink::open(
+        run_dir.path(),
+        config.policy.clone(),
+        metadata,
+        config.steps_per_update(),
+    )
+    .with_context(|| format!("opening the files of {}", run_dir.path().display()))
+    .blame(ExitCode::WrongInput)?;
+    sink.stop_after(args.run.stop_after, shutdown.clone());
+    let learner = learner_config(&config, &run_dir, listen);
+    let report = leadtime_learner::run(learner, Box::new(sink), shutdown).await.map_err(failure)?;
+    conclude(&mut run_dir, &report, args)
+}
+
+fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
+    let endpoints: Result<Vec<Endpoint>, _> = listen.iter().map(|text| text.parse()).collect();
+    Ok(ListenSettings::new(endpoints.context("--listen")?))
+}
+
+fn learner_config(config: &Config, run_dir: &RunDir, listen: ListenSettings) -> LearnerConfig {
+    LearnerConfig {
+        run: run_dir.name().clone(),
+        incarnation: clock::incarnation(),
+        run_seed: config.seed,
+        task: config.task.clone(),
+        env: config.env.clone(),
+        policy: config.policy.clone(),
+        settings: config.learner.clone(),
+        window: config.window,
+        actors_min: config.run.actors_min as usize,
+        listen,
+        cpu: cpu::fingerprint(),
+        checkpoints: run_dir.path().join("checkpoints"),
+        checkpoint_interval: config.run.checkpoints,
+        identity: run_dir::identity(config),
+    }
+}
+
+/// Decides whose fault a learner's end is.
+fn failure(error: leadtime_learner::Error) -> Failure {
+    use leadtime_learner::Error;
+    use leadtime_link::Error as LinkError;
+    let code = match &error {
+        Error::Checkpoint(_) | Error::ConfigurationChanged { .. } => ExitCode::WrongInput,
+        Error::Link(
+            LinkError::AddressInUse { .. } | LinkError::Listen { .. } | LinkError::NoEndpoint,
+        ) => ExitCode::WrongInput,
+        Error::Link(_) => ExitCode::PeerLost,
+        _ => ExitCode::Failed,
+    };
+    Failure { code, error: Some(error.into()) }
+}
+
+/// Writes down how the run ended, and says it.
+fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Result<(), Failure> {
+    let digest: String = report.digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    let mut books = serde_json::to_value(Accounts::from(report)).blame(ExitCode::Failed)?;
+    books["balanced"] = report.balance.is_ok().into();
+    let (n_updates, n_steps) = (report.n_updates, report.n_steps);
+    output::line(&format!("run      {}", run_dir.path().display()));
+    output::line(&format!("updates  {n_updates} ({n_steps} steps)"));
+    output::line(&format!("weights  sha256 {digest}"));
+    output::line(&format!("books    {books}"));
+    if let Err(imbalance) = report.balance {
+        return Err(imbalance).blame(ExitCode::Failed);
+    }
+    if report.end != RunEnd::Stopped {
+        let result = RunResult {
+            finished: clock::utc_now(),
+            updates: n_updates,
+            steps: n_steps,
+            weights_sha256: digest,
+            reproducible: report.reproducible,
+            books,
+        };
+        return run_dir.finish(result).blame(ExitCode::WrongInput);
+    }
+    if !report.checkpointed {
+        tracing::warn!("the state at the end is not on the disk: a resume goes on from an older checkpoint");
+    }
+    let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);
+    if asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
+}
+
+/// The books as the record keeps them.
+#[derive(serde::Serialize)]
+struct Accounts {
+    published: u64,
+    trained: u64,
+    dropped_stale: u64,
+    refused: u64,
+    superseded: u64,
+    unused_at_end: u64,
+    rolled_back: u64,
+    duplicates: u64,
+    steps_redone: u64,
+}
+
+impl From<&RunReport> for Accounts {
+    fn from(report: &RunReport) -> Self {
+        let books = &report.books;
+        Self {
+            published: books.published,
+            trained: books.trained,
+            dropped_stale: books.dropped_stale,
+            refused: books.refused,
+            superseded: books.superseded,
+            unused_at_end: books.unused_at_end,
+            rolled_back: books.rolled_back,
+            duplicates: books.duplicates,
+            steps_redone: books.steps_redone,
+        }
+    }
+}

@@ -1,0 +1,20 @@
+//! One module per command; each turns checked arguments into calls of the crates below, and errors into exit codes.
+
+mod actor;
+mod check;
+mod config;
+mod conformance;
+mod dispatch;
+mod eval;
+mod judge;
+mod launch;
+mod learner;
+mod pilot;
+mod play;
+mod policy_file;
+mod run_report;
+mod runs;
+mod smoke;
+mod up;
+
+pub use dispatch::dispatch;

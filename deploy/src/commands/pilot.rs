@@ -1,0 +1,63 @@
+//! `leadtime pilot eval`: a pilot flies without zones and messages, on Gymnasium's seeds.
+
+use anyhow::Context as _;
+use leadtime_sims::lander::{Evaluation, Flyer, LanderSettings, Pilot, evaluate};
+use serde_json::json;
+
+use crate::cli::PilotEvalArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output;
+
+pub(super) fn run(args: &PilotEvalArgs) -> Result<(), Failure> {
+    let settings = LanderSettings { wind: args.wind, ..LanderSettings::default() };
+    let from_file;
+    let flyer = match args.pilot.as_str() {
+        "heuristic" => Flyer::Heuristic,
+        "embedded" => Flyer::Network { pilot: Pilot::embedded(), rests: false },
+        file => {
+            from_file = read(file).blame(ExitCode::WrongInput)?;
+            Flyer::Network { pilot: &from_file, rests: false }
+        }
+    };
+    let evaluation = evaluate(flyer, &settings, args.seeds.clone());
+    print(args, &evaluation);
+    Ok(())
+}
+
+fn read(file: &str) -> anyhow::Result<Pilot> {
+    let bytes = std::fs::read(file)
+        .with_context(|| format!("pilot `{file}` is neither heuristic, embedded nor a file"))?;
+    Pilot::from_safetensors(&bytes).with_context(|| format!("{file} is not a pilot"))
+}
+
+fn print(args: &PilotEvalArgs, evaluation: &Evaluation) {
+    if args.json {
+        output::json(&json!({
+            "pilot": args.pilot,
+            "seeds": format!("{}..{}", args.seeds.start, args.seeds.end),
+            "wind": args.wind,
+            "episodes": evaluation.n_episodes,
+            "mean_return": evaluation.mean_return,
+            "standard_error": evaluation.standard_error,
+            "mean_frames": evaluation.mean_frames,
+            "landed": evaluation.landed,
+            "crashed": evaluation.crashed,
+            "out": evaluation.out,
+            "timed_out": evaluation.timed_out,
+        }));
+        return;
+    }
+    let wind = if args.wind { "with wind" } else { "without wind" };
+    let n = evaluation.n_episodes;
+    output::line(&format!("pilot {}, {n} episodes {wind}", args.pilot));
+    let (mean, error) = (evaluation.mean_return, evaluation.standard_error);
+    output::line(&format!("return     {mean:.1} +- {error:.1} (mean, standard error)"));
+    for (name, share) in [
+        ("landed", evaluation.landed),
+        ("crashed", evaluation.crashed),
+        ("out", evaluation.out),
+        ("timed out", evaluation.timed_out),
+    ] {
+        output::line(&format!("{name:<10} {share:.3}"));
+    }
+}

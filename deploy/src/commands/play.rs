@@ -1,0 +1,73 @@
+//! `leadtime play`: one episode as a picture; the file's extension says which kind.
+
+use std::path::Path;
+
+use anyhow::{Context as _, bail};
+use leadtime_eval::draw::Rasterizer;
+use leadtime_eval::measure::Player;
+use leadtime_eval::playthrough::Playthrough;
+use leadtime_eval::report::{Picture, Report};
+
+use super::{judge, policy_file};
+use crate::cli::PlayArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::record::write_atomically;
+use crate::{Program, output};
+
+/// Pixels per unit of a PNG.
+const PNG_SCALE: f32 = 2.0;
+/// The most frames of a GIF.
+const GIF_FRAMES: usize = 150;
+/// How long a GIF plays, in seconds.
+const GIF_SECONDS: f64 = 12.0;
+
+pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
+    let kinds = ["png", "svg", "gif", "html"];
+    if !kinds.contains(&judge::extension(&args.output).as_str()) {
+        let shown = args.output.display();
+        return Err(Failure::input(format!("{shown}: the extension must be png, svg, gif or html")));
+    }
+    let loaded = policy_file::load(program, &args.runs, &args.policy, &args.set)
+        .blame(ExitCode::WrongInput)?;
+    let action = args.action.unwrap_or(loaded.config.evaluation.action);
+    let player = match &args.baseline {
+        Some(name) => Player::baseline(name),
+        None => judge::policy("policy", &loaded.config, &loaded.parameters, action)?,
+    };
+    let played = judge::record(program, &loaded.config, &player, args.eval_seed, 0)
+        .blame(ExitCode::WrongInput)?;
+    draw(&played, &args.output).blame(ExitCode::WrongInput)?;
+    let (title, n_steps) = (played.title(), played.n_steps());
+    output::line(&format!("{}: {title}, {n_steps} steps", args.output.display()));
+    Ok(())
+}
+
+/// Draws an episode into a file.
+pub(super) fn draw(played: &Playthrough, path: &Path) -> anyhow::Result<()> {
+    let bytes = match judge::extension(path).as_str() {
+        "png" => played.png(&Rasterizer::new(), PNG_SCALE)?,
+        "svg" => played.svg("playthrough").into_bytes(),
+        "gif" => played.gif(&Rasterizer::new(), GIF_FRAMES, GIF_SECONDS)?,
+        "html" => page(played).into_bytes(),
+        other => bail!("a picture cannot be a `{other}` file"),
+    };
+    write_atomically(path, &bytes).with_context(|| format!("writing {}", path.display()))
+}
+
+fn page(played: &Playthrough) -> String {
+    let title = played.title();
+    let pictures = vec![picture(played, "playthrough")];
+    Report { title, pictures, ..Report::default() }.html()
+}
+
+/// Makes an episode a picture of a page.
+pub(super) fn picture(played: &Playthrough, id: &str) -> Picture {
+    let caption = format!(
+        "Episode {} of seed {}, {} steps, return {:.1}.",
+        played.index,
+        played.seed,
+        played.n_steps(),
+        played.total_reward
+    );
+    Picture { title: played.title(), caption, svg: played.svg(id) }
+}

@@ -1,0 +1,81 @@
+//! Policy files: they carry the whole configuration they were trained under, so one file is enough to judge them.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use leadtime_policy::{Parameters, read_metadata};
+use sha2::{Digest as _, Sha256};
+
+use crate::Program;
+use crate::config::Config;
+use crate::config::table::Assignment;
+use crate::progress::sink::{BEST_POLICY, LAST_POLICY};
+
+/// Metadata key of the configuration, as TOML.
+const CONFIG: &str = "config";
+
+/// A policy with everything that is needed to let it act.
+#[derive(Debug)]
+pub(super) struct LoadedPolicy {
+    /// Where it was found.
+    pub(super) path: PathBuf,
+    /// What it was trained under, with changes for evaluation.
+    pub(super) config: Config,
+    /// The weights.
+    pub(super) parameters: Parameters,
+}
+
+/// Returns what goes into every policy file of a run.
+pub(super) fn metadata(config: &Config, run: &str) -> BTreeMap<String, String> {
+    let specification = serde_json::to_vec(&config.policy).unwrap_or_default();
+    let digest: String =
+        Sha256::digest(&specification).iter().map(|byte| format!("{byte:02x}")).collect();
+    let entries = [
+        ("domain", config.domain.to_string()),
+        ("specification_sha256", digest),
+        (CONFIG, config.table.to_string()),
+        ("run", run.to_owned()),
+        ("program", format!("leadtime {}", env!("CARGO_PKG_VERSION"))),
+    ];
+    entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+}
+
+/// Loads a policy file, or the best policy of a run (its newest, where no best one is known).
+///
+/// # Errors
+///
+/// One sentence: what was not found, or what is wrong with it.
+pub(super) fn load(
+    program: &Program,
+    runs: &Path,
+    name: &str,
+    changes: &[Assignment],
+) -> anyhow::Result<LoadedPolicy> {
+    let path = find(runs, name)?;
+    let bytes = std::fs::read(&path).with_context(|| format!("reading {}", path.display()))?;
+    let not_ours = || format!("{} is not a policy of Leadtime", path.display());
+    let metadata = read_metadata(&bytes).with_context(not_ours)?;
+    let config = metadata.get(CONFIG).with_context(not_ours)?;
+    let mut table: toml::Table = config.parse().with_context(not_ours)?;
+    for change in changes {
+        change.apply(&mut table);
+    }
+    let config = Config::from_table(table, &program.registry)
+        .with_context(|| format!("the configuration in {}", path.display()))?;
+    let parameters = Parameters::from_safetensors(&bytes, &config.policy)
+        .with_context(|| format!("{} does not fit its task", path.display()))?;
+    Ok(LoadedPolicy { path, config, parameters })
+}
+
+fn find(runs: &Path, name: &str) -> anyhow::Result<PathBuf> {
+    let given = PathBuf::from(name);
+    if given.is_file() {
+        return Ok(given);
+    }
+    [given, runs.join(name)]
+        .iter()
+        .flat_map(|directory| [BEST_POLICY, LAST_POLICY].map(|file| directory.join(file)))
+        .find(|path| path.is_file())
+        .with_context(|| format!("`{name}` is no policy file, and no run in {} with a policy", runs.display()))
+}

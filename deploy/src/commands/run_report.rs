@@ -1,0 +1,140 @@
+//! `report.html` of a run, from what lies in its directory and from an evaluation.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::Context as _;
+use leadtime_eval::figure::{CurvePanel, Series, ShareRow, smoothed};
+use leadtime_eval::measure::Comparison;
+use leadtime_eval::report::{Book, Fact, Picture, Report, Verdict};
+use serde_json::{Map, Value};
+
+use crate::progress::journal;
+use crate::record::{RunRecord, write_atomically};
+
+/// Updates on each side that a smoothed curve averages over.
+const SMOOTHING: usize = 3;
+
+/// What an evaluation adds to a run's own records.
+#[derive(Debug, Default)]
+pub(super) struct Findings {
+    /// A paragraph for somebody who knows nothing of the run.
+    pub(super) lead: String,
+    /// Claims, and whether they hold.
+    pub(super) verdicts: Vec<Verdict>,
+    /// The players side by side.
+    pub(super) comparison: Option<Comparison>,
+    /// Playthroughs.
+    pub(super) pictures: Vec<Picture>,
+    /// What a reader should know.
+    pub(super) notes: Vec<String>,
+}
+
+/// Writes the report into the run's directory.
+pub(super) fn write(directory: &Path, findings: Findings) -> anyhow::Result<()> {
+    let record = RunRecord::read(&directory.join("run.json"))?;
+    let journal = journal::read(directory).context("reading metrics.jsonl")?;
+    let books = record.result.as_ref().map(|result| &result.books);
+    let report = Report {
+        title: format!("Run {}", record.name),
+        lead: findings.lead,
+        verdicts: findings.verdicts,
+        comparison: findings.comparison,
+        pictures: findings.pictures,
+        curves: curves(&journal),
+        staleness: staleness(&journal),
+        phases: phases(&journal),
+        books: books.map(account).unwrap_or_default(),
+        books_balance: books.and_then(|books| books["balanced"].as_bool()),
+        provenance: provenance(&record),
+        notes: findings.notes,
+    };
+    let path = directory.join("report.html");
+    write_atomically(&path, report.html().as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
+}
+
+fn curves(journal: &[Map<String, Value>]) -> Vec<CurvePanel> {
+    let panels: [(&str, &str, Option<[f64; 2]>); 5] = [
+        ("episodes/success", "success", Some([0.0, 1.0])),
+        ("episodes/return", "return", None),
+        ("episodes/length", "episode length (steps)", None),
+        ("train/entropy", "entropy (nats)", None),
+        ("train/approx_kl", "approximate KL (nats)", None),
+    ];
+    let panel = |(key, label, range): (&str, &str, Option<[f64; 2]>)| {
+        let points = points(journal, key);
+        let series = vec![Series { label: String::new(), points: smoothed(&points, SMOOTHING) }];
+        let label = label.to_owned();
+        (!points.is_empty()).then_some(CurvePanel { label, range, reference: None, series })
+    };
+    panels.into_iter().filter_map(panel).collect()
+}
+
+fn points(journal: &[Map<String, Value>], key: &str) -> Vec<[f64; 2]> {
+    let point = |line: &Map<String, Value>| {
+        Some([line.get("steps")?.as_f64()?, line.get(key)?.as_f64()?])
+    };
+    journal.iter().filter_map(point).collect()
+}
+
+fn staleness(journal: &[Map<String, Value>]) -> BTreeMap<u64, u64> {
+    let mut counts = BTreeMap::new();
+    for line in journal {
+        let Some(update) = line.get("staleness").and_then(Value::as_object) else { continue };
+        for (staleness, n) in update {
+            let key: Option<u64> = staleness.parse().ok();
+            if let (Some(staleness), Some(n)) = (key, n.as_u64()) {
+                *counts.entry(staleness).or_default() += n;
+            }
+        }
+    }
+    counts
+}
+
+fn phases(journal: &[Map<String, Value>]) -> Vec<ShareRow> {
+    let sum = |key: &str| -> f64 {
+        journal.iter().filter_map(|line| line.get(key).and_then(Value::as_f64)).sum()
+    };
+    let parts = [("training", "system/train_seconds"), ("waiting for rollouts", "system/wait_seconds")];
+    let parts = parts.map(|(name, key)| (name.to_owned(), sum(key))).to_vec();
+    vec![ShareRow { label: "learner".to_owned(), parts }]
+}
+
+fn account(books: &Value) -> Vec<Book> {
+    let meanings = [
+        ("published", "arrived in order, over all actors and their starts"),
+        ("trained", "an update trained on them"),
+        ("dropped_stale", "too stale to use"),
+        ("refused", "broke a rule of the wire or of the run"),
+        ("superseded", "their environment had moved on"),
+        ("unused_at_end", "waited when the run ended"),
+        ("rolled_back", "made again after a learner was killed"),
+        ("duplicates", "copies, not part of published"),
+    ];
+    let book = |(name, meaning): (&str, &str)| Book {
+        name: name.to_owned(),
+        count: books[name].as_u64().unwrap_or(0),
+        meaning: meaning.to_owned(),
+    };
+    meanings.into_iter().map(book).collect()
+}
+
+fn provenance(record: &RunRecord) -> Vec<Fact> {
+    let mut facts = vec![
+        Fact::new("domain", &record.domain),
+        Fact::new("seed", record.seed.to_string()),
+        Fact::new("program", format!("leadtime {}", record.version)),
+        Fact::new("commit", record.commit.as_deref().unwrap_or("unknown")),
+        Fact::new("class of CPU", &record.cpu),
+        Fact::new("threads per process", &record.threads),
+        Fact::new("started", &record.started),
+    ];
+    if let Some(result) = &record.result {
+        facts.push(Fact::new("finished", &result.finished));
+        facts.push(Fact::new("updates", result.updates.to_string()));
+        facts.push(Fact::new("steps", result.steps.to_string()));
+        facts.push(Fact::new("SHA-256 of the weights", &result.weights_sha256));
+    }
+    facts
+}

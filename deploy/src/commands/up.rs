@@ -1,0 +1,25 @@
+//! `leadtime up`: learner and actors on this machine, supervised.
+
+use super::launch::{Launch, launch};
+use crate::cli::UpArgs;
+use crate::config;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::run_dir;
+use crate::shutdown::{Watch, watch};
+use crate::Program;
+
+pub(super) async fn run(program: &Program, args: &UpArgs) -> Result<(), Failure> {
+    let name = args.run.name.as_deref();
+    let config = config::load(&args.source, name, &program.catalog, &program.registry)
+        .blame(ExitCode::WrongInput)?;
+    let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
+    let name = run_dir::choose_name(&config).blame(ExitCode::WrongInput)?;
+    let what = Launch {
+        name: &name,
+        n_actors: args.actors,
+        listen: &args.listen,
+        choice: &args.run,
+        learner_talks: true,
+    };
+    launch(&config, &what, &shutdown).await
+}

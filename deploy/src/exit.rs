@@ -1,0 +1,117 @@
+//! How the program ends: one closed list of exit codes, and failures that know theirs.
+//!
+//! A library's typed error becomes a [`Failure`] where a command knows whose fault it is: the person's input, the
+//! peer's, or ours. It is printed once, as `error: ...` with its causes, by [`crate::Program::run`].
+
+use std::fmt;
+
+/// Why the program ended; the numbers are part of its interface (`leadtime --help` lists them).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ExitCode {
+    /// The command did what was asked.
+    Done = 0,
+    /// A bug of the program, or a check that failed (conformance beyond its bounds, smoke below its mark).
+    Failed = 1,
+    /// The input cannot be used: arguments, configuration, files, directories, addresses.
+    WrongInput = 2,
+    /// A peer or the network is not there, was lost, or sent us away.
+    PeerLost = 3,
+    /// Ctrl-C, SIGTERM, or the end of the supervising process.
+    Interrupted = 130,
+}
+
+/// The paragraph of `--help` that lists the exit codes.
+pub const EXIT_CODE_HELP: &str = "Exit codes:\n  \
+    0    done\n  \
+    1    a bug of the program, or a check that failed\n  \
+    2    wrong input: arguments, configuration, files, directories, addresses\n  \
+    3    a peer or the network was lost, never there, or sent us away\n  \
+    130  interrupted (Ctrl-C, SIGTERM, supervisor gone)";
+
+impl ExitCode {
+    /// Every code, in ascending order.
+    pub const ALL: [Self; 5] =
+        [Self::Done, Self::Failed, Self::WrongInput, Self::PeerLost, Self::Interrupted];
+
+    /// Returns the code that a process of ours ended with; [`ExitCode::Failed`] for any other number.
+    pub fn from_status(code: i32) -> Self {
+        Self::ALL.into_iter().find(|known| *known as i32 == code).unwrap_or(Self::Failed)
+    }
+}
+
+impl From<ExitCode> for std::process::ExitCode {
+    fn from(code: ExitCode) -> Self {
+        Self::from(code as u8)
+    }
+}
+
+/// An error with the exit code it leads to.
+pub struct Failure {
+    /// Whose fault it is.
+    pub code: ExitCode,
+    /// What to print; `None` where it was said already (by a child process, or on standard output).
+    pub error: Option<anyhow::Error>,
+}
+
+impl Failure {
+    /// Makes a failure that was reported already.
+    pub fn silent(code: ExitCode) -> Self {
+        Self { code, error: None }
+    }
+
+    /// Makes a failure by wrong input from one sentence.
+    pub fn input(sentence: impl fmt::Display + fmt::Debug + Send + Sync + 'static) -> Self {
+        Self { code: ExitCode::WrongInput, error: Some(anyhow::Error::msg(sentence)) }
+    }
+}
+
+impl fmt::Debug for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.error {
+            Some(error) => write!(f, "{:?}: {error:#}", self.code),
+            None => write!(f, "{:?}", self.code),
+        }
+    }
+}
+
+impl From<anyhow::Error> for Failure {
+    fn from(error: anyhow::Error) -> Self {
+        Self { code: ExitCode::Failed, error: Some(error) }
+    }
+}
+
+/// Blames a failed result on the input, the peer or the program.
+pub trait Blame<T> {
+    /// Makes the error a [`Failure`] with this exit code.
+    ///
+    /// # Errors
+    ///
+    /// The failure, if the result was an error.
+    fn blame(self, code: ExitCode) -> Result<T, Failure>;
+}
+
+impl<T, E: Into<anyhow::Error>> Blame<T> for Result<T, E> {
+    fn blame(self, code: ExitCode) -> Result<T, Failure> {
+        self.map_err(|error| Failure { code, error: Some(error.into()) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn help_lists_every_exit_code() {
+        for code in ExitCode::ALL {
+            let line = format!("\n  {:<4} ", code as u8);
+            assert!(EXIT_CODE_HELP.contains(&line), "{code:?} is missing");
+        }
+    }
+
+    #[test]
+    fn a_foreign_exit_status_counts_as_a_bug() {
+        assert_eq!(ExitCode::from_status(130), ExitCode::Interrupted);
+        assert_eq!(ExitCode::from_status(101), ExitCode::Failed);
+    }
+}

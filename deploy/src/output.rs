@@ -1,0 +1,26 @@
+//! Everything that goes to standard output (data) and the last words on standard error.
+//!
+//! A closed pipe (`leadtime runs | head -1`) is no error: whoever stopped reading has what they wanted.
+
+use std::io::{self, Write as _};
+
+use serde::Serialize;
+
+/// Writes text and a line end to standard output.
+pub fn line(text: &str) {
+    drop(writeln!(io::stdout().lock(), "{text}"));
+}
+
+/// Writes a value as one line of JSON to standard output.
+///
+/// # Panics
+///
+/// If the value has no JSON form, which no result of ours lacks.
+pub fn json<T: Serialize>(value: &T) {
+    line(&serde_json::to_string(value).expect("results are plain data"));
+}
+
+/// Writes a line of talk to standard error, whatever `RUST_LOG` says.
+pub fn say(text: &str) {
+    drop(writeln!(io::stderr().lock(), "{text}"));
+}

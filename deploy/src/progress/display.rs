@@ -1,0 +1,78 @@
+//! Progress for a person: a bar on a terminal, a plain line now and then in a log.
+
+use std::io::{self, IsTerminal as _};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use leadtime_learner::UpdateProgress;
+
+use crate::logging;
+
+/// Pause between two plain lines.
+const LINE_EVERY: Duration = Duration::from_secs(5);
+
+/// Shows how far a run is.
+#[derive(Debug)]
+pub enum Display {
+    /// On a terminal.
+    Bar(ProgressBar),
+    /// Anywhere else; the time of the last line.
+    Lines(Option<Instant>),
+}
+
+impl Display {
+    /// Chooses by where standard error goes.
+    pub fn new() -> Self {
+        if !io::stderr().is_terminal() {
+            return Self::Lines(None);
+        }
+        let template = "{bar:32} {pos}/{len} updates  {msg}  {elapsed} < {eta}";
+        let style = ProgressStyle::with_template(template).expect("the template is sound");
+        Self::Bar(logging::bars().add(ProgressBar::new(0).with_style(style)))
+    }
+
+    /// Shows one update.
+    pub fn update(&mut self, progress: &UpdateProgress) {
+        match self {
+            Self::Bar(bar) => {
+                bar.set_length(progress.n_updates_total);
+                bar.set_position(progress.n_updates);
+                bar.set_message(summary(progress));
+            }
+            Self::Lines(last) => {
+                let due = last.is_none_or(|at| at.elapsed() >= LINE_EVERY);
+                if due || progress.n_updates == progress.n_updates_total {
+                    *last = Some(Instant::now());
+                    let (n, total) = (progress.n_updates, progress.n_updates_total);
+                    tracing::info!("update {n}/{total}  {}", summary(progress));
+                }
+            }
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&mut self) {
+        if let Self::Bar(bar) = self {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Default for Display {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+fn summary(progress: &UpdateProgress) -> String {
+    let mut parts = vec![format!("{} steps", progress.n_steps)];
+    if let Some(success) = progress.episodes.success {
+        parts.push(format!("success {success:.2}"));
+    }
+    if let Some(episode_return) = progress.episodes.episode_return {
+        parts.push(format!("return {episode_return:.1}"));
+    }
+    parts.push(format!("{:.0} steps/s", progress.steps_per_second));
+    parts.push(format!("{} actors", progress.n_actors));
+    parts.join("  ")
+}

@@ -1,0 +1,103 @@
+//! `metrics.jsonl`: one JSON object per update, in order, without gaps or repetitions.
+//!
+//! ```text
+//! {"update": 12, "steps": 6144, "time": "2026-01-31T12:00:00Z", "staleness": {"1": 8}, "train/entropy": 1.2, ...}
+//! ```
+//!
+//! A learner that comes back from a checkpoint drops the lines of updates that were lost with its predecessor; they
+//! are made and written again.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use serde_json::{Map, Value};
+
+/// The open journal.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: File,
+}
+
+/// What is needed of a line to place it.
+#[derive(Deserialize)]
+struct Line {
+    update: u64,
+}
+
+impl Journal {
+    /// Opens the journal of a run directory for appending.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the file system says.
+    pub fn open(run_directory: &Path) -> io::Result<Self> {
+        let path = run_directory.join("metrics.jsonl");
+        let file = OpenOptions::new().create(true).append(true).open(&path)?;
+        Ok(Self { path, file })
+    }
+
+    /// Drops every line about an update after `n_updates`, and a torn last line.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the file system says.
+    pub fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
+        let text = fs::read_to_string(&self.path)?;
+        let belongs = |line: &str| {
+            serde_json::from_str::<Line>(line).is_ok_and(|line| line.update <= n_updates)
+        };
+        let kept: String =
+            text.split_inclusive('\n').filter(|line| belongs(line.trim_end())).collect();
+        crate::record::write_atomically(&self.path, kept.as_bytes())?;
+        self.file = OpenOptions::new().append(true).open(&self.path)?;
+        Ok(())
+    }
+
+    /// Appends one update in a single write.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the file system says.
+    pub fn append(&mut self, line: Map<String, Value>) -> io::Result<()> {
+        let mut text = Value::Object(line).to_string();
+        text.push('\n');
+        self.file.write_all(text.as_bytes())
+    }
+}
+
+/// Reads a run's journal, skipping what is no line of it.
+///
+/// # Errors
+///
+/// Whatever the file system says.
+pub fn read(run_directory: &Path) -> io::Result<Vec<Map<String, Value>>> {
+    let text = fs::read_to_string(run_directory.join("metrics.jsonl"))?;
+    Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(update: u64) -> Map<String, Value> {
+        Map::from_iter([("update".to_owned(), Value::from(update))])
+    }
+
+    #[test]
+    fn a_rewound_journal_has_no_gap_and_no_repetition() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut journal = Journal::open(dir.path()).unwrap();
+        for update in 1..=5 {
+            journal.append(line(update)).unwrap();
+        }
+        journal.file.write_all(b"{\"update\": 6, \"tor").unwrap();
+        journal.rewind(3).unwrap();
+        journal.append(line(4)).unwrap();
+        let updates: Vec<u64> =
+            read(dir.path()).unwrap().iter().map(|line| line["update"].as_u64().unwrap()).collect();
+        assert_eq!(updates, [1, 2, 3, 4]);
+    }
+}

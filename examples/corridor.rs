@@ -1,0 +1,192 @@
+//! A domain of one's own: a corridor with wet floors, trained by Leadtime's actors and learner.
+//!
+//! ```text
+//! left    . . . . ~ . . . . . . . . . ~ . . . . . goal       ~ wet floor, which the walker does not see
+//! right   > . . . . . . . . ~ . . . . . . . . . . goal       > walker: one cell per word, stays in their lane
+//! ```
+//!
+//! The walker would slip on the first wet floor in their lane. The notifier sees it coming and has to say `go left`
+//! or `go right` early enough: a message needs k words until it is understood, and the walker two more steps to react.
+//!
+//! ```bash
+//! cargo run --release --example corridor -- smoke --domain corridor     # trains it and shows that it learned
+//! cargo run --release --example corridor -- up -c corridor --actors 2   # every other command works as well
+//! ```
+//!
+//! Everything a world needs is here: what [`Domain`] asks for, a builder, and the settings it is trained with.
+
+use std::process::ExitCode;
+
+use leadtime::Program;
+use leadtime_numerics::Purpose;
+use leadtime_sims::environment::{read_snapshot, write_snapshot};
+use leadtime_sims::human::HumanSettings;
+use leadtime_sims::notifier::{NotifierEnv, NotifierSettings};
+use leadtime_sims::registry::{TaskError, read};
+use leadtime_sims::{
+    Advance, Domain, End, Environment, EpisodeSeed, Listener, Message, ReactionStatus, ReactionStep, Scene,
+    Shape, SnapshotError, Tone, View,
+};
+use serde::{Deserialize, Serialize};
+
+/// Cells from start to goal.
+const LENGTH: i32 = 40;
+/// Wet floors per episode, one in every ten cells from the tenth on.
+const N_WET: usize = 3;
+/// How far ahead the notifier sees, in cells.
+const SIGHT: i32 = 12;
+
+fn main() -> ExitCode {
+    Program::new().with_task("corridor", build).with_defaults("corridor", SETTINGS).run()
+}
+
+/// What differs from the general defaults of a domain of one's own.
+const SETTINGS: &str = include_str!("corridor.toml");
+
+/// `[world]`
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+struct World {
+    /// Reward for reaching the goal; slipping costs the same.
+    goal_reward: f64,
+}
+
+impl Default for World {
+    fn default() -> Self {
+        Self { goal_reward: 1.0 }
+    }
+}
+
+/// The sections of the configuration, as they reach the builder.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Settings {
+    world: World,
+    human: HumanSettings,
+    notifier: NotifierSettings,
+}
+
+fn build(settings: &str) -> Result<Box<dyn Environment>, TaskError> {
+    let settings: Settings = read("corridor", settings)?;
+    let corridor = Corridor { world: settings.world, state: State::default() };
+    Ok(Box::new(NotifierEnv::new(corridor, &settings.human, &settings.notifier)?))
+}
+
+/// Everything the future depends on.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+struct State {
+    cell: i32,
+    /// 0: left, 1: right.
+    lane: usize,
+    /// Cell and lane of every wet floor, nearest first.
+    wet: Vec<(i32, usize)>,
+    slipped: bool,
+}
+
+#[derive(Debug)]
+struct Corridor {
+    world: World,
+    state: State,
+}
+
+impl Corridor {
+    /// Returns the next wet floor in sight.
+    fn ahead(&self) -> Option<(i32, usize)> {
+        let near = |(cell, _): &(i32, usize)| (1..=SIGHT).contains(&(cell - self.state.cell));
+        self.state.wet.iter().copied().find(near)
+    }
+}
+
+impl Domain for Corridor {
+    fn topics(&self) -> &[&'static str] {
+        &["go_left", "go_right"]
+    }
+
+    fn obs_dim(&self) -> usize {
+        4
+    }
+
+    fn reset(&mut self, seed: EpisodeSeed) {
+        let mut rng = seed.stream(Purpose::World);
+        let mut wet_floor = |n: usize| {
+            let cell = 10 * (n as i32 + 1) + rng.below(4) as i32;
+            (cell, rng.below(2))
+        };
+        let wet = (0..N_WET).map(&mut wet_floor).collect();
+        self.state = State { cell: 0, lane: rng.below(2), wet, slipped: false };
+    }
+
+    fn observe(&self, out: &mut [f32]) {
+        let ahead = self.ahead();
+        out[0] = self.state.lane as f32;
+        out[1] = f32::from(u8::from(ahead.is_some()));
+        out[2] = ahead.map_or(0.0, |(cell, _)| (cell - self.state.cell) as f32 / SIGHT as f32);
+        out[3] = ahead.map_or(0.5, |(_, lane)| lane as f32);
+    }
+
+    fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
+        // The walker changes lanes once per message, in the first step of the reaction.
+        let reaction = reaction.map(|asked| {
+            if asked.first {
+                self.state.lane = asked.topic;
+            }
+            ReactionStatus::Followed
+        });
+        self.state.cell += 1;
+        self.state.slipped = self.state.wet.contains(&(self.state.cell, self.state.lane));
+        let arrived = self.state.cell >= LENGTH;
+        let reward = match (self.state.slipped, arrived) {
+            (true, _) => -self.world.goal_reward,
+            (false, true) => self.world.goal_reward,
+            (false, false) => 0.0,
+        };
+        let end = (self.state.slipped || arrived).then_some(End::Terminated);
+        Advance { reward, reaction, end }
+    }
+
+    fn heuristic(&self) -> Option<Message> {
+        let (cell, lane) = self.ahead()?;
+        let danger = lane == self.state.lane && cell - self.state.cell <= 8;
+        danger.then_some(Message { topic: 1 - lane, comprehension: 2, conveyance: 2 })
+    }
+
+    fn success(&self) -> bool {
+        self.state.cell >= LENGTH && !self.state.slipped
+    }
+
+    fn metric_names(&self) -> &'static [&'static str] {
+        &["slipped"]
+    }
+
+    fn metrics(&self, out: &mut [f32]) {
+        out[0] = f32::from(u8::from(self.state.slipped));
+    }
+
+    fn snapshot(&self, out: &mut Vec<u8>) {
+        write_snapshot(&self.state, out);
+    }
+
+    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+        self.state = read_snapshot(snapshot)?;
+        Ok(())
+    }
+
+    fn scene(&self) -> Scene {
+        let y = |lane: usize| if lane == 0 { 2.0 } else { 0.0 };
+        let cell = |at: i32, lane: usize, tone| Shape::Rectangle {
+            min: [f64::from(at), y(lane)],
+            max: [f64::from(at) + 1.0, y(lane) + 1.0],
+            tone,
+        };
+        let wet = self.state.wet.iter().map(|&(at, lane)| cell(at, lane, Tone::Danger));
+        let goal = [cell(LENGTH, 0, Tone::Goal), cell(LENGTH, 1, Tone::Goal)];
+        let walker = cell(self.state.cell, self.state.lane, Tone::Own);
+        Scene {
+            view: View { min: [-1.0, -3.0], max: [f64::from(LENGTH) + 2.0, 6.0] },
+            shapes: wet.chain(goal).chain([walker]).collect(),
+            position: [f64::from(self.state.cell) + 0.5, y(self.state.lane) + 0.5],
+            outcome: if self.state.slipped { "slipped".to_owned() } else { String::new() },
+            listener: Listener::default(),
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! Wrong input through the program itself: one sentence with cause and remedy, a documented exit code, nothing lost.
+
+mod support;
+
+use std::fs;
+use std::net::TcpListener;
+
+use support::{PATIENCE, Place, Running, updates, wait_until};
+
+/// Exit code for wrong input.
+const WRONG_INPUT: i32 = 2;
+/// Exit code for a peer that is not there.
+const PEER_LOST: i32 = 3;
+
+/// A small CartPole run that takes a few seconds.
+const SMALL: &[&str] = &[
+    "-c",
+    "cartpole",
+    "--set",
+    "learner.n_steps=32",
+    "--set",
+    "learner.total_steps=2560",
+    "--set",
+    "run.checkpoint_every=4",
+];
+
+fn with_config(place: &Place, text: &str) -> support::Finished {
+    let file = place.write("my.toml", text);
+    place.finish(&["check", "-c", &file])
+}
+
+fn learner(place: &Place, extra: &[&str]) -> Running {
+    let endpoint = place.endpoint("learner");
+    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL, extra].concat();
+    place.start(&args)
+}
+
+fn actor(place: &Place, extra: &[&str]) -> Running {
+    let endpoint = place.endpoint("learner");
+    place.start(&[&["actor", "--connect", &endpoint], extra].concat())
+}
+
+#[test]
+fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
+    let place = Place::new();
+    let cases: &[(&str, &[&str])] = &[
+        ("domain = \"cartpole\"\n[learner]\nclipp = 0.2", &["my.toml", "line 3", "clipp", "expected", "`clip`"]),
+        ("domain = \"cartpole\"\n[learner]\nclip = \"much\"", &["line 3", "clip = \"much\"", "expected f64"]),
+        ("domain = \"cartpole\"\n[human]\nreaction_delay = 2", &["line 3", "reaction_delay"]),
+        ("domain = \"cartpole\"\n[leaner]", &["line 2", "leaner", "`learner`"]),
+        ("domain = \"moon\"", &["`domain` is \"moon\"", "lander"]),
+        ("domain = \"cartpole\"\nseed = -1", &["line 2", "seed"]),
+        ("domain = \"cartpole\"\n[world]\nmax_steps = 0", &["world.max_steps", "allowed"]),
+        ("domain = \"cartpole\"\n[run]\nname = \"a/b\"", &["run.name", "a-z"]),
+        ("domain = \"cartpole\"\n[policy]\nhidden = []", &["policy.hidden", "allowed: 1 to 8"]),
+        ("domain = \"lander\"\n[notifier]\ntopics = []", &["notifier.topics", "allowed", "ascend"]),
+        ("domain = \"lander\"\n[notifier]\nwords = []", &["notifier.words", "allowed"]),
+        ("domain = \"lander\"\n[notifier]\nwords = [5, 2]", &["notifier.words", "[5, 2]", "increasing"]),
+        ("domain = \"lander\"\n[notifier]\nwords = [0]", &["notifier.words", "allowed"]),
+        ("domain = \"lander\"\n[human]\ninterrupt = \"never\"", &["line 3", "never", "finish"]),
+        ("domain = \"lander\"\n[human]\nreaction_delay = { fixed = 99 }", &["human.reaction_delay", "99"]),
+        ("domain = ", &["line 1"]),
+    ];
+    for (text, expected) in cases {
+        with_config(&place, text).with_code(WRONG_INPUT).saying(expected);
+    }
+}
+
+#[test]
+fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
+    let place = Place::new();
+    let check = |set: &str| place.finish(&["check", "-c", "cartpole", "--set", set]).with_code(WRONG_INPUT);
+    check("learner.clipp=1").saying(&["learner.clipp", "unknown field"]);
+    check("learner.clip=much").saying(&["learner.clip", "expected"]);
+    check("learner.clip").saying(&["section.key=value"]);
+    place.finish(&["check", "-c", "nowhere.toml"]).with_code(WRONG_INPUT).saying(&["nowhere.toml", "cartpole"]);
+    place.finish(&["lurner"]).with_code(WRONG_INPUT).saying(&["learner"]);
+    place.finish(&["actor"]).with_code(WRONG_INPUT).saying(&["--connect"]);
+}
+
+#[test]
+fn a_place_that_is_no_run_directory_is_named() {
+    let place = Place::new();
+    place.write("runs", "a file where the directory should be");
+    let endpoint = place.endpoint("learner");
+    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
+    place.finish(&args).with_code(WRONG_INPUT).saying(&["runs/r", "cannot be used"]);
+    let place = Place::new();
+    fs::create_dir_all(place.run("r")).unwrap();
+    fs::write(place.run("r").join("novel.txt"), "mine").unwrap();
+    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
+    place.finish(&args).with_code(WRONG_INPUT).saying(&["runs/r", "not a run directory"]);
+    assert_eq!(fs::read_to_string(place.run("r").join("novel.txt")).unwrap(), "mine");
+}
+
+#[test]
+fn an_address_that_cannot_be_used_is_told_as_what_it_is() {
+    let place = Place::new();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
+    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
+    place.finish(&args).with_code(WRONG_INPUT).saying(&["in use", &endpoint]);
+    let args = [&["learner", "--name", "r", "--listen", "http/example:1"], SMALL].concat();
+    place.finish(&args).with_code(WRONG_INPUT).saying(&["http/example:1", "tcp/"]);
+    place
+        .finish(&["actor", "--connect", "tcp/127.0.0.1", "--connect-timeout", "1s"])
+        .with_code(WRONG_INPUT)
+        .saying(&["tcp/127.0.0.1", "port"]);
+}
+
+#[test]
+fn nobody_at_the_address_is_a_lost_peer() {
+    let place = Place::new();
+    let endpoint = place.endpoint("nobody");
+    place
+        .finish(&["actor", "--connect", &endpoint, "--connect-timeout", "500ms"])
+        .with_code(PEER_LOST)
+        .saying(&["nobody.sock", "start a learner"]);
+}
+
+#[test]
+fn a_wrong_run_name_lists_the_runs_that_are_there() {
+    let place = Place::new();
+    let learner = learner(&place, &[]);
+    wait_until("the learner listens", PATIENCE, || learner.stderr().contains("listening"));
+    actor(&place, &["--run", "other", "--connect-timeout", "2s"])
+        .finish(PATIENCE)
+        .with_code(WRONG_INPUT)
+        .saying(&["`other`", "there: `r`"]);
+    learner.kill();
+}
+
+#[test]
+fn a_second_learner_is_kept_out_of_a_run() {
+    let place = Place::new();
+    let first = learner(&place, &[]);
+    wait_until("the learner listens", PATIENCE, || first.stderr().contains("listening"));
+    let endpoint = place.endpoint("second");
+    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
+    place.finish(&args).with_code(WRONG_INPUT).saying(&["`r`", "another learner"]);
+    first.kill();
+}
+
+#[test]
+fn a_changed_configuration_is_refused_with_the_difference_and_can_be_forked() {
+    let place = Place::new();
+    let first = learner(&place, &["--stop-after", "8"]);
+    let helper = actor(&place, &[]);
+    first.finish(PATIENCE).with_code(0);
+    helper.finish(PATIENCE);
+    let changed = ["--set", "learner.clip=0.3", "--seed", "9"];
+    learner(&place, &changed)
+        .finish(PATIENCE)
+        .with_code(WRONG_INPUT)
+        .saying(&["learner.clip: 0.2 -> 0.3", "seed: 1 -> 9", "--fork r"]);
+    let endpoint = place.endpoint("learner");
+    let fork = ["learner", "--name", "s", "--fork", "r", "--listen", &endpoint];
+    let forked = place.start(&[&fork, SMALL, &changed, &["--stop-after", "1"]].concat());
+    let helper = actor(&place, &[]);
+    forked.finish(PATIENCE).with_code(0);
+    helper.finish(PATIENCE);
+    assert_eq!(updates(&place.run("s")), 1);
+}
+
+#[test]
+fn damaged_checkpoints_give_way_to_older_ones_or_stop_the_run() {
+    let place = Place::new();
+    let first = learner(&place, &["--stop-after", "12"]);
+    let helper = actor(&place, &[]);
+    first.finish(PATIENCE).with_code(0);
+    helper.finish(PATIENCE);
+    let mut files: Vec<_> = fs::read_dir(place.run("r").join("checkpoints"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "checkpoint"))
+        .collect();
+    files.sort();
+    assert!(files.len() >= 2, "{files:?}");
+    // Torn: the last bytes never reached the disk.
+    let newest = files.last().unwrap();
+    let bytes = fs::read(newest).unwrap();
+    fs::write(newest, &bytes[..bytes.len() / 2]).unwrap();
+    let second = learner(&place, &["--stop-after", "16"]);
+    let helper = actor(&place, &[]);
+    let name = newest.file_name().unwrap().to_str().unwrap();
+    second.finish(PATIENCE).with_code(0).saying(&[name, "torn", "resumed"]);
+    helper.finish(PATIENCE);
+    // Corrupt: every one of them.
+    for entry in fs::read_dir(place.run("r").join("checkpoints")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "checkpoint") {
+            let mut bytes = fs::read(&path).unwrap();
+            *bytes.last_mut().unwrap() ^= 1;
+            fs::write(&path, bytes).unwrap();
+        }
+    }
+    learner(&place, &[]).finish(PATIENCE).with_code(WRONG_INPUT).saying(&["whole", "checkpoints"]);
+}
+
+#[test]
+fn a_policy_or_trace_file_that_is_none_is_refused() {
+    let place = Place::new();
+    let file = place.write("policy.safetensors", "not a policy");
+    place.finish(&["eval", &file]).with_code(WRONG_INPUT).saying(&["policy.safetensors"]);
+    place.finish(&["play", "nothing"]).with_code(WRONG_INPUT).saying(&["`nothing`"]);
+    place.finish(&["conformance", "lander", &file]).with_code(WRONG_INPUT).saying(&["traces"]);
+    place
+        .finish(&["pilot", "eval", "--pilot", &file, "--seeds", "0..1"])
+        .with_code(WRONG_INPUT)
+        .saying(&["not a pilot"]);
+    place.finish(&["pilot", "eval", "--seeds", "3..1"]).with_code(WRONG_INPUT).saying(&["A..B"]);
+    place.finish(&["config", "moon"]).with_code(WRONG_INPUT).saying(&["lander"]);
+}

@@ -1,0 +1,173 @@
+//! What the program prints, draws and keeps, command by command.
+
+mod support;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+use std::time::Duration;
+
+use serde_json::Value;
+use support::{Place, children, is_alive, result, tool};
+
+/// A CartPole run with local actors, of about a second.
+const TRAIN: &[&str] = &[
+    "up", "-c", "cartpole", "--name", "r", "--actors", "1", "--set", "learner.n_steps=64", "--set",
+    "learner.total_steps=5120", "--set", "run.checkpoint_every=4",
+];
+
+fn repository(path: &str) -> String {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("deploy lies in the repository");
+    root.join(path).to_str().expect("paths are UTF-8").to_owned()
+}
+
+fn trained() -> Place {
+    let place = Place::new();
+    place.finish(TRAIN).with_code(0);
+    place
+}
+
+#[test]
+fn help_explains_itself_and_lists_exit_codes() {
+    let place = Place::new();
+    let help = place.finish(&["--help"]).with_code(0).stdout;
+    for part in ["smoke", "Examples:", "130  interrupted", "leadtime actor --connect"] {
+        assert!(help.contains(part), "{part}");
+    }
+    let script = place.finish(&["completions", "bash"]).with_code(0).stdout;
+    assert!(script.contains("_leadtime()"));
+}
+
+#[test]
+fn every_built_in_configuration_can_be_printed_and_used() {
+    let place = Place::new();
+    let names = place.finish(&["config"]).with_code(0).stdout;
+    assert_eq!(names.lines().count(), 5);
+    for name in names.lines() {
+        let text = place.finish(&["config", name]).with_code(0).stdout;
+        let file = place.write("printed.toml", &text);
+        place.finish(&["check", "-c", &file]).with_code(0);
+    }
+}
+
+#[test]
+fn recorded_traces_are_replayed_packed_and_plain() {
+    let place = Place::new();
+    let packed = repository("tests/data/lander_traces.json.gz");
+    let report = place.finish(&["conformance", "lander", &packed, "--json"]).with_code(0).json();
+    assert_eq!(report["passed"], true);
+    assert_eq!(report["comparisons"].as_array().map(Vec::len), Some(2));
+    // The same traces, unpacked, with one recorded number off.
+    let unpacked = tool("gzip", &["-dc", &packed]).expect("gzip is there").stdout;
+    let mut traces: Value = serde_json::from_slice(&unpacked).expect("the traces are JSON");
+    let plain = place.write("traces.json", &traces.to_string());
+    place.finish(&["conformance", "lander", &plain]).with_code(0);
+    traces["episodes"][0]["steps"][5]["obs"][0] = 0.9.into();
+    let wrong = place.write("wrong.json", &traces.to_string());
+    let told = place.finish(&["conformance", "lander", &wrong]).with_code(1).stdout;
+    assert!(told.contains("beyond the bound") && told.contains("failed"), "{told}");
+}
+
+#[test]
+fn a_pilot_is_judged_on_gymnasiums_seeds() {
+    let place = Place::new();
+    let args = ["pilot", "eval", "--pilot", "heuristic", "--seeds", "0..20", "--json"];
+    let calm = place.finish(&args).with_code(0).json();
+    assert_eq!(calm["episodes"], 20);
+    assert!(calm["mean_return"].as_f64() > Some(150.0), "{calm}");
+    let shares = ["landed", "crashed", "out", "timed_out"];
+    let sum: f64 = shares.iter().filter_map(|share| calm[share].as_f64()).sum();
+    assert!((sum - 1.0).abs() < 1e-9);
+    let windy = place.finish(&[&args[..], &["--wind"]].concat()).with_code(0).json();
+    assert!(windy["mean_return"].as_f64() < calm["mean_return"].as_f64());
+}
+
+#[test]
+fn a_run_leaves_everything_that_is_promised() {
+    let place = trained();
+    let run = place.run("r");
+    for file in ["config.toml", "run.json", "metrics.jsonl", "policy.safetensors"] {
+        assert!(run.join(file).is_file(), "{file}");
+    }
+    assert!(fs::read_dir(run.join("tensorboard")).unwrap().count() == 1);
+    let record: Value = serde_json::from_str(&fs::read_to_string(run.join("run.json")).unwrap()).unwrap();
+    for key in ["seed", "version", "cpu", "threads", "started"] {
+        assert!(!record[key].is_null(), "{key}");
+    }
+    assert_eq!(record["threads"], "1");
+    assert_eq!(result(&run)["books"]["balanced"], true);
+    // The stored configuration is complete and can be used as it is.
+    let stored = run.join("config.toml");
+    place.finish(&["check", "-c", stored.to_str().unwrap()]).with_code(0);
+}
+
+#[test]
+fn every_metric_is_documented_and_every_documented_metric_exists() {
+    let place = trained();
+    let journal = fs::read_to_string(place.run("r").join("metrics.jsonl")).unwrap();
+    let last: Value = serde_json::from_str(journal.lines().last().unwrap()).unwrap();
+    let written: BTreeSet<&str> =
+        last.as_object().unwrap().keys().map(String::as_str).filter(|key| key.contains('/')).collect();
+    let page = fs::read_to_string(repository("docs/metrics.md")).unwrap();
+    let documented: BTreeSet<&str> = page
+        .lines()
+        .filter_map(|line| line.strip_prefix("| `")?.split('`').next())
+        .collect();
+    let missing: Vec<_> = written.difference(&documented).collect();
+    assert!(missing.is_empty(), "not documented: {missing:?}");
+    let gone: Vec<_> = documented.difference(&written).collect();
+    // CartPole knows no success.
+    assert_eq!(gone, [&"episodes/success"]);
+}
+
+#[test]
+fn a_trained_policy_can_be_judged_and_runs_compared() {
+    let place = trained();
+    let judged = place.finish(&["eval", "r", "--episodes", "8", "--json"]).with_code(0).json();
+    assert_eq!(judged["comparison"]["summaries"][0]["n_episodes"], 8);
+    let again = place.finish(&["eval", "r", "--episodes", "8", "--json"]).with_code(0).json();
+    assert_eq!(judged, again, "an evaluation is reproducible");
+    let text = place.finish(&["eval", "r", "--episodes", "8"]).with_code(0).stdout;
+    assert!(text.contains("95 %"), "{text}");
+    place
+        .finish(&["eval", "r", "--episodes", "2", "--baseline", "nobody"])
+        .with_code(2)
+        .saying(&["nobody"]);
+    let other: Vec<&str> = TRAIN.iter().map(|&arg| if arg == "r" { "s" } else { arg }).collect();
+    let other = [&other[..], &["--set", "learner.clip=0.1"]].concat();
+    place.finish(&other).with_code(0);
+    let compared = place.finish(&["runs", "compare", "r", "s"]).with_code(0).stdout;
+    assert!(compared.contains("learner.clip: 0.2 -> 0.1"), "{compared}");
+}
+
+#[test]
+fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
+    let place = Place::new();
+    let smoke = place.start(&["smoke", "--quick", "--json"]);
+    let id = smoke.id();
+    let mut seen = BTreeSet::new();
+    let mut done = smoke;
+    support::wait_until("smoke ends", Duration::from_secs(120), || {
+        seen.extend(children(id));
+        !done.is_running()
+    });
+    let done = done.finish(Duration::from_secs(1)).with_code(0).saying(&["mechanics only"]);
+    assert!(seen.len() >= 3, "learner and two actors were separate processes: {seen:?}");
+    assert!(seen.iter().all(|child| !is_alive(*child)));
+    let printed = done.json();
+    assert_eq!(printed["quick"], true);
+    let run = place.path().join(printed["run"].as_str().unwrap());
+    for file in ["report.html", "playthrough.png", "policy.safetensors"] {
+        assert!(run.join(file).is_file(), "{file}");
+    }
+    let players = printed["comparison"]["summaries"].as_array().unwrap();
+    let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
+    assert_eq!(names, ["trained", "unaided", "heuristic", "untrained"]);
+    // The same policy as pictures of every kind.
+    let run = run.to_str().unwrap();
+    for name in ["a.png", "a.svg", "a.gif", "a.html"] {
+        place.finish(&["play", run, "-o", name]).with_code(0);
+        assert!(place.path().join(name).metadata().unwrap().len() > 1_000, "{name}");
+    }
+    place.finish(&["play", run, "-o", "a.bmp"]).with_code(2).saying(&["png, svg, gif or html"]);
+}

@@ -1,0 +1,183 @@
+//! An actor that lies: every kind of bad rollout is refused, told and counted, the actor is cut off, and the run's
+//! weights are those of a run without it.
+//!
+//! Both actors keep journals of their own: what they say they published must be what the learner's books hold.
+
+mod support;
+
+use std::time::Duration;
+
+use leadtime_link::{ActorEvent, ActorLink, ConnectSettings};
+use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
+use leadtime_proto::limits::{MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF};
+use leadtime_proto::message::{Control, ControlAck, EnvAssignment, Hello, Welcome};
+use leadtime_proto::{
+    ActorId, EnvId, Epoch, Header, Incarnation, PolicyVersion, Rollout, Sequence, codec,
+};
+use support::{PATIENCE, Place, Running, result, wait_until};
+
+const RUN: &[&str] = &[
+    "-c", "cartpole", "--seed", "5", "--name", "r", "--set", "learner.n_steps=32", "--set",
+    "learner.total_steps=5120",
+];
+/// The longest wait for one message.
+const SOON: Duration = Duration::from_secs(20);
+
+/// What the rogue sends, in turn; each is wrong in one way only.
+const LIES: [fn(&mut Rollout); 7] = [
+    |rollout| rollout.observations[3] = f32::NAN,
+    |rollout| rollout.rewards[0] = f32::INFINITY,
+    |rollout| rollout.values.truncate(3),
+    |rollout| rollout.actions[0] = 7,
+    |rollout| rollout.env_id = EnvId(1_000),
+    |rollout| rollout.version = PolicyVersion(1_000_000),
+    |rollout| rollout.snapshot = vec![0; MAX_SNAPSHOT_BYTES + 1],
+];
+
+fn learner(place: &Place, actors_min: &str) -> Running {
+    let endpoint = place.endpoint("learner");
+    let set = format!("run.actors_min={actors_min}");
+    place.start(&[&["learner", "--listen", &endpoint, "--set", &set], RUN].concat())
+}
+
+fn honest(place: &Place) -> Running {
+    let endpoint = place.endpoint("learner");
+    place.start(&["actor", "--connect", &endpoint, "--id", "honest"])
+}
+
+/// An actor without a conscience.
+struct Rogue {
+    link: ActorLink,
+    events: flume::Receiver<ActorEvent>,
+    welcome: Welcome,
+    epoch: Epoch,
+    env: EnvAssignment,
+    sent: u64,
+}
+
+impl Rogue {
+    async fn enter(endpoint: &str) -> Self {
+        let (actor, incarnation) = (ActorId::new("rogue").unwrap(), Incarnation(7));
+        let mut settings = ConnectSettings::new(vec![endpoint.parse().unwrap()]);
+        settings.timeout = SOON;
+        let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
+        let hello = Hello {
+            protocol: PROTOCOL_VERSION,
+            program: "rogue".to_owned(),
+            actor,
+            incarnation,
+            cpu: "another".to_owned(),
+            published: Sequence(0),
+            first_unacknowledged: Sequence(1),
+        };
+        let welcome = link.hello(None, &hello, SOON).await.unwrap();
+        let none = EnvAssignment { env_id: EnvId(0), iteration: Default::default(), snapshot: Vec::new() };
+        let mut rogue = Self { link, events, welcome, epoch: Epoch(0), env: none, sent: 0 };
+        while rogue.epoch == Epoch(0) {
+            assert!(rogue.hear().await.is_none(), "it was sent away before it did anything");
+        }
+        rogue
+    }
+
+    /// Handles one event; returns the reason if the learner sent us away.
+    async fn hear(&mut self) -> Option<(String, bool)> {
+        let event = tokio::time::timeout(SOON, self.events.recv_async()).await;
+        if let ActorEvent::Control { control, ack } = event.expect("in time").expect("open") {
+            let mut away = None;
+            match control {
+                Control::Assign(assignment) => {
+                    self.epoch = assignment.epoch;
+                    self.env = assignment.envs.first().cloned().unwrap_or(self.env.clone());
+                }
+                Control::Stop { reason, cut_off } => away = Some((reason, cut_off)),
+                Control::Pause | Control::Resume => {}
+            }
+            // The answer may find nobody any more.
+            drop(ack.acknowledge(ControlAck { epoch: self.epoch }));
+            return away;
+        }
+        None
+    }
+
+    /// A rollout that nothing is wrong with, as far as its shape tells.
+    fn plausible(&self) -> Rollout {
+        let (n, dim) = (self.welcome.n_steps as usize, self.welcome.env.obs_dim);
+        let behavior = self.welcome.schedule.behavior_version(self.env.iteration);
+        Rollout {
+            env_id: self.env.env_id,
+            iteration: self.env.iteration,
+            version: behavior.unwrap_or_default(),
+            n_steps: n as u32,
+            observations: vec![0.0; n * dim],
+            next_observation: vec![0.0; dim],
+            masks: vec![u64::MAX; n],
+            actions: vec![0; n * self.welcome.env.actions.heads.len()],
+            log_probs: vec![-0.7; n],
+            values: vec![0.0; n],
+            rewards: vec![1.0; n],
+            snapshot: vec![1],
+            ..Rollout::default()
+        }
+    }
+
+    fn send(&mut self, payload: Vec<u8>, damage: fn(&mut Header)) {
+        self.sent += 1;
+        let plain = Header::plain(Schema::Rollout, Incarnation(7), &payload);
+        let mut header = Header { sequence: Sequence(self.sent), epoch: self.epoch, ..plain };
+        damage(&mut header);
+        self.link.publish_rollout(&header, payload).unwrap();
+    }
+}
+
+async fn misbehave(endpoint: String) -> (u64, String) {
+    let mut rogue = Rogue::enter(&endpoint).await;
+    for turn in 0.. {
+        assert!(turn < 4 * REFUSALS_BEFORE_CUT_OFF, "the rogue was never cut off");
+        match turn as usize % (LIES.len() + 2) {
+            0 => rogue.send(b"not a rollout".to_vec(), |_| {}),
+            1 => {
+                let payload = codec::encode(&rogue.plausible()).unwrap();
+                rogue.send(payload, |header| header.checksum ^= 1);
+            }
+            lie => {
+                let mut rollout = rogue.plausible();
+                LIES[lie - 2](&mut rollout);
+                rogue.send(codec::encode(&rollout).unwrap(), |_| {});
+            }
+        }
+        // Every refusal is answered: by the environments anew, or by being sent away.
+        let before = rogue.epoch;
+        while rogue.epoch == before {
+            if let Some((reason, cut_off)) = rogue.hear().await {
+                assert!(cut_off);
+                return (rogue.sent, reason);
+            }
+        }
+    }
+    unreachable!("the loop has no end of its own")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
+    let undisturbed = Place::new();
+    let (first, helper) = (learner(&undisturbed, "1"), honest(&undisturbed));
+    first.finish(PATIENCE).with_code(0);
+    helper.finish(PATIENCE).with_code(0);
+
+    let place = Place::new();
+    let second = learner(&place, "2");
+    let helper = honest(&place);
+    let (sent, reason) = misbehave(place.endpoint("learner")).await;
+    assert_eq!(sent, REFUSALS_BEFORE_CUT_OFF);
+    assert!(reason.contains("refused"), "{reason}");
+    wait_until("the cut is told", SOON, || second.stderr().contains("cut off"));
+    second.finish(PATIENCE).with_code(0);
+    let journal = helper.finish(PATIENCE).with_code(0).json();
+
+    let (calm, disturbed) = (result(&undisturbed.run("r")), result(&place.run("r")));
+    assert_eq!(calm["weights_sha256"], disturbed["weights_sha256"]);
+    let books = &disturbed["books"];
+    assert_eq!(books["refused"], sent, "{books}");
+    let published = journal["published"].as_u64().unwrap() + sent;
+    assert_eq!(books["published"], published, "the journals of both actors: {journal} and {sent}");
+}

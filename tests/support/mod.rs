@@ -1,0 +1,241 @@
+//! What the process tests share: starting the program, waiting for a condition, looking at runs and processes.
+//!
+//! Every wait has a condition and a time-out; nothing sleeps in the hope that something has happened meanwhile. Each
+//! test has a directory of its own, and addresses are unix sockets in it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// The longest that anything in these tests may take.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+/// Pause between two looks at a condition.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+
+/// A place of one's own for a test: runs, sockets, files.
+pub struct Place {
+    dir: TempDir,
+}
+
+impl Place {
+    /// Makes one; its path is short enough for sockets.
+    pub fn new() -> Self {
+        let dir = tempfile::Builder::new().prefix("lt-").tempdir_in("/tmp");
+        Self { dir: dir.expect("a temporary directory can be made") }
+    }
+
+    /// Returns its directory.
+    pub fn path(&self) -> &Path {
+        self.dir.path()
+    }
+
+    /// Returns a file in it as text.
+    pub fn file(&self, name: &str) -> String {
+        self.dir.path().join(name).to_str().expect("paths are UTF-8").to_owned()
+    }
+
+    /// Writes a file and returns its path.
+    pub fn write(&self, name: &str, text: &str) -> String {
+        let path = self.file(name);
+        fs::write(&path, text).expect("the file can be written");
+        path
+    }
+
+    /// Returns an address that nobody else uses.
+    pub fn endpoint(&self, name: &str) -> String {
+        format!("unixsock-stream/{}", self.file(&format!("{name}.sock")))
+    }
+
+    /// Returns the directory of a run.
+    pub fn run(&self, name: &str) -> PathBuf {
+        self.dir.path().join("runs").join(name)
+    }
+
+    /// Prepares the program; `--runs` is appended where the command knows it.
+    pub fn program(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_leadtime"));
+        command.args(args).current_dir(self.path()).env_remove("RUST_LOG");
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    /// Runs the program to its end.
+    pub fn finish(&self, args: &[&str]) -> Finished {
+        self.start(args).finish(PATIENCE)
+    }
+
+    /// Starts the program; its output is collected in files, so that it never waits for a reader.
+    pub fn start(&self, args: &[&str]) -> Running {
+        self.start_with(self.program(args))
+    }
+
+    /// As [`Place::start`], for a prepared command.
+    pub fn start_with(&self, mut command: Command) -> Running {
+        let log = |name: &str| {
+            let unique = format!("{name}-{:?}-{}", thread::current().id(), unique());
+            let path = self.dir.path().join(unique);
+            (fs::File::create(&path).expect("a log can be made"), path)
+        };
+        let ((out, out_path), (err, err_path)) = (log("stdout"), log("stderr"));
+        command.stdout(out).stderr(err);
+        let child = command.spawn().expect("the program starts");
+        Running { child, out: out_path, err: err_path }
+    }
+}
+
+fn unique() -> u64 {
+    use std::sync::atomic::{AtomicU64, Ordering};
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    NEXT.fetch_add(1, Ordering::Relaxed)
+}
+
+/// How a process ended and what it said.
+#[derive(Debug)]
+pub struct Finished {
+    /// Exit code; `None` if it was killed.
+    pub code: Option<i32>,
+    /// Standard output.
+    pub stdout: String,
+    /// Standard error.
+    pub stderr: String,
+}
+
+impl Finished {
+    /// Asserts the exit code and returns the rest.
+    #[track_caller]
+    pub fn with_code(self, code: i32) -> Self {
+        assert_eq!(self.code, Some(code), "stdout: {}\nstderr: {}", self.stdout, self.stderr);
+        self
+    }
+
+    /// Asserts that standard error holds each of the texts, in any order.
+    #[track_caller]
+    pub fn saying(self, texts: &[&str]) -> Self {
+        for text in texts {
+            assert!(self.stderr.contains(text), "`{text}` is not in: {}", self.stderr);
+        }
+        self
+    }
+
+    /// Reads standard output as one JSON value.
+    #[track_caller]
+    pub fn json(&self) -> Value {
+        serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e}: {}", self.stdout))
+    }
+}
+
+/// A started process; killed if the test lets go of it.
+pub struct Running {
+    child: Child,
+    out: PathBuf,
+    err: PathBuf,
+}
+
+impl Running {
+    /// Returns its id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Returns what it has said on standard error so far.
+    pub fn stderr(&self) -> String {
+        fs::read_to_string(&self.err).unwrap_or_default()
+    }
+
+    /// Tells whether it still runs.
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().expect("a child can be waited for").is_none()
+    }
+
+    /// Waits for its end.
+    #[track_caller]
+    pub fn finish(mut self, patience: Duration) -> Finished {
+        let deadline = Instant::now() + patience;
+        while self.is_running() {
+            assert!(Instant::now() < deadline, "it did not end: {}", self.stderr());
+            thread::sleep(LOOK_EVERY);
+        }
+        let code = self.child.wait().expect("a child can be waited for").code();
+        let text = |path: &Path| fs::read_to_string(path).unwrap_or_default();
+        Finished { code, stdout: text(&self.out), stderr: text(&self.err) }
+    }
+
+    /// Kills it at once, as `kill -9` does, and waits until it is gone.
+    pub fn kill(mut self) {
+        self.child.kill().expect("a child can be killed");
+        self.child.wait().expect("a child can be waited for");
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if self.is_running() {
+            drop(self.child.kill());
+            drop(self.child.wait());
+        }
+    }
+}
+
+/// Waits until a condition holds.
+#[track_caller]
+pub fn wait_until(what: &str, patience: Duration, mut condition: impl FnMut() -> bool) {
+    let deadline = Instant::now() + patience;
+    while !condition() {
+        assert!(Instant::now() < deadline, "waited {patience:?} in vain: {what}");
+        thread::sleep(LOOK_EVERY);
+    }
+}
+
+/// Sends a signal by name, such as `KILL` or `TERM`, to a process that is not our child.
+pub fn signal(name: &str, id: u32) {
+    let status = Command::new("kill").args([&format!("-{name}"), &id.to_string()]).status();
+    assert!(status.expect("kill runs").success(), "process {id} cannot be signalled");
+}
+
+/// Lists the children of a process.
+pub fn children(id: u32) -> Vec<u32> {
+    let Ok(entries) = fs::read_dir("/proc") else { return Vec::new() };
+    let ids = entries.filter_map(Result::ok).filter_map(|e| e.file_name().to_str()?.parse().ok());
+    ids.filter(|child| parent(*child) == Some(id)).collect()
+}
+
+fn parent(id: u32) -> Option<u32> {
+    let status = fs::read_to_string(format!("/proc/{id}/status")).ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("PPid:"))?;
+    line.trim().parse().ok()
+}
+
+/// Tells whether a process exists and is no zombie.
+pub fn is_alive(id: u32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{id}/status")).unwrap_or_default();
+    status.lines().any(|line| line.starts_with("State:") && !line.contains('Z'))
+}
+
+/// Returns the arguments of a process, joined by spaces.
+pub fn arguments(id: u32) -> String {
+    fs::read_to_string(format!("/proc/{id}/cmdline")).unwrap_or_default().replace('\0', " ")
+}
+
+/// Returns the number of updates that a run has written to its journal.
+pub fn updates(run: &Path) -> u64 {
+    let journal = fs::read_to_string(run.join("metrics.jsonl")).unwrap_or_default();
+    let last = journal.lines().rev().find_map(|line| serde_json::from_str::<Value>(line).ok());
+    last.and_then(|line| line["update"].as_u64()).unwrap_or(0)
+}
+
+/// Returns the result in a run's record; null while it is unfinished.
+pub fn result(run: &Path) -> Value {
+    let text = fs::read_to_string(run.join("run.json")).expect("the run has a record");
+    let record: Value = serde_json::from_str(&text).expect("the record is JSON");
+    record["result"].clone()
+}
+
+/// Runs a tool that is not ours to its end.
+pub fn tool(program: &str, args: &[&str]) -> Option<Output> {
+    Command::new(program).args(args).output().ok()
+}
