@@ -24,8 +24,8 @@ use leadtime_sims::human::HumanSettings;
 use leadtime_sims::notifier::{NotifierEnv, NotifierSettings};
 use leadtime_sims::registry::{TaskError, read};
 use leadtime_sims::{
-    Advance, Domain, End, Environment, EpisodeSeed, Listener, Message, ReactionStatus, ReactionStep, Scene,
-    Shape, SnapshotError, Tone, View,
+    Advance, Domain, End, Environment, EpisodeSeed, Listener, Message, ReactionStatus,
+    ReactionStep, Scene, Shape, SnapshotError, Tone, View,
 };
 use serde::{Deserialize, Serialize};
 

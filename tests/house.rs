@@ -154,8 +154,18 @@ fn only_policy_and_learner_name_the_tensor_library() {
 #[test]
 fn pure_crates_touch_no_clock_file_environment_or_thread() {
     let impure = [
-        "std::fs", "std::env", "std::net", "std::thread", "std::process", "Instant", "SystemTime",
-        "tokio", "std::io::stdin", "thread_rng", "rand::rng", "env::var",
+        "std::fs",
+        "std::env",
+        "std::net",
+        "std::thread",
+        "std::process",
+        "Instant",
+        "SystemTime",
+        "tokio",
+        "std::io::stdin",
+        "thread_rng",
+        "rand::rng",
+        "env::var",
     ];
     for folder in PURE {
         for source in sources(&root().join(folder).join("src")) {
@@ -188,7 +198,8 @@ fn only_one_file_reads_the_wall_clock() {
 #[test]
 fn source_files_stay_readable() {
     for source in all_sources() {
-        let n_lines = source.text.split("\n#[cfg(test)]").next().unwrap_or_default().lines().count();
+        let n_lines =
+            source.text.split("\n#[cfg(test)]").next().unwrap_or_default().lines().count();
         assert!(n_lines <= 500, "{} has {n_lines} lines before its tests", source.path.display());
     }
 }
@@ -215,7 +226,8 @@ fn crate_roots_hold_only_docs_modules_and_re_exports() {
 
 #[test]
 fn nothing_unfinished_is_left_in_the_sources() {
-    let marks = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("todo", "!("), concat!("#[", "ignore")];
+    let marks =
+        [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("todo", "!("), concat!("#[", "ignore")];
     for source in all_sources() {
         for mark in marks {
             let found = source.text.contains(mark);
@@ -229,10 +241,8 @@ fn licences_are_permissive() {
     // Packages whose licence would bind whoever builds on Leadtime, or that bring a second TLS stack.
     let banned = ["kmedoids", "gifski", "openssl", "openssl-sys", "native-tls"];
     let lock = fs::read_to_string(root().join("Cargo.lock")).expect("Cargo.lock is there");
-    let names: BTreeSet<&str> = lock
-        .lines()
-        .filter_map(|line| line.strip_prefix("name = \"")?.strip_suffix('"'))
-        .collect();
+    let names: BTreeSet<&str> =
+        lock.lines().filter_map(|line| line.strip_prefix("name = \"")?.strip_suffix('"')).collect();
     for name in banned {
         assert!(!names.contains(name), "`{name}` is banned");
     }

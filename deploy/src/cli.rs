@@ -329,9 +329,12 @@ fn seed_range(text: &str) -> Result<Range<u64>, String> {
     let (from, to) = text.split_once("..").ok_or("write A..B, B not included")?;
     let number = |text: &str| text.trim().parse::<u64>().map_err(|error| error.to_string());
     let range = number(from)?..number(to)?;
-    if range.is_empty() { Err("the range is empty: A must be below B".to_owned()) } else { Ok(range) }
+    if range.is_empty() {
+        Err("the range is empty: A must be below B".to_owned())
+    } else {
+        Ok(range)
+    }
 }
-
 
 #[cfg(test)]
 mod tests {
@@ -348,7 +351,7 @@ mod tests {
         assert_eq!(seed_range("0..1000"), Ok(0..1000));
         assert!(seed_range("5..5").is_err());
         assert!(seed_range("5").is_err());
-        assert_eq!(duration("2m"), Ok(Duration::from_secs(120)));
+        assert_eq!(duration("2m"), Ok(Duration::from_mins(2)));
         assert!(duration("-1s").is_err());
     }
 }

@@ -24,3 +24,20 @@ pub fn json<T: Serialize>(value: &T) {
 pub fn say(text: &str) {
     drop(writeln!(io::stderr().lock(), "{text}"));
 }
+
+/// Writes bytes as hexadecimal digits.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
+        text.push(char::from_digit(u32::from(byte >> 4), 16).unwrap_or_default());
+        text.push(char::from_digit(u32::from(byte & 15), 16).unwrap_or_default());
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn bytes_have_two_digits_each() {
+        assert_eq!(super::hex(&[0, 10, 255]), "000aff");
+    }
+}

@@ -3,8 +3,8 @@
 use std::process;
 
 use clap::Parser as _;
-use leadtime_sims::registry::{Registry, TaskError};
 use leadtime_sims::Environment;
+use leadtime_sims::registry::{Registry, TaskError};
 
 use crate::cli::Cli;
 use crate::commands;

@@ -21,10 +21,10 @@ use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use toml::Table;
 
+use crate::clock;
 use crate::config::Config;
 use crate::config::table::{Change, difference, flatten};
 use crate::record::{RunRecord, write_atomically};
-use crate::clock;
 
 /// Sections that say where and how a run is carried out, and not what it computes.
 const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
@@ -275,7 +275,8 @@ fn write_config(path: &Path, config: &Config) -> io::Result<()> {
 pub fn identity(config: &Config) -> [u8; 32] {
     let mut hash = Sha256::new();
     for (key, value) in flatten(&config.table) {
-        let free = key == TOTAL_STEPS || FREE_SECTIONS.iter().any(|section| key.starts_with(section));
+        let free =
+            key == TOTAL_STEPS || FREE_SECTIONS.iter().any(|section| key.starts_with(section));
         if !free {
             hash.update(format!("{key}={value}\n"));
         }
@@ -371,7 +372,10 @@ mod tests {
     fn identity_ignores_what_cannot_change_a_runs_bits() {
         let runs = tempfile::tempdir().unwrap();
         let of = |set: &[&str]| identity(&config(runs.path(), Some("r"), set));
-        assert_eq!(of(&[]), of(&["run.actors_min=3", "learner.total_steps=1000", "actor.window=2"]));
+        assert_eq!(
+            of(&[]),
+            of(&["run.actors_min=3", "learner.total_steps=1000", "actor.window=2"])
+        );
         assert_ne!(of(&[]), of(&["learner.gamma=0.5"]));
     }
 }

@@ -31,7 +31,8 @@ pub(super) async fn run(program: &Program, args: &ActorArgs) -> Result<(), Failu
 }
 
 fn settings(args: &ActorArgs) -> anyhow::Result<ActorSettings> {
-    let endpoints: Result<Vec<Endpoint>, _> = args.connect.iter().map(|text| text.parse()).collect();
+    let endpoints: Result<Vec<Endpoint>, _> =
+        args.connect.iter().map(|text| text.parse()).collect();
     let mut connect = ConnectSettings::new(endpoints.context("--connect")?);
     connect.timeout = args.connect_timeout;
     let run = args.run.clone().map(RunName::new).transpose().context("--run")?;

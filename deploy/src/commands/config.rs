@@ -7,7 +7,9 @@ use crate::{Program, output};
 pub(super) fn run(program: &Program, args: &ConfigArgs) -> Result<(), Failure> {
     let names: Vec<&str> = program.catalog.names().collect();
     let Some(domain) = &args.domain else {
-        names.iter().for_each(|name| output::line(name));
+        for name in names {
+            output::line(name);
+        }
         return Ok(());
     };
     match program.catalog.text(domain) {

@@ -50,7 +50,10 @@ fn print(report: &Report) {
         let wind = if comparison.wind { "with wind" } else { "without wind" };
         let (n, frames) = (comparison.n_episodes, comparison.n_frames);
         output::line(&format!("\n{wind}: {n} episodes, {frames} frames before first contact"));
-        output::line(&format!("{:<18} {:>10} {:>10} {:>10}", "component", "maximum", "median", "bound"));
+        output::line(&format!(
+            "{:<18} {:>10} {:>10} {:>10}",
+            "component", "maximum", "median", "bound"
+        ));
         let (reset, bound) = (comparison.reset_error, report.reset_bound);
         output::line(&format!("{:<18} {reset:>10.2e} {:>10} {bound:>10.2e}", "reset", "-"));
         for error in &comparison.components {

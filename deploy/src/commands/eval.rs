@@ -15,13 +15,13 @@ pub(super) fn run(program: &Program, args: &EvalArgs) -> Result<(), Failure> {
     let n_episodes = args.episodes.unwrap_or(config.evaluation.episodes);
     let mut players = vec![judge::policy("policy", config, &loaded.parameters, action)?];
     players.extend(args.baseline.iter().map(|name| Player::baseline(name)));
-    let environment = program.registry.build(&config.evaluation.task).blame(ExitCode::WrongInput)?;
+    let environment =
+        program.registry.build(&config.evaluation.task).blame(ExitCode::WrongInput)?;
     for player in &players {
         player.check(environment.as_ref()).blame(ExitCode::WrongInput)?;
     }
     tracing::info!(policy = %loaded.path.display(), n_episodes, "judging");
-    let evaluations =
-        judge::evaluate_all(program, config, &players, n_episodes, args.eval_seed)?;
+    let evaluations = judge::evaluate_all(program, config, &players, n_episodes, args.eval_seed)?;
     let comparison = judge::compare(config, &evaluations);
     if args.json {
         output::json(&serde_json::json!({

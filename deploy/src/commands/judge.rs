@@ -3,9 +3,7 @@
 use std::path::Path;
 use std::thread::available_parallelism;
 
-use leadtime_eval::measure::{
-    Choice, Comparison, EvaluateSettings, Evaluation, Player, evaluate,
-};
+use leadtime_eval::measure::{Choice, Comparison, EvaluateSettings, Evaluation, Player, evaluate};
 use leadtime_eval::playthrough::Playthrough;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_policy::Parameters;

@@ -31,14 +31,10 @@ pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Fai
     }
     tracing::info!(run = %run_dir.name(), directory = %run_dir.path().display(), "run opened");
     let metadata = policy_file::metadata(&config, run_dir.name().as_str());
-    let mut sink = RunSink::open(
-        run_dir.path(),
-        config.policy.clone(),
-        metadata,
-        config.steps_per_update(),
-    )
-    .with_context(|| format!("opening the files of {}", run_dir.path().display()))
-    .blame(ExitCode::WrongInput)?;
+    let mut sink =
+        RunSink::open(run_dir.path(), config.policy.clone(), metadata, config.steps_per_update())
+            .with_context(|| format!("opening the files of {}", run_dir.path().display()))
+            .blame(ExitCode::WrongInput)?;
     sink.stop_after(args.run.stop_after, shutdown.clone());
     let learner = learner_config(&config, &run_dir, listen);
     let report = leadtime_learner::run(learner, Box::new(sink), shutdown).await.map_err(failure)?;
@@ -74,8 +70,9 @@ fn failure(error: leadtime_learner::Error) -> Failure {
     use leadtime_learner::Error;
     use leadtime_link::Error as LinkError;
     let code = match &error {
-        Error::Checkpoint(_) | Error::ConfigurationChanged { .. } => ExitCode::WrongInput,
-        Error::Link(
+        Error::Checkpoint(_)
+        | Error::ConfigurationChanged { .. }
+        | Error::Link(
             LinkError::AddressInUse { .. } | LinkError::Listen { .. } | LinkError::NoEndpoint,
         ) => ExitCode::WrongInput,
         Error::Link(_) => ExitCode::PeerLost,
@@ -86,7 +83,7 @@ fn failure(error: leadtime_learner::Error) -> Failure {
 
 /// Writes down how the run ended, and says it.
 fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Result<(), Failure> {
-    let digest: String = report.digest.iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = output::hex(&report.digest);
     let mut books = serde_json::to_value(Accounts::from(report)).blame(ExitCode::Failed)?;
     books["balanced"] = report.balance.is_ok().into();
     let (n_updates, n_steps) = (report.n_updates, report.n_steps);
@@ -109,7 +106,9 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
         return run_dir.finish(result).blame(ExitCode::WrongInput);
     }
     if !report.checkpointed {
-        tracing::warn!("the state at the end is not on the disk: a resume goes on from an older checkpoint");
+        tracing::warn!(
+            "the state at the end is not on the disk: a resume goes on from an older checkpoint"
+        );
     }
     let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);
     if asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }

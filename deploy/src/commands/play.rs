@@ -25,7 +25,9 @@ pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
     let kinds = ["png", "svg", "gif", "html"];
     if !kinds.contains(&judge::extension(&args.output).as_str()) {
         let shown = args.output.display();
-        return Err(Failure::input(format!("{shown}: the extension must be png, svg, gif or html")));
+        return Err(Failure::input(format!(
+            "{shown}: the extension must be png, svg, gif or html"
+        )));
     }
     let loaded = policy_file::load(program, &args.runs, &args.policy, &args.set)
         .blame(ExitCode::WrongInput)?;

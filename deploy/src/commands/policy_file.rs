@@ -7,10 +7,10 @@ use anyhow::Context as _;
 use leadtime_policy::{Parameters, read_metadata};
 use sha2::{Digest as _, Sha256};
 
-use crate::Program;
 use crate::config::Config;
 use crate::config::table::Assignment;
 use crate::progress::sink::{BEST_POLICY, LAST_POLICY};
+use crate::{Program, output};
 
 /// Metadata key of the configuration, as TOML.
 const CONFIG: &str = "config";
@@ -29,8 +29,7 @@ pub(super) struct LoadedPolicy {
 /// Returns what goes into every policy file of a run.
 pub(super) fn metadata(config: &Config, run: &str) -> BTreeMap<String, String> {
     let specification = serde_json::to_vec(&config.policy).unwrap_or_default();
-    let digest: String =
-        Sha256::digest(&specification).iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = output::hex(&Sha256::digest(&specification));
     let entries = [
         ("domain", config.domain.to_string()),
         ("specification_sha256", digest),
@@ -77,5 +76,7 @@ fn find(runs: &Path, name: &str) -> anyhow::Result<PathBuf> {
         .iter()
         .flat_map(|directory| [BEST_POLICY, LAST_POLICY].map(|file| directory.join(file)))
         .find(|path| path.is_file())
-        .with_context(|| format!("`{name}` is no policy file, and no run in {} with a policy", runs.display()))
+        .with_context(|| {
+            format!("`{name}` is no policy file, and no run in {} with a policy", runs.display())
+        })
 }

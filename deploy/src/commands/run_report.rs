@@ -72,9 +72,8 @@ fn curves(journal: &[Map<String, Value>]) -> Vec<CurvePanel> {
 }
 
 fn points(journal: &[Map<String, Value>], key: &str) -> Vec<[f64; 2]> {
-    let point = |line: &Map<String, Value>| {
-        Some([line.get("steps")?.as_f64()?, line.get(key)?.as_f64()?])
-    };
+    let point =
+        |line: &Map<String, Value>| Some([line.get("steps")?.as_f64()?, line.get(key)?.as_f64()?]);
     journal.iter().filter_map(point).collect()
 }
 
@@ -96,7 +95,8 @@ fn phases(journal: &[Map<String, Value>]) -> Vec<ShareRow> {
     let sum = |key: &str| -> f64 {
         journal.iter().filter_map(|line| line.get(key).and_then(Value::as_f64)).sum()
     };
-    let parts = [("training", "system/train_seconds"), ("waiting for rollouts", "system/wait_seconds")];
+    let parts =
+        [("training", "system/train_seconds"), ("waiting for rollouts", "system/wait_seconds")];
     let parts = parts.map(|(name, key)| (name.to_owned(), sum(key))).to_vec();
     vec![ShareRow { label: "learner".to_owned(), parts }]
 }

@@ -51,7 +51,9 @@ fn list(runs: &Path, json: bool) -> anyhow::Result<()> {
             "{:<36} {:<11} {:<10} {:>9} {:>11} {:>8} {:>9}",
             "run", "domain", "state", "updates", "steps", "success", "return"
         ));
-        rows.iter().for_each(|row| output::line(&text(row)));
+        for row in &rows {
+            output::line(&text(row));
+        }
     }
     Ok(())
 }
@@ -110,7 +112,9 @@ fn compare(args: &RunsArgs, first: &str, second: &str) -> anyhow::Result<()> {
     if changes.is_empty() {
         output::line("the configurations are equal");
     }
-    [row_a, row_b].iter().for_each(|row| output::line(&text(row)));
+    for row in [row_a, row_b] {
+        output::line(&text(&row));
+    }
     Ok(())
 }
 

@@ -66,8 +66,7 @@ fn configure(program: &Program, args: &SmokeArgs) -> anyhow::Result<Config> {
     }
     let steps = i64::try_from(QUICK_UPDATES * config.steps_per_update())?;
     let mut table = config.table;
-    for (section, key, value) in
-        [("learner", "total_steps", steps), ("run", "checkpoint_every", 4)]
+    for (section, key, value) in [("learner", "total_steps", steps), ("run", "checkpoint_every", 4)]
     {
         let section = table.get_mut(section).and_then(Value::as_table_mut);
         section.unwrap_or(&mut Table::new()).insert(key.to_owned(), value.into());
@@ -98,8 +97,7 @@ fn judge(
     let players: Vec<Player> = [trained].into_iter().chain(scripts).chain([untrained]).collect();
     let default = if args.quick { QUICK_EPISODES } else { config.evaluation.episodes };
     let n_episodes = args.episodes.unwrap_or(default);
-    let evaluations =
-        judge::evaluate_all(program, config, &players, n_episodes, judge::EVAL_SEED)?;
+    let evaluations = judge::evaluate_all(program, config, &players, n_episodes, judge::EVAL_SEED)?;
     let comparison = judge::compare(config, &evaluations);
     let (sentence, passed) = verdict(args, config, &comparison);
     let pictures = draw(program, config, &players, &evaluations, directory)?;
@@ -136,9 +134,8 @@ fn verdict(args: &SmokeArgs, config: &Config, comparison: &Comparison) -> (Strin
         return ("The mechanics work; learning was not checked (--quick).".to_owned(), true);
     }
     let measure = judge::main_measure(config);
-    let against = |name: &str| {
-        comparison.differences.iter().find(|difference| difference.minus == name)
-    };
+    let against =
+        |name: &str| comparison.differences.iter().find(|difference| difference.minus == name);
     let (Some(difference), true) = (against(UNAIDED), measure == "success") else {
         return ("This task has no unaided person to compare with: no verdict.".to_owned(), true);
     };
@@ -177,7 +174,8 @@ fn draw(
 fn telling_episode(evaluations: &[Evaluation]) -> u64 {
     let success = |at: usize| evaluations.get(at).and_then(|e| e.column("success"));
     let (Some(trained), Some(other)) = (success(0), success(1)) else { return 0 };
-    let telling = trained.iter().zip(&other).position(|(ours, theirs)| *ours > 0.5 && *theirs < 0.5);
+    let telling =
+        trained.iter().zip(&other).position(|(ours, theirs)| *ours > 0.5 && *theirs < 0.5);
     telling.unwrap_or(0) as u64
 }
 

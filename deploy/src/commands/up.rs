@@ -1,12 +1,12 @@
 //! `leadtime up`: learner and actors on this machine, supervised.
 
 use super::launch::{Launch, launch};
+use crate::Program;
 use crate::cli::UpArgs;
 use crate::config;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::run_dir;
 use crate::shutdown::{Watch, watch};
-use crate::Program;
 
 pub(super) async fn run(program: &Program, args: &UpArgs) -> Result<(), Failure> {
     let name = args.run.name.as_deref();

@@ -60,9 +60,9 @@ impl Catalog {
         if !entry.over_general {
             return Some(entry.text.clone());
         }
-        let commented: String = OWN.lines().map(|line| format!("# {line}\n")).collect();
+        let commented: Vec<String> = OWN.lines().map(|line| format!("# {line}")).collect();
         let rest = "# What is not set above comes from the general defaults:\n#";
-        Some(format!("{}\n{rest}\n{commented}", entry.text))
+        Some(format!("{}\n{rest}\n{}\n", entry.text, commented.join("\n")))
     }
 
     /// Returns a configuration as its author wrote it, to be read like a person's file.

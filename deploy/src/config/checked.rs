@@ -85,11 +85,13 @@ pub fn load(
     let mut table = read(file, catalog)?;
     for assignment in &source.set {
         assignment.apply(&mut table);
-        let checked = domain_of(&table).and_then(|domain| sections::complete(domain, table.clone()));
+        let checked =
+            domain_of(&table).and_then(|domain| sections::complete(domain, table.clone()));
         table = checked.with_context(|| format!("--set {}", assignment.key()))?;
     }
     if let Some(seed) = source.seed {
-        let seed = i64::try_from(seed).context("--seed: at most 9223372036854775807 is possible")?;
+        let seed =
+            i64::try_from(seed).context("--seed: at most 9223372036854775807 is possible")?;
         table.insert("seed".to_owned(), seed.into());
     }
     let run = table.get_mut("run").and_then(toml::Value::as_table_mut);
@@ -208,7 +210,10 @@ fn check_run(run: &RunSection) -> anyhow::Result<RunSettings> {
 
 fn check_actor(actor: &ActorSection) -> anyhow::Result<u32> {
     let window = actor.window;
-    ensure!((1..=MAX_WINDOW).contains(&window), "`actor.window` is {window}; allowed: 1 to {MAX_WINDOW}");
+    ensure!(
+        (1..=MAX_WINDOW).contains(&window),
+        "`actor.window` is {window}; allowed: 1 to {MAX_WINDOW}"
+    );
     Ok(window)
 }
 

@@ -6,9 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::Table;
 
-use super::raw::{
-    Absent, ActorSection, EvaluationSection, PolicySection, RawConfig, RunSection,
-};
+use super::raw::{Absent, ActorSection, EvaluationSection, PolicySection, RawConfig, RunSection};
 
 /// A configuration as typed structs, the task's sections as JSON.
 #[derive(Clone, Debug)]

@@ -51,7 +51,7 @@ fn a_person_needs_to_write_only_what_differs() {
     let config = check("domain = \"cartpole\"\n[learner]\nn_envs = 8").unwrap();
     assert_eq!((config.learner.n_envs, config.learner.n_steps), (8, 128));
     let lander = check("").unwrap();
-    assert_eq!(lander.domain, "lander");
+    assert_eq!(lander.domain.as_str(), "lander");
     assert!(lander.env.actions.gate.is_some());
     assert_eq!(lander.policy.logit_bias.iter().filter(|bias| **bias != 0.0).count(), 1);
 }

@@ -27,7 +27,8 @@ impl Display {
             return Self::Lines(None);
         }
         let template = "{bar:32} {pos}/{len} updates  {msg}  {elapsed} < {eta}";
-        let style = ProgressStyle::with_template(template).expect("the template is sound");
+        let style =
+            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
         Self::Bar(logging::bars().add(ProgressBar::new(0).with_style(style)))
     }
 

@@ -27,14 +27,14 @@ fn episodes(progress: &UpdateProgress) -> [(&'static str, Option<f64>); 4] {
 fn training(progress: &UpdateProgress) -> [(&'static str, f64); 10] {
     let update = &progress.update;
     [
-        ("train/policy_loss", f64::from(update.policy_loss)),
-        ("train/value_loss", f64::from(update.value_loss)),
-        ("train/entropy", f64::from(update.entropy)),
-        ("train/old_approx_kl", f64::from(update.old_approx_kl)),
-        ("train/approx_kl", f64::from(update.approx_kl)),
-        ("train/clip_fraction", f64::from(update.clip_fraction)),
-        ("train/explained_variance", f64::from(update.explained_variance)),
-        ("train/learning_rate", f64::from(update.learning_rate)),
+        ("train/policy_loss", update.policy_loss),
+        ("train/value_loss", update.value_loss),
+        ("train/entropy", update.entropy),
+        ("train/old_approx_kl", update.old_approx_kl),
+        ("train/approx_kl", update.approx_kl),
+        ("train/clip_fraction", update.clip_fraction),
+        ("train/explained_variance", update.explained_variance),
+        ("train/learning_rate", update.learning_rate),
         ("train/samples", update.n_samples as f64),
         ("train/staleness", mean_staleness(progress)),
     ]

@@ -1,17 +1,28 @@
 //! A supervisor and its processes: they live together, and none is left behind.
 
-mod support;
-
 use std::time::Duration;
 
-use support::{PATIENCE, Place, arguments, children, is_alive, result, signal, updates, wait_until};
+use crate::support::{
+    PATIENCE, Place, arguments, children, is_alive, result, signal, updates, wait_until,
+};
 
 const SECOND: Duration = Duration::from_secs(1);
 
 /// A run that does not end by itself while a test looks at it.
 const LONG: &[&str] = &[
-    "up", "-c", "cartpole", "--name", "r", "--actors", "2", "--set", "learner.n_steps=32", "--set",
-    "learner.total_steps=100000000", "--set", "run.checkpoint_every=4",
+    "up",
+    "-c",
+    "cartpole",
+    "--name",
+    "r",
+    "--actors",
+    "2",
+    "--set",
+    "learner.n_steps=32",
+    "--set",
+    "learner.total_steps=100000000",
+    "--set",
+    "run.checkpoint_every=4",
 ];
 
 /// Returns the supervisor's learner and actors, once all are there.
@@ -63,7 +74,9 @@ fn crashed_processes_are_started_again() {
     signal("KILL", actors[0]);
     signal("KILL", learner);
     let (new_learner, new_actors) = {
-        wait_until("the old ones are gone", PATIENCE, || !is_alive(learner) && !is_alive(actors[0]));
+        wait_until("the old ones are gone", PATIENCE, || {
+            !is_alive(learner) && !is_alive(actors[0])
+        });
         family(supervisor.id())
     };
     assert_ne!(new_learner, learner);

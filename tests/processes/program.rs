@@ -1,23 +1,33 @@
 //! What the program prints, draws and keeps, command by command.
 
-mod support;
-
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
+use crate::support::{Place, children, is_alive, result, tool};
 use serde_json::Value;
-use support::{Place, children, is_alive, result, tool};
 
 /// A CartPole run with local actors, of about a second.
 const TRAIN: &[&str] = &[
-    "up", "-c", "cartpole", "--name", "r", "--actors", "1", "--set", "learner.n_steps=64", "--set",
-    "learner.total_steps=5120", "--set", "run.checkpoint_every=4",
+    "up",
+    "-c",
+    "cartpole",
+    "--name",
+    "r",
+    "--actors",
+    "1",
+    "--set",
+    "learner.n_steps=64",
+    "--set",
+    "learner.total_steps=5120",
+    "--set",
+    "run.checkpoint_every=4",
 ];
 
 fn repository(path: &str) -> String {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("deploy lies in the repository");
+    let root =
+        Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("deploy lies in the repository");
     root.join(path).to_str().expect("paths are UTF-8").to_owned()
 }
 
@@ -90,7 +100,8 @@ fn a_run_leaves_everything_that_is_promised() {
         assert!(run.join(file).is_file(), "{file}");
     }
     assert!(fs::read_dir(run.join("tensorboard")).unwrap().count() == 1);
-    let record: Value = serde_json::from_str(&fs::read_to_string(run.join("run.json")).unwrap()).unwrap();
+    let record: Value =
+        serde_json::from_str(&fs::read_to_string(run.join("run.json")).unwrap()).unwrap();
     for key in ["seed", "version", "cpu", "threads", "started"] {
         assert!(!record[key].is_null(), "{key}");
     }
@@ -106,13 +117,16 @@ fn every_metric_is_documented_and_every_documented_metric_exists() {
     let place = trained();
     let journal = fs::read_to_string(place.run("r").join("metrics.jsonl")).unwrap();
     let last: Value = serde_json::from_str(journal.lines().last().unwrap()).unwrap();
-    let written: BTreeSet<&str> =
-        last.as_object().unwrap().keys().map(String::as_str).filter(|key| key.contains('/')).collect();
-    let page = fs::read_to_string(repository("docs/metrics.md")).unwrap();
-    let documented: BTreeSet<&str> = page
-        .lines()
-        .filter_map(|line| line.strip_prefix("| `")?.split('`').next())
+    let written: BTreeSet<&str> = last
+        .as_object()
+        .unwrap()
+        .keys()
+        .map(String::as_str)
+        .filter(|key| key.contains('/'))
         .collect();
+    let page = fs::read_to_string(repository("docs/metrics.md")).unwrap();
+    let documented: BTreeSet<&str> =
+        page.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next()).collect();
     let missing: Vec<_> = written.difference(&documented).collect();
     assert!(missing.is_empty(), "not documented: {missing:?}");
     let gone: Vec<_> = documented.difference(&written).collect();
@@ -147,7 +161,7 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
     let id = smoke.id();
     let mut seen = BTreeSet::new();
     let mut done = smoke;
-    support::wait_until("smoke ends", Duration::from_secs(120), || {
+    crate::support::wait_until("smoke ends", Duration::from_mins(2), || {
         seen.extend(children(id));
         !done.is_running()
     });

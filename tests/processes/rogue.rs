@@ -3,21 +3,27 @@
 //!
 //! Both actors keep journals of their own: what they say they published must be what the learner's books hold.
 
-mod support;
-
 use std::time::Duration;
 
+use crate::support::{PATIENCE, Place, Running, result, wait_until};
 use leadtime_link::{ActorEvent, ActorLink, ConnectSettings};
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
 use leadtime_proto::limits::{MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF};
 use leadtime_proto::message::{Control, ControlAck, EnvAssignment, Hello, Welcome};
 use leadtime_proto::{
-    ActorId, EnvId, Epoch, Header, Incarnation, PolicyVersion, Rollout, Sequence, codec,
+    ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, Sequence, codec,
 };
-use support::{PATIENCE, Place, Running, result, wait_until};
 
 const RUN: &[&str] = &[
-    "-c", "cartpole", "--seed", "5", "--name", "r", "--set", "learner.n_steps=32", "--set",
+    "-c",
+    "cartpole",
+    "--seed",
+    "5",
+    "--name",
+    "r",
+    "--set",
+    "learner.n_steps=32",
+    "--set",
     "learner.total_steps=5120",
 ];
 /// The longest wait for one message.
@@ -71,7 +77,11 @@ impl Rogue {
             first_unacknowledged: Sequence(1),
         };
         let welcome = link.hello(None, &hello, SOON).await.unwrap();
-        let none = EnvAssignment { env_id: EnvId(0), iteration: Default::default(), snapshot: Vec::new() };
+        let none = EnvAssignment {
+            env_id: EnvId(0),
+            iteration: Iteration::default(),
+            snapshot: Vec::new(),
+        };
         let mut rogue = Self { link, events, welcome, epoch: Epoch(0), env: none, sent: 0 };
         while rogue.epoch == Epoch(0) {
             assert!(rogue.hear().await.is_none(), "it was sent away before it did anything");

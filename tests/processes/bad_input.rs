@@ -1,11 +1,9 @@
 //! Wrong input through the program itself: one sentence with cause and remedy, a documented exit code, nothing lost.
 
-mod support;
-
 use std::fs;
 use std::net::TcpListener;
 
-use support::{PATIENCE, Place, Running, updates, wait_until};
+use crate::support::{PATIENCE, Place, Running, updates, wait_until};
 
 /// Exit code for wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -24,7 +22,7 @@ const SMALL: &[&str] = &[
     "run.checkpoint_every=4",
 ];
 
-fn with_config(place: &Place, text: &str) -> support::Finished {
+fn with_config(place: &Place, text: &str) -> crate::support::Finished {
     let file = place.write("my.toml", text);
     place.finish(&["check", "-c", &file])
 }
@@ -44,8 +42,14 @@ fn actor(place: &Place, extra: &[&str]) -> Running {
 fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
     let place = Place::new();
     let cases: &[(&str, &[&str])] = &[
-        ("domain = \"cartpole\"\n[learner]\nclipp = 0.2", &["my.toml", "line 3", "clipp", "expected", "`clip`"]),
-        ("domain = \"cartpole\"\n[learner]\nclip = \"much\"", &["line 3", "clip = \"much\"", "expected f64"]),
+        (
+            "domain = \"cartpole\"\n[learner]\nclipp = 0.2",
+            &["my.toml", "line 3", "clipp", "expected", "`clip`"],
+        ),
+        (
+            "domain = \"cartpole\"\n[learner]\nclip = \"much\"",
+            &["line 3", "clip = \"much\"", "expected f64"],
+        ),
         ("domain = \"cartpole\"\n[human]\nreaction_delay = 2", &["line 3", "reaction_delay"]),
         ("domain = \"cartpole\"\n[leaner]", &["line 2", "leaner", "`learner`"]),
         ("domain = \"moon\"", &["`domain` is \"moon\"", "lander"]),
@@ -55,10 +59,16 @@ fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
         ("domain = \"cartpole\"\n[policy]\nhidden = []", &["policy.hidden", "allowed: 1 to 8"]),
         ("domain = \"lander\"\n[notifier]\ntopics = []", &["notifier.topics", "allowed", "ascend"]),
         ("domain = \"lander\"\n[notifier]\nwords = []", &["notifier.words", "allowed"]),
-        ("domain = \"lander\"\n[notifier]\nwords = [5, 2]", &["notifier.words", "[5, 2]", "increasing"]),
+        (
+            "domain = \"lander\"\n[notifier]\nwords = [5, 2]",
+            &["notifier.words", "[5, 2]", "increasing"],
+        ),
         ("domain = \"lander\"\n[notifier]\nwords = [0]", &["notifier.words", "allowed"]),
         ("domain = \"lander\"\n[human]\ninterrupt = \"never\"", &["line 3", "never", "finish"]),
-        ("domain = \"lander\"\n[human]\nreaction_delay = { fixed = 99 }", &["human.reaction_delay", "99"]),
+        (
+            "domain = \"lander\"\n[human]\nreaction_delay = { fixed = 99 }",
+            &["human.reaction_delay", "99"],
+        ),
         ("domain = ", &["line 1"]),
     ];
     for (text, expected) in cases {
@@ -69,11 +79,15 @@ fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
 #[test]
 fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
     let place = Place::new();
-    let check = |set: &str| place.finish(&["check", "-c", "cartpole", "--set", set]).with_code(WRONG_INPUT);
+    let check =
+        |set: &str| place.finish(&["check", "-c", "cartpole", "--set", set]).with_code(WRONG_INPUT);
     check("learner.clipp=1").saying(&["learner.clipp", "unknown field"]);
     check("learner.clip=much").saying(&["learner.clip", "expected"]);
     check("learner.clip").saying(&["section.key=value"]);
-    place.finish(&["check", "-c", "nowhere.toml"]).with_code(WRONG_INPUT).saying(&["nowhere.toml", "cartpole"]);
+    place
+        .finish(&["check", "-c", "nowhere.toml"])
+        .with_code(WRONG_INPUT)
+        .saying(&["nowhere.toml", "cartpole"]);
     place.finish(&["lurner"]).with_code(WRONG_INPUT).saying(&["learner"]);
     place.finish(&["actor"]).with_code(WRONG_INPUT).saying(&["--connect"]);
 }
@@ -149,10 +163,11 @@ fn a_changed_configuration_is_refused_with_the_difference_and_can_be_forked() {
     first.finish(PATIENCE).with_code(0);
     helper.finish(PATIENCE);
     let changed = ["--set", "learner.clip=0.3", "--seed", "9"];
-    learner(&place, &changed)
-        .finish(PATIENCE)
-        .with_code(WRONG_INPUT)
-        .saying(&["learner.clip: 0.2 -> 0.3", "seed: 1 -> 9", "--fork r"]);
+    learner(&place, &changed).finish(PATIENCE).with_code(WRONG_INPUT).saying(&[
+        "learner.clip: 0.2 -> 0.3",
+        "seed: 1 -> 9",
+        "--fork r",
+    ]);
     let endpoint = place.endpoint("learner");
     let fork = ["learner", "--name", "s", "--fork", "r", "--listen", &endpoint];
     let forked = place.start(&[&fork, SMALL, &changed, &["--stop-after", "1"]].concat());

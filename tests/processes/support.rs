@@ -13,51 +13,51 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// The longest that anything in these tests may take.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 /// Pause between two looks at a condition.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
 /// A place of one's own for a test: runs, sockets, files.
-pub struct Place {
+pub(crate) struct Place {
     dir: TempDir,
 }
 
 impl Place {
     /// Makes one; its path is short enough for sockets.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let dir = tempfile::Builder::new().prefix("lt-").tempdir_in("/tmp");
         Self { dir: dir.expect("a temporary directory can be made") }
     }
 
     /// Returns its directory.
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         self.dir.path()
     }
 
     /// Returns a file in it as text.
-    pub fn file(&self, name: &str) -> String {
+    pub(crate) fn file(&self, name: &str) -> String {
         self.dir.path().join(name).to_str().expect("paths are UTF-8").to_owned()
     }
 
     /// Writes a file and returns its path.
-    pub fn write(&self, name: &str, text: &str) -> String {
+    pub(crate) fn write(&self, name: &str, text: &str) -> String {
         let path = self.file(name);
         fs::write(&path, text).expect("the file can be written");
         path
     }
 
     /// Returns an address that nobody else uses.
-    pub fn endpoint(&self, name: &str) -> String {
+    pub(crate) fn endpoint(&self, name: &str) -> String {
         format!("unixsock-stream/{}", self.file(&format!("{name}.sock")))
     }
 
     /// Returns the directory of a run.
-    pub fn run(&self, name: &str) -> PathBuf {
+    pub(crate) fn run(&self, name: &str) -> PathBuf {
         self.dir.path().join("runs").join(name)
     }
 
     /// Prepares the program; `--runs` is appended where the command knows it.
-    pub fn program(&self, args: &[&str]) -> Command {
+    pub(crate) fn program(&self, args: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_leadtime"));
         command.args(args).current_dir(self.path()).env_remove("RUST_LOG");
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -65,17 +65,17 @@ impl Place {
     }
 
     /// Runs the program to its end.
-    pub fn finish(&self, args: &[&str]) -> Finished {
+    pub(crate) fn finish(&self, args: &[&str]) -> Finished {
         self.start(args).finish(PATIENCE)
     }
 
     /// Starts the program; its output is collected in files, so that it never waits for a reader.
-    pub fn start(&self, args: &[&str]) -> Running {
+    pub(crate) fn start(&self, args: &[&str]) -> Running {
         self.start_with(self.program(args))
     }
 
     /// As [`Place::start`], for a prepared command.
-    pub fn start_with(&self, mut command: Command) -> Running {
+    pub(crate) fn start_with(&self, mut command: Command) -> Running {
         let log = |name: &str| {
             let unique = format!("{name}-{:?}-{}", thread::current().id(), unique());
             let path = self.dir.path().join(unique);
@@ -96,7 +96,7 @@ fn unique() -> u64 {
 
 /// How a process ended and what it said.
 #[derive(Debug)]
-pub struct Finished {
+pub(crate) struct Finished {
     /// Exit code; `None` if it was killed.
     pub code: Option<i32>,
     /// Standard output.
@@ -108,14 +108,14 @@ pub struct Finished {
 impl Finished {
     /// Asserts the exit code and returns the rest.
     #[track_caller]
-    pub fn with_code(self, code: i32) -> Self {
+    pub(crate) fn with_code(self, code: i32) -> Self {
         assert_eq!(self.code, Some(code), "stdout: {}\nstderr: {}", self.stdout, self.stderr);
         self
     }
 
     /// Asserts that standard error holds each of the texts, in any order.
     #[track_caller]
-    pub fn saying(self, texts: &[&str]) -> Self {
+    pub(crate) fn saying(self, texts: &[&str]) -> Self {
         for text in texts {
             assert!(self.stderr.contains(text), "`{text}` is not in: {}", self.stderr);
         }
@@ -124,13 +124,13 @@ impl Finished {
 
     /// Reads standard output as one JSON value.
     #[track_caller]
-    pub fn json(&self) -> Value {
+    pub(crate) fn json(&self) -> Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e}: {}", self.stdout))
     }
 }
 
 /// A started process; killed if the test lets go of it.
-pub struct Running {
+pub(crate) struct Running {
     child: Child,
     out: PathBuf,
     err: PathBuf,
@@ -138,23 +138,23 @@ pub struct Running {
 
 impl Running {
     /// Returns its id.
-    pub fn id(&self) -> u32 {
+    pub(crate) fn id(&self) -> u32 {
         self.child.id()
     }
 
     /// Returns what it has said on standard error so far.
-    pub fn stderr(&self) -> String {
+    pub(crate) fn stderr(&self) -> String {
         fs::read_to_string(&self.err).unwrap_or_default()
     }
 
     /// Tells whether it still runs.
-    pub fn is_running(&mut self) -> bool {
+    pub(crate) fn is_running(&mut self) -> bool {
         self.child.try_wait().expect("a child can be waited for").is_none()
     }
 
     /// Waits for its end.
     #[track_caller]
-    pub fn finish(mut self, patience: Duration) -> Finished {
+    pub(crate) fn finish(mut self, patience: Duration) -> Finished {
         let deadline = Instant::now() + patience;
         while self.is_running() {
             assert!(Instant::now() < deadline, "it did not end: {}", self.stderr());
@@ -166,7 +166,7 @@ impl Running {
     }
 
     /// Kills it at once, as `kill -9` does, and waits until it is gone.
-    pub fn kill(mut self) {
+    pub(crate) fn kill(mut self) {
         self.child.kill().expect("a child can be killed");
         self.child.wait().expect("a child can be waited for");
     }
@@ -183,7 +183,7 @@ impl Drop for Running {
 
 /// Waits until a condition holds.
 #[track_caller]
-pub fn wait_until(what: &str, patience: Duration, mut condition: impl FnMut() -> bool) {
+pub(crate) fn wait_until(what: &str, patience: Duration, mut condition: impl FnMut() -> bool) {
     let deadline = Instant::now() + patience;
     while !condition() {
         assert!(Instant::now() < deadline, "waited {patience:?} in vain: {what}");
@@ -192,13 +192,13 @@ pub fn wait_until(what: &str, patience: Duration, mut condition: impl FnMut() ->
 }
 
 /// Sends a signal by name, such as `KILL` or `TERM`, to a process that is not our child.
-pub fn signal(name: &str, id: u32) {
+pub(crate) fn signal(name: &str, id: u32) {
     let status = Command::new("kill").args([&format!("-{name}"), &id.to_string()]).status();
     assert!(status.expect("kill runs").success(), "process {id} cannot be signalled");
 }
 
 /// Lists the children of a process.
-pub fn children(id: u32) -> Vec<u32> {
+pub(crate) fn children(id: u32) -> Vec<u32> {
     let Ok(entries) = fs::read_dir("/proc") else { return Vec::new() };
     let ids = entries.filter_map(Result::ok).filter_map(|e| e.file_name().to_str()?.parse().ok());
     ids.filter(|child| parent(*child) == Some(id)).collect()
@@ -211,31 +211,31 @@ fn parent(id: u32) -> Option<u32> {
 }
 
 /// Tells whether a process exists and is no zombie.
-pub fn is_alive(id: u32) -> bool {
+pub(crate) fn is_alive(id: u32) -> bool {
     let status = fs::read_to_string(format!("/proc/{id}/status")).unwrap_or_default();
     status.lines().any(|line| line.starts_with("State:") && !line.contains('Z'))
 }
 
 /// Returns the arguments of a process, joined by spaces.
-pub fn arguments(id: u32) -> String {
+pub(crate) fn arguments(id: u32) -> String {
     fs::read_to_string(format!("/proc/{id}/cmdline")).unwrap_or_default().replace('\0', " ")
 }
 
 /// Returns the number of updates that a run has written to its journal.
-pub fn updates(run: &Path) -> u64 {
+pub(crate) fn updates(run: &Path) -> u64 {
     let journal = fs::read_to_string(run.join("metrics.jsonl")).unwrap_or_default();
     let last = journal.lines().rev().find_map(|line| serde_json::from_str::<Value>(line).ok());
     last.and_then(|line| line["update"].as_u64()).unwrap_or(0)
 }
 
 /// Returns the result in a run's record; null while it is unfinished.
-pub fn result(run: &Path) -> Value {
+pub(crate) fn result(run: &Path) -> Value {
     let text = fs::read_to_string(run.join("run.json")).expect("the run has a record");
     let record: Value = serde_json::from_str(&text).expect("the record is JSON");
     record["result"].clone()
 }
 
 /// Runs a tool that is not ours to its end.
-pub fn tool(program: &str, args: &[&str]) -> Option<Output> {
+pub(crate) fn tool(program: &str, args: &[&str]) -> Option<Output> {
     Command::new(program).args(args).output().ok()
 }

@@ -2,13 +2,11 @@
 //!
 //! Every test compares the digest of the final weights with that of one undisturbed run, made once.
 
-mod support;
-
 use std::sync::OnceLock;
 use std::time::Duration;
 
+use crate::support::{PATIENCE, Place, Running, result, updates, wait_until};
 use serde_json::Value;
-use support::{PATIENCE, Place, Running, result, updates, wait_until};
 
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -133,7 +131,7 @@ fn an_interrupted_learner_leaves_a_checkpoint_within_five_seconds() {
     let first = learner(&place, &[]);
     let helper = actor(&place, "a");
     wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 6);
-    support::signal("TERM", first.id());
+    crate::support::signal("TERM", first.id());
     first.finish(5 * SECOND).with_code(130);
     helper.finish(PATIENCE);
     assert!(result(&place.run("r")).is_null(), "an interrupted run is unfinished");

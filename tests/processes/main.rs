@@ -1,0 +1,18 @@
+//! Tests that drive the program itself, as a person or a supervisor would: exit codes, files, signals, `kill -9`.
+//!
+//! | module | what must hold |
+//! |---|---|
+//! | `program` | what the commands print, draw and keep |
+//! | `bad_input` | wrong input is one sentence and a documented exit code |
+//! | `resilience` | killing anything changes no bit; the books balance |
+//! | `supervision` | processes live and die together |
+//! | `rogue` | an actor that lies harms nobody |
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
+
+mod bad_input;
+mod program;
+mod resilience;
+mod rogue;
+mod supervision;
+mod support;
