@@ -53,8 +53,14 @@ def difference(x, y, axis=-1):
     return np.mean(x, axis=axis) - np.mean(y, axis=axis)
 
 
+def literal(value):
+    """Writes a number as Rust, its fraction in groups of three."""
+    whole, _, fraction = repr(float(value)).partition(".")
+    return whole + "." + "_".join(fraction[i:i + 3] for i in range(0, len(fraction), 3))
+
+
 def row(name, values):
-    print(f"const {name}: [f64; {len(values)}] = [{', '.join(repr(float(v)) for v in values)}];")
+    print(f"const {name}: [f64; {len(values)}] = [{', '.join(map(literal, values))}];")
 
 
 print("// numpy", np.__version__)
