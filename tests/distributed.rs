@@ -15,8 +15,8 @@ use leadtime_link::{ConnectSettings, Endpoint, ListenSettings};
 use leadtime_policy::{Parameters, Policy};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{
-    ActorId, Encoder, EnvId, EnvSpec, HeadCredit, Incarnation, Iteration, PolicySpec, PolicyVersion,
-    RunName, TaskSpec,
+    ActorId, Encoder, EnvId, EnvSpec, HeadCredit, Incarnation, Iteration, PolicySpec,
+    PolicyVersion, RunName, TaskSpec,
 };
 use leadtime_sims::Registry;
 use tokio::sync::watch;
@@ -30,7 +30,10 @@ const RUN_SEED: u64 = 11;
 const PATIENCE: Duration = Duration::from_secs(60);
 
 fn task() -> TaskSpec {
-    TaskSpec { domain: "cartpole".to_owned(), settings: r#"{"world": {"max_steps": 30}}"#.to_owned() }
+    TaskSpec {
+        domain: "cartpole".to_owned(),
+        settings: r#"{"world": {"max_steps": 30}}"#.to_owned(),
+    }
 }
 
 fn env_spec() -> EnvSpec {
@@ -134,6 +137,7 @@ impl Learner {
             cpu: "cpu".to_owned(),
             checkpoints: directory.join("checkpoints"),
             checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_secs(60) },
+            initial: None,
             identity: [mode as u8; 32],
         };
         let (progress, n_updates) = watch::channel(0);

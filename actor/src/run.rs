@@ -369,20 +369,20 @@ impl Actor {
         if self.job_generation.is_some() {
             return Ok(());
         }
-        let job = match self.assignments.pop_front() {
-            Some(assignment) => assignment,
-            None => {
-                let has_room = self.outbox.len() < self.welcome.window as usize;
-                let next = self.next.filter(|_| has_room && !self.paused);
-                let Some((version, parameters)) = next.and_then(|next| self.shelf.get(next)) else {
-                    return Ok(());
-                };
-                Job::Collect { version, parameters }
-            }
+        let Some(job) = self.assignments.pop_front().or_else(|| self.next_collection()) else {
+            return Ok(());
         };
         self.collector.begin(job)?;
         self.job_generation = Some(self.generation);
         Ok(())
+    }
+
+    /// Returns the job of collecting the next iteration, if there is room for it and its weights are here.
+    fn next_collection(&self) -> Option<Job> {
+        let has_room = self.outbox.len() < self.welcome.window as usize;
+        let next = self.next.filter(|_| has_room && !self.paused)?;
+        let (version, parameters) = self.shelf.get(next)?;
+        Some(Job::Collect { version, parameters })
     }
 
     /// Begins to pull the weights that are missing, unless a pull is under way.
@@ -458,7 +458,9 @@ impl Actor {
         while self.outbox.is_waiting() {
             match timeout_at(deadline, events.recv_async()).await {
                 Ok(Ok(ActorEvent::Credit(credit))) => self.credit(credit),
-                Ok(Ok(ActorEvent::LearnerLeft(learner))) if learner == self.welcome.learner => break,
+                Ok(Ok(ActorEvent::LearnerLeft(learner))) if learner == self.welcome.learner => {
+                    break;
+                }
                 Ok(Ok(_)) => {}
                 Ok(Err(_)) | Err(_) => break,
             }

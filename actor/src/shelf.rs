@@ -60,8 +60,7 @@ impl Shelf {
             return is_behind.then_some(Pull::Newest);
         }
         let required = next.and_then(|iteration| self.schedule.behavior_version(iteration));
-        let missing =
-            required.filter(|v| *v <= self.announced && !self.versions.contains_key(v));
+        let missing = required.filter(|v| *v <= self.announced && !self.versions.contains_key(v));
         missing.or(is_behind.then_some(self.announced)).map(Pull::Version)
     }
 }

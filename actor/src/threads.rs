@@ -18,9 +18,9 @@ use leadtime_proto::{
 use leadtime_sims::{Environment, Registry};
 use tokio::sync::mpsc;
 
+use crate::Error;
 use crate::outbox::Parcel;
 use crate::worker::{Phase, Stopwatch, Worker, WorkerSettings};
-use crate::Error;
 
 /// The collecting thread's name.
 const COLLECT: &str = "actor-collect";
@@ -44,10 +44,7 @@ pub(crate) enum Job {
     /// Step these environments from now on.
     Assign(Assignment),
     /// Collect the lowest iteration.
-    Collect {
-        version: PolicyVersion,
-        parameters: Arc<Parameters>,
-    },
+    Collect { version: PolicyVersion, parameters: Arc<Parameters> },
 }
 
 /// What came of it.
@@ -198,13 +195,11 @@ impl Studio {
         parameters: &Arc<Parameters>,
     ) -> Result<Vec<Parcel>, Error> {
         let packed = self.policy.take().filter(|(packed, _)| Arc::ptr_eq(packed, parameters));
-        let (_, policy) = match packed {
-            Some(packed) => self.policy.insert(packed),
-            None => {
-                let policy = Policy::new(&self.settings.policy, parameters)?;
-                self.policy.insert((Arc::clone(parameters), policy))
-            }
+        let packed = match packed {
+            Some(packed) => packed,
+            None => (Arc::clone(parameters), Policy::new(&self.settings.policy, parameters)?),
         };
+        let (_, policy) = self.policy.insert(packed);
         let (epoch, incarnation) = (self.epoch, self.incarnation);
         let rollouts = self.worker.collect(policy, version, &mut self.watch);
         let parcels: Result<Vec<Parcel>, Error> =

@@ -21,9 +21,7 @@ use std::collections::BTreeMap;
 use leadtime_numerics::Pcg64;
 use leadtime_policy::{ActionDistribution, Policy};
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{
-    EnvId, EnvSpec, EpisodeEnd, Iteration, PolicySpec, PolicyVersion, Rollout,
-};
+use leadtime_proto::{EnvId, EnvSpec, EpisodeEnd, Iteration, PolicySpec, PolicyVersion, Rollout};
 use leadtime_sims::{End, Environment, SnapshotError};
 
 use crate::lane::Lane;

@@ -134,7 +134,8 @@ impl Assigner {
         let (share, extra) = (self.owners.len() / members.len(), self.owners.len() % members.len());
         let mut order: Vec<&ActorId> = members.keys().collect();
         order.sort_by_key(|actor| std::cmp::Reverse(self.held(actor).len()));
-        let quota = |(rank, actor): (usize, &ActorId)| (actor.clone(), share + usize::from(rank < extra));
+        let quota =
+            |(rank, actor): (usize, &ActorId)| (actor.clone(), share + usize::from(rank < extra));
         order.into_iter().enumerate().map(quota).collect()
     }
 
@@ -168,7 +169,10 @@ mod tests {
     }
 
     fn sets(assigner: &Assigner, names: &[&str]) -> Vec<Vec<u32>> {
-        names.iter().map(|name| assigner.held(&id(name)).iter().map(|env| env.0).collect()).collect()
+        names
+            .iter()
+            .map(|name| assigner.held(&id(name)).iter().map(|env| env.0).collect())
+            .collect()
     }
 
     #[test]

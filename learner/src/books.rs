@@ -109,14 +109,10 @@ impl Books {
     /// [`Imbalance`] with both sides.
     pub fn check(&self) -> Result<(), Imbalance> {
         let sent: u64 = self.sequences.values().map(|sequence| sequence.0).sum();
-        let accounted = self.trained
-            + self.dropped_stale
-            + self.refused
-            + self.superseded
-            + self.unused_at_end;
+        let accounted =
+            self.trained + self.dropped_stale + self.refused + self.superseded + self.unused_at_end;
         let balanced = sent == self.published && sent == accounted + self.rolled_back;
-        let error =
-            Imbalance { published: sent, rolled_back: self.rolled_back, accounted };
+        let error = Imbalance { published: sent, rolled_back: self.rolled_back, accounted };
         if balanced { Ok(()) } else { Err(error) }
     }
 }

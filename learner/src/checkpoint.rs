@@ -151,7 +151,11 @@ impl CheckpointStore {
     /// # Errors
     ///
     /// [`CheckpointError::Write`], with the path; older checkpoints are then untouched.
-    pub fn write<T: Serialize>(&self, n_updates: u64, state: &T) -> Result<PathBuf, CheckpointError> {
+    pub fn write<T: Serialize>(
+        &self,
+        n_updates: u64,
+        state: &T,
+    ) -> Result<PathBuf, CheckpointError> {
         let payload = codec::encode(state).map_err(CheckpointError::Encode)?;
         if payload.len() > MAX_PAYLOAD_BYTES {
             let error = CodecError::TooLarge { found: payload.len(), limit: MAX_PAYLOAD_BYTES };

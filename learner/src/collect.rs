@@ -26,7 +26,7 @@ const QUEUED_UPDATES: usize = 2;
 /// Rollouts for one update, sorted by environment and iteration.
 #[derive(Debug)]
 pub struct Batch {
-    /// The rollouts; their snapshots have been taken out.
+    /// The rollouts.
     pub rollouts: Vec<Rollout>,
 }
 
@@ -44,8 +44,9 @@ impl EnvQueue {
     }
 
     fn take(&mut self) -> Option<Rollout> {
-        let (_, mut rollout) = self.waiting.pop_front()?;
-        self.snapshot = std::mem::take(&mut rollout.snapshot);
+        let (_, rollout) = self.waiting.pop_front()?;
+        // The rollout keeps its own: the trainer checks it as it would check any other.
+        self.snapshot.clone_from(&rollout.snapshot);
         self.consumed = self.consumed.next();
         Some(rollout)
     }

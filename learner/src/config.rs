@@ -1,11 +1,14 @@
 //! What a run needs to know before it starts; checked by whoever builds it.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use leadtime_link::ListenSettings;
 use leadtime_proto::message::Welcome;
-use leadtime_proto::{EnvSpec, Incarnation, PolicySpec, PolicyVersion, RunName, Sequence, TaskSpec};
+use leadtime_proto::{
+    EnvSpec, Incarnation, PolicySpec, PolicyVersion, RunName, Sequence, TaskSpec,
+};
 
 use crate::LearnerSettings;
 
@@ -53,6 +56,8 @@ pub struct LearnerConfig {
     pub checkpoints: PathBuf,
     /// How often to write one.
     pub checkpoint_interval: CheckpointInterval,
+    /// Weights (safetensors) that a new run starts from, as a fork of another run does; `None`: fresh ones.
+    pub initial: Option<Arc<[u8]>>,
     /// Hash over what must not change when a run is resumed.
     pub identity: [u8; 32],
 }

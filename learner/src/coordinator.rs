@@ -96,11 +96,24 @@ pub enum Effect {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unwelcome {
     /// The actor was cut off.
-    #[error("this actor was cut off because it kept sending messages that were refused: restart it")]
+    #[error(
+        "this actor was cut off because it kept sending messages that were refused: restart it"
+    )]
     CutOff,
     /// Its counts contradict each other.
     #[error("its counts of published and unacknowledged rollouts make no sense")]
     Nonsense,
+}
+
+/// How far a run is, as far as moving environments is concerned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Too few actors so far.
+    Gathering,
+    /// Environments are moved when they have to be.
+    Running,
+    /// Actors are leaving, and nothing is moved any more.
+    Closing,
 }
 
 /// The state behind a learner's decisions.
@@ -113,8 +126,7 @@ pub struct Coordinator {
     collector: Collector,
     books: Books,
     in_training: u64,
-    started: bool,
-    closing: bool,
+    stage: Stage,
     rebalance_due: bool,
     same_cpu: bool,
     credit_due: BTreeSet<ActorId>,
@@ -132,8 +144,7 @@ impl Coordinator {
             roster: Roster::default(),
             books: start.books,
             in_training: 0,
-            started: false,
-            closing: false,
+            stage: Stage::Gathering,
             rebalance_due: false,
             same_cpu: true,
             credit_due: BTreeSet::new(),
@@ -197,12 +208,7 @@ impl Coordinator {
     }
 
     /// Counts a message that the network layer refused.
-    pub fn refused_by_link(
-        &mut self,
-        actor: Option<ActorId>,
-        cause: RefusalCause,
-        reason: String,
-    ) {
+    pub fn refused_by_link(&mut self, actor: Option<ActorId>, cause: RefusalCause, reason: String) {
         let key = actor
             .as_ref()
             .and_then(|actor| self.roster.members().get_key_value(actor))
@@ -264,7 +270,7 @@ impl Coordinator {
         self.books.trained += self.in_training;
         self.in_training = 0;
         self.version = version;
-        if self.rebalance_due && !self.closing {
+        if self.rebalance_due && self.stage == Stage::Running {
             self.rebalance();
         }
     }
@@ -276,7 +282,7 @@ impl Coordinator {
 
     /// Tells every actor to leave; environments move no more.
     pub fn stop_everyone(&mut self, reason: &str) {
-        self.closing = true;
+        self.stage = Stage::Closing;
         for (actor, &incarnation) in self.roster.members() {
             let control = Control::Stop { reason: reason.to_owned(), cut_off: false };
             self.effects.push(Effect::Control { to: (actor.clone(), incarnation), control });
@@ -429,7 +435,7 @@ impl Coordinator {
 
     fn lose(&mut self, actor: &ActorId) {
         let n_envs = self.assigner.release(actor);
-        if !self.closing {
+        if self.stage != Stage::Closing {
             self.books.steps_redone += n_envs as u64 * u64::from(self.terms.n_steps);
         }
         let (actor, n_actors) = (actor.clone(), self.n_actors());
@@ -437,8 +443,10 @@ impl Coordinator {
     }
 
     fn rebalance_if_orphaned(&mut self) {
-        self.started |= self.n_actors() >= self.terms.actors_min;
-        if self.started && !self.closing && self.assigner.has_orphans() {
+        if self.stage == Stage::Gathering && self.n_actors() >= self.terms.actors_min {
+            self.stage = Stage::Running;
+        }
+        if self.stage == Stage::Running && self.assigner.has_orphans() {
             self.rebalance();
         }
     }

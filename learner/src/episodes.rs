@@ -12,7 +12,7 @@ const SUCCESS: &str = "success";
 
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Episode {
-    episode_return: f64,
+    total_reward: f64,
     length: u32,
     success: Option<f32>,
 }
@@ -55,7 +55,7 @@ impl Episodes {
             self.last.pop_front();
         }
         self.last.push_back(Episode {
-            episode_return: summary.episode_return,
+            total_reward: summary.episode_return,
             length: summary.length,
             success: success.and_then(|index| summary.metrics.get(index).copied()),
         });
@@ -72,7 +72,7 @@ impl Episodes {
         EpisodeMeans {
             n_finished: self.n_finished,
             n_averaged: self.last.len() as u64,
-            episode_return: mean(|episode| Some(episode.episode_return)),
+            episode_return: mean(|episode| Some(episode.total_reward)),
             success: mean(|episode| episode.success.map(f64::from)),
             length: mean(|episode| Some(f64::from(episode.length))),
         }
@@ -104,7 +104,12 @@ mod tests {
             truncated: false,
             final_observation: vec![0.0],
             final_value: 0.0,
-            summary: EpisodeSummary { episode: 0, episode_return, length: 2, metrics: vec![metric] },
+            summary: EpisodeSummary {
+                episode: 0,
+                episode_return,
+                length: 2,
+                metrics: vec![metric],
+            },
         };
         Rollout { ends: returns.iter().map(end).collect(), ..Rollout::default() }
     }
@@ -117,7 +122,10 @@ mod tests {
         episodes.extend(&spec(&["success"]), &[ended(&[1.0; 50], 0.0), ended(&[3.0; 50], 1.0)]);
         let means = episodes.means();
         assert_eq!((means.n_finished, means.n_averaged), (101, 100));
-        assert_eq!((means.episode_return, means.success, means.length), (Some(2.0), Some(0.5), Some(2.0)));
+        assert_eq!(
+            (means.episode_return, means.success, means.length),
+            (Some(2.0), Some(0.5), Some(2.0))
+        );
         assert_eq!(episodes.score(), Some(0.5));
     }
 

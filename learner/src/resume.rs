@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use leadtime_policy::Parameters;
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{Epoch, PolicyVersion};
 use serde::{Deserialize, Serialize};
@@ -73,8 +74,14 @@ pub(crate) struct Standing {
 
 /// Begins a run: from its newest whole checkpoint, or from the beginning if there never was one.
 pub(crate) fn begin(config: &LearnerConfig, store: &CheckpointStore) -> Result<Standing, Error> {
-    let settings = &config.settings;
-    let trainer = Trainer::new(&config.policy, &config.env, settings, config.run_seed)?;
+    let (policy, env, settings) = (&config.policy, &config.env, &config.settings);
+    let trainer = match &config.initial {
+        None => Trainer::new(policy, env, settings, config.run_seed)?,
+        Some(weights) => {
+            let parameters = Parameters::from_safetensors(weights, policy)?;
+            Trainer::from_parameters(policy, env, settings, (config.run_seed, parameters))?
+        }
+    };
     match store.newest::<Checkpoint>()? {
         None => anew(config, trainer),
         Some(loaded) => resumed(config, trainer, loaded),

@@ -139,9 +139,8 @@ mod tests {
         let mut roster = Roster::default();
         roster.greet(&key(1), Sequence(0));
         let sender = roster.sender(&key(1)).unwrap();
-        let verdicts: Vec<Verdict> = (0..REFUSALS_BEFORE_CUT_OFF + 1)
-            .map(|_| sender.refuse(RefusalCause::NonFinite))
-            .collect();
+        let verdicts: Vec<Verdict> =
+            (0..=REFUSALS_BEFORE_CUT_OFF).map(|_| sender.refuse(RefusalCause::NonFinite)).collect();
         assert_eq!(verdicts.iter().filter(|verdict| verdict.first).count(), 1);
         assert_eq!(verdicts.iter().position(|verdict| verdict.cut_off), Some(15));
         assert_eq!(verdicts.iter().filter(|verdict| verdict.cut_off).count(), 1);

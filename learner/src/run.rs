@@ -134,7 +134,8 @@ impl Run {
         standing: Standing,
         link: LearnerLink,
     ) -> Result<Self, Error> {
-        let Standing { trainer, start, offered, best, episodes, staleness, same_cpu, .. } = standing;
+        let Standing { trainer, start, offered, best, episodes, staleness, same_cpu, .. } =
+            standing;
         let (version, n_updates) = (trainer.version(), trainer.version().0);
         for (&version, weights) in &offered {
             link.offer_weights(version, weights)?;
@@ -414,9 +415,10 @@ impl Run {
         let state = self.final_state().await?;
         self.coordinator.close();
         let checkpointed = state.is_some();
-        match state {
-            Some(state) => self.checkpoint(*state)?,
-            None => warn!("the update under way took too long; a resume will make it again"),
+        if let Some(state) = state {
+            self.checkpoint(*state)?;
+        } else {
+            warn!("the update under way took too long; a resume will make it again");
         }
         let last = self.last();
         let parameters = Parameters::from_safetensors(&last.weights, &self.config.policy)?;

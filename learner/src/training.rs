@@ -80,9 +80,10 @@ impl Training {
 fn work(mut trainer: Trainer, inbox: &Receiver<Job>, outbox: &mpsc::Sender<Outcome>) {
     while let Ok(job) = inbox.recv() {
         let outcome = match job {
-            Job::State => trainer
-                .state()
-                .map_or_else(|error| Outcome::Failed(error.into()), |s| Outcome::State(Box::new(s))),
+            Job::State => trainer.state().map_or_else(
+                |error| Outcome::Failed(error.into()),
+                |s| Outcome::State(Box::new(s)),
+            ),
             Job::Update { rollouts, want_state } => update(&mut trainer, rollouts, want_state)
                 .map_or_else(Outcome::Failed, |updated| Outcome::Updated(Box::new(updated))),
         };

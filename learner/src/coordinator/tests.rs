@@ -231,7 +231,9 @@ fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
     c.rollout(actor("a"), &header(500, &payload), &payload);
     c.rollout(actor("x"), &header(1, &payload), &payload);
     c.refused_by_link(Some(actor("a")), Cause::Oversize, "too large".to_owned());
-    for cause in [Cause::Checksum, Cause::Malformed, Cause::Credit, Cause::Stranger, Cause::Oversize] {
+    for cause in
+        [Cause::Checksum, Cause::Malformed, Cause::Credit, Cause::Stranger, Cause::Oversize]
+    {
         assert_eq!(c.books().refusals.get(&cause), Some(&1), "{cause:?}");
     }
     assert_eq!(close_balanced(&mut c).refused, 5);
@@ -318,7 +320,8 @@ fn a_full_queue_gives_no_more_credit_until_it_is_used() {
 fn an_assignment_with_large_snapshots_comes_in_parts() {
     let mut c = coordinator(3, Schedule::Lag(0));
     let big = vec![0; ASSIGNMENT_BYTES / 2];
-    let place = |id| EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: big.clone() };
+    let place =
+        |id| EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: big.clone() };
     c.collector = Collector::new(Schedule::Lag(0), (0..3).map(place).collect());
     join(&mut c, "a");
     let told = assignments(&mut c);
