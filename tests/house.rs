@@ -50,6 +50,18 @@ struct Source {
     code: String,
 }
 
+impl Source {
+    fn is_test(&self) -> bool {
+        let name = self.path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        name.ends_with("tests") || self.path.iter().any(|part| part == "tests")
+    }
+
+    /// Tells whether a script wrote it: its first line says which.
+    fn is_generated(&self) -> bool {
+        self.text.starts_with("// Written by ")
+    }
+}
+
 fn sources(folder: &Path) -> Vec<Source> {
     let mut found = Vec::new();
     let mut open = vec![folder.to_owned()];
@@ -200,14 +212,17 @@ fn source_files_stay_readable() {
     for source in all_sources() {
         let n_lines =
             source.text.split("\n#[cfg(test)]").next().unwrap_or_default().lines().count();
-        assert!(n_lines <= 500, "{} has {n_lines} lines before its tests", source.path.display());
+        // A file of tests may be longer: its parts do not depend on each other.
+        let limit = if source.is_test() { 800 } else { 500 };
+        assert!(n_lines <= limit, "{} has {n_lines} lines", source.path.display());
     }
 }
 
 #[test]
 fn every_source_file_says_what_it_is_for() {
     for source in all_sources() {
-        assert!(source.text.starts_with("//!"), "{} has no header", source.path.display());
+        let explained = source.text.starts_with("//!") || source.is_generated();
+        assert!(explained, "{} has no header", source.path.display());
     }
 }
 

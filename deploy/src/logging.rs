@@ -13,8 +13,7 @@ static BARS: OnceLock<MultiProgress> = OnceLock::new();
 /// Starts logging at `level` (`info`, `warn`) unless `RUST_LOG` says otherwise.
 pub fn start(level: &str) {
     // The network library explains every reconnect; its errors reach the person through ours.
-    let default =
-        || EnvFilter::new(format!("{level},zenoh=error,zenoh_link=off,zenoh_transport=off"));
+    let default = || EnvFilter::new(format!("{level},zenoh=off"));
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| default());
     let colour = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     let started = tracing_subscriber::fmt()

@@ -21,6 +21,7 @@ use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use toml::Table;
 
+use crate::cli::RunChoice;
 use crate::clock;
 use crate::config::Config;
 use crate::config::table::{Change, difference, flatten};
@@ -51,8 +52,8 @@ pub enum RunDirError {
     },
     /// The configuration is not the one that the run began with.
     #[error(
-        "run `{name}` began with another configuration: {}; give the old values, another --name, or \
-         --fork {name} to start a new run from its weights",
+        "run `{name}` began with another configuration: {}; give the old values, or take another --name, with \
+         --fork {name} to start from its weights",
         list(changes)
     )]
     Changed {
@@ -106,7 +107,7 @@ impl RunDir {
     ///
     /// [`RunDirError`]; nothing is changed then.
     pub fn open(config: &Config) -> Result<(Self, State), RunDirError> {
-        let name = choose_name(config)?;
+        let name = choose_name(config, &RunChoice::default())?;
         Self::open_named(config, &name)
     }
 
@@ -169,11 +170,14 @@ impl RunDir {
 
 /// Returns the run's configured name, else the newest unfinished run of the same configuration, else a new name.
 ///
+/// A fork is a new run.
+///
 /// # Errors
 ///
 /// [`RunDirError::Name`] if the domain cannot be part of a name.
-pub fn choose_name(config: &Config) -> Result<RunName, RunDirError> {
-    let named = config.run.name.clone().or_else(|| unfinished(config));
+pub fn choose_name(config: &Config, choice: &RunChoice) -> Result<RunName, RunDirError> {
+    let take_up = || if choice.fork.is_some() { None } else { unfinished(config) };
+    let named = config.run.name.clone().or_else(take_up);
     named.map_or_else(|| fresh_name(config, config.domain.as_str()), Ok)
 }
 

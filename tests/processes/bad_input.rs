@@ -3,7 +3,7 @@
 use std::fs;
 use std::net::TcpListener;
 
-use crate::support::{PATIENCE, Place, Running, updates, wait_until};
+use crate::support::{Finished, PATIENCE, Place, Running, wait_until};
 
 /// Exit code for wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -22,7 +22,7 @@ const SMALL: &[&str] = &[
     "run.checkpoint_every=4",
 ];
 
-fn with_config(place: &Place, text: &str) -> crate::support::Finished {
+fn with_config(place: &Place, text: &str) -> Finished {
     let file = place.write("my.toml", text);
     place.finish(&["check", "-c", &file])
 }
@@ -35,7 +35,7 @@ fn learner(place: &Place, extra: &[&str]) -> Running {
 
 fn actor(place: &Place, extra: &[&str]) -> Running {
     let endpoint = place.endpoint("learner");
-    place.start(&[&["actor", "--connect", &endpoint], extra].concat())
+    place.start(&[&["actor", "--connect", &endpoint, "--connect-timeout", "10s"], extra].concat())
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn a_wrong_run_name_lists_the_runs_that_are_there() {
     let place = Place::new();
     let learner = learner(&place, &[]);
     wait_until("the learner listens", PATIENCE, || learner.stderr().contains("listening"));
-    actor(&place, &["--run", "other", "--connect-timeout", "2s"])
+    actor(&place, &["--run", "other"])
         .finish(PATIENCE)
         .with_code(WRONG_INPUT)
         .saying(&["`other`", "there: `r`"]);
@@ -160,7 +160,7 @@ fn a_changed_configuration_is_refused_with_the_difference_and_can_be_forked() {
     let place = Place::new();
     let first = learner(&place, &["--stop-after", "8"]);
     let helper = actor(&place, &[]);
-    first.finish(PATIENCE).with_code(0);
+    let first = first.finish(PATIENCE).with_code(0);
     helper.finish(PATIENCE);
     let changed = ["--set", "learner.clip=0.3", "--seed", "9"];
     learner(&place, &changed).finish(PATIENCE).with_code(WRONG_INPUT).saying(&[
@@ -168,13 +168,24 @@ fn a_changed_configuration_is_refused_with_the_difference_and_can_be_forked() {
         "seed: 1 -> 9",
         "--fork r",
     ]);
+    // A fork that hardly learns ends with the weights that it began with.
     let endpoint = place.endpoint("learner");
     let fork = ["learner", "--name", "s", "--fork", "r", "--listen", &endpoint];
-    let forked = place.start(&[&fork, SMALL, &changed, &["--stop-after", "1"]].concat());
+    let still = ["--set", "learner.learning_rate=1e-30", "--stop-after", "1"];
+    let forked = place.start(&[&fork, SMALL, &changed, &still].concat());
     let helper = actor(&place, &[]);
-    forked.finish(PATIENCE).with_code(0);
+    let forked = forked.finish(PATIENCE).with_code(0);
     helper.finish(PATIENCE);
-    assert_eq!(updates(&place.run("s")), 1);
+    assert_eq!(weights(&forked), weights(&first));
+    let lost = ["learner", "--name", "t", "--fork", "nothing", "--listen", &endpoint];
+    place.finish(&[&lost, SMALL].concat()).with_code(WRONG_INPUT).saying(&["--fork", "`nothing`"]);
+    assert!(!place.run("t").exists(), "a fork of nothing leaves nothing behind");
+}
+
+/// The digest of the weights that a learner printed at its end.
+fn weights(finished: &Finished) -> &str {
+    let line = finished.stdout.lines().find(|line| line.starts_with("weights"));
+    line.unwrap_or_else(|| panic!("no weights in: {}", finished.stdout))
 }
 
 #[test]

@@ -33,7 +33,7 @@ fn learner(place: &Place, extra: &[&str]) -> Running {
 
 fn actor(place: &Place, id: &str) -> Running {
     let endpoint = place.endpoint("learner");
-    place.start(&["actor", "--connect", &endpoint, "--id", id])
+    place.start(&["actor", "--connect", &endpoint, "--id", id, "--connect-timeout", "10s"])
 }
 
 /// Returns the result of a finished run after asserting that its books balance.

@@ -18,8 +18,11 @@ pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Fai
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = watch(watched).blame(ExitCode::Failed)?;
     let name = args.run.name.as_deref();
-    let config = config::load(&args.source, name, &program.catalog, &program.registry)
+    let mut config = config::load(&args.source, name, &program.catalog, &program.registry)
         .blame(ExitCode::WrongInput)?;
+    let fork = args.run.fork.as_ref().map(|from| policy_file::read_fork(&config, from));
+    let fork = fork.transpose().blame(ExitCode::WrongInput)?;
+    config.run.name = Some(run_dir::choose_name(&config, &args.run).blame(ExitCode::WrongInput)?);
     let listen = listen_settings(&args.listen).blame(ExitCode::WrongInput)?;
     let (mut run_dir, state) = RunDir::open(&config).blame(ExitCode::WrongInput)?;
     if state == State::Finished {
@@ -28,6 +31,9 @@ pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Fai
             "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
         ));
         return Ok(());
+    }
+    if let (State::Fresh, Some(weights)) = (state, &fork) {
+        policy_file::write_fork(run_dir.path(), weights).blame(ExitCode::WrongInput)?;
     }
     tracing::info!(run = %run_dir.name(), directory = %run_dir.path().display(), "run opened");
     let metadata = policy_file::metadata(&config, run_dir.name().as_str());
@@ -61,6 +67,7 @@ fn learner_config(config: &Config, run_dir: &RunDir, listen: ListenSettings) -> 
         cpu: cpu::fingerprint(),
         checkpoints: run_dir.path().join("checkpoints"),
         checkpoint_interval: config.run.checkpoints,
+        initial: policy_file::initial(run_dir.path()),
         identity: run_dir::identity(config),
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::Context as _;
 use leadtime_policy::{Parameters, read_metadata};
@@ -10,8 +11,11 @@ use sha2::{Digest as _, Sha256};
 use crate::config::Config;
 use crate::config::table::Assignment;
 use crate::progress::sink::{BEST_POLICY, LAST_POLICY};
+use crate::record::write_atomically;
 use crate::{Program, output};
 
+/// File in a forked run's directory that holds what it starts from.
+const INITIAL_POLICY: &str = "initial.safetensors";
 /// Metadata key of the configuration, as TOML.
 const CONFIG: &str = "config";
 
@@ -51,7 +55,7 @@ pub(super) fn load(
     name: &str,
     changes: &[Assignment],
 ) -> anyhow::Result<LoadedPolicy> {
-    let path = find(runs, name)?;
+    let path = find(runs, name, [BEST_POLICY, LAST_POLICY])?;
     let bytes = std::fs::read(&path).with_context(|| format!("reading {}", path.display()))?;
     let not_ours = || format!("{} is not a policy of Leadtime", path.display());
     let metadata = read_metadata(&bytes).with_context(not_ours)?;
@@ -67,14 +71,42 @@ pub(super) fn load(
     Ok(LoadedPolicy { path, config, parameters })
 }
 
-fn find(runs: &Path, name: &str) -> anyhow::Result<PathBuf> {
+/// Reads the weights of another run that a new run is to start from.
+///
+/// # Errors
+///
+/// If there are none, or if they do not fit the new run's task and networks.
+pub(super) fn read_fork(config: &Config, run: &str) -> anyhow::Result<Vec<u8>> {
+    let path = find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY]).context("--fork")?;
+    let bytes = std::fs::read(&path).with_context(|| format!("reading {}", path.display()))?;
+    Parameters::from_safetensors(&bytes, &config.policy)
+        .with_context(|| format!("--fork {run}: {} does not fit this run", path.display()))?;
+    Ok(bytes)
+}
+
+/// Puts them into the new run's directory, where every start of its learner finds them.
+///
+/// # Errors
+///
+/// Whatever the file system says, with the path.
+pub(super) fn write_fork(directory: &Path, weights: &[u8]) -> anyhow::Result<()> {
+    let path = directory.join(INITIAL_POLICY);
+    write_atomically(&path, weights).with_context(|| format!("writing {}", path.display()))
+}
+
+/// Returns the weights that a forked run starts from.
+pub(super) fn initial(directory: &Path) -> Option<Arc<[u8]>> {
+    std::fs::read(directory.join(INITIAL_POLICY)).ok().map(Arc::from)
+}
+
+fn find(runs: &Path, name: &str, files: [&str; 2]) -> anyhow::Result<PathBuf> {
     let given = PathBuf::from(name);
     if given.is_file() {
         return Ok(given);
     }
     [given, runs.join(name)]
         .iter()
-        .flat_map(|directory| [BEST_POLICY, LAST_POLICY].map(|file| directory.join(file)))
+        .flat_map(|directory| files.map(|file| directory.join(file)))
         .find(|path| path.is_file())
         .with_context(|| {
             format!("`{name}` is no policy file, and no run in {} with a policy", runs.display())

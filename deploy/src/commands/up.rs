@@ -13,7 +13,7 @@ pub(super) async fn run(program: &Program, args: &UpArgs) -> Result<(), Failure>
     let config = config::load(&args.source, name, &program.catalog, &program.registry)
         .blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
-    let name = run_dir::choose_name(&config).blame(ExitCode::WrongInput)?;
+    let name = run_dir::choose_name(&config, &args.run).blame(ExitCode::WrongInput)?;
     let what = Launch {
         name: &name,
         n_actors: args.actors,

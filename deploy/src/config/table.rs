@@ -4,14 +4,30 @@ use std::collections::BTreeMap;
 
 use toml::{Table, Value};
 
-/// Lays `over` onto `base`: tables are merged key by key, everything else is replaced.
+/// The one table inside a section that is a section itself: `[evaluation.world]`.
+const SUBSECTION: &str = "world";
+
+/// Lays `over` onto `base`: sections are merged key by key, everything else is replaced.
 ///
-/// A table with one key stands for a choice (`{ fixed = 2 }`), so another choice replaces it whole.
+/// Inside a section a table with one key stands for a choice (`{ fixed = 2 }`), so another choice replaces it whole.
 pub fn overlay(base: &mut Table, over: &Table) {
     for (key, value) in over {
         match (base.get_mut(key), value) {
-            (Some(Value::Table(below)), Value::Table(above)) if !is_other_choice(below, above) => {
-                overlay(below, above);
+            (Some(Value::Table(below)), Value::Table(above)) => overlay_section(below, above),
+            _ => {
+                base.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+fn overlay_section(base: &mut Table, over: &Table) {
+    for (key, value) in over {
+        match (base.get_mut(key), value) {
+            (Some(Value::Table(below)), Value::Table(above))
+                if key == SUBSECTION || !is_other_choice(below, above) =>
+            {
+                overlay_section(below, above);
             }
             _ => {
                 base.insert(key.clone(), value.clone());
@@ -152,6 +168,10 @@ mod tests {
         let mut base = table("seed = 1\n[learner]\nclip = 0.2\nn_envs = 4");
         overlay(&mut base, &table("[learner]\nclip = 0.1"));
         assert_eq!(base, table("seed = 1\n[learner]\nclip = 0.1\nn_envs = 4"));
+        let mut base = table("[world]\nwidth = 1\n[evaluation.world]\nwind = true");
+        overlay(&mut base, &table("[world]\nheight = 2\n[evaluation.world]\ncalm = 1"));
+        let expected = "[world]\nwidth = 1\nheight = 2\n[evaluation.world]\nwind = true\ncalm = 1";
+        assert_eq!(base, table(expected));
     }
 
     #[test]
