@@ -21,12 +21,12 @@ pub struct Cli {
 }
 
 const EXAMPLES: &str = "Examples:\n  \
-    leadtime smoke                                        the whole path, trained and judged, in minutes\n  \
-    leadtime up -c cartpole --actors 2                    learner and actors on this machine\n  \
+    leadtime smoke                                         everything once, in minutes\n  \
+    leadtime up -c cartpole --actors 2                     learner and actors right here\n  \
     leadtime learner -c my.toml --listen tcp/0.0.0.0:7447  a learner for actors anywhere\n  \
-    leadtime actor --connect tcp/HOST:7447                one more actor, at any time\n  \
-    leadtime play runs/NAME -o flight.png                 a picture of what it learned\n  \
-    leadtime config lander > my.toml                      every setting with its comment";
+    leadtime actor --connect tcp/HOST:7447                 one more actor, at any time\n  \
+    leadtime play runs/NAME -o flight.png                  a picture of what it learned\n  \
+    leadtime config lander > my.toml                       every setting, explained";
 
 /// The commands.
 #[derive(Debug, Subcommand)]
@@ -155,6 +155,9 @@ pub struct LearnerArgs {
     /// Stop when standard input closes: whoever started this process holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
+    /// The supervisor's own files, removed if it is gone when this process ends.
+    #[arg(long, hide = true, value_name = "DIR")]
+    pub scratch: Option<PathBuf>,
 }
 
 /// `leadtime actor`

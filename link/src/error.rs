@@ -30,7 +30,9 @@ impl fmt::Debug for NetworkFault {
 
 impl fmt::Display for NetworkFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(&self.0, f)
+        // The library ends its errors with the place in its own sources, which helps nobody here.
+        let text = self.0.to_string();
+        f.write_str(text.split(" at /").next().unwrap_or(&text).trim_end_matches('.'))
     }
 }
 

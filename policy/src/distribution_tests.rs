@@ -1,3 +1,5 @@
+//! Tests of the masked, gated, conditional distribution over actions.
+
 use leadtime_proto::{ActionSpec, HeadCredit, Mask};
 
 use super::*;

@@ -43,13 +43,19 @@ fn family(id: u32) -> (u32, Vec<u32>) {
 #[test]
 fn a_killed_supervisor_leaves_no_orphan() {
     let place = Place::new();
-    let supervisor = place.start(LONG);
+    let mut command = place.program(LONG);
+    command.env("TMPDIR", place.path());
+    let supervisor = place.start_with(command);
     let (learner, actors) = family(supervisor.id());
     wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
     supervisor.kill();
     wait_until("every process is gone", 6 * SECOND, || {
         !is_alive(learner) && actors.iter().all(|actor| !is_alive(*actor))
     });
+    let names = std::fs::read_dir(place.path()).unwrap().map(|entry| entry.unwrap().file_name());
+    let left: Vec<_> =
+        names.filter(|name| name.to_string_lossy().starts_with("leadtime-")).collect();
+    assert!(left.is_empty(), "temporary files are left: {left:?}");
 }
 
 #[test]

@@ -60,7 +60,8 @@ fn plan(config: &Config, launch: &Launch<'_>, directory: &Path) -> anyhow::Resul
     let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
     let mut learner = text(&["learner", "--supervised", "--name", launch.name.as_str(), "-c"]);
     learner.push(file.into_os_string());
-    learner.extend(text(&["--listen", &endpoint]));
+    learner.extend(text(&["--listen", &endpoint, "--scratch"]));
+    learner.push(directory.as_os_str().to_owned());
     for extra in launch.listen {
         learner.extend(text(&["--listen", extra]));
     }

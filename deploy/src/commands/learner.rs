@@ -43,13 +43,28 @@ pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Fai
             .blame(ExitCode::WrongInput)?;
     sink.stop_after(args.run.stop_after, shutdown.clone());
     let learner = learner_config(&config, &run_dir, listen);
-    let report = leadtime_learner::run(learner, Box::new(sink), shutdown).await.map_err(failure)?;
-    conclude(&mut run_dir, &report, args)
+    let report = leadtime_learner::run(learner, Box::new(sink), shutdown.clone()).await;
+    if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
+        // If the supervisor lives it does the same; if it was killed nobody else would.
+        drop(std::fs::remove_dir_all(scratch));
+    }
+    conclude(&mut run_dir, &report.map_err(failure)?, args)
 }
 
 fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
     let endpoints: Result<Vec<Endpoint>, _> = listen.iter().map(|text| text.parse()).collect();
-    Ok(ListenSettings::new(endpoints.context("--listen")?))
+    let endpoints = endpoints.context("--listen")?;
+    for endpoint in endpoints.iter().filter(|endpoint| is_open(endpoint.as_str())) {
+        tracing::warn!(%endpoint, "whoever reaches this address can take part: it has neither encryption nor passwords");
+    }
+    Ok(ListenSettings::new(endpoints))
+}
+
+/// Tells whether other machines can reach an address without showing who they are.
+fn is_open(endpoint: &str) -> bool {
+    let local = ["127.0.0.1:", "localhost:", "[::1]:"];
+    let address = endpoint.strip_prefix("tcp/");
+    address.is_some_and(|address| !local.iter().any(|prefix| address.starts_with(prefix)))
 }
 
 fn learner_config(config: &Config, run_dir: &RunDir, listen: ListenSettings) -> LearnerConfig {
@@ -149,5 +164,18 @@ impl From<&RunReport> for Accounts {
             duplicates: books.duplicates,
             steps_redone: books.steps_redone,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_open;
+
+    #[test]
+    fn only_addresses_that_others_can_reach_are_open() {
+        for closed in ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "unixsock-stream//tmp/a", "tls/h:1"] {
+            assert!(!is_open(closed), "{closed}");
+        }
+        assert!(is_open("tcp/0.0.0.0:7447") && is_open("tcp/box.example.org:1"));
     }
 }
