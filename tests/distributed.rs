@@ -1,6 +1,8 @@
 //! Learner and actors over a unix socket, in one process: whatever happens on the way, the weights are those of a
 //! loop without any network, and the books balance.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -27,7 +29,7 @@ const N_ENVS: usize = 3;
 const N_UPDATES: u64 = 12;
 const RUN_SEED: u64 = 11;
 /// Nothing in these tests takes this long.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 
 fn task() -> TaskSpec {
     TaskSpec {
@@ -136,7 +138,7 @@ impl Learner {
             listen: ListenSettings::new(vec![endpoint(directory)]),
             cpu: "cpu".to_owned(),
             checkpoints: directory.join("checkpoints"),
-            checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_secs(60) },
+            checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_mins(1) },
             initial: None,
             identity: [mode as u8; 32],
         };
@@ -303,6 +305,27 @@ async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back
     assert!(stopped.n_updates > 6);
     let is_damage = |event: &RunEvent| matches!(event, RunEvent::CheckpointDamaged { .. });
     assert!(events.lock().unwrap().iter().any(is_damage), "the damage is told");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_outlives_its_learner_and_goes_on_with_the_next() {
+    for mode in [Mode::Sync, Mode::Lag] {
+        let directory = tempfile::tempdir().unwrap();
+        let mut killed = Learner::start(directory.path(), mode, 1, 1);
+        let survivor = actor(directory.path(), "survivor", 1);
+        killed.reach(5).await;
+        killed.task.abort();
+        assert!(killed.task.await.unwrap_err().is_cancelled());
+        let resumed = Learner::start(directory.path(), mode, 1, 2);
+        let report = resumed.report().await;
+        assert_eq!(report.digest, reference(mode), "{mode:?}");
+        assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);
+        // Checkpoints are written every other update, so at least the fifth update was lost with its rollouts.
+        assert!(report.books.rolled_back >= N_ENVS as u64, "{:?}", report.books);
+        let own = dismissed(survivor).await;
+        assert!(own.n_reconnects > 0);
+        assert_eq!(report.books.published, own.sent.0);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

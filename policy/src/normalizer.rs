@@ -5,7 +5,7 @@
 //!
 //! # Source
 //!
-//! The update is Chan, Golub and LeVeque's (1979); start count and the small constant are those of Gymnasium's
+//! The update is Chan, Golub and `LeVeque`'s (1979); start count and the small constant are those of Gymnasium's
 //! `NormalizeObservation`.
 
 use serde::{Deserialize, Serialize};

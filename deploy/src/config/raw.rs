@@ -1,7 +1,7 @@
 //! The first stage of a configuration: what a person wrote, key by key, unknown ones refused.
 //!
 //! Every section is typed, so that an unknown or wrong-typed key is reported with its line and with what is allowed.
-//! The sections about the task differ from domain to domain ([`Sections`]); nothing is cross-checked here.
+//! The sections about the task differ from domain to domain ([`sections`](super::sections)); nothing is cross-checked here.
 
 use leadtime_learner::LearnerSettings;
 use leadtime_proto::HeadCredit;
