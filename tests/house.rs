@@ -212,7 +212,6 @@ fn only_one_file_reads_the_wall_clock() {
 const LONG: &[(&str, &str)] = &[
     ("learner/src/coordinator.rs", "one state machine, whose transitions read best side by side"),
     ("learner/src/run.rs", "one loop, and what each thing that wakes it sets off"),
-    ("actor/src/run.rs", "one loop, and what each thing that wakes it sets off"),
 ];
 /// Lines before its tests that a product file may have.
 const WARN: usize = 500;
@@ -234,7 +233,9 @@ fn source_files_stay_readable() {
 #[test]
 fn every_source_file_says_what_it_is_for() {
     for source in all_sources() {
-        let explained = source.text.starts_with("//!") || source.is_generated();
+        // A file of unit tests belongs to the module that names it, and is explained there.
+        let belongs = source.path.to_string_lossy().ends_with("tests.rs");
+        let explained = source.text.starts_with("//!") || source.is_generated() || belongs;
         assert!(explained, "{} has no header", source.path.display());
     }
 }
