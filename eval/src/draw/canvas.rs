@@ -231,8 +231,10 @@ pub struct Canvas {
 }
 
 impl Canvas {
-    /// Starts a picture on white paper. `id` must be unique on the page that will hold the picture.
+    /// Starts a picture on white paper, its sides rounded up to whole pixels. `id` must be unique on the page that
+    /// will hold the picture.
     pub fn new(id: &str, width: f64, height: f64) -> Self {
+        let (width, height) = (width.ceil(), height.ceil());
         let id = id.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
         let mut canvas = Self { width, height, body: String::new(), n_clips: 0, id };
         canvas.rectangle(Area::new(0.0, 0.0, width, height), 0.0, Paint::fill(Ink::Paper));
@@ -293,19 +295,18 @@ impl Canvas {
             Anchor::Middle => attribute(&mut attributes, "text-anchor", "middle"),
             Anchor::End => attribute(&mut attributes, "text-anchor", "end"),
         }
-        let mut class = format!("f-{}", style.ink.class());
-        attribute(&mut attributes, "fill", style.ink.light());
+        attributes.push_str(extra);
         if let Some(halo) = style.halo {
-            class = format!("{class} s-{}", halo.class());
-            attribute(&mut attributes, "stroke", halo.light());
-            attribute(&mut attributes, "stroke-width", "3.5");
-            attribute(&mut attributes, "stroke-linejoin", "round");
-            attribute(&mut attributes, "paint-order", "stroke");
+            // Set twice, the outline beneath: not every renderer knows `paint-order`.
+            let outline = Paint::fill(halo).outlined(halo, 3.5).attributes();
+            self.push_text(at, text, &format!("{attributes} aria-hidden=\"true\"{outline}"));
         }
-        attribute(&mut attributes, "class", &class);
+        self.push_text(at, text, &format!("{attributes}{}", Paint::fill(style.ink).attributes()));
+    }
+
+    fn push_text(&mut self, at: [f64; 2], text: &str, attributes: &str) {
         let [x, y] = at.map(number);
-        let text = escape(text);
-        let line = format!("<text x=\"{x}\" y=\"{y}\"{attributes}{extra}>{text}</text>\n");
+        let line = format!("<text x=\"{x}\" y=\"{y}\"{attributes}>{}</text>\n", escape(text));
         self.body.push_str(&line);
     }
 

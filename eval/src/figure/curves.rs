@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::draw::{Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
+use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
 
 const WIDTH: f64 = 760.0;
 const PANEL_HEIGHT: f64 = 170.0;
@@ -120,8 +120,9 @@ fn draw_panel(canvas: &mut Canvas, frame: &Panel, panel: &CurvePanel) {
         }
     });
     if let Some((level, name)) = &panel.reference {
-        let style = TextStyle::new(11.0, Ink::Muted).haloed(Ink::Paper);
-        canvas.text([frame.area.x + 6.0, frame.y.at(*level) - 5.0], name, style);
+        // On the right, where a curve that has learned is far from where it began.
+        let style = TextStyle::new(11.0, Ink::Muted).anchored(Anchor::End).haloed(Ink::Paper);
+        canvas.text([frame.area.right() - 6.0, frame.y.at(*level) - 5.0], name, style);
     }
     draw_legend(canvas, frame, panel);
 }

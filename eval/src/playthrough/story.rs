@@ -95,7 +95,7 @@ impl Story {
         Self {
             doing,
             utterances: utterances(scenes),
-            waits: spans(pending),
+            waits: waits(pending),
             reactions: spans(reacting),
         }
     }
@@ -135,6 +135,12 @@ fn utterances(scenes: &[Scene]) -> Vec<Utterance> {
         all.push(Utterance { topic: speech.topic, start, comprehension, end });
     }
     all
+}
+
+/// A message that is pending from scene `a` to scene `b` waits from the one to the other.
+fn waits(topics: impl Iterator<Item = Option<usize>>) -> Vec<Span> {
+    let last_scene = |span: Span| Span { end: span.end - 1, ..span };
+    spans(topics).into_iter().map(last_scene).filter(|span| span.start < span.end).collect()
 }
 
 /// Joins equal neighbours: item `i` lasts from scene `i` to `i + 1`.

@@ -43,7 +43,7 @@ fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene
         if understood > cut {
             continue;
         }
-        if (understood..understood + DELAY).contains(&i) {
+        if (understood..=understood + DELAY).contains(&i) {
             listener.pending = Some(topic);
         }
         if (understood + DELAY + 1..=understood + DELAY + l).contains(&i) {

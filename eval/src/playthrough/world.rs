@@ -11,8 +11,8 @@ const MAX_RATIO: f64 = 2.0 / 3.0;
 /// ... and at least this much: a long road is stretched.
 const MIN_RATIO: f64 = 0.25;
 
-/// How often the person's body is drawn on the way.
-const N_GHOSTS: usize = 7;
+/// How far apart the person's body is drawn on the way, in pixels.
+const GHOST_DISTANCE: f64 = 95.0;
 
 /// Where the points of a world lie in a picture.
 #[derive(Clone, Copy, Debug)]
@@ -64,9 +64,13 @@ impl World {
 
     /// Draws faint bodies along the way.
     pub(super) fn draw_ghosts(&self, canvas: &mut Canvas, scenes: &[Scene]) {
-        let every = (scenes.len() / N_GHOSTS).max(1);
-        for scene in scenes.iter().step_by(every) {
-            self.draw_body(canvas, scene, 0.22);
+        let mut last: Option<[f64; 2]> = None;
+        for scene in scenes {
+            let [x, y] = self.at(scene.position);
+            if last.is_none_or(|[x0, y0]| (x - x0).hypot(y - y0) >= GHOST_DISTANCE) {
+                self.draw_body(canvas, scene, 0.22);
+                last = Some([x, y]);
+            }
         }
     }
 
