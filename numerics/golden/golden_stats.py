@@ -1,6 +1,6 @@
 """Prints the golden numbers of numerics/src/stats.rs.
 
-pip install numpy scipy; python3 numerics/tests/golden_stats.py
+pip install numpy scipy; python3 numerics/golden/golden_stats.py
 
 SciPy's bootstrap resamples with `rng.integers(0, n, (n_resamples, n))`, sample after sample, and takes
 percentiles with linear interpolation. Our generator is numpy's, so the two agree draw for draw.
