@@ -31,6 +31,8 @@ use crate::tanh::tanh_vector;
 const PANEL: usize = 16;
 /// Rows per tile: with two AVX2 vectors per panel, twelve of the sixteen registers accumulate.
 const ROWS: usize = 6;
+/// Rows per tile where one vector is a panel: as many chains as keep both multipliers busy.
+const WIDE_ROWS: usize = 2 * ROWS;
 /// Inner indices per pass of [`add_outer_products`]: what one pass reads stays in the first-level cache.
 const DEPTH: usize = 256;
 
@@ -79,12 +81,14 @@ impl Panels {
     /// If the length is another.
     pub fn from_columns(columns: &[f32], n_columns: usize, depth: usize) -> Self {
         assert_eq!(columns.len(), n_columns * depth, "`columns` must be [n_columns, depth]");
-        let mut data = vec![[0.0; PANEL]; n_columns.div_ceil(PANEL) * depth];
-        for (column, values) in columns.chunks_exact(depth.max(1)).enumerate() {
-            let panel = &mut data[column / PANEL * depth..][..depth];
-            for (slot, &value) in panel.iter_mut().zip(values) {
-                slot[column % PANEL] = value;
+        let mut data = Vec::with_capacity(n_columns.div_ceil(PANEL) * depth);
+        for columns in columns.chunks(PANEL * depth.max(1)) {
+            if let Some(columns) = whole_panel(columns, depth) {
+                data.extend((0..depth).map(|k| columns.map(|column| column[k])));
+                continue;
             }
+            let column = |c: usize, k: usize| columns.get(c * depth + k).copied().unwrap_or(0.0);
+            data.extend((0..depth).map(|k| std::array::from_fn(|c| column(c, k))));
         }
         Self { depth, n_columns, data }
     }
@@ -131,6 +135,12 @@ impl Panels {
         assert!(start.is_empty() || start.len() == self.n_columns, "`start` must be [n_columns]");
         Arch::new().dispatch(Multiply { panels: self, a, start, activation, out });
     }
+}
+
+/// Returns the columns of a full panel, or `None` where there are fewer.
+fn whole_panel(columns: &[f32], depth: usize) -> Option<[&[f32]; PANEL]> {
+    let whole = depth > 0 && columns.len() == PANEL * depth;
+    whole.then(|| std::array::from_fn(|c| &columns[c * depth..][..depth]))
 }
 
 /// Adds `Aᵀ·B` to `out`: the sum over rows of the outer products of A's and B's rows, in the order of the rows.
@@ -191,32 +201,39 @@ impl Multiply<'_> {
             }
             let start = load::<S, V>(&start);
             let m = self.out.len() / n;
+            let part = Part { panel, start, first, tanh };
             let mut row = 0;
+            while V == 1 && row + WIDE_ROWS <= m {
+                self.tile::<S, V, WIDE_ROWS>(simd, &part, row);
+                row += WIDE_ROWS;
+            }
             while row + ROWS <= m {
-                let sums = self.tile::<S, V, ROWS>(simd, panel, row, start);
-                self.put::<S, V, ROWS>(simd, sums, row, first, tanh);
+                self.tile::<S, V, ROWS>(simd, &part, row);
                 row += ROWS;
             }
             while row < m {
-                let sums = self.tile::<S, V, 1>(simd, panel, row, start);
-                self.put::<S, V, 1>(simd, sums, row, first, tanh);
-                row += 1;
+                row += match m - row {
+                    1 => self.tile::<S, V, 1>(simd, &part, row),
+                    2 => self.tile::<S, V, 2>(simd, &part, row),
+                    3 => self.tile::<S, V, 3>(simd, &part, row),
+                    _ => self.tile::<S, V, 4>(simd, &part, row),
+                };
             }
         }
     }
 
+    /// Computes R rows of one panel and returns R.
     #[inline(always)]
     fn tile<S: Simd, const V: usize, const R: usize>(
-        &self,
+        &mut self,
         simd: S,
-        panel: &[[f32; PANEL]],
+        part: &Part<'_, [S::f32s; V]>,
         row: usize,
-        start: [S::f32s; V],
-    ) -> [[S::f32s; V]; R] {
-        let depth = panel.len();
+    ) -> usize {
+        let depth = part.panel.len();
         let rows: [&[f32]; R] = std::array::from_fn(|r| &self.a[(row + r) * depth..][..depth]);
-        let mut sums = [start; R];
-        for (k, b) in panel.iter().enumerate() {
+        let mut sums = [part.start; R];
+        for (k, b) in part.panel.iter().enumerate() {
             let b = load::<S, V>(b);
             for r in 0..R {
                 let a = simd.splat_f32s(rows[r][k]);
@@ -225,30 +242,28 @@ impl Multiply<'_> {
                 }
             }
         }
-        sums
-    }
-
-    #[inline(always)]
-    fn put<S: Simd, const V: usize, const R: usize>(
-        &mut self,
-        simd: S,
-        mut sums: [[S::f32s; V]; R],
-        row: usize,
-        first: usize,
-        tanh: bool,
-    ) {
         let n = self.panels.n_columns;
         for (r, sums) in sums.iter_mut().enumerate() {
-            if tanh {
+            if part.tanh {
                 for sum in &mut *sums {
                     *sum = tanh_vector(simd, *sum);
                 }
             }
-            let start = (row + r) * n + first;
-            let width = PANEL.min(n - first);
+            let start = (row + r) * n + part.first;
+            let width = PANEL.min(n - part.first);
             store::<S, V>(*sums, &mut self.out[start..start + width]);
         }
+        R
     }
+}
+
+/// One panel's share of a product.
+struct Part<'a, T> {
+    panel: &'a [[f32; PANEL]],
+    start: T,
+    /// The panel's first column.
+    first: usize,
+    tanh: bool,
 }
 
 struct Outer<'a> {
@@ -278,9 +293,17 @@ impl Outer<'_> {
     fn run<S: Simd, const V: usize>(mut self, simd: S) {
         for first in (0..self.panels.n_columns).step_by(PANEL) {
             let mut row = 0;
+            while V == 1 && row + WIDE_ROWS <= self.m {
+                self.tile::<S, V, WIDE_ROWS>(simd, row, first);
+                row += WIDE_ROWS;
+            }
             while row + ROWS <= self.m {
                 self.tile::<S, V, ROWS>(simd, row, first);
                 row += ROWS;
+            }
+            while row + 2 <= self.m {
+                self.tile::<S, V, 2>(simd, row, first);
+                row += 2;
             }
             while row < self.m {
                 self.tile::<S, V, 1>(simd, row, first);

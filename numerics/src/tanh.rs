@@ -38,7 +38,7 @@ const TANH_DENOMINATOR: [f32; 4] = [1.198_258_4e-6, 1.185_347e-4, 2.268_434_6e-3
 
 /// Replaces every value by its hyperbolic tangent.
 ///
-/// A value's result does not depend on its place or on the length. NaN stays NaN, and an infinity becomes one.
+/// A value's result does not depend on its place or on the length. NaN stays NaN, and an infinity becomes NaN.
 ///
 /// # Example
 ///
@@ -98,9 +98,10 @@ const LN_2: (f32, f32) = (0.693_359_4, -2.121_944_4e-4);
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
     let clamped = x.clamp(-87.0, 88.0);
-    // Adding and subtracting 1.5·2^23 rounds to the nearest integer.
+    // Adding 1.5·2^23 rounds to the nearest integer and leaves it in the lowest bits.
     let magic = 12_582_912.0_f32;
-    let n = (clamped * std::f32::consts::LOG2_E + magic) - magic;
+    let shifted = clamped * std::f32::consts::LOG2_E + magic;
+    let n = shifted - magic;
     let r = clamped - n * LN_2.0 - n * LN_2.1;
     let p = 1.987_569_1e-4_f32;
     let p = p * r + 1.398_2e-3;
@@ -109,7 +110,7 @@ pub fn exp(x: f32) -> f32 {
     let p = p * r + 1.666_666_5e-1;
     let p = p * r + 5e-1;
     let mantissa = p * (r * r) + r + 1.0;
-    let power = f32::from_bits(((n as i32 + 127) << 23) as u32);
+    let power = f32::from_bits(shifted.to_bits().wrapping_sub(magic.to_bits() - 127) << 23);
     if x < -87.0 { 0.0 } else { mantissa * power }
 }
 

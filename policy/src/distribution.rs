@@ -14,6 +14,8 @@
 //!
 //! [`ActionDistribution::sample`] for acting; [`ActionDistribution::terms`] and [`Terms::gradient`] for learning.
 
+use std::ops::Range;
+
 use leadtime_numerics::Pcg64;
 use leadtime_numerics::tanh::{exp, ln};
 use leadtime_proto::limits::{MAX_CHOICES, MAX_HEADS};
@@ -169,20 +171,53 @@ impl ActionDistribution {
     /// `logits`: `[C]`; `action`: `[H]`.
     #[inline]
     pub fn terms(&self, logits: &[f32], mask: Mask, action: &[u8], terms: &mut Terms) {
+        // Loops over all choices at once, padded to whole vectors: heads of two to five are too short for any.
+        let n = self.n_choices.next_multiple_of(8);
+        let (mut offered, mut highest) = ([0.0_f32; MAX_CHOICES], [0.0_f32; MAX_CHOICES]);
+        for head in &self.heads {
+            let allowed = head.allowed(mask, action);
+            let range = head.range();
+            for (choice, slot) in offered[range.clone()].iter_mut().enumerate() {
+                *slot = (allowed >> choice & 1) as f32;
+            }
+            highest[range.clone()].fill(highest_logit(&logits[range], allowed));
+        }
+        let Terms { log_probs, probs, .. } = terms;
+        log_probs[..self.n_choices].copy_from_slice(&logits[..self.n_choices]);
+        for c in 0..n {
+            log_probs[c] -= highest[c];
+            probs[c] = exp(log_probs[c]) * offered[c];
+        }
+        let mut totals = [1.0_f32; MAX_HEADS];
+        for (total, head) in totals.iter_mut().zip(&self.heads) {
+            *total = probs[head.range()].iter().sum();
+        }
+        let (log_totals, scales) = (totals.map(ln), totals.map(|total| 1.0 / total));
+        let (mut log_total, mut scale) = ([0.0_f32; MAX_CHOICES], [0.0_f32; MAX_CHOICES]);
+        for (h, head) in self.heads.iter().enumerate() {
+            log_total[head.range()].fill(log_totals[h]);
+            scale[head.range()].fill(scales[h]);
+        }
+        let mut surprise = [0.0_f32; MAX_CHOICES];
+        for c in 0..n {
+            log_probs[c] = (log_probs[c] - log_total[c]) * offered[c];
+            probs[c] *= scale[c];
+            surprise[c] = probs[c] * log_probs[c];
+        }
+        self.add_up(action, &surprise, terms);
+    }
+
+    /// Sums log-probability and entropy over the heads that count.
+    #[inline]
+    fn add_up(&self, action: &[u8], surprise: &[f32; MAX_CHOICES], terms: &mut Terms) {
         terms.log_prob = 0.0;
         terms.entropy = 0.0;
         for (h, head) in self.heads.iter().enumerate() {
-            let range = head.offset..head.offset + head.n_choices;
-            let allowed = head.allowed(mask, action);
-            let counts = self.counts(head, action);
-            let log_probs = &mut terms.log_probs[range.clone()];
-            let probs = &mut terms.probs[range.clone()];
-            let entropy = head_terms(&logits[range], allowed, log_probs, probs);
-            terms.entropies[h] = entropy;
-            terms.counts[h] = counts;
-            if counts {
-                terms.log_prob += log_probs[usize::from(action[h])];
-                terms.entropy += entropy;
+            terms.entropies[h] = -surprise[head.range()].iter().sum::<f32>();
+            terms.counts[h] = self.counts(head, action);
+            if terms.counts[h] {
+                terms.log_prob += terms.log_probs[head.offset + usize::from(action[h])];
+                terms.entropy += terms.entropies[h];
             }
         }
     }
@@ -202,9 +237,8 @@ impl ActionDistribution {
         let mut log_prob = 0.0;
         let (mut log_probs, mut probs) = ([0.0; MAX_CHOICES], [0.0; MAX_CHOICES]);
         for (h, head) in self.heads.iter().enumerate() {
-            let logits = &logits[head.offset..head.offset + head.n_choices];
             let allowed = head.allowed(mask, action);
-            head_terms(logits, allowed, &mut log_probs[..head.n_choices], &mut probs);
+            softmax(&logits[head.range()], allowed, &mut log_probs, &mut probs);
             let choice = pick(&probs, allowed);
             action[h] = choice as u8;
             if self.counts(head, action) {
@@ -216,6 +250,11 @@ impl ActionDistribution {
 }
 
 impl HeadLayout {
+    /// Returns where the head's choices are among all.
+    fn range(&self) -> Range<usize> {
+        self.offset..self.offset + self.n_choices
+    }
+
     /// Returns the choices left to this head; as [`ActionSpec::allowed`].
     fn allowed(&self, mask: Mask, action: &[u8]) -> u64 {
         let all = Mask::ALL.of_head(0, self.n_choices);
@@ -228,28 +267,29 @@ impl HeadLayout {
     }
 }
 
-/// Computes one head's masked log-softmax and softmax, and returns its entropy.
+/// Returns the highest logit among the allowed choices.
 #[inline]
-fn head_terms(logits: &[f32], allowed: u64, log_probs: &mut [f32], probs: &mut [f32]) -> f32 {
-    let left = |choice: usize| allowed >> choice & 1 == 1;
-    let mut highest = f32::NEG_INFINITY;
-    for (choice, &logit) in logits.iter().enumerate() {
-        highest = if left(choice) && logit > highest { logit } else { highest };
-    }
-    let mut total = 0.0;
+fn highest_logit(logits: &[f32], allowed: u64) -> f32 {
+    let masked = logits
+        .iter()
+        .enumerate()
+        .map(|(choice, &logit)| if allowed >> choice & 1 == 1 { logit } else { f32::NEG_INFINITY });
+    masked.fold(f32::NEG_INFINITY, |highest, logit| if logit > highest { logit } else { highest })
+}
+
+/// Computes one head's log-probabilities and unnormalised probabilities, with the bits of
+/// [`ActionDistribution::terms`].
+fn softmax(logits: &[f32], allowed: u64, log_probs: &mut [f32], weights: &mut [f32]) {
+    let highest = highest_logit(logits, allowed);
+    let offered = |choice: usize| (allowed >> choice & 1) as f32;
     for (choice, &logit) in logits.iter().enumerate() {
         log_probs[choice] = logit - highest;
-        probs[choice] = if left(choice) { exp(logit - highest) } else { 0.0 };
-        total += probs[choice];
+        weights[choice] = exp(log_probs[choice]) * offered(choice);
     }
-    let (log_total, scale) = (ln(total), 1.0 / total);
-    let mut entropy = 0.0;
-    for choice in 0..logits.len() {
-        log_probs[choice] = if left(choice) { log_probs[choice] - log_total } else { 0.0 };
-        probs[choice] *= scale;
-        entropy -= probs[choice] * log_probs[choice];
+    let log_total = ln(weights[..logits.len()].iter().sum());
+    for log_prob in &mut log_probs[..logits.len()] {
+        *log_prob -= log_total;
     }
-    entropy
 }
 
 /// Iterates over the set bits of a word, lowest first.
@@ -278,7 +318,7 @@ impl Terms {
         gradient: &mut [f32],
     ) {
         for (h, head) in distribution.heads.iter().enumerate() {
-            let range = head.offset..head.offset + head.n_choices;
+            let range = head.range();
             let gradient = &mut gradient[range.clone()];
             if !self.counts[h] {
                 gradient.fill(0.0);
