@@ -2,7 +2,7 @@
 //!
 //! | function | shows |
 //! |---|---|
-//! | [`curves`] | how returns, success, ... change over training; raw values faint, smoothed ones strong |
+//! | [`curves()`] | how returns, success, ... change over training; raw values faint, smoothed ones strong |
 //! | [`histogram`] | how often each small whole number occurs, such as staleness |
 //! | [`shares`] | what processes spent their time on |
 

@@ -21,7 +21,7 @@ impl Playthrough {
     ///
     /// # Errors
     ///
-    /// As [`gif`].
+    /// As [`gif()`].
     pub fn gif(
         &self,
         rasterizer: &Rasterizer,
