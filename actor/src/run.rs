@@ -208,7 +208,7 @@ impl Actor {
             biased;
             () = stop.cancelled() => Wake::Stop,
             event = events.recv_async() => {
-                Wake::Network(event.map_err(|_| Error::ThreadGone { name: "network" })?)
+                Wake::Network(event.map_err(|_closed| Error::ThreadGone { name: "network" })?)
             }
             published = self.publisher.result(), if self.n_publishing > 0 => {
                 Wake::Published(published)

@@ -96,7 +96,7 @@ impl Collector {
 
     /// Hands a job over; there must be no other under way.
     pub(crate) fn begin(&self, job: Job) -> Result<(), Error> {
-        self.jobs.try_send(job).map_err(|_| Error::ThreadGone { name: COLLECT })
+        self.jobs.try_send(job).map_err(|_gone| Error::ThreadGone { name: COLLECT })
     }
 
     /// Waits for the result of the job under way.
@@ -246,7 +246,7 @@ impl Publisher {
 
     /// Hands a rollout over; there must be fewer than [`PUBLISHING`] under way.
     pub(crate) fn begin(&self, parcel: Parcel) -> Result<(), Error> {
-        self.parcels.try_send(parcel).map_err(|_| Error::ThreadGone { name: PUBLISH })
+        self.parcels.try_send(parcel).map_err(|_gone| Error::ThreadGone { name: PUBLISH })
     }
 
     /// Waits until a rollout is with the network and tells how long that took.

@@ -105,7 +105,7 @@ def loss():
     text += rust("OLD_LOG_PROBS", old_log_probs) + rust("ADVANTAGES", raw) + rust("OLD_VALUES", old_values)
     text += rust("RETURNS", returns) + rust("LOGIT_GRADIENT", logits.grad) + rust("VALUE_GRADIENT", values.grad)
     scalars = [total, pg_loss, v_loss, entropy, old_approx_kl, approx_kl, clipfrac]
-    text += "/// Total, policy loss, value loss, entropy, old_approx_kl, approx_kl, clip fraction.\n"
+    text += "/// Total, policy loss, value loss, entropy, `old_approx_kl`, `approx_kl`, clip fraction.\n"
     write("loss", text + rust("EXPECTED", [float(s.detach()) for s in scalars]))
 
 

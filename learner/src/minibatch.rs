@@ -11,7 +11,7 @@ use leadtime_numerics::{Pcg64, Purpose, stream};
 pub struct Minibatches {
     units: Vec<usize>,
     unit_len: usize,
-    n_minibatches: usize,
+    n_parts: usize,
     generator: Pcg64,
 }
 
@@ -24,14 +24,14 @@ impl Minibatches {
     pub fn new(
         n_samples: usize,
         unit_len: usize,
-        n_minibatches: usize,
+        n_parts: usize,
         (run_seed, iteration): (u64, u64),
     ) -> Self {
         assert!(n_samples.is_multiple_of(unit_len), "{n_samples} samples in units of {unit_len}");
         let n_units = n_samples / unit_len;
-        assert!((1..=n_units).contains(&n_minibatches), "{n_minibatches} minibatches of {n_units}");
+        assert!((1..=n_units).contains(&n_parts), "{n_parts} minibatches of {n_units}");
         let generator = stream(run_seed, Purpose::Shuffle, 0, iteration);
-        Self { units: (0..n_units).collect(), unit_len, n_minibatches, generator }
+        Self { units: (0..n_units).collect(), unit_len, n_parts, generator }
     }
 
     /// Shuffles for the next epoch.
@@ -49,7 +49,7 @@ impl Minibatches {
     }
 
     fn range(&self, minibatch: usize) -> Range<usize> {
-        let bound = |i: usize| i * self.units.len() / self.n_minibatches;
+        let bound = |i: usize| i * self.units.len() / self.n_parts;
         bound(minibatch)..bound(minibatch + 1)
     }
 }
@@ -62,7 +62,7 @@ mod tests {
         order.shuffle();
         let mut all = Vec::new();
         let mut one = Vec::new();
-        for minibatch in 0..order.n_minibatches {
+        for minibatch in 0..order.n_parts {
             order.indices(minibatch, &mut one);
             all.extend(&one);
         }

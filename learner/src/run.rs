@@ -196,7 +196,7 @@ impl Run {
             () = stop.cancelled() => Wake::Stop,
             outcome = self.training.outcome(), if self.is_training => Wake::Trained(outcome),
             silent = self.orders.failure() => Wake::Silent(silent),
-            event = events.recv_async() => Wake::Network(event.map_err(|_| Error::LinkGone)?),
+            event = events.recv_async() => Wake::Network(event.map_err(|_closed| Error::LinkGone)?),
             _ = ticks.tick() => Wake::Tick,
         })
     }

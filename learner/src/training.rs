@@ -68,7 +68,7 @@ impl Training {
 
     /// Hands a job over; there must be no other under way.
     pub(crate) fn begin(&self, job: Job) -> Result<(), Error> {
-        self.jobs.try_send(job).map_err(|_| Error::TrainerGone)
+        self.jobs.try_send(job).map_err(|_gone| Error::TrainerGone)
     }
 
     /// Waits for the result of the job under way.

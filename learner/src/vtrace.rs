@@ -22,7 +22,7 @@ pub struct VTrace {
 ///
 /// # Shapes
 ///
-/// `log_rhos`: `[T]`, log π(a_t|s_t) - log μ(a_t|s_t).
+/// `log_rhos`: `[T]`, `log π(a_t|s_t) - log μ(a_t|s_t)`.
 ///
 /// # Panics
 ///

@@ -164,6 +164,7 @@ fn generate_state(pool: [u32; POOL_SIZE]) -> [u64; 4] {
 }
 
 #[cfg(test)]
+#[expect(clippy::unreadable_literal, reason = "golden numbers are as the script writes them")]
 mod tests {
     use super::*;
 

@@ -204,9 +204,7 @@ mod tests {
         let features = Tensor::from_slice(&raw, (100, 60), &Device::Cpu).unwrap();
         let (plain_logits, plain_values) = parameters.forward(&spec, &features).unwrap();
         let flat = |tensor: Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        for (fast, plain) in
-            [(&logits, flat(plain_logits)), (&values, flat(plain_values))].into_iter()
-        {
+        for (fast, plain) in [(&logits, flat(plain_logits)), (&values, flat(plain_values))] {
             for (i, (a, b)) in fast.iter().zip(&plain).enumerate() {
                 // Sums of 64 terms of order one in another order, and a tanh within 4e-7.
                 assert!((a - b).abs() < 2e-5, "{i}: {a} {b}");
