@@ -150,6 +150,29 @@ impl Learner {
         Self { task: tokio::spawn(run), n_updates, events, stop }
     }
 
+    /// Starts the next learner at an address that a killed one may hold for a moment longer.
+    async fn start_again(directory: &Path, mode: Mode, incarnation: u64) -> Self {
+        let attempts = async {
+            loop {
+                let mut learner = Self::start(directory, mode, 1, incarnation);
+                // A learner listens before anything else: it fails at once, or it makes updates.
+                let joined = tokio::select! {
+                    biased;
+                    Ok(_) = learner.n_updates.wait_for(|n| *n >= 1) => None,
+                    joined = &mut learner.task => Some(joined.unwrap()),
+                };
+                match joined {
+                    None => return learner,
+                    Some(Err(leadtime_learner::Error::Link(
+                        leadtime_link::Error::AddressInUse { .. },
+                    ))) => tokio::task::yield_now().await,
+                    Some(other) => panic!("{other:?}"),
+                }
+            }
+        };
+        tokio::time::timeout(PATIENCE, attempts).await.expect("the address comes free")
+    }
+
     async fn reach(&mut self, n_updates: u64) {
         let reached = self.n_updates.wait_for(|n| *n >= n_updates);
         tokio::time::timeout(PATIENCE, reached).await.expect("in time").expect("still running");
@@ -316,7 +339,7 @@ async fn an_actor_outlives_its_learner_and_goes_on_with_the_next() {
         killed.reach(5).await;
         killed.task.abort();
         assert!(killed.task.await.unwrap_err().is_cancelled());
-        let resumed = Learner::start(directory.path(), mode, 1, 2);
+        let resumed = Learner::start_again(directory.path(), mode, 2).await;
         let report = resumed.report().await;
         assert_eq!(report.digest, reference(mode), "{mode:?}");
         assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);

@@ -129,7 +129,7 @@ mod tests {
             velocity: Vec2::zeros(),
             spin: 0.0,
         };
-        [body(10.0, 3.5), body(x, y), body(10.0, 9.0)]
+        [body(10.0, 2.85), body(x, y), body(10.0, 9.0)]
     }
 
     fn flat() -> Terrain {
