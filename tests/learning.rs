@@ -1,29 +1,34 @@
-//! Learning, from environment to weights, without processes between: the update is right if a pole is balanced.
+//! Learning, from environment to weights, without processes between: the update is right if a pole is balanced, and
+//! memory is carried rightly if a cue is recalled.
 
 use leadtime_actor::{Worker, WorkerSettings};
-use leadtime_learner::{LearnerSettings, Trainer};
+use leadtime_learner::settings::Mode;
+use leadtime_learner::{LearnerSettings, Trainer, UpdateReport};
 use leadtime_policy::Policy;
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{Encoder, EnvId, HeadCredit, Iteration, PolicySpec, TaskSpec};
 use leadtime_sims::Registry;
 
-/// Trains `CartPole` and returns the mean return of the last twenty episodes.
-fn cartpole(run_seed: u64, total_steps: u64) -> f64 {
-    let task = TaskSpec { domain: "cartpole".to_owned(), settings: r#"{"world": {}}"#.to_owned() };
+/// Trains on a task and returns, per finished episode, its return; and what the first update reported.
+fn train(
+    domain: &str,
+    (encoder, hidden): (Encoder, &[usize]),
+    settings: &LearnerSettings,
+    run_seed: u64,
+) -> (Vec<f64>, UpdateReport) {
+    let task = TaskSpec { domain: domain.to_owned(), settings: r#"{"world": {}}"#.to_owned() };
     let registry = Registry::builtin();
     let env = registry.build(&task).expect("the task is built in").spec().clone();
     let policy = PolicySpec {
         obs_dim: env.obs_dim,
-        encoder: Encoder::Identity,
-        hidden: vec![64, 64],
+        encoder,
+        hidden: hidden.to_vec(),
         actions: env.actions.clone(),
         head_credit: HeadCredit::All,
         logit_bias: Vec::new(),
         normalize_observations: false,
     };
-    let settings =
-        LearnerSettings { total_steps, learning_rate: 1e-3, ..LearnerSettings::default() };
-    let mut trainer = Trainer::new(&policy, &env, &settings, run_seed).expect("sound settings");
+    let mut trainer = Trainer::new(&policy, &env, settings, run_seed).expect("sound settings");
     let mut worker = Worker::new(WorkerSettings {
         run_seed,
         n_steps: settings.n_steps as u32,
@@ -35,24 +40,72 @@ fn cartpole(run_seed: u64, total_steps: u64) -> f64 {
         let env = registry.build(&task).expect("the task is built in");
         worker.insert(env, &start).expect("an empty snapshot is a fresh start");
     }
-    let mut returns = Vec::new();
+    let (mut returns, mut reports) = (Vec::new(), Vec::new());
     for _ in 0..trainer.n_updates() {
         let mut acting = Policy::new(&policy, trainer.parameters()).expect("the weights fit");
         let rollouts = worker.collect(&mut acting, trainer.version(), &mut ());
         for end in rollouts.iter().flat_map(|rollout| &rollout.ends) {
             returns.push(end.summary.episode_return);
         }
-        trainer.update(rollouts).expect("the update succeeds");
+        reports.push(trainer.update(rollouts).expect("the update succeeds"));
     }
-    let last = &returns[returns.len().saturating_sub(20)..];
+    (returns, reports.swap_remove(0))
+}
+
+fn mean_of_last(returns: &[f64], n: usize) -> f64 {
+    let last = &returns[returns.len().saturating_sub(n)..];
     last.iter().sum::<f64>() / last.len() as f64
 }
 
 #[test]
 fn a_pole_is_balanced_with_every_seed() {
+    let settings =
+        LearnerSettings { total_steps: 60_000, learning_rate: 1e-3, ..LearnerSettings::default() };
     // A random policy holds it for about 22 steps, a perfect one for 500.
     for run_seed in [1, 2, 3] {
-        let mean = cartpole(run_seed, 60_000);
+        let (returns, _) = train("cartpole", (Encoder::Identity, &[64, 64]), &settings, run_seed);
+        let mean = mean_of_last(&returns, 20);
         assert!(mean > 200.0, "seed {run_seed}: {mean}");
+    }
+}
+
+#[test]
+fn a_cue_is_recalled_with_memory_and_guessed_without() {
+    let settings = |mode| LearnerSettings {
+        n_envs: 16,
+        n_steps: 32,
+        n_minibatches: 4,
+        total_steps: 40_000,
+        learning_rate: 2e-3,
+        mode,
+        ..LearnerSettings::default()
+    };
+    let lstm = Encoder::Lstm { projection: 16, state: 32 };
+    // +1 for the right one of two cues, -1 for the wrong one.
+    for (run_seed, mode) in [(1, Mode::Sync), (2, Mode::Lag), (3, Mode::Async)] {
+        let mean =
+            |network| mean_of_last(&train("cue_recall", network, &settings(mode), run_seed).0, 200);
+        let recalled = mean((lstm, &[]));
+        assert!(recalled > 0.95, "seed {run_seed}: {recalled}");
+        let guessed = mean((Encoder::Identity, &[32]));
+        assert!(guessed.abs() < 0.4, "seed {run_seed}: {guessed}");
+    }
+}
+
+#[test]
+fn actor_and_learner_agree_on_log_probabilities_to_the_bit() {
+    // With one pass over one minibatch the weights are still those of the actor: every ratio is exactly 1.
+    let settings = LearnerSettings {
+        n_envs: 3,
+        n_steps: 50,
+        n_minibatches: 1,
+        n_epochs: 1,
+        total_steps: 150,
+        ..LearnerSettings::default()
+    };
+    let lstm = Encoder::Lstm { projection: 8, state: 24 };
+    for network in [(Encoder::Identity, &[32, 32][..]), (lstm, &[]), (lstm, &[16])] {
+        let (_, report) = train("cue_recall", network, &settings, 1);
+        assert_eq!((report.old_approx_kl, report.approx_kl), (0.0, 0.0), "{network:?}");
     }
 }

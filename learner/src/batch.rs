@@ -5,6 +5,7 @@ use leadtime_proto::{Mask, Rollout};
 
 use crate::gae::{Cut, Segment, gae};
 use crate::loss::Samples;
+use crate::lstm_op::Sequences;
 use crate::settings::{LearnerSettings, Truncation};
 use crate::vtrace::vtrace;
 
@@ -14,6 +15,8 @@ pub(crate) struct Batch {
     /// Normalised observations. `[N, D]`
     pub(crate) features: Vec<f32>,
     pub(crate) samples: Samples,
+    /// What a recurrent policy starts from in each rollout, and where episodes start.
+    pub(crate) sequences: Sequences,
 }
 
 impl Batch {
@@ -31,6 +34,10 @@ impl Batch {
         self.samples.masks.extend_from_slice(&rollout.masks);
         self.samples.actions.extend_from_slice(&rollout.actions);
         self.samples.log_probs.extend_from_slice(&rollout.log_probs);
+        let Sequences { n_steps, states, resets } = &mut self.sequences;
+        *n_steps = rollout.masks.len();
+        states.extend_from_slice(&rollout.recurrent);
+        resets.extend(episode_starts(rollout));
     }
 
     /// Appends targets from the stored behaviour values by generalised advantage estimation.
@@ -94,6 +101,21 @@ impl Batch {
         (features, samples)
     }
 
+    /// Copies what the sequences start from that `indices` (whole rollouts) consist of.
+    pub(crate) fn gather_sequences(&self, indices: &[usize]) -> Sequences {
+        let Sequences { n_steps, states, resets } = &self.sequences;
+        let state_dim = states.len() / (self.n_samples() / n_steps);
+        let first = indices.iter().step_by(*n_steps).map(|&sample| sample / n_steps);
+        Sequences {
+            n_steps: *n_steps,
+            states: first
+                .flat_map(|i| &states[i * state_dim..(i + 1) * state_dim])
+                .copied()
+                .collect(),
+            resets: indices.iter().map(|&sample| resets[sample]).collect(),
+        }
+    }
+
     /// Returns how much of the targets' variance the values explain: 1 all, 0 none (also where there is no variance).
     pub(crate) fn explained_variance(&self) -> f64 {
         let (returns, values) = (&self.samples.returns, &self.samples.values);
@@ -119,8 +141,16 @@ fn cuts(rollout: &Rollout, truncation: Truncation, final_value: impl Fn(usize) -
     rollout.ends.iter().enumerate().map(cut).collect()
 }
 
+/// Tells of each step whether an episode starts there; the first step's state is the stored one, whichever it is.
+fn episode_starts(rollout: &Rollout) -> impl Iterator<Item = bool> {
+    let mut ends = rollout.ends.iter().map(|end| end.step as usize + 1).peekable();
+    (0..rollout.masks.len()).map(move |step| ends.next_if_eq(&step).is_some())
+}
+
 /// What the present policy thinks of a rollout that an older one acted.
+#[derive(Default)]
 struct Present {
+    logits: Vec<f32>,
     values: Vec<f32>,
     next_value: f32,
     /// Per episode end.
@@ -132,22 +162,47 @@ impl Present {
     fn of(rollout: &Rollout, policy: &mut Policy, distribution: &ActionDistribution) -> Self {
         let n = rollout.masks.len();
         let (n_choices, n_heads) = (distribution.n_choices(), distribution.n_heads());
-        let (mut logits, mut values) = (vec![0.0; n * n_choices], vec![0.0; n]);
-        policy.evaluate(&rollout.observations, &mut [], &mut logits, &mut values);
+        let mut present = Self::evaluate(rollout, policy, n_choices);
         let log_rho = |i: usize| {
             let action = &rollout.actions[i * n_heads..(i + 1) * n_heads];
-            let logits = &logits[i * n_choices..(i + 1) * n_choices];
+            let logits = &present.logits[i * n_choices..(i + 1) * n_choices];
             let log_prob = distribution.log_prob(logits, Mask(rollout.masks[i]), action);
             log_prob - rollout.log_probs[i]
         };
-        let log_rhos = (0..n).map(log_rho).collect();
-        let mut value = |observation: &[f32]| {
-            let mut value = [0.0];
-            policy.values_only(observation, &[], &mut value);
-            value[0]
-        };
-        let next_value = value(&rollout.next_observation);
-        let final_values = rollout.ends.iter().map(|end| value(&end.final_observation)).collect();
-        Self { values, next_value, final_values, log_rhos }
+        present.log_rhos = (0..n).map(log_rho).collect();
+        present
     }
+
+    /// Runs the policy over a rollout, episode by episode, from the stored state on.
+    fn evaluate(rollout: &Rollout, policy: &mut Policy, n_choices: usize) -> Self {
+        let n = rollout.masks.len();
+        let obs_dim = policy.obs_dim();
+        let mut present =
+            Self { logits: vec![0.0; n * n_choices], values: vec![0.0; n], ..Self::default() };
+        let mut state = rollout.recurrent.clone();
+        // Rows of a policy without memory do not depend on each other: the whole rollout is one batch.
+        let stride = if state.is_empty() { n } else { 1 };
+        let mut ends = rollout.ends.iter().peekable();
+        for first in (0..n).step_by(stride) {
+            let after = first + stride;
+            policy.evaluate(
+                &rollout.observations[first * obs_dim..after * obs_dim],
+                &mut state,
+                &mut present.logits[first * n_choices..after * n_choices],
+                &mut present.values[first..after],
+            );
+            while let Some(end) = ends.next_if(|end| (end.step as usize) < after) {
+                present.final_values.push(value(policy, &end.final_observation, &state));
+                state.fill(0.0);
+            }
+        }
+        present.next_value = value(policy, &rollout.next_observation, &state);
+        present
+    }
+}
+
+fn value(policy: &mut Policy, observation: &[f32], state: &[f32]) -> f32 {
+    let mut value = [0.0];
+    policy.values_only(observation, state, &mut value);
+    value[0]
 }

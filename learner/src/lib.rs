@@ -33,6 +33,7 @@ pub mod episodes;
 pub mod error;
 pub mod gae;
 mod loss;
+mod lstm_op;
 pub mod minibatch;
 mod network;
 mod orders;

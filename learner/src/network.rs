@@ -1,20 +1,23 @@
 //! The actor-critic as variables of the engine and its forward graph of fused layers.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use candle_core::{Tensor, Var};
 use leadtime_numerics::kernel::Activation;
-use leadtime_policy::architecture::{Layer, Network, layers};
+use leadtime_policy::architecture::{Layer, Network, encoder_layers, layers};
 use leadtime_policy::{ObservationNormalizer, Parameters};
-use leadtime_proto::PolicySpec;
+use leadtime_proto::{Encoder, PolicySpec};
 
 use crate::TrainError;
 use crate::dense_op::DenseOp;
+use crate::lstm_op::{LstmOp, Sequences};
 
 /// The variables that learn, by tensor name.
 #[derive(Clone, Debug)]
 pub(crate) struct ActorCritic {
     spec: PolicySpec,
+    encoder: Vec<Layer>,
     actor: Vec<Layer>,
     critic: Vec<Layer>,
     vars: BTreeMap<String, Var>,
@@ -28,7 +31,7 @@ impl ActorCritic {
             vars.insert(name.clone(), Var::from_tensor(&tensor.copy()?)?);
         }
         let (actor, critic) = (layers(spec, Network::Actor), layers(spec, Network::Critic));
-        Ok(Self { spec: spec.clone(), actor, critic, vars })
+        Ok(Self { spec: spec.clone(), encoder: encoder_layers(spec), actor, critic, vars })
     }
 
     pub(crate) fn vars(&self) -> &BTreeMap<String, Var> {
@@ -47,17 +50,39 @@ impl ActorCritic {
         Ok(Parameters::from_values(&self.spec, values, normalizer)?)
     }
 
-    /// Builds the graph from features `[M, D]` to logits `[M, C]` and values `[M, 1]`.
-    pub(crate) fn forward(&self, features: &Tensor) -> candle_core::Result<(Tensor, Tensor)> {
-        let run = |layers: &[Layer]| {
-            let input = features.clone();
-            layers.iter().enumerate().try_fold(input, |x, (i, layer)| {
-                let activation = if layer.tanh { Activation::Tanh } else { Activation::Linear };
-                let op = DenseOp { activation, input_gradient: i > 0 };
-                x.apply_op3(&self.vars[&layer.weight()], &self.vars[&layer.bias()], op)
-            })
-        };
+    /// Builds the graph from observations `[M, D]` to logits `[M, C]` and values `[M, 1]`.
+    ///
+    /// A recurrent network takes the samples as whole sequences, one behind the other.
+    pub(crate) fn forward(
+        &self,
+        observations: &Tensor,
+        sequences: &Arc<Sequences>,
+    ) -> candle_core::Result<(Tensor, Tensor)> {
+        let features = self.encode(observations, sequences)?;
+        let learns = !self.encoder.is_empty();
+        let run = |layers| self.stack(layers, &features, learns);
         Ok((run(&self.actor)?, run(&self.critic)?))
+    }
+
+    /// Builds the encoder's graph: from observations `[M, D]` to features `[M, F]`.
+    fn encode(&self, x: &Tensor, sequences: &Arc<Sequences>) -> candle_core::Result<Tensor> {
+        let (Encoder::Lstm { state: width, .. }, Some((state, before))) =
+            (self.spec.encoder, self.encoder.split_last())
+        else {
+            return Ok(x.clone());
+        };
+        let gates = self.stack(before, x, false)?;
+        let op = LstmOp::new(Arc::clone(sequences), width);
+        gates.apply_op3(&self.vars[&state.weight()], &self.vars[&state.bias()], op)
+    }
+
+    /// Runs layers one behind the other; `learns`: something upstream wants a gradient.
+    fn stack(&self, layers: &[Layer], x: &Tensor, learns: bool) -> candle_core::Result<Tensor> {
+        layers.iter().enumerate().try_fold(x.clone(), |x, (i, layer)| {
+            let activation = if layer.tanh { Activation::Tanh } else { Activation::Linear };
+            let op = DenseOp { activation, input_gradient: learns || i > 0 };
+            x.apply_op3(&self.vars[&layer.weight()], &self.vars[&layer.bias()], op)
+        })
     }
 
     /// Collects the gradients of all variables in the order of names.

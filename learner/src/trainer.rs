@@ -29,6 +29,7 @@ use crate::TrainError;
 use crate::adam::{Adam, clip_factor, global_norm};
 use crate::batch::Batch;
 use crate::loss::{LossOp, LossReport, LossSettings, PpoLoss};
+use crate::lstm_op::Sequences;
 use crate::minibatch::Minibatches;
 use crate::network::ActorCritic;
 use crate::rewards::ReturnNormalizer;
@@ -276,7 +277,10 @@ impl Trainer {
         let obs_dim = self.policy_spec.obs_dim;
         let (features, samples) = batch.gather(indices, obs_dim);
         let features = Tensor::from_vec(features, (indices.len(), obs_dim), &Device::Cpu)?;
-        let (logits, values) = self.network.forward(&features)?;
+        let is_recurrent = self.policy_spec.recurrent_dim() > 0;
+        let sequences =
+            if is_recurrent { batch.gather_sequences(indices) } else { Sequences::default() };
+        let (logits, values) = self.network.forward(&features, &Arc::new(sequences))?;
         let settings = LossSettings::from(&self.settings);
         let loss = PpoLoss::new(Arc::clone(&self.distribution), settings, samples);
         let total = logits.apply_op2(&values, LossOp(Arc::clone(&loss)))?;

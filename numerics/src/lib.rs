@@ -9,6 +9,7 @@
 
 pub mod dense;
 pub mod kernel;
+pub mod lstm;
 pub mod orthogonal;
 pub mod pcg64;
 pub mod stats;

@@ -6,7 +6,14 @@
 //! ```
 //!
 //! D is the width of the features, C the number of choices over all heads, whose logits lie one behind the other.
+//!
+//! A recurrent encoder stands before both, with H units and its gates (input, forget, cell, output) one behind the other:
+//!
+//! ```text
+//! encoder.projection.weight [P, obs]   encoder.input.weight [4 H, P]   encoder.state.weight [4 H, H]
+//! ```
 
+use leadtime_numerics::lstm::N_GATES;
 use leadtime_proto::{Encoder, PolicySpec};
 
 /// The two networks of an actor-critic.
@@ -59,7 +66,30 @@ impl Layer {
 pub fn feature_dim(spec: &PolicySpec) -> usize {
     match spec.encoder {
         Encoder::Identity => spec.obs_dim,
+        Encoder::Lstm { state, .. } => state,
     }
+}
+
+/// Lists the layers of the encoder: none, or an LSTM's `projection` (if it has one), `input` and `state`.
+pub fn encoder_layers(spec: &PolicySpec) -> Vec<Layer> {
+    let Encoder::Lstm { projection, state } = spec.encoder else { return Vec::new() };
+    let layer = |name: &str, n_in, n_out, gain, tanh| Layer {
+        name: format!("encoder.{name}"),
+        n_in,
+        n_out,
+        gain,
+        tanh,
+    };
+    let mut layers = Vec::with_capacity(3);
+    let mut n_in = spec.obs_dim;
+    if projection > 0 {
+        let gain = std::f64::consts::SQRT_2;
+        layers.push(layer("projection", n_in, projection, gain, true));
+        n_in = projection;
+    }
+    layers.push(layer("input", n_in, N_GATES * state, 1.0, false));
+    layers.push(layer("state", state, N_GATES * state, 1.0, false));
+    layers
 }
 
 /// Lists the layers of one network, input first.
@@ -80,9 +110,10 @@ pub fn layers(spec: &PolicySpec, network: Network) -> Vec<Layer> {
     layers
 }
 
-/// Lists all layers: the actor's, then the critic's. The order numbers the streams of initialisation.
+/// Lists all layers: the encoder's, the actor's, then the critic's. The order numbers the streams of initialisation.
 pub fn all_layers(spec: &PolicySpec) -> Vec<Layer> {
-    let mut all = layers(spec, Network::Actor);
+    let mut all = encoder_layers(spec);
+    all.extend(layers(spec, Network::Actor));
     all.extend(layers(spec, Network::Critic));
     all
 }

@@ -10,6 +10,7 @@ use leadtime_numerics::{Activation, Dense};
 use leadtime_proto::PolicySpec;
 
 use crate::architecture::{Network, layers};
+use crate::encoder::FastEncoder;
 use crate::normalizer::FrozenNormalizer;
 use crate::{Error, Parameters};
 
@@ -59,6 +60,7 @@ pub struct Policy {
     n_choices: usize,
     recurrent_dim: usize,
     normalizer: Option<FrozenNormalizer>,
+    encoder: FastEncoder,
     actor: Stack,
     critic: Stack,
     features: Vec<f32>,
@@ -80,6 +82,7 @@ impl Policy {
             n_choices: spec.actions.n_choices(),
             recurrent_dim: spec.recurrent_dim(),
             normalizer: parameters.normalizer().map(crate::ObservationNormalizer::freeze),
+            encoder: FastEncoder::new(spec, parameters, BLOCK)?,
             actor,
             critic,
             features: vec![0.0; BLOCK * spec.obs_dim],
@@ -124,11 +127,16 @@ impl Policy {
         assert_eq!(logits.len(), n * self.n_choices, "`logits` must be [N, C]");
         let blocks = observations.chunks(BLOCK * self.obs_dim);
         let outputs = logits.chunks_mut(BLOCK * self.n_choices).zip(values.chunks_mut(BLOCK));
+        let mut first = 0;
         for (raw, (logits, values)) in blocks.zip(outputs) {
             let n = values.len();
-            let features = prepare(self.normalizer.as_ref(), raw, &mut self.features);
+            let states = &mut recurrent[first * self.recurrent_dim..][..n * self.recurrent_dim];
+            let input = prepare(self.normalizer.as_ref(), raw, &mut self.features);
+            let features = self.encoder.forward(input, states, n);
             self.actor.forward(features, n, &mut self.scratch, logits);
             self.critic.forward(features, n, &mut self.scratch, values);
+            self.encoder.write_states(states);
+            first += n;
         }
     }
 
@@ -145,10 +153,15 @@ impl Policy {
         let n = values.len();
         assert_eq!(observations.len(), n * self.obs_dim, "`observations` must be [N, D]");
         assert_eq!(recurrent.len(), n * self.recurrent_dim, "`recurrent` must be [N, S]");
+        let mut first = 0;
         for (raw, values) in observations.chunks(BLOCK * self.obs_dim).zip(values.chunks_mut(BLOCK))
         {
-            let features = prepare(self.normalizer.as_ref(), raw, &mut self.features);
-            self.critic.forward(features, values.len(), &mut self.scratch, values);
+            let n = values.len();
+            let states = &recurrent[first * self.recurrent_dim..][..n * self.recurrent_dim];
+            let input = prepare(self.normalizer.as_ref(), raw, &mut self.features);
+            let features = self.encoder.forward(input, states, n);
+            self.critic.forward(features, n, &mut self.scratch, values);
+            first += n;
         }
     }
 }
@@ -176,6 +189,11 @@ mod tests {
     fn observations(n: usize, dim: usize) -> Vec<f32> {
         let mut generator = Pcg64::seed_from_u64(9);
         (0..n * dim).map(|_| generator.uniform(-2.0, 2.0) as f32).collect()
+    }
+
+    fn recurrent(projection: usize, hidden: Vec<usize>) -> PolicySpec {
+        let encoder = leadtime_proto::Encoder::Lstm { projection, state: 40 };
+        PolicySpec { encoder, hidden, ..notifier(60) }
     }
 
     /// Initial parameters with heads scaled up, so that logits differ visibly.
@@ -209,6 +227,53 @@ mod tests {
                 // Sums of 64 terms of order one in another order, and a tanh within 4e-7.
                 assert!((a - b).abs() < 2e-5, "{i}: {a} {b}");
             }
+        }
+    }
+
+    #[test]
+    fn a_recurrent_policy_is_the_plain_one_step_by_step() {
+        for (projection, hidden) in [(32, vec![]), (0, vec![24])] {
+            let spec = recurrent(projection, hidden);
+            let parameters = parameters(&spec);
+            let raw = observations(9, 60);
+            let mut policy = Policy::new(&spec, &parameters).unwrap();
+            let mut state = vec![0.0; spec.recurrent_dim()];
+            let (mut logits, mut values) = (vec![0.0; 9 * 14], vec![0.0; 9]);
+            for (i, observation) in raw.chunks_exact(60).enumerate() {
+                let mut ahead = [0.0];
+                policy.values_only(observation, &state, &mut ahead);
+                let logits = &mut logits[i * 14..(i + 1) * 14];
+                policy.evaluate(observation, &mut state, logits, &mut values[i..=i]);
+                assert_eq!(ahead[0], values[i], "reading the value moved the state");
+            }
+            let features = Tensor::from_slice(&raw, (9, 60), &Device::Cpu).unwrap();
+            let (plain_logits, plain_values) = parameters.forward(&spec, &features).unwrap();
+            let flat = |tensor: Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            for (fast, plain) in [(&logits, flat(plain_logits)), (&values, flat(plain_values))] {
+                for (i, (a, b)) in fast.iter().zip(&plain).enumerate() {
+                    assert!((a - b).abs() < 2e-5, "{i}: {a} {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_recurrent_row_is_judged_alike_in_every_batch() {
+        let spec = recurrent(32, vec![]);
+        let mut policy = Policy::new(&spec, &parameters(&spec)).unwrap();
+        let (n, dim) = (65, spec.recurrent_dim());
+        let (raw, before) = (observations(n, 60), observations(n, dim));
+        let mut together = before.clone();
+        let (mut logits, mut values) = (vec![0.0; n * 14], vec![0.0; n]);
+        policy.evaluate(&raw, &mut together, &mut logits, &mut values);
+        for i in 0..n {
+            let mut alone = before[i * dim..(i + 1) * dim].to_vec();
+            let (mut own_logits, mut own_value) = (vec![0.0; 14], [0.0]);
+            let observation = &raw[i * 60..(i + 1) * 60];
+            policy.evaluate(observation, &mut alone, &mut own_logits, &mut own_value);
+            assert_eq!(alone, together[i * dim..(i + 1) * dim], "state of row {i}");
+            assert_eq!(own_logits, logits[i * 14..(i + 1) * 14], "logits of row {i}");
+            assert_eq!(own_value[0], values[i], "value of row {i}");
         }
     }
 

@@ -17,6 +17,7 @@
 
 pub mod architecture;
 pub mod distribution;
+mod encoder;
 pub mod error;
 pub mod file;
 pub mod inference;

@@ -5,12 +5,12 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Device, Tensor};
+use candle_core::{DType, Device, Tensor};
 use leadtime_numerics::{Purpose, orthogonal, stream};
-use leadtime_proto::PolicySpec;
+use leadtime_proto::{Encoder, PolicySpec};
 use sha2::{Digest as _, Sha256};
 
-use crate::architecture::{Layer, Network, all_layers, layers};
+use crate::architecture::{Layer, Network, all_layers, encoder_layers, layers};
 use crate::{Error, ObservationNormalizer};
 
 /// All weights of an actor-critic and the statistics of its inputs.
@@ -21,7 +21,7 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// Draws initial parameters: orthogonal weights (gain √2, actor head 0.01, critic head 1), zero biases except for
+    /// Draws initial parameters: orthogonal weights (gain √2, actor head 0.01, critic head and gates 1), zero biases except for
     /// the specification's [`PolicySpec::logit_bias`].
     ///
     /// # Errors
@@ -133,18 +133,49 @@ impl Parameters {
     ///
     /// # Shapes
     ///
-    /// `features`: `[N, D]`, already normalised. Returns logits `[N, C]` and values `[N, 1]`.
+    /// `observations`: `[N, D]`, already normalised; to a recurrent policy they are N steps of one episode, from its
+    /// start. Returns logits `[N, C]` and values `[N, 1]`.
     ///
     /// # Errors
     ///
     /// [`Error::Tensor`] if the shapes do not hold.
-    pub fn forward(&self, spec: &PolicySpec, features: &Tensor) -> Result<(Tensor, Tensor), Error> {
+    pub fn forward(
+        &self,
+        spec: &PolicySpec,
+        observations: &Tensor,
+    ) -> Result<(Tensor, Tensor), Error> {
+        let features = match spec.encoder {
+            Encoder::Identity => observations.clone(),
+            Encoder::Lstm { state, .. } => self.encode_episode(spec, state, observations)?,
+        };
         let run = |network| -> Result<Tensor, Error> {
             layers(spec, network)
                 .iter()
                 .try_fold(features.clone(), |x, layer| self.apply(&x, layer))
         };
         Ok((run(Network::Actor)?, run(Network::Critic)?))
+    }
+
+    /// Runs an LSTM of `width` units over the steps of an episode.
+    fn encode_episode(&self, spec: &PolicySpec, width: usize, x: &Tensor) -> Result<Tensor, Error> {
+        let layers = encoder_layers(spec);
+        let (state, before) = layers
+            .split_last()
+            .ok_or_else(|| Error::Missing { name: "encoder.state".to_owned() })?;
+        let from_input = before.iter().try_fold(x.clone(), |x, layer| self.apply(&x, layer))?;
+        let sigmoid = |x: Tensor| ((x * 0.5)?.tanh()? + 1.0)? * 0.5;
+        let mut hidden = Tensor::zeros((1, width), DType::F32, &Device::Cpu)?;
+        let mut cell = hidden.clone();
+        let mut features = Vec::new();
+        for step in 0..x.dim(0)? {
+            let gates = (from_input.narrow(0, step, 1)? + self.apply(&hidden, state)?)?;
+            let gate = |i: usize| gates.narrow(1, i * width, width);
+            let candidate = gate(2)?.tanh()?;
+            cell = ((sigmoid(gate(1)?)? * cell)? + (sigmoid(gate(0)?)? * candidate)?)?;
+            hidden = (sigmoid(gate(3)?)? * cell.tanh()?)?;
+            features.push(hidden.clone());
+        }
+        Ok(Tensor::cat(&features, 0)?)
     }
 
     fn apply(&self, x: &Tensor, layer: &Layer) -> Result<Tensor, Error> {

@@ -215,11 +215,18 @@ pub struct EnvSpec {
     pub metrics: Vec<String>,
 }
 
-/// How the input becomes the features that the two 64-wide stacks see.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// How the input becomes the features that the actor's and the critic's stacks see.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Encoder {
     /// The observation itself.
     Identity,
+    /// A recurrent layer over the steps of an episode, which actor and critic share; its output is the features.
+    Lstm {
+        /// Width of the tanh layer in front of it; 0: none.
+        projection: usize,
+        /// Width of the hidden state and of the cell state.
+        state: usize,
+    },
 }
 
 /// Which heads' log-probabilities and entropies count.
@@ -239,7 +246,7 @@ pub struct PolicySpec {
     pub obs_dim: usize,
     /// What stands between observation and hidden layers.
     pub encoder: Encoder,
-    /// Widths of the tanh layers, in the actor and again in the separate critic.
+    /// Widths of the tanh layers, in the actor and again in the separate critic; none: the heads follow at once.
     pub hidden: Vec<usize>,
     /// The heads.
     pub actions: ActionSpec,
@@ -256,6 +263,8 @@ impl PolicySpec {
     pub fn recurrent_dim(&self) -> usize {
         match self.encoder {
             Encoder::Identity => 0,
+            // Hidden state and cell state.
+            Encoder::Lstm { state, .. } => 2 * state,
         }
     }
 }

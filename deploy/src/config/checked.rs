@@ -13,13 +13,17 @@ use leadtime_sims::registry::Registry;
 use toml::Table;
 
 use super::catalog::Catalog;
-use super::raw::{ActorSection, EvaluationAction, EvaluationSection, PolicySection, RunSection};
+use super::raw::{
+    ActorSection, EncoderKind, EvaluationAction, EvaluationSection, PolicySection, RunSection,
+};
 use super::sections::{self, Typed};
 use super::table::overlay;
 use crate::cli::ConfigSource;
 
 /// The domain of a file that names none.
 const DEFAULT_DOMAIN: &str = "lander";
+/// The widest layer.
+const MAX_WIDTH: usize = 4_096;
 
 /// Where and how a run is carried out.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -157,6 +161,7 @@ impl Config {
         let env = environment.spec().clone();
         let policy = check_policy(&typed.policy, &env)?;
         typed.learner.check()?;
+        check_sequences(&policy, &typed.learner)?;
         let evaluation = check_evaluation(&typed, &table, registry)?;
         Ok(Self {
             run: check_run(&typed.run)?,
@@ -218,10 +223,11 @@ fn check_actor(actor: &ActorSection) -> anyhow::Result<u32> {
 }
 
 fn check_policy(policy: &PolicySection, env: &EnvSpec) -> anyhow::Result<PolicySpec> {
-    const MAX_WIDTH: usize = 4_096;
+    let encoder = check_encoder(policy)?;
     let hidden = &policy.hidden;
-    let fits = (1..=8).contains(&hidden.len());
-    ensure!(fits, "`policy.hidden` has {} layers; allowed: 1 to 8", hidden.len());
+    let fewest = usize::from(encoder == Encoder::Identity);
+    let fits = (fewest..=8).contains(&hidden.len());
+    ensure!(fits, "`policy.hidden` has {} layers; allowed: {fewest} to 8", hidden.len());
     if let Some(width) = hidden.iter().find(|width| !(1..=MAX_WIDTH).contains(*width)) {
         bail!("`policy.hidden` has a layer of width {width}; allowed: 1 to {MAX_WIDTH}");
     }
@@ -239,13 +245,39 @@ fn check_policy(policy: &PolicySection, env: &EnvSpec) -> anyhow::Result<PolicyS
     };
     Ok(PolicySpec {
         obs_dim: env.obs_dim,
-        encoder: Encoder::Identity,
+        encoder,
         hidden: hidden.clone(),
         actions: env.actions.clone(),
         head_credit: policy.head_credit,
         logit_bias,
         normalize_observations: policy.normalize_observations,
     })
+}
+
+/// Checks the encoder's widths.
+fn check_encoder(policy: &PolicySection) -> anyhow::Result<Encoder> {
+    let (projection, state) = (policy.lstm_projection, policy.lstm_state);
+    match policy.encoder {
+        EncoderKind::None => Ok(Encoder::Identity),
+        EncoderKind::Lstm => {
+            let fits = projection <= MAX_WIDTH;
+            ensure!(fits, "`policy.lstm_projection` is {projection}; allowed: 0 to {MAX_WIDTH}");
+            let fits = (1..=MAX_WIDTH / 4).contains(&state);
+            ensure!(fits, "`policy.lstm_state` is {state}; allowed: 1 to {}", MAX_WIDTH / 4);
+            Ok(Encoder::Lstm { projection, state })
+        }
+    }
+}
+
+/// A recurrent policy learns from whole rollouts, so an update cannot be cut finer than these.
+fn check_sequences(policy: &PolicySpec, learner: &LearnerSettings) -> anyhow::Result<()> {
+    let (n_minibatches, n_envs) = (learner.n_minibatches, learner.n_envs);
+    ensure!(
+        policy.recurrent_dim() == 0 || n_minibatches <= n_envs,
+        "`learner.n_minibatches` is {n_minibatches}; a recurrent policy learns from whole rollouts, so allowed: 1 to \
+         {n_envs} (`learner.n_envs`)"
+    );
+    Ok(())
 }
 
 fn check_evaluation(

@@ -82,6 +82,12 @@ impl Default for RunSection {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PolicySection {
+    /// What stands between observation and tanh layers.
+    pub encoder: EncoderKind,
+    /// Width of the tanh layer in front of the LSTM; 0: none.
+    pub lstm_projection: usize,
+    /// Units of the LSTM.
+    pub lstm_state: usize,
     /// Widths of the tanh layers.
     pub hidden: Vec<usize>,
     /// Which heads' log-probabilities count.
@@ -95,12 +101,26 @@ pub struct PolicySection {
 impl Default for PolicySection {
     fn default() -> Self {
         Self {
+            encoder: EncoderKind::None,
+            lstm_projection: 32,
+            lstm_state: 128,
             hidden: vec![64, 64],
             head_credit: HeadCredit::Active,
             normalize_observations: false,
             initiate_bias: 0.0,
         }
     }
+}
+
+/// What stands between observation and tanh layers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EncoderKind {
+    /// Nothing.
+    #[default]
+    None,
+    /// One LSTM that actor and critic share.
+    Lstm,
 }
 
 /// `[actor]`: how actors send.

@@ -71,6 +71,12 @@ fn impossible_values_are_told_by_key() {
     for (text, key) in [
         ("[learner]\nclip = -1.0", "learner.clip"),
         ("[actor]\nwindow = 0", "actor.window"),
+        ("[policy]\nhidden = []", "policy.hidden"),
+        ("[policy]\nencoder = \"lstm\"\nlstm_state = 0", "policy.lstm_state"),
+        (
+            "[policy]\nencoder = \"lstm\"\n[learner]\nn_envs = 4\nn_minibatches = 8",
+            "learner.n_minibatches",
+        ),
         ("[run]\nactors_min = 0", "run.actors_min"),
         ("[evaluation]\nepisodes = 0", "evaluation.episodes"),
         ("[evaluation.world]\nmax_steps = 0", "evaluation.world"),
