@@ -2,7 +2,7 @@
 
     python3 bench/peers/whole_cleanrl_style.py [SECONDS]
 
-4 environments x 128 steps, 4 minibatches, 4 epochs, two 64-64 tanh networks: the shape of `deploy/configs/pilot_bench.toml`.
+4 environments x 128 steps, 4 minibatches, 4 epochs, two 64-64 tanh networks.
 Needs: pip install torch "gymnasium[box2d]==1.4.0". Prints one JSON line. All threads of torch are allowed, as CleanRL does.
 """
 import json

@@ -20,7 +20,9 @@ except ImportError as missing:
 
 
 def make(_name, _cfg, _env_config, render_mode=None):
-    return gym.make("LunarLander-v3", render_mode=render_mode)
+    # Sample Factory holds Gymnasium below 1.0, whose lander is numbered 2; the difference (wind, at rest) is not in speed.
+    name = "LunarLander-v3" if "LunarLander-v3" in gym.registry else "LunarLander-v2"
+    return gym.make(name, render_mode=render_mode)
 
 
 def main():
