@@ -159,8 +159,8 @@ impl Cooking {
             self.start.pose = random_pose(grid, generator);
         }
         let [low, high] = self.settings.release_steps;
-        self.start.release_at = (high > 0)
-            .then(|| generator.integers(i64::from(low), i64::from(high) + 1) as u32);
+        self.start.release_at =
+            (high > 0).then(|| generator.integers(i64::from(low), i64::from(high) + 1) as u32);
     }
 
     /// Chooses the cook's action: the direction asked for, or their own.

@@ -76,8 +76,7 @@ fn labels(kitchen: &Kitchen, place: Place) -> Vec<Shape> {
         Tile::Station(station) => {
             let slot = world.grid().slot_at(place).unwrap_or_default();
             let limit = world.times().limit(station);
-            let (truth, belief) =
-                (world.contents()[slot], kitchen.mind().belief.contents()[slot]);
+            let (truth, belief) = (world.contents()[slot], kitchen.mind().belief.contents()[slot]);
             let mut labels =
                 vec![label(y + 0.25, station_name(station)), label(y, &state(truth, limit))];
             if truth != belief {

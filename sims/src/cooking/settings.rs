@@ -4,9 +4,7 @@ use leadtime_proto::TaskSpec;
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::human::{
-    BlockedInitiation, FollowThrough, HumanSettings, Interrupt, ReactionDelay,
-};
+use crate::human::{BlockedInitiation, FollowThrough, HumanSettings, Interrupt, ReactionDelay};
 use crate::notifier::NotifierSettings;
 use crate::setting::{SettingError, require};
 use crate::steakhouse::{FieldOfView, Grid, StartFamily, Times, kitchen};
@@ -181,7 +179,11 @@ pub struct CookingSettings {
 
 impl Default for CookingSettings {
     fn default() -> Self {
-        Self { world: WorldSettings::default(), human: default_human(), notifier: default_notifier() }
+        Self {
+            world: WorldSettings::default(),
+            human: default_human(),
+            notifier: default_notifier(),
+        }
     }
 }
 

@@ -98,7 +98,8 @@ impl<D: Domain> NotifierEnv<D> {
             metrics: metrics.collect(),
         };
         spec.actions.check()?;
-        let informative = (0..domain.topics().len()).filter(|&topic| !domain.asks_for_action(topic));
+        let informative =
+            (0..domain.topics().len()).filter(|&topic| !domain.asks_for_action(topic));
         Ok(Self {
             spec,
             human: Human::new(human).with_informative(informative.collect()),

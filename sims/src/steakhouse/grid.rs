@@ -438,16 +438,14 @@ mod tests {
     fn a_kitchen_is_read_row_by_row() {
         let grid = Grid::parse("\nXPBWPX\nO 1  S\nXM2DXX\n\n").unwrap_err();
         assert_eq!(grid, LayoutError::OpenBorder { row: 3, column: 3 });
-        let grid = Grid::parse("\nXPBWPX\nO 1 2S\nXM DXX\n".replace("M D", "MXD").as_str()).unwrap();
+        let grid =
+            Grid::parse("\nXPBWPX\nO 1 2S\nXM DXX\n".replace("M D", "MXD").as_str()).unwrap();
         grid.check_kitchen().unwrap();
         assert_eq!((grid.width(), grid.height()), (6, 3));
         let stations: Vec<_> =
             grid.slots().iter().map(|slot| (slot.station, grid.position(slot.place))).collect();
         let (grill, board, sink) = (Station::Grill, Station::Board, Station::Sink);
-        assert_eq!(
-            stations,
-            [(grill, [1, 0]), (grill, [4, 0]), (board, [2, 0]), (sink, [3, 0])]
-        );
+        assert_eq!(stations, [(grill, [1, 0]), (grill, [4, 0]), (board, [2, 0]), (sink, [3, 0])]);
         assert_eq!(grid.slot_at(grid.place(4, 0).unwrap()), Some(1));
         assert_eq!(grid.person_start(), grid.place(4, 1));
         let pose = Pose { place: grid.place(1, 1).unwrap(), facing: Direction::West };
@@ -472,8 +470,14 @@ mod tests {
             "row 2, column 5 on the border is floor; a border without floor"
         );
         let starts = "starts numbered from 1 without a gap, each once";
-        assert_eq!(with("O 1 S", "O 11S"), format!("row 2, column 4 is a second start `1`; {starts}"));
-        assert_eq!(with("O 1 S", "O 3 S"), format!("there is no start `1`, and a higher one; {starts}"));
+        assert_eq!(
+            with("O 1 S", "O 11S"),
+            format!("row 2, column 4 is a second start `1`; {starts}")
+        );
+        assert_eq!(
+            with("O 1 S", "O 3 S"),
+            format!("there is no start `1`, and a higher one; {starts}")
+        );
         assert_eq!(with("1", " "), "no tile is a start; a start tile `1`");
     }
 

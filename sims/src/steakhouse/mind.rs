@@ -91,7 +91,8 @@ impl Mind {
         let Some(goal) = self.goal else { return Action::Stay };
         let route = paths.route(world.cook().pose, goal);
         let action = route.map_or(Action::Stay, |route| route.first);
-        let waits = subtask == Subtask::PlateSteak && self.believed_phase(world, goal) == Phase::Busy;
+        let waits =
+            subtask == Subtask::PlateSteak && self.believed_phase(world, goal) == Phase::Busy;
         if waits && action == Action::Interact { Action::Stay } else { action }
     }
 
@@ -170,6 +171,7 @@ impl Mind {
     /// Tells whether it could be the mind of a cook in such a kitchen.
     pub(crate) fn fits(&self, world: &World) -> bool {
         let known = |goal: Place| goal.index() < world.state().lying.len();
-        self.belief.fits(world) && self.goal.is_none_or(|goal| known(goal) && !world.grid().is_floor(goal))
+        self.belief.fits(world)
+            && self.goal.is_none_or(|goal| known(goal) && !world.grid().is_floor(goal))
     }
 }

@@ -131,7 +131,8 @@ mod tests {
 
     fn costs(grid: &Grid, from: Pose) -> Vec<u16> {
         let paths = Paths::new(grid);
-        let targets = [(8, 1), (8, 3), (8, 5), (2, 0), (4, 0), (0, 1), (0, 3), (0, 5), (2, 6), (6, 6)];
+        let targets =
+            [(8, 1), (8, 3), (8, 5), (2, 0), (4, 0), (0, 1), (0, 3), (0, 5), (2, 6), (6, 6)];
         let cost = |(x, y)| paths.route(from, grid.place(x, y).unwrap()).unwrap().cost;
         targets.into_iter().map(cost).collect()
     }

@@ -75,9 +75,8 @@ pub struct Sight {
 impl Sight {
     /// Looks around in every pose.
     pub fn new(grid: &Grid, field_of_view: FieldOfView) -> Self {
-        let poses = grid
-            .places()
-            .flat_map(|place| Direction::ALL.map(|facing| Pose { place, facing }));
+        let poses =
+            grid.places().flat_map(|place| Direction::ALL.map(|facing| Pose { place, facing }));
         let mask = |pose: Pose| {
             let seen = field_of_view.visible(grid, pose).filter_map(|place| grid.slot_at(place));
             seen.fold(0, |mask, slot| mask | 1 << slot)
@@ -129,9 +128,7 @@ mod tests {
     fn stations_are_seen_by_slot() {
         let ring = kitchen("ring").unwrap();
         let sight = Sight::new(&ring, FieldOfView::Block);
-        let mask = |x, y, facing| {
-            sight.stations(Pose { place: ring.place(x, y).unwrap(), facing })
-        };
+        let mask = |x, y, facing| sight.stations(Pose { place: ring.place(x, y).unwrap(), facing });
         assert_eq!(mask(3, 1, Direction::North), 0b00_00_11);
         assert_eq!(mask(1, 4, Direction::West), 0b01_10_00);
         assert_eq!(mask(7, 3, Direction::East), 0);

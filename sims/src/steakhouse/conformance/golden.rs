@@ -136,7 +136,8 @@ impl Episode {
         let start = self.start(&settings)?;
         let cooking = Cooking::new(&settings.world).map_err(|error| refused(error.into()))?;
         let cooking = cooking.with_start(start);
-        let mut env = NotifierEnv::new(cooking, &settings.human, &settings.notifier).map_err(refused)?;
+        let mut env =
+            NotifierEnv::new(cooking, &settings.human, &settings.notifier).map_err(refused)?;
         let mut observation = vec![0.0; env.spec().obs_dim];
         let seed = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
         env.reset(seed, &mut observation);
@@ -151,7 +152,8 @@ impl Episode {
         };
         let world = &mut settings.world;
         world.layout.clone_from(&self.start.layout);
-        (world.cook_time, world.chop_time, world.wash_time) = (limit("P")?, limit("B")?, limit("W")?);
+        (world.cook_time, world.chop_time, world.wash_time) =
+            (limit("P")?, limit("B")?, limit("W")?);
         world.max_steps = self.start.max_steps;
         world.aware = self.start.belief == self.start.content;
         // Older recordings name the delay in the episode's name only.
@@ -266,9 +268,8 @@ impl Run {
         out.push(yes_or_no(speech.is_some()));
         let topic = speech.map(|(message, _)| message.topic);
         out.extend((0..TOPICS.len()).map(|id| yes_or_no(topic == Some(id))));
-        let words = speech.map_or([0; 3], |(message, heard)| {
-            [heard, message.comprehension, message.conveyance]
-        });
+        let words = speech
+            .map_or([0; 3], |(message, heard)| [heard, message.comprehension, message.conveyance]);
         out.extend(words.map(|words| words as f32 / MAX_WORDS));
         let steps = self.reaction().map(|(_, steps)| steps);
         out.push(yes_or_no(steps.is_some()));

@@ -107,13 +107,18 @@ impl Trace {
         // The horizon is no rule of the world; the one run that meets it is as long as its horizon.
         let horizon = if self.name == "horizon" { self.steps.len() } else { usize::MAX };
         for (t, step) in self.steps.iter().enumerate() {
-            let actions: Option<Vec<Action>> = step.actions.iter().map(|a| read_action(a)).collect();
+            let actions: Option<Vec<Action>> =
+                step.actions.iter().map(|a| read_action(a)).collect();
             let actions = actions.filter(|actions| actions.len() == n_cooks);
             let outcomes = world.step(&actions.ok_or_else(|| self.impossible("action"))?);
             let rewards: Vec<u32> = outcomes.iter().map(|outcome| outcome.reward).collect();
             let events = event_names(outcomes);
             comparison.check(format_args!("reward of step {t}"), &rewards, &step.sparse);
-            comparison.check(format_args!("shaped reward of step {t}"), &vec![0; n_cooks], &step.shaped);
+            comparison.check(
+                format_args!("shaped reward of step {t}"),
+                &vec![0; n_cooks],
+                &step.shaped,
+            );
             comparison.check(format_args!("events of step {t}"), &events, &step.events);
             let done = world.is_done() || t + 1 >= horizon;
             comparison.check(format_args!("end of step {t}"), &done, &step.done);
@@ -330,8 +335,7 @@ impl Matrix {
             tile => character(grid.ahead(*pose)).map(String::from).as_deref() == Some(tile),
         };
         let all = grid.floor().iter();
-        let mut poses =
-            all.flat_map(|&place| Direction::ALL.map(|facing| Pose { place, facing }));
+        let mut poses = all.flat_map(|&place| Direction::ALL.map(|facing| Pose { place, facing }));
         let pose = poses.find(fits)?;
         let ahead = grid.ahead(pose);
         let mut free = grid.floor().iter().filter(|&&place| place != pose.place && place != ahead);
