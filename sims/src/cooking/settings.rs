@@ -23,7 +23,7 @@ pub enum TieRule {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WorldSettings {
-    /// The kitchen: `ring`, `steak_mid_2`, `steak_side_2`, `steak_none_3`, or its own rows. Default `ring`.
+    /// The kitchen: `ring`, `wings`, `steak_mid_2`, `steak_side_2`, `steak_none_3`, or its own rows. Default `ring`.
     pub layout: String,
     /// Steps that a steak cooks (1 to 200). Default 10.
     pub cook_time: u8,
