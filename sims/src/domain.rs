@@ -72,6 +72,12 @@ pub trait Domain: Send {
     /// Names the topics, in the order of their ids.
     fn topics(&self) -> &[&'static str];
 
+    /// Tells whether a topic asks for an action. One that does not only informs: it leaves no reaction behind, and
+    /// works when it is [delivered](Domain::deliver).
+    fn asks_for_action(&self, _topic: usize) -> bool {
+        true
+    }
+
     /// Returns the length of the domain's own observation.
     fn obs_dim(&self) -> usize;
 
@@ -86,6 +92,9 @@ pub trait Domain: Send {
 
     /// Is told that a reaction is over (run out, replaced or cancelled): a plan made before it may be invalid.
     fn reaction_over(&mut self) {}
+
+    /// Is told that a message has started: a scripted notifier may want to let it work.
+    fn started(&mut self, _message: Message) {}
 
     /// Is told that a message was heard to its end.
     fn deliver(&mut self, _message: Message) -> Delivery {

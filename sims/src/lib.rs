@@ -13,6 +13,7 @@
 //! implements to become a notifier problem.
 
 pub mod classic;
+pub mod cooking;
 pub mod domain;
 pub mod environment;
 pub mod human;
@@ -22,6 +23,7 @@ pub mod piloting;
 pub mod registry;
 pub mod scene;
 pub mod setting;
+pub mod steakhouse;
 pub mod vectorized;
 
 pub use domain::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};

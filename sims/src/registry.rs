@@ -9,6 +9,7 @@
 //! | `lander` | [`NotifierEnv`] over [`Piloting`] | [`PilotingSettings`] |
 //! | `pilot` | [`PilotTask`] | `{"world": PilotTaskSettings}` |
 //! | `cue_recall` | [`classic::CueRecall`] | `{"world": CueRecallSettings}` |
+//! | `steakhouse` | [`NotifierEnv`] over [`Cooking`] | [`CookingSettings`] |
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::classic;
+use crate::cooking::{Cooking, CookingSettings};
 use crate::environment::Environment;
 use crate::lander::{PilotTask, PilotTaskSettings};
 use crate::notifier::NotifierEnv;
@@ -89,6 +91,10 @@ impl Registry {
             .with("lander", |settings| {
                 let PilotingSettings { world, human, notifier } = read("lander", settings)?;
                 Ok(Box::new(NotifierEnv::new(Piloting::new(&world)?, &human, &notifier)?))
+            })
+            .with("steakhouse", |settings| {
+                let CookingSettings { world, human, notifier } = read("steakhouse", settings)?;
+                Ok(Box::new(NotifierEnv::new(Cooking::new(&world)?, &human, &notifier)?))
             })
             .with("pilot", |settings| {
                 let settings: WorldOnly<PilotTaskSettings> = read("pilot", settings)?;
@@ -213,7 +219,8 @@ mod tests {
         let text = refuse("lunar", "{}");
         assert!(
             text.starts_with(
-                "there is no domain `lunar`; known: cartpole, cue_recall, lander, pilot"
+                "there is no domain `lunar`; known: cartpole, cue_recall, lander, pilot, \
+                 steakhouse"
             ),
             "{text}"
         );

@@ -1,7 +1,7 @@
 //! Stepping the notifier problem allocates nothing: not the listener, not the history, not the batch.
 //!
-//! It steps the lander in free flight; the contact world near the ground belongs to the physics engine, which keeps
-//! its own memory. This is a program of its own (no test harness), so that nobody else allocates beside it.
+//! It steps the lander in free flight (the contact world near the ground belongs to the physics engine, which keeps
+//! its own memory), and the steakhouse through words, directions and disclosures. This is a program of its own (no test harness), so that nobody else allocates beside it.
 
 use std::alloc::System;
 
@@ -15,7 +15,12 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 const N_ENVS: usize = 4;
 
 fn main() {
-    let task = TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() };
+    check("lander", 8);
+    check("steakhouse", 25);
+}
+
+fn check(domain: &str, n_steps: usize) {
+    let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
     let registry = Registry::builtin();
     let build = |_| registry.build(&task).expect("the default task can be built");
     let mut rows = Vectorized::new((0..N_ENVS).map(build).collect());
@@ -29,10 +34,10 @@ fn main() {
     }
     rows.step(&actions);
     let region = Region::new(ALLOCATOR);
-    for _ in 0..8 {
+    for _ in 0..n_steps {
         rows.step(&actions);
     }
     let change = region.change();
-    assert!(rows.outcomes().iter().all(|outcome| outcome.end.is_none()), "the flight goes on");
-    assert_eq!((change.allocations, change.reallocations), (0, 0), "{change:?}");
+    assert!(rows.outcomes().iter().all(|outcome| outcome.end.is_none()), "the episode goes on");
+    assert_eq!((change.allocations, change.reallocations), (0, 0), "{domain}: {change:?}");
 }

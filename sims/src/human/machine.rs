@@ -41,13 +41,16 @@
 //! | C5 | `k'`-th word | pending, due now | it still starts with the next step, unless the new one is due now too; as C1 |
 //! | C3 | `k'`-th word | pending; `pending = queue` | both pending; the older one is due first |
 //! | C4 | `k'`-th word | running; `running = cancel_on_comprehension` | running over |
+//! | C6 | `k'`-th word | its topic only informs | nothing but understood |
 //! | L1 | `l'`-th word | | delivered; silent |
 //! | L2 | delivery cancels | running | running over |
+//! | L3 | `l'`-th word | its topic only informs | followed |
 //!
 //! # Invariants
 //!
 //! * started = preempted + comprehended + (1 if one is spoken and not understood yet);
-//! * comprehended = overwritten + followed + unheeded + pending + (1 if one runs and was not followed yet).
+//! * comprehended = overwritten + followed + unheeded + pending + (1 if one runs and was not followed yet) + (1 if one
+//!   is spoken, understood, and only informs); cut before its last word, such a one is unheeded.
 
 use std::collections::VecDeque;
 
@@ -176,6 +179,8 @@ impl HumanState {
 #[derive(Clone, Debug)]
 pub struct Human {
     settings: HumanSettings,
+    /// Topics that only inform.
+    informative: Vec<usize>,
     state: HumanState,
     /// A reaction ended since this was last asked.
     reaction_over: bool,
@@ -193,7 +198,18 @@ impl Human {
             delay,
             tally: Tally::default(),
         };
-        Self { settings: settings.clone(), state, reaction_over: false }
+        let informative = Vec::new();
+        Self { settings: settings.clone(), informative, state, reaction_over: false }
+    }
+
+    /// Names the topics that ask for no action: they only inform, when they are heard to their end.
+    pub fn with_informative(mut self, topics: Vec<usize>) -> Self {
+        self.informative = topics;
+        self
+    }
+
+    fn only_informs(&self, message: Message) -> bool {
+        self.informative.contains(&message.topic)
     }
 
     /// Forgets everything and starts an episode; `generator` gives its delays.
@@ -231,6 +247,15 @@ impl Human {
     /// Returns the message that will be acted upon next.
     pub fn pending(&self) -> Option<Message> {
         self.state.pending.front().map(|pending| pending.message)
+    }
+
+    /// Returns the message that the coming step acts upon unless something new is said, and for how many steps more.
+    pub fn upcoming(&self) -> Option<(Message, u32)> {
+        let due = self.state.pending.front().filter(|pending| pending.due <= self.state.now);
+        let starting = due
+            .map(|pending| (pending.message, self.settings.reaction_steps(pending.message)))
+            .filter(|(_, steps)| *steps > 0);
+        starting.or(self.state.running.map(|running| (running.message, running.steps_left)))
     }
 
     /// Tells whether a message (of another topic) would start now.
@@ -369,6 +394,7 @@ impl Human {
         if heard >= length {
             self.state.speech = None;
             self.state.tally.delivered += 1;
+            self.state.tally.followed += u32::from(self.only_informs(message));
             result.delivered = Some(message);
         }
         result
@@ -381,6 +407,9 @@ impl Human {
 
     fn comprehend(&mut self, message: Message) {
         self.state.tally.comprehended += 1;
+        if self.only_informs(message) {
+            return;
+        }
         if self.settings.running == RunningRule::CancelOnComprehension {
             self.end_running();
         }
@@ -406,7 +435,9 @@ impl Human {
 
     fn cut_speech(&mut self) {
         if let Some(utterance) = self.state.speech.take() {
+            let in_vain = utterance.understood && self.only_informs(utterance.message);
             self.state.tally.preempted += u32::from(!utterance.understood);
+            self.state.tally.unheeded += u32::from(in_vain);
         }
     }
 

@@ -68,6 +68,37 @@ fn a_message_is_acted_upon_from_k_plus_the_delay_for_its_length() {
 }
 
 #[test]
+fn c6_l3_an_informative_message_leaves_no_reaction_and_works_when_it_is_delivered() {
+    let settings = with(|s| s.interrupt = Interrupt::Replace);
+    let mut human = human(&settings).with_informative(vec![B]);
+    // A is understood at time 2 and due at time 4; B is understood in between, and leaves it alone.
+    let orders = [Some(start(A, 2, 2)), None, Some(start(B, 1, 3))];
+    let acted: Vec<Option<usize>> = (0..7)
+        .map(|t| step(&mut human, orders.get(t).copied().flatten().unwrap_or(Order::Continue)))
+        .collect();
+    assert_eq!(acted, [None, None, None, None, Some(A), Some(A), None]);
+    let tally = human.tally();
+    assert_eq!((tally.comprehended, tally.followed, tally.unheeded), (2, 2, 0));
+    // Cut before its last word, it was understood and came to nothing.
+    step(&mut human, start(B, 1, 3));
+    step(&mut human, start(A, 2, 2));
+    assert_eq!((human.tally().followed, human.tally().unheeded), (2, 1));
+}
+
+#[test]
+fn what_comes_next_is_known_before_the_step() {
+    let settings = with(|s| s.reaction_delay = ReactionDelay::Fixed(0));
+    let mut human = human(&settings);
+    let coming: Vec<Option<u32>> = (0..6)
+        .map(|t| {
+            step(&mut human, if t == 0 { start(A, 2, 3) } else { Order::Continue });
+            human.upcoming().map(|(_, steps)| steps)
+        })
+        .collect();
+    assert_eq!(coming, [None, Some(3), Some(2), Some(1), None, None]);
+}
+
+#[test]
 fn without_delay_the_reaction_starts_in_the_step_after_the_k_th_word() {
     let settings = with(|s| s.reaction_delay = ReactionDelay::Fixed(0));
     assert_eq!(only(&settings, 2, 3), [2, 3, 4]);

@@ -98,10 +98,12 @@ impl<D: Domain> NotifierEnv<D> {
             metrics: metrics.collect(),
         };
         spec.actions.check()?;
+        let informative =
+            (0..domain.topics().len()).filter(|&topic| !domain.asks_for_action(topic));
         Ok(Self {
             spec,
+            human: Human::new(human).with_informative(informative.collect()),
             domain,
-            human: Human::new(human),
             actions,
             history,
             observe_utterance: notifier.observe_utterance,
@@ -133,6 +135,9 @@ impl<D: Domain> NotifierEnv<D> {
         self.tell_reaction_over();
         let initiation = self.human.obey(order);
         self.tell_reaction_over();
+        if let (Order::Start(message), Initiation::Started) = (order, initiation) {
+            self.domain.started(message);
+        }
         let reaction = self.human.reaction();
         let advance = self.domain.advance(reaction);
         let reacted = self.human.acted(advance.reaction);

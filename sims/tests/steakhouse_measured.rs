@@ -1,0 +1,116 @@
+//! What silent, informing and scripted notifiers come to, beside the same measured with another program.
+//!
+//! The expected means are those that `sims/tests/golden/steakhouse.py` prints, over 100 episodes with seeds of its own;
+//! here are 400. `cargo test -p leadtime-sims --test steakhouse_measured -- --nocapture` prints the table.
+
+use leadtime_sims::cooking::{Averages, CookingSettings, Speaker, TieRule, compare, play};
+use leadtime_sims::steakhouse::StartFamily;
+
+const EPISODES: u64 = 400;
+
+/// The settings of the other program: as recorded, but with random ties.
+fn settings(random_pose: bool) -> CookingSettings {
+    let mut settings = CookingSettings::golden();
+    settings.world.ties = TieRule::Random;
+    settings.world.random_pose = random_pose;
+    settings
+}
+
+fn print(name: &str, row: &Averages) {
+    println!(
+        "{name:<34} success {:.2}  steps {:5.1}  excess {:5.1}  redundant {:5.1}  pickups {:.2}  messages {:.2}  return {:5.1}",
+        row.success,
+        row.steps,
+        row.excess_steps,
+        row.redundant_steps,
+        row.pointless_pickups,
+        row.notifications,
+        row.total_reward
+    );
+}
+
+#[track_caller]
+fn near(found: f64, expected: f64, within: f64) {
+    assert!((found - expected).abs() <= within, "{found:.2}, expected {expected} within {within}");
+}
+
+#[test]
+fn random_starts_cost_what_they_cost_in_the_other_program() {
+    // Success, steps, redundant steps and return; fixed start tile, then anywhere.
+    let rows = [
+        (Speaker::Silent, false, [0.04, 60.5, 25.0, 3.9]),
+        (Speaker::Silent, true, [0.23, 57.5, 20.8, 7.3]),
+        (Speaker::Unneeded, false, [0.99, 38.9, 0.0, 21.7]),
+        (Speaker::Unneeded, true, [0.99, 39.3, 0.0, 21.7]),
+        (Speaker::InformAtStart, false, [0.94, 42.1, 2.3, 20.3]),
+        (Speaker::InformAtStart, true, [0.95, 42.3, 2.8, 20.4]),
+    ];
+    for (speaker, random_pose, [success, steps, redundant, total]) in rows {
+        let row = play(&settings(random_pose), speaker, 0..EPISODES).unwrap();
+        print(&format!("{speaker:?}, random pose: {random_pose}"), &row);
+        assert_eq!((row.n_episodes, row.delivered), (EPISODES, 1.0));
+        // About four standard errors of the difference of both means.
+        near(row.success, success, 0.15);
+        near(row.steps, steps, 4.5);
+        near(row.redundant_steps, redundant, 3.5);
+        near(row.total_reward, total, 3.5);
+    }
+}
+
+#[test]
+fn every_family_of_starts_costs_what_it_costs_in_the_other_program() {
+    // Steps of the silent and of the true belief, and things fetched in vain.
+    let rows = [
+        (StartFamily::Empty, [71.5, 71.5, 0.0]),
+        (StartFamily::Grills, [66.5, 53.7, 1.0]),
+        (StartFamily::Boards, [75.7, 57.5, 1.0]),
+        (StartFamily::Sinks, [64.7, 55.5, 0.5]),
+        (StartFamily::FirstOfEach, [60.0, 35.4, 2.5]),
+        (StartFamily::AllPartial, [60.7, 33.4, 2.3]),
+        (StartFamily::AllReady, [52.9, 25.5, 2.3]),
+    ];
+    for (family, [silent, informed, pickups]) in rows {
+        let found = compare(&settings(false), &[family], 0..EPISODES).unwrap();
+        for (_, speaker, row) in &found {
+            print(&format!("{family:?}, {speaker:?}"), row);
+        }
+        near(found[0].2.steps, silent, 2.0);
+        near(found[1].2.steps, informed, 1.0);
+        near(found[0].2.pointless_pickups, pickups, 0.2);
+    }
+}
+
+#[test]
+fn with_the_default_listener_speaking_is_better_than_silence() {
+    let families = [StartFamily::Random, StartFamily::AllPartial];
+    for rows in compared(&CookingSettings::default(), &families).chunks_exact(4) {
+        let [silent, unneeded, informing, heuristic] = [0, 1, 2, 3].map(|speaker| rows[speaker]);
+        assert!(silent.success < informing.success && silent.success < heuristic.success);
+        assert!(silent.steps > informing.steps && silent.steps > heuristic.steps);
+        assert!(unneeded.success > 0.95 && informing.notifications == 1.0);
+        assert!(heuristic.redundant_steps < silent.redundant_steps);
+    }
+}
+
+#[test]
+fn stations_in_somebody_elses_use_cost_much_only_where_the_others_are_far() {
+    let cost = |layout: &str| {
+        let mut settings = CookingSettings::default();
+        settings.world.layout = layout.to_owned();
+        let rows = compared(&settings, &[StartFamily::Unavailable]);
+        [rows[0].steps - rows[1].steps, rows[2].steps - rows[1].steps]
+    };
+    let [silent, informed] = cost("wings");
+    assert!(silent > 4.0 && informed < 0.6 * silent, "{silent} {informed}");
+    let [silent, _] = cost("ring");
+    assert!(silent < 1.0, "{silent}");
+}
+
+/// Compares all speakers, with a row for each in every family.
+fn compared(settings: &CookingSettings, families: &[StartFamily]) -> Vec<Averages> {
+    let rows = compare(settings, families, 0..EPISODES).unwrap();
+    for (family, speaker, row) in &rows {
+        print(&format!("{}, {family:?}, {speaker:?}", settings.world.layout), row);
+    }
+    rows.into_iter().map(|(_, _, row)| row).collect()
+}
