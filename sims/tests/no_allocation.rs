@@ -1,7 +1,8 @@
 //! Stepping the notifier problem allocates nothing: not the listener, not the history, not the batch.
 //!
-//! It steps the lander in free flight; the contact world near the ground belongs to the physics engine, which keeps
-//! its own memory. This is a program of its own (no test harness), so that nobody else allocates beside it.
+//! It steps the lander in free flight (the contact world near the ground belongs to the physics engine, which keeps
+//! its own memory) and the highway past its first merge. This is a program of its own (no test harness), so that
+//! nobody else allocates beside it.
 
 use std::alloc::System;
 
@@ -15,7 +16,12 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 const N_ENVS: usize = 4;
 
 fn main() {
-    let task = TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() };
+    steps_allocate_nothing("lander", 8);
+    steps_allocate_nothing("highway", 16);
+}
+
+fn steps_allocate_nothing(domain: &str, n_steps: usize) {
+    let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
     let registry = Registry::builtin();
     let build = |_| registry.build(&task).expect("the default task can be built");
     let mut rows = Vectorized::new((0..N_ENVS).map(build).collect());
@@ -29,10 +35,11 @@ fn main() {
     }
     rows.step(&actions);
     let region = Region::new(ALLOCATOR);
-    for _ in 0..8 {
+    for _ in 0..n_steps {
         rows.step(&actions);
     }
     let change = region.change();
-    assert!(rows.outcomes().iter().all(|outcome| outcome.end.is_none()), "the flight goes on");
-    assert_eq!((change.allocations, change.reallocations), (0, 0), "{change:?}");
+    let goes_on = rows.outcomes().iter().all(|outcome| outcome.end.is_none());
+    assert!(goes_on, "all episodes of {domain} go on");
+    assert_eq!((change.allocations, change.reallocations), (0, 0), "{domain}: {change:?}");
 }

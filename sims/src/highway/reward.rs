@@ -155,7 +155,7 @@ mod tests {
     #[test]
     fn rewards_are_those_of_the_worked_table() {
         let settings = RewardSettings::default();
-        let reward = |speed: f64, lane, change: impl FnOnce(&mut Terms)| {
+        let reward = |speed: f64, lane, change: fn(&mut Terms)| {
             let high_speed = (speed - 15.0) / 23.0;
             let mut terms = Terms { high_speed, right_lane: lane, ..Terms::default() };
             change(&mut terms);

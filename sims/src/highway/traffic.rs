@@ -172,3 +172,7 @@ impl Traffic {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "traffic_tests.rs"]
+mod tests;
