@@ -15,7 +15,9 @@
 pub mod classic;
 pub mod cooking;
 pub mod domain;
+pub mod driving;
 pub mod environment;
+pub mod highway;
 pub mod human;
 pub mod lander;
 pub mod notifier;

@@ -7,6 +7,7 @@
 //! |---|---|---|
 //! | `cartpole` | [`classic::CartPole`] | `{"world": CartPoleSettings}` |
 //! | `lander` | [`NotifierEnv`] over [`Piloting`] | [`PilotingSettings`] |
+//! | `highway` | [`NotifierEnv`] over [`Driving`] | [`DrivingSettings`] |
 //! | `pilot` | [`PilotTask`] | `{"world": PilotTaskSettings}` |
 //! | `cue_recall` | [`classic::CueRecall`] | `{"world": CueRecallSettings}` |
 //! | `steakhouse` | [`NotifierEnv`] over [`Cooking`] | [`CookingSettings`] |
@@ -23,6 +24,7 @@ use thiserror::Error;
 
 use crate::classic;
 use crate::cooking::{Cooking, CookingSettings};
+use crate::driving::{Driving, DrivingSettings};
 use crate::environment::Environment;
 use crate::lander::{PilotTask, PilotTaskSettings};
 use crate::notifier::NotifierEnv;
@@ -96,6 +98,10 @@ impl Registry {
                 let CookingSettings { world, human, notifier } = read("steakhouse", settings)?;
                 Ok(Box::new(NotifierEnv::new(Cooking::new(&world)?, &human, &notifier)?))
             })
+            .with("highway", |settings| {
+                let DrivingSettings { world, human, notifier } = read("highway", settings)?;
+                Ok(Box::new(NotifierEnv::new(Driving::new(&world)?, &human, &notifier)?))
+            })
             .with("pilot", |settings| {
                 let settings: WorldOnly<PilotTaskSettings> = read("pilot", settings)?;
                 Ok(Box::new(PilotTask::new(&settings.world)?))
@@ -109,6 +115,7 @@ impl Registry {
                 Ok(Box::new(classic::CueRecall::new(&settings.world)?))
             });
         registry.for_evaluation.insert("lander".to_owned(), evaluate_piloting);
+        registry.for_evaluation.insert("highway".to_owned(), evaluate_driving);
         registry
     }
 
@@ -177,6 +184,12 @@ fn evaluate_piloting(settings: &str) -> Result<String, TaskError> {
         .map_err(|source| TaskError::Settings { domain: "lander", source })
 }
 
+fn evaluate_driving(settings: &str) -> Result<String, TaskError> {
+    let settings: DrivingSettings = read("highway", settings)?;
+    serde_json::to_string(&settings.for_evaluation())
+        .map_err(|source| TaskError::Settings { domain: "highway", source })
+}
+
 /// Builds the environment of one of the built-in tasks.
 ///
 /// # Errors
@@ -219,7 +232,7 @@ mod tests {
         let text = refuse("lunar", "{}");
         assert!(
             text.starts_with(
-                "there is no domain `lunar`; known: cartpole, cue_recall, lander, pilot, \
+                "there is no domain `lunar`; known: cartpole, cue_recall, highway, lander, pilot, \
                  steakhouse"
             ),
             "{text}"

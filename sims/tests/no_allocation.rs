@@ -1,7 +1,8 @@
 //! Stepping the notifier problem allocates nothing: not the listener, not the history, not the batch.
 //!
 //! It steps the lander in free flight (the contact world near the ground belongs to the physics engine, which keeps
-//! its own memory), and the steakhouse through words, directions and disclosures. This is a program of its own (no test harness), so that nobody else allocates beside it.
+//! its own memory), the highway past its first merge, and the steakhouse through words, directions and disclosures. This
+//! is a program of its own (no test harness), so that nobody else allocates beside it.
 
 use std::alloc::System;
 
@@ -15,11 +16,12 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 const N_ENVS: usize = 4;
 
 fn main() {
-    check("lander", 8);
-    check("steakhouse", 25);
+    steps_allocate_nothing("lander", 8);
+    steps_allocate_nothing("highway", 16);
+    steps_allocate_nothing("steakhouse", 25);
 }
 
-fn check(domain: &str, n_steps: usize) {
+fn steps_allocate_nothing(domain: &str, n_steps: usize) {
     let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
     let registry = Registry::builtin();
     let build = |_| registry.build(&task).expect("the default task can be built");
@@ -38,6 +40,7 @@ fn check(domain: &str, n_steps: usize) {
         rows.step(&actions);
     }
     let change = region.change();
-    assert!(rows.outcomes().iter().all(|outcome| outcome.end.is_none()), "the episode goes on");
+    let goes_on = rows.outcomes().iter().all(|outcome| outcome.end.is_none());
+    assert!(goes_on, "all episodes of {domain} go on");
     assert_eq!((change.allocations, change.reallocations), (0, 0), "{domain}: {change:?}");
 }

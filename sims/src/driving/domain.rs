@@ -1,0 +1,282 @@
+//! The highway with a person who trusts merging cars, as a domain.
+
+use std::sync::Arc;
+
+use leadtime_numerics::{Pcg64, Purpose};
+use serde::{Deserialize, Serialize};
+
+use super::admit::{is_due, merging_car, populate};
+use super::heuristic::advise;
+use super::picture::picture;
+use super::progress::Progress;
+use super::reaction::{EGO, TOPICS, is_lane_change, react};
+use super::world_settings::{WorldSettings, start_lanes};
+use crate::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_snapshot};
+use crate::highway::{Role, Traffic, Vehicle};
+use crate::scene::Scene;
+use crate::setting::SettingError;
+use crate::{Advance, Domain, Message, ReactionStatus, ReactionStep};
+
+/// What a step pays once the ego has arrived.
+const ARRIVED_REWARD: f64 = 1.0;
+
+#[derive(Serialize, Deserialize)]
+struct Snapshot {
+    vehicles: Vec<Vehicle>,
+    n_admitted: usize,
+    generator: Pcg64,
+    progress: Progress,
+}
+
+/// The driving task: a highway, its traffic, and the person who does not look at the ramps.
+///
+/// # Shapes
+///
+/// Observation: `[rows, columns]` of [`ObservationSettings`](crate::highway::ObservationSettings), the ego first.
+#[derive(Debug)]
+pub struct Driving {
+    settings: WorldSettings,
+    traffic: Traffic,
+    /// Lanes abreast where the ego starts: the unit of observed y.
+    n_lanes: usize,
+    /// Ramps whose car has appeared.
+    n_admitted: usize,
+    generator: Pcg64,
+    progress: Progress,
+}
+
+impl Driving {
+    /// Creates the task.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] if a setting is out of range or the road is none.
+    pub fn new(settings: &WorldSettings) -> Result<Self, SettingError> {
+        let road = Arc::new(settings.build()?);
+        let n_lanes = start_lanes(&road).count();
+        let n_vehicles = 1 + settings.traffic.cars.len() + road.ramps.len();
+        let mut traffic = Traffic::new(road, settings.merging.blindness);
+        traffic.reserve(n_vehicles);
+        let mut generator = Pcg64::seed_from_u64(0);
+        populate(&mut traffic, settings, &mut generator);
+        Ok(Self {
+            settings: settings.clone(),
+            traffic,
+            n_lanes,
+            n_admitted: 0,
+            generator,
+            progress: Progress::default(),
+        })
+    }
+
+    /// Returns the cars and their road; the ego is car 0.
+    pub fn traffic(&self) -> &Traffic {
+        &self.traffic
+    }
+
+    /// Returns the number of the merge at which the ego crashed, if it did.
+    pub fn crash_ramp(&self) -> Option<usize> {
+        self.progress.crash_ramp
+    }
+
+    /// Tells whether the ego has passed the goal.
+    pub fn has_arrived(&self) -> bool {
+        self.progress.arrived
+    }
+
+    fn ego(&self) -> &Vehicle {
+        &self.traffic.vehicles()[EGO]
+    }
+
+    /// Lets the next merging car appear, if its time has come.
+    fn admit(&mut self) {
+        let Some(ramp) = self.traffic.road().ramps.get(self.n_admitted) else { return };
+        let merging = &self.settings.merging;
+        if is_due(&self.traffic, ramp, merging) {
+            let car = merging_car(&self.traffic, ramp, merging, &mut self.generator);
+            self.traffic.push(car);
+            self.n_admitted += 1;
+        }
+    }
+
+    fn run_frames(&mut self) {
+        let dt = self.settings.dt();
+        for _ in 0..self.settings.frames_per_step {
+            self.admit();
+            let before = self.ego().speed;
+            self.traffic.step(dt);
+            let ego = &self.traffic.vehicles()[EGO];
+            self.progress.record_frame(before, ego, dt);
+        }
+    }
+
+    /// Computes the reward of a step, and adds its pieces to the progress.
+    fn pay(&mut self, changes_lanes: bool) -> f64 {
+        let weights = &self.settings.reward;
+        let terms = self.traffic.terms(EGO, changes_lanes, weights);
+        for (sum, piece) in self.progress.pieces.iter_mut().zip(weights.pieces(&terms)) {
+            *sum += piece;
+        }
+        weights.reward(&terms)
+    }
+
+    /// Notes how the episode stands, and tells whether it is over.
+    fn finish(&mut self) -> Option<End> {
+        let (x, crashed) = (self.ego().position[0], self.ego().crashed);
+        let progress = &mut self.progress;
+        if crashed {
+            progress.crashed = true;
+            let ramps = self.traffic.road().ramps.iter();
+            let met = ramps.filter(|ramp| x > ramp.merge_x - self.settings.merging.distance);
+            progress.crash_ramp = met.count().checked_sub(1);
+            return Some(End::Terminated);
+        }
+        progress.arrived = x > self.settings.goal;
+        if progress.arrived {
+            return (progress.n_steps >= self.settings.absorb_until).then_some(End::Terminated);
+        }
+        progress.timed_out = progress.n_steps >= self.settings.max_steps;
+        progress.timed_out.then_some(End::Truncated)
+    }
+
+    /// Waits at the goal: nothing moves any more.
+    fn wait(&mut self, reaction: Option<ReactionStep>) -> Advance {
+        let over = self.progress.n_steps >= self.settings.absorb_until;
+        Advance {
+            reward: ARRIVED_REWARD,
+            reaction: reaction.map(|_| ReactionStatus::Refused),
+            end: over.then_some(End::Terminated),
+        }
+    }
+
+    fn fits(&self, snapshot: &Snapshot) -> bool {
+        let road = self.traffic.road();
+        let n_vehicles = 1 + self.settings.traffic.cars.len() + snapshot.n_admitted;
+        let one_ego = |(i, vehicle): (usize, &Vehicle)| (vehicle.role == Role::Ego) == (i == EGO);
+        snapshot.n_admitted <= road.ramps.len()
+            && snapshot.vehicles.len() == n_vehicles
+            && snapshot.vehicles.iter().all(|vehicle| vehicle.is_proper(&road.network))
+            && snapshot.vehicles.iter().enumerate().all(one_ego)
+    }
+}
+
+impl Domain for Driving {
+    fn topics(&self) -> &[&'static str] {
+        TOPICS
+    }
+
+    fn obs_dim(&self) -> usize {
+        self.settings.observation.dim()
+    }
+
+    fn reset(&mut self, seed: EpisodeSeed) {
+        self.generator = seed.stream(Purpose::World);
+        self.traffic.clear();
+        populate(&mut self.traffic, &self.settings, &mut self.generator);
+        self.n_admitted = 0;
+        self.progress = Progress::begin(self.traffic.vehicles());
+    }
+
+    fn observe(&self, out: &mut [f32]) {
+        self.traffic.observe(EGO, self.n_lanes, &self.settings.observation, out);
+    }
+
+    fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
+        self.progress.n_steps += 1;
+        if self.progress.arrived {
+            return self.wait(reaction);
+        }
+        let Self { traffic, settings, progress, .. } = self;
+        let status = react(traffic, reaction, &settings.ego, &mut progress.refused);
+        let changes_lanes = reaction.is_some_and(|it| it.first && is_lane_change(it.topic));
+        progress.n_refused += u32::from(changes_lanes && progress.refused);
+        self.run_frames();
+        let reward = self.pay(changes_lanes);
+        Advance { reward, reaction: status, end: self.finish() }
+    }
+
+    fn heuristic(&self) -> Option<Message> {
+        if self.progress.arrived {
+            return None;
+        }
+        advise(&self.traffic, &self.settings.heuristic)
+    }
+
+    fn success(&self) -> bool {
+        self.progress.arrived
+    }
+
+    fn metric_names(&self) -> &'static [&'static str] {
+        &[
+            "crashed",
+            "arrived",
+            "timed_out",
+            "overtaken",
+            "refused_changes",
+            "mean_speed",
+            "hardest_braking",
+            "jerk",
+            "return_collision",
+            "return_right_lane",
+            "return_high_speed",
+            "return_merging",
+            "return_lane_change",
+        ]
+    }
+
+    fn metrics(&self, out: &mut [f32]) {
+        let progress = &self.progress;
+        let flags = [progress.crashed, progress.arrived, progress.timed_out];
+        let counts = [progress.overtaken(&self.traffic), progress.n_refused];
+        let amounts = [progress.mean_speed(), progress.hardest_braking(), progress.jerk()];
+        let flags = flags.into_iter().map(|flag| f64::from(u8::from(flag)));
+        let values = flags.chain(counts.map(f64::from)).chain(amounts).chain(progress.pieces);
+        for (out, value) in out.iter_mut().zip(values) {
+            *out = value as f32;
+        }
+    }
+
+    fn snapshot(&self, out: &mut Vec<u8>) {
+        let snapshot = Snapshot {
+            vehicles: self.traffic.vehicles().to_vec(),
+            n_admitted: self.n_admitted,
+            generator: self.generator.clone(),
+            progress: self.progress,
+        };
+        write_snapshot(&snapshot, out);
+    }
+
+    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+        let snapshot: Snapshot = read_snapshot(snapshot)?;
+        if !self.fits(&snapshot) {
+            return Err(SnapshotError::Mismatch { what: "cars" });
+        }
+        let n_ramps = self.traffic.road().ramps.len();
+        if !snapshot.progress.is_plausible(self.settings.max_steps, n_ramps) {
+            return Err(SnapshotError::Mismatch { what: "progress" });
+        }
+        self.traffic.clear();
+        for mut vehicle in snapshot.vehicles {
+            vehicle.face(vehicle.heading);
+            self.traffic.push(vehicle);
+        }
+        self.n_admitted = snapshot.n_admitted;
+        self.generator = snapshot.generator;
+        self.progress = snapshot.progress;
+        Ok(())
+    }
+
+    fn scene(&self) -> Scene {
+        let outcome = match self.progress {
+            Progress { crashed: true, .. } => "crashed",
+            Progress { arrived: true, .. } => "arrived",
+            Progress { timed_out: true, .. } => "out of time",
+            _ => "",
+        };
+        picture(&self.traffic, self.settings.goal, outcome)
+    }
+}
+
+#[cfg(test)]
+#[path = "domain_tests.rs"]
+mod tests;

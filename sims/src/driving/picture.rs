@@ -1,0 +1,74 @@
+//! The highway as a picture's ingredients: a stretch of road around the ego.
+//!
+//! Pictures have y upwards, roads to the right of whoever drives along them; so y is turned.
+
+use super::reaction::EGO;
+use crate::highway::constants::{LENGTH, OBSTACLE, WIDTH};
+use crate::highway::{Lane, Traffic, Vehicle};
+use crate::scene::{Listener, Scene, Shape, Tone, View};
+
+/// How much road is shown behind and ahead of the ego, in metres.
+const STRETCH: [f64; 2] = [60.0, 140.0];
+/// How much beside y = 0 is shown, to the right and to the left, in metres.
+const SIDES: [f64; 2] = [18.0, 14.0];
+/// Distance between the points of a curved edge, in metres.
+const GRAIN: f64 = 5.0;
+
+/// Describes the road around the ego.
+pub(super) fn picture(traffic: &Traffic, goal: f64, outcome: &str) -> Scene {
+    let [x, y] = traffic.vehicles()[EGO].position;
+    let view = View { min: [x - STRETCH[0], -SIDES[0]], max: [x + STRETCH[1], SIDES[1]] };
+    let mut shapes = Vec::new();
+    for lane in traffic.network().lanes() {
+        shapes.extend(surface(lane, &view));
+    }
+    for lane in traffic.network().lanes() {
+        shapes.extend([-0.5, 0.5].into_iter().filter_map(|side| edge(lane, side, &view)));
+    }
+    let shown = |place: [f64; 2]| (view.min[0]..=view.max[0]).contains(&place[0]);
+    if shown([goal, 0.0]) {
+        let points = vec![[goal, view.min[1]], [goal, view.max[1]]];
+        shapes.push(Shape::Line { points, tone: Tone::Goal });
+    }
+    for &[x, y] in traffic.road().obstacles.iter().filter(|place| shown(**place)) {
+        let half = OBSTACLE / 2.0;
+        let (min, max) = ([x - half, -y - half], [x + half, -y + half]);
+        shapes.push(Shape::Rectangle { min, max, tone: Tone::Danger });
+    }
+    // The ego comes last, on top.
+    for (i, vehicle) in traffic.vehicles().iter().enumerate().rev() {
+        if shown(vehicle.position) {
+            let tone = if i == EGO { Tone::Own } else { Tone::Other };
+            shapes.push(Shape::Polygon { points: outline(vehicle), tone });
+        }
+    }
+    let (position, listener) = ([x, -y], Listener::default());
+    Scene { view, shapes, position, listener, outcome: outcome.to_owned() }
+}
+
+/// Returns the points of a line along a lane, `share` of its width to the right of its centre, inside the view.
+fn points(lane: &Lane, share: f64, view: &View) -> Vec<[f64; 2]> {
+    let n_points = (lane.length() / GRAIN).ceil().max(1.0) as usize;
+    let places = (0..=n_points).map(|i| lane.length() * i as f64 / n_points as f64);
+    let places = places.map(|s| lane.position(s, share * lane.width())).map(|[x, y]| [x, -y]);
+    places.filter(|[x, _]| (view.min[0]..=view.max[0]).contains(x)).collect()
+}
+
+fn surface(lane: &Lane, view: &View) -> Option<Shape> {
+    let mut outline = points(lane, -0.5, view);
+    outline.extend(points(lane, 0.5, view).into_iter().rev());
+    (outline.len() > 3).then_some(Shape::Polygon { points: outline, tone: Tone::Ground })
+}
+
+fn edge(lane: &Lane, share: f64, view: &View) -> Option<Shape> {
+    let points = points(lane, share, view);
+    (points.len() > 1).then_some(Shape::Line { points, tone: Tone::Hint })
+}
+
+fn outline(vehicle: &Vehicle) -> Vec<[f64; 2]> {
+    let ([x, y], [cosine, sine]) = (vehicle.position, vehicle.direction());
+    let [length, width] = [LENGTH / 2.0, WIDTH / 2.0];
+    [[-length, -width], [-length, width], [length, width], [length, -width]]
+        .map(|[s, r]| [x + cosine * s - sine * r, -(y + sine * s + cosine * r)])
+        .to_vec()
+}

@@ -1,0 +1,50 @@
+//! The road with three merges is dangerous without help, and a timely "slow down" makes it safe.
+
+use leadtime_sims::driving::{EgoSettings, Plan, Safety, WorldSettings, measure};
+use leadtime_sims::highway::Blindness;
+
+const N_EPISODES: u64 = 100;
+
+fn drive(plan: Plan, change: impl FnOnce(&mut WorldSettings)) -> Safety {
+    let mut settings = WorldSettings::default();
+    change(&mut settings);
+    let found = measure(&settings, plan, 0..N_EPISODES).unwrap();
+    println!("{plan:?}: {:?} {found:?}", found.interval());
+    assert_eq!(u64::from(found.n_episodes), N_EPISODES);
+    found
+}
+
+#[test]
+fn an_unaided_ego_crashes_in_about_half_of_the_episodes_at_every_merge() {
+    let found = drive(Plan::Unaided, |_| {});
+    assert!((0.35..0.75).contains(&found.crash_rate()), "{found:?}");
+    assert_eq!(found.n_arrived + found.n_crashed, found.n_episodes);
+    // The merge from the left is as real as those from the right.
+    assert!(found.crashes.iter().all(|&crashes| crashes >= 8), "{found:?}");
+}
+
+#[test]
+fn slowing_down_early_saves_and_late_does_not() {
+    let early = drive(Plan::SlowDown { from: 150.0 }, |_| {});
+    assert!(early.crash_rate() < 0.05, "{early:?}");
+    let late = drive(Plan::SlowDown { from: 70.0 }, |_| {});
+    assert!(late.crash_rate() > 0.2, "{late:?}");
+}
+
+#[test]
+fn an_ego_that_is_seen_and_sees_is_safer() {
+    let blind = drive(Plan::Unaided, |_| {});
+    let seeing = drive(Plan::Unaided, |s| s.merging.blindness = Blindness::Never);
+    assert!(2 * seeing.n_crashed < blind.n_crashed, "{seeing:?} {blind:?}");
+}
+
+#[test]
+fn lanes_matter() {
+    let on_the_right = drive(Plan::Unaided, |s| s.ego = EgoSettings { lane: Some(1), ..s.ego });
+    assert!(on_the_right.crash_rate() > 0.35, "{on_the_right:?}");
+    let stays = |s: &mut WorldSettings| {
+        s.ego = EgoSettings { lane: Some(1), changes_lanes: false, ..s.ego };
+    };
+    let stays = drive(Plan::Unaided, stays);
+    assert!(stays.crashes[1] < on_the_right.crashes[1].max(3), "{stays:?} {on_the_right:?}");
+}
