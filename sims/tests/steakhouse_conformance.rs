@@ -82,6 +82,8 @@ fn what_is_no_recording_says_so() {
         error,
         "the kitchen of `full_task_10_2_2` is impossible: row 1, column 5 on the border is floor"
     );
+    let error = impossible(&golden(), r#""content":[5,5,1"#, r#""content":[5,5,3"#);
+    assert_eq!(error, "`all_partial_silent` holds an impossible station state");
     let error = impossible(&golden(), r#""layout":"ring""#, r#""layout":"rind""#);
     assert!(
         error.starts_with("the settings of `empty_silent` are impossible: `world.layout`"),

@@ -16,6 +16,7 @@ fn settings(random_pose: bool) -> CookingSettings {
     settings
 }
 
+#[expect(clippy::print_stdout, reason = "a table for whoever asks for it")]
 fn print(name: &str, row: &Averages) {
     println!(
         "{name:<34} success {:.2}  steps {:5.1}  excess {:5.1}  redundant {:5.1}  pickups {:.2}  messages {:.2}  return {:5.1}",
@@ -108,7 +109,7 @@ fn stations_in_somebody_elses_use_cost_much_only_where_the_others_are_far() {
 
 /// Compares all speakers, with a row for each in every family.
 fn compared(settings: &CookingSettings, families: &[StartFamily]) -> Vec<Averages> {
-    let rows = compare(settings, families, 0..EPISODES).unwrap();
+    let rows = compare(settings, families, 0..EPISODES).expect("the families are possible");
     for (family, speaker, row) in &rows {
         print(&format!("{}, {family:?}, {speaker:?}", settings.world.layout), row);
     }

@@ -37,14 +37,13 @@ impl Speaker {
 
     fn order(self, env: &NotifierEnv<Cooking>, world: &WorldSettings) -> Order {
         let message = match self {
-            Self::Silent | Self::Unneeded => None,
             Self::InformAtStart => {
                 let words = world.inform_discloses_from;
                 let message = Message { topic: INFORM, comprehension: words, conveyance: words };
                 (env.domain().kitchen().n_steps() == 0).then_some(message)
             }
             Self::Heuristic if env.human().may_start() => env.domain().heuristic(),
-            Self::Heuristic => None,
+            Self::Silent | Self::Unneeded | Self::Heuristic => None,
         };
         message.map_or(Order::Continue, Order::Start)
     }

@@ -91,6 +91,10 @@ impl Cooking {
     /// # Errors
     ///
     /// [`SettingError`] if a setting is out of range, or no dish can come out of the kitchen in time.
+    ///
+    /// # Panics
+    ///
+    /// Never: a checked kitchen has a start.
     pub fn new(settings: &WorldSettings) -> Result<Self, SettingError> {
         let grid = settings.check()?;
         let plan = Arc::new(Floorplan::new(grid, settings.field_of_view));

@@ -43,8 +43,8 @@ mod tests {
 
     #[test]
     fn a_topic_asks_for_what_it_is_called() {
-        let directions: Vec<_> = (0..TOPICS.len()).map(direction).collect();
         use Direction::{East, North, South, West};
+        let directions: Vec<_> = (0..TOPICS.len()).map(direction).collect();
         assert_eq!(directions, [Some(North), Some(South), Some(West), Some(East), None]);
         for id in UP..=RIGHT {
             assert_eq!(direction(id).map(|way| topic(Action::Go(way))), Some(id));

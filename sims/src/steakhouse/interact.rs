@@ -68,13 +68,11 @@ impl World {
         let body = self.state.cooks[cook];
         let place = self.grid().ahead(body.pose);
         match self.grid().tile(place) {
-            Tile::Floor => Outcome::NOTHING,
             Tile::Counter => self.use_counter(cook, place),
             Tile::Supply(item) if body.held.is_none() => {
                 self.state.cooks[cook].held = Some(item);
                 self.picked_up(item)
             }
-            Tile::Supply(_) => Outcome::NOTHING,
             Tile::Station(station) => {
                 let slot = self.grid().slot_at(place).expect("every station has a slot");
                 self.use_station(cook, station, slot)
@@ -83,7 +81,7 @@ impl World {
                 self.state.cooks[cook].held = None;
                 Outcome { reward: self.serve(), ..Outcome::logged(Event::Delivery) }
             }
-            Tile::Window => Outcome::NOTHING,
+            Tile::Floor | Tile::Supply(_) | Tile::Window => Outcome::NOTHING,
         }
     }
 

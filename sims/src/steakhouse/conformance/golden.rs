@@ -11,7 +11,7 @@ use crate::cooking::{Cooking, CookingSettings, LastStep};
 use crate::human::{Initiation, Order, ReactionDelay};
 use crate::registry::TaskError;
 use crate::steakhouse::{
-    Action, Content, Pose, Start, Station, Subtask, Times, interactions_left, kitchen,
+    Action, Content, Pose, Slot, Start, Station, Subtask, interactions_left, kitchen,
 };
 use crate::{Domain as _, Environment as _, EpisodeSeed, Message, NotifierEnv};
 
@@ -171,10 +171,13 @@ impl Episode {
         let place = grid.place(x, y).filter(|&place| grid.is_floor(place));
         let facing = read_direction(&self.start.ori);
         let (place, facing) = place.zip(facing).ok_or_else(|| self.impossible("start pose"))?;
-        let Times { cook, chop, wash } = settings.world.times();
-        let most = cook.max(chop).max(wash);
-        let fits = self.start.content.len() == grid.slots().len()
-            && self.start.content.iter().flatten().all(|&counter| counter <= most);
+        let times = settings.world.times();
+        let possible = |(counter, slot): (&Option<u8>, &Slot)| {
+            counter.is_none_or(|counter| counter <= times.limit(slot.station))
+        };
+        let counters = &self.start.content;
+        let fits =
+            counters.len() == grid.slots().len() && counters.iter().zip(grid.slots()).all(possible);
         if !fits {
             return Err(self.impossible("station state"));
         }

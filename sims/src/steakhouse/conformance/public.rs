@@ -355,14 +355,15 @@ impl Matrix {
 /// What is in view of a cook at the origin, at most four tiles away.
 #[derive(Deserialize)]
 struct View {
-    view_angle: u16,
+    #[serde(rename = "view_angle")]
+    degrees: u16,
     ori: String,
     visible_offsets: Vec<[i32; 2]>,
 }
 
 impl View {
     fn compare(&self, comparison: &mut Comparison) {
-        let cone = FieldOfView::Cone(self.view_angle);
+        let cone = FieldOfView::Cone(self.degrees);
         let offsets = (-4..=4).flat_map(|dy| (-4..=4).map(move |dx| [dx, dy]));
         let seen = |facing| {
             let seen = offsets.clone().filter(|&[dx, dy]| cone.sees_offset(facing, dx, dy));
@@ -371,8 +372,8 @@ impl View {
         let ours = read_direction(&self.ori).map(seen).unwrap_or_default();
         let mut theirs = self.visible_offsets.clone();
         theirs.sort_by_key(|&[dx, dy]| (dy, dx));
-        let Self { view_angle, ori, .. } = self;
-        comparison.check(format_args!("{view_angle} degrees, facing {ori}"), &ours, &theirs);
+        let Self { degrees, ori, .. } = self;
+        comparison.check(format_args!("{degrees} degrees, facing {ori}"), &ours, &theirs);
         comparison.n_compared += 1;
     }
 }
