@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::admit::{is_due, merging_car, populate};
 use super::heuristic::advise;
 use super::picture::picture;
-use super::progress::Progress;
+use super::progress::{Outcome, Progress};
 use super::reaction::{EGO, TOPICS, is_lane_change, react};
 use super::world_settings::{WorldSettings, start_lanes};
 use crate::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_snapshot};
@@ -81,7 +81,7 @@ impl Driving {
 
     /// Tells whether the ego has passed the goal.
     pub fn has_arrived(&self) -> bool {
-        self.progress.arrived
+        self.progress.is(Outcome::Arrived)
     }
 
     fn ego(&self) -> &Vehicle {
@@ -125,22 +125,25 @@ impl Driving {
         let (x, crashed) = (self.ego().position[0], self.ego().crashed);
         let progress = &mut self.progress;
         if crashed {
-            progress.crashed = true;
+            progress.outcome = Some(Outcome::Crashed);
             let ramps = self.traffic.road().ramps.iter();
             let met = ramps.filter(|ramp| x > ramp.merge_x - self.settings.merging.distance);
             progress.crash_ramp = met.count().checked_sub(1);
             return Some(End::Terminated);
         }
-        progress.arrived = x > self.settings.goal;
-        if progress.arrived {
+        if x > self.settings.goal {
+            progress.outcome = Some(Outcome::Arrived);
             return (progress.n_steps >= self.settings.absorb_until).then_some(End::Terminated);
         }
-        progress.timed_out = progress.n_steps >= self.settings.max_steps;
-        progress.timed_out.then_some(End::Truncated)
+        if progress.n_steps >= self.settings.max_steps {
+            progress.outcome = Some(Outcome::OutOfTime);
+            return Some(End::Truncated);
+        }
+        None
     }
 
     /// Waits at the goal: nothing moves any more.
-    fn wait(&mut self, reaction: Option<ReactionStep>) -> Advance {
+    fn wait(&self, reaction: Option<ReactionStep>) -> Advance {
         let over = self.progress.n_steps >= self.settings.absorb_until;
         Advance {
             reward: ARRIVED_REWARD,
@@ -183,7 +186,7 @@ impl Domain for Driving {
 
     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
         self.progress.n_steps += 1;
-        if self.progress.arrived {
+        if self.has_arrived() {
             return self.wait(reaction);
         }
         let Self { traffic, settings, progress, .. } = self;
@@ -196,14 +199,14 @@ impl Domain for Driving {
     }
 
     fn heuristic(&self) -> Option<Message> {
-        if self.progress.arrived {
+        if self.has_arrived() {
             return None;
         }
         advise(&self.traffic, &self.settings.heuristic)
     }
 
     fn success(&self) -> bool {
-        self.progress.arrived
+        self.has_arrived()
     }
 
     fn metric_names(&self) -> &'static [&'static str] {
@@ -226,10 +229,10 @@ impl Domain for Driving {
 
     fn metrics(&self, out: &mut [f32]) {
         let progress = &self.progress;
-        let flags = [progress.crashed, progress.arrived, progress.timed_out];
+        let flags = [Outcome::Crashed, Outcome::Arrived, Outcome::OutOfTime];
         let counts = [progress.overtaken(&self.traffic), progress.n_refused];
         let amounts = [progress.mean_speed(), progress.hardest_braking(), progress.jerk()];
-        let flags = flags.into_iter().map(|flag| f64::from(u8::from(flag)));
+        let flags = flags.into_iter().map(|outcome| f64::from(u8::from(progress.is(outcome))));
         let values = flags.chain(counts.map(f64::from)).chain(amounts).chain(progress.pieces);
         for (out, value) in out.iter_mut().zip(values) {
             *out = value as f32;
@@ -267,11 +270,11 @@ impl Domain for Driving {
     }
 
     fn scene(&self) -> Scene {
-        let outcome = match self.progress {
-            Progress { crashed: true, .. } => "crashed",
-            Progress { arrived: true, .. } => "arrived",
-            Progress { timed_out: true, .. } => "out of time",
-            _ => "",
+        let outcome = match self.progress.outcome {
+            Some(Outcome::Crashed) => "crashed",
+            Some(Outcome::Arrived) => "arrived",
+            Some(Outcome::OutOfTime) => "out of time",
+            None => "",
         };
         picture(&self.traffic, self.settings.goal, outcome)
     }

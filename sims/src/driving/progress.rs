@@ -4,13 +4,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::highway::{Traffic, Vehicle};
 
+/// How an episode stands once it is decided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Outcome {
+    /// The ego has hit something.
+    Crashed,
+    /// It has passed the goal.
+    Arrived,
+    /// It took too long.
+    OutOfTime,
+}
+
 /// Counts and sums of an episode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Progress {
     pub(super) n_steps: u32,
-    pub(super) arrived: bool,
-    pub(super) crashed: bool,
-    pub(super) timed_out: bool,
+    pub(super) outcome: Option<Outcome>,
     /// Number of the merge at which the ego crashed.
     pub(super) crash_ramp: Option<usize>,
     /// The commanded lane change of the running reaction was impossible.
@@ -78,6 +87,11 @@ impl Progress {
             *i < 64 && self.ahead >> i & 1 == 1 && car.position[0] < ego.position[0]
         };
         cars.iter().enumerate().filter(passed).count() as u32
+    }
+
+    /// Tells whether the episode stands like this.
+    pub(super) fn is(&self, outcome: Outcome) -> bool {
+        self.outcome == Some(outcome)
     }
 
     /// Tells whether an episode could have come to these numbers, with room to count on.

@@ -63,7 +63,7 @@ impl Body {
 /// Computes the contact of two bodies within a frame of `dt` seconds.
 pub fn contact(a: &Body, b: &Body, dt: f64) -> Contact {
     let [dx, dy] = [b.position[0] - a.position[0], b.position[1] - a.position[1]];
-    let reach = (a.diagonal() + b.diagonal()) / 2.0 + a.speed * dt;
+    let reach = f64::midpoint(a.diagonal(), b.diagonal()) + a.speed * dt;
     // A car that rolls backwards fast has a negative reach.
     if reach < 0.0 || dx * dx + dy * dy > reach * reach {
         return NO_CONTACT;

@@ -16,7 +16,7 @@ use super::constants::{
 use super::control::not_zero;
 use super::network::LaneId;
 use super::traffic::Traffic;
-use super::vehicle::{Driver, Idm};
+use super::vehicle::{Driver, Idm, Vehicle};
 
 /// Slower than this nobody thinks of changing lanes, in m/s.
 const SLOWEST_CHANGE: f64 = 1.0;
@@ -43,7 +43,7 @@ impl Traffic {
     pub fn desired_gap(&self, who: usize, front: usize) -> f64 {
         let vehicle = &self.vehicles[who];
         let [vx, vy] = vehicle.velocity();
-        let [fx, fy] = self.vehicles.get(front).map_or([0.0; 2], |front| front.velocity());
+        let [fx, fy] = self.vehicles.get(front).map_or([0.0; 2], Vehicle::velocity);
         let [cosine, sine] = vehicle.direction();
         let closing = (vx - fx) * cosine + (vy - fy) * sine;
         let braking = 2.0 * libm::sqrt(COMFORT_ACCELERATION * COMFORT_BRAKING);
@@ -94,8 +94,7 @@ impl Traffic {
             return;
         }
         idm.timer = 0.0;
-        let Self { vehicles, .. } = self;
-        if vehicles[me].speed.abs() < SLOWEST_CHANGE {
+        if self.vehicles[me].speed.abs() < SLOWEST_CHANGE {
             return;
         }
         // Both sides are asked, and the right one has the last word.

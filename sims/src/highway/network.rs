@@ -54,32 +54,40 @@ pub struct Network {
     views: Vec<Vec<Segment>>,
 }
 
+/// Start node, end node and lanes of a road as it is written.
+type Written<'a> = (usize, usize, Vec<&'a LaneSettings>);
+
+/// Numbers nodes in the order of their mention, and gathers lanes into roads, in the order of lane numbers.
+fn gather_roads<'a>(settings: &'a [LaneSettings], nodes: &mut Vec<String>) -> Vec<Written<'a>> {
+    let mut starts: Vec<usize> = Vec::new();
+    let mut written: Vec<Written<'a>> = Vec::new();
+    for lane in settings {
+        let [from, to] = [&lane.from, &lane.to].map(|name| number(name, nodes));
+        if !starts.contains(&from) {
+            starts.push(from);
+        }
+        match written.iter_mut().find(|road| (road.0, road.1) == (from, to)) {
+            Some(road) => road.2.push(lane),
+            None => written.push((from, to, vec![lane])),
+        }
+    }
+    // A stable sort: roads from one node stay in the order of their first mention.
+    written.sort_by_key(|road| starts.iter().position(|&start| start == road.0));
+    written
+}
+
+fn number(name: &str, nodes: &mut Vec<String>) -> usize {
+    nodes.iter().position(|node| node == name).unwrap_or_else(|| {
+        nodes.push(name.to_owned());
+        nodes.len() - 1
+    })
+}
+
 impl Network {
     /// Arranges lanes; they must have a length.
     pub fn new(settings: &[LaneSettings], lookup: Lookup) -> Self {
-        let mut nodes: Vec<String> = Vec::new();
-        let mut number = |name: &str| match nodes.iter().position(|node| node == name) {
-            Some(at) => at,
-            None => {
-                nodes.push(name.to_owned());
-                nodes.len() - 1
-            }
-        };
-        let mut starts: Vec<usize> = Vec::new();
-        let mut written: Vec<(usize, usize, Vec<&LaneSettings>)> = Vec::new();
-        for lane in settings {
-            let (from, to) = (number(&lane.from), number(&lane.to));
-            if !starts.contains(&from) {
-                starts.push(from);
-            }
-            match written.iter_mut().find(|road| (road.0, road.1) == (from, to)) {
-                Some(road) => road.2.push(lane),
-                None => written.push((from, to, vec![lane])),
-            }
-        }
-        let order = |from: usize| starts.iter().position(|&start| start == from);
-        // A stable sort: roads from one node stay in the order of their first mention.
-        written.sort_by_key(|road| order(road.0));
+        let mut nodes = Vec::new();
+        let written = gather_roads(settings, &mut nodes);
         let mut this = Self {
             nodes,
             roads: Vec::new(),

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::constants::LENGTH;
 use super::traffic::Traffic;
+use super::vehicle::Vehicle;
 use crate::setting::{SettingError, require};
 
 /// What is seen farther away than this is not seen, in metres; also the unit of x.
@@ -116,7 +117,7 @@ impl Traffic {
                 *out = (value / unit).clamp(-1.0, 1.0) as f32;
             }
             if settings.headings {
-                let direction = self.vehicles.get(body).map_or([1.0, 0.0], |v| v.direction());
+                let direction = self.vehicles.get(body).map_or([1.0, 0.0], Vehicle::direction);
                 row[5..].copy_from_slice(&direction.map(|value| value as f32));
             }
         }
@@ -124,7 +125,7 @@ impl Traffic {
 
     /// Returns the velocity of a body.
     pub(super) fn velocity_of(&self, body: usize) -> [f64; 2] {
-        self.vehicles.get(body).map_or([0.0; 2], |vehicle| vehicle.velocity())
+        self.vehicles.get(body).map_or([0.0; 2], Vehicle::velocity)
     }
 
     fn nearest(&self, me: usize, settings: &ObservationSettings) -> Nearest {
@@ -152,7 +153,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::highway::{Blindness, Lookup, RoadSettings, Vehicle};
+    use crate::highway::{Blindness, Lookup, RoadSettings};
 
     fn observe(places: &[[f64; 2]], settings: &ObservationSettings) -> Vec<f32> {
         let road = RoadSettings::merge().build(Lookup::Segment).unwrap();

@@ -336,7 +336,7 @@ mod tests {
             assert!(lane(parallel).distance(joint) < 1e-9);
             assert_eq!((lane(approach).speed_limit(), lane(parallel).speed_limit()), (20.0, 40.0));
         }
-        assert_eq!(road.network.name(road.network.lanes().len() - 1), "k2→m5 0");
+        assert_eq!(road.network.name(road.network.lanes().len() - 1), "m6→m7 1");
     }
 
     #[test]

@@ -101,6 +101,7 @@ fn a_car_on_the_ramp_merges_before_the_obstacle() {
 
 #[test]
 fn blindness_ends_as_set() {
+    use Blindness::{Always, Never, UntilOnCarriageway, UntilSettled};
     let road = Arc::new(RoadSettings::three_merges().build(Lookup::Geometry).unwrap());
     let settles = |blindness, place: [f64; 2]| {
         let mut traffic = Traffic::new(Arc::clone(&road), blindness);
@@ -111,7 +112,6 @@ fn blindness_ends_as_set() {
         traffic.settle();
         traffic.sees(0, 1) && traffic.sees(1, 0)
     };
-    use Blindness::{Always, Never, UntilOnCarriageway, UntilSettled};
     let (ramp, edge, middle) = ([250.0, 8.0], [250.0, 5.0], [250.0, 4.2]);
     assert_eq!(
         [ramp, edge, middle].map(|place| settles(UntilSettled, place)),
