@@ -25,7 +25,7 @@ const PURE: &[&str] = &["numerics", "proto", "policy", "sims"];
 
 /// Folders that hold our Rust sources.
 const FOLDERS: &[&str] = &[
-    "numerics", "proto", "link", "policy", "sims", "actor", "learner", "eval", "deploy", "tests",
+    "numerics", "proto", "taxonomy", "link", "policy", "sims", "actor", "learner", "eval", "deploy", "tests",
     "examples", "bench",
 ];
 
