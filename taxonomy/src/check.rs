@@ -42,7 +42,9 @@ pub enum Finding {
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::EmptyCell { topic, cell } => write!(f, "topic `{topic}` has nothing at (k, l) = {cell}"),
+            Self::EmptyCell { topic, cell } => {
+                write!(f, "topic `{topic}` has nothing at (k, l) = {cell}")
+            }
             Self::ThinCell { topic, cell, found, wanted } => {
                 write!(f, "topic `{topic}` has {found} of {wanted} utterances at (k, l) = {cell}")
             }

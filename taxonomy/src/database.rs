@@ -128,8 +128,13 @@ impl Taxonomy {
             }
             topics[topic].push(checked(utterance, &raw).map_err(fail)?);
         }
-        let topics: Vec<Topic> =
-            raw.topics.iter().cloned().zip(topics).map(|(name, list)| Topic::new(name, list)).collect();
+        let topics: Vec<Topic> = raw
+            .topics
+            .iter()
+            .cloned()
+            .zip(topics)
+            .map(|(name, list)| Topic::new(name, list))
+            .collect();
         if let Some(empty) = topics.iter().find(|topic| topic.utterances.is_empty()) {
             return Err(TaxonomyError::EmptyTopic { topic: empty.name.clone() });
         }

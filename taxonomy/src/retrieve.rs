@@ -160,7 +160,8 @@ mod tests {
 
     #[test]
     fn an_exact_cell_is_no_fallback() {
-        let taxonomy = with_cells(&[(0, Cell::new(2, 2)), (0, Cell::new(3, 5)), (1, Cell::new(2, 2))]);
+        let taxonomy =
+            with_cells(&[(0, Cell::new(2, 2)), (0, Cell::new(3, 5)), (1, Cell::new(2, 2))]);
         let found = taxonomy.retrieve(request(0, 3, 5), &Loss::default()).unwrap();
         assert_eq!((found.cell, found.fallback, found.seconds_lost), (Cell::new(3, 5), false, 0.0));
     }
@@ -187,7 +188,8 @@ mod tests {
 
     #[test]
     fn of_equal_losses_the_smaller_k_wins() {
-        let taxonomy = with_cells(&[(0, Cell::new(3, 4)), (0, Cell::new(4, 5)), (1, Cell::new(2, 2))]);
+        let taxonomy =
+            with_cells(&[(0, Cell::new(3, 4)), (0, Cell::new(4, 5)), (1, Cell::new(2, 2))]);
         let even = Loss { seconds_per_word: 1.0, late: 1.0, early: 1.0, length: 0.0 };
         let found = taxonomy.retrieve(request(0, 4, 4), &even).unwrap();
         assert_eq!(found.cell, Cell::new(4, 5));

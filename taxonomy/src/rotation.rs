@@ -20,13 +20,16 @@ impl Rotation {
     /// Draws where each cell starts.
     pub fn new(taxonomy: &Taxonomy, generator: &mut Pcg64) -> Self {
         let mut start = |n: usize| generator.below(n) as u32;
-        let cells = |topic: &crate::Topic| topic.cells().map(|(_, list)| start(list.len())).collect();
+        let cells =
+            |topic: &crate::Topic| topic.cells().map(|(_, list)| start(list.len())).collect();
         Self { passed: taxonomy.topics().iter().map(cells).collect() }
     }
 
     /// Starts every cell with its best representative.
     pub fn from_best(taxonomy: &Taxonomy) -> Self {
-        Self { passed: taxonomy.topics().iter().map(|topic| vec![0; topic.cells().count()]).collect() }
+        Self {
+            passed: taxonomy.topics().iter().map(|topic| vec![0; topic.cells().count()]).collect(),
+        }
     }
 
     /// Takes the next sentence of what was retrieved; none if that is another database's. Allocates nothing.

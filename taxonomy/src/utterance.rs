@@ -190,10 +190,14 @@ mod tests {
 
     #[test]
     fn only_a_reason_that_leads_adds_information() {
-        let trails =
-            utterance("Press the pedal slowly to speed up.", &[(Part::What, 0, 4), (Part::Why, 4, 7)]);
-        let leads =
-            utterance("To speed up, press the pedal slowly.", &[(Part::Why, 0, 3), (Part::What, 3, 7)]);
+        let trails = utterance(
+            "Press the pedal slowly to speed up.",
+            &[(Part::What, 0, 4), (Part::Why, 4, 7)],
+        );
+        let leads = utterance(
+            "To speed up, press the pedal slowly.",
+            &[(Part::Why, 0, 3), (Part::What, 3, 7)],
+        );
         assert_eq!((trails.words_of_reason(), leads.words_of_reason()), (0, 3));
         assert_eq!(trails.informativeness(1.0, 0.5), 7.0);
         assert_eq!(leads.informativeness(1.0, 0.5), 8.5);
