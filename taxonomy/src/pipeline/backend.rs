@@ -1,0 +1,202 @@
+//! Who can be asked: what a call is, what a reply is, what a model and an embedder must do.
+
+use serde::{Deserialize, Serialize};
+
+use super::embedding::Embedding;
+use super::error::BackendError;
+use super::plan::hash;
+use crate::utterance::{Cell, Fidelity};
+
+/// The stage of the pipeline that asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stage {
+    /// What in the domain matters for a decision.
+    Summarise,
+    /// Sentences for a topic and a cell.
+    Generate,
+    /// Comprehension after each word.
+    Rate,
+    /// A sentence as a vector.
+    Embed,
+}
+
+/// How a reply is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sampling {
+    /// Temperature; 0 takes the likeliest token.
+    pub temperature: f64,
+    /// Nucleus.
+    pub top_p: f64,
+    /// Longest reply, in tokens.
+    pub max_tokens: u32,
+}
+
+/// What a call is about, for backends that do not read prompts.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Input {
+    /// The domain.
+    Domain,
+    /// Sentences wanted.
+    Sentences {
+        /// Topic id.
+        topic: String,
+        /// Where they should land.
+        cell: Cell,
+        /// How many.
+        n: usize,
+        /// How often this cell was asked for before.
+        round: u32,
+    },
+    /// A sentence to rate.
+    Sentence {
+        /// Topic id.
+        topic: String,
+        /// The sentence.
+        text: String,
+        /// Words shown; all if not given.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        words: Option<usize>,
+    },
+    /// A sentence to embed.
+    Text {
+        /// The sentence.
+        text: String,
+    },
+}
+
+/// One question.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Call {
+    /// Who asks.
+    pub stage: Stage,
+    /// What the model is.
+    pub system: String,
+    /// What it is asked.
+    pub prompt: String,
+    /// How the reply is drawn.
+    pub sampling: Sampling,
+    /// Seed of the draw, below 2^53.
+    pub seed: u64,
+    /// What it is about.
+    pub input: Input,
+}
+
+impl Call {
+    /// Computes the call's key: a hash of everything that the reply can depend on.
+    pub fn key(&self, model: &str) -> String {
+        // Field order is fixed by the type, so equal calls are equal text.
+        hash(serde_json::to_string(&(model, self)).unwrap_or_default().as_bytes())
+    }
+
+    /// Says in words which call this is.
+    pub fn what(&self) -> String {
+        match &self.input {
+            Input::Domain => "the summary of the domain".to_owned(),
+            Input::Sentences { topic, cell, round, .. } => {
+                format!("generation {} of topic `{topic}` at (k, l) = {cell}", round + 1)
+            }
+            Input::Sentence { topic, text, words: None } => {
+                format!("the rating of \"{text}\" for topic `{topic}`")
+            }
+            Input::Sentence { topic, text, words: Some(n) } => {
+                format!("the rating of the first {n} words of \"{text}\" for topic `{topic}`")
+            }
+            Input::Text { text } => format!("the embedding of \"{text}\""),
+        }
+    }
+}
+
+/// Why a reply ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Finish {
+    /// It was complete.
+    Stop,
+    /// It ran into the limit: its last line cannot be trusted.
+    Length,
+    /// There is nothing more to be had: asking again would not help.
+    Exhausted,
+}
+
+/// One answer.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Reply {
+    /// The text.
+    pub text: String,
+    /// Why it ended.
+    pub finish: Finish,
+    /// Tokens of the prompt and of the reply, where the backend counts them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tokens: Option<(u64, u64)>,
+}
+
+impl Reply {
+    /// Makes a complete reply.
+    pub fn complete(text: impl Into<String>) -> Self {
+        Self { text: text.into(), finish: Finish::Stop, tokens: None }
+    }
+}
+
+/// Writes or rates sentences.
+pub trait Model {
+    /// Names it, so that two with the same name answer alike: model, weights, server.
+    fn id(&self) -> &str;
+
+    /// Tells what may be claimed of what it makes.
+    fn fidelity(&self) -> Fidelity;
+
+    /// Answers a call.
+    ///
+    /// # Errors
+    ///
+    /// [`BackendError`] if there is no answer; waiting and trying again is the backend's own business.
+    fn complete(&mut self, call: &Call) -> Result<Reply, BackendError>;
+}
+
+/// Turns sentences into vectors.
+pub trait Embedder {
+    /// Names it: model, weights, pooling.
+    fn id(&self) -> &str;
+
+    /// Embeds one sentence.
+    ///
+    /// # Errors
+    ///
+    /// [`BackendError`] if it cannot.
+    fn embed(&mut self, text: &str) -> Result<Embedding, BackendError>;
+}
+
+/// Stands for whoever made a log: it has their name, and asks nobody.
+#[derive(Clone, Debug)]
+pub struct Absent {
+    /// The name.
+    pub id: String,
+    /// What may be claimed of what it made.
+    pub fidelity: Fidelity,
+}
+
+impl Model for Absent {
+    fn id(&self) -> &str {
+        &self.id
+    }
+
+    fn fidelity(&self) -> Fidelity {
+        self.fidelity
+    }
+
+    fn complete(&mut self, _call: &Call) -> Result<Reply, BackendError> {
+        Err(BackendError::Replay)
+    }
+}
+
+impl Embedder for Absent {
+    fn id(&self) -> &str {
+        &self.id
+    }
+
+    fn embed(&mut self, _text: &str) -> Result<Embedding, BackendError> {
+        Err(BackendError::Replay)
+    }
+}

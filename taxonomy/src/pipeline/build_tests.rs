@@ -1,0 +1,197 @@
+//! The whole pipeline, without network: replay, resume, and what the shipped databases promise.
+
+use std::path::Path;
+
+use super::*;
+use crate::pipeline::backend::Finish;
+use crate::pipeline::caller::{Backends, Mode};
+use crate::pipeline::job::{self, Backend, BuildJob};
+use crate::pipeline::log::CallLog;
+use crate::pipeline::{Model, PipelineError};
+use crate::shipped;
+use crate::utterance::Fidelity;
+
+fn job(log: &Path, backend: Backend) -> BuildJob {
+    let log = log.to_owned();
+    BuildJob { backend, log, prompts: None, embedder: None, rater: None, max_calls: None }
+}
+
+#[test]
+fn shipped_databases_come_out_of_their_logs_byte_for_byte() {
+    for domain in shipped::domains() {
+        let plan = job::plan(domain).unwrap();
+        let (built, header) = job::replay_shipped(domain).unwrap();
+        assert_eq!(built.text, shipped::text(domain).unwrap(), "{domain}");
+        assert_eq!(built.calls, 0);
+        let directory = Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(domain);
+        let report = std::fs::read_to_string(directory.join("coverage.md")).unwrap();
+        assert_eq!(built.report(&plan, &header), report, "{domain}");
+    }
+}
+
+#[test]
+fn every_cell_of_the_shipped_databases_has_three_sentences() {
+    let topics: [(&str, &[&str]); 3] = [
+        ("highway", &["slow_down", "speed_up", "merge_left", "merge_right"]),
+        ("lander", &["ascend", "shift_left", "shift_right", "descend"]),
+        ("steakhouse", &["move_up", "move_down", "move_left", "move_right", "inform"]),
+    ];
+    for (domain, topics) in topics {
+        let taxonomy = shipped::shipped(domain).unwrap();
+        taxonomy.expect_topics(topics).unwrap();
+        assert_eq!(taxonomy.header().fidelity, Fidelity::Authored);
+        let findings = crate::check(&taxonomy, 3);
+        assert!(findings.is_empty(), "{domain}: {}", findings[0]);
+        for topic in taxonomy.topics() {
+            assert!(topic.utterances().iter().all(|utterance| !utterance.clamped));
+        }
+    }
+}
+
+#[test]
+fn the_sources_samples_are_in_their_cells() {
+    let samples = [
+        ("lander", "shift_left", (2, 2), "Shift left."),
+        ("lander", "ascend", (5, 5), "Avoid top-left danger zone, ascend."),
+        ("highway", "slow_down", (2, 5), "Slow down for incoming traffic."),
+        ("highway", "merge_right", (5, 5), "Merge to the right lane."),
+        ("steakhouse", "move_down", (2, 2), "Go down."),
+        ("steakhouse", "move_right", (5, 5), "Chopping board full, go right."),
+    ];
+    for (domain, topic, (k, l), text) in samples {
+        let taxonomy = shipped::shipped(domain).unwrap();
+        let topic = taxonomy.topics().iter().find(|found| found.name() == topic).unwrap();
+        let there = topic.cell(Cell::new(k, l));
+        assert!(there.iter().any(|utterance| utterance.text == text), "{text} not in {there:?}");
+    }
+}
+
+#[test]
+fn a_run_that_is_cut_off_goes_on_without_paying_twice() {
+    let directory = tempfile::tempdir().unwrap();
+    let plan = job::plan("lander").unwrap();
+    let whole = directory.path().join("whole.jsonl");
+    let (expected, _) = job::run(&plan, job(&whole, Backend::Grammar)).unwrap();
+    assert!(expected.calls > 100);
+    let log = directory.path().join("calls.jsonl");
+    let mut calls = 0;
+    let built = loop {
+        let mut part = job(&log, Backend::Grammar);
+        part.max_calls = Some(90);
+        match job::run(&plan, part) {
+            Ok((built, _)) => break built,
+            Err(PipelineError::BudgetSpent { calls: spent }) => calls += spent,
+            Err(other) => panic!("{other}"),
+        }
+        // Killed while it wrote: the last line is torn, its call alone has to be made again.
+        let bytes = std::fs::read(&log).unwrap();
+        std::fs::write(&log, &bytes[..bytes.len() - 5]).unwrap();
+        calls -= 1;
+    };
+    assert_eq!(calls + built.calls, expected.calls);
+    assert_eq!(built.text, expected.text);
+    assert_eq!(std::fs::read(&log).unwrap(), std::fs::read(&whole).unwrap());
+}
+
+#[test]
+fn a_grammar_fills_every_cell_and_says_what_it_is() {
+    let directory = tempfile::tempdir().unwrap();
+    for domain in shipped::domains() {
+        let plan = job::plan(domain).unwrap();
+        let log = directory.path().join(domain);
+        let (built, _) = job::run(&plan, job(&log, Backend::Grammar)).unwrap();
+        assert_eq!(built.taxonomy.header().fidelity, Fidelity::Grammar);
+        let findings = crate::check(&built.taxonomy, 3);
+        assert!(findings.is_empty(), "{domain}: {}", findings[0]);
+        assert_eq!(built.coverage.accepted, built.coverage.on_target);
+    }
+}
+
+#[test]
+fn a_changed_plan_cannot_be_replayed() {
+    let mut plan = job::plan("lander").unwrap();
+    plan.topic[0].action = "rise".to_owned();
+    let log = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/lander/calls.jsonl");
+    let error = job::run(&plan, job(&log, Backend::Replay)).unwrap_err();
+    let says = "the call log lacks the reply to the summary of the domain; the plan, a prompt or the log has";
+    assert!(error.to_string().starts_with(says), "{error}");
+}
+
+/// Answers with whatever it is given, in turn.
+struct Scripted(Vec<&'static str>, usize);
+
+impl Model for Scripted {
+    fn id(&self) -> &'static str {
+        "scripted"
+    }
+
+    fn fidelity(&self) -> Fidelity {
+        Fidelity::Local
+    }
+
+    fn complete(&mut self, _: &Call) -> Result<Reply, crate::pipeline::error::BackendError> {
+        let text = self.0[self.1 % self.0.len()];
+        self.1 += 1;
+        let finish = if text == "END" { Finish::Exhausted } else { Finish::Stop };
+        Ok(Reply { text: text.to_owned(), finish, tokens: None })
+    }
+}
+
+fn scripted(lines: Vec<&'static str>, change: impl Fn(&mut Plan)) -> Result<Built, PipelineError> {
+    let directory = tempfile::tempdir().unwrap();
+    let mut plan = job::plan("highway").unwrap();
+    change(&mut plan);
+    let mut log = CallLog::open(&directory.path().join("calls.jsonl")).unwrap();
+    let generator = Box::new(Scripted(lines, 0));
+    let embedder = Box::new(crate::pipeline::lexical::Lexical);
+    let backends = Backends { generator, rater: None, embedder };
+    let mode = Mode::Live { max_calls: None };
+    let mut caller = Caller::new(backends, &mut log, mode, "highway")?;
+    build(&plan, &Prompts::default(), &mut caller)
+}
+
+#[test]
+fn a_model_that_talks_nonsense_is_given_up() {
+    // A summary, then sentences that nobody can rate.
+    let error = scripted(
+        vec!["Slow down now.", "Slow down, please.\nGo slower now.", "what", "no"],
+        |_| (),
+    );
+    assert_eq!(
+        error.unwrap_err().to_string(),
+        "26 of the last 50 replies of scripted are malformed: its template or the model is wrong"
+    );
+}
+
+#[test]
+fn the_same_words_for_two_topics_go_to_neither() {
+    let mut plan = job::plan("highway").unwrap();
+    let mut progress = Progress::new(&plan);
+    let candidate = |topic: usize| Candidate {
+        topic,
+        requested: Cell::new(2, 2),
+        text: "Slow down.".to_owned(),
+        spans: vec![crate::Span { part: crate::Part::What, from: 0, to: 2 }],
+        rated: vec![50, 90],
+        curve: vec![50, 90],
+        landed: Some(Cell::new(2, 2)),
+        clamped: false,
+        reason: None,
+        medoid: None,
+        source: String::new(),
+    };
+    progress.add(candidate(0));
+    assert_eq!(progress.repeated(&candidate(0)), Some(Reason::Duplicate));
+    assert_eq!(progress.repeated(&candidate(1)), Some(Reason::AmbiguousTopic));
+    assert_eq!(progress.candidates[0].reason, Some(Reason::AmbiguousTopic));
+    assert_eq!(progress.accepted[&(0, Cell::new(2, 2))], 0);
+    plan.settings.max_iterations = 1;
+    assert!(progress.next(&plan).is_some());
+    assert!(progress.next(&plan).is_none());
+}
+
+#[test]
+fn the_median_of_repeated_ratings_counts() {
+    let ratings = [vec![10, 90], vec![30, 20], vec![20, 80]];
+    assert_eq!((median(&ratings, 0), median(&ratings, 1)), (20, 80));
+}

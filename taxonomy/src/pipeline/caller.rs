@@ -1,0 +1,183 @@
+//! Asks, but only what the log does not hold; and gives up on a model that talks nonsense.
+
+use std::collections::VecDeque;
+
+use super::backend::{Call, Embedder, Input, Model, Reply, Sampling, Stage};
+use super::embedding::Embedding;
+use super::error::PipelineError;
+use super::log::{CallLog, LogHeader};
+use crate::utterance::Fidelity;
+
+/// Replies over which nonsense is counted.
+pub const WINDOW: usize = 50;
+
+/// Whether anybody may be asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Whatever the log lacks is asked for, up to this many calls.
+    Live {
+        /// Calls after which the run stops; none: no limit.
+        max_calls: Option<u64>,
+    },
+    /// Whatever the log lacks is an error.
+    Replay,
+}
+
+/// Who is asked.
+pub struct Backends {
+    /// Writes.
+    pub generator: Box<dyn Model>,
+    /// Rates; the writer if none is given.
+    pub rater: Option<Box<dyn Model>>,
+    /// Embeds.
+    pub embedder: Box<dyn Embedder>,
+}
+
+impl std::fmt::Debug for Backends {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Backends").field("generator", &self.generator.id()).finish_non_exhaustive()
+    }
+}
+
+impl Backends {
+    fn rater(&mut self) -> &mut dyn Model {
+        match &mut self.rater {
+            Some(rater) => rater.as_mut(),
+            None => self.generator.as_mut(),
+        }
+    }
+
+    /// Describes a run for its log. What may be claimed is what the weaker of writer and rater allows.
+    pub fn header(&self, domain: &str) -> LogHeader {
+        let rater = self.rater.as_ref().unwrap_or(&self.generator);
+        let fidelity: Fidelity = self.generator.fidelity().max(rater.fidelity());
+        LogHeader {
+            schema: 1,
+            domain: domain.to_owned(),
+            fidelity,
+            generator: self.generator.id().to_owned(),
+            rater: rater.id().to_owned(),
+            embedder: self.embedder.id().to_owned(),
+        }
+    }
+}
+
+/// Asks on behalf of the stages.
+#[derive(Debug)]
+pub struct Caller<'a> {
+    backends: Backends,
+    log: &'a mut CallLog,
+    mode: Mode,
+    /// Calls made in this run, replies from the log not counted.
+    calls: u64,
+    /// Of the last replies, which were useless.
+    recent: VecDeque<bool>,
+}
+
+impl<'a> Caller<'a> {
+    /// Begins or goes on with a run.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError::OtherLog`] if the log is another run's.
+    pub fn new(
+        backends: Backends,
+        log: &'a mut CallLog,
+        mode: Mode,
+        domain: &str,
+    ) -> Result<Self, PipelineError> {
+        log.claim(&backends.header(domain))?;
+        Ok(Self { backends, log, mode, calls: 0, recent: VecDeque::with_capacity(WINDOW) })
+    }
+
+    /// Returns who is asked, as the log says it.
+    pub fn header(&self) -> LogHeader {
+        let domain = self.log.header().map(|header| header.domain.clone()).unwrap_or_default();
+        self.backends.header(&domain)
+    }
+
+    /// Returns the number of calls made so far; what the log answered is not counted.
+    pub fn calls(&self) -> u64 {
+        self.calls
+    }
+
+    /// Asks the writer or the rater, as the stage says; also returns the call's key.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError`] if there is no answer.
+    pub fn ask(&mut self, call: &Call) -> Result<(String, Reply), PipelineError> {
+        let id = match call.stage {
+            Stage::Rate => self.backends.rater().id().to_owned(),
+            _ => self.backends.generator.id().to_owned(),
+        };
+        let key = call.key(&id);
+        if let Some(reply) = self.log.reply(&key) {
+            return Ok((key, reply.clone()));
+        }
+        self.spend(call)?;
+        let reply = match call.stage {
+            Stage::Rate => self.backends.rater().complete(call)?,
+            _ => self.backends.generator.complete(call)?,
+        };
+        self.log.add(key.clone(), call, reply.clone())?;
+        Ok((key, reply))
+    }
+
+    /// Asks the embedder.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError`] if there is no answer.
+    pub fn embed(&mut self, text: &str) -> Result<Embedding, PipelineError> {
+        let call = Call {
+            stage: Stage::Embed,
+            system: String::new(),
+            prompt: text.to_owned(),
+            sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 0 },
+            seed: 0,
+            input: Input::Text { text: text.to_owned() },
+        };
+        let key = call.key(self.backends.embedder.id());
+        if let Some(reply) = self.log.reply(&key) {
+            return Ok(Embedding::from_hex(&reply.text)?);
+        }
+        self.spend(&call)?;
+        let embedding = self.backends.embedder.embed(text)?;
+        self.log.add(key, &call, Reply::complete(embedding.to_hex()))?;
+        Ok(embedding)
+    }
+
+    fn spend(&mut self, call: &Call) -> Result<(), PipelineError> {
+        match self.mode {
+            Mode::Replay => return Err(PipelineError::NotInLog { what: call.what() }),
+            Mode::Live { max_calls: Some(most) } if self.calls >= most => {
+                return Err(PipelineError::BudgetSpent { calls: self.calls });
+            }
+            Mode::Live { .. } => {}
+        }
+        self.calls += 1;
+        Ok(())
+    }
+
+    /// Is told whether a reply could be read.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError::Malformed`] once more than half of the last [`WINDOW`] replies could not.
+    pub fn judge(&mut self, stage: Stage, useful: bool) -> Result<(), PipelineError> {
+        if self.recent.len() == WINDOW {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(useful);
+        let malformed = self.recent.iter().filter(|useful| !**useful).count();
+        if self.recent.len() < WINDOW || 2 * malformed <= WINDOW {
+            return Ok(());
+        }
+        let model = match stage {
+            Stage::Rate => self.backends.rater().id().to_owned(),
+            _ => self.backends.generator.id().to_owned(),
+        };
+        Err(PipelineError::Malformed { malformed, window: WINDOW, model })
+    }
+}

@@ -1,0 +1,258 @@
+//! The coverage report: what a person reads before they trust a database.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use super::candidate::{Candidate, Reason};
+use super::curve::heard;
+use super::log::LogHeader;
+use super::plan::Plan;
+use crate::utterance::{Cell, Part};
+
+/// Thresholds that the sweep tries, in percent.
+const THETAS: [u8; 5] = [50, 60, 70, 80, 90];
+
+/// Sentences that are shown to be read.
+const SHOWN: usize = 20;
+
+/// What happened in one cell of a topic.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Representatives.
+    pub kept: usize,
+    /// Passed rules, rating and comparison with others.
+    pub accepted: usize,
+    /// Proposed for this cell.
+    pub proposed: usize,
+    /// Times that the cell was asked for.
+    pub rounds: u32,
+}
+
+/// What came of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Coverage {
+    /// Per topic and cell.
+    pub cells: BTreeMap<(usize, Cell), Counts>,
+    /// Who was turned down, and why.
+    pub reasons: BTreeMap<Reason, usize>,
+    /// Of the accepted sentences, how many landed where they were asked for.
+    pub on_target: usize,
+    /// Accepted sentences.
+    pub accepted: usize,
+    /// Proposed sentences.
+    pub proposed: usize,
+}
+
+impl Coverage {
+    /// Counts.
+    pub fn new(
+        plan: &Plan,
+        candidates: &[Candidate],
+        rounds: BTreeMap<(usize, Cell), u32>,
+    ) -> Self {
+        let [from, to] = plan.words;
+        let mut coverage = Self {
+            cells: BTreeMap::new(),
+            reasons: BTreeMap::new(),
+            on_target: 0,
+            accepted: 0,
+            proposed: candidates.len(),
+        };
+        for topic in 0..plan.topic.len() {
+            for cell in Cell::feasible(from, to) {
+                let rounds = rounds.get(&(topic, cell)).copied().unwrap_or_default();
+                coverage.cells.insert((topic, cell), Counts { rounds, ..Counts::default() });
+            }
+        }
+        for candidate in candidates {
+            let requested = coverage.cells.entry((candidate.topic, candidate.requested));
+            requested.or_default().proposed += 1;
+            if let Some(reason) = candidate.reason {
+                *coverage.reasons.entry(reason).or_default() += 1;
+            } else if let Some(cell) = candidate.landed {
+                let landed = coverage.cells.entry((candidate.topic, cell)).or_default();
+                landed.accepted += 1;
+                landed.kept += usize::from(candidate.medoid.is_some());
+                coverage.accepted += 1;
+                coverage.on_target += usize::from(cell == candidate.requested);
+            }
+        }
+        coverage
+    }
+
+    /// Writes the report, as Markdown.
+    pub fn report(&self, plan: &Plan, header: &LogHeader, candidates: &[Candidate]) -> String {
+        let mut out = format!(
+            "# Words of the domain `{}`\n\nFidelity: **{}**. Written by {}; rated by {}; compared by {}; theta {} %.\n\n\
+             Proposed {}, accepted {} ({:.0} %), of these {} where they were asked for.\n",
+            plan.domain,
+            header.fidelity.name(),
+            header.generator,
+            header.rater,
+            header.embedder,
+            plan.settings.theta,
+            self.proposed,
+            self.accepted,
+            percent(self.accepted, self.proposed),
+            self.on_target
+        );
+        self.grids(&mut out, plan);
+        self.turned_down(&mut out);
+        landed(&mut out, plan, candidates);
+        sweep(&mut out, plan, candidates);
+        agreement(&mut out, plan, candidates);
+        to_read(&mut out, plan, candidates);
+        out
+    }
+
+    fn grids(&self, out: &mut String, plan: &Plan) {
+        let [from, to] = plan.words;
+        line(out, "\n## Cells: kept / accepted / proposed (times asked)\n");
+        line(out, "A dash marks what cannot be: nothing is understood after it is over.");
+        for (i, topic) in plan.topic.iter().enumerate() {
+            let columns: Vec<String> = (from..=to).map(|l| format!("l = {l}")).collect();
+            line(out, &format!("\n### {}\n\n| k | {} |", topic.id, columns.join(" | ")));
+            line(out, &format!("|---|{}", "---|".repeat(columns.len())));
+            for k in from..=to {
+                let column = |l| match self.cells.get(&(i, Cell::new(k, l))) {
+                    Some(Counts { kept, accepted, proposed, rounds }) => {
+                        format!("{kept} / {accepted} / {proposed} ({rounds})")
+                    }
+                    None => "-".to_owned(),
+                };
+                let row: Vec<String> = (from..=to).map(column).collect();
+                line(out, &format!("| {k} | {} |", row.join(" | ")));
+            }
+        }
+    }
+
+    fn turned_down(&self, out: &mut String) {
+        line(out, "\n## Turned down\n");
+        if self.reasons.is_empty() {
+            line(out, "None.");
+            return;
+        }
+        line(out, "| reason | sentences |\n|---|---|");
+        for (reason, n) in &self.reasons {
+            line(out, &format!("| `{reason}` | {n} |"));
+        }
+    }
+}
+
+fn landed(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
+    let [from, to] = plan.words;
+    let cells: Vec<Cell> = Cell::feasible(from, to).collect();
+    line(out, "\n## Where it was asked for (rows), where it landed (columns)\n");
+    let columns: Vec<String> = cells.iter().map(ToString::to_string).collect();
+    line(out, &format!("| (k, l) | {} | turned down |", columns.join(" | ")));
+    line(out, &format!("|---|{}", "---|".repeat(cells.len() + 1)));
+    for requested in &cells {
+        let of_row = || candidates.iter().filter(|candidate| candidate.requested == *requested);
+        let count = |landed: &Cell| {
+            let there = |candidate: &&Candidate| {
+                candidate.is_accepted() && candidate.landed == Some(*landed)
+            };
+            match of_row().filter(there).count() {
+                0 => "·".to_owned(),
+                n => n.to_string(),
+            }
+        };
+        let row: Vec<String> = cells.iter().map(count).collect();
+        let refused = of_row().filter(|candidate| candidate.reason.is_some()).count();
+        line(out, &format!("| {requested} | {} | {refused} |", row.join(" | ")));
+    }
+}
+
+fn sweep(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
+    let settings = &plan.settings;
+    let [from, to] = plan.words;
+    let feasible = plan.topic.len() * Cell::feasible(from, to).count();
+    line(out, "\n## Threshold\n\nThe same ratings, read with other thresholds.\n");
+    line(out, "| theta | understood | clamped | mean k | cells filled |\n|---|---|---|---|---|");
+    for theta in THETAS {
+        let mut filled: BTreeMap<(usize, Cell), usize> = BTreeMap::new();
+        let (mut sum, mut clamped, mut n) = (0, 0, 0);
+        for candidate in candidates.iter().filter(|candidate| candidate.is_accepted()) {
+            if let Ok(heard) = heard(&candidate.rated, theta, from, settings.max_drop) {
+                let cell = Cell::new(heard.comprehension, heard.curve.len() as u32);
+                *filled.entry((candidate.topic, cell)).or_default() += 1;
+                sum += heard.comprehension;
+                clamped += usize::from(heard.clamped);
+                n += 1;
+            }
+        }
+        let mean = f64::from(sum) / (n.max(1) as f64);
+        let filled = filled.len();
+        line(out, &format!("| {theta} | {n} | {clamped} | {mean:.2} | {filled} of {feasible} |"));
+    }
+}
+
+fn agreement(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
+    line(out, "\n## Rated k against the place of the directive's last word\n");
+    line(out, "| topic | same | within a word | earlier | later | clamped | with a reason |");
+    line(out, "|---|---|---|---|---|---|---|");
+    for (i, topic) in plan.topic.iter().enumerate() {
+        let (mut same, mut within, mut earlier, mut later) = (0, 0, 0, 0);
+        let (mut clamped, mut reason, mut n) = (0, 0, 0);
+        let of_topic = |c: &&Candidate| c.topic == i && c.is_accepted();
+        for candidate in candidates.iter().filter(of_topic) {
+            let what = candidate.spans.iter().find(|span| span.part == Part::What);
+            let (Some(cell), Some(what)) = (candidate.landed, what) else { continue };
+            let (rated, structural) = (cell.comprehension, what.to);
+            n += 1;
+            same += usize::from(rated == structural);
+            within += usize::from(rated.abs_diff(structural) <= 1);
+            earlier += usize::from(rated < structural);
+            later += usize::from(rated > structural);
+            clamped += usize::from(candidate.clamped);
+            reason += usize::from(candidate.spans.iter().any(|span| span.part == Part::Why));
+        }
+        let share = |part| format!("{:.0} %", percent(part, n));
+        let (same, within, reason) = (share(same), share(within), share(reason));
+        let id = &topic.id;
+        line(
+            out,
+            &format!("| {id} | {same} | {within} | {earlier} | {later} | {clamped} | {reason} |"),
+        );
+    }
+}
+
+fn to_read(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
+    line(
+        out,
+        "\n## To be read\n\nThe first representative of every cell, with its comprehension after each word.",
+    );
+    for (i, topic) in plan.topic.iter().enumerate() {
+        line(out, &format!("\n### {}\n", topic.id));
+        let first = |candidate: &&Candidate| candidate.topic == i && candidate.medoid == Some(0);
+        let mut best: Vec<&Candidate> = candidates.iter().filter(first).collect();
+        best.sort_by_key(|candidate| candidate.landed);
+        for candidate in best {
+            let cell = candidate.landed.map(|cell| cell.to_string()).unwrap_or_default();
+            let curve: Vec<String> = candidate.rated.iter().map(u8::to_string).collect();
+            line(out, &format!("* {cell} {} [{}]", candidate.text, curve.join(", ")));
+        }
+    }
+    let refused: Vec<&Candidate> =
+        candidates.iter().filter(|candidate| candidate.reason.is_some()).collect();
+    if refused.is_empty() {
+        return;
+    }
+    line(out, "\n### Turned down\n");
+    // Evenly spread over the run, so that no stage hides the others.
+    let step = refused.len().div_ceil(SHOWN);
+    for candidate in refused.iter().step_by(step) {
+        let (reason, topic) = (candidate.reason, &plan.topic[candidate.topic].id);
+        let reason = reason.map(|reason| reason.to_string()).unwrap_or_default();
+        line(out, &format!("* `{reason}`, {topic} {}: {}", candidate.requested, candidate.text));
+    }
+}
+
+fn line(out: &mut String, text: &str) {
+    // Writing to a string cannot fail.
+    let _written = writeln!(out, "{text}");
+}
+
+fn percent(part: usize, whole: usize) -> f64 {
+    100.0 * part as f64 / whole.max(1) as f64
+}

@@ -1,0 +1,169 @@
+//! Writes databases: TOML that a person can read and that equal input makes equal; CSV and JSON for other tools.
+
+use std::fmt::Write as _;
+
+use serde_json::json;
+
+use super::candidate::Candidate;
+use super::log::LogHeader;
+use super::plan::Plan;
+use crate::database::Taxonomy;
+use crate::utterance::{Fidelity, Part, Utterance};
+
+/// Says at the head of a file what may be claimed of it.
+fn claim(fidelity: Fidelity) -> &'static str {
+    match fidelity {
+        Fidelity::Paper => {
+            "Written and rated by a language model of the source's class (arXiv:2509.07438)."
+        }
+        Fidelity::Authored => {
+            "Written and rated by an annotator who followed the two prompts; not the output of the source's\n\
+             # Llama-3-8B-Instruct, and no listener was asked. Figures that rest on it must say so."
+        }
+        Fidelity::Grammar => {
+            "Put together from phrase lists; k is the place of the directive's last word. No language model was\n\
+             # involved, and no listener was asked."
+        }
+        Fidelity::Local => {
+            "Written or rated by a small stand-in, to try the pipeline; not fit for results."
+        }
+    }
+}
+
+/// Writes the file of the chosen sentences.
+pub fn database(plan: &Plan, header: &LogHeader, kept: &[Candidate]) -> String {
+    let topics: Vec<String> = plan.topic.iter().map(|topic| quote(&topic.id)).collect();
+    let mut out = format!(
+        "# What is said in the domain `{}`, by topic, comprehension time k and conveyance time l, in words.\n# {}\n\
+         # Made by `leadtime taxonomy build`; made again, byte for byte, from its call log.\n\n",
+        plan.domain,
+        claim(header.fidelity)
+    );
+    let lines = [
+        ("schema", "1".to_owned()),
+        ("domain", quote(&plan.domain)),
+        ("fidelity", quote(header.fidelity.name())),
+        ("generator", quote(&header.generator)),
+        ("rater", quote(&header.rater)),
+        ("embedder", quote(&header.embedder)),
+        ("theta", plan.settings.theta.to_string()),
+        ("words", format!("[{}, {}]", plan.words[0], plan.words[1])),
+        ("topics", format!("[{}]", topics.join(", "))),
+        ("config", quote(&plan.hash())),
+    ];
+    for (key, value) in lines {
+        push(&mut out, &format!("{key} = {value}\n"));
+    }
+    for candidate in kept {
+        sentence(&mut out, plan, candidate);
+    }
+    out
+}
+
+fn sentence(out: &mut String, plan: &Plan, candidate: &Candidate) {
+    let Some(cell) = candidate.landed else { return };
+    let spans: Vec<String> = candidate
+        .spans
+        .iter()
+        .map(|span| format!("[{}, {}, {}]", quote(part(span.part)), span.from, span.to))
+        .collect();
+    let curve: Vec<String> = candidate.curve.iter().map(u8::to_string).collect();
+    push(out, "\n[[utterance]]\n");
+    push(out, &format!("topic = {}\n", quote(&plan.topic[candidate.topic].id)));
+    push(out, &format!("comprehension = {}\n", cell.comprehension));
+    push(out, &format!("conveyance = {}\n", cell.conveyance));
+    push(out, &format!("text = {}\n", quote(&candidate.text)));
+    push(out, &format!("spans = [{}]\n", spans.join(", ")));
+    push(out, &format!("curve = [{}]\n", curve.join(", ")));
+    if candidate.clamped {
+        push(out, "clamped = true\n");
+    }
+    push(out, &format!("medoid = {}\n", candidate.medoid.unwrap_or_default()));
+    push(out, &format!("source = {}\n", quote(&candidate.source)));
+}
+
+fn push(out: &mut String, text: &str) {
+    out.push_str(text);
+}
+
+fn part(part: Part) -> &'static str {
+    match part {
+        Part::What => "what",
+        Part::How => "how",
+        Part::Why => "why",
+    }
+}
+
+/// Writes a TOML string.
+fn quote(text: &str) -> String {
+    toml::Value::String(text.to_owned()).to_string()
+}
+
+/// Writes a database as a table, one sentence per line.
+pub fn csv(taxonomy: &Taxonomy) -> String {
+    let mut out =
+        String::from("topic,comprehension,conveyance,text,reason_words,curve,medoid,source\n");
+    for topic in taxonomy.topics() {
+        for utterance in topic.utterances() {
+            let Utterance { cell, text, medoid, source, .. } = utterance;
+            let curve: Vec<String> = utterance.curve.iter().map(u8::to_string).collect();
+            // Writing to a string cannot fail.
+            let _written = writeln!(
+                out,
+                "{},{},{},\"{}\",{},{},{medoid},\"{}\"",
+                topic.name(),
+                cell.comprehension,
+                cell.conveyance,
+                text.replace('"', "\"\""),
+                utterance.words_of_reason(),
+                curve.join(" "),
+                source.replace('"', "\"\"")
+            );
+        }
+    }
+    out
+}
+
+/// Writes a database as JSON.
+pub fn json(taxonomy: &Taxonomy) -> String {
+    let header = taxonomy.header();
+    let topics: Vec<serde_json::Value> = taxonomy
+        .topics()
+        .iter()
+        .map(|topic| {
+            let list: Vec<serde_json::Value> = topic.utterances().iter().map(object).collect();
+            json!({"topic": topic.name(), "utterances": list})
+        })
+        .collect();
+    let whole = json!({
+        "domain": header.domain, "fidelity": header.fidelity, "generator": header.generator,
+        "rater": header.rater, "theta": header.theta, "topics": topics,
+    });
+    format!("{whole:#}\n")
+}
+
+fn object(utterance: &Utterance) -> serde_json::Value {
+    json!({
+        "comprehension": utterance.cell.comprehension, "conveyance": utterance.cell.conveyance,
+        "text": utterance.text, "spans": utterance.spans, "curve": utterance.curve,
+        "medoid": utterance.medoid, "source": utterance.source,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::shipped;
+
+    #[test]
+    fn tables_and_json_hold_every_sentence() {
+        let taxonomy = shipped("highway").unwrap();
+        let n: usize = taxonomy.topics().iter().map(|topic| topic.utterances().len()).sum();
+        let csv = super::csv(&taxonomy);
+        assert_eq!(csv.lines().count(), n + 1);
+        assert!(csv.contains(",2,5,\"Slow down for incoming traffic.\",0,"), "{csv}");
+        let json: serde_json::Value = serde_json::from_str(&super::json(&taxonomy)).unwrap();
+        let topics = json["topics"].as_array().unwrap();
+        let lists = topics.iter().map(|topic| topic["utterances"].as_array().unwrap().len());
+        assert_eq!(lists.sum::<usize>(), n);
+    }
+}

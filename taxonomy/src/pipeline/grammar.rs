@@ -1,0 +1,163 @@
+//! Answers from phrase lists: What, How and Why in every natural order, with k and l exact by construction.
+
+use leadtime_numerics::Pcg64;
+
+use super::backend::{Call, Finish, Input, Model, Reply};
+use super::error::BackendError;
+use super::plan::{Plan, hash};
+use super::structure::Lexicon;
+use crate::utterance::{Cell, Fidelity, Part};
+use crate::words;
+
+/// Orders in which people say it; a reason between manner and directive is not one of them.
+const ORDERS: [&[Part]; 9] = [
+    &[Part::What],
+    &[Part::What, Part::How],
+    &[Part::How, Part::What],
+    &[Part::What, Part::Why],
+    &[Part::Why, Part::What],
+    &[Part::What, Part::How, Part::Why],
+    &[Part::How, Part::What, Part::Why],
+    &[Part::Why, Part::What, Part::How],
+    &[Part::Why, Part::How, Part::What],
+];
+
+/// Comprehension once the directive is out, in percent.
+const UNDERSTOOD: u8 = 95;
+
+/// Answers from the phrase lists of a plan.
+#[derive(Clone, Debug)]
+pub struct Grammar {
+    plan: Plan,
+    lexicon: Lexicon,
+}
+
+impl Grammar {
+    /// Takes a plan's phrases.
+    pub fn new(plan: &Plan) -> Self {
+        Self { plan: plan.clone(), lexicon: Lexicon::new(plan) }
+    }
+
+    /// Lists every sentence of a topic that lands in a cell, in a fixed order without a pattern.
+    fn sentences(&self, topic: &str, cell: Cell) -> Vec<String> {
+        let Some(topic) = self.plan.topic.iter().find(|plan| plan.id == topic) else {
+            return Vec::new();
+        };
+        let nothing = [String::new()];
+        let mut found = Vec::new();
+        for order in ORDERS {
+            let list = |part| if order.contains(&part) { None } else { Some(&nothing[..]) };
+            for what in &topic.what {
+                for how in list(Part::How).unwrap_or(&self.plan.how) {
+                    for why in list(Part::Why).unwrap_or(&topic.why) {
+                        let phrases = [what.as_str(), how.as_str(), why.as_str()];
+                        found.extend(sentence(order, phrases, cell));
+                    }
+                }
+            }
+        }
+        found.sort_unstable();
+        found.dedup();
+        let name = hash(format!("{} {} {cell}", self.plan.domain, topic.id).as_bytes());
+        let seed = u64::from_str_radix(&name[..16], 16).unwrap_or_default();
+        Pcg64::seed_from_u64(seed).shuffle(&mut found);
+        found
+    }
+
+    fn rate(&self, text: &str, n_words: Option<usize>) -> Reply {
+        let spoken = words::words(text);
+        let structure = self.lexicon.analyse(&spoken);
+        let what = structure
+            .ok()
+            .and_then(|structure| structure.spans.into_iter().find(|span| span.part == Part::What));
+        let end = what.map_or(usize::MAX, |what| what.to as usize);
+        let percent = |i: usize| {
+            if i + 1 >= end { UNDERSTOOD } else { 10 + (40 * i / spoken.len()) as u8 }
+        };
+        if let Some(n) = n_words {
+            return Reply::complete(percent(n.saturating_sub(1)).to_string());
+        }
+        let numbers: Vec<String> = (0..spoken.len()).map(|i| percent(i).to_string()).collect();
+        Reply::complete(format!("Comprehension after each word: {}", numbers.join(", ")))
+    }
+}
+
+/// Puts phrases together, if that gives the k and l of a cell.
+fn sentence(order: &[Part], phrases: [&str; 3], cell: Cell) -> Option<String> {
+    let phrase = |part| phrases[part as usize];
+    let mut n_words = 0;
+    let mut comprehension = 0;
+    let mut text = String::new();
+    for (i, &part) in order.iter().enumerate() {
+        n_words += words::count(phrase(part));
+        if part == Part::What {
+            comprehension = n_words;
+        }
+        // A reason is set off, wherever it stands.
+        let comma = i > 0 && (part == Part::Why || order[i - 1] == Part::Why);
+        text.push_str(if comma {
+            ", "
+        } else if i > 0 {
+            " "
+        } else {
+            ""
+        });
+        text.push_str(phrase(part));
+    }
+    if (comprehension, n_words) != (cell.comprehension, cell.conveyance) {
+        return None;
+    }
+    let mut letters = text.chars();
+    let first = letters.next()?.to_uppercase();
+    Some(format!("{first}{}.", letters.as_str()))
+}
+
+impl Model for Grammar {
+    fn id(&self) -> &'static str {
+        "grammar of phrases"
+    }
+
+    fn fidelity(&self) -> Fidelity {
+        Fidelity::Grammar
+    }
+
+    fn complete(&mut self, call: &Call) -> Result<Reply, BackendError> {
+        Ok(match &call.input {
+            Input::Domain => Reply::complete(self.plan.missing.trim()),
+            Input::Sentences { topic, cell, n, round } => {
+                let all = self.sentences(topic, *cell);
+                let some: Vec<String> =
+                    all.into_iter().skip(n * *round as usize).take(*n).collect();
+                let finish = if some.is_empty() { Finish::Exhausted } else { Finish::Stop };
+                Reply { text: some.join("\n"), finish, tokens: None }
+            }
+            Input::Sentence { text, words, .. } => self.rate(text, *words),
+            Input::Text { text } => Reply::complete(text.clone()),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::job;
+    use crate::pipeline::reply::joint_rating;
+
+    #[test]
+    fn every_cell_of_every_domain_has_sentences_with_exact_k_and_l() {
+        for domain in crate::shipped::domains() {
+            let plan = job::plan(domain).unwrap();
+            let grammar = Grammar::new(&plan);
+            for topic in &plan.topic {
+                for cell in Cell::feasible(2, 5) {
+                    let list = grammar.sentences(&topic.id, cell);
+                    assert!(list.len() >= 3, "{domain} {} {cell}: {list:?}", topic.id);
+                    let rated =
+                        joint_rating(&grammar.rate(&list[0], None), cell.conveyance as usize);
+                    let crossing = rated.unwrap().iter().position(|p| *p >= 70).unwrap() as u32 + 1;
+                    assert_eq!(crossing, cell.comprehension, "{}", list[0]);
+                }
+            }
+        }
+    }
+}

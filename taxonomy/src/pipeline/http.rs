@@ -1,0 +1,217 @@
+//! A language model behind HTTP: whatever speaks the common part of the OpenAI chat API.
+//!
+//! Only fields that llama.cpp's server, vLLM and Ollama all understand are sent: model, messages, temperature,
+//! `top_p`, seed, `max_tokens`, stream. What a server says beside text, reason of ending and token counts is ignored.
+//!
+//! A server that is slow, busy (429, 5xx) or cuts its answer short is asked again after 1, 2, 4 and 8 seconds; any
+//! other refusal ends the run, because waiting would not help.
+
+use std::time::Duration;
+
+use serde::Deserialize;
+use serde_json::json;
+
+use super::backend::{Call, Finish, Model, Reply};
+use super::error::{BackendError, PipelineError};
+use crate::utterance::Fidelity;
+
+/// The longest answer that is read, in bytes.
+const MAX_ANSWER: u64 = 4 << 20;
+
+/// How much of a refusal is repeated, in characters.
+const SHOWN: usize = 200;
+
+/// Where a model is, and how patient one is with it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HttpSettings {
+    /// Base of the API: `http://127.0.0.1:8080/v1`.
+    pub url: String,
+    /// Model, as the server names it.
+    pub model: String,
+    /// Sent as bearer token; never logged.
+    pub api_key: Option<String>,
+    /// What may be claimed: [`Fidelity::Paper`] for an instruct model of the source's class, else `Local`.
+    pub fidelity: Fidelity,
+    /// Longest wait for an answer.
+    pub timeout: Duration,
+    /// Times that a call is tried (1..=10).
+    pub tries: u32,
+    /// Wait before the second try; doubles with each further one.
+    pub backoff: Duration,
+}
+
+impl HttpSettings {
+    /// Takes the usual patience: two minutes an answer, five tries, waits of 1, 2, 4 and 8 seconds.
+    pub fn new(url: &str, model: &str) -> Self {
+        Self {
+            url: url.trim_end_matches('/').to_owned(),
+            model: model.to_owned(),
+            api_key: None,
+            fidelity: Fidelity::Local,
+            timeout: Duration::from_mins(2),
+            tries: 5,
+            backoff: Duration::from_secs(1),
+        }
+    }
+}
+
+/// A model behind HTTP.
+#[derive(Debug)]
+pub struct Http {
+    settings: HttpSettings,
+    id: String,
+    agent: ureq::Agent,
+}
+
+/// The part of an answer that is read.
+#[derive(Deserialize)]
+struct Answer {
+    choices: Vec<Choice>,
+    usage: Option<Usage>,
+}
+
+#[derive(Deserialize)]
+struct Choice {
+    message: Message,
+    finish_reason: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Message {
+    content: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Usage {
+    #[serde(default)]
+    prompt_tokens: u64,
+    #[serde(default)]
+    completion_tokens: u64,
+}
+
+/// What one try came to.
+enum Attempt {
+    Reply(Reply),
+    /// Worth another try.
+    Again(String),
+    Refused(u16, String),
+}
+
+impl Http {
+    /// Prepares a client; nothing is sent yet.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError::Plan`] if the address is not `http://` or the patience impossible.
+    pub fn new(settings: HttpSettings) -> Result<Self, PipelineError> {
+        let refuse = |key: &str, given: String, allowed: &str| {
+            let (key, allowed) = (key.to_owned(), allowed.to_owned());
+            Err(PipelineError::Plan { key, given, allowed })
+        };
+        if !settings.url.starts_with("http://") {
+            let allowed =
+                "http://HOST:PORT/v1 (put a proxy in front of a server that speaks TLS only)";
+            return refuse("url", settings.url, allowed);
+        }
+        if !(1..=10).contains(&settings.tries) {
+            return refuse("tries", settings.tries.to_string(), "1 to 10");
+        }
+        let config = ureq::Agent::config_builder()
+            .timeout_global(Some(settings.timeout))
+            .http_status_as_error(false)
+            .build();
+        let id = format!("{} at {}", settings.model, settings.url);
+        Ok(Self { id, agent: config.into(), settings })
+    }
+
+    fn body(&self, call: &Call) -> String {
+        let messages = json!([
+            {"role": "system", "content": call.system},
+            {"role": "user", "content": call.prompt},
+        ]);
+        json!({
+            "model": self.settings.model,
+            "messages": messages,
+            "temperature": call.sampling.temperature,
+            "top_p": call.sampling.top_p,
+            "max_tokens": call.sampling.max_tokens,
+            "seed": call.seed,
+            "stream": false,
+        })
+        .to_string()
+    }
+
+    fn attempt(&self, body: &str) -> Attempt {
+        let url = format!("{}/chat/completions", self.settings.url);
+        let mut request = self.agent.post(&url).header("content-type", "application/json");
+        if let Some(key) = &self.settings.api_key {
+            request = request.header("authorization", &format!("Bearer {key}"));
+        }
+        let mut response = match request.send(body) {
+            Ok(response) => response,
+            Err(error) => return Attempt::Again(error.to_string()),
+        };
+        let status = response.status().as_u16();
+        let text = match response.body_mut().with_config().limit(MAX_ANSWER).read_to_string() {
+            Ok(text) => text,
+            Err(error) => return Attempt::Again(error.to_string()),
+        };
+        match status {
+            200..=299 => read(&text),
+            408 | 429 | 500..=599 => Attempt::Again(format!("status {status}")),
+            _ => {
+                let line = text.split_whitespace().collect::<Vec<_>>().join(" ");
+                Attempt::Refused(status, line.chars().take(SHOWN).collect())
+            }
+        }
+    }
+}
+
+fn read(text: &str) -> Attempt {
+    let answer: Answer = match serde_json::from_str(text) {
+        Ok(answer) => answer,
+        Err(error) => return Attempt::Again(format!("an answer that cannot be read: {error}")),
+    };
+    let Some(choice) = answer.choices.into_iter().next() else {
+        return Attempt::Again("an answer without choices".to_owned());
+    };
+    let cut = choice.finish_reason.as_deref() == Some("length");
+    Attempt::Reply(Reply {
+        text: choice.message.content.unwrap_or_default(),
+        finish: if cut { Finish::Length } else { Finish::Stop },
+        tokens: answer.usage.map(|usage| (usage.prompt_tokens, usage.completion_tokens)),
+    })
+}
+
+impl Model for Http {
+    fn id(&self) -> &str {
+        &self.id
+    }
+
+    fn fidelity(&self) -> Fidelity {
+        self.settings.fidelity
+    }
+
+    fn complete(&mut self, call: &Call) -> Result<Reply, BackendError> {
+        let body = self.body(call);
+        let (url, tries) = (self.settings.url.clone(), self.settings.tries);
+        let mut message = String::new();
+        for attempt in 0..tries {
+            if attempt > 0 {
+                std::thread::sleep(self.settings.backoff * (1 << (attempt - 1)));
+            }
+            match self.attempt(&body) {
+                Attempt::Reply(reply) => return Ok(reply),
+                Attempt::Refused(status, message) => {
+                    return Err(BackendError::Refused { url, status, message });
+                }
+                Attempt::Again(why) => message = why,
+            }
+        }
+        Err(BackendError::Unreachable { url, tries, message })
+    }
+}
+
+#[cfg(test)]
+#[path = "http_tests.rs"]
+mod tests;

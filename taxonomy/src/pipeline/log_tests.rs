@@ -1,0 +1,91 @@
+//! A log survives what a killed process does to it, and nothing else.
+
+use super::*;
+use crate::pipeline::backend::Sampling;
+
+fn header(generator: &str) -> LogHeader {
+    LogHeader {
+        schema: 1,
+        domain: "lander".to_owned(),
+        fidelity: Fidelity::Local,
+        generator: generator.to_owned(),
+        rater: "rater".to_owned(),
+        embedder: "embedder".to_owned(),
+    }
+}
+
+fn call(prompt: &str) -> Call {
+    Call {
+        stage: Stage::Summarise,
+        system: String::new(),
+        prompt: prompt.to_owned(),
+        sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 16 },
+        seed: 1,
+        input: Input::Domain,
+    }
+}
+
+fn fill(path: &Path) -> Vec<String> {
+    let mut log = CallLog::open(path).unwrap();
+    log.claim(&header("writer")).unwrap();
+    let keys: Vec<String> = ["a", "b"].iter().map(|prompt| call(prompt).key("writer")).collect();
+    for (key, prompt) in keys.iter().zip(["a", "b"]) {
+        log.add(key.clone(), &call(prompt), Reply::complete(format!("{prompt}\nreply"))).unwrap();
+    }
+    keys
+}
+
+#[test]
+fn a_torn_last_line_is_forgotten_and_the_rest_kept() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("calls.jsonl");
+    let keys = fill(&path);
+    let whole = std::fs::read(&path).unwrap();
+    let last = whole[..whole.len() - 1].iter().rposition(|byte| *byte == b'\n').unwrap() + 1;
+    for cut in [last + 1, whole.len() - 1] {
+        std::fs::write(&path, &whole[..cut]).unwrap();
+        let mut log = CallLog::open(&path).unwrap();
+        assert_eq!(log.len(), 1);
+        assert_eq!(log.reply(&keys[0]).unwrap().text, "a\nreply");
+        assert!(log.reply(&keys[1]).is_none());
+        log.add(keys[1].clone(), &call("b"), Reply::complete("b\nreply")).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), whole);
+    }
+}
+
+#[test]
+fn damage_in_the_middle_is_refused_with_its_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("calls.jsonl");
+    fill(&path);
+    let text = std::fs::read_to_string(&path).unwrap().replacen("\"key\"", "\"kee\"", 1);
+    std::fs::write(&path, text).unwrap();
+    let error = CallLog::open(&path).unwrap_err().to_string();
+    assert!(error.starts_with("line 2 of the call log "), "{error}");
+}
+
+#[test]
+fn the_log_of_another_run_is_not_gone_on_with() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("calls.jsonl");
+    fill(&path);
+    let error = CallLog::open(&path).unwrap().claim(&header("another")).unwrap_err().to_string();
+    assert!(error.contains("was made for lander with writer, rater and embedder, not"), "{error}");
+}
+
+#[test]
+fn keys_tell_apart_whatever_a_reply_depends_on() {
+    let base = call("a");
+    let hotter = Sampling { temperature: 0.5, ..base.sampling };
+    let others = [
+        call("b"),
+        Call { seed: 2, ..base.clone() },
+        Call { system: "s".to_owned(), ..base.clone() },
+        Call { sampling: hotter, ..base.clone() },
+    ];
+    for other in &others {
+        assert_ne!(other.key("m"), base.key("m"));
+    }
+    assert_ne!(base.key("m"), base.key("n"));
+    assert_eq!(base.key("m"), call("a").key("m"));
+}

@@ -1,0 +1,251 @@
+//! What a database is to be made of: the domain, its topics, the phrases that say them, and the settings of a run.
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
+
+use super::error::PipelineError;
+use crate::database::MAX_WORDS;
+use crate::words;
+
+/// How a sentence is rated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RateForm {
+    /// One call that sees the whole sentence and returns one number per word: the source's form.
+    Joint,
+    /// One call per word that sees the words so far: later words cannot leak into early ratings.
+    Prefix,
+}
+
+/// The settings of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Comprehension from which on a listener acts (1..=100 percent). Default 70; the source names none.
+    pub theta: u8,
+    /// Sentences that a cell should get before representatives are chosen (1..=200). Default 6.
+    pub target: usize,
+    /// Representatives kept per cell (1..=20). Default 4.
+    pub keep: usize,
+    /// Sentences asked for at a time (1..=50). Default 8.
+    pub batch: usize,
+    /// Times that a cell is asked for before it is given up (1..=1000). Default 40.
+    pub attempts_per_cell: u32,
+    /// Generations in all (1..=100000). Default 1000, as in the source.
+    pub max_iterations: u32,
+    /// Tries at a malformed rating (1..=10). Default 3.
+    pub tries: u32,
+    /// How a sentence is rated. Default `prefix`.
+    pub rate: RateForm,
+    /// Ratings whose median counts (1..=9, odd). Default 1.
+    pub repeats: u32,
+    /// Percent by which a rating may fall below what it was before (0..=100). Default 20.
+    pub max_drop: u8,
+    /// Cosine from which on two sentences of a cell are the same (above 0, at most 1). Default 0.95.
+    pub near_duplicate: f64,
+    /// Sampling temperature of generation (0..=2). Default 0.9.
+    pub temperature: f64,
+    /// Nucleus of generation (above 0, at most 1). Default 0.95.
+    pub top_p: f64,
+    /// Longest reply, in tokens (16..=4096). Default 256.
+    pub max_tokens: u32,
+    /// Seed of every call. Default 1.
+    pub seed: u64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            theta: 70,
+            target: 6,
+            keep: 4,
+            batch: 8,
+            attempts_per_cell: 40,
+            max_iterations: 1000,
+            tries: 3,
+            rate: RateForm::Prefix,
+            repeats: 1,
+            max_drop: 20,
+            near_duplicate: 0.95,
+            temperature: 0.9,
+            top_p: 0.95,
+            max_tokens: 256,
+            seed: 1,
+        }
+    }
+}
+
+/// A sentence with its rating, as a prompt shows it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rated {
+    /// The sentence.
+    pub text: String,
+    /// Percent after each word.
+    pub curve: Vec<u8>,
+}
+
+/// One topic.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TopicPlan {
+    /// Its name, as the domain spells it.
+    pub id: String,
+    /// What the person does when they follow it.
+    pub action: String,
+    /// Whether it tells a fact rather than an action: any directive then belongs to another topic.
+    #[serde(default)]
+    pub statement: bool,
+    /// Phrases that say it (What), for the grammar and to recognise it.
+    pub what: Vec<String>,
+    /// Further phrases that say it, to recognise it only: some would not go with every manner.
+    #[serde(default)]
+    pub also_what: Vec<String>,
+    /// Reasons for it (Why), for the grammar.
+    pub why: Vec<String>,
+    /// Worked examples of a rating.
+    pub rated: Vec<Rated>,
+}
+
+/// Everything about a domain that sentences are made from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// The domain.
+    pub domain: String,
+    /// Who listens: `the pilot of a small lander`.
+    pub role: String,
+    /// State, actions and dynamics, for the first prompt.
+    pub world: String,
+    /// What the person does not know.
+    pub missing: String,
+    /// Least and greatest number of words.
+    pub words: [u32; 2],
+    /// Phrases of manner or urgency (How), for the grammar and to recognise them.
+    pub how: Vec<String>,
+    /// Further ones, to recognise them only.
+    #[serde(default)]
+    pub also_how: Vec<String>,
+    /// Words that carry nothing: `please`, `the`.
+    pub fillers: Vec<String>,
+    /// Five sentences that show what is wanted.
+    pub examples: Vec<String>,
+    /// Sentences that represent their cell if they land in one, whoever else would.
+    #[serde(default)]
+    pub pinned: Vec<String>,
+    /// Sentences that a person has turned down.
+    #[serde(default)]
+    pub reject: Vec<String>,
+    /// The settings of a run.
+    #[serde(default)]
+    pub settings: Settings,
+    /// The topics, in the order of their ids.
+    pub topic: Vec<TopicPlan>,
+}
+
+impl Plan {
+    /// Reads a plan.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError`] naming the line or the key, what was given and what is allowed.
+    pub fn from_toml(text: &str) -> Result<Self, PipelineError> {
+        let plan: Self = toml::from_str(text).map_err(|error| {
+            let at = error.span().map_or(0, |span| span.start.min(text.len()));
+            let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+            PipelineError::PlanForm { line, message: error.message().replace('\n', ", ") }
+        })?;
+        plan.check()?;
+        Ok(plan)
+    }
+
+    /// Checks what a type cannot say.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError::Plan`] naming the first impossible key.
+    pub fn check(&self) -> Result<(), PipelineError> {
+        let [from, to] = self.words;
+        let fits = 1 <= from && from <= to && to <= MAX_WORDS;
+        require(fits, "words", format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
+        require(!self.topic.is_empty(), "topic", "[]", "at least one topic")?;
+        for topic in &self.topic {
+            let key = |name: &str| format!("topic.{}.{name}", topic.id);
+            require(!topic.what.is_empty(), &key("what"), "[]", "at least one phrase")?;
+            for rated in &topic.rated {
+                let (given, words) = (rated.curve.len(), words::count(&rated.text) as usize);
+                let says = format!("{words} percentages, one per word of \"{}\"", rated.text);
+                require(given == words, &key("rated"), given, &says)?;
+            }
+        }
+        self.settings.check()
+    }
+
+    /// Returns a topic's place.
+    pub fn topic_idx(&self, id: &str) -> Option<usize> {
+        self.topic.iter().position(|topic| topic.id == id)
+    }
+
+    /// Computes a hash of everything in the plan, in hexadecimal.
+    pub fn hash(&self) -> String {
+        // A plan holds only text, numbers and lists, which can always be written.
+        hash(serde_json::to_string(self).unwrap_or_default().as_bytes())
+    }
+}
+
+impl Settings {
+    fn check(&self) -> Result<(), PipelineError> {
+        let within = |holds, key: &str, given: f64, allowed| {
+            require(holds, &format!("settings.{key}"), given, allowed)
+        };
+        let theta = self.theta;
+        within((1..=100).contains(&theta), "theta", theta.into(), "1 to 100 percent")?;
+        within((1..=200).contains(&self.target), "target", self.target as f64, "1 to 200")?;
+        within((1..=20).contains(&self.keep), "keep", self.keep as f64, "1 to 20")?;
+        within((1..=50).contains(&self.batch), "batch", self.batch as f64, "1 to 50")?;
+        let attempts = self.attempts_per_cell;
+        within((1..=1000).contains(&attempts), "attempts_per_cell", attempts.into(), "1 to 1000")?;
+        let most = self.max_iterations;
+        within((1..=100_000).contains(&most), "max_iterations", most.into(), "1 to 100000")?;
+        within((1..=10).contains(&self.tries), "tries", self.tries.into(), "1 to 10")?;
+        let odd = (1..=9).contains(&self.repeats) && self.repeats % 2 == 1;
+        within(odd, "repeats", self.repeats.into(), "an odd number from 1 to 9")?;
+        within(self.max_drop <= 100, "max_drop", self.max_drop.into(), "0 to 100 percent")?;
+        let near = self.near_duplicate;
+        within(near > 0.0 && near <= 1.0, "near_duplicate", near, "above 0 and at most 1")?;
+        let temperature = self.temperature;
+        within((0.0..=2.0).contains(&temperature), "temperature", temperature, "0 to 2")?;
+        let top_p = self.top_p;
+        within(top_p > 0.0 && top_p <= 1.0, "top_p", top_p, "above 0 and at most 1")?;
+        let tokens = self.max_tokens;
+        within((16..=4096).contains(&tokens), "max_tokens", tokens.into(), "16 to 4096 tokens")
+    }
+}
+
+fn require(
+    holds: bool,
+    key: &str,
+    given: impl ToString,
+    allowed: &str,
+) -> Result<(), PipelineError> {
+    if holds {
+        return Ok(());
+    }
+    let (key, allowed) = (key.to_owned(), allowed.to_owned());
+    Err(PipelineError::Plan { key, given: given.to_string(), allowed })
+}
+
+/// Computes a hash in hexadecimal, shortened to 128 bits: enough to tell apart whatever a run can hold.
+pub(crate) fn hash(bytes: &[u8]) -> String {
+    use std::fmt::Write as _;
+    let digest = Sha256::digest(bytes);
+    digest[..16].iter().fold(String::with_capacity(32), |mut text, byte| {
+        // Writing to a string cannot fail.
+        let _written = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+#[cfg(test)]
+#[path = "plan_tests.rs"]
+mod tests;

@@ -1,0 +1,52 @@
+//! What a plan cannot be, and what is said about it.
+
+use super::*;
+use crate::pipeline::job;
+
+const PLAN: &str = include_str!("../../data/lander/plan.toml");
+
+fn refuse(from: &str, to: &str) -> String {
+    assert!(PLAN.contains(from), "the plan has no {from}");
+    Plan::from_toml(&PLAN.replacen(from, to, 1)).unwrap_err().to_string()
+}
+
+#[test]
+fn the_plans_that_come_with_the_crate_are_sound() {
+    for domain in crate::shipped::domains() {
+        let plan = job::plan(domain).unwrap();
+        assert_eq!(plan.domain, domain);
+        assert_eq!(plan.examples.len(), 5);
+        assert!(plan.topic.iter().all(|topic| topic.rated.len() == 2));
+    }
+    let error = job::plan("kitchen").unwrap_err().to_string();
+    assert!(
+        error.starts_with("`domain` of the plan is kitchen; allowed: highway, lander"),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_impossible_plan_is_named() {
+    let text = refuse("keep = 4", "keep = 0");
+    assert_eq!(text, "`settings.keep` of the plan is 0; allowed: 1 to 20");
+    let text = refuse("keep = 4", "kept = 4");
+    assert!(text.contains(" of the plan: unknown field `kept`, expected one of `theta`"), "{text}");
+    let text = refuse("keep = 4", "repeats = 2");
+    assert!(text.ends_with("is 2; allowed: an odd number from 1 to 9"), "{text}");
+    let text = refuse("rate = \"joint\"", "rate = \"guess\"");
+    assert!(text.contains("unknown variant `guess`, expected `joint` or `prefix`"), "{text}");
+    let text = refuse("[25, 92, 92, 93, 96]", "[25, 92]");
+    assert!(
+        text.starts_with("`topic.ascend.rated` of the plan is 2; allowed: 5 percentages"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_plan_that_differs_has_another_hash() {
+    let plan = job::plan("lander").unwrap();
+    let mut other = plan.clone();
+    other.settings.theta = 60;
+    assert_ne!(plan.hash(), other.hash());
+    assert_eq!(plan.hash(), job::plan("lander").unwrap().hash());
+}

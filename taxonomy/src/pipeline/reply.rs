@@ -1,0 +1,122 @@
+//! Reads replies as models really write them: with fences, numbers, afterthoughts, and cut off in the middle.
+
+use super::backend::{Finish, Reply};
+
+/// Reads the sentences of a generation reply; none if there are none.
+///
+/// A JSON list of strings is taken as it is; otherwise every line is a sentence, less numbering, bullets and quotes.
+/// Of a reply that ran into its limit the last line is dropped.
+pub fn sentences(reply: &Reply) -> Vec<String> {
+    let text = body(&reply.text);
+    if let Ok(list) = serde_json::from_str::<Vec<String>>(text.trim()) {
+        return list;
+    }
+    let separator = if text.trim().contains('\n') { '\n' } else { ';' };
+    let mut lines: Vec<&str> = text.split(separator).collect();
+    if reply.finish == Finish::Length {
+        lines.pop();
+    }
+    let talk = |line: &&str| !line.is_empty() && !line.ends_with(':');
+    lines.into_iter().map(bare).filter(talk).map(str::to_owned).collect()
+}
+
+/// Reads a rating in the three-line form: one percentage per word.
+///
+/// ```text
+/// Instruction: Slow down now.
+/// Words: Slow | down | now.
+/// Comprehension after each word: 40, 90, 95
+/// ```
+///
+/// None if the numbers are not one per word, or not within 0 to 100: they are asked for again, never clipped.
+pub fn joint_rating(reply: &Reply, n_words: usize) -> Option<Vec<u8>> {
+    if reply.finish == Finish::Length {
+        return None;
+    }
+    let text = body(&reply.text);
+    let line = text.lines().find(|line| line.trim().to_lowercase().starts_with("comprehension"))?;
+    let numbers = line.rsplit(':').next()?;
+    let percent = |item: &str| item.trim().trim_end_matches(['%', '.']).parse::<u8>().ok();
+    let rated: Option<Vec<u8>> = numbers.split([',', '|']).map(percent).collect();
+    rated.filter(|rated| rated.len() == n_words && rated.iter().all(|percent| *percent <= 100))
+}
+
+/// Reads a rating of one prefix: the one number of the reply.
+pub fn percentage(reply: &Reply) -> Option<u8> {
+    let text = body(&reply.text);
+    let mut numbers = text.split(|c: char| !c.is_ascii_digit()).filter(|part| !part.is_empty());
+    let number = numbers.next()?.parse::<u8>().ok()?;
+    (numbers.next().is_none() && number <= 100 && !text.contains('-')).then_some(number)
+}
+
+/// Drops what a model thinks aloud and the fences it puts around its answer.
+fn body(text: &str) -> String {
+    let answer = match text.rfind("</think>") {
+        Some(end) => &text[end + "</think>".len()..],
+        None => text,
+    };
+    let lines = answer.lines().filter(|line| !line.trim_start().starts_with("```"));
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// Drops numbering, bullets and quotes around a sentence.
+fn bare(line: &str) -> &str {
+    let line = line.trim();
+    let digits = line.len() - line.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+    let numbered = digits > 0 && line[digits..].starts_with(['.', ')']);
+    let line = if numbered { &line[digits + 1..] } else { line };
+    line.trim_start_matches(['-', '*', ' ']).trim_matches(['"', '\u{201c}', '\u{201d}', ' ', ','])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reply(text: &str) -> Reply {
+        Reply::complete(text)
+    }
+
+    #[test]
+    fn sentences_are_found_in_whatever_surrounds_them() {
+        let wanted = ["Go up.", "Climb now!"];
+        for text in [
+            "Go up.\nClimb now!",
+            "Here are two:\n\n1. Go up.\n2) \"Climb now!\"\n",
+            "<think>short, clear\nones</think>\n```\n- Go up.\n* Climb now!\n```",
+            "[\"Go up.\", \"Climb now!\"]",
+            "Go up.; Climb now!",
+        ] {
+            assert_eq!(sentences(&reply(text)), wanted, "{text}");
+        }
+        assert!(sentences(&reply("  \n")).is_empty());
+        let cut = Reply { finish: Finish::Length, ..reply("Go up.\nClimb no") };
+        assert_eq!(sentences(&cut), ["Go up."]);
+    }
+
+    #[test]
+    fn a_rating_has_one_percentage_per_word() {
+        let good = "Instruction: Go up.\nWords: Go | up.\nComprehension after each word: 20, 90%";
+        assert_eq!(joint_rating(&reply(good), 2), Some(vec![20, 90]));
+        assert_eq!(joint_rating(&reply(good), 3), None);
+        for bad in [
+            "Comprehension after each word: 20, 190",
+            "Comprehension after each word: 20, 101",
+            "Comprehension after each word: 20, -5",
+            "Comprehension after each word: 20, high",
+            "20, 90",
+        ] {
+            assert_eq!(joint_rating(&reply(bad), 2), None, "{bad}");
+        }
+        let cut = Reply { finish: Finish::Length, ..reply(good) };
+        assert_eq!(joint_rating(&cut, 2), None);
+    }
+
+    #[test]
+    fn a_prefix_has_one_number() {
+        assert_eq!(percentage(&reply(" 85%\n")), Some(85));
+        assert_eq!(percentage(&reply("<think>70 or 80</think>75")), Some(75));
+        for bad in ["", "between 20 and 30", "120", "-5", "high"] {
+            assert_eq!(percentage(&reply(bad)), None, "{bad}");
+        }
+    }
+}

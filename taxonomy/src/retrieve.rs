@@ -1,0 +1,245 @@
+//! From (c, k, l) to a sentence: the exact cell, or the one that loses least time.
+//!
+//! A notifier may choose a cell that no sentence fills. It never hears another topic for that: it gets the cell of
+//! the same topic whose sentences cost least, and is told which, because what the person hears is that cell's k
+//! and l.
+
+use serde::{Deserialize, Serialize};
+
+use crate::database::Taxonomy;
+use crate::error::TaxonomyError;
+use crate::utterance::{Cell, Utterance};
+
+/// What a notifier wants to say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// Index of the topic, in the domain's order.
+    pub topic: usize,
+    /// When it should be understood, and over.
+    pub cell: Cell,
+}
+
+/// What another cell than the one asked for costs, as seconds lost.
+///
+/// A late comprehension delays the reaction, an early one takes the words that should have said why, a wrong length
+/// keeps the channel busy or the follow-through short. The ratios are ours; a study of listeners could replace them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Loss {
+    /// Seconds per word (above 0). Default 0.3.
+    pub seconds_per_word: f64,
+    /// Weight of a word by which k' is later (at least 0). Default 3.
+    pub late: f64,
+    /// Weight of a word by which k' is earlier (at least 0). Default 1.
+    pub early: f64,
+    /// Weight of a word by which l' differs (at least 0). Default 0.5.
+    pub length: f64,
+}
+
+impl Default for Loss {
+    fn default() -> Self {
+        Self { seconds_per_word: 0.3, late: 3.0, early: 1.0, length: 0.5 }
+    }
+}
+
+impl Loss {
+    /// Computes the seconds lost by hearing `heard` in place of `asked`.
+    pub fn seconds(&self, asked: Cell, heard: Cell) -> f64 {
+        let late = f64::from(heard.comprehension.saturating_sub(asked.comprehension));
+        let early = f64::from(asked.comprehension.saturating_sub(heard.comprehension));
+        let length = f64::from(heard.conveyance.abs_diff(asked.conveyance));
+        self.seconds_per_word * (self.late * late + self.early * early + self.length * length)
+    }
+
+    /// Checks ranges.
+    ///
+    /// # Errors
+    ///
+    /// [`TaxonomyError::Header`] naming the weight.
+    pub fn check(&self) -> Result<(), TaxonomyError> {
+        let seconds = self.seconds_per_word;
+        let refuse = |key, given: f64, allowed| {
+            Err(TaxonomyError::Header { key, given: given.to_string(), allowed })
+        };
+        if !(seconds.is_finite() && seconds > 0.0) {
+            return refuse("loss.seconds_per_word", seconds, "a number above 0");
+        }
+        let weights =
+            [("loss.late", self.late), ("loss.early", self.early), ("loss.length", self.length)];
+        for (key, weight) in weights {
+            if !(weight.is_finite() && weight >= 0.0) {
+                return refuse(key, weight, "a number of at least 0");
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The sentences that may be said for a request.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Retrieved<'a> {
+    /// The topic asked for.
+    pub topic: usize,
+    /// The k and l that the person will hear; what a simulation must apply.
+    pub cell: Cell,
+    /// The cell's place among the filled cells of its topic.
+    pub(crate) cell_idx: usize,
+    /// At least one sentence, by rank.
+    pub utterances: &'a [Utterance],
+    /// Another cell than the one asked for.
+    pub fallback: bool,
+    /// What that costs, in seconds.
+    pub seconds_lost: f64,
+}
+
+impl Taxonomy {
+    /// Finds the sentences for a request.
+    ///
+    /// An empty cell gives the cell of the same topic that loses least; of equals, the smaller k', then the
+    /// smaller l'. Allocates nothing.
+    ///
+    /// # Errors
+    ///
+    /// [`TaxonomyError::UnknownTopic`] if there is no such topic.
+    pub fn retrieve(&self, request: Request, loss: &Loss) -> Result<Retrieved<'_>, TaxonomyError> {
+        let n_topics = self.topics().len();
+        let unknown = TaxonomyError::UnknownTopic { topic: request.topic, n_topics };
+        let Some(topic) = self.topics().get(request.topic) else { return Err(unknown) };
+        // Cells come ordered by k, then l, so the first of the least is the one that is wanted.
+        let nearest = topic.cells().enumerate().min_by(|(_, (a, _)), (_, (b, _))| {
+            loss.seconds(request.cell, *a).total_cmp(&loss.seconds(request.cell, *b))
+        });
+        let (cell_idx, (cell, utterances)) = match topic.cell_idx(request.cell) {
+            Some(exact) => (exact, (request.cell, topic.cell(request.cell))),
+            None => nearest.ok_or(unknown)?,
+        };
+        Ok(Retrieved {
+            topic: request.topic,
+            cell,
+            cell_idx,
+            utterances,
+            fallback: cell != request.cell,
+            seconds_lost: loss.seconds(request.cell, cell),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::words;
+
+    /// Writes a database of two topics with one sentence in each of the listed cells.
+    fn with_cells(cells: &[(usize, Cell)]) -> Taxonomy {
+        use std::fmt::Write as _;
+        let mut text = String::from(
+            "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
+             embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = [\"a\", \"b\"]\nconfig = \"\"\n",
+        );
+        for (topic, cell) in cells {
+            let (k, l) = (cell.comprehension, cell.conveyance);
+            let name = ["a", "b"][*topic];
+            let words: Vec<String> = (0..l).map(|i| format!("{name}{k}{i}")).collect();
+            let curve: Vec<u32> = (1..=l).map(|i| if i < k { 10 } else { 90 }).collect();
+            writeln!(
+                text,
+                "[[utterance]]\ntopic = \"{name}\"\ncomprehension = {k}\nconveyance = {l}\n\
+                 text = \"{}\"\nspans = [[\"what\", 0, {k}]]\ncurve = {curve:?}",
+                words.join(" ")
+            )
+            .unwrap();
+        }
+        Taxonomy::from_toml(&text).unwrap()
+    }
+
+    fn request(topic: usize, k: u32, l: u32) -> Request {
+        Request { topic, cell: Cell::new(k, l) }
+    }
+
+    #[test]
+    fn an_exact_cell_is_no_fallback() {
+        let taxonomy =
+            with_cells(&[(0, Cell::new(2, 2)), (0, Cell::new(3, 5)), (1, Cell::new(2, 2))]);
+        let found = taxonomy.retrieve(request(0, 3, 5), &Loss::default()).unwrap();
+        assert_eq!((found.cell, found.fallback, found.seconds_lost), (Cell::new(3, 5), false, 0.0));
+    }
+
+    #[test]
+    fn an_empty_cell_gives_the_one_that_loses_least() {
+        let cells = [Cell::new(2, 2), Cell::new(4, 4), Cell::new(3, 5)];
+        let taxonomy = with_cells(&[(0, cells[0]), (0, cells[1]), (0, cells[2]), (1, cells[0])]);
+        let find = |k, l| {
+            let found = taxonomy.retrieve(request(0, k, l), &Loss::default()).unwrap();
+            assert!(found.fallback);
+            (found.cell, found.seconds_lost)
+        };
+        // Two words long: 0.3 (2 · 0.5). Early and short would cost 0.3 (1 + 0.5), late and long 0.3 (3 + 0.5).
+        let (cell, seconds) = find(3, 3);
+        assert_eq!(cell, Cell::new(3, 5));
+        assert!((seconds - 0.3).abs() < 1e-12);
+        assert_eq!(find(2, 5).0, Cell::new(2, 2));
+        assert_eq!(find(4, 5).0, Cell::new(4, 4));
+        assert_eq!(find(5, 5).0, Cell::new(4, 4));
+        // Never the other topic, not even for its exact cell.
+        assert_eq!(taxonomy.retrieve(request(1, 4, 4), &Loss::default()).unwrap().cell, cells[0]);
+    }
+
+    #[test]
+    fn of_equal_losses_the_smaller_k_wins() {
+        let taxonomy =
+            with_cells(&[(0, Cell::new(3, 4)), (0, Cell::new(4, 5)), (1, Cell::new(2, 2))]);
+        let even = Loss { seconds_per_word: 1.0, late: 1.0, early: 1.0, length: 0.0 };
+        let found = taxonomy.retrieve(request(0, 4, 4), &even).unwrap();
+        assert_eq!(found.cell, Cell::new(4, 5));
+        let free = Loss { seconds_per_word: 1.0, late: 0.0, early: 0.0, length: 0.0 };
+        assert_eq!(taxonomy.retrieve(request(0, 5, 5), &free).unwrap().cell, Cell::new(3, 4));
+    }
+
+    #[test]
+    fn an_unknown_topic_and_an_impossible_weight_are_named() {
+        let taxonomy = with_cells(&[(0, Cell::new(2, 2)), (1, Cell::new(2, 2))]);
+        let error = taxonomy.retrieve(request(2, 2, 2), &Loss::default()).unwrap_err();
+        assert_eq!(error.to_string(), "there is no topic 2; the database has 2, numbered from 0");
+        let error = Loss { late: -1.0, ..Loss::default() }.check().unwrap_err();
+        assert_eq!(error.to_string(), "`loss.late` is -1; allowed: a number of at least 0");
+        Loss { seconds_per_word: f64::NAN, ..Loss::default() }.check().unwrap_err();
+        Loss::default().check().unwrap();
+    }
+
+    proptest! {
+        #[test]
+        fn retrieval_keeps_the_topic_and_the_order_of_k_and_l(
+            filled in proptest::collection::btree_set((0_usize..2, 0_usize..10), 1..20),
+            topic in 0_usize..2, k in 0_u32..8, l in 0_u32..8,
+        ) {
+            let cells: Vec<Cell> = Cell::feasible(2, 5).collect();
+            let mut entries: Vec<(usize, Cell)> =
+                filled.iter().map(|&(topic, cell)| (topic, cells[cell])).collect();
+            for topic in 0..2 {
+                if !entries.iter().any(|entry| entry.0 == topic) {
+                    entries.push((topic, Cell::new(2, 3)));
+                }
+            }
+            let taxonomy = with_cells(&entries);
+            let found = taxonomy.retrieve(request(topic, k, l), &Loss::default()).unwrap();
+            prop_assert_eq!(found.topic, topic);
+            prop_assert!(found.cell.comprehension <= found.cell.conveyance);
+            prop_assert!(!found.utterances.is_empty());
+            for utterance in found.utterances {
+                prop_assert_eq!(utterance.cell, found.cell);
+                prop_assert!(words::words(&utterance.text)[0].starts_with(["a", "b"][topic]));
+            }
+            // Nothing in the topic would have lost less, and asking again gives the same.
+            for &(other, cell) in &entries {
+                if other == topic {
+                    let seconds = Loss::default().seconds(Cell::new(k, l), cell);
+                    prop_assert!(found.seconds_lost <= seconds);
+                }
+            }
+            let again = taxonomy.retrieve(request(topic, k, l), &Loss::default()).unwrap();
+            prop_assert_eq!(again, found);
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! One sentence of the database, and what is known about how it is heard.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// When a sentence is understood and when it is over: the place of an utterance within its topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cell {
+    /// Comprehension time k, in words.
+    pub comprehension: u32,
+    /// Conveyance time l, in words.
+    pub conveyance: u32,
+}
+
+impl Cell {
+    /// Names a cell.
+    pub const fn new(comprehension: u32, conveyance: u32) -> Self {
+        Self { comprehension, conveyance }
+    }
+
+    /// Lists the cells that can be: `from` <= k <= l <= `to`, ordered by k, then l.
+    ///
+    /// Of the 16 pairs with two to five words, 10 can be: nothing is understood after it is over.
+    pub fn feasible(from: u32, to: u32) -> impl Iterator<Item = Self> {
+        (from..=to).flat_map(move |k| (k..=to).map(move |l| Self::new(k, l)))
+    }
+}
+
+impl fmt::Display for Cell {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "({}, {})", self.comprehension, self.conveyance)
+    }
+}
+
+/// What a part of a sentence does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// Tells what to do: the directive. Every utterance has exactly one.
+    What,
+    /// Tells in which manner, or how soon.
+    How,
+    /// Tells the reason.
+    Why,
+}
+
+/// Some words of a sentence that belong together: `["why", 0, 2]` in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "(Part, u32, u32)", into = "(Part, u32, u32)")]
+pub struct Span {
+    /// What they do.
+    pub part: Part,
+    /// Index of the first word, from 0.
+    pub from: u32,
+    /// Index after the last word.
+    pub to: u32,
+}
+
+impl Span {
+    /// Returns the number of words.
+    pub fn n_words(self) -> u32 {
+        self.to.saturating_sub(self.from)
+    }
+}
+
+impl From<(Part, u32, u32)> for Span {
+    fn from((part, from, to): (Part, u32, u32)) -> Self {
+        Self { part, from, to }
+    }
+}
+
+impl From<Span> for (Part, u32, u32) {
+    fn from(span: Span) -> Self {
+        (span.part, span.from, span.to)
+    }
+}
+
+/// What made a database; only the first reproduces the source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fidelity {
+    /// Written and rated by an instruction-tuned language model of the source's class (Llama-3-8B or more).
+    Paper,
+    /// Written and rated by an annotator who followed the two prompts; no experiment, no language model run.
+    Authored,
+    /// Put together from phrase lists; k is the place of the directive's last word.
+    Grammar,
+    /// Written or rated by a smaller stand-in: good for trying the pipeline.
+    Local,
+}
+
+impl Fidelity {
+    /// Returns the name as files spell it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Authored => "authored",
+            Self::Grammar => "grammar",
+            Self::Local => "local",
+        }
+    }
+}
+
+/// A sentence and how it is heard.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Utterance {
+    /// As it is spoken: `Zone ahead, go up.`
+    pub text: String,
+    /// k and l.
+    pub cell: Cell,
+    /// What, How and Why, in order; words in none of them are fillers.
+    pub spans: Vec<Span>,
+    /// Comprehension after each word, in percent; never falls. Shape `[l]`.
+    pub curve: Vec<u8>,
+    /// The threshold was crossed before the least k that a notifier can choose.
+    pub clamped: bool,
+    /// End of each word from the start of speech, in milliseconds, where a recording is known. Shape `[l]` or `[0]`.
+    pub word_end_ms: Vec<u32>,
+    /// Place among the representatives of its cell, from 0.
+    pub medoid: u32,
+    /// Where it comes from: the key of a call, or who wrote it.
+    pub source: String,
+}
+
+impl Utterance {
+    /// Returns the directive's words.
+    pub fn what(&self) -> Option<Span> {
+        self.spans.iter().copied().find(|span| span.part == Part::What)
+    }
+
+    /// Computes where understanding should come by structure alone: the place of the directive's last word, from 1.
+    pub fn structural_comprehension(&self) -> Option<u32> {
+        self.what().map(|what| what.to)
+    }
+
+    /// Counts the words of reasons that come before the directive, `I_why`.
+    ///
+    /// # Source
+    ///
+    /// arXiv:2509.07438, informativeness. Its examples give none to a reason that trails ("Press the pedal slowly to
+    /// speed up."), some to one that leads ("To speed up, press the pedal slowly."): our reading of `I_why`.
+    pub fn words_of_reason(&self) -> u32 {
+        let Some(what) = self.what() else { return 0 };
+        let leads = |span: &&Span| span.part == Part::Why && span.to <= what.from;
+        self.spans.iter().filter(leads).map(|span| span.n_words()).sum()
+    }
+
+    /// Tells whether the sentence states a reason, wherever it stands.
+    pub fn has_reason(&self) -> bool {
+        self.spans.iter().any(|span| span.part == Part::Why)
+    }
+
+    /// Computes the informativeness I(u) = α·l + β·`I_why`.
+    ///
+    /// # Source
+    ///
+    /// arXiv:2509.07438, where α = 1 and β = 0.
+    pub fn informativeness(&self, alpha: f64, beta: f64) -> f64 {
+        alpha * f64::from(self.cell.conveyance) + beta * f64::from(self.words_of_reason())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn utterance(text: &str, spans: &[(Part, u32, u32)]) -> Utterance {
+        let l = crate::words::count(text);
+        Utterance {
+            text: text.to_owned(),
+            cell: Cell::new(l, l),
+            spans: spans.iter().map(|span| Span::from(*span)).collect(),
+            curve: vec![100; l as usize],
+            clamped: false,
+            word_end_ms: Vec::new(),
+            medoid: 0,
+            source: "test".to_owned(),
+        }
+    }
+
+    #[test]
+    fn ten_of_sixteen_cells_can_be() {
+        let cells: Vec<Cell> = Cell::feasible(2, 5).collect();
+        assert_eq!(cells.len(), 10);
+        assert!(cells.is_sorted());
+        assert!(cells.iter().all(|cell| cell.comprehension <= cell.conveyance));
+    }
+
+    #[test]
+    fn only_a_reason_that_leads_adds_information() {
+        let trails = utterance(
+            "Press the pedal slowly to speed up.",
+            &[(Part::What, 0, 4), (Part::Why, 4, 7)],
+        );
+        let leads = utterance(
+            "To speed up, press the pedal slowly.",
+            &[(Part::Why, 0, 3), (Part::What, 3, 7)],
+        );
+        assert_eq!((trails.words_of_reason(), leads.words_of_reason()), (0, 3));
+        assert_eq!(trails.informativeness(1.0, 0.5), 7.0);
+        assert_eq!(leads.informativeness(1.0, 0.5), 8.5);
+        assert!(trails.has_reason());
+        assert_eq!(leads.structural_comprehension(), Some(7));
+    }
+}
