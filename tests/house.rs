@@ -25,8 +25,8 @@ const PURE: &[&str] = &["numerics", "proto", "policy", "sims"];
 
 /// Folders that hold our Rust sources.
 const FOLDERS: &[&str] = &[
-    "numerics", "proto", "taxonomy", "link", "policy", "sims", "actor", "learner", "eval", "deploy", "tests",
-    "examples", "bench",
+    "numerics", "proto", "taxonomy", "link", "policy", "sims", "actor", "learner", "eval",
+    "deploy", "tests", "examples", "bench",
 ];
 
 fn root() -> PathBuf {

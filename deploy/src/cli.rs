@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::config::raw::EvaluationAction;
 use crate::config::table::Assignment;
@@ -50,11 +50,7 @@ pub enum Command {
         command: PilotCommand,
     },
     /// Compare a world with recorded traces of its public original.
-    Conformance {
-        /// Which world.
-        #[command(subcommand)]
-        command: ConformanceCommand,
-    },
+    Conformance(ConformanceArgs),
     /// Print the default configuration of a domain, every key with its comment.
     Config(ConfigArgs),
     /// List runs, or compare their configurations and results.
@@ -257,17 +253,28 @@ pub struct PilotEvalArgs {
     pub json: bool,
 }
 
-/// `leadtime conformance ...`
-#[derive(Debug, Subcommand)]
-pub enum ConformanceCommand {
-    /// Replay recorded actions of `LunarLander-v3` open loop and compare every observation before first contact.
-    Lander {
-        /// The traces: JSON, plain or gzip.
-        file: PathBuf,
-        /// Print the results as JSON.
-        #[arg(long)]
-        json: bool,
-    },
+/// `leadtime conformance`
+#[derive(Debug, Args)]
+pub struct ConformanceArgs {
+    /// The world.
+    #[arg(value_enum)]
+    pub world: ConformanceWorld,
+    /// The traces: JSON, plain or gzip.
+    pub file: PathBuf,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A world that has a public original.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ConformanceWorld {
+    /// `LunarLander-v3`: actions replayed open loop, every observation before first contact compared.
+    Lander,
+    /// highway-env: every car's state, command, observation and reward compared.
+    Highway,
+    /// The public kitchen, and recorded episodes of its cook: every value compared.
+    Steakhouse,
 }
 
 /// `leadtime config`

@@ -4,7 +4,7 @@ use clap::CommandFactory as _;
 use tokio::runtime;
 
 use super::{actor, check, config, conformance, eval, learner, pilot, play, runs, smoke, up};
-use crate::cli::{Cli, Command, ConformanceCommand, PilotCommand};
+use crate::cli::{Cli, Command, PilotCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{Program, logging, output};
 
@@ -24,9 +24,7 @@ pub fn dispatch(program: &Program, command: Command) -> Result<(), Failure> {
         Command::Eval(args) => eval::run(program, &args),
         Command::Play(args) => play::run(program, &args),
         Command::Pilot { command: PilotCommand::Eval(args) } => pilot::run(&args),
-        Command::Conformance { command: ConformanceCommand::Lander { file, json } } => {
-            conformance::run(&file, json)
-        }
+        Command::Conformance(args) => conformance::run(&args),
         Command::Config(args) => config::run(program, &args),
         Command::Runs(args) => runs::run(&args),
         Command::Check(args) => block_on(check::run(program, &args)),

@@ -37,6 +37,14 @@ macro_rules! for_domain {
                 use leadtime_sims::{human::HumanSettings, notifier::NotifierSettings, piloting::WorldSettings};
                 $call::<WorldSettings, HumanSettings, NotifierSettings>($($arg),*)
             }
+            "highway" => {
+                use leadtime_sims::{driving::WorldSettings, human::HumanSettings, notifier::NotifierSettings};
+                $call::<WorldSettings, HumanSettings, NotifierSettings>($($arg),*)
+            }
+            "steakhouse" => {
+                use leadtime_sims::{cooking::WorldSettings, human::HumanSettings, notifier::NotifierSettings};
+                $call::<WorldSettings, HumanSettings, NotifierSettings>($($arg),*)
+            }
             "pilot" => $call::<leadtime_sims::lander::PilotTaskSettings, Absent, Absent>($($arg),*),
             "cartpole" => $call::<leadtime_sims::classic::CartPoleSettings, Absent, Absent>($($arg),*),
             "cue_recall" => $call::<leadtime_sims::classic::CueRecallSettings, Absent, Absent>($($arg),*),
