@@ -3,18 +3,19 @@
 use std::collections::BTreeMap;
 
 use candle_core::{Tensor, Var};
-use leadtime_numerics::kernel::Activation;
 use leadtime_policy::architecture::{Layer, Network, layers};
 use leadtime_policy::{ObservationNormalizer, Parameters};
-use leadtime_proto::PolicySpec;
+use leadtime_proto::{Encoder, PolicySpec};
 
 use crate::TrainError;
 use crate::dense_op::DenseOp;
+use crate::encoder::AttentionGraph;
 
 /// The variables that learn, by tensor name.
 #[derive(Clone, Debug)]
 pub(crate) struct ActorCritic {
     spec: PolicySpec,
+    encoder: Option<AttentionGraph>,
     actor: Vec<Layer>,
     critic: Vec<Layer>,
     vars: BTreeMap<String, Var>,
@@ -28,7 +29,11 @@ impl ActorCritic {
             vars.insert(name.clone(), Var::from_tensor(&tensor.copy()?)?);
         }
         let (actor, critic) = (layers(spec, Network::Actor), layers(spec, Network::Critic));
-        Ok(Self { spec: spec.clone(), actor, critic, vars })
+        let encoder = match &spec.encoder {
+            Encoder::Identity => None,
+            Encoder::EgoAttention(attention) => Some(AttentionGraph::new(attention)?),
+        };
+        Ok(Self { spec: spec.clone(), encoder, actor, critic, vars })
     }
 
     pub(crate) fn vars(&self) -> &BTreeMap<String, Var> {
@@ -47,17 +52,26 @@ impl ActorCritic {
         Ok(Parameters::from_values(&self.spec, values, normalizer)?)
     }
 
-    /// Builds the graph from features `[M, D]` to logits `[M, C]` and values `[M, 1]`.
-    pub(crate) fn forward(&self, features: &Tensor) -> candle_core::Result<(Tensor, Tensor)> {
+    /// Builds the graph from observations `[M, D]`, already normalised, to logits `[M, C]` and values `[M, 1]`.
+    pub(crate) fn forward(&self, observations: &Tensor) -> candle_core::Result<(Tensor, Tensor)> {
+        let features = self.encode(observations)?;
         let run = |layers: &[Layer]| {
             let input = features.clone();
             layers.iter().enumerate().try_fold(input, |x, (i, layer)| {
-                let activation = if layer.tanh { Activation::Tanh } else { Activation::Linear };
-                let op = DenseOp { activation, input_gradient: i > 0 };
+                let input_gradient = i > 0 || self.encoder.is_some();
+                let op = DenseOp { activation: layer.activation, input_gradient };
                 x.apply_op3(&self.vars[&layer.weight()], &self.vars[&layer.bias()], op)
             })
         };
         Ok((run(&self.actor)?, run(&self.critic)?))
+    }
+
+    /// Builds the graph from observations to the features that actor and critic share.
+    fn encode(&self, observations: &Tensor) -> candle_core::Result<Tensor> {
+        match &self.encoder {
+            None => Ok(observations.clone()),
+            Some(encoder) => encoder.forward(&self.vars, observations),
+        }
     }
 
     /// Collects the gradients of all variables in the order of names.
@@ -70,3 +84,7 @@ impl ActorCritic {
         self.vars.iter().map(gradient).collect()
     }
 }
+
+#[cfg(test)]
+#[path = "network_tests.rs"]
+mod tests;

@@ -6,8 +6,16 @@
 //! ```
 //!
 //! D is the width of the features, C the number of choices over all heads, whose logits lie one behind the other.
+//! What an encoder adds stands before them; with ego attention of width W to entities of F numbers:
+//!
+//! ```text
+//! encoder.ego.0.weight    [W, F]  encoder.ego.1.weight    [W, W]  and a `bias` beside each
+//! encoder.others.0.weight [W, F]  encoder.others.1.weight [W, W]  and a `bias` beside each
+//! encoder.key.weight, encoder.value.weight, encoder.query.weight, encoder.combine.weight  [W, W]
+//! ```
 
-use leadtime_proto::{Encoder, PolicySpec};
+use leadtime_numerics::Activation;
+use leadtime_proto::{EgoAttention, Encoder, PolicySpec};
 
 /// The two networks of an actor-critic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,8 +47,10 @@ pub struct Layer {
     pub n_out: usize,
     /// Scale of the orthogonal initial weights.
     pub gain: f64,
-    /// Whether tanh follows (heads: no).
-    pub tanh: bool,
+    /// What follows (heads: nothing).
+    pub activation: Activation,
+    /// Whether it has biases.
+    pub biased: bool,
 }
 
 impl Layer {
@@ -49,7 +59,7 @@ impl Layer {
         format!("{}.weight", self.name)
     }
 
-    /// Returns the name of the biases, `[n_out]`.
+    /// Returns the name of the biases, `[n_out]`, where there are any.
     pub fn bias(&self) -> String {
         format!("{}.bias", self.name)
     }
@@ -59,6 +69,63 @@ impl Layer {
 pub fn feature_dim(spec: &PolicySpec) -> usize {
     match spec.encoder {
         Encoder::Identity => spec.obs_dim,
+        Encoder::EgoAttention(attention) => attention.feature_dim(spec.obs_dim),
+    }
+}
+
+/// The layers of ego attention.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AttentionLayers {
+    /// The ego's embedding.
+    pub ego: [Layer; 2],
+    /// The embedding of everybody else.
+    pub others: [Layer; 2],
+    /// Embedding to key.
+    pub key: Layer,
+    /// Embedding to value.
+    pub value: Layer,
+    /// The ego's embedding to query.
+    pub query: Layer,
+    /// The heads' values to the output.
+    pub combine: Layer,
+}
+
+impl AttentionLayers {
+    /// Lists names and shapes.
+    ///
+    /// # Source
+    ///
+    /// rl-agents (84df15ea), `EgoAttentionNetwork` as configured for highway-env; the gain is that of highway-env's own
+    /// attention script.
+    pub fn new(attention: &EgoAttention) -> Self {
+        let &EgoAttention { n_features, width: n_out, .. } = attention;
+        let gain = std::f64::consts::SQRT_2;
+        let layer = |name: &str, n_in, activation, biased| Layer {
+            name: format!("encoder.{name}"),
+            n_in,
+            n_out,
+            gain,
+            activation,
+            biased,
+        };
+        let embedding = |who: &str| {
+            let part = |i, n_in| layer(&format!("{who}.{i}"), n_in, Activation::Relu, true);
+            [part(0, n_features), part(1, n_out)]
+        };
+        let map = |name| layer(name, n_out, Activation::Linear, false);
+        Self {
+            ego: embedding("ego"),
+            others: embedding("others"),
+            key: map("key"),
+            value: map("value"),
+            query: map("query"),
+            combine: map("combine"),
+        }
+    }
+
+    fn into_list(self) -> Vec<Layer> {
+        let Self { ego, others, key, value, query, combine } = self;
+        ego.into_iter().chain(others).chain([key, value, query, combine]).collect()
     }
 }
 
@@ -69,20 +136,26 @@ pub fn layers(spec: &PolicySpec, network: Network) -> Vec<Layer> {
     let mut layers = Vec::with_capacity(spec.hidden.len() + 1);
     for (i, &n_out) in spec.hidden.iter().enumerate() {
         let gain = std::f64::consts::SQRT_2;
-        layers.push(Layer { name: format!("{prefix}.{i}"), n_in, n_out, gain, tanh: true });
+        let (name, activation) = (format!("{prefix}.{i}"), Activation::Tanh);
+        layers.push(Layer { name, n_in, n_out, gain, activation, biased: true });
         n_in = n_out;
     }
     let (n_out, gain) = match network {
         Network::Actor => (spec.actions.n_choices(), 0.01),
         Network::Critic => (1, 1.0),
     };
-    layers.push(Layer { name: format!("{prefix}.head"), n_in, n_out, gain, tanh: false });
+    let (name, activation) = (format!("{prefix}.head"), Activation::Linear);
+    layers.push(Layer { name, n_in, n_out, gain, activation, biased: true });
     layers
 }
 
-/// Lists all layers: the actor's, then the critic's. The order numbers the streams of initialisation.
+/// Lists all layers: the actor's, the critic's, then the encoder's. The order numbers the streams of initialisation.
 pub fn all_layers(spec: &PolicySpec) -> Vec<Layer> {
     let mut all = layers(spec, Network::Actor);
     all.extend(layers(spec, Network::Critic));
+    match &spec.encoder {
+        Encoder::Identity => {}
+        Encoder::EgoAttention(attention) => all.extend(AttentionLayers::new(attention).into_list()),
+    }
     all
 }

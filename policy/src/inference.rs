@@ -7,14 +7,23 @@
 //! Rows are taken in blocks small enough that all intermediate activations stay in the first-level cache.
 
 use leadtime_numerics::{Activation, Dense};
-use leadtime_proto::PolicySpec;
+use leadtime_proto::{Encoder, PolicySpec};
 
-use crate::architecture::{Network, layers};
+use crate::architecture::{Layer, Network, feature_dim, layers};
+use crate::encoder::AttentionEncoder;
 use crate::normalizer::FrozenNormalizer;
 use crate::{Error, Parameters};
 
 /// Rows per block: two 64-wide activations of 48 rows take 24 KiB.
 const BLOCK: usize = 48;
+
+/// Packs a layer's weights; without biases they are zero.
+pub(crate) fn dense(layer: &Layer, parameters: &Parameters) -> Result<Dense, Error> {
+    let weight = parameters.values(&layer.weight())?;
+    let bias =
+        if layer.biased { parameters.values(&layer.bias())? } else { vec![0.0; layer.n_out] };
+    Ok(Dense::new(&weight, &bias)?)
+}
 
 #[derive(Clone, Debug)]
 struct Stack {
@@ -23,12 +32,7 @@ struct Stack {
 
 impl Stack {
     fn new(spec: &PolicySpec, parameters: &Parameters, network: Network) -> Result<Self, Error> {
-        let build = |layer: &crate::architecture::Layer| -> Result<_, Error> {
-            let weight = parameters.values(&layer.weight())?;
-            let dense = Dense::new(&weight, &parameters.values(&layer.bias())?)?;
-            let activation = if layer.tanh { Activation::Tanh } else { Activation::Linear };
-            Ok((dense, activation))
-        };
+        let build = |layer: &Layer| Ok((dense(layer, parameters)?, layer.activation));
         let layers = layers(spec, network).iter().map(build).collect::<Result<_, Error>>()?;
         Ok(Self { layers })
     }
@@ -58,11 +62,54 @@ pub struct Policy {
     obs_dim: usize,
     n_choices: usize,
     recurrent_dim: usize,
-    normalizer: Option<FrozenNormalizer>,
+    front: Front,
     actor: Stack,
     critic: Stack,
-    features: Vec<f32>,
     scratch: Vec<f32>,
+}
+
+/// What stands between raw observations and the two stacks.
+#[derive(Clone, Debug)]
+struct Front {
+    normalizer: Option<FrozenNormalizer>,
+    encoder: Option<AttentionEncoder>,
+    /// A block of normalised observations, and one of features.
+    observations: Vec<f32>,
+    features: Vec<f32>,
+}
+
+impl Front {
+    fn new(spec: &PolicySpec, parameters: &Parameters) -> Result<Self, Error> {
+        let encoder = match &spec.encoder {
+            Encoder::Identity => None,
+            Encoder::EgoAttention(attention) => {
+                Some(AttentionEncoder::new(attention, spec.obs_dim, parameters)?)
+            }
+        };
+        let n_features = if encoder.is_some() { feature_dim(spec) } else { 0 };
+        Ok(Self {
+            normalizer: parameters.normalizer().map(crate::ObservationNormalizer::freeze),
+            encoder,
+            observations: vec![0.0; BLOCK * spec.obs_dim],
+            features: vec![0.0; BLOCK * n_features],
+        })
+    }
+
+    /// Makes features of a block of `n` raw observations; passes through what needs nothing done.
+    fn prepare<'a>(&'a mut self, raw: &'a [f32], n: usize) -> &'a [f32] {
+        let observations = match &self.normalizer {
+            None => raw,
+            Some(normalizer) => {
+                let observations = &mut self.observations[..raw.len()];
+                normalizer.apply(raw, observations);
+                observations
+            }
+        };
+        let Some(encoder) = &mut self.encoder else { return observations };
+        let features = &mut self.features[..n * encoder.feature_dim()];
+        encoder.encode(observations, features);
+        features
+    }
 }
 
 impl Policy {
@@ -79,10 +126,9 @@ impl Policy {
             obs_dim: spec.obs_dim,
             n_choices: spec.actions.n_choices(),
             recurrent_dim: spec.recurrent_dim(),
-            normalizer: parameters.normalizer().map(crate::ObservationNormalizer::freeze),
+            front: Front::new(spec, parameters)?,
             actor,
             critic,
-            features: vec![0.0; BLOCK * spec.obs_dim],
             scratch: vec![0.0; 2 * BLOCK * widest],
         })
     }
@@ -126,7 +172,7 @@ impl Policy {
         let outputs = logits.chunks_mut(BLOCK * self.n_choices).zip(values.chunks_mut(BLOCK));
         for (raw, (logits, values)) in blocks.zip(outputs) {
             let n = values.len();
-            let features = prepare(self.normalizer.as_ref(), raw, &mut self.features);
+            let features = self.front.prepare(raw, n);
             self.actor.forward(features, n, &mut self.scratch, logits);
             self.critic.forward(features, n, &mut self.scratch, values);
         }
@@ -147,28 +193,17 @@ impl Policy {
         assert_eq!(recurrent.len(), n * self.recurrent_dim, "`recurrent` must be [N, S]");
         for (raw, values) in observations.chunks(BLOCK * self.obs_dim).zip(values.chunks_mut(BLOCK))
         {
-            let features = prepare(self.normalizer.as_ref(), raw, &mut self.features);
+            let features = self.front.prepare(raw, values.len());
             self.critic.forward(features, values.len(), &mut self.scratch, values);
         }
     }
-}
-
-/// Normalises a block, or passes it through where the policy does not normalise.
-fn prepare<'a>(
-    normalizer: Option<&FrozenNormalizer>,
-    raw: &'a [f32],
-    features: &'a mut [f32],
-) -> &'a [f32] {
-    let Some(normalizer) = normalizer else { return raw };
-    let features = &mut features[..raw.len()];
-    normalizer.apply(raw, features);
-    features
 }
 
 #[cfg(test)]
 mod tests {
     use candle_core::{Device, Tensor};
     use leadtime_numerics::Pcg64;
+    use leadtime_proto::EgoAttention;
 
     use super::*;
     use crate::tests::notifier;
@@ -193,16 +228,34 @@ mod tests {
         Parameters::from_values(spec, values.collect(), normalizer).unwrap()
     }
 
+    /// A notifier on a highway: frames of 5 entities and an action, and a status of 3.
+    fn attentive() -> PolicySpec {
+        let attention = EgoAttention {
+            n_frames: 3,
+            n_entities: 5,
+            n_features: 4,
+            action_dim: 2,
+            width: 32,
+            n_heads: 2,
+        };
+        PolicySpec { encoder: Encoder::EgoAttention(attention), ..notifier(3 * 22 + 3) }
+    }
+
     #[test]
     fn fast_inference_agrees_with_the_plain_forward_pass() {
-        let spec = notifier(60);
-        let parameters = parameters(&spec);
-        let raw = observations(100, 60);
+        for spec in [notifier(60), attentive()] {
+            agrees_with_the_plain_forward_pass(&spec);
+        }
+    }
+
+    fn agrees_with_the_plain_forward_pass(spec: &PolicySpec) {
+        let parameters = parameters(spec);
+        let raw = observations(100, spec.obs_dim);
         let (mut logits, mut values) = (vec![0.0; 1400], vec![0.0; 100]);
-        let mut policy = Policy::new(&spec, &parameters).unwrap();
+        let mut policy = Policy::new(spec, &parameters).unwrap();
         policy.evaluate(&raw, &mut [], &mut logits, &mut values);
-        let features = Tensor::from_slice(&raw, (100, 60), &Device::Cpu).unwrap();
-        let (plain_logits, plain_values) = parameters.forward(&spec, &features).unwrap();
+        let features = Tensor::from_slice(&raw, (100, spec.obs_dim), &Device::Cpu).unwrap();
+        let (plain_logits, plain_values) = parameters.forward(spec, &features).unwrap();
         let flat = |tensor: Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
         for (fast, plain) in [(&logits, flat(plain_logits)), (&values, flat(plain_values))] {
             for (i, (a, b)) in fast.iter().zip(&plain).enumerate() {
@@ -214,22 +267,28 @@ mod tests {
 
     #[test]
     fn an_observation_is_judged_alike_in_every_batch() {
-        let mut spec = notifier(60);
-        spec.normalize_observations = true;
-        let mut policy = Policy::new(&spec, &parameters(&spec)).unwrap();
-        let raw = observations(65, 60);
+        for mut spec in [notifier(60), attentive()] {
+            spec.normalize_observations = true;
+            is_judged_alike_in_every_batch(&spec);
+        }
+    }
+
+    fn is_judged_alike_in_every_batch(spec: &PolicySpec) {
+        let obs_dim = spec.obs_dim;
+        let mut policy = Policy::new(spec, &parameters(spec)).unwrap();
+        let raw = observations(65, obs_dim);
         let (mut alone, mut alone_values) = (vec![0.0; 65 * 14], vec![0.0; 65]);
-        for (i, observation) in raw.chunks_exact(60).enumerate() {
+        for (i, observation) in raw.chunks_exact(obs_dim).enumerate() {
             let logits = &mut alone[i * 14..(i + 1) * 14];
             policy.evaluate(observation, &mut [], logits, &mut alone_values[i..=i]);
         }
         for batch in 1..=65 {
             let first = 65 - batch;
             let (mut logits, mut values) = (vec![0.0; batch * 14], vec![0.0; batch]);
-            policy.evaluate(&raw[first * 60..], &mut [], &mut logits, &mut values);
+            policy.evaluate(&raw[first * obs_dim..], &mut [], &mut logits, &mut values);
             assert_eq!(logits, alone[first * 14..], "batch {batch}");
             assert_eq!(values, alone_values[first..], "batch {batch}");
-            policy.values_only(&raw[first * 60..], &[], &mut values);
+            policy.values_only(&raw[first * obs_dim..], &[], &mut values);
             assert_eq!(values, alone_values[first..], "values of batch {batch}");
         }
     }

@@ -16,7 +16,9 @@
 //! [`Parameters::initialize`], [`Policy::evaluate`], [`ActionDistribution::sample`].
 
 pub mod architecture;
+pub mod attention;
 pub mod distribution;
+pub mod encoder;
 pub mod error;
 pub mod file;
 pub mod inference;
