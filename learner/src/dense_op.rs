@@ -1,4 +1,4 @@
-//! A fully connected layer as one node of the engine's graph: product, bias and tanh fused, forward and backward.
+//! A fully connected layer as one node of the engine's graph: product, bias and activation fused, forward and backward.
 //!
 //! The arithmetic is that of [`leadtime_numerics::kernel`]: single-threaded, in a fixed order, and forward the same
 //! bits as an actor's inference.
@@ -75,14 +75,19 @@ impl CustomOp3 for DenseOp {
 }
 
 impl DenseOp {
-    /// Computes the gradient before the activation: `dy (1 - y²)` behind a tanh.
+    /// Computes the gradient before the activation: `dy (1 - y²)` behind a tanh, `dy` where y > 0 behind a rectifier.
     fn delta(self, y: &Tensor, y_gradient: &Tensor) -> Result<Vec<f32>> {
         let mut delta = with_floats(y_gradient, <[f32]>::to_vec)?;
-        if self.activation == Activation::Tanh {
-            with_floats(y, |y| {
-                delta.iter_mut().zip(y).for_each(|(d, y)| *d *= 1.0 - y * y);
-            })?;
-        }
+        with_floats(y, |y| {
+            let rows = delta.iter_mut().zip(y);
+            match self.activation {
+                Activation::Linear => {}
+                Activation::Tanh => rows.for_each(|(d, y)| *d *= 1.0 - y * y),
+                Activation::Relu => {
+                    rows.filter(|(_, y)| **y <= 0.0).for_each(|(d, _)| *d = 0.0);
+                }
+            }
+        })?;
         Ok(delta)
     }
 }
@@ -103,15 +108,23 @@ mod tests {
 
     #[test]
     fn the_fused_layer_is_the_engines_own_layer_with_the_engines_own_gradients() {
-        for (n, n_in, n_out) in [(1, 60, 64), (130, 64, 14), (77, 5, 1)] {
+        let shapes = [(1, 60, 64), (130, 64, 14), (77, 5, 1)];
+        let activations = [Activation::Linear, Activation::Tanh, Activation::Relu];
+        for ((n, n_in, n_out), activation) in
+            shapes.into_iter().flat_map(|shape| activations.map(|activation| (shape, activation)))
+        {
             let (x, weight) = (draw((n, n_in), 1), draw((n_out, n_in), 2));
             let bias = draw((1, n_out), 3).squeeze(0).unwrap();
             let bias = Var::from_tensor(&bias.copy().unwrap()).unwrap();
             let target = draw((n, n_out), 4);
-            let op = DenseOp { activation: Activation::Tanh, input_gradient: true };
+            let op = DenseOp { activation, input_gradient: true };
             let fused = x.apply_op3(&weight, &bias, op).unwrap();
             let sum = x.matmul(&weight.t().unwrap()).unwrap().broadcast_add(&bias).unwrap();
-            let plain = sum.tanh().unwrap();
+            let plain = match activation {
+                Activation::Linear => sum,
+                Activation::Tanh => sum.tanh().unwrap(),
+                Activation::Relu => sum.relu().unwrap(),
+            };
             let gradients =
                 |y: &Tensor| (y * target.as_tensor()).unwrap().sum_all().unwrap().backward();
             let (of_fused, of_plain) = (gradients(&fused).unwrap(), gradients(&plain).unwrap());

@@ -22,6 +22,7 @@
 
 pub mod adam;
 pub mod assign;
+mod attention_op;
 mod batch;
 pub mod books;
 pub mod checkpoint;
@@ -29,6 +30,7 @@ pub mod collect;
 pub mod config;
 pub mod coordinator;
 mod dense_op;
+mod encoder;
 pub mod episodes;
 pub mod error;
 pub mod gae;

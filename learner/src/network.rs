@@ -4,20 +4,20 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use candle_core::{Tensor, Var};
-use leadtime_numerics::kernel::Activation;
-use leadtime_policy::architecture::{Layer, Network, encoder_layers, layers};
+use leadtime_policy::architecture::{Layer, Network, layers};
 use leadtime_policy::{ObservationNormalizer, Parameters};
-use leadtime_proto::{Encoder, PolicySpec};
+use leadtime_proto::PolicySpec;
 
 use crate::TrainError;
 use crate::dense_op::DenseOp;
-use crate::lstm_op::{LstmOp, Sequences};
+use crate::encoder::EncoderGraph;
+use crate::lstm_op::Sequences;
 
 /// The variables that learn, by tensor name.
 #[derive(Clone, Debug)]
 pub(crate) struct ActorCritic {
     spec: PolicySpec,
-    encoder: Vec<Layer>,
+    encoder: EncoderGraph,
     actor: Vec<Layer>,
     critic: Vec<Layer>,
     vars: BTreeMap<String, Var>,
@@ -31,7 +31,8 @@ impl ActorCritic {
             vars.insert(name.clone(), Var::from_tensor(&tensor.copy()?)?);
         }
         let (actor, critic) = (layers(spec, Network::Actor), layers(spec, Network::Critic));
-        Ok(Self { spec: spec.clone(), encoder: encoder_layers(spec), actor, critic, vars })
+        let encoder = EncoderGraph::new(spec)?;
+        Ok(Self { spec: spec.clone(), encoder, actor, critic, vars })
     }
 
     pub(crate) fn vars(&self) -> &BTreeMap<String, Var> {
@@ -50,7 +51,7 @@ impl ActorCritic {
         Ok(Parameters::from_values(&self.spec, values, normalizer)?)
     }
 
-    /// Builds the graph from observations `[M, D]` to logits `[M, C]` and values `[M, 1]`.
+    /// Builds the graph from observations `[M, D]`, already normalised, to logits `[M, C]` and values `[M, 1]`.
     ///
     /// A recurrent network takes the samples as whole sequences, one behind the other.
     pub(crate) fn forward(
@@ -59,30 +60,23 @@ impl ActorCritic {
         sequences: &Arc<Sequences>,
     ) -> candle_core::Result<(Tensor, Tensor)> {
         let features = self.encode(observations, sequences)?;
-        let learns = !self.encoder.is_empty();
-        let run = |layers| self.stack(layers, &features, learns);
+        let learns = self.encoder.learns();
+        let run = |layers: &[Layer]| {
+            layers.iter().enumerate().try_fold(features.clone(), |x, (i, layer)| {
+                let op = DenseOp { activation: layer.activation, input_gradient: learns || i > 0 };
+                x.apply_op3(&self.vars[&layer.weight()], &self.vars[&layer.bias()], op)
+            })
+        };
         Ok((run(&self.actor)?, run(&self.critic)?))
     }
 
-    /// Builds the encoder's graph: from observations `[M, D]` to features `[M, F]`.
-    fn encode(&self, x: &Tensor, sequences: &Arc<Sequences>) -> candle_core::Result<Tensor> {
-        let (Encoder::Lstm { state: width, .. }, Some((state, before))) =
-            (self.spec.encoder, self.encoder.split_last())
-        else {
-            return Ok(x.clone());
-        };
-        let gates = self.stack(before, x, false)?;
-        let op = LstmOp::new(Arc::clone(sequences), width);
-        gates.apply_op3(&self.vars[&state.weight()], &self.vars[&state.bias()], op)
-    }
-
-    /// Runs layers one behind the other; `learns`: something upstream wants a gradient.
-    fn stack(&self, layers: &[Layer], x: &Tensor, learns: bool) -> candle_core::Result<Tensor> {
-        layers.iter().enumerate().try_fold(x.clone(), |x, (i, layer)| {
-            let activation = if layer.tanh { Activation::Tanh } else { Activation::Linear };
-            let op = DenseOp { activation, input_gradient: learns || i > 0 };
-            x.apply_op3(&self.vars[&layer.weight()], &self.vars[&layer.bias()], op)
-        })
+    /// Builds the graph from observations to the features that actor and critic share.
+    fn encode(
+        &self,
+        observations: &Tensor,
+        sequences: &Arc<Sequences>,
+    ) -> candle_core::Result<Tensor> {
+        self.encoder.forward(&self.vars, observations, sequences)
     }
 
     /// Collects the gradients of all variables in the order of names.
@@ -95,3 +89,7 @@ impl ActorCritic {
         self.vars.iter().map(gradient).collect()
     }
 }
+
+#[cfg(test)]
+#[path = "network_tests.rs"]
+mod tests;

@@ -108,6 +108,14 @@ mod tests {
     }
 
     #[test]
+    fn a_rectifier_cuts_what_is_negative() {
+        let layer = Dense::new(&[1.0, -1.0, 0.0], &[0.5, 0.5, -0.25]).unwrap();
+        let mut y = [0.0; 6];
+        layer.forward(&[2.0, -2.0], &mut y, Activation::Relu);
+        assert_eq!(y, [2.5, 0.0, 0.0, 0.0, 2.5, 0.0]);
+    }
+
+    #[test]
     fn ragged_weights_are_refused() {
         let error = Dense::new(&[0.0; 5], &[0.0; 2]).unwrap_err();
         assert_eq!(error, DenseError::Shape { n_weights: 5, n_out: 2 });

@@ -43,6 +43,8 @@ pub enum Activation {
     Linear,
     /// The hyperbolic tangent ([`crate::tanh_inplace`]).
     Tanh,
+    /// Zero where it is negative.
+    Relu,
 }
 
 /// The right operand of a product, packed for it.
@@ -191,7 +193,7 @@ impl Multiply<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(mut self, simd: S) {
         let (depth, n) = (self.panels.depth, self.panels.n_columns);
-        let tanh = self.activation == Activation::Tanh;
+        let activation = self.activation;
         for first in (0..n).step_by(PANEL) {
             let panel = &self.panels.data[first / PANEL * depth..][..depth];
             let width = PANEL.min(n - first);
@@ -201,7 +203,7 @@ impl Multiply<'_> {
             }
             let start = load::<S, V>(&start);
             let m = self.out.len() / n;
-            let part = Part { panel, start, first, tanh };
+            let part = Part { panel, start, first, activation };
             let mut row = 0;
             while V == 1 && row + WIDE_ROWS <= m {
                 self.tile::<S, V, WIDE_ROWS>(simd, &part, row);
@@ -244,10 +246,12 @@ impl Multiply<'_> {
         }
         let n = self.panels.n_columns;
         for (r, sums) in sums.iter_mut().enumerate() {
-            if part.tanh {
-                for sum in &mut *sums {
-                    *sum = tanh_vector(simd, *sum);
-                }
+            for sum in &mut *sums {
+                *sum = match part.activation {
+                    Activation::Linear => *sum,
+                    Activation::Tanh => tanh_vector(simd, *sum),
+                    Activation::Relu => simd.max_f32s(*sum, simd.splat_f32s(0.0)),
+                };
             }
             let start = (row + r) * n + part.first;
             let width = PANEL.min(n - part.first);
@@ -263,7 +267,7 @@ struct Part<'a, T> {
     start: T,
     /// The panel's first column.
     first: usize,
-    tanh: bool,
+    activation: Activation,
 }
 
 struct Outer<'a> {

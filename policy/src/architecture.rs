@@ -6,15 +6,24 @@
 //! ```
 //!
 //! D is the width of the features, C the number of choices over all heads, whose logits lie one behind the other.
-//!
-//! A recurrent encoder stands before both, with H units and its gates (input, forget, cell, output) one behind the other:
+//! What an encoder adds stands before them. With an LSTM of H units, its gates (input, forget, cell, output) one behind the
+//! other, and a projection to P in front of it:
 //!
 //! ```text
-//! encoder.projection.weight [P, obs]   encoder.input.weight [4 H, P]   encoder.state.weight [4 H, H]
+//! encoder.projection.weight [P, obs]   encoder.input.weight [4 H, P]   encoder.state.weight [4 H, H]   and biases
+//! ```
+//!
+//! With ego attention of width W to entities of F numbers:
+//!
+//! ```text
+//! encoder.ego.0.weight    [W, F]  encoder.ego.1.weight    [W, W]  and a `bias` beside each
+//! encoder.others.0.weight [W, F]  encoder.others.1.weight [W, W]  and a `bias` beside each
+//! encoder.key.weight, encoder.value.weight, encoder.query.weight, encoder.combine.weight  [W, W]
 //! ```
 
+use leadtime_numerics::Activation;
 use leadtime_numerics::lstm::N_GATES;
-use leadtime_proto::{Encoder, PolicySpec};
+use leadtime_proto::{EgoAttention, Encoder, PolicySpec};
 
 /// The two networks of an actor-critic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,8 +55,10 @@ pub struct Layer {
     pub n_out: usize,
     /// Scale of the orthogonal initial weights.
     pub gain: f64,
-    /// Whether tanh follows (heads: no).
-    pub tanh: bool,
+    /// What follows (heads: nothing).
+    pub activation: Activation,
+    /// Whether it has biases.
+    pub biased: bool,
 }
 
 impl Layer {
@@ -56,7 +67,7 @@ impl Layer {
         format!("{}.weight", self.name)
     }
 
-    /// Returns the name of the biases, `[n_out]`.
+    /// Returns the name of the biases, `[n_out]`, where there are any.
     pub fn bias(&self) -> String {
         format!("{}.bias", self.name)
     }
@@ -67,29 +78,102 @@ pub fn feature_dim(spec: &PolicySpec) -> usize {
     match spec.encoder {
         Encoder::Identity => spec.obs_dim,
         Encoder::Lstm { state, .. } => state,
+        Encoder::EgoAttention(attention) => attention.feature_dim(spec.obs_dim),
     }
 }
 
-/// Lists the layers of the encoder: none, or an LSTM's `projection` (if it has one), `input` and `state`.
-pub fn encoder_layers(spec: &PolicySpec) -> Vec<Layer> {
-    let Encoder::Lstm { projection, state } = spec.encoder else { return Vec::new() };
-    let layer = |name: &str, n_in, n_out, gain, tanh| Layer {
-        name: format!("encoder.{name}"),
-        n_in,
-        n_out,
-        gain,
-        tanh,
-    };
-    let mut layers = Vec::with_capacity(3);
-    let mut n_in = spec.obs_dim;
-    if projection > 0 {
+/// The layers of a recurrent encoder.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LstmLayers {
+    /// In front of it, if there is one.
+    pub projection: Option<Layer>,
+    /// From the input to the gates.
+    pub input: Layer,
+    /// From the state of the step before to the gates.
+    pub state: Layer,
+}
+
+impl LstmLayers {
+    /// Lists names and shapes, for observations of `n_in` numbers.
+    pub fn new(n_in: usize, projection: usize, state: usize) -> Self {
+        let layer = |name: &str, n_in, n_out, gain, activation| Layer {
+            name: format!("encoder.{name}"),
+            n_in,
+            n_out,
+            gain,
+            activation,
+            biased: true,
+        };
+        let gates = |name, n_in| layer(name, n_in, N_GATES * state, 1.0, Activation::Linear);
         let gain = std::f64::consts::SQRT_2;
-        layers.push(layer("projection", n_in, projection, gain, true));
-        n_in = projection;
+        let first = layer("projection", n_in, projection, gain, Activation::Tanh);
+        let has_first = projection > 0;
+        Self {
+            input: gates("input", if has_first { projection } else { n_in }),
+            state: gates("state", state),
+            projection: has_first.then_some(first),
+        }
     }
-    layers.push(layer("input", n_in, N_GATES * state, 1.0, false));
-    layers.push(layer("state", state, N_GATES * state, 1.0, false));
-    layers
+
+    fn into_list(self) -> Vec<Layer> {
+        self.projection.into_iter().chain([self.input, self.state]).collect()
+    }
+}
+
+/// The layers of ego attention.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AttentionLayers {
+    /// The ego's embedding.
+    pub ego: [Layer; 2],
+    /// The embedding of everybody else.
+    pub others: [Layer; 2],
+    /// Embedding to key.
+    pub key: Layer,
+    /// Embedding to value.
+    pub value: Layer,
+    /// The ego's embedding to query.
+    pub query: Layer,
+    /// The heads' values to the output.
+    pub combine: Layer,
+}
+
+impl AttentionLayers {
+    /// Lists names and shapes.
+    ///
+    /// # Source
+    ///
+    /// rl-agents (84df15ea), `EgoAttentionNetwork` as configured for highway-env; the gain is that of highway-env's own
+    /// attention script.
+    pub fn new(attention: &EgoAttention) -> Self {
+        let &EgoAttention { n_features, width: n_out, .. } = attention;
+        let gain = std::f64::consts::SQRT_2;
+        let layer = |name: &str, n_in, activation, biased| Layer {
+            name: format!("encoder.{name}"),
+            n_in,
+            n_out,
+            gain,
+            activation,
+            biased,
+        };
+        let embedding = |who: &str| {
+            let part = |i, n_in| layer(&format!("{who}.{i}"), n_in, Activation::Relu, true);
+            [part(0, n_features), part(1, n_out)]
+        };
+        let map = |name| layer(name, n_out, Activation::Linear, false);
+        Self {
+            ego: embedding("ego"),
+            others: embedding("others"),
+            key: map("key"),
+            value: map("value"),
+            query: map("query"),
+            combine: map("combine"),
+        }
+    }
+
+    fn into_list(self) -> Vec<Layer> {
+        let Self { ego, others, key, value, query, combine } = self;
+        ego.into_iter().chain(others).chain([key, value, query, combine]).collect()
+    }
 }
 
 /// Lists the layers of one network, input first.
@@ -99,21 +183,34 @@ pub fn layers(spec: &PolicySpec, network: Network) -> Vec<Layer> {
     let mut layers = Vec::with_capacity(spec.hidden.len() + 1);
     for (i, &n_out) in spec.hidden.iter().enumerate() {
         let gain = std::f64::consts::SQRT_2;
-        layers.push(Layer { name: format!("{prefix}.{i}"), n_in, n_out, gain, tanh: true });
+        let (name, activation) = (format!("{prefix}.{i}"), Activation::Tanh);
+        layers.push(Layer { name, n_in, n_out, gain, activation, biased: true });
         n_in = n_out;
     }
     let (n_out, gain) = match network {
         Network::Actor => (spec.actions.n_choices(), 0.01),
         Network::Critic => (1, 1.0),
     };
-    layers.push(Layer { name: format!("{prefix}.head"), n_in, n_out, gain, tanh: false });
+    let (name, activation) = (format!("{prefix}.head"), Activation::Linear);
+    layers.push(Layer { name, n_in, n_out, gain, activation, biased: true });
     layers
 }
 
-/// Lists all layers: the encoder's, the actor's, then the critic's. The order numbers the streams of initialisation.
+/// Lists the layers of the encoder.
+fn encoder_layers(spec: &PolicySpec) -> Vec<Layer> {
+    match &spec.encoder {
+        Encoder::Identity => Vec::new(),
+        &Encoder::Lstm { projection, state } => {
+            LstmLayers::new(spec.obs_dim, projection, state).into_list()
+        }
+        Encoder::EgoAttention(attention) => AttentionLayers::new(attention).into_list(),
+    }
+}
+
+/// Lists all layers: the actor's, the critic's, then the encoder's. The order numbers the streams of initialisation.
 pub fn all_layers(spec: &PolicySpec) -> Vec<Layer> {
-    let mut all = encoder_layers(spec);
-    all.extend(layers(spec, Network::Actor));
+    let mut all = layers(spec, Network::Actor);
     all.extend(layers(spec, Network::Critic));
+    all.extend(encoder_layers(spec));
     all
 }

@@ -59,9 +59,9 @@ pub enum Error {
         /// One per choice.
         expected: usize,
     },
-    /// The action space is impossible.
-    #[error("impossible action space")]
-    Actions(#[from] leadtime_proto::spec::SpecError),
+    /// The heads or the encoder are impossible.
+    #[error("impossible architecture")]
+    Spec(#[from] leadtime_proto::spec::SpecError),
     /// A layer's numbers do not fit together.
     #[error("a layer's weights do not fit its biases")]
     Layer(#[from] DenseError),

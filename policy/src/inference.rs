@@ -9,13 +9,21 @@
 use leadtime_numerics::{Activation, Dense};
 use leadtime_proto::PolicySpec;
 
-use crate::architecture::{Network, layers};
+use crate::architecture::{Layer, Network, layers};
 use crate::encoder::FastEncoder;
 use crate::normalizer::FrozenNormalizer;
 use crate::{Error, Parameters};
 
 /// Rows per block: two 64-wide activations of 48 rows take 24 KiB.
 const BLOCK: usize = 48;
+
+/// Packs a layer's weights; without biases they are zero.
+pub(crate) fn dense(layer: &Layer, parameters: &Parameters) -> Result<Dense, Error> {
+    let weight = parameters.values(&layer.weight())?;
+    let bias =
+        if layer.biased { parameters.values(&layer.bias())? } else { vec![0.0; layer.n_out] };
+    Ok(Dense::new(&weight, &bias)?)
+}
 
 #[derive(Clone, Debug)]
 struct Stack {
@@ -24,12 +32,7 @@ struct Stack {
 
 impl Stack {
     fn new(spec: &PolicySpec, parameters: &Parameters, network: Network) -> Result<Self, Error> {
-        let build = |layer: &crate::architecture::Layer| -> Result<_, Error> {
-            let weight = parameters.values(&layer.weight())?;
-            let dense = Dense::new(&weight, &parameters.values(&layer.bias())?)?;
-            let activation = if layer.tanh { Activation::Tanh } else { Activation::Linear };
-            Ok((dense, activation))
-        };
+        let build = |layer: &Layer| Ok((dense(layer, parameters)?, layer.activation));
         let layers = layers(spec, network).iter().map(build).collect::<Result<_, Error>>()?;
         Ok(Self { layers })
     }
@@ -182,6 +185,7 @@ fn prepare<'a>(
 mod tests {
     use candle_core::{Device, Tensor};
     use leadtime_numerics::Pcg64;
+    use leadtime_proto::{EgoAttention, Encoder};
 
     use super::*;
     use crate::tests::notifier;
@@ -192,7 +196,7 @@ mod tests {
     }
 
     fn recurrent(projection: usize, hidden: Vec<usize>) -> PolicySpec {
-        let encoder = leadtime_proto::Encoder::Lstm { projection, state: 40 };
+        let encoder = Encoder::Lstm { projection, state: 40 };
         PolicySpec { encoder, hidden, ..notifier(60) }
     }
 
@@ -211,16 +215,34 @@ mod tests {
         Parameters::from_values(spec, values.collect(), normalizer).unwrap()
     }
 
+    /// A notifier on a highway: frames of 5 entities and an action, and a status of 3.
+    fn attentive() -> PolicySpec {
+        let attention = EgoAttention {
+            n_frames: 3,
+            n_entities: 5,
+            n_features: 4,
+            action_dim: 2,
+            width: 32,
+            n_heads: 2,
+        };
+        PolicySpec { encoder: Encoder::EgoAttention(attention), ..notifier(3 * 22 + 3) }
+    }
+
     #[test]
     fn fast_inference_agrees_with_the_plain_forward_pass() {
-        let spec = notifier(60);
-        let parameters = parameters(&spec);
-        let raw = observations(100, 60);
+        for spec in [notifier(60), attentive()] {
+            agrees_with_the_plain_forward_pass(&spec);
+        }
+    }
+
+    fn agrees_with_the_plain_forward_pass(spec: &PolicySpec) {
+        let parameters = parameters(spec);
+        let raw = observations(100, spec.obs_dim);
         let (mut logits, mut values) = (vec![0.0; 1400], vec![0.0; 100]);
-        let mut policy = Policy::new(&spec, &parameters).unwrap();
+        let mut policy = Policy::new(spec, &parameters).unwrap();
         policy.evaluate(&raw, &mut [], &mut logits, &mut values);
-        let features = Tensor::from_slice(&raw, (100, 60), &Device::Cpu).unwrap();
-        let (plain_logits, plain_values) = parameters.forward(&spec, &features).unwrap();
+        let features = Tensor::from_slice(&raw, (100, spec.obs_dim), &Device::Cpu).unwrap();
+        let (plain_logits, plain_values) = parameters.forward(spec, &features).unwrap();
         let flat = |tensor: Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
         for (fast, plain) in [(&logits, flat(plain_logits)), (&values, flat(plain_values))] {
             for (i, (a, b)) in fast.iter().zip(&plain).enumerate() {
@@ -279,22 +301,28 @@ mod tests {
 
     #[test]
     fn an_observation_is_judged_alike_in_every_batch() {
-        let mut spec = notifier(60);
-        spec.normalize_observations = true;
-        let mut policy = Policy::new(&spec, &parameters(&spec)).unwrap();
-        let raw = observations(65, 60);
+        for mut spec in [notifier(60), attentive()] {
+            spec.normalize_observations = true;
+            is_judged_alike_in_every_batch(&spec);
+        }
+    }
+
+    fn is_judged_alike_in_every_batch(spec: &PolicySpec) {
+        let obs_dim = spec.obs_dim;
+        let mut policy = Policy::new(spec, &parameters(spec)).unwrap();
+        let raw = observations(65, obs_dim);
         let (mut alone, mut alone_values) = (vec![0.0; 65 * 14], vec![0.0; 65]);
-        for (i, observation) in raw.chunks_exact(60).enumerate() {
+        for (i, observation) in raw.chunks_exact(obs_dim).enumerate() {
             let logits = &mut alone[i * 14..(i + 1) * 14];
             policy.evaluate(observation, &mut [], logits, &mut alone_values[i..=i]);
         }
         for batch in 1..=65 {
             let first = 65 - batch;
             let (mut logits, mut values) = (vec![0.0; batch * 14], vec![0.0; batch]);
-            policy.evaluate(&raw[first * 60..], &mut [], &mut logits, &mut values);
+            policy.evaluate(&raw[first * obs_dim..], &mut [], &mut logits, &mut values);
             assert_eq!(logits, alone[first * 14..], "batch {batch}");
             assert_eq!(values, alone_values[first..], "batch {batch}");
-            policy.values_only(&raw[first * 60..], &[], &mut values);
+            policy.values_only(&raw[first * obs_dim..], &[], &mut values);
             assert_eq!(values, alone_values[first..], "values of batch {batch}");
         }
     }

@@ -16,8 +16,9 @@
 //! [`Parameters::initialize`], [`Policy::evaluate`], [`ActionDistribution::sample`].
 
 pub mod architecture;
+pub mod attention;
 pub mod distribution;
-mod encoder;
+pub mod encoder;
 pub mod error;
 pub mod file;
 pub mod inference;

@@ -6,11 +6,11 @@
 use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Tensor};
-use leadtime_numerics::{Purpose, orthogonal, stream};
-use leadtime_proto::{Encoder, PolicySpec};
+use leadtime_numerics::{Activation, Purpose, orthogonal, stream};
+use leadtime_proto::{EgoAttention, Encoder, PolicySpec};
 use sha2::{Digest as _, Sha256};
 
-use crate::architecture::{Layer, Network, all_layers, encoder_layers, layers};
+use crate::architecture::{AttentionLayers, Layer, LstmLayers, Network, all_layers, layers};
 use crate::{Error, ObservationNormalizer};
 
 /// All weights of an actor-critic and the statistics of its inputs.
@@ -26,9 +26,9 @@ impl Parameters {
     ///
     /// # Errors
     ///
-    /// [`Error::LogitBias`] or [`Error::Actions`] if the specification contradicts itself.
+    /// [`Error::LogitBias`] or [`Error::Spec`] if the specification contradicts itself.
     pub fn initialize(spec: &PolicySpec, run_seed: u64) -> Result<Self, Error> {
-        spec.actions.check()?;
+        spec.check()?;
         let n_choices = spec.actions.n_choices();
         if !spec.logit_bias.is_empty() && spec.logit_bias.len() != n_choices {
             return Err(Error::LogitBias { found: spec.logit_bias.len(), expected: n_choices });
@@ -40,7 +40,9 @@ impl Parameters {
             let biased = layer.name == "actor.head" && !spec.logit_bias.is_empty();
             let bias = if biased { spec.logit_bias.clone() } else { vec![0.0; layer.n_out] };
             values.insert(layer.weight(), weight);
-            values.insert(layer.bias(), bias);
+            if layer.biased {
+                values.insert(layer.bias(), bias);
+            }
         }
         let normalizer =
             spec.normalize_observations.then(|| ObservationNormalizer::new(spec.obs_dim));
@@ -61,6 +63,7 @@ impl Parameters {
         mut values: BTreeMap<String, Vec<f32>>,
         normalizer: Option<ObservationNormalizer>,
     ) -> Result<Self, Error> {
+        spec.check()?;
         let mut tensors = BTreeMap::new();
         for (name, shape) in shapes(spec) {
             let Some(numbers) = values.remove(&name) else {
@@ -144,9 +147,13 @@ impl Parameters {
         spec: &PolicySpec,
         observations: &Tensor,
     ) -> Result<(Tensor, Tensor), Error> {
-        let features = match spec.encoder {
+        let features = match &spec.encoder {
             Encoder::Identity => observations.clone(),
-            Encoder::Lstm { state, .. } => self.encode_episode(spec, state, observations)?,
+            &Encoder::Lstm { projection, state } => {
+                let layers = LstmLayers::new(spec.obs_dim, projection, state);
+                self.encode_episode(&layers, state, observations)?
+            }
+            Encoder::EgoAttention(attention) => self.encode(attention, observations)?,
         };
         let run = |network| -> Result<Tensor, Error> {
             layers(spec, network)
@@ -157,18 +164,20 @@ impl Parameters {
     }
 
     /// Runs an LSTM of `width` units over the steps of an episode.
-    fn encode_episode(&self, spec: &PolicySpec, width: usize, x: &Tensor) -> Result<Tensor, Error> {
-        let layers = encoder_layers(spec);
-        let (state, before) = layers
-            .split_last()
-            .ok_or_else(|| Error::Missing { name: "encoder.state".to_owned() })?;
-        let from_input = before.iter().try_fold(x.clone(), |x, layer| self.apply(&x, layer))?;
+    fn encode_episode(
+        &self,
+        layers: &LstmLayers,
+        width: usize,
+        x: &Tensor,
+    ) -> Result<Tensor, Error> {
+        let mut before = layers.projection.iter().chain([&layers.input]);
+        let from_input = before.try_fold(x.clone(), |x, layer| self.apply(&x, layer))?;
         let sigmoid = |x: Tensor| ((x * 0.5)?.tanh()? + 1.0)? * 0.5;
         let mut hidden = Tensor::zeros((1, width), DType::F32, &Device::Cpu)?;
         let mut cell = hidden.clone();
         let mut features = Vec::new();
         for step in 0..x.dim(0)? {
-            let gates = (from_input.narrow(0, step, 1)? + self.apply(&hidden, state)?)?;
+            let gates = (from_input.narrow(0, step, 1)? + self.apply(&hidden, &layers.state)?)?;
             let gate = |i: usize| gates.narrow(1, i * width, width);
             let candidate = gate(2)?.tanh()?;
             cell = ((sigmoid(gate(1)?)? * cell)? + (sigmoid(gate(0)?)? * candidate)?)?;
@@ -178,11 +187,65 @@ impl Parameters {
         Ok(Tensor::cat(&features, 0)?)
     }
 
+    /// Computes the features of ego attention with the engine's own operations.
+    fn encode(&self, spec: &EgoAttention, observations: &Tensor) -> Result<Tensor, Error> {
+        let &EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads } = spec;
+        let layers = AttentionLayers::new(spec);
+        let (n, frame_dim) = (observations.dim(0)?, spec.frame_dim());
+        let frames = observations.narrow(1, 0, n_frames * frame_dim)?;
+        let frames = frames.reshape((n * n_frames, frame_dim))?;
+        let entities = frames.narrow(1, 0, n_entities * n_features)?;
+        let entities = entities.reshape((n * n_frames, n_entities, n_features))?;
+        let embed = |x: Tensor, layers: &[Layer; 2]| {
+            let n_rows = x.elem_count() / n_features;
+            let rows = x.contiguous()?.reshape((n_rows, n_features))?;
+            layers.iter().try_fold(rows, |x, layer| self.apply(&x, layer))
+        };
+        let ego = embed(entities.narrow(1, 0, 1)?, &layers.ego)?;
+        let others = embed(entities.narrow(1, 1, n_entities - 1)?, &layers.others)?;
+        let others = others.reshape((n * n_frames, n_entities - 1, width))?;
+        let all = Tensor::cat(&[&ego.unsqueeze(1)?, &others], 1)?;
+        let all = all.reshape((n * n_frames * n_entities, width))?;
+        // [frames, heads, entities, width of a head]
+        let split = |x: Tensor, n_entities| {
+            x.reshape((n * n_frames, n_entities, n_heads, width / n_heads))?.transpose(1, 2)
+        };
+        let keys = split(self.apply(&all, &layers.key)?, n_entities)?.contiguous()?;
+        let values = split(self.apply(&all, &layers.value)?, n_entities)?.contiguous()?;
+        let query = split(self.apply(&ego, &layers.query)?, 1)?.contiguous()?;
+        let scores = query.matmul(&keys.transpose(2, 3)?.contiguous()?)?;
+        let scores = (scores / ((width / n_heads) as f64).sqrt())?;
+        let there = entities.narrow(2, 0, 1)?.ge(0.5)?.reshape((n * n_frames, 1, 1, n_entities))?;
+        let hidden = Tensor::full(-1e9_f32, scores.shape(), scores.device())?;
+        let scores = there.broadcast_as(scores.shape())?.where_cond(&scores, &hidden)?;
+        let shifted = scores.broadcast_sub(&scores.max_keepdim(3)?)?.exp()?;
+        let shares = shifted.broadcast_div(&shifted.sum_keepdim(3)?)?;
+        let seen = shares.matmul(&values)?.transpose(1, 2)?.reshape((n * n_frames, width))?;
+        let encoded = ((self.apply(&seen, &layers.combine)? + ego)? / 2.0)?;
+        let encoded = beside(&encoded, &frames, n_entities * n_features)?;
+        let encoded = encoded.reshape((n, n_frames * (width + action_dim)))?;
+        beside(&encoded, observations, n_frames * frame_dim)
+    }
+
     fn apply(&self, x: &Tensor, layer: &Layer) -> Result<Tensor, Error> {
         let tensor = |name: String| self.tensors.get(&name).ok_or(Error::Missing { name });
-        let product = x.matmul(&tensor(layer.weight())?.t()?)?;
-        let sum = product.broadcast_add(tensor(layer.bias())?)?;
-        Ok(if layer.tanh { sum.tanh()? } else { sum })
+        let mut sum = x.matmul(&tensor(layer.weight())?.t()?)?;
+        if layer.biased {
+            sum = sum.broadcast_add(tensor(layer.bias())?)?;
+        }
+        Ok(match layer.activation {
+            Activation::Linear => sum,
+            Activation::Tanh => sum.tanh()?,
+            Activation::Relu => sum.relu()?,
+        })
+    }
+}
+
+/// Puts what follows column `from` of `source` behind the columns of `x`.
+fn beside(x: &Tensor, source: &Tensor, from: usize) -> Result<Tensor, Error> {
+    match source.dim(1)? - from {
+        0 => Ok(x.clone()),
+        n_columns => Ok(Tensor::cat(&[x, &source.narrow(1, from, n_columns)?], 1)?),
     }
 }
 
@@ -191,7 +254,9 @@ pub fn shapes(spec: &PolicySpec) -> BTreeMap<String, Vec<usize>> {
     let mut shapes = BTreeMap::new();
     for layer in all_layers(spec) {
         shapes.insert(layer.weight(), vec![layer.n_out, layer.n_in]);
-        shapes.insert(layer.bias(), vec![layer.n_out]);
+        if layer.biased {
+            shapes.insert(layer.bias(), vec![layer.n_out]);
+        }
     }
     shapes
 }

@@ -38,5 +38,6 @@ pub use receive::{Refusal, RefusalCause};
 pub use rollout::{EpisodeEnd, EpisodeSummary, Rollout};
 pub use schedule::Schedule;
 pub use spec::{
-    ActionSpec, Conditional, Encoder, EnvSpec, Gate, Head, HeadCredit, Mask, PolicySpec, TaskSpec,
+    ActionSpec, Conditional, EgoAttention, Encoder, EnvSpec, Gate, Head, HeadCredit, Mask,
+    PolicySpec, TaskSpec,
 };

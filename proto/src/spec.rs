@@ -202,6 +202,17 @@ pub enum SpecError {
         /// The head it depends on.
         given: usize,
     },
+    /// An ego attention that does not fit the observation.
+    #[error(
+        "{encoder:?} does not fit {obs_dim} observed numbers; frames must fit, heads share out the width, two \
+         entities be there, and counts be 1 to 1024"
+    )]
+    Attention {
+        /// The encoder.
+        encoder: EgoAttention,
+        /// Length of the observation.
+        obs_dim: usize,
+    },
 }
 
 /// What an environment asks of a policy and tells about itself.
@@ -227,6 +238,60 @@ pub enum Encoder {
         /// Width of the hidden state and of the cell state.
         state: usize,
     },
+    /// Each observation of a history becomes what an ego pays attention to in it.
+    EgoAttention(EgoAttention),
+}
+
+/// Attention of an ego to the entities around it, for a history of observations of entities.
+///
+/// The input is `n_frames` times (`n_entities` rows of `n_features`, the ego first, each beginning with whether it is
+/// there; then `action_dim` numbers that are passed on), and then whatever is left, which is passed on too. All
+/// frames share one set of weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EgoAttention {
+    /// Observations in the input, the history.
+    pub n_frames: usize,
+    /// Entities per observation, the ego included (at least 2).
+    pub n_entities: usize,
+    /// Numbers per entity.
+    pub n_features: usize,
+    /// Numbers behind each observation: the own action.
+    pub action_dim: usize,
+    /// Width of the embeddings and of the attention.
+    pub width: usize,
+    /// Attention heads; they share out the width.
+    pub n_heads: usize,
+}
+
+impl EgoAttention {
+    /// Returns the length of one observation and the action behind it.
+    pub fn frame_dim(&self) -> usize {
+        self.n_entities * self.n_features + self.action_dim
+    }
+
+    /// Returns the width of the features that come of an observation vector; it must have passed [`Self::check`].
+    pub fn feature_dim(&self, obs_dim: usize) -> usize {
+        let passed_on = obs_dim - self.n_frames * self.n_entities * self.n_features;
+        self.n_frames * self.width + passed_on
+    }
+
+    /// Checks that it fits an observation vector.
+    ///
+    /// # Errors
+    ///
+    /// [`SpecError::Attention`] if a number is out of range, or the frames are longer than the vector.
+    pub fn check(&self, obs_dim: usize) -> Result<(), SpecError> {
+        let Self { n_frames, n_entities, n_features, action_dim, width, n_heads } = *self;
+        let counts = [n_frames, n_entities, n_features, width, n_heads];
+        let in_range = counts.iter().all(|count| (1..=1024).contains(count));
+        let fits = in_range
+            && n_entities > 1
+            && action_dim <= 1024
+            && width.is_multiple_of(n_heads)
+            && n_frames * self.frame_dim() <= obs_dim;
+        if fits { Ok(()) } else { Err(SpecError::Attention { encoder: *self, obs_dim }) }
+    }
 }
 
 /// Which heads' log-probabilities and entropies count.
@@ -262,9 +327,22 @@ impl PolicySpec {
     /// Returns the width of the recurrent state that an actor carries from step to step; 0 if there is none.
     pub fn recurrent_dim(&self) -> usize {
         match self.encoder {
-            Encoder::Identity => 0,
+            Encoder::Identity | Encoder::EgoAttention(_) => 0,
             // Hidden state and cell state.
             Encoder::Lstm { state, .. } => 2 * state,
+        }
+    }
+
+    /// Checks that encoder and heads fit the observation.
+    ///
+    /// # Errors
+    ///
+    /// [`SpecError`] naming the first thing that does not.
+    pub fn check(&self) -> Result<(), SpecError> {
+        self.actions.check()?;
+        match &self.encoder {
+            Encoder::Identity | Encoder::Lstm { .. } => Ok(()),
+            Encoder::EgoAttention(attention) => attention.check(self.obs_dim),
         }
     }
 }
@@ -298,6 +376,27 @@ mod tests {
         spec.check().unwrap();
         assert!(spec.allows(Mask::ALL, &[1, 0, 2, 2]));
         assert!(!spec.allows(Mask::ALL, &[1, 0, 2, 1]));
+    }
+
+    #[test]
+    fn attention_fits_its_observation() {
+        let attention = EgoAttention {
+            n_frames: 4,
+            n_entities: 10,
+            n_features: 7,
+            action_dim: 13,
+            width: 64,
+            n_heads: 2,
+        };
+        // Four frames of 10 x 7 numbers and an action of 13, then the utterance's status of 5.
+        attention.check(337).unwrap();
+        assert_eq!(attention.feature_dim(337), 4 * (64 + 13) + 5);
+        assert_eq!(
+            attention.check(331),
+            Err(SpecError::Attention { encoder: attention, obs_dim: 331 })
+        );
+        EgoAttention { n_heads: 3, ..attention }.check(337).unwrap_err();
+        EgoAttention { n_frames: usize::MAX, ..attention }.check(337).unwrap_err();
     }
 
     #[test]

@@ -67,6 +67,17 @@ pub struct Delivery {
     pub cancels_reaction: bool,
 }
 
+/// An observation that consists of entities: rows of numbers, one entity each.
+///
+/// The person's own entity comes first; the first number of a row tells whether there is anything (1) or not (0).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entities {
+    /// Rows.
+    pub n_entities: usize,
+    /// Numbers per row.
+    pub n_features: usize,
+}
+
 /// A world with a person in it.
 pub trait Domain: Send {
     /// Names the topics, in the order of their ids.
@@ -80,6 +91,11 @@ pub trait Domain: Send {
 
     /// Returns the length of the domain's own observation.
     fn obs_dim(&self) -> usize;
+
+    /// Tells how the observation consists of entities, if it does.
+    fn entities(&self) -> Option<Entities> {
+        None
+    }
 
     /// Starts an episode.
     fn reset(&mut self, seed: EpisodeSeed);

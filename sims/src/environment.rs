@@ -5,12 +5,12 @@
 //! draw comes from streams named by [`EpisodeSeed`].
 
 use leadtime_numerics::{Pcg64, Purpose, stream};
-use leadtime_proto::{EnvId, EnvSpec, Mask};
+use leadtime_proto::{EgoAttention, EnvId, EnvSpec, Mask};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::Scene;
+use crate::{Entities, Scene};
 
 /// Names the random streams of one episode of one environment of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,6 +37,27 @@ pub enum End {
     Terminated,
     /// A time limit: the value of the final observation stands for what would have come.
     Truncated,
+}
+
+/// How an observation begins that is a history of observations of entities.
+///
+/// `n_frames` times: `entities` (row by row), then `action_dim` numbers about the own action. More may follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EntityHistory {
+    /// How many observations there are, oldest first.
+    pub n_frames: usize,
+    /// What each consists of.
+    pub entities: Entities,
+    /// Numbers behind each.
+    pub action_dim: usize,
+}
+
+impl EntityHistory {
+    /// Returns the ego attention that reads it.
+    pub fn attention(&self, width: usize, n_heads: usize) -> EgoAttention {
+        let Self { n_frames, entities: Entities { n_entities, n_features }, action_dim } = *self;
+        EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads }
+    }
 }
 
 /// What one step gave.
@@ -66,6 +87,11 @@ pub enum SnapshotError {
 pub trait Environment: Send {
     /// Returns shapes, heads and metric names.
     fn spec(&self) -> &EnvSpec;
+
+    /// Tells how the observation is a history of entities, if it is: what an attention encoder needs to know.
+    fn entity_history(&self) -> Option<EntityHistory> {
+        None
+    }
 
     /// Starts an episode and writes its first observation.
     ///

@@ -28,8 +28,8 @@ pub mod setting;
 pub mod steakhouse;
 pub mod vectorized;
 
-pub use domain::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};
-pub use environment::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
+pub use domain::{Advance, Delivery, Domain, Entities, Message, ReactionStatus, ReactionStep};
+pub use environment::{End, EntityHistory, Environment, EpisodeSeed, SnapshotError, StepOutcome};
 pub use notifier::NotifierEnv;
 pub use registry::{Registry, TaskError};
 pub use scene::{Listener, Scene, Shape, Speech, Tone, View};

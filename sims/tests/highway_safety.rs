@@ -1,7 +1,9 @@
 //! The road with three merges is dangerous without help, and a timely "slow down" makes it safe.
 
+use leadtime_proto::{EnvId, TaskSpec};
 use leadtime_sims::driving::{EgoSettings, Plan, Safety, WorldSettings, measure};
 use leadtime_sims::highway::Blindness;
+use leadtime_sims::{EpisodeSeed, Registry};
 
 const N_EPISODES: u64 = 100;
 
@@ -47,4 +49,38 @@ fn lanes_matter() {
     };
     let stays = drive(Plan::Unaided, stays);
     assert!(stays.crashes[1] < on_the_right.crashes[1].max(3), "{stays:?} {on_the_right:?}");
+}
+
+/// Drives with a scripted notifier; returns the success rate and the notifications per episode.
+fn notify(baseline: &str) -> (f32, f32) {
+    let task = TaskSpec { domain: "highway".to_owned(), settings: "{}".to_owned() };
+    let mut env = Registry::builtin().build(&task).unwrap();
+    let n_episodes: u16 = 100;
+    let mut observation = vec![0.0; env.spec().obs_dim];
+    let mut metrics = vec![0.0; env.spec().metrics.len()];
+    let (mut n_success, mut n_messages) = (0.0, 0.0);
+    for episode in 0..u64::from(n_episodes) {
+        env.reset(EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode }, &mut observation);
+        let mut action = [0; 4];
+        loop {
+            assert!(env.baseline_action(baseline, &mut action));
+            if env.step(&action, &mut observation).end.is_some() {
+                break;
+            }
+        }
+        env.metrics(&mut metrics);
+        n_success += metrics[0];
+        n_messages += metrics[1];
+    }
+    println!("{baseline}: {n_success} of {n_episodes}, {n_messages} messages");
+    (n_success / f32::from(n_episodes), n_messages / f32::from(n_episodes))
+}
+
+#[test]
+fn the_scripted_notifier_saves_most_of_those_who_would_crash() {
+    let ((unaided, silence), (warned, messages)) = (notify("unaided"), notify("heuristic"));
+    assert_eq!(silence, 0.0);
+    assert!((0.25..0.65).contains(&unaided), "{unaided}");
+    assert!(warned > unaided + 0.25, "{warned} {unaided}");
+    assert!((1.0..12.0).contains(&messages), "{messages}");
 }

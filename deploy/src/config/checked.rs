@@ -159,7 +159,7 @@ impl Config {
         let task = TaskSpec { domain: domain.to_string(), settings: typed.settings.clone() };
         let environment = registry.build(&task)?;
         let env = environment.spec().clone();
-        let policy = check_policy(&typed.policy, &env)?;
+        let policy = check_policy(&typed.policy, environment.as_ref())?;
         typed.learner.check()?;
         check_sequences(&policy, &typed.learner)?;
         let evaluation = check_evaluation(&typed, &table, registry)?;
@@ -222,8 +222,12 @@ fn check_actor(actor: &ActorSection) -> anyhow::Result<u32> {
     Ok(window)
 }
 
-fn check_policy(policy: &PolicySection, env: &EnvSpec) -> anyhow::Result<PolicySpec> {
-    let encoder = check_encoder(policy)?;
+fn check_policy(
+    policy: &PolicySection,
+    environment: &dyn Environment,
+) -> anyhow::Result<PolicySpec> {
+    let env = environment.spec();
+    let encoder = check_encoder(policy, environment)?;
     let hidden = &policy.hidden;
     let fewest = usize::from(encoder == Encoder::Identity);
     let fits = (fewest..=8).contains(&hidden.len());
@@ -255,7 +259,7 @@ fn check_policy(policy: &PolicySection, env: &EnvSpec) -> anyhow::Result<PolicyS
 }
 
 /// Checks the encoder's widths.
-fn check_encoder(policy: &PolicySection) -> anyhow::Result<Encoder> {
+fn check_encoder(policy: &PolicySection, environment: &dyn Environment) -> anyhow::Result<Encoder> {
     let (projection, state) = (policy.lstm_projection, policy.lstm_state);
     match policy.encoder {
         EncoderKind::None => Ok(Encoder::Identity),
@@ -265,6 +269,21 @@ fn check_encoder(policy: &PolicySection) -> anyhow::Result<Encoder> {
             let fits = (1..=MAX_WIDTH / 4).contains(&state);
             ensure!(fits, "`policy.lstm_state` is {state}; allowed: 1 to {}", MAX_WIDTH / 4);
             Ok(Encoder::Lstm { projection, state })
+        }
+        EncoderKind::Attention => {
+            let history = environment.entity_history().context(
+                "`policy.encoder` is \"attention\", but this domain's observation does not consist of entities; \
+                 allowed: \"none\", \"lstm\"",
+            )?;
+            let (width, heads) = (policy.attention_width, policy.attention_heads);
+            let fits = (1..=1_024).contains(&width);
+            ensure!(fits, "`policy.attention_width` is {width}; allowed: 1 to 1024");
+            let fits = heads >= 1 && width.is_multiple_of(heads);
+            ensure!(
+                fits,
+                "`policy.attention_heads` is {heads}; allowed: a divisor of {width} (`attention_width`)"
+            );
+            Ok(Encoder::EgoAttention(history.attention(width, heads)))
         }
     }
 }

@@ -88,6 +88,10 @@ pub struct PolicySection {
     pub lstm_projection: usize,
     /// Units of the LSTM.
     pub lstm_state: usize,
+    /// Width of the embeddings of entities and of the attention to them.
+    pub attention_width: usize,
+    /// Heads of the attention, which share out its width.
+    pub attention_heads: usize,
     /// Widths of the tanh layers.
     pub hidden: Vec<usize>,
     /// Which heads' log-probabilities count.
@@ -104,6 +108,8 @@ impl Default for PolicySection {
             encoder: EncoderKind::None,
             lstm_projection: 32,
             lstm_state: 128,
+            attention_width: 64,
+            attention_heads: 2,
             hidden: vec![64, 64],
             head_credit: HeadCredit::Active,
             normalize_observations: false,
@@ -121,6 +127,8 @@ pub enum EncoderKind {
     None,
     /// One LSTM that actor and critic share.
     Lstm,
+    /// An ego's attention to the entities of the observation, which actor and critic share.
+    Attention,
 }
 
 /// `[actor]`: how actors send.

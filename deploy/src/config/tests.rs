@@ -73,6 +73,11 @@ fn impossible_values_are_told_by_key() {
         ("[actor]\nwindow = 0", "actor.window"),
         ("[policy]\nhidden = []", "policy.hidden"),
         ("[policy]\nencoder = \"lstm\"\nlstm_state = 0", "policy.lstm_state"),
+        ("[policy]\nencoder = \"attention\"", "does not consist of entities"),
+        (
+            "domain = \"highway\"\n[policy]\nencoder = \"attention\"\nattention_heads = 3",
+            "policy.attention_heads",
+        ),
         (
             "[policy]\nencoder = \"lstm\"\n[learner]\nn_envs = 4\nn_minibatches = 8",
             "learner.n_minibatches",

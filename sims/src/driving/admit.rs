@@ -31,9 +31,11 @@ pub(super) fn populate(traffic: &mut Traffic, settings: &WorldSettings, generato
 }
 
 fn start(traffic: &Traffic, rank: usize, s: f64, speed: f64) -> Vehicle {
-    let lane = start_lanes(traffic.road()).nth(rank).unwrap_or(0);
-    let lane = traffic.network().lane(lane);
-    Vehicle::new(traffic.network(), lane.position(s, 0.0), lane.heading(s), speed)
+    let network = traffic.network();
+    let mut lanes = start_lanes(traffic.road());
+    let lane = lanes.find(|&lane| network.rank(lane) as usize == rank).unwrap_or(0);
+    let lane = network.lane(lane);
+    Vehicle::new(network, lane.position(s, 0.0), lane.heading(s), speed)
 }
 
 /// Tells whether the car of a ramp appears now.

@@ -15,7 +15,7 @@ use crate::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_s
 use crate::highway::{Role, Traffic, Vehicle};
 use crate::scene::Scene;
 use crate::setting::SettingError;
-use crate::{Advance, Domain, Message, ReactionStatus, ReactionStep};
+use crate::{Advance, Domain, Entities, Message, ReactionStatus, ReactionStep};
 
 /// What a step pays once the ego has arrived.
 const ARRIVED_REWARD: f64 = 1.0;
@@ -170,6 +170,11 @@ impl Domain for Driving {
 
     fn obs_dim(&self) -> usize {
         self.settings.observation.dim()
+    }
+
+    fn entities(&self) -> Option<Entities> {
+        let observation = &self.settings.observation;
+        Some(Entities { n_entities: observation.rows, n_features: observation.n_columns() })
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {

@@ -313,6 +313,23 @@ fn notifier_env() -> NotifierEnv<Driving> {
 }
 
 #[test]
+fn the_notifiers_observation_is_a_history_of_entities() {
+    let env = notifier_env();
+    let history = env.entity_history().unwrap();
+    let attention = history.attention(64, 2);
+    assert_eq!((attention.n_frames, attention.n_entities, attention.n_features), (4, 10, 7));
+    // Initiate 1, topics 4, k 4, l 4; behind the frames: words spoken and topic of the own utterance.
+    assert_eq!((attention.action_dim, env.spec().obs_dim), (13, 4 * (70 + 13) + 5));
+    attention.check(env.spec().obs_dim).unwrap();
+    let mut env = env;
+    let mut observation = vec![0.0; env.spec().obs_dim];
+    env.reset(seed(0), &mut observation);
+    for frame in observation.chunks_exact(attention.frame_dim()).take(4) {
+        assert_eq!(frame[0], 1.0);
+    }
+}
+
+#[test]
 fn an_unknown_topic_is_named() {
     let DrivingSettings { world, human, mut notifier } = DrivingSettings::default();
     notifier.topics = Some(vec!["overtake".to_owned()]);

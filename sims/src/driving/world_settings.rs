@@ -242,11 +242,35 @@ impl WorldSettings {
             (0.0..highest).contains(&lowest) && highest <= 40.0 && (2..=64).contains(&n_speeds);
         let given = format_args!("{n_speeds} from {lowest} to {highest}");
         require(fits, "world.ego.speed_grid", given, "2 to 64 speeds, rising, 0 to 40 m/s")?;
-        let lanes = road.network.lanes().iter();
-        let ends = lanes.map(|lane| lane.position(lane.length(), 0.0)[0]);
-        let end = ends.fold(f64::NEG_INFINITY, f64::max);
-        let allowed = format!("beyond the ego's start, up to the road's end at {end} m");
-        require(self.goal > x && self.goal <= end, "world.goal", self.goal, allowed)
+        require(
+            self.goal > x,
+            "world.goal",
+            self.goal,
+            format!("beyond the ego's start at {x} m"),
+        )?;
+        start_lanes(road).try_for_each(|lane| self.check_way(road, lane))
+    }
+
+    /// Follows the road from a lane on which cars start; it must lead to the goal.
+    fn check_way(&self, road: &Road, start: usize) -> Result<(), SettingError> {
+        let network = &road.network;
+        let end = |lane: usize| network.lane(lane).position(network.lane(lane).length(), 0.0);
+        let mut lane = start;
+        // No way is longer than there are lanes, unless it goes round in a circle.
+        for _ in network.lanes() {
+            if end(lane)[0] >= self.goal {
+                return Ok(());
+            }
+            let next = network.next(lane, end(lane));
+            if next == lane {
+                break;
+            }
+            lane = next;
+        }
+        let given =
+            format!("{} as the end of the way from {}", network.name(lane), network.name(start));
+        let allowed = format!("lanes that lead on to the goal at {} m", self.goal);
+        Err(SettingError { key: "world.road.lanes", given, allowed: allowed.into() })
     }
 
     fn check_traffic(&self, road: &Road) -> Result<(), SettingError> {
@@ -297,7 +321,7 @@ impl WorldSettings {
     }
 }
 
-/// Lists the lanes of the first road on which cars may start, from the left.
+/// Lists the lanes of the first road on which cars may start.
 pub(super) fn start_lanes(road: &Road) -> impl Iterator<Item = usize> + '_ {
     let network = &road.network;
     let on_first = move |lane: &usize| network.same_road(0, *lane);
@@ -336,7 +360,14 @@ mod tests {
         assert_eq!(refused(|s| s.ego.lane = Some(2)), "`world.ego.lane` is 2; allowed: 0 to 1");
         assert!(refused(|s| s.ego.speed = f64::NAN).contains("world.ego.speed"));
         assert!(refused(|s| s.ego.speed_grid.n_speeds = 1).contains("1 from 15 to 38"));
-        assert!(refused(|s| s.goal = 1200.0).contains("up to the road's end at 1080 m"));
+        assert_eq!(
+            refused(|s| s.goal = 1200.0),
+            "`world.road.lanes` is m6→m7 0 as the end of the way from m0→m1 0; \
+             allowed: lanes that lead on to the goal at 1200 m"
+        );
+        assert!(refused(|s| s.goal = 20.0).contains("beyond the ego's start at 30 m"));
+        // A misspelt node cuts the road in two.
+        assert!(refused(|s| s.road.lanes[0].to = "M1".to_owned()).contains("m0→M1 0 as the end"));
         assert!(refused(|s| s.absorb_until = 301).contains("world.absorb_until"));
         assert!(refused(|s| s.frames_per_step = 0).contains("world.frames_per_step"));
         assert!(refused(|s| s.merging.range = [60.0, 231.0]).contains("0 to 230 m"));

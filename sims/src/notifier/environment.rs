@@ -8,7 +8,8 @@ use super::actions::{Actions, Offered};
 use super::history::History;
 use super::settings::NotifierSettings;
 use crate::environment::{
-    Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
+    EntityHistory, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot,
+    write_snapshot,
 };
 use crate::human::{BlockedInitiation, Human, HumanSettings, HumanState, Initiation, Order};
 use crate::registry::TaskError;
@@ -218,6 +219,12 @@ fn share(part: u32, whole: u32) -> f32 {
 impl<D: Domain> Environment for NotifierEnv<D> {
     fn spec(&self) -> &EnvSpec {
         &self.spec
+    }
+
+    fn entity_history(&self) -> Option<EntityHistory> {
+        let (n_frames, action_dim) = (self.history.n_pairs(), self.actions.encoded_dim());
+        let entities = self.domain.entities()?;
+        Some(EntityHistory { n_frames, entities, action_dim })
     }
 
     fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {

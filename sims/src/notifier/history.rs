@@ -18,6 +18,11 @@ impl History {
         Self { pairs: vec![0.0; n_pairs * pair_dim], obs_dim, pair_dim }
     }
 
+    /// Returns n.
+    pub(super) fn n_pairs(&self) -> usize {
+        self.pairs.len() / self.pair_dim
+    }
+
     /// Forgets the past; `observe` writes the first observation.
     pub(super) fn begin(&mut self, observe: impl FnOnce(&mut [f32])) {
         self.pairs.fill(0.0);
