@@ -82,5 +82,6 @@ fn the_scripted_notifier_saves_most_of_those_who_would_crash() {
     assert_eq!(silence, 0.0);
     assert!((0.25..0.65).contains(&unaided), "{unaided}");
     assert!(warned > unaided + 0.25, "{warned} {unaided}");
-    assert!((1.0..12.0).contains(&messages), "{messages}");
+    // It says so again and again while a conflict is in sight, as it does not know what was understood.
+    assert!((3.0..30.0).contains(&messages), "{messages}");
 }
