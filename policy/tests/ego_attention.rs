@@ -57,7 +57,7 @@ fn policy(n_frames: usize, action_dim: usize) -> PolicySpec {
 fn parameters(spec: &PolicySpec) -> Parameters {
     let mut values = BTreeMap::new();
     for (name, shape) in shapes(spec) {
-        let layer = name.rsplit_once('.').unwrap().0;
+        let layer = name.rsplit_once('.').expect("a layer and its part").0;
         let number = NUMBERS.iter().find(|(known, _)| *known == layer).map(|(_, number)| *number);
         let numbers: Vec<f32> = match (number, &shape[..]) {
             (None, shape) => vec![0.0; shape.iter().product()],
@@ -70,20 +70,20 @@ fn parameters(spec: &PolicySpec) -> Parameters {
         };
         values.insert(name, numbers);
     }
-    Parameters::from_values(spec, values, None).unwrap()
+    Parameters::from_values(spec, values, None).expect("the closed form fits")
 }
 
 fn vector() -> Value {
     let packed = include_bytes!("../../tests/data/highway_traces.json.gz");
     let mut text = String::new();
-    GzDecoder::new(packed.as_slice()).read_to_string(&mut text).unwrap();
-    serde_json::from_str::<Value>(&text).unwrap()["unit_attention"].clone()
+    GzDecoder::new(packed.as_slice()).read_to_string(&mut text).expect("the traces are gzip");
+    serde_json::from_str::<Value>(&text).expect("the traces are JSON")["unit_attention"].clone()
 }
 
 fn numbers(value: &Value) -> Vec<f32> {
     match value {
         Value::Array(values) => values.iter().flat_map(numbers).collect(),
-        number => vec![number.as_f64().unwrap() as f32],
+        number => vec![number.as_f64().expect("a number") as f32],
     }
 }
 

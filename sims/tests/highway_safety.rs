@@ -10,7 +10,7 @@ const N_EPISODES: u64 = 100;
 fn drive(plan: Plan, change: impl FnOnce(&mut WorldSettings)) -> Safety {
     let mut settings = WorldSettings::default();
     change(&mut settings);
-    let found = measure(&settings, plan, 0..N_EPISODES).unwrap();
+    let found = measure(&settings, plan, 0..N_EPISODES).expect("the settings are possible");
     println!("{plan:?}: {:?} {found:?}", found.interval());
     assert_eq!(u64::from(found.n_episodes), N_EPISODES);
     found
@@ -54,7 +54,7 @@ fn lanes_matter() {
 /// Drives with a scripted notifier; returns the success rate and the notifications per episode.
 fn notify(baseline: &str) -> (f32, f32) {
     let task = TaskSpec { domain: "highway".to_owned(), settings: "{}".to_owned() };
-    let mut env = Registry::builtin().build(&task).unwrap();
+    let mut env = Registry::builtin().build(&task).expect("the default task can be built");
     let n_episodes: u16 = 100;
     let mut observation = vec![0.0; env.spec().obs_dim];
     let mut metrics = vec![0.0; env.spec().metrics.len()];
@@ -82,5 +82,6 @@ fn the_scripted_notifier_saves_most_of_those_who_would_crash() {
     assert_eq!(silence, 0.0);
     assert!((0.25..0.65).contains(&unaided), "{unaided}");
     assert!(warned > unaided + 0.25, "{warned} {unaided}");
-    assert!((1.0..12.0).contains(&messages), "{messages}");
+    // It says so again and again while a conflict is in sight, as it does not know what was understood.
+    assert!((3.0..30.0).contains(&messages), "{messages}");
 }
