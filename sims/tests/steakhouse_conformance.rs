@@ -58,7 +58,7 @@ fn a_changed_recording_does_not_pass() {
     assert!(difference.starts_with("cooks of step 1: "), "{difference}");
     differs(&public, r#""meat_pickup:0""#, r#""onion_pickup:0""#);
     differs(&public, r#""orders_left":2"#, r#""orders_left":3"#);
-    differs(&public, r"[[-4,-4],", "[");
+    differs(&public, "[[-4,-4],", "[");
     let golden = golden();
     differs(&golden, r#""reward":-0.15"#, r#""reward":-0.1501"#);
     differs(&golden, r#""subtask":"pickup_meat""#, r#""subtask":"pickup_onion""#);
