@@ -179,3 +179,19 @@ fn the_median_of_repeated_ratings_counts() {
     let ratings = [vec![10, 90], vec![30, 20], vec![20, 80]];
     assert_eq!((median(&ratings, 0), median(&ratings, 1)), (20, 80));
 }
+
+#[test]
+fn one_call_per_word_gives_what_one_call_per_sentence_gives_if_nothing_leaks() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut plan = job::plan("lander").unwrap();
+    plan.topic.truncate(1);
+    let (joint, _) = job::run(&plan, job(&directory.path().join("a"), Backend::Grammar)).unwrap();
+    plan.settings.rate = RateForm::Prefix;
+    plan.settings.repeats = 3;
+    let (prefix, _) = job::run(&plan, job(&directory.path().join("b"), Backend::Grammar)).unwrap();
+    assert_eq!(prefix.candidates.len(), joint.candidates.len());
+    for (a, b) in prefix.candidates.iter().zip(&joint.candidates) {
+        assert_eq!((&a.text, &a.rated, a.landed), (&b.text, &b.rated, b.landed));
+    }
+    assert!(prefix.calls > 5 * joint.calls);
+}
