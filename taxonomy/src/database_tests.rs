@@ -58,8 +58,8 @@ fn a_good_file_is_read_in_the_order_of_the_domain() {
 fn a_malformed_file_is_named_by_its_line() {
     let text = refuse("theta = 70", "theta = ");
     assert!(text.starts_with("line 7 of the utterance database: "), "{text}");
-    let text = refuse("theta = 70", "treshold = 70");
-    assert!(text.contains("unknown field `treshold`, expected one of `schema`"), "{text}");
+    let text = refuse("theta = 70", "thetta = 70");
+    assert!(text.contains("unknown field `thetta`, expected one of `schema`"), "{text}");
     let text = refuse("\"why\", 0, 2", "\"whence\", 0, 2");
     assert!(text.starts_with("line 17 of"), "{text}");
 }
@@ -84,7 +84,7 @@ fn a_sentence_that_is_not_what_it_says_is_refused() {
         ("[5, 10, 40, 95]", "[5, 10, 95]", "its `curve` has 3 values; allowed: 4, one per word"),
         ("[5, 10, 40, 95]", "[5, 10, 40, 101]", "its curve reaches 101; allowed: 0 to 100 percent"),
         ("[5, 10, 40, 95]", "[5, 10, 9, 95]", "its `curve` falls at word 3"),
-        ("[5, 10, 40, 95]", "[5, 10, 70, 95]", "its curve reaches 70 percent at word 3; `compre"),
+        ("[5, 10, 40, 95]", "[5, 10, 70, 95]", "its curve reaches 70 percent at word 3"),
         ("[5, 10, 40, 95]", "[5, 10, 40, 69]", "its curve reaches 70 percent at no word"),
         ("[\"what\", 2, 4]", "[\"what\", 1, 4]", "its spans overlap"),
         ("[\"what\", 2, 4]", "[\"how\", 2, 4]", "it has 0 `what` spans; allowed: 1"),

@@ -9,7 +9,7 @@ use crate::utterance::Utterance;
 ///
 /// # Source
 ///
-/// arXiv:2509.07438 takes 0.3 s per word. A formant synthesiser measured 0.335 s per word over sentences of two to
+/// arXiv:2509.07438 takes 0.3 s per word. A speech synthesiser took 0.335 s per word over sentences of two to
 /// five words (20 sentences, three voices), people read at about 0.4.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

@@ -1,22 +1,21 @@
 //! All stages, from a plan to a file: what is asked next depends only on what was answered so far.
 
-use std::collections::BTreeMap;
-
 use super::backend::{Call, Reply, Stage};
 use super::caller::Caller;
 use super::candidate::{Candidate, Reason};
 use super::coverage::Coverage;
 use super::curve::heard;
-use super::embedding::Embedding;
 use super::error::PipelineError;
 use super::log::LogHeader;
-use super::medoids::{Distances, medoids};
 use super::plan::{Plan, RateForm, TopicPlan};
+use super::progress::Progress;
 use super::prompts::{Prompts, Writer};
 use super::reply;
+use super::representatives::choose;
 use super::rules::Rules;
 use super::{backend, export};
 use crate::database::Taxonomy;
+use crate::error::TaxonomyError;
 use crate::utterance::Cell;
 use crate::words;
 
@@ -25,28 +24,14 @@ use crate::words;
 pub struct Built {
     /// The database, as a file.
     pub text: String,
-    /// The same, read back and checked.
-    pub taxonomy: Taxonomy,
+    /// The same, read back and checked; an error if a topic got nothing.
+    pub taxonomy: Result<Taxonomy, TaxonomyError>,
     /// Everything that was proposed, in order.
     pub candidates: Vec<Candidate>,
     /// What came of it.
     pub coverage: Coverage,
     /// Calls made in this run; what the log answered is not counted.
     pub calls: u64,
-}
-
-/// What was proposed, accepted and given up so far.
-#[derive(Debug)]
-struct Progress {
-    candidates: Vec<Candidate>,
-    /// Normalised text to its first candidate.
-    seen: BTreeMap<String, usize>,
-    /// Accepted sentences per topic and cell.
-    accepted: BTreeMap<(usize, Cell), usize>,
-    /// Generations asked per topic and cell.
-    rounds: BTreeMap<(usize, Cell), u32>,
-    given_up: BTreeMap<(usize, Cell), bool>,
-    iterations: u32,
 }
 
 /// Makes a database.
@@ -65,7 +50,7 @@ pub fn build(
     let mut progress = propose(plan, &writer, &summary, caller)?;
     let kept = choose(plan, &mut progress.candidates, caller)?;
     let text = export::database(plan, &caller.header(), &kept);
-    let taxonomy = Taxonomy::from_toml(&text)?;
+    let taxonomy = Taxonomy::from_toml(&text);
     let coverage = Coverage::new(plan, &progress.candidates, progress.rounds);
     let calls = caller.calls();
     Ok(Built { text, taxonomy, candidates: progress.candidates, coverage, calls })
@@ -85,7 +70,7 @@ fn propose(
         let call = writer.generate(summary, &plan.topic[topic], (cell, round), &there)?;
         let (source, answer) = caller.ask(&call)?;
         if answer.finish == backend::Finish::Exhausted {
-            progress.given_up.insert((topic, cell), true);
+            progress.given_up.insert((topic, cell));
             continue;
         }
         let sentences = reply::sentences(&answer);
@@ -213,135 +198,6 @@ fn median(ratings: &[Vec<u8>], word: usize) -> u8 {
     let mut values: Vec<u8> = ratings.iter().map(|rating| rating[word]).collect();
     values.sort_unstable();
     values[values.len() / 2]
-}
-
-impl Progress {
-    fn new(plan: &Plan) -> Self {
-        let [from, to] = plan.words;
-        let cells = |topic| Cell::feasible(from, to).map(move |cell| (topic, cell));
-        let all = || (0..plan.topic.len()).flat_map(cells);
-        Self {
-            candidates: Vec::new(),
-            seen: BTreeMap::new(),
-            accepted: all().map(|key| (key, 0)).collect(),
-            rounds: all().map(|key| (key, 0)).collect(),
-            given_up: BTreeMap::new(),
-            iterations: 0,
-        }
-    }
-
-    /// Picks the emptiest cell that may still be asked for; of equals, the one asked for least.
-    fn next(&mut self, plan: &Plan) -> Option<(usize, Cell, u32)> {
-        let settings = &plan.settings;
-        if self.iterations >= settings.max_iterations {
-            return None;
-        }
-        let open = self.accepted.iter().filter(|(key, n)| {
-            **n < settings.target
-                && self.rounds[key] < settings.attempts_per_cell
-                && !self.given_up.contains_key(key)
-        });
-        let (&(topic, cell), _) = open.min_by_key(|&(key, n)| (*n, self.rounds[key], *key))?;
-        let rounds = self.rounds.entry((topic, cell)).or_default();
-        let round = *rounds;
-        *rounds += 1;
-        self.iterations += 1;
-        Some((topic, cell, round))
-    }
-
-    /// Lists the accepted sentences of a topic.
-    fn texts(&self, topic: usize) -> Vec<String> {
-        let of_topic = |candidate: &&Candidate| candidate.topic == topic && candidate.is_accepted();
-        self.candidates.iter().filter(of_topic).map(|candidate| candidate.text.clone()).collect()
-    }
-
-    /// Tells whether the same words were proposed before; for another topic, both are turned down.
-    fn repeated(&mut self, candidate: &Candidate) -> Option<Reason> {
-        let first = *self.seen.get(&words::normalised(&candidate.text))?;
-        let first = &mut self.candidates[first];
-        if first.topic == candidate.topic {
-            return Some(Reason::Duplicate);
-        }
-        if first.is_accepted()
-            && let Some(cell) = first.landed
-            && let Some(accepted) = self.accepted.get_mut(&(first.topic, cell))
-        {
-            *accepted = accepted.saturating_sub(1);
-        }
-        first.reason = Some(Reason::AmbiguousTopic);
-        Some(Reason::AmbiguousTopic)
-    }
-
-    fn add(&mut self, candidate: Candidate) {
-        if candidate.is_accepted()
-            && let Some(cell) = candidate.landed
-            && let Some(accepted) = self.accepted.get_mut(&(candidate.topic, cell))
-        {
-            *accepted += 1;
-        }
-        let place = self.candidates.len();
-        if !candidate.spans.is_empty() {
-            self.seen.entry(words::normalised(&candidate.text)).or_insert(place);
-        }
-        self.candidates.push(candidate);
-    }
-}
-
-/// Chooses the representatives of every cell, and marks them; in the order of the file.
-fn choose(
-    plan: &Plan,
-    candidates: &mut [Candidate],
-    caller: &mut Caller<'_>,
-) -> Result<Vec<Candidate>, PipelineError> {
-    let mut cells: BTreeMap<(usize, Cell), Vec<usize>> = BTreeMap::new();
-    for (i, candidate) in candidates.iter().enumerate() {
-        if let Some(cell) = candidate.landed.filter(|_| candidate.is_accepted()) {
-            cells.entry((candidate.topic, cell)).or_default().push(i);
-        }
-    }
-    let mut kept = Vec::new();
-    for mut members in cells.into_values() {
-        let is_pinned = |i: &usize| plan.pinned.contains(&candidates[*i].text);
-        // Pinned ones first, so that others are compared with them.
-        members.sort_by_key(|i| !is_pinned(i));
-        let n_pinned = members.iter().filter(|i| is_pinned(i)).count();
-        let mut distinct: Vec<(usize, Embedding)> = Vec::new();
-        for i in members {
-            let embedding = caller.embed(&candidates[i].text)?;
-            let near = plan.settings.near_duplicate;
-            if distinct.iter().any(|(_, other)| other.cosine(&embedding) >= near) {
-                candidates[i].reason = Some(Reason::NearDuplicate);
-            } else {
-                distinct.push((i, embedding));
-            }
-        }
-        let chosen = representatives(&distinct, n_pinned, plan.settings.keep);
-        for (rank, i) in chosen.into_iter().enumerate() {
-            candidates[i].medoid = Some(rank as u32);
-            kept.push(candidates[i].clone());
-        }
-    }
-    Ok(kept)
-}
-
-/// Chooses the medoids of a cell: the pinned first members, and of the rest who stands best for it.
-///
-/// Who stands for most comes first, of equals who was proposed first.
-fn representatives(members: &[(usize, Embedding)], n_pinned: usize, keep: usize) -> Vec<usize> {
-    let n_pinned = n_pinned.min(members.len());
-    let distance = |a: usize, b: usize| 1.0 - members[a].1.cosine(&members[b].1);
-    let rest =
-        Distances::new(members.len() - n_pinned, |a, b| distance(a + n_pinned, b + n_pinned));
-    let of_rest = medoids(&rest, keep.saturating_sub(n_pinned));
-    let chosen: Vec<usize> = (0..n_pinned).chain(of_rest.iter().map(|i| i + n_pinned)).collect();
-    let distances = Distances::new(members.len(), distance);
-    let mut sizes = vec![0_usize; chosen.len()];
-    for i in 0..members.len() {
-        sizes[distances.nearest(i, &chosen).0] += 1;
-    }
-    let mut ranked: Vec<(usize, usize)> = sizes.into_iter().zip(chosen).collect();
-    ranked.sort_by_key(|(size, member)| (std::cmp::Reverse(*size), *member));
-    ranked.into_iter().map(|(_, member)| members[member].0).collect()
 }
 
 impl Built {

@@ -3,10 +3,7 @@
 use std::path::Path;
 
 use super::*;
-use crate::pipeline::backend::Finish;
-use crate::pipeline::caller::{Backends, Mode};
 use crate::pipeline::job::{self, Backend, BuildJob};
-use crate::pipeline::log::CallLog;
 use crate::pipeline::{Model, PipelineError};
 use crate::shipped;
 use crate::utterance::Fidelity;
@@ -100,10 +97,12 @@ fn a_grammar_fills_every_cell_and_says_what_it_is() {
         let plan = job::plan(domain).unwrap();
         let log = directory.path().join(domain);
         let (built, _) = job::run(&plan, job(&log, Backend::Grammar)).unwrap();
-        assert_eq!(built.taxonomy.header().fidelity, Fidelity::Grammar);
-        let findings = crate::check(&built.taxonomy, 3);
+        assert_eq!(built.taxonomy.as_ref().unwrap().header().fidelity, Fidelity::Grammar);
+        let findings = crate::check(built.taxonomy.as_ref().unwrap(), 3);
         assert!(findings.is_empty(), "{domain}: {}", findings[0]);
-        assert_eq!(built.coverage.accepted, built.coverage.on_target);
+        for candidate in built.candidates.iter().filter(|candidate| candidate.is_accepted()) {
+            assert_eq!(candidate.landed, Some(candidate.requested), "{domain}: {}", candidate.text);
+        }
     }
 }
 
@@ -132,35 +131,20 @@ impl Model for Scripted {
     fn complete(&mut self, _: &Call) -> Result<Reply, crate::pipeline::error::BackendError> {
         let text = self.0[self.1 % self.0.len()];
         self.1 += 1;
-        let finish = if text == "END" { Finish::Exhausted } else { Finish::Stop };
-        Ok(Reply { text: text.to_owned(), finish, tokens: None })
+        Ok(Reply::complete(text))
     }
 }
 
-fn scripted(lines: Vec<&'static str>, change: impl Fn(&mut Plan)) -> Result<Built, PipelineError> {
-    let directory = tempfile::tempdir().unwrap();
-    let mut plan = job::plan("highway").unwrap();
-    change(&mut plan);
-    let mut log = CallLog::open(&directory.path().join("calls.jsonl")).unwrap();
-    let generator = Box::new(Scripted(lines, 0));
-    let embedder = Box::new(crate::pipeline::lexical::Lexical);
-    let backends = Backends { generator, rater: None, embedder };
-    let mode = Mode::Live { max_calls: None };
-    let mut caller = Caller::new(backends, &mut log, mode, "highway")?;
-    build(&plan, &Prompts::default(), &mut caller)
-}
-
 #[test]
-fn a_model_that_talks_nonsense_is_given_up() {
-    // A summary, then sentences that nobody can rate.
-    let error = scripted(
-        vec!["Slow down now.", "Slow down, please.\nGo slower now.", "what", "no"],
-        |_| (),
-    );
-    assert_eq!(
-        error.unwrap_err().to_string(),
-        "26 of the last 50 replies of scripted are malformed: its template or the model is wrong"
-    );
+fn a_rater_that_talks_nonsense_is_given_up() {
+    let directory = tempfile::tempdir().unwrap();
+    let plan = job::plan("highway").unwrap();
+    let mut job = job(&directory.path().join("calls.jsonl"), Backend::Grammar);
+    job.rater = Some(Box::new(Scripted(vec!["what", "no"], 0)));
+    let error = job::run(&plan, job).unwrap_err().to_string();
+    let says =
+        "of the last 50 replies of scripted are malformed: its template or the model is wrong";
+    assert!(error.ends_with(says), "{error}");
 }
 
 #[test]
@@ -194,4 +178,20 @@ fn the_same_words_for_two_topics_go_to_neither() {
 fn the_median_of_repeated_ratings_counts() {
     let ratings = [vec![10, 90], vec![30, 20], vec![20, 80]];
     assert_eq!((median(&ratings, 0), median(&ratings, 1)), (20, 80));
+}
+
+#[test]
+fn one_call_per_word_gives_what_one_call_per_sentence_gives_if_nothing_leaks() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut plan = job::plan("lander").unwrap();
+    plan.topic.truncate(1);
+    let (joint, _) = job::run(&plan, job(&directory.path().join("a"), Backend::Grammar)).unwrap();
+    plan.settings.rate = RateForm::Prefix;
+    plan.settings.repeats = 3;
+    let (prefix, _) = job::run(&plan, job(&directory.path().join("b"), Backend::Grammar)).unwrap();
+    assert_eq!(prefix.candidates.len(), joint.candidates.len());
+    for (a, b) in prefix.candidates.iter().zip(&joint.candidates) {
+        assert_eq!((&a.text, &a.rated, a.landed), (&b.text, &b.rated, b.landed));
+    }
+    assert!(prefix.calls > 5 * joint.calls);
 }

@@ -44,11 +44,12 @@ impl Grammar {
             return Vec::new();
         };
         let nothing = [String::new()];
+        let hows = if topic.how.is_empty() { &self.plan.how } else { &topic.how };
         let mut found = Vec::new();
         for order in ORDERS {
             let list = |part| if order.contains(&part) { None } else { Some(&nothing[..]) };
             for what in &topic.what {
-                for how in list(Part::How).unwrap_or(&self.plan.how) {
+                for how in list(Part::How).unwrap_or(hows) {
                     for why in list(Part::Why).unwrap_or(&topic.why) {
                         let phrases = [what.as_str(), how.as_str(), why.as_str()];
                         found.extend(sentence(order, phrases, cell));

@@ -102,15 +102,19 @@ impl Http {
     ///
     /// # Errors
     ///
-    /// [`PipelineError::Plan`] if the address is not `http://` or the patience impossible.
+    /// [`PipelineError::Plan`] if the address is no web address or the patience impossible.
     pub fn new(settings: HttpSettings) -> Result<Self, PipelineError> {
         let refuse = |key: &str, given: String, allowed: &str| {
             let (key, allowed) = (key.to_owned(), allowed.to_owned());
             Err(PipelineError::Plan { key, given, allowed })
         };
-        if !settings.url.starts_with("http://") {
-            let allowed =
-                "http://HOST:PORT/v1 (put a proxy in front of a server that speaks TLS only)";
+        let tls = cfg!(feature = "https");
+        if !settings.url.starts_with("http://") && !(tls && settings.url.starts_with("https://")) {
+            let allowed = if tls {
+                "http:// or https:// and HOST/v1"
+            } else {
+                "http://HOST:PORT/v1 (https:// if built with the feature `https`)"
+            };
             return refuse("url", settings.url, allowed);
         }
         if !(1..=10).contains(&settings.tries) {

@@ -212,8 +212,11 @@ fn a_run_survives_a_server_that_misbehaves_and_pays_for_nothing_twice() {
     assert!(seen.requests > seen.answered.len() + 5);
     assert_eq!(seen.authorization.as_deref(), Some("authorization: Bearer secret"));
     assert!(!std::fs::read_to_string(&log).unwrap().contains("secret"));
-    assert_eq!(built.taxonomy.header().generator, format!("test-model at {}", server.url));
-    assert!(built.taxonomy.topics()[0].cells().count() == 10);
+    assert_eq!(
+        built.taxonomy.as_ref().unwrap().header().generator,
+        format!("test-model at {}", server.url)
+    );
+    assert!(built.taxonomy.as_ref().unwrap().topics()[0].cells().count() == 10);
     drop(seen);
     // What the log holds makes the same file without the server.
     let replay = BuildJob { backend: Backend::Replay, ..job(&log, "http://nobody", None) };

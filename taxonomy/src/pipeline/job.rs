@@ -78,6 +78,9 @@ pub enum Backend {
     Grammar,
     /// A model behind HTTP.
     Http(HttpSettings),
+    /// A model that runs in this process.
+    #[cfg(feature = "candle")]
+    Local(super::local::LlamaSettings),
     /// Nobody: the log holds every reply.
     Replay,
 }
@@ -144,6 +147,8 @@ fn generator(plan: &Plan, backend: &Backend) -> Result<Box<dyn Model>, PipelineE
         Backend::Authored(None) => Box::new(Annotator::parse(source(&plan.domain)?.annotations)?),
         Backend::Grammar => Box::new(Grammar::new(plan)),
         Backend::Http(settings) => Box::new(Http::new(settings.clone())?),
+        #[cfg(feature = "candle")]
+        Backend::Local(settings) => Box::new(super::local::Llama::load(settings)?),
         Backend::Replay => {
             Box::new(Absent { id: String::new(), fidelity: crate::utterance::Fidelity::Local })
         }
@@ -239,5 +244,42 @@ pub fn export(taxonomy: &Taxonomy, format: Format) -> String {
     match format {
         Format::Csv => export::csv(taxonomy),
         Format::Json => export::json(taxonomy),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sentences_of_ones_own_can_be_rated() {
+        let directory = tempfile::tempdir().unwrap();
+        let log = directory.path().join("calls.jsonl");
+        let plan = plan("highway").unwrap();
+        let texts = ["Traffic, slow down.".to_owned(), "Lovely day.".to_owned()];
+        let rate = |topic| rate_texts(&plan, &Backend::Grammar, &log, topic, &texts);
+        let rated = rate("slow_down").unwrap();
+        assert_eq!(rated[0].as_ref().unwrap()[2], 95);
+        assert!(rated[1].as_ref().unwrap().iter().all(|percent| *percent < 50));
+        let error = rate("stop").unwrap_err().to_string();
+        let says =
+            "`topic` of the plan is stop; allowed: slow_down, speed_up, merge_left, merge_right";
+        assert_eq!(error, says);
+    }
+
+    #[test]
+    fn files_are_validated_by_name() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("taxonomy.toml");
+        let error = validate(&path, 3).unwrap_err().to_string();
+        assert!(error.starts_with(&path.display().to_string()), "{error}");
+        std::fs::write(&path, crate::shipped::text("lander").unwrap()).unwrap();
+        let (taxonomy, findings) = validate(&path, 3).unwrap();
+        assert_eq!(taxonomy.header().domain, "lander");
+        assert!(findings.is_empty());
+        assert!(!validate(&path, 100).unwrap().1.is_empty());
+        std::fs::write(&path, "schema = ").unwrap();
+        let error = validate(&path, 3).unwrap_err().to_string();
+        assert!(error.contains("line 1 of the utterance database"), "{error}");
     }
 }

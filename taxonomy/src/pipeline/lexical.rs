@@ -35,11 +35,14 @@ impl Embedder for Lexical {
     }
 }
 
-/// Adds a feature at the place, and with the sign, that its hash gives (FNV-1a, 64 bits).
+/// Adds a feature at the place, and with the sign, that its hash gives (FNV-1a, 64 bits, and `MurmurHash3`'s final mix:
+/// of short texts alone the upper bits hardly differ).
 fn add(vector: &mut [f32; DIM], feature: &[u8], weight: f32) {
     let hash = feature.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
         (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
     });
+    let mixed = (hash ^ (hash >> 33)).wrapping_mul(0xff51_afd7_ed55_8ccd);
+    let hash = mixed ^ (mixed >> 33);
     let sign = if hash >> 63 == 0 { 1.0 } else { -1.0 };
     vector[(hash >> 32) as usize % DIM] += sign * weight;
 }

@@ -101,6 +101,9 @@ pub struct TopicPlan {
     /// Further phrases that say it, to recognise it only: some would not go with every manner.
     #[serde(default)]
     pub also_what: Vec<String>,
+    /// Manners that go with it, for the grammar; the domain's if none are given.
+    #[serde(default)]
+    pub how: Vec<String>,
     /// Reasons for it (Why), for the grammar.
     pub why: Vec<String>,
     /// Worked examples of a rating.
