@@ -5,6 +5,7 @@
 //! (that it reads well) is for a person and the coverage report.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::ops::Range;
 
 use crate::error::{Defect, TaxonomyError};
@@ -185,7 +186,7 @@ impl Taxonomy {
 fn require(
     holds: bool,
     key: &'static str,
-    given: impl ToString,
+    given: impl fmt::Display,
     allowed: &'static str,
 ) -> Result<(), TaxonomyError> {
     if holds {
