@@ -1,10 +1,13 @@
 //! What a database is to be made of: the domain, its topics, the phrases that say them, and the settings of a run.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::error::PipelineError;
 use crate::database::MAX_WORDS;
+use crate::raw::line_of;
 use crate::words;
 
 /// How a sentence is rated.
@@ -153,10 +156,9 @@ impl Plan {
     ///
     /// [`PipelineError`] naming the line or the key, what was given and what is allowed.
     pub fn from_toml(text: &str) -> Result<Self, PipelineError> {
-        let plan: Self = toml::from_str(text).map_err(|error| {
-            let at = error.span().map_or(0, |span| span.start.min(text.len()));
-            let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
-            PipelineError::PlanForm { line, message: error.message().replace('\n', ", ") }
+        let plan: Self = toml::from_str(text).map_err(|error| PipelineError::PlanForm {
+            line: line_of(text, &error),
+            message: error.message().replace('\n', ", "),
         })?;
         plan.check()?;
         Ok(plan)
@@ -228,7 +230,7 @@ impl Settings {
 fn require(
     holds: bool,
     key: &str,
-    given: impl ToString,
+    given: impl fmt::Display,
     allowed: &str,
 ) -> Result<(), PipelineError> {
     if holds {

@@ -42,7 +42,7 @@ pub struct LlamaSettings {
 }
 
 impl LlamaSettings {
-    /// Names SmolLM2-135M-Instruct, as the script fetches it.
+    /// Names `SmolLM2-135M-Instruct`, as the script fetches it.
     pub fn smollm2(path: PathBuf) -> Self {
         Self {
             path,

@@ -1,4 +1,4 @@
-//! all-MiniLM-L6-v2: sentences as 384 numbers, by mean over the tokens.
+//! `all-MiniLM-L6-v2`: sentences as 384 numbers, by mean over the tokens.
 
 use std::path::Path;
 
