@@ -128,11 +128,10 @@ impl AttentionOp {
                 let mean: f32 = shares.iter().zip(&d_scores).map(|(share, d)| share * d).sum();
                 for (i, &share) in shares.iter().enumerate() {
                     add_scaled(&mut d_values[of(i)], gradient, share);
-                    if Attention::is_present(presence[i]) {
-                        let d_score = share * (d_scores[i] - mean) * scale;
-                        add_scaled(&mut d_query[own.clone()], &keys[of(i)], d_score);
-                        add_scaled(&mut d_keys[of(i)], query, d_score);
-                    }
+                    let counts = f32::from(u8::from(Attention::is_present(presence[i])));
+                    let d_score = counts * share * (d_scores[i] - mean) * scale;
+                    add_scaled(&mut d_query[own.clone()], &keys[of(i)], d_score);
+                    add_scaled(&mut d_keys[of(i)], query, d_score);
                 }
             }
         }
