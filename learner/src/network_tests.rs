@@ -130,20 +130,6 @@ fn learner_and_actor_compute_the_same_bits() {
     }
 }
 
-/// Moves one number of one tensor.
-fn with_moved(
-    spec: &PolicySpec,
-    parameters: &Parameters,
-    (name, index): (&str, usize),
-    step: f32,
-) -> Parameters {
-    let names = parameters.tensors().keys();
-    let mut values: BTreeMap<String, Vec<f32>> =
-        names.map(|name| (name.clone(), parameters.values(name).unwrap())).collect();
-    values.get_mut(name).unwrap()[index] += step;
-    Parameters::from_values(spec, values, None).unwrap()
-}
-
 #[test]
 fn gradients_go_through_every_frame_and_are_those_of_small_steps() {
     let spec = policy(SMALL, 3);
@@ -169,7 +155,6 @@ fn gradients_go_through_every_frame_and_are_those_of_small_steps() {
                 .max_by(|&a, &b| gradient[a].abs().total_cmp(&gradient[b].abs()))
                 .unwrap();
             let moved = |step: f32| {
-<<<<<<< HEAD
                 let all = parameters.tensors().keys();
                 let all = all.map(|other| (other.clone(), parameters.values(other).unwrap()));
                 let mut all: BTreeMap<_, _> = all.collect();
@@ -177,10 +162,6 @@ fn gradients_go_through_every_frame_and_are_those_of_small_steps() {
                 let moved = Parameters::from_values(&spec, all, None).unwrap();
                 let network = ActorCritic::new(&spec, &moved).unwrap();
                 loss(&network).to_scalar::<f64>().unwrap()
-=======
-                let moved = with_moved(&spec, &parameters, (name, steepest), step);
-                loss(&ActorCritic::new(&spec, &moved).unwrap()).to_scalar::<f64>().unwrap()
->>>>>>> highway
             };
             let slope = (moved(1e-2) - moved(-1e-2)) / 2e-2;
             let found = f64::from(gradient[steepest]);
