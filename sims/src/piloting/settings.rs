@@ -130,7 +130,7 @@ impl Default for WorldSettings {
             zones: DEFAULT_ZONES.to_vec(),
             zone_jitter: [0.0, 0.0],
             zone_ends_episode: true,
-            zone_end_penalty: 100.0,
+            zone_end_penalty: 300.0,
             entry_penalty: 20.0,
             entry_charged: EntryPenalty::PerStep,
             near_penalty: NearPenalty::Depth,
