@@ -8,6 +8,8 @@
 //! Writes call log, database and report of every domain under `taxonomy/data/`. Without the embedder's directory,
 //! sentences are compared by the words they share.
 
+#![expect(clippy::print_stdout, reason = "an example talks")]
+
 use std::path::Path;
 
 use leadtime_taxonomy::pipeline::job::{self, Backend, BuildJob};

@@ -9,6 +9,8 @@
 //! The model only goes on with lists of examples, and whether a sentence is understood is read off its likeness to
 //! the domain's phrases: the result is marked `local`, and is no database to use.
 
+#![expect(clippy::print_stdout, reason = "an example talks")]
+
 use std::path::{Path, PathBuf};
 
 use leadtime_taxonomy::pipeline::closed_set::ClosedSet;

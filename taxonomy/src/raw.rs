@@ -50,7 +50,12 @@ pub(crate) struct RawUtterance {
 pub(crate) fn read(text: &str) -> Result<RawDatabase, TaxonomyError> {
     toml::from_str(text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start.min(text.len()));
-        let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+        let line = 1 + line_ends(text, at);
         TaxonomyError::Form { line, message: error.message().replace('\n', ", ") }
     })
+}
+
+/// Counts the line ends before a byte of a text.
+pub(crate) fn line_ends(text: &str, at: usize) -> usize {
+    text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }

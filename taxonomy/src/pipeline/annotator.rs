@@ -75,8 +75,8 @@ impl Annotator {
                 annotator.summary.push('\n');
             }
         }
-        annotator.summary = annotator.summary.trim().to_owned();
-        Ok(annotator)
+        let trimmed = annotator.summary.trim().to_owned();
+        Ok(Self { summary: trimmed, ..annotator })
     }
 
     fn generate(&self, topic: &str, cell: Cell, (n, round): (usize, u32)) -> Reply {

@@ -51,7 +51,7 @@ pub fn build(
     let kept = choose(plan, &mut progress.candidates, caller)?;
     let text = export::database(plan, &caller.header(), &kept);
     let taxonomy = Taxonomy::from_toml(&text);
-    let coverage = Coverage::new(plan, &progress.candidates, progress.rounds);
+    let coverage = Coverage::new(plan, &progress.candidates, &progress.rounds);
     let calls = caller.calls();
     Ok(Built { text, taxonomy, candidates: progress.candidates, coverage, calls })
 }

@@ -48,7 +48,7 @@ impl Coverage {
     pub fn new(
         plan: &Plan,
         candidates: &[Candidate],
-        rounds: BTreeMap<(usize, Cell), u32>,
+        rounds: &BTreeMap<(usize, Cell), u32>,
     ) -> Self {
         let [from, to] = plan.words;
         let mut coverage = Self {
@@ -181,7 +181,7 @@ fn sweep(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
                 n += 1;
             }
         }
-        let mean = f64::from(sum) / (n.max(1) as f64);
+        let mean = f64::from(sum) / f64::from(n.max(1));
         let filled = filled.len();
         line(out, &format!("| {theta} | {n} | {clamped} | {mean:.2} | {filled} of {feasible} |"));
     }

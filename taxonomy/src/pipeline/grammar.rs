@@ -50,10 +50,8 @@ impl Grammar {
             let list = |part| if order.contains(&part) { None } else { Some(&nothing[..]) };
             for what in &topic.what {
                 for how in list(Part::How).unwrap_or(hows) {
-                    for why in list(Part::Why).unwrap_or(&topic.why) {
-                        let phrases = [what.as_str(), how.as_str(), why.as_str()];
-                        found.extend(sentence(order, phrases, cell));
-                    }
+                    let whys = list(Part::Why).unwrap_or(&topic.why).iter();
+                    found.extend(whys.filter_map(|why| sentence(order, [what, how, why], cell)));
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! A language model behind HTTP: whatever speaks the common part of the OpenAI chat API.
+//! A language model behind HTTP: whatever speaks the common part of the `OpenAI` chat API.
 //!
 //! Only fields that llama.cpp's server, vLLM and Ollama all understand are sent: model, messages, temperature,
 //! `top_p`, seed, `max_tokens`, stream. What a server says beside text, reason of ending and token counts is ignored.
@@ -109,7 +109,9 @@ impl Http {
             Err(PipelineError::Plan { key, given, allowed })
         };
         let tls = cfg!(feature = "https");
-        if !settings.url.starts_with("http://") && !(tls && settings.url.starts_with("https://")) {
+        let starts = |scheme| settings.url.starts_with(scheme);
+        let fits = starts("http://") || tls && starts("https://");
+        if !fits {
             let allowed = if tls {
                 "http:// or https:// and HOST/v1"
             } else {

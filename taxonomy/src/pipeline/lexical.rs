@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn sentences_that_share_words_are_nearer() {
-        let mut embed = |text| Lexical.embed(text).unwrap();
+        let embed = |text| Lexical.embed(text).unwrap();
         let left = embed("Merge left now.");
         let near = left.cosine(&embed("Now merge left, please."));
         let far = left.cosine(&embed("Stir the soup."));

@@ -5,6 +5,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::error::PipelineError;
 use crate::database::MAX_WORDS;
+use crate::raw::line_ends;
 use crate::words;
 
 /// How a sentence is rated.
@@ -155,7 +156,7 @@ impl Plan {
     pub fn from_toml(text: &str) -> Result<Self, PipelineError> {
         let plan: Self = toml::from_str(text).map_err(|error| {
             let at = error.span().map_or(0, |span| span.start.min(text.len()));
-            let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+            let line = 1 + line_ends(text, at);
             PipelineError::PlanForm { line, message: error.message().replace('\n', ", ") }
         })?;
         plan.check()?;
@@ -170,15 +171,15 @@ impl Plan {
     pub fn check(&self) -> Result<(), PipelineError> {
         let [from, to] = self.words;
         let fits = 1 <= from && from <= to && to <= MAX_WORDS;
-        require(fits, "words", format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
-        require(!self.topic.is_empty(), "topic", "[]", "at least one topic")?;
+        require(fits, "words", &format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
+        require(!self.topic.is_empty(), "topic", &"[]", "at least one topic")?;
         for topic in &self.topic {
             let key = |name: &str| format!("topic.{}.{name}", topic.id);
-            require(!topic.what.is_empty(), &key("what"), "[]", "at least one phrase")?;
+            require(!topic.what.is_empty(), &key("what"), &"[]", "at least one phrase")?;
             for rated in &topic.rated {
                 let (given, words) = (rated.curve.len(), words::count(&rated.text) as usize);
                 let says = format!("{words} percentages, one per word of \"{}\"", rated.text);
-                require(given == words, &key("rated"), given, &says)?;
+                require(given == words, &key("rated"), &given, &says)?;
             }
         }
         self.settings.check()
@@ -199,7 +200,7 @@ impl Plan {
 impl Settings {
     fn check(&self) -> Result<(), PipelineError> {
         let within = |holds, key: &str, given: f64, allowed| {
-            require(holds, &format!("settings.{key}"), given, allowed)
+            require(holds, &format!("settings.{key}"), &given, allowed)
         };
         let theta = self.theta;
         within((1..=100).contains(&theta), "theta", theta.into(), "1 to 100 percent")?;
@@ -228,7 +229,7 @@ impl Settings {
 fn require(
     holds: bool,
     key: &str,
-    given: impl ToString,
+    given: &impl ToString,
     allowed: &str,
 ) -> Result<(), PipelineError> {
     if holds {
