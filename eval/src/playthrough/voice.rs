@@ -93,6 +93,8 @@ impl Voice {
 #[cfg(test)]
 mod tests {
     use leadtime_proto::TaskSpec;
+    use leadtime_sims::Message;
+    use leadtime_sims::notifier::Cells;
     use leadtime_sims::registry::Registry;
 
     use super::*;
@@ -141,6 +143,45 @@ mod tests {
         }
         assert!(Voice::shipped("cartpole", &[]).is_none());
         assert!(Voice::shipped("lander", &["ascend"]).is_none());
+    }
+
+    /// Lists the k and l of a cell, whichever crate's.
+    fn pair(cell: Cell) -> (u32, u32) {
+        (cell.comprehension, cell.conveyance)
+    }
+
+    #[test]
+    fn what_a_notifier_learns_with_is_what_a_voice_says() {
+        // Every table of up to three cells of one topic, and every choice.
+        let all: Vec<Cell> = Cell::feasible(2, 5).collect();
+        let header = "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
+                      embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = [\"a\"]\nconfig = \"\"\n";
+        let entry = |cell: Cell| {
+            let (k, l) = pair(cell);
+            let text: Vec<String> = (0..l).map(|i| format!("w{k}{l}{i}")).collect();
+            let curve: Vec<u32> = (1..=l).map(|i| if i < k { 10 } else { 90 }).collect();
+            format!(
+                "[[utterance]]\ntopic = \"a\"\ncomprehension = {k}\nconveyance = {l}\ntext = \"{}\"\n\
+                 spans = [[\"what\", 0, {k}]]\ncurve = {curve:?}\n",
+                text.join(" ")
+            )
+        };
+        for bits in (1_u32..1 << all.len()).filter(|bits| bits.count_ones() <= 3) {
+            let filled: Vec<Cell> =
+                (0..all.len()).filter(|i| bits >> i & 1 == 1).map(|i| all[i]).collect();
+            let text: String = filled.iter().map(|cell| entry(*cell)).collect();
+            let taxonomy = Taxonomy::from_toml(&format!("{header}{text}")).unwrap();
+            let table: Vec<_> =
+                filled.iter().map(|cell| ("a".to_owned(), pair(*cell).0, pair(*cell).1)).collect();
+            let cells = Cells::new(&table, &["a"], &[0]).unwrap();
+            for &cell in &all {
+                let request = Request { topic: 0, cell };
+                let said = taxonomy.retrieve(request, &Loss::default()).unwrap().cell;
+                let (comprehension, conveyance) = pair(cell);
+                let learned = cells.nearest(Message { topic: 0, comprehension, conveyance });
+                assert_eq!((learned.comprehension, learned.conveyance), pair(said), "{filled:?}");
+            }
+        }
     }
 
     #[test]
