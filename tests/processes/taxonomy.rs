@@ -111,6 +111,20 @@ fn a_database_is_printed_as_table_and_as_json() {
 }
 
 #[test]
+fn a_notifier_can_be_held_to_what_can_be_said() {
+    let place = Place::new();
+    let cells = taxonomy(&place, &["export", "lander", "--format", "cells"]).with_code(0).stdout;
+    let own = place.write("own.toml", &format!("domain = \"lander\"\n{cells}"));
+    place.finish(&["check", "-c", &own]).with_code(0);
+    let wrong = place.write("wrong.toml", &format!("domain = \"highway\"\n{cells}"));
+    let says = ["`notifier.cells`", "[\"ascend\", 2, 2]", "slow_down"];
+    place.finish(&["check", "-c", &wrong]).with_code(WRONG_INPUT).saying(&says);
+    let small = place.write("small.toml", SMALL);
+    let cells = taxonomy(&place, &["export", &small, "--format", "cells"]).with_code(0).stdout;
+    assert_eq!(cells, "[notifier]\ncells = [\n    [\"left\", 2, 3],\n    [\"right\", 2, 2],\n]\n");
+}
+
+#[test]
 fn what_a_database_lacks_is_listed_and_fails_only_if_asked() {
     let place = Place::new();
     let file = place.write("small.toml", SMALL);

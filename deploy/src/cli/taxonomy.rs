@@ -163,6 +163,8 @@ pub enum ExportFormat {
     Csv,
     /// One object.
     Json,
+    /// The filled cells, as `notifier.cells` of a configuration.
+    Cells,
 }
 
 /// `leadtime taxonomy export`

@@ -176,10 +176,10 @@ mod tests {
         let expected = "\
 trained: success (episode 3 of seed 7)
 return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
-    time  hears    understands             does
+    time  hears   understands              does
    0.3 s                                   own plan
    0.9 s  Shift
-   1.2 s  left,    shift left, word 2 of 3
+   1.2 s  left,   shift left, word 2 of 3
    1.5 s  now!                             about to react
    2.1 s                                   follows shift left
    3.0 s                                   own plan
@@ -187,7 +187,7 @@ return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
    3.9 s  ahead
    4.2 s  - go \u{2013}
    4.5 s  Go
-   4.8 s  down.    descend, word 2 of 2
+   4.8 s  down.   descend, word 2 of 2
    5.1 s                                   about to react
    5.7 s                                   follows descend
 \u{201c}Zone ahead - go up.\u{201d} is understood and over at (4, 4); the message was at (4, 5)

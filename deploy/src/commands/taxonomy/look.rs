@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use leadtime_proto::TaskSpec;
 use leadtime_taxonomy::pipeline::job::{self, Backend, BuildJob, Format};
-use leadtime_taxonomy::{Finding, Taxonomy, check};
+use leadtime_taxonomy::{Cell, Finding, Taxonomy, Topic, check};
 use serde_json::json;
 
 use super::source;
@@ -35,8 +35,23 @@ pub(super) fn export(args: &TaxonomyExportArgs) -> Result<(), Failure> {
     let text = match args.format {
         ExportFormat::Csv => job::export(&taxonomy, Format::Csv),
         ExportFormat::Json => job::export(&taxonomy, Format::Json),
+        ExportFormat::Cells => cells(&taxonomy),
     };
     deliver(args.output.as_deref(), &text)
+}
+
+/// Writes the filled cells as a part of a configuration.
+fn cells(taxonomy: &Taxonomy) -> String {
+    let of_topic = |topic: &Topic| {
+        let cell = |cell: Cell| {
+            let (k, l) = (cell.comprehension, cell.conveyance);
+            format!("[{:?}, {k}, {l}]", topic.name())
+        };
+        let cells: Vec<String> = topic.cells().map(|(filled, _)| cell(filled)).collect();
+        format!("    {},\n", cells.join(", "))
+    };
+    let topics: String = taxonomy.topics().iter().map(of_topic).collect();
+    format!("[notifier]\ncells = [\n{topics}]\n")
 }
 
 fn deliver(path: Option<&Path>, text: &str) -> Result<(), Failure> {
