@@ -128,9 +128,8 @@ impl AttentionOp {
                 let mean: f32 = shares.iter().zip(&d_scores).map(|(share, d)| share * d).sum();
                 for (i, &share) in shares.iter().enumerate() {
                     add_scaled(&mut d_values[of(i)], gradient, share);
-                    // Nothing moves the score of what is not there.
-                    let d_score = share * (d_scores[i] - mean) * scale;
-                    let d_score = d_score * f32::from(u8::from(Attention::is_present(presence[i])));
+                    let counts = f32::from(u8::from(Attention::is_present(presence[i])));
+                    let d_score = counts * share * (d_scores[i] - mean) * scale;
                     add_scaled(&mut d_query[own.clone()], &keys[of(i)], d_score);
                     add_scaled(&mut d_keys[of(i)], query, d_score);
                 }

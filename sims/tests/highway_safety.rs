@@ -11,7 +11,6 @@ fn drive(plan: Plan, change: impl FnOnce(&mut WorldSettings)) -> Safety {
     let mut settings = WorldSettings::default();
     change(&mut settings);
     let found = measure(&settings, plan, 0..N_EPISODES).expect("the settings are possible");
-    println!("{plan:?}: {:?} {found:?}", found.interval());
     assert_eq!(u64::from(found.n_episodes), N_EPISODES);
     found
 }
@@ -72,7 +71,6 @@ fn notify(baseline: &str) -> (f32, f32) {
         n_success += metrics[0];
         n_messages += metrics[1];
     }
-    println!("{baseline}: {n_success} of {n_episodes}, {n_messages} messages");
     (n_success / f32::from(n_episodes), n_messages / f32::from(n_episodes))
 }
 

@@ -8,7 +8,7 @@
 //! Writes call log, database and report of every domain under `taxonomy/data/`. Without the embedder's directory,
 //! sentences are compared by the words they share.
 
-#![expect(clippy::print_stdout, reason = "an example talks")]
+#![expect(clippy::print_stdout, reason = "an example talks to whoever runs it")]
 
 use std::path::Path;
 

@@ -9,7 +9,7 @@
 //! The model only goes on with lists of examples, and whether a sentence is understood is read off its likeness to
 //! the domain's phrases: the result is marked `local`, and is no database to use.
 
-#![expect(clippy::print_stdout, reason = "an example talks")]
+#![expect(clippy::print_stdout, reason = "an example talks to whoever runs it")]
 
 use std::path::{Path, PathBuf};
 

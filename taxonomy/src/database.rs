@@ -5,6 +5,7 @@
 //! (that it reads well) is for a person and the coverage report.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::ops::Range;
 
 use crate::error::{Defect, TaxonomyError};
@@ -185,7 +186,7 @@ impl Taxonomy {
 fn require(
     holds: bool,
     key: &'static str,
-    given: &impl ToString,
+    given: impl fmt::Display,
     allowed: &'static str,
 ) -> Result<(), TaxonomyError> {
     if holds {
@@ -196,17 +197,17 @@ fn require(
 }
 
 fn check_header(raw: &RawDatabase) -> Result<(), TaxonomyError> {
-    require(raw.schema == SCHEMA, "schema", &raw.schema, "1")?;
-    require(!raw.domain.is_empty(), "domain", &"empty", "the name of a domain")?;
-    require((1..=100).contains(&raw.theta), "theta", &raw.theta, "1 to 100 percent")?;
+    require(raw.schema == SCHEMA, "schema", raw.schema, "1")?;
+    require(!raw.domain.is_empty(), "domain", "empty", "the name of a domain")?;
+    require((1..=100).contains(&raw.theta), "theta", raw.theta, "1 to 100 percent")?;
     let [from, to] = raw.words;
     let fits = 1 <= from && from <= to && to <= MAX_WORDS;
-    require(fits, "words", &format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
+    require(fits, "words", format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
     let mut names: Vec<&str> = raw.topics.iter().map(String::as_str).collect();
     names.sort_unstable();
     names.dedup();
     let distinct = !names.is_empty() && names.len() == raw.topics.len();
-    require(distinct, "topics", &format!("{:?}", raw.topics), "at least one name, each once")
+    require(distinct, "topics", format!("{:?}", raw.topics), "at least one name, each once")
 }
 
 /// Checks one sentence on its own.

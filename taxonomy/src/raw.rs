@@ -48,14 +48,14 @@ pub(crate) struct RawUtterance {
 
 /// Reads the form of a file.
 pub(crate) fn read(text: &str) -> Result<RawDatabase, TaxonomyError> {
-    toml::from_str(text).map_err(|error| {
-        let at = error.span().map_or(0, |span| span.start.min(text.len()));
-        let line = 1 + line_ends(text, at);
-        TaxonomyError::Form { line, message: error.message().replace('\n', ", ") }
+    toml::from_str(text).map_err(|error| TaxonomyError::Form {
+        line: line_of(text, &error),
+        message: error.message().replace('\n', ", "),
     })
 }
 
-/// Counts the line ends before a byte of a text.
-pub(crate) fn line_ends(text: &str, at: usize) -> usize {
-    text.bytes().take(at).filter(|byte| *byte == b'\n').count()
+/// Finds the line, from 1, that a reader complains about.
+pub(crate) fn line_of(text: &str, error: &toml::de::Error) -> usize {
+    let at = error.span().map_or(0, |span| span.start);
+    1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }

@@ -52,12 +52,33 @@ fn help_explains_itself_and_lists_exit_codes() {
 fn every_built_in_configuration_can_be_printed_and_used() {
     let place = Place::new();
     let names = place.finish(&["config"]).with_code(0).stdout;
-    assert_eq!(names.lines().count(), 5);
+    let names_are =
+        ["cartpole", "cue_recall", "highway", "lander", "lander_hard", "pilot", "steakhouse"];
+    assert!(names.lines().eq(names_are), "{names}");
     for name in names.lines() {
         let text = place.finish(&["config", name]).with_code(0).stdout;
         let file = place.write("printed.toml", &text);
         place.finish(&["check", "-c", &file]).with_code(0);
     }
+}
+
+#[test]
+fn every_world_with_an_original_replays_its_traces() {
+    let place = Place::new();
+    for (world, traces) in [
+        ("lander", "lander_traces"),
+        ("highway", "highway_traces"),
+        ("steakhouse", "steak_traces"),
+        ("steakhouse", "steak_golden"),
+    ] {
+        let file = repository(&format!("tests/data/{traces}.json.gz"));
+        let told = place.finish(&["conformance", world, &file]).with_code(0).stdout;
+        assert!(told.ends_with("passed\n"), "{told}");
+        let report = place.finish(&["conformance", world, &file, "--json"]).with_code(0).json();
+        assert_eq!(report["passed"], true);
+    }
+    let wrong = repository("tests/data/steak_golden.json.gz");
+    place.finish(&["conformance", "highway", &wrong]).with_code(2);
 }
 
 #[test]

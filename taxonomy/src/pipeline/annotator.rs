@@ -75,8 +75,8 @@ impl Annotator {
                 annotator.summary.push('\n');
             }
         }
-        let trimmed = annotator.summary.trim().to_owned();
-        Ok(Self { summary: trimmed, ..annotator })
+        let summary = annotator.summary.trim().to_owned();
+        Ok(Self { summary, ..annotator })
     }
 
     fn generate(&self, topic: &str, cell: Cell, (n, round): (usize, u32)) -> Reply {

@@ -6,7 +6,7 @@
 /// A family of conversation marks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChatFormat {
-    /// `<|im_start|>role ... <|im_end|>`: `SmolLM2`, `Qwen`.
+    /// `<|im_start|>role ... <|im_end|>`: `SmolLM2`, Qwen.
     ChatMl,
     /// `<|start_header_id|>role<|end_header_id|> ... <|eot_id|>`: Llama 3.
     Llama3,

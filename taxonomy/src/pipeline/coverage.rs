@@ -171,7 +171,7 @@ fn sweep(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
     line(out, "| theta | understood | clamped | mean k | cells filled |\n|---|---|---|---|---|");
     for theta in THETAS {
         let mut filled: BTreeMap<(usize, Cell), usize> = BTreeMap::new();
-        let (mut sum, mut clamped, mut n) = (0, 0, 0);
+        let (mut sum, mut clamped, mut n) = (0, 0, 0_u32);
         for candidate in candidates.iter().filter(|candidate| candidate.is_accepted()) {
             if let Ok(heard) = heard(&candidate.rated, theta, from, settings.max_drop) {
                 let cell = Cell::new(heard.comprehension, heard.curve.len() as u32);

@@ -48,11 +48,12 @@ impl Grammar {
         let mut found = Vec::new();
         for order in ORDERS {
             let list = |part| if order.contains(&part) { None } else { Some(&nothing[..]) };
+            let hows = list(Part::How).unwrap_or(hows);
+            let whys = list(Part::Why).unwrap_or(&topic.why);
             for what in &topic.what {
-                for how in list(Part::How).unwrap_or(hows) {
-                    let whys = list(Part::Why).unwrap_or(&topic.why).iter();
-                    found.extend(whys.filter_map(|why| sentence(order, [what, how, why], cell)));
-                }
+                let pairs = hows.iter().flat_map(|how| whys.iter().map(move |why| (how, why)));
+                found
+                    .extend(pairs.filter_map(|(how, why)| sentence(order, [what, how, why], cell)));
             }
         }
         found.sort_unstable();

@@ -109,9 +109,8 @@ impl Http {
             Err(PipelineError::Plan { key, given, allowed })
         };
         let tls = cfg!(feature = "https");
-        let starts = |scheme| settings.url.starts_with(scheme);
-        let fits = starts("http://") || tls && starts("https://");
-        if !fits {
+        let schemes: &[&str] = if tls { &["http://", "https://"] } else { &["http://"] };
+        if !schemes.iter().any(|scheme| settings.url.starts_with(scheme)) {
             let allowed = if tls {
                 "http:// or https:// and HOST/v1"
             } else {

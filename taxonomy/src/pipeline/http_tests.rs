@@ -80,9 +80,7 @@ fn handle(stream: &TcpStream, plan: &Plan, manners: &[Manner], seen: &Mutex<Seen
     let mut stream = stream;
     match manner {
         Manner::Slowly => std::thread::sleep(Duration::from_millis(700)),
-        Manner::WrongCount => {
-            text = text.rsplit_once(',').map_or(text.clone(), |cut| cut.0.to_owned());
-        }
+        Manner::WrongCount => text.truncate(text.rfind(',').unwrap_or(text.len())),
         Manner::Nonsense => "As a model I cannot:".clone_into(&mut text),
         _ => {}
     }

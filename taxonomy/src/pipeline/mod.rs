@@ -52,6 +52,7 @@ mod representatives;
 pub mod rules;
 pub mod structure;
 pub mod template;
+pub mod weights;
 
 pub use backend::{Call, Embedder, Finish, Input, Model, Reply, Sampling, Stage};
 pub use build::{Built, build};

@@ -1,11 +1,13 @@
 //! What a database is to be made of: the domain, its topics, the phrases that say them, and the settings of a run.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::error::PipelineError;
 use crate::database::MAX_WORDS;
-use crate::raw::line_ends;
+use crate::raw::line_of;
 use crate::words;
 
 /// How a sentence is rated.
@@ -154,10 +156,9 @@ impl Plan {
     ///
     /// [`PipelineError`] naming the line or the key, what was given and what is allowed.
     pub fn from_toml(text: &str) -> Result<Self, PipelineError> {
-        let plan: Self = toml::from_str(text).map_err(|error| {
-            let at = error.span().map_or(0, |span| span.start.min(text.len()));
-            let line = 1 + line_ends(text, at);
-            PipelineError::PlanForm { line, message: error.message().replace('\n', ", ") }
+        let plan: Self = toml::from_str(text).map_err(|error| PipelineError::PlanForm {
+            line: line_of(text, &error),
+            message: error.message().replace('\n', ", "),
         })?;
         plan.check()?;
         Ok(plan)
@@ -171,15 +172,15 @@ impl Plan {
     pub fn check(&self) -> Result<(), PipelineError> {
         let [from, to] = self.words;
         let fits = 1 <= from && from <= to && to <= MAX_WORDS;
-        require(fits, "words", &format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
-        require(!self.topic.is_empty(), "topic", &"[]", "at least one topic")?;
+        require(fits, "words", format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
+        require(!self.topic.is_empty(), "topic", "[]", "at least one topic")?;
         for topic in &self.topic {
             let key = |name: &str| format!("topic.{}.{name}", topic.id);
-            require(!topic.what.is_empty(), &key("what"), &"[]", "at least one phrase")?;
+            require(!topic.what.is_empty(), &key("what"), "[]", "at least one phrase")?;
             for rated in &topic.rated {
                 let (given, words) = (rated.curve.len(), words::count(&rated.text) as usize);
                 let says = format!("{words} percentages, one per word of \"{}\"", rated.text);
-                require(given == words, &key("rated"), &given, &says)?;
+                require(given == words, &key("rated"), given, &says)?;
             }
         }
         self.settings.check()
@@ -200,7 +201,7 @@ impl Plan {
 impl Settings {
     fn check(&self) -> Result<(), PipelineError> {
         let within = |holds, key: &str, given: f64, allowed| {
-            require(holds, &format!("settings.{key}"), &given, allowed)
+            require(holds, &format!("settings.{key}"), given, allowed)
         };
         let theta = self.theta;
         within((1..=100).contains(&theta), "theta", theta.into(), "1 to 100 percent")?;
@@ -229,7 +230,7 @@ impl Settings {
 fn require(
     holds: bool,
     key: &str,
-    given: &impl ToString,
+    given: impl fmt::Display,
     allowed: &str,
 ) -> Result<(), PipelineError> {
     if holds {

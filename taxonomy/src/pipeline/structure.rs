@@ -139,10 +139,10 @@ mod tests {
     use super::*;
     use crate::pipeline::job;
 
-    /// Parts with their first word and the one after their last.
-    type Parts = Vec<(Part, u32, u32)>;
+    /// Topic and spans, as they are easiest to compare.
+    type Found = (String, Vec<(Part, u32, u32)>);
 
-    fn analyse(domain: &str, text: &str) -> Result<(String, Parts), Reason> {
+    fn analyse(domain: &str, text: &str) -> Result<Found, Reason> {
         let plan = job::plan(domain).unwrap();
         let structure = Lexicon::new(&plan).analyse(&words::words(text))?;
         let spans = structure.spans.into_iter().map(Into::into).collect();

@@ -10,11 +10,12 @@ use candle_transformers::models::quantized_llama::{MAX_SEQ_LEN, ModelWeights};
 use leadtime_numerics::Pcg64;
 use tokenizers::Tokenizer;
 
+use super::complaint::local;
 use super::sample::sample;
-use super::weights::{local, read};
 use crate::pipeline::backend::{Call, Finish, Model, Reply, Sampling};
 use crate::pipeline::chat::ChatFormat;
 use crate::pipeline::error::BackendError;
+use crate::pipeline::weights::read;
 use crate::utterance::Fidelity;
 
 /// How a model is talked to.
@@ -41,7 +42,7 @@ pub struct LlamaSettings {
 }
 
 impl LlamaSettings {
-    /// Names SmolLM2-135M-Instruct, as the script fetches it.
+    /// Names `SmolLM2-135M-Instruct`, as the script fetches it.
     pub fn smollm2(path: PathBuf) -> Self {
         Self {
             path,

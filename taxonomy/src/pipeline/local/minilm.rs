@@ -1,4 +1,4 @@
-//! all-MiniLM-L6-v2: sentences as 384 numbers, by mean over the tokens.
+//! `all-MiniLM-L6-v2`: sentences as 384 numbers, by mean over the tokens.
 
 use std::path::Path;
 
@@ -7,10 +7,11 @@ use candle_nn::VarBuilder;
 use candle_transformers::models::bert::{BertModel, Config};
 use tokenizers::Tokenizer;
 
-use super::weights::{local, read};
+use super::complaint::local;
 use crate::pipeline::backend::Embedder;
 use crate::pipeline::embedding::Embedding;
 use crate::pipeline::error::BackendError;
+use crate::pipeline::weights::read;
 
 /// Hash of `model.safetensors`.
 const WEIGHTS: &str = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db";

@@ -4,10 +4,14 @@ use std::path::Path;
 
 use sha2::{Digest as _, Sha256};
 
-use crate::pipeline::error::BackendError;
+use super::error::BackendError;
 
 /// Reads a file whose sha256 is known; `expected` in hexadecimal.
-pub(super) fn read(path: &Path, expected: &str) -> Result<Vec<u8>, BackendError> {
+///
+/// # Errors
+///
+/// [`BackendError::WrongHash`] if it is another file, [`BackendError::Local`] if it cannot be read.
+pub fn read(path: &Path, expected: &str) -> Result<Vec<u8>, BackendError> {
     use std::fmt::Write as _;
     let bytes = std::fs::read(path)
         .map_err(|error| BackendError::Local { message: format!("{}: {error}", path.display()) })?;
@@ -21,11 +25,6 @@ pub(super) fn read(path: &Path, expected: &str) -> Result<Vec<u8>, BackendError>
         return Err(BackendError::WrongHash { path, found, expected });
     }
     Ok(bytes)
-}
-
-/// Says what the tensor library or the tokenizer complained about.
-pub(super) fn local(error: impl std::fmt::Display) -> BackendError {
-    BackendError::Local { message: error.to_string().lines().next().unwrap_or_default().to_owned() }
 }
 
 #[cfg(test)]
