@@ -143,6 +143,20 @@ fn heavy_dependencies_belong_to_few_crates() {
 }
 
 #[test]
+fn the_program_brings_no_language_model_unless_asked() {
+    let out = Command::new(env!("CARGO"))
+        .current_dir(root())
+        .args(["tree", "--offline", "--locked", "--package=leadtime", "--edges=normal"])
+        .args(["--prefix=none", "--format={p}"])
+        .output()
+        .expect("cargo runs");
+    let tree = String::from_utf8(out.stdout).expect("package names are text");
+    assert!(tree.contains("leadtime-taxonomy"), "{}", String::from_utf8_lossy(&out.stderr));
+    let found = tree.lines().any(|line| line.starts_with("candle-transformers "));
+    assert!(!found, "the program depends on `candle-transformers`");
+}
+
+#[test]
 fn only_one_file_names_the_wire_encoding() {
     assert_eq!(offenders(&["bincode"], &["proto/src/codec.rs", "tests/house.rs"]), [""; 0]);
 }

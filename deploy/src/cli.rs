@@ -10,6 +10,13 @@ use crate::config::raw::EvaluationAction;
 use crate::config::table::Assignment;
 use crate::exit::EXIT_CODE_HELP;
 
+mod taxonomy;
+
+pub use taxonomy::{
+    BackendArgs, BackendName, Claim, ExportFormat, TaxonomyBuildArgs, TaxonomyCommand,
+    TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
+};
+
 /// Trains assistants that warn people in time: in words, with the delay of listening and reacting.
 #[derive(Debug, Parser)]
 #[command(name = "leadtime", version, propagate_version = true, after_help = EXAMPLES,
@@ -48,6 +55,12 @@ pub enum Command {
         /// What to do with it.
         #[command(subcommand)]
         command: PilotCommand,
+    },
+    /// Make, look at and check the sentences that a notifier's messages are spoken in.
+    Taxonomy {
+        /// What to do with them.
+        #[command(subcommand)]
+        command: TaxonomyCommand,
     },
     /// Compare a world with recorded traces of its public original.
     Conformance(ConformanceArgs),
@@ -181,9 +194,15 @@ pub struct ActorArgs {
 pub struct EvalArgs {
     /// A policy file, a run directory or the name of a run.
     pub policy: String,
-    /// Episodes per policy (default: the configuration's).
+    /// Episodes per policy (default: the configuration's; 1 with --transcript).
     #[arg(long)]
     pub episodes: Option<u32>,
+    /// Print the episodes as a person would hear them, word by word, instead of judging them.
+    #[arg(long, conflicts_with = "json")]
+    pub transcript: bool,
+    /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
+    #[arg(long, value_name = "DATABASE", requires = "transcript")]
+    pub words: Option<String>,
     /// Seed of the evaluation's random streams; another than in training.
     #[arg(long, default_value_t = 1_000_000)]
     pub eval_seed: u64,
@@ -215,6 +234,9 @@ pub struct PlayArgs {
     /// Which episode.
     #[arg(long, default_value_t = 1_000_000)]
     pub eval_seed: u64,
+    /// Quote these sentences: a database file, or a domain (default: those that come with the policy's domain).
+    #[arg(long, value_name = "DATABASE")]
+    pub words: Option<String>,
     /// Draw this scripted policy instead, such as `unaided` or `heuristic`.
     #[arg(long, value_name = "NAME")]
     pub baseline: Option<String>,

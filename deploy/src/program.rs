@@ -3,6 +3,8 @@
 use std::process;
 
 use clap::Parser as _;
+use leadtime_eval::measure::episode_seed;
+use leadtime_proto::TaskSpec;
 use leadtime_sims::Environment;
 use leadtime_sims::registry::{Registry, TaskError};
 
@@ -55,6 +57,14 @@ impl Program {
     pub fn with_defaults(mut self, name: &str, defaults: &str) -> Self {
         self.catalog.add(name, defaults);
         self
+    }
+
+    /// Names the topics of a task in the order of their ids; none if nobody speaks in it, or if it cannot be built.
+    pub(crate) fn topics(&self, task: &TaskSpec) -> Vec<&'static str> {
+        let Ok(mut environment) = self.registry.build(task) else { return Vec::new() };
+        let mut observation = vec![0.0; environment.spec().obs_dim];
+        environment.reset(episode_seed(0, 0), &mut observation);
+        environment.scene().map(|scene| scene.listener.topics).unwrap_or_default()
     }
 
     /// Reads the command line, does what it says, and returns the exit code.

@@ -46,6 +46,9 @@ pub enum Error {
     /// The task describes nothing that could be drawn.
     #[error("this task has nothing to draw")]
     NoScene,
+    /// The sentences are for other topics than the task's.
+    #[error(transparent)]
+    Words(#[from] leadtime_taxonomy::TaxonomyError),
     /// The rasteriser does not take the picture.
     #[error("the picture is not a valid SVG file")]
     Svg(#[from] resvg::usvg::Error),

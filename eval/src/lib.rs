@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! measure      players x environments --> episodes --> means with intervals, tables
-//! playthrough  one episode --> SVG, PNG, GIF
+//! playthrough  one episode --> SVG, PNG, GIF, and its words as a person would hear them
 //! figure       curves, histograms, shares of time --> SVG
 //! report       all of it --> one self-contained HTML file
 //! draw         canvas, inks, typeface, axes, pixels

@@ -28,6 +28,8 @@ pub enum Purpose {
     Bootstrap = 6,
     /// What a task draws about itself before an episode: variants, curricula (index: episode).
     Task = 7,
+    /// Which of a cell's sentences says a message (index: episode).
+    Words = 8,
 }
 
 /// Opens the stream of one purpose, environment and index of a run.

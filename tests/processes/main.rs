@@ -6,6 +6,7 @@
 //! | `bad_input` | wrong input is one sentence and a documented exit code |
 //! | `resilience` | killing anything changes no bit; the books balance |
 //! | `supervision` | processes live and die together |
+//! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
 //! | `rogue` | an actor that lies harms nobody |
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
@@ -16,3 +17,4 @@ mod resilience;
 mod rogue;
 mod supervision;
 mod support;
+mod taxonomy;

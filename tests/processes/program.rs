@@ -203,5 +203,17 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
         place.finish(&["play", run, "-o", name]).with_code(0);
         assert!(place.path().join(name).metadata().unwrap().len() > 1_000, "{name}");
     }
+    // And in words: the same ones whenever it is asked.
+    let hear = ["eval", run, "--transcript", "--episodes", "2", "--baseline", "heuristic"];
+    let heard = place.finish(&hear).with_code(0).stdout;
+    assert_eq!(heard.matches("understands").count(), 4, "{heard}");
+    assert!(heard.contains("follows "), "{heard}");
+    assert!(!heard.contains(" 1/"), "words, not numbers: {heard}");
+    assert_eq!(place.finish(&hear).with_code(0).stdout, heard);
+    let other = [&hear[..], &["--words", "highway"]].concat();
+    place.finish(&other).with_code(2).saying(&["highway", "slow_down", "ascend"]);
+    place.finish(&["play", run, "-o", "h.svg", "--baseline", "heuristic"]).with_code(0);
+    let drawn = fs::read_to_string(place.path().join("h.svg")).unwrap();
+    assert!(drawn.contains('\u{201c}'), "a sentence is quoted");
     place.finish(&["play", run, "-o", "a.bmp"]).with_code(2).saying(&["png, svg, gif or html"]);
 }

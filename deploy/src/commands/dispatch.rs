@@ -3,7 +3,9 @@
 use clap::CommandFactory as _;
 use tokio::runtime;
 
-use super::{actor, check, config, conformance, eval, learner, pilot, play, runs, smoke, up};
+use super::{
+    actor, check, config, conformance, eval, learner, pilot, play, runs, smoke, taxonomy, up,
+};
 use crate::cli::{Cli, Command, PilotCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{Program, logging, output};
@@ -24,6 +26,7 @@ pub fn dispatch(program: &Program, command: Command) -> Result<(), Failure> {
         Command::Eval(args) => eval::run(program, &args),
         Command::Play(args) => play::run(program, &args),
         Command::Pilot { command: PilotCommand::Eval(args) } => pilot::run(&args),
+        Command::Taxonomy { command } => taxonomy::run(program, &command),
         Command::Conformance(args) => conformance::run(&args),
         Command::Config(args) => config::run(program, &args),
         Command::Runs(args) => runs::run(&args),

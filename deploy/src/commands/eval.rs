@@ -1,9 +1,11 @@
 //! `leadtime eval`: a policy over many episodes, beside scripted players if wanted.
 
 use leadtime_eval::measure::Player;
+use leadtime_taxonomy::Pace;
 
 use super::{judge, policy_file};
 use crate::cli::EvalArgs;
+use crate::config::Config;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{Program, output};
 
@@ -20,6 +22,9 @@ pub(super) fn run(program: &Program, args: &EvalArgs) -> Result<(), Failure> {
     for player in &players {
         player.check(environment.as_ref()).blame(ExitCode::WrongInput)?;
     }
+    if args.transcript {
+        return transcript(program, args, config, &players);
+    }
     tracing::info!(policy = %loaded.path.display(), n_episodes, "judging");
     let evaluations = judge::evaluate_all(program, config, &players, n_episodes, args.eval_seed)?;
     let comparison = judge::compare(config, &evaluations);
@@ -33,6 +38,25 @@ pub(super) fn run(program: &Program, args: &EvalArgs) -> Result<(), Failure> {
         }));
     } else {
         output::line(comparison.text().trim_end());
+    }
+    Ok(())
+}
+
+/// Prints the same episodes of every player, word by word.
+fn transcript(
+    program: &Program,
+    args: &EvalArgs,
+    config: &Config,
+    players: &[Player],
+) -> Result<(), Failure> {
+    let voice = judge::voice(program, config, args.words.as_deref())?;
+    for player in players {
+        for index in 0..u64::from(args.episodes.unwrap_or(1)) {
+            let played =
+                judge::record(program, config, player, voice.as_ref(), (args.eval_seed, index))
+                    .blame(ExitCode::WrongInput)?;
+            output::line(&played.transcript(&Pace::default()));
+        }
     }
     Ok(())
 }

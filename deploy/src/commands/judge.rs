@@ -3,14 +3,17 @@
 use std::path::Path;
 use std::thread::available_parallelism;
 
+use anyhow::Context as _;
 use leadtime_eval::measure::{Choice, Comparison, EvaluateSettings, Evaluation, Player, evaluate};
-use leadtime_eval::playthrough::Playthrough;
+use leadtime_eval::playthrough::{Playthrough, Voice};
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_policy::Parameters;
 
+use super::taxonomy;
 use crate::Program;
 use crate::config::Config;
 use crate::config::raw::EvaluationAction;
+use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// Seed of evaluations: another than any run's by default, so that nothing is judged on what it was trained on.
 pub(super) const EVAL_SEED: u64 = 1_000_000;
@@ -61,16 +64,43 @@ pub(super) fn compare(config: &Config, evaluations: &[Evaluation]) -> Comparison
     others.iter().fold(comparison, |so_far, other| so_far.with_difference(first, other, measure))
 }
 
-/// Plays one episode to be drawn.
+/// Finds the sentences for a domain's messages: those of a database that the person names, else the shipped ones;
+/// `None` where there are none.
+///
+/// # Errors
+///
+/// Wrong input: a database that cannot be read, or is about other topics.
+pub(super) fn voice(
+    program: &Program,
+    config: &Config,
+    database: Option<&str>,
+) -> Result<Option<Voice>, Failure> {
+    let Some(name) = database else { return Ok(shipped_voice(program, config)) };
+    let taxonomy = taxonomy::database(name)?;
+    let topics = program.topics(&config.evaluation.task);
+    let voice = Voice::new(taxonomy, &topics).with_context(|| name.to_owned());
+    Ok(Some(voice.blame(ExitCode::WrongInput)?))
+}
+
+/// Returns the sentences that come with the program, where they are about the domain's topics.
+pub(super) fn shipped_voice(program: &Program, config: &Config) -> Option<Voice> {
+    Voice::shipped(config.domain.as_str(), &program.topics(&config.evaluation.task))
+}
+
+/// Plays the episode of a seed and a number, to be drawn or told; in words, if there is a voice.
 pub(super) fn record(
     program: &Program,
     config: &Config,
     player: &Player,
-    seed: u64,
-    index: u64,
+    voice: Option<&Voice>,
+    (seed, index): (u64, u64),
 ) -> anyhow::Result<Playthrough> {
     let mut environment = program.registry.build(&config.evaluation.task)?;
-    Ok(Playthrough::record(environment.as_mut(), player, seed, index)?)
+    let mut played = Playthrough::record(environment.as_mut(), player, seed, index)?;
+    if let Some(voice) = voice {
+        voice.speak(&mut played)?;
+    }
+    Ok(played)
 }
 
 /// Returns the extension of a path in lower case.

@@ -15,6 +15,7 @@ mod policy_file;
 mod run_report;
 mod runs;
 mod smoke;
+mod taxonomy;
 mod up;
 
 pub use dispatch::dispatch;

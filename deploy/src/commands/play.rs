@@ -36,7 +36,9 @@ pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
         Some(name) => Player::baseline(name),
         None => judge::policy("policy", &loaded.config, &loaded.parameters, action)?,
     };
-    let played = judge::record(program, &loaded.config, &player, args.eval_seed, 0)
+    let voice = judge::voice(program, &loaded.config, args.words.as_deref())?;
+    let episode = (args.eval_seed, 0);
+    let played = judge::record(program, &loaded.config, &player, voice.as_ref(), episode)
         .blame(ExitCode::WrongInput)?;
     draw(&played, &args.output).blame(ExitCode::WrongInput)?;
     let (title, n_steps) = (played.title(), played.n_steps());

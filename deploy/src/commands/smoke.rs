@@ -160,9 +160,11 @@ fn draw(
         return Ok(Vec::new());
     }
     let index = telling_episode(evaluations);
+    let voice = judge::shipped_voice(program, config);
     let mut pictures = Vec::new();
     for (i, player) in players.iter().enumerate().take(2) {
-        let played = judge::record(program, config, player, judge::EVAL_SEED, index)?;
+        let episode = (judge::EVAL_SEED, index);
+        let played = judge::record(program, config, player, voice.as_ref(), episode)?;
         if i == 0 {
             play::draw(&played, &directory.join("playthrough.png"))?;
         }

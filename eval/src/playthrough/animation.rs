@@ -68,14 +68,18 @@ impl Playthrough {
         let doing = i.checked_sub(1).map_or(Doing::OwnPlan, |step| story.doing[step]);
         canvas.rectangle(Area::new(MARGIN, 12.0, 14.0, 14.0), 3.0, Paint::fill(doing.ink()));
         let ended = i == self.scenes.len() - 1;
-        let text = if ended { self.title() } else { caption(scene, doing) };
+        let sentence = story.spoken(i).and_then(|said| {
+            let (sentence, utterance) = (self.sentences.get(said)?, &story.utterances[said]);
+            Some(sentence.so_far(i - utterance.start, utterance.conveyance))
+        });
+        let text = if ended { self.title() } else { caption(scene, doing, sentence.as_deref()) };
         let style = TextStyle::new(14.0, Ink::Text);
         canvas.text([MARGIN + 22.0, 24.0], &text, if ended { style.bold() } else { style });
     }
 }
 
-/// Says in a line what the person hears and does.
-fn caption(scene: &Scene, doing: Doing) -> String {
+/// Says in a line what the person hears and does; `sentence` is what they have heard of it, if it is known.
+fn caption(scene: &Scene, doing: Doing, sentence: Option<&str>) -> String {
     let listener = &scene.listener;
     let does = match (doing, listener.reacting.or(listener.pending)) {
         (Doing::Following, Some(topic)) => {
@@ -83,6 +87,9 @@ fn caption(scene: &Scene, doing: Doing) -> String {
         }
         _ => doing.label().to_owned(),
     };
+    if let Some(words) = sentence {
+        return format!("{does}   \u{b7}   \u{201c}{words}\u{201d}");
+    }
     let Some(speech) = listener.speech else { return does };
     let topic = topic_name(scene, speech.topic);
     format!(

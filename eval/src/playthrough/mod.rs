@@ -3,7 +3,8 @@
 //! ```text
 //! record: Environment + Player --> Playthrough (a scene per step)
 //! story:  scenes --> what the person was doing in each step, utterances and reactions as spans of time
-//! picture, animation: SVG, PNG, GIF
+//! voice:  topic, k, l of each utterance --> the sentence that says it
+//! picture, animation: SVG, PNG, GIF     transcript: text
 //! ```
 //!
 //! Everything is drawn from [`Scene`](leadtime_sims::Scene)s, so a road or a kitchen draws as a lander does.
@@ -14,10 +15,13 @@ mod picture;
 mod record;
 mod story;
 mod strip;
+mod transcript;
+mod voice;
 mod world;
 
 pub use record::Playthrough;
 pub use story::{Doing, Span, Story, Utterance};
+pub use voice::{Sentence, Voice};
 
 #[cfg(test)]
 pub(crate) mod synthetic;

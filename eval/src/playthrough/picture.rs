@@ -31,9 +31,9 @@ impl Playthrough {
             world.draw_path(&mut canvas, &self.scenes, &story);
             world.draw_body(&mut canvas, last, 1.0);
             world.draw_starts(&mut canvas, &self.scenes, &story);
-            world.draw_labels(&mut canvas, &self.scenes, &story);
+            world.draw_labels(&mut canvas, self, &story);
             self.draw_legend(&mut canvas, legend_y);
-            strip::draw(&mut canvas, [MARGIN, strip_y], width, &self.scenes, &story);
+            strip::draw(&mut canvas, [MARGIN, strip_y], width, self, &story);
         }
         canvas.finish(&self.title())
     }
@@ -111,7 +111,7 @@ fn legend_text(canvas: &mut Canvas, x: f64, y: f64, text: &str) -> f64 {
 #[cfg(test)]
 mod tests {
     use crate::draw::Rasterizer;
-    use crate::playthrough::synthetic;
+    use crate::playthrough::{Voice, synthetic};
 
     #[test]
     fn a_playthrough_becomes_a_picture_with_everything_named() {
@@ -126,6 +126,19 @@ mod tests {
         }
         let pixels = Rasterizer::new().pixels(&svg, 1.0).unwrap();
         assert_eq!(pixels.width, 860);
+    }
+
+    #[test]
+    fn sentences_are_quoted_where_topics_stood() {
+        let mut playthrough = synthetic::playthrough();
+        let topics = ["ascend", "shift_left", "shift_right", "descend"];
+        let voice = Voice::shipped("lander", &topics).unwrap();
+        voice.speak(&mut playthrough).unwrap();
+        let said = playthrough.sentences.clone();
+        let svg = playthrough.svg("p");
+        // The first three say to shift right, each in its own words.
+        assert!(svg.contains(&format!("{} and 2 more", said[0])), "{}", said[0]);
+        assert!(svg.contains(&said[5].to_string()), "{}", said[5]);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use leadtime_numerics::Purpose;
 use leadtime_sims::{Environment, Scene};
 
+use super::voice::Sentence;
 use crate::error::Error;
 use crate::measure::{Acting, Player, episode_seed};
 
@@ -24,6 +25,9 @@ pub struct Playthrough {
     pub total_reward: f64,
     /// Whether the task counts the episode as a success; `None` if it knows no such thing.
     pub success: Option<bool>,
+    /// What was said, in the order of [`Story::utterances`](super::Story); empty until a [`Voice`](super::Voice) has
+    /// spoken.
+    pub sentences: Vec<Sentence>,
 }
 
 impl Playthrough {
@@ -58,7 +62,8 @@ impl Playthrough {
             if outcome.end.is_some() {
                 let success = success(environment);
                 let player = player.name().to_owned();
-                return Ok(Self { player, seed, index, scenes, total_reward, success });
+                let sentences = Vec::new();
+                return Ok(Self { player, seed, index, scenes, total_reward, success, sentences });
             }
         }
         Err(Error::Endless { index, n_steps: MAX_STEPS })

@@ -58,6 +58,8 @@ pub struct Utterance {
     pub start: usize,
     /// Words that it needs to be understood.
     pub comprehension: usize,
+    /// Words that it has.
+    pub conveyance: usize,
     /// Scene at which it ended or was cut off.
     pub end: usize,
 }
@@ -86,7 +88,19 @@ pub struct Story {
     pub reactions: Vec<Span>,
 }
 
+impl Utterance {
+    /// Returns the scene in which it has been understood; `None` if it was cut off before.
+    pub fn understood(&self) -> Option<usize> {
+        Some(self.start + self.comprehension).filter(|understood| *understood <= self.end)
+    }
+}
+
 impl Story {
+    /// Returns the place of the message that is spoken in the step which leads to scene `i`.
+    pub(super) fn spoken(&self, i: usize) -> Option<usize> {
+        self.utterances.iter().rposition(|utterance| utterance.start < i && i <= utterance.end)
+    }
+
     /// Retells an episode from its scenes.
     pub fn new(scenes: &[Scene]) -> Self {
         let doing = scenes.windows(2).map(|pair| doing(&pair[0], &pair[1])).collect();
@@ -130,9 +144,10 @@ fn utterances(scenes: &[Scene]) -> Vec<Utterance> {
             .is_some_and(|scene| scene.listener.speech.is_some_and(|speech| speech.started));
         // A finished utterance is gone in the scene after its last word.
         let words = heard + usize::from(!replaced);
-        let end = (start + words.min(speech.conveyance as usize)).min(scenes.len() - 1);
-        let comprehension = speech.comprehension as usize;
-        all.push(Utterance { topic: speech.topic, start, comprehension, end });
+        let [comprehension, conveyance] =
+            [speech.comprehension, speech.conveyance].map(|words| words as usize);
+        let end = (start + words.min(conveyance)).min(scenes.len() - 1);
+        all.push(Utterance { topic: speech.topic, start, comprehension, conveyance, end });
     }
     all
 }
@@ -165,7 +180,7 @@ mod tests {
     fn a_message_is_heard_then_waited_for_then_followed() {
         // Said at 3 with k = 2, l = 3; comprehended at 5; two steps of delay; followed for three steps.
         let story = Story::new(&synthetic::scenes(14, &[(3, 1, 2, 3)]));
-        let expected = Utterance { topic: 1, start: 3, comprehension: 2, end: 6 };
+        let expected = Utterance { topic: 1, start: 3, comprehension: 2, conveyance: 3, end: 6 };
         assert_eq!(story.utterances, [expected]);
         assert_eq!(story.waits, [Span { topic: 1, start: 5, end: 7 }]);
         assert_eq!(story.reactions, [Span { topic: 1, start: 7, end: 10 }]);

@@ -2,6 +2,7 @@
 
 use leadtime_sims::Scene;
 
+use super::record::Playthrough;
 use super::story::{Doing, Story};
 use super::world::{draw_marker, topic_name};
 use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
@@ -20,9 +21,10 @@ pub(super) fn draw(
     canvas: &mut Canvas,
     corner: [f64; 2],
     width: f64,
-    scenes: &[Scene],
+    played: &Playthrough,
     story: &Story,
 ) {
+    let scenes = &played.scenes[..];
     let n_steps = (scenes.len() - 1).max(1) as f64;
     let area = Area::new(corner[0] + LEFT, corner[1], width - LEFT, CURVE_HEIGHT);
     let heights = || scenes.iter().map(|scene| scene.position[1]);
@@ -42,7 +44,7 @@ pub(super) fn draw(
         let style = TextStyle::new(11.5, Ink::Muted).anchored(Anchor::End);
         canvas.text([lane.x - 8.0, lane.y + 13.5], name, style);
     }
-    draw_lanes(canvas, &frame, lane, scenes, story);
+    draw_lanes(canvas, &frame, lane, played, story);
     let bottom = Area::new(area.x, lane(2).y, area.width, LANE_HEIGHT + 4.0);
     let axis = Panel::new(bottom, [0.0, n_steps], [0.0, 1.0]);
     axis.draw_x(canvas, 8, Some(&axis_label(&scenes[0], story)));
@@ -82,14 +84,15 @@ fn draw_lanes(
     canvas: &mut Canvas,
     frame: &Panel,
     lane: impl Fn(usize) -> Area,
-    scenes: &[Scene],
+    played: &Playthrough,
     story: &Story,
 ) {
+    let scenes = &played.scenes[..];
     let bar = |row: usize, start: usize, end: usize| {
         let (from, to) = (frame.x.at(start as f64), frame.x.at(end as f64));
         Area::new(from, lane(row).y, (to - from - 1.0).max(1.0), LANE_HEIGHT)
     };
-    for utterance in &story.utterances {
+    for (i, utterance) in story.utterances.iter().enumerate() {
         let understood = utterance.start + utterance.comprehension;
         let paint = Paint::fill(Doing::Hearing.ink());
         let words = bar(0, utterance.start, utterance.end);
@@ -101,7 +104,8 @@ fn draw_lanes(
             let y = words.y + LANE_HEIGHT / 2.0;
             canvas.line(&[[words.x, y], [words.right(), y]], Paint::stroke(Ink::Text, 1.4));
         }
-        name_bar(canvas, &words, &topic_name(&scenes[0], utterance.topic));
+        let sentence = played.sentences.get(i).map(ToString::to_string);
+        name_bar(canvas, &words, sentence.as_deref(), &topic_name(&scenes[0], utterance.topic));
     }
     for (row, spans, doing) in
         [(1, &story.waits, Doing::Waiting), (2, &story.reactions, Doing::Following)]
@@ -109,17 +113,18 @@ fn draw_lanes(
         for span in spans {
             let area = bar(row, span.start, span.end);
             canvas.rectangle(area, 2.0, Paint::fill(doing.ink()).fill_opacity(0.85));
-            name_bar(canvas, &area, &topic_name(&scenes[0], span.topic));
+            name_bar(canvas, &area, None, &topic_name(&scenes[0], span.topic));
         }
     }
 }
 
-/// Writes a topic into its bar if it fits, else its initials, else nothing.
-fn name_bar(canvas: &mut Canvas, area: &Area, name: &str) {
+/// Writes a sentence into its bar if it fits, else its topic, else the topic's initials, else nothing.
+fn name_bar(canvas: &mut Canvas, area: &Area, sentence: Option<&str>, name: &str) {
     const SIZE: f64 = 10.5;
     let initials = initials(name);
     let fits = |text: &&str| text_width(text, SIZE, Weight::Regular) + 5.0 <= area.width;
-    let Some(text) = [name, initials.as_str()].into_iter().find(fits) else { return };
+    let texts = sentence.into_iter().chain([name, initials.as_str()]);
+    let Some(text) = texts.into_iter().find(fits) else { return };
     let style = TextStyle::new(SIZE, Ink::Text).anchored(Anchor::Middle);
     canvas.text([area.x + area.width / 2.0, area.y + 13.3], text, style);
 }

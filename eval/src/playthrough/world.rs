@@ -3,7 +3,9 @@
 use leadtime_sims::{Scene, Shape, Tone, View};
 
 use super::labels::{self, Placer};
+use super::record::Playthrough;
 use super::story::{Doing, Story};
+use super::voice::Sentence;
 use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Scale, TextStyle};
 
 /// A world is drawn at most this much higher than wide ...
@@ -99,7 +101,8 @@ impl World {
     }
 
     /// Names the messages beside their markers, as many as fit; repetitions share a label.
-    pub(super) fn draw_labels(&self, canvas: &mut Canvas, scenes: &[Scene], story: &Story) {
+    pub(super) fn draw_labels(&self, canvas: &mut Canvas, played: &Playthrough, story: &Story) {
+        let scenes = &played.scenes;
         let path = scenes.iter().map(|scene| self.at(scene.position)).collect();
         let mut placer = Placer::new(self.area, path);
         for utterance in &story.utterances {
@@ -109,11 +112,16 @@ impl World {
         for text in self.texts(scenes) {
             placer.block(text);
         }
+        let mut first = 0;
         for run in story.utterances.chunk_by(|a, b| a.topic == b.topic) {
-            let name = topic_name(&scenes[0], run[0].topic);
-            let text = if run.len() > 1 { format!("{name} \u{d7}{}", run.len()) } else { name };
             let marker = self.at(scenes[run[0].start].position);
-            let Some(area) = placer.place(marker, &text) else { continue };
+            // A sentence needs more room than the topic that it says.
+            let sentence = played.sentences.get(first).map(|sentence| said(sentence, run.len()));
+            first += run.len();
+            let named = named(&topic_name(&scenes[0], run[0].topic), run.len());
+            let mut texts = sentence.into_iter().chain([named]);
+            let placed = texts.find_map(|text| Some((placer.place(marker, &text)?, text)));
+            let Some((area, text)) = placed else { continue };
             draw_leader(canvas, marker, &area);
             let style =
                 TextStyle::new(labels::SIZE, Ink::Text).anchored(Anchor::Middle).haloed(Ink::Panel);
@@ -161,6 +169,16 @@ impl World {
 pub(super) fn topic_name(scene: &Scene, topic: usize) -> String {
     let name = scene.listener.topics.get(topic).copied();
     name.map_or_else(|| format!("topic {topic}"), |name| name.replace('_', " "))
+}
+
+/// Names the topic of a message and of those that repeat it.
+fn named(topic: &str, n: usize) -> String {
+    if n > 1 { format!("{topic} \u{d7}{n}") } else { topic.to_owned() }
+}
+
+/// Quotes a sentence, and counts those that say the same in other words.
+fn said(sentence: &Sentence, n: usize) -> String {
+    if n > 1 { format!("{sentence} and {} more", n - 1) } else { sentence.to_string() }
 }
 
 /// Draws the mark of a message's start.

@@ -10,6 +10,7 @@
 
 use leadtime_proto::{ActionSpec, Conditional, Gate, Head, Mask};
 
+use super::cells::Cells;
 use super::settings::{NotificationType, NotifierSettings};
 use crate::Message;
 use crate::human::Order;
@@ -32,6 +33,8 @@ pub(super) struct Actions {
     words: Vec<u32>,
     /// The domain's id of each topic choice.
     topic_ids: Vec<usize>,
+    /// What can be said, if not everything.
+    cells: Option<Cells>,
     can_stop: bool,
 }
 
@@ -46,6 +49,7 @@ impl Actions {
             notification: settings.notification,
             words: settings.words.clone(),
             topic_ids: settings.topic_ids(known_topics)?,
+            cells: settings.said(known_topics)?,
             can_stop,
         })
     }
@@ -93,7 +97,8 @@ impl Actions {
             NotificationType::IncrementallyActionable => (words(action[2]), words(action[3])),
         };
         let topic = self.topic_ids[usize::from(action[1])];
-        Message { topic, comprehension, conveyance: conveyance.max(comprehension) }
+        let chosen = Message { topic, comprehension, conveyance: conveyance.max(comprehension) };
+        self.cells.as_ref().map_or(chosen, |cells| cells.nearest(chosen))
     }
 
     /// Writes the action that starts a message, with the nearest k and l there are; silence if it cannot be said.
@@ -212,6 +217,22 @@ mod tests {
         assert_eq!(action, [1, 0, 1, 3]);
         full.write(None, &mut action);
         assert_eq!(action, [0; 4]);
+    }
+
+    #[test]
+    fn a_choice_that_cannot_be_said_becomes_the_nearest_that_can() {
+        let cell = |topic: &str, k, l| (topic.to_owned(), k, l);
+        let cells = vec![cell("up", 2, 4), cell("down", 3, 3), cell("wait", 2, 2)];
+        let settings = NotifierSettings { cells: Some(cells), ..NotifierSettings::default() };
+        let actions = Actions::new(&settings, TOPICS, false).unwrap();
+        assert_eq!(actions.order(&[1, 0, 0, 2]), Order::Start(message(0, 2, 4)));
+        assert_eq!(actions.order(&[1, 0, 2, 3]), Order::Start(message(0, 2, 4)));
+        assert_eq!(actions.order(&[1, 1, 0, 0]), Order::Start(message(1, 3, 3)));
+        // What is offered does not change: a policy for one database fits another.
+        assert_eq!(actions.spec(), self::actions(settings.notification, false).spec());
+        let lacking = NotifierSettings { cells: Some(vec![cell("up", 2, 4)]), ..settings };
+        let error = Actions::new(&lacking, TOPICS, false).unwrap_err().to_string();
+        assert!(error.starts_with("`notifier.cells` is a table without `down`"), "{error}");
     }
 
     #[test]

@@ -14,9 +14,11 @@
 //! [`NotifierEnv`] is the environment; [`NotifierSettings`] what can be chosen about it.
 
 mod actions;
+mod cells;
 mod environment;
 mod history;
 mod settings;
 
+pub use cells::{Cell, Cells};
 pub use environment::NotifierEnv;
 pub use settings::{NotificationType, NotifierSettings};

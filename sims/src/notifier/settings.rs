@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::cells::{Cell, Cells};
 use crate::human::machine::MAX_WORDS;
 use crate::setting::{SettingError, require};
 
@@ -27,6 +28,9 @@ pub struct NotifierSettings {
     pub words: Vec<u32>,
     /// The topics that may be spoken of, by name, in this order. Default: all of the domain's.
     pub topics: Option<Vec<String>>,
+    /// The k and l that can be said on each topic; another choice becomes the nearest of its topic ([`Cells`]).
+    /// Default: all.
+    pub cells: Option<Vec<Cell>>,
     /// How many (observation, action) pairs the policy sees (1..=64). Default 4.
     pub history: usize,
     /// Whether the policy sees how much of its own utterance is spoken, and on what topic. Default true.
@@ -41,6 +45,7 @@ impl Default for NotifierSettings {
             notification: NotificationType::IncrementallyActionable,
             words: vec![2, 3, 4, 5],
             topics: None,
+            cells: None,
             history: 4,
             observe_utterance: true,
             initiation_cost: 1.0,
@@ -69,7 +74,17 @@ impl NotifierSettings {
         require(fits, "notifier.history", self.history, "1 to 64 pairs")?;
         let fits = self.initiation_cost.is_finite() && self.initiation_cost >= 0.0;
         require(fits, "notifier.initiation_cost", self.initiation_cost, "a number of at least 0")?;
-        self.topic_ids(known_topics).map(drop)
+        self.said(known_topics).map(drop)
+    }
+
+    /// Returns which k and l can be said, if not all.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] if the table is impossible, or lacks a topic that may be spoken of.
+    pub fn said(&self, known: &[&str]) -> Result<Option<Cells>, SettingError> {
+        let spoken = self.topic_ids(known)?;
+        self.cells.as_ref().map(|cells| Cells::new(cells, known, &spoken)).transpose()
     }
 
     /// Returns the domain's ids of the topics that may be spoken of.

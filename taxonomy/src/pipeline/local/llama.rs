@@ -36,8 +36,8 @@ pub struct LlamaSettings {
     pub sha256: String,
     /// How it is talked to.
     pub style: Style,
-    /// Whether weights are unpacked to 32 bits (`CANDLE_DEQUANTIZE_ALL=1`, which the program sets): faster, and other
-    /// text from the same seed, so it belongs to the name.
+    /// Whether weights are unpacked to 32 bits (`CANDLE_DEQUANTIZE_ALL=1` in the environment): faster, and other text
+    /// from the same seed, so it belongs to the name.
     pub dequantized: bool,
 }
 

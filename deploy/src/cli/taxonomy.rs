@@ -1,0 +1,197 @@
+//! `leadtime taxonomy ...`: how the sentences of a domain are made, looked at and checked.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{ArgGroup, Args, Subcommand, ValueEnum};
+
+use super::duration;
+
+/// `leadtime taxonomy ...`
+#[derive(Debug, Subcommand)]
+pub enum TaxonomyCommand {
+    /// Make a database from a plan: ask for sentences, rate them word by word, keep those that stand for the others.
+    Build(TaxonomyBuildArgs),
+    /// Have sentences of one's own rated word by word: where would they land?
+    Rate(TaxonomyRateArgs),
+    /// Print the report of a finished call log: cells, rejections, thresholds, sentences to be read.
+    Report(TaxonomyReportArgs),
+    /// Print a database in another form.
+    Export(TaxonomyExportArgs),
+    /// Check a database, and list what it lacks.
+    Validate(TaxonomyValidateArgs),
+}
+
+/// Who writes and rates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum BackendName {
+    /// An annotator's file of sentences and ratings.
+    Authored,
+    /// The phrase lists of the plan.
+    Grammar,
+    /// A language model behind HTTP, by the chat API that llama.cpp's server, vLLM and Ollama share.
+    Http,
+    /// A language model in this process (only if built with the feature `local-models`).
+    Local,
+}
+
+/// What may be claimed of what a language model writes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Claim {
+    /// An instruct model of the source's class (Llama-3-8B or more) wrote and rated.
+    Paper,
+    /// A smaller stand-in.
+    #[default]
+    Local,
+}
+
+/// Who writes and rates, and how to reach them.
+#[derive(Clone, Debug, Args)]
+pub struct BackendArgs {
+    /// Who writes and rates.
+    #[arg(long, value_enum, value_name = "NAME")]
+    pub backend: Option<BackendName>,
+    /// Annotations for `authored` (default: those that come with the plan's domain).
+    #[arg(long, value_name = "FILE")]
+    pub annotations: Option<PathBuf>,
+    /// Base of the server's API for `http`: `http://127.0.0.1:8080/v1`.
+    #[arg(long, value_name = "URL", required_if_eq("backend", "http"))]
+    pub url: Option<String>,
+    /// Model for `http`, as the server names it.
+    #[arg(long, value_name = "MODEL", required_if_eq("backend", "http"))]
+    pub model: Option<String>,
+    /// Environment variable that holds the key for `http`, sent as bearer token and never logged.
+    #[arg(long, value_name = "VARIABLE")]
+    pub api_key_env: Option<String>,
+    /// What may be claimed of what the model for `http` writes.
+    #[arg(long, value_enum, default_value = "local")]
+    pub fidelity: Claim,
+    /// How long to wait for an answer over `http`.
+    #[arg(long, value_name = "DURATION", default_value = "2m", value_parser = duration)]
+    pub timeout: Duration,
+    /// How often a call over `http` is tried, 1 to 10, with waits of 1, 2, 4, ... seconds between.
+    #[arg(long, default_value_t = 5)]
+    pub tries: u32,
+    /// Weights for `local`: a Llama-family model as GGUF file.
+    #[arg(long, value_name = "FILE", required_if_eq("backend", "local"))]
+    pub gguf: Option<PathBuf>,
+    /// Their sha256, in hexadecimal.
+    #[arg(long, value_name = "HEX", required_if_eq("backend", "local"))]
+    pub sha256: Option<String>,
+    /// Let the model for `local` go on with a text, up to the end of the line, rather than converse.
+    #[arg(long)]
+    pub completion: bool,
+}
+
+/// `leadtime taxonomy build`
+#[derive(Debug, Args)]
+#[command(group(ArgGroup::new("who").required(true).args(["backend", "replay"])))]
+pub struct TaxonomyBuildArgs {
+    /// The plan: `highway`, `lander`, `steakhouse`, or a file.
+    pub plan: String,
+    /// Directory for call log, database, report and everything that was proposed; a run that was cut off goes on from
+    /// the call log in it.
+    #[arg(short, long, value_name = "DIR", default_value = "words")]
+    pub output: PathBuf,
+    /// Ask nobody: make the database of a finished call log again, byte for byte.
+    #[arg(long, value_name = "LOG")]
+    pub replay: Option<PathBuf>,
+    /// Who writes and rates.
+    #[command(flatten)]
+    pub backend: BackendArgs,
+    /// Directory of prompt templates; those that it lacks are the built-in ones.
+    #[arg(long, value_name = "DIR")]
+    pub prompts: Option<PathBuf>,
+    /// Rate by likeness to the phrases of the plan's topics instead of asking the writer: a stand-in.
+    #[arg(long, conflicts_with = "replay")]
+    pub rate_by_likeness: bool,
+    /// Compare sentences by the sentence embedder in this directory (only if built with the feature `local-models`), instead
+    /// of by the words they share.
+    #[arg(long, value_name = "DIR", conflicts_with = "replay")]
+    pub embedder: Option<PathBuf>,
+    /// Stop after this many calls; the same command goes on.
+    #[arg(long, value_name = "CALLS", conflicts_with = "replay")]
+    pub max_calls: Option<u64>,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `leadtime taxonomy rate`
+#[derive(Debug, Args)]
+#[command(group(ArgGroup::new("who").required(true).args(["backend"])))]
+pub struct TaxonomyRateArgs {
+    /// The plan: `highway`, `lander`, `steakhouse`, or a file.
+    pub plan: String,
+    /// The topic that the sentences are to say.
+    #[arg(long)]
+    pub topic: String,
+    /// The sentences, each as one argument.
+    #[arg(required = true, value_name = "SENTENCE")]
+    pub sentences: Vec<String>,
+    /// Who rates.
+    #[command(flatten)]
+    pub backend: BackendArgs,
+    /// Keep the replies in this call log, and ask for nothing that it holds.
+    #[arg(long, value_name = "LOG")]
+    pub log: Option<PathBuf>,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `leadtime taxonomy report`
+#[derive(Debug, Args)]
+pub struct TaxonomyReportArgs {
+    /// The plan: `highway`, `lander`, `steakhouse`, or a file.
+    pub plan: String,
+    /// The call log (default: the one that comes with the plan's domain).
+    #[arg(long, value_name = "LOG")]
+    pub log: Option<PathBuf>,
+    /// Directory of the prompt templates that the log was made with.
+    #[arg(long, value_name = "DIR", requires = "log")]
+    pub prompts: Option<PathBuf>,
+    /// Write the report here instead of printing it.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+}
+
+/// A form in which a database can be printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExportFormat {
+    /// One line per sentence.
+    Csv,
+    /// One object.
+    Json,
+    /// The filled cells, as `notifier.cells` of a configuration.
+    Cells,
+}
+
+/// `leadtime taxonomy export`
+#[derive(Debug, Args)]
+pub struct TaxonomyExportArgs {
+    /// The database: a file, or the domain whose shipped one is meant.
+    pub database: String,
+    /// The form.
+    #[arg(long, value_enum, default_value = "csv")]
+    pub format: ExportFormat,
+    /// Write it here instead of printing it.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+}
+
+/// `leadtime taxonomy validate`
+#[derive(Debug, Args)]
+pub struct TaxonomyValidateArgs {
+    /// The database: a file, or the domain whose shipped one is meant.
+    pub database: String,
+    /// Sentences that every cell should have, to take turns.
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    pub wanted: usize,
+    /// End with exit code 1 if the database lacks anything.
+    #[arg(long)]
+    pub strict: bool,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+}

@@ -1,0 +1,18 @@
+//! `leadtime taxonomy`: the sentences of a domain, from the plan to the file that the program reads.
+//!
+//! ```text
+//! plan --build--> calls.jsonl, taxonomy.toml, coverage.md, candidates.jsonl     (or by --replay from calls.jsonl)
+//! calls.jsonl --report--> coverage.md      taxonomy.toml --validate, export--> findings, tables
+//! ```
+//!
+//! Where to start: [`build`]; whose fault an error is: [`source`].
+
+mod backend;
+mod build;
+mod dispatch;
+mod look;
+mod rate;
+mod source;
+
+pub(super) use dispatch::run;
+pub(super) use source::database;

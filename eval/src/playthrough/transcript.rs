@@ -1,0 +1,212 @@
+//! An episode as a person would hear it: each word when it is spoken, what it told them, what they did.
+//!
+//! ```text
+//!    time  hears      understands                does
+//!   1.8 s  Zone                                  own plan
+//!   2.1 s  ahead,
+//!   2.4 s  go
+//!   2.7 s  up.        ascend, word 4 of 4
+//!   3.6 s                                        follows ascend
+//! ```
+
+use std::fmt::Write as _;
+
+use leadtime_taxonomy::Pace;
+
+use super::record::Playthrough;
+use super::story::{Doing, Story, Utterance};
+use super::world::topic_name;
+
+/// One moment in which something happens; empty text where nothing does.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Moment {
+    step: usize,
+    hears: String,
+    understands: String,
+    does: String,
+}
+
+impl Playthrough {
+    /// Retells the episode word by word; without sentences, a word is its number in the message on a topic.
+    ///
+    /// # Units
+    ///
+    /// Times are those of speech: a step is a word, whatever time the world takes it for.
+    pub fn transcript(&self, pace: &Pace) -> String {
+        let story = Story::new(&self.scenes);
+        let moments = self.told(&story);
+        let width = |text: fn(&Moment) -> &String, title: &str| {
+            moments
+                .iter()
+                .map(|moment| text(moment).chars().count())
+                .max()
+                .unwrap_or(0)
+                .max(title.len())
+        };
+        let (hears, understands) =
+            (width(|m| &m.hears, "hears"), width(|m| &m.understands, "understands"));
+        let mut out = self.heading(&story, pace);
+        let mut line = |time: &str, moment: [&str; 3]| {
+            let [first, second, third] = moment;
+            let line = format!("{time:>8}  {first:<hears$}  {second:<understands$}  {third}");
+            // Writing to a string cannot fail.
+            let _written = writeln!(out, "{}", line.trim_end());
+        };
+        line("time", ["hears", "understands", "does"]);
+        for moment in &moments {
+            let seconds = pace.startup_seconds + moment.step as f64 * pace.seconds_per_word;
+            let time = format!("{seconds:.1} s");
+            line(&time, [&moment.hears, &moment.understands, &moment.does]);
+        }
+        out.push_str(&self.stand_ins(&story));
+        out
+    }
+
+    fn heading(&self, story: &Story, pace: &Pace) -> String {
+        format!(
+            "{} (episode {} of seed {})\nreturn {:.1}, {} steps of a word each, {} s; {} notifications\n",
+            self.title(),
+            self.index,
+            self.seed,
+            self.total_reward,
+            self.n_steps(),
+            pace.seconds_per_word,
+            story.utterances.len(),
+        )
+    }
+
+    /// Lists the moments in which a word is heard, something is understood, or the person begins to do another thing.
+    fn told(&self, story: &Story) -> Vec<Moment> {
+        let mut moments = Vec::new();
+        let mut did = String::new();
+        for step in 1..=self.n_steps() {
+            let does = self.does(story, step);
+            let mut moment = Moment { step, ..Moment::default() };
+            if let Some(said) = story.spoken(step) {
+                let utterance = &story.utterances[said];
+                moment.hears = self.word(said, utterance, step - utterance.start);
+                if utterance.understood() == Some(step) {
+                    let topic = topic_name(&self.scenes[0], utterance.topic);
+                    let (k, l) = (utterance.comprehension, utterance.conveyance);
+                    moment.understands = format!("{topic}, word {k} of {l}");
+                }
+            }
+            if does != did {
+                moment.does.clone_from(&does);
+                did = does;
+            }
+            if moment != (Moment { step, ..Moment::default() }) {
+                moments.push(moment);
+            }
+        }
+        moments
+    }
+
+    /// Returns the `n`-th word of a message as it is written, with a dash where it is cut off.
+    fn word(&self, said: usize, utterance: &Utterance, n: usize) -> String {
+        let conveyance = utterance.conveyance;
+        let word = match self.sentences.get(said) {
+            Some(sentence) => {
+                let before = sentence.so_far(n - 1, conveyance).len();
+                sentence.so_far(n, conveyance)[before..].trim().to_owned()
+            }
+            None => format!("[{} {n}/{conveyance}]", topic_name(&self.scenes[0], utterance.topic)),
+        };
+        let is_last = utterance.start + n == utterance.end;
+        if is_last && n < conveyance { format!("{word} \u{2013}") } else { word }
+    }
+
+    /// Says what the person does in the step that leads to scene `step`.
+    fn does(&self, story: &Story, step: usize) -> String {
+        let listener = &self.scenes[step].listener;
+        match (story.doing[step - 1], listener.reacting) {
+            (Doing::Following, Some(topic)) => {
+                format!("follows {}", topic_name(&self.scenes[0], topic))
+            }
+            (Doing::Waiting, _) => "about to react".to_owned(),
+            _ => Doing::OwnPlan.label().to_owned(),
+        }
+    }
+
+    /// Confesses which sentences stand for messages of another k or l.
+    fn stand_ins(&self, story: &Story) -> String {
+        let mut out = String::new();
+        for (sentence, utterance) in self.sentences.iter().zip(&story.utterances) {
+            if sentence.fallback {
+                let (k, l) = (utterance.comprehension, utterance.conveyance);
+                let cell = sentence.cell;
+                // Writing to a string cannot fail.
+                let _written = writeln!(
+                    out,
+                    "{sentence} is understood and over at {cell}; the message was at ({k}, {l})"
+                );
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_taxonomy::Cell;
+
+    use super::*;
+    use crate::playthrough::{Sentence, synthetic};
+
+    fn played() -> Playthrough {
+        // Said at 2 with k = 2, l = 3: comprehended at 4, two steps of delay, followed from 7 to 9. The second one is
+        // cut off at 14 by the third.
+        let scenes = synthetic::scenes(20, &[(2, 1, 2, 3), (11, 0, 4, 5), (14, 3, 2, 2)]);
+        let player = "trained".to_owned();
+        Playthrough { player, scenes, ..synthetic::playthrough() }
+    }
+
+    fn sentence(text: &str, k: u32, l: u32, fallback: bool) -> Sentence {
+        Sentence { text: text.to_owned(), cell: Cell::new(k, l), fallback }
+    }
+
+    #[test]
+    fn words_come_one_by_one_and_actions_when_they_change() {
+        let mut played = played();
+        played.sentences = vec![
+            sentence("Shift left, now!", 2, 3, false),
+            sentence("Zone ahead - go up.", 4, 4, true),
+            sentence("Go down.", 2, 2, false),
+        ];
+        let expected = "\
+trained: success (episode 3 of seed 7)
+return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
+    time  hears   understands              does
+   0.3 s                                   own plan
+   0.9 s  Shift
+   1.2 s  left,   shift left, word 2 of 3
+   1.5 s  now!                             about to react
+   2.1 s                                   follows shift left
+   3.0 s                                   own plan
+   3.6 s  Zone
+   3.9 s  ahead
+   4.2 s  - go \u{2013}
+   4.5 s  Go
+   4.8 s  down.   descend, word 2 of 2
+   5.1 s                                   about to react
+   5.7 s                                   follows descend
+\u{201c}Zone ahead - go up.\u{201d} is understood and over at (4, 4); the message was at (4, 5)
+";
+        assert_eq!(played.transcript(&Pace::default()), expected);
+    }
+
+    #[test]
+    fn without_sentences_words_are_numbers() {
+        let told = played().transcript(&Pace::default());
+        assert!(told.contains("[shift left 2/3]  shift left, word 2 of 3"), "{told}");
+        assert!(told.contains("[ascend 3/5] \u{2013}"), "{told}");
+        assert!(told.contains("[descend 1/2]"), "{told}");
+    }
+
+    #[test]
+    fn an_episode_of_one_scene_is_told_too() {
+        let mut played = played();
+        played.scenes.truncate(1);
+        assert_eq!(played.transcript(&Pace::default()).lines().count(), 3);
+    }
+}

@@ -1,0 +1,197 @@
+//! The sentences of an episode: from topic, k and l of each message to the words that a person would hear.
+//!
+//! Which of a cell's sentences comes first is drawn from a stream named by (evaluation seed, episode), and after that
+//! they take turns: the same episode sounds the same, whoever asks for it.
+
+use std::fmt;
+
+use leadtime_numerics::Purpose;
+use leadtime_taxonomy::{Cell, Loss, Request, Rotation, Taxonomy, TaxonomyError, shipped, words};
+
+use super::record::Playthrough;
+use super::story::Story;
+use crate::error::Error;
+use crate::measure::episode_seed;
+
+/// A message in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sentence {
+    /// As it is spoken: `Zone ahead, go up.`
+    pub text: String,
+    /// The cell that it stands in.
+    pub cell: Cell,
+    /// The message's k and l were others: nothing is known to say exactly that.
+    pub fallback: bool,
+}
+
+impl Sentence {
+    /// Returns what has been heard after `heard` of a message's `conveyance` words.
+    ///
+    /// A sentence of another length than the message's keeps its pace: both end together.
+    pub fn so_far(&self, heard: usize, conveyance: usize) -> String {
+        let l = self.cell.conveyance as usize;
+        let n = (heard * l).div_ceil(conveyance.max(1));
+        if n < l {
+            return words::prefix(&self.text, n);
+        }
+        self.text.split_whitespace().collect::<Vec<_>>().join(" ")
+    }
+}
+
+/// Writes the sentence in quotation marks.
+impl fmt::Display for Sentence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "\u{201c}{}\u{201d}", self.text)
+    }
+}
+
+/// Speaks a domain's messages.
+#[derive(Clone, Debug)]
+pub struct Voice {
+    taxonomy: Taxonomy,
+    loss: Loss,
+}
+
+impl Voice {
+    /// Takes the sentences of a database.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Words`] if it is not about these topics, in this order.
+    pub fn new(taxonomy: Taxonomy, topics: &[&str]) -> Result<Self, Error> {
+        taxonomy.expect_topics(topics)?;
+        Ok(Self { taxonomy, loss: Loss::default() })
+    }
+
+    /// Takes the sentences that come with the program; `None` if there are none for this domain and these topics.
+    pub fn shipped(domain: &str, topics: &[&str]) -> Option<Self> {
+        Self::new(shipped(domain).ok()?, topics).ok()
+    }
+
+    /// Finds a sentence for every message of an episode.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Words`] if the episode speaks of a topic that the database does not know.
+    pub fn speak(&self, played: &mut Playthrough) -> Result<(), Error> {
+        let mut generator = episode_seed(played.seed, played.index).stream(Purpose::Words);
+        let mut rotation = Rotation::new(&self.taxonomy, &mut generator);
+        let story = Story::new(&played.scenes);
+        let sentences = story.utterances.iter().map(|utterance| {
+            let (k, l) = (utterance.comprehension as u32, utterance.conveyance as u32);
+            let request = Request { topic: utterance.topic, cell: Cell::new(k, l) };
+            let found = self.taxonomy.retrieve(request, &self.loss)?;
+            let text = rotation.next(&found).map(|utterance| utterance.text.clone());
+            let (cell, fallback) = (found.cell, found.fallback);
+            Ok(Sentence { text: text.unwrap_or_default(), cell, fallback })
+        });
+        played.sentences = sentences.collect::<Result<_, TaxonomyError>>()?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::TaskSpec;
+    use leadtime_sims::Message;
+    use leadtime_sims::notifier::Cells;
+    use leadtime_sims::registry::Registry;
+
+    use super::*;
+    use crate::playthrough::synthetic;
+
+    fn lander() -> Voice {
+        let topics = ["ascend", "shift_left", "shift_right", "descend"];
+        Voice::shipped("lander", &topics).unwrap()
+    }
+
+    #[test]
+    fn every_message_gets_a_sentence_of_its_topic_and_cell_in_turn() {
+        let mut played = synthetic::playthrough();
+        lander().speak(&mut played).unwrap();
+        let story = Story::new(&played.scenes);
+        assert_eq!(played.sentences.len(), story.utterances.len());
+        let taxonomy = shipped("lander").unwrap();
+        for (sentence, utterance) in played.sentences.iter().zip(&story.utterances) {
+            let filed = taxonomy.topics()[utterance.topic].cell(sentence.cell);
+            assert!(filed.iter().any(|utterance| utterance.text == sentence.text), "{sentence}");
+            let asked = Cell::new(utterance.comprehension as u32, utterance.conveyance as u32);
+            assert_eq!((sentence.cell, sentence.fallback), (asked, false));
+        }
+        // The same episode sounds the same; of twenty others, some do not.
+        let mut again = synthetic::playthrough();
+        lander().speak(&mut again).unwrap();
+        assert_eq!(again.sentences, played.sentences);
+        let differs = (0..20).any(|index| {
+            let mut other = Playthrough { index, ..synthetic::playthrough() };
+            lander().speak(&mut other).unwrap();
+            other.sentences != played.sentences
+        });
+        assert!(differs);
+    }
+
+    #[test]
+    fn the_shipped_sentences_are_about_the_topics_of_the_built_in_domains() {
+        let registry = Registry::builtin();
+        for domain in shipped::domains() {
+            let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
+            let mut environment = registry.build(&task).unwrap();
+            let mut observation = vec![0.0; environment.spec().obs_dim];
+            environment.reset(episode_seed(0, 0), &mut observation);
+            let topics = environment.scene().unwrap().listener.topics;
+            assert!(Voice::shipped(domain, &topics).is_some(), "{domain}: {topics:?}");
+        }
+        assert!(Voice::shipped("cartpole", &[]).is_none());
+        assert!(Voice::shipped("lander", &["ascend"]).is_none());
+    }
+
+    /// Lists the k and l of a cell, whichever crate's.
+    fn pair(cell: Cell) -> (u32, u32) {
+        (cell.comprehension, cell.conveyance)
+    }
+
+    #[test]
+    fn what_a_notifier_learns_with_is_what_a_voice_says() {
+        // Every table of up to three cells of one topic, and every choice.
+        let all: Vec<Cell> = Cell::feasible(2, 5).collect();
+        let header = "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
+                      embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = [\"a\"]\nconfig = \"\"\n";
+        let entry = |cell: Cell| {
+            let (k, l) = pair(cell);
+            let text: Vec<String> = (0..l).map(|i| format!("w{k}{l}{i}")).collect();
+            let curve: Vec<u32> = (1..=l).map(|i| if i < k { 10 } else { 90 }).collect();
+            format!(
+                "[[utterance]]\ntopic = \"a\"\ncomprehension = {k}\nconveyance = {l}\ntext = \"{}\"\n\
+                 spans = [[\"what\", 0, {k}]]\ncurve = {curve:?}\n",
+                text.join(" ")
+            )
+        };
+        for bits in (1_u32..1 << all.len()).filter(|bits| bits.count_ones() <= 3) {
+            let filled: Vec<Cell> =
+                (0..all.len()).filter(|i| bits >> i & 1 == 1).map(|i| all[i]).collect();
+            let text: String = filled.iter().map(|cell| entry(*cell)).collect();
+            let taxonomy = Taxonomy::from_toml(&format!("{header}{text}")).unwrap();
+            let table: Vec<_> =
+                filled.iter().map(|cell| ("a".to_owned(), pair(*cell).0, pair(*cell).1)).collect();
+            let cells = Cells::new(&table, &["a"], &[0]).unwrap();
+            for &cell in &all {
+                let request = Request { topic: 0, cell };
+                let said = taxonomy.retrieve(request, &Loss::default()).unwrap().cell;
+                let (comprehension, conveyance) = pair(cell);
+                let learned = cells.nearest(Message { topic: 0, comprehension, conveyance });
+                assert_eq!((learned.comprehension, learned.conveyance), pair(said), "{filled:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_sentence_is_heard_word_by_word_and_whole_at_its_end() {
+        let text = "Zone ahead - go up!".to_owned();
+        let sentence = Sentence { text, cell: Cell::new(4, 4), fallback: false };
+        let heard: Vec<String> = (0..=4).map(|heard| sentence.so_far(heard, 4)).collect();
+        assert_eq!(heard, ["", "Zone", "Zone ahead", "Zone ahead - go", "Zone ahead - go up!"]);
+        // As the stand-in of a message of two words, it is over after two.
+        assert_eq!(sentence.so_far(1, 2), "Zone ahead");
+        assert_eq!(sentence.so_far(2, 2), "Zone ahead - go up!");
+    }
+}

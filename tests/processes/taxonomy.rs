@@ -1,0 +1,222 @@
+//! The sentences of a domain through the program: made, made again, rated, exported, checked, and wrong in every
+//! known way.
+
+use std::fs;
+use std::net::TcpListener;
+use std::path::Path;
+
+use crate::support::{Finished, Place};
+
+/// Exit code for a check that failed.
+const FAILED: i32 = 1;
+/// Exit code for wrong input.
+const WRONG_INPUT: i32 = 2;
+/// Exit code for a server that is not there.
+const PEER_LOST: i32 = 3;
+
+/// A database of one topic and two sentences.
+const SMALL: &str = r#"schema = 1
+domain = "road"
+fidelity = "grammar"
+generator = "g"
+rater = "r"
+embedder = "e"
+theta = 70
+words = [2, 3]
+topics = ["left", "right"]
+config = ""
+[[utterance]]
+topic = "left"
+comprehension = 2
+conveyance = 3
+text = "Go left now."
+spans = [["what", 0, 2]]
+curve = [10, 90, 95]
+[[utterance]]
+topic = "right"
+comprehension = 2
+conveyance = 2
+text = "Go right."
+spans = [["what", 0, 2]]
+curve = [10, 90]
+"#;
+
+fn data(path: &str) -> String {
+    let root =
+        Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("deploy lies in the repository");
+    root.join("taxonomy/data").join(path).to_str().expect("paths are UTF-8").to_owned()
+}
+
+fn taxonomy(place: &Place, args: &[&str]) -> Finished {
+    place.finish(&[&["taxonomy"], args].concat())
+}
+
+#[test]
+fn a_database_is_made_by_the_grammar_and_again_from_its_log() {
+    let place = Place::new();
+    let cut = ["build", "highway", "--backend", "grammar", "-o", "a", "--max-calls", "50"];
+    taxonomy(&place, &cut).with_code(0).saying(&["stopped after 50 calls"]);
+    assert!(!place.path().join("a/taxonomy.toml").exists());
+    let build = ["build", "highway", "--backend", "grammar", "-o", "a", "--json"];
+    let made = taxonomy(&place, &build).with_code(0).json();
+    assert_eq!((&made["fidelity"], &made["filled"]), (&"grammar".into(), &40.into()), "{made}");
+    let replay = ["build", "highway", "--replay", "a/calls.jsonl", "-o", "b", "--json"];
+    let again = taxonomy(&place, &replay).with_code(0).json();
+    assert_eq!((&again["calls"], &again["kept"]), (&0.into(), &made["kept"]));
+    for file in ["taxonomy.toml", "coverage.md", "candidates.jsonl"] {
+        let read = |run: &str| fs::read(place.path().join(run).join(file)).unwrap();
+        assert_eq!(read("a"), read("b"), "{file}");
+    }
+    let report = taxonomy(&place, &["report", "highway", "--log", "a/calls.jsonl"]).with_code(0);
+    let coverage = fs::read_to_string(place.path().join("a/coverage.md")).unwrap();
+    assert_eq!(report.stdout.trim_end(), coverage.trim_end());
+    taxonomy(&place, &["validate", "a/taxonomy.toml", "--strict"]).with_code(0);
+}
+
+#[test]
+fn a_shipped_database_comes_out_of_its_log_byte_for_byte() {
+    let place = Place::new();
+    let log = data("lander/calls.jsonl");
+    taxonomy(&place, &["build", "lander", "--replay", &log, "-o", "words"]).with_code(0);
+    for file in ["taxonomy.toml", "coverage.md"] {
+        let made = fs::read(place.path().join("words").join(file)).unwrap();
+        assert_eq!(made, fs::read(data(&format!("lander/{file}"))).unwrap(), "{file}");
+    }
+    let report = taxonomy(&place, &["report", "steakhouse"]).with_code(0).stdout;
+    assert!(report.starts_with("# Words of the domain `steakhouse`"), "{report}");
+}
+
+#[test]
+fn sentences_of_ones_own_are_rated() {
+    let place = Place::new();
+    let rate = ["rate", "highway", "--backend", "grammar", "--topic", "slow_down"];
+    let rated = taxonomy(&place, &[&rate[..], &["Traffic, slow down.", "Lovely day."]].concat());
+    let rated = rated.with_code(0).stdout;
+    assert!(rated.contains("(k, l) = (3, 3)  Traffic, slow down.  ["), "{rated}");
+    assert!(rated.contains("never_understood  Lovely day.  ["), "{rated}");
+    let rate = ["rate", "highway", "--backend", "authored", "--topic", "stop", "Stop now."];
+    taxonomy(&place, &rate).with_code(WRONG_INPUT).saying(&["`topic`", "stop", "slow_down"]);
+    let rate = ["rate", "highway", "--backend", "grammar", "--topic", "slow_down", "?"];
+    taxonomy(&place, &rate).with_code(WRONG_INPUT).saying(&["\"?\" has no words"]);
+}
+
+#[test]
+fn a_database_is_printed_as_table_and_as_json() {
+    let place = Place::new();
+    let csv = taxonomy(&place, &["export", "highway"]).with_code(0).stdout;
+    assert!(csv.contains("slow_down,2,5,\"Slow down for incoming traffic.\","), "{csv}");
+    let file = place.write("small.toml", SMALL);
+    let json = taxonomy(&place, &["export", &file, "--format", "json"]).with_code(0).json();
+    assert_eq!(json["topics"][1]["utterances"][0]["text"], "Go right.");
+}
+
+#[test]
+fn a_notifier_can_be_held_to_what_can_be_said() {
+    let place = Place::new();
+    let cells = taxonomy(&place, &["export", "lander", "--format", "cells"]).with_code(0).stdout;
+    let own = place.write("own.toml", &format!("domain = \"lander\"\n{cells}"));
+    place.finish(&["check", "-c", &own]).with_code(0);
+    let wrong = place.write("wrong.toml", &format!("domain = \"highway\"\n{cells}"));
+    let says = ["`notifier.cells`", "[\"ascend\", 2, 2]", "slow_down"];
+    place.finish(&["check", "-c", &wrong]).with_code(WRONG_INPUT).saying(&says);
+    let small = place.write("small.toml", SMALL);
+    let cells = taxonomy(&place, &["export", &small, "--format", "cells"]).with_code(0).stdout;
+    assert_eq!(cells, "[notifier]\ncells = [\n    [\"left\", 2, 3],\n    [\"right\", 2, 2],\n]\n");
+}
+
+#[test]
+fn what_a_database_lacks_is_listed_and_fails_only_if_asked() {
+    let place = Place::new();
+    let file = place.write("small.toml", SMALL);
+    let lacks = taxonomy(&place, &["validate", &file]).with_code(0).stdout;
+    assert!(lacks.contains("topic `left` has nothing at (k, l) = (2, 2)"), "{lacks}");
+    taxonomy(&place, &["validate", &file, "--strict"]).with_code(FAILED);
+    taxonomy(&place, &["validate", "steakhouse", "--strict"]).with_code(0);
+}
+
+#[test]
+fn a_wrong_database_is_told_by_line_or_sentence() {
+    let place = Place::new();
+    let cases: &[(&str, &str, &[&str])] = &[
+        ("theta = 70", "theta = ", &["wrong.toml", "line 7"]),
+        ("theta = 70", "theat = 70", &["line 7", "theat"]),
+        (
+            "text = \"Go right.\"",
+            "text = \"Go right now.\"",
+            &["it has 3 words; `conveyance` says 2"],
+        ),
+        (
+            "\"right\"\ncomprehension = 2\nconveyance = 2\ntext = \"Go right.\"\nspans = [[\"what\", 0, 2]]\ncurve = [10, 90]",
+            "\"right\"\ncomprehension = 2\nconveyance = 3\ntext = \"go left, now\"\nspans = [[\"what\", 0, 2]]\ncurve = [10, 90, 95]",
+            &["utterance 2 of topic `right`", "the same words stand under topic `left` already"],
+        ),
+        ("domain = \"road\"", "domain = \"lander\"", &["[left, right]", "[ascend, shift_left"]),
+    ];
+    for (from, to, expected) in cases {
+        assert!(SMALL.contains(from), "{from}");
+        let file = place.write("wrong.toml", &SMALL.replace(from, to));
+        taxonomy(&place, &["validate", &file]).with_code(WRONG_INPUT).saying(expected);
+    }
+    taxonomy(&place, &["validate", "moon"]).with_code(WRONG_INPUT).saying(&["`moon`", "lander"]);
+}
+
+#[test]
+fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
+    let place = Place::new();
+    let build =
+        |args: &[&str]| taxonomy(&place, &[&["build"], args].concat()).with_code(WRONG_INPUT);
+    let grammar = ["--backend", "grammar"];
+    build(&["highway"]).saying(&["--backend", "--replay"]);
+    build(&[&["moon"], &grammar[..]].concat()).saying(&["`moon`", "highway, lander, steakhouse"]);
+    let plan = place.write("plan.toml", "domain = \"road\"\nroel = \"driver\"");
+    build(&[&[&plan[..]], &grammar[..]].concat()).saying(&["plan.toml", "line 2", "roel"]);
+    fs::create_dir(place.path().join("prompts")).unwrap();
+    place.write("prompts/generate.txt", "Say {{topik}}.");
+    build(&[&["highway"], &grammar[..], &["--prompts", "prompts"]].concat()).saying(&[
+        "`generate`",
+        "unknown variable `topik`",
+        "known: action, actions",
+    ]);
+    build(&[&["highway"], &grammar[..], &["--prompts", "promts"]].concat())
+        .saying(&["--prompts promts", "no such directory"]);
+    build(&["highway", "--replay", "none.jsonl"]).saying(&["none.jsonl"]);
+    // A log of another domain answers nothing.
+    build(&["highway", "--replay", &data("lander/calls.jsonl")]).saying(&["lander", "highway"]);
+    let torn = place.write("torn.jsonl", "{\"schema\": 1");
+    build(&["highway", "--replay", &torn]).saying(&["line 1", "torn.jsonl"]);
+    let wrong = place.write("annotations.txt", "# ascend two 4\n");
+    build(&["lander", "--backend", "authored", "--annotations", &wrong]).saying(&["line 1"]);
+}
+
+#[test]
+fn a_server_that_is_not_there_is_a_lost_peer() {
+    let place = Place::new();
+    // Bound and let go: nobody listens there.
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let url = format!("http://{free}/v1");
+    let build = |url: &str, rest: &[&str]| {
+        let http = ["build", "highway", "--backend", "http", "--tries", "1", "--url", url];
+        taxonomy(&place, &[&http[..], rest].concat())
+    };
+    build(&url, &["--model", "m"]).with_code(PEER_LOST).saying(&[&url, "cannot be reached"]);
+    build(&url, &[]).with_code(WRONG_INPUT).saying(&["--model"]);
+    build("ftp://here", &["--model", "m"])
+        .with_code(WRONG_INPUT)
+        .saying(&["ftp://here", "http://"]);
+    build(&url, &["--model", "m", "--api-key-env", "LEADTIME_NO_SUCH_KEY"])
+        .with_code(WRONG_INPUT)
+        .saying(&["LEADTIME_NO_SUCH_KEY"]);
+}
+
+#[test]
+fn a_local_model_must_be_the_one_that_was_named() {
+    let place = Place::new();
+    let file = place.write("model.gguf", "abc");
+    let local = ["build", "highway", "--backend", "local", "--gguf", &file, "--sha256", "0000"];
+    let refused = taxonomy(&place, &local).with_code(WRONG_INPUT);
+    if cfg!(feature = "local-models") {
+        refused.saying(&["model.gguf", "has sha256 ba7816bf", "expected 0000"]);
+    } else {
+        refused.saying(&["without local models", "--features local-models"]);
+    }
+}
