@@ -22,6 +22,8 @@ pub const MAX_ROLLOUT_STEPS: usize = 65_536;
 pub const MAX_ENVS: usize = 65_536;
 /// The most rollouts that one actor may have unacknowledged.
 pub const MAX_WINDOW: u32 = 4_096;
+/// The most updates that acting may run ahead of learning in a deterministic schedule.
+pub const MAX_LAG: u64 = 64;
 /// The most choices over all heads of an action (a [`crate::Mask`] is one 64-bit word).
 pub const MAX_CHOICES: usize = 64;
 /// The most heads of an action.
