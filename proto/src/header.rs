@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::{Epoch, Incarnation, PolicyVersion, Sequence};
 
 /// The version of everything in this crate that crosses a process boundary.
-pub const PROTOCOL_VERSION: u32 = 1;
+pub const PROTOCOL_VERSION: u32 = 2;
 /// `LDTM` in little-endian bytes.
 const MAGIC: u32 = u32::from_le_bytes(*b"LDTM");
 /// Length of an encoded header.
