@@ -11,7 +11,7 @@
 
 use std::collections::VecDeque;
 
-use leadtime_proto::{Header, Sequence};
+use leadtime_proto::{Header, Schedule, Sequence};
 
 /// One encoded rollout.
 #[derive(Clone, Debug)]
@@ -48,6 +48,16 @@ impl Outbox {
     /// Notes that the next rollout is on its way.
     pub(crate) fn mark_sent(&mut self) {
         self.sent = self.sent.next();
+    }
+
+    /// Tells whether more may be made: under a deterministic schedule a window's worth may be kept, sent or not; in
+    /// `async`, where it would grow stale here, only what may be sent.
+    pub(crate) fn has_room(&self, schedule: Schedule, window: u32) -> bool {
+        if schedule.is_deterministic() {
+            self.len() < window as usize
+        } else {
+            self.made < self.limit
+        }
     }
 
     /// Takes an acknowledgement and a permission. Returns whether anything new was acknowledged.
@@ -144,6 +154,16 @@ mod tests {
         assert!(!outbox.credit(Sequence(1), Sequence(3)), "an old credit changes nothing");
         assert_eq!(outbox.len(), 4);
         assert!(outbox.is_waiting());
+    }
+
+    #[test]
+    fn in_async_no_more_is_made_than_may_be_sent() {
+        let (lag, free) = (Schedule::Lag(1), Schedule::Async { staleness_max: 8 });
+        let mut outbox = outbox(2, 2);
+        assert!(outbox.has_room(lag, 3) && !outbox.has_room(lag, 2));
+        assert!(!outbox.has_room(free, 64));
+        outbox.credit(Sequence(0), Sequence(3));
+        assert!(outbox.has_room(free, 64));
     }
 
     #[test]

@@ -379,7 +379,7 @@ impl Actor {
 
     /// Returns the job of collecting the next iteration, if there is room for it and its weights are here.
     fn next_collection(&self) -> Option<Job> {
-        let has_room = self.outbox.len() < self.welcome.window as usize;
+        let has_room = self.outbox.has_room(self.welcome.schedule, self.welcome.window);
         let next = self.next.filter(|_| has_room && !self.paused)?;
         let (version, parameters) = self.shelf.get(next)?;
         Some(Job::Collect { version, parameters })
@@ -416,7 +416,10 @@ impl Actor {
                 () = stop.cancelled() => return Ok(false),
                 answer = self.link.hello(Some(&run), &hello, HELLO_TIMEOUT) => match answer {
                     Ok(welcome) => return self.welcomed(welcome).map(|()| true),
-                    Err(error @ leadtime_link::Error::Refused { .. }) => return Err(error.into()),
+                    Err(
+                        error @ (leadtime_link::Error::Refused { .. }
+                        | leadtime_link::Error::Taken { .. }),
+                    ) => return Err(error.into()),
                     Err(error) => error,
                 },
             };

@@ -83,16 +83,17 @@ impl Books {
         let lost = through.0.saturating_sub(self.sequence(sender).0);
         if lost > 0 {
             self.sequences.insert(sender.clone(), through);
-            self.published += lost;
-            self.rolled_back += lost;
-            self.steps_redone += lost * n_steps;
+            self.published = self.published.saturating_add(lost);
+            self.rolled_back = self.rolled_back.saturating_add(lost);
+            let redone = lost.saturating_mul(n_steps);
+            self.steps_redone = self.steps_redone.saturating_add(redone);
         }
     }
 
     /// Starts again from a checkpoint: what was waiting or in training then will be made again.
     pub fn resume(&mut self, waiting: u64, n_steps: u64) {
-        self.rolled_back += waiting;
-        self.steps_redone += waiting * n_steps;
+        self.rolled_back = self.rolled_back.saturating_add(waiting);
+        self.steps_redone = self.steps_redone.saturating_add(waiting.saturating_mul(n_steps));
         self.unused_at_end = 0;
     }
 
@@ -108,10 +109,10 @@ impl Books {
     ///
     /// [`Imbalance`] with both sides.
     pub fn check(&self) -> Result<(), Imbalance> {
-        let sent: u64 = self.sequences.values().map(|sequence| sequence.0).sum();
+        let sent = self.sequences.values().fold(0, |n: u64, sequence| n.saturating_add(sequence.0));
         let accounted =
             self.trained + self.dropped_stale + self.refused + self.superseded + self.unused_at_end;
-        let balanced = sent == self.published && sent == accounted + self.rolled_back;
+        let balanced = sent == self.published && sent == accounted.saturating_add(self.rolled_back);
         let error = Imbalance { published: sent, rolled_back: self.rolled_back, accounted };
         if balanced { Ok(()) } else { Err(error) }
     }
@@ -174,6 +175,16 @@ mod tests {
         assert_eq!(books.check(), Ok(()));
         books.enter(&sender(1), Sequence(11));
         assert!(books.check().is_err(), "its fate is not known yet");
+    }
+
+    #[test]
+    fn counts_end_at_the_largest_number_and_do_not_wrap() {
+        let mut books = Books::default();
+        books.roll_back_through(&sender(1), Sequence(u64::MAX), u64::MAX);
+        books.roll_back_through(&sender(2), Sequence(9), u64::MAX);
+        books.resume(7, u64::MAX);
+        assert_eq!((books.published, books.steps_redone), (u64::MAX, u64::MAX));
+        assert_eq!(books.check(), Ok(()));
     }
 
     #[test]

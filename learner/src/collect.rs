@@ -13,7 +13,7 @@
 //!
 //! * Rollouts of one environment are taken in the order of their iterations, without gaps.
 //! * A deterministic schedule bounds the queue by itself (an actor cannot act ahead of the weights); `async`
-//!   is bounded by [`Collector::is_full`], at which the learner stops giving credit.
+//!   is bounded by [`Collector::room`], which is all that the learner gives credit for.
 
 use std::collections::VecDeque;
 
@@ -105,9 +105,10 @@ impl Collector {
         self.len() == 0
     }
 
-    /// Tells whether actors should be held back.
-    pub fn is_full(&self) -> bool {
-        !self.schedule.is_deterministic() && self.len() >= QUEUED_UPDATES * self.envs.len()
+    /// Returns how many more rollouts may come; `None` where the schedule sees to it.
+    pub fn room(&self) -> Option<usize> {
+        let all = QUEUED_UPDATES * self.envs.len();
+        (!self.schedule.is_deterministic()).then(|| all.saturating_sub(self.len()))
     }
 
     /// Returns where an environment goes on when it moves: after its newest rollout.
@@ -234,9 +235,9 @@ mod tests {
         let schedule = Schedule::Async { staleness_max: 1 };
         let mut collector = Collector::new(schedule, Collector::beginning(1));
         collector.accept(rollout(0, 0, 0));
-        assert!(!collector.is_full());
+        assert_eq!(collector.room(), Some(1));
         collector.accept(rollout(0, 1, 2));
-        assert!(collector.is_full());
+        assert_eq!(collector.room(), Some(0));
         assert_eq!(collector.drop_stale(PolicyVersion(1)), 0);
         assert_eq!(collector.drop_stale(PolicyVersion(2)), 1);
         assert_eq!(collector.consumed()[0].iteration, Iteration(1));

@@ -64,7 +64,12 @@ pub struct LearnerConfig {
 
 impl LearnerConfig {
     /// Composes the answer to an actor's hello.
-    pub(crate) fn welcome(&self, version: PolicyVersion, resend_from: Sequence) -> Welcome {
+    pub(crate) fn welcome(
+        &self,
+        version: PolicyVersion,
+        resend_from: Sequence,
+        window: u32,
+    ) -> Welcome {
         Welcome {
             run: self.run.clone(),
             learner: self.incarnation,
@@ -74,7 +79,7 @@ impl LearnerConfig {
             policy: self.policy.clone(),
             n_steps: self.settings.n_steps as u32,
             schedule: self.settings.schedule(),
-            window: self.window,
+            window,
             version,
             resend_from,
         }

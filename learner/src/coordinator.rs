@@ -36,6 +36,12 @@ use crate::roster::Roster;
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
 /// A count of rollouts that no actor reaches: a hello beyond it is nonsense.
 const MAX_SEQUENCE: u64 = 1 << 48;
+/// The most rollouts that an actor holds unacknowledged: a window, and one of every environment on top.
+const MAX_UNACKNOWLEDGED: u64 = limits::MAX_WINDOW as u64 + limits::MAX_ENVS as u64;
+/// The most rollouts of one actor that a killed learner takes with it: more than is made between two checkpoints.
+const MAX_LOST: u64 = 1 << 20;
+/// The most starts of actors that may say so without being in the checkpoint: those that came after it.
+const MAX_LOSERS: usize = 1_024;
 
 /// What a run agreed on, as far as decisions depend on it.
 #[derive(Clone, Debug)]
@@ -100,7 +106,10 @@ pub enum Unwelcome {
         "this actor was cut off because it kept sending messages that were refused: restart it"
     )]
     CutOff,
-    /// Its counts contradict each other.
+    /// Another start of it is here; said with a sentence of its own.
+    #[error("an actor of this name is already here")]
+    Taken,
+    /// Its counts contradict each other, or what this learner knows.
     #[error("its counts of published and unacknowledged rollouts make no sense")]
     Nonsense,
 }
@@ -129,6 +138,8 @@ pub struct Coordinator {
     stage: Stage,
     rebalance_due: bool,
     same_cpu: bool,
+    /// Starts of actors that told of lost rollouts and were not in the checkpoint.
+    n_losers: usize,
     credit_due: BTreeSet<ActorId>,
     effects: Vec<Effect>,
 }
@@ -147,6 +158,7 @@ impl Coordinator {
             stage: Stage::Gathering,
             rebalance_due: false,
             same_cpu: true,
+            n_losers: 0,
             credit_due: BTreeSet::new(),
             effects: Vec::new(),
         }
@@ -162,13 +174,13 @@ impl Coordinator {
         if self.roster.sender(&key).is_some_and(|sender| sender.cut_off) {
             return Err(Unwelcome::CutOff);
         }
-        let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
-        if published > MAX_SEQUENCE || first > published + 1 || first == 0 {
-            return Err(Unwelcome::Nonsense);
+        if self.roster.is_taken(&key) {
+            return Err(Unwelcome::Taken);
         }
+        let acknowledged = self.acknowledged(&key, hello)?;
         self.roster.greet(&key, hello.published);
         let n_steps = u64::from(self.terms.n_steps);
-        self.books.roll_back_through(&key, Sequence(first - 1), n_steps);
+        self.books.roll_back_through(&key, acknowledged, n_steps);
         if hello.cpu != self.terms.cpu {
             self.same_cpu = false;
             let (actor, cpu) = (hello.actor.clone(), hello.cpu.clone());
@@ -176,11 +188,41 @@ impl Coordinator {
         }
         self.admit(&key);
         self.credit_due.insert(hello.actor.clone());
-        let heard = self.books.sequence(&key);
+        let (heard, window) = (self.books.sequence(&key), u64::from(self.window()));
         if let Some(sender) = self.roster.sender(&key) {
-            sender.limit = sender.limit.max(Sequence(heard.0 + u64::from(self.terms.window)));
+            sender.limit = sender.limit.max(Sequence(heard.0 + window));
         }
         Ok(heard.next())
+    }
+
+    /// Returns what a learner of this run has acknowledged to an actor, if that can be true.
+    ///
+    /// More than this learner has heard is what one before it took with it when it was killed: an actor tells of
+    /// that once, in its first hello.
+    fn acknowledged(&mut self, key: &SenderKey, hello: &Hello) -> Result<Sequence, Unwelcome> {
+        let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
+        let consistent = (1..=MAX_SEQUENCE).contains(&first)
+            && first <= published.saturating_add(1)
+            && published - (first - 1) <= MAX_UNACKNOWLEDGED;
+        if !consistent {
+            return Err(Unwelcome::Nonsense);
+        }
+        let (acknowledged, heard) = (Sequence(first - 1), self.books.sequence(key));
+        if acknowledged > heard {
+            let is_new = self.roster.sender(key).is_none();
+            let stranger = heard == Sequence(0);
+            let credible = is_new && acknowledged.0 - heard.0 <= MAX_LOST;
+            if !credible || (stranger && self.n_losers >= MAX_LOSERS) {
+                return Err(Unwelcome::Nonsense);
+            }
+            self.n_losers += usize::from(stranger);
+        }
+        Ok(acknowledged)
+    }
+
+    /// Returns how many rollouts an actor that enters now may have unacknowledged.
+    pub fn window(&self) -> u32 {
+        self.room().max(1)
     }
 
     /// Notes that an actor's token is there.
@@ -414,17 +456,10 @@ impl Coordinator {
         self.give_up(key);
     }
 
-    /// Makes an actor a member if it may be one; an older start of it is gone by that.
+    /// Makes an actor a member if it may be one.
     fn admit(&mut self, key: &SenderKey) {
-        let older = self.roster.members().get(&key.0).copied().filter(|start| *start != key.1);
         if !self.roster.admit(key) {
             return;
-        }
-        if older.is_some() {
-            self.lose(&key.0);
-        } else {
-            // An actor that comes back within its lease still has environments under this name.
-            self.assigner.release(&key.0);
         }
         let (actor, n_actors) = (key.0.clone(), self.n_actors());
         self.effects.push(Effect::Event(RunEvent::ActorJoined { actor, n_actors }));
@@ -496,11 +531,19 @@ impl Coordinator {
         parts
     }
 
+    /// Returns how many rollouts each actor may have on their way: in `async` its share of what may still wait, so
+    /// that little grows stale on the way; at least one, unless nothing more may wait.
+    fn room(&self) -> u32 {
+        let Some(room) = self.collector.room() else { return self.terms.window };
+        let share = room.div_euclid(self.n_actors().max(1)).max(room.min(1));
+        u32::try_from(share).unwrap_or(u32::MAX).min(self.terms.window)
+    }
+
     fn credit(&mut self, actor: &ActorId) -> Option<Credit> {
         let incarnation = *self.roster.members().get(actor)?;
         let key = (actor.clone(), incarnation);
         let acknowledged = self.books.sequence(&key);
-        let room = if self.collector.is_full() { 0 } else { u64::from(self.terms.window) };
+        let room = u64::from(self.room());
         let sender = self.roster.sender(&key)?;
         sender.limit = sender.limit.max(Sequence(acknowledged.0 + room));
         Some(Credit { incarnation, learner: self.terms.learner, acknowledged, limit: sender.limit })

@@ -24,6 +24,10 @@ use leadtime_proto::Mask;
 use crate::settings::LearnerSettings;
 use crate::storage::{floats, with_floats};
 
+/// Ratios are not taken beyond exp(20): a sender may claim that an action was all but impossible, and an infinite
+/// ratio would end the run.
+const MAX_LOG_RATIO: f32 = 20.0;
+
 /// What the loss takes from the settings.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LossSettings {
@@ -156,7 +160,7 @@ impl LossSettings {
     /// Adds one sample's policy loss to the sums and returns its slope in the log-probability.
     #[inline]
     fn policy_term(&self, log_ratio: f32, advantage: f32, sums: &mut LossReport) -> f32 {
-        let ratio = exp(log_ratio);
+        let ratio = exp(log_ratio.min(MAX_LOG_RATIO));
         let clipped = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
         let (free, bound) = (-advantage * ratio, -advantage * clipped);
         sums.policy_loss += f64::from(free.max(bound));

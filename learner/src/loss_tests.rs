@@ -123,6 +123,24 @@ fn gradients_are_the_slopes_of_the_masked_loss() {
 }
 
 #[test]
+fn a_ratio_beyond_all_reason_leaves_the_gradient_finite() {
+    let distribution =
+        Arc::new(ActionDistribution::new(&ActionSpec::discrete("a", 2), HeadCredit::All));
+    let samples = Samples {
+        masks: vec![u64::MAX; 2],
+        actions: vec![0, 1],
+        log_probs: vec![-1e4, 0.0],
+        advantages: vec![-1.0, 1.0],
+        returns: vec![0.0; 2],
+        values: vec![0.0; 2],
+    };
+    let loss = PpoLoss::new(distribution, settings(true), samples);
+    let outcome = loss.compute(&[0.0; 4], &[0.0; 2]);
+    assert!(outcome.d_logits.iter().all(|slope| slope.is_finite()), "{:?}", outcome.d_logits);
+    assert!(outcome.report.total.is_finite() && outcome.report.approx_kl.is_finite());
+}
+
+#[test]
 fn nothing_offered_twice_moves_nothing() {
     let spec = ActionSpec::discrete("a", 3);
     let distribution = Arc::new(ActionDistribution::new(&spec, HeadCredit::All));

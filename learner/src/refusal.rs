@@ -11,7 +11,7 @@ pub enum Fault {
     /// It did not arrive whole, or is none.
     #[error(transparent)]
     Wire(#[from] Refusal),
-    /// Wrong shapes, impossible actions, or numbers that are not finite.
+    /// Wrong shapes, impossible actions, or numbers that are not finite or absurd.
     #[error(transparent)]
     Invalid(#[from] InvalidRollout),
     /// The run has no such environment.

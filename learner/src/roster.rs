@@ -2,6 +2,12 @@
 //!
 //! An actor is a **member** from the moment it has both said hello and shown its liveliness token, until the
 //! token is gone. A **sender** is one start of an actor, member or not: its sequences, credit and refusals.
+//!
+//! # Invariants
+//!
+//! * A member is never put aside by another start of the same name: two actors with one name would do that to each
+//!   other for ever.
+//! * Hellos alone use up no memory: of senders that are no members a limited number is known, the last ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,6 +15,9 @@ use leadtime_proto::limits::REFUSALS_BEFORE_CUT_OFF;
 use leadtime_proto::{ActorId, Incarnation, RefusalCause, Sequence};
 
 use crate::books::SenderKey;
+
+/// The most senders that are known at once, members apart.
+const MAX_SENDERS: usize = 1_024;
 
 /// One start of an actor, as far as this start of the learner knows it.
 #[derive(Clone, Debug, Default)]
@@ -19,6 +28,8 @@ pub struct Sender {
     pub limit: Sequence,
     /// It sent too many refused messages.
     pub cut_off: bool,
+    /// The how-manieth new sender it was.
+    number: u64,
     n_refused: u64,
     causes: BTreeSet<RefusalCause>,
 }
@@ -49,6 +60,7 @@ pub struct Roster {
     members: BTreeMap<ActorId, Incarnation>,
     /// Tokens seen; a member is a known sender with a token.
     present: BTreeSet<SenderKey>,
+    n_greeted: u64,
 }
 
 impl Roster {
@@ -59,8 +71,33 @@ impl Roster {
 
     /// Notes a hello; `published` is how far the actor had got when it first spoke to this learner.
     pub fn greet(&mut self, key: &SenderKey, published: Sequence) {
-        let sender = || Sender { made_before: published, ..Sender::default() };
-        self.senders.entry(key.clone()).or_insert_with(sender);
+        if self.senders.contains_key(key) {
+            return;
+        }
+        self.n_greeted += 1;
+        let number = self.n_greeted;
+        self.senders
+            .insert(key.clone(), Sender { made_before: published, number, ..Sender::default() });
+        self.forget_one(key);
+    }
+
+    /// Forgets the sender that is longest known of those that are no members, if there are too many: first one that
+    /// was not cut off.
+    fn forget_one(&mut self, newest: &SenderKey) {
+        if self.senders.len() <= MAX_SENDERS + self.members.len() {
+            return;
+        }
+        let is_guest = |key: &SenderKey| key != newest && self.members.get(&key.0) != Some(&key.1);
+        let guests = self.senders.iter().filter(|(key, _)| is_guest(key));
+        let oldest = guests.min_by_key(|(_, sender)| (sender.cut_off, sender.number));
+        if let Some(key) = oldest.map(|(key, _)| key.clone()) {
+            self.senders.remove(&key);
+        }
+    }
+
+    /// Tells whether a member has this name in another start.
+    pub fn is_taken(&self, key: &SenderKey) -> bool {
+        self.members.get(&key.0).is_some_and(|&start| start != key.1)
     }
 
     /// Notes a token, as often as it is reported.
@@ -72,7 +109,7 @@ impl Roster {
     pub fn admit(&mut self, key: &SenderKey) -> bool {
         let welcome = self.senders.get(key).is_some_and(|sender| !sender.cut_off);
         let is_new = self.members.get(&key.0) != Some(&key.1);
-        let admitted = welcome && is_new && self.present.contains(key);
+        let admitted = welcome && is_new && !self.is_taken(key) && self.present.contains(key);
         if admitted {
             self.members.insert(key.0.clone(), key.1);
         }
@@ -123,15 +160,37 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_an_older_start_does_not_end_the_newer() {
+    fn of_two_starts_the_first_stays_until_it_is_gone() {
         let mut roster = Roster::default();
         for start in [1, 2] {
             roster.greet(&key(start), Sequence(0));
             roster.appear(&key(start));
-            assert!(roster.admit(&key(start)));
         }
-        assert!(!roster.vanish(&key(1)));
+        assert!(roster.admit(&key(1)));
+        assert!(roster.is_taken(&key(2)) && !roster.is_taken(&key(1)));
+        assert!(!roster.admit(&key(2)));
+        assert!(roster.vanish(&key(1)));
+        assert!(roster.admit(&key(2)));
+        assert!(!roster.vanish(&key(1)), "the end of the older start does not end the newer");
         assert_eq!(roster.members()[&key(2).0], Incarnation(2));
+    }
+
+    #[test]
+    fn hellos_of_strangers_use_up_no_memory_and_push_out_no_member() {
+        let mut roster = Roster::default();
+        roster.greet(&key(1), Sequence(0));
+        roster.appear(&key(1));
+        assert!(roster.admit(&key(1)));
+        roster.greet(&key(2), Sequence(0));
+        roster.sender(&key(2)).unwrap().cut_off = true;
+        for start in 3..3 * MAX_SENDERS as u64 {
+            roster.greet(&key(start), Sequence(0));
+            assert!(roster.sender(&key(start)).is_some());
+        }
+        assert_eq!(roster.senders.len(), MAX_SENDERS + 1);
+        assert!(roster.sender(&key(1)).is_some(), "the member");
+        assert!(roster.sender(&key(2)).is_some_and(|sender| sender.cut_off));
+        assert!(roster.sender(&key(3)).is_none());
     }
 
     #[test]

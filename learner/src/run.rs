@@ -29,7 +29,7 @@ use tracing::{debug, warn};
 
 use crate::books::SenderKey;
 use crate::checkpoint::CheckpointStore;
-use crate::coordinator::{Coordinator, Effect, Terms};
+use crate::coordinator::{Coordinator, Effect, Terms, Unwelcome};
 use crate::episodes::Episodes;
 use crate::orders::Orders;
 use crate::report::{
@@ -222,8 +222,10 @@ impl Run {
             LearnerEvent::Hello { hello, reply } => {
                 let answered = match self.coordinator.hello(&hello) {
                     Ok(resend_from) => {
-                        reply.welcome(self.config.welcome(self.version, resend_from))
+                        let window = self.coordinator.window();
+                        reply.welcome(self.config.welcome(self.version, resend_from, window))
                     }
+                    Err(Unwelcome::Taken) => reply.taken(),
                     Err(unwelcome) => reply.refuse(&unwelcome.to_string()),
                 };
                 if let Err(error) = answered {

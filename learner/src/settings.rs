@@ -150,7 +150,11 @@ impl LearnerSettings {
             (positive(self.max_grad_norm), "max_grad_norm", "above 0"),
             (self.target_kl.is_none_or(positive), "target_kl", "above 0"),
             (positive(self.reward_scale), "reward_scale", "above 0"),
-            (self.mode != Mode::Lag || (1..=64).contains(&self.lag), "lag", "from 1 to 64"),
+            (
+                self.mode != Mode::Lag || (1..=limits::MAX_LAG).contains(&self.lag),
+                "lag",
+                "from 1 to 64",
+            ),
             (self.staleness_max <= 10_000, "staleness_max", "at most 10000"),
         ];
         match rules.into_iter().find(|(holds, _, _)| !holds) {
@@ -206,6 +210,14 @@ mod tests {
         assert_eq!(LearnerSettings::default().check(), Ok(()));
         let settings = LearnerSettings { gamma: f64::NAN, ..LearnerSettings::default() };
         assert_eq!(settings.check().unwrap_err().key, "gamma");
+    }
+
+    #[test]
+    fn the_longest_lag_is_the_one_that_is_said() {
+        let with = |lag| LearnerSettings { mode: Mode::Lag, lag, ..LearnerSettings::default() };
+        assert_eq!(with(limits::MAX_LAG).check(), Ok(()));
+        let error = with(limits::MAX_LAG + 1).check().unwrap_err();
+        assert_eq!(error.requirement, format!("from 1 to {}", limits::MAX_LAG));
     }
 
     #[test]

@@ -237,3 +237,28 @@ fn a_state_of_another_architecture_is_refused() {
     assert!(other.restore(state).is_err());
     assert_eq!(other.parameters().digest().unwrap(), before);
 }
+
+#[test]
+fn the_most_absurd_numbers_that_are_let_in_do_not_end_a_run() {
+    use leadtime_proto::limits::{MAX_MAGNITUDE, MIN_LOG_PROB};
+    let large = MAX_MAGNITUDE as f32;
+    let lies: [fn(&mut Rollout, f32); 5] = [
+        |rollout, large| rollout.rewards.fill(-large),
+        |rollout, large| rollout.values.fill(large),
+        |rollout, large| rollout.observations.fill(large),
+        |rollout, large| rollout.next_value = -large,
+        |rollout, _| rollout.log_probs.fill(MIN_LOG_PROB),
+    ];
+    for mode in [Mode::Sync, Mode::Async] {
+        for (i, lie) in lies.iter().enumerate() {
+            let mut trainer = trainer(mode, 1);
+            let (mut rollouts, _) = collect(&trainer, 0);
+            lie(&mut rollouts[1], large);
+            let report = trainer.update(&rollouts);
+            assert!(report.is_ok(), "{mode:?}, lie {i}: {report:?}");
+            let (rollouts, _) = collect(&trainer, 1);
+            let report = trainer.update(&rollouts);
+            assert!(report.is_ok(), "{mode:?}, after lie {i}: {report:?}");
+        }
+    }
+}

@@ -36,6 +36,8 @@ use crate::{ConnectSettings, ControlResponder, Error, Result, discovery, session
 const N_BULK: usize = 1_024;
 /// How long a run that was named may be missing while others are there.
 const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
+/// How long it is waited for another start of this actor to go.
+const TAKEN_GRACE: Duration = Duration::from_secs(2);
 /// First and longest pause between attempts to find a run.
 const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_millis(500));
 /// How long a pull of weights may take.
@@ -127,6 +129,7 @@ impl ActorLink {
     /// * [`Error::SeveralRuns`] if none was named and several are there.
     /// * [`Error::RunNotFound`] if only others than the named one are there.
     /// * [`Error::Refused`] if the learner does not want this actor, for instance for its protocol version.
+    /// * [`Error::Taken`] if another start of an actor of this name is there.
     /// * [`Error::NoAnswer`] if a learner is there but does not answer in time.
     pub async fn hello(
         &self,
@@ -145,7 +148,13 @@ impl ActorLink {
             let selector = key.clone();
             let question = Question { selector, header, payload, lane, timeout: timeout_left };
             match ask(&self.session, question).await? {
-                Answer::Reply(sample) => return self.answered(run, &sample),
+                Answer::Reply(sample) => match self.answered(run, &sample) {
+                    // One that was killed is there for a moment longer.
+                    Err(Error::Taken { .. }) if started.elapsed() < timeout.min(TAKEN_GRACE) => {
+                        tokio::time::sleep(RETRY.1).await;
+                    }
+                    answered => return answered,
+                },
                 Answer::Rejected(reason) => {
                     return Err(Error::Refused { run, actor: self.actor.clone(), reason });
                 }
@@ -340,6 +349,7 @@ impl ActorLink {
             HelloReply::Refused { reason } => {
                 Err(Error::Refused { run, actor: self.actor.clone(), reason })
             }
+            HelloReply::Taken => Err(Error::Taken { actor: self.actor.clone() }),
             HelloReply::Welcome(welcome) => {
                 self.enter(run, DomainName::new(welcome.task.domain.clone())?)?;
                 Ok(*welcome)

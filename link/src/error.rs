@@ -122,6 +122,12 @@ pub enum Error {
         /// The learner's sentence.
         reason: String,
     },
+    /// An actor of the same name is there, alive.
+    #[error("`{actor}` is already here; choose another --id")]
+    Taken {
+        /// The name.
+        actor: ActorId,
+    },
     /// Nobody acted on an order or answered a question in time.
     #[error("no answer on `{key}` within {timeout:?}")]
     NoAnswer {

@@ -45,6 +45,15 @@ impl HelloResponder {
         self.reply(&HelloReply::Refused { reason: reason.to_owned() })
     }
 
+    /// Turns the actor away because its name is taken.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the answer cannot be sent.
+    pub fn taken(self) -> Result<()> {
+        self.reply(&HelloReply::Taken)
+    }
+
     fn reply(self, reply: &HelloReply) -> Result<()> {
         let (header, payload) = wire::seal(Schema::HelloReply, self.incarnation, reply)?;
         send(&self.query, &header, payload)

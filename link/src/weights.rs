@@ -10,6 +10,7 @@ use std::thread;
 use std::time::Duration;
 
 use leadtime_proto::header::{HEADER_BYTES, Schema};
+use leadtime_proto::limits::MAX_LAG;
 use leadtime_proto::message::Announcement;
 use leadtime_proto::receive::{self, WEIGHTS};
 use leadtime_proto::{Header, Incarnation, PolicyVersion, Refusal};
@@ -27,8 +28,8 @@ use crate::{Error, Result, wire};
 pub(crate) const VERSION: &str = "version";
 /// Pause between repetitions of the newest announcement.
 pub(crate) const REPEAT: Duration = Duration::from_secs(1);
-/// Most versions that are kept, whatever the learner retires.
-const MAX_KEPT: usize = 64;
+/// Most versions that are kept, whatever the learner retires: the newest, and all that the longest lag acts with.
+const MAX_KEPT: usize = MAX_LAG as usize + 1;
 /// Threads that answer pulls: this many slow connections do not hold up the others.
 const N_THREADS: usize = 4;
 /// Most answers that are owed at once; an asker beyond it tries again.
@@ -208,6 +209,8 @@ fn answer(shelf: &Shelf, owed: Owed) {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_proto::Schedule;
+
     use super::*;
 
     #[test]
@@ -224,6 +227,19 @@ mod tests {
         let gone = "version 3 is not kept: versions 4 to 5 are".to_owned();
         assert_eq!(version(Some("3")), Err(gone));
         assert!(version(Some("x")).is_err());
+    }
+
+    #[test]
+    fn everything_that_the_longest_lag_acts_with_is_kept() {
+        let (shelf, newest) = (Shelf::new(Incarnation(1)), PolicyVersion(MAX_LAG + 6));
+        let oldest = Schedule::Lag(MAX_LAG).oldest_needed(newest);
+        for version in oldest.0..=newest.0 {
+            shelf.put(PolicyVersion(version), &[]);
+        }
+        shelf.retire(oldest);
+        for version in oldest.0..=newest.0 {
+            assert!(shelf.find(Some(&version.to_string())).is_ok(), "{version}");
+        }
     }
 
     #[test]

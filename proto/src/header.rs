@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::{Epoch, Incarnation, PolicyVersion, Sequence};
 
 /// The version of everything in this crate that crosses a process boundary.
-pub const PROTOCOL_VERSION: u32 = 1;
+pub const PROTOCOL_VERSION: u32 = 2;
 /// `LDTM` in little-endian bytes.
 const MAGIC: u32 = u32::from_le_bytes(*b"LDTM");
 /// Length of an encoded header.
@@ -66,6 +66,8 @@ impl Schema {
 /// The fixed-size front of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
+    /// [`PROTOCOL_VERSION`] of the sender; what is read is always our own.
+    pub protocol: u32,
     /// What the payload holds.
     pub schema: Schema,
     /// CRC-32C of the payload.
@@ -112,6 +114,7 @@ impl Header {
     /// Describes a payload that belongs to no rollout sequence.
     pub fn plain(schema: Schema, incarnation: Incarnation, payload: &[u8]) -> Self {
         Self {
+            protocol: PROTOCOL_VERSION,
             schema,
             checksum: crc32c::crc32c(payload),
             incarnation,
@@ -132,7 +135,7 @@ impl Header {
         bytes[0..4].copy_from_slice(&MAGIC.to_le_bytes());
         bytes[4..6].copy_from_slice(&(self.schema as u16).to_le_bytes());
         bytes[8..12].copy_from_slice(&self.checksum.to_le_bytes());
-        bytes[12..16].copy_from_slice(&PROTOCOL_VERSION.to_le_bytes());
+        bytes[12..16].copy_from_slice(&self.protocol.to_le_bytes());
         bytes[16..24].copy_from_slice(&self.incarnation.0.to_le_bytes());
         bytes[24..32].copy_from_slice(&self.sequence.0.to_le_bytes());
         bytes[32..40].copy_from_slice(&self.epoch.0.to_le_bytes());
@@ -160,6 +163,7 @@ impl Header {
         }
         let id = u16::from_le_bytes([bytes[4], bytes[5]]);
         Ok(Self {
+            protocol: word(12),
             schema: Schema::from_u16(id).ok_or(HeaderError::Schema { found: id })?,
             checksum: word(8),
             incarnation: Incarnation(long(16)),
@@ -196,8 +200,7 @@ mod tests {
 
     #[test]
     fn another_protocol_version_is_named() {
-        let mut bytes = header().to_bytes();
-        bytes[12] = 200;
+        let bytes = Header { protocol: 200, ..header() }.to_bytes();
         assert_eq!(Header::from_bytes(&bytes), Err(HeaderError::Protocol { found: 200 }));
     }
 

@@ -22,6 +22,14 @@ pub const MAX_ROLLOUT_STEPS: usize = 65_536;
 pub const MAX_ENVS: usize = 65_536;
 /// The most rollouts that one actor may have unacknowledged.
 pub const MAX_WINDOW: u32 = 4_096;
+/// The most updates that acting may run ahead of learning in a deterministic schedule.
+pub const MAX_LAG: u64 = 64;
+/// The largest magnitude of a number in a rollout: squared and summed over an update it is still finite in `f32`.
+pub const MAX_MAGNITUDE: f64 = 1e9;
+/// The lowest log-probability of an action that was sampled; far below what rounding leaves of the least likely one.
+pub const MIN_LOG_PROB: f32 = -1e4;
+/// The highest log-probability of an action: 0, and what rounding adds to it.
+pub const MAX_LOG_PROB: f32 = 1e-3;
 /// The most choices over all heads of an action (a [`crate::Mask`] is one 64-bit word).
 pub const MAX_CHOICES: usize = 64;
 /// The most heads of an action.

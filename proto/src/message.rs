@@ -48,6 +48,8 @@ pub enum HelloReply {
         /// One sentence: what is wrong and what to do.
         reason: String,
     },
+    /// Another start of an actor of this name is there, alive.
+    Taken,
 }
 
 /// Everything an actor needs to know about a run.

@@ -135,7 +135,7 @@ macro_rules! causes {
         }
 
         impl RefusalCause {
-            /// Lists all causes in the order of the checks.
+            /// Lists all causes, about in the order of the checks.
             pub const ALL: &[Self] = &[$(Self::$variant,)*];
 
             /// Returns the name under which it is counted in metrics and books.
@@ -183,6 +183,8 @@ causes! {
     EpisodeEnd = "episode_end",
     /// No snapshot, or one over the limit.
     Snapshot = "snapshot",
+    /// A number that no environment and no policy comes to. Last, because checkpoints hold causes by their order.
+    Magnitude = "magnitude",
 }
 
 impl fmt::Display for RefusalCause {
@@ -196,6 +198,7 @@ impl From<&InvalidRollout> for RefusalCause {
         match invalid {
             InvalidRollout::Steps { .. } | InvalidRollout::Length { .. } => Self::Shape,
             InvalidRollout::NonFinite { .. } => Self::NonFinite,
+            InvalidRollout::Magnitude { .. } => Self::Magnitude,
             InvalidRollout::Action { .. } => Self::Action,
             InvalidRollout::End { .. } => Self::EpisodeEnd,
             InvalidRollout::Snapshot { .. } => Self::Snapshot,

@@ -117,6 +117,20 @@ pub enum InvalidRollout {
         /// The first offending index.
         index: usize,
     },
+    /// A number that no environment and no policy comes to.
+    #[error("`{field}` is {found} at index {index}; {lowest} to {highest} are possible")]
+    Magnitude {
+        /// The field.
+        field: &'static str,
+        /// The first offending index.
+        index: usize,
+        /// As sent.
+        found: f64,
+        /// The lowest number that is possible.
+        lowest: f64,
+        /// The highest one.
+        highest: f64,
+    },
     /// A choice that could not have been sampled.
     #[error("step {step} has an action that its mask does not allow")]
     Action {
@@ -138,7 +152,7 @@ pub enum InvalidRollout {
 }
 
 impl Rollout {
-    /// Checks shapes, ranges and finiteness against what the run agreed on.
+    /// Checks shapes, ranges, finiteness and magnitudes against what the run agreed on.
     ///
     /// # Errors
     ///
@@ -164,13 +178,13 @@ impl Rollout {
         if !(1..=limits::MAX_SNAPSHOT_BYTES).contains(&self.snapshot.len()) {
             return Err(InvalidRollout::Snapshot { found: self.snapshot.len() });
         }
-        finite("observations", &self.observations)?;
-        finite("next_observation", &self.next_observation)?;
-        finite("log_probs", &self.log_probs)?;
-        finite("values", &self.values)?;
-        finite("next_value", &[self.next_value])?;
-        finite("rewards", &self.rewards)?;
-        finite("recurrent", &self.recurrent)?;
+        plausible("observations", &self.observations)?;
+        plausible("next_observation", &self.next_observation)?;
+        within("log_probs", &self.log_probs, (limits::MIN_LOG_PROB, limits::MAX_LOG_PROB))?;
+        plausible("values", &self.values)?;
+        plausible("next_value", &[self.next_value])?;
+        plausible("rewards", &self.rewards)?;
+        plausible("recurrent", &self.recurrent)?;
         self.check_actions(spec)?;
         self.check_ends(spec, n_steps)
     }
@@ -196,10 +210,10 @@ impl Rollout {
             earliest = step + 1;
             length("final_observation", end.final_observation.len(), spec.obs_dim)?;
             length("metrics", end.summary.metrics.len(), spec.metrics.len())?;
-            finite("final_observation", &end.final_observation)?;
-            finite("final_value", &[end.final_value])?;
-            finite("metrics", &end.summary.metrics)?;
-            finite("episode_return", &[end.summary.episode_return as f32])?;
+            plausible("final_observation", &end.final_observation)?;
+            plausible("final_value", &[end.final_value])?;
+            plausible("metrics", &end.summary.metrics)?;
+            plausible("episode_return", &[end.summary.episode_return])?;
         }
         Ok(())
     }
@@ -209,9 +223,113 @@ fn length(field: &'static str, found: usize, expected: usize) -> Result<(), Inva
     if found == expected { Ok(()) } else { Err(InvalidRollout::Length { field, found, expected }) }
 }
 
-fn finite(field: &'static str, values: &[f32]) -> Result<(), InvalidRollout> {
-    match values.iter().position(|value| !value.is_finite()) {
-        None => Ok(()),
-        Some(index) => Err(InvalidRollout::NonFinite { field, index }),
+fn plausible<T: Copy + Into<f64>>(field: &'static str, values: &[T]) -> Result<(), InvalidRollout> {
+    within(field, values, (-limits::MAX_MAGNITUDE, limits::MAX_MAGNITUDE))
+}
+
+/// Checks that every number is finite and in a closed range.
+fn within<T: Copy + Into<f64>>(
+    field: &'static str,
+    values: &[T],
+    (lowest, highest): (impl Into<f64>, impl Into<f64>),
+) -> Result<(), InvalidRollout> {
+    let (lowest, highest) = (lowest.into(), highest.into());
+    let outside = |&value: &T| !(lowest..=highest).contains(&value.into());
+    let Some(index) = values.iter().position(outside) else { return Ok(()) };
+    let found: f64 = values[index].into();
+    Err(if found.is_finite() {
+        InvalidRollout::Magnitude { field, index, found, lowest, highest }
+    } else {
+        InvalidRollout::NonFinite { field, index }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ActionSpec;
+
+    fn rollout() -> Rollout {
+        let summary =
+            EpisodeSummary { episode: 0, episode_return: 0.0, length: 1, metrics: vec![0.0] };
+        let end = EpisodeEnd {
+            step: 0,
+            truncated: true,
+            final_observation: vec![0.0],
+            final_value: 0.0,
+            summary,
+        };
+        Rollout {
+            n_steps: 1,
+            observations: vec![0.0],
+            next_observation: vec![0.0],
+            masks: vec![u64::MAX],
+            actions: vec![0],
+            log_probs: vec![0.0],
+            values: vec![0.0],
+            rewards: vec![0.0],
+            ends: vec![end],
+            recurrent: vec![0.0],
+            snapshot: vec![1],
+            ..Rollout::default()
+        }
+    }
+
+    fn check(change: impl FnOnce(&mut Rollout)) -> Result<(), InvalidRollout> {
+        let actions = ActionSpec::discrete("a", 2);
+        let spec = EnvSpec { obs_dim: 1, actions, metrics: vec!["success".to_owned()] };
+        let mut rollout = rollout();
+        change(&mut rollout);
+        rollout.check(&spec, 1, 1)
+    }
+
+    /// A field's name, and how to set a number of it.
+    type Field = (&'static str, fn(&mut Rollout, f32));
+
+    #[test]
+    fn no_number_may_be_absurd() {
+        let fields: [Field; 10] = [
+            ("observations", |r, x| r.observations[0] = x),
+            ("next_observation", |r, x| r.next_observation[0] = x),
+            ("values", |r, x| r.values[0] = x),
+            ("next_value", |r, x| r.next_value = x),
+            ("rewards", |r, x| r.rewards[0] = x),
+            ("recurrent", |r, x| r.recurrent[0] = x),
+            ("final_observation", |r, x| r.ends[0].final_observation[0] = x),
+            ("final_value", |r, x| r.ends[0].final_value = x),
+            ("metrics", |r, x| r.ends[0].summary.metrics[0] = x),
+            ("episode_return", |r, x| r.ends[0].summary.episode_return = x.into()),
+        ];
+        for (name, set) in fields {
+            for at_most in [1e9, -1e9] {
+                assert_eq!(check(|r| set(r, at_most)), Ok(()), "{name}");
+            }
+            for absurd in [1.1e9, -3e38] {
+                let found = check(|r| set(r, absurd));
+                assert!(
+                    matches!(found, Err(InvalidRollout::Magnitude { field, index: 0, .. }) if field == name),
+                    "{name}: {found:?}"
+                );
+            }
+            for no_number in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                let found = check(|r| set(r, no_number));
+                let expected = Err(InvalidRollout::NonFinite { field: name, index: 0 });
+                assert_eq!(found, expected);
+            }
+        }
+        let beyond_f32 = check(|r| r.ends[0].summary.episode_return = 1e300);
+        assert!(matches!(beyond_f32, Err(InvalidRollout::Magnitude { .. })), "{beyond_f32:?}");
+    }
+
+    #[test]
+    fn a_log_probability_is_that_of_a_sampled_action() {
+        for possible in [-1e4, -40.0, 0.0, 1e-3] {
+            assert_eq!(check(|r| r.log_probs[0] = possible), Ok(()));
+        }
+        let error = check(|r| r.log_probs[0] = 0.5).unwrap_err().to_string();
+        assert!(error.starts_with("`log_probs` is 0.5 at index 0; -10000 to 0.001"), "{error}");
+        assert!(check(|r| r.log_probs[0] = -1.1e4).is_err());
+        let nan = check(|r| r.log_probs[0] = f32::NAN);
+        assert_eq!(nan, Err(InvalidRollout::NonFinite { field: "log_probs", index: 0 }));
     }
 }

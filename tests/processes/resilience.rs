@@ -93,6 +93,22 @@ fn an_actor_killed_and_replaced_changes_nothing() {
 }
 
 #[test]
+fn a_name_is_taken_while_its_actor_lives_and_free_once_it_is_killed() {
+    let place = Place::new();
+    let learner = learner(&place, &["--set", "run.actors_min=2"]);
+    let first = actor(&place, "a");
+    wait_until("the first is in", PATIENCE, || learner.stderr().contains("actor joined"));
+    let taken = actor(&place, "a").finish(PATIENCE).with_code(2);
+    taken.saying(&["`a` is already here; choose another --id"]);
+    first.kill();
+    let (again, other) = (actor(&place, "a"), actor(&place, "b"));
+    learner.finish(PATIENCE).with_code(0);
+    again.finish(PATIENCE).with_code(0);
+    other.finish(PATIENCE).with_code(0);
+    assert_eq!(digest(&place), undisturbed());
+}
+
+#[test]
 fn a_learner_killed_and_restarted_changes_nothing() {
     let place = Place::new();
     let first = learner(&place, &[]);

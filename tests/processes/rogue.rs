@@ -5,10 +5,12 @@
 
 use std::time::Duration;
 
+use serde_json::{Value, json};
+
 use crate::support::{PATIENCE, Place, Running, result, wait_until};
 use leadtime_link::{ActorEvent, ActorLink, ConnectSettings};
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
-use leadtime_proto::limits::{MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF};
+use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF};
 use leadtime_proto::message::{Control, ControlAck, EnvAssignment, Hello, Welcome};
 use leadtime_proto::{
     ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, Sequence, codec,
@@ -30,20 +32,21 @@ const RUN: &[&str] = &[
 const SOON: Duration = Duration::from_secs(20);
 
 /// What the rogue sends, in turn; each is wrong in one way only.
-const LIES: [fn(&mut Rollout); 7] = [
+const LIES: [fn(&mut Rollout); 9] = [
     |rollout| rollout.observations[3] = f32::NAN,
     |rollout| rollout.rewards[0] = f32::INFINITY,
     |rollout| rollout.values.truncate(3),
     |rollout| rollout.actions[0] = 7,
     |rollout| rollout.env_id = EnvId(1_000),
     |rollout| rollout.version = PolicyVersion(1_000_000),
+    |rollout| rollout.version.0 -= 1,
+    |rollout| rollout.rewards[0] = 1e30,
     |rollout| rollout.snapshot = vec![0; MAX_SNAPSHOT_BYTES + 1],
 ];
 
-fn learner(place: &Place, actors_min: &str) -> Running {
+fn learner(place: &Place, extra: &[&str]) -> Running {
     let endpoint = place.endpoint("learner");
-    let set = format!("run.actors_min={actors_min}");
-    place.start(&[&["learner", "--listen", &endpoint, "--set", &set], RUN].concat())
+    place.start(&[&["learner", "--listen", &endpoint], RUN, extra].concat())
 }
 
 fn honest(place: &Place) -> Running {
@@ -130,29 +133,69 @@ impl Rogue {
         }
     }
 
+    fn header(&self, sequence: u64, payload: &[u8]) -> Header {
+        let version = self.welcome.schedule.behavior_version(self.env.iteration);
+        Header {
+            sequence: Sequence(sequence),
+            epoch: self.epoch,
+            version: version.unwrap_or_default(),
+            ..Header::plain(Schema::Rollout, Incarnation(7), payload)
+        }
+    }
+
     fn send(&mut self, payload: Vec<u8>, damage: fn(&mut Header)) {
         self.sent += 1;
-        let plain = Header::plain(Schema::Rollout, Incarnation(7), &payload);
-        let mut header = Header { sequence: Sequence(self.sent), epoch: self.epoch, ..plain };
+        let mut header = self.header(self.sent, &payload);
         damage(&mut header);
         self.link.publish_rollout(&header, payload).unwrap();
     }
+
+    /// Sends what is refused before it is read: it has no place in the sequence, and no answer.
+    fn send_unread(&self, payload: Vec<u8>, protocol: u32) {
+        let header = Header { protocol, ..self.header(self.sent + 1, &payload) };
+        self.link.publish_rollout(&header, payload).unwrap();
+    }
+}
+
+/// What the learner must have counted: two rounds of kinds, the second one cut short by the sixteenth refusal.
+fn expected_refusals() -> Value {
+    json!({
+        "oversize": 1,
+        "protocol": 1,
+        "checksum": 2,
+        "malformed": 2,
+        "assignment": 1,
+        "version": 2,
+        "shape": 1,
+        "non_finite": 3,
+        "action": 1,
+        "snapshot": 1,
+        "magnitude": 1,
+    })
 }
 
 async fn misbehave(endpoint: String) -> (u64, String) {
     let mut rogue = Rogue::enter(&endpoint).await;
     for turn in 0.. {
         assert!(turn < 4 * REFUSALS_BEFORE_CUT_OFF, "the rogue was never cut off");
-        match turn as usize % (LIES.len() + 2) {
+        match turn as usize % (LIES.len() + 4) {
             0 => rogue.send(b"not a rollout".to_vec(), |_| {}),
             1 => {
                 let payload = codec::encode(&rogue.plausible()).unwrap();
                 rogue.send(payload, |header| header.checksum ^= 1);
             }
-            lie => {
+            lie if lie < LIES.len() + 2 => {
                 let mut rollout = rogue.plausible();
                 LIES[lie - 2](&mut rollout);
                 rogue.send(codec::encode(&rollout).unwrap(), |_| {});
+            }
+            unread => {
+                if unread == LIES.len() + 2 {
+                    rogue.send_unread(vec![0; MAX_ROLLOUT_BYTES + 1], PROTOCOL_VERSION);
+                } else {
+                    rogue.send_unread(vec![0], PROTOCOL_VERSION - 1);
+                }
+                continue;
             }
         }
         // Every refusal is answered: by the environments anew, or by being sent away.
@@ -170,15 +213,19 @@ async fn misbehave(endpoint: String) -> (u64, String) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
     let undisturbed = Place::new();
-    let (first, helper) = (learner(&undisturbed, "1"), honest(&undisturbed));
+    let (first, helper) = (learner(&undisturbed, &[]), honest(&undisturbed));
     first.finish(PATIENCE).with_code(0);
     helper.finish(PATIENCE).with_code(0);
 
+    // The rogue comes when there are older policies to claim.
     let place = Place::new();
-    let second = learner(&place, "2");
+    let (begun, helper) = (learner(&place, &["--stop-after", "3"]), honest(&place));
+    begun.finish(PATIENCE).with_code(0);
+    let before = helper.finish(PATIENCE).with_code(0).json();
+    let second = learner(&place, &["--set", "run.actors_min=2"]);
     let helper = honest(&place);
     let (sent, reason) = misbehave(place.endpoint("learner")).await;
-    assert_eq!(sent, REFUSALS_BEFORE_CUT_OFF);
+    assert_eq!(sent, REFUSALS_BEFORE_CUT_OFF - 2, "two of them had no place in the sequence");
     assert!(reason.contains("refused"), "{reason}");
     wait_until("the cut is told", SOON, || second.stderr().contains("cut off"));
     second.finish(PATIENCE).with_code(0);
@@ -188,6 +235,11 @@ async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
     assert_eq!(calm["weights_sha256"], disturbed["weights_sha256"]);
     let books = &disturbed["books"];
     assert_eq!(books["refused"], sent, "{books}");
-    let published = journal["published"].as_u64().unwrap() + sent;
-    assert_eq!(books["published"], published, "the journals of both actors: {journal} and {sent}");
+    assert_eq!(books["refusals"], expected_refusals());
+    let lines = std::fs::read_to_string(place.run("r").join("metrics.jsonl")).unwrap();
+    let last: Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
+    assert_eq!(last["refusals"], expected_refusals());
+    let honest = [before, journal].map(|journal| journal["published"].as_u64().unwrap());
+    let published = honest.iter().sum::<u64>() + sent;
+    assert_eq!(books["published"], published, "the journals of both actors: {honest:?} and {sent}");
 }

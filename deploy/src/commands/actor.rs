@@ -85,6 +85,7 @@ fn failure(error: Error) -> Failure {
             | LinkError::NoEndpoint
             | LinkError::Name(_)
             | LinkError::SeveralRuns { .. }
+            | LinkError::Taken { .. }
             | LinkError::RunNotFound { .. },
         ) => ExitCode::WrongInput,
         Error::Link(_)

@@ -1,5 +1,7 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
+use std::collections::BTreeMap;
+
 use anyhow::Context as _;
 use leadtime_learner::{LearnerConfig, RunEnd, RunReport};
 use leadtime_link::{Endpoint, ListenSettings};
@@ -143,6 +145,7 @@ struct Accounts {
     trained: u64,
     dropped_stale: u64,
     refused: u64,
+    refusals: BTreeMap<&'static str, u64>,
     superseded: u64,
     unused_at_end: u64,
     rolled_back: u64,
@@ -158,6 +161,7 @@ impl From<&RunReport> for Accounts {
             trained: books.trained,
             dropped_stale: books.dropped_stale,
             refused: books.refused,
+            refusals: books.refusals.iter().map(|(cause, &n)| (cause.name(), n)).collect(),
             superseded: books.superseded,
             unused_at_end: books.unused_at_end,
             rolled_back: books.rolled_back,

@@ -81,6 +81,10 @@ impl RunSink {
             .map(|(staleness, n)| (staleness.to_string(), Value::from(*n)))
             .collect();
         line.insert("staleness".to_owned(), staleness.into());
+        let refusals = &progress.books.refusals;
+        let refusals: Map<String, Value> =
+            refusals.iter().map(|(cause, &n)| (cause.name().to_owned(), n.into())).collect();
+        line.insert("refusals".to_owned(), refusals.into());
         for (name, value) in &scalars {
             line.insert(name.clone(), (*value).into());
         }

@@ -208,8 +208,11 @@ fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
     c.take_effects();
     let mut nan = rollout(0, 0, 0);
     nan.rewards[0] = f32::NAN;
+    let mut absurd = rollout(0, 0, 0);
+    absurd.rewards[0] = 1e30;
     let bad = [
         (nan, Cause::NonFinite),
+        (absurd, Cause::Magnitude),
         (rollout(9, 0, 0), Cause::Assignment),
         (rollout(0, 0, 1), Cause::Version),
     ];
@@ -226,8 +229,8 @@ fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
         epoch: Epoch(100),
         ..Header::plain(Schema::Rollout, Incarnation(1), payload)
     };
-    c.rollout(actor("a"), &header(4, b"else"), &payload);
-    c.rollout(actor("a"), &header(5, b"short"), b"short");
+    c.rollout(actor("a"), &header(5, b"else"), &payload);
+    c.rollout(actor("a"), &header(6, b"short"), b"short");
     c.rollout(actor("a"), &header(500, &payload), &payload);
     c.rollout(actor("x"), &header(1, &payload), &payload);
     c.refused_by_link(Some(actor("a")), Cause::Oversize, "too large".to_owned());
@@ -236,7 +239,7 @@ fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
     {
         assert_eq!(c.books().refusals.get(&cause), Some(&1), "{cause:?}");
     }
-    assert_eq!(close_balanced(&mut c).refused, 5);
+    assert_eq!(close_balanced(&mut c).refused, 6);
 }
 
 #[test]
@@ -303,17 +306,88 @@ fn a_hello_that_contradicts_itself_is_refused() {
 fn a_full_queue_gives_no_more_credit_until_it_is_used() {
     let mut c = coordinator(1, Schedule::Async { staleness_max: 0 });
     join(&mut c, "a");
-    c.take_effects();
+    assert_eq!(credits(&mut c), [(0, 2)], "two updates' worth, not a window");
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
-    assert_eq!(credits(&mut c), [(1, 5)]);
+    assert_eq!(credits(&mut c), [(1, 2)]);
     send(&mut c, "a", 2, 1, &rollout(0, 1, 0));
-    send(&mut c, "a", 3, 1, &rollout(0, 2, 0));
-    assert_eq!(credits(&mut c), [(3, 5)], "full: the limit stays");
+    assert_eq!(credits(&mut c), [(2, 2)], "full: the limit stays");
+    assert_eq!(c.window(), 1, "who enters now may have one on its way");
     c.next_batch().unwrap();
     c.trained(PolicyVersion(1));
     c.next_batch();
-    assert_eq!(credits(&mut c), [(3, 7)]);
-    assert_eq!(close_balanced(&mut c).dropped_stale, 2);
+    assert_eq!(credits(&mut c), [(2, 4)]);
+    assert_eq!(close_balanced(&mut c).dropped_stale, 1);
+}
+
+#[test]
+fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credit() {
+    let mut c = coordinator(4, Schedule::Async { staleness_max: 8 });
+    (c.terms.window, c.terms.actors_min) = (64, 2);
+    let mut actors = [("a", [0, 1]), ("b", [2, 3])].map(|(name, envs)| (name, envs, 0_u64, 0_u64));
+    for (name, ..) in actors {
+        join(&mut c, name);
+    }
+    for version in 0..50 {
+        for effect in c.take_effects() {
+            if let Effect::Credit { to, credit } = effect {
+                let of_actor = actors.iter_mut().find(|(name, ..)| to == actor(name)).unwrap();
+                of_actor.3 = credit.limit.0;
+            }
+        }
+        for (name, envs, made, limit) in &mut actors {
+            while *made < *limit {
+                let env = envs[(*made % 2) as usize];
+                *made += 1;
+                let next = c.collector.expected(EnvId(env)).unwrap();
+                send(&mut c, name, *made, 100, &rollout(env, next.0, version));
+            }
+        }
+        assert_eq!(c.next_batch().unwrap().rollouts.len(), 4);
+        c.trained(PolicyVersion(version + 1));
+    }
+    let books = close_balanced(&mut c);
+    assert!(20 * books.dropped_stale <= books.published, "{books:?}");
+    assert_eq!((books.trained, books.refused), (200, 0));
+}
+
+#[test]
+fn what_one_killed_learner_took_with_it_is_told_once_and_has_a_limit() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    let (lost, kept) = (MAX_LOST + 1, MAX_UNACKNOWLEDGED + 1);
+    assert_eq!(c.hello(&hello("a", lost, lost + 1)), Err(Unwelcome::Nonsense));
+    assert_eq!(c.hello(&hello("a", kept, 1)), Err(Unwelcome::Nonsense));
+    assert_eq!(c.books().rolled_back, 0);
+    assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)));
+    assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)), "the answer may have been lost");
+    assert_eq!(c.hello(&hello("a", 9, 9)), Err(Unwelcome::Nonsense));
+    assert_eq!(c.books().rolled_back, 5);
+    close_balanced(&mut c);
+}
+
+#[test]
+fn strangers_do_not_fill_the_books() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    for i in 0..MAX_LOSERS {
+        c.hello(&hello(&format!("s{i}"), 1, 2)).unwrap();
+    }
+    assert_eq!(c.hello(&hello("one-more", 1, 2)), Err(Unwelcome::Nonsense));
+    assert_eq!(c.hello(&hello("honest", 0, 1)), Ok(Sequence(1)));
+    assert_eq!(c.books().rolled_back, MAX_LOSERS as u64);
+}
+
+#[test]
+fn a_name_is_taken_for_as_long_as_its_actor_is_there() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    join(&mut c, "a");
+    c.take_effects();
+    let second = Hello { incarnation: Incarnation(2), ..hello("a", 0, 1) };
+    c.joined(actor("a"), Incarnation(2));
+    assert_eq!(c.hello(&second), Err(Unwelcome::Taken));
+    assert!(assignments(&mut c).is_empty(), "the first goes on undisturbed");
+    c.left(actor("a"), Incarnation(1));
+    assert_eq!(c.hello(&second), Ok(Sequence(1)));
+    assert_eq!(assignments(&mut c).len(), 1);
+    assert_eq!(c.hello(&hello("a", 0, 1)), Err(Unwelcome::Taken), "the first is too late");
 }
 
 #[test]
