@@ -54,6 +54,8 @@ pub struct Terms {
     pub window: u32,
     /// Actors that must be there before a run starts.
     pub actors_min: usize,
+    /// The fingerprint of the learner's own build.
+    pub program: String,
     /// The learner's own CPU fingerprint.
     pub cpu: String,
 }
@@ -128,6 +130,7 @@ pub struct Coordinator {
     in_training: u64,
     stage: Stage,
     rebalance_due: bool,
+    same_program: bool,
     same_cpu: bool,
     credit_due: BTreeSet<ActorId>,
     effects: Vec<Effect>,
@@ -146,6 +149,7 @@ impl Coordinator {
             in_training: 0,
             stage: Stage::Gathering,
             rebalance_due: false,
+            same_program: true,
             same_cpu: true,
             credit_due: BTreeSet::new(),
             effects: Vec::new(),
@@ -169,6 +173,11 @@ impl Coordinator {
         self.roster.greet(&key, hello.published);
         let n_steps = u64::from(self.terms.n_steps);
         self.books.roll_back_through(&key, Sequence(first - 1), n_steps);
+        if hello.program != self.terms.program {
+            self.same_program = false;
+            let (actor, program) = (hello.actor.clone(), hello.program.clone());
+            self.effects.push(Effect::Event(RunEvent::OtherProgram { actor, program }));
+        }
         if hello.cpu != self.terms.cpu {
             self.same_cpu = false;
             let (actor, cpu) = (hello.actor.clone(), hello.cpu.clone());
@@ -334,9 +343,19 @@ impl Coordinator {
         self.roster.members().len()
     }
 
-    /// Tells whether everyone so far ran on the learner's class of CPU.
-    pub fn is_on_one_cpu(&self) -> bool {
-        self.same_cpu
+    /// Returns how many actors there have to be for the run to go on, if there are fewer.
+    pub fn n_actors_needed(&self) -> Option<usize> {
+        let n_needed = match self.stage {
+            Stage::Gathering => self.terms.actors_min,
+            Stage::Running => 1,
+            Stage::Closing => 0,
+        };
+        (self.n_actors() < n_needed).then_some(n_needed)
+    }
+
+    /// Tells whether everyone so far ran the learner's build on the learner's class of CPU.
+    pub fn is_uniform(&self) -> bool {
+        self.same_program && self.same_cpu
     }
 
     fn read(&self, header: &Header, payload: &[u8]) -> Result<Rollout, Fault> {
