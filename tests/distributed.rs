@@ -136,6 +136,7 @@ impl Learner {
             window: 4,
             actors_min,
             listen: ListenSettings::new(vec![endpoint(directory)]),
+            program: "test".to_owned(),
             cpu: "cpu".to_owned(),
             checkpoints: directory.join("checkpoints"),
             checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_mins(1) },

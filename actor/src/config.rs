@@ -18,7 +18,7 @@ pub struct ActorSettings {
     pub connect: ConnectSettings,
     /// How long to look for a learner that was lost.
     pub reconnect_timeout: Duration,
-    /// Release of the program, for the learner's log.
+    /// Fingerprint of the program's build: equal ones compute the same numbers.
     pub program: String,
     /// CPU fingerprint: equal fingerprints give equal bits.
     pub cpu: String,

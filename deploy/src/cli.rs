@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::config::checked::MAX_EPISODES;
 use crate::config::raw::EvaluationAction;
 use crate::config::table::Assignment;
 use crate::exit::EXIT_CODE_HELP;
@@ -122,7 +123,7 @@ pub struct SmokeArgs {
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=256))]
     pub actors: u32,
     /// Episodes per judged policy (default: 200, with --quick 10).
-    #[arg(long)]
+    #[arg(long, value_parser = n_episodes())]
     pub episodes: Option<u32>,
     /// Print the results as JSON.
     #[arg(long)]
@@ -195,7 +196,7 @@ pub struct EvalArgs {
     /// A policy file, a run directory or the name of a run.
     pub policy: String,
     /// Episodes per policy (default: the configuration's; 1 with --transcript).
-    #[arg(long)]
+    #[arg(long, value_parser = n_episodes())]
     pub episodes: Option<u32>,
     /// Print the episodes as a person would hear them, word by word, instead of judging them.
     #[arg(long, conflicts_with = "json")]
@@ -356,16 +357,24 @@ fn duration(text: &str) -> Result<Duration, String> {
     Duration::try_from(span).map_err(|error| format!("{error}; write 60s or 2m"))
 }
 
+/// Reads a number of episodes.
+fn n_episodes() -> clap::builder::RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..=i64::from(MAX_EPISODES))
+}
+
 /// Reads `A..B`, half open.
 fn seed_range(text: &str) -> Result<Range<u64>, String> {
     let (from, to) = text.split_once("..").ok_or("write A..B, B not included")?;
     let number = |text: &str| text.trim().parse::<u64>().map_err(|error| error.to_string());
     let range = number(from)?..number(to)?;
     if range.is_empty() {
-        Err("the range is empty: A must be below B".to_owned())
-    } else {
-        Ok(range)
+        return Err("the range is empty: A must be below B".to_owned());
     }
+    let n = range.end - range.start;
+    if n > u64::from(MAX_EPISODES) {
+        return Err(format!("these are {n} seeds; allowed: 1 to {MAX_EPISODES}"));
+    }
+    Ok(range)
 }
 
 #[cfg(test)]
@@ -383,6 +392,8 @@ mod tests {
         assert_eq!(seed_range("0..1000"), Ok(0..1000));
         assert!(seed_range("5..5").is_err());
         assert!(seed_range("5").is_err());
+        assert_eq!(seed_range("7..1000007"), Ok(7..1_000_007));
+        assert!(seed_range("7..1000008").is_err());
         assert_eq!(duration("2m"), Ok(Duration::from_mins(2)));
         assert!(duration("-1s").is_err());
     }

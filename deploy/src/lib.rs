@@ -16,6 +16,7 @@
 //!
 //! [`Program::run`], then the command of interest in [`commands`].
 
+pub mod build_id;
 pub mod cli;
 pub mod clock;
 pub mod commands;

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 
-use crate::{clock, cpu, threads};
+use crate::{build_id, clock, cpu, threads};
 
 /// The format of a run directory; a newer one is refused with a sentence.
 pub const RUN_FORMAT: u32 = 1;
@@ -50,7 +50,8 @@ pub struct RunResult {
     pub steps: u64,
     /// SHA-256 over the final parameters, in hexadecimal: equal for equal seeds in `sync` and `lag`.
     pub weights_sha256: String,
-    /// Whether the same seed would give the same bits again: a deterministic schedule, one class of CPU.
+    /// Whether the same seed would give the same bits again: a deterministic schedule, one
+    /// build of the program, one class of CPU.
     pub reproducible: bool,
     /// The books, as JSON.
     pub books: serde_json::Value,
@@ -65,7 +66,7 @@ impl RunRecord {
             domain: domain.to_owned(),
             seed,
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            commit: option_env!("LEADTIME_COMMIT").map(str::to_owned),
+            commit: build_id::COMMIT.map(str::to_owned),
             cpu: cpu::fingerprint(),
             threads: threads::configured(),
             started: clock::utc_now(),

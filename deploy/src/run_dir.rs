@@ -5,7 +5,7 @@
 //!               lock                 held by the learner            checkpoints/         newest ones, and best
 //!               metrics.jsonl        a line per update              tensorboard/         the same, as event files
 //!               policy.safetensors   the newest policy              best.safetensors     the best so far
-//!               report.html, playthrough.png
+//!               report.html          written at every end    playthrough.png      drawn by `smoke`
 //! ```
 //!
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same
@@ -96,6 +96,7 @@ pub struct RunDir {
     path: PathBuf,
     name: RunName,
     record: RunRecord,
+    grown: Option<Change>,
     /// Held for as long as the directory is ours; the system lets go of it even after `kill -9`.
     _lock: File,
 }
@@ -126,19 +127,22 @@ impl RunDir {
             let record = RunRecord::begin(name.as_str(), config.domain.as_str(), config.seed);
             record.write(&record_path).map_err(io)?;
             write_config(&path, config).map_err(io)?;
-            return Ok((Self { path, name: name.clone(), record, _lock: lock }, State::Fresh));
+            let fresh = Self { path, name: name.clone(), record, grown: None, _lock: lock };
+            return Ok((fresh, State::Fresh));
         }
         let not_a_run = |reason| RunDirError::NotARun { path: path.clone(), reason };
         let mut record = RunRecord::read(&record_path).map_err(not_a_run)?;
         let before = read_config(&path).map_err(not_a_run)?;
         let state = compare(&record, &before, &config.table, name)?;
+        let changes = difference(&before, &config.table).into_iter();
+        let grown = { changes }.find(|change| change.key == TOTAL_STEPS);
         if state == State::Unfinished {
             record.resumed += 1;
             record.result = None;
             record.write(&record_path).map_err(io)?;
             write_config(&path, config).map_err(io)?;
         }
-        Ok((Self { path, name: name.clone(), record, _lock: lock }, state))
+        Ok((Self { path, name: name.clone(), record, grown, _lock: lock }, state))
     }
 
     /// Returns the directory.
@@ -154,6 +158,11 @@ impl RunDir {
     /// Returns the record as it was when the directory was opened.
     pub fn record(&self) -> &RunRecord {
         &self.record
+    }
+
+    /// Returns how `learner.total_steps` grew since the run was last carried out, if it did.
+    pub fn grown(&self) -> Option<&Change> {
+        self.grown.as_ref()
     }
 
     /// Writes how the run ended.

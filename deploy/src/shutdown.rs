@@ -2,7 +2,8 @@
 //!
 //! Ctrl-C, SIGTERM and (for a supervised process) the end of standard input all cancel the same token; everything
 //! that works watches it, writes its checkpoint and books, and returns. If that takes longer than
-//! [`DEADLINE`] the process ends anyway, and a second Ctrl-C ends it at once.
+//! [`DEADLINE`] the process ends anyway, and a second Ctrl-C ends it at once. A supervisor has a little longer
+//! ([`SUPERVISOR_DEADLINE`]): it must outlive its children to kill those that hang.
 //!
 //! A supervised process reads its standard input and does nothing with it: the supervisor holds the other end and
 //! never writes. When the supervisor closes it, or dies in whatever way, the read ends: so there are no orphans.
@@ -17,7 +18,9 @@ use tokio_util::sync::CancellationToken;
 use crate::exit::ExitCode;
 
 /// How long a process may take to end after it was asked to.
-pub const DEADLINE: Duration = Duration::from_millis(4_500);
+pub const DEADLINE: Duration = Duration::from_millis(4_400);
+/// How long a supervisor may take: its children's [`DEADLINE`], the time to notice, and the time to kill.
+pub const SUPERVISOR_DEADLINE: Duration = Duration::from_millis(4_950);
 
 /// Who may ask a process to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,6 +29,17 @@ pub enum Watch {
     Signals,
     /// The person or the supervisor, by closing standard input.
     SignalsAndStdin,
+    /// The person, and the process has children to see off.
+    SignalsAsSupervisor,
+}
+
+impl Watch {
+    fn deadline(self) -> Duration {
+        match self {
+            Self::Signals | Self::SignalsAndStdin => DEADLINE,
+            Self::SignalsAsSupervisor => SUPERVISOR_DEADLINE,
+        }
+    }
 }
 
 /// Starts to watch for a reason to end; call it inside the async runtime.
@@ -61,8 +75,8 @@ pub fn watch(who: Watch) -> io::Result<CancellationToken> {
         cancelled.cancelled().await;
         let timer = thread::Builder::new().name("shutdown-deadline".to_owned());
         // A thread, because the runtime itself may be what does not end.
-        let spawned = timer.spawn(|| {
-            thread::sleep(DEADLINE);
+        let spawned = timer.spawn(move || {
+            thread::sleep(who.deadline());
             end_now();
         });
         if spawned.is_err() {

@@ -20,13 +20,19 @@ use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 use tokio_util::sync::CancellationToken;
 
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::shutdown::{DEADLINE, SUPERVISOR_DEADLINE};
 
 /// How often one child may be started again.
 pub const RESTARTS: u32 = 5;
-/// How long children may take to end by themselves before they are killed.
+/// How long children may take to end by themselves before they are killed: longer than their own deadline, shorter
+/// than ours.
 pub const GRACE: Duration = Duration::from_millis(4_600);
 /// How often the children are looked at.
 const TICK: Duration = Duration::from_millis(20);
+const _: () = assert!(
+    DEADLINE.as_millis() < GRACE.as_millis() && GRACE.as_millis() < SUPERVISOR_DEADLINE.as_millis(),
+    "a child ends by itself first, then it is killed, then the supervisor ends"
+);
 /// Pause before the first restart; doubled for each further one.
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
 

@@ -28,7 +28,8 @@ pub const FORMAT_VERSION: u32 = 1;
 pub const KEPT: usize = 3;
 const MAGIC: [u8; 4] = *b"LTCK";
 const FRONT_BYTES: usize = 48;
-const MAX_PAYLOAD_BYTES: usize = leadtime_proto::limits::MAX_MESSAGE_BYTES;
+/// The largest state that a checkpoint holds, in bytes.
+pub const MAX_PAYLOAD_BYTES: usize = leadtime_proto::limits::MAX_MESSAGE_BYTES;
 const EXTENSION: &str = "checkpoint";
 
 /// Why checkpoints cannot be written or read.

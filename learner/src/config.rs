@@ -50,6 +50,8 @@ pub struct LearnerConfig {
     pub actors_min: usize,
     /// Where to be reached.
     pub listen: ListenSettings,
+    /// The fingerprint of the learner's build of the program.
+    pub program: String,
     /// The learner's CPU fingerprint.
     pub cpu: String,
     /// The directory of the run's checkpoints.

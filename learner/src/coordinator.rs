@@ -60,6 +60,8 @@ pub struct Terms {
     pub window: u32,
     /// Actors that must be there before a run starts.
     pub actors_min: usize,
+    /// The fingerprint of the learner's own build.
+    pub program: String,
     /// The learner's own CPU fingerprint.
     pub cpu: String,
 }
@@ -137,6 +139,7 @@ pub struct Coordinator {
     in_training: u64,
     stage: Stage,
     rebalance_due: bool,
+    same_program: bool,
     same_cpu: bool,
     /// Starts of actors that told of lost rollouts and were not in the checkpoint.
     n_losers: usize,
@@ -157,6 +160,7 @@ impl Coordinator {
             in_training: 0,
             stage: Stage::Gathering,
             rebalance_due: false,
+            same_program: true,
             same_cpu: true,
             n_losers: 0,
             credit_due: BTreeSet::new(),
@@ -181,6 +185,11 @@ impl Coordinator {
         self.roster.greet(&key, hello.published);
         let n_steps = u64::from(self.terms.n_steps);
         self.books.roll_back_through(&key, acknowledged, n_steps);
+        if hello.program != self.terms.program {
+            self.same_program = false;
+            let (actor, program) = (hello.actor.clone(), hello.program.clone());
+            self.effects.push(Effect::Event(RunEvent::OtherProgram { actor, program }));
+        }
         if hello.cpu != self.terms.cpu {
             self.same_cpu = false;
             let (actor, cpu) = (hello.actor.clone(), hello.cpu.clone());
@@ -376,9 +385,19 @@ impl Coordinator {
         self.roster.members().len()
     }
 
-    /// Tells whether everyone so far ran on the learner's class of CPU.
-    pub fn is_on_one_cpu(&self) -> bool {
-        self.same_cpu
+    /// Returns how many actors there have to be for the run to go on, if there are fewer.
+    pub fn n_actors_needed(&self) -> Option<usize> {
+        let n_needed = match self.stage {
+            Stage::Gathering => self.terms.actors_min,
+            Stage::Running => 1,
+            Stage::Closing => 0,
+        };
+        (self.n_actors() < n_needed).then_some(n_needed)
+    }
+
+    /// Tells whether everyone so far ran the learner's build on the learner's class of CPU.
+    pub fn is_uniform(&self) -> bool {
+        self.same_program && self.same_cpu
     }
 
     fn read(&self, header: &Header, payload: &[u8]) -> Result<Rollout, Fault> {

@@ -84,6 +84,13 @@ pub enum RunEvent {
         /// How many environments it had.
         n_envs: usize,
     },
+    /// Nothing can be trained, because actors are missing; told again while that lasts.
+    WaitingForActors {
+        /// How many there are.
+        n_actors: usize,
+        /// How many there have to be.
+        n_needed: usize,
+    },
     /// Environments moved.
     Assigned {
         /// To whom.
@@ -112,6 +119,13 @@ pub enum RunEvent {
         incarnation: Incarnation,
         /// Why.
         reason: String,
+    },
+    /// An actor runs another build of the program than the learner: it may compute other numbers.
+    OtherProgram {
+        /// Which.
+        actor: ActorId,
+        /// Its fingerprint.
+        program: String,
     },
     /// An actor runs on another class of CPU than the learner: results may differ in the last bits.
     OtherCpu {
@@ -188,7 +202,8 @@ pub struct RunReport {
     pub books: Books,
     /// Whether the books balance.
     pub balance: Result<(), Imbalance>,
-    /// Whether the same seed would give the same bits: a deterministic schedule on one class of CPU.
+    /// Whether the same seed would give the same bits: a deterministic schedule, one build of the
+    /// program, one class of CPU.
     pub reproducible: bool,
     /// Whether the state at the end is on the disk; if not, a resume goes on from an older checkpoint.
     pub checkpointed: bool,

@@ -56,7 +56,8 @@ pub(crate) struct Checkpoint {
     pub(crate) books: Books,
     /// Rollouts accepted and not trained on.
     pub(crate) waiting: u64,
-    pub(crate) same_cpu: bool,
+    /// Whether everyone so far ran one build of the program on one class of CPU.
+    pub(crate) uniform: bool,
 }
 
 /// How far a run had got when it began.
@@ -68,7 +69,8 @@ pub(crate) struct Standing {
     pub(crate) best: Option<RatedPolicy>,
     pub(crate) episodes: Episodes,
     pub(crate) staleness: BTreeMap<u64, u64>,
-    pub(crate) same_cpu: bool,
+    /// Whether everyone so far ran one build of the program on one class of CPU.
+    pub(crate) uniform: bool,
     pub(crate) events: Vec<RunEvent>,
 }
 
@@ -101,7 +103,7 @@ fn anew(config: &LearnerConfig, trainer: Trainer) -> Result<Standing, Error> {
         best: None,
         episodes: Episodes::default(),
         staleness: BTreeMap::new(),
-        same_cpu: true,
+        uniform: true,
         events: Vec::new(),
     })
 }
@@ -135,7 +137,7 @@ fn resumed(
         best: state.best.map(RatedPolicy::from),
         episodes: state.episodes,
         staleness: state.staleness,
-        same_cpu: state.same_cpu,
+        uniform: state.uniform,
         events: events(damaged, path, trainer.version().0),
         trainer,
     })

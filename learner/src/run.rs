@@ -45,6 +45,8 @@ const TICK: Duration = Duration::from_millis(500);
 const EVENTS_AT_ONCE: usize = 256;
 /// How long the end of a run waits for actors to leave and for the update under way.
 const FAREWELL: Duration = Duration::from_millis(2_500);
+/// Pause between two reports that actors are missing.
+const WAITING_EVERY: Duration = Duration::from_secs(30);
 /// How long copying the trainer's state may take.
 const STATE_TIMEOUT: Duration = Duration::from_secs(1);
 /// The best policy's file beside the checkpoints.
@@ -119,11 +121,13 @@ struct Run {
     best: Option<RatedPolicy>,
     episodes: Episodes,
     staleness: BTreeMap<u64, u64>,
-    same_cpu_before: bool,
+    uniform_before: bool,
     last_update: Instant,
     last_checkpoint: (Instant, u64),
     wait: Duration,
     idle_since: Instant,
+    /// When it was last told that actors are missing; `None` while there are enough.
+    told_waiting: Option<Instant>,
 }
 
 impl Run {
@@ -134,8 +138,7 @@ impl Run {
         standing: Standing,
         link: LearnerLink,
     ) -> Result<Self, Error> {
-        let Standing { trainer, start, offered, best, episodes, staleness, same_cpu, .. } =
-            standing;
+        let Standing { trainer, start, offered, best, episodes, staleness, uniform, .. } = standing;
         let (version, n_updates) = (trainer.version(), trainer.version().0);
         for (&version, weights) in &offered {
             link.offer_weights(version, weights)?;
@@ -157,11 +160,12 @@ impl Run {
             best,
             episodes,
             staleness,
-            same_cpu_before: same_cpu,
+            uniform_before: uniform,
             last_update: now,
             last_checkpoint: (now, n_updates),
             wait: Duration::ZERO,
             idle_since: now,
+            told_waiting: None,
         })
     }
 
@@ -179,6 +183,9 @@ impl Run {
             }
             if self.n_updates >= self.config.settings.n_updates() {
                 return self.end(events, RunEnd::Finished).await;
+            }
+            if stop.is_cancelled() {
+                continue; // No further update: the sink may have asked for exactly this many.
             }
             self.train()?;
             self.act();
@@ -247,6 +254,7 @@ impl Run {
 
     fn tick(&mut self) {
         self.coordinator.credit_everyone();
+        self.tell_waiting();
         let members = self.coordinator.members();
         self.orders.retain(|(actor, incarnation)| members.get(actor) == Some(incarnation));
         let metrics = format!(
@@ -257,6 +265,19 @@ impl Run {
         );
         if let Err(error) = self.link.publish_metrics(metrics.as_bytes()) {
             debug!(%error, "metrics not published");
+        }
+    }
+
+    /// Says that actors are missing, at once and then every [`WAITING_EVERY`].
+    fn tell_waiting(&mut self) {
+        let Some(n_needed) = self.coordinator.n_actors_needed() else {
+            self.told_waiting = None;
+            return;
+        };
+        if self.told_waiting.is_none_or(|at| at.elapsed() >= WAITING_EVERY) {
+            self.told_waiting = Some(Instant::now());
+            let n_actors = self.coordinator.n_actors();
+            self.sink.on_event(&RunEvent::WaitingForActors { n_actors, n_needed });
         }
     }
 
@@ -381,7 +402,7 @@ impl Run {
             staleness: self.staleness.clone(),
             books: self.coordinator.books().clone(),
             waiting: self.coordinator.n_pending(),
-            same_cpu: self.is_on_one_cpu(),
+            uniform: self.is_uniform(),
         };
         let (store, best, n_updates) = (&self.store, &self.best, self.n_updates);
         let path = tokio::task::block_in_place(|| {
@@ -397,8 +418,8 @@ impl Run {
         Ok(())
     }
 
-    fn is_on_one_cpu(&self) -> bool {
-        self.same_cpu_before && self.coordinator.is_on_one_cpu()
+    fn is_uniform(&self) -> bool {
+        self.uniform_before && self.coordinator.is_uniform()
     }
 
     async fn end(
@@ -436,8 +457,7 @@ impl Run {
             staleness: self.staleness.clone(),
             balance: books.check(),
             books,
-            reproducible: self.is_on_one_cpu()
-                && self.config.settings.schedule().is_deterministic(),
+            reproducible: self.is_uniform() && self.config.settings.schedule().is_deterministic(),
             checkpointed,
         })
     }
@@ -481,6 +501,7 @@ fn terms(config: &LearnerConfig) -> Terms {
         schedule: config.settings.schedule(),
         window: config.window,
         actors_min: config.actors_min,
+        program: config.program.clone(),
         cpu: config.cpu.clone(),
     }
 }
@@ -501,7 +522,7 @@ fn already_finished(config: &LearnerConfig, standing: Standing) -> Result<RunRep
         staleness: standing.staleness,
         balance: books.check(),
         books,
-        reproducible: standing.same_cpu && config.settings.schedule().is_deterministic(),
+        reproducible: standing.uniform && config.settings.schedule().is_deterministic(),
         checkpointed: true,
     })
 }

@@ -24,7 +24,7 @@ use crate::{
 pub struct Hello {
     /// [`crate::header::PROTOCOL_VERSION`] of the sender.
     pub protocol: u32,
-    /// Release of the sender's program.
+    /// The build of the sender's program: equal fingerprints compute the same numbers.
     pub program: String,
     /// The actor.
     pub actor: ActorId,

@@ -70,6 +70,14 @@ fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
             &["human.reaction_delay", "99"],
         ),
         ("domain = ", &["line 1"]),
+        (
+            "[world]\nwind_power = nan",
+            &["my.toml", "line 2", "`world.wind_power` is nan", "allowed: a finite number"],
+        ),
+        (
+            "domain = \"cartpole\"\nseed = 9223372036854775808",
+            &["line 2", "seed = 9223372036854775808", "integer"],
+        ),
     ];
     for (text, expected) in cases {
         with_config(&place, text).with_code(WRONG_INPUT).saying(expected);
@@ -84,12 +92,79 @@ fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
     check("learner.clipp=1").saying(&["learner.clipp", "unknown field"]);
     check("learner.clip=much").saying(&["learner.clip", "expected"]);
     check("learner.clip").saying(&["section.key=value"]);
+    check("learner.clip=inf").saying(&["`learner.clip` is inf", "allowed: a finite number"]);
+    for key in ["seed", "learner.total_steps"] {
+        let beyond = "9223372036854775808";
+        check(&format!("{key}={beyond}")).saying(&[key, beyond, "up to 9223372036854775807"]);
+    }
+    place
+        .finish(&["check", "--set", "world.near_weight=inf"])
+        .with_code(WRONG_INPUT)
+        .saying(&["`world.near_weight` is inf", "allowed: a finite number"]);
     place
         .finish(&["check", "-c", "nowhere.toml"])
         .with_code(WRONG_INPUT)
         .saying(&["nowhere.toml", "cartpole"]);
     place.finish(&["lurner"]).with_code(WRONG_INPUT).saying(&["learner"]);
     place.finish(&["actor"]).with_code(WRONG_INPUT).saying(&["--connect"]);
+}
+
+#[test]
+fn sizes_that_no_message_and_no_file_may_have_are_refused_before_the_run() {
+    let place = Place::new();
+    let refused = |set: &[&str], texts: &[&str]| {
+        let set = set.iter().flat_map(|set| ["--set", set]);
+        let args: Vec<&str> = ["check", "-c", "lander"].into_iter().chain(set).collect();
+        place.finish(&args).with_code(WRONG_INPUT).saying(texts);
+    };
+    refused(
+        &["learner.n_steps=65536", "learner.n_envs=1"],
+        &["`learner.n_steps` is 65536", "at most 16777216 bytes", "steps of this task"],
+    );
+    let wide = "policy.hidden=[4096, 4096]";
+    refused(&[wide], &["`policy.hidden`", "weights", "at most 67108864 bytes"]);
+    let wide = "policy.hidden=[1024, 1024]";
+    refused(
+        &[wide, "learner.lag=16"],
+        &["`policy.hidden`", "16 older versions", "`learner.lag`", "at most 67108864 bytes"],
+    );
+    refused(
+        &["learner.n_envs=65536", "learner.n_steps=1"],
+        &["`learner.n_envs` is 65536", "checkpoint", "at most 67108864 bytes"],
+    );
+}
+
+#[test]
+fn too_few_actors_for_the_run_are_refused_at_once() {
+    let place = Place::new();
+    for command in [&["up", "-c", "cartpole"][..], &["smoke", "--quick"][..]] {
+        let few = ["--actors", "2", "--set", "run.actors_min=5"];
+        place.finish(&[command, &few].concat()).with_code(WRONG_INPUT).saying(&[
+            "`run.actors_min` is 5",
+            "--actors is 2",
+            "at least 5",
+            "--listen",
+        ]);
+    }
+    assert!(!place.path().join("runs").exists(), "nothing was begun");
+}
+
+#[test]
+fn a_lone_learner_says_whom_it_waits_for() {
+    let place = Place::new();
+    let learner = learner(&place, &["--set", "run.actors_min=2"]);
+    wait_until("it says so", PATIENCE, || learner.stderr().contains("waiting for actors: 0 of 2"));
+    learner.kill();
+}
+
+#[test]
+fn counts_of_episodes_have_a_range() {
+    let place = Place::new();
+    for args in [["eval", "r", "--episodes", "0"], ["smoke", "--quick", "--episodes", "0"]] {
+        place.finish(&args).with_code(WRONG_INPUT).saying(&["--episodes", "1..=1000000"]);
+    }
+    let seeds = ["pilot", "eval", "--seeds", "0..99999999999999"];
+    place.finish(&seeds).with_code(WRONG_INPUT).saying(&["99999999999999", "1 to 1000000"]);
 }
 
 #[test]

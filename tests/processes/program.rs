@@ -117,8 +117,12 @@ fn a_pilot_is_judged_on_gymnasiums_seeds() {
 fn a_run_leaves_everything_that_is_promised() {
     let place = trained();
     let run = place.run("r");
-    for file in ["config.toml", "run.json", "metrics.jsonl", "policy.safetensors"] {
+    for file in ["config.toml", "run.json", "metrics.jsonl", "policy.safetensors", "report.html"] {
         assert!(run.join(file).is_file(), "{file}");
+    }
+    let report = fs::read_to_string(run.join("report.html")).unwrap();
+    for part in ["episode length", "Staleness", "waiting for rollouts", "superseded"] {
+        assert!(report.contains(part), "the report has no {part}");
     }
     assert!(fs::read_dir(run.join("tensorboard")).unwrap().count() == 1);
     let record: Value =
@@ -172,6 +176,57 @@ fn a_trained_policy_can_be_judged_and_runs_compared() {
     place.finish(&other).with_code(0);
     let compared = place.finish(&["runs", "compare", "r", "s"]).with_code(0).stdout;
     assert!(compared.contains("learner.clip: 0.2 -> 0.1"), "{compared}");
+    assert!(compared.ends_with("weights: differ\n"), "{compared}");
+}
+
+#[test]
+fn a_comparison_shows_whether_the_weights_are_equal() {
+    let place = trained();
+    let twin: Vec<&str> = TRAIN.iter().map(|&arg| if arg == "r" { "s" } else { arg }).collect();
+    place.finish(&twin).with_code(0);
+    let compared = place.finish(&["runs", "compare", "r", "s"]).with_code(0).stdout;
+    let digest = result(&place.run("r"))["weights_sha256"].as_str().unwrap().to_owned();
+    assert!(compared.ends_with("weights: equal\n"), "{compared}");
+    assert_eq!(compared.matches(&digest[..12]).count(), 2, "{compared}");
+    let args = ["runs", "compare", "r", "s", "--json"];
+    let compared = place.finish(&args).with_code(0).json();
+    assert_eq!(compared["weights"], "equal");
+    for run in compared["runs"].as_array().unwrap() {
+        assert_eq!(
+            (&run["weights_sha256"], &run["reproducible"]),
+            (&digest.clone().into(), &true.into())
+        );
+    }
+    // A record that cannot be read does not hide its run.
+    fs::write(place.run("s").join("run.json"), "{").unwrap();
+    let listed =
+        place.finish(&["runs"]).with_code(0).saying(&["run.json", "not the record"]).stdout;
+    let line = listed.lines().find(|line| line.starts_with("s ")).unwrap();
+    assert!(line.contains("unreadable"), "{listed}");
+    let listed = place.finish(&["runs", "--json"]).with_code(0).json();
+    assert_eq!(listed.as_array().map(Vec::len), Some(2));
+}
+
+#[test]
+fn a_run_stops_after_exactly_as_many_updates_as_asked_for() {
+    let place = Place::new();
+    let lag = ["--set", "learner.mode=lag", "--stop-after", "8"];
+    let stopped = place.finish(&[TRAIN, &lag].concat()).with_code(0).stdout;
+    assert!(stopped.contains("updates  8 ("), "{stopped}");
+}
+
+#[test]
+fn a_longer_schedule_of_the_learning_rate_is_told() {
+    let place = trained();
+    let longer = ["--set", "learner.total_steps=7680"];
+    place.finish(&[TRAIN, &longer].concat()).with_code(0).saying(&[
+        "learner.total_steps: 5120 -> 7680",
+        "learner.anneal = true",
+        "will differ",
+    ]);
+    let longer = ["--set", "learner.total_steps=7680"];
+    let again = place.finish(&[TRAIN, &longer].concat()).with_code(0);
+    assert!(!again.stderr.contains("will differ"), "{}", again.stderr);
 }
 
 #[test]
@@ -194,6 +249,7 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
     for file in ["report.html", "playthrough.png", "policy.safetensors"] {
         assert!(run.join(file).is_file(), "{file}");
     }
+    assert_eq!(printed["books"]["balanced"], true);
     let players = printed["comparison"]["summaries"].as_array().unwrap();
     let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
     assert_eq!(names, ["trained", "unaided", "heuristic", "untrained"]);

@@ -228,11 +228,13 @@ async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
     assert_eq!(sent, REFUSALS_BEFORE_CUT_OFF - 2, "two of them had no place in the sequence");
     assert!(reason.contains("refused"), "{reason}");
     wait_until("the cut is told", SOON, || second.stderr().contains("cut off"));
-    second.finish(PATIENCE).with_code(0);
+    let told = second.finish(PATIENCE).with_code(0).stderr;
     let journal = helper.finish(PATIENCE).with_code(0).json();
 
     let (calm, disturbed) = (result(&undisturbed.run("r")), result(&place.run("r")));
     assert_eq!(calm["weights_sha256"], disturbed["weights_sha256"]);
+    assert_eq!((&calm["reproducible"], &disturbed["reproducible"]), (&true.into(), &false.into()));
+    assert!(told.contains("another build of the program"), "{told}");
     let books = &disturbed["books"];
     assert_eq!(books["refused"], sent, "{books}");
     assert_eq!(books["refusals"], expected_refusals());

@@ -72,6 +72,18 @@ fn an_interrupted_supervisor_takes_everything_down_within_five_seconds() {
 }
 
 #[test]
+fn a_process_that_hangs_is_killed_before_the_supervisor_ends() {
+    let place = Place::new();
+    let supervisor = place.start(LONG);
+    let (learner, actors) = family(supervisor.id());
+    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
+    signal("STOP", learner);
+    signal("INT", supervisor.id());
+    supervisor.finish(6 * SECOND).with_code(130).saying(&["did not end in time and are killed"]);
+    assert!(!is_alive(learner) && actors.iter().all(|actor| !is_alive(*actor)));
+}
+
+#[test]
 fn crashed_processes_are_started_again() {
     let place = Place::new();
     let supervisor = place.start(LONG);

@@ -11,7 +11,7 @@ use serde_json::json;
 use crate::cli::ActorArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{Watch, watch};
-use crate::{Program, clock, cpu, output};
+use crate::{Program, build_id, clock, cpu, output};
 
 /// The longest part of a host's name that becomes part of an actor's.
 const HOST_CHARS: usize = 24;
@@ -43,7 +43,7 @@ fn settings(args: &ActorArgs) -> anyhow::Result<ActorSettings> {
         run,
         connect,
         reconnect_timeout: args.connect_timeout,
-        program: format!("leadtime {}", env!("CARGO_PKG_VERSION")),
+        program: build_id::fingerprint().context("reading the program's own file")?,
         cpu: cpu::fingerprint(),
     })
 }

@@ -37,9 +37,21 @@ pub(super) async fn launch(
     launch: &Launch<'_>,
     shutdown: &CancellationToken,
 ) -> Result<(), Failure> {
+    enough_actors(config, launch).blame(ExitCode::WrongInput)?;
     let directory = short_temp_dir().blame(ExitCode::WrongInput)?;
     let plan = plan(config, launch, directory.path()).blame(ExitCode::WrongInput)?;
     supervise(&plan, shutdown).await
+}
+
+/// Refuses a run that would wait for ever: nobody else can join where only this program's actors know the address.
+fn enough_actors(config: &Config, launch: &Launch<'_>) -> anyhow::Result<()> {
+    let (n_actors, n_needed) = (launch.n_actors, config.run.actors_min);
+    anyhow::ensure!(
+        n_actors >= n_needed || !launch.listen.is_empty(),
+        "`run.actors_min` is {n_needed} and --actors is {n_actors}, so the run would never start; allowed: at least \
+         {n_needed} actors, or a --listen address where others can join"
+    );
+    Ok(())
 }
 
 fn short_temp_dir() -> anyhow::Result<TempDir> {

@@ -7,6 +7,7 @@ use leadtime_learner::{LearnerConfig, RunEnd, RunReport};
 use leadtime_link::{Endpoint, ListenSettings};
 
 use super::policy_file;
+use super::run_report::{self, Findings};
 use crate::cli::LearnerArgs;
 use crate::config::{self, Config};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -14,7 +15,7 @@ use crate::progress::RunSink;
 use crate::record::RunResult;
 use crate::run_dir::{self, RunDir, State};
 use crate::shutdown::{Watch, watch};
-use crate::{Program, clock, cpu, output};
+use crate::{Program, build_id, clock, cpu, output};
 
 pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
@@ -37,6 +38,12 @@ pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Fai
     if let (State::Fresh, Some(weights)) = (state, &fork) {
         policy_file::write_fork(run_dir.path(), weights).blame(ExitCode::WrongInput)?;
     }
+    if let (Some(grown), true) = (run_dir.grown(), config.learner.anneal) {
+        tracing::warn!(
+            "{grown}: with learner.anneal = true the learning rate falls over the new length from here on, so the \
+             weights will differ from those of a run that has this length from the start"
+        );
+    }
     tracing::info!(run = %run_dir.name(), directory = %run_dir.path().display(), "run opened");
     let metadata = policy_file::metadata(&config, run_dir.name().as_str());
     let mut sink =
@@ -44,13 +51,20 @@ pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Fai
             .with_context(|| format!("opening the files of {}", run_dir.path().display()))
             .blame(ExitCode::WrongInput)?;
     sink.stop_after(args.run.stop_after, shutdown.clone());
-    let learner = learner_config(&config, &run_dir, listen);
+    let build = build_id::fingerprint()
+        .context("reading the program's own file")
+        .blame(ExitCode::Failed)?;
+    let learner = learner_config(&config, &run_dir, listen, build);
     let report = leadtime_learner::run(learner, Box::new(sink), shutdown.clone()).await;
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
         // If the supervisor lives it does the same; if it was killed nobody else would.
         drop(std::fs::remove_dir_all(scratch));
     }
-    conclude(&mut run_dir, &report.map_err(failure)?, args)
+    let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args);
+    if let Err(error) = run_report::write(run_dir.path(), Findings::of_training(&config)) {
+        tracing::warn!("report.html cannot be written: {error:#}");
+    }
+    concluded
 }
 
 fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
@@ -69,7 +83,12 @@ fn is_open(endpoint: &str) -> bool {
     address.is_some_and(|address| !local.iter().any(|prefix| address.starts_with(prefix)))
 }
 
-fn learner_config(config: &Config, run_dir: &RunDir, listen: ListenSettings) -> LearnerConfig {
+fn learner_config(
+    config: &Config,
+    run_dir: &RunDir,
+    listen: ListenSettings,
+    program: String,
+) -> LearnerConfig {
     LearnerConfig {
         run: run_dir.name().clone(),
         incarnation: clock::incarnation(),
@@ -81,6 +100,7 @@ fn learner_config(config: &Config, run_dir: &RunDir, listen: ListenSettings) -> 
         window: config.window,
         actors_min: config.run.actors_min as usize,
         listen,
+        program,
         cpu: cpu::fingerprint(),
         checkpoints: run_dir.path().join("checkpoints"),
         checkpoint_interval: config.run.checkpoints,

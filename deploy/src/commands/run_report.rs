@@ -1,4 +1,4 @@
-//! `report.html` of a run, from what lies in its directory and from an evaluation.
+//! `report.html` of a run, from what lies in its directory and from an evaluation, if there was one.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,6 +9,7 @@ use leadtime_eval::measure::Comparison;
 use leadtime_eval::report::{Book, Fact, Picture, Report, Verdict};
 use serde_json::{Map, Value};
 
+use crate::config::Config;
 use crate::progress::journal;
 use crate::record::{RunRecord, write_atomically};
 
@@ -28,6 +29,20 @@ pub(super) struct Findings {
     pub(super) pictures: Vec<Picture>,
     /// What a reader should know.
     pub(super) notes: Vec<String>,
+}
+
+impl Findings {
+    /// Says what a run was, before anybody has judged its policy.
+    pub(super) fn of_training(config: &Config) -> Self {
+        let lead = format!(
+            "Training on domain {}, {} updates of {} steps by a learner and separate actors. The policy was not \
+             judged here: the curves are of training episodes (`leadtime eval` judges).",
+            config.domain,
+            config.learner.n_updates(),
+            config.steps_per_update()
+        );
+        Self { lead, ..Self::default() }
+    }
 }
 
 /// Writes the report into the run's directory.

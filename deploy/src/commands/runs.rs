@@ -24,8 +24,47 @@ struct Row {
     steps: u64,
     success: Option<f64>,
     episode_return: Option<f64>,
+    /// Digest of the final weights; `None` while the run is unfinished.
+    weights_sha256: Option<String>,
+    /// Whether the same seed would give the same weights again; `None` while the run is unfinished.
+    reproducible: Option<bool>,
     started: String,
+    /// Why the record cannot be read as one.
+    problem: Option<String>,
 }
+
+/// What the weights of two runs say about each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Weights {
+    /// Bit for bit.
+    Equal,
+    /// In at least one bit.
+    Differ,
+    /// A run has no final weights yet.
+    Unknown,
+}
+
+impl Weights {
+    fn of(first: &Row, second: &Row) -> Self {
+        match (&first.weights_sha256, &second.weights_sha256) {
+            (Some(first), Some(second)) if first == second => Self::Equal,
+            (Some(_), Some(_)) => Self::Differ,
+            _ => Self::Unknown,
+        }
+    }
+
+    fn line(self) -> &'static str {
+        match self {
+            Self::Equal => "weights: equal",
+            Self::Differ => "weights: differ",
+            Self::Unknown => "weights: unknown until both runs are finished",
+        }
+    }
+}
+
+/// Hexadecimal digits of a digest in a row.
+const DIGEST_DIGITS: usize = 12;
 
 pub(super) fn run(args: &RunsArgs) -> Result<(), Failure> {
     match &args.command {
@@ -47,63 +86,117 @@ fn list(runs: &Path, json: bool) -> anyhow::Result<()> {
     } else if rows.is_empty() {
         output::say(&format!("there are no runs in {}", runs.display()));
     } else {
-        output::line(&format!(
-            "{:<36} {:<11} {:<10} {:>9} {:>11} {:>8} {:>9}",
-            "run", "domain", "state", "updates", "steps", "success", "return"
-        ));
-        for row in &rows {
-            output::line(&text(row));
+        print(&rows);
+        for (name, problem) in
+            rows.iter().filter_map(|row| Some((&row.name, row.problem.as_ref()?)))
+        {
+            output::say(&format!("{name}: {problem}"));
         }
     }
     Ok(())
+}
+
+fn print(rows: &[Row]) {
+    output::line(&format!(
+        "{:<36} {:<11} {:<10} {:>9} {:>11} {:>8} {:>9} {:<12} {:<12}",
+        "run",
+        "domain",
+        "state",
+        "updates",
+        "steps",
+        "success",
+        "return",
+        "weights",
+        "reproducible"
+    ));
+    for row in rows {
+        output::line(text(row).trim_end());
+    }
 }
 
 fn text(row: &Row) -> String {
     let number = |value: Option<f64>, digits| {
         value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
     };
+    let digest = row.weights_sha256.as_deref().and_then(|digest| digest.get(..DIGEST_DIGITS));
+    let reproducible = row.reproducible.map(|yes| if yes { "yes" } else { "no" });
     format!(
-        "{:<36} {:<11} {:<10} {:>9} {:>11} {:>8} {:>9}",
+        "{:<36} {:<11} {:<10} {:>9} {:>11} {:>8} {:>9} {:<12} {:<12}",
         row.name,
         row.domain,
         row.state,
         row.updates,
         row.steps,
         number(row.success, 2),
-        number(row.episode_return, 1)
+        number(row.episode_return, 1),
+        digest.unwrap_or("-"),
+        reproducible.unwrap_or("-")
     )
 }
 
+/// Describes a run's directory; `None` if it is none.
 fn row(path: &Path) -> Option<Row> {
-    let record = RunRecord::read(&path.join("run.json")).ok()?;
+    let is_run = ["run.json", "config.toml"].iter().any(|file| path.join(file).exists());
+    is_run.then(|| {
+        RunRecord::read(&path.join("run.json"))
+            .map_or_else(|error| unreadable(path, &error), |record| readable(path, record))
+    })
+}
+
+fn unreadable(path: &Path, error: &anyhow::Error) -> Row {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+    Row {
+        name: name.unwrap_or_default(),
+        domain: "-".to_owned(),
+        state: "unreadable",
+        updates: 0,
+        steps: 0,
+        success: None,
+        episode_return: None,
+        weights_sha256: None,
+        reproducible: None,
+        started: String::new(),
+        problem: Some(format!("{error:#}")),
+    }
+}
+
+fn readable(path: &Path, record: RunRecord) -> Row {
     let last = journal::read(path).ok().and_then(|mut lines| lines.pop()).unwrap_or_default();
     let number = |key: &str| last.get(key).and_then(serde_json::Value::as_f64);
     let whole = |key: &str| last.get(key).and_then(serde_json::Value::as_u64).unwrap_or(0);
-    Some(Row {
+    Row {
         name: record.name,
         domain: record.domain,
         state: if record.result.is_some() { "finished" } else { "unfinished" },
+        reproducible: record.result.as_ref().map(|result| result.reproducible),
+        weights_sha256: record.result.map(|result| result.weights_sha256),
         updates: whole("update"),
         steps: whole("steps"),
         success: number("episodes/success"),
         episode_return: number("episodes/return"),
         started: record.started,
-    })
+        problem: None,
+    }
 }
 
 fn compare(args: &RunsArgs, first: &str, second: &str) -> anyhow::Result<()> {
     let open = |name: &str| -> anyhow::Result<_> {
         let path = directory(&args.runs, name)?;
-        Ok((read_config(&path)?, row(&path).context("the run has no readable record")?))
+        let record = RunRecord::read(&path.join("run.json"))?;
+        Ok((read_config(&path)?, readable(&path, record)))
     };
     let ((config_a, row_a), (config_b, row_b)) = (open(first)?, open(second)?);
     let changes = difference(&config_a, &config_b);
+    let weights = Weights::of(&row_a, &row_b);
     if args.json {
         let changes: Vec<_> = changes
             .iter()
             .map(|c| serde_json::json!({"key": c.key, "first": c.before, "second": c.after}))
             .collect();
-        output::json(&serde_json::json!({"configuration": changes, "runs": [row_a, row_b]}));
+        let runs = [row_a, row_b];
+        output::json(&serde_json::json!({
+            "configuration": changes, "runs": runs, "weights": weights,
+        }));
         return Ok(());
     }
     for change in &changes {
@@ -112,9 +205,8 @@ fn compare(args: &RunsArgs, first: &str, second: &str) -> anyhow::Result<()> {
     if changes.is_empty() {
         output::line("the configurations are equal");
     }
-    for row in [row_a, row_b] {
-        output::line(&text(&row));
-    }
+    print(&[row_a, row_b]);
+    output::line(weights.line());
     Ok(())
 }
 

@@ -19,6 +19,7 @@ use super::{judge, play, policy_file};
 use crate::cli::{RunChoice, SmokeArgs};
 use crate::config::{self, Config};
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::record::RunRecord;
 use crate::run_dir;
 use crate::shutdown::{Watch, watch};
 use crate::{Program, output};
@@ -35,7 +36,7 @@ const UNAIDED: &str = "unaided";
 
 pub(super) async fn run(program: &Program, args: &SmokeArgs) -> Result<(), Failure> {
     let config = configure(program, args).blame(ExitCode::WrongInput)?;
-    let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
+    let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let name = run_dir::fresh_name(&config, &format!("smoke-{}", config.domain))
         .blame(ExitCode::WrongInput)?;
     if args.quick {
@@ -52,7 +53,9 @@ pub(super) async fn run(program: &Program, args: &SmokeArgs) -> Result<(), Failu
     launch(&config, &what, &shutdown).await?;
     let directory = config.run.directory.join(name.as_str());
     let judged = judge(program, args, &config, &directory)?;
-    print(args, &directory, &judged);
+    let record = RunRecord::read(&directory.join("run.json"))?;
+    let books = record.result.map(|result| result.books).unwrap_or_default();
+    print(args, &directory, &judged, &books);
     if judged.passed { Ok(()) } else { Err(Failure::silent(ExitCode::Failed)) }
 }
 
@@ -181,7 +184,7 @@ fn telling_episode(evaluations: &[Evaluation]) -> u64 {
     telling.unwrap_or(0) as u64
 }
 
-fn print(args: &SmokeArgs, directory: &Path, judged: &Judged) {
+fn print(args: &SmokeArgs, directory: &Path, judged: &Judged, books: &serde_json::Value) {
     let report = directory.join("report.html");
     if args.json {
         output::json(&json!({
@@ -191,10 +194,12 @@ fn print(args: &SmokeArgs, directory: &Path, judged: &Judged) {
             "passed": judged.passed,
             "verdict": judged.sentence,
             "comparison": judged.comparison,
+            "books": books,
         }));
         return;
     }
     output::line(judged.comparison.text().trim_end());
     output::line(&format!("\n{}", judged.sentence));
+    output::line(&format!("Books:  {books}"));
     output::line(&format!("Report: {}", report.display()));
 }

@@ -12,7 +12,7 @@ pub(super) async fn run(program: &Program, args: &UpArgs) -> Result<(), Failure>
     let name = args.run.name.as_deref();
     let config = config::load(&args.source, name, &program.catalog, &program.registry)
         .blame(ExitCode::WrongInput)?;
-    let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
+    let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let name = run_dir::choose_name(&config, &args.run).blame(ExitCode::WrongInput)?;
     let what = Launch {
         name: &name,

@@ -18,10 +18,13 @@ use super::raw::{
 };
 use super::sections::{self, Typed};
 use super::table::overlay;
+use super::{finite, sizes};
 use crate::cli::ConfigSource;
 
 /// The domain of a file that names none.
 const DEFAULT_DOMAIN: &str = "lander";
+/// The most episodes that one policy is judged over.
+pub const MAX_EPISODES: u32 = 1_000_000;
 /// The widest layer.
 const MAX_WIDTH: usize = 4_096;
 
@@ -137,6 +140,7 @@ pub(super) fn parse(text: &str, catalog: &Catalog) -> anyhow::Result<Table> {
         format!("`domain` is \"{domain}\"; allowed: {}", names.join(", "))
     })??;
     sections::check_text(domain, text)?;
+    finite::check_text(text)?;
     overlay(&mut table, &own);
     sections::complete(domain, table.clone())
 }
@@ -153,15 +157,17 @@ impl Config {
     ///
     /// One sentence that names the key and what is allowed.
     pub fn from_table(table: Table, registry: &Registry) -> anyhow::Result<Self> {
+        finite::check(&table)?;
         let domain = DomainName::new(domain_of(&table)?).context("`domain`")?;
         let table = sections::complete(domain.as_str(), table)?;
         let typed = sections::typed(domain.as_str(), table.clone())?;
         let task = TaskSpec { domain: domain.to_string(), settings: typed.settings.clone() };
-        let environment = registry.build(&task)?;
+        let mut environment = registry.build(&task)?;
         let env = environment.spec().clone();
         let policy = check_policy(&typed.policy, environment.as_ref())?;
         typed.learner.check()?;
         check_sequences(&policy, &typed.learner)?;
+        sizes::check(environment.as_mut(), &policy, &typed.learner)?;
         let evaluation = check_evaluation(&typed, &table, registry)?;
         Ok(Self {
             run: check_run(&typed.run)?,
@@ -306,7 +312,8 @@ fn check_evaluation(
 ) -> anyhow::Result<EvaluationSettings> {
     let EvaluationSection { episodes, action, world } = &typed.evaluation;
     let n = *episodes;
-    ensure!((1..=1_000_000).contains(&n), "`evaluation.episodes` is {n}; allowed: 1 to 1000000");
+    let fits = (1..=MAX_EPISODES).contains(&n);
+    ensure!(fits, "`evaluation.episodes` is {n}; allowed: 1 to {MAX_EPISODES}");
     let mut evaluated = table.clone();
     if let Some(below) = evaluated.get_mut("world").and_then(toml::Value::as_table_mut) {
         overlay(below, world);

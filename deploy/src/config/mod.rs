@@ -15,8 +15,10 @@
 
 pub mod catalog;
 pub mod checked;
+pub mod finite;
 pub mod raw;
 pub mod sections;
+pub mod sizes;
 pub mod table;
 
 pub use catalog::Catalog;

@@ -52,7 +52,7 @@ impl Assignment {
     ///
     /// # Errors
     ///
-    /// A sentence, if there is no `=` or no key in front of it.
+    /// A sentence, if there is no `=` or no key in front of it, or a whole number beyond what TOML can hold.
     pub fn parse(text: &str) -> Result<Self, String> {
         let (key, value) = text
             .split_once('=')
@@ -62,6 +62,9 @@ impl Assignment {
             return Err(format!("`{key}` is not a key: write section.key=value"));
         }
         let value = value.trim();
+        if is_whole_number(value) && value.replace('_', "").parse::<i64>().is_err() {
+            return Err(format!("`{key}` is {value}; allowed: whole numbers up to {}", i64::MAX));
+        }
         let value = format!("value = {value}")
             .parse::<Table>()
             .ok()
@@ -88,6 +91,12 @@ impl Assignment {
         };
         at.insert(last.clone(), value);
     }
+}
+
+fn is_whole_number(text: &str) -> bool {
+    let digits = text.strip_prefix(['+', '-']).unwrap_or(text);
+    digits.starts_with(|first: char| first.is_ascii_digit())
+        && digits.bytes().all(|byte| byte.is_ascii_digit() || byte == b'_')
 }
 
 /// Returns the table under `key`, made (in place of anything else) if there is none.

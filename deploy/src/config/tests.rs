@@ -47,6 +47,15 @@ fn every_key_of_every_built_in_file_has_a_comment() {
 }
 
 #[test]
+fn growing_total_steps_is_explained_wherever_the_learning_rate_can_fall() {
+    for (name, text) in built_in_texts().into_iter().chain([("own", GENERAL)]) {
+        let (before, _) = text.split_once("\ntotal_steps = ").unwrap();
+        let comment: Vec<&str> = before.lines().rev().take_while(|l| l.starts_with('#')).collect();
+        assert!(comment.iter().any(|line| line.contains("anneal = true")), "{name}");
+    }
+}
+
+#[test]
 fn a_person_needs_to_write_only_what_differs() {
     let config = check("domain = \"cartpole\"\n[learner]\nn_envs = 8").unwrap();
     assert_eq!((config.learner.n_envs, config.learner.n_steps), (8, 128));

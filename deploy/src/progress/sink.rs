@@ -187,6 +187,9 @@ fn log(event: &RunEvent) {
         RunEvent::ActorLeft { actor, n_actors, n_envs } => {
             tracing::info!(%actor, n_actors, n_envs, "actor left");
         }
+        RunEvent::WaitingForActors { n_actors, n_needed } => {
+            tracing::info!("waiting for actors: {n_actors} of {n_needed}");
+        }
         RunEvent::Assigned { actor, epoch, n_given, n_kept } => {
             tracing::debug!(%actor, %epoch, n_given, n_kept, "environments assigned");
         }
@@ -196,6 +199,9 @@ fn log(event: &RunEvent) {
         }
         RunEvent::CutOff { actor, reason, .. } => {
             tracing::warn!(%actor, "actor cut off: {reason}");
+        }
+        RunEvent::OtherProgram { actor, program } => {
+            tracing::warn!(%actor, program, "another build of the program: the run is not reproducible bit for bit");
         }
         RunEvent::OtherCpu { actor, cpu } => {
             tracing::warn!(%actor, cpu, "another class of CPU: the run is not reproducible bit for bit");

@@ -20,6 +20,7 @@ fn coordinator(n_envs: usize, schedule: Schedule) -> Coordinator {
         schedule,
         window: WINDOW,
         actors_min: 1,
+        program: "test".to_owned(),
         cpu: "cpu".to_owned(),
     };
     let start = Start {
@@ -405,8 +406,38 @@ fn an_assignment_with_large_snapshots_comes_in_parts() {
 }
 
 #[test]
+fn missing_actors_are_counted_before_the_run_and_in_it() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    c.terms.actors_min = 2;
+    assert_eq!(c.n_actors_needed(), Some(2));
+    join(&mut c, "a");
+    assert_eq!(c.n_actors_needed(), Some(2));
+    join(&mut c, "b");
+    assert_eq!(c.n_actors_needed(), None);
+    c.left(actor("a"), Incarnation(1));
+    assert_eq!(c.n_actors_needed(), None, "one is enough once it runs");
+    c.left(actor("b"), Incarnation(1));
+    assert_eq!(c.n_actors_needed(), Some(1));
+    c.stop_everyone("done");
+    assert_eq!(c.n_actors_needed(), None);
+}
+
+#[test]
 fn another_class_of_cpu_is_noticed() {
     let mut c = coordinator(1, Schedule::Lag(0));
     c.hello(&Hello { cpu: "other".to_owned(), ..hello("a", 0, 1) }).unwrap();
-    assert!(!c.is_on_one_cpu());
+    assert!(!c.is_uniform());
+}
+
+#[test]
+fn another_build_of_the_program_is_noticed() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    c.hello(&hello("a", 0, 1)).unwrap();
+    assert!(c.is_uniform());
+    c.hello(&Hello { program: "other".to_owned(), ..hello("b", 0, 1) }).unwrap();
+    assert!(!c.is_uniform());
+    let told = c.take_effects();
+    assert!(
+        told.iter().any(|effect| matches!(effect, Effect::Event(RunEvent::OtherProgram { .. })))
+    );
 }

@@ -98,29 +98,66 @@ pub fn fly(lander: &mut Lander, flyer: Flyer<'_>, seed: u64) -> Flown {
 /// ```
 pub fn evaluate(flyer: Flyer<'_>, settings: &LanderSettings, seeds: Range<u64>) -> Evaluation {
     let mut lander = Lander::new(settings);
-    let flown: Vec<Flown> = seeds.map(|seed| fly(&mut lander, flyer, seed)).collect();
-    summarize(&flown)
+    let mut tally = Tally::default();
+    seeds.for_each(|seed| tally.add(&fly(&mut lander, flyer, seed)));
+    tally.evaluation()
 }
 
-/// Sums up flown episodes; all zero if there are none.
-pub fn summarize(flown: &[Flown]) -> Evaluation {
-    let n = flown.len() as f64;
-    if flown.is_empty() {
-        return Evaluation::default();
+/// Sums up flown episodes one by one, in memory that does not grow with them.
+///
+/// # Source
+///
+/// The variance is accumulated as in Welford, *Technometrics* 4 (1962).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Tally {
+    n_episodes: u64,
+    total: f64,
+    /// The mean return so far, as the variance needs it.
+    mean: f64,
+    /// Sum of squared deviations from the mean return.
+    squares: f64,
+    frames: u64,
+    landed: u64,
+    crashed: u64,
+    out: u64,
+    timed_out: u64,
+}
+
+impl Tally {
+    /// Counts one episode.
+    pub fn add(&mut self, flown: &Flown) {
+        self.n_episodes += 1;
+        self.total += flown.total;
+        let deviation = flown.total - self.mean;
+        self.mean += deviation / self.n_episodes as f64;
+        self.squares += deviation * (flown.total - self.mean);
+        self.frames += u64::from(flown.frames);
+        *match flown.outcome {
+            Some(Outcome::Landed) => &mut self.landed,
+            Some(Outcome::Crashed) => &mut self.crashed,
+            Some(Outcome::Out) => &mut self.out,
+            None => &mut self.timed_out,
+        } += 1;
     }
-    let mean = |value: &dyn Fn(&Flown) -> f64| flown.iter().map(value).sum::<f64>() / n;
-    let share = |outcome| mean(&|flown| f64::from(u8::from(flown.outcome == outcome)));
-    let mean_return = mean(&|flown| flown.total);
-    let variance = mean(&|flown| (flown.total - mean_return).powi(2)) * n / (n - 1.0).max(1.0);
-    Evaluation {
-        n_episodes: flown.len() as u64,
-        mean_return,
-        standard_error: (variance / n).sqrt(),
-        mean_frames: mean(&|flown| f64::from(flown.frames)),
-        landed: share(Some(Outcome::Landed)),
-        crashed: share(Some(Outcome::Crashed)),
-        out: share(Some(Outcome::Out)),
-        timed_out: share(None),
+
+    /// Returns what the episodes came to; all zero if there were none.
+    pub fn evaluation(&self) -> Evaluation {
+        if self.n_episodes == 0 {
+            return Evaluation::default();
+        }
+        let n = self.n_episodes as f64;
+        let variance = self.squares / (n - 1.0).max(1.0);
+        let share = |count: u64| count as f64 / n;
+        Evaluation {
+            n_episodes: self.n_episodes,
+            mean_return: self.total / n,
+            standard_error: (variance / n).sqrt(),
+            mean_frames: share(self.frames),
+            landed: share(self.landed),
+            crashed: share(self.crashed),
+            out: share(self.out),
+            timed_out: share(self.timed_out),
+        }
     }
 }
 
@@ -131,16 +168,20 @@ mod tests {
     #[test]
     fn the_summary_is_that_of_a_small_sample() {
         let flown = |total, outcome| Flown { total, frames: 10, outcome };
-        let evaluation = summarize(&[
-            flown(1.0, Some(Outcome::Landed)),
-            flown(2.0, Some(Outcome::Crashed)),
-            flown(3.0, None),
-            flown(6.0, Some(Outcome::Landed)),
-        ]);
+        let mut tally = Tally::default();
+        assert_eq!(tally.evaluation(), Evaluation::default());
+        for (total, outcome) in [
+            (1.0, Some(Outcome::Landed)),
+            (2.0, Some(Outcome::Crashed)),
+            (3.0, None),
+            (6.0, Some(Outcome::Landed)),
+        ] {
+            tally.add(&flown(total, outcome));
+        }
+        let evaluation = tally.evaluation();
         assert_eq!((evaluation.mean_return, evaluation.landed), (3.0, 0.5));
         // Sample variance 14/3, over 4 episodes.
         assert!((evaluation.standard_error - (14.0_f64 / 12.0).sqrt()).abs() < 1e-12);
         assert_eq!((evaluation.crashed, evaluation.out, evaluation.timed_out), (0.25, 0.0, 0.25));
-        assert_eq!(summarize(&[]), Evaluation::default());
     }
 }

@@ -49,7 +49,7 @@ mod world;
 
 pub use draw::{VIEW, caption};
 pub use engines::{Engine, NoSuchEngine};
-pub use evaluate::{Evaluation, Flown, Flyer, MAX_FRAMES, evaluate, fly, summarize};
+pub use evaluate::{Evaluation, Flown, Flyer, MAX_FRAMES, Tally, evaluate, fly};
 pub use heuristic::heuristic;
 pub use pilot::{Pilot, PilotError, engines_off};
 pub use settings::{LanderSettings, Physics};

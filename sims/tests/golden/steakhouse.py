@@ -403,7 +403,7 @@ def golden(path):
            ep("see_delay_2", "a station must be in view for two consecutive steps", {}, occ=fa("all_partial"), see_delay=2),
            ep("mid2_empty", "source layout, cook alone", {}, layout="steak_mid_2", occ={}),
            ep("mid2_board_half", "source layout, half-chopped board: the source cook stalls here, ours must not", {}, layout="steak_mid_2", occ=fa("boards", "steak_mid_2"))]
-    json.dump(dict(note="own prototype, ties by first option; log rows hold the state after the step", catalogue=CATALOGUE, episodes=eps), open(path, "w"), separators=(",", ":"))
+    json.dump(dict(note="Leadtime's reference of the cook, ties by first option; log rows hold the state after the step", catalogue=CATALOGUE, episodes=eps), open(path, "w"), separators=(",", ":"))
     for x in eps: print("%-26s %s" % (x["name"], x["total"]))
 
 
