@@ -14,6 +14,7 @@
 //! Schulman et al., *Proximal policy optimization algorithms*, 2017 (arXiv:1707.06347), with the details of `CleanRL`'s
 //! `ppo.py`: advantages normalised per minibatch with the unbiased deviation, values clipped like ratios.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
@@ -33,7 +34,6 @@ const MAX_LOG_RATIO: f32 = 20.0;
 pub(crate) struct LossSettings {
     clip: f32,
     value_clip: bool,
-    normalize_advantages: bool,
     entropy_coef: f32,
     value_coef: f32,
 }
@@ -43,7 +43,6 @@ impl From<&LearnerSettings> for LossSettings {
         Self {
             clip: settings.clip as f32,
             value_clip: settings.value_clip,
-            normalize_advantages: settings.normalize_advantages,
             entropy_coef: settings.entropy_coef as f32,
             value_coef: settings.value_coef as f32,
         }
@@ -71,7 +70,35 @@ pub(crate) struct Samples {
     pub(crate) values: Vec<f32>,
 }
 
-/// Means over the samples of a minibatch.
+impl Samples {
+    /// Gives the advantages mean 0 and (unbiased) deviation 1; one sample has no deviation and keeps its own.
+    pub(crate) fn normalize_advantages(&mut self) {
+        let n = self.advantages.len() as f64;
+        if self.advantages.len() < 2 {
+            return;
+        }
+        let mean = self.advantages.iter().map(|&a| f64::from(a)).sum::<f64>() / n;
+        let squares: f64 = self.advantages.iter().map(|&a| (f64::from(a) - mean).powi(2)).sum();
+        let deviation = (squares / (n - 1.0)).sqrt();
+        let (offset, scale) = (mean as f32, (1.0 / (deviation + 1e-8)) as f32);
+        self.advantages.iter_mut().for_each(|a| *a = (*a - offset) * scale);
+    }
+
+    /// Copies some of the samples.
+    pub(crate) fn part(&self, rows: Range<usize>) -> Self {
+        let n_heads = self.actions.len() / self.masks.len();
+        Self {
+            masks: self.masks[rows.clone()].to_vec(),
+            actions: self.actions[rows.start * n_heads..rows.end * n_heads].to_vec(),
+            log_probs: self.log_probs[rows.clone()].to_vec(),
+            advantages: self.advantages[rows.clone()].to_vec(),
+            returns: self.returns[rows.clone()].to_vec(),
+            values: self.values[rows].to_vec(),
+        }
+    }
+}
+
+/// Sums over samples, divided by the samples of their minibatch: those of its parts add up to its means.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct LossReport {
     pub(crate) total: f64,
@@ -83,6 +110,18 @@ pub(crate) struct LossReport {
     pub(crate) clip_fraction: f64,
 }
 
+impl LossReport {
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.total += other.total;
+        self.policy_loss += other.policy_loss;
+        self.value_loss += other.value_loss;
+        self.entropy += other.entropy;
+        self.old_approx_kl += other.old_approx_kl;
+        self.approx_kl += other.approx_kl;
+        self.clip_fraction += other.clip_fraction;
+    }
+}
+
 /// What the forward pass leaves for the backward pass and for the report.
 #[derive(Debug, Default)]
 struct Outcome {
@@ -91,12 +130,14 @@ struct Outcome {
     d_values: Vec<f32>,
 }
 
-/// The loss of one minibatch.
+/// The loss of one minibatch, or of a part of it.
 #[derive(Debug)]
 pub(crate) struct PpoLoss {
     distribution: Arc<ActionDistribution>,
     settings: LossSettings,
     samples: Samples,
+    /// Samples of the whole minibatch, of which these may be a part.
+    n_samples: usize,
     outcome: Mutex<Outcome>,
 }
 
@@ -105,8 +146,9 @@ impl PpoLoss {
         distribution: Arc<ActionDistribution>,
         settings: LossSettings,
         samples: Samples,
+        n_samples: usize,
     ) -> Arc<Self> {
-        Arc::new(Self { distribution, settings, samples, outcome: Mutex::default() })
+        Arc::new(Self { distribution, settings, samples, n_samples, outcome: Mutex::default() })
     }
 
     /// Returns the means of the last forward pass.
@@ -117,18 +159,16 @@ impl PpoLoss {
     fn compute(&self, logits: &[f32], values: &[f32]) -> Outcome {
         let n_choices = self.distribution.n_choices();
         let n_heads = self.distribution.n_heads();
-        let n = values.len();
-        let (offset, scale) = self.advantage_transform();
         let mut sums = LossReport::default();
         let mut d_logits = vec![0.0; logits.len()];
-        let mut d_values = vec![0.0; n];
-        let share = 1.0 / n as f32;
+        let mut d_values = vec![0.0; values.len()];
+        let share = 1.0 / self.n_samples as f32;
         let mut terms = Terms::default();
         let rows = logits.chunks_exact(n_choices).zip(d_logits.chunks_exact_mut(n_choices));
         for (i, (logits, d_logits)) in rows.enumerate() {
             let action = &self.samples.actions[i * n_heads..(i + 1) * n_heads];
             self.distribution.terms(logits, Mask(self.samples.masks[i]), action, &mut terms);
-            let advantage = (self.samples.advantages[i] - offset) * scale;
+            let advantage = self.samples.advantages[i];
             let log_ratio = terms.log_prob - self.samples.log_probs[i];
             let d_log_prob = self.settings.policy_term(log_ratio, advantage, &mut sums);
             sums.entropy += f64::from(terms.entropy);
@@ -138,21 +178,7 @@ impl PpoLoss {
             let slope = self.settings.value_term(values[i], old, target, &mut sums);
             d_values[i] = slope * self.settings.value_coef * share;
         }
-        Outcome { report: self.settings.means(sums, n as f64), d_logits, d_values }
-    }
-
-    /// Returns what to subtract from advantages and what to multiply them with then.
-    fn advantage_transform(&self) -> (f32, f32) {
-        let advantages = &self.samples.advantages;
-        let n = advantages.len() as f64;
-        // One sample has no deviation: it keeps its advantage.
-        if !self.settings.normalize_advantages || advantages.len() < 2 {
-            return (0.0, 1.0);
-        }
-        let mean = advantages.iter().map(|&a| f64::from(a)).sum::<f64>() / n;
-        let squares: f64 = advantages.iter().map(|&a| (f64::from(a) - mean).powi(2)).sum();
-        let deviation = (squares / (n - 1.0)).sqrt();
-        (mean as f32, (1.0 / (deviation + 1e-8)) as f32)
+        Outcome { report: self.settings.means(sums, self.n_samples as f64), d_logits, d_values }
     }
 }
 

@@ -17,13 +17,18 @@ fn var(values: &[f32], shape: impl Into<Shape>) -> Var {
 }
 
 fn settings(value_clip: bool) -> LossSettings {
-    LossSettings {
-        clip: 0.2,
-        value_clip,
-        normalize_advantages: true,
-        entropy_coef: 0.01,
-        value_coef: 0.5,
-    }
+    LossSettings { clip: 0.2, value_clip, entropy_coef: 0.01, value_coef: 0.5 }
+}
+
+/// The loss of a minibatch in one piece, advantages normalised.
+fn whole(
+    distribution: Arc<ActionDistribution>,
+    settings: LossSettings,
+    mut samples: Samples,
+) -> Arc<PpoLoss> {
+    samples.normalize_advantages();
+    let n_samples = samples.masks.len();
+    PpoLoss::new(distribution, settings, samples, n_samples)
 }
 
 #[test]
@@ -38,7 +43,7 @@ fn loss_gradients_and_diagnostics_equal_cleanrls() {
         returns: RETURNS.to_vec(),
         values: OLD_VALUES.to_vec(),
     };
-    let loss = PpoLoss::new(Arc::new(distribution), settings(true), samples);
+    let loss = whole(Arc::new(distribution), settings(true), samples);
     let (logits, values) = (var(&LOGITS, (9, 5)), var(&VALUES, (9, 1)));
     let total = logits.apply_op2(&values, LossOp(Arc::clone(&loss))).unwrap();
     let gradients = total.backward().unwrap();
@@ -100,7 +105,7 @@ fn gradients_are_the_slopes_of_the_masked_loss() {
         samples.advantages = draws(n, 1.0);
         samples.returns = draws(n, 2.0);
         samples.values = values.iter().zip(draws(n, 0.4)).map(|(v, noise)| v + noise).collect();
-        let loss = PpoLoss::new(distribution, settings(value_clip), samples);
+        let loss = whole(distribution, settings(value_clip), samples);
         let outcome = loss.compute(&logits, &values);
         let step = 2e-3_f32;
         let slope = |i: usize, of_logit: bool| {
@@ -134,7 +139,7 @@ fn a_ratio_beyond_all_reason_leaves_the_gradient_finite() {
         returns: vec![0.0; 2],
         values: vec![0.0; 2],
     };
-    let loss = PpoLoss::new(distribution, settings(true), samples);
+    let loss = whole(distribution, settings(true), samples);
     let outcome = loss.compute(&[0.0; 4], &[0.0; 2]);
     assert!(outcome.d_logits.iter().all(|slope| slope.is_finite()), "{:?}", outcome.d_logits);
     assert!(outcome.report.total.is_finite() && outcome.report.approx_kl.is_finite());
@@ -152,9 +157,36 @@ fn nothing_offered_twice_moves_nothing() {
         returns: vec![1.0],
         values: vec![1.0],
     };
-    let loss = PpoLoss::new(distribution, settings(true), samples);
+    let loss = whole(distribution, settings(true), samples);
     let outcome = loss.compute(&[3.0, -1.0, 0.5], &[1.0]);
     assert_eq!(outcome.d_logits, [0.0; 3]);
     assert_eq!((outcome.report.entropy, outcome.report.clip_fraction), (0.0, 0.0));
     assert_eq!(outcome.report.policy_loss, -5.0);
+}
+
+#[test]
+fn the_parts_of_a_minibatch_add_up_to_it() {
+    let distribution = ActionDistribution::new(&ActionSpec::discrete("a", 5), HeadCredit::All);
+    let distribution = Arc::new(distribution);
+    let mut samples = Samples {
+        masks: vec![u64::MAX; 9],
+        actions: ACTIONS.to_vec(),
+        log_probs: OLD_LOG_PROBS.to_vec(),
+        advantages: ADVANTAGES.to_vec(),
+        returns: RETURNS.to_vec(),
+        values: OLD_VALUES.to_vec(),
+    };
+    let all = whole(Arc::clone(&distribution), settings(true), samples.clone());
+    let all = all.compute(&LOGITS, &VALUES);
+    samples.normalize_advantages();
+    let (mut report, mut d_logits) = (LossReport::default(), Vec::new());
+    for rows in [0..4, 4..9] {
+        let part = samples.part(rows.clone());
+        let loss = PpoLoss::new(Arc::clone(&distribution), settings(true), part, 9);
+        let found = loss.compute(&LOGITS[rows.start * 5..rows.end * 5], &VALUES[rows]);
+        report.add(&found.report);
+        d_logits.extend(found.d_logits);
+    }
+    assert_eq!(d_logits, all.d_logits);
+    assert!((report.total - all.report.total).abs() < 1e-12);
 }

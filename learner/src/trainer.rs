@@ -18,6 +18,7 @@
 //! [`Trainer::update`].
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
@@ -28,12 +29,15 @@ use serde::{Deserialize, Serialize};
 use crate::TrainError;
 use crate::adam::{Adam, clip_factor, global_norm};
 use crate::batch::Batch;
-use crate::loss::{LossOp, LossReport, LossSettings, PpoLoss};
+use crate::loss::{LossOp, LossReport, LossSettings, PpoLoss, Samples};
 use crate::lstm_op::Sequences;
 use crate::minibatch::Minibatches;
 use crate::network::ActorCritic;
 use crate::rewards::ReturnNormalizer;
 use crate::settings::LearnerSettings;
+
+/// Samples whose activations are in the graph at a time: those of 512 rows stay in the second-level cache.
+const BLOCK: usize = 512;
 
 /// What one update did.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -275,23 +279,66 @@ impl Trainer {
         learning_rate: f64,
     ) -> Result<(LossReport, f64), TrainError> {
         let obs_dim = self.policy_spec.obs_dim;
-        let (features, samples) = batch.gather(indices, obs_dim);
-        let features = Tensor::from_vec(features, (indices.len(), obs_dim), &Device::Cpu)?;
-        let is_recurrent = self.policy_spec.recurrent_dim() > 0;
-        let sequences =
-            if is_recurrent { batch.gather_sequences(indices) } else { Sequences::default() };
-        let (logits, values) = self.network.forward(&features, &Arc::new(sequences))?;
-        let settings = LossSettings::from(&self.settings);
-        let loss = PpoLoss::new(Arc::clone(&self.distribution), settings, samples);
-        let total = logits.apply_op2(&values, LossOp(Arc::clone(&loss)))?;
-        let gradients = self.network.gradients(&total)?;
+        let (features, mut samples) = batch.gather(indices, obs_dim);
+        if self.settings.normalize_advantages {
+            samples.normalize_advantages();
+        }
+        let mut report = LossReport::default();
+        let mut gradients = BTreeMap::new();
+        for rows in self.blocks(indices.len()) {
+            let observations = &features[rows.start * obs_dim..rows.end * obs_dim];
+            let part = samples.part(rows.clone());
+            let (total, loss) = self.loss(observations, part, (batch, indices))?;
+            add_gradients(&mut gradients, self.network.gradients(&total)?)?;
+            report.add(&loss.report());
+        }
         let norm = global_norm(&gradients)?;
         if norm.is_finite() {
             let scale = clip_factor(norm, self.settings.max_grad_norm);
             self.adam.step(self.network.vars(), &gradients, learning_rate, scale)?;
         }
-        Ok((loss.report(), norm))
+        Ok((report, norm))
     }
+
+    /// Cuts a minibatch into blocks whose activations stay in the cache; a recurrent network takes it whole.
+    fn blocks(&self, n: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+        let block = if self.policy_spec.recurrent_dim() > 0 { n } else { BLOCK };
+        (0..n).step_by(block).map(move |first| first..(first + block).min(n))
+    }
+
+    /// Builds the graph of some samples' share of the loss.
+    fn loss(
+        &self,
+        observations: &[f32],
+        samples: Samples,
+        (batch, indices): (&Batch, &[usize]),
+    ) -> Result<(Tensor, Arc<PpoLoss>), TrainError> {
+        let shape = (samples.masks.len(), self.policy_spec.obs_dim);
+        let observations = Tensor::from_slice(observations, shape, &Device::Cpu)?;
+        let is_recurrent = self.policy_spec.recurrent_dim() > 0;
+        let sequences =
+            if is_recurrent { batch.gather_sequences(indices) } else { Sequences::default() };
+        let (logits, values) = self.network.forward(&observations, &Arc::new(sequences))?;
+        let settings = LossSettings::from(&self.settings);
+        let loss = PpoLoss::new(Arc::clone(&self.distribution), settings, samples, indices.len());
+        let total = logits.apply_op2(&values, LossOp(Arc::clone(&loss)))?;
+        Ok((total, loss))
+    }
+}
+
+/// Adds one block's gradients to those of the blocks before it.
+fn add_gradients(
+    sums: &mut BTreeMap<String, Tensor>,
+    block: BTreeMap<String, Tensor>,
+) -> candle_core::Result<()> {
+    for (name, gradient) in block {
+        let sum = match sums.get(&name) {
+            Some(sum) => (sum + gradient)?,
+            None => gradient,
+        };
+        sums.insert(name, sum);
+    }
+    Ok(())
 }
 
 /// Running mean of loss reports.
@@ -303,13 +350,7 @@ struct Mean {
 
 impl Mean {
     fn add(&mut self, report: &LossReport) {
-        self.sum.total += report.total;
-        self.sum.policy_loss += report.policy_loss;
-        self.sum.value_loss += report.value_loss;
-        self.sum.entropy += report.entropy;
-        self.sum.old_approx_kl += report.old_approx_kl;
-        self.sum.approx_kl += report.approx_kl;
-        self.sum.clip_fraction += report.clip_fraction;
+        self.sum.add(report);
         self.n += 1;
     }
 
