@@ -7,7 +7,7 @@ use leadtime_link::keys::Key;
 use leadtime_link::{
     ActorLink, ConnectSettings, Endpoint, Error, LearnerEvent, LearnerLink, ListenSettings,
 };
-use leadtime_proto::header::Schema;
+use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
 use leadtime_proto::{Header, Refusal, RefusalCause, codec};
 
 use crate::support::*;
@@ -151,7 +151,10 @@ async fn a_learner_tells_an_actor_of_another_release() {
     let sentence = answer.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
     assert_eq!(
         sentence,
-        "the actor speaks protocol 77, the learner speaks 1: run the same release on both sides"
+        format!(
+            "the actor speaks protocol 77, the learner speaks {PROTOCOL_VERSION}: \
+             run the same release on both sides"
+        )
     );
     let refusal = until(&events, |event| match event {
         LearnerEvent::Refused { refusal, .. } => Some(refusal),
@@ -159,7 +162,8 @@ async fn a_learner_tells_an_actor_of_another_release() {
     });
     let refusal = refusal.await;
     assert_eq!(refusal.cause(), RefusalCause::Protocol);
-    assert!(refusal.to_string().contains("protocol 77, this program speaks 1"), "{refusal}");
+    let told = format!("protocol 77, this program speaks {PROTOCOL_VERSION}");
+    assert!(refusal.to_string().contains(&told), "{refusal}");
     assert_eq!(learner.refusals()[&RefusalCause::Protocol], 1);
 }
 
