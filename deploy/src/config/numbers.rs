@@ -59,13 +59,14 @@ fn in_text_value<'a, 'i>(key: &str, value: &'a Spanned<DeValue<'i>>) -> Option<F
     }
 }
 
-fn in_table(prefix: &str, table: &Table) -> Option<(String, f64)> {
+/// Finds the first such number in a table: its key, and itself as TOML writes it.
+fn in_table(prefix: &str, table: &Table) -> Option<(String, String)> {
     table.iter().find_map(|(name, value)| in_value(&join(prefix, name), value))
 }
 
-fn in_value(key: &str, value: &Value) -> Option<(String, f64)> {
+fn in_value(key: &str, value: &Value) -> Option<(String, String)> {
     match value {
-        Value::Float(number) => (!number.is_finite()).then(|| (key.to_owned(), *number)),
+        Value::Float(number) => (!number.is_finite()).then(|| (key.to_owned(), value.to_string())),
         Value::Array(values) => values.iter().find_map(|value| in_value(key, value)),
         Value::Table(table) => in_table(key, table),
         _ => None,
