@@ -76,7 +76,7 @@ fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
         ),
         (
             "domain = \"cartpole\"\nseed = 9223372036854775808",
-            &["line 2", "seed = 9223372036854775808", "integer"],
+            &["line 2", "`seed` is 9223372036854775808", "up to 9223372036854775807"],
         ),
     ];
     for (text, expected) in cases {

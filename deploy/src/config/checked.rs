@@ -18,7 +18,7 @@ use super::raw::{
 };
 use super::sections::{self, Typed};
 use super::table::overlay;
-use super::{finite, sizes};
+use super::{numbers, sizes};
 use crate::cli::ConfigSource;
 
 /// The domain of a file that names none.
@@ -132,6 +132,7 @@ fn read(file: &Path, catalog: &Catalog) -> anyhow::Result<Table> {
 
 /// Lays a person's text over the default of its domain, after reading it key by key.
 pub(super) fn parse(text: &str, catalog: &Catalog) -> anyhow::Result<Table> {
+    numbers::check_text(text)?;
     let mut own: Table = text.parse().map_err(sections::readable)?;
     own.entry("domain").or_insert_with(|| DEFAULT_DOMAIN.into());
     let domain = domain_of(&own)?;
@@ -140,7 +141,6 @@ pub(super) fn parse(text: &str, catalog: &Catalog) -> anyhow::Result<Table> {
         format!("`domain` is \"{domain}\"; allowed: {}", names.join(", "))
     })??;
     sections::check_text(domain, text)?;
-    finite::check_text(text)?;
     overlay(&mut table, &own);
     sections::complete(domain, table.clone())
 }
@@ -157,7 +157,7 @@ impl Config {
     ///
     /// One sentence that names the key and what is allowed.
     pub fn from_table(table: Table, registry: &Registry) -> anyhow::Result<Self> {
-        finite::check(&table)?;
+        numbers::check(&table)?;
         let domain = DomainName::new(domain_of(&table)?).context("`domain`")?;
         let table = sections::complete(domain.as_str(), table)?;
         let typed = sections::typed(domain.as_str(), table.clone())?;

@@ -15,7 +15,7 @@
 
 pub mod catalog;
 pub mod checked;
-pub mod finite;
+pub mod numbers;
 pub mod raw;
 pub mod sections;
 pub mod sizes;
