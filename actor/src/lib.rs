@@ -15,6 +15,7 @@
 
 mod config;
 mod error;
+mod greeting;
 mod lane;
 mod metrics;
 mod outbox;

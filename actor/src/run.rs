@@ -16,8 +16,7 @@ use std::time::{Duration, Instant};
 
 use leadtime_link::{ActorEvent, ActorLink, ControlResponder};
 use leadtime_policy::Parameters;
-use leadtime_proto::header::PROTOCOL_VERSION;
-use leadtime_proto::message::{Control, ControlAck, Credit, Hello, Welcome};
+use leadtime_proto::message::{Control, ControlAck, Credit, Welcome};
 use leadtime_proto::{Epoch, Iteration, PolicyVersion};
 use leadtime_sims::Registry;
 use tokio::sync::mpsc;
@@ -25,6 +24,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval, timeout_at};
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, info, warn};
 
+use crate::greeting::{compose_hello, is_same_run};
 use crate::metrics::Metrics;
 use crate::outbox::Outbox;
 use crate::shelf::{Pull, Shelf};
@@ -481,22 +481,4 @@ impl Actor {
             n_reconnects: self.metrics.n_reconnects,
         }
     }
-}
-
-fn compose_hello(settings: &ActorSettings, outbox: &Outbox) -> Hello {
-    Hello {
-        protocol: PROTOCOL_VERSION,
-        program: settings.program.clone(),
-        actor: settings.actor.clone(),
-        incarnation: settings.incarnation,
-        cpu: settings.cpu.clone(),
-        published: outbox.made(),
-        first_unacknowledged: outbox.acknowledged().next(),
-    }
-}
-
-/// Tells whether a welcome is to the run that this actor's threads were set up for.
-fn is_same_run(old: &Welcome, new: &Welcome) -> bool {
-    (&old.task, &old.env, &old.policy, old.run_seed, old.n_steps, old.schedule)
-        == (&new.task, &new.env, &new.policy, new.run_seed, new.n_steps, new.schedule)
 }

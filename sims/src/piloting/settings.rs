@@ -83,7 +83,7 @@ pub struct WorldSettings {
     pub zone_jitter: [f64; 2],
     /// Whether entering a zone ends the episode. Default true: training needs it; evaluation turns it off.
     pub zone_ends_episode: bool,
-    /// What an episode that ends in a zone costs (at least 0). Default 100.
+    /// What an episode that ends in a zone costs (at least 0). Default 300, as a crash: less, and dying early is what training settles on.
     pub zone_end_penalty: f64,
     /// What entering a zone costs otherwise (at least 0). Default 20.
     pub entry_penalty: f64,
