@@ -177,8 +177,8 @@ fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
         "unknown variable `topik`",
         "known: action, actions",
     ]);
-    build(&[&["highway"], &grammar[..], &["--prompts", "promts"]].concat())
-        .saying(&["--prompts promts", "no such directory"]);
+    build(&[&["highway"], &grammar[..], &["--prompts", "nowhere"]].concat())
+        .saying(&["--prompts nowhere", "no such directory"]);
     build(&["highway", "--replay", "none.jsonl"]).saying(&["none.jsonl"]);
     // A log of another domain answers nothing.
     build(&["highway", "--replay", &data("lander/calls.jsonl")]).saying(&["lander", "highway"]);

@@ -6,7 +6,7 @@
 //!
 //! # Where to start
 //!
-//! [`Cooking`] is the domain; [`WorldSettings`] what can be chosen about it; [`compare`] what scripted notifiers come to.
+//! [`Cooking`] is the domain; [`WorldSettings`] what can be chosen about it; [`compare()`] what scripted notifiers come to.
 //!
 //! # Source
 //!

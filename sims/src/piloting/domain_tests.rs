@@ -75,7 +75,7 @@ fn a_landing_pays_its_reward_less_the_fuel() {
 fn entering_a_zone_ends_the_episode_or_costs_per_step_or_once() {
     let mut task = start(&settings(|s| s.zones = vec![SKY]), 0);
     let advance = task.advance(None);
-    assert_eq!((advance.end, advance.reward), (Some(End::Terminated), -100.0 - task.progress.fuel));
+    assert_eq!((advance.end, advance.reward), (Some(End::Terminated), -300.0 - task.progress.fuel));
     assert_eq!((metric(&task, "enter_danger"), task.success()), (1.0, false));
     assert_eq!(task.scene().outcome, "entered a danger zone");
 
