@@ -149,6 +149,7 @@ mod tests {
     use leadtime_numerics::Pcg64;
 
     use super::*;
+    use crate::test_support::close;
 
     const ATTENTION: Attention = Attention { n_entities: 4, width: 6, n_heads: 2 };
     const M: usize = 5;
@@ -174,14 +175,6 @@ mod tests {
         shares.matmul(&values).unwrap().transpose(1, 2).unwrap().reshape((M, 6)).unwrap()
     }
 
-    fn close(a: &Tensor, b: &Tensor) {
-        let flat = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        assert_eq!(a.dims(), b.dims());
-        for (i, (a, b)) in flat(a).iter().zip(flat(b)).enumerate() {
-            assert!((a - b).abs() < 1e-5, "{i}: {a} {b}");
-        }
-    }
-
     #[test]
     fn the_fused_attention_has_the_values_and_gradients_of_the_plain_one() {
         let (query, keys, values) = (draw((M, 6), 1), draw((M * 4, 6), 2), draw((M * 4, 6), 3));
@@ -190,12 +183,12 @@ mod tests {
         let op = AttentionOp { attention: ATTENTION, presence: Arc::new(presence.clone()) };
         let fused = query.apply_op3(&keys, &values, op).unwrap();
         let plain = plain(&query, &keys, &values, &presence);
-        close(&fused, &plain);
+        close(&fused, &plain, 1e-5);
         let gradients =
             |y: &Tensor| (y * target.as_tensor()).unwrap().sum_all().unwrap().backward();
         let (of_fused, of_plain) = (gradients(&fused).unwrap(), gradients(&plain).unwrap());
         for var in [&query, &keys, &values] {
-            close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap());
+            close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap(), 1e-5);
         }
     }
 

@@ -98,6 +98,7 @@ mod tests {
     use leadtime_numerics::Pcg64;
 
     use super::*;
+    use crate::test_support::close;
 
     fn draw(shape: (usize, usize), seed: u64) -> Var {
         let mut generator = Pcg64::seed_from_u64(seed);
@@ -132,14 +133,6 @@ mod tests {
             for var in [&x, &weight, &bias] {
                 close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap(), 5e-5);
             }
-        }
-    }
-
-    fn close(a: &Tensor, b: &Tensor, tolerance: f32) {
-        let flat = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        assert_eq!(a.dims(), b.dims());
-        for (i, (a, b)) in flat(a).iter().zip(flat(b)).enumerate() {
-            assert!((a - b).abs() < tolerance, "{i}: {a} {b}");
         }
     }
 }

@@ -48,6 +48,8 @@ pub mod run;
 pub mod settings;
 pub mod state;
 mod storage;
+#[cfg(test)]
+mod test_support;
 pub mod train_error;
 pub mod trainer;
 mod training;

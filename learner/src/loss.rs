@@ -14,7 +14,6 @@
 //! Schulman et al., *Proximal policy optimization algorithms*, 2017 (arXiv:1707.06347), with the details of `CleanRL`'s
 //! `ppo.py`: advantages normalised per minibatch with the unbiased deviation, values clipped like ratios.
 
-use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
@@ -70,30 +69,29 @@ pub(crate) struct Samples {
     pub(crate) values: Vec<f32>,
 }
 
-impl Samples {
-    /// Gives the advantages mean 0 and (unbiased) deviation 1; one sample has no deviation and keeps its own.
-    pub(crate) fn normalize_advantages(&mut self) {
-        let n = self.advantages.len() as f64;
-        if self.advantages.len() < 2 {
-            return;
+/// What gives the advantages of a minibatch mean 0 and (unbiased) deviation 1.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct AdvantageScale {
+    offset: f32,
+    factor: f32,
+}
+
+impl AdvantageScale {
+    /// Measures a whole minibatch; one sample has no deviation and keeps its advantage.
+    pub(crate) fn of(advantages: impl ExactSizeIterator<Item = f32> + Clone) -> Self {
+        let n = advantages.len() as f64;
+        if advantages.len() < 2 {
+            return Self { offset: 0.0, factor: 1.0 };
         }
-        let mean = self.advantages.iter().map(|&a| f64::from(a)).sum::<f64>() / n;
-        let squares: f64 = self.advantages.iter().map(|&a| (f64::from(a) - mean).powi(2)).sum();
+        let mean = advantages.clone().map(f64::from).sum::<f64>() / n;
+        let squares: f64 = advantages.map(|a| (f64::from(a) - mean).powi(2)).sum();
         let deviation = (squares / (n - 1.0)).sqrt();
-        let (offset, scale) = (mean as f32, (1.0 / (deviation + 1e-8)) as f32);
-        self.advantages.iter_mut().for_each(|a| *a = (*a - offset) * scale);
+        Self { offset: mean as f32, factor: (1.0 / (deviation + 1e-8)) as f32 }
     }
 
-    /// Copies some of the samples.
-    pub(crate) fn part(&self, rows: Range<usize>) -> Self {
-        let n_heads = self.actions.len() / self.masks.len();
-        Self {
-            masks: self.masks[rows.clone()].to_vec(),
-            actions: self.actions[rows.start * n_heads..rows.end * n_heads].to_vec(),
-            log_probs: self.log_probs[rows.clone()].to_vec(),
-            advantages: self.advantages[rows.clone()].to_vec(),
-            returns: self.returns[rows.clone()].to_vec(),
-            values: self.values[rows].to_vec(),
+    pub(crate) fn apply(self, advantages: &mut [f32]) {
+        for advantage in advantages {
+            *advantage = (*advantage - self.offset) * self.factor;
         }
     }
 }

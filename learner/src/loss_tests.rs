@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use candle_core::{Device, Var};
 use leadtime_numerics::Pcg64;
 use leadtime_proto::{ActionSpec, Conditional, Gate, Head, HeadCredit};
@@ -26,7 +28,7 @@ fn whole(
     settings: LossSettings,
     mut samples: Samples,
 ) -> Arc<PpoLoss> {
-    samples.normalize_advantages();
+    AdvantageScale::of(samples.advantages.iter().copied()).apply(&mut samples.advantages);
     let n_samples = samples.masks.len();
     PpoLoss::new(distribution, settings, samples, n_samples)
 }
@@ -168,22 +170,23 @@ fn nothing_offered_twice_moves_nothing() {
 fn the_parts_of_a_minibatch_add_up_to_it() {
     let distribution = ActionDistribution::new(&ActionSpec::discrete("a", 5), HeadCredit::All);
     let distribution = Arc::new(distribution);
-    let mut samples = Samples {
-        masks: vec![u64::MAX; 9],
-        actions: ACTIONS.to_vec(),
-        log_probs: OLD_LOG_PROBS.to_vec(),
-        advantages: ADVANTAGES.to_vec(),
-        returns: RETURNS.to_vec(),
-        values: OLD_VALUES.to_vec(),
+    let scale = AdvantageScale::of(ADVANTAGES.iter().copied());
+    let rows = |rows: Range<usize>| Samples {
+        masks: vec![u64::MAX; rows.len()],
+        actions: ACTIONS[rows.clone()].to_vec(),
+        log_probs: OLD_LOG_PROBS[rows.clone()].to_vec(),
+        advantages: ADVANTAGES[rows.clone()].to_vec(),
+        returns: RETURNS[rows.clone()].to_vec(),
+        values: OLD_VALUES[rows].to_vec(),
     };
-    let all = whole(Arc::clone(&distribution), settings(true), samples.clone());
+    let all = whole(Arc::clone(&distribution), settings(true), rows(0..9));
     let all = all.compute(&LOGITS, &VALUES);
-    samples.normalize_advantages();
     let (mut report, mut d_logits) = (LossReport::default(), Vec::new());
-    for rows in [0..4, 4..9] {
-        let part = samples.part(rows.clone());
-        let loss = PpoLoss::new(Arc::clone(&distribution), settings(true), part, 9);
-        let found = loss.compute(&LOGITS[rows.start * 5..rows.end * 5], &VALUES[rows]);
+    for part in [0..4, 4..9] {
+        let mut samples = rows(part.clone());
+        scale.apply(&mut samples.advantages);
+        let loss = PpoLoss::new(Arc::clone(&distribution), settings(true), samples, 9);
+        let found = loss.compute(&LOGITS[part.start * 5..part.end * 5], &VALUES[part]);
         report.add(&found.report);
         d_logits.extend(found.d_logits);
     }

@@ -233,6 +233,7 @@ mod tests {
     use leadtime_numerics::Pcg64;
 
     use super::*;
+    use crate::test_support::close;
 
     const WIDTH: usize = 5;
     const STEPS: usize = 4;
@@ -296,17 +297,9 @@ mod tests {
         let gradients =
             |h: &Tensor| (h * target.as_tensor()).unwrap().sum_all().unwrap().backward().unwrap();
         let (of_fused, of_plain) = (gradients(&fused), gradients(&plain));
-        close(&fused, &plain);
+        close(&fused, &plain, 1e-5);
         for var in [&from_input, &weight, &bias] {
-            close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap());
-        }
-    }
-
-    fn close(a: &Tensor, b: &Tensor) {
-        let flat = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        assert_eq!(a.dims(), b.dims());
-        for (i, (a, b)) in flat(a).iter().zip(flat(b)).enumerate() {
-            assert!((a - b).abs() < 1e-5, "{i}: {a} {b}");
+            close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap(), 1e-5);
         }
     }
 

@@ -18,7 +18,6 @@
 //! [`Trainer::update`].
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
@@ -29,7 +28,7 @@ use serde::{Deserialize, Serialize};
 use crate::TrainError;
 use crate::adam::{Adam, clip_factor, global_norm};
 use crate::batch::Batch;
-use crate::loss::{LossOp, LossReport, LossSettings, PpoLoss, Samples};
+use crate::loss::{AdvantageScale, LossOp, LossReport, LossSettings, PpoLoss};
 use crate::lstm_op::Sequences;
 use crate::minibatch::Minibatches;
 use crate::network::ActorCritic;
@@ -242,8 +241,7 @@ impl Trainer {
 
     /// Runs the epochs.
     fn learn(&mut self, batch: &Batch, learning_rate: f64) -> Result<Totals, TrainError> {
-        let is_recurrent = self.policy_spec.recurrent_dim() > 0;
-        let unit_len = if is_recurrent { self.settings.n_steps } else { 1 };
+        let unit_len = if self.is_recurrent() { self.settings.n_steps } else { 1 };
         let n_minibatches = self.settings.n_minibatches.min(batch.n_samples() / unit_len);
         let place = (self.run_seed, self.version.0);
         let mut order = Minibatches::new(batch.n_samples(), unit_len, n_minibatches, place);
@@ -278,17 +276,14 @@ impl Trainer {
         indices: &[usize],
         learning_rate: f64,
     ) -> Result<(LossReport, f64), TrainError> {
-        let obs_dim = self.policy_spec.obs_dim;
-        let (features, mut samples) = batch.gather(indices, obs_dim);
-        if self.settings.normalize_advantages {
-            samples.normalize_advantages();
-        }
+        let advantages = indices.iter().map(|&i| batch.samples.advantages[i]);
+        let scale = self.settings.normalize_advantages.then(|| AdvantageScale::of(advantages));
+        // A recurrent network takes the minibatch whole: its sequences stay together.
+        let block = if self.is_recurrent() { indices.len() } else { BLOCK };
         let mut report = LossReport::default();
         let mut gradients = BTreeMap::new();
-        for rows in self.blocks(indices.len()) {
-            let observations = &features[rows.start * obs_dim..rows.end * obs_dim];
-            let part = samples.part(rows.clone());
-            let (total, loss) = self.loss(observations, part, (batch, indices))?;
+        for rows in indices.chunks(block) {
+            let (total, loss) = self.loss(batch, rows, (scale, indices.len()))?;
             add_gradients(&mut gradients, self.network.gradients(&total)?)?;
             report.add(&loss.report());
         }
@@ -300,29 +295,30 @@ impl Trainer {
         Ok((report, norm))
     }
 
-    /// Cuts a minibatch into blocks whose activations stay in the cache; a recurrent network takes it whole.
-    fn blocks(&self, n: usize) -> impl Iterator<Item = Range<usize>> + use<> {
-        let block = if self.policy_spec.recurrent_dim() > 0 { n } else { BLOCK };
-        (0..n).step_by(block).map(move |first| first..(first + block).min(n))
-    }
-
-    /// Builds the graph of some samples' share of the loss.
+    /// Builds the graph of the share that some rows have in the loss of their minibatch of `n_samples`.
     fn loss(
         &self,
-        observations: &[f32],
-        samples: Samples,
-        (batch, indices): (&Batch, &[usize]),
+        batch: &Batch,
+        rows: &[usize],
+        (scale, n_samples): (Option<AdvantageScale>, usize),
     ) -> Result<(Tensor, Arc<PpoLoss>), TrainError> {
-        let shape = (samples.masks.len(), self.policy_spec.obs_dim);
-        let observations = Tensor::from_slice(observations, shape, &Device::Cpu)?;
-        let is_recurrent = self.policy_spec.recurrent_dim() > 0;
+        let obs_dim = self.policy_spec.obs_dim;
+        let (features, mut samples) = batch.gather(rows, obs_dim);
+        if let Some(scale) = scale {
+            scale.apply(&mut samples.advantages);
+        }
+        let features = Tensor::from_vec(features, (rows.len(), obs_dim), &Device::Cpu)?;
         let sequences =
-            if is_recurrent { batch.gather_sequences(indices) } else { Sequences::default() };
-        let (logits, values) = self.network.forward(&observations, &Arc::new(sequences))?;
+            if self.is_recurrent() { batch.gather_sequences(rows) } else { Sequences::default() };
+        let (logits, values) = self.network.forward(&features, &Arc::new(sequences))?;
         let settings = LossSettings::from(&self.settings);
-        let loss = PpoLoss::new(Arc::clone(&self.distribution), settings, samples, indices.len());
+        let loss = PpoLoss::new(Arc::clone(&self.distribution), settings, samples, n_samples);
         let total = logits.apply_op2(&values, LossOp(Arc::clone(&loss)))?;
         Ok((total, loss))
+    }
+
+    fn is_recurrent(&self) -> bool {
+        self.policy_spec.recurrent_dim() > 0
     }
 }
 

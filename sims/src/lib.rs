@@ -26,6 +26,8 @@ pub mod registry;
 pub mod scene;
 pub mod setting;
 pub mod steakhouse;
+#[cfg(test)]
+mod test_support;
 pub mod vectorized;
 
 pub use domain::{Advance, Delivery, Domain, Entities, Message, ReactionStatus, ReactionStep};

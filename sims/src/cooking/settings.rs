@@ -1,12 +1,11 @@
 //! What can be chosen about the cooking task.
 
 use leadtime_proto::TaskSpec;
-use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::human::{BlockedInitiation, FollowThrough, HumanSettings, Interrupt, ReactionDelay};
 use crate::notifier::NotifierSettings;
-use crate::setting::{SettingError, require};
+use crate::setting::{SettingError, read_over, require};
 use crate::steakhouse::{FieldOfView, Grid, StartFamily, Times, kitchen};
 
 /// How the cook chooses between subtasks, or places, that are equally good.
@@ -228,25 +227,11 @@ fn default_notifier() -> NotifierSettings {
 }
 
 fn read_human<'de, D: Deserializer<'de>>(deserializer: D) -> Result<HumanSettings, D::Error> {
-    read_over(default_human(), deserializer)
+    read_over(&default_human(), deserializer)
 }
 
 fn read_notifier<'de, D: Deserializer<'de>>(deserializer: D) -> Result<NotifierSettings, D::Error> {
-    read_over(default_notifier(), deserializer)
-}
-
-/// Reads settings, with this domain's defaults for those that are not given.
-fn read_over<'de, T, D>(defaults: T, deserializer: D) -> Result<T, D::Error>
-where
-    T: Serialize + DeserializeOwned,
-    D: Deserializer<'de>,
-{
-    let given = serde_json::Map::deserialize(deserializer)?;
-    let mut merged = serde_json::to_value(defaults).map_err(D::Error::custom)?;
-    if let Some(settings) = merged.as_object_mut() {
-        settings.extend(given);
-    }
-    serde_json::from_value(merged).map_err(D::Error::custom)
+    read_over(&default_notifier(), deserializer)
 }
 
 #[cfg(test)]

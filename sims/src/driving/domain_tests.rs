@@ -9,6 +9,7 @@ use crate::driving::reaction::{MERGE_LEFT, MERGE_RIGHT, SLOW_DOWN, SPEED_UP};
 use crate::highway::{Driver, RoadSettings, Side};
 use crate::human::HumanSettings;
 use crate::notifier::{NotifierEnv, NotifierSettings};
+use crate::test_support::goes_on_bit_for_bit;
 use crate::{Environment as _, Vectorized};
 
 fn seed(episode: u64) -> EpisodeSeed {
@@ -376,30 +377,6 @@ proptest! {
         cut in 0_usize..110,
         episode in 0_u64..100,
     ) {
-        let (mut straight, mut resumed) = (notifier_env(), notifier_env());
-        let mut expected = vec![0.0; straight.spec().obs_dim];
-        let mut observation = expected.clone();
-        straight.reset(seed(episode), &mut expected);
-        resumed.reset(seed(episode), &mut observation);
-        for (t, &(speaks, topic, k, l)) in choices.iter().enumerate() {
-            if t == cut {
-                let mut bytes = Vec::new();
-                resumed.snapshot(&mut bytes);
-                resumed = notifier_env();
-                resumed.restore(&bytes, &mut observation).unwrap();
-                prop_assert_eq!(&observation, &expected);
-            }
-            let action = [u8::from(speaks == 0), topic, k, l.max(k)];
-            let outcome = straight.step(&action, &mut expected);
-            prop_assert_eq!(resumed.step(&action, &mut observation), outcome);
-            prop_assert_eq!(&observation, &expected);
-            if outcome.end.is_some() {
-                break;
-            }
-        }
-        let (mut a, mut b) = (Vec::new(), Vec::new());
-        straight.snapshot(&mut a);
-        resumed.snapshot(&mut b);
-        prop_assert_eq!(a, b);
+        goes_on_bit_for_bit(notifier_env, seed(episode), &choices, cut)?;
     }
 }

@@ -1,12 +1,11 @@
 //! Everything about a driving run: the world, and what differs for its listener and notifier.
 
-use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
-use serde_json::{Map, Value};
 
 use super::world_settings::WorldSettings;
 use crate::human::{FollowThrough, HumanSettings};
 use crate::notifier::NotifierSettings;
+use crate::setting::read_over;
 
 /// Everything about a driving run.
 ///
@@ -50,25 +49,11 @@ fn notifier() -> NotifierSettings {
 }
 
 fn over_human<'de, D: Deserializer<'de>>(given: D) -> Result<HumanSettings, D::Error> {
-    over(&human(), given)
+    read_over(&human(), given)
 }
 
 fn over_notifier<'de, D: Deserializer<'de>>(given: D) -> Result<NotifierSettings, D::Error> {
-    over(&notifier(), given)
-}
-
-/// Reads a table whose missing entries are those of `defaults`, and not those of its type.
-fn over<'de, T, D>(defaults: &T, given: D) -> Result<T, D::Error>
-where
-    T: Serialize + DeserializeOwned,
-    D: Deserializer<'de>,
-{
-    let given = Map::<String, Value>::deserialize(given)?;
-    let mut all = serde_json::to_value(defaults).map_err(D::Error::custom)?;
-    if let Value::Object(all) = &mut all {
-        all.extend(given);
-    }
-    serde_json::from_value(all).map_err(D::Error::custom)
+    read_over(&notifier(), given)
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use crate::human::HumanSettings;
 use crate::notifier::{NotifierEnv, NotifierSettings};
 use crate::piloting::PilotingSettings;
 use crate::piloting::maneuver::{DESCEND, SHIFT_LEFT};
+use crate::test_support::goes_on_bit_for_bit;
 
 /// Everything above y = 1: where every episode starts.
 const SKY: Zone = Zone { x0: -2.0, x1: 2.0, y0: 1.0, y1: 3.0 };
@@ -244,31 +245,6 @@ proptest! {
         cut in 0_usize..150,
         episode in 0_u64..100,
     ) {
-        let (mut straight, mut resumed) = (notifier_env(), notifier_env());
-        let mut expected = vec![0.0; straight.spec().obs_dim];
-        let mut observation = expected.clone();
-        straight.reset(seed(episode), &mut expected);
-        resumed.reset(seed(episode), &mut observation);
-        for (t, &(speaks, topic, k, l)) in choices.iter().enumerate() {
-            if t == cut {
-                let mut bytes = Vec::new();
-                resumed.snapshot(&mut bytes);
-                resumed = notifier_env();
-                resumed.restore(&bytes, &mut observation).unwrap();
-                prop_assert_eq!(&observation, &expected);
-            }
-            // One step in four starts a message.
-            let action = [u8::from(speaks == 0), topic, k, l.max(k)];
-            let outcome = straight.step(&action, &mut expected);
-            prop_assert_eq!(resumed.step(&action, &mut observation), outcome);
-            prop_assert_eq!(&observation, &expected);
-            if outcome.end.is_some() {
-                break;
-            }
-        }
-        let (mut a, mut b) = (Vec::new(), Vec::new());
-        straight.snapshot(&mut a);
-        resumed.snapshot(&mut b);
-        prop_assert_eq!(a, b);
+        goes_on_bit_for_bit(notifier_env, seed(episode), &choices, cut)?;
     }
 }
