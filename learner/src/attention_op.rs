@@ -2,19 +2,22 @@
 //!
 //! The arithmetic is that of [`leadtime_policy::attention`]: forward the same bits as an actor's inference.
 
+use std::iter::once;
 use std::sync::Arc;
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
-use leadtime_policy::attention::Attention;
+use leadtime_policy::attention::{Attention, dot};
+use leadtime_policy::sight::Seen;
 
 use crate::storage::{floats, with_floats};
 
-/// What each of M egos takes from its N entities: of query `[M, D]`, keys `[M N, D]` and values `[M N, D]`, `[M, D]`.
+/// What each of M egos takes from the embeddings in sight: of queries `[M, H W]`, egos `[M, W]` and others `[P, W]`,
+/// `[M, H W]`.
 #[derive(Clone, Debug)]
 pub(crate) struct AttentionOp {
     pub(crate) attention: Attention,
-    /// `[M, N]`
-    pub(crate) presence: Arc<Vec<f32>>,
+    /// `[M]`
+    pub(crate) seen: Arc<Vec<Seen>>,
 }
 
 impl CustomOp3 for AttentionOp {
@@ -24,118 +27,152 @@ impl CustomOp3 for AttentionOp {
 
     fn cpu_fwd(
         &self,
-        query: &CpuStorage,
-        query_layout: &Layout,
-        keys: &CpuStorage,
-        keys_layout: &Layout,
-        values: &CpuStorage,
-        values_layout: &Layout,
+        queries: &CpuStorage,
+        queries_layout: &Layout,
+        egos: &CpuStorage,
+        egos_layout: &Layout,
+        others: &CpuStorage,
+        others_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let Attention { n_entities, width, n_heads } = self.attention;
-        let (m, query_width) = query_layout.shape().dims2()?;
-        let expected = (m * n_entities, width);
-        let fits = query_width == width
-            && keys_layout.shape().dims2()? == expected
-            && values_layout.shape().dims2()? == expected
-            && self.presence.len() == m * n_entities;
+        let Attention { width, n_heads } = self.attention;
+        let (m, wide) = queries_layout.shape().dims2()?;
+        let n_others: usize = self.seen.iter().map(|seen| seen.n_others).sum();
+        let fits = wide == n_heads * width
+            && self.seen.len() == m
+            && egos_layout.shape().dims2()? == (m, width)
+            && others_layout.shape().dims2()? == (n_others, width);
         if !fits {
-            candle_core::bail!("ego attention of {m} egos to {n_entities} entities: wrong shapes")
+            candle_core::bail!("ego attention of {m} egos to {n_others} others: wrong shapes")
         }
-        let (query, keys) = (floats(query, query_layout)?, floats(keys, keys_layout)?);
-        let values = floats(values, values_layout)?;
-        let (mut out, mut shares) = (vec![0.0; m * width], vec![0.0; n_heads * n_entities]);
-        let rows = self.rows(query, keys, values);
-        for (out, (query, keys, values, presence)) in out.chunks_exact_mut(width).zip(rows) {
-            self.attention.shares(query, keys, presence, &mut shares);
-            self.attention.gather(&shares, values, out);
+        let (queries, egos) = (floats(queries, queries_layout)?, floats(egos, egos_layout)?);
+        let others = floats(others, others_layout)?;
+        let (mut out, mut shares) = (vec![0.0; m * wide], Vec::new());
+        let rows = self.rows(queries, egos, others);
+        for (out, row) in out.chunks_exact_mut(wide).zip(rows) {
+            self.share(&row, &mut shares);
+            self.attention.gather(&shares, row.ego, row.others, out);
         }
-        Ok((CpuStorage::F32(out), Shape::from((m, width))))
+        Ok((CpuStorage::F32(out), Shape::from((m, wide))))
     }
 
     fn bwd(
         &self,
-        query: &Tensor,
-        keys: &Tensor,
-        values: &Tensor,
+        queries: &Tensor,
+        egos: &Tensor,
+        others: &Tensor,
         _out: &Tensor,
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let gradients = with_floats(query, |query| {
-            with_floats(keys, |keys| {
-                with_floats(values, |values| {
-                    with_floats(gradient, |gradient| self.backward(query, keys, values, gradient))
+        let gradients = with_floats(queries, |queries| {
+            with_floats(egos, |egos| {
+                with_floats(others, |others| {
+                    with_floats(gradient, |gradient| self.backward(queries, egos, others, gradient))
                 })
             })
         })????;
         let tensor = |numbers: Vec<f32>, like: &Tensor| {
             Tensor::from_vec(numbers, like.shape(), like.device()).map(Some)
         };
-        let Gradients { query: d_query, keys: d_keys, values: d_values } = gradients;
-        Ok((tensor(d_query, query)?, tensor(d_keys, keys)?, tensor(d_values, values)?))
+        let Gradients { queries: d_queries, egos: d_egos, others: d_others } = gradients;
+        Ok((tensor(d_queries, queries)?, tensor(d_egos, egos)?, tensor(d_others, others)?))
     }
 }
 
 struct Gradients {
-    query: Vec<f32>,
-    keys: Vec<f32>,
-    values: Vec<f32>,
+    queries: Vec<f32>,
+    egos: Vec<f32>,
+    others: Vec<f32>,
 }
 
-type Row<'a> = (&'a [f32], &'a [f32], &'a [f32], &'a [f32]);
+/// One ego: its queries `[H, W]`, its embedding `[W]`, those of the others in its sight `[n, W]`.
+struct Row<'a> {
+    queries: &'a [f32],
+    ego: &'a [f32],
+    others: &'a [f32],
+    seen: Seen,
+}
+
+/// Where one head's gradients of one ego are added up: `[W]`, `[W]`, `[n, W]`.
+struct Sums<'a> {
+    query: &'a mut [f32],
+    ego: &'a mut [f32],
+    others: &'a mut [f32],
+}
 
 impl AttentionOp {
-    /// Lists each ego's query, keys, values and presence.
+    /// Lists the egos.
     fn rows<'a>(
         &'a self,
-        query: &'a [f32],
-        keys: &'a [f32],
-        values: &'a [f32],
+        queries: &'a [f32],
+        egos: &'a [f32],
+        mut others: &'a [f32],
     ) -> impl Iterator<Item = Row<'a>> {
-        let Attention { n_entities, width, .. } = self.attention;
-        let all = n_entities * width;
-        let entities = keys.chunks_exact(all).zip(values.chunks_exact(all));
-        let rows = query.chunks_exact(width).zip(entities);
-        rows.zip(self.presence.chunks_exact(n_entities))
-            .map(|((query, (keys, values)), presence)| (query, keys, values, presence))
+        let Attention { width, n_heads } = self.attention;
+        let rows = queries.chunks_exact(n_heads * width).zip(egos.chunks_exact(width));
+        rows.zip(self.seen.iter()).map(move |((queries, ego), &seen)| {
+            let (own, later) = others.split_at(seen.n_others * width);
+            others = later;
+            Row { queries, ego, others: own, seen }
+        })
     }
 
-    /// Computes all gradients: with g that of the output, `ds_i = p_i (g·v_i - Σ_j p_j g·v_j)`, and nothing through
-    /// the score of an entity that is not there.
-    fn backward(&self, query: &[f32], keys: &[f32], values: &[f32], gradient: &[f32]) -> Gradients {
-        let Attention { n_entities, width, n_heads } = self.attention;
-        let (d, scale) = (self.attention.head_width(), self.attention.scale());
+    /// Computes the shares `[H, 1 + n]` of one ego's attention.
+    fn share(&self, row: &Row<'_>, shares: &mut Vec<f32>) {
+        shares.resize(self.attention.n_heads * row.seen.n_entities(), 0.0);
+        self.attention.shares(row.queries, row.ego, row.others, row.seen, shares);
+    }
+
+    /// Computes all gradients.
+    fn backward(&self, queries: &[f32], egos: &[f32], others: &[f32], g: &[f32]) -> Gradients {
+        let Attention { width, n_heads } = self.attention;
         let mut found = Gradients {
-            query: vec![0.0; query.len()],
-            keys: vec![0.0; keys.len()],
-            values: vec![0.0; values.len()],
+            queries: vec![0.0; queries.len()],
+            egos: vec![0.0; egos.len()],
+            others: vec![0.0; others.len()],
         };
-        let mut shares = vec![0.0; n_heads * n_entities];
-        let mut d_scores = vec![0.0; n_entities];
-        let all = n_entities * width;
-        for (m, (query, keys, values, presence)) in self.rows(query, keys, values).enumerate() {
-            self.attention.shares(query, keys, presence, &mut shares);
-            let gradient = &gradient[m * width..][..width];
-            let d_query = &mut found.query[m * width..][..width];
-            let d_keys = &mut found.keys[m * all..][..all];
-            let d_values = &mut found.values[m * all..][..all];
-            for (head, shares) in shares.chunks_exact(n_entities).enumerate() {
-                let own = head * d..(head + 1) * d;
-                let of = |i: usize| i * width + own.start..i * width + own.end;
-                let (query, gradient) = (&query[own.clone()], &gradient[own.clone()]);
-                for (i, d_score) in d_scores.iter_mut().enumerate() {
-                    *d_score = gradient.iter().zip(&values[of(i)]).map(|(g, v)| g * v).sum();
-                }
-                let mean: f32 = shares.iter().zip(&d_scores).map(|(share, d)| share * d).sum();
-                for (i, &share) in shares.iter().enumerate() {
-                    add_scaled(&mut d_values[of(i)], gradient, share);
-                    let counts = f32::from(u8::from(Attention::is_present(presence[i])));
-                    let d_score = counts * share * (d_scores[i] - mean) * scale;
-                    add_scaled(&mut d_query[own.clone()], &keys[of(i)], d_score);
-                    add_scaled(&mut d_keys[of(i)], query, d_score);
-                }
+        let (mut shares, mut d_scores) = (Vec::new(), Vec::new());
+        let mut d_others = found.others.as_mut_slice();
+        for (m, row) in self.rows(queries, egos, others).enumerate() {
+            self.share(&row, &mut shares);
+            let (d_own, d_later) = d_others.split_at_mut(row.others.len());
+            d_others = d_later;
+            let d_ego = &mut found.egos[m * width..][..width];
+            for (head, shares) in shares.chunks_exact(row.seen.n_entities()).enumerate() {
+                let at = (m * n_heads + head) * width;
+                let d_query = &mut found.queries[at..][..width];
+                let sums = Sums { query: d_query, ego: d_ego, others: d_own };
+                self.backward_head(&row, head, shares, &g[at..][..width], sums, &mut d_scores);
             }
         }
         found
+    }
+
+    /// Adds one head's gradients to the sums: with g that of the output, `ds_i = p_i (g·e_i - Σ_j p_j g·e_j)`, and
+    /// nothing through the score of an entity that is not there.
+    fn backward_head(
+        &self,
+        row: &Row<'_>,
+        head: usize,
+        shares: &[f32],
+        g: &[f32],
+        sums: Sums<'_>,
+        d_scores: &mut Vec<f32>,
+    ) {
+        let width = self.attention.width;
+        let query = &row.queries[head * width..][..width];
+        let entities = || once(row.ego).chain(row.others.chunks_exact(width));
+        d_scores.clear();
+        d_scores.extend(entities().map(|entity| dot(g, entity)));
+        let mean: f32 = shares.iter().zip(&*d_scores).map(|(share, d)| share * d).sum();
+        let d_entities = once(sums.ego).chain(sums.others.chunks_exact_mut(width));
+        for (i, (entity, d_entity)) in entities().zip(d_entities).enumerate() {
+            add_scaled(d_entity, g, shares[i]);
+            if row.seen.has(i) {
+                let d_score = shares[i] * (d_scores[i] - mean) * self.attention.scale();
+                add_scaled(sums.query, entity, d_score);
+                add_scaled(d_entity, query, d_score);
+            }
+        }
     }
 }
 
@@ -151,8 +188,9 @@ mod tests {
     use super::*;
     use crate::test_support::close;
 
-    const ATTENTION: Attention = Attention { n_entities: 4, width: 6, n_heads: 2 };
+    const ATTENTION: Attention = Attention { width: 4, n_heads: 2 };
     const M: usize = 5;
+    const N: usize = 4;
 
     fn draw(shape: (usize, usize), seed: u64) -> Var {
         let mut generator = Pcg64::seed_from_u64(seed);
@@ -160,42 +198,69 @@ mod tests {
         Var::from_tensor(&Tensor::from_vec(draws.collect(), shape, &Device::Cpu).unwrap()).unwrap()
     }
 
-    /// Attention of the engine's own operations.
-    fn plain(query: &Tensor, keys: &Tensor, values: &Tensor, presence: &[f32]) -> Tensor {
-        let split = |x: &Tensor, n: usize| {
-            x.reshape((M, n, 2, 3)).unwrap().transpose(1, 2).unwrap().contiguous().unwrap()
-        };
-        let (query, keys, values) = (split(query, 1), split(keys, 4), split(values, 4));
-        let scores = query.matmul(&keys.transpose(2, 3).unwrap().contiguous().unwrap()).unwrap();
-        let scores = (scores / 3_f64.sqrt()).unwrap();
+    /// Attention to all of N entities per ego, of the engine's own operations; `presence`: `[M, N]`.
+    fn plain(queries: &Tensor, egos: &Tensor, others: &Tensor, presence: &[f32]) -> Tensor {
+        let others = others.reshape((M, N - 1, 4)).unwrap();
+        let all = Tensor::cat(&[&egos.unsqueeze(1).unwrap(), &others], 1).unwrap();
+        let queries = queries.reshape((M, 2, 4)).unwrap();
+        let scores = queries.matmul(&all.transpose(1, 2).unwrap().contiguous().unwrap()).unwrap();
+        let scores = (scores / 2_f64.sqrt()).unwrap();
         let hidden = presence.iter().map(|p| if *p < 0.5 { -1e9_f32 } else { 0.0 });
-        let hidden = Tensor::from_vec(hidden.collect(), (M, 1, 1, 4), &Device::Cpu).unwrap();
+        let hidden = Tensor::from_vec(hidden.collect(), (M, 1, N), &Device::Cpu).unwrap();
         let scores = scores.broadcast_add(&hidden).unwrap();
-        let shares = candle_nn::ops::softmax(&scores, 3).unwrap();
-        shares.matmul(&values).unwrap().transpose(1, 2).unwrap().reshape((M, 6)).unwrap()
+        let shares = candle_nn::ops::softmax(&scores, 2).unwrap();
+        shares.matmul(&all.contiguous().unwrap()).unwrap().reshape((M, 8)).unwrap()
     }
 
     #[test]
     fn the_fused_attention_has_the_values_and_gradients_of_the_plain_one() {
-        let (query, keys, values) = (draw((M, 6), 1), draw((M * 4, 6), 2), draw((M * 4, 6), 3));
-        let target = draw((M, 6), 4);
-        let presence: Vec<f32> = (0..M * 4).map(|i| f32::from(u8::from(i % 3 != 2))).collect();
-        let op = AttentionOp { attention: ATTENTION, presence: Arc::new(presence.clone()) };
-        let fused = query.apply_op3(&keys, &values, op).unwrap();
-        let plain = plain(&query, &keys, &values, &presence);
+        let (queries, egos, others) = (draw((M, 8), 1), draw((M, 4), 2), draw((M * (N - 1), 4), 3));
+        let target = draw((M, 8), 4);
+        // The last frame's ego is not there, and neither are some others.
+        let presence: Vec<f32> =
+            (0..M * N).map(|i| f32::from(u8::from(i % 3 != 2 && i != (M - 1) * N))).collect();
+        let there = |i: &usize| presence[i / (N - 1) * N + 1 + i % (N - 1)] > 0.5;
+        let kept: Vec<u32> = (0..M * (N - 1)).filter(there).map(|i| i as u32).collect();
+        let n_kept = kept.len();
+        let kept = Tensor::from_vec(kept, n_kept, &Device::Cpu).unwrap();
+        let seen = presence.chunks_exact(N).map(|frame| Seen {
+            n_others: frame[1..].iter().filter(|p| **p > 0.5).count(),
+            ego: frame[0] > 0.5,
+            others: true,
+        });
+        let op = AttentionOp { attention: ATTENTION, seen: Arc::new(seen.collect()) };
+        let in_sight = others.index_select(&kept, 0).unwrap();
+        let fused = queries.apply_op3(&egos, &in_sight, op).unwrap();
+        let plain = plain(&queries, &egos, &others, &presence);
         close(&fused, &plain, 1e-5);
         let gradients =
             |y: &Tensor| (y * target.as_tensor()).unwrap().sum_all().unwrap().backward();
         let (of_fused, of_plain) = (gradients(&fused).unwrap(), gradients(&plain).unwrap());
-        for var in [&query, &keys, &values] {
+        for var in [&queries, &egos, &others] {
             close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap(), 1e-5);
         }
     }
 
     #[test]
+    fn an_ego_alone_heeds_itself() {
+        let (queries, egos, others) = (draw((1, 8), 1), draw((1, 4), 2), draw((0, 4), 3));
+        let seen = Seen { n_others: 0, ego: true, others: true };
+        let op = AttentionOp { attention: ATTENTION, seen: Arc::new(vec![seen]) };
+        let taken = queries.apply_op3(&egos, &others, op).unwrap();
+        close(&taken, &Tensor::cat(&[egos.as_tensor(), &egos], 1).unwrap(), 1e-6);
+        let gradients = taken.sum_all().unwrap().backward().unwrap();
+        close(
+            gradients.get(&egos).unwrap(),
+            &egos.ones_like().unwrap().affine(2.0, 0.0).unwrap(),
+            1e-6,
+        );
+    }
+
+    #[test]
     fn wrong_shapes_are_refused() {
-        let (query, keys) = (draw((M, 6), 1), draw((M * 3, 6), 2));
-        let op = AttentionOp { attention: ATTENTION, presence: Arc::new(vec![1.0; M * 4]) };
-        assert!(query.apply_op3(&keys, &keys, op).is_err());
+        let (queries, egos, others) = (draw((M, 8), 1), draw((M, 4), 2), draw((M * N, 4), 3));
+        let seen = vec![Seen { n_others: N - 1, ego: true, others: true }; M];
+        let op = AttentionOp { attention: ATTENTION, seen: Arc::new(seen) };
+        assert!(queries.apply_op3(&egos, &others, op).is_err());
     }
 }

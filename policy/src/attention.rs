@@ -6,7 +6,15 @@
 //! score_i = q · k_i / √d   (-1e9 where the entity is not there)      p = softmax(score)      out = Σ p_i v_i
 //! ```
 //!
-//! per head, on its share of d numbers of query, keys, values and output.
+//! per head, on its share of d numbers of query, keys, values and output. There is one query per frame, so keys and
+//! values need not be computed entity by entity:
+//!
+//! ```text
+//! q = Q e    k_i = K e_i    v_i = V e_i       q · k_i = (Kᵀ Q e) · e_i       C Σ p_i v_i = (C V) Σ p_i e_i
+//! ```
+//!
+//! with C the output's map; what is in brackets is one vector per head and frame. Entities that are not there are not
+//! even embedded ([`crate::sight`]): their share is 0.
 //!
 //! # Source
 //!
@@ -15,30 +23,23 @@
 
 use leadtime_numerics::tanh::exp;
 
+use crate::sight::Seen;
+
 /// The score of an entity that is not there.
 const ABSENT: f32 = -1e9;
-/// Least presence of an entity that is there.
-const PRESENT: f32 = 0.5;
 /// Terms of a sum that are added side by side.
 const LANES: usize = 8;
 
 /// Sizes of an attention.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attention {
-    /// Entities, N.
-    pub n_entities: usize,
-    /// Width, D.
+    /// Width of embeddings, W.
     pub width: usize,
-    /// Heads, H; they share out the width.
+    /// Heads, H; they share out the width of queries, keys and values.
     pub n_heads: usize,
 }
 
 impl Attention {
-    /// Tells whether an entity of this presence is there.
-    pub fn is_present(presence: f32) -> bool {
-        presence >= PRESENT
-    }
-
     /// Returns the factor of scores, 1 / √d.
     pub fn scale(&self) -> f32 {
         1.0 / (self.head_width() as f32).sqrt()
@@ -49,59 +50,67 @@ impl Attention {
         self.width / self.n_heads
     }
 
-    /// Computes how much each head of one ego heeds each entity.
+    /// Computes how much each head of one ego heeds each of the n + 1 entities in sight.
     ///
     /// # Shapes
     ///
-    /// `query`: `[D]`; `keys`: `[N, D]`; `presence`: `[N]`; `shares`: `[H, N]`.
+    /// `queries`: `[H, W]`, to be compared with embeddings; `ego`: `[W]`; `others`: `[n, W]`; `shares`: `[H, 1 + n]`,
+    /// the ego first.
     ///
     /// # Panics
     ///
     /// If the shapes do not hold.
-    pub fn shares(&self, query: &[f32], keys: &[f32], presence: &[f32], shares: &mut [f32]) {
-        assert_eq!(presence.len(), self.n_entities, "`presence` must be [N]");
-        assert_eq!(keys.len(), self.n_entities * self.width, "`keys` must be [N, D]");
-        assert_eq!(shares.len(), self.n_heads * self.n_entities, "`shares` must be [H, N]");
-        let (d, scale) = (self.head_width(), self.scale());
-        let heads = query.chunks_exact(d).zip(shares.chunks_exact_mut(self.n_entities));
-        for (head, (query, shares)) in heads.enumerate() {
-            let entities = keys.chunks_exact(self.width).zip(presence);
-            for (share, (key, &presence)) in shares.iter_mut().zip(entities) {
-                let score = dot(query, &key[head * d..][..d]) * scale;
-                *share = if Self::is_present(presence) { score } else { ABSENT };
+    pub fn shares(
+        &self,
+        queries: &[f32],
+        ego: &[f32],
+        others: &[f32],
+        seen: Seen,
+        shares: &mut [f32],
+    ) {
+        assert_eq!(queries.len(), self.n_heads * self.width, "`queries` must be [H, W]");
+        assert_eq!(ego.len(), self.width, "`ego` must be [W]");
+        assert_eq!(others.len(), seen.n_others * self.width, "`others` must be [n, W]");
+        assert_eq!(shares.len(), self.n_heads * seen.n_entities(), "`shares` must be [H, 1 + n]");
+        let scale = self.scale();
+        let heads = queries.chunks_exact(self.width);
+        for (query, shares) in heads.zip(shares.chunks_exact_mut(seen.n_entities())) {
+            let score =
+                |there, embedding| if there { dot(query, embedding) * scale } else { ABSENT };
+            shares[0] = score(seen.ego, ego);
+            for (share, other) in shares[1..].iter_mut().zip(others.chunks_exact(self.width)) {
+                *share = score(seen.others, other);
             }
             softmax(shares);
         }
     }
 
-    /// Adds up what one ego takes from the entities.
+    /// Adds up the embeddings of which one ego takes its shares.
     ///
     /// # Shapes
     ///
-    /// `shares`: `[H, N]`; `values`: `[N, D]`; `out`: `[D]`.
+    /// `shares`: `[H, 1 + n]`; `ego`: `[W]`; `others`: `[n, W]`; `out`: `[H, W]`.
     ///
     /// # Panics
     ///
     /// If the shapes do not hold.
-    pub fn gather(&self, shares: &[f32], values: &[f32], out: &mut [f32]) {
-        assert_eq!(shares.len(), self.n_heads * self.n_entities, "`shares` must be [H, N]");
-        assert_eq!(values.len(), self.n_entities * self.width, "`values` must be [N, D]");
-        assert_eq!(out.len(), self.width, "`out` must be [D]");
-        let d = self.head_width();
-        out.fill(0.0);
-        let heads = shares.chunks_exact(self.n_entities).zip(out.chunks_exact_mut(d));
-        for (head, (shares, out)) in heads.enumerate() {
-            for (share, value) in shares.iter().zip(values.chunks_exact(self.width)) {
-                for (sum, value) in out.iter_mut().zip(&value[head * d..][..d]) {
-                    *sum += share * value;
-                }
+    pub fn gather(&self, shares: &[f32], ego: &[f32], others: &[f32], out: &mut [f32]) {
+        let n_entities = 1 + others.len() / self.width;
+        assert_eq!(shares.len(), self.n_heads * n_entities, "`shares` must be [H, 1 + n]");
+        assert_eq!(ego.len(), self.width, "`ego` must be [W]");
+        assert_eq!(out.len(), self.n_heads * self.width, "`out` must be [H, W]");
+        let heads = shares.chunks_exact(n_entities).zip(out.chunks_exact_mut(self.width));
+        for (shares, out) in heads {
+            out.iter_mut().zip(ego).for_each(|(sum, value)| *sum = shares[0] * value);
+            for (share, other) in shares[1..].iter().zip(others.chunks_exact(self.width)) {
+                out.iter_mut().zip(other).for_each(|(sum, value)| *sum += share * value);
             }
         }
     }
 }
 
 /// Adds up products in a fixed order: in lanes, then over lanes, then what is left.
-fn dot(a: &[f32], b: &[f32]) -> f32 {
+pub fn dot(a: &[f32], b: &[f32]) -> f32 {
     let mut lanes = [0.0_f32; LANES];
     let (parts_a, parts_b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
     let rest = parts_a.remainder().iter().zip(parts_b.remainder());
@@ -130,29 +139,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn absent_entities_get_no_share() {
-        let attention = Attention { n_entities: 3, width: 2, n_heads: 2 };
-        let keys = [1.0, 0.0, 0.0, 2.0, 9.0, 9.0];
-        let mut shares = [f32::NAN; 6];
-        attention.shares(&[1.0, 1.0], &keys, &[1.0, 1.0, 0.0], &mut shares);
+    fn the_absent_get_no_share() {
+        let attention = Attention { width: 2, n_heads: 2 };
+        let (queries, ego, others) = ([1.0, 0.0, 0.0, 1.0], [1.0, 0.0], [0.0, 2.0]);
+        let mut shares = [f32::NAN; 4];
+        let seen = Seen { n_others: 1, ego: true, others: true };
+        attention.shares(&queries, &ego, &others, seen, &mut shares);
         let e = 1.0_f32.exp();
-        let expected =
-            [e / (e + 1.0), 1.0 / (e + 1.0), 0.0, 1.0 / (1.0 + e * e), e * e / (1.0 + e * e), 0.0];
+        let expected = [e / (e + 1.0), 1.0 / (e + 1.0), 1.0 / (1.0 + e * e), e * e / (1.0 + e * e)];
         for (share, expected) in shares.iter().zip(expected) {
             assert!((share - expected).abs() < 1e-6, "{shares:?}");
         }
-        let mut out = [f32::NAN; 2];
-        attention.gather(&shares, &[10.0, 0.0, 0.0, 5.0, 100.0, 100.0], &mut out);
-        assert!(
-            (out[0] - 10.0 * expected[0]).abs() < 1e-5 && (out[1] - 5.0 * expected[4]).abs() < 1e-5
-        );
-        // Nobody there, not even the ego: all are alike.
-        attention.shares(&[1.0, 1.0], &keys, &[0.0; 3], &mut shares);
-        assert!(shares.iter().all(|share| (share - 1.0 / 3.0).abs() < 1e-6), "{shares:?}");
+        let mut out = [f32::NAN; 4];
+        attention.gather(&shares, &ego, &others, &mut out);
+        assert_eq!(out, [shares[0], 2.0 * shares[1], shares[2], 2.0 * shares[3]]);
+        // The ego is not there: all is the other's.
+        let seen = Seen { n_others: 1, ego: false, others: true };
+        attention.shares(&queries, &ego, &others, seen, &mut shares);
+        assert_eq!(shares, [0.0, 1.0, 0.0, 1.0]);
+        // Nobody is: all are alike.
+        let seen = Seen { n_others: 1, ego: false, others: false };
+        attention.shares(&queries, &ego, &others, seen, &mut shares);
+        assert_eq!(shares, [0.5; 4]);
     }
 
     #[test]
-    fn ragged_heads_are_summed_whole() {
+    fn ragged_widths_are_summed_whole() {
         let a: Vec<f32> = (0..11).map(|i| i as f32).collect();
         assert_eq!(dot(&a, &a), 385.0);
     }

@@ -24,6 +24,7 @@ pub mod file;
 pub mod inference;
 pub mod normalizer;
 pub mod parameters;
+pub mod sight;
 
 pub use distribution::{ActionDistribution, Terms};
 pub use error::Error;

@@ -132,5 +132,5 @@ fn what_does_not_fit_is_refused() {
         ..policy(1, 0)
     };
     assert!(Parameters::initialize(&odd, 1).is_err());
-    assert_eq!(Attention { n_entities: 5, width: 64, n_heads: 2 }.head_width(), 32);
+    assert_eq!(Attention { width: 64, n_heads: 2 }.head_width(), 32);
 }

@@ -1,11 +1,14 @@
-//! Ego attention as a graph of fused layers: what [`leadtime_policy::encoder`] computes, with gradients.
+//! Ego attention as a graph of fused layers: what [`leadtime_policy::encoder`] computes, with gradients, and with the
+//! maps of queries, keys, values and output multiplied out in the graph as [`leadtime_policy::attention`] says.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use candle_core::{Device, Result, Tensor, Var};
+use candle_core::{DType, Device, Result, Tensor, Var};
+use leadtime_numerics::kernel::Activation;
 use leadtime_policy::architecture::{AttentionLayers, Layer};
 use leadtime_policy::attention::Attention;
+use leadtime_policy::sight::{FrameShape, Sight};
 use leadtime_proto::EgoAttention;
 
 use crate::attention_op::AttentionOp;
@@ -17,13 +20,13 @@ use crate::storage::with_floats;
 pub(crate) struct AttentionGraph {
     spec: EgoAttention,
     layers: AttentionLayers,
-    /// What stands for the biases of layers without: `[W]` zeros.
+    /// What stands for the biases of maps, which have none: `[H W]` zeros.
     no_bias: Tensor,
 }
 
 impl AttentionGraph {
     pub(crate) fn new(spec: &EgoAttention) -> Result<Self> {
-        let no_bias = Tensor::zeros(spec.width, candle_core::DType::F32, &Device::Cpu)?;
+        let no_bias = Tensor::zeros(spec.n_heads * spec.width, DType::F32, &Device::Cpu)?;
         Ok(Self { spec: *spec, layers: AttentionLayers::new(spec), no_bias })
     }
 
@@ -38,50 +41,71 @@ impl AttentionGraph {
         let m = observations.dim(0)?;
         let (n, frame_dim) = (m * n_frames, self.spec.frame_dim());
         let frames = observations.narrow(1, 0, n_frames * frame_dim)?.reshape((n, frame_dim))?;
-        let entities = frames.narrow(1, 0, n_entities * n_features)?;
-        let entities = entities.reshape((n, n_entities, n_features))?.contiguous()?;
-        let ego = self.embed(vars, &entities.narrow(1, 0, 1)?, &self.layers.ego)?;
-        let others = entities.narrow(1, 1, n_entities - 1)?;
-        let others = self.embed(vars, &others, &self.layers.others)?;
-        let others = others.reshape((n, n_entities - 1, width))?;
-        let all = Tensor::cat(&[&ego.unsqueeze(1)?, &others], 1)?.contiguous()?;
-        let all = all.reshape((n * n_entities, width))?;
-        let query = self.layer(vars, &ego, &self.layers.query, true)?;
-        let keys = self.layer(vars, &all, &self.layers.key, true)?;
-        let values = self.layer(vars, &all, &self.layers.value, true)?;
-        let presence = entities.narrow(2, 0, 1)?.contiguous()?;
-        let presence = Arc::new(with_floats(&presence, <[f32]>::to_vec)?);
-        let attention = Attention { n_entities, width, n_heads };
-        let seen = query.apply_op3(&keys, &values, AttentionOp { attention, presence })?;
-        let combined = self.layer(vars, &seen, &self.layers.combine, true)?;
-        let encoded = ((combined + ego)? * 0.5)?;
+        let shape = FrameShape { n_entities, n_features, frame_dim };
+        let mut sight = Sight::default();
+        with_floats(&frames, |frames| sight.list(frames, &shape))?;
+        let n_others = sight.n_others();
+        let Sight { egos, others, seen } = sight;
+        let rows = |rows, n| Tensor::from_vec(rows, (n, n_features), &Device::Cpu);
+        let egos = Self::embed(vars, &rows(egos, n)?, &self.layers.ego)?;
+        let others = Self::embed(vars, &rows(others, n_others)?, &self.layers.others)?;
+        let attention = Attention { width, n_heads };
+        let queries = self.map(&egos, &self.query_map(vars, attention)?)?;
+        let op = AttentionOp { attention, seen: Arc::new(seen) };
+        let taken = queries.apply_op3(&egos, &others, op)?;
+        let combined = self.map(&taken, &self.output_map(vars, attention)?)?;
+        let encoded = ((combined + egos)? * 0.5)?;
         let encoded = beside(&encoded, &frames, n_entities * n_features)?;
         let encoded = encoded.reshape((m, n_frames * (width + action_dim)))?;
         beside(&encoded, observations, n_frames * frame_dim)
     }
 
+    /// Multiplies out Kᵀ Q, `[H W, W]`, heads one below the other.
+    fn query_map(&self, vars: &BTreeMap<String, Var>, attention: Attention) -> Result<Tensor> {
+        let (key, query) = (&vars[&self.layers.key.weight()], &vars[&self.layers.query.weight()]);
+        let d = attention.head_width();
+        let columns = |matrix: &Var, head| matrix.narrow(0, head * d, d)?.t()?.contiguous();
+        let heads = (0..attention.n_heads)
+            .map(|head| self.map(&columns(key, head)?, &columns(query, head)?));
+        Tensor::cat(&heads.collect::<Result<Vec<_>>>()?, 0)
+    }
+
+    /// Multiplies out C V, `[W, H W]`, heads side by side.
+    fn output_map(&self, vars: &BTreeMap<String, Var>, attention: Attention) -> Result<Tensor> {
+        let value = &vars[&self.layers.value.weight()];
+        let combine = &vars[&self.layers.combine.weight()];
+        let d = attention.head_width();
+        let head = |head| {
+            let combine = combine.narrow(1, head * d, d)?.contiguous()?;
+            self.map(&combine, &value.narrow(0, head * d, d)?.t()?.contiguous()?)
+        };
+        let heads = (0..attention.n_heads).map(head);
+        Tensor::cat(&heads.collect::<Result<Vec<_>>>()?, 1)?.contiguous()
+    }
+
+    /// Multiplies x `[N, n_in]` by a matrix `[n_out, n_in]`: `x Wᵀ`.
+    fn map(&self, x: &Tensor, weight: &Tensor) -> Result<Tensor> {
+        let op = DenseOp { activation: Activation::Linear, input_gradient: true };
+        x.apply_op3(weight, &self.no_bias.narrow(0, 0, weight.dim(0)?)?, op)
+    }
+
     fn embed(
-        &self,
         vars: &BTreeMap<String, Var>,
         entities: &Tensor,
         layers: &[Layer; 2],
     ) -> Result<Tensor> {
-        let n_rows = entities.elem_count() / self.spec.n_features;
-        let rows = entities.contiguous()?.reshape((n_rows, self.spec.n_features))?;
-        let hidden = self.layer(vars, &rows, &layers[0], false)?;
-        self.layer(vars, &hidden, &layers[1], true)
+        let hidden = Self::layer(vars, entities, &layers[0], false)?;
+        Self::layer(vars, &hidden, &layers[1], true)
     }
 
     fn layer(
-        &self,
         vars: &BTreeMap<String, Var>,
         x: &Tensor,
         layer: &Layer,
         input_gradient: bool,
     ) -> Result<Tensor> {
         let op = DenseOp { activation: layer.activation, input_gradient };
-        let bias = if layer.biased { vars[&layer.bias()].as_tensor() } else { &self.no_bias };
-        x.apply_op3(&vars[&layer.weight()], bias, op)
+        x.apply_op3(&vars[&layer.weight()], &vars[&layer.bias()], op)
     }
 }
 

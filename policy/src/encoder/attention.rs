@@ -2,10 +2,10 @@
 //! allocation.
 //!
 //! ```text
-//! frame ─┬─ ego ──────► embedding ─┬────────────────────► query ─┐
-//!        │                         ├─► key, value ─► attention ──┴─► combine ─► (· + ego's embedding) / 2 ─┐
-//!        ├─ others ───► embedding ─┘                                                                       ├─► features
-//!        └─ own action ─────────────────────────────────────────────────────────────────────────────────── ┘
+//! frame ─┬─ ego ──────► embedding ─┬─► query ─┐
+//!        │                         ├──────────┴─► attention ─► combine ─► (· + ego's embedding) / 2 ─┐
+//!        ├─ others ───► embedding ─┘                                                                ├─► features
+//!        └─ own action ─────────────────────────────────────────────────────────────────────────────┘
 //! ```
 //!
 //! Every frame of a history goes through the same weights. The result of a frame does not depend on what else is
@@ -14,12 +14,14 @@
 use leadtime_numerics::{Activation, Dense};
 use leadtime_proto::EgoAttention;
 
+use super::folded::FoldedAttention;
 use crate::architecture::AttentionLayers;
 use crate::attention::Attention;
 use crate::inference::dense;
+use crate::sight::{FrameShape, Sight};
 use crate::{Error, Parameters};
 
-/// Frames per pass: with ten entities, three 64-wide activations of them take 60 KiB.
+/// Frames per pass: with ten entities, two 64-wide activations of them take 40 KiB.
 const FRAMES: usize = 8;
 
 /// Ego attention with fixed weights.
@@ -27,31 +29,26 @@ const FRAMES: usize = 8;
 pub struct AttentionEncoder {
     spec: EgoAttention,
     attention: Attention,
+    shape: FrameShape,
     obs_dim: usize,
     ego: [Dense; 2],
     others: [Dense; 2],
-    key: Dense,
-    value: Dense,
-    query: Dense,
-    combine: Dense,
+    folded: FoldedAttention,
     scratch: Scratch,
 }
 
-/// Room for one pass; N entities of F numbers, width W.
+/// Room for one pass; N entities of F numbers, width W, H heads.
 #[derive(Clone, Debug)]
 struct Scratch {
-    /// `[FRAMES * N, F]`, egos first.
-    entities: Vec<f32>,
-    /// `[FRAMES, N]`
-    presence: Vec<f32>,
-    /// `[FRAMES * N, W]` each: embeddings layer by layer, egos first; then frame by frame; keys; values.
-    hidden: [Vec<f32>; 2],
-    embedded: Vec<f32>,
-    keys: Vec<f32>,
-    values: Vec<f32>,
-    /// `[FRAMES, W]` each.
+    sight: Sight,
+    /// `[FRAMES * N, W]` each: a layer of embeddings.
+    first: Vec<f32>,
+    egos: Vec<f32>,
+    others: Vec<f32>,
+    /// `[FRAMES, H, W]` each.
     queries: Vec<f32>,
-    seen: Vec<f32>,
+    taken: Vec<f32>,
+    /// `[FRAMES, W]`
     combined: Vec<f32>,
     /// `[H, N]`
     shares: Vec<f32>,
@@ -71,30 +68,27 @@ impl AttentionEncoder {
         spec.check(obs_dim)?;
         let &EgoAttention { n_entities, n_features, width, n_heads, .. } = spec;
         let layers = AttentionLayers::new(spec);
+        let attention = Attention { width, n_heads };
+        let shape = FrameShape { n_entities, n_features, frame_dim: spec.frame_dim() };
         let pair = |[first, second]: &[_; 2]| -> Result<_, Error> {
             Ok([dense(first, parameters)?, dense(second, parameters)?])
         };
         let zeros = |n: usize| vec![0.0; FRAMES * n];
-        let wide = || zeros(n_entities * width);
         Ok(Self {
             spec: *spec,
-            attention: Attention { n_entities, width, n_heads },
+            attention,
+            shape,
             obs_dim,
             ego: pair(&layers.ego)?,
             others: pair(&layers.others)?,
-            key: dense(&layers.key, parameters)?,
-            value: dense(&layers.value, parameters)?,
-            query: dense(&layers.query, parameters)?,
-            combine: dense(&layers.combine, parameters)?,
+            folded: FoldedAttention::new(attention, &layers, parameters)?,
             scratch: Scratch {
-                entities: zeros(n_entities * n_features),
-                presence: zeros(n_entities),
-                hidden: [wide(), wide()],
-                embedded: wide(),
-                keys: wide(),
-                values: wide(),
-                queries: zeros(width),
-                seen: zeros(width),
+                sight: Sight::with_capacity(FRAMES, &shape),
+                first: zeros(n_entities * width),
+                egos: zeros(width),
+                others: zeros((n_entities - 1) * width),
+                queries: zeros(n_heads * width),
+                taken: zeros(n_heads * width),
                 combined: zeros(width),
                 shares: vec![0.0; n_heads * n_entities],
             },
@@ -138,81 +132,48 @@ impl AttentionEncoder {
 
     /// Encodes up to [`FRAMES`] frames.
     fn encode_frames(&mut self, frames: &[f32], out: &mut [f32]) {
-        let &EgoAttention { n_entities, n_features, action_dim, width, .. } = &self.spec;
-        let frame_dim = self.spec.frame_dim();
-        let n = frames.len() / frame_dim;
-        self.sort_entities(frames, n);
-        self.embed(n);
-        // The egos' embeddings still lie one behind the other.
-        let Scratch {
-            presence,
-            hidden: [_, egos],
-            embedded,
-            keys,
-            values,
-            queries,
-            seen,
-            combined,
-            shares,
-            ..
-        } = &mut self.scratch;
-        let all = n * n_entities * width;
-        self.key.forward(&embedded[..all], &mut keys[..all], Activation::Linear);
-        self.value.forward(&embedded[..all], &mut values[..all], Activation::Linear);
-        self.query.forward(&egos[..n * width], &mut queries[..n * width], Activation::Linear);
-        for m in 0..n {
-            let entities = m * n_entities * width..(m + 1) * n_entities * width;
-            let one = m * width..(m + 1) * width;
-            let presence = &presence[m * n_entities..][..n_entities];
-            self.attention.shares(&queries[one.clone()], &keys[entities.clone()], presence, shares);
-            self.attention.gather(shares, &values[entities], &mut seen[one]);
+        let &EgoAttention { action_dim, width, .. } = &self.spec;
+        self.scratch.sight.list(frames, &self.shape);
+        self.embed();
+        let n = self.scratch.sight.seen.len();
+        let wide = self.spec.n_heads * width;
+        let Scratch { sight, egos, others, queries, taken, combined, shares, .. } =
+            &mut self.scratch;
+        let egos = &egos[..n * width];
+        self.folded.query.forward(egos, &mut queries[..n * wide], Activation::Linear);
+        let mut others = others.as_slice();
+        for (m, &seen) in sight.seen.iter().enumerate() {
+            let (now, later) = others.split_at(seen.n_others * width);
+            others = later;
+            let (ego, heads) = (&egos[m * width..][..width], m * wide..(m + 1) * wide);
+            let shares = &mut shares[..self.spec.n_heads * seen.n_entities()];
+            self.attention.shares(&queries[heads.clone()], ego, now, seen, shares);
+            self.attention.gather(shares, ego, now, &mut taken[heads]);
         }
-        self.combine.forward(&seen[..n * width], &mut combined[..n * width], Activation::Linear);
-        for m in 0..n {
-            let (encoded, action) =
-                out[m * (width + action_dim)..][..width + action_dim].split_at_mut(width);
+        let combined = &mut combined[..n * width];
+        self.folded.combine.forward(&taken[..n * wide], combined, Activation::Linear);
+        for (m, out) in out.chunks_exact_mut(width + action_dim).enumerate() {
+            let (encoded, action) = out.split_at_mut(width);
             let sums = combined[m * width..].iter().zip(&egos[m * width..]);
-            for (out, (seen, ego)) in encoded.iter_mut().zip(sums) {
-                *out = (seen + ego) * 0.5;
+            for (out, (taken, ego)) in encoded.iter_mut().zip(sums) {
+                *out = (taken + ego) * 0.5;
             }
-            let own = m * frame_dim + n_entities * n_features;
+            let own = m * self.shape.frame_dim + self.shape.n_entities * self.shape.n_features;
             action.copy_from_slice(&frames[own..][..action_dim]);
         }
     }
 
-    /// Writes the egos of all frames one behind the other, then everybody else, frame by frame.
-    fn sort_entities(&mut self, frames: &[f32], n: usize) {
-        let &EgoAttention { n_entities, n_features, .. } = &self.spec;
-        let (egos, others) = self.scratch.entities.split_at_mut(n * n_features);
-        let others_dim = (n_entities - 1) * n_features;
-        for (m, frame) in frames.chunks_exact(self.spec.frame_dim()).enumerate() {
-            let (ego, rest) = frame.split_at(n_features);
-            egos[m * n_features..][..n_features].copy_from_slice(ego);
-            others[m * others_dim..][..others_dim].copy_from_slice(&rest[..others_dim]);
-            let presence = &mut self.scratch.presence[m * n_entities..][..n_entities];
-            for (presence, entity) in presence.iter_mut().zip(frame.chunks_exact(n_features)) {
-                *presence = entity[0];
-            }
-        }
-    }
-
-    /// Embeds what is sorted, and lays the embeddings out frame by frame.
-    fn embed(&mut self, n: usize) {
-        let &EgoAttention { n_entities, n_features, width, .. } = &self.spec;
-        let Scratch { entities, hidden: [first, second], embedded, .. } = &mut self.scratch;
-        let n_others = n * (n_entities - 1);
-        for (layers, start, count) in [(&self.ego, 0, n), (&self.others, n, n_others)] {
-            let x = &entities[start * n_features..][..count * n_features];
-            let place = start * width..(start + count) * width;
-            layers[0].forward(x, &mut first[place.clone()], Activation::Relu);
-            layers[1].forward(&first[place.clone()], &mut second[place], Activation::Relu);
-        }
-        let (egos, others) = second.split_at(n * width);
-        let others_dim = (n_entities - 1) * width;
-        for (m, frame) in embedded.chunks_exact_mut(n_entities * width).take(n).enumerate() {
-            let (ego, rest) = frame.split_at_mut(width);
-            ego.copy_from_slice(&egos[m * width..][..width]);
-            rest.copy_from_slice(&others[m * others_dim..][..others_dim]);
+    /// Embeds the egos and the others in sight.
+    fn embed(&mut self) {
+        let width = self.spec.width;
+        let Scratch { sight, first, egos, others, .. } = &mut self.scratch;
+        let (n, n_others) = (sight.seen.len(), sight.n_others());
+        let ego = (&self.ego, &sight.egos, egos, n);
+        let other = (&self.others, &sight.others, others, n_others);
+        for (layers, x, out, n) in [ego, other] {
+            let first = &mut first[..n * width];
+            layers[0].forward(x, first, Activation::Relu);
+            layers[1].forward(first, &mut out[..n * width], Activation::Relu);
         }
     }
 }

@@ -8,6 +8,7 @@
 
 mod attention;
 mod fast;
+mod folded;
 mod lstm;
 
 pub use attention::AttentionEncoder;
