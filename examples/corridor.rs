@@ -186,6 +186,7 @@ impl Domain for Corridor {
             shapes: wet.chain(goal).chain([walker]).collect(),
             position: [f64::from(self.state.cell) + 0.5, y(self.state.lane) + 0.5],
             outcome: if self.state.slipped { "slipped".to_owned() } else { String::new() },
+            others: Vec::new(),
             listener: Listener::default(),
         }
     }

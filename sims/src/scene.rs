@@ -100,6 +100,8 @@ pub struct Scene {
     pub shapes: Vec<Shape>,
     /// Where the person is.
     pub position: [f64; 2],
+    /// Where others are that move by themselves; each keeps its place in the list for the whole episode.
+    pub others: Vec<[f64; 2]>,
     /// What the person hears and does; filled in by the notifier environment.
     pub listener: Listener,
     /// How the episode stands, in a word or two: `landed`, `entered a danger zone`; empty while it goes on.

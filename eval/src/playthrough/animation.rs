@@ -51,7 +51,9 @@ impl Playthrough {
 
     /// Draws the moment of scene `i`.
     fn frame(&self, story: &Story, i: usize) -> String {
-        let world = World::new([MARGIN, CAPTION_HEIGHT], WIDTH - 2.0 * MARGIN, &self.scenes);
+        // A world that is seen in parts is seen where the person is.
+        let seen = self.scenes.get(i).map_or(&self.scenes[..], std::slice::from_ref);
+        let world = World::new([MARGIN, CAPTION_HEIGHT], WIDTH - 2.0 * MARGIN, seen);
         let mut canvas = Canvas::new("frame", WIDTH, world.area.bottom() + MARGIN);
         if let Some(scene) = self.scenes.get(i) {
             let past = &self.scenes[..=i];

@@ -13,7 +13,8 @@ const WIDTH: f64 = 860.0;
 const MARGIN: f64 = 16.0;
 const TITLE_HEIGHT: f64 = 58.0;
 const LEGEND_HEIGHT: f64 = 40.0;
-const LEGEND_SIZE: f64 = 11.5;
+const LEGEND_SIZE: f64 = 11.0;
+const LEGEND_GAP: f64 = 12.0;
 
 impl Playthrough {
     /// Draws the episode. `id` must be unique on the page that will hold the picture.
@@ -27,6 +28,7 @@ impl Playthrough {
         self.draw_title(&mut canvas);
         if let Some(last) = self.scenes.last() {
             world.draw_place(&mut canvas, last);
+            world.draw_others(&mut canvas, &self.scenes);
             world.draw_ghosts(&mut canvas, &self.scenes);
             world.draw_path(&mut canvas, &self.scenes, &story);
             world.draw_body(&mut canvas, last, 1.0);
@@ -85,6 +87,12 @@ impl Playthrough {
             draw_marker(canvas, [x + 5.0, y - 4.0]);
             x = legend_text(canvas, x + 16.0, y, "notification starts");
         }
+        if self.scenes.last().is_some_and(|scene| !scene.others.is_empty()) {
+            let ends = [[x, y - 4.0], [x + 20.0, y - 4.0]];
+            canvas.line(&ends, Paint::stroke(Ink::Muted, 1.0));
+            canvas.circle([x + 10.0, y - 4.0], 2.6, Paint::fill(Ink::Muted));
+            x = legend_text(canvas, x + 26.0, y, "others");
+        }
         let shown = |tone: Tone| self.scenes.last().is_some_and(|scene| shows(scene, tone));
         for (tone, ink, label) in
             [(Tone::Danger, Ink::Vermilion, "danger"), (Tone::Goal, Ink::Green, "goal")]
@@ -105,7 +113,7 @@ impl Playthrough {
 /// Writes an entry and returns where the next one begins.
 fn legend_text(canvas: &mut Canvas, x: f64, y: f64, text: &str) -> f64 {
     canvas.text([x, y], text, TextStyle::new(LEGEND_SIZE, Ink::Text));
-    x + text_width(text, LEGEND_SIZE, Weight::Regular) + 18.0
+    x + text_width(text, LEGEND_SIZE, Weight::Regular) + LEGEND_GAP
 }
 
 #[cfg(test)]

@@ -61,7 +61,14 @@ fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene
     let t = i as f64 / (n.max(2) - 1) as f64;
     let at = [0.55 * (4.2 * t).sin() * (1.0 - t) + 0.02, 1.4 * (1.0 - t) * (1.0 - 0.25 * t)];
     let view = View { min: [-1.0, -0.25], max: [1.0, 1.75] };
-    Scene { view, shapes: shapes(at), position: at, listener, outcome: String::new() }
+    Scene {
+        view,
+        shapes: shapes(at),
+        position: at,
+        others: vec![[at[0], 0.5 * at[1]]],
+        listener,
+        outcome: String::new(),
+    }
 }
 
 fn shapes(at: [f64; 2]) -> Vec<Shape> {

@@ -64,16 +64,31 @@ impl World {
         });
     }
 
-    /// Draws faint bodies along the way.
+    /// Draws faint bodies along the way, and where the others were at those moments.
     pub(super) fn draw_ghosts(&self, canvas: &mut Canvas, scenes: &[Scene]) {
         let mut last: Option<[f64; 2]> = None;
         for scene in scenes {
             let [x, y] = self.at(scene.position);
             if last.is_none_or(|[x0, y0]| (x - x0).hypot(y - y0) >= GHOST_DISTANCE) {
                 self.draw_body(canvas, scene, 0.22);
+                for &other in &scene.others {
+                    canvas.circle(self.at(other), 2.6, Paint::fill(Ink::Muted));
+                }
                 last = Some([x, y]);
             }
         }
+    }
+
+    /// Draws the ways of the others.
+    pub(super) fn draw_others(&self, canvas: &mut Canvas, scenes: &[Scene]) {
+        let n_others = scenes.last().map_or(0, |scene| scene.others.len());
+        canvas.clipped(self.area, |canvas| {
+            for i in 0..n_others {
+                let way = scenes.iter().filter_map(|scene| scene.others.get(i));
+                let way: Vec<[f64; 2]> = way.map(|place| self.at(*place)).collect();
+                canvas.line(&way, Paint::stroke(Ink::Muted, 1.0).opacity(0.7));
+            }
+        });
     }
 
     /// Draws the way, coloured by what the person was doing; `scenes` may be the first part of an episode.

@@ -172,6 +172,7 @@ impl Environment for CartPole {
                 Shape::Line { points: vec![[x, 0.0], top], tone: Tone::Other },
             ],
             position: [x, 0.0],
+            others: Vec::new(),
             listener: crate::Listener::default(),
             outcome: if self.has_fallen() { "fallen".to_owned() } else { String::new() },
         })

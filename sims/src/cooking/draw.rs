@@ -33,6 +33,7 @@ pub(super) fn scene(kitchen: &Kitchen, field_of_view: FieldOfView, outcome: &str
         view: View { min: [0.0, 0.0], max: [grid.width() as f64, grid.height() as f64] },
         shapes,
         position,
+        others: Vec::new(),
         listener: Listener::default(),
         outcome: outcome.to_owned(),
     }

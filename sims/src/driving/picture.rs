@@ -1,4 +1,4 @@
-//! The highway as a picture's ingredients: a stretch of road around the ego.
+//! The highway as a picture's ingredients: the whole road, seen where the ego is.
 //!
 //! Pictures have y upwards, roads to the right of whoever drives along them; so y is turned.
 
@@ -20,49 +20,49 @@ pub(super) fn picture(traffic: &Traffic, goal: f64, outcome: &str) -> Scene {
     let view = View { min: [x - STRETCH[0], -SIDES[0]], max: [x + STRETCH[1], SIDES[1]] };
     let mut shapes = Vec::new();
     for lane in traffic.network().lanes() {
-        shapes.extend(surface(lane, &view));
+        shapes.push(surface(lane));
     }
     for lane in traffic.network().lanes() {
-        shapes.extend([-0.5, 0.5].into_iter().filter_map(|side| edge(lane, side, &view)));
+        shapes.extend([-0.5, 0.5].map(|side| edge(lane, side)));
     }
-    let shown = |place: [f64; 2]| (view.min[0]..=view.max[0]).contains(&place[0]);
-    if shown([goal, 0.0]) {
-        let points = vec![[goal, view.min[1]], [goal, view.max[1]]];
-        shapes.push(Shape::Line { points, tone: Tone::Goal });
-    }
-    for &[x, y] in traffic.road().obstacles.iter().filter(|place| shown(**place)) {
+    let finish = vec![[goal, view.min[1]], [goal, view.max[1]]];
+    shapes.push(Shape::Line { points: finish, tone: Tone::Goal });
+    for &[x, y] in &traffic.road().obstacles {
         let half = OBSTACLE / 2.0;
         let (min, max) = ([x - half, -y - half], [x + half, -y + half]);
         shapes.push(Shape::Rectangle { min, max, tone: Tone::Danger });
     }
     // The ego comes last, on top.
     for (i, vehicle) in traffic.vehicles().iter().enumerate().rev() {
-        if shown(vehicle.position) {
-            let tone = if i == EGO { Tone::Own } else { Tone::Other };
-            shapes.push(Shape::Polygon { points: outline(vehicle), tone });
-        }
+        let tone = if i == EGO { Tone::Own } else { Tone::Other };
+        shapes.push(Shape::Polygon { points: outline(vehicle), tone });
     }
-    let (position, listener) = ([x, -y], Listener::default());
-    Scene { view, shapes, position, listener, outcome: outcome.to_owned() }
+    let others = traffic.vehicles()[EGO + 1..].iter().map(|other| other.position);
+    Scene {
+        view,
+        shapes,
+        position: [x, -y],
+        others: others.map(|[x, y]| [x, -y]).collect(),
+        listener: Listener::default(),
+        outcome: outcome.to_owned(),
+    }
 }
 
-/// Returns the points of a line along a lane, `share` of its width to the right of its centre, inside the view.
-fn points(lane: &Lane, share: f64, view: &View) -> Vec<[f64; 2]> {
+/// Returns the points of a line along a lane, `share` of its width to the right of its centre.
+fn points(lane: &Lane, share: f64) -> Vec<[f64; 2]> {
     let n_points = (lane.length() / GRAIN).ceil().max(1.0) as usize;
     let places = (0..=n_points).map(|i| lane.length() * i as f64 / n_points as f64);
-    let places = places.map(|s| lane.position(s, share * lane.width())).map(|[x, y]| [x, -y]);
-    places.filter(|[x, _]| (view.min[0]..=view.max[0]).contains(x)).collect()
+    places.map(|s| lane.position(s, share * lane.width())).map(|[x, y]| [x, -y]).collect()
 }
 
-fn surface(lane: &Lane, view: &View) -> Option<Shape> {
-    let mut outline = points(lane, -0.5, view);
-    outline.extend(points(lane, 0.5, view).into_iter().rev());
-    (outline.len() > 3).then_some(Shape::Polygon { points: outline, tone: Tone::Ground })
+fn surface(lane: &Lane) -> Shape {
+    let mut outline = points(lane, -0.5);
+    outline.extend(points(lane, 0.5).into_iter().rev());
+    Shape::Polygon { points: outline, tone: Tone::Ground }
 }
 
-fn edge(lane: &Lane, share: f64, view: &View) -> Option<Shape> {
-    let points = points(lane, share, view);
-    (points.len() > 1).then_some(Shape::Line { points, tone: Tone::Hint })
+fn edge(lane: &Lane, share: f64) -> Shape {
+    Shape::Line { points: points(lane, share), tone: Tone::Hint }
 }
 
 fn outline(vehicle: &Vehicle) -> Vec<[f64; 2]> {

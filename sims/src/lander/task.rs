@@ -207,6 +207,7 @@ impl Environment for PilotTask {
             view: VIEW,
             shapes: self.lander.shapes(),
             position: [f64::from(x), f64::from(y)],
+            others: Vec::new(),
             listener: Listener::default(),
             outcome: caption(self.outcome).to_owned(),
         })

@@ -82,6 +82,7 @@ impl Domain for Walker {
             view: View { min: [0.0, 0.0], max: [40.0, 1.0] },
             shapes: Vec::new(),
             position: [self.place as f64, 0.0],
+            others: Vec::new(),
             listener: Listener::default(),
             outcome: String::new(),
         }

@@ -334,6 +334,7 @@ impl Domain for Piloting {
             view: VIEW,
             shapes: zones.chain(self.lander.shapes()).collect(),
             position: self.place(),
+            others: Vec::new(),
             listener: Listener::default(),
             outcome: outcome.to_owned(),
         }
