@@ -11,7 +11,7 @@ use super::voice::Sentence;
 use crate::error::Error;
 
 /// What is said, in the words of the paper.
-const TEXT: &str = "Go down, all stations occupied.";
+const TEXT: &str = "Go down, all stations occupied";
 
 impl Playthrough {
     /// Plays the paper's cooking demonstration: "Go down, all stations occupied", begun at t = 0. By t = 2 the cook has
@@ -45,7 +45,7 @@ impl Playthrough {
         let cell = Cell::new(DEMONSTRATION.comprehension, DEMONSTRATION.conveyance);
         let sentence = Sentence { text: TEXT.to_owned(), cell, fallback: false };
         Ok(Self {
-            player: "demonstration".to_owned(),
+            player: sentence.to_string(),
             seed: 0,
             index: 0,
             scenes,

@@ -14,8 +14,8 @@ const COLUMNS: usize = 2;
 const TITLE_HEIGHT: f64 = 64.0;
 /// Two lines above every frame.
 const CAPTION_HEIGHT: f64 = 44.0;
-/// Size of the world's own labels, so that three lines fit into a tile.
-const LABEL_SIZE: f64 = 8.8;
+/// Size of the world's own labels, so that three lines of twelve letters fit into a tile.
+const LABEL_SIZE: f64 = 7.4;
 
 impl Playthrough {
     /// Draws the moments of some scenes as a strip of frames, in reading order; scenes beyond the last are left out.
@@ -28,7 +28,7 @@ impl Playthrough {
         let n_rows = moments.len().div_ceil(COLUMNS);
         let mut canvas = Canvas::new(id, WIDTH, TITLE_HEIGHT + n_rows as f64 * height);
         canvas.text([MARGIN, 27.0], &self.title(), TextStyle::new(18.0, Ink::Text).bold());
-        self.draw_key(&mut canvas, 50.0);
+        self.draw_key(&mut canvas, 50.0, &story);
         for (place, moment) in moments.enumerate() {
             let (row, column) = (place / COLUMNS, place % COLUMNS);
             let x = MARGIN + column as f64 * (width + GAP);
@@ -38,9 +38,9 @@ impl Playthrough {
         canvas.finish(&self.title())
     }
 
-    fn draw_key(&self, canvas: &mut Canvas, y: f64) {
+    fn draw_key(&self, canvas: &mut Canvas, y: f64, story: &Story) {
         let mut x = MARGIN;
-        for doing in Doing::ALL {
+        for doing in Doing::ALL.into_iter().filter(|doing| story.doing.contains(doing)) {
             let ends = [[x, y - 4.0], [x + 16.0, y - 4.0]];
             canvas.line(&ends, Paint::stroke(doing.ink(), doing.width()));
             x = legend_text(canvas, x + 21.0, y, doing.label());
@@ -87,16 +87,12 @@ impl Playthrough {
         let Some(said) = story.spoken(moment) else { return String::new() };
         let utterance = &story.utterances[said];
         let heard = moment - utterance.start;
-        match self.sentences.get(said) {
-            Some(sentence) => {
-                let more = if heard < utterance.conveyance { " \u{2026}" } else { "" };
-                format!("\u{201c}{}{more}\u{201d}", sentence.so_far(heard, utterance.conveyance))
-            }
-            None => {
-                let topic = topic_name(&self.scenes[moment], utterance.topic);
-                format!("{topic}: word {heard} of {}", utterance.conveyance)
-            }
-        }
+        let Some(sentence) = self.sentences.get(said) else {
+            let topic = topic_name(&self.scenes[moment], utterance.topic);
+            return format!("{topic}: word {heard} of {}", utterance.conveyance);
+        };
+        let more = if heard < utterance.conveyance { " \u{2026}" } else { "" };
+        format!("\u{201c}{}{more}\u{201d}", sentence.so_far(heard, utterance.conveyance))
     }
 }
 
@@ -122,7 +118,7 @@ mod tests {
             "\u{201c}Go \u{2026}\u{201d}",
             "\u{201c}Go down, \u{2026}\u{201d}",
             "\u{201c}Go down, all stations \u{2026}\u{201d}",
-            "\u{201c}Go down, all stations occupied.\u{201d}",
+            "\u{201c}Go down, all stations occupied\u{201d}",
             "thinks empty",
             "last step: move down as told",
             "what the person sees",
