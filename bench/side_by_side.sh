@@ -38,6 +38,7 @@ echo "== notifier, steps/s"
 ours notifier
 echo "== inference, observations/s; update, samples/s"
 ours inference
+ours acting
 ours update
 peer ppo_torch.py
 echo "== whole systems, steps/s on two cores"

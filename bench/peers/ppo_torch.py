@@ -3,8 +3,9 @@
     python3 bench/peers/ppo_torch.py [--json]
 
 60 inputs, actor 60-64-64 with heads 2+4+4+4, separate critic 60-64-64-1. Prints observations per second of the forward
-pass and samples per second of the PPO update (forward, loss, backward, gradient clip, Adam), as CleanRL writes it. Says
-so and leaves with 0 where PyTorch is missing.
+pass and samples per second of the PPO update (forward, loss, backward, gradient clip, Adam), as CleanRL writes it; and
+observations per second of the steakhouse notifier: 242 inputs, projection 32, an LSTM of 128, heads 2+5+4+4 and the value.
+Says so and leaves with 0 where PyTorch is missing.
 """
 import json
 import sys
@@ -37,6 +38,26 @@ def stack(n_out, gain):
 actor, critic = stack(sum(HEADS), 0.01), stack(1, 1.0)
 parameters = [*actor.parameters(), *critic.parameters()]
 optimizer = torch.optim.Adam(parameters, lr=2.5e-4, eps=1e-5)
+
+
+class Recurrent(nn.Module):
+    """Projection, one LSTM for actor and critic, heads and value: one step of it."""
+
+    def __init__(self):
+        super().__init__()
+        self.projection = layer(242, 32, 2**0.5)
+        self.lstm = nn.LSTM(32, 128)
+        self.heads = layer(128, 15, 0.01)
+        self.value = layer(128, 1, 1.0)
+
+    def forward(self, observations, state):
+        hidden, state = self.lstm(torch.tanh(self.projection(observations)).unsqueeze(0), state)
+        return self.heads(hidden[0]), self.value(hidden[0]), state
+
+
+def lstm_step(network, observations, state):
+    with torch.inference_mode():
+        network(observations, state)
 
 
 def evaluate(observations):
@@ -85,10 +106,14 @@ def rate(run, n, seconds=2.0):
 
 
 def main():
-    results = {"torch": torch.__version__, "inference": {}, "update": {}}
+    results = {"torch": torch.__version__, "inference": {}, "lstm": {}, "update": {}}
     for n in [1, 4, 16, 64, 256, 1024]:
         observations = torch.rand(n, 60) * 2 - 1
         results["inference"][n] = rate(lambda: forward(observations), n)
+    network = Recurrent()
+    for n in [1, 4, 16, 64, 256, 1024]:
+        observations, state = torch.rand(n, 242) * 2 - 1, (torch.zeros(1, n, 128), torch.zeros(1, n, 128))
+        results["lstm"][n] = rate(lambda: lstm_step(network, observations, state), n)
     for n in [128, 512, 1200, 4096]:
         observations = torch.rand(n, 60) * 2 - 1
         with torch.no_grad():
@@ -101,7 +126,7 @@ def main():
         print(json.dumps(results))
         return
     print(f"PyTorch {results['torch']}, one thread")
-    for kind, unit in [("inference", "obs/s"), ("update", "samples/s")]:
+    for kind, unit in [("inference", "obs/s"), ("lstm", "obs/s"), ("update", "samples/s")]:
         for n, value in results[kind].items():
             print(f"{kind:10} {n:5} {value / 1e3:9.1f} k {unit}")
 

@@ -8,7 +8,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::config::checked::MAX_EPISODES;
 use crate::config::raw::EvaluationAction;
-use crate::config::table::Assignment;
+use crate::config::table::{Alternatives, Assignment};
 use crate::exit::EXIT_CODE_HELP;
 
 mod taxonomy;
@@ -213,9 +213,16 @@ pub struct EvalArgs {
     /// Also judge this scripted policy, such as `unaided` or `heuristic`; may be given again.
     #[arg(long, value_name = "NAME")]
     pub baseline: Vec<String>,
+    /// Also compare the policy with the others in this measure, such as `steps_to_deliver`; may be given again.
+    #[arg(long, value_name = "NAME", conflicts_with = "transcript")]
+    pub measure: Vec<String>,
     /// Change one key of the task: `--set human.reaction_delay={fixed=3}`; may be given again.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
     pub set: Vec<Assignment>,
+    /// Judge once with each of these values: `--each 'human.reaction_delay=[{fixed=0}, {fixed=2}]'`.
+    #[arg(long, value_name = "KEY=[VALUES]", value_parser = Alternatives::parse)]
+    #[arg(conflicts_with = "transcript")]
+    pub each: Option<Alternatives>,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,
@@ -228,7 +235,14 @@ pub struct EvalArgs {
 #[derive(Debug, Args)]
 pub struct PlayArgs {
     /// A policy file, a run directory or the name of a run.
-    pub policy: String,
+    #[arg(required_unless_present = "demonstration")]
+    pub policy: Option<String>,
+    /// Draw the paper's cooking demonstration instead: "Go down, all stations occupied", word by word.
+    #[arg(long, conflicts_with_all = ["policy", "words", "baseline", "action", "set", "eval_seed"])]
+    pub demonstration: bool,
+    /// Draw these moments beside each other (B not included), instead of the whole episode in one.
+    #[arg(long, value_name = "A..B", value_parser = number_range)]
+    pub frames: Option<Range<u64>>,
     /// The picture; its extension decides: png, svg, gif or html.
     #[arg(short, long, value_name = "FILE", default_value = "playthrough.png")]
     pub output: PathBuf,
@@ -266,7 +280,7 @@ pub struct PilotEvalArgs {
     #[arg(long, default_value = "embedded")]
     pub pilot: String,
     /// Seeds of the flights, half open: the same seeds fly the same terrain and start in Gymnasium.
-    #[arg(long, value_name = "A..B", default_value = "0..100", value_parser = seed_range)]
+    #[arg(long, value_name = "A..B", default_value = "0..100", value_parser = number_range)]
     pub seeds: Range<u64>,
     /// With wind and turbulence.
     #[arg(long)]
@@ -363,7 +377,7 @@ fn n_episodes() -> clap::builder::RangedI64ValueParser<u32> {
 }
 
 /// Reads `A..B`, half open.
-fn seed_range(text: &str) -> Result<Range<u64>, String> {
+fn number_range(text: &str) -> Result<Range<u64>, String> {
     let (from, to) = text.split_once("..").ok_or("write A..B, B not included")?;
     let number = |text: &str| text.trim().parse::<u64>().map_err(|error| error.to_string());
     let range = number(from)?..number(to)?;
@@ -372,7 +386,7 @@ fn seed_range(text: &str) -> Result<Range<u64>, String> {
     }
     let n = range.end - range.start;
     if n > u64::from(MAX_EPISODES) {
-        return Err(format!("these are {n} seeds; allowed: 1 to {MAX_EPISODES}"));
+        return Err(format!("these are {n} numbers; allowed: 1 to {MAX_EPISODES}"));
     }
     Ok(range)
 }
@@ -389,11 +403,11 @@ mod tests {
 
     #[test]
     fn ranges_and_durations_read_as_people_write_them() {
-        assert_eq!(seed_range("0..1000"), Ok(0..1000));
-        assert!(seed_range("5..5").is_err());
-        assert!(seed_range("5").is_err());
-        assert_eq!(seed_range("7..1000007"), Ok(7..1_000_007));
-        assert!(seed_range("7..1000008").is_err());
+        assert_eq!(number_range("0..1000"), Ok(0..1000));
+        assert!(number_range("5..5").is_err());
+        assert!(number_range("5").is_err());
+        assert_eq!(number_range("7..1000007"), Ok(7..1_000_007));
+        assert!(number_range("7..1000008").is_err());
         assert_eq!(duration("2m"), Ok(Duration::from_mins(2)));
         assert!(duration("-1s").is_err());
     }

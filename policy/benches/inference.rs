@@ -1,5 +1,6 @@
 //! Observations per second of fast inference: 60 inputs, actor 60-64-64 with heads 2+4+4+4, critic 60-64-64-1; and
-//! the same behind ego attention to four frames of ten entities of seven numbers.
+//! the same behind ego attention to four frames of ten entities of seven numbers; and the steakhouse notifier: 242 inputs,
+//! projection 32, an LSTM of 128 shared by actor and critic, heads 2+5+4+4.
 //!
 //! `cargo bench -p leadtime-policy --bench inference`
 
@@ -10,9 +11,13 @@ use leadtime_numerics::Pcg64;
 use leadtime_policy::{Parameters, Policy};
 use leadtime_proto::{ActionSpec, EgoAttention, Encoder, Head, HeadCredit, PolicySpec};
 
-fn spec() -> PolicySpec {
+fn heads(n_topics: usize) -> Vec<Head> {
     let head = |name: &str, n_choices| Head { name: name.to_owned(), n_choices };
-    let heads = vec![head("initiate", 2), head("topic", 4), head("k", 4), head("l", 4)];
+    vec![head("initiate", 2), head("topic", n_topics), head("k", 4), head("l", 4)]
+}
+
+fn spec() -> PolicySpec {
+    let heads = heads(4);
     PolicySpec {
         obs_dim: 60,
         encoder: Encoder::Identity,
@@ -37,9 +42,16 @@ fn attentive() -> PolicySpec {
     PolicySpec { obs_dim, encoder: Encoder::EgoAttention(attention), ..spec() }
 }
 
+fn recurrent() -> PolicySpec {
+    let actions = ActionSpec { heads: heads(5), gate: None, conditionals: Vec::new() };
+    let encoder = Encoder::Lstm { projection: 32, state: 128 };
+    PolicySpec { obs_dim: 242, encoder, hidden: Vec::new(), actions, ..spec() }
+}
+
 fn inference(criterion: &mut Criterion) {
     measure(criterion, "inference", &spec());
     measure(criterion, "inference with ego attention", &attentive());
+    measure(criterion, "inference with lstm", &recurrent());
 }
 
 fn measure(criterion: &mut Criterion, name: &str, spec: &PolicySpec) {
@@ -50,11 +62,14 @@ fn measure(criterion: &mut Criterion, name: &str, spec: &PolicySpec) {
     for batch in [1, 4, 16, 64, 256, 1024] {
         let observations: Vec<f32> =
             (0..batch * spec.obs_dim).map(|_| generator.uniform(-1.0, 1.0) as f32).collect();
-        let (mut logits, mut values) = (vec![0.0; batch * 14], vec![0.0; batch]);
+        let mut logits = vec![0.0; batch * policy.n_choices()];
+        let mut values = vec![0.0; batch];
+        let mut recurrent = vec![0.0; batch * policy.recurrent_dim()];
         group.throughput(Throughput::Elements(batch as u64));
         group.bench_function(BenchmarkId::from_parameter(batch), |bencher| {
             bencher.iter(|| {
-                policy.evaluate(black_box(&observations), &mut [], &mut logits, &mut values);
+                let observations = black_box(&observations);
+                policy.evaluate(observations, &mut recurrent, &mut logits, &mut values);
                 black_box(&logits);
             });
         });

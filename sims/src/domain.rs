@@ -122,6 +122,17 @@ pub trait Domain: Send {
         None
     }
 
+    /// Names the scripted notifiers that the world's own notifier is compared with: `unaided` says nothing, `heuristic`
+    /// is [`Domain::heuristic`].
+    fn scripts(&self) -> &'static [&'static str] {
+        &["unaided", "heuristic"]
+    }
+
+    /// Returns the message that one of them would start now, if any.
+    fn script(&self, name: &str) -> Option<Message> {
+        (name == "heuristic").then(|| self.heuristic()).flatten()
+    }
+
     /// Tells whether the episode so far is a success, judged at its end.
     fn success(&self) -> bool;
 

@@ -11,6 +11,8 @@ pub enum Tone {
     Goal,
     /// Where one must not be.
     Danger,
+    /// What the person believes to be otherwise.
+    Mistaken,
     /// The person's vehicle or body.
     Own,
     /// Other vehicles and things.

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::thread::available_parallelism;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use leadtime_eval::measure::{Choice, Comparison, EvaluateSettings, Evaluation, Player, evaluate};
 use leadtime_eval::playthrough::{Playthrough, Voice};
 use leadtime_numerics::stats::Bootstrap;
@@ -56,12 +56,30 @@ pub(super) fn main_measure(config: &Config) -> &'static str {
     if config.env.metrics.iter().any(|name| name == "success") { "success" } else { "return" }
 }
 
-/// Compares the first player with every other one.
-pub(super) fn compare(config: &Config, evaluations: &[Evaluation]) -> Comparison {
-    let comparison = Comparison::new(evaluations, Bootstrap::new(config.seed));
-    let Some((first, others)) = evaluations.split_first() else { return comparison };
-    let measure = main_measure(config);
-    others.iter().fold(comparison, |so_far, other| so_far.with_difference(first, other, measure))
+/// Compares the first player with every other one, in the task's main measure and in those that are asked for.
+///
+/// # Errors
+///
+/// If there is no such measure.
+pub(super) fn compare(
+    config: &Config,
+    evaluations: &[Evaluation],
+    measures: &[String],
+) -> anyhow::Result<Comparison> {
+    let mut comparison = Comparison::new(evaluations, Bootstrap::new(config.seed));
+    let known = comparison.measure_names();
+    if let Some(unknown) = measures.iter().find(|name| !known.contains(&name.as_str())) {
+        bail!("there is no measure `{unknown}`; known: {}", known.join(", "));
+    }
+    let Some((first, others)) = evaluations.split_first() else { return Ok(comparison) };
+    let main = main_measure(config);
+    let further = measures.iter().map(String::as_str).filter(|&measure| measure != main);
+    for measure in [main].into_iter().chain(further) {
+        for other in others {
+            comparison = comparison.with_difference(first, other, measure);
+        }
+    }
+    Ok(comparison)
 }
 
 /// Finds the sentences for a domain's messages: those of a database that the person names, else the shipped ones;

@@ -1,8 +1,9 @@
 //! `leadtime play`: one episode as a picture; the file's extension says which kind.
 
+use std::ops::Range;
 use std::path::Path;
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, bail, ensure};
 use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::measure::Player;
 use leadtime_eval::playthrough::Playthrough;
@@ -16,6 +17,10 @@ use crate::{Program, output};
 
 /// Pixels per unit of a PNG.
 const PNG_SCALE: f32 = 2.0;
+/// The most moments beside each other.
+const MAX_FRAMES: u64 = 60;
+/// The moments of the demonstration: all words, and what the cook does with them.
+const DEMONSTRATION_FRAMES: Range<u64> = 0..8;
 /// The most frames of a GIF.
 const GIF_FRAMES: usize = 150;
 /// How long a GIF plays, in seconds.
@@ -29,8 +34,14 @@ pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
             "{shown}: the extension must be png, svg, gif or html"
         )));
     }
-    let loaded = policy_file::load(program, &args.runs, &args.policy, &args.set)
-        .blame(ExitCode::WrongInput)?;
+    if args.demonstration {
+        let played = Playthrough::demonstration().blame(ExitCode::Failed)?;
+        let frames = args.frames.clone().unwrap_or(DEMONSTRATION_FRAMES);
+        return write(&played, Some(frames), &args.output);
+    }
+    let name = args.policy.as_deref().unwrap_or_default();
+    let loaded =
+        policy_file::load(program, &args.runs, name, &args.set).blame(ExitCode::WrongInput)?;
     let action = args.action.unwrap_or(loaded.config.evaluation.action);
     let player = match &args.baseline {
         Some(name) => Player::baseline(name),
@@ -40,10 +51,34 @@ pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
     let episode = (args.eval_seed, 0);
     let played = judge::record(program, &loaded.config, &player, voice.as_ref(), episode)
         .blame(ExitCode::WrongInput)?;
-    draw(&played, &args.output).blame(ExitCode::WrongInput)?;
+    write(&played, args.frames.clone(), &args.output)
+}
+
+/// Draws the whole episode, or some of its moments, and says so.
+fn write(played: &Playthrough, frames: Option<Range<u64>>, path: &Path) -> Result<(), Failure> {
+    match frames {
+        Some(frames) => draw_frames(played, &frames, path),
+        None => draw(played, path),
+    }
+    .blame(ExitCode::WrongInput)?;
     let (title, n_steps) = (played.title(), played.n_steps());
-    output::line(&format!("{}: {title}, {n_steps} steps", args.output.display()));
+    output::line(&format!("{}: {title}, {n_steps} steps", path.display()));
     Ok(())
+}
+
+/// Draws some moments of an episode into a file.
+fn draw_frames(played: &Playthrough, frames: &Range<u64>, path: &Path) -> anyhow::Result<()> {
+    let (first, n) = (frames.start, frames.end - frames.start);
+    let last = played.n_steps() as u64;
+    ensure!(first <= last, "--frames begins at {first}; the episode ends at {last}");
+    ensure!(n <= MAX_FRAMES, "--frames asks for {n} moments; allowed: 1 to {MAX_FRAMES}");
+    let svg = played.frames_svg("frames", first as usize..frames.end as usize);
+    let bytes = match judge::extension(path).as_str() {
+        "png" => Rasterizer::new().png(&svg, PNG_SCALE)?,
+        "svg" => svg.into_bytes(),
+        other => bail!("frames beside each other cannot be a `{other}` file: png or svg"),
+    };
+    write_atomically(path, &bytes).with_context(|| format!("writing {}", path.display()))
 }
 
 /// Draws an episode into a file.

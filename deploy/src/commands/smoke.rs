@@ -101,7 +101,7 @@ fn judge(
     let default = if args.quick { QUICK_EPISODES } else { config.evaluation.episodes };
     let n_episodes = args.episodes.unwrap_or(default);
     let evaluations = judge::evaluate_all(program, config, &players, n_episodes, judge::EVAL_SEED)?;
-    let comparison = judge::compare(config, &evaluations);
+    let comparison = judge::compare(config, &evaluations, &[])?;
     let (sentence, passed) = verdict(args, config, &comparison);
     let pictures = draw(program, config, &players, &evaluations, directory)?;
     let findings = Findings {

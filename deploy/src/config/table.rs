@@ -93,6 +93,39 @@ impl Assignment {
     }
 }
 
+impl std::fmt::Display for Assignment {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} = {}", self.key(), self.value)
+    }
+}
+
+/// One `--each section.key=[values]`: an assignment per value.
+#[derive(Clone, Debug)]
+pub struct Alternatives(Vec<Assignment>);
+
+impl Alternatives {
+    /// Reads `section.key=[value, ...]`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Assignment::parse`], and if what stands behind the `=` is no list of values.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let Assignment { path, value } = Assignment::parse(text)?;
+        match value {
+            Value::Array(values) if !values.is_empty() => {
+                let assignment = |value| Assignment { path: path.clone(), value };
+                Ok(Self(values.into_iter().map(assignment).collect()))
+            }
+            _ => Err(format!("`{text}` is not of the form section.key=[value, ...]")),
+        }
+    }
+
+    /// Returns the assignments, in order.
+    pub fn assignments(&self) -> &[Assignment] {
+        &self.0
+    }
+}
+
 fn is_whole_number(text: &str) -> bool {
     let digits = text.strip_prefix(['+', '-']).unwrap_or(text);
     digits.starts_with(|first: char| first.is_ascii_digit())
@@ -202,6 +235,16 @@ mod tests {
         assert_eq!(base, table(expected));
         assert!(Assignment::parse("clip").is_err());
         assert!(Assignment::parse(".clip=1").is_err());
+    }
+
+    #[test]
+    fn alternatives_are_an_assignment_each() {
+        let each = Alternatives::parse("human.delay=[{fixed=0}, {fixed=2}]").unwrap();
+        let texts: Vec<String> = each.assignments().iter().map(ToString::to_string).collect();
+        assert_eq!(texts, ["human.delay = { fixed = 0 }", "human.delay = { fixed = 2 }"]);
+        for text in ["human.delay=3", "human.delay=[]", "human.delay"] {
+            assert!(Alternatives::parse(text).is_err(), "{text}");
+        }
     }
 
     #[test]

@@ -4,12 +4,14 @@
 //! record: Environment + Player --> Playthrough (a scene per step)
 //! story:  scenes --> what the person was doing in each step, utterances and reactions as spans of time
 //! voice:  topic, k, l of each utterance --> the sentence that says it
-//! picture, animation: SVG, PNG, GIF     transcript: text
+//! picture, frames, animation: SVG, PNG, GIF     transcript: text
 //! ```
 //!
 //! Everything is drawn from [`Scene`](leadtime_sims::Scene)s, so a road or a kitchen draws as a lander does.
 
 mod animation;
+mod demonstration;
+mod frames;
 mod labels;
 mod picture;
 mod record;

@@ -1,20 +1,16 @@
 //! The whole picture: title, world, legend, strip.
 
-use leadtime_sims::Tone;
-
 use super::record::Playthrough;
 use super::story::{Doing, Story};
 use super::strip;
-use super::world::{World, draw_marker, shows};
-use crate::draw::{Area, Canvas, Ink, Paint, Rasterizer, TextStyle, Weight, compact, text_width};
+use super::world::{World, draw_marker, legend, legend_text};
+use crate::draw::{Canvas, Ink, Paint, Rasterizer, TextStyle, compact};
 use crate::error::Error;
 
 const WIDTH: f64 = 860.0;
 const MARGIN: f64 = 16.0;
 const TITLE_HEIGHT: f64 = 58.0;
 const LEGEND_HEIGHT: f64 = 40.0;
-const LEGEND_SIZE: f64 = 11.0;
-const LEGEND_GAP: f64 = 12.0;
 
 impl Playthrough {
     /// Draws the episode. `id` must be unique on the page that will hold the picture.
@@ -93,27 +89,8 @@ impl Playthrough {
             canvas.circle([x + 10.0, y - 4.0], 2.6, Paint::fill(Ink::Muted));
             x = legend_text(canvas, x + 26.0, y, "others");
         }
-        let shown = |tone: Tone| self.scenes.last().is_some_and(|scene| shows(scene, tone));
-        for (tone, ink, label) in
-            [(Tone::Danger, Ink::Vermilion, "danger"), (Tone::Goal, Ink::Green, "goal")]
-        {
-            if shown(tone) {
-                let swatch = Area::new(x, y - 9.5, 14.0, 11.0);
-                canvas.rectangle(
-                    swatch,
-                    1.0,
-                    Paint::fill(ink).fill_opacity(0.25).outlined(ink, 1.2),
-                );
-                x = legend_text(canvas, x + 20.0, y, label);
-            }
-        }
+        legend(canvas, [x, y], &self.scenes);
     }
-}
-
-/// Writes an entry and returns where the next one begins.
-fn legend_text(canvas: &mut Canvas, x: f64, y: f64, text: &str) -> f64 {
-    canvas.text([x, y], text, TextStyle::new(LEGEND_SIZE, Ink::Text));
-    x + text_width(text, LEGEND_SIZE, Weight::Regular) + LEGEND_GAP
 }
 
 #[cfg(test)]

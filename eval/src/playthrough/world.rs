@@ -6,12 +6,19 @@ use super::labels::{self, Placer};
 use super::record::Playthrough;
 use super::story::{Doing, Story};
 use super::voice::Sentence;
-use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Scale, TextStyle};
+use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Scale, TextStyle, Weight, text_width};
 
 /// A world is drawn at most this much higher than wide ...
 const MAX_RATIO: f64 = 2.0 / 3.0;
 /// ... and at least this much: a long road is stretched.
 const MIN_RATIO: f64 = 0.25;
+
+/// Size of a legend's text.
+const LEGEND_SIZE: f64 = 11.0;
+const LEGEND_GAP: f64 = 12.0;
+
+/// Size of the world's own labels.
+const LABEL_SIZE: f64 = 11.0;
 
 /// How far apart the person's body is drawn on the way, in pixels.
 const GHOST_DISTANCE: f64 = 95.0;
@@ -22,6 +29,7 @@ pub(super) struct World {
     pub(super) area: Area,
     x: Scale,
     y: Scale,
+    label_size: f64,
 }
 
 impl World {
@@ -34,7 +42,12 @@ impl World {
             Area::new(corner[0], corner[1], width, width * ratio.clamp(MIN_RATIO, MAX_RATIO));
         let x = Scale::new([view.min[0], view.max[0]], [area.x, area.right()]);
         let y = Scale::new([view.min[1], view.max[1]], [area.bottom(), area.y]);
-        Self { area, x, y }
+        Self { area, x, y, label_size: LABEL_SIZE }
+    }
+
+    /// Draws the world's own labels in another size.
+    pub(super) fn with_label_size(self, label_size: f64) -> Self {
+        Self { label_size, ..self }
     }
 
     pub(super) fn at(&self, point: [f64; 2]) -> [f64; 2] {
@@ -61,6 +74,14 @@ impl World {
             for shape in scene.shapes.iter().filter(|shape| tone(shape) == Some(Tone::Own)) {
                 self.draw_shape(canvas, shape, opacity);
             }
+        });
+    }
+
+    /// Draws the scene's labels once more, above everything else.
+    pub(super) fn draw_texts(&self, canvas: &mut Canvas, scene: &Scene) {
+        let labels = scene.shapes.iter().filter(|shape| matches!(shape, Shape::Label { .. }));
+        canvas.clipped(self.area, |canvas| {
+            labels.for_each(|label| self.draw_shape(canvas, label, 1.0));
         });
     }
 
@@ -173,8 +194,8 @@ impl World {
             }
             Shape::Label { at, text } => {
                 let [x, y] = self.at(*at);
-                let style = TextStyle::new(11.0, Ink::Muted).anchored(Anchor::Middle);
-                canvas.text([x, y + 4.0], text, style);
+                let style = TextStyle::new(self.label_size, Ink::Text).anchored(Anchor::Middle);
+                canvas.text([x, y + 0.36 * self.label_size], text, style);
             }
         }
     }
@@ -213,9 +234,33 @@ fn draw_leader(canvas: &mut Canvas, marker: [f64; 2], label: &Area) {
     }
 }
 
-/// Tells whether a scene has anything of a meaning.
-pub(super) fn shows(scene: &Scene, wanted: Tone) -> bool {
-    scene.shapes.iter().any(|shape| tone(shape) == Some(wanted))
+/// Explains the areas that the scenes show, from a point on, and returns where the next entry begins.
+pub(super) fn legend(canvas: &mut Canvas, [mut x, y]: [f64; 2], scenes: &[Scene]) -> f64 {
+    for (tone, label) in [
+        (Tone::Danger, "danger"),
+        (Tone::Mistaken, "believed otherwise"),
+        (Tone::Hint, "what the person sees"),
+        (Tone::Goal, "goal"),
+    ] {
+        if scenes.iter().any(|scene| has_area(scene, tone)) {
+            let swatch = Area::new(x, y - 9.5, 14.0, 11.0);
+            canvas.rectangle(swatch, 1.0, filled(tone));
+            x = legend_text(canvas, x + 20.0, y, label);
+        }
+    }
+    x
+}
+
+/// Writes an entry of a legend and returns where the next one begins.
+pub(super) fn legend_text(canvas: &mut Canvas, x: f64, y: f64, text: &str) -> f64 {
+    canvas.text([x, y], text, TextStyle::new(LEGEND_SIZE, Ink::Text));
+    x + text_width(text, LEGEND_SIZE, Weight::Regular) + LEGEND_GAP
+}
+
+/// Tells whether a scene has an area of a meaning; a pad is a line, and counts as one.
+fn has_area(scene: &Scene, wanted: Tone) -> bool {
+    let is_line = |shape: &Shape| matches!(shape, Shape::Line { .. }) && wanted == Tone::Hint;
+    scene.shapes.iter().any(|shape| tone(shape) == Some(wanted) && !is_line(shape))
 }
 
 fn tone(shape: &Shape) -> Option<Tone> {
@@ -231,13 +276,13 @@ fn filled(tone: Tone) -> Paint {
     match tone {
         Tone::Ground => Paint::fill(Ink::Ground),
         Tone::Goal => Paint::fill(Ink::Green).fill_opacity(0.3).outlined(Ink::Green, 1.2),
-        Tone::Danger => {
+        Tone::Danger | Tone::Mistaken => {
             let paint = Paint::fill(Ink::Vermilion).fill_opacity(0.16);
             paint.outlined(Ink::Vermilion, 1.2).dashed(5.0, 4.0)
         }
         Tone::Own => Paint::fill(Ink::Text),
         Tone::Other => Paint::fill(Ink::Muted).fill_opacity(0.6),
-        Tone::Hint => Paint::fill(Ink::Grid),
+        Tone::Hint => Paint::fill(Ink::Sky).fill_opacity(0.4),
     }
 }
 
@@ -245,7 +290,7 @@ fn lined(tone: Tone) -> Paint {
     match tone {
         Tone::Ground => Paint::stroke(Ink::Ground, 2.5),
         Tone::Goal => Paint::stroke(Ink::Green, 5.0),
-        Tone::Danger => Paint::stroke(Ink::Vermilion, 1.5).dashed(5.0, 4.0),
+        Tone::Danger | Tone::Mistaken => Paint::stroke(Ink::Vermilion, 1.5).dashed(5.0, 4.0),
         Tone::Own => Paint::stroke(Ink::Text, 2.0),
         Tone::Other => Paint::stroke(Ink::Muted, 3.0),
         Tone::Hint => Paint::stroke(Ink::Grid, 1.0),

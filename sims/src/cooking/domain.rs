@@ -32,6 +32,9 @@ const REFERENCE_EPISODES: u32 = 2;
 /// k and l of the scripted notifier's directions: acted upon after two words, and long enough to disclose by default.
 const DIRECTION_WORDS: (u32, u32) = (2, 5);
 
+/// The scripted notifier that informs at the start, in as few words as disclose, and says nothing more.
+pub(super) const INFORM_AT_START: &str = "inform_at_start";
+
 /// What the cook did in the last step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LastStep {
@@ -334,6 +337,18 @@ impl Domain for Cooking {
         let (comprehension, conveyance) = DIRECTION_WORDS;
         let direction = Message { topic, comprehension, conveyance };
         Some(if topic == INFORM { self.inform() } else { direction })
+    }
+
+    fn scripts(&self) -> &'static [&'static str] {
+        &["unaided", INFORM_AT_START, "heuristic"]
+    }
+
+    fn script(&self, name: &str) -> Option<Message> {
+        match name {
+            INFORM_AT_START => (self.kitchen.n_steps() == 0).then(|| self.inform()),
+            "heuristic" => self.heuristic(),
+            _ => None,
+        }
     }
 
     fn success(&self) -> bool {

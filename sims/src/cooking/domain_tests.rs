@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::Environment as _;
-use crate::cooking::{CookingSettings, DOWN, LEFT, UP};
+use crate::cooking::{CookingSettings, DEMONSTRATION, DOWN, LEFT, UP};
 use crate::human::{HumanSettings, Order, ReactionDelay};
 use crate::notifier::NotifierEnv;
 use crate::scene::Shape;
@@ -81,8 +81,12 @@ fn belief(env: &NotifierEnv<Cooking>) -> &[Content] {
 /// and at t = 5 knows the stations; words count from 0.
 #[test]
 fn go_down_all_stations_occupied() {
-    let mut env = env(&settings(|_| {}), |human| human.words_from = 0);
-    let (first, subtask) = step(&mut env, Some(message(DOWN, 2, 5)));
+    let settings = CookingSettings::demonstration();
+    let task = Cooking::new(&settings.world).unwrap();
+    let mut env = NotifierEnv::new(task, &settings.human, &settings.notifier).unwrap();
+    let mut observation = vec![0.0; env.spec().obs_dim];
+    env.reset(seed(0), &mut observation);
+    let (first, subtask) = step(&mut env, Some(DEMONSTRATION));
     assert_eq!(subtask, Some(Subtask::FetchMeat), "the cook still follows its own plan: {first:?}");
     let down = Action::Go(Direction::South);
     for t in 1..4 {
@@ -303,7 +307,7 @@ fn the_scripted_notifier_informs_at_the_start_and_directs_who_errs() {
 fn a_picture_shows_grid_view_truth_belief_and_cook() {
     let task = start(&settings(|s| s.start_families = vec![StartFamily::Unavailable]), 1);
     let scene = task.scene();
-    assert_eq!((scene.view.min, scene.view.max), ([0.0, 0.0], [9.0, 7.0]));
+    assert_eq!((scene.view.min, scene.view.max), ([0.0, -0.5], [9.0, 7.0]));
     assert_eq!(scene.position, [6.5, 3.5]);
     let labels: Vec<&str> = scene
         .shapes
@@ -313,7 +317,9 @@ fn a_picture_shows_grid_view_truth_belief_and_cook() {
             _ => None,
         })
         .collect();
-    for text in ["grill", "board", "sink", "taken", "thinks empty", "onions", "window"] {
+    for text in
+        ["grill", "board", "sink", "taken", "thinks empty", "onions", "window", "plan: fetch meat"]
+    {
         assert!(labels.contains(&text), "{text} {labels:?}");
     }
     let count = |wanted| {
@@ -324,7 +330,10 @@ fn a_picture_shows_grid_view_truth_belief_and_cook() {
         tones.count()
     };
     assert_eq!(count(crate::Tone::Hint), 6);
-    assert_eq!(count(crate::Tone::Danger), labels.iter().filter(|&&text| text == "taken").count());
+    assert_eq!(
+        count(crate::Tone::Mistaken),
+        labels.iter().filter(|&&text| text == "taken").count()
+    );
     assert_eq!(count(crate::Tone::Goal), 1);
 }
 

@@ -3,13 +3,18 @@
 use super::domain::item_name;
 use crate::scene::{Listener, Scene, Shape, Tone, View};
 use crate::steakhouse::{
-    Content, Direction, FieldOfView, Grid, Item, Kitchen, Place, Station, Tile,
+    Content, Direction, FieldOfView, Grid, Item, Kitchen, Place, Station, Subtask, Tile,
 };
 
 /// How far a drawn square stays off its tile's edges.
 const MARGIN: f64 = 0.04;
 /// Half the size of the cook.
 const COOK: f64 = 0.32;
+
+/// Room for the line that tells what the cook is about to do.
+const PLAN_HEIGHT: f64 = 0.5;
+/// Room beside the kitchen, for labels that are wider than a tile.
+const SIDES: f64 = 0.25;
 
 /// Describes the kitchen, back to front: tiles, what the cook sees, true and believed states, the cook.
 pub(super) fn scene(kitchen: &Kitchen, field_of_view: FieldOfView, outcome: &str) -> Scene {
@@ -29,8 +34,11 @@ pub(super) fn scene(kitchen: &Kitchen, field_of_view: FieldOfView, outcome: &str
         let [x, y] = position;
         shapes.push(Shape::Label { at: [x, y - 0.42], text: item_name(item).to_owned() });
     }
+    let plan = format!("plan: {}", plan_name(kitchen.mind().leaning(world)));
+    shapes.push(Shape::Label { at: [grid.width() as f64 / 2.0, -0.5 * PLAN_HEIGHT], text: plan });
+    let (min, max) = ([-SIDES, -PLAN_HEIGHT], [grid.width() as f64 + SIDES, grid.height() as f64]);
     Scene {
-        view: View { min: [0.0, 0.0], max: [grid.width() as f64, grid.height() as f64] },
+        view: View { min, max },
         shapes,
         position,
         others: Vec::new(),
@@ -55,7 +63,7 @@ fn square(grid: &Grid, place: Place, tone: Tone) -> Shape {
 fn tone(kitchen: &Kitchen, place: Place) -> Tone {
     let world = kitchen.world();
     match (world.grid().tile(place), world.grid().slot_at(place)) {
-        (_, Some(slot)) if !kitchen.mind().belief.is_aware(slot, world) => Tone::Danger,
+        (_, Some(slot)) if !kitchen.mind().belief.is_aware(slot, world) => Tone::Mistaken,
         (Tile::Window, _) => Tone::Goal,
         (Tile::Supply(_) | Tile::Station(_), _) => Tone::Other,
         (Tile::Floor | Tile::Counter, _) => Tone::Ground,
@@ -93,6 +101,27 @@ fn state(content: Content, limit: u8) -> String {
         Content::Empty => "empty".to_owned(),
         Content::Work(counter) => format!("{counter}/{limit}"),
         Content::Unavailable => "taken".to_owned(),
+    }
+}
+
+fn plan_name(subtask: Subtask) -> &'static str {
+    match subtask {
+        Subtask::TakeDish => "take the dish",
+        Subtask::TakePlatedSteak => "take the steak",
+        Subtask::Chop => "chop the garnish",
+        Subtask::Wash => "wash the plate",
+        Subtask::FetchMeat => "fetch meat",
+        Subtask::FetchOnion => "fetch an onion",
+        Subtask::FetchPlate => "fetch a plate",
+        Subtask::TakeCleanPlate => "take the clean plate",
+        Subtask::PlaceMeat => "meat onto a free grill",
+        Subtask::PlaceOnion => "onion onto a free board",
+        Subtask::PlacePlate => "plate into a free sink",
+        Subtask::PlateSteak => "steak onto the plate",
+        Subtask::Garnish => "garnish the steak",
+        Subtask::Serve => "serve",
+        Subtask::Discard => "put it away",
+        Subtask::Wait => "wait",
     }
 }
 

@@ -21,4 +21,4 @@ mod topics;
 pub use compare::{Averages, Speaker, compare, play};
 pub use domain::{Cooking, LastStep};
 pub use settings::{CookingSettings, TieRule, WorldSettings};
-pub use topics::{DOWN, INFORM, LEFT, RIGHT, TOPICS, UP};
+pub use topics::{DEMONSTRATION, DOWN, INFORM, LEFT, RIGHT, TOPICS, UP};

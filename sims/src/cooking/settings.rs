@@ -22,7 +22,7 @@ pub enum TieRule {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WorldSettings {
-    /// The kitchen: `ring`, `wings`, `steak_mid_2`, `steak_side_2`, `steak_none_3`, or its own rows. Default `ring`.
+    /// The kitchen: `ring`, `wings`, `annex`, `steak_mid_2`, `steak_side_2`, `steak_none_3`, or its own rows. Default `ring`.
     pub layout: String,
     /// Steps that a steak cooks (1 to 200). Default 10.
     pub cook_time: u8,
@@ -204,6 +204,18 @@ impl CookingSettings {
                 ..default_human()
             },
             notifier: default_notifier(),
+        }
+    }
+
+    /// Returns the settings of the paper's demonstration: those of the recorded episodes, with half-done work at every
+    /// station, and words that count from 0, so that the cook has acted on the second word by t = 2.
+    pub fn demonstration() -> Self {
+        let golden = Self::golden();
+        let start_families = vec![StartFamily::AllPartial];
+        Self {
+            world: WorldSettings { start_families, ..golden.world },
+            human: HumanSettings { words_from: 0, ..golden.human },
+            notifier: golden.notifier,
         }
     }
 

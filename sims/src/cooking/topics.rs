@@ -1,5 +1,6 @@
 //! What the cook can be told, and what each topic asks for.
 
+use crate::Message;
 use crate::steakhouse::{Action, Direction};
 
 /// The topics, by id. Directions are those of the grid, whichever way the cook looks.
@@ -14,6 +15,9 @@ pub const LEFT: usize = 2;
 pub const RIGHT: usize = 3;
 /// Only tells what the stations hold.
 pub const INFORM: usize = 4;
+
+/// The message of the paper's demonstration: "Go down, all stations occupied".
+pub const DEMONSTRATION: Message = Message { topic: DOWN, comprehension: 2, conveyance: 5 };
 
 /// Returns the direction that a topic asks for, if any.
 pub(super) fn direction(topic: usize) -> Option<Direction> {

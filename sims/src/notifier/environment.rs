@@ -206,8 +206,9 @@ impl<D: Domain> NotifierEnv<D> {
         }
     }
 
-    fn heuristic(&self) -> Option<Message> {
-        self.human.may_start().then(|| self.domain.heuristic()).flatten()
+    /// Returns what a scripted notifier starts now, if the listener lets it.
+    fn script(&self, name: &str) -> Option<Message> {
+        self.human.may_start().then(|| self.domain.script(name)).flatten()
     }
 }
 
@@ -298,16 +299,15 @@ impl<D: Domain> Environment for NotifierEnv<D> {
     }
 
     fn baselines(&self) -> &'static [&'static str] {
-        &["unaided", "heuristic"]
+        self.domain.scripts()
     }
 
     fn baseline_action(&self, name: &str, action: &mut [u8]) -> bool {
-        match name {
-            "unaided" => self.actions.write(None, action),
-            "heuristic" => self.actions.write(self.heuristic(), action),
-            _ => return false,
+        let known = self.domain.scripts().contains(&name);
+        if known {
+            self.actions.write(self.script(name), action);
         }
-        true
+        known
     }
 
     fn scene(&self) -> Option<Scene> {

@@ -1,4 +1,4 @@
-//! The kitchens that are part of the program: three public ones, and two of our own with two of every station.
+//! The kitchens that are part of the program: three public ones, and three of our own with two of every station.
 
 use super::grid::{Grid, LayoutError};
 use crate::setting::SettingError;
@@ -6,10 +6,12 @@ use crate::setting::SettingError;
 /// Names and rows of the built-in kitchens. The public ones are those of FOV-aware-planner, with the starts of both
 /// cooks. In `ring` no station can be seen from a supply, and its island makes "up or down" a real choice; both
 /// stations of a kind lie on one way, though, so that it hardly costs anything to find one of them taken. In `wings`
-/// they lie at opposite ends.
-pub const LAYOUTS: [(&str, &str); 5] = [
+/// they lie at opposite ends. In `annex` one of each kind is near the supplies and the other at the far end, so that it
+/// is dear to walk to the far one when the near one has become free.
+pub const LAYOUTS: [(&str, &str); 6] = [
     ("ring", include_str!("layouts/ring.txt")),
     ("wings", include_str!("layouts/wings.txt")),
+    ("annex", include_str!("layouts/annex.txt")),
     ("steak_mid_2", include_str!("layouts/steak_mid_2.txt")),
     ("steak_side_2", include_str!("layouts/steak_side_2.txt")),
     ("steak_none_3", include_str!("layouts/steak_none_3.txt")),
@@ -68,8 +70,8 @@ mod tests {
         let refused = |layout| kitchen(layout).unwrap_err().to_string();
         assert_eq!(
             refused("rings"),
-            "`world.layout` is \"rings\"; allowed: ring, wings, steak_mid_2, steak_side_2, \
-             steak_none_3, or the rows of a kitchen"
+            "`world.layout` is \"rings\"; allowed: ring, wings, annex, steak_mid_2, \
+             steak_side_2, steak_none_3, or the rows of a kitchen"
         );
         assert_eq!(
             refused("XPBWX\nO?1 S\nXMDXX"),

@@ -1,0 +1,57 @@
+//! The cooking demonstration: one message that first makes the cook move, and then makes them know.
+
+use leadtime_proto::EnvId;
+use leadtime_sims::cooking::{Cooking, CookingSettings, DEMONSTRATION};
+use leadtime_sims::human::Order;
+use leadtime_sims::{Environment as _, EpisodeSeed, NotifierEnv, TaskError};
+use leadtime_taxonomy::Cell;
+
+use super::record::Playthrough;
+use super::voice::Sentence;
+use crate::error::Error;
+
+/// What is said, in the words of the paper.
+const TEXT: &str = "Go down, all stations occupied";
+
+impl Playthrough {
+    /// Plays the paper's cooking demonstration: "Go down, all stations occupied", begun at t = 0. By t = 2 the cook has
+    /// acted on the first words; at t = 5 they know what the stations hold, and plan anew.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Task`] never, for the settings are fixed.
+    ///
+    /// # Source
+    ///
+    /// Hsu et al. (arXiv:2509.07438), the figure on cooking.
+    pub fn demonstration() -> Result<Self, Error> {
+        let settings = CookingSettings::demonstration();
+        let task = Cooking::new(&settings.world).map_err(TaskError::from)?;
+        let mut env = NotifierEnv::new(task, &settings.human, &settings.notifier)?;
+        let mut observation = vec![0.0; env.spec().obs_dim];
+        let seed = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
+        env.reset(seed, &mut observation);
+        let mut scenes: Vec<_> = env.scene().into_iter().collect();
+        let (mut order, mut total_reward) = (Order::Start(DEMONSTRATION), 0.0);
+        loop {
+            let (outcome, _) = env.step_order(order, &mut observation);
+            order = Order::Continue;
+            total_reward += f64::from(outcome.reward);
+            scenes.extend(env.scene());
+            if outcome.end.is_some() {
+                break;
+            }
+        }
+        let cell = Cell::new(DEMONSTRATION.comprehension, DEMONSTRATION.conveyance);
+        let sentence = Sentence { text: TEXT.to_owned(), cell, fallback: false };
+        Ok(Self {
+            player: sentence.to_string(),
+            seed: 0,
+            index: 0,
+            scenes,
+            total_reward,
+            success: None,
+            sentences: vec![sentence],
+        })
+    }
+}

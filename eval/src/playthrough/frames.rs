@@ -1,0 +1,130 @@
+//! A few moments of an episode, one beside the other: what was heard so far, what the person sees, believes and does.
+
+use std::ops::Range;
+
+use super::record::Playthrough;
+use super::story::{Doing, Story};
+use super::world::{World, legend, legend_text, topic_name};
+use crate::draw::{Area, Canvas, Ink, Paint, TextStyle};
+
+const WIDTH: f64 = 860.0;
+const MARGIN: f64 = 16.0;
+const GAP: f64 = 20.0;
+const COLUMNS: usize = 2;
+const TITLE_HEIGHT: f64 = 64.0;
+/// Two lines above every frame.
+const CAPTION_HEIGHT: f64 = 44.0;
+/// Size of the world's own labels, so that three lines of twelve letters fit into a tile.
+const LABEL_SIZE: f64 = 7.4;
+
+impl Playthrough {
+    /// Draws the moments of some scenes as a strip of frames, in reading order; scenes beyond the last are left out.
+    /// `id` must be unique on the page that will hold the picture.
+    pub fn frames_svg(&self, id: &str, moments: Range<usize>) -> String {
+        let story = Story::new(&self.scenes);
+        let moments = moments.start..moments.end.min(self.scenes.len());
+        let width = (WIDTH - 2.0 * MARGIN - GAP) / COLUMNS as f64;
+        let height = CAPTION_HEIGHT + GAP + World::new([0.0, 0.0], width, &self.scenes).area.height;
+        let n_rows = moments.len().div_ceil(COLUMNS);
+        let mut canvas = Canvas::new(id, WIDTH, TITLE_HEIGHT + n_rows as f64 * height);
+        canvas.text([MARGIN, 27.0], &self.title(), TextStyle::new(18.0, Ink::Text).bold());
+        self.draw_key(&mut canvas, 50.0, &story);
+        for (place, moment) in moments.enumerate() {
+            let (row, column) = (place / COLUMNS, place % COLUMNS);
+            let x = MARGIN + column as f64 * (width + GAP);
+            let y = TITLE_HEIGHT + row as f64 * height;
+            self.draw_moment(&mut canvas, [x, y], width, &story, moment);
+        }
+        canvas.finish(&self.title())
+    }
+
+    fn draw_key(&self, canvas: &mut Canvas, y: f64, story: &Story) {
+        let mut x = MARGIN;
+        for doing in Doing::ALL.into_iter().filter(|doing| story.doing.contains(doing)) {
+            let ends = [[x, y - 4.0], [x + 16.0, y - 4.0]];
+            canvas.line(&ends, Paint::stroke(doing.ink(), doing.width()));
+            x = legend_text(canvas, x + 21.0, y, doing.label());
+        }
+        legend(canvas, [x, y], &self.scenes);
+    }
+
+    fn draw_moment(
+        &self,
+        canvas: &mut Canvas,
+        [x, y]: [f64; 2],
+        width: f64,
+        story: &Story,
+        moment: usize,
+    ) {
+        let scene = &self.scenes[moment];
+        let world = World::new([x, y + CAPTION_HEIGHT - 4.0], width, &self.scenes);
+        let world = world.with_label_size(LABEL_SIZE);
+        let bold = TextStyle::new(13.5, Ink::Text).bold();
+        canvas.text([x, y + 13.0], &format!("t = {moment}"), bold);
+        canvas.text([x + 58.0, y + 13.0], &self.heard(story, moment), bold);
+        let doing = moment.checked_sub(1).map(|step| story.doing[step]);
+        if let Some(doing) = doing {
+            let swatch = Area::new(x, y + 21.0, 11.0, 11.0);
+            canvas.rectangle(swatch, 2.0, Paint::fill(doing.ink()));
+        }
+        let done = match (doing, scene.listener.reacting) {
+            (Some(Doing::Following), Some(topic)) => {
+                format!("last step: {} as told", topic_name(scene, topic))
+            }
+            (Some(doing), _) => format!("last step: {}", doing.label()),
+            (None, _) => "at the start".to_owned(),
+        };
+        canvas.text([x + 18.0, y + 31.0], &done, TextStyle::new(11.5, Ink::Muted));
+        let past = &self.scenes[..=moment];
+        world.draw_place(canvas, scene);
+        world.draw_path(canvas, past, story);
+        world.draw_body(canvas, scene, 1.0);
+        world.draw_texts(canvas, scene);
+    }
+
+    /// Quotes what has been said of the running message, or of the one that ends at this moment.
+    fn heard(&self, story: &Story, moment: usize) -> String {
+        let Some(said) = story.spoken(moment) else { return String::new() };
+        let utterance = &story.utterances[said];
+        let heard = moment - utterance.start;
+        let Some(sentence) = self.sentences.get(said) else {
+            let topic = topic_name(&self.scenes[moment], utterance.topic);
+            return format!("{topic}: word {heard} of {}", utterance.conveyance);
+        };
+        let more = if heard < utterance.conveyance { " \u{2026}" } else { "" };
+        format!("\u{201c}{}{more}\u{201d}", sentence.so_far(heard, utterance.conveyance))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::draw::Rasterizer;
+    use crate::playthrough::{Playthrough, synthetic};
+
+    #[test]
+    fn frames_beyond_the_last_scene_are_left_out() {
+        let played = synthetic::playthrough();
+        let last = played.scenes.len() - 1;
+        let svg = played.frames_svg("p", last - 2..last + 5);
+        assert!(svg.contains(&format!("t = {last}")));
+        assert!(!svg.contains(&format!("t = {}", last + 1)));
+        Rasterizer::new().png(&svg, 1.0).unwrap();
+    }
+
+    #[test]
+    fn the_demonstration_grows_word_by_word() {
+        let svg = Playthrough::demonstration().unwrap().frames_svg("p", 0..8);
+        for text in [
+            "\u{201c}Go \u{2026}\u{201d}",
+            "\u{201c}Go down, \u{2026}\u{201d}",
+            "\u{201c}Go down, all stations \u{2026}\u{201d}",
+            "\u{201c}Go down, all stations occupied\u{201d}",
+            "thinks empty",
+            "last step: move down as told",
+            "what the person sees",
+            "believed otherwise",
+        ] {
+            assert!(svg.contains(text), "{text}");
+        }
+    }
+}
