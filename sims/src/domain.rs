@@ -122,6 +122,12 @@ pub trait Domain: Send {
         None
     }
 
+    /// Returns the message that tells the person, once at the start, what they do not know; none in a domain whose
+    /// topics all ask for actions.
+    fn briefing(&self) -> Option<Message> {
+        None
+    }
+
     /// Tells whether the episode so far is a success, judged at its end.
     fn success(&self) -> bool;
 

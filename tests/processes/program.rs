@@ -52,8 +52,17 @@ fn help_explains_itself_and_lists_exit_codes() {
 fn every_built_in_configuration_can_be_printed_and_used() {
     let place = Place::new();
     let names = place.finish(&["config"]).with_code(0).stdout;
-    let names_are =
-        ["cartpole", "cue_recall", "highway", "lander", "lander_hard", "pilot", "steakhouse"];
+    let names_are = [
+        "cartpole",
+        "cue_recall",
+        "highway",
+        "lander",
+        "lander_hard",
+        "paper_highway",
+        "paper_lander",
+        "pilot",
+        "steakhouse",
+    ];
     assert!(names.lines().eq(names_are), "{names}");
     for name in names.lines() {
         let text = place.finish(&["config", name]).with_code(0).stdout;

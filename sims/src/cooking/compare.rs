@@ -7,11 +7,10 @@ use serde::Serialize;
 
 use super::domain::Cooking;
 use super::settings::{CookingSettings, WorldSettings};
-use super::topics::INFORM;
 use crate::human::Order;
 use crate::registry::TaskError;
 use crate::steakhouse::StartFamily;
-use crate::{Domain as _, Environment as _, EpisodeSeed, Message, NotifierEnv};
+use crate::{Domain as _, Environment as _, EpisodeSeed, NotifierEnv};
 
 /// Who speaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -35,15 +34,11 @@ impl Speaker {
         WorldSettings { aware: world.aware || self == Self::Unneeded, ..world.clone() }
     }
 
-    fn order(self, env: &NotifierEnv<Cooking>, world: &WorldSettings) -> Order {
+    fn order(self, env: &NotifierEnv<Cooking>) -> Order {
         let message = match self {
-            Self::InformAtStart => {
-                let words = world.inform_discloses_from;
-                let message = Message { topic: INFORM, comprehension: words, conveyance: words };
-                (env.domain().kitchen().n_steps() == 0).then_some(message)
-            }
+            Self::InformAtStart if env.domain().kitchen().n_steps() == 0 => env.domain().briefing(),
             Self::Heuristic if env.human().may_start() => env.domain().heuristic(),
-            Self::Silent | Self::Unneeded | Self::Heuristic => None,
+            Self::Silent | Self::Unneeded | Self::InformAtStart | Self::Heuristic => None,
         };
         message.map_or(Order::Continue, Order::Start)
     }
@@ -103,7 +98,7 @@ pub fn play(
     for episode in episodes {
         env.reset(EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode }, &mut observation);
         loop {
-            let order = speaker.order(&env, &world);
+            let order = speaker.order(&env);
             let (outcome, _) = env.step_order(order, &mut observation);
             sums.total_reward += f64::from(outcome.reward);
             if outcome.end.is_some() {

@@ -217,6 +217,7 @@ impl Cooking {
         message.conveyance >= from
     }
 
+    /// Informs, in as few words as disclose.
     fn inform(&self) -> Message {
         let words = self.settings.inform_discloses_from;
         Message { topic: INFORM, comprehension: words, conveyance: words }
@@ -334,6 +335,10 @@ impl Domain for Cooking {
         let (comprehension, conveyance) = DIRECTION_WORDS;
         let direction = Message { topic, comprehension, conveyance };
         Some(if topic == INFORM { self.inform() } else { direction })
+    }
+
+    fn briefing(&self) -> Option<Message> {
+        Some(self.inform())
     }
 
     fn success(&self) -> bool {
