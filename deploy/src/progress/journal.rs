@@ -92,7 +92,7 @@ fn tail(run_directory: &Path) -> io::Result<Map<String, Value>> {
     let length = file.metadata()?.len();
     file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
     let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes)?;
+    file.take(TAIL).read_to_end(&mut bytes)?;
     let text = String::from_utf8_lossy(&bytes);
     let last = text.lines().rev().find_map(|line| serde_json::from_str(line).ok());
     Ok(last.unwrap_or_default())

@@ -1,7 +1,5 @@
 //! A study's results as a page of Markdown: tables, differences, pictures, provenance.
 
-use std::fmt::Write as _;
-
 use super::cells::{measured, plain, published};
 use super::result::{Judged, Layout, PartResult, RowResult, Shown, StudyResult, TrainedRun};
 use crate::measure::{Choice, title};
@@ -34,16 +32,17 @@ impl StudyResult {
         for part in &self.parts {
             text.push_str(&part.summary(folder, self.bootstrap.confidence));
         }
-        let _ = writeln!(
-            text,
+        let elsewhere = format!(
             "All measures, greedy choices, runs and provenance: [{name}.md]({folder}{name}.md), as data: \
-             [{name}.json]({folder}{name}.json).\n"
+             [{name}.json]({folder}{name}.json).\n\n"
         );
+        text.push_str(&elsewhere);
         text
     }
 
     fn warned(&self) -> String {
-        self.warnings.iter().map(|warning| format!("> **{}**\n\n", plain(warning))).collect()
+        let lines = self.warnings.iter().map(|warning| format!("> **{}**\n\n", plain(warning)));
+        lines.collect::<Vec<_>>().concat()
     }
 
     fn reading(&self) -> String {
@@ -65,13 +64,15 @@ impl PartResult {
             Layout::Grid => self.columns.iter().for_each(|m| text.push_str(&self.grid(m))),
         }
         for difference in &self.differences {
-            let _ = writeln!(text, "* {}", difference.sentence(confidence));
+            let sentence = format!("* {}\n", difference.sentence(confidence));
+            text.push_str(&sentence);
         }
         if !self.differences.is_empty() {
             text.push('\n');
         }
         for Shown { file, caption } in &self.pictures {
-            let _ = writeln!(text, "![{}]({folder}{file})\n\n*{caption}*\n", plain(caption));
+            let picture = format!("![{}]({folder}{file})\n\n*{caption}*\n\n", plain(caption));
+            text.push_str(&picture);
         }
         text
     }
@@ -170,11 +171,9 @@ fn details(row: &RowResult) -> String {
     );
     if !row.settings.is_empty() {
         let settings = row.settings.iter().map(|setting| format!("`{}`", plain(setting)));
-        let _ = writeln!(
-            text,
-            "Differs from the profile in {}.\n",
-            settings.collect::<Vec<_>>().join(", ")
-        );
+        let settings = settings.collect::<Vec<_>>().join(", ");
+        let sentence = format!("Differs from the profile in {settings}.\n\n");
+        text.push_str(&sentence);
     }
     let heading = |judged: &Judged| match judged.choice {
         Choice::Sample => judged.title.clone(),
@@ -196,10 +195,8 @@ fn details(row: &RowResult) -> String {
 }
 
 fn facts(facts: &[Fact]) -> String {
-    let mut text: String =
-        facts.iter().map(|Fact { name, value }| format!("* {name}: {value}\n")).collect();
-    text.push('\n');
-    text
+    let lines = facts.iter().map(|Fact { name, value }| format!("* {name}: {value}\n"));
+    lines.collect::<Vec<_>>().concat() + "\n"
 }
 
 /// Writes a table's head and the rule beneath it.

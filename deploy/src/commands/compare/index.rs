@@ -47,15 +47,17 @@ fn read(path: &Path) -> anyhow::Result<Option<StudyResult>> {
 fn others(results: &Path) -> anyhow::Result<String> {
     let Ok(entries) = fs::read_dir(results) else { return Ok(String::new()) };
     let names = entries.filter_map(Result::ok).filter_map(|e| e.file_name().into_string().ok());
+    let is_page = |name: &str| Path::new(name).extension().is_some_and(|end| end == "md");
     let is_study = |name: &str| catalog::names().any(|study| name == format!("{study}.md"));
     let mut names: Vec<String> =
-        names.filter(|name| name.ends_with(".md") && name != FILE && !is_study(name)).collect();
+        names.filter(|name| is_page(name) && name != FILE && !is_study(name)).collect();
     names.sort();
     let mut lines = String::new();
     for name in names {
         let text = fs::read_to_string(results.join(&name)).with_context(|| name.clone())?;
         let heading = text.lines().find_map(|line| line.strip_prefix("# ")).unwrap_or(&name);
-        lines.push_str(&format!("* [{heading}]({name})\n"));
+        let line = format!("* [{heading}]({name})\n");
+        lines.push_str(&line);
     }
     Ok(if lines.is_empty() { lines } else { format!("Elsewhere:\n\n{lines}\n") })
 }

@@ -43,6 +43,9 @@ pub(super) struct Judge<'a> {
 /// One evaluation per training seed.
 type BySeed = Vec<Evaluation>;
 
+/// Evaluations by row and person.
+type Sampled = BTreeMap<(String, String), BySeed>;
+
 impl<'a> Judge<'a> {
     /// Makes one.
     pub(super) fn new(
@@ -62,20 +65,9 @@ impl<'a> Judge<'a> {
     pub(super) fn part(&mut self, planned: &PlannedPart) -> Result<PartResult, Failure> {
         let mut rows = Vec::new();
         // Evaluations under the row's and the person's names, for differences.
-        let mut sampled: BTreeMap<(String, String), BySeed> = BTreeMap::new();
+        let mut sampled = Sampled::new();
         for row in &planned.rows {
-            let mut judged = Vec::new();
-            for person in &row.evaluations {
-                for action in actions(row) {
-                    let by_seed = self.row(row, person, action)?;
-                    judged.push(sum_up(row, person, judge::choice(action), &by_seed));
-                    if action == EvaluationAction::Sample {
-                        for name in &person.names {
-                            sampled.insert((row.row.name.clone(), name.clone()), by_seed.clone());
-                        }
-                    }
-                }
-            }
+            let judged = self.people(row, &mut sampled)?;
             rows.push(row_result(planned, row, judged)?);
         }
         let stated = planned.part.differences.iter();
@@ -91,6 +83,21 @@ impl<'a> Judge<'a> {
             differences,
             pictures: Vec::new(),
         })
+    }
+
+    /// Judges a row on every person, in every way of choosing.
+    fn people(&mut self, row: &PlannedRow, sampled: &mut Sampled) -> Result<Vec<Judged>, Failure> {
+        let mut judged = Vec::new();
+        let people = row.evaluations.iter();
+        for (person, action) in people.flat_map(|p| actions(row).into_iter().map(move |a| (p, a))) {
+            let by_seed = self.row(row, person, action)?;
+            judged.push(sum_up(row, person, judge::choice(action), &by_seed));
+            if action == EvaluationAction::Sample {
+                let under = |name: &String| (row.row.name.clone(), name.clone());
+                sampled.extend(person.names.iter().map(|name| (under(name), by_seed.clone())));
+            }
+        }
+        Ok(judged)
     }
 
     /// Judges a row on a person: one evaluation per training seed.
@@ -211,7 +218,7 @@ fn notification(row: &PlannedRow) -> String {
 fn difference(
     planned: &PlannedPart,
     stated: &DifferenceOf,
-    sampled: &BTreeMap<(String, String), BySeed>,
+    sampled: &Sampled,
 ) -> Option<Difference> {
     let DifferenceOf { of, minus, on, measure } = stated;
     let evaluated = |row: &String| sampled.get(&(row.clone(), on.clone())).map(Vec::as_slice);

@@ -85,7 +85,7 @@ struct Tally {
 impl Tally {
     fn sentence(&self, left: Option<Duration>) -> String {
         let Self { n_runs, n_finished, done, all } = *self;
-        let percent = if all == 0 { 100 } else { 100 * done / all };
+        let percent = (100 * done).checked_div(all).unwrap_or(100);
         let left = left.map_or(String::new(), |left| {
             let minutes = left.as_secs() / 60;
             format!(
