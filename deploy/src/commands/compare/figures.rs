@@ -54,7 +54,10 @@ fn learning(planned: &PlannedPart, stem: &str) -> anyhow::Result<Option<Drawn>> 
     let panel = |metric: &str, label: &str, range| BandPanel {
         label: label.to_owned(),
         range,
-        bands: trained.iter().map(|row| learning_band(row, metric)).collect(),
+        bands: trained
+            .iter()
+            .map(|row| learning_band(row, metric, label_of(planned, row)))
+            .collect(),
     };
     let panels = [
         panel("episodes/success", "success in training", Some([0.0, 1.0])),
@@ -75,7 +78,14 @@ fn learning(planned: &PlannedPart, stem: &str) -> anyhow::Result<Option<Drawn>> 
     Ok(Some(Drawn { file: format!("{stem}-learning.png"), caption, png }))
 }
 
-fn learning_band(row: &PlannedRow, metric: &str) -> Band {
+/// Names a row: by its title, or, where rows share it, by its name.
+fn label_of(planned: &PlannedPart, row: &PlannedRow) -> String {
+    let title = &row.row.title;
+    let n = planned.part.rows.iter().filter(|other| other.title == *title).count();
+    if n > 1 { row.row.name.replace('_', " ") } else { title.clone() }
+}
+
+fn learning_band(row: &PlannedRow, metric: &str, label: String) -> Band {
     let mut by_step: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for training in &row.trainings {
         for (steps, value) in thinned(&curve(training, metric)) {
@@ -89,7 +99,7 @@ fn learning_band(row: &PlannedRow, metric: &str) -> Band {
         let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         [steps as f64, mean(&values), low, high]
     });
-    Band { label: row.row.title.clone(), points: points.collect(), published: Vec::new() }
+    Band { label, points: points.collect(), published: Vec::new() }
 }
 
 fn curve(training: &Training, metric: &str) -> Vec<(u64, f64)> {
