@@ -11,8 +11,10 @@ use crate::config::raw::EvaluationAction;
 use crate::config::table::{Alternatives, Assignment};
 use crate::exit::EXIT_CODE_HELP;
 
+mod compare;
 mod taxonomy;
 
+pub use compare::CompareArgs;
 pub use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, TaxonomyBuildArgs, TaxonomyCommand,
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
@@ -34,7 +36,8 @@ const EXAMPLES: &str = "Examples:\n  \
     leadtime learner -c my.toml --listen tcp/0.0.0.0:7447  a learner for actors anywhere\n  \
     leadtime actor --connect tcp/HOST:7447                 one more actor, at any time\n  \
     leadtime play runs/NAME -o flight.png                  a picture of what it learned\n  \
-    leadtime config lander > my.toml                       every setting, explained";
+    leadtime config lander > my.toml                       every setting, explained\n  \
+    leadtime compare table1                                the paper's main table, ours beside it";
 
 /// The commands.
 #[derive(Debug, Subcommand)]
@@ -51,6 +54,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Draw one episode of a policy as PNG, SVG, GIF or HTML.
     Play(PlayArgs),
+    /// Make the paper's tables: train what is missing, judge every notifier on every person, write tables and figures.
+    Compare(CompareArgs),
     /// Judge a pilot of the lander.
     Pilot {
         /// What to do with it.

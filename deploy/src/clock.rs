@@ -13,6 +13,11 @@ pub fn utc_now() -> String {
     Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
+/// Returns today's date in UTC, as tables bear it: `2026-01-31`.
+pub fn utc_date() -> String {
+    Timestamp::now().strftime("%Y-%m-%d").to_string()
+}
+
 /// Returns local date and time as part of a run's name: `20260131-120000`.
 pub fn name_stamp() -> String {
     Zoned::now().strftime("%Y%m%d-%H%M%S").to_string()

@@ -12,7 +12,9 @@
 //! that killing a child kills what it started.
 
 use std::ffi::OsString;
+use std::fs::OpenOptions;
 use std::io;
+use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -45,6 +47,8 @@ pub struct Plan {
     pub actors: Vec<Vec<OsString>>,
     /// Whether the learner's results go to our standard output.
     pub learner_talks: bool,
+    /// Where the children's talk is appended, instead of on our standard error.
+    pub log: Option<PathBuf>,
 }
 
 /// Runs a plan to its end.
@@ -53,12 +57,13 @@ pub struct Plan {
 ///
 /// [`Failure`] with the learner's exit code (it has said why), or with [`ExitCode::Interrupted`].
 pub async fn supervise(plan: &Plan, shutdown: &CancellationToken) -> Result<(), Failure> {
-    let stdout = if plan.learner_talks { Output::Ours } else { Output::Nowhere };
-    let mut learner = Keeper::start("learner", &plan.learner, stdout).blame(ExitCode::Failed)?;
+    let nowhere = Output { results: false, log: plan.log.clone() };
+    let talk = Output { results: plan.learner_talks, ..nowhere.clone() };
+    let mut learner = Keeper::start("learner", &plan.learner, talk).blame(ExitCode::Failed)?;
     let mut actors = Vec::new();
     for (index, args) in plan.actors.iter().enumerate() {
         let name = format!("actor {}", index + 1);
-        actors.push(Keeper::start(&name, args, Output::Nowhere).blame(ExitCode::Failed)?);
+        actors.push(Keeper::start(&name, args, nowhere.clone()).blame(ExitCode::Failed)?);
     }
     let mut ticks = tokio::time::interval(TICK);
     let verdict = loop {
@@ -117,10 +122,20 @@ enum Role {
     Actor,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Output {
-    Ours,
-    Nowhere,
+/// Where a child's output goes.
+#[derive(Clone, Debug)]
+struct Output {
+    /// Its results go to our standard output, instead of nowhere.
+    results: bool,
+    /// Its talk goes to the end of this file, instead of to our standard error.
+    log: Option<PathBuf>,
+}
+
+impl Output {
+    fn talk(&self) -> io::Result<Stdio> {
+        let open = |path: &Path| OpenOptions::new().create(true).append(true).open(path);
+        Ok(self.log.as_deref().map(open).transpose()?.map_or_else(Stdio::inherit, Stdio::from))
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -145,7 +160,7 @@ struct Keeper {
 
 impl Keeper {
     fn start(name: &str, args: &[OsString], output: Output) -> io::Result<Self> {
-        let child = Some(Child::spawn(args, output)?);
+        let child = Some(Child::spawn(args, &output)?);
         Ok(Self {
             name: name.to_owned(),
             args: args.to_vec(),
@@ -165,7 +180,7 @@ impl Keeper {
         if let Some(at) = self.restart_at {
             if Instant::now() >= at {
                 self.restart_at = None;
-                self.child = Some(Child::spawn(&self.args, self.output)?);
+                self.child = Some(Child::spawn(&self.args, &self.output)?);
             }
             return Ok(Health::Alive);
         }
@@ -223,10 +238,10 @@ struct Child {
 }
 
 impl Child {
-    fn spawn(args: &[OsString], output: Output) -> io::Result<Self> {
+    fn spawn(args: &[OsString], output: &Output) -> io::Result<Self> {
         let mut command = Command::new(std::env::current_exe()?);
-        let stdout = if output == Output::Ours { Stdio::inherit() } else { Stdio::null() };
-        command.args(args).stdin(Stdio::piped()).stdout(stdout);
+        let stdout = if output.results { Stdio::inherit() } else { Stdio::null() };
+        command.args(args).stdin(Stdio::piped()).stdout(stdout).stderr(output.talk()?);
         let mut process = CommandWrap::from(command).wrap(ProcessGroup::leader()).spawn()?;
         let lifeline = process.stdin().take();
         Ok(Self { process, lifeline })

@@ -8,6 +8,7 @@
 //! playthrough  one episode --> SVG, PNG, GIF, and its words as a person would hear them
 //! figure       curves, histograms, shares of time --> SVG
 //! report       all of it --> one self-contained HTML file
+//! study        policies of several training seeds beside published figures --> Markdown, JSON
 //! draw         canvas, inks, typeface, axes, pixels
 //! ```
 //!
@@ -21,5 +22,6 @@ pub mod figure;
 pub mod measure;
 pub mod playthrough;
 pub mod report;
+pub mod study;
 
 pub use error::Error;

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `program` | what the commands print, draw and keep |
 //! | `bad_input` | wrong input is one sentence and a documented exit code |
+//! | `compare` | a study becomes its tables, also when it is killed on the way |
 //! | `resilience` | killing anything changes no bit; the books balance |
 //! | `supervision` | processes live and die together |
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
@@ -12,6 +13,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 mod bad_input;
+mod compare;
 mod program;
 mod resilience;
 mod rogue;

@@ -58,6 +58,8 @@ fn every_built_in_configuration_can_be_printed_and_used() {
         "highway",
         "lander",
         "lander_hard",
+        "paper_highway",
+        "paper_lander",
         "pilot",
         "steakhouse",
         "steakhouse_timing",

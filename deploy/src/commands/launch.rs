@@ -1,7 +1,7 @@
 //! A learner and actors on this machine, over a unix socket in a short temporary directory.
 
 use std::ffi::OsString;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use leadtime_proto::RunName;
@@ -29,6 +29,8 @@ pub(super) struct Launch<'a> {
     pub(super) choice: &'a RunChoice,
     /// Whether the learner's results go to standard output.
     pub(super) learner_talks: bool,
+    /// Where the processes' talk is appended, instead of on standard error.
+    pub(super) log: Option<PathBuf>,
 }
 
 /// Runs learner and actors as child processes until the learner ends.
@@ -88,5 +90,6 @@ fn plan(config: &Config, launch: &Launch<'_>, directory: &Path) -> anyhow::Resul
         text(&["actor", "--supervised", "--connect", &endpoint, "--id", &id])
     };
     let actors = (1..=launch.n_actors).map(actor).collect();
-    Ok(Plan { learner, actors, learner_talks: launch.learner_talks })
+    let (learner_talks, log) = (launch.learner_talks, launch.log.clone());
+    Ok(Plan { learner, actors, learner_talks, log })
 }

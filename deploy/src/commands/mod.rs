@@ -2,6 +2,7 @@
 
 mod actor;
 mod check;
+mod compare;
 mod config;
 mod conformance;
 mod dispatch;

@@ -49,6 +49,7 @@ pub(super) async fn run(program: &Program, args: &SmokeArgs) -> Result<(), Failu
         listen: &[],
         choice: &choice,
         learner_talks: false,
+        log: None,
     };
     launch(&config, &what, &shutdown).await?;
     let directory = config.run.directory.join(name.as_str());

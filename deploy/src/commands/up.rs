@@ -20,6 +20,7 @@ pub(super) async fn run(program: &Program, args: &UpArgs) -> Result<(), Failure>
         listen: &args.listen,
         choice: &args.run,
         learner_talks: true,
+        log: None,
     };
     launch(&config, &what, &shutdown).await
 }

@@ -8,12 +8,14 @@ use toml::Table;
 use super::table::overlay;
 
 /// Files that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 8] = [
+const BUILT_IN: [(&str, &str); 10] = [
     ("cartpole", include_str!("../../configs/cartpole.toml")),
     ("cue_recall", include_str!("../../configs/cue_recall.toml")),
     ("highway", include_str!("../../configs/highway.toml")),
     ("lander", include_str!("../../configs/lander.toml")),
     ("lander_hard", include_str!("../../configs/lander_hard.toml")),
+    ("paper_highway", include_str!("../../configs/paper_highway.toml")),
+    ("paper_lander", include_str!("../../configs/paper_lander.toml")),
     ("pilot", include_str!("../../configs/pilot.toml")),
     ("steakhouse", include_str!("../../configs/steakhouse.toml")),
     ("steakhouse_timing", include_str!("../../configs/steakhouse_timing.toml")),

@@ -8,7 +8,7 @@
 //! are made and written again.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write as _};
+use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
@@ -78,12 +78,46 @@ pub fn read(run_directory: &Path) -> io::Result<Vec<Map<String, Value>>> {
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
 }
 
+/// The longest end of a journal that is read to find its last line, in bytes.
+const TAIL: u64 = 16_384;
+
+/// Returns the steps of a run's last update; 0 before the first.
+pub fn last_steps(run_directory: &Path) -> u64 {
+    let line = tail(run_directory).unwrap_or_default();
+    line.get("steps").and_then(Value::as_u64).unwrap_or(0)
+}
+
+fn tail(run_directory: &Path) -> io::Result<Map<String, Value>> {
+    let mut file = File::open(run_directory.join("metrics.jsonl"))?;
+    let length = file.metadata()?.len();
+    file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
+    let mut bytes = Vec::new();
+    file.take(TAIL).read_to_end(&mut bytes)?;
+    let text = String::from_utf8_lossy(&bytes);
+    let last = text.lines().rev().find_map(|line| serde_json::from_str(line).ok());
+    Ok(last.unwrap_or_default())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn line(update: u64) -> Map<String, Value> {
         Map::from_iter([("update".to_owned(), Value::from(update))])
+    }
+
+    #[test]
+    fn the_last_whole_line_tells_how_far_a_run_is() {
+        let dir = tempfile::tempdir().unwrap();
+        assert_eq!(last_steps(dir.path()), 0);
+        let mut journal = Journal::open(dir.path()).unwrap();
+        for update in 1..=600 {
+            let mut whole = line(update);
+            whole.insert("steps".to_owned(), (update * 128).into());
+            journal.append(whole).unwrap();
+        }
+        journal.file.write_all(b"{\"update\": 601, \"ste").unwrap();
+        assert_eq!(last_steps(dir.path()), 600 * 128);
     }
 
     #[test]

@@ -136,16 +136,19 @@ fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
 }
 
 fn draw_legend(canvas: &mut Canvas, frame: &Panel, panel: &CurvePanel) {
+    let labels: Vec<&str> = panel.series.iter().map(|series| series.label.as_str()).collect();
+    draw_legend_of(canvas, frame, &labels);
+}
+
+/// Writes the names of a panel's series above it, from the right; an empty one is left out.
+pub(super) fn draw_legend_of(canvas: &mut Canvas, frame: &Panel, labels: &[&str]) {
     let mut x = frame.area.right();
-    for (i, series) in panel.series.iter().enumerate().rev() {
-        if series.label.is_empty() {
-            continue;
-        }
-        x -= text_width(&series.label, 11.5, Weight::Regular) + 34.0;
+    for (i, label) in labels.iter().enumerate().rev().filter(|(_, label)| !label.is_empty()) {
+        x -= text_width(label, 11.5, Weight::Regular) + 34.0;
         let y = frame.area.y - 8.0;
         let ends = [[x, y - 4.0], [x + 16.0, y - 4.0]];
         canvas.line(&ends, Paint::stroke(Ink::series(i), 2.5));
-        canvas.text([x + 22.0, y], &series.label, TextStyle::new(11.5, Ink::Text));
+        canvas.text([x + 22.0, y], label, TextStyle::new(11.5, Ink::Text));
     }
 }
 

@@ -7,6 +7,9 @@ use super::episodes::Evaluation;
 use super::summary::{self, Summary};
 use super::table::Table;
 
+/// Index of the draws for differences: one that no mean uses.
+const DIFFERENCE: u64 = u32::MAX as u64;
+
 /// How one measure of two players differs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
@@ -30,9 +33,27 @@ impl Difference {
         bootstrap: &Bootstrap,
     ) -> Option<Self> {
         let (a, b) = (summary::values(of, measure), summary::values(minus, measure));
-        // An index that no mean uses: a difference has draws of its own.
-        let interval = bootstrap.difference(&a, &b, u64::from(u32::MAX))?;
+        let interval = bootstrap.difference(&a, &b, DIFFERENCE)?;
         let (of, minus) = (of.player.clone(), minus.player.clone());
+        Some(Self { measure: measure.to_owned(), of, minus, interval })
+    }
+
+    /// Computes `of - minus` over the evaluations of several training seeds each; intervals resample seeds, then
+    /// episodes. `None` if the measure is undefined for one of them.
+    pub fn over_seeds(
+        of: (&str, &[Evaluation]),
+        minus: (&str, &[Evaluation]),
+        measure: &str,
+        bootstrap: &Bootstrap,
+    ) -> Option<Self> {
+        let values = |evaluations: &[Evaluation]| -> Vec<Vec<f64>> {
+            evaluations.iter().map(|e| summary::values(e, measure)).collect()
+        };
+        let (a, b) = (values(of.1), values(minus.1));
+        let a: Vec<&[f64]> = a.iter().map(Vec::as_slice).collect();
+        let b: Vec<&[f64]> = b.iter().map(Vec::as_slice).collect();
+        let interval = bootstrap.hierarchical_difference(&a, &b, DIFFERENCE)?;
+        let (of, minus) = (of.0.to_owned(), minus.0.to_owned());
         Some(Self { measure: measure.to_owned(), of, minus, interval })
     }
 

@@ -77,6 +77,20 @@ impl Evaluation {
         let place = self.metrics.iter().position(|metric| metric == name)?;
         Some(self.episodes.iter().map(|episode| f64::from(episode.metrics[place])).collect())
     }
+
+    /// Adds a metric that is computed from the episodes afterwards; a value that is no number is undefined.
+    ///
+    /// # Shapes
+    ///
+    /// `values`: one per episode; an episode without one has none.
+    pub fn with_column(mut self, name: &str, values: &[f32]) -> Self {
+        self.metrics.push(name.to_owned());
+        let values = values.iter().copied().chain(std::iter::repeat(f32::NAN));
+        for (episode, value) in self.episodes.iter_mut().zip(values) {
+            episode.metrics.push(value);
+        }
+        self
+    }
 }
 
 /// Names the streams of the `index`-th episode of an evaluation.

@@ -7,6 +7,7 @@
 
 mod compare;
 mod episodes;
+mod lead;
 mod player;
 mod summary;
 mod table;
@@ -16,6 +17,8 @@ pub use compare::{Comparison, Difference};
 pub use episodes::{
     Episode, EvaluateSettings, Evaluation, MakeEnvironment, episode_seed, evaluate,
 };
+pub(crate) use lead::hazards;
+pub use lead::lead_times;
 pub(crate) use player::Acting;
 pub use player::{Choice, Player};
 pub use summary::{Measure, Summary, title};

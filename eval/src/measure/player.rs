@@ -65,6 +65,11 @@ impl Player {
         Self { name: script.to_owned(), kind }
     }
 
+    /// Gives the player another name.
+    pub fn named(self, name: &str) -> Self {
+        Self { name: name.to_owned(), ..self }
+    }
+
     /// Returns the name that tables give the player.
     pub fn name(&self) -> &str {
         &self.name

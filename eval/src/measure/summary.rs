@@ -3,38 +3,41 @@
 //! A rate that an episode leaves undefined (the share of notifications followed, where there was none) is no zero:
 //! that episode does not count for the rate, and `n` says how many did.
 
-use leadtime_numerics::stats::{Bootstrap, Interval, standard_deviation};
+use leadtime_numerics::stats::{Bootstrap, Interval, mean, standard_deviation};
 use serde::{Deserialize, Serialize};
 
 use super::episodes::Evaluation;
 
 /// Rates that are made from two counts: name, numerator, denominator.
-const RATES: [(&str, &str, &str); 4] = [
+const RATES: [(&str, &str, &str); 5] = [
     ("followed_of_initiated", "followed", "notifications"),
     ("followed_of_comprehended", "followed", "comprehended"),
     ("long_rate", "long_notifications", "notifications"),
     ("preempted_rate", "preempted", "notifications"),
+    ("overwritten_rate", "overwritten", "comprehended"),
 ];
 
 /// Means that need at least one notification to be defined.
-const MEANS: [&str; 2] = ["mean_k", "mean_l"];
+const MEANS: [&str; 3] = ["mean_k", "mean_l", "first_notification"];
 
 /// What comes first in a table; everything else follows in the task's order.
-const ORDER: [&str; 10] = [
+const ORDER: [&str; 11] = [
     "success",
     "notifications_per_step",
     "notifications",
     "followed_of_initiated",
     "followed_of_comprehended",
     "preempted_rate",
+    "overwritten_rate",
     "long_rate",
     "enter_danger",
     "return",
     "length",
 ];
 
-/// Counts whose rates say more.
-const HIDDEN: [&str; 3] = ["followed", "long_notifications", "preempted"];
+/// Counts whose rates say more, and what is only an ingredient.
+const HIDDEN: [&str; 5] =
+    ["followed", "long_notifications", "preempted", "overwritten", "danger_from"];
 
 /// One number about a player, with its uncertainty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,6 +50,16 @@ pub struct Measure {
     pub interval: Option<Interval>,
     /// Standard deviation over episodes; `None` for fewer than two.
     pub standard_deviation: Option<f64>,
+    /// The mean of each evaluation (training seed) in which it was defined.
+    #[serde(default)]
+    pub by_seed: Vec<f64>,
+}
+
+impl Measure {
+    /// Returns the standard deviation of the training seeds' means; `None` for fewer than two.
+    pub fn deviation_over_seeds(&self) -> Option<f64> {
+        (self.by_seed.len() >= 2).then(|| standard_deviation(&self.by_seed))
+    }
 }
 
 /// All measures of one player.
@@ -97,7 +110,9 @@ fn measure(name: String, values: &[Vec<f64>], bootstrap: &Bootstrap, index: u64)
     };
     let all = values.concat();
     let deviation = (all.len() >= 2).then(|| standard_deviation(&all));
-    Measure { name, n: all.len(), interval, standard_deviation: deviation }
+    let by_seed = groups.iter().filter(|group| !group.is_empty()).map(|group| mean(group));
+    let by_seed = by_seed.collect();
+    Measure { name, n: all.len(), interval, standard_deviation: deviation, by_seed }
 }
 
 /// Lists what can be said about an evaluation, most telling first.
@@ -151,11 +166,20 @@ pub fn title(name: &str) -> String {
         "followed_of_initiated" => "follow-through, of initiated",
         "followed_of_comprehended" => "follow-through, of comprehended",
         "preempted_rate" => "preempted, of initiated",
+        "overwritten_rate" => "overwritten, of comprehended",
         "long_rate" => "long notifications, of initiated",
         "enter_danger" => "enters danger",
         "length" => "length (steps)",
         "mean_k" => "mean comprehension time k",
         "mean_l" => "mean conveyance time l",
+        "first_notification" => "first notification (step)",
+        "lead_time" => "lead time before the unaided hazard (steps)",
+        "first_l" => "conveyance time l of the first message",
+        "later_l" => "mean l of later messages",
+        "per_step_before_hazard" => "notifications per step before the unaided hazard",
+        "per_step_after_hazard" => "notifications per step after it",
+        "hardest_braking" => "hardest braking (m/s²)",
+        "jerk" => "jerk, root mean square (m/s³)",
         other => return other.replace('_', " "),
     };
     known.to_owned()
@@ -239,6 +263,9 @@ mod tests {
         let both = [evaluation(&ROWS), short];
         let summary = Summary::over_seeds("p", &both, &Bootstrap::new(3));
         assert_eq!((summary.n_seeds, summary.n_episodes), (2, 5));
+        let success = summary.get("success").unwrap();
+        assert_eq!(success.by_seed, [0.75, 0.0]);
+        assert!((success.deviation_over_seeds().unwrap() - 0.75 / 2.0_f64.sqrt()).abs() < 1e-12);
         assert_eq!(summary.get("success").unwrap().interval.unwrap().estimate, 0.375);
     }
 }

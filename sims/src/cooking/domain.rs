@@ -220,6 +220,7 @@ impl Cooking {
         message.conveyance >= from
     }
 
+    /// Informs, in as few words as disclose.
     fn inform(&self) -> Message {
         let words = self.settings.inform_discloses_from;
         Message { topic: INFORM, comprehension: words, conveyance: words }

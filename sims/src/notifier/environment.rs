@@ -17,7 +17,7 @@ use crate::scene::{Listener, Scene, Speech};
 use crate::{Domain, Message};
 
 /// The notifier's own metrics; `success` first, and the domain's follow.
-const METRICS: [&str; 16] = [
+const METRICS: [&str; 17] = [
     "success",
     "notifications",
     "notifications_per_step",
@@ -34,6 +34,7 @@ const METRICS: [&str; 16] = [
     "continued",
     "mean_k",
     "mean_l",
+    "first_notification",
 ];
 
 /// No episode of a notifier is longer.
@@ -43,6 +44,8 @@ const MAX_STEPS: u32 = 1 << 30;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct LastStep {
     n_steps: u32,
+    /// In the how-manieth step the episode's first message started; 0 before it.
+    first_start: u32,
     started: bool,
     reacting: Option<usize>,
 }
@@ -144,9 +147,12 @@ impl<D: Domain> NotifierEnv<D> {
         let reacted = self.human.acted(advance.reaction);
         self.tell_reaction_over();
         self.hear_word();
+        let (n_steps, started) = (self.last.n_steps + 1, initiation == Initiation::Started);
+        let is_first = started && self.last.first_start == 0;
         self.last = LastStep {
-            n_steps: self.last.n_steps + 1,
-            started: initiation == Initiation::Started,
+            n_steps,
+            first_start: if is_first { n_steps } else { self.last.first_start },
+            started,
             reacting: reaction.map(|reaction| reaction.topic),
         };
         self.remember(order, initiation);
@@ -265,6 +271,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             tally.continued as f32,
             share(tally.sum_k, tally.started),
             share(tally.sum_l, tally.started),
+            self.last.first_start as f32,
         ];
         let (notifier, domain) = out.split_at_mut(METRICS.len());
         notifier.copy_from_slice(&own);
@@ -287,7 +294,8 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             return Err(SnapshotError::Mismatch { what: "topics or words" });
         }
         let finite = snapshot.history.iter().all(|value| value.is_finite());
-        let counts_on = snapshot.last.n_steps < MAX_STEPS;
+        let LastStep { n_steps, first_start, .. } = snapshot.last;
+        let counts_on = n_steps < MAX_STEPS && first_start <= n_steps;
         if !finite || !counts_on || !self.history.restore(&snapshot.history) {
             return Err(SnapshotError::Mismatch { what: "history" });
         }

@@ -282,6 +282,16 @@ fn baselines_speak_or_keep_silent() {
     env.baseline_action("heuristic", &mut action);
     assert_eq!(action, SILENT, "it waits until it is understood");
     assert!(!env.baseline_action("oracle", &mut action));
+    assert_eq!(env.baselines(), ["unaided", "heuristic"], "there is nothing to inform about");
+}
+
+#[test]
+fn the_first_start_is_remembered_as_its_step() {
+    let mut env = default_env();
+    play(&mut env, &[SILENT, SILENT]);
+    assert_eq!(metric(&env, "first_notification"), 0.0);
+    play(&mut env, &[SILENT, SILENT, [1, 0, 0, 0], SILENT, SILENT, SILENT, [1, 0, 0, 0]]);
+    assert_eq!(metric(&env, "first_notification"), 3.0);
 }
 
 #[test]

@@ -35,6 +35,8 @@ struct Progress {
     outcome: Option<Outcome>,
     timed_out: bool,
     entered: bool,
+    /// The how-manieth step was the first one in a zone; 0 before it.
+    entered_at: u32,
     zone_steps: u32,
     fuel: f64,
 }
@@ -238,6 +240,9 @@ impl Domain for Piloting {
         let frames = self.fly(reaction);
         let zone_cost = self.zone_cost(frames.inside);
         self.progress.n_steps += 1;
+        if frames.inside && !self.progress.entered {
+            self.progress.entered_at = self.progress.n_steps;
+        }
         self.progress.entered |= frames.inside;
         self.progress.zone_steps += u32::from(frames.inside);
         self.progress.fuel += frames.fuel;
@@ -270,6 +275,7 @@ impl Domain for Piloting {
             "crashed",
             "out",
             "timed_out",
+            "danger_from",
             "danger_steps",
             "fuel",
         ]
@@ -291,7 +297,8 @@ impl Domain for Piloting {
         for (out, flag) in yes_or_no.iter_mut().zip(flags) {
             *out = f32::from(u8::from(flag));
         }
-        amounts.copy_from_slice(&[progress.zone_steps as f32, progress.fuel as f32]);
+        let (from, steps) = (progress.entered_at as f32, progress.zone_steps as f32);
+        amounts.copy_from_slice(&[from, steps, progress.fuel as f32]);
     }
 
     fn snapshot(&self, out: &mut Vec<u8>) {
@@ -308,8 +315,9 @@ impl Domain for Piloting {
         if !right_number || !snapshot.zones.iter().all(Zone::is_proper) {
             return Err(SnapshotError::Mismatch { what: "danger zones" });
         }
-        let Progress { n_steps, zone_steps, fuel, .. } = snapshot.progress;
-        if n_steps > self.settings.max_steps || zone_steps > n_steps || !fuel.is_finite() {
+        let Progress { n_steps, entered_at, zone_steps, fuel, .. } = snapshot.progress;
+        let counts = entered_at.max(zone_steps) <= n_steps && n_steps <= self.settings.max_steps;
+        if !counts || !fuel.is_finite() {
             return Err(SnapshotError::Mismatch { what: "progress" });
         }
         self.lander.restore(&snapshot.lander)?;

@@ -1,0 +1,78 @@
+//! The studies that come with the program.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context as _;
+
+use super::study::Study;
+
+/// Name and text, in the order in which `all` carries them out.
+const BUILT_IN: [(&str, &str); 5] = [
+    ("table1", include_str!("../../../studies/table1.toml")),
+    ("robustness", include_str!("../../../studies/robustness.toml")),
+    ("types", include_str!("../../../studies/types.toml")),
+    ("hard", include_str!("../../../studies/hard.toml")),
+    ("steakhouse", include_str!("../../../studies/steakhouse.toml")),
+];
+
+/// The word for every study that comes with the program.
+const ALL: &str = "all";
+
+/// A study with the name that its files bear.
+#[derive(Clone, Debug)]
+pub(super) struct Named {
+    /// The name.
+    pub(super) name: String,
+    /// The study.
+    pub(super) study: Study,
+}
+
+/// Lists the names of the studies that come with the program.
+pub(super) fn names() -> impl Iterator<Item = &'static str> {
+    BUILT_IN.iter().map(|(name, _)| *name)
+}
+
+/// Finds studies: one by name, all of them, or the one in a file.
+///
+/// # Errors
+///
+/// One sentence: what there is no study of, or what is wrong with it.
+pub(super) fn find(name: &str) -> anyhow::Result<Vec<Named>> {
+    if name == ALL {
+        return names().map(built_in).collect();
+    }
+    if names().any(|known| known == name) {
+        return Ok(vec![built_in(name)?]);
+    }
+    let path = Path::new(name);
+    let is_file = path.extension().is_some_and(|extension| extension == "toml");
+    let known = names().collect::<Vec<_>>().join(", ");
+    anyhow::ensure!(is_file, "there is no study `{name}`; known: {known}, {ALL}, or a .toml file");
+    let text = fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    let study = Study::parse(&text).with_context(|| format!("study {}", path.display()))?;
+    let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    Ok(vec![Named { name: stem.to_owned(), study }])
+}
+
+fn built_in(name: &str) -> anyhow::Result<Named> {
+    let text = BUILT_IN.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| *text);
+    let study = Study::parse(text).with_context(|| format!("study {name}"))?;
+    Ok(Named { name: name.to_owned(), study })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_study_that_comes_with_the_program_is_sound() {
+        assert_eq!(find(ALL).unwrap().len(), BUILT_IN.len());
+    }
+
+    #[test]
+    fn an_unknown_study_is_told_with_those_there_are() {
+        let error = find("table9").unwrap_err().to_string();
+        assert!(error.contains("`table9`") && error.contains("table1, robustness"), "{error}");
+    }
+}

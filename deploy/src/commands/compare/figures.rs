@@ -1,0 +1,184 @@
+//! The figures of a part: learning curves over training seeds, curves over people, playthroughs of the same episode.
+
+use std::collections::BTreeMap;
+
+use leadtime_eval::draw::Rasterizer;
+use leadtime_eval::figure::{Band, BandPanel, bands, sheet};
+use leadtime_eval::measure::{Choice, title};
+use leadtime_eval::study::{Layout, PartResult};
+use leadtime_numerics::stats::mean;
+
+use super::judging::Judge;
+use super::plan::{PlannedPart, PlannedRow, Training, seeds};
+use super::write::Drawn;
+use crate::commands::judge;
+use crate::config::raw::EvaluationAction;
+use crate::progress::journal;
+
+/// Pixels per unit.
+const SCALE: f32 = 1.5;
+/// Pixels per unit of a sheet of playthroughs, which are large.
+const SHEET_SCALE: f32 = 1.0;
+/// Playthroughs side by side.
+const COLUMNS: usize = 2;
+/// Points of a learning curve.
+const POINTS: usize = 60;
+
+/// Draws a part's figures; `stem` begins their files' names.
+///
+/// # Errors
+///
+/// A policy that cannot be read, or a picture that cannot be made.
+pub(super) fn draw(
+    judge: &Judge<'_>,
+    planned: &PlannedPart,
+    part: &PartResult,
+    stem: &str,
+) -> anyhow::Result<Vec<Drawn>> {
+    let mut drawn = Vec::new();
+    drawn.extend(learning(planned, stem)?);
+    if part.layout == Layout::Grid {
+        drawn.push(over_people(planned, part, stem)?);
+    }
+    drawn.extend(playthroughs(judge, planned, stem)?);
+    Ok(drawn)
+}
+
+/// Draws training success and return of every trained row.
+fn learning(planned: &PlannedPart, stem: &str) -> anyhow::Result<Option<Drawn>> {
+    let trained: Vec<&PlannedRow> =
+        planned.rows.iter().filter(|row| !row.trainings.is_empty()).collect();
+    if trained.is_empty() {
+        return Ok(None);
+    }
+    let panel = |metric: &str, label: &str, range| BandPanel {
+        label: label.to_owned(),
+        range,
+        bands: trained
+            .iter()
+            .map(|row| learning_band(row, metric, label_of(planned, row)))
+            .collect(),
+    };
+    let panels = [
+        panel("episodes/success", "success in training", Some([0.0, 1.0])),
+        panel("episodes/return", "return in training", None),
+    ];
+    let heading = format!("{}: learning", planned.part.title);
+    let svg = bands("learning", &heading, ("environment steps", 7), &panels);
+    let n_seeds = trained.iter().map(|row| row.trainings.len()).max().unwrap_or(0);
+    let spread = match n_seeds {
+        1 => "one training seed".to_owned(),
+        n => format!("mean of {n} training seeds, band from the lowest to the highest"),
+    };
+    let caption = format!(
+        "{}: success and return of the last 100 training episodes, each notifier on the person it trains with; {spread}",
+        planned.part.title
+    );
+    let png = Rasterizer::new().png(&svg, SCALE)?;
+    Ok(Some(Drawn { file: format!("{stem}-learning.png"), caption, png }))
+}
+
+/// Names a row: by its title, or, where rows share it, by its name.
+fn label_of(planned: &PlannedPart, row: &PlannedRow) -> String {
+    let title = &row.row.title;
+    let n = planned.part.rows.iter().filter(|other| other.title == *title).count();
+    if n > 1 { row.row.name.replace('_', " ") } else { title.clone() }
+}
+
+fn learning_band(row: &PlannedRow, metric: &str, label: String) -> Band {
+    let mut by_step: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
+    for training in &row.trainings {
+        for (steps, value) in thinned(&curve(training, metric)) {
+            by_step.entry(steps).or_default().push(value);
+        }
+    }
+    // Only where every seed has a value: a mean over other seeds is another mean.
+    let whole = by_step.into_iter().filter(|(_, values)| values.len() == row.trainings.len());
+    let points = whole.map(|(steps, values)| {
+        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        [steps as f64, mean(&values), low, high]
+    });
+    Band { label, points: points.collect(), published: Vec::new() }
+}
+
+fn curve(training: &Training, metric: &str) -> Vec<(u64, f64)> {
+    let lines = journal::read(&training.directory()).unwrap_or_default();
+    lines
+        .iter()
+        .filter_map(|l| Some((l.get("steps")?.as_u64()?, l.get(metric)?.as_f64()?)))
+        .collect()
+}
+
+/// Keeps some `POINTS` points; which ones depends only on the number of updates, so seeds agree.
+fn thinned(points: &[(u64, f64)]) -> Vec<(u64, f64)> {
+    let n_updates = points.last().map_or(0, |last| last.0);
+    let every = (n_updates / POINTS as u64).max(1);
+    let mut kept: Vec<(u64, f64)> = Vec::new();
+    for &(steps, value) in points {
+        if kept.last().is_none_or(|last| steps / every > last.0 / every) {
+            kept.push((steps, value));
+        }
+    }
+    kept
+}
+
+/// Draws every measure of the main table over the people on whom policies were judged.
+fn over_people(planned: &PlannedPart, part: &PartResult, stem: &str) -> anyhow::Result<Drawn> {
+    let people = &planned.part.evaluations;
+    let number = |name: &str| name.trim_start_matches(|c: char| !c.is_ascii_digit()).parse().ok();
+    let panels = part.columns.iter().map(|measure| {
+        let lines = part.rows.chunk_by(|a, b| a.title == b.title).map(|rows| {
+            let mut band = Band { label: rows[0].title.clone(), ..Band::default() };
+            for (i, person) in people.iter().enumerate() {
+                let x = number(&person.name).unwrap_or(i as f64);
+                let judged = rows.iter().find_map(|row| row.judged(&person.name, Choice::Sample));
+                let measured = judged.and_then(|judged| judged.summary.get(measure)?.interval);
+                band.points.extend(measured.map(|i| [x, i.estimate, i.low, i.high]));
+                let said = rows.iter().find_map(|row| row.published(Some(&person.name), measure));
+                band.published.extend(said.map(|published| [x, published.mean]));
+            }
+            band
+        });
+        let range = (measure == "success").then_some([0.0, 1.0]);
+        BandPanel { label: title(measure), range, bands: lines.collect() }
+    });
+    let panels: Vec<BandPanel> = panels.collect();
+    let heading = format!("{}: ours (solid, with interval), the paper's (dashed)", part.title);
+    let axis = (planned.part.axis.as_str(), people.len().max(2));
+    let png = Rasterizer::new().png(&bands("people", &heading, axis, &panels), SCALE)?;
+    let caption =
+        format!("{}: ours as solid lines with 95 % intervals, the paper's dashed", part.title);
+    Ok(Drawn { file: format!("{stem}-people.png"), caption, png })
+}
+
+/// Draws the first evaluation episode of the first training seed for every row, on the person that the study names.
+fn playthroughs(
+    judge: &Judge<'_>,
+    planned: &PlannedPart,
+    stem: &str,
+) -> anyhow::Result<Option<Drawn>> {
+    let Some(person) = &planned.part.pictured_on else { return Ok(None) };
+    let seed = judge.args.eval_seed + seeds(judge.args).first().copied().unwrap_or(0);
+    let mut pictures = Vec::new();
+    for (i, row) in planned.rows.iter().enumerate() {
+        let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));
+        let players = judge.players(row, EvaluationAction::Sample)?;
+        let (Some(on), Some(player)) = (on, players.first()) else { continue };
+        let player = player.clone().named(&row.row.title);
+        let voice = judge::shipped_voice(judge.program, &on.config);
+        let played = judge::record(judge.program, &on.config, &player, voice.as_ref(), (seed, 0))?;
+        pictures.push(played.svg(&format!("{stem}-{i}")));
+    }
+    if pictures.is_empty() {
+        return Ok(None);
+    }
+    let named = planned.part.evaluations.iter().find(|known| known.name == *person);
+    let caption = format!(
+        "{}: the same episode (the first one of seed {seed}, not chosen) with each notifier, on: {}",
+        planned.part.title,
+        named.map_or("", |person| &person.title)
+    );
+    let png = Rasterizer::new().png(&sheet(&caption, &pictures, COLUMNS), SHEET_SCALE)?;
+    Ok(Some(Drawn { file: format!("{stem}-playthroughs.png"), caption, png }))
+}

@@ -1,0 +1,109 @@
+//! Where a study's numbers are from.
+
+use anyhow::Context as _;
+use leadtime_eval::report::Fact;
+use leadtime_eval::study::TrainedRun;
+
+use super::configure;
+use super::plan::{Plan, PlannedPart, Training, seeds};
+use super::study::WhichPolicy;
+use crate::cli::CompareArgs;
+use crate::progress::journal;
+use crate::record::RunRecord;
+use crate::{build_id, clock, cpu};
+
+/// Digits of a weights' digest.
+const DIGEST_DIGITS: usize = 12;
+
+/// Names a part's profile and how it was chosen.
+pub(super) fn profile(planned: &PlannedPart) -> String {
+    let mut text = format!("`{}`", planned.profile.name);
+    if planned.profile.name == planned.part.profile && !planned.part.note.is_empty() {
+        text = format!("{text}, {}", planned.part.note.trim_end_matches('.'));
+    }
+    text
+}
+
+/// Tells where a finished run comes from.
+///
+/// # Errors
+///
+/// A record that cannot be read, or a run that is not finished.
+pub(super) fn run(training: &Training) -> anyhow::Result<TrainedRun> {
+    let directory = training.directory();
+    let record = RunRecord::read(&directory.join("run.json"))?;
+    let result = record.result.with_context(|| format!("run {} is not finished", training.name))?;
+    let commit = record.commit.map_or(String::new(), |commit| format!(" {}", cut(&commit)));
+    Ok(TrainedRun {
+        name: training.name.to_string(),
+        seed: training.config.seed,
+        configuration: training.hash.clone(),
+        steps: result.steps,
+        minutes: minutes(training),
+        weights: cut(&result.weights_sha256),
+        reproducible: result.reproducible,
+        program: format!("{}{commit}", record.version),
+    })
+}
+
+/// Adds up the time of every update: pauses of an interrupted run do not count.
+fn minutes(training: &Training) -> f64 {
+    let lines = journal::read(&training.directory()).unwrap_or_default();
+    let mut steps = 0.0;
+    let mut seconds = 0.0;
+    for line in lines {
+        let now = line.get("steps").and_then(serde_json::Value::as_f64).unwrap_or(steps);
+        let speed = line.get("system/steps_per_second").and_then(serde_json::Value::as_f64);
+        if let Some(speed) = speed.filter(|speed| *speed > 0.0) {
+            seconds += (now - steps) / speed;
+        }
+        steps = now;
+    }
+    seconds / 60.0
+}
+
+fn cut(digest: &str) -> String {
+    digest.chars().take(DIGEST_DIGITS).collect()
+}
+
+/// Lists where a study's numbers are from.
+///
+/// # Errors
+///
+/// As [`build_id::fingerprint`].
+pub(super) fn facts(
+    plan: &Plan,
+    args: &CompareArgs,
+    runs: &[TrainedRun],
+    command: &str,
+) -> anyhow::Result<Vec<Fact>> {
+    let steps: u64 = runs.iter().map(|run| run.steps).sum();
+    let minutes: f64 = runs.iter().map(|run| run.minutes).sum();
+    let seeds: Vec<String> = seeds(args).iter().map(u64::to_string).collect();
+    let profiles = plan.parts.iter().map(|part| {
+        let hash = configure::hash(&part.profile.table);
+        format!("{} `{}` ({hash})", part.part.name, part.profile.name)
+    });
+    let judged = match plan.named.study.judged {
+        WhichPolicy::Last => "the one at the end of training",
+        WhichPolicy::Best => "the one with the best mean success over 100 training episodes",
+    };
+    let commit = build_id::COMMIT.map_or("unknown", |commit| commit);
+    Ok(vec![
+        Fact::new("command", format!("`{command}`")),
+        Fact::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
+        Fact::new("training seeds", seeds.join(", ")),
+        Fact::new(
+            "evaluation",
+            format!(
+                "{} episodes per training seed, under seed {} + training seed, the same for every notifier",
+                args.episodes, args.eval_seed
+            ),
+        ),
+        Fact::new("judged policy", judged),
+        Fact::new("training", format!("{} runs, {steps} steps, {minutes:.1} minutes", runs.len())),
+        Fact::new("program", format!("{}, commit {commit}", build_id::fingerprint()?)),
+        Fact::new("processor", cpu::fingerprint()),
+        Fact::new("date", clock::utc_date()),
+    ])
+}

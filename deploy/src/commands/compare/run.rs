@@ -1,0 +1,134 @@
+//! The way through: plan, train, judge, write.
+
+use anyhow::Context as _;
+use leadtime_eval::study::{StudyResult, TrainedRun};
+use tokio_util::sync::CancellationToken;
+
+use super::judging::{Judge, bootstrap};
+use super::plan::{self, Plan, Training};
+use super::progress::Progress;
+use super::train::train;
+use super::write::Place;
+use super::{catalog, figures, provenance};
+use crate::cli::CompareArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::shutdown::{Watch, watch};
+use crate::{Program, output};
+
+/// Carries the command out.
+///
+/// # Errors
+///
+/// [`Failure`] with the exit code that the program should end with.
+pub(in crate::commands) async fn run(program: &Program, args: &CompareArgs) -> Result<(), Failure> {
+    let Some(name) = &args.study else { return list().blame(ExitCode::Failed) };
+    let studies = catalog::find(name).blame(ExitCode::WrongInput)?;
+    plan::check_choice(&studies, args).blame(ExitCode::WrongInput)?;
+    let plans = studies.into_iter().map(|named| Plan::new(program, named, args));
+    let mut plans = plans.collect::<anyhow::Result<Vec<_>>>().blame(ExitCode::WrongInput)?;
+    let trainings = plan::share(&mut plans);
+    if args.plan {
+        show(&trainings);
+        return Ok(());
+    }
+    let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let mut progress = Progress::new(trainings);
+    let place = Place::new(args);
+    for plan in &plans {
+        train(&plan.trainings(), args, &mut progress, &shutdown).await?;
+        output::say(&format!("judging {}", plan.named.name));
+        let result = judge(program, plan, args, &place, &shutdown)?;
+        place.write(&result).blame(ExitCode::WrongInput)?;
+    }
+    place.write_index().blame(ExitCode::WrongInput)
+}
+
+/// Lists studies and rows.
+fn list() -> anyhow::Result<()> {
+    for name in catalog::names() {
+        for named in catalog::find(name)? {
+            output::line(&format!("{name}: {}", named.study.title));
+            for part in &named.study.parts {
+                let rows: Vec<&str> = part.rows.iter().map(|row| row.name.as_str()).collect();
+                output::line(&format!("    {}: {}", part.name, rows.join(", ")));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Lists trainings and how far they are.
+fn show(trainings: &[Training]) {
+    let mut left = 0;
+    for training in trainings {
+        let [done, all] = training.steps();
+        let state = match (training.is_finished(), done) {
+            (true, _) => "finished",
+            (false, 0) => "to do",
+            (false, _) => "begun",
+        };
+        left += all - done;
+        output::line(&format!("{state:<8}  {done:>9} of {all} steps  {}", training.name));
+    }
+    output::line(&format!("{} trainings, {left} steps to go", trainings.len()));
+}
+
+fn judge(
+    program: &Program,
+    plan: &Plan,
+    args: &CompareArgs,
+    place: &Place,
+    shutdown: &CancellationToken,
+) -> Result<StudyResult, Failure> {
+    let mut judge = Judge::new(program, args, plan.named.study.judged, shutdown);
+    let mut parts = Vec::new();
+    for planned in &plan.parts {
+        let mut part = judge.part(planned)?;
+        let stem = format!("{}-{}", plan.named.name, part.name);
+        let drawn = figures::draw(&judge, planned, &part, &stem)?;
+        part.pictures = place.write_pictures(drawn).blame(ExitCode::WrongInput)?;
+        parts.push(part);
+    }
+    let mut runs: Vec<TrainedRun> = Vec::new();
+    for training in plan.trainings() {
+        runs.push(provenance::run(training)?);
+    }
+    let command = program_command();
+    Ok(StudyResult {
+        study: plan.named.name.clone(),
+        title: plan.named.study.title.clone(),
+        lead: plan.named.study.lead.clone(),
+        warnings: warnings(args),
+        bootstrap: bootstrap(),
+        provenance: provenance::facts(plan, args, &runs, &command)
+            .context("reading the program's own file")?,
+        parts,
+    })
+}
+
+/// Returns the command as it was given.
+fn program_command() -> String {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    format!("leadtime {}", args.join(" "))
+}
+
+/// Says what a reader must know before quoting a number.
+fn warnings(args: &CompareArgs) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if args.quick {
+        let text = "Quick: one training seed and a fraction of the steps. It shows that everything works; its figures \
+                    are not to be quoted.";
+        warnings.push(text.to_owned());
+    }
+    if !args.set.is_empty() {
+        let keys: Vec<String> = args.set.iter().map(|set| format!("`{}`", set.key())).collect();
+        warnings.push(format!("Changed on the command line: {}.", keys.join(", ")));
+    }
+    if let Some(steps) = args.steps {
+        warnings.push(format!("Every training has {steps} steps, by the command line."));
+    }
+    if !(args.rows.is_empty() && args.parts.is_empty()) {
+        warnings.push("Only some rows of the study are here.".to_owned());
+    }
+    warnings
+}

@@ -1,0 +1,64 @@
+use super::*;
+
+const SMALL: &str = r#"
+title = "t"
+lead = "l"
+[[parts]]
+name = "cart"
+title = "Cart"
+profile = "cartpole"
+quick_steps = 512
+columns = ["return"]
+evaluations = [{ name = "own", title = "own" }, { name = "long", title = "long", set.world.max_steps = 300 }]
+differences = [{ of = "b", minus = "a", on = "own", measure = "return" }]
+[[parts.rows]]
+name = "a"
+title = "A"
+paper = { return = [490.0, 6.0] }
+[[parts.rows]]
+name = "b"
+title = "B"
+on = ["long"]
+set.learner.gamma = 0.9
+paper_on.long = { return = [1.0] }
+"#;
+
+fn refused(from: &str, to: &str) -> String {
+    assert!(SMALL.contains(from), "{from}");
+    format!("{:#}", Study::parse(&SMALL.replacen(from, to, 1)).unwrap_err())
+}
+
+#[test]
+fn a_study_reads_as_it_is_written() {
+    let study = Study::parse(SMALL).unwrap();
+    let part = &study.parts[0];
+    assert_eq!((study.judged, part.layout), (WhichPolicy::Last, Layout::Lines));
+    let [a, b] = &part.rows[..] else { panic!("two rows") };
+    assert!(a.is_judged_on("own") && a.is_judged_on("long") && !b.is_judged_on("own"));
+    let published = &a.published()[0];
+    assert_eq!((published.mean, published.deviation), (490.0, Some(6.0)));
+    assert_eq!(b.published()[0].evaluation.as_deref(), Some("long"));
+}
+
+#[test]
+fn what_is_wrong_with_a_study_is_one_sentence() {
+    for (from, to, told) in [
+        ("title = \"t\"", "titel = \"t\"", "unknown field `titel`"),
+        ("name = \"b\"", "name = \"a\"", "`a` is there twice"),
+        ("name = \"b\"", "name = \"B 2\"", "`B 2` is not a name"),
+        ("on = [\"long\"]", "on = [\"short\"]", "row `b`: there is no evaluation `short`"),
+        ("paper_on.long", "paper_on.short", "row `b`: there is no evaluation `short`"),
+        ("minus = \"a\"", "minus = \"c\"", "`differences`: there is no row `c`"),
+        ("on = \"own\"", "on = \"nobody\"", "`differences`: there is no evaluation `nobody`"),
+        ("[490.0, 6.0]", "[]", "row `a`: `return` needs a mean"),
+        ("[\"return\"]", "[]", "`columns` is empty"),
+        ("quick_steps = 512", "quick_steps = 0", "`quick_steps` is 0"),
+        ("quick_steps = 512", "quick_steps = 512\npictured_on = \"x\"", "`pictured_on`"),
+    ] {
+        let text = refused(from, to);
+        assert!(text.contains(told), "{told}: {text}");
+    }
+    let text =
+        format!("{:#}", Study::parse("title = \"t\"\nlead = \"l\"\nparts = []").unwrap_err());
+    assert!(text.contains("at least one of `parts`"), "{text}");
+}

@@ -1,0 +1,80 @@
+//! Lead time: how long before the hazard the first warning came.
+//!
+//! The hazard of an episode is what happens to the same person in the same world when nobody says anything: the
+//! first step in a danger zone, or the crash. So two notifiers are measured against the same moment, also where a
+//! warning has averted it.
+
+use super::episodes::Evaluation;
+
+/// Computes, per episode, the steps from a player's first message to the hazard of the unaided person in the same
+/// episode; negative if the message came later, NaN where there was no message or no hazard.
+///
+/// `None` if the task knows no such metrics, or if the two played other episodes.
+pub fn lead_times(player: &Evaluation, unaided: &Evaluation) -> Option<Vec<f32>> {
+    let same = player.seed == unaided.seed && player.episodes.len() == unaided.episodes.len();
+    let first = player.column("first_notification").filter(|_| same)?;
+    let hazards = hazards(unaided)?;
+    let lead = |(first, hazard): (f64, f64)| {
+        let defined = first > 0.0 && hazard > 0.0;
+        if defined { (hazard - first) as f32 } else { f32::NAN }
+    };
+    Some(first.into_iter().zip(hazards).map(lead).collect())
+}
+
+/// Returns the step of each episode's hazard, counted from 1; 0 where there was none.
+pub(crate) fn hazards(unaided: &Evaluation) -> Option<Vec<f64>> {
+    if let Some(steps) = unaided.column("danger_from") {
+        return Some(steps);
+    }
+    // A crash ends the episode.
+    let crashed = unaided.column("crashed")?;
+    let steps = unaided.episodes.iter().map(|episode| episode.n_steps as f64);
+    Some(
+        crashed
+            .iter()
+            .zip(steps)
+            .map(|(crashed, n)| if *crashed > 0.5 { n } else { 0.0 })
+            .collect(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::Episode;
+
+    fn evaluation(metric: &str, rows: &[(u64, f32)]) -> Evaluation {
+        let episode = |&(n_steps, value): &(u64, f32)| Episode {
+            total_reward: 0.0,
+            n_steps,
+            truncated: false,
+            metrics: vec![value],
+        };
+        Evaluation {
+            player: "p".to_owned(),
+            seed: 1,
+            metrics: vec![metric.to_owned()],
+            episodes: rows.iter().map(episode).collect(),
+        }
+    }
+
+    #[test]
+    fn the_lead_is_from_the_first_message_to_what_would_have_happened() {
+        let player =
+            evaluation("first_notification", &[(90, 5.0), (90, 40.0), (90, 0.0), (90, 3.0)]);
+        let zones = evaluation("danger_from", &[(80, 25.0), (80, 30.0), (80, 30.0), (80, 0.0)]);
+        let leads = lead_times(&player, &zones).unwrap();
+        assert_eq!(leads[..2], [20.0, -10.0]);
+        assert!(leads[2].is_nan() && leads[3].is_nan());
+        let crashes = evaluation("crashed", &[(25, 1.0), (30, 1.0), (30, 1.0), (30, 0.0)]);
+        assert_eq!(lead_times(&player, &crashes).unwrap()[..2], [20.0, -10.0]);
+    }
+
+    #[test]
+    fn other_episodes_and_tasks_without_hazards_have_no_lead() {
+        let player = evaluation("first_notification", &[(90, 5.0)]);
+        let other = Evaluation { seed: 2, ..evaluation("crashed", &[(25, 1.0)]) };
+        assert_eq!(lead_times(&player, &other), None);
+        assert_eq!(lead_times(&player, &evaluation("fuel", &[(25, 1.0)])), None);
+    }
+}

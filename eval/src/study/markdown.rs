@@ -1,0 +1,215 @@
+//! A study's results as a page of Markdown: tables, differences, pictures, provenance.
+
+use super::cells::{measured, plain, published};
+use super::result::{Judged, Layout, PartResult, RowResult, Shown, StudyResult, TrainedRun};
+use crate::measure::{Choice, title};
+use crate::report::Fact;
+
+impl StudyResult {
+    /// Writes the whole page.
+    pub fn markdown(&self) -> String {
+        let mut page = format!("# {}\n\n{}\n\n", self.title, self.lead.trim());
+        page.push_str(&self.warned());
+        page.push_str(&self.reading());
+        for part in &self.parts {
+            page.push_str(&part.summary("", self.bootstrap.confidence));
+            page.push_str(&part.details());
+        }
+        page.push_str("## Where these numbers are from\n\n");
+        page.push_str(&facts(&self.provenance));
+        for part in &self.parts {
+            page.push_str(&part.runs());
+        }
+        page
+    }
+
+    /// Writes the study as a section of an index: its main tables and pictures. `folder` is where its files lie, as
+    /// seen from the index: empty, or with a slash at the end.
+    pub fn section(&self, folder: &str) -> String {
+        let name = &self.study;
+        let mut text = format!("# {}\n\n{}\n\n", self.title, self.lead.trim());
+        text.push_str(&self.warned());
+        for part in &self.parts {
+            text.push_str(&part.summary(folder, self.bootstrap.confidence));
+        }
+        let elsewhere = format!(
+            "All measures, greedy choices, runs and provenance: [{name}.md]({folder}{name}.md), as data: \
+             [{name}.json]({folder}{name}.json).\n\n"
+        );
+        text.push_str(&elsewhere);
+        text
+    }
+
+    fn warned(&self) -> String {
+        let lines = self.warnings.iter().map(|warning| format!("> **{}**\n\n", plain(warning)));
+        lines.collect::<Vec<_>>().concat()
+    }
+
+    fn reading(&self) -> String {
+        let percent = 100.0 * self.bootstrap.confidence;
+        format!(
+            "Cells: mean ± standard deviation over training seeds [{percent:.0} % bootstrap interval over training \
+             seeds and episodes]. With one training seed there is no deviation, and the interval is over episodes \
+             alone.\n\n"
+        )
+    }
+}
+
+impl PartResult {
+    /// Writes heading, main table, differences and pictures.
+    fn summary(&self, folder: &str, confidence: f64) -> String {
+        let mut text = format!("## {}\n\nProfile: {}.\n\n", self.title, self.profile);
+        match self.layout {
+            Layout::Lines => text.push_str(&self.lines()),
+            Layout::Grid => self.columns.iter().for_each(|m| text.push_str(&self.grid(m))),
+        }
+        for difference in &self.differences {
+            let sentence = format!("* {}\n", difference.sentence(confidence));
+            text.push_str(&sentence);
+        }
+        if !self.differences.is_empty() {
+            text.push('\n');
+        }
+        for Shown { file, caption } in &self.pictures {
+            let picture = format!("![{}]({folder}{file})\n\n*{caption}*\n\n", plain(caption));
+            text.push_str(&picture);
+        }
+        text
+    }
+
+    /// Writes a line per policy and person, what was published above what was measured.
+    fn lines(&self) -> String {
+        let titles = self.columns.iter().map(|name| title(name));
+        let head = ["notifier".to_owned(), "judged on".to_owned()].into_iter().chain(titles);
+        let mut table = head_of(head.collect());
+        for row in &self.rows {
+            let mut name = format!("**{}**, {}", row.title, row.notification);
+            if !row.published.is_empty() {
+                let cells = self.columns.iter().map(|c| published(row.published(None, c)));
+                table.push_str(&line([name, "*the paper*".to_owned()].into_iter().chain(cells)));
+                name = String::new();
+            }
+            for judged in row.judged.iter().filter(|judged| judged.choice == Choice::Sample) {
+                let cells = self.columns.iter().map(|c| measured(judged.summary.get(c)));
+                table.push_str(&line([name, judged.title.clone()].into_iter().chain(cells)));
+                name = String::new();
+            }
+        }
+        table + "\n"
+    }
+
+    /// Writes one measure: a line per policy, a column per person.
+    fn grid(&self, measure: &str) -> String {
+        let people = self.people();
+        let titles = people.iter().map(|(_, title)| title.clone());
+        let head = [title(measure), String::new()].into_iter().chain(titles);
+        let mut table = head_of(head.collect());
+        for rows in self.rows.chunk_by(|a, b| a.title == b.title) {
+            let mut name = format!("**{}**, {}", rows[0].title, rows[0].notification);
+            let said =
+                |person: &str| rows.iter().find_map(|row| row.published(Some(person), measure));
+            if people.iter().any(|(person, _)| said(person).is_some()) {
+                let cells = people.iter().map(|(person, _)| published(said(person)));
+                table.push_str(&line([name, "*the paper*".to_owned()].into_iter().chain(cells)));
+                name = String::new();
+            }
+            let cells = people.iter().map(|(person, _)| {
+                let judged = rows.iter().find_map(|row| row.judged(person, Choice::Sample));
+                measured(judged.and_then(|judged| judged.summary.get(measure)))
+            });
+            table.push_str(&line([name, "ours".to_owned()].into_iter().chain(cells)));
+        }
+        table + "\n"
+    }
+
+    /// Lists the people on whom policies were judged, in the order in which they first occur: name, title.
+    fn people(&self) -> Vec<(String, String)> {
+        let mut people: Vec<(String, String)> = Vec::new();
+        for judged in self.rows.iter().flat_map(|row| &row.judged) {
+            let name = judged.evaluations.first().cloned().unwrap_or_default();
+            if !people.iter().any(|(known, _)| judged.is(known)) {
+                people.push((name, judged.title.clone()));
+            }
+        }
+        people
+    }
+
+    /// Writes every measure of every policy, folded away.
+    fn details(&self) -> String {
+        self.rows.iter().map(details).collect()
+    }
+
+    fn runs(&self) -> String {
+        let runs: Vec<&TrainedRun> = self.rows.iter().flat_map(|row| &row.runs).collect();
+        if runs.is_empty() {
+            return String::new();
+        }
+        let head = ["run", "seed", "configuration", "steps", "minutes", "weights", "program"];
+        let mut text = format!("<details><summary>{}: runs</summary>\n\n", self.title);
+        text.push_str(&head_of(head.map(str::to_owned).to_vec()));
+        for run in runs {
+            let mark = if run.reproducible { "" } else { " (not reproducible)" };
+            text.push_str(&line([
+                format!("`{}`", run.name),
+                run.seed.to_string(),
+                format!("`{}`", run.configuration),
+                run.steps.to_string(),
+                format!("{:.1}", run.minutes),
+                format!("`{}`{mark}", run.weights),
+                run.program.clone(),
+            ]));
+        }
+        text + "\n</details>\n\n"
+    }
+}
+
+/// Writes every measure of one policy: a line per measure, a column per person and way of choosing.
+fn details(row: &RowResult) -> String {
+    let mut text = format!(
+        "<details><summary>{}, {}: every measure</summary>\n\n",
+        row.title, row.notification
+    );
+    if !row.settings.is_empty() {
+        let settings = row.settings.iter().map(|setting| format!("`{}`", plain(setting)));
+        let settings = settings.collect::<Vec<_>>().join(", ");
+        let sentence = format!("Differs from the profile in {settings}.\n\n");
+        text.push_str(&sentence);
+    }
+    let heading = |judged: &Judged| match judged.choice {
+        Choice::Sample => judged.title.clone(),
+        Choice::Greedy => format!("{}, greedy", judged.title),
+    };
+    let head = std::iter::once("measure".to_owned()).chain(row.judged.iter().map(heading));
+    text.push_str(&head_of(head.collect()));
+    let mut names: Vec<&str> = Vec::new();
+    for measure in row.judged.iter().flat_map(|judged| &judged.summary.measures) {
+        if !names.contains(&measure.name.as_str()) {
+            names.push(&measure.name);
+        }
+    }
+    for name in names {
+        let cells = row.judged.iter().map(|judged| measured(judged.summary.get(name)));
+        text.push_str(&line(std::iter::once(title(name)).chain(cells)));
+    }
+    text + "\n</details>\n\n"
+}
+
+fn facts(facts: &[Fact]) -> String {
+    let lines = facts.iter().map(|Fact { name, value }| format!("* {name}: {value}\n"));
+    lines.collect::<Vec<_>>().concat() + "\n"
+}
+
+/// Writes a table's head and the rule beneath it.
+fn head_of(cells: Vec<String>) -> String {
+    let rule = "|---".repeat(cells.len());
+    format!("{}{rule}|\n", line(cells))
+}
+
+fn line(cells: impl IntoIterator<Item = String>) -> String {
+    let cells: Vec<String> = cells.into_iter().map(|cell| plain(&cell)).collect();
+    format!("| {} |\n", cells.join(" | "))
+}
+
+#[cfg(test)]
+#[path = "markdown_tests.rs"]
+mod tests;
