@@ -14,7 +14,7 @@ use crate::exit::EXIT_CODE_HELP;
 mod taxonomy;
 
 pub use taxonomy::{
-    BackendArgs, BackendName, Claim, ExportFormat, TaxonomyBuildArgs, TaxonomyCommand,
+    BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
 };
 
