@@ -25,7 +25,7 @@ fn small_plan(place: &Place) -> Plan {
 
 fn start(place: &Place, server: &Server) -> Running {
     let http = ["taxonomy", "build", "plan.toml", "--backend", "http", "--model", "m", "--json"];
-    let patience = ["--timeout", "2s", "--backoff", "2ms", "--url", &server.url, "-o", "words"];
+    let patience = ["--timeout", "3s", "--backoff", "2ms", "--url", &server.url, "-o", "words"];
     place.start(&[&http[..], &patience].concat())
 }
 
@@ -38,7 +38,8 @@ fn a_build_that_is_killed_goes_on_without_paying_for_a_call_twice() {
     use Manner::{Broken, Short, Slowly, Truncated, Well, WrongCount};
     let place = Place::new();
     let plan = small_plan(&place);
-    let mut manners = vec![Well, Broken, Truncated, Well, WrongCount, Slowly, Well, Short];
+    // The sixth request is the first that is held.
+    let mut manners = vec![Well, Broken, Truncated, Well, WrongCount, Well, Slowly, Well, Short];
     manners.extend([Well; 1000]);
     let server = Server::start(&plan, &manners);
     let log = place.path().join("words/calls.jsonl");

@@ -69,13 +69,7 @@ impl Annotator {
                         pending.take().ok_or_else(|| wrong("there is no instruction"))?;
                     let curve = percentages(numbers, &sentence)
                         .ok_or_else(|| wrong("one percentage from 0 to 100 per word is needed"))?;
-                    let list = match cell {
-                        Some(cell) => {
-                            annotator.sentences.entry((topic.clone(), *cell)).or_default()
-                        }
-                        None => annotator.controls.entry(topic.clone()).or_default(),
-                    };
-                    list.push((sentence, curve));
+                    annotator.add(topic.clone(), *cell, (sentence, curve));
                 } else if !line.trim().is_empty() && !line.starts_with("Words:") {
                     return Err(wrong("neither Instruction, Words nor Comprehension"));
                 }
@@ -86,6 +80,13 @@ impl Annotator {
         }
         let summary = annotator.summary.trim().to_owned();
         Ok(Self { summary, ..annotator })
+    }
+
+    fn add(&mut self, topic: String, cell: Option<Cell>, rated: Rated) {
+        match cell {
+            Some(cell) => self.sentences.entry((topic, cell)).or_default().push(rated),
+            None => self.controls.entry(topic).or_default().push(rated),
+        }
     }
 
     fn generate(&self, topic: &str, cell: Cell, (n, round): (usize, u32)) -> Reply {

@@ -152,16 +152,15 @@ impl<'a> Caller<'a> {
     pub fn likelihood(&mut self, text: &str) -> Result<f64, PipelineError> {
         let call = about(Stage::Fluency, text);
         let key = call.key(self.backends.generator.id());
-        let reply = match self.log.reply(&key) {
-            Some(reply) => reply.text.clone(),
-            None => {
-                self.spend(&call)?;
-                let likelihood = self.backends.generator.likelihood(text)?;
-                // Rounded before it is used, so that a replay computes with the same number.
-                let text = format!("{likelihood:.6}");
-                self.log.add(key, &call, Reply::complete(text.clone()))?;
-                text
-            }
+        let reply = if let Some(reply) = self.log.reply(&key) {
+            reply.text.clone()
+        } else {
+            self.spend(&call)?;
+            let likelihood = self.backends.generator.likelihood(text)?;
+            // Rounded before it is used, so that a replay computes with the same number.
+            let text = format!("{likelihood:.6}");
+            self.log.add(key, &call, Reply::complete(text.clone()))?;
+            text
         };
         Ok(reply.parse().map_err(|error| BackendError::Local {
             message: format!("a likelihood in the log, {reply}: {error}"),

@@ -38,7 +38,7 @@ pub struct Shuffled {
     /// Its words in another order.
     pub text: String,
     /// Percent after each of these; none if the rater does not say. Shape `[l]`.
-    pub shuffled: Option<Vec<u8>>,
+    pub text_rated: Option<Vec<u8>>,
 }
 
 /// Has the controls rated: of each topic the longest representatives, from early to late understood.
@@ -61,7 +61,7 @@ pub(super) fn controls(
             let said = candidate.text.clone();
             let rated = candidate.rated.clone();
             let others = rating.words(caller, topic, &text)?;
-            shuffled.push(Shuffled { said, rated, text, shuffled: others });
+            shuffled.push(Shuffled { said, rated, text, text_rated: others });
         }
         found.push(Control { topic, silence, shuffled });
     }
@@ -111,8 +111,8 @@ pub(super) fn report(plan: &Plan, controls: &[Control]) -> String {
     for control in controls {
         let id = &plan.topic[control.topic].id;
         let silence = percent(control.silence);
-        for Shuffled { said, rated, text, shuffled } in &control.shuffled {
-            let other = shuffled.as_deref().map_or_else(|| "not rated".to_owned(), list);
+        for Shuffled { said, rated, text, text_rated } in &control.shuffled {
+            let other = text_rated.as_deref().map_or_else(|| "not rated".to_owned(), list);
             // Writing to a string cannot fail.
             let _written =
                 writeln!(out, "| {id} | {silence} | {said} [{}] | {text} [{other}] |", list(rated));
@@ -121,7 +121,7 @@ pub(super) fn report(plan: &Plan, controls: &[Control]) -> String {
     let last = |rated: &[u8]| f64::from(rated.last().copied().unwrap_or_default());
     let pairs = controls.iter().flat_map(|control| &control.shuffled);
     let both: Vec<(f64, f64)> = pairs
-        .filter_map(|pair| Some((last(&pair.rated), last(pair.shuffled.as_deref()?))))
+        .filter_map(|pair| Some((last(&pair.rated), last(pair.text_rated.as_deref()?))))
         .collect();
     if !both.is_empty() {
         let n = both.len() as f64;

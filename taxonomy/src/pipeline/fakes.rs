@@ -50,6 +50,8 @@ pub struct Seen {
     hold_after: Option<usize>,
     /// Requests that are held now.
     held: usize,
+    /// Times that held requests were let go.
+    n_released: usize,
 }
 
 #[derive(Debug, Default)]
@@ -119,7 +121,9 @@ impl Server {
 
     /// Lets go of the held requests, and answers later ones again.
     pub fn go_on(&self) {
-        self.seen().hold_after = None;
+        let mut seen = self.seen();
+        (seen.hold_after, seen.held) = (None, 0);
+        seen.n_released += 1;
         self.shared.changed.notify_all();
     }
 }
@@ -133,8 +137,9 @@ fn handle(stream: &TcpStream, plan: &Plan, manners: &[Manner], shared: &Shared) 
         if seen.hold_after.is_some_and(|most| seen.answered.len() >= most) {
             seen.held += 1;
             shared.changed.notify_all();
-            let held = |seen: &mut Seen| seen.hold_after.is_some();
-            shared.changed.wait_while(seen, held).unwrap().held -= 1;
+            let n_released = seen.n_released;
+            let held = |seen: &mut Seen| seen.n_released == n_released;
+            drop(shared.changed.wait_while(seen, held).unwrap());
             return None;
         }
         manners[(seen.requests - 1) % manners.len()]
