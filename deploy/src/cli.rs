@@ -16,7 +16,7 @@ mod taxonomy;
 
 pub use compare::CompareArgs;
 pub use taxonomy::{
-    BackendArgs, BackendName, Claim, ExportFormat, TaxonomyBuildArgs, TaxonomyCommand,
+    BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
 };
 

@@ -8,6 +8,7 @@
 //! | `resilience` | killing anything changes no bit; the books balance |
 //! | `supervision` | processes live and die together |
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
+//! | `words_server` | a language model's words are paid once, whatever is killed or breaks down |
 //! | `rogue` | an actor that lies harms nobody |
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
@@ -20,3 +21,4 @@ mod rogue;
 mod supervision;
 mod support;
 mod taxonomy;
+mod words_server;

@@ -171,12 +171,18 @@ fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
     let plan = place.write("plan.toml", "domain = \"road\"\nroel = \"driver\"");
     build(&[&[&plan[..]], &grammar[..]].concat()).saying(&["plan.toml", "line 2", "roel"]);
     fs::create_dir(place.path().join("prompts")).unwrap();
-    place.write("prompts/generate.txt", "Say {{topik}}.");
-    build(&[&["highway"], &grammar[..], &["--prompts", "prompts"]].concat()).saying(&[
-        "`generate`",
-        "unknown variable `topik`",
-        "known: action, actions",
-    ]);
+    let own = [&["highway"], &grammar[..], &["--prompts", "prompts"]].concat();
+    for template in ["system", "summarise", "generate", "rate_joint", "rate_prefix"] {
+        let name = format!("prompts/{template}.txt");
+        place.write(&name, "Say {{topik}}.");
+        build(&own).saying(&[&format!(
+            "prompt template `{template}` has the unknown variable `topik`; known: action"
+        )]);
+        place.write(&name, "Say\n{{topic");
+        build(&own).saying(&[&format!("`{template}` opens a variable on line 2")]);
+        fs::remove_file(place.path().join(name)).unwrap();
+    }
+    assert!(!place.path().join("words/calls.jsonl").exists(), "somebody was asked");
     build(&[&["highway"], &grammar[..], &["--prompts", "nowhere"]].concat())
         .saying(&["--prompts nowhere", "no such directory"]);
     build(&["highway", "--replay", "none.jsonl"]).saying(&["none.jsonl"]);
@@ -184,6 +190,19 @@ fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
     build(&["highway", "--replay", &data("lander/calls.jsonl")]).saying(&["lander", "highway"]);
     let torn = place.write("torn.jsonl", "{\"schema\": 1");
     build(&["highway", "--replay", &torn]).saying(&["line 1", "torn.jsonl"]);
+    // One key can be changed without a file; a wrong one is named.
+    let set = |change| build(&[&["highway"], &grammar[..], &["--set", change]].concat());
+    set("settings.theta=0").saying(&[
+        "--set settings.theta",
+        "`settings.theta` of the plan is 0",
+        "1 to 100 percent",
+    ]);
+    set("settings.thet=60").saying(&["--set settings.thet", "unknown field `thet`"]);
+    let fluency = set("settings.fluency=5");
+    fluency
+        .saying(&["grammar of phrases cannot tell how likely a sentence is", "`settings.fluency`"]);
+    let report = ["report", "highway", "--set", "settings.theta=60"];
+    taxonomy(&place, &report).with_code(WRONG_INPUT).saying(&["--log is missing"]);
     let wrong = place.write("annotations.txt", "# ascend two 4\n");
     build(&["lander", "--backend", "authored", "--annotations", &wrong]).saying(&["line 1"]);
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 
 use super::duration;
+use crate::config::table::Assignment;
 
 /// `leadtime taxonomy ...`
 #[derive(Debug, Subcommand)]
@@ -45,6 +46,16 @@ pub enum Claim {
     Local,
 }
 
+/// What sentences are made for.
+#[derive(Clone, Debug, Args)]
+pub struct PlanArgs {
+    /// The plan: `highway`, `lander`, `steakhouse`, or a file.
+    pub plan: String,
+    /// Change one key of the plan: `--set settings.theta=60`; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
+    pub set: Vec<Assignment>,
+}
+
 /// Who writes and rates, and how to reach them.
 #[derive(Clone, Debug, Args)]
 pub struct BackendArgs {
@@ -69,9 +80,12 @@ pub struct BackendArgs {
     /// How long to wait for an answer over `http`.
     #[arg(long, value_name = "DURATION", default_value = "2m", value_parser = duration)]
     pub timeout: Duration,
-    /// How often a call over `http` is tried, 1 to 10, with waits of 1, 2, 4, ... seconds between.
+    /// How often a call over `http` is tried, 1 to 10.
     #[arg(long, default_value_t = 5)]
     pub tries: u32,
+    /// Wait before the second try over `http`; doubles with each further one.
+    #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = duration)]
+    pub backoff: Duration,
     /// Weights for `local`: a Llama-family model as GGUF file.
     #[arg(long, value_name = "FILE", required_if_eq("backend", "local"))]
     pub gguf: Option<PathBuf>,
@@ -87,8 +101,9 @@ pub struct BackendArgs {
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("who").required(true).args(["backend", "replay"])))]
 pub struct TaxonomyBuildArgs {
-    /// The plan: `highway`, `lander`, `steakhouse`, or a file.
-    pub plan: String,
+    /// What sentences are made for.
+    #[command(flatten)]
+    pub plan: PlanArgs,
     /// Directory for call log, database, report and everything that was proposed; a run that was cut off goes on from
     /// the call log in it.
     #[arg(short, long, value_name = "DIR", default_value = "words")]
@@ -121,8 +136,9 @@ pub struct TaxonomyBuildArgs {
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("who").required(true).args(["backend"])))]
 pub struct TaxonomyRateArgs {
-    /// The plan: `highway`, `lander`, `steakhouse`, or a file.
-    pub plan: String,
+    /// What sentences are made for.
+    #[command(flatten)]
+    pub plan: PlanArgs,
     /// The topic that the sentences are to say.
     #[arg(long)]
     pub topic: String,
@@ -143,8 +159,9 @@ pub struct TaxonomyRateArgs {
 /// `leadtime taxonomy report`
 #[derive(Debug, Args)]
 pub struct TaxonomyReportArgs {
-    /// The plan: `highway`, `lander`, `steakhouse`, or a file.
-    pub plan: String,
+    /// What sentences are made for.
+    #[command(flatten)]
+    pub plan: PlanArgs,
     /// The call log (default: the one that comes with the plan's domain).
     #[arg(long, value_name = "LOG")]
     pub log: Option<PathBuf>,

@@ -64,7 +64,7 @@ impl Playthrough {
 
     fn heading(&self, story: &Story, pace: &Pace) -> String {
         format!(
-            "{} (episode {} of seed {})\nreturn {:.1}, {} steps of a word each, {} s; {} notifications\n",
+            "{} (episode {} of seed {})\nreturn {:.1}, {} steps of a word each, {} s; {} notification{}\n",
             self.title(),
             self.index,
             self.seed,
@@ -72,6 +72,7 @@ impl Playthrough {
             self.n_steps(),
             pace.seconds_per_word,
             story.utterances.len(),
+            if story.utterances.len() == 1 { "" } else { "s" },
         )
     }
 
@@ -113,7 +114,12 @@ impl Playthrough {
             None => format!("[{} {n}/{conveyance}]", topic_name(&self.scenes[0], utterance.topic)),
         };
         let is_last = utterance.start + n == utterance.end;
-        if is_last && n < conveyance { format!("{word} \u{2013}") } else { word }
+        if is_last && n < conveyance {
+            // Where the voice breaks off, no comma is heard.
+            let heard = word.trim_end_matches([',', ';', ':']);
+            return format!("{heard} \u{2013}");
+        }
+        word
     }
 
     /// Says what the person does in the step that leads to scene `step`.
@@ -170,7 +176,7 @@ mod tests {
         let mut played = played();
         played.sentences = vec![
             sentence("Shift left, now!", 2, 3, false),
-            sentence("Zone ahead - go up.", 4, 4, true),
+            sentence("Zone ahead, go, up.", 4, 4, true),
             sentence("Go down.", 2, 2, false),
         ];
         let expected = "\
@@ -184,13 +190,13 @@ return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
    2.1 s                                   follows shift left
    3.0 s                                   own plan
    3.6 s  Zone
-   3.9 s  ahead
-   4.2 s  - go \u{2013}
+   3.9 s  ahead,
+   4.2 s  go \u{2013}
    4.5 s  Go
    4.8 s  down.   descend, word 2 of 2
    5.1 s                                   about to react
    5.7 s                                   follows descend
-\u{201c}Zone ahead - go up.\u{201d} is understood and over at (4, 4); the message was at (4, 5)
+\u{201c}Zone ahead, go, up.\u{201d} is understood and over at (4, 4); the message was at (4, 5)
 ";
         assert_eq!(played.transcript(&Pace::default()), expected);
     }

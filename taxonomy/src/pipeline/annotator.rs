@@ -12,11 +12,12 @@
 //! Comprehension after each word: 20, 90, 92, 95
 //! ```
 //!
-//! A heading names the topic, k and l that were asked for; where a sentence lands its rating decides.
+//! A heading names the topic, k and l that were asked for; where a sentence lands its rating decides. Under
+//! `# ascend control` stand sentences in another order of words, which are rated but never proposed.
 
 use std::collections::BTreeMap;
 
-use super::backend::{Call, Finish, Input, Model, Reply};
+use super::backend::{Call, Finish, Input, Model, Reply, Stage};
 use super::error::BackendError;
 use crate::utterance::{Cell, Fidelity};
 use crate::words;
@@ -33,6 +34,8 @@ pub struct Annotator {
     summary: String,
     /// By topic and cell, in the order of the file.
     sentences: BTreeMap<(String, Cell), Vec<Rated>>,
+    /// By topic, what is rated only.
+    controls: BTreeMap<String, Vec<Rated>>,
 }
 
 impl Annotator {
@@ -42,8 +45,9 @@ impl Annotator {
     ///
     /// [`BackendError::Annotations`] naming the line.
     pub fn parse(text: &str) -> Result<Self, BackendError> {
-        let mut annotator = Self { summary: String::new(), sentences: BTreeMap::new() };
-        let mut section: Option<(String, Cell)> = None;
+        let mut annotator =
+            Self { summary: String::new(), sentences: BTreeMap::new(), controls: BTreeMap::new() };
+        let mut section: Option<(String, Option<Cell>)> = None;
         let mut pending: Option<String> = None;
         for (i, line) in text.lines().enumerate() {
             let wrong = |message: &str| BackendError::Annotations {
@@ -53,12 +57,11 @@ impl Annotator {
             if let Some(heading) = line.strip_prefix("# ") {
                 section = match heading.trim() {
                     "summary" => None,
-                    heading => Some(
-                        heading_of(heading)
-                            .ok_or_else(|| wrong("a heading is `# summary` or `# TOPIC K L`"))?,
-                    ),
+                    heading => Some(heading_of(heading).ok_or_else(|| {
+                        wrong("a heading is `# summary`, `# TOPIC K L` or `# TOPIC control`")
+                    })?),
                 };
-            } else if let Some(key) = &section {
+            } else if let Some((topic, cell)) = &section {
                 if let Some(sentence) = line.strip_prefix("Instruction:") {
                     pending = Some(sentence.trim().to_owned());
                 } else if let Some(numbers) = line.strip_prefix("Comprehension after each word:") {
@@ -66,7 +69,7 @@ impl Annotator {
                         pending.take().ok_or_else(|| wrong("there is no instruction"))?;
                     let curve = percentages(numbers, &sentence)
                         .ok_or_else(|| wrong("one percentage from 0 to 100 per word is needed"))?;
-                    annotator.sentences.entry(key.clone()).or_default().push((sentence, curve));
+                    annotator.add(topic.clone(), *cell, (sentence, curve));
                 } else if !line.trim().is_empty() && !line.starts_with("Words:") {
                     return Err(wrong("neither Instruction, Words nor Comprehension"));
                 }
@@ -79,6 +82,13 @@ impl Annotator {
         Ok(Self { summary, ..annotator })
     }
 
+    fn add(&mut self, topic: String, cell: Option<Cell>, rated: Rated) {
+        match cell {
+            Some(cell) => self.sentences.entry((topic, cell)).or_default().push(rated),
+            None => self.controls.entry(topic).or_default().push(rated),
+        }
+    }
+
     fn generate(&self, topic: &str, cell: Cell, (n, round): (usize, u32)) -> Reply {
         let key = (topic.to_owned(), cell);
         let all = self.sentences.get(&key).map(Vec::as_slice).unwrap_or_default();
@@ -88,20 +98,18 @@ impl Annotator {
         Reply { text: lines.join("\n"), finish, tokens: None }
     }
 
-    fn rate(&self, topic: &str, text: &str, n_words: Option<usize>) -> Result<Reply, BackendError> {
+    fn rate(&self, (topic, text): (&str, &str), n_words: Option<usize>) -> Option<Reply> {
         let of_topic = self.sentences.iter().filter(|((id, _), _)| id == topic);
-        let found = of_topic.flat_map(|(_, list)| list).find(|(other, _)| other == text);
-        let Some((text, curve)) = found else {
-            let what = format!("a rating of \"{text}\" for topic `{topic}`");
-            return Err(BackendError::NotAnnotated { what });
-        };
+        let said = of_topic.flat_map(|(_, list)| list);
+        let mut all = said.chain(self.controls.get(topic).into_iter().flatten());
+        let (text, curve) = all.find(|(other, _)| other == text)?;
         if let Some(n) = n_words {
-            let percent = curve.get(n.saturating_sub(1)).copied().unwrap_or_default();
-            return Ok(Reply::complete(percent.to_string()));
+            let percent = n.checked_sub(1).and_then(|word| curve.get(word)).copied();
+            return Some(Reply::complete(percent.unwrap_or_default().to_string()));
         }
         let spoken: Vec<&str> = text.split_whitespace().collect();
         let numbers: Vec<String> = curve.iter().map(u8::to_string).collect();
-        Ok(Reply::complete(format!(
+        Some(Reply::complete(format!(
             "Instruction: {text}\nWords: {}\nComprehension after each word: {}",
             spoken.join(" | "),
             numbers.join(", ")
@@ -109,11 +117,15 @@ impl Annotator {
     }
 }
 
-fn heading_of(heading: &str) -> Option<(String, Cell)> {
+/// Reads a topic and its cell; no cell for controls.
+fn heading_of(heading: &str) -> Option<(String, Option<Cell>)> {
+    if let Some(topic) = heading.trim().strip_suffix(" control") {
+        return Some((topic.trim().to_owned(), None));
+    }
     let mut parts = heading.split_whitespace();
     let topic = parts.next()?.to_owned();
     let cell = Cell::new(parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
-    parts.next().is_none().then_some((topic, cell))
+    parts.next().is_none().then_some((topic, Some(cell)))
 }
 
 fn percentages(numbers: &str, sentence: &str) -> Option<Vec<u8>> {
@@ -138,7 +150,14 @@ impl Model for Annotator {
             Input::Sentences { topic, cell, n, round } => {
                 Ok(self.generate(topic, *cell, (*n, *round)))
             }
-            Input::Sentence { topic, text, words } => self.rate(topic, text, *words),
+            Input::Sentence { topic, text, words } => match self.rate((topic, text), *words) {
+                Some(reply) => Ok(reply),
+                // Controls are welcome and not owed.
+                None if call.stage == Stage::Control => {
+                    Ok(Reply { finish: Finish::Exhausted, ..Reply::complete("") })
+                }
+                None => Err(BackendError::NotAnnotated { what: call.what() }),
+            },
             Input::Text { .. } => Err(BackendError::NotAnnotated { what: call.what() }),
         }
     }
@@ -162,11 +181,21 @@ mod tests {
             annotator.generate("descend", Cell::new(2, 4), (8, 0)).finish,
             Finish::Exhausted
         );
-        let rating = annotator.rate("ascend", "Go up, zone ahead.", None).unwrap();
+        let rating = annotator.rate(("ascend", "Go up, zone ahead."), None).unwrap();
         assert!(TEXT.contains(&rating.text));
-        assert_eq!(annotator.rate("ascend", "Go up, zone ahead.", Some(2)).unwrap().text, "90");
-        let error = annotator.rate("descend", "Go up, zone ahead.", None).unwrap_err();
-        assert!(error.to_string().starts_with("the annotations lack a rating of"), "{error}");
+        let after = |topic, n| annotator.rate((topic, "Go up, zone ahead."), Some(n));
+        assert_eq!(after("ascend", 2).unwrap().text, "90");
+        assert_eq!(after("ascend", 0).unwrap().text, "0");
+        assert!(after("descend", 2).is_none());
+    }
+
+    #[test]
+    fn controls_are_rated_and_never_proposed() {
+        let control = "# ascend control\nInstruction: ahead up zone go\nComprehension after each word: 5, 10, 20, 80\n";
+        let annotator = Annotator::parse(&format!("{TEXT}\n{control}")).unwrap();
+        assert_eq!(annotator.rate(("ascend", "ahead up zone go"), Some(4)).unwrap().text, "80");
+        let reply = annotator.generate("ascend", Cell::new(2, 4), (8, 0));
+        assert_eq!(reply.text, "Go up, zone ahead.");
     }
 
     #[test]

@@ -17,6 +17,10 @@ pub enum Stage {
     Generate,
     /// Comprehension after each word.
     Rate,
+    /// The same of nothing, or of words in another order: what the rater makes of it is only reported.
+    Control,
+    /// How likely the writer finds a sentence.
+    Fluency,
     /// A sentence as a vector.
     Embed,
 }
@@ -153,6 +157,15 @@ pub trait Model {
     ///
     /// [`BackendError`] if there is no answer; waiting and trying again is the backend's own business.
     fn complete(&mut self, call: &Call) -> Result<Reply, BackendError>;
+
+    /// Computes the mean log-probability per token of a sentence after its first word, if it is a model that can tell.
+    ///
+    /// # Errors
+    ///
+    /// [`BackendError::NoLikelihood`] if it cannot.
+    fn likelihood(&mut self, _text: &str) -> Result<f64, BackendError> {
+        Err(BackendError::NoLikelihood { model: self.id().to_owned() })
+    }
 }
 
 /// Turns sentences into vectors.

@@ -1,23 +1,25 @@
 //! All stages, from a plan to a file: what is asked next depends only on what was answered so far.
 
-use super::backend::{Call, Reply, Stage};
+use super::backend::{Finish, Stage};
 use super::caller::Caller;
 use super::candidate::{Candidate, Reason};
+use super::controls::{self, Control};
 use super::coverage::Coverage;
 use super::curve::heard;
 use super::error::PipelineError;
+use super::export;
+use super::fluency::Fluency;
 use super::log::LogHeader;
-use super::plan::{Plan, RateForm, TopicPlan};
+use super::plan::Plan;
 use super::progress::Progress;
 use super::prompts::{Prompts, Writer};
-use super::reply;
+use super::rating::Rating;
+use super::reply::{self, Proposals};
 use super::representatives::choose;
 use super::rules::Rules;
-use super::{backend, export};
 use crate::database::Taxonomy;
 use crate::error::TaxonomyError;
 use crate::utterance::Cell;
-use crate::words;
 
 /// What a run made.
 #[derive(Debug)]
@@ -30,6 +32,8 @@ pub struct Built {
     pub candidates: Vec<Candidate>,
     /// What came of it.
     pub coverage: Coverage,
+    /// What the rater made of nothing and of words in another order.
+    pub controls: Vec<Control>,
     /// Calls made in this run; what the log answered is not counted.
     pub calls: u64,
 }
@@ -51,9 +55,19 @@ pub fn build(
     let kept = choose(plan, &mut progress.candidates, caller)?;
     let text = export::database(plan, &caller.header(), &kept);
     let taxonomy = Taxonomy::from_toml(&text);
-    let coverage = Coverage::new(plan, &progress.candidates, &progress.rounds);
+    let controls = controls::controls(&Rating::new(plan, &writer, Stage::Control), caller, &kept)?;
+    let mut coverage = Coverage::new(plan, &progress.candidates, &progress.rounds);
+    coverage.replies.clone_from(caller.replies());
     let calls = caller.calls();
-    Ok(Built { text, taxonomy, candidates: progress.candidates, coverage, calls })
+    Ok(Built { text, taxonomy, candidates: progress.candidates, coverage, controls, calls })
+}
+
+/// Who decides about a proposal.
+struct Judges<'a> {
+    plan: &'a Plan,
+    rules: Rules,
+    fluency: Fluency,
+    rating: Rating<'a>,
 }
 
 /// Asks for sentences and rates them until every cell has enough, or was asked often enough.
@@ -63,37 +77,31 @@ fn propose(
     summary: &str,
     caller: &mut Caller<'_>,
 ) -> Result<Progress, PipelineError> {
-    let rules = Rules::new(plan);
+    let judges = Judges {
+        plan,
+        rules: Rules::new(plan),
+        fluency: Fluency::of_examples(plan, caller)?,
+        rating: Rating::new(plan, writer, Stage::Rate),
+    };
     let mut progress = Progress::new(plan);
     while let Some((topic, cell, round)) = progress.next(plan) {
         let there = progress.texts(topic);
         let call = writer.generate(summary, &plan.topic[topic], (cell, round), &there)?;
         let (source, answer) = caller.ask(&call)?;
-        if answer.finish == backend::Finish::Exhausted {
+        if answer.finish == Finish::Exhausted {
             progress.given_up.insert((topic, cell));
             continue;
         }
-        let sentences = reply::sentences(&answer);
-        caller.judge(Stage::Generate, !sentences.is_empty())?;
-        for text in sentences {
-            let mut candidate = Candidate {
-                topic,
-                requested: cell,
-                text,
-                spans: Vec::new(),
-                rated: Vec::new(),
-                curve: Vec::new(),
-                landed: None,
-                clamped: false,
-                reason: None,
-                medoid: None,
-                source: source.clone(),
-            };
-            if let Err(reason) =
-                examine(plan, writer, &rules, (&mut progress, caller), &mut candidate)?
-            {
-                candidate.reason = Some(reason);
-            }
+        let Proposals { whole, cut } = reply::sentences(&answer);
+        caller.judge(Stage::Generate, !whole.is_empty())?;
+        for text in whole {
+            let mut candidate = Candidate::new((topic, cell), text, &source);
+            candidate.reason = examine(&judges, (&mut progress, caller), &mut candidate)?.err();
+            progress.add(candidate);
+        }
+        if let Some(text) = cut {
+            let mut candidate = Candidate::new((topic, cell), text, &source);
+            candidate.reason = Some(Reason::Truncated);
             progress.add(candidate);
         }
     }
@@ -102,13 +110,11 @@ fn propose(
 
 /// Applies the rules to a proposal, has it rated, and finds where it lands.
 fn examine(
-    plan: &Plan,
-    writer: &Writer<'_>,
-    rules: &Rules,
+    judges: &Judges<'_>,
     (progress, caller): (&mut Progress, &mut Caller<'_>),
     candidate: &mut Candidate,
 ) -> Result<Result<(), Reason>, PipelineError> {
-    let structure = match rules.check(&candidate.text, candidate.topic) {
+    let structure = match judges.rules.check(&candidate.text, candidate.topic) {
         Ok(structure) => structure,
         Err(reason) => return Ok(Err(reason)),
     };
@@ -116,88 +122,22 @@ fn examine(
     if let Some(reason) = progress.repeated(candidate) {
         return Ok(Err(reason));
     }
-    let topic = &plan.topic[candidate.topic];
-    let Some(rated) = rate(plan, writer, caller, topic, &candidate.text)? else {
+    if !judges.fluency.accepts(caller, &candidate.text)? {
+        return Ok(Err(Reason::NotFluent));
+    }
+    let Some(rated) = judges.rating.words(caller, candidate.topic, &candidate.text)? else {
         return Ok(Err(Reason::Malformed));
     };
     candidate.rated = rated;
-    let settings = &plan.settings;
-    let heard = match heard(&candidate.rated, settings.theta, plan.words[0], settings.max_drop) {
+    let Plan { settings, words, .. } = judges.plan;
+    let heard = match heard(&candidate.rated, settings.theta, words[0], settings.max_drop) {
         Ok(heard) => heard,
         Err(reason) => return Ok(Err(reason)),
     };
     candidate.landed = Some(Cell::new(heard.comprehension, heard.curve.len() as u32));
     candidate.curve = heard.curve;
     candidate.clamped = heard.clamped;
-    Ok(Ok(()))
-}
-
-/// Has a sentence rated, word by word; none if no reply can be read. Shape `[l]`.
-///
-/// # Errors
-///
-/// [`PipelineError`] if there are no replies.
-pub fn rate(
-    plan: &Plan,
-    writer: &Writer<'_>,
-    caller: &mut Caller<'_>,
-    topic: &TopicPlan,
-    text: &str,
-) -> Result<Option<Vec<u8>>, PipelineError> {
-    let n_words = words::count(text) as usize;
-    let mut ratings: Vec<Vec<u8>> = Vec::new();
-    for repeat in 0..plan.settings.repeats {
-        let first = repeat * plan.settings.tries;
-        let rating = match plan.settings.rate {
-            RateForm::Joint => {
-                let ask = |attempt| writer.rate_joint(topic, text, attempt);
-                let read = |reply: &Reply| reply::joint_rating(reply, n_words);
-                readable(caller, first..first + plan.settings.tries, ask, read)?
-            }
-            RateForm::Prefix => {
-                let mut curve = Some(Vec::with_capacity(n_words));
-                for n in 1..=n_words {
-                    let ask = |attempt| writer.rate_prefix(topic, text, n, attempt);
-                    let tries = first..first + plan.settings.tries;
-                    let percent = readable(caller, tries, ask, reply::percentage)?;
-                    curve = curve.zip(percent).map(|(mut curve, percent)| {
-                        curve.push(percent);
-                        curve
-                    });
-                    if curve.is_none() {
-                        break;
-                    }
-                }
-                curve
-            }
-        };
-        let Some(rating) = rating else { return Ok(None) };
-        ratings.push(rating);
-    }
-    Ok(Some((0..n_words).map(|word| median(&ratings, word)).collect()))
-}
-
-/// Asks again, with another seed, until a reply can be read.
-fn readable<T>(
-    caller: &mut Caller<'_>,
-    attempts: std::ops::Range<u32>,
-    ask: impl Fn(u32) -> Result<Call, PipelineError>,
-    read: impl Fn(&Reply) -> Option<T>,
-) -> Result<Option<T>, PipelineError> {
-    for attempt in attempts {
-        let found = read(&caller.ask(&ask(attempt)?)?.1);
-        caller.judge(Stage::Rate, found.is_some())?;
-        if found.is_some() {
-            return Ok(found);
-        }
-    }
-    Ok(None)
-}
-
-fn median(ratings: &[Vec<u8>], word: usize) -> u8 {
-    let mut values: Vec<u8> = ratings.iter().map(|rating| rating[word]).collect();
-    values.sort_unstable();
-    values[values.len() / 2]
+    judges.rating.margin(caller, candidate)
 }
 
 impl Built {
@@ -209,7 +149,7 @@ impl Built {
 
     /// Writes the report.
     pub fn report(&self, plan: &Plan, header: &LogHeader) -> String {
-        self.coverage.report(plan, header, &self.candidates)
+        self.coverage.report(plan, header, &self.candidates, &self.controls)
     }
 }
 

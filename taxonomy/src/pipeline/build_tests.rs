@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use super::*;
+use crate::pipeline::error::BackendError;
 use crate::pipeline::job::{self, Backend, BuildJob};
-use crate::pipeline::{Model, PipelineError};
+use crate::pipeline::{Call, Input, Model, PipelineError, RateForm, Reply};
 use crate::shipped;
 use crate::utterance::Fidelity;
 
@@ -128,7 +129,7 @@ impl Model for Scripted {
         Fidelity::Local
     }
 
-    fn complete(&mut self, _: &Call) -> Result<Reply, crate::pipeline::error::BackendError> {
+    fn complete(&mut self, _: &Call) -> Result<Reply, BackendError> {
         let text = self.0[self.1 % self.0.len()];
         self.1 += 1;
         Ok(Reply::complete(text))
@@ -175,12 +176,6 @@ fn the_same_words_for_two_topics_go_to_neither() {
 }
 
 #[test]
-fn the_median_of_repeated_ratings_counts() {
-    let ratings = [vec![10, 90], vec![30, 20], vec![20, 80]];
-    assert_eq!((median(&ratings, 0), median(&ratings, 1)), (20, 80));
-}
-
-#[test]
 fn one_call_per_word_gives_what_one_call_per_sentence_gives_if_nothing_leaks() {
     let directory = tempfile::tempdir().unwrap();
     let mut plan = job::plan("lander").unwrap();
@@ -194,4 +189,119 @@ fn one_call_per_word_gives_what_one_call_per_sentence_gives_if_nothing_leaks() {
         assert_eq!((&a.text, &a.rated, a.landed), (&b.text, &b.rated, b.landed));
     }
     assert!(prefix.calls > 5 * joint.calls);
+}
+
+/// Writes one list, finds short words unlikely, and rates by a rule.
+struct Opinionated {
+    replies: Vec<Reply>,
+    rate: fn(&str, Option<usize>) -> u8,
+}
+
+impl Model for Opinionated {
+    fn id(&self) -> &'static str {
+        "opinionated"
+    }
+
+    fn fidelity(&self) -> Fidelity {
+        Fidelity::Local
+    }
+
+    fn complete(&mut self, call: &Call) -> Result<Reply, BackendError> {
+        Ok(match &call.input {
+            Input::Domain => Reply::complete("All matters."),
+            Input::Sentence { topic, words, .. } => {
+                Reply::complete((self.rate)(topic, *words).to_string())
+            }
+            _ if self.replies.is_empty() => {
+                Reply { finish: Finish::Exhausted, ..Reply::complete("") }
+            }
+            _ => self.replies.remove(0),
+        })
+    }
+
+    fn likelihood(&mut self, text: &str) -> Result<f64, BackendError> {
+        Ok(if text.contains("zzz") { -9.0 } else { -3.0 })
+    }
+}
+
+/// Lets it write for the highway, and returns what came of it.
+fn built(model: Opinionated, change: fn(&mut Plan)) -> (Plan, Built, LogHeader) {
+    let directory = tempfile::tempdir().unwrap();
+    let mut plan = job::plan("highway").unwrap();
+    plan.settings.rate = RateForm::Prefix;
+    plan.settings.max_iterations = 3;
+    change(&mut plan);
+    let log = directory.path().join("calls.jsonl");
+    let prompts = Prompts::default();
+    let backends = crate::pipeline::caller::Backends {
+        generator: Box::new(model),
+        rater: None,
+        embedder: Box::new(crate::pipeline::lexical::Lexical),
+    };
+    let mut open = crate::pipeline::log::CallLog::open(&log).unwrap();
+    let mode = crate::pipeline::Mode::Live { max_calls: None };
+    let mut caller = Caller::new(backends, &mut open, mode, "highway").unwrap();
+    let made = build(&plan, &prompts, &mut caller).unwrap();
+    let header = caller.header();
+    drop(caller);
+    // Whatever was asked is in the log, so nobody is needed to make it again.
+    let text = std::fs::read_to_string(&log).unwrap();
+    let again = job::replay(&plan, &prompts, &log, &text).unwrap().0;
+    assert_eq!(again.report(&plan, &header), made.report(&plan, &header));
+    (plan, made, header)
+}
+
+fn reasons(built: &Built) -> Vec<(&str, Option<Reason>)> {
+    built.candidates.iter().map(|found| (found.text.as_str(), found.reason)).collect()
+}
+
+#[test]
+fn what_was_cut_off_and_what_cannot_be_read_is_counted() {
+    let cut = Reply { finish: Finish::Length, ..Reply::complete("Slow down now.\nSlow do") };
+    let replies = vec![cut, Reply::complete("Here you are:")];
+    let model = Opinionated { replies, rate: |_, words| if words >= Some(2) { 90 } else { 10 } };
+    let (plan, built, header) = built(model, |_| {});
+    let expected = [("Slow down now.", None), ("Slow do", Some(Reason::Truncated))];
+    assert_eq!(reasons(&built), expected);
+    let report = built.report(&plan, &header);
+    assert!(report.contains("| `truncated` | 1 |"), "{report}");
+    let says = "Replies that could not be read: 1 of 2 generations, 0 of 3 ratings, 0 of 7 ratings of controls.";
+    assert!(report.contains(says), "{report}");
+    assert!(report.contains("Thin, with one sentence: slow_down (2, 3)."), "{report}");
+    assert!(report.contains("| slow_down | 10 % | Slow down now. [10, 90, 90] |"), "{report}");
+}
+
+#[test]
+fn a_sentence_that_asks_for_another_action_as_clearly_is_turned_down() {
+    let replies = || vec![Reply::complete("Slow down now.")];
+    let turned_down = |rate| {
+        let model = Opinionated { replies: replies(), rate };
+        reasons(&built(model, |plan| plan.settings.min_margin = 10).1)[0].1
+    };
+    assert_eq!(turned_down(|topic, _| if topic == "slow_down" { 90 } else { 80 }), None);
+    let close = turned_down(|topic, _| if topic == "slow_down" { 90 } else { 81 });
+    assert_eq!(close, Some(Reason::LowMargin));
+    let other = turned_down(|topic, _| if topic == "merge_left" { 95 } else { 90 });
+    assert_eq!(other, Some(Reason::WrongAction));
+}
+
+#[test]
+fn a_sentence_that_is_less_likely_than_the_examples_is_turned_down() {
+    let replies = vec![Reply::complete("Slow down zzz.\nSlow down now.")];
+    let model = Opinionated { replies, rate: |_, _| 90 };
+    let (_, built, _) = built(model, |plan| plan.settings.fluency = 5);
+    let expected = [("Slow down zzz.", Some(Reason::NotFluent)), ("Slow down now.", None)];
+    assert_eq!(reasons(&built), expected);
+}
+
+#[test]
+fn only_a_local_model_can_tell_how_likely_a_sentence_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut plan = job::plan("highway").unwrap();
+    plan.settings.fluency = 5;
+    let log = directory.path().join("calls.jsonl");
+    let error = job::run(&plan, job(&log, Backend::Grammar)).unwrap_err().to_string();
+    let says =
+        "grammar of phrases cannot tell how likely a sentence is: leave `settings.fluency` at 0";
+    assert!(error.starts_with(says), "{error}");
 }

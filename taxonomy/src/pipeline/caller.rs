@@ -1,10 +1,10 @@
 //! Asks, but only what the log does not hold; and gives up on a model that talks nonsense.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use super::backend::{Call, Embedder, Input, Model, Reply, Sampling, Stage};
 use super::embedding::Embedding;
-use super::error::PipelineError;
+use super::error::{BackendError, PipelineError};
 use super::log::{CallLog, LogHeader};
 use crate::utterance::Fidelity;
 
@@ -40,10 +40,11 @@ impl std::fmt::Debug for Backends {
 }
 
 impl Backends {
-    fn rater(&mut self) -> &mut dyn Model {
-        match &mut self.rater {
-            Some(rater) => rater.as_mut(),
-            None => self.generator.as_mut(),
+    /// Returns who is asked in a stage.
+    fn of(&mut self, stage: Stage) -> &mut dyn Model {
+        match (&mut self.rater, stage) {
+            (Some(rater), Stage::Rate | Stage::Control) => rater.as_mut(),
+            _ => self.generator.as_mut(),
         }
     }
 
@@ -72,6 +73,8 @@ pub struct Caller<'a> {
     calls: u64,
     /// Of the last replies, which were useless.
     recent: VecDeque<bool>,
+    /// Per stage, replies that could be read and those that could not.
+    replies: BTreeMap<Stage, [usize; 2]>,
 }
 
 impl<'a> Caller<'a> {
@@ -87,7 +90,8 @@ impl<'a> Caller<'a> {
         domain: &str,
     ) -> Result<Self, PipelineError> {
         log.claim(&backends.header(domain))?;
-        Ok(Self { backends, log, mode, calls: 0, recent: VecDeque::with_capacity(WINDOW) })
+        let recent = VecDeque::with_capacity(WINDOW);
+        Ok(Self { backends, log, mode, calls: 0, recent, replies: BTreeMap::new() })
     }
 
     /// Returns who is asked, as the log says it.
@@ -101,25 +105,24 @@ impl<'a> Caller<'a> {
         self.calls
     }
 
+    /// Returns per stage how many replies could be read, and how many could not; those from the log included.
+    pub fn replies(&self) -> &BTreeMap<Stage, [usize; 2]> {
+        &self.replies
+    }
+
     /// Asks the writer or the rater, as the stage says; also returns the call's key.
     ///
     /// # Errors
     ///
     /// [`PipelineError`] if there is no answer.
     pub fn ask(&mut self, call: &Call) -> Result<(String, Reply), PipelineError> {
-        let id = match call.stage {
-            Stage::Rate => self.backends.rater().id().to_owned(),
-            _ => self.backends.generator.id().to_owned(),
-        };
+        let id = self.backends.of(call.stage).id().to_owned();
         let key = call.key(&id);
         if let Some(reply) = self.log.reply(&key) {
             return Ok((key, reply.clone()));
         }
         self.spend(call)?;
-        let reply = match call.stage {
-            Stage::Rate => self.backends.rater().complete(call)?,
-            _ => self.backends.generator.complete(call)?,
-        };
+        let reply = self.backends.of(call.stage).complete(call)?;
         self.log.add(key.clone(), call, reply.clone())?;
         Ok((key, reply))
     }
@@ -130,14 +133,7 @@ impl<'a> Caller<'a> {
     ///
     /// [`PipelineError`] if there is no answer.
     pub fn embed(&mut self, text: &str) -> Result<Embedding, PipelineError> {
-        let call = Call {
-            stage: Stage::Embed,
-            system: String::new(),
-            prompt: text.to_owned(),
-            sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 0 },
-            seed: 0,
-            input: Input::Text { text: text.to_owned() },
-        };
+        let call = about(Stage::Embed, text);
         let key = call.key(self.backends.embedder.id());
         if let Some(reply) = self.log.reply(&key) {
             return Ok(Embedding::from_hex(&reply.text)?);
@@ -146,6 +142,29 @@ impl<'a> Caller<'a> {
         let embedding = self.backends.embedder.embed(text)?;
         self.log.add(key, &call, Reply::complete(embedding.to_hex()))?;
         Ok(embedding)
+    }
+
+    /// Asks the writer how likely a sentence is, as mean log-probability per token.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError`] if there is no answer.
+    pub fn likelihood(&mut self, text: &str) -> Result<f64, PipelineError> {
+        let call = about(Stage::Fluency, text);
+        let key = call.key(self.backends.generator.id());
+        let reply = if let Some(reply) = self.log.reply(&key) {
+            reply.text.clone()
+        } else {
+            self.spend(&call)?;
+            let likelihood = self.backends.generator.likelihood(text)?;
+            // Rounded before it is used, so that a replay computes with the same number.
+            let text = format!("{likelihood:.6}");
+            self.log.add(key, &call, Reply::complete(text.clone()))?;
+            text
+        };
+        Ok(reply.parse().map_err(|error| BackendError::Local {
+            message: format!("a likelihood in the log, {reply}: {error}"),
+        })?)
     }
 
     fn spend(&mut self, call: &Call) -> Result<(), PipelineError> {
@@ -166,6 +185,7 @@ impl<'a> Caller<'a> {
     ///
     /// [`PipelineError::Malformed`] once more than half of the last [`WINDOW`] replies could not.
     pub fn judge(&mut self, stage: Stage, useful: bool) -> Result<(), PipelineError> {
+        self.replies.entry(stage).or_default()[usize::from(!useful)] += 1;
         if self.recent.len() == WINDOW {
             self.recent.pop_front();
         }
@@ -174,10 +194,19 @@ impl<'a> Caller<'a> {
         if self.recent.len() < WINDOW || 2 * malformed <= WINDOW {
             return Ok(());
         }
-        let model = match stage {
-            Stage::Rate => self.backends.rater().id().to_owned(),
-            _ => self.backends.generator.id().to_owned(),
-        };
+        let model = self.backends.of(stage).id().to_owned();
         Err(PipelineError::Malformed { malformed, window: WINDOW, model })
+    }
+}
+
+/// Makes a call about a text alone.
+fn about(stage: Stage, text: &str) -> Call {
+    Call {
+        stage,
+        system: String::new(),
+        prompt: text.to_owned(),
+        sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 0 },
+        seed: 0,
+        input: Input::Text { text: text.to_owned() },
     }
 }

@@ -12,6 +12,8 @@ use crate::utterance::{Cell, Span};
 pub enum Reason {
     /// Its rating could not be read, however often it was asked for.
     Malformed,
+    /// The reply that proposed it was cut off in the middle of it.
+    Truncated,
     /// It has no words.
     Empty,
     /// It has too few or too many words.
@@ -40,10 +42,14 @@ pub enum Reason {
     Duplicate,
     /// The same words came for two topics: neither gets them.
     AmbiguousTopic,
+    /// Its writer finds it much less likely than the examples: hardly English.
+    NotFluent,
     /// A later word made it much less clear.
     NonMonotone,
     /// No word made it clear enough.
     NeverUnderstood,
+    /// When it is understood, another action is nearly as clear.
+    LowMargin,
     /// It means almost the same as another sentence of its cell.
     NearDuplicate,
 }
@@ -52,6 +58,7 @@ impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Malformed => "malformed",
+            Self::Truncated => "truncated",
             Self::Empty => "empty",
             Self::WordCount => "word_count",
             Self::Digit => "digit",
@@ -66,8 +73,10 @@ impl fmt::Display for Reason {
             Self::HumanReject => "human_reject",
             Self::Duplicate => "duplicate",
             Self::AmbiguousTopic => "ambiguous_topic",
+            Self::NotFluent => "not_fluent",
             Self::NonMonotone => "non_monotone",
             Self::NeverUnderstood => "never_understood",
+            Self::LowMargin => "low_margin",
             Self::NearDuplicate => "near_duplicate",
         })
     }
@@ -101,6 +110,23 @@ pub struct Candidate {
 }
 
 impl Candidate {
+    /// Begins with a text as it was proposed for a topic and a cell by the call `source`.
+    pub fn new((topic, requested): (usize, Cell), text: String, source: &str) -> Self {
+        Self {
+            topic,
+            requested,
+            text,
+            spans: Vec::new(),
+            rated: Vec::new(),
+            curve: Vec::new(),
+            landed: None,
+            clamped: false,
+            reason: None,
+            medoid: None,
+            source: source.to_owned(),
+        }
+    }
+
     /// Tells whether it passed rules and rating.
     pub fn is_accepted(&self) -> bool {
         self.reason.is_none() && self.landed.is_some()

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use super::backend::Stage;
 use super::candidate::{Candidate, Reason};
+use super::controls::{self, Control};
 use super::curve::heard;
 use super::log::LogHeader;
 use super::plan::Plan;
@@ -41,6 +43,8 @@ pub struct Coverage {
     pub accepted: usize,
     /// Proposed sentences.
     pub proposed: usize,
+    /// Per stage, replies that could be read and those that could not.
+    pub replies: BTreeMap<Stage, [usize; 2]>,
 }
 
 impl Coverage {
@@ -57,6 +61,7 @@ impl Coverage {
             on_target: 0,
             accepted: 0,
             proposed: candidates.len(),
+            replies: BTreeMap::new(),
         };
         for topic in 0..plan.topic.len() {
             for cell in Cell::feasible(from, to) {
@@ -81,7 +86,13 @@ impl Coverage {
     }
 
     /// Writes the report, as Markdown.
-    pub fn report(&self, plan: &Plan, header: &LogHeader, candidates: &[Candidate]) -> String {
+    pub fn report(
+        &self,
+        plan: &Plan,
+        header: &LogHeader,
+        candidates: &[Candidate],
+        controls: &[Control],
+    ) -> String {
         let mut out = format!(
             "# Words of the domain `{}`\n\nFidelity: **{}**. Written by {}; rated by {}; compared by {}; theta {} %.\n\n\
              Proposed {}, accepted {} ({:.0} %), of these {} where they were asked for.\n",
@@ -96,13 +107,30 @@ impl Coverage {
             percent(self.accepted, self.proposed),
             self.on_target
         );
+        self.unreadable(&mut out);
         self.grids(&mut out, plan);
+        self.gaps(&mut out, plan);
         self.turned_down(&mut out);
         landed(&mut out, plan, candidates);
         sweep(&mut out, plan, candidates);
         agreement(&mut out, plan, candidates);
+        out.push_str(&controls::report(plan, controls));
         to_read(&mut out, plan, candidates);
         out
+    }
+
+    fn unreadable(&self, out: &mut String) {
+        let names = [
+            (Stage::Generate, "generations"),
+            (Stage::Rate, "ratings"),
+            (Stage::Control, "ratings of controls"),
+        ];
+        let said = names.iter().filter_map(|(stage, name)| {
+            let [good, bad] = self.replies.get(stage)?;
+            Some(format!("{bad} of {} {name}", good + bad))
+        });
+        let said: Vec<String> = said.collect();
+        line(out, &format!("\nReplies that could not be read: {}.", said.join(", ")));
     }
 
     fn grids(&self, out: &mut String, plan: &Plan) {
@@ -124,6 +152,17 @@ impl Coverage {
                 line(out, &format!("| {k} | {} |", row.join(" | ")));
             }
         }
+    }
+
+    /// Names the cells without a representative, and those with only one, which is then heard again and again.
+    fn gaps(&self, out: &mut String, plan: &Plan) {
+        let named = |n_kept: usize| {
+            let with = self.cells.iter().filter(|(_, counts)| counts.kept == n_kept);
+            let name = |(topic, cell): (usize, Cell)| format!("{} {cell}", plan.topic[topic].id);
+            let list: Vec<String> = with.map(|(&key, _)| name(key)).collect();
+            if list.is_empty() { "none".to_owned() } else { list.join(", ") }
+        };
+        line(out, &format!("\nEmpty: {}.\n\nThin, with one sentence: {}.", named(0), named(1)));
     }
 
     fn turned_down(&self, out: &mut String) {
@@ -167,12 +206,15 @@ fn sweep(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
     let settings = &plan.settings;
     let [from, to] = plan.words;
     let feasible = plan.topic.len() * Cell::feasible(from, to).count();
-    line(out, "\n## Threshold\n\nThe same ratings, read with other thresholds.\n");
+    line(
+        out,
+        "\n## Threshold\n\nThe same ratings, read with other thresholds; with those of sentences that were never understood.\n",
+    );
     line(out, "| theta | understood | clamped | mean k | cells filled |\n|---|---|---|---|---|");
     for theta in THETAS {
         let mut filled: BTreeMap<(usize, Cell), usize> = BTreeMap::new();
         let (mut sum, mut clamped, mut n) = (0, 0, 0_u32);
-        for candidate in candidates.iter().filter(|candidate| candidate.is_accepted()) {
+        for candidate in candidates.iter().filter(|candidate| depends_on_theta(candidate)) {
             if let Ok(heard) = heard(&candidate.rated, theta, from, settings.max_drop) {
                 let cell = Cell::new(heard.comprehension, heard.curve.len() as u32);
                 *filled.entry((candidate.topic, cell)).or_default() += 1;
@@ -185,6 +227,11 @@ fn sweep(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
         let filled = filled.len();
         line(out, &format!("| {theta} | {n} | {clamped} | {mean:.2} | {filled} of {feasible} |"));
     }
+}
+
+/// Tells whether nothing but the threshold can turn a sentence down.
+fn depends_on_theta(candidate: &Candidate) -> bool {
+    candidate.is_accepted() || candidate.reason == Some(Reason::NeverUnderstood)
 }
 
 fn agreement(out: &mut String, plan: &Plan, candidates: &[Candidate]) {

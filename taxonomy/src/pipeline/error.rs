@@ -117,7 +117,7 @@ impl PipelineError {
 #[derive(Debug, Error)]
 pub enum BackendError {
     /// Nobody there, or nobody who answers in time.
-    #[error("the server at {url} cannot be reached after {tries} tries: {message}")]
+    #[error("the server at {url} cannot be reached after {tries} {}: {message}", if *tries == 1 { "try" } else { "tries" })]
     Unreachable {
         /// Where.
         url: String,
@@ -151,6 +151,14 @@ pub enum BackendError {
     Local {
         /// Why.
         message: String,
+    },
+    /// A model that does not show its probabilities.
+    #[error(
+        "{model} cannot tell how likely a sentence is: leave `settings.fluency` at 0 or write with a local model"
+    )]
+    NoLikelihood {
+        /// The model.
+        model: String,
     },
     /// A log of annotations that lacks what was asked.
     #[error("the annotations lack {what}")]

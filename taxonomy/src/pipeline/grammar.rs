@@ -64,18 +64,20 @@ impl Grammar {
         found
     }
 
-    fn rate(&self, text: &str, n_words: Option<usize>) -> Reply {
+    fn rate(&self, topic: &str, text: &str, n_words: Option<usize>) -> Reply {
         let spoken = words::words(text);
-        let structure = self.lexicon.analyse(&spoken);
+        let topic = self.plan.topic_idx(topic);
+        let structure = self.lexicon.analyse(&spoken).ok();
         let what = structure
-            .ok()
+            .filter(|structure| Some(structure.topic) == topic)
             .and_then(|structure| structure.spans.into_iter().find(|span| span.part == Part::What));
         let end = what.map_or(usize::MAX, |what| what.to as usize);
         let percent = |i: usize| {
             if i + 1 >= end { UNDERSTOOD } else { 10 + (40 * i / spoken.len()) as u8 }
         };
         if let Some(n) = n_words {
-            return Reply::complete(percent(n.saturating_sub(1)).to_string());
+            let heard = n.checked_sub(1).map_or(0, percent);
+            return Reply::complete(heard.to_string());
         }
         let numbers: Vec<String> = (0..spoken.len()).map(|i| percent(i).to_string()).collect();
         Reply::complete(format!("Comprehension after each word: {}", numbers.join(", ")))
@@ -131,7 +133,7 @@ impl Model for Grammar {
                 let finish = if some.is_empty() { Finish::Exhausted } else { Finish::Stop };
                 Reply { text: some.join("\n"), finish, tokens: None }
             }
-            Input::Sentence { text, words, .. } => self.rate(text, *words),
+            Input::Sentence { topic, text, words } => self.rate(topic, text, *words),
             Input::Text { text } => Reply::complete(text.clone()),
         })
     }
@@ -152,8 +154,10 @@ mod tests {
                 for cell in Cell::feasible(2, 5) {
                     let list = grammar.sentences(&topic.id, cell);
                     assert!(list.len() >= 3, "{domain} {} {cell}: {list:?}", topic.id);
-                    let rated =
-                        joint_rating(&grammar.rate(&list[0], None), cell.conveyance as usize);
+                    let rated = joint_rating(
+                        &grammar.rate(&topic.id, &list[0], None),
+                        cell.conveyance as usize,
+                    );
                     let crossing = rated.unwrap().iter().position(|p| *p >= 70).unwrap() as u32 + 1;
                     assert_eq!(crossing, cell.comprehension, "{}", list[0]);
                 }

@@ -203,7 +203,7 @@ impl Model for Http {
         let mut message = String::new();
         for attempt in 0..tries {
             if attempt > 0 {
-                std::thread::sleep(self.settings.backoff * (1 << (attempt - 1)));
+                std::thread::sleep(self.settings.backoff.saturating_mul(1 << (attempt - 1)));
             }
             match self.attempt(&body) {
                 Attempt::Reply(reply) => return Ok(reply),

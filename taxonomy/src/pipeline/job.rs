@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::annotator::Annotator;
-use super::backend::{Absent, Embedder, Model};
-use super::build::{Built, build, rate};
+use super::backend::{Absent, Embedder, Model, Stage};
+use super::build::{Built, build};
 use super::caller::{Backends, Caller, Mode};
 use super::error::PipelineError;
 use super::export;
@@ -14,6 +14,7 @@ use super::lexical::Lexical;
 use super::log::{CallLog, LogHeader};
 use super::plan::Plan;
 use super::prompts::{Prompts, Writer};
+use super::rating::Rating;
 use crate::check::{Finding, check};
 use crate::database::Taxonomy;
 
@@ -128,6 +129,7 @@ pub fn run(plan: &Plan, job: BuildJob) -> Result<(Built, LogHeader), PipelineErr
         let text = std::fs::read_to_string(&job.log).map_err(PipelineError::file(&job.log))?;
         return replay(plan, &prompts, &job.log, &text);
     }
+    Writer::new(plan, &prompts).check()?;
     let generator = generator(plan, &job.backend)?;
     let embedder = job.embedder.unwrap_or_else(|| Box::new(Lexical));
     let backends = Backends { generator, rater: job.rater, embedder };
@@ -215,7 +217,8 @@ pub fn rate_texts(
     let mut log = CallLog::open(log)?;
     let mode = Mode::Live { max_calls: None };
     let mut caller = Caller::new(backends, &mut log, mode, &plan.domain)?;
-    texts.iter().map(|text| rate(plan, &writer, &mut caller, &plan.topic[topic], text)).collect()
+    let rating = Rating::new(plan, &writer, Stage::Rate);
+    texts.iter().map(|text| rating.words(&mut caller, topic, text)).collect()
 }
 
 /// Reads a database and lists what it lacks.

@@ -1,9 +1,9 @@
 //! Makes databases: from a description of a domain, through prompts and ratings, to a file of sentences.
 //!
 //! ```text
-//! plan ─> summarise ─> generate ─> rules ─> rate word by word ─> place ─> embed ─> medoids ─> file, report
-//!             │            │                   │                            │
-//!             └────────────┴─────── call log (append-only) ─────────────────┘
+//! plan ─> summarise ─> generate ─> rules ─> rate word by word ─> place ─> embed ─> medoids ─> controls ─> file, report
+//!             │            │                   │                            │           │
+//!             └────────────┴─────── call log (append-only) ─────────────────┴───────────┘
 //! ```
 //!
 //! Whatever costs money or time is a *call*: a prompt to a language model, a sentence to an embedder. Every call and
@@ -31,11 +31,15 @@ pub mod caller;
 pub mod candidate;
 pub mod chat;
 pub mod closed_set;
+pub mod controls;
 pub mod coverage;
 pub mod curve;
 pub mod embedding;
 pub mod error;
 pub mod export;
+#[cfg(any(test, feature = "fakes"))]
+pub mod fakes;
+mod fluency;
 pub mod grammar;
 pub mod http;
 pub mod job;
@@ -47,6 +51,7 @@ pub mod medoids;
 pub mod plan;
 mod progress;
 pub mod prompts;
+pub mod rating;
 pub mod reply;
 mod representatives;
 pub mod rules;

@@ -44,6 +44,15 @@ pub struct Settings {
     pub repeats: u32,
     /// Percent by which a rating may fall below what it was before (0..=100). Default 20.
     pub max_drop: u8,
+    /// Percent by which the action must be ahead of every other one when it is understood (0..=100); each other action
+    /// costs a rating. Default 0: nobody is asked.
+    pub min_margin: u8,
+    /// Percentile of the examples' likelihood below which a sentence is hardly English (0..=50); only a local model can
+    /// tell. Default 0: it is not asked.
+    pub fluency: u8,
+    /// Sentences per topic that are also rated with their words in another order, to see what the rater makes of it
+    /// (0..=10). Default 2.
+    pub controls: usize,
     /// Cosine from which on two sentences of a cell are the same (above 0, at most 1). Default 0.95.
     pub near_duplicate: f64,
     /// Sampling temperature of generation (0..=2). Default 0.9.
@@ -69,6 +78,9 @@ impl Default for Settings {
             rate: RateForm::Prefix,
             repeats: 1,
             max_drop: 20,
+            min_margin: 0,
+            fluency: 0,
+            controls: 2,
             near_duplicate: 0.95,
             temperature: 0.9,
             top_p: 0.95,
@@ -216,6 +228,9 @@ impl Settings {
         let odd = (1..=9).contains(&self.repeats) && self.repeats % 2 == 1;
         within(odd, "repeats", self.repeats.into(), "an odd number from 1 to 9")?;
         within(self.max_drop <= 100, "max_drop", self.max_drop.into(), "0 to 100 percent")?;
+        within(self.min_margin <= 100, "min_margin", self.min_margin.into(), "0 to 100 percent")?;
+        within(self.fluency <= 50, "fluency", self.fluency.into(), "0 to 50")?;
+        within(self.controls <= 10, "controls", self.controls as f64, "0 to 10")?;
         let near = self.near_duplicate;
         within(near > 0.0 && near <= 1.0, "near_duplicate", near, "above 0 and at most 1")?;
         let temperature = self.temperature;

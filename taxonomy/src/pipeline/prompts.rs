@@ -74,6 +74,21 @@ impl<'a> Writer<'a> {
         Self { plan, prompts }
     }
 
+    /// Fills every template once, so that a wrong one is told before anybody is asked.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError`] naming the template and what is wrong with it.
+    pub fn check(&self) -> Result<(), PipelineError> {
+        self.summarise()?;
+        for topic in &self.plan.topic {
+            self.generate("", topic, (Cell::new(1, 1), 0), &[])?;
+            self.rate_joint(topic, "", 0)?;
+            self.rate_prefix(topic, "", 0, 0)?;
+        }
+        Ok(())
+    }
+
     /// Asks what in the domain matters.
     ///
     /// # Errors
@@ -84,7 +99,7 @@ impl<'a> Writer<'a> {
         variables.insert("world", self.plan.world.trim().to_owned());
         variables.insert("missing", self.plan.missing.trim().to_owned());
         let prompt = render("summarise", &self.prompts.summarise, &variables)?;
-        Ok(self.call(Stage::Summarise, prompt, 0.0, 0, Input::Domain))
+        self.call(Stage::Summarise, prompt, 0.0, 0, Input::Domain)
     }
 
     /// Asks for sentences.
@@ -121,7 +136,7 @@ impl<'a> Writer<'a> {
         let prompt = render("generate", &self.prompts.generate, &variables)?;
         let seed = derive(seed, &(&self.plan.domain, "generate", &topic.id, cell, round));
         let input = Input::Sentences { topic: topic.id.clone(), cell, n: batch, round };
-        Ok(self.call(Stage::Generate, prompt, temperature, seed, input))
+        self.call(Stage::Generate, prompt, temperature, seed, input)
     }
 
     /// Asks for one percentage per word of a sentence.
@@ -141,7 +156,7 @@ impl<'a> Writer<'a> {
         variables.insert("text", text.to_owned());
         variables.insert("rated", rated(topic));
         let prompt = render("rate_joint", &self.prompts.rate_joint, &variables)?;
-        Ok(self.rating(topic, text, None, (prompt, attempt)))
+        self.rating(topic, text, None, (prompt, attempt))
     }
 
     /// Asks for the percentage after the first words of a sentence, the others hidden.
@@ -162,7 +177,7 @@ impl<'a> Writer<'a> {
         variables.insert("prefix", words::prefix(text, n_words));
         variables.insert("rated_prefixes", rated_prefixes(topic));
         let prompt = render("rate_prefix", &self.prompts.rate_prefix, &variables)?;
-        Ok(self.rating(topic, text, Some(n_words), (prompt, attempt)))
+        self.rating(topic, text, Some(n_words), (prompt, attempt))
     }
 
     fn rating(
@@ -171,7 +186,7 @@ impl<'a> Writer<'a> {
         text: &str,
         words: Option<usize>,
         (prompt, attempt): (String, u32),
-    ) -> Call {
+    ) -> Result<Call, PipelineError> {
         // The first single rating is the likeliest one; repeats and second tries must differ to be of use.
         let drawn = attempt > 0 || self.plan.settings.repeats > 1;
         let temperature = if drawn { 0.7 } else { 0.0 };
@@ -188,11 +203,12 @@ impl<'a> Writer<'a> {
         temperature: f64,
         seed: u64,
         input: Input,
-    ) -> Call {
+    ) -> Result<Call, PipelineError> {
         let settings = &self.plan.settings;
         let (top_p, max_tokens) = (settings.top_p, settings.max_tokens);
         let sampling = Sampling { temperature, top_p, max_tokens };
-        Call { stage, system: self.prompts.system.clone(), prompt, sampling, seed, input }
+        let system = render("system", &self.prompts.system, &self.common())?;
+        Ok(Call { stage, system, prompt, sampling, seed, input })
     }
 
     fn settings(&self) -> Settings {

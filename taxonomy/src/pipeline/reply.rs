@@ -2,22 +2,51 @@
 
 use super::backend::{Finish, Reply};
 
+/// What a generation reply proposes.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Proposals {
+    /// Sentences that are there as a whole.
+    pub whole: Vec<String>,
+    /// What stood there when the reply ran into its limit.
+    pub cut: Option<String>,
+}
+
 /// Reads the sentences of a generation reply; none if there are none.
 ///
-/// A JSON list of strings is taken as it is; otherwise every line is a sentence, less numbering, bullets and quotes.
-/// Of a reply that ran into its limit the last line is dropped.
-pub fn sentences(reply: &Reply) -> Vec<String> {
+/// A JSON list of strings is taken as it is, whatever stands around it; otherwise every line is a sentence, less
+/// numbering, bullets and quotes. Of a reply that ran into its limit the last sentence is not trusted.
+pub fn sentences(reply: &Reply) -> Proposals {
     let text = body(&reply.text);
-    if let Ok(list) = serde_json::from_str::<Vec<String>>(text.trim()) {
-        return list;
+    let is_cut = reply.finish == Finish::Length;
+    if let Some(found) = json_list(&text, is_cut) {
+        return found;
     }
     let separator = if text.trim().contains('\n') { '\n' } else { ';' };
-    let mut lines: Vec<&str> = text.split(separator).collect();
-    if reply.finish == Finish::Length {
-        lines.pop();
-    }
+    let mut lines: Vec<&str> = text.split(separator).map(bare).collect();
+    let is_whole = text.ends_with('\n');
+    let cut = if is_cut && !is_whole { lines.pop() } else { None };
     let talk = |line: &&str| !line.is_empty() && !line.ends_with(':');
-    lines.into_iter().map(bare).filter(talk).map(str::to_owned).collect()
+    Proposals {
+        whole: lines.into_iter().filter(talk).map(str::to_owned).collect(),
+        cut: cut.filter(talk).map(str::to_owned),
+    }
+}
+
+/// Finds a JSON list of strings; one that ends in the middle only in a reply that was cut.
+fn json_list(text: &str, is_cut: bool) -> Option<Proposals> {
+    let mut rest = text[text.find('[')? + 1..].trim_start();
+    let mut found = Proposals::default();
+    while rest.starts_with('"') {
+        let mut strings = serde_json::Deserializer::from_str(rest).into_iter::<String>();
+        let Some(Ok(sentence)) = strings.next() else {
+            found.cut = Some(bare(rest).to_owned()).filter(|_| is_cut);
+            return found.cut.is_some().then_some(found);
+        };
+        found.whole.push(sentence);
+        rest = rest[strings.byte_offset()..].trim_start();
+        rest = rest.strip_prefix(',').unwrap_or(rest).trim_start();
+    }
+    (!found.whole.is_empty() && (is_cut || rest.starts_with(']'))).then_some(found)
 }
 
 /// Reads a rating in the three-line form: one percentage per word.
@@ -56,7 +85,11 @@ fn body(text: &str) -> String {
         None => text,
     };
     let lines = answer.lines().filter(|line| !line.trim_start().starts_with("```"));
-    lines.collect::<Vec<_>>().join("\n")
+    let mut body = lines.collect::<Vec<_>>().join("\n");
+    if answer.ends_with('\n') {
+        body.push('\n');
+    }
+    body
 }
 
 /// Drops numbering, bullets and quotes around a sentence.
@@ -84,13 +117,32 @@ mod tests {
             "Here are two:\n\n1. Go up.\n2) \"Climb now!\"\n",
             "<think>short, clear\nones</think>\n```\n- Go up.\n* Climb now!\n```",
             "[\"Go up.\", \"Climb now!\"]",
+            "Sure: {\"notifications\": [\"Go up.\", \"Climb now!\",]} I hope it helps.",
             "Go up.; Climb now!",
         ] {
-            assert_eq!(sentences(&reply(text)), wanted, "{text}");
+            let found = sentences(&reply(text));
+            assert_eq!(
+                (found.whole, found.cut),
+                (wanted.map(str::to_owned).into(), None),
+                "{text}"
+            );
         }
-        assert!(sentences(&reply("  \n")).is_empty());
-        let cut = Reply { finish: Finish::Length, ..reply("Go up.\nClimb no") };
-        assert_eq!(sentences(&cut), ["Go up."]);
+        assert_eq!(sentences(&reply("  \n")), Proposals::default());
+        // Brackets that are no list are part of a line.
+        assert_eq!(sentences(&reply("Go up [now].")).whole, ["Go up [now]."]);
+    }
+
+    #[test]
+    fn what_was_cut_off_is_kept_apart() {
+        for text in ["Go up.\nClimb no", "Go up.; Climb no", "[\"Go up.\", \"Climb no"] {
+            let found = sentences(&Reply { finish: Finish::Length, ..reply(text) });
+            assert_eq!(
+                (&found.whole[..], found.cut.as_deref()),
+                (&["Go up.".to_owned()][..], Some("Climb no"))
+            );
+        }
+        let cut = Reply { finish: Finish::Length, ..reply("Go up.\n") };
+        assert_eq!(sentences(&cut).cut, None);
     }
 
     #[test]

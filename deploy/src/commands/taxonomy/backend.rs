@@ -29,7 +29,10 @@ pub(super) fn backend(args: &BackendArgs) -> Result<Backend, Failure> {
         Some(BackendName::Authored) => Ok(Backend::Authored(args.annotations.clone())),
         Some(BackendName::Grammar) => Ok(Backend::Grammar),
         Some(BackendName::Http) => Ok(Backend::Http(http(args)?)),
-        Some(BackendName::Local) => local(args),
+        #[cfg(feature = "local-models")]
+        Some(BackendName::Local) => Ok(local(args)),
+        #[cfg(not(feature = "local-models"))]
+        Some(BackendName::Local) => Err(Failure::input(NOT_BUILT_IN)),
         None => Ok(Backend::Replay),
     }
 }
@@ -48,25 +51,21 @@ fn http(args: &BackendArgs) -> Result<HttpSettings, Failure> {
         Claim::Paper => Fidelity::Paper,
         Claim::Local => Fidelity::Local,
     };
-    (settings.timeout, settings.tries) = (args.timeout, args.tries);
+    (settings.timeout, settings.tries, settings.backoff) = (args.timeout, args.tries, args.backoff);
     Ok(settings)
 }
 
 #[cfg(feature = "local-models")]
-fn local(args: &BackendArgs) -> Result<Backend, Failure> {
+fn local(args: &BackendArgs) -> Backend {
     use leadtime_taxonomy::pipeline::local::{LlamaSettings, Style};
-    Ok(Backend::Local(LlamaSettings {
+    Backend::Local(LlamaSettings {
         path: args.gguf.clone().unwrap_or_default(),
         sha256: args.sha256.clone().unwrap_or_default().to_lowercase(),
         style: if args.completion { Style::Completion } else { Style::Chat },
         // candle reads the variable itself; what it does to the text belongs to the model's name.
-        dequantized: env::var_os("CANDLE_DEQUANTIZE_ALL").is_some(),
-    }))
-}
-
-#[cfg(not(feature = "local-models"))]
-fn local(_args: &BackendArgs) -> Result<Backend, Failure> {
-    Err(Failure::input(NOT_BUILT_IN))
+        dequantized: env::var("CANDLE_DEQUANTIZE_ALL")
+            .is_ok_and(|all| !all.is_empty() && all != "0"),
+    })
 }
 
 /// Returns who rates in the writer's place, if anybody.

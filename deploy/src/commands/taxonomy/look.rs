@@ -14,11 +14,18 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::record::write_atomically;
 use crate::{Program, output};
 
+/// What is said where no log can be meant.
+const NO_LOG: &str =
+    "--log is missing: a call log comes only with the program's own plans, unchanged";
+
 pub(super) fn report(args: &TaxonomyReportArgs) -> Result<(), Failure> {
     let plan = source::plan(&args.plan)?;
     source::directory("--prompts", args.prompts.as_deref())?;
     let made = match &args.log {
-        None => job::replay_shipped(&plan.domain),
+        None if source::is_shipped(&args.plan.plan) && args.plan.set.is_empty() => {
+            job::replay_shipped(&plan.domain)
+        }
+        None => return Err(Failure::input(NO_LOG)),
         Some(log) => {
             let (log, prompts) = (log.clone(), args.prompts.clone());
             let nobody = (Backend::Replay, None, None, None);

@@ -6,7 +6,10 @@ use anyhow::Context as _;
 use leadtime_taxonomy::pipeline::error::BackendError;
 use leadtime_taxonomy::pipeline::{PipelineError, Plan, job};
 use leadtime_taxonomy::{Taxonomy, shipped};
+use toml::Table;
 
+use crate::cli::PlanArgs;
+use crate::config::table::Assignment;
 use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// Blames an error of the pipeline on the server, or on what the person gave.
@@ -21,12 +24,13 @@ pub(super) fn failure(error: &PipelineError) -> Failure {
     Failure { code, error: Some(anyhow::Error::msg(error.to_string())) }
 }
 
-/// Reads the plan of a name or a file.
+/// Reads the plan of a name or a file, and makes the changes of the command line.
 ///
 /// # Errors
 ///
-/// Wrong input: what there is, or the line of the file.
-pub(super) fn plan(name: &str) -> Result<Plan, Failure> {
+/// Wrong input: what there is, or the line of the file, or the change.
+pub(super) fn plan(args: &PlanArgs) -> Result<Plan, Failure> {
+    let name = &args.plan;
     let named = is_shipped(name);
     if !named && !Path::new(name).is_file() {
         return Err(Failure::input(format!(
@@ -34,9 +38,26 @@ pub(super) fn plan(name: &str) -> Result<Plan, Failure> {
             domains()
         )));
     }
-    job::plan_or_file(name).map_err(|error| {
-        if named { failure(&error) } else { Failure::input(format!("{name}: {error}")) }
-    })
+    let plan = job::plan_or_file(name).map_err(|error| match error {
+        // Says which file itself.
+        PipelineError::File { .. } => failure(&error),
+        _ if named => failure(&error),
+        _ => Failure::input(format!("{name}: {error}")),
+    })?;
+    args.set.iter().try_fold(plan, |plan, change| changed(&plan, change))
+}
+
+fn changed(plan: &Plan, change: &Assignment) -> Result<Plan, Failure> {
+    let mut table =
+        Table::try_from(plan).context("a plan can be written").map_err(Failure::from)?;
+    change.apply(&mut table);
+    let name = || format!("--set {}", change.key());
+    let refuse = |message: &str| {
+        Failure::input(format!("{}: {}", name(), message.trim_end().replace('\n', ", ")))
+    };
+    let plan: Plan = table.try_into().map_err(|error: toml::de::Error| refuse(error.message()))?;
+    plan.check().map_err(|error| refuse(&error.to_string()))?;
+    Ok(plan)
 }
 
 /// Reads the database of a file, or the shipped one of a domain.
@@ -74,7 +95,8 @@ pub(super) fn directory(option: &str, path: Option<&Path>) -> Result<(), Failure
     }
 }
 
-fn is_shipped(name: &str) -> bool {
+/// Tells whether a plan and a database of that name come with the program.
+pub(super) fn is_shipped(name: &str) -> bool {
     shipped::domains().any(|domain| domain == name)
 }
 

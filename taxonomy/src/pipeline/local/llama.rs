@@ -11,12 +11,15 @@ use leadtime_numerics::Pcg64;
 use tokenizers::Tokenizer;
 
 use super::complaint::local;
-use super::sample::sample;
+use super::sample::{log_probability, sample};
 use crate::pipeline::backend::{Call, Finish, Model, Reply, Sampling};
 use crate::pipeline::chat::ChatFormat;
 use crate::pipeline::error::BackendError;
 use crate::pipeline::weights::read;
 use crate::utterance::Fidelity;
+
+/// What stands before a sentence whose likelihood is asked for.
+const BEFORE: &str = "Someone says aloud:";
 
 /// How a model is talked to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,8 +116,7 @@ impl Llama {
         sampling: Sampling,
         seed: u64,
     ) -> Result<Reply, BackendError> {
-        // The marks of a conversation are part of the text: none are added.
-        let prompt = self.tokenizer.encode(text, false).map_err(local)?.get_ids().to_vec();
+        let prompt = self.tokens(text)?;
         if prompt.len() + sampling.max_tokens as usize > MAX_SEQ_LEN {
             let message = format!(
                 "a prompt of {} tokens; allowed: {MAX_SEQ_LEN} with the reply",
@@ -127,10 +129,7 @@ impl Llama {
         let (mut next, mut at) = (prompt.clone(), 0);
         let (mut written, mut finish) = (Vec::new(), Finish::Length);
         while written.len() < sampling.max_tokens as usize {
-            let input = Tensor::new(next.as_slice(), &Device::Cpu).and_then(|ids| ids.unsqueeze(0));
-            let logits = input.and_then(|ids| self.model.forward(&ids, at)).map_err(local)?;
-            let logits: Vec<f32> =
-                logits.squeeze(0).and_then(|row| row.to_vec1()).map_err(local)?;
+            let logits = self.read(&next, at)?;
             at += next.len();
             let token = sample(&logits, sampling, &mut generator) as u32;
             if self.stops.contains(&token) || self.ends_line(token)? {
@@ -143,6 +142,18 @@ impl Llama {
         let text = self.tokenizer.decode(&written, true).map_err(local)?;
         let tokens = Some((prompt.len() as u64, written.len() as u64));
         Ok(Reply { text, finish, tokens })
+    }
+
+    /// Cuts a text into tokens. The marks of a conversation are part of the text: none are added.
+    fn tokens(&self, text: &str) -> Result<Vec<u32>, BackendError> {
+        Ok(self.tokenizer.encode(text, false).map_err(local)?.get_ids().to_vec())
+    }
+
+    /// Reads tokens that stand at a place of the text, and returns the logits of the next one. Shape `[vocabulary]`.
+    fn read(&mut self, tokens: &[u32], at: usize) -> Result<Vec<f32>, BackendError> {
+        let input = Tensor::new(tokens, &Device::Cpu).and_then(|ids| ids.unsqueeze(0));
+        let logits = input.and_then(|ids| self.model.forward(&ids, at)).map_err(local)?;
+        logits.squeeze(0).and_then(|row| row.to_vec1()).map_err(local)
     }
 
     /// Tells whether a completion is over: what follows a line break is the next example, made up.
@@ -169,5 +180,24 @@ impl Model for Llama {
             Style::Completion => call.prompt.trim_end().to_owned(),
         };
         self.generate(&text, call.sampling, call.seed)
+    }
+
+    fn likelihood(&mut self, text: &str) -> Result<f64, BackendError> {
+        // Which word comes first says little about the language, and most about how short a sentence is.
+        let first = text.split_whitespace().next().unwrap_or_default();
+        let mut seen = self.tokens(&format!("{BEFORE} {first}"))?;
+        let all = self.tokens(&format!("{BEFORE} {text}"))?;
+        let said = all.get(seen.len()..).unwrap_or_default();
+        let mut at = 0;
+        self.model.clear_kv_cache();
+        let mut sum = 0.0;
+        // A forward pass tells about one next token only.
+        for &token in said {
+            let logits = self.read(&seen, at)?;
+            sum += log_probability(&logits, token as usize);
+            at += seen.len();
+            seen = vec![token];
+        }
+        Ok(sum / said.len().max(1) as f64)
     }
 }

@@ -32,6 +32,13 @@ pub(super) fn sample(logits: &[f32], sampling: Sampling, generator: &mut Pcg64) 
     order[n.saturating_sub(1)]
 }
 
+/// Computes the natural logarithm of a token's probability at temperature 1.
+pub(super) fn log_probability(logits: &[f32], token: usize) -> f64 {
+    let most = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let total: f64 = logits.iter().map(|&logit| f64::from(logit - most).exp()).sum();
+    logits.get(token).map_or(f64::NEG_INFINITY, |&logit| f64::from(logit - most) - total.ln())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -55,5 +62,12 @@ mod tests {
         let nucleus = shares(1.0, 0.7);
         assert_eq!(nucleus[0] + nucleus[3], 0.0);
         assert!(nucleus[2] > 0.2);
+    }
+
+    #[test]
+    fn a_probability_is_its_share_of_all() {
+        // exp(1) / (exp(0) + exp(1)) = 0.731
+        assert!((log_probability(&[0.0, 1.0], 1).exp() - 0.731_058_58).abs() < 1e-6);
+        assert_eq!(log_probability(&[0.0, 1.0], 2), f64::NEG_INFINITY);
     }
 }

@@ -1,0 +1,170 @@
+//! Asks how well a sentence is understood, word by word, and whether another action is as clear.
+
+use super::backend::{Call, Finish, Reply, Stage};
+use super::caller::Caller;
+use super::candidate::{Candidate, Reason};
+use super::error::PipelineError;
+use super::plan::{Plan, RateForm};
+use super::prompts::Writer;
+use super::reply;
+use crate::words;
+
+/// Asks the rater, in the form that the plan chooses.
+#[derive(Clone, Debug)]
+pub struct Rating<'a> {
+    /// What is rated.
+    pub(super) plan: &'a Plan,
+    writer: &'a Writer<'a>,
+    /// [`Stage::Rate`] or [`Stage::Control`].
+    stage: Stage,
+}
+
+impl<'a> Rating<'a> {
+    /// Asks on behalf of a stage.
+    pub fn new(plan: &'a Plan, writer: &'a Writer<'a>, stage: Stage) -> Self {
+        Self { plan, writer, stage }
+    }
+
+    /// Has a sentence rated after each word; none if no reply can be read. Shape `[l]`.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError`] if there are no replies.
+    pub fn words(
+        &self,
+        caller: &mut Caller<'_>,
+        topic: usize,
+        text: &str,
+    ) -> Result<Option<Vec<u8>>, PipelineError> {
+        let n_words = words::count(text) as usize;
+        let tries = self.plan.settings.tries;
+        let mut ratings: Vec<Vec<u8>> = Vec::new();
+        for repeat in 0..self.plan.settings.repeats {
+            let attempts = repeat * tries..(repeat + 1) * tries;
+            let rating = match self.plan.settings.rate {
+                RateForm::Joint => {
+                    let of = &self.plan.topic[topic];
+                    let ask = |attempt| self.writer.rate_joint(of, text, attempt);
+                    let read = |reply: &Reply| reply::joint_rating(reply, n_words);
+                    self.readable(caller, attempts, ask, read)?
+                }
+                RateForm::Prefix => self.word_by_word(caller, topic, text, &attempts)?,
+            };
+            let Some(rating) = rating else { return Ok(None) };
+            ratings.push(rating);
+        }
+        Ok(Some((0..n_words).map(|word| median(&ratings, word)).collect()))
+    }
+
+    fn word_by_word(
+        &self,
+        caller: &mut Caller<'_>,
+        topic: usize,
+        text: &str,
+        attempts: &std::ops::Range<u32>,
+    ) -> Result<Option<Vec<u8>>, PipelineError> {
+        let n_words = words::count(text) as usize;
+        let mut curve = Vec::with_capacity(n_words);
+        for n in 1..=n_words {
+            match self.prefix(caller, topic, (text, n), attempts.clone())? {
+                Some(percent) => curve.push(percent),
+                None => return Ok(None),
+            }
+        }
+        Ok(Some(curve))
+    }
+
+    /// Has the first `n` words rated, 0 for silence; none if no reply can be read.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError`] if there are no replies.
+    pub fn after(
+        &self,
+        caller: &mut Caller<'_>,
+        topic: usize,
+        (text, n): (&str, usize),
+    ) -> Result<Option<u8>, PipelineError> {
+        self.prefix(caller, topic, (text, n), 0..self.plan.settings.tries)
+    }
+
+    fn prefix(
+        &self,
+        caller: &mut Caller<'_>,
+        topic: usize,
+        (text, n): (&str, usize),
+        attempts: std::ops::Range<u32>,
+    ) -> Result<Option<u8>, PipelineError> {
+        let of = &self.plan.topic[topic];
+        let ask = |attempt| self.writer.rate_prefix(of, text, n, attempt);
+        self.readable(caller, attempts, ask, reply::percentage)
+    }
+
+    /// Turns a sentence down if another action is as clear, or nearly, at the word where its own is understood.
+    ///
+    /// # Errors
+    ///
+    /// [`PipelineError`] if there are no replies.
+    pub fn margin(
+        &self,
+        caller: &mut Caller<'_>,
+        candidate: &Candidate,
+    ) -> Result<Result<(), Reason>, PipelineError> {
+        let least = i16::from(self.plan.settings.min_margin);
+        let Some(cell) = candidate.landed.filter(|_| least > 0) else { return Ok(Ok(())) };
+        let n = cell.comprehension as usize;
+        let own = candidate.curve.get(n - 1).copied().unwrap_or_default();
+        let mut most = 0;
+        for other in (0..self.plan.topic.len()).filter(|other| *other != candidate.topic) {
+            let Some(percent) = self.after(caller, other, (&candidate.text, n))? else {
+                return Ok(Err(Reason::Malformed));
+            };
+            most = most.max(percent);
+        }
+        Ok(match i16::from(own) - i16::from(most) {
+            ahead if ahead < 0 => Err(Reason::WrongAction),
+            ahead if ahead < least => Err(Reason::LowMargin),
+            _ => Ok(()),
+        })
+    }
+
+    /// Asks again, with another seed, until a reply can be read.
+    fn readable<T>(
+        &self,
+        caller: &mut Caller<'_>,
+        attempts: std::ops::Range<u32>,
+        ask: impl Fn(u32) -> Result<Call, PipelineError>,
+        read: impl Fn(&Reply) -> Option<T>,
+    ) -> Result<Option<T>, PipelineError> {
+        for attempt in attempts {
+            let call = Call { stage: self.stage, ..ask(attempt)? };
+            let reply = caller.ask(&call)?.1;
+            if reply.finish == Finish::Exhausted {
+                return Ok(None);
+            }
+            let found = read(&reply);
+            caller.judge(self.stage, found.is_some())?;
+            if found.is_some() {
+                return Ok(found);
+            }
+        }
+        Ok(None)
+    }
+}
+
+fn median(ratings: &[Vec<u8>], word: usize) -> u8 {
+    let mut values: Vec<u8> = ratings.iter().map(|rating| rating[word]).collect();
+    values.sort_unstable();
+    values[values.len() / 2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_of_repeated_ratings_counts() {
+        let ratings = [vec![10, 90], vec![30, 20], vec![20, 80]];
+        assert_eq!((median(&ratings, 0), median(&ratings, 1)), (20, 80));
+    }
+}
