@@ -307,7 +307,7 @@ fn the_scripted_notifier_informs_at_the_start_and_directs_who_errs() {
 fn a_picture_shows_grid_view_truth_belief_and_cook() {
     let task = start(&settings(|s| s.start_families = vec![StartFamily::Unavailable]), 1);
     let scene = task.scene();
-    assert_eq!((scene.view.min, scene.view.max), ([0.0, -0.5], [9.0, 7.0]));
+    assert_eq!((scene.view.min, scene.view.max), ([-0.25, -0.5], [9.25, 7.0]));
     assert_eq!(scene.position, [6.5, 3.5]);
     let labels: Vec<&str> = scene
         .shapes
