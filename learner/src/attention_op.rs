@@ -92,6 +92,13 @@ struct Row<'a> {
     seen: Seen,
 }
 
+/// One head of one ego: its query `[W]`, its shares `[1 + n]`, the gradient of what it takes `[W]`.
+struct Head<'a> {
+    query: &'a [f32],
+    shares: &'a [f32],
+    gradient: &'a [f32],
+}
+
 /// Where one head's gradients of one ego are added up: `[W]`, `[W]`, `[n, W]`.
 struct Sums<'a> {
     query: &'a mut [f32],
@@ -139,9 +146,11 @@ impl AttentionOp {
             let d_ego = &mut found.egos[m * width..][..width];
             for (head, shares) in shares.chunks_exact(row.seen.n_entities()).enumerate() {
                 let at = (m * n_heads + head) * width;
+                let query = &row.queries[head * width..][..width];
+                let head = Head { query, shares, gradient: &g[at..][..width] };
                 let d_query = &mut found.queries[at..][..width];
                 let sums = Sums { query: d_query, ego: d_ego, others: d_own };
-                self.backward_head(&row, head, shares, &g[at..][..width], sums, &mut d_scores);
+                self.backward_head(&row, &head, sums, &mut d_scores);
             }
         }
         found
@@ -152,14 +161,12 @@ impl AttentionOp {
     fn backward_head(
         &self,
         row: &Row<'_>,
-        head: usize,
-        shares: &[f32],
-        g: &[f32],
+        head: &Head<'_>,
         sums: Sums<'_>,
         d_scores: &mut Vec<f32>,
     ) {
+        let &Head { query, shares, gradient: g } = head;
         let width = self.attention.width;
-        let query = &row.queries[head * width..][..width];
         let entities = || once(row.ego).chain(row.others.chunks_exact(width));
         d_scores.clear();
         d_scores.extend(entities().map(|entity| dot(g, entity)));

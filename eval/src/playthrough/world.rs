@@ -92,9 +92,11 @@ impl World {
             let [x, y] = self.at(scene.position);
             if last.is_none_or(|[x0, y0]| (x - x0).hypot(y - y0) >= GHOST_DISTANCE) {
                 self.draw_body(canvas, scene, 0.22);
-                for &other in &scene.others {
-                    canvas.circle(self.at(other), 2.6, Paint::fill(Ink::Muted));
-                }
+                canvas.clipped(self.area, |canvas| {
+                    for &other in &scene.others {
+                        canvas.circle(self.at(other), 2.6, Paint::fill(Ink::Muted));
+                    }
+                });
                 last = Some([x, y]);
             }
         }

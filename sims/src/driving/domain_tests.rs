@@ -197,10 +197,10 @@ fn an_unsafe_lane_change_is_executed_or_refused() {
 fn an_undisturbed_drive_arrives_and_waits_until_its_time_is_over() {
     let mut task = start(&settings(|s| (empty(s), s.ego.lane = Some(1)).1), 0);
     let (last, total, n_steps) = drive(&mut task);
-    assert_eq!((last.end, n_steps, task.success()), (Some(End::Terminated), 150, true));
+    assert_eq!((last.end, n_steps, task.success()), (Some(End::Terminated), 200, true));
     // 960 m at 30 m/s are 32 s or 96 steps at (0.1 + 0.2 * 15 / 23 + 1.5) / 1.8, then 1 per step; the last step of
     // the drive crosses the goal.
-    let expected = 96.0 * 0.961_352_657 + 54.0;
+    let expected = 96.0 * 0.961_352_657 + 104.0;
     assert!((total - expected).abs() < 0.1, "{total} {expected}");
     assert!((metric(&task, "mean_speed") - 30.0).abs() < 1e-3);
     assert_eq!(metric(&task, "hardest_braking"), 0.0);
