@@ -197,7 +197,7 @@ fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
         "`settings.theta` of the plan is 0",
         "1 to 100 percent",
     ]);
-    set("settings.thet=60").saying(&["--set settings.thet", "unknown field `thet`"]);
+    set("settings.bound=60").saying(&["--set settings.bound", "unknown field `bound`"]);
     let fluency = set("settings.fluency=5");
     fluency
         .saying(&["grammar of phrases cannot tell how likely a sentence is", "`settings.fluency`"]);

@@ -92,14 +92,18 @@ impl World {
             let [x, y] = self.at(scene.position);
             if last.is_none_or(|[x0, y0]| (x - x0).hypot(y - y0) >= GHOST_DISTANCE) {
                 self.draw_body(canvas, scene, 0.22);
-                canvas.clipped(self.area, |canvas| {
-                    for &other in &scene.others {
-                        canvas.circle(self.at(other), 2.6, Paint::fill(Ink::Muted));
-                    }
-                });
+                self.draw_dots(canvas, &scene.others);
                 last = Some([x, y]);
             }
         }
+    }
+
+    fn draw_dots(&self, canvas: &mut Canvas, places: &[[f64; 2]]) {
+        canvas.clipped(self.area, |canvas| {
+            for &place in places {
+                canvas.circle(self.at(place), 2.6, Paint::fill(Ink::Muted));
+            }
+        });
     }
 
     /// Draws the ways of the others.

@@ -43,7 +43,7 @@ fn a_study_reads_as_it_is_written() {
 #[test]
 fn what_is_wrong_with_a_study_is_one_sentence() {
     for (from, to, told) in [
-        ("title = \"t\"", "titel = \"t\"", "unknown field `titel`"),
+        ("title = \"t\"", "heading = \"t\"", "unknown field `heading`"),
         ("name = \"b\"", "name = \"a\"", "`a` is there twice"),
         ("name = \"b\"", "name = \"B 2\"", "`B 2` is not a name"),
         ("on = [\"long\"]", "on = [\"short\"]", "row `b`: there is no evaluation `short`"),
