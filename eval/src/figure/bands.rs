@@ -3,15 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::curves::draw_legend_of;
-use crate::draw::{Area, Canvas, Ink, Paint, Panel, TextStyle};
+use super::stack::{Axis, Stack, extent, with_margin};
+use crate::draw::{Canvas, Ink, Paint, Panel};
 
-const WIDTH: f64 = 760.0;
-const PANEL_HEIGHT: f64 = 190.0;
-const LEFT: f64 = 68.0;
-const RIGHT: f64 = 18.0;
-const TOP: f64 = 56.0;
-const GAP: f64 = 40.0;
-const BOTTOM: f64 = 46.0;
+const STACK: Stack = Stack { panel_height: 190.0, top: 56.0, gap: 40.0 };
 
 /// One line with its band.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -45,25 +40,15 @@ pub fn bands(
     panels: &[BandPanel],
 ) -> String {
     let panels: Vec<BandPanel> = panels.iter().map(without_gaps).collect();
-    let n = panels.len().max(1) as f64;
-    let height = TOP + n * PANEL_HEIGHT + (n - 1.0) * GAP + BOTTOM;
-    let mut canvas = Canvas::new(id, WIDTH, height);
-    canvas.text([LEFT, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
     let lines = || panels.iter().flat_map(|panel| &panel.bands);
     let xs =
         lines().flat_map(|b| b.points.iter().map(|p| p[0]).chain(b.published.iter().map(|p| p[0])));
-    let x_range = extent(xs).unwrap_or([0.0, 1.0]);
-    for (i, panel) in panels.iter().enumerate() {
-        let top = TOP + i as f64 * (PANEL_HEIGHT + GAP);
-        let area = Area::new(LEFT, top, WIDTH - LEFT - RIGHT, PANEL_HEIGHT);
-        let frame = Panel::new(area, x_range, y_range(panel));
-        frame.draw_y(&mut canvas, 4, &panel.label);
-        frame.draw_x(&mut canvas, n_ticks, (i + 1 == panels.len()).then_some(x_label));
-        canvas.clipped(area, |canvas| draw(canvas, &frame, &panel.bands));
+    let axis = Axis { label: x_label, n_ticks, range: extent(xs) };
+    STACK.draw([id, title], &axis, &panels, vertical, |canvas, frame, panel| {
+        canvas.clipped(frame.area, |canvas| draw(canvas, frame, &panel.bands));
         let labels: Vec<&str> = panel.bands.iter().map(|band| band.label.as_str()).collect();
-        draw_legend_of(&mut canvas, &frame, &labels);
-    }
-    canvas.finish(title)
+        draw_legend_of(canvas, frame, &labels);
+    })
 }
 
 fn draw(canvas: &mut Canvas, frame: &Panel, bands: &[Band]) {
@@ -93,6 +78,10 @@ fn draw(canvas: &mut Canvas, frame: &Panel, bands: &[Band]) {
 /// So few points are shown one by one.
 const FEW: usize = 12;
 
+fn vertical(panel: &BandPanel) -> (&str, [f64; 2]) {
+    (&panel.label, y_range(panel))
+}
+
 fn without_gaps(panel: &BandPanel) -> BandPanel {
     let mut panel = panel.clone();
     for band in &mut panel.bands {
@@ -102,19 +91,10 @@ fn without_gaps(panel: &BandPanel) -> BandPanel {
     panel
 }
 
-fn extent(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
-    values.fold(None, |range: Option<[f64; 2]>, value| {
-        let [low, high] = range.unwrap_or([value, value]);
-        Some([low.min(value), high.max(value)])
-    })
-}
-
 fn y_range(panel: &BandPanel) -> [f64; 2] {
     let points = panel.bands.iter().flat_map(|band| &band.points).flat_map(|p| [p[2], p[3]]);
     let published = panel.bands.iter().flat_map(|band| &band.published).map(|p| p[1]);
-    let [low, high] = panel.range.or_else(|| extent(points.chain(published))).unwrap_or([0.0, 1.0]);
-    let margin = 0.05 * (high - low);
-    [low - margin, high + margin]
+    with_margin(panel.range, points.chain(published))
 }
 
 #[cfg(test)]

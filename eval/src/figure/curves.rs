@@ -2,15 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
+use super::stack::{Axis, Stack, extent, with_margin};
+use crate::draw::{Anchor, Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
 
-const WIDTH: f64 = 760.0;
-const PANEL_HEIGHT: f64 = 170.0;
-const LEFT: f64 = 68.0;
-const RIGHT: f64 = 18.0;
-const TOP: f64 = 34.0;
-const GAP: f64 = 32.0;
-const BOTTOM: f64 = 46.0;
+const STACK: Stack = Stack { panel_height: 170.0, top: 34.0, gap: 32.0 };
 
 /// One quantity over training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,22 +46,13 @@ pub fn smoothed(points: &[[f64; 2]], half: usize) -> Vec<[f64; 2]> {
 /// Draws panels of curves above each other. `id` must be unique on the page.
 pub fn curves(id: &str, title: &str, x_label: &str, panels: &[CurvePanel]) -> String {
     let panels: Vec<CurvePanel> = panels.iter().map(without_gaps).collect();
-    let n = panels.len().max(1) as f64;
-    let height = TOP + n * PANEL_HEIGHT + (n - 1.0) * GAP + BOTTOM;
-    let mut canvas = Canvas::new(id, WIDTH, height);
-    canvas.text([LEFT, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
-    let everything: Vec<f64> = points(&panels).map(|p| p[0]).collect();
-    let x_range = extent(&everything).unwrap_or([0.0, 1.0]);
-    for (i, panel) in panels.iter().enumerate() {
-        let top = TOP + i as f64 * (PANEL_HEIGHT + GAP);
-        let area = Area::new(LEFT, top, WIDTH - LEFT - RIGHT, PANEL_HEIGHT);
-        let frame = Panel::new(area, x_range, y_range(panel));
-        frame.draw_y(&mut canvas, 4, &panel.label);
-        let last = i + 1 == panels.len();
-        frame.draw_x(&mut canvas, 7, last.then_some(x_label));
-        draw_panel(&mut canvas, &frame, panel);
-    }
-    canvas.finish(title)
+    let range = extent(points(&panels).map(|p| p[0]));
+    let axis = Axis { label: x_label, n_ticks: 7, range };
+    STACK.draw([id, title], &axis, &panels, vertical, draw_panel)
+}
+
+fn vertical(panel: &CurvePanel) -> (&str, [f64; 2]) {
+    (&panel.label, y_range(panel))
 }
 
 fn without_gaps(panel: &CurvePanel) -> CurvePanel {
@@ -81,20 +67,10 @@ fn points(panels: &[CurvePanel]) -> impl Iterator<Item = &[f64; 2]> {
     panels.iter().flat_map(|panel| &panel.series).flat_map(|series| &series.points)
 }
 
-fn extent(values: &[f64]) -> Option<[f64; 2]> {
-    let low = values.iter().copied().reduce(f64::min)?;
-    let high = values.iter().copied().reduce(f64::max)?;
-    Some([low, high])
-}
-
-/// Takes the fixed range, or that of the data (and the reference) with a small margin.
+/// Takes the fixed range, or that of the data and the reference.
 fn y_range(panel: &CurvePanel) -> [f64; 2] {
-    let mut values: Vec<f64> =
-        panel.series.iter().flat_map(|s| &s.points).map(|point| point[1]).collect();
-    values.extend(panel.reference.iter().map(|(level, _)| *level));
-    let [low, high] = panel.range.or_else(|| extent(&values)).unwrap_or([0.0, 1.0]);
-    let margin = 0.05 * (high - low);
-    [low - margin, high + margin]
+    let values = panel.series.iter().flat_map(|s| &s.points).map(|point| point[1]);
+    with_margin(panel.range, values.chain(panel.reference.iter().map(|(level, _)| *level)))
 }
 
 fn draw_panel(canvas: &mut Canvas, frame: &Panel, panel: &CurvePanel) {

@@ -12,6 +12,7 @@ mod bands;
 mod bars;
 mod curves;
 mod sheet;
+mod stack;
 
 pub use bands::{Band, BandPanel, bands};
 pub use bars::{ShareRow, histogram, shares};
