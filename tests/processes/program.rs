@@ -60,6 +60,7 @@ fn every_built_in_configuration_can_be_printed_and_used() {
         "lander_hard",
         "paper_highway",
         "paper_lander",
+        "paper_lander_hard",
         "pilot",
         "steakhouse",
         "steakhouse_timing",

@@ -8,7 +8,7 @@ use toml::Table;
 use super::table::overlay;
 
 /// Files that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 10] = [
+const BUILT_IN: [(&str, &str); 11] = [
     ("cartpole", include_str!("../../configs/cartpole.toml")),
     ("cue_recall", include_str!("../../configs/cue_recall.toml")),
     ("highway", include_str!("../../configs/highway.toml")),
@@ -16,6 +16,7 @@ const BUILT_IN: [(&str, &str); 10] = [
     ("lander_hard", include_str!("../../configs/lander_hard.toml")),
     ("paper_highway", include_str!("../../configs/paper_highway.toml")),
     ("paper_lander", include_str!("../../configs/paper_lander.toml")),
+    ("paper_lander_hard", include_str!("../../configs/paper_lander_hard.toml")),
     ("pilot", include_str!("../../configs/pilot.toml")),
     ("steakhouse", include_str!("../../configs/steakhouse.toml")),
     ("steakhouse_timing", include_str!("../../configs/steakhouse_timing.toml")),
