@@ -8,6 +8,7 @@ use leadtime_eval::measure::{Choice, title};
 use leadtime_eval::study::{Layout, PartResult};
 use leadtime_numerics::stats::mean;
 
+use super::contender;
 use super::judging::Judge;
 use super::plan::{PlannedPart, PlannedRow, Training, seeds};
 use super::write::Drawn;
@@ -163,11 +164,12 @@ fn playthroughs(
     let mut pictures = Vec::new();
     for (i, row) in planned.rows.iter().enumerate() {
         let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));
-        let players = judge.players(row, EvaluationAction::Sample)?;
-        let (Some(on), Some(player)) = (on, players.first()) else { continue };
-        let player = player.clone().named(&row.row.title);
+        let contenders =
+            contender::of(judge.program, judge.args, judge.which, row, EvaluationAction::Sample)?;
+        let (Some(on), Some(first)) = (on, contenders.first()) else { continue };
+        let player = &first.player;
         let voice = judge::shipped_voice(judge.program, &on.config);
-        let played = judge::record(judge.program, &on.config, &player, voice.as_ref(), (seed, 0))?;
+        let played = judge::record(judge.program, &on.config, player, voice.as_ref(), (seed, 0))?;
         pictures.push(played.svg(&format!("{stem}-{i}")));
     }
     if pictures.is_empty() {
