@@ -149,6 +149,23 @@ fn one_row_with_one_setting_changed() {
 }
 
 #[test]
+fn a_rows_own_steps_are_above_the_parts_and_below_the_command_lines() {
+    let runs = tempfile::tempdir().unwrap();
+    let text = STUDY
+        .replace("quick_steps = 4096", "quick_steps = 4096\nsteps = 20480")
+        .replace("name = \"real_one\"", "name = \"real_one\"\nset.learner.total_steps = 61440");
+    let steps = |more: &[&str]| -> Vec<u64> {
+        let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+        let plan = Plan::new(&Program::new(), named, &args(runs.path(), more)).unwrap();
+        plan.parts[0].rows.iter().skip(1).map(|row| row.config.learner.total_steps).collect()
+    };
+    assert_eq!(steps(&[]), [20_480, 61_440]);
+    assert_eq!(steps(&["--quick"]), [4_096, 4_096]);
+    assert_eq!(steps(&["--steps", "9000"]), [9_000, 9_000]);
+    assert_eq!(steps(&["--set", "learner.total_steps=8192"]), [8_192, 8_192]);
+}
+
+#[test]
 fn what_is_not_there_is_told_with_what_is() {
     let runs = tempfile::tempdir().unwrap();
     let check = |more: &[&str]| check_choice(&[named("t")], &args(runs.path(), more));

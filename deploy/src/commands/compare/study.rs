@@ -49,9 +49,9 @@ pub(super) struct Part {
     /// How the profile was chosen.
     #[serde(default)]
     pub(super) note: String,
-    /// Environment steps of each training; the profile's if left out.
+    /// Environment steps of each training whose row does not set `learner.total_steps`; the profile's if left out.
     pub(super) steps: Option<u64>,
-    /// The same with `--quick`.
+    /// Steps with `--quick`, of every row.
     pub(super) quick_steps: u64,
     /// How the table is laid out.
     #[serde(default)]
