@@ -137,7 +137,12 @@ fn is_free(key: &str) -> bool {
     FREE.iter().any(|free| key == *free || (free.ends_with('.') && key.starts_with(free)))
 }
 
-fn read(program: &Program, file: &Path) -> anyhow::Result<Config> {
+/// Reads a configuration as it is: a built-in one or a file.
+///
+/// # Errors
+///
+/// One sentence: what is wrong with it.
+pub(super) fn read(program: &Program, file: &Path) -> anyhow::Result<Config> {
     let source = ConfigSource { config: Some(PathBuf::from(file)), ..ConfigSource::default() };
     config::load(&source, None, &program.catalog, &program.registry)
 }

@@ -25,7 +25,7 @@ use crate::exit::{ExitCode, Failure};
 /// Seed of every interval: what is uncertain is the data.
 const BOOTSTRAP_SEED: u64 = 1;
 /// Who shows what happens when nobody speaks.
-const UNAIDED: &str = "unaided";
+pub(super) const UNAIDED: &str = "unaided";
 
 /// How intervals are made.
 pub(super) fn bootstrap() -> Bootstrap {
@@ -88,6 +88,22 @@ impl<'a> Judge<'a> {
             differences,
             pictures: Vec::new(),
         })
+    }
+
+    /// Returns the evaluation seed that belongs to the first training seed.
+    pub(super) fn first_seed(&self) -> u64 {
+        self.args.eval_seed + seeds(self.args).first().copied().unwrap_or(0)
+    }
+
+    /// Returns a row's player of the first training seed, for figures; it samples.
+    ///
+    /// # Errors
+    ///
+    /// As [`contender::of`].
+    pub(super) fn first_player(&self, row: &PlannedRow) -> anyhow::Result<Option<Player>> {
+        let action = EvaluationAction::Sample;
+        let contenders = contender::of(self.program, self.args, self.which, row, action)?;
+        Ok(contenders.into_iter().next().map(|first| first.player))
     }
 
     /// Judges a row on every person, in every way of choosing.

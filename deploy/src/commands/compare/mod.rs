@@ -17,6 +17,7 @@ mod cells;
 mod configure;
 mod contender;
 mod figures;
+mod flights;
 mod index;
 mod judging;
 mod plan;

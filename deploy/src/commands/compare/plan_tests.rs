@@ -149,6 +149,32 @@ fn one_row_with_one_setting_changed() {
 }
 
 #[test]
+fn maps_and_flights_are_for_piloting_alone() {
+    let runs = tempfile::tempdir().unwrap();
+    let plan = |change: &str| {
+        let text = STUDY.replace("quick_steps = 4096", &format!("quick_steps = 4096\n{change}"));
+        let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+        Plan::new(&Program::new(), named, &args(runs.path(), &[]))
+    };
+    let maps = |profile: &str| format!("maps = [{{ profile = \"{profile}\", title = \"a\" }}]");
+    assert_eq!(plan(&maps("lander_hard")).unwrap().parts[0].maps.len(), 1);
+    let text = format!("{:#}", plan(&maps("highway")).unwrap_err());
+    assert!(
+        text.contains("`maps`: `highway` is a configuration of the domain `highway`"),
+        "{text}"
+    );
+    let text = format!("{:#}", plan(&maps("nowhere")).unwrap_err());
+    assert!(text.contains("`maps`: ") && text.contains("nowhere"), "{text}");
+    let steakhouse = STUDY.replace("profile = \"lander\"", "profile = \"steakhouse\"");
+    let text =
+        steakhouse.replace("quick_steps = 4096", "quick_steps = 4096\ntrajectories_on = \"real\"");
+    let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+    let error = Plan::new(&Program::new(), named, &args(runs.path(), &[])).unwrap_err();
+    let text = format!("{error:#}");
+    assert!(text.contains("`trajectories_on`: `steakhouse`") && text.contains("flights"), "{text}");
+}
+
+#[test]
 fn a_rows_own_steps_are_above_the_parts_and_below_the_command_lines() {
     let runs = tempfile::tempdir().unwrap();
     let text = STUDY
