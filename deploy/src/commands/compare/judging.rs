@@ -186,7 +186,7 @@ impl<'a> Judge<'a> {
         config: &Config,
         told: Told,
     ) -> anyhow::Result<Evaluation> {
-        let mut environment = self.program.registry.build(&config.evaluation.task)?;
+        let program = self.program;
         let unaided = self.unaided(config, evaluation.seed)?;
         let evaluation = match lead_times(&evaluation, unaided) {
             Some(leads) => evaluation.with_column("lead_time", &leads),
@@ -194,7 +194,8 @@ impl<'a> Judge<'a> {
         };
         Ok(match told {
             Told::Course => {
-                with_claims(evaluation, unaided, environment.as_mut(), &contender.player)?
+                let make = || program.registry.build(&config.evaluation.task);
+                with_claims(evaluation, unaided, &make, &contender.player, judge::n_threads())?
             }
             Told::Measures | Told::Lead => evaluation,
         })
