@@ -32,6 +32,16 @@ pub fn fingerprint() -> io::Result<String> {
     Ok(format!("leadtime {version} build {}", output::hex(shown)))
 }
 
+/// Returns the digest of the executable's bytes, in hexadecimal: another one for every change of the program, also one
+/// that is not committed, and for tasks of the user's own.
+///
+/// # Errors
+///
+/// Whatever the system says about the executable.
+pub fn executable_digest() -> io::Result<String> {
+    Ok(output::hex(&executable()?))
+}
+
 /// Digests the executable that runs, even if its file was replaced meanwhile.
 fn executable() -> io::Result<sha2::digest::Output<Sha256>> {
     let running = File::open("/proc/self/exe");

@@ -6,6 +6,7 @@
 //!               metrics.jsonl        a line per update              tensorboard/         the same, as event files
 //!               policy.safetensors   the newest policy              best.safetensors     the best so far
 //!               report.html          written at every end    playthrough.png      drawn by `smoke`
+//!               evaluations/         judged cells, kept by `compare`
 //! ```
 //!
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same

@@ -36,6 +36,11 @@ pub(super) fn policy(
     Ok(Player::policy(name, &config.policy, parameters, choice(action))?)
 }
 
+/// Returns how many threads play episodes: as many as there are cores, for the results do not depend on it.
+pub(super) fn n_threads() -> usize {
+    available_parallelism().map_or(1, usize::from)
+}
+
 /// Plays the same episodes with every player.
 pub(super) fn evaluate_all(
     program: &Program,
@@ -45,8 +50,7 @@ pub(super) fn evaluate_all(
     seed: u64,
 ) -> anyhow::Result<Vec<Evaluation>> {
     let make = || program.registry.build(&config.evaluation.task);
-    let n_threads = available_parallelism().map_or(1, usize::from);
-    let settings = EvaluateSettings::new(u64::from(n_episodes), seed).threads(n_threads);
+    let settings = EvaluateSettings::new(u64::from(n_episodes), seed).threads(n_threads());
     let evaluate = |player| Ok(evaluate(&make, player, &settings)?);
     players.iter().map(evaluate).collect()
 }

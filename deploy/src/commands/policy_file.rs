@@ -28,6 +28,8 @@ pub(super) struct LoadedPolicy {
     pub(super) config: Config,
     /// The weights.
     pub(super) parameters: Parameters,
+    /// SHA-256 over the file, in hexadecimal.
+    pub(super) sha256: String,
 }
 
 /// Returns what goes into every policy file of a run.
@@ -68,7 +70,8 @@ pub(super) fn load(
         .with_context(|| format!("the configuration in {}", path.display()))?;
     let parameters = Parameters::from_safetensors(&bytes, &config.policy)
         .with_context(|| format!("{} does not fit its task", path.display()))?;
-    Ok(LoadedPolicy { path, config, parameters })
+    let sha256 = output::hex(&Sha256::digest(&bytes));
+    Ok(LoadedPolicy { path, config, parameters, sha256 })
 }
 
 /// Reads the weights of another run that a new run is to start from.

@@ -116,28 +116,42 @@ pub fn evaluate(
     player.check(probe.as_ref())?;
     let next = AtomicU64::new(0);
     let work = || Worker::new(player, settings, &next).run(make);
-    let mut episodes = if settings.n_threads <= 1 { work()? } else { in_threads(settings, &work)? };
-    episodes.sort_unstable_by_key(|(index, _)| *index);
+    let episodes = in_threads(settings.n_threads, &work)?;
     Ok(Evaluation {
         player: player.name().to_owned(),
         seed: settings.seed,
         metrics: probe.spec().metrics.clone(),
-        episodes: episodes.into_iter().map(|(_, episode)| episode).collect(),
+        episodes,
     })
 }
 
-type Numbered = Vec<(u64, Episode)>;
+/// What some episodes gave, with their numbers.
+pub(crate) type Numbered<T> = Vec<(u64, T)>;
 
-fn in_threads(
-    settings: &EvaluateSettings,
-    work: &(dyn Fn() -> Result<Numbered, Error> + Sync),
-) -> Result<Numbered, Error> {
+/// Lets threads work until there is nothing left to do, and puts what they found in the order of the episodes.
+///
+/// # Errors
+///
+/// The first one of a thread, or [`Error::Thread`].
+pub(crate) fn in_threads<T: Send>(
+    n_threads: usize,
+    work: &(dyn Fn() -> Result<Numbered<T>, Error> + Sync),
+) -> Result<Vec<T>, Error> {
+    let mut all = if n_threads <= 1 { work()? } else { gathered(n_threads, work)? };
+    all.sort_unstable_by_key(|(index, _)| *index);
+    Ok(all.into_iter().map(|(_, found)| found).collect())
+}
+
+fn gathered<T: Send>(
+    n_threads: usize,
+    work: &(dyn Fn() -> Result<Numbered<T>, Error> + Sync),
+) -> Result<Numbered<T>, Error> {
     thread::scope(|scope| {
         let start = |i: usize| {
             let name = format!("evaluate-{i}");
             thread::Builder::new().name(name).spawn_scoped(scope, work).map_err(Error::Thread)
         };
-        let threads: Vec<_> = (0..settings.n_threads).map(start).collect::<Result<_, _>>()?;
+        let threads: Vec<_> = (0..n_threads).map(start).collect::<Result<_, _>>()?;
         let mut all = Vec::new();
         for thread in threads {
             // A panic in a thread is a bug; it goes on in the caller.
@@ -168,7 +182,7 @@ struct Worker<'a> {
     observations: Vec<f32>,
     /// `[n_lanes, S]`.
     recurrent: Vec<f32>,
-    done: Numbered,
+    done: Numbered<Episode>,
 }
 
 impl<'a> Worker<'a> {
@@ -185,7 +199,7 @@ impl<'a> Worker<'a> {
         }
     }
 
-    fn run(mut self, make: &MakeEnvironment<'_>) -> Result<Numbered, Error> {
+    fn run(mut self, make: &MakeEnvironment<'_>) -> Result<Numbered<Episode>, Error> {
         while self.lanes.len() < self.settings.n_lanes.max(1) {
             let Some(index) = self.take() else { break };
             let environment = make()?;

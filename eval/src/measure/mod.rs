@@ -17,6 +17,7 @@ pub use compare::{Comparison, Difference};
 pub use episodes::{
     Episode, EvaluateSettings, Evaluation, MakeEnvironment, episode_seed, evaluate,
 };
+pub(crate) use episodes::{Numbered, in_threads};
 pub(crate) use lead::hazards;
 pub use lead::lead_times;
 pub(crate) use player::Acting;

@@ -5,12 +5,14 @@
 //! story:  scenes --> what the person was doing in each step, utterances and reactions as spans of time
 //! voice:  topic, k, l of each utterance --> the sentence that says it
 //! picture, frames, animation: SVG, PNG, GIF     transcript: text
+//! flights: the ways of many episodes over one map, and of one over several maps
 //! ```
 //!
 //! Everything is drawn from [`Scene`](leadtime_sims::Scene)s, so a road or a kitchen draws as a lander does.
 
 mod animation;
 mod demonstration;
+mod flights;
 mod frames;
 mod labels;
 mod picture;
@@ -21,6 +23,7 @@ mod transcript;
 mod voice;
 mod world;
 
+pub use flights::{FlightEnd, FlightPanel, maps, trajectories};
 pub use record::Playthrough;
 pub use story::{Doing, Span, Story, Utterance};
 pub use voice::{Sentence, Voice};

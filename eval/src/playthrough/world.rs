@@ -68,6 +68,30 @@ impl World {
         });
     }
 
+    /// Draws the panel with the places of several episodes: what they share once, and what differs from one to the other
+    /// (the ground) as faint as they are many.
+    pub(super) fn draw_places(&self, canvas: &mut Canvas, scenes: &[&Scene]) {
+        canvas.rectangle(self.area, 6.0, Paint::fill(Ink::Panel));
+        let place = |scene: &&Scene| -> Vec<Shape> {
+            let shapes = scene.shapes.iter().filter(|shape| tone(shape) != Some(Tone::Own));
+            shapes.cloned().collect()
+        };
+        let places: Vec<Vec<Shape>> = scenes.iter().map(place).collect();
+        let Some(first) = places.first() else { return };
+        let faint = (1.6 / places.len() as f64).min(1.0);
+        canvas.clipped(self.area, |canvas| {
+            for (i, shape) in first.iter().enumerate() {
+                if places.iter().all(|place| place.get(i) == Some(shape)) {
+                    self.draw_shape(canvas, shape, 1.0);
+                    continue;
+                }
+                for shape in places.iter().filter_map(|place| place.get(i)) {
+                    self.draw_shape(canvas, shape, faint);
+                }
+            }
+        });
+    }
+
     /// Draws the person's body, more or less visible.
     pub(super) fn draw_body(&self, canvas: &mut Canvas, scene: &Scene, opacity: f64) {
         canvas.clipped(self.area, |canvas| {

@@ -3,45 +3,56 @@
 //! Time is told by the hazard: the step at which something happens to the same person in the same episode when nobody
 //! speaks ([`hazards`]). A message before it comes in time; after it, the person would be safe unaided or lost.
 
-use leadtime_sims::Environment;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::error::Error;
-use crate::measure::{Evaluation, Player, hazards};
+use crate::measure::{Evaluation, MakeEnvironment, Numbered, Player, hazards, in_threads};
 use crate::playthrough::{Playthrough, Story, Utterance};
 
 /// Names of the columns, in the order of [`row`].
 const COLUMNS: [&str; 4] =
     ["first_l", "later_l", "per_step_before_hazard", "per_step_after_hazard"];
 
-/// Plays an evaluation's episodes again, message by message, and adds what they say to it.
+/// Plays an evaluation's episodes again, message by message, and adds what they say to it; the number of threads changes
+/// nothing.
 ///
 /// The columns: l of the first message, mean l of the others, messages per step before and after the hazard. A task
 /// without hazards, or that cannot be drawn, leaves the evaluation as it is.
 ///
 /// # Errors
 ///
-/// As [`Playthrough::record`].
+/// As [`Playthrough::record`]; [`Error::Task`] if an environment cannot be made.
 pub fn with_claims(
     evaluation: Evaluation,
     unaided: &Evaluation,
-    environment: &mut dyn Environment,
+    make: &MakeEnvironment<'_>,
     player: &Player,
+    n_threads: usize,
 ) -> Result<Evaluation, Error> {
-    let Some(hazards) = hazards(unaided).filter(|_| environment.scene().is_some()) else {
+    let drawable = make()?.scene().is_some();
+    let Some(hazards) = hazards(unaided).filter(|_| drawable) else {
         return Ok(evaluation);
     };
-    let mut columns: [Vec<f32>; 4] = Default::default();
-    for (index, hazard) in (0..evaluation.episodes.len()).zip(hazards) {
-        let played = Playthrough::record(environment, player, evaluation.seed, index as u64)?;
-        let story = Story::new(&played.scenes);
-        for (column, value) in
-            columns.iter_mut().zip(row(&story.utterances, played.n_steps(), hazard as usize))
-        {
-            column.push(value);
+    let n_episodes = evaluation.episodes.len().min(hazards.len());
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let mut environment = make()?;
+        let mut rows = Numbered::new();
+        loop {
+            let place = next.fetch_add(1, Ordering::Relaxed);
+            let Some(hazard) = hazards.get(place).filter(|_| place < n_episodes) else { break };
+            let index = place as u64;
+            let seed = evaluation.seed;
+            let played = Playthrough::record(environment.as_mut(), player, seed, index)?;
+            let story = Story::new(&played.scenes);
+            rows.push((index, row(&story.utterances, played.n_steps(), *hazard as usize)));
         }
-    }
-    let named = COLUMNS.iter().zip(&columns);
-    Ok(named.fold(evaluation, |so_far, (name, column)| so_far.with_column(name, column)))
+        Ok(rows)
+    };
+    let rows = in_threads(n_threads, &work)?;
+    let column = |i: usize| rows.iter().map(|row| row[i]).collect::<Vec<f32>>();
+    let named = COLUMNS.iter().enumerate();
+    Ok(named.fold(evaluation, |so_far, (i, name)| so_far.with_column(name, &column(i))))
 }
 
 /// Computes the columns of one episode; NaN where one is undefined.
@@ -62,7 +73,37 @@ fn row(utterances: &[Utterance], n_steps: usize, hazard: usize) -> [f32; 4] {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_sims::human::HumanSettings;
+    use leadtime_sims::notifier::NotifierSettings;
+    use leadtime_sims::piloting::{Piloting, WorldSettings};
+    use leadtime_sims::{Environment, NotifierEnv, TaskError};
+
     use super::*;
+    use crate::measure::{EvaluateSettings, evaluate};
+
+    fn piloting() -> Result<Box<dyn Environment>, TaskError> {
+        let task = Piloting::new(&WorldSettings::default()).map_err(TaskError::from)?;
+        let (human, notifier) = (HumanSettings::default(), NotifierSettings::default());
+        Ok(Box::new(NotifierEnv::new(task, &human, &notifier)?))
+    }
+
+    #[test]
+    fn the_number_of_threads_changes_nothing() {
+        let settings = EvaluateSettings::new(5, 3);
+        let unaided = evaluate(&piloting, &Player::baseline("unaided"), &settings).unwrap();
+        let player = Player::baseline("heuristic");
+        let judged = evaluate(&piloting, &player, &settings).unwrap();
+        let told = |n_threads| {
+            let told = with_claims(judged.clone(), &unaided, &piloting, &player, n_threads);
+            let bits = |value: &f32| value.to_bits();
+            let rows = told.unwrap().episodes.into_iter();
+            rows.map(|episode| episode.metrics.iter().map(bits).collect())
+                .collect::<Vec<Vec<u32>>>()
+        };
+        let reference = told(1);
+        assert_eq!(reference[0].len(), judged.metrics.len() + COLUMNS.len());
+        assert_eq!(told(3), reference);
+    }
 
     fn said(start: usize, conveyance: usize) -> Utterance {
         Utterance { topic: 0, start, comprehension: 2, conveyance, end: start + conveyance }

@@ -17,6 +17,9 @@ use crate::scene::{Listener, Scene, Shape, Tone};
 use crate::setting::SettingError;
 use crate::{Advance, Domain, Message, ReactionStatus, ReactionStep};
 
+/// The outcome of a scene in which the lander has been in a danger zone, however it went on.
+pub const ENTERED: &str = "entered a danger zone";
+
 /// Half the pad's width.
 const PAD: f64 = 0.2;
 
@@ -334,7 +337,7 @@ impl Domain for Piloting {
         });
         let progress = &self.progress;
         let outcome = match (progress.entered, progress.timed_out) {
-            (true, _) => "entered a danger zone",
+            (true, _) => ENTERED,
             (false, true) => "out of time",
             (false, false) => caption(progress.outcome),
         };

@@ -27,7 +27,7 @@ mod safe_path;
 mod settings;
 mod zone;
 
-pub use domain::Piloting;
+pub use domain::{ENTERED, Piloting};
 pub use settings::{
     EntryPenalty, NearPenalty, PilotKind, PilotingSettings, ReactionKind, WorldSettings,
 };

@@ -44,7 +44,8 @@ impl Profile {
         Ok(Self { name: part.profile.clone(), table: own.table })
     }
 
-    /// Configures the training of a row: the profile, then the row's differences, then the command line's.
+    /// Configures the training of a row: the profile, then the part's length, then the row's differences, then the command
+    /// line's.
     ///
     /// # Errors
     ///
@@ -57,10 +58,9 @@ impl Profile {
         args: &CompareArgs,
     ) -> anyhow::Result<Config> {
         let mut table = self.table.clone();
+        put_steps(&mut table, part.steps)?;
         overlay(&mut table, &row.set);
-        if let Some(steps) = steps(part, args) {
-            put(&mut table, "learner", "total_steps", i64::try_from(steps)?.into());
-        }
+        put_steps(&mut table, args.steps.or(args.quick.then_some(part.quick_steps)))?;
         let runs = args.runs.to_str().context("--runs: the path is not UTF-8")?;
         put(&mut table, "run", "directory", runs.into());
         for assignment in &args.set {
@@ -83,9 +83,12 @@ impl Profile {
     }
 }
 
-/// Returns the length of a part's trainings, where it is not the profile's.
-fn steps(part: &Part, args: &CompareArgs) -> Option<u64> {
-    args.steps.or(if args.quick { Some(part.quick_steps) } else { part.steps })
+/// Sets the length of a training, where one is given.
+fn put_steps(table: &mut Table, steps: Option<u64>) -> anyhow::Result<()> {
+    if let Some(steps) = steps {
+        put(table, "learner", "total_steps", i64::try_from(steps)?.into());
+    }
+    Ok(())
 }
 
 /// Configures the evaluation of a row on a person.
@@ -134,7 +137,12 @@ fn is_free(key: &str) -> bool {
     FREE.iter().any(|free| key == *free || (free.ends_with('.') && key.starts_with(free)))
 }
 
-fn read(program: &Program, file: &Path) -> anyhow::Result<Config> {
+/// Reads a configuration as it is: a built-in one or a file.
+///
+/// # Errors
+///
+/// One sentence: what is wrong with it.
+pub(super) fn read(program: &Program, file: &Path) -> anyhow::Result<Config> {
     let source = ConfigSource { config: Some(PathBuf::from(file)), ..ConfigSource::default() };
     config::load(&source, None, &program.catalog, &program.registry)
 }

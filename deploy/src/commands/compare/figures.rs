@@ -1,4 +1,5 @@
-//! The figures of a part: learning curves over training seeds, curves over people, playthroughs of the same episode.
+//! The figures of a part: learning curves over training seeds, curves over people, playthroughs of the same episode; maps
+//! and flights are drawn by [`flights`].
 
 use std::collections::BTreeMap;
 
@@ -8,11 +9,11 @@ use leadtime_eval::measure::{Choice, title};
 use leadtime_eval::study::{Layout, PartResult};
 use leadtime_numerics::stats::mean;
 
+use super::flights;
 use super::judging::Judge;
-use super::plan::{PlannedPart, PlannedRow, Training, seeds};
+use super::plan::{PlannedPart, PlannedRow, Training};
 use super::write::Drawn;
 use crate::commands::judge;
-use crate::config::raw::EvaluationAction;
 use crate::progress::journal;
 
 /// Pixels per unit.
@@ -36,10 +37,12 @@ pub(super) fn draw(
     stem: &str,
 ) -> anyhow::Result<Vec<Drawn>> {
     let mut drawn = Vec::new();
+    drawn.extend(flights::maps(judge, planned, stem)?);
     drawn.extend(learning(planned, stem)?);
     if part.layout == Layout::Grid {
         drawn.push(over_people(planned, part, stem)?);
     }
+    drawn.extend(flights::trajectories(judge, planned, stem)?);
     drawn.extend(playthroughs(judge, planned, stem)?);
     Ok(drawn)
 }
@@ -159,13 +162,11 @@ fn playthroughs(
     stem: &str,
 ) -> anyhow::Result<Option<Drawn>> {
     let Some(person) = &planned.part.pictured_on else { return Ok(None) };
-    let seed = judge.args.eval_seed + seeds(judge.args).first().copied().unwrap_or(0);
+    let seed = judge.first_seed();
     let mut pictures = Vec::new();
     for (i, row) in planned.rows.iter().enumerate() {
         let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));
-        let players = judge.players(row, EvaluationAction::Sample)?;
-        let (Some(on), Some(player)) = (on, players.first()) else { continue };
-        let player = player.clone().named(&row.row.title);
+        let (Some(on), Some(player)) = (on, judge.first_player(row)?) else { continue };
         let voice = judge::shipped_voice(judge.program, &on.config);
         let played = judge::record(judge.program, &on.config, &player, voice.as_ref(), (seed, 0))?;
         pictures.push(played.svg(&format!("{stem}-{i}")));

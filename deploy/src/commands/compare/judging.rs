@@ -6,15 +6,18 @@ use anyhow::Context as _;
 use leadtime_eval::measure::{Choice, Difference, Evaluation, Player, Summary, lead_times};
 use leadtime_eval::study::{Judged, PartResult, RowResult, with_claims};
 use leadtime_numerics::stats::Bootstrap;
+use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 use toml::Value;
 
+use super::cells::{Cells, Question};
+use super::contender::{self, Contender};
 use super::plan::{Evaluated, PlannedPart, PlannedRow, seeds};
 use super::provenance;
 use super::study::{DifferenceOf, WhichPolicy};
 use crate::Program;
 use crate::cli::CompareArgs;
-use crate::commands::{judge, policy_file};
+use crate::commands::judge;
 use crate::config::Config;
 use crate::config::raw::EvaluationAction;
 use crate::exit::{ExitCode, Failure};
@@ -22,20 +25,21 @@ use crate::exit::{ExitCode, Failure};
 /// Seed of every interval: what is uncertain is the data.
 const BOOTSTRAP_SEED: u64 = 1;
 /// Who shows what happens when nobody speaks.
-const UNAIDED: &str = "unaided";
+pub(super) const UNAIDED: &str = "unaided";
 
 /// How intervals are made.
 pub(super) fn bootstrap() -> Bootstrap {
     Bootstrap::new(BOOTSTRAP_SEED)
 }
 
-/// Judges policies; remembers what the unaided person did in the same episodes.
+/// Judges policies; remembers what was judged before, and what the unaided person did in the same episodes.
 #[derive(Debug)]
 pub(super) struct Judge<'a> {
     pub(super) program: &'a Program,
     pub(super) args: &'a CompareArgs,
     pub(super) which: WhichPolicy,
     pub(super) shutdown: &'a CancellationToken,
+    pub(super) cells: Cells,
     /// By task and seed.
     unaided: BTreeMap<(String, u64), Evaluation>,
 }
@@ -53,8 +57,9 @@ impl<'a> Judge<'a> {
         args: &'a CompareArgs,
         which: WhichPolicy,
         shutdown: &'a CancellationToken,
+        cells: Cells,
     ) -> Self {
-        Self { program, args, which, shutdown, unaided: BTreeMap::new() }
+        Self { program, args, which, shutdown, cells, unaided: BTreeMap::new() }
     }
 
     /// Judges the rows of a part.
@@ -85,6 +90,22 @@ impl<'a> Judge<'a> {
         })
     }
 
+    /// Returns the evaluation seed that belongs to the first training seed.
+    pub(super) fn first_seed(&self) -> u64 {
+        self.args.eval_seed + seeds(self.args).first().copied().unwrap_or(0)
+    }
+
+    /// Returns a row's player of the first training seed, for figures; it samples.
+    ///
+    /// # Errors
+    ///
+    /// As [`contender::of`].
+    pub(super) fn first_player(&self, row: &PlannedRow) -> anyhow::Result<Option<Player>> {
+        let action = EvaluationAction::Sample;
+        let contenders = contender::of(self.program, self.args, self.which, row, action)?;
+        Ok(contenders.into_iter().next().map(|first| first.player))
+    }
+
     /// Judges a row on every person, in every way of choosing.
     fn people(&mut self, row: &PlannedRow, sampled: &mut Sampled) -> Result<Vec<Judged>, Failure> {
         let mut judged = Vec::new();
@@ -107,71 +128,122 @@ impl<'a> Judge<'a> {
         person: &Evaluated,
         action: EvaluationAction,
     ) -> Result<BySeed, Failure> {
-        let players = self.players(row, action)?;
+        let contenders = contender::of(self.program, self.args, self.which, row, action)?;
         let mut by_seed = Vec::new();
-        for (player, seed) in players.iter().zip(seeds(self.args)) {
+        for (contender, seed) in contenders.iter().zip(seeds(self.args)) {
             if self.shutdown.is_cancelled() {
                 return Err(Failure::silent(ExitCode::Interrupted));
             }
+            let told = Told::of(action);
             let seed = self.args.eval_seed + seed;
-            let evaluation = self.evaluate(&person.config, player, seed)?;
-            let mut environment = self
-                .program
-                .registry
-                .build(&person.config.evaluation.task)
-                .map_err(anyhow::Error::from)?;
-            let unaided = self.unaided(&person.config, seed)?;
-            let evaluation = match lead_times(&evaluation, unaided) {
-                Some(leads) => evaluation.with_column("lead_time", &leads),
-                None => evaluation,
-            };
-            // Greedy choices are a check on the side; their course is not told.
-            by_seed.push(match action {
-                EvaluationAction::Sample => {
-                    with_claims(evaluation, unaided, environment.as_mut(), player)
-                        .map_err(anyhow::Error::from)?
-                }
-                EvaluationAction::Greedy => evaluation,
-            });
+            by_seed.push(self.cell(contender, &person.config, told, seed)?);
         }
         Ok(by_seed)
     }
 
-    fn evaluate(&self, config: &Config, player: &Player, seed: u64) -> anyhow::Result<Evaluation> {
+    /// Takes a cell that was judged before, or judges it.
+    fn cell(
+        &mut self,
+        contender: &Contender,
+        config: &Config,
+        told: Told,
+        seed: u64,
+    ) -> anyhow::Result<Evaluation> {
+        let question = self.question(contender, config, told, seed)?;
+        let path = contender.directory.join(question.file());
+        if let Some(evaluation) = self.cells.take(&path) {
+            // Rows with other titles may share a run.
+            return Ok(Evaluation { player: contender.player.name().to_owned(), ..evaluation });
+        }
+        let evaluation = evaluate(self.program, self.args, config, &contender.player, seed)?;
+        let evaluation = match told {
+            Told::Measures => evaluation,
+            Told::Lead | Told::Course => {
+                self.against_unaided(evaluation, contender, config, told)?
+            }
+        };
+        self.cells.keep(&path, &evaluation);
+        Ok(evaluation)
+    }
+
+    fn question(
+        &self,
+        contender: &Contender,
+        config: &Config,
+        told: Told,
+        seed: u64,
+    ) -> anyhow::Result<Question> {
+        let task = &config.evaluation.task;
         let n_episodes = self.args.episodes;
-        let players = std::slice::from_ref(player);
-        let judged = judge::evaluate_all(self.program, config, players, n_episodes, seed)?;
-        judged.into_iter().next().context("one player gives one evaluation")
+        Ok(Question::new(&(&contender.identity, task, seed, n_episodes, told))?)
+    }
+
+    /// Adds what is told by comparison with the unaided person in the same episodes.
+    fn against_unaided(
+        &mut self,
+        evaluation: Evaluation,
+        contender: &Contender,
+        config: &Config,
+        told: Told,
+    ) -> anyhow::Result<Evaluation> {
+        let program = self.program;
+        let unaided = self.unaided(config, evaluation.seed)?;
+        let evaluation = match lead_times(&evaluation, unaided) {
+            Some(leads) => evaluation.with_column("lead_time", &leads),
+            None => evaluation,
+        };
+        Ok(match told {
+            Told::Course => {
+                let make = || program.registry.build(&config.evaluation.task);
+                with_claims(evaluation, unaided, &make, &contender.player, judge::n_threads())?
+            }
+            Told::Measures | Told::Lead => evaluation,
+        })
     }
 
     fn unaided(&mut self, config: &Config, seed: u64) -> anyhow::Result<&Evaluation> {
         let key = (config.evaluation.task.settings.clone(), seed);
         if !self.unaided.contains_key(&key) {
-            let evaluation = self.evaluate(config, &Player::baseline(UNAIDED), seed)?;
+            let unaided = Contender::script(self.args, UNAIDED, UNAIDED);
+            let evaluation = self.cell(&unaided, config, Told::Measures, seed)?;
             self.unaided.insert(key.clone(), evaluation);
         }
         self.unaided.get(&key).context("it was put there just now")
     }
+}
 
-    /// Returns the row's player for every training seed.
-    pub(super) fn players(
-        &self,
-        row: &PlannedRow,
-        action: EvaluationAction,
-    ) -> anyhow::Result<Vec<Player>> {
-        let title = &row.row.title;
-        if let Some(script) = &row.row.script {
-            return Ok(seeds(self.args).iter().map(|_| Player::baseline(script)).collect());
+/// What is told of an episode beyond the task's own measures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+enum Told {
+    /// Nothing.
+    Measures,
+    /// Its lead time.
+    Lead,
+    /// Its lead time and its course.
+    Course,
+}
+
+impl Told {
+    /// Greedy choices are a check on the side; their course is not told.
+    fn of(action: EvaluationAction) -> Self {
+        match action {
+            EvaluationAction::Sample => Self::Course,
+            EvaluationAction::Greedy => Self::Lead,
         }
-        let player = |training: &super::plan::Training| {
-            let file = training.policy(self.which);
-            let file = file.to_str().context("the path is not UTF-8")?;
-            let runs = &training.config.run.directory;
-            let loaded = policy_file::load(self.program, runs, file, &[])?;
-            judge::policy(title, &row.config, &loaded.parameters, action)
-        };
-        row.trainings.iter().map(player).collect()
     }
+}
+
+/// Plays the episodes of a cell.
+fn evaluate(
+    program: &Program,
+    args: &CompareArgs,
+    config: &Config,
+    player: &Player,
+    seed: u64,
+) -> anyhow::Result<Evaluation> {
+    let players = std::slice::from_ref(player);
+    let judged = judge::evaluate_all(program, config, players, args.episodes, seed)?;
+    judged.into_iter().next().context("one player gives one evaluation")
 }
 
 /// A script has no distribution to draw from.
@@ -231,3 +303,7 @@ fn difference(
     let minus = format!("{} (both on: {})", title(minus)?, person.title);
     Difference::over_seeds((&title(of)?, a), (&minus, b), measure, &bootstrap())
 }
+
+#[cfg(test)]
+#[path = "judging_tests.rs"]
+mod tests;

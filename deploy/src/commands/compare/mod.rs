@@ -4,7 +4,7 @@
 //! study (TOML: parts, rows, evaluations, published figures)          deploy/studies/*.toml
 //!   --plan-->  trainings: a run each, named by what it computes      reused wherever they lie finished
 //!   --train--> `leadtime up` for each, some at a time                resumable, interruptible
-//!   --judge--> every policy on every person, sampled and greedy
+//!   --judge--> every policy on every person, sampled and greedy        kept beside the runs, played once
 //!   --write--> docs/results/<study>.md, .json, figures, and the index
 //! ```
 //!
@@ -13,8 +13,11 @@
 //! [`study::Study`] is the data; [`run::run`] the way through.
 
 mod catalog;
+mod cells;
 mod configure;
+mod contender;
 mod figures;
+mod flights;
 mod index;
 mod judging;
 mod plan;

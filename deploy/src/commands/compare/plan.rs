@@ -7,6 +7,7 @@ use leadtime_proto::RunName;
 
 use super::catalog::Named;
 use super::configure::{self, Profile};
+use super::flights::{self, PlannedMap};
 use super::study::{Part, Row, WhichPolicy};
 use crate::Program;
 use crate::cli::CompareArgs;
@@ -35,6 +36,8 @@ pub(super) struct PlannedPart {
     pub(super) profile: Profile,
     /// Its rows, as far as they were asked for.
     pub(super) rows: Vec<PlannedRow>,
+    /// The maps to draw.
+    pub(super) maps: Vec<PlannedMap>,
 }
 
 /// A row, ready to be carried out.
@@ -162,7 +165,8 @@ fn plan_part(
             .with_context(|| format!("row {}", row.name))
     });
     let rows = rows.collect::<anyhow::Result<Vec<_>>>()?;
-    Ok(PlannedPart { part: part.clone(), profile, rows })
+    let maps = flights::plan(program, part, &profile)?;
+    Ok(PlannedPart { part: part.clone(), profile, rows, maps })
 }
 
 fn plan_row(

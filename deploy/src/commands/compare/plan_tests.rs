@@ -149,6 +149,49 @@ fn one_row_with_one_setting_changed() {
 }
 
 #[test]
+fn maps_and_flights_are_for_piloting_alone() {
+    let runs = tempfile::tempdir().unwrap();
+    let plan = |change: &str| {
+        let text = STUDY.replace("quick_steps = 4096", &format!("quick_steps = 4096\n{change}"));
+        let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+        Plan::new(&Program::new(), named, &args(runs.path(), &[]))
+    };
+    let maps = |profile: &str| format!("maps = [{{ profile = \"{profile}\", title = \"a\" }}]");
+    assert_eq!(plan(&maps("lander_hard")).unwrap().parts[0].maps.len(), 1);
+    let text = format!("{:#}", plan(&maps("highway")).unwrap_err());
+    assert!(
+        text.contains("`maps`: `highway` is a configuration of the domain `highway`"),
+        "{text}"
+    );
+    let text = format!("{:#}", plan(&maps("nowhere")).unwrap_err());
+    assert!(text.contains("`maps`: ") && text.contains("nowhere"), "{text}");
+    let steakhouse = STUDY.replace("profile = \"lander\"", "profile = \"steakhouse\"");
+    let text =
+        steakhouse.replace("quick_steps = 4096", "quick_steps = 4096\ntrajectories_on = \"real\"");
+    let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+    let error = Plan::new(&Program::new(), named, &args(runs.path(), &[])).unwrap_err();
+    let text = format!("{error:#}");
+    assert!(text.contains("`trajectories_on`: `steakhouse`") && text.contains("flights"), "{text}");
+}
+
+#[test]
+fn a_rows_own_steps_are_above_the_parts_and_below_the_command_lines() {
+    let runs = tempfile::tempdir().unwrap();
+    let text = STUDY
+        .replace("quick_steps = 4096", "quick_steps = 4096\nsteps = 20480")
+        .replace("name = \"real_one\"", "name = \"real_one\"\nset.learner.total_steps = 61440");
+    let steps = |more: &[&str]| -> Vec<u64> {
+        let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+        let plan = Plan::new(&Program::new(), named, &args(runs.path(), more)).unwrap();
+        plan.parts[0].rows.iter().skip(1).map(|row| row.config.learner.total_steps).collect()
+    };
+    assert_eq!(steps(&[]), [20_480, 61_440]);
+    assert_eq!(steps(&["--quick"]), [4_096, 4_096]);
+    assert_eq!(steps(&["--steps", "9000"]), [9_000, 9_000]);
+    assert_eq!(steps(&["--set", "learner.total_steps=8192"]), [8_192, 8_192]);
+}
+
+#[test]
 fn what_is_not_there_is_told_with_what_is() {
     let runs = tempfile::tempdir().unwrap();
     let check = |more: &[&str]| check_choice(&[named("t")], &args(runs.path(), more));

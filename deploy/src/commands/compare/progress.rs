@@ -15,8 +15,7 @@ const LINE_EVERY: Duration = Duration::from_secs(15);
 #[derive(Debug)]
 pub(super) struct Progress {
     trainings: Vec<Training>,
-    /// Steps that were done when this started.
-    before: u64,
+    pace: Pace,
     started: Instant,
     bar: Option<ProgressBar>,
     last_line: Option<Instant>,
@@ -30,17 +29,27 @@ impl Progress {
             let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
             logging::bars().add(ProgressBar::new(0).with_style(style))
         });
-        let mut progress =
-            Self { trainings, before: 0, started: Instant::now(), bar, last_line: None };
-        progress.before = progress.tally().done;
-        progress
+        let steps: Vec<[u64; 2]> = trainings.iter().map(Training::steps).collect();
+        let pace = Pace::new(&steps);
+        Self { trainings, pace, started: Instant::now(), bar, last_line: None }
+    }
+
+    /// Lets the time count as training.
+    pub(super) fn resume(&mut self) {
+        self.pace.resume(self.started.elapsed());
+    }
+
+    /// Lets the time count no longer: what comes next is judging.
+    pub(super) fn pause(&mut self) {
+        self.pace.pause(self.started.elapsed());
     }
 
     /// Looks at every run and says how far they are.
     pub(super) fn look(&mut self) {
-        let tally = self.tally();
-        let elapsed = self.started.elapsed();
-        let text = tally.sentence(left(tally.done - self.before.min(tally.done), &tally, elapsed));
+        let steps: Vec<[u64; 2]> = self.trainings.iter().map(Training::steps).collect();
+        let n_finished = self.trainings.iter().filter(|training| training.is_finished()).count();
+        let tally = Tally::new(&steps, n_finished);
+        let text = tally.sentence(self.pace.left(&steps, self.started.elapsed()));
         if let Some(bar) = &self.bar {
             bar.set_length(tally.all);
             bar.set_position(tally.done);
@@ -51,17 +60,6 @@ impl Progress {
             self.last_line = Some(Instant::now());
             output::say(&text);
         }
-    }
-
-    fn tally(&self) -> Tally {
-        let mut tally = Tally { n_runs: self.trainings.len(), ..Tally::default() };
-        for training in &self.trainings {
-            let [done, all] = training.steps();
-            tally.done += done;
-            tally.all += all;
-            tally.n_finished += usize::from(training.is_finished());
-        }
-        tally
     }
 }
 
@@ -83,6 +81,11 @@ struct Tally {
 }
 
 impl Tally {
+    fn new(steps: &[[u64; 2]], n_finished: usize) -> Self {
+        let sum = |i: usize| steps.iter().map(|steps| steps[i]).sum();
+        Self { n_runs: steps.len(), n_finished, done: sum(0), all: sum(1) }
+    }
+
     fn sentence(&self, left: Option<Duration>) -> String {
         let Self { n_runs, n_finished, done, all } = *self;
         let percent = (100 * done).checked_div(all).unwrap_or(100);
@@ -99,25 +102,90 @@ impl Tally {
     }
 }
 
-/// Estimates the time left from what was done in this sitting; `None` before anything was.
-fn left(done_now: u64, tally: &Tally, elapsed: Duration) -> Option<Duration> {
-    let open = tally.all - tally.done.min(tally.all);
-    let seconds = elapsed.as_secs_f64() * open as f64 / done_now as f64;
-    (done_now > 0).then(|| Duration::from_secs_f64(seconds))
+/// How fast this sitting trains: its own steps over its own time of training.
+///
+/// What was trained before it began took none of its time, and judging trains nothing; so neither counts.
+#[derive(Debug)]
+struct Pace {
+    /// Where each training was taken up: the fewest steps that it had in this sitting. A run that goes on from a
+    /// checkpoint first loses the steps after it.
+    taken_up: Vec<u64>,
+    /// Time of training before the stretch that goes on.
+    spent: Duration,
+    /// When that stretch began; `None` while nothing is trained.
+    since: Option<Duration>,
+}
+
+impl Pace {
+    /// Begins where the trainings are: steps done, and in all.
+    fn new(steps: &[[u64; 2]]) -> Self {
+        let taken_up = steps.iter().map(|[done, _]| *done).collect();
+        Self { taken_up, spent: Duration::ZERO, since: None }
+    }
+
+    fn resume(&mut self, now: Duration) {
+        self.since.get_or_insert(now);
+    }
+
+    fn pause(&mut self, now: Duration) {
+        self.spent = self.spent(now);
+        self.since = None;
+    }
+
+    fn spent(&self, now: Duration) -> Duration {
+        self.spent + self.since.map_or(Duration::ZERO, |since| now.saturating_sub(since))
+    }
+
+    /// Estimates how long the rest will take; `None` before anything was trained.
+    fn left(&mut self, steps: &[[u64; 2]], now: Duration) -> Option<Duration> {
+        for (taken_up, [done, _]) in self.taken_up.iter_mut().zip(steps) {
+            *taken_up = (*taken_up).min(*done);
+        }
+        let gains = self.taken_up.iter().zip(steps).map(|(taken_up, [done, _])| done - taken_up);
+        let gained: u64 = gains.sum();
+        let open: u64 = steps.iter().map(|[done, all]| all.saturating_sub(*done)).sum();
+        let seconds = self.spent(now).as_secs_f64() * open as f64 / gained as f64;
+        if gained == 0 { None } else { Duration::try_from_secs_f64(seconds).ok() }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn minutes(minutes: u64) -> Duration {
+        Duration::from_mins(minutes)
+    }
+
     #[test]
-    fn the_time_left_counts_only_what_was_done_in_this_sitting() {
-        let tally = Tally { n_runs: 3, n_finished: 1, done: 6_000, all: 10_000 };
-        assert_eq!(left(0, &tally, Duration::from_secs(9)), None);
-        let left = left(2_000, &tally, Duration::from_mins(31)).unwrap();
-        assert_eq!(left, Duration::from_mins(62));
-        let sentence = tally.sentence(Some(left));
+    fn what_was_finished_before_does_not_shorten_the_time_left() {
+        let mut pace = Pace::new(&[[4_000, 4_000], [0, 3_000], [0, 3_000]]);
+        pace.resume(minutes(5));
+        let steps = [[4_000, 4_000], [2_000, 3_000], [0, 3_000]];
+        assert_eq!(pace.left(&[[4_000, 4_000], [0, 3_000], [0, 3_000]], minutes(6)), None);
+        let left = pace.left(&steps, minutes(36)).unwrap();
+        assert_eq!(left, minutes(62), "31 minutes for 2000 of 6000 steps");
+        let sentence = Tally::new(&steps, 1).sentence(Some(left));
         let expected = "1 of 3 trainings finished, 60 % of 10000 steps, 1:02:00 of training left";
         assert_eq!(sentence, expected);
+    }
+
+    #[test]
+    fn judging_between_trainings_takes_no_time_of_training() {
+        let mut pace = Pace::new(&[[0, 1_000], [0, 1_000]]);
+        pace.resume(minutes(0));
+        pace.pause(minutes(10));
+        pace.pause(minutes(50));
+        assert_eq!(pace.left(&[[1_000, 1_000], [0, 1_000]], minutes(60)), Some(minutes(10)));
+        pace.resume(minutes(60));
+        assert_eq!(pace.left(&[[1_000, 1_000], [500, 1_000]], minutes(65)), Some(minutes(5)));
+    }
+
+    #[test]
+    fn a_run_that_goes_on_from_a_checkpoint_counts_from_there() {
+        let mut pace = Pace::new(&[[5_000, 8_000]]);
+        pace.resume(minutes(0));
+        assert_eq!(pace.left(&[[4_000, 8_000]], minutes(1)), None);
+        assert_eq!(pace.left(&[[6_000, 8_000]], minutes(10)), Some(minutes(10)));
     }
 }

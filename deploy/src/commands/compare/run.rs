@@ -4,6 +4,7 @@ use anyhow::Context as _;
 use leadtime_eval::study::{StudyResult, TrainedRun};
 use tokio_util::sync::CancellationToken;
 
+use super::cells::Cells;
 use super::judging::{Judge, bootstrap};
 use super::plan::{self, Plan, Training};
 use super::progress::Progress;
@@ -80,7 +81,8 @@ fn judge(
     place: &Place,
     shutdown: &CancellationToken,
 ) -> Result<StudyResult, Failure> {
-    let mut judge = Judge::new(program, args, plan.named.study.judged, shutdown);
+    let cells = Cells::new().context("reading the program's own file")?;
+    let mut judge = Judge::new(program, args, plan.named.study.judged, shutdown, cells);
     let mut parts = Vec::new();
     for planned in &plan.parts {
         let mut part = judge.part(planned)?;
@@ -89,6 +91,7 @@ fn judge(
         part.pictures = place.write_pictures(drawn).blame(ExitCode::WrongInput)?;
         parts.push(part);
     }
+    output::say(&judge.cells.sentence());
     let mut runs: Vec<TrainedRun> = Vec::new();
     for training in plan.trainings() {
         runs.push(provenance::run(training)?);

@@ -49,9 +49,9 @@ pub(super) struct Part {
     /// How the profile was chosen.
     #[serde(default)]
     pub(super) note: String,
-    /// Environment steps of each training; the profile's if left out.
+    /// Environment steps of each training whose row does not set `learner.total_steps`; the profile's if left out.
     pub(super) steps: Option<u64>,
-    /// The same with `--quick`.
+    /// Steps with `--quick`, of every row.
     pub(super) quick_steps: u64,
     /// How the table is laid out.
     #[serde(default)]
@@ -61,6 +61,11 @@ pub(super) struct Part {
     pub(super) axis: String,
     /// The evaluation whose first episode is drawn for every row; none: no such figure.
     pub(super) pictured_on: Option<String>,
+    /// Maps to draw side by side, each with an unaided flight; none: no such figure. Piloting only.
+    #[serde(default)]
+    pub(super) maps: Vec<Map>,
+    /// The evaluation whose first flights are drawn for every row; none: no such figure. Piloting only.
+    pub(super) trajectories_on: Option<String>,
     /// Measures of the main table.
     pub(super) columns: Vec<String>,
     /// Differences to state.
@@ -70,6 +75,16 @@ pub(super) struct Part {
     pub(super) evaluations: Vec<Person>,
     /// The policies.
     pub(super) rows: Vec<Row>,
+}
+
+/// A map to draw.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Map {
+    /// The configuration whose map it is: a built-in one or a file.
+    pub(super) profile: String,
+    /// Its title.
+    pub(super) title: String,
 }
 
 /// Two rows whose difference is stated, on one person.
@@ -162,8 +177,12 @@ impl Part {
                 );
             }
         }
-        if let Some(person) = &self.pictured_on {
-            ensure!(named(person), "`pictured_on`: there is no evaluation `{person}`");
+        let pictured =
+            [("pictured_on", &self.pictured_on), ("trajectories_on", &self.trajectories_on)];
+        for (key, person) in pictured {
+            if let Some(person) = person {
+                ensure!(named(person), "`{key}`: there is no evaluation `{person}`");
+            }
         }
         for difference in &self.differences {
             let DifferenceOf { of, minus, on, .. } = difference;

@@ -54,6 +54,16 @@ fn what_is_wrong_with_a_study_is_one_sentence() {
         ("[\"return\"]", "[]", "`columns` is empty"),
         ("quick_steps = 512", "quick_steps = 0", "`quick_steps` is 0"),
         ("quick_steps = 512", "quick_steps = 512\npictured_on = \"x\"", "`pictured_on`"),
+        (
+            "quick_steps = 512",
+            "quick_steps = 512\ntrajectories_on = \"x\"",
+            "`trajectories_on`: there is no evaluation `x`",
+        ),
+        (
+            "quick_steps = 512",
+            "quick_steps = 512\nmaps = [{ profile = \"lander\" }]",
+            "missing field `title`",
+        ),
     ] {
         let text = refused(from, to);
         assert!(text.contains(told), "{told}: {text}");

@@ -40,6 +40,7 @@ pub(super) async fn train(
     let mut working: JoinSet<Result<(), Failure>> = JoinSet::new();
     let mut verdict = Ok(());
     let mut looks = tokio::time::interval(LOOK_EVERY);
+    progress.resume();
     loop {
         while working.len() < jobs(args) && !stop.is_cancelled() {
             let Some(next) = waiting.pop_front() else { break };
@@ -60,6 +61,7 @@ pub(super) async fn train(
         }
     }
     progress.look();
+    progress.pause();
     if shutdown.is_cancelled() { Err(Failure::silent(ExitCode::Interrupted)) } else { verdict }
 }
 

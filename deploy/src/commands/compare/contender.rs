@@ -1,0 +1,78 @@
+//! Who is judged: a row's policy of one training seed, or its script, and where its judged cells are kept.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use leadtime_eval::measure::Player;
+
+use super::plan::{PlannedRow, Training, seeds};
+use super::study::WhichPolicy;
+use crate::Program;
+use crate::cli::CompareArgs;
+use crate::commands::{judge, policy_file};
+use crate::config::raw::EvaluationAction;
+
+/// The folder of judged cells: in a run's directory, and for scripts, which have no run, beside the runs.
+const FOLDER: &str = "evaluations";
+
+/// A player with what decides how it plays.
+#[derive(Clone, Debug)]
+pub(super) struct Contender {
+    /// The player, under the row's title.
+    pub(super) player: Player,
+    /// Everything that decides what the player does: the bytes of its policy, its networks and its way of choosing, or
+    /// its script.
+    pub(super) identity: Vec<String>,
+    /// Where its judged cells are kept.
+    pub(super) directory: PathBuf,
+}
+
+impl Contender {
+    /// Lets a script play.
+    pub(super) fn script(args: &CompareArgs, script: &str, title: &str) -> Self {
+        Self {
+            player: Player::baseline(script).named(title),
+            identity: vec!["script".to_owned(), script.to_owned()],
+            directory: args.runs.join(FOLDER),
+        }
+    }
+
+    fn policy(
+        program: &Program,
+        row: &PlannedRow,
+        training: &Training,
+        which: WhichPolicy,
+        action: EvaluationAction,
+    ) -> anyhow::Result<Self> {
+        let file = training.policy(which);
+        let file = file.to_str().context("the path is not UTF-8")?;
+        let loaded = policy_file::load(program, &training.config.run.directory, file, &[])?;
+        let networks = serde_json::to_string(&row.config.policy)?;
+        let choice = serde_json::to_string(&action)?;
+        Ok(Self {
+            player: judge::policy(&row.row.title, &row.config, &loaded.parameters, action)?,
+            identity: vec!["policy".to_owned(), loaded.sha256, networks, choice],
+            directory: training.directory().join(FOLDER),
+        })
+    }
+}
+
+/// Returns a row's contender for every training seed.
+///
+/// # Errors
+///
+/// A policy that cannot be read, or does not fit its task.
+pub(super) fn of(
+    program: &Program,
+    args: &CompareArgs,
+    which: WhichPolicy,
+    row: &PlannedRow,
+    action: EvaluationAction,
+) -> anyhow::Result<Vec<Contender>> {
+    if let Some(script) = &row.row.script {
+        let script = Contender::script(args, script, &row.row.title);
+        return Ok(vec![script; seeds(args).len()]);
+    }
+    let policy = |training| Contender::policy(program, row, training, which, action);
+    row.trainings.iter().map(policy).collect()
+}

@@ -1,0 +1,291 @@
+//! Flights over maps: many of each notifier side by side, and one over several maps.
+//!
+//! Only for piloting: how a flight ended is told in its words (a zone, the pad).
+
+use std::ops::Range;
+
+use leadtime_sims::piloting::ENTERED;
+use leadtime_sims::{Scene, Shape, Tone};
+
+use super::record::Playthrough;
+use super::world::{World, legend, legend_text};
+use crate::draw::{Canvas, Ink, Paint, TextStyle};
+
+const WIDTH: f64 = 900.0;
+const MARGIN: f64 = 16.0;
+const GAP: f64 = 16.0;
+/// Title and legend.
+const TOP: f64 = 66.0;
+const LEGEND_Y: f64 = 50.0;
+/// Two lines above every panel.
+const CAPTION_HEIGHT: f64 = 40.0;
+/// Panels side by side, at most.
+const COLUMNS: usize = 3;
+
+/// One map with flights over it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlightPanel {
+    /// What it is: the map, or who speaks.
+    pub title: String,
+    /// The flights, in the order of their episodes.
+    pub flights: Vec<Playthrough>,
+}
+
+/// How a flight ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FlightEnd {
+    /// On the pad, without having been in a zone.
+    Safe,
+    /// Anywhere, after having been in a zone.
+    Entered,
+    /// By a crash, beside the pad, out of view or out of time, and in no zone.
+    Lost,
+}
+
+impl FlightEnd {
+    /// Lists all, in the order of a legend.
+    pub const ALL: [Self; 3] = [Self::Safe, Self::Entered, Self::Lost];
+
+    /// Tells how a flight ended.
+    pub fn of(flight: &Playthrough) -> Self {
+        let entered = flight.scenes.last().is_some_and(|scene| scene.outcome == ENTERED);
+        match (entered, flight.success) {
+            (true, _) => Self::Entered,
+            (false, Some(true)) => Self::Safe,
+            (false, _) => Self::Lost,
+        }
+    }
+
+    /// Returns the words of a legend.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Safe => "landed on the pad, in no zone",
+            Self::Entered => "entered a zone",
+            Self::Lost => "crashed, or landed nowhere",
+        }
+    }
+
+    fn short(self) -> &'static str {
+        match self {
+            Self::Safe => "safe",
+            Self::Entered => "in a zone",
+            Self::Lost => "lost",
+        }
+    }
+
+    fn paint(self) -> Paint {
+        match self {
+            Self::Safe => Paint::stroke(Ink::Blue, 1.6),
+            Self::Entered => Paint::stroke(Ink::Vermilion, 1.6),
+            Self::Lost => Paint::stroke(Ink::Text, 1.6).dashed(4.0, 3.0),
+        }
+    }
+
+    fn ink(self) -> Ink {
+        match self {
+            Self::Safe => Ink::Blue,
+            Self::Entered => Ink::Vermilion,
+            Self::Lost => Ink::Text,
+        }
+    }
+}
+
+/// Draws a panel per notifier with the ways of all its flights, coloured by how they ended. `id` must be unique on the
+/// page.
+pub fn trajectories(id: &str, title: &str, panels: &[FlightPanel]) -> String {
+    let sheet = Sheet::new(panels);
+    let mut canvas = sheet.begin(id, title);
+    let mut x = MARGIN;
+    for end in FlightEnd::ALL {
+        let ends = [[x, LEGEND_Y - 4.0], [x + 22.0, LEGEND_Y - 4.0]];
+        canvas.line(&ends, end.paint());
+        canvas.circle(ends[1], 3.0, Paint::fill(end.ink()));
+        x = legend_text(&mut canvas, x + 30.0, LEGEND_Y, end.label());
+    }
+    sheet.legend(&mut canvas, x);
+    for (panel, world) in sheet.places() {
+        let last: Vec<&Scene> = panel.flights.iter().filter_map(|f| f.scenes.last()).collect();
+        world.draw_places(&mut canvas, &last);
+        // Those that went wrong are few, and above the others.
+        for end in FlightEnd::ALL {
+            let flights = panel.flights.iter().filter(|flight| FlightEnd::of(flight) == end);
+            flights.for_each(|flight| draw_way(&mut canvas, &world, &flight.scenes, end));
+        }
+        draw_caption(&mut canvas, &world, &panel.title, &counted(&panel.flights));
+    }
+    canvas.finish(title)
+}
+
+/// Draws maps side by side on one scale, and on each the way of its first flight, marked where it is inside a zone. `id`
+/// must be unique on the page.
+pub fn maps(id: &str, title: &str, panels: &[FlightPanel]) -> String {
+    let sheet = Sheet::new(panels);
+    let mut canvas = sheet.begin(id, title);
+    let mut x = MARGIN;
+    for (inside, label) in [(false, "flight, nobody speaks"), (true, "the same, inside a zone")] {
+        canvas.line(&[[x, LEGEND_Y - 4.0], [x + 22.0, LEGEND_Y - 4.0]], zoned(inside));
+        x = legend_text(&mut canvas, x + 28.0, LEGEND_Y, label);
+    }
+    sheet.legend(&mut canvas, x);
+    for (panel, world) in sheet.places() {
+        let Some(flight) = panel.flights.first() else { continue };
+        let Some(last) = flight.scenes.last() else { continue };
+        world.draw_place(&mut canvas, last);
+        world.draw_ghosts(&mut canvas, &flight.scenes);
+        world.draw_body(&mut canvas, last, 1.0);
+        canvas.clipped(world.area, |canvas| draw_zoned_way(canvas, &world, &flight.scenes));
+        let n_inside = flight.scenes.iter().filter(|scene| is_inside(scene)).count();
+        let steps = format!("{n_inside} of {} steps inside a zone", flight.n_steps());
+        draw_caption(&mut canvas, &world, &panel.title, &steps);
+    }
+    canvas.finish(title)
+}
+
+/// Where panels stand.
+struct Sheet<'a> {
+    panels: &'a [FlightPanel],
+    /// Everything that any flight shows: all maps have one scale.
+    seen: Vec<Scene>,
+    n_columns: usize,
+}
+
+impl<'a> Sheet<'a> {
+    fn new(panels: &'a [FlightPanel]) -> Self {
+        let flights = panels.iter().flat_map(|panel| &panel.flights);
+        let seen = flights.filter_map(|flight| flight.scenes.last().cloned()).collect();
+        Self { panels, seen, n_columns: panels.len().clamp(1, COLUMNS) }
+    }
+
+    /// Returns the panel's place.
+    fn world(&self, i: usize) -> World {
+        let n = self.n_columns as f64;
+        let width = (WIDTH - 2.0 * MARGIN - (n - 1.0) * GAP) / n;
+        let (row, column) = (i / self.n_columns, i % self.n_columns);
+        let height = CAPTION_HEIGHT + GAP + World::new([0.0, 0.0], width, &self.seen).area.height;
+        let x = MARGIN + column as f64 * (width + GAP);
+        World::new([x, TOP + row as f64 * height + CAPTION_HEIGHT], width, &self.seen)
+    }
+
+    fn places(&self) -> impl Iterator<Item = (&'a FlightPanel, World)> {
+        self.panels.iter().enumerate().map(|(i, panel)| (panel, self.world(i)))
+    }
+
+    fn begin(&self, id: &str, title: &str) -> Canvas {
+        let last = self.world(self.panels.len().saturating_sub(1));
+        let mut canvas = Canvas::new(id, WIDTH, last.area.bottom() + MARGIN);
+        canvas.text([MARGIN, 26.0], title, TextStyle::new(17.0, Ink::Text).bold());
+        canvas
+    }
+
+    /// Explains what stands on the maps, from a point of the legend on.
+    fn legend(&self, canvas: &mut Canvas, x: f64) {
+        legend(canvas, [x, LEGEND_Y], &self.seen);
+    }
+}
+
+fn draw_caption(canvas: &mut Canvas, world: &World, title: &str, line: &str) {
+    let (x, y) = (world.area.x, world.area.y);
+    canvas.text([x, y - 23.0], title, TextStyle::new(13.5, Ink::Text).bold());
+    canvas.text([x, y - 8.0], line, TextStyle::new(11.5, Ink::Muted));
+}
+
+/// Counts how flights ended: `13 safe, 6 in a zone, 1 lost`.
+fn counted(flights: &[Playthrough]) -> String {
+    let count = |end: FlightEnd| flights.iter().filter(|f| FlightEnd::of(f) == end).count();
+    let parts = FlightEnd::ALL.map(|end| format!("{} {}", count(end), end.short()));
+    parts.join(", ")
+}
+
+fn draw_way(canvas: &mut Canvas, world: &World, scenes: &[Scene], end: FlightEnd) {
+    let way: Vec<[f64; 2]> = scenes.iter().map(|scene| world.at(scene.position)).collect();
+    canvas.clipped(world.area, |canvas| {
+        canvas.line(&way, end.paint().opacity(0.75));
+        if let Some(&last) = way.last() {
+            canvas.circle(last, 3.0, Paint::fill(end.ink()));
+        }
+    });
+}
+
+fn draw_zoned_way(canvas: &mut Canvas, world: &World, scenes: &[Scene]) {
+    let draw = |canvas: &mut Canvas, part: Range<usize>, paint: Paint| {
+        let way = scenes[part].iter().map(|scene| world.at(scene.position));
+        canvas.line(&way.collect::<Vec<_>>(), paint);
+    };
+    let mut start = 0;
+    for run in scenes.chunk_by(|a, b| is_inside(a) == is_inside(b)) {
+        let end = start + run.len();
+        // With the first moment after it, so that no gap is left.
+        draw(canvas, start..(end + 1).min(scenes.len()), zoned(is_inside(&run[0])));
+        start = end;
+    }
+}
+
+fn zoned(inside: bool) -> Paint {
+    if inside { Paint::stroke(Ink::Vermilion, 3.6) } else { Paint::stroke(Ink::Neutral, 2.2) }
+}
+
+fn is_inside(scene: &Scene) -> bool {
+    let [x, y] = scene.position;
+    scene.shapes.iter().any(|shape| match shape {
+        Shape::Rectangle { min, max, tone: Tone::Danger } => {
+            (min[0]..=max[0]).contains(&x) && (min[1]..=max[1]).contains(&y)
+        }
+        _ => false,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::draw::Rasterizer;
+    use crate::playthrough::synthetic;
+
+    fn flight(outcome: &str, success: bool) -> Playthrough {
+        let mut flight = synthetic::playthrough();
+        flight.success = Some(success);
+        if let Some(last) = flight.scenes.last_mut() {
+            outcome.clone_into(&mut last.outcome);
+        }
+        flight
+    }
+
+    fn panels(n: usize) -> Vec<FlightPanel> {
+        let flights = vec![
+            flight("landed", true),
+            flight("landed", true),
+            flight(ENTERED, false),
+            flight("crashed", false),
+        ];
+        vec![FlightPanel { title: "a <b>".to_owned(), flights }; n]
+    }
+
+    #[test]
+    fn flights_are_counted_by_how_they_ended() {
+        let ends: Vec<FlightEnd> = panels(1)[0].flights.iter().map(FlightEnd::of).collect();
+        let expected = [FlightEnd::Safe, FlightEnd::Safe, FlightEnd::Entered, FlightEnd::Lost];
+        assert_eq!(ends, expected);
+        let svg = trajectories("t", "t & t", &panels(5));
+        assert!(svg.contains("2 safe, 1 in a zone, 1 lost") && svg.contains("a &lt;b&gt;"));
+        let pixels = Rasterizer::new().pixels(&svg, 1.0).unwrap();
+        assert!(pixels.width == 900 && (500..700).contains(&pixels.height), "{}", pixels.height);
+    }
+
+    #[test]
+    fn maps_tell_how_long_the_flight_is_inside_a_zone() {
+        let svg = maps("m", "maps", &panels(2));
+        let inside = panels(1)[0].flights[0].scenes.iter().filter(|scene| is_inside(scene)).count();
+        assert!(inside > 0 && svg.contains(&format!("{inside} of 109 steps inside a zone")));
+        Rasterizer::new().png(&svg, 1.0).unwrap();
+    }
+
+    #[test]
+    fn what_is_empty_can_be_drawn() {
+        let nobody = [FlightPanel { title: "nobody".to_owned(), flights: Vec::new() }];
+        for panels in [&nobody[..], &[]] {
+            for svg in [trajectories("t", "t", panels), maps("m", "m", panels)] {
+                assert!(!svg.contains("NaN"));
+                Rasterizer::new().png(&svg, 1.0).unwrap();
+            }
+        }
+    }
+}
