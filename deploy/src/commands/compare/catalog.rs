@@ -8,10 +8,11 @@ use anyhow::Context as _;
 use super::study::Study;
 
 /// Name and text, in the order in which `all` carries them out.
-const BUILT_IN: [(&str, &str); 5] = [
+const BUILT_IN: [(&str, &str); 6] = [
     ("table1", include_str!("../../../studies/table1.toml")),
     ("robustness", include_str!("../../../studies/robustness.toml")),
     ("types", include_str!("../../../studies/types.toml")),
+    ("cliff", include_str!("../../../studies/cliff.toml")),
     ("hard", include_str!("../../../studies/hard.toml")),
     ("steakhouse", include_str!("../../../studies/steakhouse.toml")),
 ];
