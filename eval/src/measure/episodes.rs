@@ -116,7 +116,7 @@ pub fn evaluate(
     player.check(probe.as_ref())?;
     let next = AtomicU64::new(0);
     let work = || Worker::new(player, settings, &next).run(make);
-    let mut episodes = if settings.n_threads <= 1 { work()? } else { in_threads(settings, &work)? };
+    let mut episodes = in_threads(settings.n_threads, &work)?;
     episodes.sort_unstable_by_key(|(index, _)| *index);
     Ok(Evaluation {
         player: player.name().to_owned(),
@@ -128,16 +128,20 @@ pub fn evaluate(
 
 type Numbered = Vec<(u64, Episode)>;
 
-fn in_threads(
-    settings: &EvaluateSettings,
-    work: &(dyn Fn() -> Result<Numbered, Error> + Sync),
-) -> Result<Numbered, Error> {
+/// Does the same work in every thread, and puts together what comes of it in no particular order.
+pub(crate) fn in_threads<T: Send>(
+    n_threads: usize,
+    work: &(dyn Fn() -> Result<Vec<T>, Error> + Sync),
+) -> Result<Vec<T>, Error> {
+    if n_threads <= 1 {
+        return work();
+    }
     thread::scope(|scope| {
         let start = |i: usize| {
             let name = format!("evaluate-{i}");
             thread::Builder::new().name(name).spawn_scoped(scope, work).map_err(Error::Thread)
         };
-        let threads: Vec<_> = (0..settings.n_threads).map(start).collect::<Result<_, _>>()?;
+        let threads: Vec<_> = (0..n_threads).map(start).collect::<Result<_, _>>()?;
         let mut all = Vec::new();
         for thread in threads {
             // A panic in a thread is a bug; it goes on in the caller.

@@ -14,6 +14,7 @@ mod table;
 
 pub(crate) use compare::written;
 pub use compare::{Comparison, Difference};
+pub(crate) use episodes::in_threads;
 pub use episodes::{
     Episode, EvaluateSettings, Evaluation, MakeEnvironment, episode_seed, evaluate,
 };
