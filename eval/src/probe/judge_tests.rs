@@ -115,13 +115,17 @@ fn what_cannot_be_known_is_said_in_one_sentence() {
         probe(make, player, &settings, BOOTSTRAP).unwrap_err().to_string()
     };
     let always = || -> Result<Box<dyn Environment>, TaskError> {
-        Ok(Box::new(Synthetic { most: 0, ..Synthetic::new(Told::Nothing) }))
+        let mut world = Synthetic::new(Told::Nothing);
+        world.most = 0;
+        Ok(Box::new(world))
     };
     let text = refuse(&always, &player(), 40);
     assert!(text.starts_with("the person's reaction delay is 0 in every episode"), "{text}");
     assert!(text.contains("{uniform={low=0,high=5,drawn=\"per_episode\"}}"), "{text}");
     let fickle = || -> Result<Box<dyn Environment>, TaskError> {
-        Ok(Box::new(Synthetic { fickle: true, ..Synthetic::new(Told::Nothing) }))
+        let mut world = Synthetic::new(Told::Nothing);
+        world.fickle = true;
+        Ok(Box::new(world))
     };
     assert!(refuse(&fickle, &player(), 40).contains("for every message"));
     let text = refuse(&make(Told::Nothing), &player(), 39);

@@ -229,15 +229,20 @@ mod tests {
 
     #[test]
     fn groups_are_not_split() {
-        // Features name the group and nothing else: what is learned of one group is of no use for another.
-        let mut rng = Pcg64::seed_from_u64(4);
-        let targets: Vec<f64> = (0..20).map(|_| rng.normal()).collect();
-        let name = |group: usize| (0..20).map(|i| f32::from(u8::from(i == group))).collect();
-        let rows: Vec<Vec<f32>> = (0..100).map(|i| name(i % 20)).collect();
-        let case =
-            |(i, row)| Case { group: (i % 20) as u64, features: row, target: targets[i % 20] };
-        let cases: Vec<Case<'_>> = rows.iter().map(Vec::as_slice).enumerate().map(case).collect();
-        assert_eq!(Ridge::cross_validated(&cases).unwrap().penalty(), PENALTIES[0]);
+        // Features name one of 20 people and nothing else: what is learned of one is of no use for another.
+        let people = noise(20, 30, 4);
+        let targets: Vec<f64> = noise(20, 1, 5).iter().map(|row| f64::from(row[0])).collect();
+        let cases = |group: fn(usize) -> usize| -> Vec<Case<'_>> {
+            let case = |i: usize| Case {
+                group: group(i) as u64,
+                features: &people[i % 20],
+                target: targets[i % 20],
+            };
+            (0..100).map(case).collect()
+        };
+        let apart = Ridge::cross_validated(&cases(|i| i % 20)).unwrap().penalty();
+        let split = Ridge::cross_validated(&cases(|i| i / 20)).unwrap().penalty();
+        assert!(apart >= 1.0 && split <= 1e-4, "{apart}, {split}");
     }
 
     #[test]
