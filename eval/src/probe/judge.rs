@@ -71,7 +71,7 @@ impl<'a> Judge<'a> {
         unseen: Vec<&'a Sample>,
         bootstrap: Bootstrap,
     ) -> Result<Self, Error> {
-        let delays: Vec<f64> = seen.iter().map(|sample| f64::from(sample.delay)).collect();
+        let delays = by_episode(seen, |sample| f64::from(sample.delay));
         if let Some(first) = seen.first()
             && seen.iter().chain(&unseen).all(|sample| sample.delay == first.delay)
         {
@@ -90,15 +90,18 @@ impl<'a> Judge<'a> {
 
     /// Tells of every reader how much of the delay's variance it explains.
     pub(super) fn readers(&self) -> Vec<ReaderScore> {
-        let spread = self.common.iter().map(|s| (f64::from(s.delay) - self.center).powi(2));
-        let spread: f64 = spread.sum();
+        let sum = |told: &dyn Fn(&Sample) -> f64| -> f64 {
+            let square = |sample: &Sample| (told(sample) - f64::from(sample.delay)).powi(2);
+            by_episode(&self.common, square).iter().sum()
+        };
+        let spread = sum(&|_| self.center);
         let score = |reader: &Reader| {
-            let errors = self.common.iter().map(|s| (reader.read(s) - f64::from(s.delay)).powi(2));
+            let errors = sum(&|sample| reader.read(sample));
             ReaderScore {
                 name: reader.name().to_owned(),
                 n_features: self.common.first().map_or(0, |sample| reader.n_features(sample)),
                 penalty: reader.penalty(),
-                r_squared: (spread > 0.0).then(|| 1.0 - errors.sum::<f64>() / spread),
+                r_squared: (spread > 0.0).then(|| 1.0 - errors / spread),
             }
         };
         self.readers.iter().map(score).collect()

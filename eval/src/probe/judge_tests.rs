@@ -30,7 +30,8 @@ fn telling() -> Vec<Sample> {
         let input = (0..20).map(|_| noise()).collect();
         let mut hidden: Vec<f32> = (0..20).map(|_| noise()).collect();
         hidden[4] = 0.5 - 0.1 * delay as f32;
-        Sample { episode, stage, delay, input, hidden, n_steps: 9, comprehended: 1 }
+        let weight = 1.0 / 3.0;
+        Sample { episode, stage, delay, input, hidden, weight, n_steps: 9, comprehended: 1 }
     };
     (0..120)
         .flat_map(|episode| [0, 1, 2].map(|stage| (episode, stage)))

@@ -92,9 +92,8 @@ impl Knowledge {
     /// Writes a section of a page: tables, how to read them, and where they are from.
     pub fn markdown(&self, title: &str, provenance: &[Fact]) -> String {
         let [errors, exact] = self.tables().map(|table| table.markdown());
-        let results: String = self.results().iter().map(|line| format!("* {line}\n")).collect();
-        let facts = provenance.iter().map(|Fact { name, value }| format!("* {name}: {value}\n"));
-        let facts: String = facts.collect();
+        let facts = provenance.iter().map(|Fact { name, value }| format!("{name}: {value}"));
+        let [results, facts] = [list(self.results()), list(facts)];
         format!(
             "## {title}\n\n{}\n\nMean absolute error of d_r, in steps:\n\n{errors}\nShare of exact predictions, rounded:\n\
              \n{exact}\n{results}\n<details><summary>Where these numbers are from</summary>\n\n{facts}\n</details>\n",
@@ -154,6 +153,12 @@ impl Knowledge {
         let changes = self.differences.iter().map(|d| d.sentence(self.bootstrap.confidence));
         self.readers.iter().filter_map(regression).chain(changes).collect()
     }
+}
+
+/// Writes lines as the points of a list.
+fn list(lines: impl IntoIterator<Item = String>) -> String {
+    let points = lines.into_iter().map(|line| format!("* {line}\n"));
+    points.collect::<Vec<_>>().concat()
 }
 
 fn number(value: Option<f64>) -> String {

@@ -14,7 +14,7 @@
 //! # What makes the answer fair
 //!
 //! * **Which step.** One step per stage and episode, drawn evenly from the stage's steps, so that long stages do not
-//!   outweigh short ones. The last step before a reaction, or the first one after, would give the delay away: the time
+//!   outweigh short ones; and all samples of an episode together count as much as those of any other. The last step before a reaction, or the first one after, would give the delay away: the time
 //!   since the message is then k + `d_r` by the very choice of the step, which the notifier does not know.
 //! * **One regression for all stages**, which is not told the stage. A regression for each would be told by its stage
 //!   what the person has and has not done, which the notifier has to find out by itself; and it would have fewer

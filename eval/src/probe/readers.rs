@@ -24,9 +24,11 @@ impl Reader {
     ///
     /// [`Error::NoRegression`].
     pub(super) fn all(samples: &[&Sample]) -> Result<Vec<Self>, Error> {
-        let in_stage = |stage: usize| median(samples.iter().filter(|s| s.stage == stage));
+        let in_stage = |stage: usize| {
+            median(samples.iter().filter(|s| s.stage == stage).map(|s| (s.delay, 1.0)))
+        };
         Ok(vec![
-            Self::Constant(median(samples.iter())),
+            Self::Constant(median(samples.iter().map(|s| (s.delay, s.weight)))),
             Self::PerStage(std::array::from_fn(in_stage)),
             Self::Input(regression(samples, |sample| &sample.input)?),
             Self::Hidden(regression(samples, |sample| &sample.hidden)?),
@@ -80,17 +82,23 @@ fn regression<'a>(
         group: sample.episode,
         features: features(sample),
         target: f64::from(sample.delay),
+        weight: sample.weight,
     };
     let cases: Vec<Case<'_>> = samples.iter().map(case).collect();
     Ridge::cross_validated(&cases)
 }
 
-/// Returns the delay that half of the samples do not exceed, a delay that occurs; 0 without samples.
-fn median<'a>(samples: impl Iterator<Item = &'a &'a Sample>) -> f64 {
-    let mut delays: Vec<u32> = samples.map(|sample| sample.delay).collect();
-    delays.sort_unstable();
-    let middle = delays.len().saturating_sub(1) / 2;
-    f64::from(delays.get(middle).copied().unwrap_or_default())
+/// Returns the smallest delay that half of the weight does not exceed; 0 without any.
+fn median(delays: impl Iterator<Item = (u32, f64)>) -> f64 {
+    let mut delays: Vec<(u32, f64)> = delays.collect();
+    delays.sort_by_key(|(delay, _)| *delay);
+    let half = delays.iter().map(|(_, weight)| weight).sum::<f64>() / 2.0;
+    let mut below = 0.0;
+    let middle = delays.iter().find(|(_, weight)| {
+        below += weight;
+        below >= half
+    });
+    middle.map_or(0.0, |(delay, _)| f64::from(*delay))
 }
 
 #[cfg(test)]
@@ -99,7 +107,8 @@ mod tests {
 
     fn sample(episode: u64, stage: usize, delay: u32) -> Sample {
         let hidden = vec![delay as f32, 1.0];
-        Sample { episode, stage, delay, hidden, input: vec![0.0], ..Sample::default() }
+        let weight = 0.5;
+        Sample { episode, stage, delay, weight, hidden, input: vec![0.0], ..Sample::default() }
     }
 
     #[test]
@@ -116,5 +125,13 @@ mod tests {
         assert_eq!(readers[1].read(&sample(50, 1, 4)), 0.0);
         let features: Vec<usize> = readers.iter().map(|r| r.n_features(&samples[0])).collect();
         assert_eq!(features, [0, 0, 1, 2]);
+    }
+
+    #[test]
+    fn a_median_goes_by_weight() {
+        let delays = [(5, 1.0), (0, 0.3), (0, 0.3), (1, 0.3)];
+        assert_eq!(median(delays.into_iter()), 5.0);
+        assert_eq!(median(delays.into_iter().map(|(delay, _)| (delay, 1.0))), 0.0);
+        assert_eq!(median(std::iter::empty()), 0.0);
     }
 }

@@ -22,6 +22,8 @@ pub(super) struct Sample {
     pub(super) delay: u32,
     /// Messages understood before it.
     pub(super) comprehended: u32,
+    /// How much the sample counts: those of an episode together count 1.
+    pub(super) weight: f64,
     /// Steps that the stage had in this episode.
     pub(super) n_steps: u64,
     /// What the policy was given.
@@ -106,7 +108,7 @@ impl<'a> Recorder<'a> {
             self.acting.choose(0, self.environment.as_ref(), &mut acts, &mut self.action);
             let outcome = self.environment.step(&self.action, &mut self.observation);
             if outcome.end.is_some() {
-                return Ok(stages.samples.into_iter().flatten().collect());
+                return Ok(stages.weighted());
             }
         }
         Err(Error::Endless { index, n_steps: self.settings.max_steps })
@@ -141,6 +143,13 @@ impl Stages {
         (sample.delay, sample.comprehended) = (delay, insight.comprehended);
         Ok(Some(sample))
     }
+
+    /// Returns the samples of the stages that there were.
+    fn weighted(self) -> Vec<Sample> {
+        let samples: Vec<Sample> = self.samples.into_iter().flatten().collect();
+        let weight = 1.0 / samples.len() as f64;
+        samples.into_iter().map(|sample| Sample { weight, ..sample }).collect()
+    }
 }
 
 #[cfg(test)]
@@ -165,6 +174,8 @@ mod tests {
             assert_eq!((sample.stage, sample.episode), (stage, 7));
             assert_eq!((sample.delay, sample.comprehended), (2, 3));
         }
+        let weight: f64 = stages.weighted().iter().map(|sample| sample.weight).sum();
+        assert!((weight - 1.0).abs() < 1e-12);
     }
 
     #[test]

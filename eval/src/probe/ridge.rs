@@ -3,16 +3,15 @@
 //! Features are standardised (a constant one counts for nothing), the target is centred, and
 //!
 //! ```text
-//! w = (Xᵀ X / n + penalty · I)⁻¹ Xᵀ y / n
+//! w = (Xᵀ D X + penalty · I)⁻¹ Xᵀ D y        D: the rows' weights, of sum 1
 //! ```
 //!
-//! minimises the mean squared error plus the penalty on |w|². Everything is in f64 and on one thread.
+//! minimises the weighted mean squared error plus the penalty on |w|². Everything is in f64 and on one thread.
 //!
 //! # Source
 //!
 //! Hastie, Tibshirani and Friedman, *The Elements of Statistical Learning*, 2nd edition, 2009, sections 3.4.1 and 7.10.
 
-use leadtime_numerics::stats::mean;
 use nalgebra::{DMatrix, DVector};
 
 use crate::error::Error;
@@ -33,6 +32,8 @@ pub(super) struct Case<'a> {
     pub(super) features: &'a [f32],
     /// What is to be predicted.
     pub(super) target: f64,
+    /// How much the row counts, against the others.
+    pub(super) weight: f64,
 }
 
 /// A fitted regression.
@@ -90,7 +91,7 @@ impl Ridge {
     }
 
     fn squared_error(&self, case: &Case<'_>) -> f64 {
-        (self.predict(case.features) - case.target).powi(2)
+        case.weight * (self.predict(case.features) - case.target).powi(2)
     }
 }
 
@@ -102,17 +103,16 @@ struct Scaling {
 }
 
 impl Scaling {
-    fn new(cases: &[&Case<'_>]) -> Self {
-        let n = cases.len() as f64;
+    fn new(cases: &[&Case<'_>], shares: &[f64]) -> Self {
         let width = cases.first().map_or(0, |case| case.features.len());
         let mut means = vec![0.0; width];
-        for case in cases {
-            means.iter_mut().zip(case.features).for_each(|(m, &x)| *m += f64::from(x) / n);
+        for (case, share) in cases.iter().zip(shares) {
+            means.iter_mut().zip(case.features).for_each(|(m, &x)| *m += share * f64::from(x));
         }
         let mut variances = vec![0.0; width];
-        for case in cases {
+        for (case, share) in cases.iter().zip(shares) {
             let deviations = case.features.iter().zip(&means).map(|(&x, m)| f64::from(x) - m);
-            variances.iter_mut().zip(deviations).for_each(|(v, d)| *v += d * d / n);
+            variances.iter_mut().zip(deviations).for_each(|(v, d)| *v += share * d * d);
         }
         let factor = |variance: f64| {
             let deviation = variance.sqrt();
@@ -131,28 +131,33 @@ impl Scaling {
 /// The normal equations of some data, for any penalty.
 struct Equations {
     scaling: Scaling,
-    /// `Xᵀ X / n`.
+    /// `Xᵀ D X`.
     gram: DMatrix<f64>,
-    /// `Xᵀ y / n`.
+    /// `Xᵀ D y`.
     moments: DVector<f64>,
     intercept: f64,
 }
 
 impl Equations {
     fn new(cases: &[&Case<'_>]) -> Result<Self, Error> {
-        let scaling = Scaling::new(cases);
+        let total: f64 = cases.iter().map(|case| case.weight).sum();
+        let shares: Vec<f64> = cases.iter().map(|case| case.weight / total).collect();
+        let scaling = Scaling::new(cases, &shares);
         let (n, width) = (cases.len(), scaling.means.len());
         let finite = scaling.factors.iter().all(|factor| factor.is_finite());
         if n == 0 || width == 0 || !finite {
             return Err(Error::NoRegression { n_rows: n, n_features: width });
         }
-        let targets: Vec<f64> = cases.iter().map(|case| case.target).collect();
-        let intercept = mean(&targets);
-        let rows = cases.iter().flat_map(|case| scaling.apply(case.features));
+        let intercept: f64 = cases.iter().zip(&shares).map(|(case, d)| d * case.target).sum();
+        // Half of each weight goes to either factor of a product.
+        let rows = cases.iter().zip(&shares).flat_map(|(case, share)| {
+            scaling.apply(case.features).map(|value| share.sqrt() * value)
+        });
+        let targets =
+            cases.iter().zip(&shares).map(|(case, d)| d.sqrt() * (case.target - intercept));
         let x = DMatrix::from_row_iterator(n, width, rows);
-        let y = DVector::from_iterator(n, targets.iter().map(|target| target - intercept));
-        let gram = x.tr_mul(&x) / n as f64;
-        let moments = x.tr_mul(&y) / n as f64;
+        let y = DVector::from_iterator(n, targets);
+        let (gram, moments) = (x.tr_mul(&x), x.tr_mul(&y));
         Ok(Self { scaling, gram, moments, intercept })
     }
 
@@ -180,6 +185,7 @@ mod tests {
             group: group as u64,
             features,
             target: target(features),
+            weight: 1.0,
         };
         rows.iter().enumerate().map(case).collect()
     }
@@ -213,6 +219,19 @@ mod tests {
     }
 
     #[test]
+    fn a_weight_counts_as_often_as_it_says() {
+        let rows = noise(6, 2, 7);
+        let thrice: Vec<Vec<f32>> =
+            [&rows[..], &rows[..1], &rows[..1]].concat().iter().map(Vec::clone).collect();
+        let target = |x: &[f32]| f64::from(x[0] * x[1]);
+        let mut weighted = cases(&rows, target);
+        weighted[0].weight = 3.0;
+        let [weighted, repeated] = [weighted, cases(&thrice, target)]
+            .map(|cases| Ridge::with_penalty(&cases, 0.1).unwrap());
+        assert!((weighted.predict(&[1.0, 2.0]) - repeated.predict(&[1.0, 2.0])).abs() < 1e-9);
+    }
+
+    #[test]
     fn the_penalty_fits_the_data() {
         let rows = noise(200, 40, 1);
         let exact = Ridge::cross_validated(&cases(&rows, |x| f64::from(x[7]))).unwrap();
@@ -237,6 +256,7 @@ mod tests {
                 group: group(i) as u64,
                 features: &people[i % 20],
                 target: targets[i % 20],
+                weight: 1.0,
             };
             (0..100).map(case).collect()
         };
