@@ -12,9 +12,11 @@ use crate::config::table::{Alternatives, Assignment};
 use crate::exit::EXIT_CODE_HELP;
 
 mod compare;
+mod probe;
 mod taxonomy;
 
 pub use compare::CompareArgs;
+pub use probe::ProbeArgs;
 pub use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
@@ -52,6 +54,8 @@ pub enum Command {
     Actor(ActorArgs),
     /// Judge a policy over many episodes, with 95 % intervals.
     Eval(EvalArgs),
+    /// Tell how well a notifier knows its listener's reaction delay, from what goes on in its network.
+    Probe(ProbeArgs),
     /// Draw one episode of a policy as PNG, SVG, GIF or HTML.
     Play(PlayArgs),
     /// Make the paper's tables: train what is missing, judge every notifier on every person, write tables and figures.

@@ -25,6 +25,16 @@ pub fn say(text: &str) {
     drop(writeln!(io::stderr().lock(), "{text}"));
 }
 
+/// Writes a command with its arguments so that a shell reads the same ones.
+pub fn command_line(args: impl Iterator<Item = String>) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-+=.,:/@%".contains(c);
+    let quoted = args.map(|arg| {
+        let plain = !arg.is_empty() && arg.chars().all(is_plain);
+        if plain { arg } else { format!("'{}'", arg.replace('\'', r"'\''")) }
+    });
+    std::iter::once("leadtime".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
+}
+
 /// Writes bytes as hexadecimal digits.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
@@ -36,6 +46,13 @@ pub fn hex(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn a_shell_reads_a_command_back() {
+        let args = ["eval", "it's", "--set=human.d={fixed=3}", "", "a b"];
+        let command = super::command_line(args.into_iter().map(str::to_owned));
+        assert_eq!(command, r"leadtime eval 'it'\''s' '--set=human.d={fixed=3}' '' 'a b'");
+    }
+
     #[test]
     fn bytes_have_two_digits_each() {
         assert_eq!(super::hex(&[0, 10, 255]), "000aff");

@@ -40,6 +40,48 @@ pub enum Error {
         /// Where it was given up.
         n_steps: u64,
     },
+    /// A player that is not a network.
+    #[error("`{name}` is a script, which has no features to read anything from")]
+    NoFeatures {
+        /// The player's name.
+        name: String,
+    },
+    /// Nobody listens in the task, so nobody has a reaction delay.
+    #[error("this task has no listener, so there is no reaction delay to be known")]
+    NoListener,
+    /// Every message draws a delay of its own.
+    #[error(
+        "the person draws another reaction delay for every message, so there is nothing to be known before it; ask \
+         for one that stays: drawn = \"per_episode\""
+    )]
+    DelayPerMessage,
+    /// The delay is always the same.
+    #[error(
+        "the person's reaction delay is {delay} in every episode, so there is nothing to be found out; let it vary, as \
+         with --set 'human.reaction_delay={{uniform={{low=0,high=5,drawn=\"per_episode\"}}}}'"
+    )]
+    DelayNeverVaries {
+        /// In steps.
+        delay: u32,
+    },
+    /// Too few episodes to learn from and to be judged on.
+    #[error("{found} episodes are too few for a probe; allowed: at least {least}")]
+    TooFewEpisodes {
+        /// As asked for.
+        found: u64,
+        /// What there must be.
+        least: u64,
+    },
+    /// Data to which no line can be fitted.
+    #[error(
+        "no regression can be fitted to {n_rows} rows of {n_features} features, or they are not finite"
+    )]
+    NoRegression {
+        /// Rows.
+        n_rows: usize,
+        /// Features in each.
+        n_features: usize,
+    },
     /// A thread cannot be started.
     #[error("a thread for the evaluation cannot be started")]
     Thread(#[source] std::io::Error),

@@ -5,6 +5,7 @@
 //!
 //! ```text
 //! measure      players x environments --> episodes --> means with intervals, tables
+//! probe        what a policy's features tell of the person's reaction delay --> table
 //! playthrough  one episode --> SVG, PNG, GIF, and its words as a person would hear them
 //! figure       curves, histograms, shares of time --> SVG
 //! report       all of it --> one self-contained HTML file
@@ -21,6 +22,7 @@ mod error;
 pub mod figure;
 pub mod measure;
 pub mod playthrough;
+pub mod probe;
 pub mod report;
 pub mod study;
 

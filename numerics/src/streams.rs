@@ -30,6 +30,8 @@ pub enum Purpose {
     Task = 7,
     /// Which of a cell's sentences says a message (index: episode).
     Words = 8,
+    /// Which step of a stage a probe looks at (index: episode).
+    Probe = 9,
 }
 
 /// Opens the stream of one purpose, environment and index of a run.

@@ -41,18 +41,42 @@ impl Stack {
         self.layers.iter().map(|(dense, _)| dense.n_out()).max().unwrap_or(0)
     }
 
+    /// Returns the width of what the last layer sees.
+    fn hidden_dim(&self) -> usize {
+        self.layers.last().map_or(0, |(head, _)| head.n_in())
+    }
+
     /// Runs one block; `scratch` holds two activations of it.
     fn forward(&self, features: &[f32], n: usize, scratch: &mut [f32], out: &mut [f32]) {
-        let (mut from, mut to) = scratch.split_at_mut(scratch.len() / 2);
-        for (i, (dense, activation)) in self.layers.iter().enumerate() {
-            let x = if i == 0 { features } else { &from[..n * dense.n_in()] };
-            if i + 1 == self.layers.len() {
-                dense.forward(x, out, *activation);
-                return;
-            }
-            dense.forward(x, &mut to[..n * dense.n_out()], *activation);
-            std::mem::swap(&mut from, &mut to);
+        run(&self.layers, features, n, scratch, out);
+    }
+
+    /// Runs one block up to what the last layer sees; `scratch` holds two activations of it.
+    fn hidden(&self, features: &[f32], n: usize, scratch: &mut [f32], out: &mut [f32]) {
+        match self.layers.split_last() {
+            Some((_, below)) if !below.is_empty() => run(below, features, n, scratch, out),
+            _ => out.copy_from_slice(features),
         }
+    }
+}
+
+/// Runs one block through some layers; `scratch` holds two activations of it.
+fn run(
+    layers: &[(Dense, Activation)],
+    features: &[f32],
+    n: usize,
+    scratch: &mut [f32],
+    out: &mut [f32],
+) {
+    let (mut from, mut to) = scratch.split_at_mut(scratch.len() / 2);
+    for (i, (dense, activation)) in layers.iter().enumerate() {
+        let x = if i == 0 { features } else { &from[..n * dense.n_in()] };
+        if i + 1 == layers.len() {
+            dense.forward(x, out, *activation);
+            return;
+        }
+        dense.forward(x, &mut to[..n * dense.n_out()], *activation);
+        std::mem::swap(&mut from, &mut to);
     }
 }
 
@@ -139,6 +163,39 @@ impl Policy {
             self.actor.forward(features, n, &mut self.scratch, logits);
             self.critic.forward(features, n, &mut self.scratch, values);
             self.encoder.write_states(states);
+            first += n;
+        }
+    }
+
+    /// Returns the width of what the actor's heads see.
+    pub fn hidden_dim(&self) -> usize {
+        self.actor.hidden_dim()
+    }
+
+    /// Computes what the actor's heads see: its last hidden layer, or the encoder's features where it has none. The
+    /// recurrent state is read and not moved on.
+    ///
+    /// # Shapes
+    ///
+    /// `observations`: raw, `[N, D]`; `recurrent`: `[N, S]`; `out`: `[N, hidden_dim]`.
+    ///
+    /// # Panics
+    ///
+    /// If the shapes do not hold.
+    pub fn hidden(&mut self, observations: &[f32], recurrent: &[f32], out: &mut [f32]) {
+        let (n, width) = (observations.len() / self.obs_dim, self.hidden_dim());
+        assert_eq!(observations.len(), n * self.obs_dim, "`observations` must be [N, D]");
+        assert_eq!(recurrent.len(), n * self.recurrent_dim, "`recurrent` must be [N, S]");
+        assert_eq!(out.len(), n * width, "`out` must be [N, hidden_dim]");
+        let mut first = 0;
+        for (raw, out) in
+            observations.chunks(BLOCK * self.obs_dim).zip(out.chunks_mut(BLOCK * width))
+        {
+            let n = out.len() / width;
+            let states = &recurrent[first * self.recurrent_dim..][..n * self.recurrent_dim];
+            let input = prepare(self.normalizer.as_ref(), raw, &mut self.features);
+            let features = self.encoder.forward(input, states, n);
+            self.actor.hidden(features, n, &mut self.scratch, out);
             first += n;
         }
     }
@@ -276,6 +333,26 @@ mod tests {
                     assert!((a - b).abs() < 2e-5, "{i}: {a} {b}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn what_the_heads_see_makes_the_logits() {
+        let n = 60;
+        for spec in [notifier(60), attentive(), recurrent(32, vec![]), recurrent(0, vec![24])] {
+            let parameters = parameters(&spec);
+            let mut policy = Policy::new(&spec, &parameters).unwrap();
+            let raw = observations(n, spec.obs_dim);
+            let before = observations(n, spec.recurrent_dim());
+            let mut hidden = vec![0.0; n * policy.hidden_dim()];
+            policy.hidden(&raw, &before, &mut hidden);
+            let head = layers(&spec, Network::Actor).pop().unwrap();
+            let mut expected = vec![0.0; n * 14];
+            let head = dense(&head, &parameters).unwrap();
+            head.forward(&hidden, &mut expected, Activation::Linear);
+            let (mut logits, mut values) = (vec![0.0; n * 14], vec![0.0; n]);
+            policy.evaluate(&raw, &mut before.clone(), &mut logits, &mut values);
+            assert_eq!(logits, expected, "{:?}", spec.encoder);
         }
     }
 

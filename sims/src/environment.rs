@@ -69,6 +69,18 @@ pub struct StepOutcome {
     pub end: Option<End>,
 }
 
+/// What is in a person's head, for whoever measures what a policy knows of it: no policy ever sees it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Insight {
+    /// The reaction delay `d_r` of a message that would be understood now, in steps; `None` where every message draws
+    /// its own.
+    pub reaction_delay: Option<u32>,
+    /// Messages that were understood in this episode.
+    pub comprehended: u32,
+    /// The last step was the first in which the person did what some message asks for.
+    pub reaction_began: bool,
+}
+
 /// Why a snapshot cannot be restored.
 #[derive(Debug, Error)]
 pub enum SnapshotError {
@@ -133,6 +145,13 @@ pub trait Environment: Send {
     /// Writes the action that a scripted policy takes now; `false` if there is no such policy.
     fn baseline_action(&self, _name: &str, _action: &mut [u8]) -> bool {
         false
+    }
+
+    /// Tells what is in the person's head, if there is a person who listens.
+    ///
+    /// A step that was taken before a snapshot was restored is not remembered: no reaction began in it.
+    fn insight(&self) -> Option<Insight> {
+        None
     }
 
     /// Describes the present moment for a picture, if there is anything to draw.

@@ -31,7 +31,9 @@ mod test_support;
 pub mod vectorized;
 
 pub use domain::{Advance, Delivery, Domain, Entities, Message, ReactionStatus, ReactionStep};
-pub use environment::{End, EntityHistory, Environment, EpisodeSeed, SnapshotError, StepOutcome};
+pub use environment::{
+    End, EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome,
+};
 pub use notifier::NotifierEnv;
 pub use registry::{Registry, TaskError};
 pub use scene::{Listener, Scene, Shape, Speech, Tone, View};

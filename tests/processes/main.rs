@@ -5,6 +5,7 @@
 //! | `program` | what the commands print, draw and keep |
 //! | `bad_input` | wrong input is one sentence and a documented exit code |
 //! | `compare` | a study becomes its tables, also when it is killed on the way |
+//! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
 //! | `resilience` | killing anything changes no bit; the books balance |
 //! | `supervision` | processes live and die together |
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
@@ -15,6 +16,7 @@
 
 mod bad_input;
 mod compare;
+mod probe;
 mod program;
 mod resilience;
 mod rogue;

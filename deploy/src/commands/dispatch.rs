@@ -4,8 +4,8 @@ use clap::CommandFactory as _;
 use tokio::runtime;
 
 use super::{
-    actor, check, compare, config, conformance, eval, learner, pilot, play, runs, smoke, taxonomy,
-    up,
+    actor, check, compare, config, conformance, eval, learner, pilot, play, probe, runs, smoke,
+    taxonomy, up,
 };
 use crate::cli::{Cli, Command, PilotCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -25,6 +25,7 @@ pub fn dispatch(program: &Program, command: Command) -> Result<(), Failure> {
         Command::Learner(args) => block_on(learner::run(program, &args)),
         Command::Actor(args) => block_on(actor::run(program, &args)),
         Command::Eval(args) => eval::run(program, &args),
+        Command::Probe(args) => probe::run(program, &args),
         Command::Play(args) => play::run(program, &args),
         Command::Compare(args) => block_on(compare::run(program, &args)),
         Command::Pilot { command: PilotCommand::Eval(args) } => pilot::run(&args),

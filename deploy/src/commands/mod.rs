@@ -13,6 +13,7 @@ mod learner;
 mod pilot;
 mod play;
 mod policy_file;
+mod probe;
 mod run_report;
 mod runs;
 mod smoke;

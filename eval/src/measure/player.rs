@@ -93,6 +93,14 @@ impl Player {
         }
     }
 
+    /// Returns the width of what the policy's heads see; 0 for a script.
+    pub(crate) fn hidden_dim(&self) -> usize {
+        match &self.kind {
+            Kind::Policy { policy, .. } => policy.hidden_dim(),
+            Kind::Baseline { .. } => 0,
+        }
+    }
+
     /// Returns the width of the state carried from step to step.
     pub(crate) fn recurrent_dim(&self) -> usize {
         match &self.kind {
@@ -131,6 +139,17 @@ impl Acting {
         self.logits.resize(n * policy.n_choices(), 0.0);
         self.values.resize(n, 0.0);
         policy.evaluate(observations, recurrent, &mut self.logits, &mut self.values);
+    }
+
+    /// Writes what the policy's heads see in one situation; the recurrent state is that before the step.
+    ///
+    /// # Shapes
+    ///
+    /// `observation`: `[D]`; `recurrent`: `[S]`; `out`: `[hidden_dim]`.
+    pub(crate) fn hidden(&mut self, observation: &[f32], recurrent: &[f32], out: &mut [f32]) {
+        if let Kind::Policy { policy, .. } = &mut self.player.kind {
+            policy.hidden(observation, recurrent, out);
+        }
     }
 
     /// Decides in situation `row` of the batch.

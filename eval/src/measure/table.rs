@@ -43,6 +43,17 @@ impl Table {
         let rows: String = self.rows.iter().map(line).collect();
         format!("{}{rule}\n{rows}", line(&self.head))
     }
+
+    /// Writes the table as Markdown.
+    pub fn markdown(&self) -> String {
+        let line = |row: &Vec<String>| {
+            let cells = row.iter().map(|cell| cell.replace('|', "\\|").replace('\n', " "));
+            format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "))
+        };
+        let rule = "|---".repeat(self.head.len());
+        let rows: String = self.rows.iter().map(line).collect();
+        format!("{}{rule}|\n{rows}", line(&self.head))
+    }
 }
 
 #[cfg(test)]
@@ -58,5 +69,12 @@ mod tests {
         let expected =
             "              a\n───────────────\nlong name     1\n−          12.5\nshort\n";
         assert_eq!(table.text(), expected);
+    }
+
+    #[test]
+    fn a_cell_of_a_page_stays_one_cell() {
+        let mut table = Table::new(["", "a"].map(str::to_owned));
+        table.push(["x|y", "1\n2"].map(str::to_owned));
+        assert_eq!(table.markdown(), "|  | a |\n|---|---|\n| x\\|y | 1 2 |\n");
     }
 }

@@ -25,16 +25,28 @@ impl DelaySource {
 
     /// Returns the delay, in steps, of a message comprehended at time `now`.
     pub(super) fn next(&mut self, setting: ReactionDelay, now: u32) -> u32 {
-        let delay = match setting {
-            ReactionDelay::Normal { drawn: Drawn::PerNotification, .. }
-            | ReactionDelay::Uniform { drawn: Drawn::PerNotification, .. } => {
-                draw(setting, &mut self.generator)
-            }
-            ReactionDelay::Person { drift, .. } => self.of_episode + drift * f64::from(now),
-            _ => self.of_episode,
-        };
-        (libm::round(delay).max(0.0) as u32).min(MAX_REACTION_DELAY)
+        let delay = self.standing(setting, now);
+        whole(delay.unwrap_or_else(|| draw(setting, &mut self.generator)))
     }
+
+    /// Returns the delay, in steps, that a message comprehended at time `now` would have; `None` where it is not drawn
+    /// before there is one.
+    pub(super) fn known(&self, setting: ReactionDelay, now: u32) -> Option<u32> {
+        self.standing(setting, now).map(whole)
+    }
+
+    fn standing(&self, setting: ReactionDelay, now: u32) -> Option<f64> {
+        match setting {
+            ReactionDelay::Normal { drawn: Drawn::PerNotification, .. }
+            | ReactionDelay::Uniform { drawn: Drawn::PerNotification, .. } => None,
+            ReactionDelay::Person { drift, .. } => Some(self.of_episode + drift * f64::from(now)),
+            _ => Some(self.of_episode),
+        }
+    }
+}
+
+fn whole(delay: f64) -> u32 {
+    (libm::round(delay).max(0.0) as u32).min(MAX_REACTION_DELAY)
 }
 
 fn draw(setting: ReactionDelay, generator: &mut Pcg64) -> f64 {
@@ -79,6 +91,21 @@ mod tests {
         let mean = f64::from(normal.iter().sum::<u32>()) / 400.0;
         // Four standard errors of a unit deviation over 400 draws.
         assert!((mean - 4.0).abs() < 0.2, "{mean}");
+    }
+
+    #[test]
+    fn a_delay_is_known_before_the_message_unless_every_message_draws_its_own() {
+        let per_episode = ReactionDelay::Uniform { low: 0, high: 5, drawn: Drawn::PerEpisode };
+        let tiring = ReactionDelay::Person { mean: 2.0, spread: 1.0, drift: 0.1 };
+        for (setting, seed) in [(per_episode, 3), (per_episode, 4), (tiring, 3)] {
+            let mut source = DelaySource::new(setting, Pcg64::seed_from_u64(seed));
+            for now in 0..50 {
+                let known = source.known(setting, now);
+                assert_eq!(known, Some(source.next(setting, now)), "time {now}");
+            }
+        }
+        let anew = ReactionDelay::Uniform { low: 0, high: 5, drawn: Drawn::PerNotification };
+        assert_eq!(DelaySource::new(anew, Pcg64::seed_from_u64(3)).known(anew, 0), None);
     }
 
     #[test]

@@ -249,6 +249,12 @@ impl Human {
         self.state.pending.front().map(|pending| pending.message)
     }
 
+    /// Returns the reaction delay of a message that would be understood now, in steps; `None` where every message
+    /// draws its own.
+    pub fn reaction_delay(&self) -> Option<u32> {
+        self.state.delay.known(self.settings.reaction_delay, self.state.now)
+    }
+
     /// Returns the message that the coming step acts upon unless something new is said, and for how many steps more.
     pub fn upcoming(&self) -> Option<(Message, u32)> {
         let due = self.state.pending.front().filter(|pending| pending.due <= self.state.now);

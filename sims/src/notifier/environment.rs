@@ -8,7 +8,7 @@ use super::actions::{Actions, Offered};
 use super::history::History;
 use super::settings::NotifierSettings;
 use crate::environment::{
-    EntityHistory, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot,
+    EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome, read_snapshot,
     write_snapshot,
 };
 use crate::human::{BlockedInitiation, Human, HumanSettings, HumanState, Initiation, Order};
@@ -78,6 +78,8 @@ pub struct NotifierEnv<D> {
     initiation_cost: f64,
     blocked: BlockedInitiation,
     last: LastStep,
+    /// The last step was the first of a reaction; the future does not depend on it.
+    reaction_began: bool,
 }
 
 impl<D: Domain> NotifierEnv<D> {
@@ -114,6 +116,7 @@ impl<D: Domain> NotifierEnv<D> {
             initiation_cost: notifier.initiation_cost,
             blocked: human.blocked_initiation,
             last: LastStep::default(),
+            reaction_began: false,
         })
     }
 
@@ -144,7 +147,9 @@ impl<D: Domain> NotifierEnv<D> {
         }
         let reaction = self.human.reaction();
         let advance = self.domain.advance(reaction);
+        let n_followed = self.human.tally().followed;
         let reacted = self.human.acted(advance.reaction);
+        self.reaction_began = self.human.tally().followed > n_followed;
         self.tell_reaction_over();
         self.hear_word();
         let (n_steps, started) = (self.last.n_steps + 1, initiation == Initiation::Started);
@@ -238,6 +243,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         self.domain.reset(seed);
         self.human.reset(seed.stream(Purpose::Human));
         self.last = LastStep::default();
+        self.reaction_began = false;
         let domain = &self.domain;
         self.history.begin(|out| domain.observe(out));
         self.write_observation(observation);
@@ -302,6 +308,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         self.domain.restore(&snapshot.domain)?;
         self.human.restore(snapshot.human);
         self.last = snapshot.last;
+        self.reaction_began = false;
         self.write_observation(observation);
         Ok(())
     }
@@ -316,6 +323,14 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             self.actions.write(self.script(name), action);
         }
         known
+    }
+
+    fn insight(&self) -> Option<Insight> {
+        Some(Insight {
+            reaction_delay: self.human.reaction_delay(),
+            comprehended: self.human.tally().comprehended,
+            reaction_began: self.reaction_began,
+        })
     }
 
     fn scene(&self) -> Option<Scene> {

@@ -360,3 +360,28 @@ proptest! {
         prop_assert_eq!(a, b);
     }
 }
+
+#[test]
+fn an_insight_tells_the_delay_and_when_a_reaction_begins() {
+    let mut env = default_env();
+    let mut observation = reset(&mut env);
+    env.domain.place = 2;
+    // "hold", k = 2, l = 3: comprehended at 2, acted upon in steps 4, 5 and 6.
+    let mut actions = [SILENT; 9];
+    actions[0] = [1, 1, 0, 1];
+    let mut begun = Vec::new();
+    for (t, action) in actions.iter().enumerate() {
+        env.step(action, &mut observation);
+        let insight = env.insight().unwrap();
+        assert_eq!((insight.reaction_delay, insight.comprehended), (Some(2), u32::from(t >= 1)));
+        begun.extend(insight.reaction_began.then_some(t));
+    }
+    assert_eq!(begun, [4]);
+    // At the wall the same reaction is refused: the person does nothing of what is asked for.
+    let mut observation = reset(&mut env);
+    env.domain.place = WALL;
+    for action in &actions {
+        env.step(action, &mut observation);
+        assert!(!env.insight().unwrap().reaction_began);
+    }
+}

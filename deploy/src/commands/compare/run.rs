@@ -96,7 +96,7 @@ fn judge(
     for training in plan.trainings() {
         runs.push(provenance::run(training)?);
     }
-    let command = program_command();
+    let command = output::command_line(std::env::args().skip(1));
     Ok(StudyResult {
         study: plan.named.name.clone(),
         title: plan.named.study.title.clone(),
@@ -107,12 +107,6 @@ fn judge(
             .context("reading the program's own file")?,
         parts,
     })
-}
-
-/// Returns the command as it was given.
-fn program_command() -> String {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    format!("leadtime {}", args.join(" "))
 }
 
 /// Says what a reader must know before quoting a number.

@@ -1,0 +1,38 @@
+//! The arguments of `leadtime probe`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::n_episodes;
+use crate::config::raw::EvaluationAction;
+use crate::config::table::Assignment;
+
+/// `leadtime probe`
+#[derive(Debug, Args)]
+pub struct ProbeArgs {
+    /// A policy file, a run directory or the name of a run.
+    pub policy: String,
+    /// Episodes; what is read off the policy is learned from the first half and judged on the other.
+    #[arg(long, default_value_t = 400, value_parser = n_episodes())]
+    pub episodes: u32,
+    /// Seed of the evaluation's random streams; another than in training.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub eval_seed: u64,
+    /// How the policy chooses (default: the configuration's).
+    #[arg(long, value_enum)]
+    pub action: Option<EvaluationAction>,
+    /// Change one key of the task: `--set 'human.reaction_delay={uniform={low=0,high=5,drawn="per_episode"}}'`; may be
+    /// given again.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
+    pub set: Vec<Assignment>,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// Also write the results to this file, as a section of a page that says where they are from.
+    #[arg(long, value_name = "FILE")]
+    pub markdown: Option<PathBuf>,
+}

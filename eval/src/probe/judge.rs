@@ -1,0 +1,195 @@
+//! The probe itself: play, learn to read on one half of the episodes, judge on the other.
+
+use leadtime_numerics::stats::{Bootstrap, mean};
+
+use super::knowledge::{Knowledge, ReaderScore, Score, Stage};
+use super::readers::Reader;
+use super::record::{N_STAGES, Sample, record};
+use crate::error::Error;
+use crate::measure::{Difference, EvaluateSettings, MakeEnvironment, Player};
+
+/// A stage that fewer episodes of either half reached is not judged.
+pub const MIN_EPISODES: usize = 20;
+
+/// Plays episodes with a policy and measures how well the person's reaction delay can be read off its features.
+///
+/// The number of threads does not change the result.
+///
+/// # Errors
+///
+/// [`Error::TooFewEpisodes`]; [`Error::NoListener`], [`Error::DelayPerMessage`] or [`Error::DelayNeverVaries`] if there is
+/// nothing to be known; [`Error::NoFeatures`] for a script; as [`crate::measure::evaluate`].
+pub fn probe(
+    make: &MakeEnvironment<'_>,
+    player: &Player,
+    settings: &EvaluateSettings,
+    bootstrap: Bootstrap,
+) -> Result<Knowledge, Error> {
+    let least = 2 * MIN_EPISODES as u64;
+    if settings.n_episodes < least {
+        return Err(Error::TooFewEpisodes { found: settings.n_episodes, least });
+    }
+    player.check(make()?.as_ref())?;
+    if player.hidden_dim() == 0 {
+        return Err(Error::NoFeatures { name: player.name().to_owned() });
+    }
+    let samples = record(make, player, settings)?;
+    let half = settings.n_episodes / 2;
+    let (seen, unseen): (Vec<&Sample>, Vec<&Sample>) =
+        samples.iter().partition(|sample| sample.episode < half);
+    let judge = Judge::new(&seen, unseen, bootstrap)?;
+    Ok(Knowledge {
+        player: player.name().to_owned(),
+        seed: settings.seed,
+        n_learned_from: half,
+        n_judged_on: settings.n_episodes - half,
+        bootstrap,
+        readers: judge.readers(),
+        stages: (0..N_STAGES).map(|stage| judge.stage(stage)).collect(),
+        overall: judge.overall(),
+        differences: judge.differences(),
+    })
+}
+
+/// What was learned, and the samples that it is judged on.
+pub(super) struct Judge<'a> {
+    readers: Vec<Reader>,
+    /// Samples of the first half by stage.
+    n_seen: [usize; N_STAGES],
+    unseen: Vec<&'a Sample>,
+    /// Samples of stages that enough episodes reached.
+    common: Vec<&'a Sample>,
+    /// Mean delay of the first half.
+    center: f64,
+    bootstrap: Bootstrap,
+}
+
+impl<'a> Judge<'a> {
+    /// Learns from the samples that may be seen.
+    pub(super) fn new(
+        seen: &[&'a Sample],
+        unseen: Vec<&'a Sample>,
+        bootstrap: Bootstrap,
+    ) -> Result<Self, Error> {
+        let delays = by_episode(seen, |sample| f64::from(sample.delay));
+        if let Some(first) = seen.first()
+            && seen.iter().chain(&unseen).all(|sample| sample.delay == first.delay)
+        {
+            return Err(Error::DelayNeverVaries { delay: first.delay });
+        }
+        let count = |samples: &[&Sample]| -> [usize; N_STAGES] {
+            std::array::from_fn(|stage| samples.iter().filter(|s| s.stage == stage).count())
+        };
+        let (n_seen, n_unseen) = (count(seen), count(&unseen));
+        let is_common =
+            |stage: usize| n_seen[stage] >= MIN_EPISODES && n_unseen[stage] >= MIN_EPISODES;
+        let common = unseen.iter().copied().filter(|sample| is_common(sample.stage)).collect();
+        let (readers, center) = (Reader::all(seen)?, mean(&delays));
+        Ok(Self { readers, n_seen, unseen, common, center, bootstrap })
+    }
+
+    /// Tells of every reader how much of the delay's variance it explains.
+    pub(super) fn readers(&self) -> Vec<ReaderScore> {
+        let sum = |told: &dyn Fn(&Sample) -> f64| -> f64 {
+            let square = |sample: &Sample| (told(sample) - f64::from(sample.delay)).powi(2);
+            by_episode(&self.common, square).iter().sum()
+        };
+        let spread = sum(&|_| self.center);
+        let score = |reader: &Reader| {
+            let errors = sum(&|sample| reader.read(sample));
+            ReaderScore {
+                name: reader.name().to_owned(),
+                n_features: self.common.first().map_or(0, |sample| reader.n_features(sample)),
+                penalty: reader.penalty(),
+                r_squared: (spread > 0.0).then(|| 1.0 - errors / spread),
+            }
+        };
+        self.readers.iter().map(score).collect()
+    }
+
+    /// Judges one stage.
+    pub(super) fn stage(&self, stage: usize) -> Stage {
+        let and_more = if stage + 1 == N_STAGES { " or more" } else { "" };
+        let of = |samples: &[&'a Sample]| -> Vec<&'a Sample> {
+            samples.iter().copied().filter(|sample| sample.stage == stage).collect()
+        };
+        let scored = of(&self.common);
+        let scores = (0..self.readers.len()).filter_map(|i| {
+            // Every number has draws of its own.
+            let index = 2 * (stage * self.readers.len() + i) as u64;
+            self.score(&self.readers[i], &scored, index)
+        });
+        let scores = scores.collect();
+        let name = format!("{stage}{and_more}");
+        Stage { scores, ..described(name, self.n_seen[stage], &of(&self.unseen)) }
+    }
+
+    /// Judges all stages together: every episode counts once, and its stages alike.
+    pub(super) fn overall(&self) -> Stage {
+        let index = |i: usize| 2 * (N_STAGES * self.readers.len() + i) as u64;
+        let scores = self.readers.iter().enumerate();
+        let scores = scores.filter_map(|(i, reader)| self.score(reader, &self.common, index(i)));
+        let scores = scores.collect();
+        // In the first stage there is every episode.
+        Stage { scores, ..described("all".to_owned(), self.n_seen[0], &self.common) }
+    }
+
+    /// Compares the errors of reading the features with those of every weaker reader, episode by episode.
+    pub(super) fn differences(&self) -> Vec<Difference> {
+        let Some((hidden, others)) = self.readers.split_last() else { return Vec::new() };
+        let own = by_episode(&self.common, |sample| error(hidden, sample));
+        let first = 2 * ((N_STAGES + 1) * self.readers.len()) as u64;
+        let compare = |(i, reader): (usize, &Reader)| {
+            let theirs = by_episode(&self.common, |sample| error(reader, sample));
+            let change: Vec<f64> = own.iter().zip(theirs).map(|(a, b)| a - b).collect();
+            Some(Difference {
+                measure: "mean_absolute_error".to_owned(),
+                of: hidden.name().to_owned(),
+                minus: reader.name().to_owned(),
+                interval: self.bootstrap.mean(&change, first + i as u64)?,
+            })
+        };
+        others.iter().enumerate().filter_map(compare).collect()
+    }
+
+    fn score(&self, reader: &Reader, samples: &[&Sample], index: u64) -> Option<Score> {
+        let errors = by_episode(samples, |sample| error(reader, sample));
+        let exact = by_episode(samples, |sample| {
+            let told = reader.read(sample).round();
+            f64::from(u8::from(told == f64::from(sample.delay)))
+        });
+        let error = self.bootstrap.mean(&errors, index)?;
+        Some(Score { error, exact: self.bootstrap.mean(&exact, index + 1)? })
+    }
+}
+
+fn error(reader: &Reader, sample: &Sample) -> f64 {
+    (reader.read(sample) - f64::from(sample.delay)).abs()
+}
+
+/// Returns the mean of a number over the samples of each episode; samples of one episode lie side by side.
+fn by_episode(samples: &[&Sample], value: impl Fn(&Sample) -> f64) -> Vec<f64> {
+    let episodes = samples.chunk_by(|a, b| a.episode == b.episode);
+    episodes.map(|of| mean(&of.iter().map(|sample| value(sample)).collect::<Vec<_>>())).collect()
+}
+
+/// Describes samples without judging them.
+fn described(name: String, n_learned_from: usize, samples: &[&Sample]) -> Stage {
+    let average = |value: fn(&Sample) -> u32| {
+        let values = by_episode(samples, |sample| f64::from(value(sample)));
+        (!values.is_empty()).then(|| mean(&values))
+    };
+    Stage {
+        name,
+        n_learned_from,
+        n_judged_on: samples.chunk_by(|a, b| a.episode == b.episode).count(),
+        n_steps: samples.iter().map(|sample| sample.n_steps).sum(),
+        mean_delay: average(|sample| sample.delay),
+        mean_comprehended: average(|sample| sample.comprehended),
+        scores: Vec::new(),
+    }
+}
+
+#[cfg(test)]
+#[path = "judge_tests.rs"]
+mod tests;

@@ -1,0 +1,230 @@
+//! What a probe found, as data, as text and as a section of a page.
+
+use leadtime_numerics::stats::{Bootstrap, Interval};
+use serde::{Deserialize, Serialize};
+
+use super::judge::MIN_EPISODES;
+use crate::measure::{Difference, Table, written};
+use crate::report::Fact;
+
+/// What stands for a number that there is none of.
+const NONE: &str = "\u{2013}";
+
+/// How well a person's reaction delay can be told, by how much the person has done so far.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Knowledge {
+    /// The policy's name.
+    pub player: String,
+    /// Seed of the episodes.
+    pub seed: u64,
+    /// Episodes that readers learned from.
+    pub n_learned_from: u64,
+    /// Episodes that they were judged on.
+    pub n_judged_on: u64,
+    /// How intervals were made, by resampling episodes.
+    pub bootstrap: Bootstrap,
+    /// The ways to tell the delay, weakest first.
+    pub readers: Vec<ReaderScore>,
+    /// The stages, by reactions begun.
+    pub stages: Vec<Stage>,
+    /// All stages that enough episodes reached; every episode counts once.
+    pub overall: Stage,
+    /// What reading the features changes in the error, over all stages; the same episodes are compared.
+    pub differences: Vec<Difference>,
+}
+
+/// A way to tell the delay.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReaderScore {
+    /// Its name.
+    pub name: String,
+    /// Numbers that it looks at.
+    pub n_features: usize,
+    /// Penalty of its regression, if it is one.
+    pub penalty: Option<f64>,
+    /// Share of the delay's variance that it explains over all judged stages, `R²`: 0 for always telling the mean of
+    /// what was learned from, negative for less than that. `None` if the delay does not vary there.
+    pub r_squared: Option<f64>,
+}
+
+/// The time during which the person has begun to react to the same number of messages.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stage {
+    /// How many reactions have begun.
+    pub name: String,
+    /// Episodes with this stage that readers learned from.
+    pub n_learned_from: usize,
+    /// Episodes with this stage that they were judged on.
+    pub n_judged_on: usize,
+    /// Steps that the stage has in the latter.
+    pub n_steps: u64,
+    /// Mean reaction delay in the latter, in steps.
+    pub mean_delay: Option<f64>,
+    /// Mean number of messages understood in the latter.
+    pub mean_comprehended: Option<f64>,
+    /// One per reader; none if too few episodes have the stage.
+    pub scores: Vec<Score>,
+}
+
+/// How well a reader tells the delay.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// Mean absolute error, in steps.
+    pub error: Interval,
+    /// Share of episodes in which the rounded delay is right.
+    pub exact: Interval,
+}
+
+impl Knowledge {
+    /// Writes the tables as plain text.
+    pub fn text(&self) -> String {
+        let [errors, exact] = self.tables().map(|table| table.text());
+        let mut text = format!(
+            "Mean absolute error of d_r, in steps\n\n{errors}\nShare of exact predictions, rounded\n\n{exact}"
+        );
+        for line in std::iter::once(self.reading()).chain(self.results()) {
+            text.push_str(&line);
+            text.push('\n');
+        }
+        text
+    }
+
+    /// Writes a section of a page: tables, how to read them, and where they are from.
+    pub fn markdown(&self, title: &str, provenance: &[Fact]) -> String {
+        let [errors, exact] = self.tables().map(|table| table.markdown());
+        let facts = provenance.iter().map(|Fact { name, value }| format!("{name}: {value}"));
+        let [results, facts] = [list(self.results()), list(facts)];
+        format!(
+            "## {title}\n\n{}\n\nMean absolute error of d_r, in steps:\n\n{errors}\nShare of exact predictions, rounded:\n\
+             \n{exact}\n{results}\n<details><summary>Where these numbers are from</summary>\n\n{facts}\n</details>\n",
+            self.reading()
+        )
+    }
+
+    /// Lays out errors, and shares of exact predictions.
+    fn tables(&self) -> [Table; 2] {
+        let counts = ["episodes", "steps", "mean d_r", "understood"].map(str::to_owned);
+        let readers = || self.readers.iter().map(|reader| reader.name.clone());
+        let first = || std::iter::once("reactions begun".to_owned());
+        let mut errors = Table::new(first().chain(counts).chain(readers()));
+        let mut exact = Table::new(first().chain(readers()));
+        for stage in self.stages.iter().chain([&self.overall]) {
+            let name = || std::iter::once(stage.name.clone());
+            let counts = [
+                stage.n_judged_on.to_string(),
+                stage.n_steps.to_string(),
+                number(stage.mean_delay),
+                number(stage.mean_comprehended),
+            ];
+            errors.push(name().chain(counts).chain(self.cells(stage, |score| score.error)));
+            exact.push(name().chain(self.cells(stage, |score| score.exact)));
+        }
+        [errors, exact]
+    }
+
+    fn cells(&self, stage: &Stage, which: fn(&Score) -> Interval) -> Vec<String> {
+        let cell = |i: usize| {
+            let score = stage.scores.get(i);
+            score.map_or_else(|| NONE.to_owned(), |score| written(&which(score)).join(" "))
+        };
+        (0..self.readers.len()).map(cell).collect()
+    }
+
+    fn reading(&self) -> String {
+        let percent = 100.0 * self.bootstrap.confidence;
+        format!(
+            "Learned from {} episodes, judged on {} others (counted in the table), at one step of every stage of an \
+             episode; {percent:.0} % bootstrap intervals over episodes. {NONE}: fewer than {MIN_EPISODES} episodes.",
+            self.n_learned_from, self.n_judged_on
+        )
+    }
+
+    /// Writes `R²` and what reading the features changes.
+    fn results(&self) -> Vec<String> {
+        let regression = |reader: &ReaderScore| {
+            let penalty = reader.penalty?;
+            Some(format!(
+                "R\u{b2} of {}: {} ({} numbers, penalty {penalty:e})",
+                reader.name,
+                number(reader.r_squared),
+                reader.n_features
+            ))
+        };
+        let changes = self.differences.iter().map(|d| d.sentence(self.bootstrap.confidence));
+        self.readers.iter().filter_map(regression).chain(changes).collect()
+    }
+}
+
+/// Writes lines as the points of a list.
+fn list(lines: impl IntoIterator<Item = String>) -> String {
+    let points = lines.into_iter().map(|line| format!("* {line}\n"));
+    points.collect::<Vec<_>>().concat()
+}
+
+fn number(value: Option<f64>) -> String {
+    let text = value.map_or_else(|| NONE.to_owned(), |value| format!("{value:.2}"));
+    text.replace('-', "\u{2212}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn knowledge() -> Knowledge {
+        let interval =
+            |estimate| Interval { estimate, low: estimate - 0.125, high: estimate + 0.125 };
+        let reader = |name: &str, penalty| ReaderScore {
+            name: name.to_owned(),
+            n_features: 64,
+            penalty,
+            r_squared: Some(-0.25),
+        };
+        let stage = |name: &str, n: usize| Stage {
+            name: name.to_owned(),
+            n_learned_from: n,
+            n_judged_on: n,
+            n_steps: 10 * n as u64,
+            mean_delay: (n > 0).then_some(2.5),
+            mean_comprehended: (n > 0).then_some(1.0),
+            scores: [1.5, 0.25]
+                .into_iter()
+                .take(if n < MIN_EPISODES { 0 } else { 2 })
+                .map(|error| Score { error: interval(error), exact: interval(error / 2.0) })
+                .collect(),
+        };
+        Knowledge {
+            player: "policy".to_owned(),
+            seed: 1,
+            n_learned_from: 20,
+            n_judged_on: 20,
+            bootstrap: Bootstrap::new(1),
+            readers: vec![reader("constant", None), reader("hidden features", Some(0.1))],
+            stages: vec![stage("0", 20), stage("1", 0)],
+            overall: stage("all", 20),
+            differences: vec![Difference {
+                measure: "mean_absolute_error".to_owned(),
+                of: "hidden features".to_owned(),
+                minus: "constant".to_owned(),
+                interval: interval(-1.25),
+            }],
+        }
+    }
+
+    #[test]
+    fn the_tables_line_up() {
+        insta::assert_snapshot!(knowledge().text());
+    }
+
+    #[test]
+    fn a_section_has_the_tables_and_says_where_they_are_from() {
+        let command = Fact::new("command", "`leadtime probe r`");
+        insta::assert_snapshot!(knowledge().markdown("What `r` knows", &[command]));
+    }
+
+    #[test]
+    fn what_is_read_from_json_gives_the_same_tables() {
+        let json = serde_json::to_string(&knowledge()).unwrap();
+        let again: Knowledge = serde_json::from_str(&json).unwrap();
+        assert_eq!(again.text(), knowledge().text());
+    }
+}

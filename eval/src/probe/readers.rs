@@ -1,0 +1,137 @@
+//! Ways to tell a person's reaction delay, from knowing nothing to reading the policy's mind.
+
+use super::record::{N_STAGES, Sample};
+use super::ridge::{Case, Ridge};
+use crate::error::Error;
+
+/// A way to tell the delay.
+#[derive(Clone, Debug)]
+pub(super) enum Reader {
+    /// The same for everybody.
+    Constant(f64),
+    /// The same for everybody in the same stage; what it is for stages that are too rare is of no account.
+    PerStage([f64; N_STAGES]),
+    /// Linear in the policy's input.
+    Input(Ridge),
+    /// Linear in the policy's features.
+    Hidden(Ridge),
+}
+
+impl Reader {
+    /// Learns every way from samples, weakest first.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoRegression`].
+    pub(super) fn all(samples: &[&Sample]) -> Result<Vec<Self>, Error> {
+        let in_stage = |stage: usize| {
+            median(samples.iter().filter(|s| s.stage == stage).map(|s| (s.delay, 1.0)))
+        };
+        Ok(vec![
+            Self::Constant(median(samples.iter().map(|s| (s.delay, s.weight)))),
+            Self::PerStage(std::array::from_fn(in_stage)),
+            Self::Input(regression(samples, |sample| &sample.input)?),
+            Self::Hidden(regression(samples, |sample| &sample.hidden)?),
+        ])
+    }
+
+    /// Returns the name that tables give it.
+    pub(super) fn name(&self) -> &'static str {
+        match self {
+            Self::Constant(_) => "constant",
+            Self::PerStage(_) => "constant per stage",
+            Self::Input(_) => "policy's input",
+            Self::Hidden(_) => "hidden features",
+        }
+    }
+
+    /// Returns the penalty of its regression, if it is one.
+    pub(super) fn penalty(&self) -> Option<f64> {
+        match self {
+            Self::Input(ridge) | Self::Hidden(ridge) => Some(ridge.penalty()),
+            _ => None,
+        }
+    }
+
+    /// Returns how many numbers it looks at.
+    pub(super) fn n_features(&self, sample: &Sample) -> usize {
+        match self {
+            Self::Input(_) => sample.input.len(),
+            Self::Hidden(_) => sample.hidden.len(),
+            _ => 0,
+        }
+    }
+
+    /// Tells the delay, in steps; a delay is never negative.
+    pub(super) fn read(&self, sample: &Sample) -> f64 {
+        let told = match self {
+            Self::Constant(delay) => *delay,
+            Self::PerStage(delays) => delays[sample.stage],
+            Self::Input(ridge) => ridge.predict(&sample.input),
+            Self::Hidden(ridge) => ridge.predict(&sample.hidden),
+        };
+        told.max(0.0)
+    }
+}
+
+fn regression<'a>(
+    samples: &[&'a Sample],
+    features: fn(&'a Sample) -> &'a [f32],
+) -> Result<Ridge, Error> {
+    let case = |sample: &&'a Sample| Case {
+        group: sample.episode,
+        features: features(sample),
+        target: f64::from(sample.delay),
+        weight: sample.weight,
+    };
+    let cases: Vec<Case<'_>> = samples.iter().map(case).collect();
+    Ridge::cross_validated(&cases)
+}
+
+/// Returns the smallest delay that half of the weight does not exceed; 0 without any.
+fn median(delays: impl Iterator<Item = (u32, f64)>) -> f64 {
+    let mut delays: Vec<(u32, f64)> = delays.collect();
+    delays.sort_by_key(|(delay, _)| *delay);
+    let half = delays.iter().map(|(_, weight)| weight).sum::<f64>() / 2.0;
+    let mut below = 0.0;
+    let middle = delays.iter().find(|(_, weight)| {
+        below += weight;
+        below >= half
+    });
+    middle.map_or(0.0, |(delay, _)| f64::from(*delay))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(episode: u64, stage: usize, delay: u32) -> Sample {
+        let hidden = vec![delay as f32, 1.0];
+        let weight = 0.5;
+        Sample { episode, stage, delay, weight, hidden, input: vec![0.0], ..Sample::default() }
+    }
+
+    #[test]
+    fn each_reader_uses_what_it_is_named_after() {
+        let samples: Vec<Sample> = (0..40)
+            .flat_map(|i| [sample(i, 0, (i % 5) as u32), sample(i, 1, (i % 2) as u32)])
+            .collect();
+        let readers = Reader::all(&samples.iter().collect::<Vec<_>>()).unwrap();
+        let told = readers.iter().map(|reader| reader.read(&sample(50, 0, 4)));
+        let told: Vec<f64> = told.collect();
+        assert_eq!(told[..2], [1.0, 2.0]);
+        // An input that never changes tells the mean: of 2 in stage 0 and of 1/2 in stage 1.
+        assert!((told[2] - 1.25).abs() < 1e-9 && (told[3] - 4.0).abs() < 1e-3, "{told:?}");
+        assert_eq!(readers[1].read(&sample(50, 1, 4)), 0.0);
+        let features: Vec<usize> = readers.iter().map(|r| r.n_features(&samples[0])).collect();
+        assert_eq!(features, [0, 0, 1, 2]);
+    }
+
+    #[test]
+    fn a_median_goes_by_weight() {
+        let delays = [(5, 1.0), (0, 0.3), (0, 0.3), (1, 0.3)];
+        assert_eq!(median(delays.into_iter()), 5.0);
+        assert_eq!(median(delays.into_iter().map(|(delay, _)| (delay, 1.0))), 0.0);
+        assert_eq!(median(std::iter::empty()), 0.0);
+    }
+}
