@@ -17,12 +17,14 @@
 //! * After a refused rollout its sender gets its environments anew, from their newest snapshots: the refused
 //!   one will not come again, so without that its environment would wait for ever.
 
+mod terms;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use leadtime_proto::message::{Assignment, Control, Credit, EnvAssignment, Hello};
 use leadtime_proto::{
-    ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, PolicyVersion, RefusalCause, Rollout,
-    Schedule, Sequence, limits, receive,
+    ActorId, EnvId, Epoch, Header, Incarnation, PolicyVersion, RefusalCause, Rollout, Sequence,
+    limits, receive,
 };
 
 use crate::assign::{Assigner, Change};
@@ -31,6 +33,8 @@ use crate::collect::{Batch, Collector};
 use crate::refusal::Fault;
 use crate::report::RunEvent;
 use crate::roster::Roster;
+
+pub use terms::{Effect, Start, Terms, Unwelcome};
 
 /// The most bytes of snapshots in one assignment; more environments go into a second one.
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
@@ -42,79 +46,6 @@ const MAX_UNACKNOWLEDGED: u64 = limits::MAX_WINDOW as u64 + limits::MAX_ENVS as 
 const MAX_LOST: u64 = 1 << 20;
 /// The most starts of actors that may say so without being in the checkpoint: those that came after it.
 const MAX_LOSERS: usize = 1_024;
-
-/// What a run agreed on, as far as decisions depend on it.
-#[derive(Clone, Debug)]
-pub struct Terms {
-    /// This start of the learner.
-    pub learner: Incarnation,
-    /// What rollouts must look like.
-    pub env: EnvSpec,
-    /// Width of the policy's recurrent state.
-    pub recurrent_dim: usize,
-    /// Steps per rollout.
-    pub n_steps: u32,
-    /// Who waits for whom.
-    pub schedule: Schedule,
-    /// The most rollouts an actor may have unacknowledged.
-    pub window: u32,
-    /// Actors that must be there before a run starts.
-    pub actors_min: usize,
-    /// The fingerprint of the learner's own build.
-    pub program: String,
-    /// The learner's own CPU fingerprint.
-    pub cpu: String,
-}
-
-/// Where a coordinator starts: the beginning, or a checkpoint.
-#[derive(Clone, Debug)]
-pub struct Start {
-    /// Where every environment stands.
-    pub places: Vec<EnvAssignment>,
-    /// The newest assignment so far.
-    pub epoch: Epoch,
-    /// The policy's version.
-    pub version: PolicyVersion,
-    /// The books so far.
-    pub books: Books,
-}
-
-/// What has to be done about something that happened.
-#[derive(Clone, Debug)]
-pub enum Effect {
-    /// Tell an actor something, in this order.
-    Control {
-        /// Whom.
-        to: SenderKey,
-        /// What.
-        control: Control,
-    },
-    /// Acknowledge and permit.
-    Credit {
-        /// Whom.
-        to: ActorId,
-        /// What.
-        credit: Credit,
-    },
-    /// Tell the person.
-    Event(RunEvent),
-}
-
-/// Why a hello is answered with a refusal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Unwelcome {
-    /// The actor was cut off.
-    #[error(
-        "this actor was cut off because it kept sending messages that were refused: restart it"
-    )]
-    CutOff,
-    /// Another start of it is here; said with a sentence of its own.
-    #[error("an actor of this name is already here")]
-    Taken,
-    /// Its counts contradict each other, or what this learner knows.
-    #[error("its counts of published and unacknowledged rollouts make no sense")]
-    Nonsense,
-}
 
 /// How far a run is, as far as moving environments is concerned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -16,16 +16,17 @@
 //! limited time), the state goes to the disk, the books are closed. All of it takes less than five seconds; an
 //! update that takes longer is lost and made again after a resume, with the same bits.
 
+mod ending;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use leadtime_link::{LearnerEvent, LearnerLink};
-use leadtime_policy::Parameters;
 use leadtime_proto::PolicyVersion;
-use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
+use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
-use tracing::{debug, warn};
+use tracing::debug;
 
 use crate::books::SenderKey;
 use crate::checkpoint::CheckpointStore;
@@ -43,12 +44,8 @@ use crate::{Error, LearnerConfig, TrainerState};
 const TICK: Duration = Duration::from_millis(500);
 /// How many events of the network are taken before anything else is looked at.
 const EVENTS_AT_ONCE: usize = 256;
-/// How long the end of a run waits for actors to leave and for the update under way.
-const FAREWELL: Duration = Duration::from_millis(2_500);
 /// Pause between two reports that actors are missing.
 const WAITING_EVERY: Duration = Duration::from_secs(30);
-/// How long copying the trainer's state may take.
-const STATE_TIMEOUT: Duration = Duration::from_secs(1);
 /// The best policy's file beside the checkpoints.
 pub const BEST_POLICY: &str = "best.safetensors";
 
@@ -86,7 +83,7 @@ pub async fn run(
         sink.on_event(&event);
     }
     if standing.start.version.0 >= config.settings.n_updates() {
-        return already_finished(&config, standing);
+        return ending::already_finished(&config, standing);
     }
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
@@ -421,75 +418,6 @@ impl Run {
     fn is_uniform(&self) -> bool {
         self.uniform_before && self.coordinator.is_uniform()
     }
-
-    async fn end(
-        &mut self,
-        events: &flume::Receiver<LearnerEvent>,
-        end: RunEnd,
-    ) -> Result<RunReport, Error> {
-        self.sink.on_event(&RunEvent::Stopping);
-        let reason = match end {
-            RunEnd::Stopped => "the learner was asked to stop",
-            RunEnd::Finished | RunEnd::AlreadyFinished => "the run is finished",
-        };
-        self.coordinator.stop_everyone(reason);
-        self.act();
-        self.farewell(events).await?;
-        let state = self.final_state().await?;
-        self.coordinator.close();
-        let checkpointed = state.is_some();
-        if let Some(state) = state {
-            self.checkpoint(*state)?;
-        } else {
-            warn!("the update under way took too long; a resume will make it again");
-        }
-        let last = self.last();
-        let parameters = Parameters::from_safetensors(&last.weights, &self.config.policy)?;
-        let books = self.coordinator.books().clone();
-        Ok(RunReport {
-            end,
-            n_updates: self.n_updates,
-            n_steps: self.n_updates * self.config.steps_per_update(),
-            digest: parameters.digest()?,
-            last,
-            best: self.best.clone(),
-            episodes: self.episodes.means(),
-            staleness: self.staleness.clone(),
-            balance: books.check(),
-            books,
-            reproducible: self.is_uniform() && self.config.settings.schedule().is_deterministic(),
-            checkpointed,
-        })
-    }
-
-    /// Goes on listening until the actors have left and the update under way is done, or time is up.
-    async fn farewell(&mut self, events: &flume::Receiver<LearnerEvent>) -> Result<(), Error> {
-        let never = CancellationToken::new();
-        let mut ticks = interval(TICK);
-        let deadline = tokio::time::Instant::now() + FAREWELL;
-        while self.coordinator.n_actors() > 0 || self.is_training {
-            let wake = self.next_wake(events, &mut ticks, &never);
-            match tokio::time::timeout_at(deadline, wake).await {
-                Ok(wake) => self.handle(wake?, events)?,
-                Err(_) => break,
-            }
-            self.act();
-        }
-        Ok(())
-    }
-
-    /// Copies the trainer's state, unless it is busy beyond patience.
-    async fn final_state(&mut self) -> Result<Option<Box<TrainerState>>, Error> {
-        if self.is_training {
-            return Ok(None);
-        }
-        self.training.begin(Job::State)?;
-        match timeout(STATE_TIMEOUT, self.training.outcome()).await {
-            Ok(Outcome::State(state)) => Ok(Some(state)),
-            Ok(Outcome::Failed(error)) => Err(error),
-            Ok(Outcome::Updated(_)) | Err(_) => Ok(None),
-        }
-    }
 }
 
 fn terms(config: &LearnerConfig) -> Terms {
@@ -504,25 +432,4 @@ fn terms(config: &LearnerConfig) -> Terms {
         program: config.program.clone(),
         cpu: config.cpu.clone(),
     }
-}
-
-fn already_finished(config: &LearnerConfig, standing: Standing) -> Result<RunReport, Error> {
-    let version = standing.trainer.version();
-    let score = standing.episodes.score();
-    let last = RatedPolicy { version, score, weights: Arc::clone(&standing.offered[&version]) };
-    let books = standing.start.books;
-    Ok(RunReport {
-        end: RunEnd::AlreadyFinished,
-        n_updates: version.0,
-        n_steps: version.0 * config.steps_per_update(),
-        digest: standing.trainer.parameters().digest()?,
-        last,
-        best: standing.best,
-        episodes: standing.episodes.means(),
-        staleness: standing.staleness,
-        balance: books.check(),
-        books,
-        reproducible: standing.uniform && config.settings.schedule().is_deterministic(),
-        checkpointed: true,
-    })
 }

@@ -9,7 +9,7 @@ use super::{n_episodes, number_range};
 use crate::config::table::Assignment;
 
 /// Seeds on which tables are trained: none that a search for settings used.
-const TABLE_SEEDS: &str = "101..106";
+const TABLE_SEEDS: &str = "201..206";
 
 /// `leadtime compare`
 #[derive(Debug, Args)]

@@ -210,7 +210,9 @@ mod tests {
     #[test]
     fn several_features_of_any_size_are_weighed_right() {
         let mut rows = noise(50, 3, 1);
-        rows.iter_mut().for_each(|row| row[2] = 1000.0 * row[2] + 7.0);
+        for row in &mut rows {
+            row[2] = 1000.0 * row[2] + 7.0;
+        }
         let target = |x: &[f32]| f64::from(x[0]) - 2.0 * f64::from(x[1]) + 0.01 * f64::from(x[2]);
         let ridge = Ridge::with_penalty(&cases(&rows, target), 0.0).unwrap();
         for row in noise(5, 3, 2) {

@@ -1,7 +1,7 @@
 //! Everything that can happen to a rollout, without a network.
 
 use leadtime_proto::header::Schema;
-use leadtime_proto::{ActionSpec, Iteration, codec};
+use leadtime_proto::{ActionSpec, EnvSpec, Iteration, Schedule, codec};
 
 use super::*;
 

@@ -1,6 +1,7 @@
 //! The kitchens that are part of the program: three public ones, and three of our own with two of every station.
 
-use super::grid::{Grid, LayoutError};
+use super::grid::Grid;
+use super::layout_error::LayoutError;
 use crate::setting::SettingError;
 
 /// Names and rows of the built-in kitchens. The public ones are those of FOV-aware-planner, with the starts of both
