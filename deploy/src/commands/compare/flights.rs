@@ -84,7 +84,7 @@ pub(super) fn maps(
     let svg = playthrough::maps("maps", &format!("{title}: the maps"), &panels);
     let caption = format!(
         "{title}: the maps on one scale. Danger zones are dashed, the pad is green. The line is where the lander flies when \
-         nobody speaks (the same episode on every map: the first one of seed {seed}, not chosen), thick and red inside a zone"
+         nobody speaks (the same episode on every map: the first one of seed {seed}, not chosen), thick and orange inside a zone"
     );
     drawn(format!("{stem}-maps.png"), caption, &svg).map(Some)
 }
@@ -118,7 +118,7 @@ pub(super) fn trajectories(
     let caption = format!(
         "{title}: where the lander flies with each notifier, in the same {n} episodes (the first ones of seed {seed}, not \
          chosen), on: {}. Trained notifiers are those of the first training seed, and sample their choices. Blue flights \
-         land on the pad without having been in a danger zone (dashed), red ones enter a zone, black dashed ones crash or \
+         land on the pad without having been in a danger zone (dashed), orange ones enter one, black dashed ones crash or \
          land nowhere; each ends at its dot. The ground differs between episodes and is drawn faintly",
         named.map_or("", |person| &person.title)
     );
