@@ -52,7 +52,9 @@ fn words(words: &[String]) -> Vec<&str> {
 
 fn runs(place: &Place) -> Vec<String> {
     let Ok(entries) = fs::read_dir(place.path().join("runs")) else { return Vec::new() };
-    let directories = entries.filter_map(Result::ok).filter(|entry| entry.path().is_dir());
+    // Beside the runs is the folder in which scripts' judged episodes are kept.
+    let is_run = |entry: &fs::DirEntry| entry.path().join("config.toml").is_file();
+    let directories = entries.filter_map(Result::ok).filter(is_run);
     let mut names: Vec<String> =
         directories.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     names.sort();

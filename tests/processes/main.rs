@@ -11,6 +11,7 @@
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
 //! | `words_server` | a language model's words are paid once, whatever is killed or breaks down |
 //! | `rogue` | an actor that lies harms nobody |
+//! | `shipped` | the policies that come with the program do what their table says |
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
@@ -20,6 +21,7 @@ mod probe;
 mod program;
 mod resilience;
 mod rogue;
+mod shipped;
 mod supervision;
 mod support;
 mod taxonomy;

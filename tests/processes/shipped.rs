@@ -1,0 +1,50 @@
+//! The policies that come with the program do what their table says.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::support::Place;
+
+/// Episodes per policy.
+const N_EPISODES: u32 = 60;
+/// Standard errors by which so few episodes may miss the table's figure.
+const N_ERRORS: f64 = 3.5;
+
+fn policies() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("policies")
+}
+
+/// The table's rows: a file and its success with greedy choices.
+fn rows() -> Vec<(String, f64)> {
+    let text = fs::read_to_string(policies().join("README.md")).unwrap();
+    let cells = |line: &str| line.split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
+    let rows = text.lines().filter(|line| line.starts_with("| `")).map(cells);
+    rows.map(|row| {
+        let (success, _) = row[3].split_once(' ').unwrap();
+        (row[1].trim_matches('`').to_owned(), success.parse().unwrap())
+    })
+    .collect()
+}
+
+#[test]
+fn every_policy_that_is_shipped_reproduces_its_row() {
+    let place = Place::new();
+    let rows = rows();
+    let files = fs::read_dir(policies()).unwrap().count();
+    assert_eq!(rows.len(), files - 1, "a row for every file but the page itself");
+    for (file, expected) in rows {
+        let path = policies().join(&file);
+        let n_episodes = N_EPISODES.to_string();
+        let judge = ["eval", path.to_str().unwrap(), "--action", "greedy", "--json"];
+        let more = ["--episodes", &n_episodes, "--eval-seed", "3000000"];
+        let judged = place.finish(&[&judge[..], &more].concat()).with_code(0).json();
+        let measures = judged["comparison"]["summaries"][0]["measures"].as_array().unwrap();
+        let success = measures.iter().find(|measure| measure["name"] == "success").unwrap();
+        let success = success["interval"]["estimate"].as_f64().unwrap();
+        let error = (expected * (1.0 - expected) / f64::from(N_EPISODES)).sqrt();
+        assert!(
+            (success - expected).abs() <= N_ERRORS * error,
+            "{file}: {success}, not {expected}"
+        );
+    }
+}
