@@ -72,6 +72,11 @@ mod tests {
     }
 
     #[test]
+    fn the_search_is_a_sound_study_too() {
+        Study::parse(include_str!("../../../studies/search.toml")).unwrap();
+    }
+
+    #[test]
     fn an_unknown_study_is_told_with_those_there_are() {
         let error = find("table9").unwrap_err().to_string();
         assert!(error.contains("`table9`") && error.contains("table1, robustness"), "{error}");
