@@ -34,6 +34,7 @@ use crate::refusal::Fault;
 use crate::report::RunEvent;
 use crate::roster::Roster;
 
+use terms::Stage;
 pub use terms::{Effect, Start, Terms, Unwelcome};
 
 /// The most bytes of snapshots in one assignment; more environments go into a second one.
@@ -46,17 +47,6 @@ const MAX_UNACKNOWLEDGED: u64 = limits::MAX_WINDOW as u64 + limits::MAX_ENVS as 
 const MAX_LOST: u64 = 1 << 20;
 /// The most starts of actors that may say so without being in the checkpoint: those that came after it.
 const MAX_LOSERS: usize = 1_024;
-
-/// How far a run is, as far as moving environments is concerned.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
-    /// Too few actors so far.
-    Gathering,
-    /// Environments are moved when they have to be.
-    Running,
-    /// Actors are leaving, and nothing is moved any more.
-    Closing,
-}
 
 /// The state behind a learner's decisions.
 #[derive(Debug)]

@@ -10,6 +10,7 @@ mod eval;
 mod judge;
 mod launch;
 mod learner;
+mod origin;
 mod pilot;
 mod play;
 mod policy_file;

@@ -1,7 +1,6 @@
 //! `leadtime probe`: what a notifier knows of its listener's reaction delay.
 
 use std::path::Path;
-use std::thread::available_parallelism;
 
 use anyhow::Context as _;
 use leadtime_eval::measure::EvaluateSettings;
@@ -11,12 +10,12 @@ use leadtime_numerics::stats::Bootstrap;
 use serde_json::{Value, json};
 
 use super::policy_file::LoadedPolicy;
-use super::{judge, policy_file};
+use super::{judge, origin, policy_file};
 use crate::cli::ProbeArgs;
 use crate::config::raw::EvaluationAction;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::record::write_atomically;
-use crate::{Program, build_id, clock, cpu, output};
+use crate::{Program, output};
 
 /// Digits of the weights' digest.
 const DIGEST_DIGITS: usize = 12;
@@ -53,8 +52,8 @@ fn measure(
     let (config, n_episodes) = (&loaded.config, args.episodes);
     let player = judge::policy("policy", config, &loaded.parameters, action)?;
     let make = || program.registry.build(&config.evaluation.task);
-    let n_threads = available_parallelism().map_or(1, usize::from);
-    let settings = EvaluateSettings::new(u64::from(n_episodes), args.eval_seed).threads(n_threads);
+    let settings =
+        EvaluateSettings::new(u64::from(n_episodes), args.eval_seed).threads(judge::n_threads());
     tracing::info!(policy = %loaded.path.display(), n_episodes, "probing");
     Ok(probe(&make, &player, &settings, Bootstrap::new(config.seed))?)
 }
@@ -75,20 +74,16 @@ fn write(
 ) -> anyhow::Result<()> {
     let mut weights = output::hex(&loaded.parameters.digest()?);
     weights.truncate(DIGEST_DIGITS);
-    let commit = build_id::COMMIT.unwrap_or("unknown");
-    let build = build_id::fingerprint().context("reading the program's own file")?;
     let choices = format!("{action:?}").to_lowercase();
-    let facts = [
+    let mut facts = vec![
         Fact::new("command", format!("`{}`", output::command_line(std::env::args().skip(1)))),
         Fact::new("policy", format!("`{}`, weights `{weights}`", args.policy)),
         Fact::new("domain", format!("`{}`", loaded.config.domain)),
         Fact::new("reaction delay", format!("`{}`", reaction_delay(loaded))),
         Fact::new("choices", choices),
         Fact::new("evaluation seed", args.eval_seed.to_string()),
-        Fact::new("program", format!("{build}, commit {commit}")),
-        Fact::new("processor", cpu::fingerprint()),
-        Fact::new("date", clock::utc_date()),
     ];
+    facts.extend(origin::this_program().context("reading the program's own file")?);
     let title = format!("What `{}` knows of its listener's reaction delay", args.policy);
     let text = known.markdown(&title, &facts);
     write_atomically(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))

@@ -74,11 +74,8 @@ impl FlightEnd {
     }
 
     fn paint(self) -> Paint {
-        match self {
-            Self::Safe => Paint::stroke(Ink::Blue, 1.6),
-            Self::Entered => Paint::stroke(Ink::Vermilion, 1.6),
-            Self::Lost => Paint::stroke(Ink::Text, 1.6).dashed(4.0, 3.0),
-        }
+        let paint = Paint::stroke(self.ink(), 1.6);
+        if self == Self::Lost { paint.dashed(4.0, 3.0) } else { paint }
     }
 
     fn ink(self) -> Ink {

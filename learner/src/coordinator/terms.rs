@@ -1,4 +1,4 @@
-//! What a coordinator starts from, and what it asks for.
+//! What a coordinator starts from, how far it is, and what it asks for.
 
 use leadtime_proto::message::{Control, Credit, EnvAssignment};
 use leadtime_proto::{ActorId, EnvSpec, Epoch, Incarnation, PolicyVersion, Schedule};
@@ -77,4 +77,15 @@ pub enum Unwelcome {
     /// Its counts contradict each other, or what this learner knows.
     #[error("its counts of published and unacknowledged rollouts make no sense")]
     Nonsense,
+}
+
+/// How far a run is, as far as moving environments is concerned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stage {
+    /// Too few actors so far.
+    Gathering,
+    /// Environments are moved when they have to be.
+    Running,
+    /// Actors are leaving, and nothing is moved any more.
+    Closing,
 }

@@ -1,14 +1,11 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use clap::Parser as _;
 use leadtime_policy::Parameters;
 
-use super::super::catalog::Named;
 use super::super::plan::Plan;
-use super::super::study::Study;
+use super::super::test_support::{args, study};
 use super::*;
-use crate::cli::{Cli, Command};
 use crate::commands::policy_file;
 use crate::progress::sink::LAST_POLICY;
 use crate::record::{RunRecord, RunResult};
@@ -36,13 +33,9 @@ title = "Trained"
 
 /// Writes the study's part: what it found, and how many cells were played and taken for it.
 fn written(runs: &Path, more: &[&str]) -> (PartResult, String) {
-    let runs = runs.to_str().unwrap();
-    let words = ["leadtime", "compare", "t", "--runs", runs, "--seeds", "7..8"];
-    let line = words.iter().chain(more);
-    let Command::Compare(args) = Cli::try_parse_from(line).unwrap().command else { panic!() };
+    let args = args(runs, &[&["--seeds", "7..8"], more].concat());
     let program = Program::new();
-    let named = Named { name: "t".to_owned(), study: Study::parse(STUDY).unwrap() };
-    let plan = Plan::new(&program, named, &args).unwrap();
+    let plan = Plan::new(&program, study("t", STUDY), &args).unwrap();
     for training in plan.trainings() {
         finish(&training.directory(), &training.config);
     }

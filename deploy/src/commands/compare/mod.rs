@@ -25,6 +25,8 @@ mod progress;
 mod provenance;
 mod run;
 mod study;
+#[cfg(test)]
+mod test_support;
 mod train;
 mod write;
 

@@ -1,8 +1,5 @@
-use clap::Parser as _;
-
-use super::super::study::Study;
+use super::super::test_support::{args, study};
 use super::*;
-use crate::cli::{Cli, Command};
 
 const STUDY: &str = r#"
 title = "t"
@@ -30,16 +27,8 @@ name = "real_one"
 title = "Real"
 "#;
 
-fn args(runs: &Path, more: &[&str]) -> CompareArgs {
-    let runs = runs.to_str().unwrap();
-    let words = ["leadtime", "compare", "t", "--runs", runs];
-    let line = words.iter().chain(more);
-    let Command::Compare(args) = Cli::try_parse_from(line).unwrap().command else { panic!() };
-    args
-}
-
 fn named(name: &str) -> Named {
-    Named { name: name.to_owned(), study: Study::parse(STUDY).unwrap() }
+    study(name, STUDY)
 }
 
 fn plan(runs: &Path, more: &[&str]) -> anyhow::Result<Plan> {
@@ -153,7 +142,7 @@ fn maps_and_flights_are_for_piloting_alone() {
     let runs = tempfile::tempdir().unwrap();
     let plan = |change: &str| {
         let text = STUDY.replace("quick_steps = 4096", &format!("quick_steps = 4096\n{change}"));
-        let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+        let named = study("t", &text);
         Plan::new(&Program::new(), named, &args(runs.path(), &[]))
     };
     let maps = |profile: &str| format!("maps = [{{ profile = \"{profile}\", title = \"a\" }}]");
@@ -168,7 +157,7 @@ fn maps_and_flights_are_for_piloting_alone() {
     let steakhouse = STUDY.replace("profile = \"lander\"", "profile = \"steakhouse\"");
     let text =
         steakhouse.replace("quick_steps = 4096", "quick_steps = 4096\ntrajectories_on = \"real\"");
-    let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+    let named = study("t", &text);
     let error = Plan::new(&Program::new(), named, &args(runs.path(), &[])).unwrap_err();
     let text = format!("{error:#}");
     assert!(text.contains("`trajectories_on`: `steakhouse`") && text.contains("flights"), "{text}");
@@ -181,7 +170,7 @@ fn a_rows_own_steps_are_above_the_parts_and_below_the_command_lines() {
         .replace("quick_steps = 4096", "quick_steps = 4096\nsteps = 20480")
         .replace("name = \"real_one\"", "name = \"real_one\"\nset.learner.total_steps = 61440");
     let steps = |more: &[&str]| -> Vec<u64> {
-        let named = Named { name: "t".to_owned(), study: Study::parse(&text).unwrap() };
+        let named = study("t", &text);
         let plan = Plan::new(&Program::new(), named, &args(runs.path(), more)).unwrap();
         plan.parts[0].rows.iter().skip(1).map(|row| row.config.learner.total_steps).collect()
     };

@@ -8,9 +8,9 @@ use super::configure;
 use super::plan::{Plan, PlannedPart, Training, seeds};
 use super::study::WhichPolicy;
 use crate::cli::CompareArgs;
+use crate::commands::origin;
 use crate::progress::journal;
 use crate::record::RunRecord;
-use crate::{build_id, clock, cpu};
 
 /// Digits of a weights' digest.
 const DIGEST_DIGITS: usize = 12;
@@ -70,7 +70,7 @@ fn cut(digest: &str) -> String {
 ///
 /// # Errors
 ///
-/// As [`build_id::fingerprint`].
+/// As [`origin::this_program`].
 pub(super) fn facts(
     plan: &Plan,
     args: &CompareArgs,
@@ -88,8 +88,7 @@ pub(super) fn facts(
         WhichPolicy::Last => "the one at the end of training",
         WhichPolicy::Best => "the one with the best mean success over 100 training episodes",
     };
-    let commit = build_id::COMMIT.map_or("unknown", |commit| commit);
-    Ok(vec![
+    let mut facts = vec![
         Fact::new("command", format!("`{command}`")),
         Fact::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
         Fact::new("training seeds", seeds.join(", ")),
@@ -102,8 +101,7 @@ pub(super) fn facts(
         ),
         Fact::new("judged policy", judged),
         Fact::new("training", format!("{} runs, {steps} steps, {minutes:.1} minutes", runs.len())),
-        Fact::new("program", format!("{}, commit {commit}", build_id::fingerprint()?)),
-        Fact::new("processor", cpu::fingerprint()),
-        Fact::new("date", clock::utc_date()),
-    ])
+    ];
+    facts.extend(origin::this_program()?);
+    Ok(facts)
 }
