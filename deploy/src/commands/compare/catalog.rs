@@ -8,13 +8,17 @@ use anyhow::Context as _;
 use super::study::Study;
 
 /// Name and text, in the order in which `all` carries them out.
-const BUILT_IN: [(&str, &str); 6] = [
+const BUILT_IN: [(&str, &str); 10] = [
     ("table1", include_str!("../../../studies/table1.toml")),
     ("robustness", include_str!("../../../studies/robustness.toml")),
     ("types", include_str!("../../../studies/types.toml")),
     ("cliff", include_str!("../../../studies/cliff.toml")),
     ("hard", include_str!("../../../studies/hard.toml")),
     ("steakhouse", include_str!("../../../studies/steakhouse.toml")),
+    ("adaptive", include_str!("../../../studies/adaptive.toml")),
+    ("layouts", include_str!("../../../studies/layouts.toml")),
+    ("realtime", include_str!("../../../studies/realtime.toml")),
+    ("reasons", include_str!("../../../studies/reasons.toml")),
 ];
 
 /// The word for every study that comes with the program.
