@@ -294,14 +294,21 @@ fn difference(
 ) -> Option<Difference> {
     let DifferenceOf { of, minus, on, measure } = stated;
     let evaluated = |row: &String| sampled.get(&(row.clone(), on.clone())).map(Vec::as_slice);
-    let title = |name: &String| {
-        let row = planned.part.rows.iter().find(|row| row.name == *name)?;
-        Some(row.title.to_lowercase())
-    };
+    let row = |name: &String| planned.rows.iter().find(|row| row.row.name == *name);
     let person = planned.part.evaluations.iter().find(|person| person.name == *on)?;
     let (a, b) = (evaluated(of)?, evaluated(minus)?);
-    let minus = format!("{} (both on: {})", title(minus)?, person.title);
-    Difference::over_seeds((&title(of)?, a), (&minus, b), measure, &bootstrap())
+    let [of, minus] = told_apart([row(of)?, row(minus)?]);
+    let minus = format!("{minus} (both on: {})", person.title);
+    Difference::over_seeds((&of, a), (&minus, b), measure, &bootstrap())
+}
+
+/// Names two rows in a sentence: by their titles, and by what they may choose where the titles are the same.
+fn told_apart(rows: [&PlannedRow; 2]) -> [String; 2] {
+    let titles = rows.map(|row| row.row.title.to_lowercase());
+    if titles[0] != titles[1] {
+        return titles;
+    }
+    rows.map(|row| format!("{} ({})", row.row.title.to_lowercase(), notification(row)))
 }
 
 #[cfg(test)]

@@ -129,3 +129,20 @@ fn a_damaged_cell_is_played_again_and_written_again() {
     assert_eq!(written(runs.path(), TWO), (first.clone(), two.to_owned()));
     assert_eq!(written(runs.path(), TWO), (first, NONE.to_owned()));
 }
+
+#[test]
+fn rows_of_the_same_title_are_told_apart_by_what_they_choose() {
+    let runs = tempfile::tempdir().unwrap();
+    let more = r#"
+[[parts.rows]]
+name = "topics"
+title = "Trained"
+set.notifier.notification = "topic_only"
+"#;
+    let named = study("t", &format!("{STUDY}{more}"));
+    let plan = Plan::new(&Program::new(), named, &args(runs.path(), &[])).unwrap();
+    let [script, trained, topics] = &plan.parts[0].rows[..] else { panic!() };
+    assert_eq!(told_apart([script, trained]), ["script", "trained"]);
+    let expected = ["trained (incrementally actionable)", "trained (topic only)"];
+    assert_eq!(told_apart([trained, topics]), expected);
+}
