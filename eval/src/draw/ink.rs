@@ -56,8 +56,16 @@ impl Ink {
     ];
 
     /// Lists inks that series of a chart take in turn.
-    pub const SERIES: [Self; 6] =
-        [Self::Blue, Self::Orange, Self::Green, Self::Purple, Self::Sky, Self::Vermilion];
+    pub const SERIES: [Self; 8] = [
+        Self::Blue,
+        Self::Orange,
+        Self::Green,
+        Self::Purple,
+        Self::Sky,
+        Self::Vermilion,
+        Self::Neutral,
+        Self::Text,
+    ];
 
     /// Returns the ink of the `i`-th series.
     pub fn series(i: usize) -> Self {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::curves::draw_legend_of;
+use super::legend;
 use super::stack::{Axis, Stack, extent, with_margin};
 use crate::draw::{Canvas, Ink, Paint, Panel};
 
@@ -44,10 +44,10 @@ pub fn bands(
     let xs =
         lines().flat_map(|b| b.points.iter().map(|p| p[0]).chain(b.published.iter().map(|p| p[0])));
     let axis = Axis { label: x_label, n_ticks, range: extent(xs) };
-    STACK.draw([id, title], &axis, &panels, vertical, |canvas, frame, panel| {
+    let room = panels.iter().map(|panel| legend::extra_height(&labels(panel))).fold(0.0, f64::max);
+    STACK.with_room(room).draw([id, title], &axis, &panels, vertical, |canvas, frame, panel| {
         canvas.clipped(frame.area, |canvas| draw(canvas, frame, &panel.bands));
-        let labels: Vec<&str> = panel.bands.iter().map(|band| band.label.as_str()).collect();
-        draw_legend_of(canvas, frame, &labels);
+        legend::draw(canvas, frame, &labels(panel));
     })
 }
 
@@ -73,6 +73,10 @@ fn draw(canvas: &mut Canvas, frame: &Panel, bands: &[Band]) {
             }
         }
     }
+}
+
+fn labels(panel: &BandPanel) -> Vec<&str> {
+    panel.bands.iter().map(|band| band.label.as_str()).collect()
 }
 
 /// So few points are shown one by one.

@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::legend;
 use super::stack::{Axis, Stack, extent, with_margin};
-use crate::draw::{Anchor, Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
+use crate::draw::{Anchor, Canvas, Ink, Paint, Panel, TextStyle};
 
 const STACK: Stack = Stack { panel_height: 170.0, top: 34.0, gap: 32.0 };
 
@@ -48,7 +49,8 @@ pub fn curves(id: &str, title: &str, x_label: &str, panels: &[CurvePanel]) -> St
     let panels: Vec<CurvePanel> = panels.iter().map(without_gaps).collect();
     let range = extent(points(&panels).map(|p| p[0]));
     let axis = Axis { label: x_label, n_ticks: 7, range };
-    STACK.draw([id, title], &axis, &panels, vertical, draw_panel)
+    let room = panels.iter().map(|panel| legend::extra_height(&labels(panel))).fold(0.0, f64::max);
+    STACK.with_room(room).draw([id, title], &axis, &panels, vertical, draw_panel)
 }
 
 fn vertical(panel: &CurvePanel) -> (&str, [f64; 2]) {
@@ -100,7 +102,7 @@ fn draw_panel(canvas: &mut Canvas, frame: &Panel, panel: &CurvePanel) {
         let style = TextStyle::new(11.0, Ink::Muted).anchored(Anchor::End).haloed(Ink::Paper);
         canvas.text([frame.area.right() - 6.0, frame.y.at(*level) - 5.0], name, style);
     }
-    draw_legend(canvas, frame, panel);
+    legend::draw(canvas, frame, &labels(panel));
 }
 
 /// Keeps the file small: at most about two points per pixel.
@@ -111,21 +113,8 @@ fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     kept.map(|(_, point)| *point).collect()
 }
 
-fn draw_legend(canvas: &mut Canvas, frame: &Panel, panel: &CurvePanel) {
-    let labels: Vec<&str> = panel.series.iter().map(|series| series.label.as_str()).collect();
-    draw_legend_of(canvas, frame, &labels);
-}
-
-/// Writes the names of a panel's series above it, from the right; an empty one is left out.
-pub(super) fn draw_legend_of(canvas: &mut Canvas, frame: &Panel, labels: &[&str]) {
-    let mut x = frame.area.right();
-    for (i, label) in labels.iter().enumerate().rev().filter(|(_, label)| !label.is_empty()) {
-        x -= text_width(label, 11.5, Weight::Regular) + 34.0;
-        let y = frame.area.y - 8.0;
-        let ends = [[x, y - 4.0], [x + 16.0, y - 4.0]];
-        canvas.line(&ends, Paint::stroke(Ink::series(i), 2.5));
-        canvas.text([x + 22.0, y], label, TextStyle::new(11.5, Ink::Text));
-    }
+fn labels(panel: &CurvePanel) -> Vec<&str> {
+    panel.series.iter().map(|series| series.label.as_str()).collect()
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@
 mod bands;
 mod bars;
 mod curves;
+mod legend;
 mod sheet;
 mod stack;
 

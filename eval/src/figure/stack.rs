@@ -6,6 +6,8 @@ const WIDTH: f64 = 760.0;
 const LEFT: f64 = 68.0;
 const RIGHT: f64 = 18.0;
 const BOTTOM: f64 = 46.0;
+/// Width of every panel.
+pub(super) const PLOT_WIDTH: f64 = WIDTH - LEFT - RIGHT;
 
 /// How panels stand above each other.
 pub(super) struct Stack {
@@ -24,6 +26,11 @@ pub(super) struct Axis<'a> {
 }
 
 impl Stack {
+    /// Makes room above every panel.
+    pub(super) fn with_room(self, height: f64) -> Self {
+        Self { top: self.top + height, gap: self.gap + height, ..self }
+    }
+
     /// Draws frames with their axes, and into each what `paint` makes of its panel; `vertical` names a panel's axis and
     /// says what it holds.
     pub(super) fn draw<P>(
@@ -41,7 +48,7 @@ impl Stack {
         let x_range = axis.range.unwrap_or([0.0, 1.0]);
         for (i, panel) in panels.iter().enumerate() {
             let top = self.top + i as f64 * (self.panel_height + self.gap);
-            let area = Area::new(LEFT, top, WIDTH - LEFT - RIGHT, self.panel_height);
+            let area = Area::new(LEFT, top, PLOT_WIDTH, self.panel_height);
             let (label, y_range) = vertical(panel);
             let frame = Panel::new(area, x_range, y_range);
             frame.draw_y(&mut canvas, 4, label);

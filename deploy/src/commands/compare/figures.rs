@@ -147,11 +147,13 @@ fn over_people(planned: &PlannedPart, part: &PartResult, stem: &str) -> anyhow::
         BandPanel { label: title(measure), range, bands: lines.collect() }
     });
     let panels: Vec<BandPanel> = panels.collect();
-    let heading = format!("{}: ours (solid, with interval), the paper's (dashed)", part.title);
+    let said = panels.iter().flat_map(|panel| &panel.bands).any(|band| !band.published.is_empty());
+    let [also, dashed] =
+        if said { [", the paper's (dashed)", ", the paper's dashed"] } else { [""; 2] };
+    let heading = format!("{}: ours (solid, with interval){also}", part.title);
     let axis = (planned.part.axis.as_str(), people.len().max(2));
     let png = Rasterizer::new().png(&bands("people", &heading, axis, &panels), SCALE)?;
-    let caption =
-        format!("{}: ours as solid lines with 95 % intervals, the paper's dashed", part.title);
+    let caption = format!("{}: ours as solid lines with 95 % intervals{dashed}", part.title);
     Ok(Drawn { file: format!("{stem}-people.png"), caption, png })
 }
 
