@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::legend;
-use super::stack::{Axis, Stack, extent, with_margin};
+use super::stack::{Axis, Stack, Stacked, extent, with_margin};
 use crate::draw::{Canvas, Ink, Paint, Panel};
 
 const STACK: Stack = Stack { panel_height: 190.0, top: 56.0, gap: 40.0 };
@@ -44,11 +43,21 @@ pub fn bands(
     let xs =
         lines().flat_map(|b| b.points.iter().map(|p| p[0]).chain(b.published.iter().map(|p| p[0])));
     let axis = Axis { label: x_label, n_ticks, range: extent(xs) };
-    let room = panels.iter().map(|panel| legend::extra_height(&labels(panel))).fold(0.0, f64::max);
-    STACK.with_room(room).draw([id, title], &axis, &panels, vertical, |canvas, frame, panel| {
-        canvas.clipped(frame.area, |canvas| draw(canvas, frame, &panel.bands));
-        legend::draw(canvas, frame, &labels(panel));
-    })
+    STACK.draw([id, title], &axis, &panels)
+}
+
+impl Stacked for BandPanel {
+    fn vertical(&self) -> (&str, [f64; 2]) {
+        (&self.label, y_range(self))
+    }
+
+    fn labels(&self) -> Vec<&str> {
+        self.bands.iter().map(|band| band.label.as_str()).collect()
+    }
+
+    fn paint(&self, canvas: &mut Canvas, frame: &Panel) {
+        canvas.clipped(frame.area, |canvas| draw(canvas, frame, &self.bands));
+    }
 }
 
 fn draw(canvas: &mut Canvas, frame: &Panel, bands: &[Band]) {
@@ -75,16 +84,8 @@ fn draw(canvas: &mut Canvas, frame: &Panel, bands: &[Band]) {
     }
 }
 
-fn labels(panel: &BandPanel) -> Vec<&str> {
-    panel.bands.iter().map(|band| band.label.as_str()).collect()
-}
-
 /// So few points are shown one by one.
 const FEW: usize = 12;
-
-fn vertical(panel: &BandPanel) -> (&str, [f64; 2]) {
-    (&panel.label, y_range(panel))
-}
 
 fn without_gaps(panel: &BandPanel) -> BandPanel {
     let mut panel = panel.clone();

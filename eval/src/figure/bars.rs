@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::legend;
 use crate::draw::{
     Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, compact, text_width,
 };
@@ -76,15 +77,19 @@ pub fn shares(id: &str, title: &str, rows: &[ShareRow]) -> String {
     let label_width =
         rows.iter().map(|r| text_width(&r.label, 12.0, Weight::Regular)).fold(40.0, f64::max);
     let (left, right, row_height) = (label_width.min(220.0) + 28.0, 70.0, 30.0);
-    let legend = legend_places(&names);
-    let legend_rows = legend.last().map_or(0.0, |place| place[1] + 1.0);
-    let top = 40.0 + 20.0 * legend_rows;
+    let entry_width = |name: &str| text_width(name, 11.5, Weight::Regular) + 36.0;
+    let widths = names.iter().map(|name| entry_width(name)).enumerate();
+    let legend = legend::wrapped(widths, WIDTH - 32.0);
+    let top = 40.0 + 20.0 * legend.len() as f64;
     let mut canvas = Canvas::new(id, WIDTH, top + row_height * rows.len() as f64 + 14.0);
     canvas.text([16.0, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
-    for (i, name) in names.iter().enumerate() {
-        let (x, y) = (legend[i][0], 46.0 + 20.0 * legend[i][1]);
-        canvas.rectangle(Area::new(x, y - 9.5, 11.0, 11.0), 2.0, part_paint(i));
-        canvas.text([x + 17.0, y], name, TextStyle::new(11.5, Ink::Text));
+    for (below, line) in legend.iter().enumerate() {
+        let (mut x, y) = (16.0, 46.0 + 20.0 * below as f64);
+        for &i in line {
+            canvas.rectangle(Area::new(x, y - 9.5, 11.0, 11.0), 2.0, part_paint(i));
+            canvas.text([x + 17.0, y], names[i], TextStyle::new(11.5, Ink::Text));
+            x += entry_width(names[i]);
+        }
     }
     for (i, row) in rows.iter().enumerate() {
         let area = Area::new(left, top + row_height * i as f64, WIDTH - left - right, 20.0);
@@ -133,21 +138,6 @@ fn part_names(rows: &[ShareRow]) -> Vec<&str> {
         }
     }
     names
-}
-
-/// Places legend entries in lines that fit: (x in pixels, line).
-fn legend_places(names: &[&str]) -> Vec<[f64; 2]> {
-    let (mut x, mut line) = (16.0, 0.0);
-    let place = |name: &&str| {
-        let width = text_width(name, 11.5, Weight::Regular) + 36.0;
-        if x + width > WIDTH - 16.0 && x > 16.0 {
-            (x, line) = (16.0, line + 1.0);
-        }
-        let at = [x, line];
-        x += width;
-        at
-    };
-    names.iter().map(place).collect()
 }
 
 #[cfg(test)]

@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::legend;
-use super::stack::{Axis, Stack, extent, with_margin};
+use super::stack::{Axis, Stack, Stacked, extent, with_margin};
 use crate::draw::{Anchor, Canvas, Ink, Paint, Panel, TextStyle};
 
 const STACK: Stack = Stack { panel_height: 170.0, top: 34.0, gap: 32.0 };
@@ -49,12 +48,21 @@ pub fn curves(id: &str, title: &str, x_label: &str, panels: &[CurvePanel]) -> St
     let panels: Vec<CurvePanel> = panels.iter().map(without_gaps).collect();
     let range = extent(points(&panels).map(|p| p[0]));
     let axis = Axis { label: x_label, n_ticks: 7, range };
-    let room = panels.iter().map(|panel| legend::extra_height(&labels(panel))).fold(0.0, f64::max);
-    STACK.with_room(room).draw([id, title], &axis, &panels, vertical, draw_panel)
+    STACK.draw([id, title], &axis, &panels)
 }
 
-fn vertical(panel: &CurvePanel) -> (&str, [f64; 2]) {
-    (&panel.label, y_range(panel))
+impl Stacked for CurvePanel {
+    fn vertical(&self) -> (&str, [f64; 2]) {
+        (&self.label, y_range(self))
+    }
+
+    fn labels(&self) -> Vec<&str> {
+        self.series.iter().map(|series| series.label.as_str()).collect()
+    }
+
+    fn paint(&self, canvas: &mut Canvas, frame: &Panel) {
+        draw_panel(canvas, frame, self);
+    }
 }
 
 fn without_gaps(panel: &CurvePanel) -> CurvePanel {
@@ -102,7 +110,6 @@ fn draw_panel(canvas: &mut Canvas, frame: &Panel, panel: &CurvePanel) {
         let style = TextStyle::new(11.0, Ink::Muted).anchored(Anchor::End).haloed(Ink::Paper);
         canvas.text([frame.area.right() - 6.0, frame.y.at(*level) - 5.0], name, style);
     }
-    legend::draw(canvas, frame, &labels(panel));
 }
 
 /// Keeps the file small: at most about two points per pixel.
@@ -111,10 +118,6 @@ fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let last = points.len().saturating_sub(1);
     let kept = points.iter().enumerate().filter(|(i, _)| i % every == 0 || *i == last);
     kept.map(|(_, point)| *point).collect()
-}
-
-fn labels(panel: &CurvePanel) -> Vec<&str> {
-    panel.series.iter().map(|series| series.label.as_str()).collect()
 }
 
 #[cfg(test)]

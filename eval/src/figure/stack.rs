@@ -1,5 +1,6 @@
 //! Panels above each other that share the horizontal axis.
 
+use super::legend;
 use crate::draw::{Area, Canvas, Ink, Panel, TextStyle};
 
 const WIDTH: f64 = 760.0;
@@ -7,14 +8,26 @@ const LEFT: f64 = 68.0;
 const RIGHT: f64 = 18.0;
 const BOTTOM: f64 = 46.0;
 /// Width of every panel.
-pub(super) const PLOT_WIDTH: f64 = WIDTH - LEFT - RIGHT;
+const PLOT_WIDTH: f64 = WIDTH - LEFT - RIGHT;
+
+/// A panel of a stack.
+pub(super) trait Stacked {
+    /// Names the vertical axis and says what it holds.
+    fn vertical(&self) -> (&str, [f64; 2]);
+
+    /// Lists the names of its series, for the legend; an empty one is left out.
+    fn labels(&self) -> Vec<&str>;
+
+    /// Draws it into its frame.
+    fn paint(&self, canvas: &mut Canvas, frame: &Panel);
+}
 
 /// How panels stand above each other.
 pub(super) struct Stack {
     pub(super) panel_height: f64,
-    /// Room above the first panel.
+    /// Room above the first panel, with a legend of one line.
     pub(super) top: f64,
-    /// Room between two.
+    /// Room between two, likewise.
     pub(super) gap: f64,
 }
 
@@ -26,35 +39,32 @@ pub(super) struct Axis<'a> {
 }
 
 impl Stack {
-    /// Makes room above every panel.
-    pub(super) fn with_room(self, height: f64) -> Self {
-        Self { top: self.top + height, gap: self.gap + height, ..self }
-    }
-
-    /// Draws frames with their axes, and into each what `paint` makes of its panel; `vertical` names a panel's axis and
-    /// says what it holds.
-    pub(super) fn draw<P>(
+    /// Draws frames with their axes and legends, and into each its panel.
+    pub(super) fn draw(
         &self,
         [id, title]: [&str; 2],
         axis: &Axis<'_>,
-        panels: &[P],
-        vertical: impl Fn(&P) -> (&str, [f64; 2]),
-        paint: impl Fn(&mut Canvas, &Panel, &P),
+        panels: &[impl Stacked],
     ) -> String {
+        let legends: Vec<_> =
+            panels.iter().map(|panel| legend::lines(&panel.labels(), PLOT_WIDTH)).collect();
+        let room = legends.iter().map(|lines| legend::extra_height(lines)).fold(0.0, f64::max);
+        let (above, gap) = (self.top + room, self.gap + room);
         let n = panels.len().max(1) as f64;
-        let height = self.top + n * self.panel_height + (n - 1.0) * self.gap + BOTTOM;
+        let height = above + n * self.panel_height + (n - 1.0) * gap + BOTTOM;
         let mut canvas = Canvas::new(id, WIDTH, height);
         canvas.text([LEFT, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
         let x_range = axis.range.unwrap_or([0.0, 1.0]);
-        for (i, panel) in panels.iter().enumerate() {
-            let top = self.top + i as f64 * (self.panel_height + self.gap);
+        for (i, (panel, lines)) in panels.iter().zip(&legends).enumerate() {
+            let top = above + i as f64 * (self.panel_height + gap);
             let area = Area::new(LEFT, top, PLOT_WIDTH, self.panel_height);
-            let (label, y_range) = vertical(panel);
+            let (label, y_range) = panel.vertical();
             let frame = Panel::new(area, x_range, y_range);
             frame.draw_y(&mut canvas, 4, label);
             let last = i + 1 == panels.len();
             frame.draw_x(&mut canvas, axis.n_ticks, last.then_some(axis.label));
-            paint(&mut canvas, &frame, panel);
+            panel.paint(&mut canvas, &frame);
+            legend::draw(&mut canvas, &frame, &panel.labels(), lines);
         }
         canvas.finish(title)
     }

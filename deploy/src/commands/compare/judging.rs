@@ -308,7 +308,7 @@ fn told_apart(rows: [&PlannedRow; 2]) -> [String; 2] {
     if titles[0] != titles[1] {
         return titles;
     }
-    rows.map(|row| format!("{} ({})", row.row.title.to_lowercase(), notification(row)))
+    rows.map(|row| format!("{} ({})", titles[0], notification(row)))
 }
 
 #[cfg(test)]
