@@ -8,17 +8,15 @@ use leadtime_sims::piloting::ENTERED;
 use leadtime_sims::{Scene, Shape, Tone};
 
 use super::record::Playthrough;
+use super::tiles::{TileStyle, Tiles};
 use super::world::{World, legend, legend_text};
 use crate::draw::{Canvas, Ink, Paint, TextStyle};
 
-const WIDTH: f64 = 900.0;
 const MARGIN: f64 = 16.0;
-const GAP: f64 = 16.0;
-/// Title and legend.
-const TOP: f64 = 66.0;
+/// Title and legend above, two lines above every panel.
+const TILES: TileStyle =
+    TileStyle { width: 900.0, margin: MARGIN, gap: 16.0, top: 66.0, caption: 40.0 };
 const LEGEND_Y: f64 = 50.0;
-/// Two lines above every panel.
-const CAPTION_HEIGHT: f64 = 40.0;
 /// Panels side by side, at most.
 const COLUMNS: usize = 3;
 
@@ -138,38 +136,31 @@ pub fn maps(id: &str, title: &str, panels: &[FlightPanel]) -> String {
     canvas.finish(title)
 }
 
-/// Where panels stand.
+/// Panels and where they stand.
 struct Sheet<'a> {
     panels: &'a [FlightPanel],
     /// Everything that any flight shows: all maps have one scale.
     seen: Vec<Scene>,
-    n_columns: usize,
+    tiles: Tiles,
 }
 
 impl<'a> Sheet<'a> {
     fn new(panels: &'a [FlightPanel]) -> Self {
         let flights = panels.iter().flat_map(|panel| &panel.flights);
-        let seen = flights.filter_map(|flight| flight.scenes.last().cloned()).collect();
-        Self { panels, seen, n_columns: panels.len().clamp(1, COLUMNS) }
-    }
-
-    /// Returns the panel's place.
-    fn world(&self, i: usize) -> World {
-        let n = self.n_columns as f64;
-        let width = (WIDTH - 2.0 * MARGIN - (n - 1.0) * GAP) / n;
-        let (row, column) = (i / self.n_columns, i % self.n_columns);
-        let height = CAPTION_HEIGHT + GAP + World::new([0.0, 0.0], width, &self.seen).area.height;
-        let x = MARGIN + column as f64 * (width + GAP);
-        World::new([x, TOP + row as f64 * height + CAPTION_HEIGHT], width, &self.seen)
+        let seen: Vec<Scene> = flights.filter_map(|flight| flight.scenes.last().cloned()).collect();
+        let tiles = Tiles::new(TILES, panels.len().clamp(1, COLUMNS), &seen);
+        Self { panels, seen, tiles }
     }
 
     fn places(&self) -> impl Iterator<Item = (&'a FlightPanel, World)> {
-        self.panels.iter().enumerate().map(|(i, panel)| (panel, self.world(i)))
+        self.panels.iter().enumerate().map(|(i, panel)| {
+            let [x, y] = self.tiles.corner(i);
+            (panel, World::new([x, y + TILES.caption], self.tiles.width, &self.seen))
+        })
     }
 
     fn begin(&self, id: &str, title: &str) -> Canvas {
-        let last = self.world(self.panels.len().saturating_sub(1));
-        let mut canvas = Canvas::new(id, WIDTH, last.area.bottom() + MARGIN);
+        let mut canvas = Canvas::new(id, TILES.width, self.tiles.bottom(self.panels.len().max(1)));
         canvas.text([MARGIN, 26.0], title, TextStyle::new(17.0, Ink::Text).bold());
         canvas
     }

@@ -4,16 +4,15 @@ use std::ops::Range;
 
 use super::record::Playthrough;
 use super::story::{Doing, Story};
+use super::tiles::{TileStyle, Tiles};
 use super::world::{World, legend, legend_text, topic_name};
 use crate::draw::{Area, Canvas, Ink, Paint, TextStyle};
 
-const WIDTH: f64 = 860.0;
 const MARGIN: f64 = 16.0;
-const GAP: f64 = 20.0;
+/// Title and key above, two lines above every frame.
+const TILES: TileStyle =
+    TileStyle { width: 860.0, margin: MARGIN, gap: 20.0, top: 64.0, caption: 44.0 };
 const COLUMNS: usize = 2;
-const TITLE_HEIGHT: f64 = 64.0;
-/// Two lines above every frame.
-const CAPTION_HEIGHT: f64 = 44.0;
 /// Size of the world's own labels, so that three lines of twelve letters fit into a tile.
 const LABEL_SIZE: f64 = 7.4;
 
@@ -23,17 +22,12 @@ impl Playthrough {
     pub fn frames_svg(&self, id: &str, moments: Range<usize>) -> String {
         let story = Story::new(&self.scenes);
         let moments = moments.start..moments.end.min(self.scenes.len());
-        let width = (WIDTH - 2.0 * MARGIN - GAP) / COLUMNS as f64;
-        let height = CAPTION_HEIGHT + GAP + World::new([0.0, 0.0], width, &self.scenes).area.height;
-        let n_rows = moments.len().div_ceil(COLUMNS);
-        let mut canvas = Canvas::new(id, WIDTH, TITLE_HEIGHT + n_rows as f64 * height);
+        let tiles = Tiles::new(TILES, COLUMNS, &self.scenes);
+        let mut canvas = Canvas::new(id, TILES.width, tiles.bottom(moments.len()));
         canvas.text([MARGIN, 27.0], &self.title(), TextStyle::new(18.0, Ink::Text).bold());
         self.draw_key(&mut canvas, 50.0, &story);
         for (place, moment) in moments.enumerate() {
-            let (row, column) = (place / COLUMNS, place % COLUMNS);
-            let x = MARGIN + column as f64 * (width + GAP);
-            let y = TITLE_HEIGHT + row as f64 * height;
-            self.draw_moment(&mut canvas, [x, y], width, &story, moment);
+            self.draw_moment(&mut canvas, tiles.corner(place), tiles.width, &story, moment);
         }
         canvas.finish(&self.title())
     }
@@ -57,7 +51,7 @@ impl Playthrough {
         moment: usize,
     ) {
         let scene = &self.scenes[moment];
-        let world = World::new([x, y + CAPTION_HEIGHT - 4.0], width, &self.scenes);
+        let world = World::new([x, y + TILES.caption - 4.0], width, &self.scenes);
         let world = world.with_label_size(LABEL_SIZE);
         let bold = TextStyle::new(13.5, Ink::Text).bold();
         canvas.text([x, y + 13.0], &format!("t = {moment}"), bold);

@@ -6,6 +6,7 @@
 //! voice:  topic, k, l of each utterance --> the sentence that says it
 //! picture, frames, animation: SVG, PNG, GIF     transcript: text
 //! flights: the ways of many episodes over one map, and of one over several maps
+//! tiles: where the worlds of frames and flights stand
 //! ```
 //!
 //! Everything is drawn from [`Scene`](leadtime_sims::Scene)s, so a road or a kitchen draws as a lander does.
@@ -19,6 +20,7 @@ mod picture;
 mod record;
 mod story;
 mod strip;
+mod tiles;
 mod transcript;
 mod voice;
 mod world;
