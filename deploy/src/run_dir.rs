@@ -25,7 +25,7 @@ use toml::Table;
 use crate::cli::RunChoice;
 use crate::clock;
 use crate::config::Config;
-use crate::config::table::{Change, difference, flatten};
+use crate::config::table::{Change, deciding, difference};
 use crate::record::{RunRecord, write_atomically};
 
 /// Sections that say where and how a run is carried out, and not what it computes.
@@ -288,7 +288,7 @@ fn write_config(path: &Path, config: &Config) -> io::Result<()> {
 /// Computes the hash over everything that must not change when a run is taken up again.
 pub fn identity(config: &Config) -> [u8; 32] {
     let mut hash = Sha256::new();
-    for (key, value) in flatten(&config.table) {
+    for (key, value) in deciding(&config.table) {
         let free =
             key == TOTAL_STEPS || FREE_SECTIONS.iter().any(|section| key.starts_with(section));
         if !free {

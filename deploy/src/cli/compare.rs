@@ -8,9 +8,6 @@ use clap::Args;
 use super::{n_episodes, number_range};
 use crate::config::table::Assignment;
 
-/// Seeds on which tables are trained: none that a search for settings used.
-const TABLE_SEEDS: &str = "201..206";
-
 /// `leadtime compare`
 #[derive(Debug, Args)]
 pub struct CompareArgs {
@@ -31,9 +28,9 @@ pub struct CompareArgs {
     /// Start from this configuration, in the parts of its domain, instead of the study's own.
     #[arg(long, value_name = "FILE")]
     pub profile: Vec<PathBuf>,
-    /// Training seeds, half open (with --quick only the first).
-    #[arg(long, value_name = "A..B", default_value = TABLE_SEEDS, value_parser = number_range)]
-    pub seeds: Range<u64>,
+    /// Training seeds, half open, instead of the five of each part (with --quick only the first).
+    #[arg(long, value_name = "A..B", value_parser = number_range)]
+    pub seeds: Option<Range<u64>>,
     /// Environment steps of every training, instead of the study's or the profile's.
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..))]
     pub steps: Option<u64>,

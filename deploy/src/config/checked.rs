@@ -7,8 +7,9 @@ use std::time::Duration;
 use anyhow::{Context as _, bail, ensure};
 use leadtime_learner::{CheckpointInterval, LearnerSettings};
 use leadtime_proto::limits::MAX_WINDOW;
-use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, RunName, TaskSpec};
+use leadtime_proto::{ActionSpec, DomainName, Encoder, EnvSpec, PolicySpec, RunName, TaskSpec};
 use leadtime_sims::Environment;
+use leadtime_sims::notifier::LENGTH_HEADS;
 use leadtime_sims::registry::Registry;
 use toml::Table;
 
@@ -241,27 +242,38 @@ fn check_policy(
     if let Some(width) = hidden.iter().find(|width| !(1..=MAX_WIDTH).contains(*width)) {
         bail!("`policy.hidden` has a layer of width {width}; allowed: 1 to {MAX_WIDTH}");
     }
-    let bias = policy.initiate_bias;
-    ensure!(bias.is_finite(), "`policy.initiate_bias` is {bias}; allowed: a finite number");
     env.actions.check()?;
-    // The gate is the choice "start a message": a negative bias makes an untrained notifier quiet.
-    let logit_bias = match env.actions.gate {
-        Some(gate) if bias != 0.0 => {
-            let mut biases = vec![0.0; env.actions.n_choices()];
-            biases[env.actions.offsets()[gate.head] + gate.choice] = bias as f32;
-            biases
-        }
-        _ => Vec::new(),
-    };
     Ok(PolicySpec {
         obs_dim: env.obs_dim,
         encoder,
         hidden: hidden.clone(),
         actions: env.actions.clone(),
         head_credit: policy.head_credit,
-        logit_bias,
+        logit_bias: initial_biases(policy, &env.actions)?,
         normalize_observations: policy.normalize_observations,
     })
+}
+
+/// Returns what an untrained policy prefers: silence to a message, and short messages to long ones, where the biases are
+/// negative.
+fn initial_biases(policy: &PolicySection, actions: &ActionSpec) -> anyhow::Result<Vec<f32>> {
+    let (initiate, length) = (policy.initiate_bias, policy.length_bias);
+    for (key, bias) in [("initiate_bias", initiate), ("length_bias", length)] {
+        ensure!(bias.is_finite(), "`policy.{key}` is {bias}; allowed: a finite number");
+    }
+    let mut biases = vec![0.0; actions.n_choices()];
+    let offsets = actions.offsets();
+    if let Some(gate) = actions.gate {
+        biases[offsets[gate.head] + gate.choice] = initiate as f32;
+    }
+    for (head, offset) in actions.heads.iter().zip(offsets) {
+        if LENGTH_HEADS.contains(&head.name.as_str()) {
+            let head = &mut biases[offset..offset + head.n_choices];
+            head.iter_mut().enumerate().for_each(|(i, bias)| *bias = (i as f64 * length) as f32);
+        }
+    }
+    let none = biases.iter().all(|bias| *bias == 0.0);
+    Ok(if none { Vec::new() } else { biases })
 }
 
 /// Checks the encoder's widths.

@@ -100,6 +100,8 @@ pub struct PolicySection {
     pub normalize_observations: bool,
     /// Initial bias of the choice "start a message".
     pub initiate_bias: f64,
+    /// Initial bias of the choices of k and l, per choice beyond the shortest.
+    pub length_bias: f64,
 }
 
 impl Default for PolicySection {
@@ -114,6 +116,7 @@ impl Default for PolicySection {
             head_credit: HeadCredit::Active,
             normalize_observations: false,
             initiate_bias: 0.0,
+            length_bias: 0.0,
         }
     }
 }

@@ -6,6 +6,8 @@ use toml::{Table, Value};
 
 /// The one table inside a section that is a section itself: `[evaluation.world]`.
 const SUBSECTION: &str = "world";
+/// Settings that came after runs had been made without them, and the value at which they change nothing.
+const LATER: [(&str, &str); 1] = [("policy.length_bias", "0.0")];
 
 /// Lays `over` onto `base`: sections are merged key by key, everything else is replaced.
 ///
@@ -163,7 +165,7 @@ impl std::fmt::Display for Change {
 
 /// Lists the keys whose values differ, in order.
 pub fn difference(before: &Table, after: &Table) -> Vec<Change> {
-    let (before, after) = (flatten(before), flatten(after));
+    let (before, after) = (deciding(before), deciding(after));
     let mut keys: Vec<&String> = before.keys().chain(after.keys()).collect();
     keys.sort();
     keys.dedup();
@@ -182,6 +184,16 @@ pub fn difference(before: &Table, after: &Table) -> Vec<Change> {
 pub fn flatten(table: &Table) -> BTreeMap<String, String> {
     let mut leaves = BTreeMap::new();
     collect(table, "", &mut leaves);
+    leaves
+}
+
+/// Returns the leaves that decide what a run computes, for comparing runs: without settings that came after runs had been
+/// made, where these are at the value that leaves everything as it was. So an earlier run stays the same run.
+pub fn deciding(table: &Table) -> BTreeMap<String, String> {
+    let mut leaves = flatten(table);
+    let is_as_before =
+        |key: &str, value: &str| LATER.iter().any(|(later, at)| key == *later && value == *at);
+    leaves.retain(|key, value| !is_as_before(key, value));
     leaves
 }
 
@@ -245,6 +257,18 @@ mod tests {
         for text in ["human.delay=3", "human.delay=[]", "human.delay"] {
             assert!(Alternatives::parse(text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn a_setting_that_came_later_and_changes_nothing_decides_nothing() {
+        let before = table("[policy]\ninitiate_bias = -1.0");
+        let same = table("[policy]\ninitiate_bias = -1.0\nlength_bias = 0.0");
+        assert_eq!(deciding(&before), deciding(&same));
+        assert!(difference(&before, &same).is_empty());
+        let other = table("[policy]\ninitiate_bias = -1.0\nlength_bias = -0.5");
+        let changes = difference(&before, &other);
+        assert_eq!(changes[0].to_string(), "policy.length_bias: (none) -> -0.5");
+        assert!(flatten(&same).contains_key("policy.length_bias"));
     }
 
     #[test]

@@ -66,6 +66,21 @@ fn a_person_needs_to_write_only_what_differs() {
 }
 
 #[test]
+fn an_untrained_notifier_is_quiet_and_brief_as_asked() {
+    let biases = |text: &str| check(text).unwrap().policy.logit_bias;
+    let brief =
+        "[policy]\ninitiate_bias = -3.0\nlength_bias = -1.0\n[notifier]\nwords = [2, 3, 4]\n";
+    let (n_topics, lengths) = (4, [0.0, -1.0, -2.0]);
+    let quiet = [vec![0.0, -3.0], vec![0.0; n_topics]].concat();
+    let both = biases(&format!("{brief}notification = \"incrementally_actionable\""));
+    assert_eq!(both, [&quiet[..], &lengths, &lengths].concat());
+    let complete = biases(&format!("{brief}notification = \"complete_utterance\""));
+    assert_eq!(complete, [&quiet[..], &lengths].concat());
+    assert_eq!(biases(&format!("{brief}notification = \"topic_only\"")), quiet);
+    assert!(biases("domain = \"cartpole\"\n[policy]\nlength_bias = -1.0").is_empty());
+}
+
+#[test]
 fn a_typo_is_told_with_its_line_and_what_is_allowed() {
     let text = refused("domain = \"cartpole\"\n\n[learner]\nn_env = 8");
     for part in ["line 4", "n_env = 8", "unknown field `n_env`", "`n_envs`"] {
@@ -81,6 +96,7 @@ fn impossible_values_are_told_by_key() {
         ("[learner]\nclip = -1.0", "learner.clip"),
         ("[actor]\nwindow = 0", "actor.window"),
         ("[policy]\nhidden = []", "policy.hidden"),
+        ("[policy]\nlength_bias = inf", "policy.length_bias"),
         ("[policy]\nencoder = \"lstm\"\nlstm_state = 0", "policy.lstm_state"),
         ("[policy]\nencoder = \"attention\"", "does not consist of entities"),
         (

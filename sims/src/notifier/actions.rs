@@ -16,6 +16,9 @@ use crate::Message;
 use crate::human::Order;
 use crate::setting::SettingError;
 
+/// Names of the heads whose choices are numbers of words, in increasing order.
+pub const LENGTH_HEADS: [&str; 2] = ["k", "l"];
+
 const START: u8 = 1;
 const STOP: u8 = 2;
 
@@ -63,9 +66,9 @@ impl Actions {
         let mut conditionals = Vec::new();
         match self.notification {
             NotificationType::TopicOnly => {}
-            NotificationType::CompleteUtterance => heads.push(head("l", n_words)),
+            NotificationType::CompleteUtterance => heads.push(head(LENGTH_HEADS[1], n_words)),
             NotificationType::IncrementallyActionable => {
-                heads.extend([head("k", n_words), head("l", n_words)]);
+                heads.extend(LENGTH_HEADS.map(|name| head(name, n_words)));
                 // Words increase, so l >= k means a choice of at least the same index. At most 64 choices fit a
                 // mask, which the caller checks; shifts of more are cut so that it gets to say so.
                 let allowed = (0..n_words).map(|k| u64::MAX << k.min(63)).collect();

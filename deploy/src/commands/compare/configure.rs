@@ -9,7 +9,7 @@ use toml::{Table, Value};
 use super::study::{Part, Person, Row};
 use crate::Program;
 use crate::cli::{CompareArgs, ConfigSource};
-use crate::config::table::{difference, flatten, overlay};
+use crate::config::table::{deciding, difference, overlay};
 use crate::config::{self, Config};
 use crate::output;
 
@@ -127,7 +127,7 @@ pub(super) fn seeded(
 /// seed excepted.
 pub(super) fn hash(table: &Table) -> String {
     let mut hash = Sha256::new();
-    for (key, value) in flatten(table).iter().filter(|(key, _)| !is_free(key)) {
+    for (key, value) in deciding(table).iter().filter(|(key, _)| !is_free(key)) {
         hash.update(format!("{key}={value}\n"));
     }
     output::hex(&hash.finalize()).chars().take(HASH_DIGITS).collect()

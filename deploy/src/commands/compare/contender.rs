@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use leadtime_eval::measure::Player;
 
-use super::plan::{PlannedRow, Training, seeds};
+use super::plan::{PlannedRow, Training};
 use super::study::WhichPolicy;
 use crate::Program;
 use crate::cli::CompareArgs;
@@ -71,7 +71,7 @@ pub(super) fn of(
 ) -> anyhow::Result<Vec<Contender>> {
     if let Some(script) = &row.row.script {
         let script = Contender::script(args, script, &row.row.title);
-        return Ok(vec![script; seeds(args).len()]);
+        return Ok(vec![script; row.seeds.len()]);
     }
     let policy = |training| Contender::policy(program, row, training, which, action);
     row.trainings.iter().map(policy).collect()

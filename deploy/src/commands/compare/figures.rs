@@ -164,7 +164,7 @@ fn playthroughs(
     stem: &str,
 ) -> anyhow::Result<Option<Drawn>> {
     let Some(person) = &planned.part.pictured_on else { return Ok(None) };
-    let seed = judge.first_seed();
+    let seed = judge.first_seed(planned);
     let mut pictures = Vec::new();
     for (i, row) in planned.rows.iter().enumerate() {
         let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));

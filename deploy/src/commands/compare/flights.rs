@@ -74,7 +74,7 @@ pub(super) fn maps(
     if planned.maps.is_empty() {
         return Ok(None);
     }
-    let seed = judge.first_seed();
+    let seed = judge.first_seed(planned);
     let mut panels = Vec::new();
     for map in &planned.maps {
         let flights = fly(judge.program, &map.config, &Player::baseline(UNAIDED), seed, 1)?;
@@ -100,7 +100,7 @@ pub(super) fn trajectories(
     stem: &str,
 ) -> anyhow::Result<Option<Drawn>> {
     let Some(person) = &planned.part.trajectories_on else { return Ok(None) };
-    let (seed, n) = (judge.first_seed(), N_FLIGHTS.min(u64::from(judge.args.episodes)));
+    let (seed, n) = (judge.first_seed(planned), N_FLIGHTS.min(u64::from(judge.args.episodes)));
     let mut panels = Vec::new();
     for row in &planned.rows {
         let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));

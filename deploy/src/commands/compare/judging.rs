@@ -12,7 +12,7 @@ use toml::Value;
 
 use super::cells::{Cells, Question};
 use super::contender::{self, Contender};
-use super::plan::{Evaluated, PlannedPart, PlannedRow, seeds};
+use super::plan::{Evaluated, PlannedPart, PlannedRow};
 use super::provenance;
 use super::study::{DifferenceOf, WhichPolicy};
 use crate::Program;
@@ -90,9 +90,9 @@ impl<'a> Judge<'a> {
         })
     }
 
-    /// Returns the evaluation seed that belongs to the first training seed.
-    pub(super) fn first_seed(&self) -> u64 {
-        self.args.eval_seed + seeds(self.args).first().copied().unwrap_or(0)
+    /// Returns the evaluation seed that belongs to a part's first training seed.
+    pub(super) fn first_seed(&self, planned: &PlannedPart) -> u64 {
+        self.args.eval_seed + planned.seeds().first().copied().unwrap_or(0)
     }
 
     /// Returns a row's player of the first training seed, for figures; it samples.
@@ -130,7 +130,7 @@ impl<'a> Judge<'a> {
     ) -> Result<BySeed, Failure> {
         let contenders = contender::of(self.program, self.args, self.which, row, action)?;
         let mut by_seed = Vec::new();
-        for (contender, seed) in contenders.iter().zip(seeds(self.args)) {
+        for (contender, seed) in contenders.iter().zip(&row.seeds) {
             if self.shutdown.is_cancelled() {
                 return Err(Failure::silent(ExitCode::Interrupted));
             }

@@ -17,6 +17,8 @@ use crate::record::RunRecord;
 
 /// The longest name of a run.
 const MAX_NAME: usize = 64;
+/// Training seeds of a table, where the command line does not say.
+const TABLE_SEEDS: u64 = 5;
 
 /// A study, ready to be carried out.
 #[derive(Clone, Debug)]
@@ -47,6 +49,8 @@ pub(super) struct PlannedRow {
     pub(super) row: Row,
     /// Its training, without a seed; a script's task as well.
     pub(super) config: Config,
+    /// The seeds that it is trained and judged on.
+    pub(super) seeds: Vec<u64>,
     /// One training per seed; none for a script.
     pub(super) trainings: Vec<Training>,
     /// On whom it is judged.
@@ -73,6 +77,13 @@ pub(super) struct Evaluated {
     pub(super) titles: Vec<String>,
     /// The task.
     pub(super) config: Config,
+}
+
+impl PlannedPart {
+    /// Returns the training seeds, which all rows share.
+    pub(super) fn seeds(&self) -> &[u64] {
+        self.rows.first().map_or(&[], |row| &row.seeds)
+    }
 }
 
 impl Plan {
@@ -178,6 +189,7 @@ fn plan_row(
     profile: &Profile,
 ) -> anyhow::Result<PlannedRow> {
     let config = profile.training(program, part, row, args)?;
+    let seeds = seeds(part, args);
     let mut evaluations: Vec<Evaluated> = Vec::new();
     for person in part.evaluations.iter().filter(|person| row.is_judged_on(&person.name)) {
         // A script was trained on nobody.
@@ -198,16 +210,18 @@ fn plan_row(
     let mut trainings = Vec::new();
     if row.script.is_none() {
         let hash = configure::hash(&config.table);
-        for seed in seeds(args) {
+        for &seed in &seeds {
             trainings.push(plan_training(program, stem, &config, &hash, seed)?);
         }
     }
-    Ok(PlannedRow { row: row.clone(), config, trainings, evaluations })
+    Ok(PlannedRow { row: row.clone(), config, seeds, trainings, evaluations })
 }
 
-/// Lists the training seeds.
-pub(super) fn seeds(args: &CompareArgs) -> Vec<u64> {
-    args.seeds.clone().take(if args.quick { 1 } else { usize::MAX }).collect()
+/// Lists the training seeds: those of the command line, or the part's own.
+fn seeds(part: &Part, args: &CompareArgs) -> Vec<u64> {
+    let own = part.first_seed..part.first_seed + TABLE_SEEDS;
+    let seeds = args.seeds.clone().unwrap_or(own);
+    seeds.take(if args.quick { 1 } else { usize::MAX }).collect()
 }
 
 fn plan_training(

@@ -64,6 +64,21 @@ fn a_training_per_row_and_seed_named_by_what_it_computes() {
 }
 
 #[test]
+fn a_part_has_seeds_of_its_own_unless_the_command_line_says() {
+    let runs = tempfile::tempdir().unwrap();
+    let later = STUDY.replace("quick_steps", "first_seed = 301\nquick_steps");
+    let seeds = |text: &str, more: &[&str]| {
+        let args = args(runs.path(), more);
+        let plan = Plan::new(&Program::new(), study("t", text), &args).unwrap();
+        plan.parts[0].seeds().to_vec()
+    };
+    assert_eq!(seeds(STUDY, &[]), [201, 202, 203, 204, 205]);
+    assert_eq!(seeds(&later, &[]), [301, 302, 303, 304, 305]);
+    assert_eq!(seeds(&later, &["--quick"]), [301]);
+    assert_eq!(seeds(&later, &["--seeds", "7..9"]), [7, 8]);
+}
+
+#[test]
 fn what_a_training_computes_decides_its_hash_and_nothing_else_does() {
     let runs = tempfile::tempdir().unwrap();
     let hash = |more: &[&str]| plan(runs.path(), more).unwrap().trainings()[0].hash.clone();

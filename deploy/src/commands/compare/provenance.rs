@@ -5,7 +5,7 @@ use leadtime_eval::report::Fact;
 use leadtime_eval::study::TrainedRun;
 
 use super::configure;
-use super::plan::{Plan, PlannedPart, Training, seeds};
+use super::plan::{Plan, PlannedPart, Training};
 use super::study::WhichPolicy;
 use crate::cli::CompareArgs;
 use crate::commands::origin;
@@ -66,6 +66,19 @@ fn cut(digest: &str) -> String {
     digest.chars().take(DIGEST_DIGITS).collect()
 }
 
+/// Lists the training seeds, by part where parts have different ones.
+fn seeds(parts: &[PlannedPart]) -> String {
+    let list =
+        |part: &PlannedPart| part.seeds().iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+    match parts {
+        [first, rest @ ..] if rest.iter().all(|part| part.seeds() == first.seeds()) => list(first),
+        _ => {
+            let told = parts.iter().map(|part| format!("{}: {}", part.part.name, list(part)));
+            told.collect::<Vec<_>>().join("; ")
+        }
+    }
+}
+
 /// Lists where a study's numbers are from.
 ///
 /// # Errors
@@ -79,7 +92,6 @@ pub(super) fn facts(
 ) -> anyhow::Result<Vec<Fact>> {
     let steps: u64 = runs.iter().map(|run| run.steps).sum();
     let minutes: f64 = runs.iter().map(|run| run.minutes).sum();
-    let seeds: Vec<String> = seeds(args).iter().map(u64::to_string).collect();
     let profiles = plan.parts.iter().map(|part| {
         let hash = configure::hash(&part.profile.table);
         format!("{} `{}` ({hash})", part.part.name, part.profile.name)
@@ -91,7 +103,7 @@ pub(super) fn facts(
     let mut facts = vec![
         Fact::new("command", format!("`{command}`")),
         Fact::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
-        Fact::new("training seeds", seeds.join(", ")),
+        Fact::new("training seeds", seeds(&plan.parts)),
         Fact::new(
             "evaluation",
             format!(

@@ -51,6 +51,9 @@ pub(super) struct Part {
     pub(super) note: String,
     /// Environment steps of each training whose row does not set `learner.total_steps`; the profile's if left out.
     pub(super) steps: Option<u64>,
+    /// The first of five training seeds: none that a search for the profile used, or saw results of.
+    #[serde(default = "first_seed")]
+    pub(super) first_seed: u64,
     /// Steps with `--quick`, of every row.
     pub(super) quick_steps: u64,
     /// How the table is laid out.
@@ -75,6 +78,11 @@ pub(super) struct Part {
     pub(super) evaluations: Vec<Person>,
     /// The policies.
     pub(super) rows: Vec<Row>,
+}
+
+/// Where the seeds of most tables begin.
+fn first_seed() -> u64 {
+    201
 }
 
 /// A map to draw.
