@@ -361,6 +361,25 @@ mod tests {
     }
 
     #[test]
+    fn a_run_from_before_a_setting_came_stays_the_same_run() {
+        let runs = tempfile::tempdir().unwrap();
+        drop(open(runs.path(), Some("r"), &[]).unwrap());
+        let file = runs.path().join("r/config.toml");
+        let now = std::fs::read_to_string(&file).unwrap();
+        let before: Vec<&str> = now.lines().filter(|line| !line.contains("length_bias")).collect();
+        assert_eq!(before.len() + 1, now.lines().count());
+        std::fs::write(&file, before.join("\n")).unwrap();
+        assert_eq!(open(runs.path(), Some("r"), &[]).unwrap().1, State::Unfinished);
+        std::fs::write(&file, before.join("\n")).unwrap();
+        let error = open(runs.path(), Some("r"), &["policy.length_bias=-1"]).unwrap_err();
+        assert!(error.to_string().contains("policy.length_bias: (none) -> -1.0"), "{error}");
+        let mut old = config(runs.path(), Some("r"), &[]);
+        let known = identity(&old);
+        old.table["policy"].as_table_mut().unwrap().remove("length_bias").unwrap();
+        assert_eq!(identity(&old), known);
+    }
+
+    #[test]
     fn a_finished_run_stays_finished_unless_it_may_go_on_for_longer() {
         let runs = tempfile::tempdir().unwrap();
         let (mut run, _) = open(runs.path(), Some("r"), &[]).unwrap();

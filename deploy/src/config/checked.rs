@@ -28,6 +28,8 @@ const DEFAULT_DOMAIN: &str = "lander";
 pub const MAX_EPISODES: u32 = 1_000_000;
 /// The widest layer.
 const MAX_WIDTH: usize = 4_096;
+/// Beyond it a choice is made never or always, and no training changes that.
+const MAX_BIAS: f64 = 50.0;
 
 /// Where and how a run is carried out.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -254,18 +256,18 @@ fn check_policy(
     })
 }
 
-/// Returns what an untrained policy prefers: silence to a message, and short messages to long ones, where the biases are
-/// negative.
+/// Returns what an untrained notifier prefers: silence to a message, and short messages to long ones, where the biases are
+/// negative. Other policies prefer nothing.
 fn initial_biases(policy: &PolicySection, actions: &ActionSpec) -> anyhow::Result<Vec<f32>> {
     let (initiate, length) = (policy.initiate_bias, policy.length_bias);
     for (key, bias) in [("initiate_bias", initiate), ("length_bias", length)] {
-        ensure!(bias.is_finite(), "`policy.{key}` is {bias}; allowed: a finite number");
+        let fits = bias.abs() <= MAX_BIAS;
+        ensure!(fits, "`policy.{key}` is {bias}; allowed: -{MAX_BIAS} to {MAX_BIAS}");
     }
+    let Some(gate) = actions.gate else { return Ok(Vec::new()) };
     let mut biases = vec![0.0; actions.n_choices()];
     let offsets = actions.offsets();
-    if let Some(gate) = actions.gate {
-        biases[offsets[gate.head] + gate.choice] = initiate as f32;
-    }
+    biases[offsets[gate.head] + gate.choice] = initiate as f32;
     for (head, offset) in actions.heads.iter().zip(offsets) {
         if LENGTH_HEADS.contains(&head.name.as_str()) {
             let head = &mut biases[offset..offset + head.n_choices];

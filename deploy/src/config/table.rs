@@ -7,7 +7,7 @@ use toml::{Table, Value};
 /// The one table inside a section that is a section itself: `[evaluation.world]`.
 const SUBSECTION: &str = "world";
 /// Settings that came after runs had been made without them, and the value at which they change nothing.
-const LATER: [(&str, &str); 1] = [("policy.length_bias", "0.0")];
+const LATER: [(&str, f64); 1] = [("policy.length_bias", 0.0)];
 
 /// Lays `over` onto `base`: sections are merged key by key, everything else is replaced.
 ///
@@ -163,15 +163,16 @@ impl std::fmt::Display for Change {
     }
 }
 
-/// Lists the keys whose values differ, in order.
+/// Lists the keys whose values differ, in order; those that came later and change nothing do not.
 pub fn difference(before: &Table, after: &Table) -> Vec<Change> {
-    let (before, after) = (deciding(before), deciding(after));
+    let (old, new) = (deciding(before), deciding(after));
+    let (before, after) = (flatten(before), flatten(after));
     let mut keys: Vec<&String> = before.keys().chain(after.keys()).collect();
     keys.sort();
     keys.dedup();
     let value = |of: &BTreeMap<String, String>, key: &String| of.get(key).cloned();
     keys.into_iter()
-        .filter(|key| before.get(*key) != after.get(*key))
+        .filter(|key| old.get(*key) != new.get(*key))
         .map(|key| Change {
             key: key.clone(),
             before: value(&before, key).unwrap_or_default(),
@@ -191,8 +192,9 @@ pub fn flatten(table: &Table) -> BTreeMap<String, String> {
 /// made, where these are at the value that leaves everything as it was. So an earlier run stays the same run.
 pub fn deciding(table: &Table) -> BTreeMap<String, String> {
     let mut leaves = flatten(table);
-    let is_as_before =
-        |key: &str, value: &str| LATER.iter().any(|(later, at)| key == *later && value == *at);
+    let is_as_before = |key: &str, value: &str| {
+        LATER.iter().any(|(later, at)| key == *later && value.parse() == Ok(*at))
+    };
     leaves.retain(|key, value| !is_as_before(key, value));
     leaves
 }
@@ -268,6 +270,8 @@ mod tests {
         let other = table("[policy]\ninitiate_bias = -1.0\nlength_bias = -0.5");
         let changes = difference(&before, &other);
         assert_eq!(changes[0].to_string(), "policy.length_bias: (none) -> -0.5");
+        let back = difference(&other, &same);
+        assert_eq!(back[0].to_string(), "policy.length_bias: -0.5 -> 0.0");
         assert!(flatten(&same).contains_key("policy.length_bias"));
     }
 

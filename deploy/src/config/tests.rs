@@ -96,7 +96,8 @@ fn impossible_values_are_told_by_key() {
         ("[learner]\nclip = -1.0", "learner.clip"),
         ("[actor]\nwindow = 0", "actor.window"),
         ("[policy]\nhidden = []", "policy.hidden"),
-        ("[policy]\nlength_bias = inf", "policy.length_bias"),
+        ("[policy]\nlength_bias = -51.0", "policy.length_bias"),
+        ("[policy]\ninitiate_bias = 1e39", "policy.initiate_bias"),
         ("[policy]\nencoder = \"lstm\"\nlstm_state = 0", "policy.lstm_state"),
         ("[policy]\nencoder = \"attention\"", "does not consist of entities"),
         (

@@ -117,3 +117,32 @@ pub(super) fn facts(
     facts.extend(origin::this_program()?);
     Ok(facts)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_support::{args, study};
+    use super::*;
+    use crate::Program;
+
+    #[test]
+    fn seeds_are_told_by_part_where_parts_differ() {
+        let part = |name: &str, more: &str| {
+            format!(
+                "[[parts]]\nname = \"{name}\"\ntitle = \"t\"\nprofile = \"lander\"\nquick_steps = 4096\n{more}\n\
+                 columns = [\"success\"]\nevaluations = [{{ name = \"own\", title = \"own\" }}]\n\
+                 [[parts.rows]]\nname = \"r\"\ntitle = \"R\"\n"
+            )
+        };
+        let told = |first: &str, second: &str| {
+            let parts = [part("one", first), part("two", second)].concat();
+            let text = format!("title = \"t\"\nlead = \"l\"\n{parts}");
+            let runs = tempfile::tempdir().unwrap();
+            let plan =
+                Plan::new(&Program::new(), study("t", &text), &args(runs.path(), &[])).unwrap();
+            seeds(&plan.parts)
+        };
+        assert_eq!(told("", ""), "201, 202, 203, 204, 205");
+        let expected = "one: 201, 202, 203, 204, 205; two: 301, 302, 303, 304, 305";
+        assert_eq!(told("", "first_seed = 301"), expected);
+    }
+}
