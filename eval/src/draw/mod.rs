@@ -14,9 +14,11 @@ mod canvas;
 mod font;
 mod ink;
 mod raster;
+mod wrap;
 
 pub use axis::{Panel, Scale, compact, nice_ticks};
 pub use canvas::{Anchor, Area, Canvas, Paint, TextStyle, escape, number};
 pub use font::{FAMILY, Weight, text_width};
 pub use ink::Ink;
 pub use raster::{Pixels, Rasterizer, gif};
+pub use wrap::wrapped;

@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::legend;
 use crate::draw::{
-    Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, compact, text_width,
+    Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, compact, text_width, wrapped,
 };
 
 const WIDTH: f64 = 760.0;
@@ -79,7 +78,7 @@ pub fn shares(id: &str, title: &str, rows: &[ShareRow]) -> String {
     let (left, right, row_height) = (label_width.min(220.0) + 28.0, 70.0, 30.0);
     let entry_width = |name: &str| text_width(name, 11.5, Weight::Regular) + 36.0;
     let widths = names.iter().map(|name| entry_width(name)).enumerate();
-    let legend = legend::wrapped(widths, WIDTH - 32.0);
+    let legend = wrapped(widths, WIDTH - 32.0);
     let top = 40.0 + 20.0 * legend.len() as f64;
     let mut canvas = Canvas::new(id, WIDTH, top + row_height * rows.len() as f64 + 14.0);
     canvas.text([16.0, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
@@ -166,6 +165,17 @@ mod tests {
         let svg = shares("s", "t", &[ShareRow { label: "learner".to_owned(), parts }]);
         assert!(svg.contains("a &lt;&amp;&gt;") && !svg.contains("NaN"));
         rasterizer.png(&svg, 1.0).unwrap();
+    }
+
+    #[test]
+    fn many_parts_have_a_legend_of_several_lines_and_a_picture_that_holds_it() {
+        let height = |n: usize| {
+            let parts = (0..n).map(|i| (format!("part number {i}"), 1.0)).collect();
+            let svg = shares("s", "t", &[ShareRow { label: "actor".to_owned(), parts }]);
+            Rasterizer::new().pixels(&svg, 1.0).unwrap().height
+        };
+        assert_eq!(height(2), height(5));
+        assert_eq!(height(12), height(5) + 20, "six of twelve in each of two lines");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The legend above a panel, in as many lines as its names need.
 
-use crate::draw::{Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
+use crate::draw::{Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width, wrapped};
 
 const SIZE: f64 = 11.5;
 /// Height of a line.
@@ -31,23 +31,6 @@ pub(super) fn extra_height(lines: &[Vec<usize>]) -> f64 {
 pub(super) fn lines(labels: &[&str], room: f64) -> Vec<Vec<usize>> {
     let named = labels.iter().enumerate().filter(|(_, label)| !label.is_empty());
     wrapped(named.map(|(i, label)| (i, width(label))), room)
-}
-
-/// Splits places with their widths into lines that are no wider than `room`; what is wider has a line of its own.
-pub(super) fn wrapped(widths: impl Iterator<Item = (usize, f64)>, room: f64) -> Vec<Vec<usize>> {
-    let mut lines: Vec<Vec<usize>> = Vec::new();
-    let mut left = 0.0;
-    for (i, width) in widths {
-        match lines.last_mut() {
-            Some(line) if width <= left => line.push(i),
-            _ => {
-                lines.push(vec![i]);
-                left = room;
-            }
-        }
-        left -= width;
-    }
-    lines
 }
 
 fn width(label: &str) -> f64 {

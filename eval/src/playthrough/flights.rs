@@ -7,13 +7,14 @@ use std::ops::Range;
 use leadtime_sims::piloting::ENTERED;
 use leadtime_sims::{Scene, Shape, Tone};
 
+use super::legend::{Entry, Legend, Sample};
 use super::record::Playthrough;
 use super::tiles::{TileStyle, Tiles};
-use super::world::{World, legend, legend_text};
+use super::world::{World, areas};
 use crate::draw::{Canvas, Ink, Paint, TextStyle};
 
 const MARGIN: f64 = 16.0;
-/// Title and legend above, two lines above every panel.
+/// Title and a legend of one line above, two lines above every panel.
 const TILES: TileStyle =
     TileStyle { width: 900.0, margin: MARGIN, gap: 16.0, top: 66.0, caption: 40.0 };
 const LEGEND_Y: f64 = 50.0;
@@ -88,16 +89,10 @@ impl FlightEnd {
 /// Draws a panel per notifier with the ways of all its flights, coloured by how they ended. `id` must be unique on the
 /// page.
 pub fn trajectories(id: &str, title: &str, panels: &[FlightPanel]) -> String {
-    let sheet = Sheet::new(panels);
+    let entries = FlightEnd::ALL
+        .map(|end| Entry { sample: Sample::Ended(end.paint(), end.ink()), label: end.label() });
+    let sheet = Sheet::new(panels, &entries);
     let mut canvas = sheet.begin(id, title);
-    let mut x = MARGIN;
-    for end in FlightEnd::ALL {
-        let ends = [[x, LEGEND_Y - 4.0], [x + 22.0, LEGEND_Y - 4.0]];
-        canvas.line(&ends, end.paint());
-        canvas.circle(ends[1], 3.0, Paint::fill(end.ink()));
-        x = legend_text(&mut canvas, x + 30.0, LEGEND_Y, end.label());
-    }
-    sheet.legend(&mut canvas, x);
     for (panel, world) in sheet.places() {
         let last: Vec<&Scene> = panel.flights.iter().filter_map(|f| f.scenes.last()).collect();
         world.draw_places(&mut canvas, &last);
@@ -114,14 +109,10 @@ pub fn trajectories(id: &str, title: &str, panels: &[FlightPanel]) -> String {
 /// Draws maps side by side on one scale, and on each the way of its first flight, marked where it is inside a zone. `id`
 /// must be unique on the page.
 pub fn maps(id: &str, title: &str, panels: &[FlightPanel]) -> String {
-    let sheet = Sheet::new(panels);
+    let entries = [(false, "flight, nobody speaks"), (true, "the same, inside a zone")]
+        .map(|(inside, label)| Entry { sample: Sample::Stroke(zoned(inside)), label });
+    let sheet = Sheet::new(panels, &entries);
     let mut canvas = sheet.begin(id, title);
-    let mut x = MARGIN;
-    for (inside, label) in [(false, "flight, nobody speaks"), (true, "the same, inside a zone")] {
-        canvas.line(&[[x, LEGEND_Y - 4.0], [x + 22.0, LEGEND_Y - 4.0]], zoned(inside));
-        x = legend_text(&mut canvas, x + 28.0, LEGEND_Y, label);
-    }
-    sheet.legend(&mut canvas, x);
     for (panel, world) in sheet.places() {
         let Some(flight) = panel.flights.first() else { continue };
         let Some(last) = flight.scenes.last() else { continue };
@@ -141,15 +132,20 @@ struct Sheet<'a> {
     panels: &'a [FlightPanel],
     /// Everything that any flight shows: all maps have one scale.
     seen: Vec<Scene>,
+    legend: Legend,
     tiles: Tiles,
 }
 
 impl<'a> Sheet<'a> {
-    fn new(panels: &'a [FlightPanel]) -> Self {
+    /// Places the panels under a legend of the ways' entries, and of what stands on the maps.
+    fn new(panels: &'a [FlightPanel], ways: &[Entry]) -> Self {
         let flights = panels.iter().flat_map(|panel| &panel.flights);
         let seen: Vec<Scene> = flights.filter_map(|flight| flight.scenes.last().cloned()).collect();
-        let tiles = Tiles::new(TILES, panels.len().clamp(1, COLUMNS), &seen);
-        Self { panels, seen, tiles }
+        let entries: Vec<Entry> = ways.iter().copied().chain(areas(&seen)).collect();
+        let legend = Legend::new(&entries, TILES.width - 2.0 * MARGIN);
+        let style = TileStyle { top: TILES.top + legend.extra_height(), ..TILES };
+        let tiles = Tiles::new(style, panels.len().clamp(1, COLUMNS), &seen);
+        Self { panels, seen, legend, tiles }
     }
 
     fn places(&self) -> impl Iterator<Item = (&'a FlightPanel, World)> {
@@ -162,12 +158,8 @@ impl<'a> Sheet<'a> {
     fn begin(&self, id: &str, title: &str) -> Canvas {
         let mut canvas = Canvas::new(id, TILES.width, self.tiles.bottom(self.panels.len().max(1)));
         canvas.text([MARGIN, 26.0], title, TextStyle::new(17.0, Ink::Text).bold());
+        self.legend.draw(&mut canvas, [MARGIN, LEGEND_Y]);
         canvas
-    }
-
-    /// Explains what stands on the maps, from a point of the legend on.
-    fn legend(&self, canvas: &mut Canvas, x: f64) {
-        legend(canvas, [x, LEGEND_Y], &self.seen);
     }
 }
 

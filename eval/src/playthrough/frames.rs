@@ -2,14 +2,15 @@
 
 use std::ops::Range;
 
+use super::legend::{Entry, Legend};
 use super::record::Playthrough;
 use super::story::{Doing, Story};
 use super::tiles::{TileStyle, Tiles};
-use super::world::{World, legend, legend_text, topic_name};
+use super::world::{World, areas, topic_name};
 use crate::draw::{Area, Canvas, Ink, Paint, TextStyle};
 
 const MARGIN: f64 = 16.0;
-/// Title and key above, two lines above every frame.
+/// Title and a legend of one line above, two lines above every frame.
 const TILES: TileStyle =
     TileStyle { width: 860.0, margin: MARGIN, gap: 20.0, top: 64.0, caption: 44.0 };
 const COLUMNS: usize = 2;
@@ -22,24 +23,18 @@ impl Playthrough {
     pub fn frames_svg(&self, id: &str, moments: Range<usize>) -> String {
         let story = Story::new(&self.scenes);
         let moments = moments.start..moments.end.min(self.scenes.len());
-        let tiles = Tiles::new(TILES, COLUMNS, &self.scenes);
+        let shown = Doing::ALL.into_iter().filter(|doing| story.doing.contains(doing));
+        let entries: Vec<Entry> = shown.map(Entry::doing).chain(areas(&self.scenes)).collect();
+        let legend = Legend::new(&entries, TILES.width - 2.0 * MARGIN);
+        let style = TileStyle { top: TILES.top + legend.extra_height(), ..TILES };
+        let tiles = Tiles::new(style, COLUMNS, &self.scenes);
         let mut canvas = Canvas::new(id, TILES.width, tiles.bottom(moments.len()));
         canvas.text([MARGIN, 27.0], &self.title(), TextStyle::new(18.0, Ink::Text).bold());
-        self.draw_key(&mut canvas, 50.0, &story);
+        legend.draw(&mut canvas, [MARGIN, 50.0]);
         for (place, moment) in moments.enumerate() {
             self.draw_moment(&mut canvas, tiles.corner(place), tiles.width, &story, moment);
         }
         canvas.finish(&self.title())
-    }
-
-    fn draw_key(&self, canvas: &mut Canvas, y: f64, story: &Story) {
-        let mut x = MARGIN;
-        for doing in Doing::ALL.into_iter().filter(|doing| story.doing.contains(doing)) {
-            let ends = [[x, y - 4.0], [x + 16.0, y - 4.0]];
-            canvas.line(&ends, Paint::stroke(doing.ink(), doing.width()));
-            x = legend_text(canvas, x + 21.0, y, doing.label());
-        }
-        legend(canvas, [x, y], &self.scenes);
     }
 
     fn draw_moment(

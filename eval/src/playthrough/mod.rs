@@ -6,7 +6,7 @@
 //! voice:  topic, k, l of each utterance --> the sentence that says it
 //! picture, frames, animation: SVG, PNG, GIF     transcript: text
 //! flights: the ways of many episodes over one map, and of one over several maps
-//! tiles: where the worlds of frames and flights stand
+//! tiles: where the worlds of frames and flights stand     legend: what their marks mean
 //! ```
 //!
 //! Everything is drawn from [`Scene`](leadtime_sims::Scene)s, so a road or a kitchen draws as a lander does.
@@ -16,6 +16,7 @@ mod demonstration;
 mod flights;
 mod frames;
 mod labels;
+mod legend;
 mod picture;
 mod record;
 mod story;

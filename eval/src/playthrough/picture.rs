@@ -1,15 +1,17 @@
 //! The whole picture: title, world, legend, strip.
 
+use super::legend::{Entry, Legend, Sample};
 use super::record::Playthrough;
 use super::story::{Doing, Story};
 use super::strip;
-use super::world::{World, draw_marker, legend, legend_text};
+use super::world::{World, areas};
 use crate::draw::{Canvas, Ink, Paint, Rasterizer, TextStyle, compact};
 use crate::error::Error;
 
 const WIDTH: f64 = 860.0;
 const MARGIN: f64 = 16.0;
 const TITLE_HEIGHT: f64 = 58.0;
+/// Of a legend of one line.
 const LEGEND_HEIGHT: f64 = 40.0;
 
 impl Playthrough {
@@ -18,8 +20,9 @@ impl Playthrough {
         let story = Story::new(&self.scenes);
         let width = WIDTH - 2.0 * MARGIN;
         let world = World::new([MARGIN, TITLE_HEIGHT], width, &self.scenes);
+        let legend = Legend::new(&self.entries(), width - 8.0);
         let legend_y = world.area.bottom() + 22.0;
-        let strip_y = world.area.bottom() + LEGEND_HEIGHT;
+        let strip_y = world.area.bottom() + LEGEND_HEIGHT + legend.extra_height();
         let mut canvas = Canvas::new(id, WIDTH, strip_y + strip::HEIGHT);
         self.draw_title(&mut canvas);
         if let Some(last) = self.scenes.last() {
@@ -30,7 +33,7 @@ impl Playthrough {
             world.draw_body(&mut canvas, last, 1.0);
             world.draw_starts(&mut canvas, &self.scenes, &story);
             world.draw_labels(&mut canvas, self, &story);
-            self.draw_legend(&mut canvas, legend_y);
+            legend.draw(&mut canvas, [MARGIN + 4.0, legend_y]);
             strip::draw(&mut canvas, [MARGIN, strip_y], width, self, &story);
         }
         canvas.finish(&self.title())
@@ -71,32 +74,29 @@ impl Playthrough {
         canvas.text([MARGIN, 47.0], &line, TextStyle::new(12.0, Ink::Muted));
     }
 
-    fn draw_legend(&self, canvas: &mut Canvas, y: f64) {
-        let mut x = MARGIN + 4.0;
+    /// Lists what the marks of the episode mean.
+    fn entries(&self) -> Vec<Entry> {
         let speaks = self.scenes.iter().any(|scene| !scene.listener.topics.is_empty());
-        for doing in Doing::ALL.into_iter().filter(|doing| speaks || *doing == Doing::OwnPlan) {
-            let ends = [[x, y - 4.0], [x + 20.0, y - 4.0]];
-            canvas.line(&ends, Paint::stroke(doing.ink(), doing.width()));
-            x = legend_text(canvas, x + 26.0, y, doing.label());
-        }
+        let doing = Doing::ALL.into_iter().filter(|doing| speaks || *doing == Doing::OwnPlan);
+        let mut entries: Vec<Entry> = doing.map(Entry::doing).collect();
         if speaks {
-            draw_marker(canvas, [x + 5.0, y - 4.0]);
-            x = legend_text(canvas, x + 16.0, y, "notification starts");
+            entries.push(Entry { sample: Sample::Start, label: "notification starts" });
         }
         if self.scenes.last().is_some_and(|scene| !scene.others.is_empty()) {
-            let ends = [[x, y - 4.0], [x + 20.0, y - 4.0]];
-            canvas.line(&ends, Paint::stroke(Ink::Muted, 1.0));
-            canvas.circle([x + 10.0, y - 4.0], 2.6, Paint::fill(Ink::Muted));
-            x = legend_text(canvas, x + 26.0, y, "others");
+            let sample = Sample::Dotted(Paint::stroke(Ink::Muted, 1.0), Ink::Muted);
+            entries.push(Entry { sample, label: "others" });
         }
-        legend(canvas, [x, y], &self.scenes);
+        entries.extend(areas(&self.scenes));
+        entries
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use leadtime_sims::{Shape, Tone};
+
     use crate::draw::Rasterizer;
-    use crate::playthrough::{Voice, synthetic};
+    use crate::playthrough::{Playthrough, Voice, synthetic};
 
     #[test]
     fn a_playthrough_becomes_a_picture_with_everything_named() {
@@ -124,6 +124,17 @@ mod tests {
         // The first three say to shift right, each in its own words.
         assert!(svg.contains(&format!("{} and 2 more", said[0])), "{}", said[0]);
         assert!(svg.contains(&said[5].to_string()), "{}", said[5]);
+    }
+
+    #[test]
+    fn a_legend_that_is_too_long_has_another_line_and_the_picture_holds_it() {
+        let mut playthrough = synthetic::playthrough();
+        let height = |p: &Playthrough| Rasterizer::new().pixels(&p.svg("p"), 1.0).unwrap().height;
+        let before = height(&playthrough);
+        let unit = |tone| Shape::Rectangle { min: [0.0; 2], max: [0.1; 2], tone };
+        let seen = [Tone::Mistaken, Tone::Hint].map(unit);
+        playthrough.scenes[0].shapes.extend(seen);
+        assert_eq!(height(&playthrough), before + 16);
     }
 
     #[test]

@@ -3,19 +3,16 @@
 use leadtime_sims::{Scene, Shape, Tone, View};
 
 use super::labels::{self, Placer};
+use super::legend::{Entry, Sample};
 use super::record::Playthrough;
 use super::story::{Doing, Story};
 use super::voice::Sentence;
-use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Scale, TextStyle, Weight, text_width};
+use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Scale, TextStyle};
 
 /// A world is drawn at most this much higher than wide ...
 const MAX_RATIO: f64 = 2.0 / 3.0;
 /// ... and at least this much: a long road is stretched.
 const MIN_RATIO: f64 = 0.25;
-
-/// Size of a legend's text.
-const LEGEND_SIZE: f64 = 11.0;
-const LEGEND_GAP: f64 = 12.0;
 
 /// Size of the world's own labels.
 const LABEL_SIZE: f64 = 11.0;
@@ -264,27 +261,17 @@ fn draw_leader(canvas: &mut Canvas, marker: [f64; 2], label: &Area) {
     }
 }
 
-/// Explains the areas that the scenes show, from a point on, and returns where the next entry begins.
-pub(super) fn legend(canvas: &mut Canvas, [mut x, y]: [f64; 2], scenes: &[Scene]) -> f64 {
-    for (tone, label) in [
+/// Explains the areas that the scenes show.
+pub(super) fn areas(scenes: &[Scene]) -> impl Iterator<Item = Entry> {
+    let meanings = [
         (Tone::Danger, "danger"),
         (Tone::Mistaken, "believed otherwise"),
         (Tone::Hint, "what the person sees"),
         (Tone::Goal, "goal"),
-    ] {
-        if scenes.iter().any(|scene| has_area(scene, tone)) {
-            let swatch = Area::new(x, y - 9.5, 14.0, 11.0);
-            canvas.rectangle(swatch, 1.0, filled(tone));
-            x = legend_text(canvas, x + 20.0, y, label);
-        }
-    }
-    x
-}
-
-/// Writes an entry of a legend and returns where the next one begins.
-pub(super) fn legend_text(canvas: &mut Canvas, x: f64, y: f64, text: &str) -> f64 {
-    canvas.text([x, y], text, TextStyle::new(LEGEND_SIZE, Ink::Text));
-    x + text_width(text, LEGEND_SIZE, Weight::Regular) + LEGEND_GAP
+    ];
+    let shown = |tone| scenes.iter().any(|scene| has_area(scene, tone));
+    let shown = meanings.into_iter().filter(move |(tone, _)| shown(*tone));
+    shown.map(|(tone, label)| Entry { sample: Sample::Swatch(filled(tone)), label })
 }
 
 /// Tells whether a scene has an area of a meaning; a pad is a line, and counts as one.

@@ -57,7 +57,7 @@ impl Contender {
     }
 }
 
-/// Returns a row's contender for every training seed.
+/// Returns a row's contender for every one of `n_seeds` training seeds.
 ///
 /// # Errors
 ///
@@ -68,10 +68,11 @@ pub(super) fn of(
     which: WhichPolicy,
     row: &PlannedRow,
     action: EvaluationAction,
+    n_seeds: usize,
 ) -> anyhow::Result<Vec<Contender>> {
     if let Some(script) = &row.row.script {
         let script = Contender::script(args, script, &row.row.title);
-        return Ok(vec![script; row.seeds.len()]);
+        return Ok(vec![script; n_seeds]);
     }
     let policy = |training| Contender::policy(program, row, training, which, action);
     row.trainings.iter().map(policy).collect()

@@ -12,7 +12,8 @@ use super::write::QUICK;
 /// The index's file.
 pub(super) const FILE: &str = "README.md";
 
-/// Writes the index of a directory: full results where there are some, else those of a quick run, else how to get them.
+/// Writes the index of a directory: full results where there are some, else those of a quick run, and in the end how to
+/// get the rest.
 ///
 /// # Errors
 ///
@@ -23,16 +24,24 @@ pub(super) fn page(results: &Path) -> anyhow::Result<String> {
          own page has every measure, and says where its numbers are from.\n\n",
     );
     page.push_str(&others(results)?);
+    let mut missing = Vec::new();
     for name in catalog::names() {
         let full = read(&results.join(format!("{name}.json")))?;
         let quick = read(&results.join(QUICK).join(format!("{name}.json")))?;
         let section = match (full, quick) {
             (Some(result), _) => result.section(""),
             (None, Some(result)) => result.section(&format!("{QUICK}/")),
-            (None, None) => format!("# {name}\n\nNot measured yet: `leadtime compare {name}`.\n\n"),
+            (None, None) => {
+                missing.push(format!("`leadtime compare {name}`"));
+                continue;
+            }
         };
         // The index has the only heading of the first level.
         page.push_str(&section.replace("\n## ", "\n### ").replacen("# ", "## ", 1));
+    }
+    if !missing.is_empty() {
+        let rest = missing.join(", ");
+        page = format!("{page}Other tables are not in this directory: {rest}.\n");
     }
     Ok(page)
 }
@@ -72,10 +81,9 @@ mod tests {
         fs::write(dir.path().join("parity.md"), "# Parity with others\n").unwrap();
         let page = page(dir.path()).unwrap();
         assert!(page.contains("* [Parity with others](parity.md)"), "{page}");
-        assert!(
-            page.contains("## table1\n\nNot measured yet: `leadtime compare table1`"),
-            "{page}"
-        );
+        let rest = "Other tables are not in this directory: `leadtime compare table1`, ";
+        assert!(page.contains(rest), "{page}");
+        assert!(!page.contains("\n## "), "what is not there has no section: {page}");
     }
 
     #[test]

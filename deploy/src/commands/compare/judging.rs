@@ -72,7 +72,7 @@ impl<'a> Judge<'a> {
         // Evaluations under the row's and the person's names, for differences.
         let mut sampled = Sampled::new();
         for row in &planned.rows {
-            let judged = self.people(row, &mut sampled)?;
+            let judged = self.people(&planned.seeds, row, &mut sampled)?;
             rows.push(row_result(planned, row, judged)?);
         }
         let stated = planned.part.differences.iter();
@@ -92,7 +92,7 @@ impl<'a> Judge<'a> {
 
     /// Returns the evaluation seed that belongs to a part's first training seed.
     pub(super) fn first_seed(&self, planned: &PlannedPart) -> u64 {
-        self.args.eval_seed + planned.seeds().first().copied().unwrap_or(0)
+        self.args.eval_seed + planned.seeds.first().copied().unwrap_or(0)
     }
 
     /// Returns a row's player of the first training seed, for figures; it samples.
@@ -102,16 +102,21 @@ impl<'a> Judge<'a> {
     /// As [`contender::of`].
     pub(super) fn first_player(&self, row: &PlannedRow) -> anyhow::Result<Option<Player>> {
         let action = EvaluationAction::Sample;
-        let contenders = contender::of(self.program, self.args, self.which, row, action)?;
+        let contenders = contender::of(self.program, self.args, self.which, row, action, 1)?;
         Ok(contenders.into_iter().next().map(|first| first.player))
     }
 
     /// Judges a row on every person, in every way of choosing.
-    fn people(&mut self, row: &PlannedRow, sampled: &mut Sampled) -> Result<Vec<Judged>, Failure> {
+    fn people(
+        &mut self,
+        seeds: &[u64],
+        row: &PlannedRow,
+        sampled: &mut Sampled,
+    ) -> Result<Vec<Judged>, Failure> {
         let mut judged = Vec::new();
         let people = row.evaluations.iter();
         for (person, action) in people.flat_map(|p| actions(row).into_iter().map(move |a| (p, a))) {
-            let by_seed = self.row(row, person, action)?;
+            let by_seed = self.row(seeds, row, person, action)?;
             judged.push(sum_up(row, person, judge::choice(action), &by_seed));
             if action == EvaluationAction::Sample {
                 let under = |name: &String| (row.row.name.clone(), name.clone());
@@ -124,13 +129,15 @@ impl<'a> Judge<'a> {
     /// Judges a row on a person: one evaluation per training seed.
     fn row(
         &mut self,
+        seeds: &[u64],
         row: &PlannedRow,
         person: &Evaluated,
         action: EvaluationAction,
     ) -> Result<BySeed, Failure> {
-        let contenders = contender::of(self.program, self.args, self.which, row, action)?;
+        let contenders =
+            contender::of(self.program, self.args, self.which, row, action, seeds.len())?;
         let mut by_seed = Vec::new();
-        for (contender, seed) in contenders.iter().zip(&row.seeds) {
+        for (contender, seed) in contenders.iter().zip(seeds) {
             if self.shutdown.is_cancelled() {
                 return Err(Failure::silent(ExitCode::Interrupted));
             }

@@ -36,6 +36,8 @@ pub(super) struct PlannedPart {
     pub(super) part: Part,
     /// What its rows start from.
     pub(super) profile: Profile,
+    /// The seeds that its rows are trained and judged on.
+    pub(super) seeds: Vec<u64>,
     /// Its rows, as far as they were asked for.
     pub(super) rows: Vec<PlannedRow>,
     /// The maps to draw.
@@ -49,8 +51,6 @@ pub(super) struct PlannedRow {
     pub(super) row: Row,
     /// Its training, without a seed; a script's task as well.
     pub(super) config: Config,
-    /// The seeds that it is trained and judged on.
-    pub(super) seeds: Vec<u64>,
     /// One training per seed; none for a script.
     pub(super) trainings: Vec<Training>,
     /// On whom it is judged.
@@ -77,13 +77,6 @@ pub(super) struct Evaluated {
     pub(super) titles: Vec<String>,
     /// The task.
     pub(super) config: Config,
-}
-
-impl PlannedPart {
-    /// Returns the training seeds, which all rows share.
-    pub(super) fn seeds(&self) -> &[u64] {
-        self.rows.first().map_or(&[], |row| &row.seeds)
-    }
 }
 
 impl Plan {
@@ -177,7 +170,7 @@ fn plan_part(
     });
     let rows = rows.collect::<anyhow::Result<Vec<_>>>()?;
     let maps = flights::plan(program, part, &profile)?;
-    Ok(PlannedPart { part: part.clone(), profile, rows, maps })
+    Ok(PlannedPart { part: part.clone(), profile, seeds: seeds(part, args), rows, maps })
 }
 
 fn plan_row(
@@ -189,7 +182,6 @@ fn plan_row(
     profile: &Profile,
 ) -> anyhow::Result<PlannedRow> {
     let config = profile.training(program, part, row, args)?;
-    let seeds = seeds(part, args);
     let mut evaluations: Vec<Evaluated> = Vec::new();
     for person in part.evaluations.iter().filter(|person| row.is_judged_on(&person.name)) {
         // A script was trained on nobody.
@@ -210,11 +202,11 @@ fn plan_row(
     let mut trainings = Vec::new();
     if row.script.is_none() {
         let hash = configure::hash(&config.table);
-        for &seed in &seeds {
+        for seed in seeds(part, args) {
             trainings.push(plan_training(program, stem, &config, &hash, seed)?);
         }
     }
-    Ok(PlannedRow { row: row.clone(), config, seeds, trainings, evaluations })
+    Ok(PlannedRow { row: row.clone(), config, trainings, evaluations })
 }
 
 /// Lists the training seeds: those of the command line, or the part's own.

@@ -70,7 +70,7 @@ fn a_part_has_seeds_of_its_own_unless_the_command_line_says() {
     let seeds = |text: &str, more: &[&str]| {
         let args = args(runs.path(), more);
         let plan = Plan::new(&Program::new(), study("t", text), &args).unwrap();
-        plan.parts[0].seeds().to_vec()
+        plan.parts[0].seeds.clone()
     };
     assert_eq!(seeds(STUDY, &[]), [201, 202, 203, 204, 205]);
     assert_eq!(seeds(&later, &[]), [301, 302, 303, 304, 305]);

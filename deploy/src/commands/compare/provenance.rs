@@ -69,9 +69,9 @@ fn cut(digest: &str) -> String {
 /// Lists the training seeds, by part where parts have different ones.
 fn seeds(parts: &[PlannedPart]) -> String {
     let list =
-        |part: &PlannedPart| part.seeds().iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+        |part: &PlannedPart| part.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
     match parts {
-        [first, rest @ ..] if rest.iter().all(|part| part.seeds() == first.seeds()) => list(first),
+        [first, rest @ ..] if rest.iter().all(|part| part.seeds == first.seeds) => list(first),
         _ => {
             let told = parts.iter().map(|part| format!("{}: {}", part.part.name, list(part)));
             told.collect::<Vec<_>>().join("; ")
