@@ -24,7 +24,7 @@ use leadtime_sims::human::HumanSettings;
 use leadtime_sims::notifier::{NotifierEnv, NotifierSettings};
 use leadtime_sims::registry::{TaskError, read};
 use leadtime_sims::{
-    Advance, Domain, End, Environment, EpisodeSeed, Listener, Message, ReactionStatus,
+    Advance, Domain, End, Environment, EpisodeSeed, Gauge, Listener, Message, ReactionStatus,
     ReactionStep, Scene, Shape, SnapshotError, Tone, View,
 };
 use serde::{Deserialize, Serialize};
@@ -185,6 +185,7 @@ impl Domain for Corridor {
             view: View { min: [-1.0, -3.0], max: [f64::from(LENGTH) + 2.0, 6.0] },
             shapes: wet.chain(goal).chain([walker]).collect(),
             position: [f64::from(self.state.cell) + 0.5, y(self.state.lane) + 0.5],
+            gauge: Gauge { label: "cell", value: f64::from(self.state.cell) },
             outcome: if self.state.slipped { "slipped".to_owned() } else { String::new() },
             others: Vec::new(),
             listener: Listener::default(),

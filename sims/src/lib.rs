@@ -36,6 +36,6 @@ pub use environment::{
 };
 pub use notifier::NotifierEnv;
 pub use registry::{Registry, TaskError};
-pub use scene::{Listener, Scene, Shape, Speech, Tone, View};
+pub use scene::{Gauge, Listener, Scene, Shape, Speech, Tone, View};
 pub use setting::SettingError;
 pub use vectorized::Vectorized;

@@ -93,6 +93,15 @@ pub struct Listener {
     pub reacting: Option<usize>,
 }
 
+/// A number that tells how the person fares, as a speedometer does; drawn over the steps of an episode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gauge {
+    /// What it is, with its unit; the same in every moment of a task.
+    pub label: &'static str,
+    /// Its value.
+    pub value: f64,
+}
+
 /// A moment to draw.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -102,6 +111,8 @@ pub struct Scene {
     pub shapes: Vec<Shape>,
     /// Where the person is.
     pub position: [f64; 2],
+    /// What to plot over time.
+    pub gauge: Gauge,
     /// Where others are that move by themselves; each keeps its place in the list for the whole episode.
     pub others: Vec<[f64; 2]>,
     /// What the person hears and does; filled in by the notifier environment.

@@ -60,7 +60,7 @@ impl FlightEnd {
         match self {
             Self::Safe => "landed on the pad, in no zone",
             Self::Entered => "entered a zone",
-            Self::Lost => "crashed, or landed nowhere",
+            Self::Lost => "crashed, off the pad, out of view or of time",
         }
     }
 

@@ -17,6 +17,11 @@ const LEGEND_HEIGHT: f64 = 40.0;
 impl Playthrough {
     /// Draws the episode. `id` must be unique on the page that will hold the picture.
     pub fn svg(&self, id: &str) -> String {
+        self.svg_over(id, self.n_steps())
+    }
+
+    /// Draws the episode over an axis of at least `n_steps` steps, so that episodes of different lengths compare.
+    pub fn svg_over(&self, id: &str, n_steps: usize) -> String {
         let story = Story::new(&self.scenes);
         let width = WIDTH - 2.0 * MARGIN;
         let world = World::new([MARGIN, TITLE_HEIGHT], width, &self.scenes);
@@ -34,7 +39,8 @@ impl Playthrough {
             world.draw_starts(&mut canvas, &self.scenes, &story);
             world.draw_labels(&mut canvas, self, &story);
             legend.draw(&mut canvas, [MARGIN + 4.0, legend_y]);
-            strip::draw(&mut canvas, [MARGIN, strip_y], width, self, &story);
+            let n_steps = n_steps.max(self.n_steps());
+            strip::draw(&mut canvas, [MARGIN, strip_y], width, self, &story, n_steps);
         }
         canvas.finish(&self.title())
     }

@@ -1,4 +1,4 @@
-//! The strip under the world: height over time, and what was said, understood and done about it.
+//! The strip under the world: the person's gauge over time, and what was said, understood and done about it.
 
 use leadtime_sims::Scene;
 
@@ -16,22 +16,23 @@ const LEFT: f64 = 74.0;
 /// How high the strip is, with its axis.
 pub(super) const HEIGHT: f64 = CURVE_HEIGHT + 3.0 * (LANE_HEIGHT + LANE_GAP) + 52.0;
 
-/// Draws the strip into the given corner and width.
+/// Draws the strip of `n_steps` steps into the given corner and width; the episode may be shorter.
 pub(super) fn draw(
     canvas: &mut Canvas,
     corner: [f64; 2],
     width: f64,
     played: &Playthrough,
     story: &Story,
+    n_steps: usize,
 ) {
     let scenes = &played.scenes[..];
-    let n_steps = (scenes.len() - 1).max(1) as f64;
+    let n_steps = n_steps.max(1) as f64;
     let area = Area::new(corner[0] + LEFT, corner[1], width - LEFT, CURVE_HEIGHT);
-    let heights = || scenes.iter().map(|scene| scene.position[1]);
-    let (low, high) = (heights().fold(f64::MAX, f64::min), heights().fold(f64::MIN, f64::max));
+    let values = || scenes.iter().map(|scene| scene.gauge.value);
+    let (low, high) = (values().fold(f64::MAX, f64::min), values().fold(f64::MIN, f64::max));
     let margin = 0.06 * (high - low);
     let frame = Panel::new(area, [0.0, n_steps], [low - margin, high + margin]);
-    frame.draw_y(canvas, 3, "y");
+    frame.draw_y(canvas, 3, scenes[0].gauge.label);
     draw_curve(canvas, &frame, scenes, story);
     let lanes_top = area.bottom() + LANE_GAP + 4.0;
     let lane = |i: usize| {
@@ -67,7 +68,7 @@ fn initials(name: &str) -> String {
 }
 
 fn draw_curve(canvas: &mut Canvas, frame: &Panel, scenes: &[Scene], story: &Story) {
-    let at = |i: usize| frame.at([i as f64, scenes[i].position[1]]);
+    let at = |i: usize| frame.at([i as f64, scenes[i].gauge.value]);
     let mut start = 0;
     for run in story.doing.chunk_by(|a, b| a == b) {
         let end = start + run.len();

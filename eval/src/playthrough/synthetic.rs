@@ -1,6 +1,6 @@
 //! An episode made by hand, for tests of the drawing: a gliding box, zones, and messages at given steps.
 
-use leadtime_sims::{Listener, Scene, Shape, Speech, Tone, View};
+use leadtime_sims::{Gauge, Listener, Scene, Shape, Speech, Tone, View};
 
 use super::Playthrough;
 
@@ -65,6 +65,7 @@ fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene
         view,
         shapes: shapes(at),
         position: at,
+        gauge: Gauge { label: "height", value: at[1] },
         others: vec![[at[0], 0.5 * at[1]]],
         listener,
         outcome: String::new(),

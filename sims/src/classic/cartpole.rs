@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
-use crate::scene::{Scene, Shape, Tone, View};
+use crate::scene::{Gauge, Scene, Shape, Tone, View};
 use crate::setting::{SettingError, require};
 
 const GRAVITY: f64 = 9.8;
@@ -172,6 +172,7 @@ impl Environment for CartPole {
                 Shape::Line { points: vec![[x, 0.0], top], tone: Tone::Other },
             ],
             position: [x, 0.0],
+            gauge: Gauge { label: "pole's angle (rad)", value: theta },
             others: Vec::new(),
             listener: crate::Listener::default(),
             outcome: if self.has_fallen() { "fallen".to_owned() } else { String::new() },

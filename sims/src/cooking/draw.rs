@@ -1,7 +1,7 @@
 //! The kitchen as a picture's ingredients: a unit square per tile, north up.
 
 use super::domain::item_name;
-use crate::scene::{Listener, Scene, Shape, Tone, View};
+use crate::scene::{Gauge, Listener, Scene, Shape, Tone, View};
 use crate::steakhouse::{
     Content, Direction, FieldOfView, Grid, Item, Kitchen, Place, Station, Subtask, Tile,
 };
@@ -41,6 +41,7 @@ pub(super) fn scene(kitchen: &Kitchen, field_of_view: FieldOfView, outcome: &str
         view: View { min, max },
         shapes,
         position,
+        gauge: Gauge { label: "row", value: position[1] },
         others: Vec::new(),
         listener: Listener::default(),
         outcome: outcome.to_owned(),

@@ -5,7 +5,7 @@
 use super::reaction::EGO;
 use crate::highway::constants::{LENGTH, OBSTACLE, WIDTH};
 use crate::highway::{Lane, Traffic, Vehicle};
-use crate::scene::{Listener, Scene, Shape, Tone, View};
+use crate::scene::{Gauge, Listener, Scene, Shape, Tone, View};
 
 /// How much road is shown behind and ahead of the ego, in metres.
 const STRETCH: [f64; 2] = [60.0, 140.0];
@@ -42,6 +42,7 @@ pub(super) fn picture(traffic: &Traffic, goal: f64, outcome: &str) -> Scene {
         view,
         shapes,
         position: [x, -y],
+        gauge: Gauge { label: "speed (m/s)", value: traffic.vehicles()[EGO].speed },
         others: others.map(|[x, y]| [x, -y]).collect(),
         listener: Listener::default(),
         outcome: outcome.to_owned(),

@@ -17,7 +17,7 @@ use super::world::{Lander, LanderSnapshot, Outcome};
 use crate::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
-use crate::scene::{Listener, Scene};
+use crate::scene::{Gauge, Listener, Scene};
 use crate::setting::{SettingError, require};
 
 /// Settings of the pilot's training task.
@@ -207,6 +207,7 @@ impl Environment for PilotTask {
             view: VIEW,
             shapes: self.lander.shapes(),
             position: [f64::from(x), f64::from(y)],
+            gauge: Gauge { label: "height", value: f64::from(y) },
             others: Vec::new(),
             listener: Listener::default(),
             outcome: caption(self.outcome).to_owned(),

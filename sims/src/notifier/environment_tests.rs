@@ -7,6 +7,7 @@ use super::*;
 use crate::environment::End;
 use crate::human::{Interrupt, ReactionDelay, ReactionReward};
 use crate::notifier::NotificationType;
+use crate::scene::Gauge;
 use crate::scene::View;
 use crate::{Advance, Delivery, ReactionStatus, ReactionStep};
 
@@ -82,6 +83,7 @@ impl Domain for Walker {
             view: View { min: [0.0, 0.0], max: [40.0, 1.0] },
             shapes: Vec::new(),
             position: [self.place as f64, 0.0],
+            gauge: Gauge { label: "place", value: self.place as f64 },
             others: Vec::new(),
             listener: Listener::default(),
             outcome: String::new(),

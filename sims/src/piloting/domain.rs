@@ -13,7 +13,7 @@ use crate::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_s
 use crate::lander::{
     Engine, Lander, LanderSnapshot, Outcome, Pilot, VIEW, caption, engines_off, heuristic,
 };
-use crate::scene::{Listener, Scene, Shape, Tone};
+use crate::scene::{Gauge, Listener, Scene, Shape, Tone};
 use crate::setting::SettingError;
 use crate::{Advance, Domain, Message, ReactionStatus, ReactionStep};
 
@@ -345,6 +345,7 @@ impl Domain for Piloting {
             view: VIEW,
             shapes: zones.chain(self.lander.shapes()).collect(),
             position: self.place(),
+            gauge: Gauge { label: "height", value: self.place()[1] },
             others: Vec::new(),
             listener: Listener::default(),
             outcome: outcome.to_owned(),
