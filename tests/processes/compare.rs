@@ -42,7 +42,7 @@ fn study(place: &Place) -> Vec<String> {
     let file = place.write("small.toml", STUDY);
     let words = ["compare", &file, "--runs", "runs", "--out", "results", "--seeds", "7..8"];
     let more = ["--episodes", "4", "--set", "learner.n_envs=8", "--set", "learner.n_steps=64"];
-    let often = ["--set", "run.checkpoint_every=2"];
+    let often = ["--set", "run.checkpoint_every=2", "--jobs", "1"];
     words.iter().chain(&more).chain(&often).map(|&word| word.to_owned()).collect()
 }
 

@@ -8,6 +8,11 @@ use clap::Args;
 use super::{n_episodes, number_range};
 use crate::config::table::Assignment;
 
+/// Evaluation episodes per training seed of every table.
+const EPISODES: u32 = 100;
+/// Where the evaluation seeds of every table begin.
+const EVAL_SEED: u64 = 2_000_000;
+
 /// `leadtime compare`
 #[derive(Debug, Args)]
 pub struct CompareArgs {
@@ -35,12 +40,12 @@ pub struct CompareArgs {
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..))]
     pub steps: Option<u64>,
     /// Evaluation episodes per training seed.
-    #[arg(long, default_value_t = 100, value_parser = n_episodes())]
+    #[arg(long, default_value_t = EPISODES, value_parser = n_episodes())]
     pub episodes: u32,
     /// Seed of the evaluations; the training seed is added, so that no two policies of a row meet the same worlds.
-    #[arg(long, default_value_t = 2_000_000, value_parser = clap::value_parser!(u64).range(..1 << 62))]
+    #[arg(long, default_value_t = EVAL_SEED, value_parser = clap::value_parser!(u64).range(..1 << 62))]
     pub eval_seed: u64,
-    /// Trainings at a time (default: one per two cores).
+    /// Trainings at a time (default: one per core).
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=256))]
     pub jobs: Option<u32>,
     /// Actor processes per training.
@@ -49,11 +54,18 @@ pub struct CompareArgs {
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs/compare")]
     pub runs: PathBuf,
-    /// Directory for tables and figures (default: docs/results; a study with --row, --part or changed settings is
-    /// printed, and written only where --out says).
+    /// Directory for tables and figures (default: docs/results; a study of one's own, and one that is not carried out
+    /// whole and as it is, is printed, and written only where --out says).
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// List the trainings and how far they are, and do nothing.
     #[arg(long)]
     pub plan: bool,
+}
+
+impl CompareArgs {
+    /// Tells whether policies are judged over the episodes of every table.
+    pub(crate) fn has_the_tables_episodes(&self) -> bool {
+        (self.episodes, self.eval_seed) == (EPISODES, EVAL_SEED)
+    }
 }

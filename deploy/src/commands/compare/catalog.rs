@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, ensure};
 
 use super::study::Study;
 
@@ -38,6 +38,11 @@ pub(super) fn names() -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().map(|(name, _)| *name)
 }
 
+/// Tells whether a study of that name comes with the program.
+pub(super) fn is_built_in(name: &str) -> bool {
+    names().any(|known| known == name)
+}
+
 /// Finds studies: one by name, all of them, or the one in a file.
 ///
 /// # Errors
@@ -47,17 +52,32 @@ pub(super) fn find(name: &str) -> anyhow::Result<Vec<Named>> {
     if name == ALL {
         return names().map(built_in).collect();
     }
-    if names().any(|known| known == name) {
+    if is_built_in(name) {
         return Ok(vec![built_in(name)?]);
     }
     let path = Path::new(name);
     let is_file = path.extension().is_some_and(|extension| extension == "toml");
     let known = names().collect::<Vec<_>>().join(", ");
-    anyhow::ensure!(is_file, "there is no study `{name}`; known: {known}, {ALL}, or a .toml file");
+    ensure!(is_file, "there is no study `{name}`; known: {known}, {ALL}, or a .toml file");
     let text = fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     let study = Study::parse(&text).with_context(|| format!("study {}", path.display()))?;
     let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    check_name(stem).with_context(|| format!("study {}", path.display()))?;
     Ok(vec![Named { name: stem.to_owned(), study }])
+}
+
+/// Checks the name of a file, which the study's runs and pages will bear.
+fn check_name(name: &str) -> anyhow::Result<()> {
+    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '-';
+    ensure!(
+        !name.is_empty() && name.chars().all(plain),
+        "`{name}` is no name for a study; name the file with a-z, 0-9, _ and -"
+    );
+    ensure!(
+        !is_built_in(name) && name != ALL,
+        "`{name}` is the name of a study that comes with the program; name the file otherwise"
+    );
+    Ok(())
 }
 
 fn built_in(name: &str) -> anyhow::Result<Named> {
@@ -78,6 +98,20 @@ mod tests {
     #[test]
     fn the_search_is_a_sound_study_too() {
         Study::parse(include_str!("../../../studies/search.toml")).unwrap();
+    }
+
+    #[test]
+    fn a_study_of_ones_own_needs_a_name_of_its_own() {
+        for (name, told) in [
+            ("table1", "comes with the program"),
+            ("all", "comes with the program"),
+            ("My Study", "no name for a study"),
+            ("README", "no name for a study"),
+        ] {
+            let error = check_name(name).unwrap_err().to_string();
+            assert!(error.contains(told) && error.contains(name), "{error}");
+        }
+        check_name("my-study_2").unwrap();
     }
 
     #[test]

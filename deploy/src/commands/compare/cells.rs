@@ -53,7 +53,7 @@ pub(super) struct Cells {
     /// Who answers.
     program: String,
     n_taken: usize,
-    n_kept: usize,
+    n_judged: usize,
 }
 
 /// A file's second line.
@@ -79,7 +79,7 @@ impl Cells {
     }
 
     fn of(program: String) -> Self {
-        Self { program, n_taken: 0, n_kept: 0 }
+        Self { program, n_taken: 0, n_judged: 0 }
     }
 
     /// Takes an answer that this program gave before; `None` if there is none.
@@ -95,7 +95,7 @@ impl Cells {
 
     /// Keeps an answer; where that is impossible, it will be played again.
     pub(super) fn keep(&mut self, path: &Path, evaluation: &Evaluation) {
-        self.n_kept += 1;
+        self.n_judged += 1;
         if let Err(error) = self.write(path, evaluation) {
             tracing::warn!(path = %path.display(), %error, "an evaluation cannot be kept");
         }
@@ -111,8 +111,8 @@ impl Cells {
 
     /// Says how much was played, and how much was there.
     pub(super) fn sentence(&self) -> String {
-        let Self { n_kept, n_taken, .. } = self;
-        format!("judged {n_kept} cells, and took {n_taken} that were judged before")
+        let Self { n_judged, n_taken, .. } = self;
+        format!("judged {n_judged} cells, and took {n_taken} that were judged before")
     }
 }
 

@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail, ensure};
 use sha2::{Digest as _, Sha256};
 use toml::{Table, Value};
 
+use super::catalog::Named;
 use super::study::{Part, Person, Row};
 use crate::Program;
 use crate::cli::{CompareArgs, ConfigSource};
@@ -15,6 +16,9 @@ use crate::output;
 
 /// Sections and keys that do not decide what a training computes, or that are named apart from the configuration.
 const FREE: [&str; 4] = ["run.", "actor.", "evaluation.", "seed"];
+/// Keys that options set, and which ones.
+const OPTIONS: [(&str, &str); 3] =
+    [("seed", "--seeds"), ("run.directory", "--runs"), ("run.name", "--runs")];
 /// Digits of a configuration's hash in names and tables.
 const HASH_DIGITS: usize = 10;
 
@@ -64,6 +68,12 @@ impl Profile {
         let runs = args.runs.to_str().context("--runs: the path is not UTF-8")?;
         put(&mut table, "run", "directory", runs.into());
         for assignment in &args.set {
+            let key = assignment.key();
+            if let Some((_, option)) = OPTIONS.iter().find(|(known, _)| key == *known) {
+                bail!(
+                    "--set {key}: trainings of a study have seeds and names of their own; see {option}"
+                );
+            }
             assignment.apply(&mut table);
             let checked = Config::from_table(table.clone(), &program.registry);
             checked.with_context(|| format!("--set {}", assignment.key()))?;
@@ -135,6 +145,35 @@ pub(super) fn hash(table: &Table) -> String {
 
 fn is_free(key: &str) -> bool {
     FREE.iter().any(|free| key == *free || (free.ends_with('.') && key.starts_with(free)))
+}
+
+/// Checks that every profile on the command line takes the place of some part's, and no two of the same.
+///
+/// # Errors
+///
+/// One sentence that names it.
+pub(super) fn check_profiles(
+    program: &Program,
+    studies: &[Named],
+    args: &CompareArgs,
+) -> anyhow::Result<()> {
+    let parts = || studies.iter().flat_map(|named| &named.study.parts);
+    let mut seen = Vec::new();
+    for file in &args.profile {
+        let domain = read(program, file).context("--profile")?.domain;
+        let mut fits = false;
+        for part in parts() {
+            fits |= read(program, Path::new(&part.profile))?.domain == domain;
+        }
+        ensure!(fits, "--profile {}: no part is about the domain `{domain}`", file.display());
+        ensure!(
+            !seen.contains(&domain),
+            "--profile {}: there is another one for the domain `{domain}`",
+            file.display()
+        );
+        seen.push(domain);
+    }
+    Ok(())
 }
 
 /// Reads a configuration as it is: a built-in one or a file.

@@ -57,7 +57,7 @@ impl Contender {
     }
 }
 
-/// Returns a row's contender for every one of `n_seeds` training seeds.
+/// Returns a row's contenders of the first `n_seeds` training seeds.
 ///
 /// # Errors
 ///
@@ -75,5 +75,5 @@ pub(super) fn of(
         return Ok(vec![script; n_seeds]);
     }
     let policy = |training| Contender::policy(program, row, training, which, action);
-    row.trainings.iter().map(policy).collect()
+    row.trainings.iter().take(n_seeds).map(policy).collect()
 }

@@ -6,12 +6,15 @@ use std::collections::BTreeMap;
 use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::figure::{Band, BandPanel, bands, sheet};
 use leadtime_eval::measure::{Choice, title};
+use leadtime_eval::playthrough::Playthrough;
 use leadtime_eval::study::{Layout, PartResult};
 use leadtime_numerics::stats::mean;
 
 use super::flights;
 use super::judging::Judge;
+use super::naming::label_of;
 use super::plan::{PlannedPart, PlannedRow, Training};
+use super::study::Person;
 use super::write::Drawn;
 use crate::commands::judge;
 use crate::progress::journal;
@@ -81,13 +84,6 @@ fn learning(planned: &PlannedPart, stem: &str) -> anyhow::Result<Option<Drawn>> 
     Ok(Some(Drawn { file: format!("{stem}-learning.png"), caption, png }))
 }
 
-/// Names a row: by its title, or, where rows share it, by its name.
-fn label_of(planned: &PlannedPart, row: &PlannedRow) -> String {
-    let title = &row.row.title;
-    let n = planned.part.rows.iter().filter(|other| other.title == *title).count();
-    if n > 1 { row.row.name.replace('_', " ") } else { title.clone() }
-}
-
 fn learning_band(row: &PlannedRow, metric: &str, label: String) -> Band {
     let mut by_step: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for training in &row.trainings {
@@ -128,17 +124,18 @@ fn thinned(points: &[(u64, f64)]) -> Vec<(u64, f64)> {
 
 /// Draws every measure of the main table over the people on whom policies were judged.
 fn over_people(planned: &PlannedPart, part: &PartResult, stem: &str) -> anyhow::Result<Drawn> {
-    let people = &planned.part.evaluations;
-    let number = |name: &str| name.trim_start_matches(|c: char| !c.is_ascii_digit()).parse().ok();
+    let placed = |person: &'_ Person| Some((person.at?, person.name.clone()));
+    let mut people: Vec<(f64, String)> =
+        planned.part.evaluations.iter().filter_map(placed).collect();
+    people.sort_by(|a, b| a.0.total_cmp(&b.0));
     let panels = part.columns.iter().map(|measure| {
         let lines = part.rows.chunk_by(|a, b| a.title == b.title).map(|rows| {
             let mut band = Band { label: rows[0].title.clone(), ..Band::default() };
-            for (i, person) in people.iter().enumerate() {
-                let x = number(&person.name).unwrap_or(i as f64);
-                let judged = rows.iter().find_map(|row| row.judged(&person.name, Choice::Sample));
+            for &(x, ref person) in &people {
+                let judged = rows.iter().find_map(|row| row.judged(person, Choice::Sample));
                 let measured = judged.and_then(|judged| judged.summary.get(measure)?.interval);
                 band.points.extend(measured.map(|i| [x, i.estimate, i.low, i.high]));
-                let said = rows.iter().find_map(|row| row.published(Some(&person.name), measure));
+                let said = rows.iter().find_map(|row| row.published(Some(person), measure));
                 band.published.extend(said.map(|published| [x, published.mean]));
             }
             band
@@ -165,17 +162,18 @@ fn playthroughs(
 ) -> anyhow::Result<Option<Drawn>> {
     let Some(person) = &planned.part.pictured_on else { return Ok(None) };
     let seed = judge.first_seed(planned);
-    let mut pictures = Vec::new();
-    for (i, row) in planned.rows.iter().enumerate() {
+    let mut episodes = Vec::new();
+    for row in &planned.rows {
         let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));
         let (Some(on), Some(player)) = (on, judge.first_player(row)?) else { continue };
         let voice = judge::shipped_voice(judge.program, &on.config);
         let played = judge::record(judge.program, &on.config, &player, voice.as_ref(), (seed, 0))?;
-        pictures.push(played.svg(&format!("{stem}-{i}")));
+        episodes.push(played);
     }
-    if pictures.is_empty() {
-        return Ok(None);
-    }
+    let Some(n_steps) = episodes.iter().map(Playthrough::n_steps).max() else { return Ok(None) };
+    let draw =
+        |(i, played): (usize, &Playthrough)| played.svg_over(&format!("{stem}-{i}"), n_steps);
+    let pictures: Vec<String> = episodes.iter().enumerate().map(draw).collect();
     let named = planned.part.evaluations.iter().find(|known| known.name == *person);
     let caption = format!(
         "{}: the same episode (the first one of seed {seed}, not chosen) with each notifier, on: {}",

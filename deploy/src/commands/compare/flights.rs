@@ -118,8 +118,8 @@ pub(super) fn trajectories(
     let caption = format!(
         "{title}: where the lander flies with each notifier, in the same {n} episodes (the first ones of seed {seed}, not \
          chosen), on: {}. Trained notifiers are those of the first training seed, and sample their choices. Blue flights \
-         land on the pad without having been in a danger zone (dashed), orange ones enter one, black dashed ones crash or \
-         land nowhere; each ends at its dot. The ground differs between episodes and is drawn faintly",
+         land on the pad without having been in a danger zone (dashed), orange ones enter one, black dashed ones crash, land \
+         beside the pad, or end out of view or of time; each ends at its dot. The ground differs between episodes and is drawn faintly",
         named.map_or("", |person| &person.title)
     );
     drawn(format!("{stem}-trajectories.png"), caption, &svg).map(Some)

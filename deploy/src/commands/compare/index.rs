@@ -1,6 +1,7 @@
 //! The index of results: every study's main tables, from the data that lies beside it.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -12,7 +13,7 @@ use super::write::QUICK;
 /// The index's file.
 pub(super) const FILE: &str = "README.md";
 
-/// Writes the index of a directory: full results where there are some, else those of a quick run, and in the end how to
+/// Makes the index of a directory: full results where there are some, else those of a quick run, and in the end how to
 /// get the rest.
 ///
 /// # Errors
@@ -47,7 +48,11 @@ pub(super) fn page(results: &Path) -> anyhow::Result<String> {
 }
 
 fn read(path: &Path) -> anyhow::Result<Option<StudyResult>> {
-    let Ok(text) = fs::read_to_string(path) else { return Ok(None) };
+    let text = match fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(error).with_context(|| format!("reading {}", path.display())),
+    };
     let result = serde_json::from_str(&text);
     Ok(Some(result.with_context(|| format!("{} is no study's result", path.display()))?))
 }

@@ -1,17 +1,17 @@
 //! Judges every row of a part on every person, sampled and greedy, and sums it up.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use leadtime_eval::measure::{Choice, Difference, Evaluation, Player, Summary, lead_times};
 use leadtime_eval::study::{Judged, PartResult, RowResult, with_claims};
 use leadtime_numerics::stats::Bootstrap;
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
-use toml::Value;
 
 use super::cells::{Cells, Question};
 use super::contender::{self, Contender};
+use super::naming::{notification, told_apart};
 use super::plan::{Evaluated, PlannedPart, PlannedRow};
 use super::provenance;
 use super::study::{DifferenceOf, WhichPolicy};
@@ -74,6 +74,9 @@ impl<'a> Judge<'a> {
         for row in &planned.rows {
             let judged = self.people(&planned.seeds, row, &mut sampled)?;
             rows.push(row_result(planned, row, judged)?);
+        }
+        if self.args.rows.is_empty() {
+            check_measures(planned, &rows)?;
         }
         let stated = planned.part.differences.iter();
         let differences = stated.filter_map(|d| difference(planned, d, &sampled)).collect();
@@ -284,14 +287,19 @@ fn row_result(
     })
 }
 
-/// Names the type of a row's notifications.
-fn notification(row: &PlannedRow) -> String {
-    if row.row.script.is_some() {
-        return "scripted".to_owned();
+/// Checks that every measure that a part asks for is one of some row's.
+fn check_measures(planned: &PlannedPart, rows: &[RowResult]) -> anyhow::Result<()> {
+    let summaries = || rows.iter().flat_map(|row| &row.judged).map(|judged| &judged.summary);
+    let stated = planned.part.differences.iter().map(|difference| &difference.measure);
+    for wanted in planned.part.columns.iter().chain(stated) {
+        if summaries().all(|summary| summary.get(wanted).is_none()) {
+            let measures = summaries().flat_map(|summary| &summary.measures);
+            let known: BTreeSet<&str> = measures.map(|measure| measure.name.as_str()).collect();
+            let known = known.into_iter().collect::<Vec<_>>().join(", ");
+            bail!("part `{}`: there is no measure `{wanted}`; known: {known}", planned.part.name);
+        }
     }
-    let section = row.config.table.get("notifier");
-    let kind = section.and_then(|section| section.get("notification")).and_then(Value::as_str);
-    kind.unwrap_or_default().replace('_', " ")
+    Ok(())
 }
 
 fn difference(
@@ -307,15 +315,6 @@ fn difference(
     let [of, minus] = told_apart([row(of)?, row(minus)?]);
     let minus = format!("{minus} (both on: {})", person.title);
     Difference::over_seeds((&of, a), (&minus, b), measure, &bootstrap())
-}
-
-/// Names two rows in a sentence: by their titles, and by what they may choose where the titles are the same.
-fn told_apart(rows: [&PlannedRow; 2]) -> [String; 2] {
-    let titles = rows.map(|row| row.row.title.to_lowercase());
-    if titles[0] != titles[1] {
-        return titles;
-    }
-    rows.map(|row| format!("{} ({})", titles[0], notification(row)))
 }
 
 #[cfg(test)]

@@ -82,6 +82,28 @@ const ALL: &str = "judged 4 cells, and took 0 that were judged before";
 const NONE: &str = "judged 0 cells, and took 3 that were judged before";
 
 #[test]
+fn a_measure_that_there_is_not_is_told_with_those_there_are() {
+    let runs = tempfile::tempdir().unwrap();
+    let (part, _) = written(runs.path(), &[]);
+    let args = args(runs.path(), &["--seeds", "7..8"]);
+    let check = |from: &str, to: &str| {
+        let named = study("t", &STUDY.replace(from, to));
+        let plan = Plan::new(&Program::new(), named, &args).unwrap();
+        check_measures(&plan.parts[0], &part.rows)
+    };
+    check("[\"success\"]", "[\"success\", \"mean_l\"]").unwrap();
+    let differences = "columns = [\"success\"]\n\
+        differences = [{ of = \"script\", minus = \"trained\", on = \"real\", measure = \"mean\" }]";
+    for (to, told) in [("columns = [\"sucess\"]", "`sucess`"), (differences, "`mean`")] {
+        let text = check("columns = [\"success\"]", to).unwrap_err().to_string();
+        assert!(
+            text.contains(told) && text.contains("known: ") && text.contains("success"),
+            "{text}"
+        );
+    }
+}
+
+#[test]
 fn a_study_that_is_written_again_plays_nothing_and_says_the_same() {
     let runs = tempfile::tempdir().unwrap();
     let (first, played) = written(runs.path(), TWO);

@@ -20,6 +20,7 @@ mod figures;
 mod flights;
 mod index;
 mod judging;
+mod naming;
 mod plan;
 mod progress;
 mod provenance;

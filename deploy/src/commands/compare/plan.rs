@@ -163,14 +163,17 @@ fn plan_part(
     let profile = Profile::load(program, part, args)?;
     let wanted =
         |row: &&Row| args.rows.is_empty() || args.rows.iter().any(|n| is_called(part, row, n));
+    let seeds = seeds(part, args);
     let rows = part.rows.iter().filter(wanted).map(|row| {
         let stem = format!("{study}-{}-{}", part.name, row.name).replace('_', "-");
-        plan_row(program, &stem, part, row, args, &profile)
+        let config = profile.training(program, part, row, args);
+        config
+            .and_then(|config| plan_row(program, &stem, part, row, config, &seeds))
             .with_context(|| format!("row {}", row.name))
     });
     let rows = rows.collect::<anyhow::Result<Vec<_>>>()?;
     let maps = flights::plan(program, part, &profile)?;
-    Ok(PlannedPart { part: part.clone(), profile, seeds: seeds(part, args), rows, maps })
+    Ok(PlannedPart { part: part.clone(), profile, seeds, rows, maps })
 }
 
 fn plan_row(
@@ -178,10 +181,9 @@ fn plan_row(
     stem: &str,
     part: &Part,
     row: &Row,
-    args: &CompareArgs,
-    profile: &Profile,
+    config: Config,
+    seeds: &[u64],
 ) -> anyhow::Result<PlannedRow> {
-    let config = profile.training(program, part, row, args)?;
     let mut evaluations: Vec<Evaluated> = Vec::new();
     for person in part.evaluations.iter().filter(|person| row.is_judged_on(&person.name)) {
         // A script was trained on nobody.
@@ -202,7 +204,7 @@ fn plan_row(
     let mut trainings = Vec::new();
     if row.script.is_none() {
         let hash = configure::hash(&config.table);
-        for seed in seeds(part, args) {
+        for &seed in seeds {
             trainings.push(plan_training(program, stem, &config, &hash, seed)?);
         }
     }
@@ -233,13 +235,19 @@ fn plan_training(
     Ok(Training { name: RunName::new(name)?, config, hash: hash.to_owned() })
 }
 
-/// Finds a run that computes the same, whatever study it was made for; of several the first by name.
+/// Finds a run that computes the same, whatever study it was made for; of several a finished one, the first by name.
 fn existing(runs: &Path, suffix: &str) -> Option<String> {
     let entries = std::fs::read_dir(runs).ok()?.filter_map(Result::ok);
     let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
     let is_run =
         |name: &String| name.ends_with(suffix) && runs.join(name).join("run.json").exists();
-    names.filter(is_run).min()
+    names.filter(is_run).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
+}
+
+/// Tells whether the run in a directory has reached its end.
+fn is_finished(directory: &Path) -> bool {
+    let record = RunRecord::read(&directory.join("run.json"));
+    record.is_ok_and(|record| record.result.is_some())
 }
 
 impl Training {
@@ -264,8 +272,7 @@ impl Training {
 
     /// Tells whether the run has reached its end.
     pub(super) fn is_finished(&self) -> bool {
-        let record = RunRecord::read(&self.directory().join("run.json"));
-        record.is_ok_and(|record| record.result.is_some())
+        is_finished(&self.directory())
     }
 
     /// Returns the environment steps that it was trained on so far, and in all.

@@ -1,5 +1,6 @@
 use super::super::test_support::{args, study};
 use super::*;
+use crate::record::RunResult;
 
 const STUDY: &str = r#"
 title = "t"
@@ -108,6 +109,20 @@ fn a_run_that_computes_the_same_is_taken_whatever_it_is_called() {
     let again = plan(runs.path(), &["--seeds", "7..8"]).unwrap();
     assert_eq!(names(&again)[0], other);
     assert!(!again.trainings()[0].is_finished(), "it was only begun");
+    let later = format!("later-{}-s7", training.hash);
+    std::fs::create_dir_all(runs.path().join(&later)).unwrap();
+    let mut finished = RunRecord::begin(&later, "lander", 7);
+    finished.result = Some(RunResult {
+        finished: String::new(),
+        updates: 1,
+        steps: 1,
+        weights_sha256: String::new(),
+        reproducible: true,
+        books: serde_json::Value::Null,
+    });
+    finished.write(&runs.path().join(&later).join("run.json")).unwrap();
+    let again = plan(runs.path(), &["--seeds", "7..8"]).unwrap();
+    assert_eq!(names(&again)[0], later, "a finished one is taken before one that was begun");
 }
 
 #[test]
@@ -206,4 +221,16 @@ fn what_is_not_there_is_told_with_what_is() {
     assert!(text.contains("`driving`") && text.contains("known: piloting"), "{text}");
     let text = format!("{:#}", plan(runs.path(), &["--set", "human.patience=2"]).unwrap_err());
     assert!(text.contains("--set human.patience") && text.contains("`repeat`"), "{text}");
+    let text = format!("{:#}", plan(runs.path(), &["--set", "seed=2"]).unwrap_err());
+    assert!(text.contains("--set seed") && text.contains("see --seeds"), "{text}");
+    let profile = |more: &[&str]| {
+        let args = args(runs.path(), more);
+        configure::check_profiles(&Program::new(), &[named("t")], &args)
+    };
+    profile(&["--profile", "paper_lander"]).unwrap();
+    let text = profile(&["--profile", "highway"]).unwrap_err().to_string();
+    assert!(text.contains("--profile highway: no part is about the domain `highway`"), "{text}");
+    let twice = ["--profile", "lander", "--profile", "paper_lander"];
+    let text = profile(&twice).unwrap_err().to_string();
+    assert!(text.contains("there is another one for the domain `lander`"), "{text}");
 }

@@ -10,7 +10,7 @@ use super::plan::{self, Plan, Training};
 use super::progress::Progress;
 use super::train::train;
 use super::write::Place;
-use super::{catalog, figures, provenance};
+use super::{catalog, configure, figures, provenance};
 use crate::cli::CompareArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{Watch, watch};
@@ -25,6 +25,11 @@ pub(in crate::commands) async fn run(program: &Program, args: &CompareArgs) -> R
     let Some(name) = &args.study else { return list().blame(ExitCode::Failed) };
     let studies = catalog::find(name).blame(ExitCode::WrongInput)?;
     plan::check_choice(&studies, args).blame(ExitCode::WrongInput)?;
+    configure::check_profiles(program, &studies, args).blame(ExitCode::WrongInput)?;
+    let place = Place::new(args, &studies);
+    for named in &studies {
+        place.check(&named.name).blame(ExitCode::WrongInput)?;
+    }
     let plans = studies.into_iter().map(|named| Plan::new(program, named, args));
     let mut plans = plans.collect::<anyhow::Result<Vec<_>>>().blame(ExitCode::WrongInput)?;
     let trainings = plan::share(&mut plans);
@@ -34,7 +39,6 @@ pub(in crate::commands) async fn run(program: &Program, args: &CompareArgs) -> R
     }
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let mut progress = Progress::new(trainings);
-    let place = Place::new(args);
     for plan in &plans {
         train(&plan.trainings(), args, &mut progress, &shutdown).await?;
         output::say(&format!("judging {}", plan.named.name));
@@ -123,6 +127,19 @@ fn warnings(args: &CompareArgs) -> Vec<String> {
     }
     if let Some(steps) = args.steps {
         warnings.push(format!("Every training has {steps} steps, by the command line."));
+    }
+    if args.seeds.is_some() {
+        warnings
+            .push("The training seeds are those of the command line, not the study's.".to_owned());
+    }
+    if !args.has_the_tables_episodes() {
+        let [n, seed] = [u64::from(args.episodes), args.eval_seed];
+        warnings.push(format!(
+            "Judged over {n} episodes per training seed, from evaluation seed {seed} on."
+        ));
+    }
+    if !args.profile.is_empty() {
+        warnings.push("The profile is that of the command line, not the study's.".to_owned());
     }
     if !(args.rows.is_empty() && args.parts.is_empty()) {
         warnings.push("Only some rows of the study are here.".to_owned());

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Context as _, ensure};
+use anyhow::{Context as _, bail, ensure};
 use leadtime_eval::study::{Layout, Published};
 use serde::Deserialize;
 use toml::Table;
@@ -117,6 +117,8 @@ pub(super) struct Person {
     pub(super) name: String,
     /// Title.
     pub(super) title: String,
+    /// Where it stands on the axis of a grid's figure.
+    pub(super) at: Option<f64>,
     /// What differs from the row's own training; nothing: the person it was trained on.
     #[serde(default)]
     pub(super) set: Table,
@@ -176,6 +178,10 @@ impl Part {
             for person in people {
                 ensure!(named(person), "row `{}`: there is no evaluation `{person}`", row.name);
             }
+            for person in row.paper_on.keys() {
+                let judged = row.is_judged_on(person);
+                ensure!(judged, "row `{}`: `paper_on.{person}`, where it is not judged", row.name);
+            }
             let numbers = row.paper.iter().chain(row.paper_on.values().flatten());
             for (measure, numbers) in numbers {
                 ensure!(
@@ -195,10 +201,17 @@ impl Part {
         for difference in &self.differences {
             let DifferenceOf { of, minus, on, .. } = difference;
             ensure!(named(on), "`differences`: there is no evaluation `{on}`");
-            for row in [of, minus] {
-                let known = self.rows.iter().any(|known| known.name == *row);
-                ensure!(known, "`differences`: there is no row `{row}`");
+            for name in [of, minus] {
+                let row = self.rows.iter().find(|row| row.name == *name);
+                let row =
+                    row.with_context(|| format!("`differences`: there is no row `{name}`"))?;
+                let judged = row.is_judged_on(on);
+                ensure!(judged, "`differences`: row `{name}` is not judged on `{on}`");
             }
+        }
+        let unplaced = self.evaluations.iter().find(|person| person.at.is_none());
+        if let (Layout::Grid, Some(person)) = (self.layout, unplaced) {
+            bail!("`evaluations`: in a grid `{}` needs `at`, its place on the axis", person.name);
         }
         Ok(())
     }

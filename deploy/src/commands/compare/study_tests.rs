@@ -10,7 +10,7 @@ profile = "cartpole"
 quick_steps = 512
 columns = ["return"]
 evaluations = [{ name = "own", title = "own" }, { name = "long", title = "long", set.world.max_steps = 300 }]
-differences = [{ of = "b", minus = "a", on = "own", measure = "return" }]
+differences = [{ of = "b", minus = "a", on = "long", measure = "return" }]
 [[parts.rows]]
 name = "a"
 title = "A"
@@ -49,7 +49,14 @@ fn what_is_wrong_with_a_study_is_one_sentence() {
         ("on = [\"long\"]", "on = [\"short\"]", "row `b`: there is no evaluation `short`"),
         ("paper_on.long", "paper_on.short", "row `b`: there is no evaluation `short`"),
         ("minus = \"a\"", "minus = \"c\"", "`differences`: there is no row `c`"),
-        ("on = \"own\"", "on = \"nobody\"", "`differences`: there is no evaluation `nobody`"),
+        (
+            "on = \"long\", measure",
+            "on = \"nobody\", measure",
+            "`differences`: there is no evaluation `nobody`",
+        ),
+        ("on = \"long\", measure", "on = \"own\", measure", "row `b` is not judged on `own`"),
+        ("paper_on.long", "paper_on.own", "row `b`: `paper_on.own`, where it is not judged"),
+        ("quick_steps", "layout = \"grid\"\nquick_steps", "in a grid `own` needs `at`"),
         ("[490.0, 6.0]", "[]", "row `a`: `return` needs a mean"),
         ("[\"return\"]", "[]", "`columns` is empty"),
         ("quick_steps = 512", "quick_steps = 0", "`quick_steps` is 0"),

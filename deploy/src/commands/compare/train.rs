@@ -65,10 +65,10 @@ pub(super) async fn train(
     if shutdown.is_cancelled() { Err(Failure::silent(ExitCode::Interrupted)) } else { verdict }
 }
 
-/// Returns how many trainings go on at a time: learner and actor keep about two cores busy.
+/// Returns how many trainings go on at a time: one per core, as a learner and its actor wait for each other.
 pub(super) fn jobs(args: &CompareArgs) -> usize {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    args.jobs.map_or((cores / 2).max(1), |jobs| jobs as usize)
+    args.jobs.map_or(cores, |jobs| jobs as usize)
 }
 
 async fn carry_out(

@@ -3,10 +3,11 @@
 use std::fs;
 use std::path::PathBuf;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, ensure};
 use leadtime_eval::study::{Shown, StudyResult};
 
-use super::index;
+use super::catalog::Named;
+use super::{catalog, index};
 use crate::cli::CompareArgs;
 use crate::output;
 use crate::record::write_atomically;
@@ -35,15 +36,36 @@ pub(super) struct Place {
 }
 
 impl Place {
-    /// Chooses it: what is only a part of a study, or changed, overwrites no table unless the person says where.
-    pub(super) fn new(args: &CompareArgs) -> Self {
-        let whole = args.rows.is_empty()
+    /// Chooses it: a study of one's own, and what is only a part of a study, or changed, overwrites no table unless the
+    /// person says where.
+    pub(super) fn new(args: &CompareArgs, studies: &[Named]) -> Self {
+        let as_it_is = args.rows.is_empty()
             && args.parts.is_empty()
             && args.set.is_empty()
             && args.profile.is_empty()
-            && args.steps.is_none();
-        let results = args.out.clone().or_else(|| whole.then(|| PathBuf::from(RESULTS)));
-        Self { results, quick: args.quick }
+            && args.steps.is_none()
+            && args.seeds.is_none()
+            && args.has_the_tables_episodes();
+        let ours = studies.iter().all(|named| catalog::is_built_in(&named.name));
+        let default = (as_it_is && ours).then(|| PathBuf::from(RESULTS));
+        Self { results: args.out.clone().or(default), quick: args.quick }
+    }
+
+    /// Checks, before hours of training, that a study's page would replace nothing but an earlier one of its own.
+    ///
+    /// # Errors
+    ///
+    /// One sentence that names the page.
+    pub(super) fn check(&self, study: &str) -> anyhow::Result<()> {
+        let Some(directory) = self.directory() else { return Ok(()) };
+        let [page, data] = ["md", "json"].map(|end| directory.join(format!("{study}.{end}")));
+        ensure!(
+            !page.exists() || data.exists(),
+            "{} is no page of a study ({} is not beside it); use another --out, or another name for the study",
+            page.display(),
+            data.display()
+        );
+        Ok(())
     }
 
     fn directory(&self) -> Option<PathBuf> {
@@ -107,5 +129,51 @@ impl Place {
             .with_context(|| format!("making {}", directory.display()))?;
         let path = directory.join(file);
         write_atomically(&path, bytes).with_context(|| format!("writing {}", path.display()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::super::test_support::args;
+    use super::*;
+
+    fn place(study: &str, more: &[&str]) -> Place {
+        let studies = catalog::find(study).unwrap();
+        Place::new(&args(Path::new("runs"), more), &studies)
+    }
+
+    #[test]
+    fn only_a_whole_study_of_ours_replaces_a_table_unasked() {
+        let results = |more: &[&str]| place("table1", more).directory();
+        assert_eq!(results(&[]), Some(PathBuf::from("docs/results")));
+        assert_eq!(results(&["--quick"]), Some(PathBuf::from("docs/results/quick")));
+        for more in [
+            ["--row", "a"],
+            ["--part", "a"],
+            ["--set", "learner.clip=0.1"],
+            ["--profile", "lander"],
+            ["--steps", "9000"],
+            ["--seeds", "1..2"],
+            ["--episodes", "5"],
+            ["--eval-seed", "7"],
+        ] {
+            assert_eq!(results(&more), None, "{more:?}");
+        }
+        let out = ["--out", "elsewhere", "--seeds", "1..2"];
+        assert_eq!(results(&out), Some(PathBuf::from("elsewhere")));
+    }
+
+    #[test]
+    fn a_page_that_no_study_wrote_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let place = place("table1", &["--out", dir.path().to_str().unwrap()]);
+        place.check("driving").unwrap();
+        fs::write(dir.path().join("driving.md"), "# Written by hand").unwrap();
+        let error = place.check("driving").unwrap_err().to_string();
+        assert!(error.contains("driving.md is no page of a study"), "{error}");
+        fs::write(dir.path().join("driving.json"), "{}").unwrap();
+        place.check("driving").unwrap();
     }
 }
