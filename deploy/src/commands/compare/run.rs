@@ -128,9 +128,9 @@ fn warnings(args: &CompareArgs) -> Vec<String> {
     if let Some(steps) = args.steps {
         warnings.push(format!("Every training has {steps} steps, by the command line."));
     }
-    if args.seeds.is_some() {
-        warnings
-            .push("The training seeds are those of the command line, not the study's.".to_owned());
+    if let Some(seeds) = &args.seeds {
+        let last = seeds.end.saturating_sub(1);
+        warnings.push(format!("Training seeds {} to {last}, by the command line.", seeds.start));
     }
     if !args.has_the_tables_episodes() {
         let [n, seed] = [u64::from(args.episodes), args.eval_seed];
