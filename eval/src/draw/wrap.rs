@@ -1,6 +1,7 @@
 //! Breaking a row of things, such as a legend's entries, into lines.
 
-/// Splits places with their widths into lines that are no wider than `room`; what is wider has a line of its own.
+/// Splits things, each given by its index and its width, into lines of indices that are no wider than `room`; what is
+/// wider has a line of its own.
 pub fn wrapped(widths: impl Iterator<Item = (usize, f64)>, room: f64) -> Vec<Vec<usize>> {
     let mut lines: Vec<Vec<usize>> = Vec::new();
     let mut left = 0.0;

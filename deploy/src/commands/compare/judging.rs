@@ -1,9 +1,9 @@
 //! Judges every row of a part on every person, sampled and greedy, and sums it up.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
-use anyhow::{Context as _, bail};
-use leadtime_eval::measure::{Choice, Difference, Evaluation, Player, Summary, lead_times};
+use anyhow::Context as _;
+use leadtime_eval::measure::{Choice, Evaluation, Player, Summary, lead_times};
 use leadtime_eval::study::{Judged, PartResult, RowResult, with_claims};
 use leadtime_numerics::stats::Bootstrap;
 use serde::Serialize;
@@ -11,10 +11,11 @@ use tokio_util::sync::CancellationToken;
 
 use super::cells::{Cells, Question};
 use super::contender::{self, Contender};
-use super::naming::{notification, told_apart};
+use super::differences::{BySeed, Sampled, check_measures, difference};
+use super::naming::notification;
 use super::plan::{Evaluated, PlannedPart, PlannedRow};
 use super::provenance;
-use super::study::{DifferenceOf, WhichPolicy};
+use super::study::WhichPolicy;
 use crate::Program;
 use crate::cli::CompareArgs;
 use crate::commands::judge;
@@ -43,12 +44,6 @@ pub(super) struct Judge<'a> {
     /// By task and seed.
     unaided: BTreeMap<(String, u64), Evaluation>,
 }
-
-/// One evaluation per training seed.
-type BySeed = Vec<Evaluation>;
-
-/// Evaluations by row and person.
-type Sampled = BTreeMap<(String, String), BySeed>;
 
 impl<'a> Judge<'a> {
     /// Makes one.
@@ -285,36 +280,6 @@ fn row_result(
         judged,
         runs: row.trainings.iter().map(provenance::run).collect::<Result<_, _>>()?,
     })
-}
-
-/// Checks that every measure that a part asks for is one of some row's.
-fn check_measures(planned: &PlannedPart, rows: &[RowResult]) -> anyhow::Result<()> {
-    let summaries = || rows.iter().flat_map(|row| &row.judged).map(|judged| &judged.summary);
-    let stated = planned.part.differences.iter().map(|difference| &difference.measure);
-    for wanted in planned.part.columns.iter().chain(stated) {
-        if summaries().all(|summary| summary.get(wanted).is_none()) {
-            let measures = summaries().flat_map(|summary| &summary.measures);
-            let known: BTreeSet<&str> = measures.map(|measure| measure.name.as_str()).collect();
-            let known = known.into_iter().collect::<Vec<_>>().join(", ");
-            bail!("part `{}`: there is no measure `{wanted}`; known: {known}", planned.part.name);
-        }
-    }
-    Ok(())
-}
-
-fn difference(
-    planned: &PlannedPart,
-    stated: &DifferenceOf,
-    sampled: &Sampled,
-) -> Option<Difference> {
-    let DifferenceOf { of, minus, on, measure } = stated;
-    let evaluated = |row: &String| sampled.get(&(row.clone(), on.clone())).map(Vec::as_slice);
-    let row = |name: &String| planned.rows.iter().find(|row| row.row.name == *name);
-    let person = planned.part.evaluations.iter().find(|person| person.name == *on)?;
-    let (a, b) = (evaluated(of)?, evaluated(minus)?);
-    let [of, minus] = told_apart([row(of)?, row(minus)?]);
-    let minus = format!("{minus} (both on: {})", person.title);
-    Difference::over_seeds((&of, a), (&minus, b), measure, &bootstrap())
 }
 
 #[cfg(test)]

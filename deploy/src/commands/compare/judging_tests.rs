@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 
 use leadtime_policy::Parameters;
 
+use super::super::naming::told_apart;
 use super::super::plan::Plan;
 use super::super::test_support::{args, study};
 use super::*;

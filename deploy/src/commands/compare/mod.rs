@@ -16,6 +16,7 @@ mod catalog;
 mod cells;
 mod configure;
 mod contender;
+mod differences;
 mod figures;
 mod flights;
 mod index;
