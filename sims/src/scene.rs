@@ -93,10 +93,10 @@ pub struct Listener {
     pub reacting: Option<usize>,
 }
 
-/// A number that tells how the person fares, as a speedometer does; drawn over the steps of an episode.
+/// One number of where or how the person is, such as height or speed; plotted over the steps of an episode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gauge {
-    /// What it is, with its unit; the same in every moment of a task.
+    /// What it is, with its unit if it has one; the same in every moment of a task.
     pub label: &'static str,
     /// Its value.
     pub value: f64,

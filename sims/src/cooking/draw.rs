@@ -41,7 +41,7 @@ pub(super) fn scene(kitchen: &Kitchen, field_of_view: FieldOfView, outcome: &str
         view: View { min, max },
         shapes,
         position,
-        gauge: Gauge { label: "row", value: position[1] },
+        gauge: Gauge { label: "y (tiles)", value: position[1] },
         others: Vec::new(),
         listener: Listener::default(),
         outcome: outcome.to_owned(),

@@ -158,14 +158,19 @@ pub(super) fn check_profiles(
     args: &CompareArgs,
 ) -> anyhow::Result<()> {
     let parts = || studies.iter().flat_map(|named| &named.study.parts);
+    let asked = |part: &&Part| args.parts.is_empty() || args.parts.contains(&part.name);
     let mut seen = Vec::new();
     for file in &args.profile {
         let domain = read(program, file).context("--profile")?.domain;
         let mut fits = false;
-        for part in parts() {
+        for part in parts().filter(asked) {
             fits |= read(program, Path::new(&part.profile))?.domain == domain;
         }
-        ensure!(fits, "--profile {}: no part is about the domain `{domain}`", file.display());
+        ensure!(
+            fits,
+            "--profile {}: no part that was asked for is about the domain `{domain}`",
+            file.display()
+        );
         ensure!(
             !seen.contains(&domain),
             "--profile {}: there is another one for the domain `{domain}`",

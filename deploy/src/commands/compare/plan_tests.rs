@@ -229,7 +229,12 @@ fn what_is_not_there_is_told_with_what_is() {
     };
     profile(&["--profile", "paper_lander"]).unwrap();
     let text = profile(&["--profile", "highway"]).unwrap_err().to_string();
-    assert!(text.contains("--profile highway: no part is about the domain `highway`"), "{text}");
+    assert!(
+        text.contains(
+            "--profile highway: no part that was asked for is about the domain `highway`"
+        ),
+        "{text}"
+    );
     let twice = ["--profile", "lander", "--profile", "paper_lander"];
     let text = profile(&twice).unwrap_err().to_string();
     assert!(text.contains("there is another one for the domain `lander`"), "{text}");

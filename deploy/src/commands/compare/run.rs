@@ -105,7 +105,7 @@ fn judge(
         study: plan.named.name.clone(),
         title: plan.named.study.title.clone(),
         lead: plan.named.study.lead.clone(),
-        warnings: warnings(args),
+        warnings: warnings(plan, args),
         bootstrap: bootstrap(),
         provenance: provenance::facts(plan, args, &runs, &command)
             .context("reading the program's own file")?,
@@ -114,7 +114,7 @@ fn judge(
 }
 
 /// Says what a reader must know before quoting a number.
-fn warnings(args: &CompareArgs) -> Vec<String> {
+fn warnings(plan: &Plan, args: &CompareArgs) -> Vec<String> {
     let mut warnings = Vec::new();
     if args.quick {
         let text = "Quick: one training seed and a fraction of the steps. It shows that everything works; its figures \
@@ -128,9 +128,8 @@ fn warnings(args: &CompareArgs) -> Vec<String> {
     if let Some(steps) = args.steps {
         warnings.push(format!("Every training has {steps} steps, by the command line."));
     }
-    if let Some(seeds) = &args.seeds {
-        let last = seeds.end.saturating_sub(1);
-        warnings.push(format!("Training seeds {} to {last}, by the command line.", seeds.start));
+    if args.seeds.is_some() {
+        warnings.push("Training seeds are those of the command line, not the study's.".to_owned());
     }
     if !args.has_the_tables_episodes() {
         let [n, seed] = [u64::from(args.episodes), args.eval_seed];
@@ -138,7 +137,7 @@ fn warnings(args: &CompareArgs) -> Vec<String> {
             "Judged over {n} episodes per training seed, from evaluation seed {seed} on."
         ));
     }
-    if !args.profile.is_empty() {
+    if plan.parts.iter().any(|planned| planned.profile.name != planned.part.profile) {
         warnings.push("The profile is that of the command line, not the study's.".to_owned());
     }
     if !(args.rows.is_empty() && args.parts.is_empty()) {
