@@ -95,7 +95,7 @@ fn a_measure_that_there_is_not_is_told_with_those_there_are() {
     check("[\"success\"]", "[\"success\", \"mean_l\"]").unwrap();
     let differences = "columns = [\"success\"]\n\
         differences = [{ of = \"script\", minus = \"trained\", on = \"real\", measure = \"mean\" }]";
-    for (to, told) in [("columns = [\"sucess\"]", "`sucess`"), (differences, "`mean`")] {
+    for (to, told) in [("columns = [\"happiness\"]", "`happiness`"), (differences, "`mean`")] {
         let text = check("columns = [\"success\"]", to).unwrap_err().to_string();
         assert!(
             text.contains(told) && text.contains("known: ") && text.contains("success"),
