@@ -41,7 +41,7 @@ fn flat(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
-/// The closed form of the reference's weights; see `policy/tests/ego_attention.rs`.
+/// The closed form of the reference's weights; see `crates/policy/tests/ego_attention.rs`.
 fn reference_weights(spec: &PolicySpec) -> Parameters {
     let layers = ["ego.0", "ego.1", "others.0", "others.1", "key", "value", "query", "combine"];
     let h = |n: usize, i: usize, j: usize| {

@@ -44,7 +44,7 @@ curve = [10, 90]
 fn data(path: &str) -> String {
     let root =
         Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("deploy lies in the repository");
-    root.join("taxonomy/data").join(path).to_str().expect("paths are UTF-8").to_owned()
+    root.join("crates/taxonomy/data").join(path).to_str().expect("paths are UTF-8").to_owned()
 }
 
 fn taxonomy(place: &Place, args: &[&str]) -> Finished {

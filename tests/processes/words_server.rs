@@ -15,7 +15,7 @@ const WRONG_INPUT: i32 = 2;
 /// A plan of the highway's first topic alone, as file and read.
 fn small_plan(place: &Place) -> Plan {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let whole = fs::read_to_string(root.join("taxonomy/data/highway/plan.toml")).unwrap();
+    let whole = fs::read_to_string(root.join("crates/taxonomy/data/highway/plan.toml")).unwrap();
     let mut parts = whole.split_inclusive("[[topic]]");
     let text = [parts.next().unwrap(), parts.next().unwrap()].concat();
     let text = text.trim_end_matches("[[topic]]").replace("keep = 4", "keep = 3\ntarget = 3");

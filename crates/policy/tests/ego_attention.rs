@@ -74,7 +74,7 @@ fn parameters(spec: &PolicySpec) -> Parameters {
 }
 
 fn vector() -> Value {
-    let packed = include_bytes!("../../tests/data/highway_traces.json.gz");
+    let packed = include_bytes!("../../../tests/data/highway_traces.json.gz");
     let mut text = String::new();
     GzDecoder::new(packed.as_slice()).read_to_string(&mut text).expect("the traces are gzip");
     serde_json::from_str::<Value>(&text).expect("the traces are JSON")["unit_attention"].clone()

@@ -170,7 +170,7 @@ mod tests {
 
     // Golden numbers: numpy 2.4,
     // python3 -c "import numpy as np; g = np.random.default_rng(S); print([repr(float(g.uniform())) ...])"
-    // (full script: numerics/golden/golden_pcg64.py).
+    // (full script: crates/numerics/golden/golden_pcg64.py).
     include!("../golden/golden_pcg64.rs");
 
     #[test]

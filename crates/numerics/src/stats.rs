@@ -202,7 +202,7 @@ fn resampled_group_mean(groups: &[&[f64]], rng: &mut Pcg64) -> f64 {
 mod tests {
     use super::*;
 
-    // Golden numbers: NumPy 2.4.6 and SciPy 1.17, made by numerics/golden/golden_stats.py. The resamples are the
+    // Golden numbers: NumPy 2.4.6 and SciPy 1.17, made by crates/numerics/golden/golden_stats.py. The resamples are the
     // same draw for draw; sums are taken in another order, hence the tolerance.
     const TOLERANCE: f64 = 1e-12;
     const A: [f64; 12] = [0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 0.5];

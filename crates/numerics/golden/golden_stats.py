@@ -1,6 +1,6 @@
-"""Prints the golden numbers of numerics/src/stats.rs.
+"""Prints the golden numbers of crates/numerics/src/stats.rs.
 
-pip install numpy scipy; python3 numerics/golden/golden_stats.py
+pip install numpy scipy; python3 crates/numerics/golden/golden_stats.py
 
 SciPy's bootstrap resamples with `rng.integers(0, n, (n_resamples, n))`, sample after sample, and takes
 percentiles with linear interpolation. Our generator is numpy's, so the two agree draw for draw.
@@ -18,7 +18,7 @@ SEED = 11
 
 
 def rng(index):
-    """Opens stream(SEED, Purpose::Bootstrap, 0, index) of numerics/src/streams.rs."""
+    """Opens stream(SEED, Purpose::Bootstrap, 0, index) of crates/numerics/src/streams.rs."""
     words = [SEED, 0, 6, 0, index, 0]
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words)))
 

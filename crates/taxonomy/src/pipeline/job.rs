@@ -188,7 +188,7 @@ pub fn replay(
 ///
 /// As [`replay`].
 pub fn replay_shipped(domain: &str) -> Result<(Built, LogHeader), PipelineError> {
-    let path = PathBuf::from(format!("taxonomy/data/{domain}/calls.jsonl"));
+    let path = PathBuf::from(format!("crates/taxonomy/data/{domain}/calls.jsonl"));
     replay(&plan(domain)?, &Prompts::default(), &path, source(domain)?.log)
 }
 

@@ -1,4 +1,4 @@
-"""Writes the golden numbers of pcg64.rs: python3 numerics/golden/golden_pcg64.py > numerics/golden/golden_pcg64.rs"""
+"""Writes the golden numbers of pcg64.rs: python3 crates/numerics/golden/golden_pcg64.py > crates/numerics/golden/golden_pcg64.rs"""
 import numpy as np
 
 print("// Written by golden_pcg64.py; do not edit.")
