@@ -16,6 +16,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-proto"],
     &["leadtime-taxonomy", "leadtime-link", "leadtime-policy"],
     &["leadtime-sims"],
+    &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval"],
     &["leadtime"],
 ];

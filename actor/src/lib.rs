@@ -4,7 +4,7 @@
 //! run (task, seed, policy's shape, schedule) from the learner's welcome.
 //!
 //! ```text
-//!            ┌── collect thread: Worker (lanes x policy) ──┐
+//!            ┌── collect thread: Worker (slots x policy) ──┐
 //! network ── run: one closed enum of things that happen ───┤
 //!            └── publish thread: rollouts to the network ──┘
 //! ```
@@ -16,7 +16,6 @@
 mod config;
 mod error;
 mod greeting;
-mod lane;
 mod metrics;
 mod outbox;
 mod run;

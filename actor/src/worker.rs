@@ -1,14 +1,14 @@
 //! Collecting rollouts: environments stepped in lockstep under one policy.
 //!
 //! ```text
-//! step 0   [lane 0 | lane 3 | lane 5] -- one batched inference --> an action each --> one step each
+//! step 0   [slot 0 | slot 3 | slot 5] -- one batched inference --> an action each --> one step each
 //! step 1   ...
 //! step T   value of the next observation, a snapshot each  ->  three rollouts
 //! ```
 //!
-//! Only lanes at the same iteration are stepped together, the lowest first. Which lanes these are makes no
-//! difference to the bits: every lane draws from its own stream, opened anew for every rollout, and inference
-//! is row-invariant.
+//! Only environments at the same iteration are stepped together, the lowest first. Which ones these are makes no
+//! difference to the bits: every slot draws from its own stream, opened anew for every rollout, and inference is
+//! row-invariant.
 //!
 //! # Invariants
 //!
@@ -18,13 +18,12 @@
 
 use std::collections::BTreeMap;
 
-use leadtime_numerics::Pcg64;
+use leadtime_episodes::{Choice, Decider, Decision, EnvSlot, Lockstep, Observer};
+use leadtime_numerics::{Purpose, stream};
 use leadtime_policy::{ActionDistribution, Policy};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{EnvId, EnvSpec, EpisodeEnd, Iteration, PolicySpec, PolicyVersion, Rollout};
-use leadtime_sims::{End, Environment, SnapshotError};
-
-use crate::lane::Lane;
+use leadtime_sims::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
 
 /// What collecting spends its time on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,52 +45,28 @@ impl Stopwatch for () {
     fn lap(&mut self, _phase: Phase) {}
 }
 
-/// What all lanes of a worker have in common.
+/// What all environments of a worker have in common.
 #[derive(Clone, Debug)]
 pub struct WorkerSettings {
     /// Seed of every random stream.
     pub run_seed: u64,
     /// Steps per rollout.
     pub n_steps: u32,
-    /// The environments' shapes.
+    /// Shapes of the environments.
     pub env: EnvSpec,
-    /// The policy's.
+    /// Shapes of the policy.
     pub policy: PolicySpec,
 }
 
-/// Buffers of one batched inference.
-#[derive(Debug, Default)]
-struct Batch {
-    observations: Vec<f32>,
-    recurrent: Vec<f32>,
-    logits: Vec<f32>,
-    values: Vec<f32>,
-}
-
-/// Final observations whose values are wanted, and the rollouts and ends they belong to.
-#[derive(Debug, Default)]
-struct Finals {
-    owners: Vec<(usize, usize)>,
-    observations: Vec<f32>,
-    recurrent: Vec<f32>,
-    values: Vec<f32>,
-}
-
 /// A set of environments and the means to collect rollouts from them.
+#[derive(Debug)]
 pub struct Worker {
     settings: WorkerSettings,
     distribution: ActionDistribution,
-    lanes: BTreeMap<EnvId, Lane>,
+    /// Each with the iteration that it does next.
+    slots: BTreeMap<EnvId, (Iteration, EnvSlot)>,
+    lockstep: Lockstep,
     rollouts: Vec<Rollout>,
-    batch: Batch,
-    finals: Finals,
-    action: Vec<u8>,
-}
-
-impl std::fmt::Debug for Worker {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Worker").field("lanes", &self.lanes.keys()).finish_non_exhaustive()
-    }
 }
 
 impl Worker {
@@ -100,11 +75,9 @@ impl Worker {
         let policy = &settings.policy;
         Self {
             distribution: ActionDistribution::new(&policy.actions, policy.head_credit),
-            action: vec![0; policy.actions.heads.len()],
-            lanes: BTreeMap::new(),
+            slots: BTreeMap::new(),
+            lockstep: Lockstep::default(),
             rollouts: Vec::new(),
-            batch: Batch::default(),
-            finals: Finals::default(),
             settings,
         }
     }
@@ -119,25 +92,25 @@ impl Worker {
         env: Box<dyn Environment>,
         assignment: &EnvAssignment,
     ) -> Result<(), SnapshotError> {
+        let (run_seed, env_id) = (self.settings.run_seed, assignment.env_id);
         let recurrent_dim = self.settings.policy.recurrent_dim();
-        let lane = Lane::new(self.settings.run_seed, env, recurrent_dim, assignment)?;
-        self.lanes.insert(assignment.env_id, lane);
+        let slot = if assignment.snapshot.is_empty() {
+            EnvSlot::new(env, recurrent_dim, EpisodeSeed { run_seed, env_id, episode: 0 })
+        } else {
+            EnvSlot::restored(env, recurrent_dim, run_seed, env_id, &assignment.snapshot)?
+        };
+        self.slots.insert(env_id, (assignment.iteration, slot));
         Ok(())
     }
 
     /// Lets go of all environments but these.
     pub fn retain(&mut self, keep: &[EnvId]) {
-        self.lanes.retain(|env_id, _| keep.contains(env_id));
-    }
-
-    /// Lists the environments with the iteration that each does next.
-    pub fn lanes(&self) -> impl Iterator<Item = (EnvId, Iteration)> {
-        self.lanes.values().map(|lane| (lane.env_id, lane.iteration))
+        self.slots.retain(|env_id, _| keep.contains(env_id));
     }
 
     /// Returns the lowest iteration of any environment: the one that is collected next.
     pub fn next_iteration(&self) -> Option<Iteration> {
-        self.lanes.values().map(|lane| lane.iteration).min()
+        self.slots.values().map(|(iteration, _)| *iteration).min()
     }
 
     /// Collects one rollout from every environment that is at the lowest iteration.
@@ -149,164 +122,97 @@ impl Worker {
         version: PolicyVersion,
         watch: &mut dyn Stopwatch,
     ) -> &[Rollout] {
-        let iteration = self.next_iteration();
-        let lanes: Vec<&mut Lane> =
-            self.lanes.values_mut().filter(|lane| Some(lane.iteration) == iteration).collect();
-        self.rollouts.resize_with(lanes.len(), Rollout::default);
-        let mut round = Round {
-            dims: Dims::of(&self.settings, lanes.len()),
-            streams: lanes.iter().map(|lane| lane.action_stream()).collect(),
-            lanes,
-            rollouts: &mut self.rollouts,
-        };
-        round.begin(version, self.settings.n_steps);
-        for step in 0..self.settings.n_steps {
-            self.batch.gather(&round.lanes, round.dims);
-            let Batch { observations, recurrent, logits, values } = &mut self.batch;
-            policy.evaluate(observations, recurrent, logits, values);
-            round.act(&self.batch, &self.distribution, &mut self.action);
+        let Some(iteration) = self.next_iteration() else { return &[] };
+        let WorkerSettings { run_seed, n_steps, .. } = self.settings;
+        let at_it = self.slots.values_mut().filter(|(at, _)| *at == iteration);
+        let mut slots: Vec<&mut EnvSlot> = at_it
+            .map(|(at, slot)| {
+                *at = iteration.next();
+                let env_id = slot.seed().env_id;
+                slot.draw_from(stream(run_seed, Purpose::Act, env_id.0, iteration.0));
+                slot
+            })
+            .collect();
+        self.rollouts.resize_with(slots.len(), Rollout::default);
+        let begun = slots.iter().zip(&mut self.rollouts).map(|(slot, rollout)| {
+            begin(rollout, slot, n_steps);
+            (rollout.iteration, rollout.version) = (iteration, version);
+            Recorder { rollout }
+        });
+        let mut recorders: Vec<Recorder<'_>> = begun.collect();
+        let lockstep = &mut self.lockstep;
+        for _ in 0..n_steps {
+            let (distribution, choice) = (&self.distribution, Choice::Sample);
+            let mut decider = Decider::Policy { policy: &mut *policy, distribution, choice };
+            lockstep.act(&mut decider, &mut slots, &mut recorders);
             watch.lap(Phase::Infer);
-            round.step(step, &mut self.finals);
+            lockstep.advance(&mut slots, &mut recorders);
             watch.lap(Phase::Simulate);
-            self.finals.evaluate(policy, round.rollouts);
+            if lockstep.ended().is_empty() {
+                continue;
+            }
+            // The slots still show the final observations, which beginning another episode overwrites.
+            for (row, value) in lockstep.final_values(policy, &slots) {
+                recorders[row].value_end(value);
+            }
+            watch.lap(Phase::Infer);
+            lockstep.ended().iter().for_each(|&(row, _)| slots[row].begin_next());
+            watch.lap(Phase::Simulate);
         }
-        self.batch.gather(&round.lanes, round.dims);
-        let Batch { observations, recurrent, values, .. } = &mut self.batch;
-        policy.values_only(observations, recurrent, values);
+        let values = lockstep.values(policy, &slots);
         watch.lap(Phase::Infer);
-        round.finish(values);
+        for ((slot, Recorder { rollout }), value) in slots.iter().zip(recorders).zip(values) {
+            rollout.next_observation.extend_from_slice(slot.observation());
+            rollout.next_value = *value;
+            slot.snapshot(&mut rollout.snapshot);
+        }
         watch.lap(Phase::Simulate);
         &self.rollouts
     }
 }
 
-/// One rollout of several lanes in the making.
-struct Round<'a> {
-    lanes: Vec<&'a mut Lane>,
-    rollouts: &'a mut [Rollout],
-    streams: Vec<Pcg64>,
-    dims: Dims,
+/// Writes a slot's steps into a rollout.
+struct Recorder<'a> {
+    rollout: &'a mut Rollout,
 }
 
-impl Round<'_> {
-    fn begin(&mut self, version: PolicyVersion, n_steps: u32) {
-        for (lane, rollout) in self.lanes.iter().zip(self.rollouts.iter_mut()) {
-            begin(rollout, lane, version, n_steps);
-        }
-    }
-
-    /// Samples an action for every lane and writes down what it acted on.
-    fn act(&mut self, batch: &Batch, distribution: &ActionDistribution, action: &mut [u8]) {
-        let Dims { state, choices, .. } = self.dims;
-        for (row, lane) in self.lanes.iter_mut().enumerate() {
-            lane.recurrent.copy_from_slice(&batch.recurrent[row * state..][..state]);
-            let rollout = &mut self.rollouts[row];
-            let mask = lane.env.mask();
-            let logits = &batch.logits[row * choices..][..choices];
-            let log_prob = distribution.sample(logits, mask, &mut self.streams[row], action);
-            rollout.observations.extend_from_slice(&lane.observation);
-            rollout.masks.push(mask.0);
-            rollout.actions.extend_from_slice(action);
-            rollout.log_probs.push(log_prob);
-            rollout.values.push(batch.values[row]);
-        }
-    }
-
-    /// Steps every lane with the action just sampled.
-    fn step(&mut self, step: u32, finals: &mut Finals) {
-        let n_heads = self.dims.heads;
-        for (row, lane) in self.lanes.iter_mut().enumerate() {
-            let rollout = &mut self.rollouts[row];
-            let action = &rollout.actions[step as usize * n_heads..][..n_heads];
-            let outcome = lane.env.step(action, &mut lane.observation);
-            rollout.rewards.push(outcome.reward);
-            lane.count(outcome.reward);
-            if let Some(end) = outcome.end {
-                let truncated = end == End::Truncated;
-                if truncated {
-                    finals.want(row, rollout.ends.len(), lane);
-                }
-                rollout.ends.push(end_of_episode(lane, step, truncated));
-                lane.next_episode();
-            }
-        }
-    }
-
-    /// Writes down where every lane stands.
-    fn finish(&mut self, values: &[f32]) {
-        for (row, lane) in self.lanes.iter_mut().enumerate() {
-            let rollout = &mut self.rollouts[row];
-            rollout.next_observation.extend_from_slice(&lane.observation);
-            rollout.next_value = values[row];
-            lane.snapshot(&mut rollout.snapshot);
-            lane.iteration = lane.iteration.next();
+impl Recorder<'_> {
+    /// Notes the value of the final observation of the episode that ended last.
+    fn value_end(&mut self, value: f32) {
+        if let Some(end) = self.rollout.ends.last_mut() {
+            end.final_value = value;
         }
     }
 }
 
-/// Widths of a lockstep batch.
-#[derive(Clone, Copy, Debug)]
-struct Dims {
-    lanes: usize,
-    state: usize,
-    choices: usize,
-    heads: usize,
-}
+impl Observer for Recorder<'_> {
+    fn on_decision(&mut self, slot: &EnvSlot, decision: &Decision<'_>) {
+        let rollout = &mut *self.rollout;
+        rollout.observations.extend_from_slice(slot.observation());
+        rollout.masks.push(decision.mask.0);
+        rollout.actions.extend_from_slice(decision.choices);
+        rollout.log_probs.push(decision.log_prob);
+        rollout.values.push(decision.value);
+    }
 
-impl Dims {
-    fn of(settings: &WorkerSettings, lanes: usize) -> Self {
-        let actions = &settings.policy.actions;
-        Self {
-            lanes,
-            state: settings.policy.recurrent_dim(),
-            choices: actions.n_choices(),
-            heads: actions.heads.len(),
+    fn on_step(&mut self, slot: &EnvSlot, outcome: StepOutcome) {
+        let step = self.rollout.rewards.len() as u32;
+        self.rollout.rewards.push(outcome.reward);
+        if let Some(end) = outcome.end {
+            self.rollout.ends.push(EpisodeEnd {
+                step,
+                truncated: end == End::Truncated,
+                final_observation: slot.observation().to_vec(),
+                final_value: 0.0,
+                summary: slot.summary(),
+            });
         }
     }
 }
 
-impl Batch {
-    /// Fills the inputs from the lanes and makes room for the outputs.
-    fn gather(&mut self, lanes: &[&mut Lane], dims: Dims) {
-        self.observations.clear();
-        self.recurrent.clear();
-        for lane in lanes {
-            self.observations.extend_from_slice(&lane.observation);
-            self.recurrent.extend_from_slice(&lane.recurrent);
-        }
-        self.logits.resize(dims.lanes * dims.choices, 0.0);
-        self.values.resize(dims.lanes, 0.0);
-    }
-}
-
-impl Finals {
-    /// Notes that the value of a lane's observation is wanted for an episode end.
-    fn want(&mut self, row: usize, end: usize, lane: &Lane) {
-        self.owners.push((row, end));
-        self.observations.extend_from_slice(&lane.observation);
-        self.recurrent.extend_from_slice(&lane.recurrent);
-    }
-
-    fn evaluate(&mut self, policy: &mut Policy, rollouts: &mut [Rollout]) {
-        if self.owners.is_empty() {
-            return;
-        }
-        self.values.resize(self.owners.len(), 0.0);
-        policy.values_only(&self.observations, &self.recurrent, &mut self.values);
-        for (&(row, end), &value) in self.owners.iter().zip(&self.values) {
-            rollouts[row].ends[end].final_value = value;
-        }
-        self.owners.clear();
-        self.observations.clear();
-        self.recurrent.clear();
-    }
-}
-
-/// Empties a rollout that was used before and notes what it is.
-fn begin(rollout: &mut Rollout, lane: &Lane, version: PolicyVersion, n_steps: u32) {
-    rollout.env_id = lane.env_id;
-    rollout.iteration = lane.iteration;
-    rollout.version = version;
+/// Empties a rollout that was used before and notes where it starts.
+fn begin(rollout: &mut Rollout, slot: &EnvSlot, n_steps: u32) {
+    rollout.env_id = slot.seed().env_id;
     rollout.n_steps = n_steps;
     rollout.observations.clear();
     rollout.next_observation.clear();
@@ -316,18 +222,9 @@ fn begin(rollout: &mut Rollout, lane: &Lane, version: PolicyVersion, n_steps: u3
     rollout.values.clear();
     rollout.rewards.clear();
     rollout.ends.clear();
-    rollout.recurrent.clone_from(&lane.recurrent);
+    rollout.recurrent.clear();
+    rollout.recurrent.extend_from_slice(slot.recurrent());
     rollout.snapshot.clear();
-}
-
-fn end_of_episode(lane: &Lane, step: u32, truncated: bool) -> EpisodeEnd {
-    EpisodeEnd {
-        step,
-        truncated,
-        final_observation: lane.observation.clone(),
-        final_value: 0.0,
-        summary: lane.summary(),
-    }
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{Entities, Scene};
+use crate::{Entities, Scene, Speech};
 
 /// Names the random streams of one episode of one environment of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -79,6 +79,8 @@ pub struct Insight {
     pub comprehended: u32,
     /// The last step was the first in which the person did what some message asks for.
     pub reaction_began: bool,
+    /// The running utterance.
+    pub speech: Option<Speech>,
 }
 
 /// Why a snapshot cannot be restored.

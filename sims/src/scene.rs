@@ -66,7 +66,7 @@ pub struct View {
 }
 
 /// An utterance while it is spoken.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Speech {
     /// Topic id.
     pub topic: usize,

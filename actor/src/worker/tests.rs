@@ -1,4 +1,4 @@
-//! Lanes together give the bits of lanes apart; a snapshot goes on as if nothing had happened.
+//! Environments together give the bits of environments apart; a snapshot goes on as if nothing had happened.
 
 use leadtime_policy::Parameters;
 use leadtime_proto::{Encoder, HeadCredit};
@@ -63,7 +63,7 @@ fn a_rollout_is_what_the_learner_expects() {
 }
 
 #[test]
-fn lanes_together_give_the_bits_of_lanes_apart() {
+fn environments_together_give_the_bits_of_environments_apart() {
     let ids: Vec<EnvAssignment> = (0..5).map(beginning).collect();
     let mut together = worker(&ids);
     let mut apart: Vec<Worker> = ids.iter().map(|id| worker(std::slice::from_ref(id))).collect();
@@ -80,7 +80,7 @@ fn two_environments_of_a_run_differ() {
 }
 
 #[test]
-fn a_lane_goes_on_elsewhere_from_its_snapshot() {
+fn an_environment_continues_elsewhere_from_its_snapshot() {
     let mut here = worker(&[beginning(2)]);
     let first = collect(&mut here).remove(0);
     let moved = EnvAssignment {
@@ -98,7 +98,7 @@ fn a_lane_goes_on_elsewhere_from_its_snapshot() {
 }
 
 #[test]
-fn rollouts_of_a_lane_join_without_a_seam() {
+fn rollouts_of_an_environment_join_without_a_seam() {
     let mut worker = worker(&[beginning(0)]);
     let first = collect(&mut worker).remove(0);
     let second = collect(&mut worker).remove(0);
@@ -107,7 +107,7 @@ fn rollouts_of_a_lane_join_without_a_seam() {
 }
 
 #[test]
-fn ends_are_told_with_their_values_and_summaries() {
+fn ends_come_with_their_values_and_summaries() {
     let mut worker = worker(&[beginning(0), beginning(1), beginning(2)]);
     let rollouts: Vec<Rollout> = (0..3).flat_map(|_| collect(&mut worker)).collect();
     let ends: Vec<&EpisodeEnd> = rollouts.iter().flat_map(|rollout| &rollout.ends).collect();
@@ -138,7 +138,7 @@ fn a_foreign_snapshot_is_refused() {
 }
 
 #[test]
-fn time_is_told_by_the_callers_stopwatch() {
+fn time_is_measured_by_the_callers_stopwatch() {
     struct Laps(Vec<Phase>);
     impl Stopwatch for Laps {
         fn lap(&mut self, phase: Phase) {
@@ -147,6 +147,7 @@ fn time_is_told_by_the_callers_stopwatch() {
     }
     let mut laps = Laps(Vec::new());
     worker(&[beginning(0)]).collect(&mut policy(), PolicyVersion(0), &mut laps);
-    assert_eq!(laps.0.len(), 2 * N_STEPS as usize + 2);
-    assert_eq!(laps.0[..2], [Phase::Infer, Phase::Simulate]);
+    // Two phases of every step and of the boundary, and two wherever an episode ends.
+    assert!(laps.0.len() > 2 * N_STEPS as usize + 2);
+    assert!(laps.0.chunks(2).all(|phases| phases == [Phase::Infer, Phase::Simulate]));
 }

@@ -6,40 +6,12 @@ use thiserror::Error;
 /// Why an evaluation or a picture failed.
 #[derive(Debug, Error)]
 pub enum Error {
+    /// The episodes cannot be played.
+    #[error(transparent)]
+    Play(#[from] leadtime_episodes::Error),
     /// The environment cannot be made.
     #[error(transparent)]
     Task(#[from] TaskError),
-    /// The policy cannot be made.
-    #[error("the policy cannot be used")]
-    Policy(#[from] leadtime_policy::Error),
-    /// The policy is for another task.
-    #[error(
-        "the policy takes {} observations and has {} choices, the task has {} and {}: it was trained for another \
-         task or with other settings",
-        found[0], found[1], expected[0], expected[1]
-    )]
-    PolicyShape {
-        /// The policy's observation length and number of choices.
-        found: [usize; 2],
-        /// The task's.
-        expected: [usize; 2],
-    },
-    /// The task has no such scripted player.
-    #[error("the task has no scripted player `{name}`; known: {}", known.join(", "))]
-    UnknownBaseline {
-        /// As asked for.
-        name: String,
-        /// What there is.
-        known: &'static [&'static str],
-    },
-    /// An episode that does not come to an end.
-    #[error("episode {index} did not end within {n_steps} steps")]
-    Endless {
-        /// The episode's number.
-        index: u64,
-        /// Where it was given up.
-        n_steps: u64,
-    },
     /// A player that is not a network.
     #[error("`{name}` is a script, which has no features to read anything from")]
     NoFeatures {
@@ -82,9 +54,6 @@ pub enum Error {
         /// Features in each.
         n_features: usize,
     },
-    /// A thread cannot be started.
-    #[error("a thread for the evaluation cannot be started")]
-    Thread(#[source] std::io::Error),
     /// The task describes nothing that could be drawn.
     #[error("this task has nothing to draw")]
     NoScene,

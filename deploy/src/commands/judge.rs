@@ -4,7 +4,7 @@ use std::path::Path;
 use std::thread::available_parallelism;
 
 use anyhow::{Context as _, bail};
-use leadtime_eval::measure::{Choice, Comparison, EvaluateSettings, Evaluation, Player, evaluate};
+use leadtime_eval::measure::{Choice, Comparison, Evaluation, PlaySettings, Player, evaluate};
 use leadtime_eval::playthrough::{Playthrough, Voice};
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_policy::Parameters;
@@ -50,7 +50,7 @@ pub(super) fn evaluate_all(
     seed: u64,
 ) -> anyhow::Result<Vec<Evaluation>> {
     let make = || program.registry.build(&config.evaluation.task);
-    let settings = EvaluateSettings::new(u64::from(n_episodes), seed).threads(n_threads());
+    let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_threads());
     let evaluate = |player| Ok(evaluate(&make, player, &settings)?);
     players.iter().map(evaluate).collect()
 }
@@ -117,8 +117,8 @@ pub(super) fn record(
     voice: Option<&Voice>,
     (seed, index): (u64, u64),
 ) -> anyhow::Result<Playthrough> {
-    let mut environment = program.registry.build(&config.evaluation.task)?;
-    let mut played = Playthrough::record(environment.as_mut(), player, seed, index)?;
+    let make = || program.registry.build(&config.evaluation.task);
+    let mut played = Playthrough::record(&make, player, seed, index)?;
     if let Some(voice) = voice {
         voice.speak(&mut played)?;
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context as _;
-use leadtime_eval::measure::EvaluateSettings;
+use leadtime_eval::measure::PlaySettings;
 use leadtime_eval::probe::{Knowledge, probe};
 use leadtime_eval::report::Fact;
 use leadtime_numerics::stats::Bootstrap;
@@ -53,7 +53,7 @@ fn measure(
     let player = judge::policy("policy", config, &loaded.parameters, action)?;
     let make = || program.registry.build(&config.evaluation.task);
     let settings =
-        EvaluateSettings::new(u64::from(n_episodes), args.eval_seed).threads(judge::n_threads());
+        PlaySettings::new(u64::from(n_episodes), args.eval_seed).threads(judge::n_threads());
     tracing::info!(policy = %loaded.path.display(), n_episodes, "probing");
     Ok(probe(&make, &player, &settings, Bootstrap::new(config.seed))?)
 }

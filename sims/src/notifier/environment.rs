@@ -217,6 +217,16 @@ impl<D: Domain> NotifierEnv<D> {
         }
     }
 
+    fn speech(&self) -> Option<Speech> {
+        self.human.speech().map(|(message, heard)| Speech {
+            topic: message.topic,
+            comprehension: message.comprehension,
+            conveyance: message.conveyance,
+            heard,
+            started: self.last.started,
+        })
+    }
+
     /// Returns what a scripted notifier starts now, if the listener lets it.
     fn script(&self, name: &str) -> Option<Message> {
         self.human.may_start().then(|| self.domain.script(name)).flatten()
@@ -330,21 +340,14 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             reaction_delay: self.human.reaction_delay(),
             comprehended: self.human.tally().comprehended,
             reaction_began: self.reaction_began,
+            speech: self.speech(),
         })
     }
 
     fn scene(&self) -> Option<Scene> {
-        let started = self.last.started;
-        let speech = self.human.speech().map(|(message, heard)| Speech {
-            topic: message.topic,
-            comprehension: message.comprehension,
-            conveyance: message.conveyance,
-            heard,
-            started,
-        });
         let listener = Listener {
             topics: self.domain.topics().to_vec(),
-            speech,
+            speech: self.speech(),
             pending: self.human.pending().map(|message| message.topic),
             reacting: self.last.reacting,
         };

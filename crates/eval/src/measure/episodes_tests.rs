@@ -28,43 +28,42 @@ fn untrained() -> Player {
     Player::untrained(&policy_spec(4), 5, Choice::Sample).unwrap()
 }
 
-fn play(settings: &EvaluateSettings) -> Evaluation {
+fn play(settings: &PlaySettings<'_>) -> Evaluation {
     evaluate(&cartpole, &untrained(), settings).unwrap()
 }
 
 #[test]
-fn neither_lanes_nor_threads_change_a_result() {
-    let settings = EvaluateSettings::new(23, 9);
-    let reference = play(&EvaluateSettings { n_lanes: 1, ..settings });
+fn neither_slots_nor_threads_change_a_result() {
+    let settings = PlaySettings::new(23, 9);
+    let reference = play(&PlaySettings { n_slots: 1, ..settings });
     assert_eq!(reference.episodes.len(), 23);
-    for (n_lanes, n_threads) in [(7, 1), (64, 1), (4, 2), (1, 3)] {
-        let again = play(&EvaluateSettings { n_lanes, ..settings }.threads(n_threads));
-        assert_eq!(again, reference, "{n_lanes} lanes, {n_threads} threads");
+    for (n_slots, n_threads) in [(7, 1), (64, 1), (4, 2), (1, 3)] {
+        let again = play(&PlaySettings { n_slots, ..settings }.threads(n_threads));
+        assert_eq!(again, reference, "{n_slots} slots, {n_threads} threads");
     }
 }
 
 #[test]
 fn the_seed_decides_and_fewer_episodes_are_a_prefix() {
-    let long = play(&EvaluateSettings::new(12, 9));
-    let short = play(&EvaluateSettings::new(5, 9));
+    let long = play(&PlaySettings::new(12, 9));
+    let short = play(&PlaySettings::new(5, 9));
     assert_eq!(long.episodes[..5], short.episodes);
-    assert_ne!(play(&EvaluateSettings::new(12, 10)).episodes, long.episodes);
+    assert_ne!(play(&PlaySettings::new(12, 10)).episodes, long.episodes);
 }
 
 #[test]
 fn sampling_and_greedy_choice_differ() {
     let greedy = Player::untrained(&policy_spec(4), 5, Choice::Greedy).unwrap();
-    let settings = EvaluateSettings::new(12, 9);
+    let settings = PlaySettings::new(12, 9);
     let greedy = evaluate(&cartpole, &greedy, &settings).unwrap();
     assert_ne!(greedy.episodes, play(&settings).episodes);
 }
 
 #[test]
 fn a_playthrough_is_the_episode_that_was_evaluated() {
-    let evaluation = play(&EvaluateSettings::new(4, 9));
-    let mut environment = cartpole().unwrap();
+    let evaluation = play(&PlaySettings::new(4, 9));
     for (index, episode) in (0..).zip(&evaluation.episodes) {
-        let recorded = Playthrough::record(environment.as_mut(), &untrained(), 9, index).unwrap();
+        let recorded = Playthrough::record(&cartpole, &untrained(), 9, index).unwrap();
         assert_eq!(recorded.n_steps() as u64, episode.n_steps);
         assert_eq!(recorded.total_reward, episode.total_reward);
     }
@@ -72,23 +71,35 @@ fn a_playthrough_is_the_episode_that_was_evaluated() {
 
 #[test]
 fn a_player_for_another_task_is_refused() {
-    let settings = EvaluateSettings::new(1, 0);
+    let settings = PlaySettings::new(1, 0);
     let wide = Player::untrained(&policy_spec(9), 5, Choice::Sample).unwrap();
     let error = evaluate(&cartpole, &wide, &settings).unwrap_err();
-    assert!(matches!(error, Error::PolicyShape { found: [9, 2], expected: [4, 2] }), "{error}");
+    assert!(
+        matches!(
+            error,
+            Error::Play(leadtime_episodes::Error::PolicyShape { found: [9, 2], expected: [4, 2] })
+        ),
+        "{error}"
+    );
     let script = Player::baseline("no such script");
     let error = evaluate(&cartpole, &script, &settings).unwrap_err();
-    assert!(matches!(error, Error::UnknownBaseline { .. }), "{error}");
+    assert!(
+        matches!(error, Error::Play(leadtime_episodes::Error::UnknownBaseline { .. })),
+        "{error}"
+    );
 }
 
 #[test]
 fn an_episode_without_an_end_is_given_up() {
-    let settings = EvaluateSettings { max_steps: 3, ..EvaluateSettings::new(1, 0) };
+    let settings = PlaySettings { max_steps: 3, ..PlaySettings::new(1, 0) };
     let error = evaluate(&cartpole, &untrained(), &settings).unwrap_err();
-    assert!(matches!(error, Error::Endless { index: 0, n_steps: 3 }), "{error}");
+    assert!(
+        matches!(error, Error::Play(leadtime_episodes::Error::Endless { index: 0, n_steps: 3 })),
+        "{error}"
+    );
 }
 
 #[test]
 fn no_episodes_are_an_empty_evaluation() {
-    assert!(play(&EvaluateSettings::new(0, 0)).episodes.is_empty());
+    assert!(play(&PlaySettings::new(0, 0)).episodes.is_empty());
 }

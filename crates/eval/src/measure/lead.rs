@@ -21,8 +21,8 @@ pub fn lead_times(player: &Evaluation, unaided: &Evaluation) -> Option<Vec<f32>>
     Some(first.into_iter().zip(hazards).map(lead).collect())
 }
 
-/// Returns the step of each episode's hazard, counted from 1; 0 where there was none.
-pub(crate) fn hazards(unaided: &Evaluation) -> Option<Vec<f64>> {
+/// Returns the step of each episode's hazard, counted from 1; 0 where there was none. `None` if the task knows no hazards.
+pub fn hazards(unaided: &Evaluation) -> Option<Vec<f64>> {
     if let Some(steps) = unaided.column("danger_from") {
         return Some(steps);
     }

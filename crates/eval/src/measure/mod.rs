@@ -8,19 +8,15 @@
 mod compare;
 mod episodes;
 mod lead;
-mod player;
 mod summary;
 mod table;
+mod utterance;
 
 pub(crate) use compare::written;
 pub use compare::{Comparison, Difference};
-pub use episodes::{
-    Episode, EvaluateSettings, Evaluation, MakeEnvironment, episode_seed, evaluate,
-};
-pub(crate) use episodes::{Numbered, in_threads};
-pub(crate) use lead::hazards;
-pub use lead::lead_times;
-pub(crate) use player::Acting;
-pub use player::{Choice, Player};
+pub use episodes::{Episode, Evaluation, evaluate, evaluate_with};
+pub use lead::{hazards, lead_times};
+pub use leadtime_episodes::{Choice, MakeEnvironment, PlaySettings, Player, episode_seed};
 pub use summary::{Measure, Summary, title};
 pub use table::Table;
+pub use utterance::{SpeechLog, Utterance};

@@ -28,7 +28,7 @@ mod world;
 
 pub use flights::{FlightEnd, FlightPanel, maps, trajectories};
 pub use record::Playthrough;
-pub use story::{Doing, Span, Story, Utterance};
+pub use story::{Doing, Span, Story};
 pub use voice::{Sentence, Voice};
 
 #[cfg(test)]

@@ -1,11 +1,12 @@
 //! Playing one episode and keeping what there was to see.
 
-use leadtime_numerics::Purpose;
-use leadtime_sims::{Environment, Scene};
+use leadtime_episodes::{
+    EnvSlot, EpisodeObserver, MakeEnvironment, Observer, PlaySettings, Player, play,
+};
+use leadtime_sims::{End, Scene, StepOutcome};
 
 use super::voice::Sentence;
 use crate::error::Error;
-use crate::measure::{Acting, Player, episode_seed};
 
 /// The longest episode that is recorded, in steps.
 const MAX_STEPS: u64 = 20_000;
@@ -35,38 +36,33 @@ impl Playthrough {
     ///
     /// # Errors
     ///
-    /// [`Error::NoScene`] if the task cannot be drawn; as `evaluate` if the player does not fit or the episode does
-    /// not end.
+    /// [`Error::NoScene`] if the task cannot be drawn; as [`play`].
     pub fn record(
-        environment: &mut dyn Environment,
+        make: &MakeEnvironment<'_>,
         player: &Player,
         seed: u64,
         index: u64,
     ) -> Result<Self, Error> {
-        player.check(environment)?;
-        let streams = episode_seed(seed, index);
-        let mut observation = vec![0.0; environment.spec().obs_dim];
-        let mut recurrent = vec![0.0; player.recurrent_dim()];
-        let mut action = vec![0; environment.spec().actions.heads.len()];
-        let mut acting = Acting::new(player);
-        let mut generator = streams.stream(Purpose::Act);
-        environment.reset(streams, &mut observation);
-        let mut scenes = vec![environment.scene().ok_or(Error::NoScene)?];
-        let mut total_reward = 0.0;
-        for _ in 0..MAX_STEPS {
-            acting.think(&observation, &mut recurrent, 1);
-            acting.choose(0, environment, &mut generator, &mut action);
-            let outcome = environment.step(&action, &mut observation);
-            total_reward += f64::from(outcome.reward);
-            scenes.push(environment.scene().ok_or(Error::NoScene)?);
-            if outcome.end.is_some() {
-                let success = success(environment);
-                let player = player.name().to_owned();
-                let sentences = Vec::new();
-                return Ok(Self { player, seed, index, scenes, total_reward, success, sentences });
-            }
-        }
-        Err(Error::Endless { index, n_steps: MAX_STEPS })
+        let settings = PlaySettings { first: index, ..PlaySettings::new(1, seed) };
+        let settings = PlaySettings { max_steps: MAX_STEPS, ..settings };
+        Self::record_all(make, player, &settings)?.pop().ok_or(Error::NoScene)
+    }
+
+    /// Plays several episodes, in order.
+    ///
+    /// # Errors
+    ///
+    /// As [`Playthrough::record`].
+    pub fn record_all(
+        make: &MakeEnvironment<'_>,
+        player: &Player,
+        settings: &PlaySettings<'_>,
+    ) -> Result<Vec<Self>, Error> {
+        let recorded = play(make, player, settings, |index| {
+            let (name, seed) = (player.name().to_owned(), settings.seed);
+            SceneLog { player: name, seed, index, scenes: Vec::new() }
+        });
+        recorded?.into_iter().map(|played| played.ok_or(Error::NoScene)).collect()
     }
 
     /// Returns the number of steps.
@@ -75,10 +71,40 @@ impl Playthrough {
     }
 }
 
-fn success(environment: &dyn Environment) -> Option<bool> {
-    let names = &environment.spec().metrics;
-    let place = names.iter().position(|name| name == "success")?;
-    let mut metrics = vec![0.0; names.len()];
-    environment.metrics(&mut metrics);
-    Some(metrics[place] > 0.5)
+/// Observes what there is to see in an episode.
+struct SceneLog {
+    player: String,
+    seed: u64,
+    index: u64,
+    scenes: Vec<Scene>,
+}
+
+impl Observer for SceneLog {
+    fn on_reset(&mut self, slot: &EnvSlot) {
+        self.scenes.extend(slot.env().scene());
+    }
+
+    fn on_step(&mut self, slot: &EnvSlot, _outcome: StepOutcome) {
+        self.scenes.extend(slot.env().scene());
+    }
+}
+
+impl EpisodeObserver for SceneLog {
+    type Output = Option<Playthrough>;
+
+    fn finish(self, slot: &EnvSlot, _end: End) -> Self::Output {
+        let Self { player, seed, index, scenes } = self;
+        let metrics = slot.metrics();
+        let names = slot.env().spec().metrics.iter();
+        let success = names.zip(metrics).find(|(name, _)| *name == "success");
+        (!scenes.is_empty()).then(|| Playthrough {
+            player,
+            seed,
+            index,
+            scenes,
+            total_reward: slot.episode_return(),
+            success: success.map(|(_, value)| value > 0.5),
+            sentences: Vec::new(),
+        })
+    }
 }

@@ -7,6 +7,7 @@
 use leadtime_sims::Scene;
 
 use crate::draw::Ink;
+use crate::measure::Utterance;
 
 /// What the person was doing in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,21 +50,6 @@ impl Doing {
     }
 }
 
-/// A message that was spoken, whole or in part.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Utterance {
-    /// Topic id.
-    pub topic: usize,
-    /// Scene in which it was started.
-    pub start: usize,
-    /// Words that it needs to be understood.
-    pub comprehension: usize,
-    /// Words that it has.
-    pub conveyance: usize,
-    /// Scene at which it ended or was cut off.
-    pub end: usize,
-}
-
 /// A stretch of time about one topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Span {
@@ -88,13 +74,6 @@ pub struct Story {
     pub reactions: Vec<Span>,
 }
 
-impl Utterance {
-    /// Returns the scene in which it has been understood; `None` if it was cut off before.
-    pub fn understood(&self) -> Option<usize> {
-        Some(self.start + self.comprehension).filter(|understood| *understood <= self.end)
-    }
-}
-
 impl Story {
     /// Returns the place of the message that is spoken in the step which leads to scene `i`.
     pub(super) fn spoken(&self, i: usize) -> Option<usize> {
@@ -106,9 +85,10 @@ impl Story {
         let doing = scenes.windows(2).map(|pair| doing(&pair[0], &pair[1])).collect();
         let reacting = scenes.iter().skip(1).map(|scene| scene.listener.reacting);
         let pending = scenes.iter().map(|scene| scene.listener.pending);
+        let speech: Vec<_> = scenes.iter().map(|scene| scene.listener.speech).collect();
         Self {
             doing,
-            utterances: utterances(scenes),
+            utterances: Utterance::all(&speech),
             waits: waits(pending),
             reactions: spans(reacting),
         }
@@ -127,29 +107,6 @@ fn doing(before: &Scene, after: &Scene) -> Doing {
     } else {
         Doing::OwnPlan
     }
-}
-
-fn utterances(scenes: &[Scene]) -> Vec<Utterance> {
-    let mut all: Vec<Utterance> = Vec::new();
-    for (i, scene) in scenes.iter().enumerate().skip(1) {
-        let Some(speech) = scene.listener.speech.filter(|speech| speech.started) else { continue };
-        let start = i - 1;
-        // Up to the last word, or until it is no longer the running utterance.
-        let goes_on = |scene: &&Scene| {
-            scene.listener.speech.is_some_and(|s| !s.started && s.topic == speech.topic)
-        };
-        let heard = 1 + scenes[i + 1..].iter().take_while(goes_on).count();
-        let replaced = scenes
-            .get(i + heard)
-            .is_some_and(|scene| scene.listener.speech.is_some_and(|speech| speech.started));
-        // A finished utterance is gone in the scene after its last word.
-        let words = heard + usize::from(!replaced);
-        let [comprehension, conveyance] =
-            [speech.comprehension, speech.conveyance].map(|words| words as usize);
-        let end = (start + words.min(conveyance)).min(scenes.len() - 1);
-        all.push(Utterance { topic: speech.topic, start, comprehension, conveyance, end });
-    }
-    all
 }
 
 /// A message that is pending from scene `a` to scene `b` waits from the one to the other.

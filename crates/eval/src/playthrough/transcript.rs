@@ -14,8 +14,9 @@ use std::fmt::Write as _;
 use leadtime_taxonomy::Pace;
 
 use super::record::Playthrough;
-use super::story::{Doing, Story, Utterance};
+use super::story::{Doing, Story};
 use super::world::topic_name;
+use crate::measure::Utterance;
 
 /// One moment in which something happens; empty text where nothing does.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -6,7 +6,7 @@ use super::knowledge::{Knowledge, ReaderScore, Score, Stage};
 use super::readers::Reader;
 use super::record::{N_STAGES, Sample, record};
 use crate::error::Error;
-use crate::measure::{Difference, EvaluateSettings, MakeEnvironment, Player};
+use crate::measure::{Difference, MakeEnvironment, PlaySettings, Player};
 
 /// A stage that fewer episodes of either half reached is not judged.
 pub const MIN_EPISODES: usize = 20;
@@ -22,7 +22,7 @@ pub const MIN_EPISODES: usize = 20;
 pub fn probe(
     make: &MakeEnvironment<'_>,
     player: &Player,
-    settings: &EvaluateSettings,
+    settings: &PlaySettings<'_>,
     bootstrap: Bootstrap,
 ) -> Result<Knowledge, Error> {
     let least = 2 * MIN_EPISODES as u64;

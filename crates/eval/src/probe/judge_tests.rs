@@ -8,8 +8,8 @@ use super::*;
 
 const BOOTSTRAP: Bootstrap = Bootstrap { seed: 3, n_resamples: 199, confidence: 0.95 };
 
-fn settings() -> EvaluateSettings {
-    EvaluateSettings::new(300, 11)
+fn settings() -> PlaySettings<'static> {
+    PlaySettings::new(300, 11)
 }
 
 fn known(told: Told) -> Knowledge {
@@ -93,7 +93,7 @@ fn stages_are_counted_and_rare_ones_not_judged() {
     assert!((80..130).contains(&known.stages[3].n_judged_on));
     assert!(known.stages[5].n_steps > 4 * known.stages[5].n_judged_on as u64);
     assert_eq!(known.stages[3].mean_comprehended, Some(3.0));
-    let few = EvaluateSettings::new(50, 11);
+    let few = PlaySettings::new(50, 11);
     let few = probe(&make(Told::Nothing), &player(), &few, BOOTSTRAP).unwrap();
     assert!(few.stages[0].scores.len() == 4 && few.stages[5].scores.is_empty());
     assert!(few.text().contains("\u{2013}"), "{}", few.text());
@@ -102,17 +102,17 @@ fn stages_are_counted_and_rare_ones_not_judged() {
 #[test]
 fn the_seed_decides_and_threads_change_nothing() {
     let known = known(Told::AfterTheFirstReaction);
-    let run = |settings: EvaluateSettings| {
+    let run = |settings: PlaySettings<'_>| {
         probe(&make(Told::AfterTheFirstReaction), &player(), &settings, BOOTSTRAP).unwrap()
     };
     assert_eq!(run(settings().threads(3)), known);
-    assert_ne!(run(EvaluateSettings::new(300, 12)), known);
+    assert_ne!(run(PlaySettings::new(300, 12)), known);
 }
 
 #[test]
 fn what_cannot_be_known_is_said_in_one_sentence() {
     let refuse = |make: &MakeEnvironment<'_>, player: &Player, n_episodes| {
-        let settings = EvaluateSettings::new(n_episodes, 11);
+        let settings = PlaySettings::new(n_episodes, 11);
         probe(make, player, &settings, BOOTSTRAP).unwrap_err().to_string()
     };
     let always = || -> Result<Box<dyn Environment>, TaskError> {

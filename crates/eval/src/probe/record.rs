@@ -1,12 +1,13 @@
 //! Playing episodes and noting, at one step of every stage, what the policy sees and what is true.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
+use leadtime_episodes::{
+    Decision, EnvSlot, EpisodeObserver, MakeEnvironment, Observer, PlaySettings, Player,
+    episode_seed, play,
+};
 use leadtime_numerics::{Pcg64, Purpose};
-use leadtime_sims::{Environment, Insight};
+use leadtime_sims::{End, Insight};
 
 use crate::error::Error;
-use crate::measure::{Acting, EvaluateSettings, MakeEnvironment, Player, episode_seed, in_threads};
 
 /// Stages that are told apart: 0, 1, ... reactions begun, and in the last one as many or more.
 pub(super) const N_STAGES: usize = 6;
@@ -36,81 +37,19 @@ pub(super) struct Sample {
 ///
 /// # Errors
 ///
-/// [`Error::NoListener`] or [`Error::DelayPerMessage`] if there is no delay to be known; [`Error::Endless`].
+/// [`Error::NoListener`] or [`Error::DelayPerMessage`] if there is no delay to be known; as [`play`].
 pub(super) fn record(
     make: &MakeEnvironment<'_>,
     player: &Player,
-    settings: &EvaluateSettings,
+    settings: &PlaySettings<'_>,
 ) -> Result<Vec<Sample>, Error> {
-    let next = AtomicU64::new(0);
-    let work = || {
-        let mut recorder = Recorder::new(make()?, player, settings);
-        let mut samples = Vec::new();
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= settings.n_episodes {
-                return Ok(samples);
-            }
-            samples.push((index, recorder.episode(index)?));
-        }
-    };
-    Ok(in_threads(settings.n_threads, &work)?.into_iter().flatten().collect())
-}
-
-/// Plays one episode after the other.
-struct Recorder<'a> {
-    settings: &'a EvaluateSettings,
-    environment: Box<dyn Environment>,
-    acting: Acting,
-    observation: Vec<f32>,
-    hidden: Vec<f32>,
-    recurrent: Vec<f32>,
-    action: Vec<u8>,
-}
-
-impl<'a> Recorder<'a> {
-    fn new(
-        environment: Box<dyn Environment>,
-        player: &Player,
-        settings: &'a EvaluateSettings,
-    ) -> Self {
-        Self {
-            settings,
-            acting: Acting::new(player),
-            observation: vec![0.0; environment.spec().obs_dim],
-            hidden: vec![0.0; player.hidden_dim()],
-            recurrent: vec![0.0; player.recurrent_dim()],
-            action: vec![0; environment.spec().actions.heads.len()],
-            environment,
-        }
-    }
-
-    fn episode(&mut self, index: u64) -> Result<Vec<Sample>, Error> {
-        let streams = episode_seed(self.settings.seed, index);
-        let mut acts = streams.stream(Purpose::Act);
-        let mut stages = Stages::new(index, streams.stream(Purpose::Probe));
-        self.environment.reset(streams, &mut self.observation);
-        self.recurrent.fill(0.0);
-        for _ in 0..self.settings.max_steps {
-            let insight = self.environment.insight().ok_or(Error::NoListener)?;
-            let sample = stages.visit(insight)?;
-            let (observation, recurrent) = (&self.observation, &mut self.recurrent);
-            if sample.is_some() {
-                self.acting.hidden(observation, recurrent, &mut self.hidden);
-            }
-            self.acting.think(observation, recurrent, 1);
-            if let Some(sample) = sample {
-                sample.input.clone_from(&self.observation);
-                sample.hidden = [&self.hidden[..], &self.recurrent].concat();
-            }
-            self.acting.choose(0, self.environment.as_ref(), &mut acts, &mut self.action);
-            let outcome = self.environment.step(&self.action, &mut self.observation);
-            if outcome.end.is_some() {
-                return Ok(stages.weighted());
-            }
-        }
-        Err(Error::Endless { index, n_steps: self.settings.max_steps })
-    }
+    let seed = |index| episode_seed(settings.seed, index);
+    // Whether there is a delay to be known is a question of the task, so one episode tells.
+    let first = EnvSlot::new(make()?, 0, seed(settings.first));
+    let insight = first.env().insight().ok_or(Error::NoListener)?;
+    insight.reaction_delay.ok_or(Error::DelayPerMessage)?;
+    let observe = |index| Stages::new(index, seed(index).stream(Purpose::Probe));
+    Ok(play(make, player, settings, observe)?.concat())
 }
 
 /// The stages of an episode so far, each with a step drawn evenly from its steps.
@@ -119,27 +58,29 @@ struct Stages {
     draws: Pcg64,
     n_begun: usize,
     samples: [Option<Sample>; N_STAGES],
+    /// The stage whose sample is the coming step.
+    chosen: Option<usize>,
 }
 
 impl Stages {
     fn new(episode: u64, draws: Pcg64) -> Self {
-        Self { episode, draws, n_begun: 0, samples: Default::default() }
+        Self { episode, draws, n_begun: 0, samples: Default::default(), chosen: None }
     }
 
-    /// Goes to the coming step; returns the stage's sample, to be filled in, if it is to be this step.
-    fn visit(&mut self, insight: Insight) -> Result<Option<&mut Sample>, Error> {
-        let delay = insight.reaction_delay.ok_or(Error::DelayPerMessage)?;
+    /// Goes to the coming step and decides whether it takes the place of its stage's sample.
+    fn visit(&mut self, insight: Insight) {
         self.n_begun += usize::from(insight.reaction_began);
         let stage = self.n_begun.min(N_STAGES - 1);
         let sample = self.samples[stage].get_or_insert_default();
         sample.n_steps += 1;
         // Reservoir sampling: step n takes the place of those before it with probability 1 / n.
-        if self.draws.below(sample.n_steps as usize) > 0 {
-            return Ok(None);
+        let takes_place = self.draws.below(sample.n_steps as usize) == 0;
+        self.chosen = takes_place.then_some(stage);
+        if takes_place {
+            (sample.episode, sample.stage) = (self.episode, stage);
+            sample.delay = insight.reaction_delay.unwrap_or_default();
+            sample.comprehended = insight.comprehended;
         }
-        (sample.episode, sample.stage) = (self.episode, stage);
-        (sample.delay, sample.comprehended) = (delay, insight.comprehended);
-        Ok(Some(sample))
     }
 
     /// Returns the samples of the stages that there were.
@@ -150,13 +91,38 @@ impl Stages {
     }
 }
 
+impl Observer for Stages {
+    fn wants_hidden(&mut self, slot: &EnvSlot) -> bool {
+        self.visit(slot.env().insight().unwrap_or_default());
+        self.chosen.is_some()
+    }
+
+    fn on_decision(&mut self, slot: &EnvSlot, decision: &Decision<'_>) {
+        let Some(sample) = self.chosen.and_then(|stage| self.samples[stage].as_mut()) else {
+            return;
+        };
+        sample.input = slot.observation().to_vec();
+        sample.hidden = [decision.hidden.unwrap_or_default(), slot.recurrent()].concat();
+    }
+}
+
+impl EpisodeObserver for Stages {
+    type Output = Vec<Sample>;
+
+    fn finish(self, _slot: &EnvSlot, _end: End) -> Vec<Sample> {
+        self.weighted()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn visit(stages: &mut Stages, delay: u32, reaction_began: bool) -> bool {
-        let insight = Insight { reaction_delay: Some(delay), comprehended: 3, reaction_began };
-        stages.visit(insight).unwrap().is_some()
+        let reaction_delay = Some(delay);
+        let insight = Insight { reaction_delay, comprehended: 3, reaction_began, speech: None };
+        stages.visit(insight);
+        stages.chosen.is_some()
     }
 
     #[test]
@@ -187,12 +153,5 @@ mod tests {
         }
         // 1000 each, with a standard deviation of 27.
         assert!(chosen.iter().all(|n| (900..1100).contains(n)), "{chosen:?}");
-    }
-
-    #[test]
-    fn a_delay_that_no_one_has_drawn_yet_cannot_be_known() {
-        let mut stages = Stages::new(0, Pcg64::seed_from_u64(1));
-        let error = stages.visit(Insight::default()).unwrap_err();
-        assert!(matches!(error, Error::DelayPerMessage));
     }
 }

@@ -3,25 +3,43 @@
 //! Time is told by the hazard: the step at which something happens to the same person in the same episode when nobody
 //! speaks ([`hazards`]). A message before it comes in time; after it, the person would be safe unaided or lost.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use leadtime_episodes::{MakeEnvironment, PlaySettings, Player, play};
 
 use crate::error::Error;
-use crate::measure::{Evaluation, MakeEnvironment, Numbered, Player, hazards, in_threads};
-use crate::playthrough::{Playthrough, Story, Utterance};
+use crate::measure::{Evaluation, SpeechLog, Utterance, hazards};
 
 /// Names of the columns, in the order of [`row`].
 const COLUMNS: [&str; 4] =
     ["first_l", "later_l", "per_step_before_hazard", "per_step_after_hazard"];
 
-/// Plays an evaluation's episodes again, message by message, and adds what they say to it; the number of threads changes
-/// nothing.
+/// Adds to an evaluation what was said in its episodes and when.
 ///
 /// The columns: l of the first message, mean l of the others, messages per step before and after the hazard. A task
-/// without hazards, or that cannot be drawn, leaves the evaluation as it is.
+/// without hazards leaves the evaluation as it is.
+///
+/// # Shapes
+///
+/// `said`: per episode, what [`SpeechLog`] observed.
+pub fn with_said(
+    evaluation: Evaluation,
+    unaided: &Evaluation,
+    said: &[Vec<Utterance>],
+) -> Evaluation {
+    let Some(hazards) = hazards(unaided) else { return evaluation };
+    let episodes = evaluation.episodes.iter().zip(said).zip(hazards);
+    let rows: Vec<[f32; 4]> = episodes
+        .map(|((episode, said), hazard)| row(said, episode.n_steps as usize, hazard as usize))
+        .collect();
+    let column = |i: usize| rows.iter().map(|row| row[i]).collect::<Vec<f32>>();
+    let named = COLUMNS.iter().enumerate();
+    named.fold(evaluation, |so_far, (i, name)| so_far.with_column(name, &column(i)))
+}
+
+/// Plays an evaluation's episodes again and adds what was said in them ([`with_said`]).
 ///
 /// # Errors
 ///
-/// As [`Playthrough::record`]; [`Error::Task`] if an environment cannot be made.
+/// As [`play`].
 pub fn with_claims(
     evaluation: Evaluation,
     unaided: &Evaluation,
@@ -29,30 +47,12 @@ pub fn with_claims(
     player: &Player,
     n_threads: usize,
 ) -> Result<Evaluation, Error> {
-    let drawable = make()?.scene().is_some();
-    let Some(hazards) = hazards(unaided).filter(|_| drawable) else {
+    if make()?.insight().is_none() {
         return Ok(evaluation);
-    };
-    let n_episodes = evaluation.episodes.len().min(hazards.len());
-    let next = AtomicUsize::new(0);
-    let work = || {
-        let mut environment = make()?;
-        let mut rows = Numbered::new();
-        loop {
-            let place = next.fetch_add(1, Ordering::Relaxed);
-            let Some(hazard) = hazards.get(place).filter(|_| place < n_episodes) else { break };
-            let index = place as u64;
-            let seed = evaluation.seed;
-            let played = Playthrough::record(environment.as_mut(), player, seed, index)?;
-            let story = Story::new(&played.scenes);
-            rows.push((index, row(&story.utterances, played.n_steps(), *hazard as usize)));
-        }
-        Ok(rows)
-    };
-    let rows = in_threads(n_threads, &work)?;
-    let column = |i: usize| rows.iter().map(|row| row[i]).collect::<Vec<f32>>();
-    let named = COLUMNS.iter().enumerate();
-    Ok(named.fold(evaluation, |so_far, (i, name)| so_far.with_column(name, &column(i))))
+    }
+    let settings = PlaySettings::new(evaluation.episodes.len() as u64, evaluation.seed);
+    let said = play(make, player, &settings.threads(n_threads), |_| SpeechLog::default())?;
+    Ok(with_said(evaluation, unaided, &said))
 }
 
 /// Computes the columns of one episode; NaN where one is undefined.
@@ -79,7 +79,7 @@ mod tests {
     use leadtime_sims::{Environment, NotifierEnv, TaskError};
 
     use super::*;
-    use crate::measure::{EvaluateSettings, evaluate};
+    use crate::measure::evaluate;
 
     fn piloting() -> Result<Box<dyn Environment>, TaskError> {
         let task = Piloting::new(&WorldSettings::default()).map_err(TaskError::from)?;
@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn the_number_of_threads_changes_nothing() {
-        let settings = EvaluateSettings::new(5, 3);
+        let settings = PlaySettings::new(5, 3);
         let unaided = evaluate(&piloting, &Player::baseline("unaided"), &settings).unwrap();
         let player = Player::baseline("heuristic");
         let judged = evaluate(&piloting, &player, &settings).unwrap();

@@ -1,0 +1,238 @@
+//! Playing many whole episodes, several at a time.
+//!
+//! Episode i is the same whoever plays beside it: its world, listener and action draws come from streams named by
+//! (seed, i). So neither the number of slots nor that of threads changes a result, and two players meet the same worlds.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+
+use leadtime_numerics::Purpose;
+use leadtime_proto::EnvId;
+use leadtime_sims::{End, Environment, EpisodeSeed, TaskError};
+
+use crate::error::Error;
+use crate::lockstep::{Lockstep, Observer};
+use crate::player::Player;
+use crate::slot::EnvSlot;
+
+/// Makes one more environment of the task.
+pub type MakeEnvironment<'a> = dyn Fn() -> Result<Box<dyn Environment>, TaskError> + Sync + 'a;
+
+/// Which episodes are played, and how.
+#[derive(Clone, Copy, Debug)]
+pub struct PlaySettings<'a> {
+    /// Index of the first episode.
+    pub first: u64,
+    /// Number of episodes.
+    pub n_episodes: u64,
+    /// Seed of the evaluation; part of every stream's name.
+    pub seed: u64,
+    /// Episodes played side by side in a thread, so that a network sees batches.
+    pub n_slots: usize,
+    /// Threads; the results do not depend on it.
+    pub n_threads: usize,
+    /// An episode that takes longer is reported as endless.
+    pub max_steps: u64,
+    /// Ends the playing with [`Error::Interrupted`] once it is true; looked at in every step.
+    pub stop: Option<&'a AtomicBool>,
+}
+
+impl<'a> PlaySettings<'a> {
+    /// Plans the first `n_episodes` of a seed on one thread.
+    pub fn new(n_episodes: u64, seed: u64) -> Self {
+        Self {
+            first: 0,
+            n_episodes,
+            seed,
+            n_slots: 16,
+            n_threads: 1,
+            max_steps: 100_000,
+            stop: None,
+        }
+    }
+
+    /// Spreads the work over threads.
+    pub fn threads(self, n_threads: usize) -> Self {
+        Self { n_threads, ..self }
+    }
+
+    /// Ends the playing early when the flag is raised.
+    pub fn stopped_by(self, stop: &'a AtomicBool) -> Self {
+        Self { stop: Some(stop), ..self }
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+    }
+}
+
+/// Watches one whole episode.
+pub trait EpisodeObserver: Observer {
+    /// What it makes of the episode.
+    type Output: Send;
+
+    /// The episode has ended; the slot holds its final observation.
+    fn finish(self, slot: &EnvSlot, end: End) -> Self::Output;
+}
+
+impl EpisodeObserver for () {
+    type Output = ();
+
+    fn finish(self, _slot: &EnvSlot, _end: End) {}
+}
+
+impl<A: EpisodeObserver, B: EpisodeObserver> EpisodeObserver for (A, B) {
+    type Output = (A::Output, B::Output);
+
+    fn finish(self, slot: &EnvSlot, end: End) -> Self::Output {
+        (self.0.finish(slot, end), self.1.finish(slot, end))
+    }
+}
+
+/// Names the streams of the `index`-th episode of an evaluation.
+///
+/// Every episode is the first one of an environment of its own, so that a task which varies by environment shows
+/// all its variants.
+pub fn episode_seed(seed: u64, index: u64) -> EpisodeSeed {
+    EpisodeSeed { run_seed: seed, env_id: EnvId(index as u32), episode: index >> 32 }
+}
+
+/// Plays episodes, each under an observer of its own, and returns what the observers made of them, in order.
+///
+/// # Errors
+///
+/// [`Error::Task`] if an environment cannot be made, [`Error::PolicyShape`] or [`Error::UnknownBaseline`] if the
+/// player cannot play it, [`Error::Endless`] if an episode does not end, [`Error::Interrupted`] if the flag was raised.
+pub fn play<O: EpisodeObserver>(
+    make: &MakeEnvironment<'_>,
+    player: &Player,
+    settings: &PlaySettings<'_>,
+    observe: impl Fn(u64) -> O + Sync,
+) -> Result<Vec<O::Output>, Error> {
+    player.check(make()?.as_ref())?;
+    let next = AtomicU64::new(settings.first);
+    let work = || Shift::new(player, settings, &next).run(make, &observe);
+    let n_threads = settings.n_threads as u64;
+    let mut done = match n_threads.min(settings.n_episodes) {
+        0 | 1 => work()?,
+        n_threads => in_threads(n_threads, &work)?,
+    };
+    done.sort_unstable_by_key(|(index, _)| *index);
+    Ok(done.into_iter().map(|(_, found)| found).collect())
+}
+
+/// What episodes gave, with their indices.
+type Indexed<T> = Vec<(u64, T)>;
+
+fn in_threads<T: Send>(
+    n_threads: u64,
+    work: &(impl Fn() -> Result<Indexed<T>, Error> + Sync),
+) -> Result<Indexed<T>, Error> {
+    thread::scope(|scope| {
+        let start = |i: u64| {
+            let name = format!("evaluate-{i}");
+            thread::Builder::new().name(name).spawn_scoped(scope, work).map_err(Error::Thread)
+        };
+        let threads: Vec<_> = (0..n_threads).map(start).collect::<Result<_, _>>()?;
+        let mut all = Vec::new();
+        for thread in threads {
+            // A panic in a thread is a bug; it goes on in the caller.
+            let part = thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            all.extend(part?);
+        }
+        Ok(all)
+    })
+}
+
+/// One thread's part: episodes from a shared counter, until there are no more.
+struct Shift<'a, O: EpisodeObserver> {
+    settings: &'a PlaySettings<'a>,
+    next: &'a AtomicU64,
+    player: Player,
+    lockstep: Lockstep,
+    slots: Vec<EnvSlot>,
+    /// One per slot.
+    observers: Vec<O>,
+    /// The episode in each slot.
+    indices: Vec<u64>,
+    done: Indexed<O::Output>,
+}
+
+impl<'a, O: EpisodeObserver> Shift<'a, O> {
+    fn new(player: &Player, settings: &'a PlaySettings<'a>, next: &'a AtomicU64) -> Self {
+        Self {
+            settings,
+            next,
+            player: player.clone(),
+            lockstep: Lockstep::default(),
+            slots: Vec::new(),
+            observers: Vec::new(),
+            indices: Vec::new(),
+            done: Vec::new(),
+        }
+    }
+
+    fn run(
+        mut self,
+        make: &MakeEnvironment<'_>,
+        observe: &impl Fn(u64) -> O,
+    ) -> Result<Indexed<O::Output>, Error> {
+        while self.slots.len() < self.settings.n_slots.max(1) {
+            let Some(index) = self.take() else { break };
+            let seed = episode_seed(self.settings.seed, index);
+            let mut slot = EnvSlot::new(make()?, self.player.recurrent_dim(), seed);
+            slot.draw_from(seed.stream(Purpose::Act));
+            let mut observer = observe(index);
+            observer.on_reset(&slot);
+            self.slots.push(slot);
+            self.observers.push(observer);
+            self.indices.push(index);
+        }
+        while !self.slots.is_empty() {
+            if self.settings.is_stopped() {
+                return Err(Error::Interrupted);
+            }
+            self.lockstep.act(&mut self.player.decider(), &mut self.slots, &mut self.observers);
+            self.lockstep.advance(&mut self.slots, &mut self.observers);
+            let n_ended = self.lockstep.ended().len();
+            // From the back, so that removing a slot leaves the slots before it in place.
+            for i in (0..n_ended).rev() {
+                let (row, end) = self.lockstep.ended()[i];
+                self.replace(row, end, observe);
+            }
+            self.check_lengths()?;
+        }
+        Ok(self.done)
+    }
+
+    /// Takes the index of an episode that nobody plays yet.
+    fn take(&self) -> Option<u64> {
+        let index = self.next.fetch_add(1, Ordering::Relaxed);
+        (index < self.settings.first + self.settings.n_episodes).then_some(index)
+    }
+
+    /// Finishes the episode of a slot, which takes another one or goes.
+    fn replace(&mut self, row: usize, end: End, observe: &impl Fn(u64) -> O) {
+        let Some(index) = self.take() else {
+            let slot = self.slots.remove(row);
+            let output = self.observers.remove(row).finish(&slot, end);
+            self.done.push((self.indices.remove(row), output));
+            return;
+        };
+        let slot = &mut self.slots[row];
+        let observer = std::mem::replace(&mut self.observers[row], observe(index));
+        let output = observer.finish(slot, end);
+        self.done.push((std::mem::replace(&mut self.indices[row], index), output));
+        let seed = episode_seed(self.settings.seed, index);
+        slot.begin(seed);
+        slot.draw_from(seed.stream(Purpose::Act));
+        self.observers[row].on_reset(slot);
+    }
+
+    fn check_lengths(&self) -> Result<(), Error> {
+        let most = self.settings.max_steps;
+        let endless = self.slots.iter().position(|slot| u64::from(slot.n_steps()) >= most);
+        endless
+            .map_or(Ok(()), |row| Err(Error::Endless { index: self.indices[row], n_steps: most }))
+    }
+}

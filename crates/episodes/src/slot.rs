@@ -1,0 +1,167 @@
+//! One environment with the episode that is being played in it, and its snapshot.
+
+use leadtime_numerics::Pcg64;
+use leadtime_proto::{EnvId, EpisodeSummary, packed};
+use leadtime_sims::environment::{read_snapshot, write_snapshot};
+use leadtime_sims::{Environment, EpisodeSeed, SnapshotError, StepOutcome};
+use serde::{Deserialize, Serialize};
+
+/// What of a slot is not in its environment; the observation is, because restoring writes it.
+#[derive(Serialize, Deserialize)]
+struct SlotSnapshot {
+    episode: u64,
+    episode_return: f64,
+    length: u32,
+    #[serde(with = "packed")]
+    recurrent: Vec<f32>,
+    #[serde(with = "serde_bytes")]
+    env: Vec<u8>,
+}
+
+/// One environment among those that are stepped together.
+pub struct EnvSlot {
+    pub(crate) env: Box<dyn Environment>,
+    pub(crate) observation: Vec<f32>,
+    pub(crate) recurrent: Vec<f32>,
+    pub(crate) draws: Pcg64,
+    seed: EpisodeSeed,
+    episode_return: f64,
+    n_steps: u32,
+}
+
+impl std::fmt::Debug for EnvSlot {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("EnvSlot").field("seed", &self.seed).finish_non_exhaustive()
+    }
+}
+
+impl EnvSlot {
+    /// Starts an episode in an environment, for a policy with a recurrent state of the given width.
+    pub fn new(env: Box<dyn Environment>, recurrent_dim: usize, seed: EpisodeSeed) -> Self {
+        let mut slot = Self::idle(env, recurrent_dim, seed);
+        slot.begin(seed);
+        slot
+    }
+
+    /// Continues from a snapshot; the environment's future is the same, bit for bit.
+    ///
+    /// # Errors
+    ///
+    /// [`SnapshotError`] if the bytes are not a snapshot of such a slot.
+    pub fn restored(
+        env: Box<dyn Environment>,
+        recurrent_dim: usize,
+        run_seed: u64,
+        env_id: EnvId,
+        bytes: &[u8],
+    ) -> Result<Self, SnapshotError> {
+        let snapshot: SlotSnapshot = read_snapshot(bytes)?;
+        if snapshot.recurrent.len() != recurrent_dim {
+            return Err(SnapshotError::Mismatch { what: "width of the recurrent state" });
+        }
+        let seed = EpisodeSeed { run_seed, env_id, episode: snapshot.episode };
+        let mut slot = Self::idle(env, recurrent_dim, seed);
+        slot.episode_return = snapshot.episode_return;
+        slot.n_steps = snapshot.length;
+        slot.recurrent = snapshot.recurrent;
+        slot.env.restore(&snapshot.env, &mut slot.observation)?;
+        Ok(slot)
+    }
+
+    fn idle(env: Box<dyn Environment>, recurrent_dim: usize, seed: EpisodeSeed) -> Self {
+        Self {
+            observation: vec![0.0; env.spec().obs_dim],
+            recurrent: vec![0.0; recurrent_dim],
+            draws: Pcg64::seed_from_u64(0),
+            env,
+            seed,
+            episode_return: 0.0,
+            n_steps: 0,
+        }
+    }
+
+    /// Starts another episode.
+    pub fn begin(&mut self, seed: EpisodeSeed) {
+        (self.seed, self.episode_return, self.n_steps) = (seed, 0.0, 0);
+        self.recurrent.fill(0.0);
+        self.env.reset(seed, &mut self.observation);
+    }
+
+    /// Starts the next episode of the same environment.
+    pub fn begin_next(&mut self) {
+        self.begin(EpisodeSeed { episode: self.seed.episode + 1, ..self.seed });
+    }
+
+    /// Sets the stream from which a sampling policy's actions are drawn.
+    pub fn draw_from(&mut self, stream: Pcg64) {
+        self.draws = stream;
+    }
+
+    /// Appends everything that the slot's future depends on, except the stream of action draws.
+    pub fn snapshot(&self, out: &mut Vec<u8>) {
+        let mut env = Vec::new();
+        self.env.snapshot(&mut env);
+        let snapshot = SlotSnapshot {
+            episode: self.seed.episode,
+            episode_return: self.episode_return,
+            length: self.n_steps,
+            recurrent: self.recurrent.clone(),
+            env,
+        };
+        write_snapshot(&snapshot, out);
+    }
+
+    /// Returns the environment.
+    pub fn env(&self) -> &dyn Environment {
+        self.env.as_ref()
+    }
+
+    /// Returns the latest observation. Shape `[D]`.
+    pub fn observation(&self) -> &[f32] {
+        &self.observation
+    }
+
+    /// Returns the policy's recurrent state. Shape `[S]`.
+    pub fn recurrent(&self) -> &[f32] {
+        &self.recurrent
+    }
+
+    /// Returns what names the episode's random streams.
+    pub fn seed(&self) -> EpisodeSeed {
+        self.seed
+    }
+
+    /// Returns the sum of the episode's raw rewards so far.
+    pub fn episode_return(&self) -> f64 {
+        self.episode_return
+    }
+
+    /// Returns the number of steps of the episode so far.
+    pub fn n_steps(&self) -> u32 {
+        self.n_steps
+    }
+
+    /// Returns the task's metrics of the episode so far.
+    pub fn metrics(&self) -> Vec<f32> {
+        let mut metrics = vec![0.0; self.env.spec().metrics.len()];
+        self.env.metrics(&mut metrics);
+        metrics
+    }
+
+    /// Summarises the episode so far.
+    pub fn summary(&self) -> EpisodeSummary {
+        EpisodeSummary {
+            episode: self.seed.episode,
+            episode_return: self.episode_return,
+            length: self.n_steps,
+            metrics: self.metrics(),
+        }
+    }
+
+    pub(crate) fn step(&mut self, action: &[u8]) -> StepOutcome {
+        let outcome = self.env.step(action, &mut self.observation);
+        self.episode_return += f64::from(outcome.reward);
+        self.n_steps += 1;
+        outcome
+    }
+}

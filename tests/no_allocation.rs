@@ -1,0 +1,148 @@
+//! What production runs allocates nothing per step: not the driver, not the actor's recorder, not the evaluation's
+//! measures, not the listener, the history or the batch.
+//!
+//! It steps the lander in free flight (the contact world near the ground belongs to the physics engine, which keeps
+//! its own memory), the highway past its first merge, and the steakhouse through words, directions and disclosures. An
+//! untrained policy starts a message in every other step it may: speech, comprehension, reaction and cuts all happen.
+//! This is a program of its own (no test harness), so that nobody else allocates beside it.
+
+use std::alloc::System;
+
+use leadtime_actor::{Phase, Stopwatch, Worker, WorkerSettings};
+use leadtime_episodes::{Choice, EnvSlot, EpisodeObserver, Observer, PlaySettings, Player};
+use leadtime_eval::measure::evaluate_with;
+use leadtime_policy::{Parameters, Policy};
+use leadtime_proto::message::EnvAssignment;
+use leadtime_proto::{
+    Encoder, EnvId, EnvSpec, HeadCredit, Iteration, PolicySpec, PolicyVersion, TaskSpec,
+};
+use leadtime_sims::{End, Registry, StepOutcome};
+use stats_alloc::{INSTRUMENTED_SYSTEM, Stats, StatsAlloc};
+
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+const N_ENVS: u32 = 4;
+
+fn main() {
+    for (domain, n_steps) in [("lander", 8), ("highway", 16), ("steakhouse", 24)] {
+        collecting_allocates_nothing(domain, n_steps / 2);
+        evaluating_allocates_nothing(domain, u64::from(n_steps));
+    }
+}
+
+fn policy_spec(env: &EnvSpec) -> PolicySpec {
+    PolicySpec {
+        obs_dim: env.obs_dim,
+        encoder: Encoder::Lstm { projection: 8, state: 16 },
+        hidden: vec![16],
+        actions: env.actions.clone(),
+        head_credit: HeadCredit::Active,
+        logit_bias: Vec::new(),
+        normalize_observations: true,
+    }
+}
+
+fn task(domain: &str) -> TaskSpec {
+    TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() }
+}
+
+/// Compares what has been allocated at its marks.
+#[derive(Default)]
+struct Meter {
+    n_marks: usize,
+    first: Stats,
+    last: Stats,
+}
+
+impl Meter {
+    fn mark(&mut self) {
+        self.last = ALLOCATOR.stats();
+        if self.n_marks == 0 {
+            self.first = self.last;
+        }
+        self.n_marks += 1;
+    }
+
+    fn check(&self, domain: &str, what: &str, n_marks: usize) {
+        assert_eq!(self.n_marks, n_marks, "all episodes of {domain} go on while {what}");
+        let change = self.last - self.first;
+        assert_eq!(
+            (change.allocations, change.reallocations),
+            (0, 0),
+            "{domain}, {what}: {change:?}"
+        );
+    }
+}
+
+/// A mark after every step of the environments.
+struct Laps {
+    meter: Meter,
+    n_steps: usize,
+}
+
+impl Stopwatch for Laps {
+    fn lap(&mut self, phase: Phase) {
+        // The lap after the last step holds the snapshots, which are made once per rollout.
+        if phase == Phase::Simulate && self.meter.n_marks < self.n_steps {
+            self.meter.mark();
+        }
+    }
+}
+
+fn collecting_allocates_nothing(domain: &str, n_steps: u32) {
+    let registry = Registry::builtin();
+    let build = || registry.build(&task(domain)).expect("the default task can be built");
+    let env = build().spec().clone();
+    let policy = policy_spec(&env);
+    let parameters = Parameters::initialize(&policy, 1).expect("the architecture is sound");
+    let mut acting = Policy::new(&policy, &parameters).expect("the parameters fit");
+    let mut worker = Worker::new(WorkerSettings { run_seed: 1, n_steps, env, policy });
+    for env_id in (0..N_ENVS).map(EnvId) {
+        let start = EnvAssignment { env_id, iteration: Iteration(0), snapshot: Vec::new() };
+        worker.insert(build(), &start).expect("an empty snapshot is a fresh start");
+    }
+    worker.collect(&mut acting, PolicyVersion(0), &mut ());
+    let mut laps = Laps { meter: Meter::default(), n_steps: n_steps as usize };
+    let rollouts = worker.collect(&mut acting, PolicyVersion(0), &mut laps);
+    assert!(rollouts.iter().all(|rollout| rollout.ends.is_empty()), "{domain}");
+    laps.meter.check(domain, "collecting", n_steps as usize);
+}
+
+/// A mark after each of an episode's first steps but one.
+struct FirstSteps {
+    meter: Meter,
+    n_steps: u64,
+}
+
+impl Observer for FirstSteps {
+    fn on_step(&mut self, slot: &EnvSlot, _outcome: StepOutcome) {
+        if (2..=self.n_steps).contains(&u64::from(slot.n_steps())) {
+            self.meter.mark();
+        }
+    }
+}
+
+impl EpisodeObserver for FirstSteps {
+    type Output = Meter;
+
+    fn finish(self, _slot: &EnvSlot, _end: End) -> Meter {
+        self.meter
+    }
+}
+
+fn evaluating_allocates_nothing(domain: &str, n_steps: u64) {
+    let registry = Registry::builtin();
+    let make = || registry.build(&task(domain));
+    let spec = make().expect("the default task can be built").spec().clone();
+    let trained = Player::untrained(&policy_spec(&spec), 1, Choice::Sample);
+    for player in [trained.expect("the architecture is sound"), Player::baseline("heuristic")] {
+        let settings = PlaySettings::new(u64::from(N_ENVS), 1);
+        let observe = |_| FirstSteps { meter: Meter::default(), n_steps };
+        let (_, meters) =
+            evaluate_with(&make, &player, &settings, observe).expect("the task can be played");
+        for meter in meters {
+            meter.check(domain, player.name(), n_steps as usize - 1);
+        }
+    }
+}
