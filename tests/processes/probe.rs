@@ -22,7 +22,7 @@ fn a_probe_is_reproducible_and_says_where_its_numbers_are_from() {
     let probed = place.finish(&args).with_code(0).json();
     let knowledge = &probed["knowledge"];
     assert_eq!(knowledge["stages"].as_array().map(Vec::len), Some(6));
-    assert_eq!(knowledge["stages"][0]["n_judged_on"], 20);
+    assert_eq!(knowledge["stages"][0]["n_evaluated_on"], 20);
     let readers = knowledge["readers"].as_array().unwrap();
     assert_eq!((&readers[2]["n_features"], &readers[3]["n_features"]), (&89.into(), &64.into()));
     assert_eq!(probed["reaction_delay"]["uniform"]["high"], 5);

@@ -94,7 +94,9 @@ pub struct Lockstep {
     values: Vec<f32>,
     /// `[N, H]`.
     choices: Vec<u8>,
+    /// What the heads saw in the latest slot that wanted to know.
     hidden: Vec<f32>,
+    n_heads: usize,
     ended: Vec<(usize, End)>,
 }
 
@@ -111,7 +113,9 @@ impl Lockstep {
         observers: &mut [O],
     ) {
         assert_eq!(slots.len(), observers.len(), "one observer per slot");
-        let n_heads = slots.first().map_or(0, |slot| n_heads(slot.borrow()));
+        let Some(first) = slots.first() else { return };
+        let n_heads = first.borrow().env.spec().actions.heads.len();
+        self.n_heads = n_heads;
         self.choices.resize(slots.len() * n_heads, 0);
         if let Decider::Policy { policy, .. } = decider {
             self.think(policy, slots);
@@ -124,11 +128,13 @@ impl Lockstep {
             match decider {
                 Decider::Policy { policy, distribution, choice } => {
                     // Before the recurrent state moves on: that is what the heads saw.
-                    hidden = observer.wants_hidden(slot).then(|| {
+                    hidden = if observer.wants_hidden(slot) {
                         self.hidden.resize(policy.hidden_dim(), 0.0);
                         policy.hidden(&slot.observation, &slot.recurrent, &mut self.hidden);
-                        self.hidden.as_slice()
-                    });
+                        Some(self.hidden.as_slice())
+                    } else {
+                        None
+                    };
                     let state = slot.recurrent.len();
                     slot.recurrent.copy_from_slice(&self.recurrent[row * state..][..state]);
                     let width = distribution.n_choices();
@@ -165,8 +171,7 @@ impl Lockstep {
         self.ended.clear();
         let rows = slots.iter_mut().map(S::borrow_mut).zip(observers).enumerate();
         for (row, (slot, observer)) in rows {
-            let n_heads = n_heads(slot);
-            let outcome = slot.step(&self.choices[row * n_heads..][..n_heads]);
+            let outcome = slot.step(&self.choices[row * self.n_heads..][..self.n_heads]);
             observer.on_step(slot, outcome);
             self.ended.extend(outcome.end.map(|end| (row, end)));
         }
@@ -232,8 +237,4 @@ impl Lockstep {
         }
         n
     }
-}
-
-fn n_heads(slot: &EnvSlot) -> usize {
-    slot.env.spec().actions.heads.len()
 }

@@ -4,63 +4,46 @@
 //! actor and critic) thinks about all of them at once, an action is drawn for each, and each takes its step, with resets.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use leadtime_numerics::Pcg64;
-use leadtime_policy::{ActionDistribution, Parameters, Policy};
+use leadtime_episodes::{Choice, EnvSlot, Lockstep, Player};
 use leadtime_proto::{Encoder, EnvId, HeadCredit, PolicySpec};
 use leadtime_sims::cooking::{Cooking, CookingSettings};
-use leadtime_sims::{Environment as _, EpisodeSeed, NotifierEnv};
+use leadtime_sims::{Environment, EpisodeSeed, NotifierEnv};
 
-const BATCH: usize = 64;
+const BATCH: u32 = 64;
 
-fn seed(lane: usize, episode: u64) -> EpisodeSeed {
-    EpisodeSeed { run_seed: 1, env_id: EnvId(lane as u32), episode }
-}
-
-fn environment() -> NotifierEnv<Cooking> {
+fn environment() -> Box<dyn Environment> {
     let settings = CookingSettings::default();
     let task = Cooking::new(&settings.world).expect("the defaults are possible");
-    NotifierEnv::new(task, &settings.human, &settings.notifier).expect("the defaults are possible")
+    let env = NotifierEnv::new(task, &settings.human, &settings.notifier);
+    Box::new(env.expect("the defaults are possible"))
 }
 
 fn steps_per_second(criterion: &mut Criterion) {
-    let mut lanes: Vec<NotifierEnv<Cooking>> = (0..BATCH).map(|_| environment()).collect();
+    let task = environment().spec().clone();
     let spec = PolicySpec {
-        obs_dim: lanes[0].spec().obs_dim,
+        obs_dim: task.obs_dim,
         encoder: Encoder::Lstm { projection: 32, state: 128 },
         hidden: Vec::new(),
-        actions: lanes[0].spec().actions.clone(),
+        actions: task.actions,
         head_credit: HeadCredit::Active,
         logit_bias: Vec::new(),
         normalize_observations: false,
     };
-    let parameters = Parameters::initialize(&spec, 1).expect("the specification is sound");
-    let mut policy = Policy::new(&spec, &parameters).expect("the parameters fit");
-    let distribution = ActionDistribution::new(&spec.actions, spec.head_credit);
-    let (width, state_dim) = (policy.n_choices(), policy.recurrent_dim());
-    let mut observations = vec![0.0; BATCH * spec.obs_dim];
-    for (i, (lane, row)) in lanes.iter_mut().zip(observations.chunks_mut(spec.obs_dim)).enumerate()
-    {
-        lane.reset(seed(i, 0), row);
-    }
-    let mut recurrent = vec![0.0; BATCH * state_dim];
-    let (mut logits, mut values) = (vec![0.0; BATCH * width], vec![0.0; BATCH]);
-    let mut action = vec![0; spec.actions.heads.len()];
-    let mut generator = Pcg64::seed_from_u64(7);
-    let mut episode = 0;
+    let mut player =
+        Player::untrained(&spec, 1, Choice::Sample).expect("the architecture is sound");
+    let slot = |env_id| {
+        let seed = EpisodeSeed { run_seed: 1, env_id: EnvId(env_id), episode: 0 };
+        EnvSlot::new(environment(), player.recurrent_dim(), seed)
+    };
+    let mut slots: Vec<EnvSlot> = (0..BATCH).map(slot).collect();
+    let (mut lockstep, mut observers) = (Lockstep::default(), [(); BATCH as usize]);
     let mut group = criterion.benchmark_group("acting");
-    group.throughput(Throughput::Elements(BATCH as u64));
+    group.throughput(Throughput::Elements(u64::from(BATCH)));
     group.bench_function("steakhouse with lstm at batch 64", |bencher| {
         bencher.iter(|| {
-            policy.evaluate(&observations, &mut recurrent, &mut logits, &mut values);
-            let rows = observations.chunks_mut(spec.obs_dim).zip(logits.chunks(width));
-            for (i, (lane, (row, logits))) in lanes.iter_mut().zip(rows).enumerate() {
-                distribution.sample(logits, lane.mask(), &mut generator, &mut action);
-                if lane.step(&action, row).end.is_some() {
-                    episode += 1;
-                    lane.reset(seed(i, episode), row);
-                    recurrent[i * state_dim..][..state_dim].fill(0.0);
-                }
-            }
+            lockstep.act(&mut player.decider(), &mut slots, &mut observers);
+            lockstep.advance(&mut slots, &mut observers);
+            lockstep.ended().iter().for_each(|&(row, _)| slots[row].begin_next());
         });
     });
     group.finish();

@@ -12,16 +12,16 @@ pub enum Error {
     /// The environment cannot be made.
     #[error(transparent)]
     Task(#[from] TaskError),
-    /// A player that is not a network.
+    /// The player is not a network.
     #[error("`{name}` is a script, which has no features to read anything from")]
     NoFeatures {
         /// The player's name.
         name: String,
     },
-    /// Nobody listens in the task, so nobody has a reaction delay.
+    /// The task has no listener, so there is no reaction delay.
     #[error("this task has no listener, so there is no reaction delay to be known")]
     NoListener,
-    /// Every message draws a delay of its own.
+    /// The delay is drawn anew for every message.
     #[error(
         "the person draws another reaction delay for every message, so there is nothing to be known before it; ask \
          for one that stays: drawn = \"per_episode\""
@@ -36,7 +36,7 @@ pub enum Error {
         /// In steps.
         delay: u32,
     },
-    /// Too few episodes to learn from and to be judged on.
+    /// Too few episodes to learn from and to be evaluated on.
     #[error("{found} episodes are too few for a probe; allowed: at least {least}")]
     TooFewEpisodes {
         /// As asked for.

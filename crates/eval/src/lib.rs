@@ -5,12 +5,13 @@
 //!
 //! ```text
 //! measure      players x environments --> episodes --> means with intervals, tables
-//! probe        what a policy's features tell of the person's reaction delay --> table
-//! playthrough  one episode --> SVG, PNG, GIF, and its words as a person would hear them
+//! probe        how well the person's reaction delay can be read off a policy's features --> table
+//! playthrough  one recorded episode: its scenes, its words as a person would hear them
+//! picture      a playthrough --> SVG, PNG, GIF
 //! figure       curves, histograms, shares of time --> SVG
 //! report       all of it --> one self-contained HTML file
 //! study        policies of several training seeds beside published figures --> Markdown, JSON
-//! draw         canvas, inks, typeface, axes, pixels
+//! draw         canvas, palette, typeface, axes, pixels
 //! ```
 //!
 //! # Where to start
@@ -21,6 +22,7 @@ pub mod draw;
 mod error;
 pub mod figure;
 pub mod measure;
+pub mod picture;
 pub mod playthrough;
 pub mod probe;
 pub mod report;

@@ -106,7 +106,7 @@ fn transcript(program: &Program, args: &EvalArgs, task: &Task) -> Result<(), Fai
     for player in &task.players {
         for index in 0..u64::from(args.episodes.unwrap_or(1)) {
             let played =
-                judge::record(program, config, player, voice.as_ref(), (args.eval_seed, index))
+                judge::record(program, config, player, voice.as_ref(), args.eval_seed, index)
                     .blame(ExitCode::WrongInput)?;
             output::line(&played.transcript(&Pace::default()));
         }

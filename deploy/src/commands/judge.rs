@@ -5,7 +5,7 @@ use std::thread::available_parallelism;
 
 use anyhow::{Context as _, bail};
 use leadtime_eval::measure::{Choice, Comparison, Evaluation, PlaySettings, Player, evaluate};
-use leadtime_eval::playthrough::{Playthrough, Voice};
+use leadtime_eval::playthrough::{Playthrough, Spoken, Voice};
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_policy::Parameters;
 
@@ -115,14 +115,15 @@ pub(super) fn record(
     config: &Config,
     player: &Player,
     voice: Option<&Voice>,
-    (seed, index): (u64, u64),
-) -> anyhow::Result<Playthrough> {
+    seed: u64,
+    index: u64,
+) -> anyhow::Result<Spoken> {
     let make = || program.registry.build(&config.evaluation.task);
-    let mut played = Playthrough::record(&make, player, seed, index)?;
-    if let Some(voice) = voice {
-        voice.speak(&mut played)?;
+    let played = Playthrough::record(&make, player, seed, index)?;
+    match voice {
+        Some(voice) => Ok(voice.speak(played)?),
+        None => Ok(played.into()),
     }
-    Ok(played)
 }
 
 /// Returns the extension of a path in lower case.

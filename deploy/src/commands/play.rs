@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context as _, bail, ensure};
 use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::measure::Player;
-use leadtime_eval::playthrough::Playthrough;
+use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::{Picture, Report};
 
 use super::{judge, policy_file};
@@ -35,9 +35,9 @@ pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
         )));
     }
     if args.demonstration {
-        let played = Playthrough::demonstration().blame(ExitCode::Failed)?;
+        let spoken = Spoken::demonstration().blame(ExitCode::Failed)?;
         let frames = args.frames.clone().unwrap_or(DEMONSTRATION_FRAMES);
-        return write(&played, Some(frames), &args.output);
+        return write(&spoken, Some(frames), &args.output);
     }
     let name = args.policy.as_deref().unwrap_or_default();
     let loaded =
@@ -48,31 +48,30 @@ pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
         None => judge::policy("policy", &loaded.config, &loaded.parameters, action)?,
     };
     let voice = judge::voice(program, &loaded.config, args.words.as_deref())?;
-    let episode = (args.eval_seed, 0);
-    let played = judge::record(program, &loaded.config, &player, voice.as_ref(), episode)
+    let spoken = judge::record(program, &loaded.config, &player, voice.as_ref(), args.eval_seed, 0)
         .blame(ExitCode::WrongInput)?;
-    write(&played, args.frames.clone(), &args.output)
+    write(&spoken, args.frames.clone(), &args.output)
 }
 
 /// Draws the whole episode, or some of its moments, and says so.
-fn write(played: &Playthrough, frames: Option<Range<u64>>, path: &Path) -> Result<(), Failure> {
+fn write(spoken: &Spoken, frames: Option<Range<u64>>, path: &Path) -> Result<(), Failure> {
     match frames {
-        Some(frames) => draw_frames(played, &frames, path),
-        None => draw(played, path),
+        Some(frames) => draw_frames(spoken, &frames, path),
+        None => draw(spoken, path),
     }
     .blame(ExitCode::WrongInput)?;
-    let (title, n_steps) = (played.title(), played.n_steps());
+    let (title, n_steps) = (spoken.played.title(), spoken.played.n_steps());
     output::line(&format!("{}: {title}, {n_steps} steps", path.display()));
     Ok(())
 }
 
 /// Draws some moments of an episode into a file.
-fn draw_frames(played: &Playthrough, frames: &Range<u64>, path: &Path) -> anyhow::Result<()> {
+fn draw_frames(spoken: &Spoken, frames: &Range<u64>, path: &Path) -> anyhow::Result<()> {
     let (first, n) = (frames.start, frames.end - frames.start);
-    let last = played.n_steps() as u64;
+    let last = spoken.played.n_steps() as u64;
     ensure!(first <= last, "--frames begins at {first}; the episode ends at {last}");
     ensure!(n <= MAX_FRAMES, "--frames asks for {n} moments; allowed: 1 to {MAX_FRAMES}");
-    let svg = played.frames_svg("frames", first as usize..frames.end as usize);
+    let svg = spoken.frames_svg("frames", first as usize..frames.end as usize).text;
     let bytes = match judge::extension(path).as_str() {
         "png" => Rasterizer::new().png(&svg, PNG_SCALE)?,
         "svg" => svg.into_bytes(),
@@ -82,25 +81,26 @@ fn draw_frames(played: &Playthrough, frames: &Range<u64>, path: &Path) -> anyhow
 }
 
 /// Draws an episode into a file.
-pub(super) fn draw(played: &Playthrough, path: &Path) -> anyhow::Result<()> {
+pub(super) fn draw(spoken: &Spoken, path: &Path) -> anyhow::Result<()> {
     let bytes = match judge::extension(path).as_str() {
-        "png" => played.png(&Rasterizer::new(), PNG_SCALE)?,
-        "svg" => played.svg("playthrough").into_bytes(),
-        "gif" => played.gif(&Rasterizer::new(), GIF_FRAMES, GIF_SECONDS)?,
-        "html" => page(played).into_bytes(),
+        "png" => spoken.png(&Rasterizer::new(), PNG_SCALE)?,
+        "svg" => spoken.svg("playthrough").text.into_bytes(),
+        "gif" => spoken.gif(&Rasterizer::new(), GIF_FRAMES, GIF_SECONDS)?,
+        "html" => page(spoken).into_bytes(),
         other => bail!("a picture cannot be a `{other}` file"),
     };
     write_atomically(path, &bytes).with_context(|| format!("writing {}", path.display()))
 }
 
-fn page(played: &Playthrough) -> String {
-    let title = played.title();
-    let pictures = vec![picture(played, "playthrough")];
+fn page(spoken: &Spoken) -> String {
+    let title = spoken.played.title();
+    let pictures = vec![picture(spoken, "playthrough")];
     Report { title, pictures, ..Report::default() }.html()
 }
 
 /// Makes an episode a picture of a page.
-pub(super) fn picture(played: &Playthrough, id: &str) -> Picture {
+pub(super) fn picture(spoken: &Spoken, id: &str) -> Picture {
+    let played = &spoken.played;
     let caption = format!(
         "Episode {} of seed {}, {} steps, return {:.1}.",
         played.index,
@@ -108,5 +108,5 @@ pub(super) fn picture(played: &Playthrough, id: &str) -> Picture {
         played.n_steps(),
         played.total_reward
     );
-    Picture { title: played.title(), caption, svg: played.svg(id) }
+    Picture { title: played.title(), caption, svg: spoken.svg(id).text }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use leadtime_eval::measure::PlaySettings;
-use leadtime_eval::probe::{Knowledge, probe};
+use leadtime_eval::probe::{ProbeResult, probe};
 use leadtime_eval::report::Fact;
 use leadtime_numerics::stats::Bootstrap;
 use serde_json::{Value, json};
@@ -48,7 +48,7 @@ fn measure(
     args: &ProbeArgs,
     loaded: &LoadedPolicy,
     action: EvaluationAction,
-) -> anyhow::Result<Knowledge> {
+) -> anyhow::Result<ProbeResult> {
     let (config, n_episodes) = (&loaded.config, args.episodes);
     let player = judge::policy("policy", config, &loaded.parameters, action)?;
     let make = || program.registry.build(&config.evaluation.task);
@@ -70,7 +70,7 @@ fn write(
     args: &ProbeArgs,
     loaded: &LoadedPolicy,
     action: EvaluationAction,
-    known: &Knowledge,
+    known: &ProbeResult,
 ) -> anyhow::Result<()> {
     let mut weights = output::hex(&loaded.parameters.digest()?);
     weights.truncate(DIGEST_DIGITS);

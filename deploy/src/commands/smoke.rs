@@ -167,12 +167,12 @@ fn draw(
     let voice = judge::shipped_voice(program, config);
     let mut pictures = Vec::new();
     for (i, player) in players.iter().enumerate().take(2) {
-        let episode = (judge::EVAL_SEED, index);
-        let played = judge::record(program, config, player, voice.as_ref(), episode)?;
+        let seed = judge::EVAL_SEED;
+        let spoken = judge::record(program, config, player, voice.as_ref(), seed, index)?;
         if i == 0 {
-            play::draw(&played, &directory.join("playthrough.png"))?;
+            play::draw(&spoken, &directory.join("playthrough.png"))?;
         }
-        pictures.push(play::picture(&played, &format!("playthrough-{i}")));
+        pictures.push(play::picture(&spoken, &format!("playthrough-{i}")));
     }
     Ok(pictures)
 }

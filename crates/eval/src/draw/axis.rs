@@ -1,7 +1,7 @@
 //! Axes: nice ticks, scales from data to pixels, and the frame of a chart.
 
 use super::canvas::{Anchor, Area, Canvas, Paint, TextStyle};
-use super::ink::Ink;
+use super::palette::Ink;
 
 const TICK_SIZE: f64 = 11.0;
 

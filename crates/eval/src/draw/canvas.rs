@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use std::fmt::Write as _;
 
 use super::font::{FAMILY, Weight};
-use super::ink::Ink;
+use super::palette::Ink;
 
 /// Replaces the characters that mean something in XML and HTML, and drops those that XML forbids.
 pub fn escape(text: &str) -> Cow<'_, str> {
@@ -219,6 +219,17 @@ impl TextStyle {
     }
 }
 
+/// A finished picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Svg {
+    /// The SVG file.
+    pub text: String,
+    /// Width, in units.
+    pub width: f64,
+    /// Height, in units.
+    pub height: f64,
+}
+
 /// A picture to draw on.
 #[derive(Clone, Debug)]
 pub struct Canvas {
@@ -330,15 +341,16 @@ impl Canvas {
         self.body.push_str(&line);
     }
 
-    /// Closes the picture; the title is what a screen reader says.
-    pub fn finish(self, title: &str) -> String {
+    /// Closes the picture; the title is what a screen reader reads out.
+    pub fn finish(self, title: &str) -> Svg {
         let [width, height] = [self.width, self.height].map(number);
         let (family, title) = (escape(FAMILY), escape(title));
-        format!(
+        let text = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
              height=\"{height}\" role=\"img\" font-family=\"{family}\">\n<title>{title}</title>\n{}</svg>\n",
             self.body
-        )
+        );
+        Svg { text, width: self.width, height: self.height }
     }
 }
 
@@ -378,7 +390,7 @@ mod tests {
         canvas.circle([3.0, 3.0], 2.0, Paint::fill(Ink::Orange).outlined(Ink::Paper, 1.0));
         canvas.text([1.0, 9.0], "<&\"'>", TextStyle::new(9.0, Ink::Text).haloed(Ink::Paper));
         canvas.text_upward([1.0, 9.0], "up", TextStyle::new(9.0, Ink::Text).anchored(Anchor::End));
-        let svg = canvas.finish("title & more");
+        let svg = canvas.finish("title & more").text;
         let tree = resvg::usvg::Tree::from_str(&svg, &resvg::usvg::Options::default()).unwrap();
         assert_eq!((tree.size().width(), tree.size().height()), (100.0, 50.0));
     }

@@ -4,7 +4,7 @@
 //! that PNG and GIF files have text on machines without any font. A browser that has no Inter takes its own
 //! sans-serif, whose widths differ by a few percent; layouts leave room for that.
 
-/// What `font-family` says in every picture.
+/// The `font-family` of every picture.
 pub const FAMILY: &str = "Inter, 'Helvetica Neue', Arial, 'Liberation Sans', sans-serif";
 
 /// The embedded regular weight.

@@ -1,4 +1,4 @@
-//! Drawing: a small SVG writer, its inks and fonts, axes, and the way to pixels.
+//! Drawing: a small SVG writer, its palette and fonts, axes, and rasterisation.
 //!
 //! Why not a plotting crate: half of our pictures are worlds with paths and speech, which no such crate draws, so
 //! a canvas is needed anyway; on top of it the three charts of a report are a few hundred lines. `kuva` (MIT), the
@@ -12,13 +12,13 @@
 mod axis;
 mod canvas;
 mod font;
-mod ink;
+mod palette;
 mod raster;
 mod wrap;
 
 pub use axis::{Panel, Scale, compact, nice_ticks};
-pub use canvas::{Anchor, Area, Canvas, Paint, TextStyle, escape, number};
+pub use canvas::{Anchor, Area, Canvas, Paint, Svg, TextStyle, escape, number};
 pub use font::{FAMILY, Weight, text_width};
-pub use ink::Ink;
+pub use palette::Ink;
 pub use raster::{Pixels, Rasterizer, gif};
 pub use wrap::wrapped;

@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::stack::{Axis, Stack, Stacked, extent, with_margin};
-use crate::draw::{Canvas, Ink, Paint, Panel};
+use super::stack::{Axis, PanelStack, Stacked, extent, with_margin};
+use crate::draw::{Canvas, Ink, Paint, Panel, Svg};
 
-const STACK: Stack = Stack { panel_height: 190.0, top: 56.0, gap: 40.0 };
+const STACK: PanelStack = PanelStack { panel_height: 190.0, top: 56.0, gap: 40.0 };
 
 /// One line with its band.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -32,18 +32,13 @@ pub struct BandPanel {
 /// Draws panels of lines with bands above each other, that share the horizontal axis and its number of ticks.
 ///
 /// `id` must be unique on the page.
-pub fn bands(
-    id: &str,
-    title: &str,
-    (x_label, n_ticks): (&str, usize),
-    panels: &[BandPanel],
-) -> String {
+pub fn bands(id: &str, title: &str, x_label: &str, n_ticks: usize, panels: &[BandPanel]) -> Svg {
     let panels: Vec<BandPanel> = panels.iter().map(without_gaps).collect();
     let lines = || panels.iter().flat_map(|panel| &panel.bands);
     let xs =
         lines().flat_map(|b| b.points.iter().map(|p| p[0]).chain(b.published.iter().map(|p| p[0])));
     let axis = Axis { label: x_label, n_ticks, range: extent(xs) };
-    STACK.draw([id, title], &axis, &panels)
+    STACK.draw(id, title, &axis, &panels)
 }
 
 impl Stacked for BandPanel {
@@ -117,11 +112,11 @@ mod tests {
     fn bands_survive_no_data_one_point_and_points_that_are_no_numbers() {
         let odd = vec![[0.0, f64::NAN, 0.0, 1.0], [1.0, 0.5, 0.4, f64::INFINITY]];
         for points in [vec![], vec![[5.0, 0.5, 0.4, 0.6]], odd] {
-            let svg = bands("b", "t & t", ("steps", 5), &[panel(points)]);
+            let svg = bands("b", "t & t", "steps", 5, &[panel(points)]).text;
             assert!(!svg.contains("NaN") && !svg.contains("inf") && svg.contains("a &lt;b&gt;"));
             Rasterizer::new().png(&svg, 1.0).unwrap();
         }
-        Rasterizer::new().png(&bands("b", "nothing", ("steps", 5), &[]), 1.0).unwrap();
+        Rasterizer::new().png(&bands("b", "nothing", "steps", 5, &[]).text, 1.0).unwrap();
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::draw::{
-    Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, compact, text_width, wrapped,
+    Anchor, Area, Canvas, Ink, Paint, Panel, Svg, TextStyle, Weight, compact, text_width, wrapped,
 };
 
 const WIDTH: f64 = 760.0;
@@ -14,7 +14,7 @@ const WIDTH: f64 = 760.0;
 const MAX_BARS: usize = 24;
 
 /// Draws how often each whole number occurs, as shares of all. `id` must be unique on the page.
-pub fn histogram(id: &str, title: &str, x_label: &str, counts: &BTreeMap<u64, u64>) -> String {
+pub fn histogram(id: &str, title: &str, x_label: &str, counts: &BTreeMap<u64, u64>) -> Svg {
     let (left, right, top, height) = (68.0, 18.0, 34.0, 150.0);
     let mut canvas = Canvas::new(id, WIDTH, top + height + 46.0);
     canvas.text([left, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
@@ -71,7 +71,7 @@ pub struct ShareRow {
 }
 
 /// Draws one stacked bar per process, each of full width. `id` must be unique on the page.
-pub fn shares(id: &str, title: &str, rows: &[ShareRow]) -> String {
+pub fn shares(id: &str, title: &str, rows: &[ShareRow]) -> Svg {
     let names = part_names(rows);
     let label_width =
         rows.iter().map(|r| text_width(&r.label, 12.0, Weight::Regular)).fold(40.0, f64::max);
@@ -159,10 +159,10 @@ mod tests {
     #[test]
     fn bars_survive_nothing_and_time_that_is_no_number() {
         let rasterizer = Rasterizer::new();
-        rasterizer.png(&histogram("h", "t", "x", &BTreeMap::new()), 1.0).unwrap();
-        rasterizer.png(&shares("s", "t", &[]), 1.0).unwrap();
+        rasterizer.png(&histogram("h", "t", "x", &BTreeMap::new()).text, 1.0).unwrap();
+        rasterizer.png(&shares("s", "t", &[]).text, 1.0).unwrap();
         let parts = vec![("a <&>".to_owned(), f64::NAN), ("b".to_owned(), 0.0)];
-        let svg = shares("s", "t", &[ShareRow { label: "learner".to_owned(), parts }]);
+        let svg = shares("s", "t", &[ShareRow { label: "learner".to_owned(), parts }]).text;
         assert!(svg.contains("a &lt;&amp;&gt;") && !svg.contains("NaN"));
         rasterizer.png(&svg, 1.0).unwrap();
     }
@@ -171,17 +171,16 @@ mod tests {
     fn many_parts_have_a_legend_of_several_lines_and_a_picture_that_holds_it() {
         let height = |n: usize| {
             let parts = (0..n).map(|i| (format!("part number {i}"), 1.0)).collect();
-            let svg = shares("s", "t", &[ShareRow { label: "actor".to_owned(), parts }]);
-            Rasterizer::new().pixels(&svg, 1.0).unwrap().height
+            shares("s", "t", &[ShareRow { label: "actor".to_owned(), parts }]).height
         };
         assert_eq!(height(2), height(5));
-        assert_eq!(height(12), height(5) + 20, "six of twelve in each of two lines");
+        assert_eq!(height(12), height(5) + 20.0, "six of twelve in each of two lines");
     }
 
     #[test]
     fn a_row_names_the_share_of_each_part() {
         let parts = vec![("act".to_owned(), 30.0), ("wait".to_owned(), 10.0)];
-        let svg = shares("s", "t", &[ShareRow { label: "actor".to_owned(), parts }]);
+        let svg = shares("s", "t", &[ShareRow { label: "actor".to_owned(), parts }]).text;
         assert!(svg.contains("75 %") && svg.contains("25 %") && svg.contains("40 s"));
     }
 }

@@ -2,15 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::stack::{Axis, Stack, Stacked, extent, with_margin};
-use crate::draw::{Anchor, Canvas, Ink, Paint, Panel, TextStyle};
+use super::stack::{Axis, PanelStack, Stacked, extent, with_margin};
+use crate::draw::{Anchor, Canvas, Ink, Paint, Panel, Svg, TextStyle};
 
-const STACK: Stack = Stack { panel_height: 170.0, top: 34.0, gap: 32.0 };
+const STACK: PanelStack = PanelStack { panel_height: 170.0, top: 34.0, gap: 32.0 };
 
 /// One quantity over training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Series {
-    /// What it is, for the legend; empty if the panel's label says it.
+    /// What it is, for the legend; empty if the panel's label suffices.
     pub label: String,
     /// Points (environment steps, value) in order; points that are no numbers are left out.
     pub points: Vec<[f64; 2]>,
@@ -44,11 +44,11 @@ pub fn smoothed(points: &[[f64; 2]], half: usize) -> Vec<[f64; 2]> {
 }
 
 /// Draws panels of curves above each other. `id` must be unique on the page.
-pub fn curves(id: &str, title: &str, x_label: &str, panels: &[CurvePanel]) -> String {
+pub fn curves(id: &str, title: &str, x_label: &str, panels: &[CurvePanel]) -> Svg {
     let panels: Vec<CurvePanel> = panels.iter().map(without_gaps).collect();
     let range = extent(points(&panels).map(|p| p[0]));
     let axis = Axis { label: x_label, n_ticks: 7, range };
-    STACK.draw([id, title], &axis, &panels)
+    STACK.draw(id, title, &axis, &panels)
 }
 
 impl Stacked for CurvePanel {
@@ -146,16 +146,16 @@ mod tests {
     fn curves_survive_no_data_one_point_and_points_that_are_no_numbers() {
         let odd = vec![[0.0, f64::NAN], [1.0, 0.5], [f64::INFINITY, 0.2]];
         for points in [vec![], vec![[5.0, 0.5]], odd] {
-            let svg = curves("c", "t & t", "steps", &[panel(points)]);
+            let svg = curves("c", "t & t", "steps", &[panel(points)]).text;
             assert!(!svg.contains("NaN") && !svg.contains("inf"));
             Rasterizer::new().png(&svg, 1.0).unwrap();
         }
-        Rasterizer::new().png(&curves("c", "nothing", "steps", &[]), 1.0).unwrap();
+        Rasterizer::new().png(&curves("c", "nothing", "steps", &[]).text, 1.0).unwrap();
     }
 
     #[test]
     fn names_are_escaped() {
-        let svg = curves("c", "t", "steps", &[panel(vec![[0.0, 0.1], [1.0, 0.2]])]);
+        let svg = curves("c", "t", "steps", &[panel(vec![[0.0, 0.1], [1.0, 0.2]])]).text;
         assert!(svg.contains("a &lt;b&gt;") && svg.contains("unaided &amp; alone"));
     }
 }

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`curves()`] | how returns, success, ... change over training; raw values faint, smoothed ones strong |
 //! | [`bands()`] | the same over several training runs, or any mean with its interval |
-//! | [`sheet()`] | several pictures beside each other |
+//! | [`sheet()`] | several pictures side by side |
 //! | [`histogram`] | how often each small whole number occurs, such as staleness |
 //! | [`shares`] | what processes spent their time on |
 

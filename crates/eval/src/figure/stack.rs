@@ -1,7 +1,7 @@
 //! Panels above each other that share the horizontal axis.
 
 use super::legend;
-use crate::draw::{Area, Canvas, Ink, Panel, TextStyle};
+use crate::draw::{Area, Canvas, Ink, Panel, Svg, TextStyle};
 
 const WIDTH: f64 = 760.0;
 const LEFT: f64 = 68.0;
@@ -12,7 +12,7 @@ const PLOT_WIDTH: f64 = WIDTH - LEFT - RIGHT;
 
 /// A panel of a stack.
 pub(super) trait Stacked {
-    /// Names the vertical axis and says what it holds.
+    /// Returns the vertical axis' label and range.
     fn vertical(&self) -> (&str, [f64; 2]);
 
     /// Lists the names of its series, for the legend; an empty one is left out.
@@ -23,7 +23,7 @@ pub(super) trait Stacked {
 }
 
 /// How panels stand above each other.
-pub(super) struct Stack {
+pub(super) struct PanelStack {
     pub(super) panel_height: f64,
     /// Room above the first panel, with a legend of one line.
     pub(super) top: f64,
@@ -38,14 +38,15 @@ pub(super) struct Axis<'a> {
     pub(super) range: Option<[f64; 2]>,
 }
 
-impl Stack {
+impl PanelStack {
     /// Draws frames with their axes and legends, and into each its panel.
     pub(super) fn draw(
         &self,
-        [id, title]: [&str; 2],
+        id: &str,
+        title: &str,
         axis: &Axis<'_>,
         panels: &[impl Stacked],
-    ) -> String {
+    ) -> Svg {
         let legends: Vec<_> =
             panels.iter().map(|panel| legend::lines(&panel.labels(), PLOT_WIDTH)).collect();
         let room = legends.iter().map(|lines| legend::extra_height(lines)).fold(0.0, f64::max);

@@ -3,7 +3,7 @@
 use leadtime_numerics::stats::{Bootstrap, Interval};
 use serde::{Deserialize, Serialize};
 
-use super::episodes::Evaluation;
+use super::evaluation::Evaluation;
 use super::summary::{self, Summary};
 use super::table::Table;
 
@@ -162,21 +162,14 @@ pub(crate) fn written(interval: &Interval) -> [String; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::Episode;
 
     fn player(name: &str, successes: &[f32]) -> Evaluation {
-        let episode = |&success: &f32| Episode {
-            total_reward: f64::from(success) * 400.0 - 150.0,
-            n_steps: 80,
-            truncated: false,
-            metrics: vec![success],
-        };
-        Evaluation {
-            player: name.to_owned(),
-            seed: 1,
-            metrics: vec!["success".to_owned()],
-            episodes: successes.iter().map(episode).collect(),
+        let rows: Vec<_> = successes.iter().map(|s| (80, std::slice::from_ref(s))).collect();
+        let mut evaluation = Evaluation::of(&["success"], &rows);
+        for (episode, success) in evaluation.episodes.iter_mut().zip(successes) {
+            episode.total_reward = f64::from(*success) * 400.0 - 150.0;
         }
+        Evaluation { player: name.to_owned(), ..evaluation }
     }
 
     fn comparison() -> Comparison {

@@ -1,10 +1,16 @@
 //! Lead time: how long before the hazard the first warning came.
 //!
-//! The hazard of an episode is what happens to the same person in the same world when nobody says anything: the
+//! The hazard of an episode is what happens to the same person in the same world without any messages: the
 //! first step in a danger zone, or the crash. So two notifiers are measured against the same moment, also where a
 //! warning has averted it.
 
-use super::episodes::Evaluation;
+use super::evaluation::Evaluation;
+
+/// The metrics that [`lead_times`] and [`hazards`] read.
+pub(super) const HAZARDS: [&str; 3] = [FIRST, DANGER, CRASHED];
+const FIRST: &str = "first_notification";
+const DANGER: &str = "danger_from";
+const CRASHED: &str = "crashed";
 
 /// Computes, per episode, the steps from a player's first message to the hazard of the unaided person in the same
 /// episode; negative if the message came later, NaN where there was no message or no hazard.
@@ -12,7 +18,7 @@ use super::episodes::Evaluation;
 /// `None` if the task knows no such metrics, or if the two played other episodes.
 pub fn lead_times(player: &Evaluation, unaided: &Evaluation) -> Option<Vec<f32>> {
     let same = player.seed == unaided.seed && player.episodes.len() == unaided.episodes.len();
-    let first = player.column("first_notification").filter(|_| same)?;
+    let first = player.column(FIRST).filter(|_| same)?;
     let hazards = hazards(unaided)?;
     let lead = |(first, hazard): (f64, f64)| {
         let defined = first > 0.0 && hazard > 0.0;
@@ -23,11 +29,11 @@ pub fn lead_times(player: &Evaluation, unaided: &Evaluation) -> Option<Vec<f32>>
 
 /// Returns the step of each episode's hazard, counted from 1; 0 where there was none. `None` if the task knows no hazards.
 pub fn hazards(unaided: &Evaluation) -> Option<Vec<f64>> {
-    if let Some(steps) = unaided.column("danger_from") {
+    if let Some(steps) = unaided.column(DANGER) {
         return Some(steps);
     }
     // A crash ends the episode.
-    let crashed = unaided.column("crashed")?;
+    let crashed = unaided.column(CRASHED)?;
     let steps = unaided.episodes.iter().map(|episode| episode.n_steps as f64);
     Some(
         crashed
@@ -41,21 +47,11 @@ pub fn hazards(unaided: &Evaluation) -> Option<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::Episode;
 
     fn evaluation(metric: &str, rows: &[(u64, f32)]) -> Evaluation {
-        let episode = |&(n_steps, value): &(u64, f32)| Episode {
-            total_reward: 0.0,
-            n_steps,
-            truncated: false,
-            metrics: vec![value],
-        };
-        Evaluation {
-            player: "p".to_owned(),
-            seed: 1,
-            metrics: vec![metric.to_owned()],
-            episodes: rows.iter().map(episode).collect(),
-        }
+        let rows: Vec<_> =
+            rows.iter().map(|(n, value)| (*n, std::slice::from_ref(value))).collect();
+        Evaluation::of(&[metric], &rows)
     }
 
     #[test]

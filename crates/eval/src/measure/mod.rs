@@ -1,4 +1,4 @@
-//! Playing episodes, and what they say about a policy.
+//! Measuring a policy by the episodes that it plays.
 //!
 //! ```text
 //! Player (policy, untrained network, scripted) + environments --evaluate--> Evaluation (one row per episode)
@@ -6,7 +6,7 @@
 //! ```
 
 mod compare;
-mod episodes;
+mod evaluation;
 mod lead;
 mod summary;
 mod table;
@@ -14,9 +14,9 @@ mod utterance;
 
 pub(crate) use compare::written;
 pub use compare::{Comparison, Difference};
-pub use episodes::{Episode, Evaluation, evaluate, evaluate_with};
+pub use evaluation::{EpisodeResult, Evaluation, evaluate, evaluate_with};
 pub use lead::{hazards, lead_times};
 pub use leadtime_episodes::{Choice, MakeEnvironment, PlaySettings, Player, episode_seed};
-pub use summary::{Measure, Summary, title};
+pub use summary::{Measure, Summary, measure_names, title};
 pub use table::Table;
 pub use utterance::{SpeechLog, Utterance};

@@ -1,12 +1,12 @@
-//! What a player's episodes say in sum: means with intervals.
+//! A player's episodes summed up: means with intervals.
 //!
 //! A rate that an episode leaves undefined (the share of notifications followed, where there was none) is no zero:
-//! that episode does not count for the rate, and `n` says how many did.
+//! that episode does not count for the rate, and `n` counts those that do.
 
 use leadtime_numerics::stats::{Bootstrap, Interval, mean, standard_deviation};
 use serde::{Deserialize, Serialize};
 
-use super::episodes::Evaluation;
+use super::evaluation::Evaluation;
 
 /// Rates that are made from two counts: name, numerator, denominator.
 const RATES: [(&str, &str, &str); 5] = [
@@ -83,7 +83,7 @@ impl Summary {
 
     /// Sums up evaluations of policies from several training seeds; intervals resample seeds, then episodes.
     pub fn over_seeds(player: &str, evaluations: &[Evaluation], bootstrap: &Bootstrap) -> Self {
-        let names = evaluations.first().map(measure_names).unwrap_or_default();
+        let names = evaluations.first().map(|e| measure_names(&e.metrics)).unwrap_or_default();
         let measures = names.into_iter().enumerate().map(|(i, name)| {
             let values: Vec<Vec<f64>> = evaluations.iter().map(|e| values(e, &name)).collect();
             measure(name, &values, bootstrap, i as u64)
@@ -115,13 +115,12 @@ fn measure(name: String, values: &[Vec<f64>], bootstrap: &Bootstrap, index: u64)
     Measure { name, n: all.len(), interval, standard_deviation: deviation, by_seed }
 }
 
-/// Lists what can be said about an evaluation, most telling first.
-fn measure_names(evaluation: &Evaluation) -> Vec<String> {
-    let has = |name: &str| evaluation.metrics.iter().any(|metric| metric == name);
-    let mut names: Vec<&str> = vec!["return", "length"];
-    names.extend(evaluation.metrics.iter().map(String::as_str).filter(|n| !HIDDEN.contains(n)));
-    let rates = RATES.iter().filter(|(_, top, bottom)| has(top) && has(bottom));
-    names.extend(rates.map(|rate| rate.0));
+/// Lists the measures of a task with these metrics, most telling first.
+pub fn measure_names(metrics: &[String]) -> Vec<String> {
+    let has = |name: &str| metrics.iter().any(|metric| metric == name);
+    let shown = metrics.iter().map(String::as_str).filter(|name| !HIDDEN.contains(name));
+    let rates = RATES.iter().filter(|(_, top, bottom)| has(top) && has(bottom)).map(|rate| rate.0);
+    let names: Vec<&str> = ["return", "length"].into_iter().chain(shown).chain(rates).collect();
     let first = ORDER.iter().copied().filter(|name| names.contains(name));
     let mut ordered: Vec<String> = Vec::new();
     for name in first.chain(names.iter().copied()) {
@@ -157,53 +156,50 @@ pub(super) fn values(evaluation: &Evaluation, name: &str) -> Vec<f64> {
     column
 }
 
+/// The words that a table uses for a measure, where they are not its name's.
+const TITLES: [(&str, &str); 20] = [
+    ("success", "success rate"),
+    ("notifications_per_step", "notifications per step"),
+    ("notifications", "notifications per episode"),
+    ("followed_of_initiated", "follow-through, of initiated"),
+    ("followed_of_comprehended", "follow-through, of comprehended"),
+    ("preempted_rate", "preempted, of initiated"),
+    ("overwritten_rate", "overwritten, of comprehended"),
+    ("long_rate", "long notifications, of initiated"),
+    ("enter_danger", "enters danger"),
+    ("length", "length (steps)"),
+    ("mean_k", "mean comprehension time k"),
+    ("mean_l", "mean conveyance time l"),
+    ("first_notification", "first notification (step)"),
+    ("lead_time", "lead time before the unaided hazard (steps)"),
+    ("first_l", "conveyance time l of the first message"),
+    ("later_l", "mean l of later messages"),
+    ("per_step_before_hazard", "notifications per step before the unaided hazard"),
+    ("per_step_after_hazard", "notifications per step after it"),
+    ("hardest_braking", "hardest braking (m/s²)"),
+    ("jerk", "jerk, root mean square (m/s³)"),
+];
+
 /// Returns the words that a table uses for a measure.
 pub fn title(name: &str) -> String {
-    let known = match name {
-        "success" => "success rate",
-        "notifications_per_step" => "notifications per step",
-        "notifications" => "notifications per episode",
-        "followed_of_initiated" => "follow-through, of initiated",
-        "followed_of_comprehended" => "follow-through, of comprehended",
-        "preempted_rate" => "preempted, of initiated",
-        "overwritten_rate" => "overwritten, of comprehended",
-        "long_rate" => "long notifications, of initiated",
-        "enter_danger" => "enters danger",
-        "length" => "length (steps)",
-        "mean_k" => "mean comprehension time k",
-        "mean_l" => "mean conveyance time l",
-        "first_notification" => "first notification (step)",
-        "lead_time" => "lead time before the unaided hazard (steps)",
-        "first_l" => "conveyance time l of the first message",
-        "later_l" => "mean l of later messages",
-        "per_step_before_hazard" => "notifications per step before the unaided hazard",
-        "per_step_after_hazard" => "notifications per step after it",
-        "hardest_braking" => "hardest braking (m/s²)",
-        "jerk" => "jerk, root mean square (m/s³)",
-        other => return other.replace('_', " "),
-    };
-    known.to_owned()
+    let known = TITLES.iter().find(|(known, _)| *known == name);
+    known.map_or_else(|| name.replace('_', " "), |(_, title)| (*title).to_owned())
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
+    use leadtime_proto::TaskSpec;
+    use leadtime_sims::Registry;
+
     use super::*;
-    use crate::measure::Episode;
+    use crate::measure::lead::HAZARDS;
 
     fn evaluation(rows: &[[f32; 5]]) -> Evaluation {
         let names = ["success", "notifications", "comprehended", "followed", "mean_k"];
-        let episode = |row: &[f32; 5]| Episode {
-            total_reward: f64::from(row[0]) * 100.0,
-            n_steps: 50,
-            truncated: false,
-            metrics: row.to_vec(),
-        };
-        Evaluation {
-            player: "p".to_owned(),
-            seed: 1,
-            metrics: names.map(str::to_owned).to_vec(),
-            episodes: rows.iter().map(episode).collect(),
-        }
+        let rows: Vec<(u64, &[f32])> = rows.iter().map(|row| (50, &row[..])).collect();
+        Evaluation::of(&names, &rows)
     }
 
     const ROWS: [[f32; 5]; 4] = [
@@ -230,6 +226,26 @@ mod tests {
         assert_eq!(mean_of("followed_of_comprehended"), (2, 0.75));
         assert_eq!(mean_of("mean_k"), (3, 10.0 / 3.0));
         assert_eq!(mean_of("return"), (4, 75.0));
+    }
+
+    #[test]
+    fn every_name_used_here_is_that_of_a_measure() {
+        let registry = Registry::builtin();
+        let metrics = registry.names().flat_map(|domain| {
+            let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
+            registry.build(&task).unwrap().spec().metrics.clone()
+        });
+        let metrics: BTreeSet<String> = metrics.collect();
+        let derived = ["return", "length"].into_iter().chain(RATES.map(|rate| rate.0));
+        let added = ["lead_time", "first_l", "later_l"].into_iter();
+        let added = added.chain(["per_step_before_hazard", "per_step_after_hazard"]);
+        let known: BTreeSet<&str> =
+            metrics.iter().map(String::as_str).chain(derived).chain(added).collect();
+        let counts = RATES.iter().flat_map(|(_, top, bottom)| [*top, *bottom]);
+        let used = counts.chain(MEANS).chain(ORDER).chain(HIDDEN).chain(HAZARDS);
+        for name in used.chain(TITLES.map(|(name, _)| name)) {
+            assert!(known.contains(name), "`{name}` is no measure");
+        }
     }
 
     #[test]

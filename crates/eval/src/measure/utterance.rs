@@ -1,4 +1,4 @@
-//! What was said in an episode, message by message.
+//! The messages of an episode, and when each was spoken.
 
 use leadtime_episodes::{EnvSlot, EpisodeObserver, Observer};
 use leadtime_sims::{End, Speech, StepOutcome};
@@ -26,7 +26,7 @@ impl Utterance {
         Some(self.start + self.comprehension).filter(|understood| *understood <= self.end)
     }
 
-    /// Finds the utterances of an episode, given what was being said at each of its moments.
+    /// Finds the utterances of an episode, given the running utterance at each of its moments.
     pub fn all(moments: &[Option<Speech>]) -> Vec<Self> {
         let mut all = Vec::new();
         for (i, speech) in moments.iter().enumerate().skip(1) {
@@ -49,7 +49,7 @@ impl Utterance {
     }
 }
 
-/// Observes what is said in an episode; of a task without a listener, nothing.
+/// Observes the messages of an episode; a task without a listener has none.
 #[derive(Debug, Default)]
 pub struct SpeechLog {
     moments: Vec<Option<Speech>>,

@@ -7,13 +7,13 @@ use leadtime_sims::{Environment as _, EpisodeSeed, NotifierEnv, TaskError};
 use leadtime_taxonomy::Cell;
 
 use super::record::Playthrough;
-use super::voice::Sentence;
+use super::voice::{Sentence, Spoken};
 use crate::error::Error;
 
-/// What is said, in the words of the paper.
+/// The message, in the words of the paper.
 const TEXT: &str = "Go down, all stations occupied";
 
-impl Playthrough {
+impl Spoken {
     /// Plays the paper's cooking demonstration: "Go down, all stations occupied", begun at t = 0. By t = 2 the cook has
     /// acted on the first words; at t = 5 they know what the stations hold, and plan anew.
     ///
@@ -44,14 +44,14 @@ impl Playthrough {
         }
         let cell = Cell::new(DEMONSTRATION.comprehension, DEMONSTRATION.conveyance);
         let sentence = Sentence { text: TEXT.to_owned(), cell, fallback: false };
-        Ok(Self {
+        let played = Playthrough {
             player: sentence.to_string(),
             seed: 0,
             index: 0,
             scenes,
             total_reward,
             success: None,
-            sentences: vec![sentence],
-        })
+        };
+        Ok(Self::new(played, vec![sentence]))
     }
 }

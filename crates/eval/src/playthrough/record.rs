@@ -5,7 +5,6 @@ use leadtime_episodes::{
 };
 use leadtime_sims::{End, Scene, StepOutcome};
 
-use super::voice::Sentence;
 use crate::error::Error;
 
 /// The longest episode that is recorded, in steps.
@@ -26,9 +25,6 @@ pub struct Playthrough {
     pub total_reward: f64,
     /// Whether the task counts the episode as a success; `None` if it knows no such thing.
     pub success: Option<bool>,
-    /// What was said, in the order of [`Story::utterances`](super::Story); empty until a [`Voice`](super::Voice) has
-    /// spoken.
-    pub sentences: Vec<Sentence>,
 }
 
 impl Playthrough {
@@ -63,6 +59,19 @@ impl Playthrough {
             SceneLog { player: name, seed, index, scenes: Vec::new() }
         });
         recorded?.into_iter().map(|played| played.ok_or(Error::NoScene)).collect()
+    }
+
+    /// Returns the episode's title: who played, and how it ended.
+    pub fn title(&self) -> String {
+        let outcome = self.scenes.last().map_or("", |scene| scene.outcome.as_str());
+        let verdict = match self.success {
+            Some(true) => "success",
+            Some(false) => "no success",
+            None => "",
+        };
+        let parts = [outcome, verdict].into_iter().filter(|part| !part.is_empty());
+        let end = parts.collect::<Vec<_>>().join(", ");
+        if end.is_empty() { self.player.clone() } else { format!("{}: {end}", self.player) }
     }
 
     /// Returns the number of steps.
@@ -104,7 +113,6 @@ impl EpisodeObserver for SceneLog {
             scenes,
             total_reward: slot.episode_return(),
             success: success.map(|(_, value)| value > 0.5),
-            sentences: Vec::new(),
         })
     }
 }

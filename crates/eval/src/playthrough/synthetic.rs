@@ -20,15 +20,7 @@ pub(crate) fn playthrough() -> Playthrough {
         "landed <safely>".clone_into(&mut last.outcome);
     }
     let player = "trained & tested".to_owned();
-    Playthrough {
-        player,
-        seed: 7,
-        index: 3,
-        scenes,
-        total_reward: 215.4,
-        success: Some(true),
-        sentences: Vec::new(),
-    }
+    Playthrough { player, seed: 7, index: 3, scenes, total_reward: 215.4, success: Some(true) }
 }
 
 fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene {

@@ -1,4 +1,4 @@
-//! An episode as a person would hear it: each word when it is spoken, what it told them, what they did.
+//! An episode as a person would hear it: each word when it is spoken, what they understood, what they did.
 //!
 //! ```text
 //!    time  hears      understands                does
@@ -13,9 +13,8 @@ use std::fmt::Write as _;
 
 use leadtime_taxonomy::Pace;
 
-use super::record::Playthrough;
-use super::story::{Doing, Story};
-use super::world::topic_name;
+use super::timeline::{Activity, topic_name};
+use super::voice::Spoken;
 use crate::measure::Utterance;
 
 /// One moment in which something happens; empty text where nothing does.
@@ -27,15 +26,14 @@ struct Moment {
     does: String,
 }
 
-impl Playthrough {
-    /// Retells the episode word by word; without sentences, a word is its number in the message on a topic.
+impl Spoken {
+    /// Writes the episode word by word; without sentences, a word is its number in the message on a topic.
     ///
     /// # Units
     ///
     /// Times are those of speech: a step is a word, whatever time the world takes it for.
     pub fn transcript(&self, pace: &Pace) -> String {
-        let story = Story::new(&self.scenes);
-        let moments = self.told(&story);
+        let moments = self.moments_of_change();
         let width = |text: fn(&Moment) -> &String, title: &str| {
             moments
                 .iter()
@@ -46,7 +44,7 @@ impl Playthrough {
         };
         let (hears, understands) =
             (width(|m| &m.hears, "hears"), width(|m| &m.understands, "understands"));
-        let mut out = self.heading(&story, pace);
+        let mut out = self.heading(pace);
         let mut line = |time: &str, moment: [&str; 3]| {
             let [first, second, third] = moment;
             let line = format!("{time:>8}  {first:<hears$}  {second:<understands$}  {third}");
@@ -59,36 +57,38 @@ impl Playthrough {
             let time = format!("{seconds:.1} s");
             line(&time, [&moment.hears, &moment.understands, &moment.does]);
         }
-        out.push_str(&self.stand_ins(&story));
+        out.push_str(&self.stand_ins());
         out
     }
 
-    fn heading(&self, story: &Story, pace: &Pace) -> String {
+    fn heading(&self, pace: &Pace) -> String {
+        let (played, said) = (&self.played, self.timeline.utterances.len());
         format!(
             "{} (episode {} of seed {})\nreturn {:.1}, {} steps of a word each, {} s; {} notification{}\n",
-            self.title(),
-            self.index,
-            self.seed,
-            self.total_reward,
-            self.n_steps(),
+            played.title(),
+            played.index,
+            played.seed,
+            played.total_reward,
+            played.n_steps(),
             pace.seconds_per_word,
-            story.utterances.len(),
-            if story.utterances.len() == 1 { "" } else { "s" },
+            said,
+            if said == 1 { "" } else { "s" },
         )
     }
 
     /// Lists the moments in which a word is heard, something is understood, or the person begins to do another thing.
-    fn told(&self, story: &Story) -> Vec<Moment> {
+    fn moments_of_change(&self) -> Vec<Moment> {
+        let timeline = &self.timeline;
         let mut moments = Vec::new();
         let mut did = String::new();
-        for step in 1..=self.n_steps() {
-            let does = self.does(story, step);
+        for step in 1..=self.played.n_steps() {
+            let does = self.does(step);
             let mut moment = Moment { step, ..Moment::default() };
-            if let Some(said) = story.spoken(step) {
-                let utterance = &story.utterances[said];
+            if let Some(said) = timeline.spoken(step) {
+                let utterance = &timeline.utterances[said];
                 moment.hears = self.word(said, utterance, step - utterance.start);
                 if utterance.understood() == Some(step) {
-                    let topic = topic_name(&self.scenes[0], utterance.topic);
+                    let topic = topic_name(&self.played.scenes[0], utterance.topic);
                     let (k, l) = (utterance.comprehension, utterance.conveyance);
                     moment.understands = format!("{topic}, word {k} of {l}");
                 }
@@ -112,7 +112,10 @@ impl Playthrough {
                 let before = sentence.so_far(n - 1, conveyance).len();
                 sentence.so_far(n, conveyance)[before..].trim().to_owned()
             }
-            None => format!("[{} {n}/{conveyance}]", topic_name(&self.scenes[0], utterance.topic)),
+            None => format!(
+                "[{} {n}/{conveyance}]",
+                topic_name(&self.played.scenes[0], utterance.topic)
+            ),
         };
         let is_last = utterance.start + n == utterance.end;
         if is_last && n < conveyance {
@@ -123,22 +126,22 @@ impl Playthrough {
         word
     }
 
-    /// Says what the person does in the step that leads to scene `step`.
-    fn does(&self, story: &Story, step: usize) -> String {
-        let listener = &self.scenes[step].listener;
-        match (story.doing[step - 1], listener.reacting) {
-            (Doing::Following, Some(topic)) => {
-                format!("follows {}", topic_name(&self.scenes[0], topic))
+    /// Describes what the person does in the step that leads to scene `step`.
+    fn does(&self, step: usize) -> String {
+        let listener = &self.played.scenes[step].listener;
+        match (self.timeline.activities[step - 1], listener.reacting) {
+            (Activity::Following, Some(topic)) => {
+                format!("follows {}", topic_name(&self.played.scenes[0], topic))
             }
-            (Doing::Waiting, _) => "about to react".to_owned(),
-            _ => Doing::OwnPlan.label().to_owned(),
+            (Activity::Waiting, _) => "about to react".to_owned(),
+            _ => Activity::OwnPlan.label().to_owned(),
         }
     }
 
-    /// Confesses which sentences stand for messages of another k or l.
-    fn stand_ins(&self, story: &Story) -> String {
+    /// Lists which sentences stand for messages of another k or l.
+    fn stand_ins(&self) -> String {
         let mut out = String::new();
-        for (sentence, utterance) in self.sentences.iter().zip(&story.utterances) {
+        for (sentence, utterance) in self.sentences.iter().zip(&self.timeline.utterances) {
             if sentence.fallback {
                 let (k, l) = (utterance.comprehension, utterance.conveyance);
                 let cell = sentence.cell;
@@ -158,7 +161,7 @@ mod tests {
     use leadtime_taxonomy::Cell;
 
     use super::*;
-    use crate::playthrough::{Sentence, synthetic};
+    use crate::playthrough::{Playthrough, Sentence, synthetic};
 
     fn played() -> Playthrough {
         // Said at 2 with k = 2, l = 3: comprehended at 4, two steps of delay, followed from 7 to 9. The second one is
@@ -174,8 +177,7 @@ mod tests {
 
     #[test]
     fn words_come_one_by_one_and_actions_when_they_change() {
-        let mut played = played();
-        played.sentences = vec![
+        let sentences = vec![
             sentence("Shift left, now!", 2, 3, false),
             sentence("Zone ahead, go, up.", 4, 4, true),
             sentence("Go down.", 2, 2, false),
@@ -199,12 +201,13 @@ return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
    5.7 s                                   follows descend
 \u{201c}Zone ahead, go, up.\u{201d} is understood and over at (4, 4); the message was at (4, 5)
 ";
-        assert_eq!(played.transcript(&Pace::default()), expected);
+        let spoken = Spoken::new(played(), sentences);
+        assert_eq!(spoken.transcript(&Pace::default()), expected);
     }
 
     #[test]
     fn without_sentences_words_are_numbers() {
-        let told = played().transcript(&Pace::default());
+        let told = Spoken::from(played()).transcript(&Pace::default());
         assert!(told.contains("[shift left 2/3]  shift left, word 2 of 3"), "{told}");
         assert!(told.contains("[ascend 3/5] \u{2013}"), "{told}");
         assert!(told.contains("[descend 1/2]"), "{told}");
@@ -214,6 +217,6 @@ return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
     fn an_episode_of_one_scene_is_told_too() {
         let mut played = played();
         played.scenes.truncate(1);
-        assert_eq!(played.transcript(&Pace::default()).lines().count(), 3);
+        assert_eq!(Spoken::from(played).transcript(&Pace::default()).lines().count(), 3);
     }
 }

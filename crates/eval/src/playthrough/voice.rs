@@ -1,15 +1,15 @@
 //! The sentences of an episode: from topic, k and l of each message to the words that a person would hear.
 //!
 //! Which of a cell's sentences comes first is drawn from a stream named by (evaluation seed, episode), and after that
-//! they take turns: the same episode sounds the same, whoever asks for it.
+//! they take turns: the same episode always gets the same sentences.
 
 use std::fmt;
 
 use leadtime_numerics::Purpose;
-use leadtime_taxonomy::{Cell, Loss, Request, Rotation, Taxonomy, TaxonomyError, shipped, words};
+use leadtime_taxonomy::{Cell, Loss, Request, Rotation, Taxonomy, shipped, words};
 
 use super::record::Playthrough;
-use super::story::Story;
+use super::timeline::Timeline;
 use crate::error::Error;
 use crate::measure::episode_seed;
 
@@ -20,7 +20,7 @@ pub struct Sentence {
     pub text: String,
     /// The cell that it stands in.
     pub cell: Cell,
-    /// The message's k and l were others: nothing is known to say exactly that.
+    /// No sentence has exactly the message's k and l; this one stands in.
     pub fallback: bool,
 }
 
@@ -73,20 +73,44 @@ impl Voice {
     /// # Errors
     ///
     /// [`Error::Words`] if the episode speaks of a topic that the database does not know.
-    pub fn speak(&self, played: &mut Playthrough) -> Result<(), Error> {
+    pub fn speak(&self, played: Playthrough) -> Result<Spoken, Error> {
         let mut generator = episode_seed(played.seed, played.index).stream(Purpose::Words);
         let mut rotation = Rotation::new(&self.taxonomy, &mut generator);
-        let story = Story::new(&played.scenes);
-        let sentences = story.utterances.iter().map(|utterance| {
+        let mut spoken = Spoken::from(played);
+        for utterance in &spoken.timeline.utterances {
             let (k, l) = (utterance.comprehension as u32, utterance.conveyance as u32);
             let request = Request { topic: utterance.topic, cell: Cell::new(k, l) };
             let found = self.taxonomy.retrieve(request, &self.loss)?;
             let text = rotation.next(&found).map(|utterance| utterance.text.clone());
-            let (cell, fallback) = (found.cell, found.fallback);
-            Ok(Sentence { text: text.unwrap_or_default(), cell, fallback })
-        });
-        played.sentences = sentences.collect::<Result<_, TaxonomyError>>()?;
-        Ok(())
+            let (text, cell, fallback) = (text.unwrap_or_default(), found.cell, found.fallback);
+            spoken.sentences.push(Sentence { text, cell, fallback });
+        }
+        Ok(spoken)
+    }
+}
+
+/// An episode with the words of its messages, ready to be drawn and written out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spoken {
+    /// The episode.
+    pub played: Playthrough,
+    /// What happened in it, and when.
+    pub timeline: Timeline,
+    /// The words of each of the timeline's utterances; none without a [`Voice`].
+    pub sentences: Vec<Sentence>,
+}
+
+impl Spoken {
+    /// Joins an episode with the words of its messages, in order.
+    pub fn new(played: Playthrough, sentences: Vec<Sentence>) -> Self {
+        Self { timeline: Timeline::new(&played.scenes), played, sentences }
+    }
+}
+
+/// Leaves the messages without words.
+impl From<Playthrough> for Spoken {
+    fn from(played: Playthrough) -> Self {
+        Self::new(played, Vec::new())
     }
 }
 
@@ -107,25 +131,21 @@ mod tests {
 
     #[test]
     fn every_message_gets_a_sentence_of_its_topic_and_cell_in_turn() {
-        let mut played = synthetic::playthrough();
-        lander().speak(&mut played).unwrap();
-        let story = Story::new(&played.scenes);
-        assert_eq!(played.sentences.len(), story.utterances.len());
+        let Spoken { timeline, sentences, .. } = lander().speak(synthetic::playthrough()).unwrap();
+        assert_eq!(sentences.len(), timeline.utterances.len());
         let taxonomy = shipped("lander").unwrap();
-        for (sentence, utterance) in played.sentences.iter().zip(&story.utterances) {
+        for (sentence, utterance) in sentences.iter().zip(&timeline.utterances) {
             let filed = taxonomy.topics()[utterance.topic].cell(sentence.cell);
             assert!(filed.iter().any(|utterance| utterance.text == sentence.text), "{sentence}");
             let asked = Cell::new(utterance.comprehension as u32, utterance.conveyance as u32);
             assert_eq!((sentence.cell, sentence.fallback), (asked, false));
         }
         // The same episode sounds the same; of twenty others, some do not.
-        let mut again = synthetic::playthrough();
-        lander().speak(&mut again).unwrap();
-        assert_eq!(again.sentences, played.sentences);
+        let again = lander().speak(synthetic::playthrough()).unwrap();
+        assert_eq!(again.sentences, sentences);
         let differs = (0..20).any(|index| {
-            let mut other = Playthrough { index, ..synthetic::playthrough() };
-            lander().speak(&mut other).unwrap();
-            other.sentences != played.sentences
+            let other = Playthrough { index, ..synthetic::playthrough() };
+            lander().speak(other).unwrap().sentences != sentences
         });
         assert!(differs);
     }

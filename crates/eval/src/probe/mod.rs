@@ -1,12 +1,12 @@
 //! What a notifier knows of its listener: can the person's reaction delay be read off what goes on in the policy?
 //!
-//! The policy plays episodes in which the delay `d_r` varies and is never told. At one step of every stage of an episode
+//! The policy plays episodes in which the delay `d_r` varies and is never observed. At one step of every stage of an episode
 //! a probe notes what the policy's heads see (and its recurrent state), what the policy was given, and the delay. A
-//! linear regression learns to read the delay from the first half of the episodes, and is judged on the other half.
+//! linear regression learns to read the delay from the first half of the episodes, and is evaluated on the other half.
 //!
 //! ```text
 //! episodes --record--> samples ──┬─ first half ─► readers: constants, regression on input, regression on features
-//!                                └─ other half ─────────► errors of each, by stage ─► Knowledge ─► text, Markdown
+//!                                └─ other half ─────────► errors of each, by stage ─► ProbeResult ─► text, Markdown
 //! ```
 //!
 //! A *stage* of an episode is the time during which the person has begun to react to the same number of messages.
@@ -16,25 +16,25 @@
 //! * **Which step.** One step per stage and episode, drawn evenly from the stage's steps, so that long stages do not
 //!   outweigh short ones; and all samples of an episode together count as much as those of any other. The last step before a reaction, or the first one after, would give the delay away: the time
 //!   since the message is then k + `d_r` by the very choice of the step, which the notifier does not know.
-//! * **One regression for all stages**, which is not told the stage. A regression for each would be told by its stage
+//! * **One regression for all stages**, which does not see the stage. A regression for each would learn from its stage
 //!   what the person has and has not done, which the notifier has to find out by itself; and it would have fewer
 //!   episodes than features.
 //! * **The penalty** is chosen from a fixed list by cross-validation over episodes of the first half, because the
 //!   input can be several times as wide as the features.
-//! * **Two constants.** One is the median over everything; the other is told the stage. People who react late are
+//! * **Two constants.** One is the median over everything; the other sees the stage. People who react late are
 //!   rarer in late stages, so the second is the harder one to beat.
 //!
 //! # Where to start
 //!
-//! [`probe`], [`Knowledge`].
+//! [`probe`], [`ProbeResult`].
 
-mod judge;
-mod knowledge;
 mod readers;
 mod record;
+mod result;
 mod ridge;
+mod scoring;
 #[cfg(test)]
 mod synthetic;
 
-pub use judge::{MIN_EPISODES, probe};
-pub use knowledge::{Knowledge, ReaderScore, Score, Stage};
+pub use result::{MIN_EPISODES, ProbeResult, ProbeStage, ReaderScore, Score};
+pub use scoring::probe;

@@ -1,10 +1,10 @@
-//! Ways to tell a person's reaction delay, from knowing nothing to reading the policy's mind.
+//! Ways to predict a person's reaction delay, from a constant to a regression on the policy's features.
 
-use super::record::{N_STAGES, Sample};
+use super::record::{N_STAGES, ProbeSample};
 use super::ridge::{Case, Ridge};
 use crate::error::Error;
 
-/// A way to tell the delay.
+/// A way to predict the delay.
 #[derive(Clone, Debug)]
 pub(super) enum Reader {
     /// The same for everybody.
@@ -18,12 +18,12 @@ pub(super) enum Reader {
 }
 
 impl Reader {
-    /// Learns every way from samples, weakest first.
+    /// Fits every reader to samples, weakest first.
     ///
     /// # Errors
     ///
     /// [`Error::NoRegression`].
-    pub(super) fn all(samples: &[&Sample]) -> Result<Vec<Self>, Error> {
+    pub(super) fn all(samples: &[&ProbeSample]) -> Result<Vec<Self>, Error> {
         let in_stage = |stage: usize| {
             median(samples.iter().filter(|s| s.stage == stage).map(|s| (s.delay, 1.0)))
         };
@@ -54,7 +54,7 @@ impl Reader {
     }
 
     /// Returns how many numbers it looks at.
-    pub(super) fn n_features(&self, sample: &Sample) -> usize {
+    pub(super) fn n_features(&self, sample: &ProbeSample) -> usize {
         match self {
             Self::Input(_) => sample.input.len(),
             Self::Hidden(_) => sample.hidden.len(),
@@ -62,23 +62,23 @@ impl Reader {
         }
     }
 
-    /// Tells the delay, in steps; a delay is never negative.
-    pub(super) fn read(&self, sample: &Sample) -> f64 {
-        let told = match self {
+    /// Predicts the delay, in steps; a delay is never negative.
+    pub(super) fn read(&self, sample: &ProbeSample) -> f64 {
+        let predicted = match self {
             Self::Constant(delay) => *delay,
             Self::PerStage(delays) => delays[sample.stage],
             Self::Input(ridge) => ridge.predict(&sample.input),
             Self::Hidden(ridge) => ridge.predict(&sample.hidden),
         };
-        told.max(0.0)
+        predicted.max(0.0)
     }
 }
 
 fn regression<'a>(
-    samples: &[&'a Sample],
-    features: fn(&'a Sample) -> &'a [f32],
+    samples: &[&'a ProbeSample],
+    features: fn(&'a ProbeSample) -> &'a [f32],
 ) -> Result<Ridge, Error> {
-    let case = |sample: &&'a Sample| Case {
+    let case = |sample: &&'a ProbeSample| Case {
         group: sample.episode,
         features: features(sample),
         target: f64::from(sample.delay),
@@ -105,22 +105,30 @@ fn median(delays: impl Iterator<Item = (u32, f64)>) -> f64 {
 mod tests {
     use super::*;
 
-    fn sample(episode: u64, stage: usize, delay: u32) -> Sample {
+    fn sample(episode: u64, stage: usize, delay: u32) -> ProbeSample {
         let hidden = vec![delay as f32, 1.0];
         let weight = 0.5;
-        Sample { episode, stage, delay, weight, hidden, input: vec![0.0], ..Sample::default() }
+        ProbeSample {
+            episode,
+            stage,
+            delay,
+            weight,
+            hidden,
+            input: vec![0.0],
+            ..ProbeSample::default()
+        }
     }
 
     #[test]
     fn each_reader_uses_what_it_is_named_after() {
-        let samples: Vec<Sample> = (0..40)
+        let samples: Vec<ProbeSample> = (0..40)
             .flat_map(|i| [sample(i, 0, (i % 5) as u32), sample(i, 1, (i % 2) as u32)])
             .collect();
         let readers = Reader::all(&samples.iter().collect::<Vec<_>>()).unwrap();
         let told = readers.iter().map(|reader| reader.read(&sample(50, 0, 4)));
         let told: Vec<f64> = told.collect();
         assert_eq!(told[..2], [1.0, 2.0]);
-        // An input that never changes tells the mean: of 2 in stage 0 and of 1/2 in stage 1.
+        // An input that never changes predicts the mean: of 2 in stage 0 and of 1/2 in stage 1.
         assert!((told[2] - 1.25).abs() < 1e-9 && (told[3] - 4.0).abs() < 1e-3, "{told:?}");
         assert_eq!(readers[1].read(&sample(50, 1, 4)), 0.0);
         let features: Vec<usize> = readers.iter().map(|r| r.n_features(&samples[0])).collect();

@@ -9,12 +9,12 @@ use leadtime_sims::{End, Insight};
 
 use crate::error::Error;
 
-/// Stages that are told apart: 0, 1, ... reactions begun, and in the last one as many or more.
+/// Number of stages: 0, 1, ... reactions begun, and in the last one as many or more.
 pub(super) const N_STAGES: usize = 6;
 
 /// One step of one stage of an episode.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Sample {
+pub(super) struct ProbeSample {
     /// The episode's number.
     pub(super) episode: u64,
     /// Reactions begun before the step, [`N_STAGES`] - 1 at most.
@@ -42,14 +42,14 @@ pub(super) fn record(
     make: &MakeEnvironment<'_>,
     player: &Player,
     settings: &PlaySettings<'_>,
-) -> Result<Vec<Sample>, Error> {
+) -> Result<Vec<ProbeSample>, Error> {
     let seed = |index| episode_seed(settings.seed, index);
-    // Whether there is a delay to be known is a question of the task, so one episode tells.
+    // Whether there is a delay to be known depends on the task alone, so one episode shows it.
     let first = EnvSlot::new(make()?, 0, seed(settings.first));
     let insight = first.env().insight().ok_or(Error::NoListener)?;
     insight.reaction_delay.ok_or(Error::DelayPerMessage)?;
     let observe = |index| Stages::new(index, seed(index).stream(Purpose::Probe));
-    Ok(play(make, player, settings, observe)?.concat())
+    Ok(play(make, player, settings, observe)?.into_iter().flatten().collect())
 }
 
 /// The stages of an episode so far, each with a step drawn evenly from its steps.
@@ -57,7 +57,7 @@ struct Stages {
     episode: u64,
     draws: Pcg64,
     n_begun: usize,
-    samples: [Option<Sample>; N_STAGES],
+    samples: [Option<ProbeSample>; N_STAGES],
     /// The stage whose sample is the coming step.
     chosen: Option<usize>,
 }
@@ -84,10 +84,10 @@ impl Stages {
     }
 
     /// Returns the samples of the stages that there were.
-    fn weighted(self) -> Vec<Sample> {
-        let samples: Vec<Sample> = self.samples.into_iter().flatten().collect();
+    fn weighted(self) -> Vec<ProbeSample> {
+        let samples: Vec<ProbeSample> = self.samples.into_iter().flatten().collect();
         let weight = 1.0 / samples.len() as f64;
-        samples.into_iter().map(|sample| Sample { weight, ..sample }).collect()
+        samples.into_iter().map(|sample| ProbeSample { weight, ..sample }).collect()
     }
 }
 
@@ -107,9 +107,9 @@ impl Observer for Stages {
 }
 
 impl EpisodeObserver for Stages {
-    type Output = Vec<Sample>;
+    type Output = Vec<ProbeSample>;
 
-    fn finish(self, _slot: &EnvSlot, _end: End) -> Vec<Sample> {
+    fn finish(self, _slot: &EnvSlot, _end: End) -> Vec<ProbeSample> {
         self.weighted()
     }
 }

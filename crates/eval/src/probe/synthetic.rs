@@ -1,4 +1,4 @@
-//! A task whose observation tells the person's delay as plainly as a test wants.
+//! A task whose observation reveals the person's delay as plainly as a test wants.
 
 use leadtime_numerics::{Pcg64, Purpose};
 use leadtime_proto::{ActionSpec, Encoder, EnvSpec, HeadCredit, PolicySpec};
@@ -8,25 +8,25 @@ use leadtime_sims::{
 
 use crate::measure::{Choice, Player};
 
-/// What the observation tells of the delay.
+/// What the observation reveals of the delay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Told {
+pub(super) enum Revealed {
     /// Everything, from the first reaction on.
     AfterTheFirstReaction,
     /// Nothing: it is noise.
     Nothing,
 }
 
-/// Numbers in an observation, beside the one that may tell.
+/// Numbers in an observation, besides the one that may reveal it.
 const N_NOISE: usize = 7;
 /// Steps from one reaction to the next.
 const STEPS_PER_STAGE: u32 = 4;
 
-/// A person with a delay of 0 to 5 steps, who reacts every four steps whatever is said; up to eight times.
+/// A person with a delay of 0 to 5 steps, who reacts every four steps whatever the message; up to eight times.
 #[derive(Debug)]
 pub(super) struct Synthetic {
     spec: EnvSpec,
-    told: Told,
+    told: Revealed,
     noise: Pcg64,
     delay: u32,
     n_steps: u32,
@@ -38,7 +38,7 @@ pub(super) struct Synthetic {
 }
 
 impl Synthetic {
-    pub(super) fn new(told: Told) -> Self {
+    pub(super) fn new(told: Revealed) -> Self {
         let spec = EnvSpec {
             obs_dim: 1 + N_NOISE,
             actions: ActionSpec::discrete("speak", 2),
@@ -52,7 +52,7 @@ impl Synthetic {
         for value in observation.iter_mut() {
             *value = self.noise.normal() as f32;
         }
-        if self.told == Told::AfterTheFirstReaction {
+        if self.told == Revealed::AfterTheFirstReaction {
             let seen = self.n_steps >= STEPS_PER_STAGE;
             observation[0] = if seen { self.delay as f32 - 2.5 } else { 0.0 };
         }
@@ -99,7 +99,7 @@ impl Environment for Synthetic {
 }
 
 /// Makes such a task.
-pub(super) fn make(told: Told) -> impl Fn() -> Result<Box<dyn Environment>, TaskError> + Sync {
+pub(super) fn make(told: Revealed) -> impl Fn() -> Result<Box<dyn Environment>, TaskError> + Sync {
     move || Ok(Box::new(Synthetic::new(told)))
 }
 

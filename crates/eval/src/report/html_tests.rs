@@ -5,26 +5,18 @@ use std::collections::BTreeMap;
 use leadtime_numerics::stats::Bootstrap;
 
 use crate::figure::{CurvePanel, Series, ShareRow};
-use crate::measure::{Comparison, Episode, Evaluation};
-use crate::playthrough::synthetic;
+use crate::measure::{Comparison, Evaluation};
+use crate::playthrough::{Spoken, synthetic};
 use crate::report::{Book, Fact, Picture, Report, Verdict};
 
 /// What every text of the report under test contains.
 const NASTY: &str = "<script>alert('&')</script>\"";
 
 fn evaluation(player: &str, success: f32) -> Evaluation {
-    let episode = |i: u8| Episode {
-        total_reward: f64::from(i),
-        n_steps: 10,
-        truncated: false,
-        metrics: vec![if i < 8 { success } else { 1.0 - success }],
-    };
-    Evaluation {
-        player: player.to_owned(),
-        seed: 1,
-        metrics: vec!["success".to_owned()],
-        episodes: (0..10).map(episode).collect(),
-    }
+    let values = (0..10).map(|i| if i < 8 { success } else { 1.0 - success });
+    let values: Vec<f32> = values.collect();
+    let rows: Vec<_> = values.iter().map(|value| (10, std::slice::from_ref(value))).collect();
+    Evaluation { player: player.to_owned(), ..Evaluation::of(&["success"], &rows) }
 }
 
 fn report() -> Report {
@@ -35,7 +27,7 @@ fn report() -> Report {
     let points = (0..80).map(|i| [f64::from(i) * 4000.0, f64::from(i % 7)]).collect();
     let series = vec![Series { label: text("trained"), points }];
     let reference = Some((2.0, text("unaided")));
-    let svg = synthetic::playthrough().svg("play-0");
+    let svg = Spoken::from(synthetic::playthrough()).svg("play-0").text;
     Report {
         title: text("Report"),
         lead: text("A notifier was trained."),

@@ -82,7 +82,7 @@ pub(super) fn training(report: &Report) -> String {
     }
     let svg = figure::curves("curves", "Learning curve", "environment steps", &report.curves);
     let caption = "Faint: as recorded. Strong: centred moving average.";
-    section("training", "Training", &drawing(&svg, caption))
+    section("training", "Training", &drawing(&svg.text, caption))
 }
 
 pub(super) fn system(report: &Report) -> String {
@@ -92,12 +92,12 @@ pub(super) fn system(report: &Report) -> String {
         let svg = figure::histogram("staleness", "Staleness of rollouts", axis, &report.staleness);
         let caption = "How many versions older than the learner's the policy was that acted in a rollout, when \
                        the learner used it.";
-        body.push_str(&drawing(&svg, caption));
+        body.push_str(&drawing(&svg.text, caption));
     }
     if !report.phases.is_empty() {
         let svg = figure::shares("phases", "What the time went into", &report.phases);
         body.push_str(&drawing(
-            &svg,
+            &svg.text,
             "Share of each process' time; the total in seconds on the right.",
         ));
     }

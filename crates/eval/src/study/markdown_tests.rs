@@ -1,11 +1,11 @@
 use leadtime_numerics::stats::Bootstrap;
 
 use super::*;
-use crate::measure::{Difference, Episode, Evaluation, Summary};
+use crate::measure::{Difference, EpisodeResult, Evaluation, Summary};
 use crate::study::Published;
 
 fn evaluation(success: &[f32]) -> Evaluation {
-    let episode = |&success: &f32| Episode {
+    let episode = |&success: &f32| EpisodeResult {
         total_reward: f64::from(success),
         n_steps: 40,
         truncated: false,

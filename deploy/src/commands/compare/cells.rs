@@ -16,7 +16,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use leadtime_eval::measure::{Episode, Evaluation};
+use leadtime_eval::measure::{EpisodeResult, Evaluation};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -119,7 +119,7 @@ impl Cells {
 impl Answer {
     fn new(program: &str, evaluation: &Evaluation) -> Self {
         let Evaluation { player, seed, metrics, episodes } = evaluation.clone();
-        let bits = |episode: Episode| {
+        let bits = |episode: EpisodeResult| {
             let metrics = episode.metrics.into_iter().map(f32::to_bits).collect();
             (episode.total_reward.to_bits(), episode.n_steps, episode.truncated, metrics)
         };
@@ -130,12 +130,13 @@ impl Answer {
     /// Returns the answer, if it is this program's.
     fn by(self, program: &str) -> Option<Evaluation> {
         let Self { player, seed, metrics, episodes, .. } = self;
-        let episode = |(reward, n_steps, truncated, metrics): (u64, u64, bool, Vec<u32>)| Episode {
-            total_reward: f64::from_bits(reward),
-            n_steps,
-            truncated,
-            metrics: metrics.into_iter().map(f32::from_bits).collect(),
-        };
+        let episode =
+            |(reward, n_steps, truncated, metrics): (u64, u64, bool, Vec<u32>)| EpisodeResult {
+                total_reward: f64::from_bits(reward),
+                n_steps,
+                truncated,
+                metrics: metrics.into_iter().map(f32::from_bits).collect(),
+            };
         let episodes = episodes.into_iter().map(episode).collect();
         (self.program == program).then_some(Evaluation { player, seed, metrics, episodes })
     }
@@ -150,7 +151,7 @@ mod tests {
     use super::*;
 
     fn evaluation() -> Evaluation {
-        let episode = |total_reward: f64, value: f32| Episode {
+        let episode = |total_reward: f64, value: f32| EpisodeResult {
             total_reward,
             n_steps: 80,
             truncated: false,

@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use leadtime_eval::draw::Rasterizer;
+use leadtime_eval::draw::{Rasterizer, Svg};
 use leadtime_eval::figure::{Band, BandPanel, bands, sheet};
 use leadtime_eval::measure::{Choice, title};
-use leadtime_eval::playthrough::Playthrough;
+use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::study::{Layout, PartResult};
 use leadtime_numerics::stats::mean;
 
@@ -70,7 +70,7 @@ fn learning(planned: &PlannedPart, stem: &str) -> anyhow::Result<Option<Drawn>> 
         panel("episodes/return", "return in training", None),
     ];
     let heading = format!("{}: learning", planned.part.title);
-    let svg = bands("learning", &heading, ("environment steps", 7), &panels);
+    let svg = bands("learning", &heading, "environment steps", 7, &panels).text;
     let n_seeds = trained.iter().map(|row| row.trainings.len()).max().unwrap_or(0);
     let spread = match n_seeds {
         1 => "one training seed".to_owned(),
@@ -148,8 +148,9 @@ fn over_people(planned: &PlannedPart, part: &PartResult, stem: &str) -> anyhow::
     let [also, dashed] =
         if said { [", the paper's (dashed)", ", the paper's dashed"] } else { [""; 2] };
     let heading = format!("{}: ours (solid, with interval){also}", part.title);
-    let axis = (planned.part.axis.as_str(), people.len().max(2));
-    let png = Rasterizer::new().png(&bands("people", &heading, axis, &panels), SCALE)?;
+    let (axis, n_ticks) = (planned.part.axis.as_str(), people.len().max(2));
+    let svg = bands("people", &heading, axis, n_ticks, &panels).text;
+    let png = Rasterizer::new().png(&svg, SCALE)?;
     let caption = format!("{}: ours as solid lines with 95 % intervals{dashed}", part.title);
     Ok(Drawn { file: format!("{stem}-people.png"), caption, png })
 }
@@ -167,19 +168,19 @@ fn playthroughs(
         let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));
         let (Some(on), Some(player)) = (on, judge.first_player(row)?) else { continue };
         let voice = judge::shipped_voice(judge.program, &on.config);
-        let played = judge::record(judge.program, &on.config, &player, voice.as_ref(), (seed, 0))?;
-        episodes.push(played);
+        episodes.push(judge::record(judge.program, &on.config, &player, voice.as_ref(), seed, 0)?);
     }
-    let Some(n_steps) = episodes.iter().map(Playthrough::n_steps).max() else { return Ok(None) };
-    let draw =
-        |(i, played): (usize, &Playthrough)| played.svg_over(&format!("{stem}-{i}"), n_steps);
-    let pictures: Vec<String> = episodes.iter().enumerate().map(draw).collect();
+    let Some(n_steps) = episodes.iter().map(|spoken| spoken.played.n_steps()).max() else {
+        return Ok(None);
+    };
+    let draw = |(i, spoken): (usize, &Spoken)| spoken.svg_over(&format!("{stem}-{i}"), n_steps);
+    let pictures: Vec<Svg> = episodes.iter().enumerate().map(draw).collect();
     let named = planned.part.evaluations.iter().find(|known| known.name == *person);
     let caption = format!(
         "{}: the same episode (the first one of seed {seed}, not chosen) with each notifier, on: {}",
         planned.part.title,
         named.map_or("", |person| &person.title)
     );
-    let png = Rasterizer::new().png(&sheet(&caption, &pictures, COLUMNS), SHEET_SCALE)?;
+    let png = Rasterizer::new().png(&sheet(&caption, &pictures, COLUMNS).text, SHEET_SCALE)?;
     Ok(Some(Drawn { file: format!("{stem}-playthroughs.png"), caption, png }))
 }

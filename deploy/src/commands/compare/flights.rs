@@ -4,8 +4,9 @@ use std::path::Path;
 
 use anyhow::{Context as _, ensure};
 use leadtime_eval::draw::Rasterizer;
-use leadtime_eval::measure::Player;
-use leadtime_eval::playthrough::{self, FlightPanel, Playthrough};
+use leadtime_eval::measure::{PlaySettings, Player};
+use leadtime_eval::picture::{self, TrajectoryPanel};
+use leadtime_eval::playthrough::Playthrough;
 use toml::Value;
 
 use super::configure::{self, Profile};
@@ -77,16 +78,16 @@ pub(super) fn maps(
     let seed = judge.first_seed(planned);
     let mut panels = Vec::new();
     for map in &planned.maps {
-        let flights = fly(judge.program, &map.config, &Player::baseline(UNAIDED), seed, 1)?;
-        panels.push(FlightPanel { title: map.title.clone(), flights });
+        let trajectories = fly(judge.program, &map.config, &Player::baseline(UNAIDED), seed, 1)?;
+        panels.push(TrajectoryPanel { title: map.title.clone(), trajectories });
     }
     let title = &planned.part.title;
-    let svg = playthrough::maps("maps", &format!("{title}: the maps"), &panels);
+    let svg = picture::maps("maps", &format!("{title}: the maps"), &panels);
     let caption = format!(
         "{title}: the maps on one scale. Danger zones are dashed, the pad is green. The line is where the lander flies when \
          nobody speaks (the same episode on every map: the first one of seed {seed}, not chosen), thick and orange inside a zone"
     );
-    drawn(format!("{stem}-maps.png"), caption, &svg).map(Some)
+    drawn(format!("{stem}-maps.png"), caption, &svg.text).map(Some)
 }
 
 /// Draws the first flights of every row's first training seed, on the person that the study names.
@@ -105,15 +106,15 @@ pub(super) fn trajectories(
     for row in &planned.rows {
         let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));
         let (Some(on), Some(player)) = (on, judge.first_player(row)?) else { continue };
-        let flights = fly(judge.program, &on.config, &player, seed, n)?;
-        panels.push(FlightPanel { title: row.row.title.clone(), flights });
+        let trajectories = fly(judge.program, &on.config, &player, seed, n)?;
+        panels.push(TrajectoryPanel { title: row.row.title.clone(), trajectories });
     }
     if panels.is_empty() {
         return Ok(None);
     }
     let title = &planned.part.title;
     let heading = format!("{title}: the same {n} flights with each notifier");
-    let svg = playthrough::trajectories("trajectories", &heading, &panels);
+    let svg = picture::trajectories("trajectories", &heading, &panels);
     let named = planned.part.evaluations.iter().find(|known| known.name == *person);
     let caption = format!(
         "{title}: where the lander flies with each notifier, in the same {n} episodes (the first ones of seed {seed}, not \
@@ -122,7 +123,7 @@ pub(super) fn trajectories(
          beside the pad, or end out of view or of time; each ends at its dot. The ground differs between episodes and is drawn faintly",
         named.map_or("", |person| &person.title)
     );
-    drawn(format!("{stem}-trajectories.png"), caption, &svg).map(Some)
+    drawn(format!("{stem}-trajectories.png"), caption, &svg.text).map(Some)
 }
 
 /// Flies the first episodes of a seed.
@@ -133,8 +134,9 @@ fn fly(
     seed: u64,
     n: u64,
 ) -> anyhow::Result<Vec<Playthrough>> {
-    let fly = |index| judge::record(program, config, player, None, (seed, index));
-    (0..n).map(fly).collect()
+    let make = || program.registry.build(&config.evaluation.task);
+    let settings = PlaySettings::new(n, seed).threads(judge::n_threads());
+    Ok(Playthrough::record_all(&make, player, &settings)?)
 }
 
 fn drawn(file: String, caption: String, svg: &str) -> anyhow::Result<Drawn> {

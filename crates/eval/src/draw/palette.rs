@@ -1,7 +1,7 @@
 //! The colours, by meaning.
 //!
 //! The eight saturated ones are Okabe and Ito's palette, which people with the common forms of colour blindness can
-//! tell apart; yellow is left out because it vanishes on white.
+//! distinguish; yellow is left out because it vanishes on white.
 
 /// A colour named by what it is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -20,7 +20,7 @@ pub enum Ink {
     Panel,
     /// Ground, road, walls.
     Ground,
-    /// A neutral path: nobody says anything.
+    /// A neutral path: no message is running.
     Neutral,
     /// Okabe-Ito blue.
     Blue,

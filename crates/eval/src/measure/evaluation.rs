@@ -10,7 +10,7 @@ use crate::error::Error;
 
 /// What one episode gave.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Episode {
+pub struct EpisodeResult {
     /// Sum of raw rewards.
     pub total_reward: f64,
     /// Number of steps.
@@ -31,7 +31,7 @@ pub struct Evaluation {
     /// Names of the task's metrics.
     pub metrics: Vec<String>,
     /// The episodes in order.
-    pub episodes: Vec<Episode>,
+    pub episodes: Vec<EpisodeResult>,
 }
 
 impl Evaluation {
@@ -56,16 +56,35 @@ impl Evaluation {
     }
 }
 
+#[cfg(test)]
+impl Evaluation {
+    /// Makes an evaluation of the given episodes, each with its steps and metrics, for tests.
+    pub(crate) fn of(metrics: &[&str], episodes: &[(u64, &[f32])]) -> Self {
+        let episode = |&(n_steps, metrics): &(u64, &[f32])| EpisodeResult {
+            total_reward: 100.0 * f64::from(metrics[0]),
+            n_steps,
+            truncated: false,
+            metrics: metrics.to_vec(),
+        };
+        Self {
+            player: "p".to_owned(),
+            seed: 1,
+            metrics: metrics.iter().map(|&name| name.to_owned()).collect(),
+            episodes: episodes.iter().map(episode).collect(),
+        }
+    }
+}
+
 /// Observes what one episode gave.
 struct Measuring;
 
 impl Observer for Measuring {}
 
 impl EpisodeObserver for Measuring {
-    type Output = Episode;
+    type Output = EpisodeResult;
 
-    fn finish(self, slot: &EnvSlot, end: End) -> Episode {
-        Episode {
+    fn finish(self, slot: &EnvSlot, end: End) -> EpisodeResult {
+        EpisodeResult {
             total_reward: slot.episode_return(),
             n_steps: u64::from(slot.n_steps()),
             truncated: end == End::Truncated,
@@ -106,5 +125,5 @@ pub fn evaluate_with<O: EpisodeObserver>(
 }
 
 #[cfg(test)]
-#[path = "episodes_tests.rs"]
+#[path = "evaluation_tests.rs"]
 mod tests;

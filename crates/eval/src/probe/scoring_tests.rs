@@ -1,9 +1,9 @@
-//! What is there to be known is found, and what is not there is not.
+//! A delay that the features hold is found; noise is not mistaken for it.
 
 use leadtime_sims::classic::{CartPole, CartPoleSettings};
 use leadtime_sims::{Environment, TaskError};
 
-use super::super::synthetic::{Synthetic, Told, make, player};
+use super::super::synthetic::{Revealed, Synthetic, make, player};
 use super::*;
 
 const BOOTSTRAP: Bootstrap = Bootstrap { seed: 3, n_resamples: 199, confidence: 0.95 };
@@ -12,7 +12,7 @@ fn settings() -> PlaySettings<'static> {
     PlaySettings::new(300, 11)
 }
 
-fn known(told: Told) -> Knowledge {
+fn known(told: Revealed) -> ProbeResult {
     probe(&make(told), &player(), &settings(), BOOTSTRAP).unwrap()
 }
 
@@ -23,7 +23,7 @@ const INPUT: usize = 2;
 const HIDDEN: usize = 3;
 
 /// Samples of which the hidden features hold the delay, and the input does not.
-fn telling() -> Vec<Sample> {
+fn telling() -> Vec<ProbeSample> {
     let mut draws = leadtime_numerics::Pcg64::seed_from_u64(2);
     let mut sample = |episode: u64, stage: usize, delay: u32| {
         let mut noise = || draws.normal() as f32;
@@ -31,7 +31,7 @@ fn telling() -> Vec<Sample> {
         let mut hidden: Vec<f32> = (0..20).map(|_| noise()).collect();
         hidden[4] = 0.5 - 0.1 * delay as f32;
         let weight = 1.0 / 3.0;
-        Sample { episode, stage, delay, input, hidden, weight, n_steps: 9, comprehended: 1 }
+        ProbeSample { episode, stage, delay, input, hidden, weight, n_steps: 9, comprehended: 1 }
     };
     (0..120)
         .flat_map(|episode| [0, 1, 2].map(|stage| (episode, stage)))
@@ -42,24 +42,24 @@ fn telling() -> Vec<Sample> {
 #[test]
 fn features_that_hold_the_delay_are_found_out_exactly() {
     let samples = telling();
-    let (seen, unseen): (Vec<&Sample>, Vec<&Sample>) =
+    let (seen, unseen): (Vec<&ProbeSample>, Vec<&ProbeSample>) =
         samples.iter().partition(|sample| sample.episode < 60);
-    let judge = Judge::new(&seen, unseen, BOOTSTRAP).unwrap();
-    let overall = judge.overall();
+    let scorer = Scorer::new(&seen, unseen, BOOTSTRAP).unwrap();
+    let overall = scorer.overall();
     assert!(overall.scores[HIDDEN].error.estimate < 1e-2, "{overall:?}");
     assert_eq!(overall.scores[HIDDEN].exact.estimate, 1.0);
     assert!(overall.scores[CONSTANT].error.estimate > 1.4);
-    assert!(judge.readers()[HIDDEN].r_squared > Some(0.999));
-    assert!(judge.differences().iter().all(|difference| difference.interval.high < -1.0));
-    // Noise is no better than always telling the mean.
-    assert!(judge.readers()[INPUT].r_squared < Some(0.05), "{:?}", judge.readers());
+    assert!(scorer.readers()[HIDDEN].r_squared > Some(0.999));
+    assert!(scorer.differences().iter().all(|difference| difference.interval.high < -1.0));
+    // Noise is no better than always predicting the mean.
+    assert!(scorer.readers()[INPUT].r_squared < Some(0.05), "{:?}", scorer.readers());
     assert!(overall.scores[INPUT].error.high > overall.scores[CONSTANT].error.low);
 }
 
 #[test]
 fn a_policy_that_is_shown_the_delay_holds_it_from_then_on() {
-    let known = known(Told::AfterTheFirstReaction);
-    assert_eq!((known.n_learned_from, known.n_judged_on), (150, 150));
+    let known = known(Revealed::AfterTheFirstReaction);
+    assert_eq!((known.n_learned_from, known.n_evaluated_on), (150, 150));
     let error = |stage: usize, reader: usize| known.stages[stage].scores[reader].error.estimate;
     for stage in 1..N_STAGES {
         let [input, hidden] = [INPUT, HIDDEN].map(|reader| error(stage, reader));
@@ -74,7 +74,7 @@ fn a_policy_that_is_shown_the_delay_holds_it_from_then_on() {
 
 #[test]
 fn noise_is_no_better_than_a_constant() {
-    let known = known(Told::Nothing);
+    let known = known(Revealed::Nothing);
     for reader in [INPUT, HIDDEN] {
         let score = &known.readers[reader];
         assert!(score.r_squared < Some(0.05), "{score:?}");
@@ -84,26 +84,26 @@ fn noise_is_no_better_than_a_constant() {
 }
 
 #[test]
-fn stages_are_counted_and_rare_ones_not_judged() {
-    let known = known(Told::Nothing);
+fn stages_are_counted_and_rare_ones_not_scored() {
+    let known = known(Revealed::Nothing);
     let names: Vec<&str> = known.stages.iter().map(|stage| stage.name.as_str()).collect();
     assert_eq!(names, ["0", "1", "2", "3", "4", "5 or more"]);
     // One episode in nine ends with each further stage; the last one is of the steps after the fifth reaction.
-    assert_eq!((known.stages[0].n_judged_on, known.stages[0].n_steps), (150, 600));
-    assert!((80..130).contains(&known.stages[3].n_judged_on));
-    assert!(known.stages[5].n_steps > 4 * known.stages[5].n_judged_on as u64);
+    assert_eq!((known.stages[0].n_evaluated_on, known.stages[0].n_steps), (150, 600));
+    assert!((80..130).contains(&known.stages[3].n_evaluated_on));
+    assert!(known.stages[5].n_steps > 4 * known.stages[5].n_evaluated_on as u64);
     assert_eq!(known.stages[3].mean_comprehended, Some(3.0));
     let few = PlaySettings::new(50, 11);
-    let few = probe(&make(Told::Nothing), &player(), &few, BOOTSTRAP).unwrap();
+    let few = probe(&make(Revealed::Nothing), &player(), &few, BOOTSTRAP).unwrap();
     assert!(few.stages[0].scores.len() == 4 && few.stages[5].scores.is_empty());
     assert!(few.text().contains("\u{2013}"), "{}", few.text());
 }
 
 #[test]
 fn the_seed_decides_and_threads_change_nothing() {
-    let known = known(Told::AfterTheFirstReaction);
+    let known = known(Revealed::AfterTheFirstReaction);
     let run = |settings: PlaySettings<'_>| {
-        probe(&make(Told::AfterTheFirstReaction), &player(), &settings, BOOTSTRAP).unwrap()
+        probe(&make(Revealed::AfterTheFirstReaction), &player(), &settings, BOOTSTRAP).unwrap()
     };
     assert_eq!(run(settings().threads(3)), known);
     assert_ne!(run(PlaySettings::new(300, 12)), known);
@@ -116,7 +116,7 @@ fn what_cannot_be_known_is_said_in_one_sentence() {
         probe(make, player, &settings, BOOTSTRAP).unwrap_err().to_string()
     };
     let always = || -> Result<Box<dyn Environment>, TaskError> {
-        let mut world = Synthetic::new(Told::Nothing);
+        let mut world = Synthetic::new(Revealed::Nothing);
         world.most = 0;
         Ok(Box::new(world))
     };
@@ -124,12 +124,12 @@ fn what_cannot_be_known_is_said_in_one_sentence() {
     assert!(text.starts_with("the person's reaction delay is 0 in every episode"), "{text}");
     assert!(text.contains("{uniform={low=0,high=5,drawn=\"per_episode\"}}"), "{text}");
     let fickle = || -> Result<Box<dyn Environment>, TaskError> {
-        let mut world = Synthetic::new(Told::Nothing);
+        let mut world = Synthetic::new(Revealed::Nothing);
         world.fickle = true;
         Ok(Box::new(world))
     };
     assert!(refuse(&fickle, &player(), 40).contains("for every message"));
-    let text = refuse(&make(Told::Nothing), &player(), 39);
+    let text = refuse(&make(Revealed::Nothing), &player(), 39);
     assert_eq!(text, "39 episodes are too few for a probe; allowed: at least 40");
     let pole = || -> Result<Box<dyn Environment>, TaskError> {
         Ok(Box::new(CartPole::new(&CartPoleSettings::default())?))

@@ -1,4 +1,4 @@
-//! What the person was doing in each step, and what was said when.
+//! What the person was doing in each step, and when each message was spoken.
 //!
 //! A scene describes the moment after a step; step `i` leads from scene `i` to scene `i + 1`. Several things can be
 //! true of a step (following one message while hearing the next), so a path has the colour of the first that
@@ -6,23 +6,22 @@
 
 use leadtime_sims::Scene;
 
-use crate::draw::Ink;
 use crate::measure::Utterance;
 
-/// What the person was doing in a step.
+/// What the person was activity in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Doing {
-    /// Acting by their own plan, and nothing is being said to them.
+pub enum Activity {
+    /// Acting by their own plan, and no message is running.
     OwnPlan,
     /// Hearing words that cannot be understood yet.
     Hearing,
     /// Having understood, not yet reacting.
     Waiting,
-    /// Doing what they were told.
+    /// Carrying out what a message asked for.
     Following,
 }
 
-impl Doing {
+impl Activity {
     /// Lists everything, in the order of a message's life.
     pub const ALL: [Self; 4] = [Self::OwnPlan, Self::Hearing, Self::Waiting, Self::Following];
 
@@ -34,19 +33,6 @@ impl Doing {
             Self::Waiting => "reaction delay",
             Self::Following => "follows through",
         }
-    }
-
-    pub(super) fn ink(self) -> Ink {
-        match self {
-            Self::OwnPlan => Ink::Neutral,
-            Self::Hearing => Ink::Orange,
-            Self::Waiting => Ink::Purple,
-            Self::Following => Ink::Blue,
-        }
-    }
-
-    pub(super) fn width(self) -> f64 {
-        if self == Self::OwnPlan { 2.0 } else { 3.6 }
     }
 }
 
@@ -61,12 +47,12 @@ pub struct Span {
     pub end: usize,
 }
 
-/// An episode retold.
+/// What happened in an episode, and when.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Story {
-    /// Per step.
-    pub doing: Vec<Doing>,
-    /// What was said.
+pub struct Timeline {
+    /// What the person was doing in each step.
+    pub activities: Vec<Activity>,
+    /// The messages, in the order in which they were started.
     pub utterances: Vec<Utterance>,
     /// When a comprehended message waited for the reaction delay.
     pub waits: Vec<Span>,
@@ -74,20 +60,20 @@ pub struct Story {
     pub reactions: Vec<Span>,
 }
 
-impl Story {
+impl Timeline {
     /// Returns the place of the message that is spoken in the step which leads to scene `i`.
-    pub(super) fn spoken(&self, i: usize) -> Option<usize> {
+    pub(crate) fn spoken(&self, i: usize) -> Option<usize> {
         self.utterances.iter().rposition(|utterance| utterance.start < i && i <= utterance.end)
     }
 
-    /// Retells an episode from its scenes.
+    /// Reads an episode's scenes.
     pub fn new(scenes: &[Scene]) -> Self {
-        let doing = scenes.windows(2).map(|pair| doing(&pair[0], &pair[1])).collect();
+        let activities = scenes.windows(2).map(|pair| activity(&pair[0], &pair[1])).collect();
         let reacting = scenes.iter().skip(1).map(|scene| scene.listener.reacting);
         let pending = scenes.iter().map(|scene| scene.listener.pending);
         let speech: Vec<_> = scenes.iter().map(|scene| scene.listener.speech).collect();
         Self {
-            doing,
+            activities,
             utterances: Utterance::all(&speech),
             waits: waits(pending),
             reactions: spans(reacting),
@@ -95,17 +81,23 @@ impl Story {
     }
 }
 
-fn doing(before: &Scene, after: &Scene) -> Doing {
+/// Returns a topic's name in words.
+pub(crate) fn topic_name(scene: &Scene, topic: usize) -> String {
+    let name = scene.listener.topics.get(topic).copied();
+    name.map_or_else(|| format!("topic {topic}"), |name| name.replace('_', " "))
+}
+
+fn activity(before: &Scene, after: &Scene) -> Activity {
     let begun = after.listener.speech.is_some_and(|speech| speech.started);
     let unclear = before.listener.speech.is_some_and(|s| s.heard < s.comprehension);
     if after.listener.reacting.is_some() {
-        Doing::Following
+        Activity::Following
     } else if before.listener.pending.is_some() {
-        Doing::Waiting
+        Activity::Waiting
     } else if begun || unclear {
-        Doing::Hearing
+        Activity::Hearing
     } else {
-        Doing::OwnPlan
+        Activity::OwnPlan
     }
 }
 
@@ -136,26 +128,26 @@ mod tests {
     #[test]
     fn a_message_is_heard_then_waited_for_then_followed() {
         // Said at 3 with k = 2, l = 3; comprehended at 5; two steps of delay; followed for three steps.
-        let story = Story::new(&synthetic::scenes(14, &[(3, 1, 2, 3)]));
+        let timeline = Timeline::new(&synthetic::scenes(14, &[(3, 1, 2, 3)]));
         let expected = Utterance { topic: 1, start: 3, comprehension: 2, conveyance: 3, end: 6 };
-        assert_eq!(story.utterances, [expected]);
-        assert_eq!(story.waits, [Span { topic: 1, start: 5, end: 7 }]);
-        assert_eq!(story.reactions, [Span { topic: 1, start: 7, end: 10 }]);
+        assert_eq!(timeline.utterances, [expected]);
+        assert_eq!(timeline.waits, [Span { topic: 1, start: 5, end: 7 }]);
+        assert_eq!(timeline.reactions, [Span { topic: 1, start: 7, end: 10 }]);
         let letters: String =
-            story.doing.iter().map(|d| d.label().chars().next().unwrap()).collect();
+            timeline.activities.iter().map(|d| d.label().chars().next().unwrap()).collect();
         assert_eq!(letters, "ooohhrrfffooo");
     }
 
     #[test]
     fn a_message_that_is_cut_off_ends_where_the_next_begins() {
-        let story = Story::new(&synthetic::scenes(20, &[(3, 1, 4, 5), (5, 0, 2, 2)]));
-        let ends: Vec<_> = story.utterances.iter().map(|u| (u.start, u.end)).collect();
+        let timeline = Timeline::new(&synthetic::scenes(20, &[(3, 1, 4, 5), (5, 0, 2, 2)]));
+        let ends: Vec<_> = timeline.utterances.iter().map(|u| (u.start, u.end)).collect();
         assert_eq!(ends, [(3, 5), (5, 7)]);
     }
 
     #[test]
     fn an_episode_of_one_scene_has_no_steps() {
-        let story = Story::new(&synthetic::scenes(1, &[]));
-        assert!(story.doing.is_empty() && story.utterances.is_empty());
+        let timeline = Timeline::new(&synthetic::scenes(1, &[]));
+        assert!(timeline.activities.is_empty() && timeline.utterances.is_empty());
     }
 }

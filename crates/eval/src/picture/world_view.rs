@@ -3,11 +3,10 @@
 use leadtime_sims::{Scene, Shape, Tone, View};
 
 use super::labels::{self, Placer};
-use super::legend::{Entry, Sample};
-use super::record::Playthrough;
-use super::story::{Doing, Story};
-use super::voice::Sentence;
+use super::legend::{LegendEntry, Mark};
+use super::marker::{self, draw_marker};
 use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Scale, TextStyle};
+use crate::playthrough::{Sentence, Spoken, Timeline, topic_name};
 
 /// A world is drawn at most this much higher than wide ...
 const MAX_RATIO: f64 = 2.0 / 3.0;
@@ -17,19 +16,19 @@ const MIN_RATIO: f64 = 0.25;
 /// Size of the world's own labels.
 const LABEL_SIZE: f64 = 11.0;
 
-/// How far apart the person's body is drawn on the way, in pixels.
+/// How far apart the person's body is drawn on the trajectory, in pixels.
 const GHOST_DISTANCE: f64 = 95.0;
 
 /// Where the points of a world lie in a picture.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct World {
+pub(super) struct WorldView {
     pub(super) area: Area,
     x: Scale,
     y: Scale,
     label_size: f64,
 }
 
-impl World {
+impl WorldView {
     /// Fits everything that the scenes show into a panel of the given corner and width.
     pub(super) fn new(corner: [f64; 2], width: f64, scenes: &[Scene]) -> Self {
         let view = union(scenes);
@@ -106,7 +105,7 @@ impl World {
         });
     }
 
-    /// Draws faint bodies along the way, and where the others were at those moments.
+    /// Draws faint bodies along the trajectory, and where the others were at those moments.
     pub(super) fn draw_ghosts(&self, canvas: &mut Canvas, scenes: &[Scene]) {
         let mut last: Option<[f64; 2]> = None;
         for scene in scenes {
@@ -127,48 +126,48 @@ impl World {
         });
     }
 
-    /// Draws the ways of the others.
+    /// Draws the trajectories of the others.
     pub(super) fn draw_others(&self, canvas: &mut Canvas, scenes: &[Scene]) {
         let n_others = scenes.last().map_or(0, |scene| scene.others.len());
         canvas.clipped(self.area, |canvas| {
             for i in 0..n_others {
-                let way = scenes.iter().filter_map(|scene| scene.others.get(i));
-                let way: Vec<[f64; 2]> = way.map(|place| self.at(*place)).collect();
-                canvas.line(&way, Paint::stroke(Ink::Muted, 1.0).opacity(0.7));
+                let path = scenes.iter().filter_map(|scene| scene.others.get(i));
+                let path: Vec<[f64; 2]> = path.map(|place| self.at(*place)).collect();
+                canvas.line(&path, Paint::stroke(Ink::Muted, 1.0).opacity(0.7));
             }
         });
     }
 
-    /// Draws the way, coloured by what the person was doing; `scenes` may be the first part of an episode.
-    pub(super) fn draw_path(&self, canvas: &mut Canvas, scenes: &[Scene], story: &Story) {
-        let steps = &story.doing[..scenes.len().saturating_sub(1)];
+    /// Draws the trajectory, coloured by what the person was activity; `scenes` may be the first part of an episode.
+    pub(super) fn draw_path(&self, canvas: &mut Canvas, scenes: &[Scene], timeline: &Timeline) {
+        let steps = &timeline.activities[..scenes.len().saturating_sub(1)];
         canvas.clipped(self.area, |canvas| {
             let mut start = 0;
             for run in steps.chunk_by(|a, b| a == b) {
                 let end = start + run.len();
                 let points: Vec<[f64; 2]> =
                     scenes[start..=end].iter().map(|scene| self.at(scene.position)).collect();
-                canvas.line(&points, Paint::stroke(run[0].ink(), run[0].width()));
+                canvas.line(&points, marker::stroke(run[0]));
                 start = end;
             }
         });
     }
 
     /// Marks where messages were started.
-    pub(super) fn draw_starts(&self, canvas: &mut Canvas, scenes: &[Scene], story: &Story) {
+    pub(super) fn draw_starts(&self, canvas: &mut Canvas, scenes: &[Scene], timeline: &Timeline) {
         canvas.clipped(self.area, |canvas| {
-            for utterance in story.utterances.iter().filter(|u| u.start + 1 < scenes.len()) {
+            for utterance in timeline.utterances.iter().filter(|u| u.start + 1 < scenes.len()) {
                 draw_marker(canvas, self.at(scenes[utterance.start].position));
             }
         });
     }
 
-    /// Names the messages beside their markers, as many as fit; repetitions share a label.
-    pub(super) fn draw_labels(&self, canvas: &mut Canvas, played: &Playthrough, story: &Story) {
-        let scenes = &played.scenes;
+    /// Labels the messages at their markers, as many as fit; repetitions share a label.
+    pub(super) fn draw_labels(&self, canvas: &mut Canvas, spoken: &Spoken) {
+        let (scenes, timeline) = (&spoken.played.scenes, &spoken.timeline);
         let path = scenes.iter().map(|scene| self.at(scene.position)).collect();
         let mut placer = Placer::new(self.area, path);
-        for utterance in &story.utterances {
+        for utterance in &timeline.utterances {
             let [x, y] = self.at(scenes[utterance.start].position);
             placer.block(Area::new(x - 5.0, y - 5.0, 10.0, 10.0));
         }
@@ -176,10 +175,10 @@ impl World {
             placer.block(text);
         }
         let mut first = 0;
-        for run in story.utterances.chunk_by(|a, b| a.topic == b.topic) {
+        for run in timeline.utterances.chunk_by(|a, b| a.topic == b.topic) {
             let marker = self.at(scenes[run[0].start].position);
             // A sentence needs more room than the topic that it says.
-            let sentence = played.sentences.get(first).map(|sentence| said(sentence, run.len()));
+            let sentence = spoken.sentences.get(first).map(|sentence| said(sentence, run.len()));
             first += run.len();
             let named = named(&topic_name(&scenes[0], run[0].topic), run.len());
             let mut texts = sentence.into_iter().chain([named]);
@@ -228,28 +227,17 @@ impl World {
     }
 }
 
-/// Returns a topic's name in words.
-pub(super) fn topic_name(scene: &Scene, topic: usize) -> String {
-    let name = scene.listener.topics.get(topic).copied();
-    name.map_or_else(|| format!("topic {topic}"), |name| name.replace('_', " "))
-}
-
 /// Names the topic of a message and of those that repeat it.
 fn named(topic: &str, n: usize) -> String {
     if n > 1 { format!("{topic} \u{d7}{n}") } else { topic.to_owned() }
 }
 
-/// Quotes a sentence, and counts those that say the same in other words.
+/// Quotes a sentence, and counts those that repeat its topic in other words.
 fn said(sentence: &Sentence, n: usize) -> String {
     if n > 1 { format!("{sentence} and {} more", n - 1) } else { sentence.to_string() }
 }
 
-/// Draws the mark of a message's start.
-pub(super) fn draw_marker(canvas: &mut Canvas, at: [f64; 2]) {
-    canvas.circle(at, 4.6, Paint::fill(Ink::Paper).outlined(Doing::Hearing.ink(), 2.4));
-}
-
-/// Connects a label with its marker, unless it is right beside it.
+/// Connects a label with its marker, unless it is right next to it.
 fn draw_leader(canvas: &mut Canvas, marker: [f64; 2], label: &Area) {
     let nearest =
         [marker[0].clamp(label.x, label.right()), marker[1].clamp(label.y, label.bottom())];
@@ -262,7 +250,7 @@ fn draw_leader(canvas: &mut Canvas, marker: [f64; 2], label: &Area) {
 }
 
 /// Explains the areas that the scenes show.
-pub(super) fn areas(scenes: &[Scene]) -> impl Iterator<Item = Entry> {
+pub(super) fn areas(scenes: &[Scene]) -> impl Iterator<Item = LegendEntry> {
     let meanings = [
         (Tone::Danger, "danger"),
         (Tone::Mistaken, "believed otherwise"),
@@ -271,7 +259,7 @@ pub(super) fn areas(scenes: &[Scene]) -> impl Iterator<Item = Entry> {
     ];
     let shown = |tone| scenes.iter().any(|scene| has_area(scene, tone));
     let shown = meanings.into_iter().filter(move |(tone, _)| shown(*tone));
-    shown.map(|(tone, label)| Entry { sample: Sample::Swatch(filled(tone)), label })
+    shown.map(|(tone, label)| LegendEntry { mark: Mark::Swatch(filled(tone)), label })
 }
 
 /// Tells whether a scene has an area of a meaning; a pad is a line, and counts as one.

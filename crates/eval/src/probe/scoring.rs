@@ -1,15 +1,12 @@
-//! The probe itself: play, learn to read on one half of the episodes, judge on the other.
+//! The probe itself: play, learn to read on one half of the episodes, scorer on the other.
 
 use leadtime_numerics::stats::{Bootstrap, mean};
 
-use super::knowledge::{Knowledge, ReaderScore, Score, Stage};
 use super::readers::Reader;
-use super::record::{N_STAGES, Sample, record};
+use super::record::{N_STAGES, ProbeSample, record};
+use super::result::{MIN_EPISODES, ProbeResult, ProbeStage, ReaderScore, Score};
 use crate::error::Error;
 use crate::measure::{Difference, MakeEnvironment, PlaySettings, Player};
-
-/// A stage that fewer episodes of either half reached is not judged.
-pub const MIN_EPISODES: usize = 20;
 
 /// Plays episodes with a policy and measures how well the person's reaction delay can be read off its features.
 ///
@@ -24,7 +21,7 @@ pub fn probe(
     player: &Player,
     settings: &PlaySettings<'_>,
     bootstrap: Bootstrap,
-) -> Result<Knowledge, Error> {
+) -> Result<ProbeResult, Error> {
     let least = 2 * MIN_EPISODES as u64;
     if settings.n_episodes < least {
         return Err(Error::TooFewEpisodes { found: settings.n_episodes, least });
@@ -35,40 +32,40 @@ pub fn probe(
     }
     let samples = record(make, player, settings)?;
     let half = settings.n_episodes / 2;
-    let (seen, unseen): (Vec<&Sample>, Vec<&Sample>) =
+    let (seen, unseen): (Vec<&ProbeSample>, Vec<&ProbeSample>) =
         samples.iter().partition(|sample| sample.episode < half);
-    let judge = Judge::new(&seen, unseen, bootstrap)?;
-    Ok(Knowledge {
+    let scorer = Scorer::new(&seen, unseen, bootstrap)?;
+    Ok(ProbeResult {
         player: player.name().to_owned(),
         seed: settings.seed,
         n_learned_from: half,
-        n_judged_on: settings.n_episodes - half,
+        n_evaluated_on: settings.n_episodes - half,
         bootstrap,
-        readers: judge.readers(),
-        stages: (0..N_STAGES).map(|stage| judge.stage(stage)).collect(),
-        overall: judge.overall(),
-        differences: judge.differences(),
+        readers: scorer.readers(),
+        stages: (0..N_STAGES).map(|stage| scorer.stage(stage)).collect(),
+        overall: scorer.overall(),
+        differences: scorer.differences(),
     })
 }
 
-/// What was learned, and the samples that it is judged on.
-pub(super) struct Judge<'a> {
+/// What was learned, and the samples that it is evaluated on.
+pub(super) struct Scorer<'a> {
     readers: Vec<Reader>,
     /// Samples of the first half by stage.
     n_seen: [usize; N_STAGES],
-    unseen: Vec<&'a Sample>,
+    unseen: Vec<&'a ProbeSample>,
     /// Samples of stages that enough episodes reached.
-    common: Vec<&'a Sample>,
+    common: Vec<&'a ProbeSample>,
     /// Mean delay of the first half.
     center: f64,
     bootstrap: Bootstrap,
 }
 
-impl<'a> Judge<'a> {
+impl<'a> Scorer<'a> {
     /// Learns from the samples that may be seen.
     pub(super) fn new(
-        seen: &[&'a Sample],
-        unseen: Vec<&'a Sample>,
+        seen: &[&'a ProbeSample],
+        unseen: Vec<&'a ProbeSample>,
         bootstrap: Bootstrap,
     ) -> Result<Self, Error> {
         let delays = by_episode(seen, |sample| f64::from(sample.delay));
@@ -77,7 +74,7 @@ impl<'a> Judge<'a> {
         {
             return Err(Error::DelayNeverVaries { delay: first.delay });
         }
-        let count = |samples: &[&Sample]| -> [usize; N_STAGES] {
+        let count = |samples: &[&ProbeSample]| -> [usize; N_STAGES] {
             std::array::from_fn(|stage| samples.iter().filter(|s| s.stage == stage).count())
         };
         let (n_seen, n_unseen) = (count(seen), count(&unseen));
@@ -88,10 +85,11 @@ impl<'a> Judge<'a> {
         Ok(Self { readers, n_seen, unseen, common, center, bootstrap })
     }
 
-    /// Tells of every reader how much of the delay's variance it explains.
+    /// Returns for every reader how much of the delay's variance it explains.
     pub(super) fn readers(&self) -> Vec<ReaderScore> {
-        let sum = |told: &dyn Fn(&Sample) -> f64| -> f64 {
-            let square = |sample: &Sample| (told(sample) - f64::from(sample.delay)).powi(2);
+        let sum = |predicted: &dyn Fn(&ProbeSample) -> f64| -> f64 {
+            let square =
+                |sample: &ProbeSample| (predicted(sample) - f64::from(sample.delay)).powi(2);
             by_episode(&self.common, square).iter().sum()
         };
         let spread = sum(&|_| self.center);
@@ -107,31 +105,31 @@ impl<'a> Judge<'a> {
         self.readers.iter().map(score).collect()
     }
 
-    /// Judges one stage.
-    pub(super) fn stage(&self, stage: usize) -> Stage {
+    /// Scores one stage.
+    pub(super) fn stage(&self, stage: usize) -> ProbeStage {
         let and_more = if stage + 1 == N_STAGES { " or more" } else { "" };
-        let of = |samples: &[&'a Sample]| -> Vec<&'a Sample> {
+        let of = |samples: &[&'a ProbeSample]| -> Vec<&'a ProbeSample> {
             samples.iter().copied().filter(|sample| sample.stage == stage).collect()
         };
         let scored = of(&self.common);
         let scores = (0..self.readers.len()).filter_map(|i| {
-            // Every number has draws of its own.
+            // Every interval has its own stream of draws.
             let index = 2 * (stage * self.readers.len() + i) as u64;
             self.score(&self.readers[i], &scored, index)
         });
         let scores = scores.collect();
         let name = format!("{stage}{and_more}");
-        Stage { scores, ..described(name, self.n_seen[stage], &of(&self.unseen)) }
+        ProbeStage { scores, ..described(name, self.n_seen[stage], &of(&self.unseen)) }
     }
 
-    /// Judges all stages together: every episode counts once, and its stages alike.
-    pub(super) fn overall(&self) -> Stage {
+    /// Scores all stages together: every episode counts once, and its stages alike.
+    pub(super) fn overall(&self) -> ProbeStage {
         let index = |i: usize| 2 * (N_STAGES * self.readers.len() + i) as u64;
         let scores = self.readers.iter().enumerate();
         let scores = scores.filter_map(|(i, reader)| self.score(reader, &self.common, index(i)));
         let scores = scores.collect();
         // In the first stage there is every episode.
-        Stage { scores, ..described("all".to_owned(), self.n_seen[0], &self.common) }
+        ProbeStage { scores, ..described("all".to_owned(), self.n_seen[0], &self.common) }
     }
 
     /// Compares the errors of reading the features with those of every weaker reader, episode by episode.
@@ -152,37 +150,37 @@ impl<'a> Judge<'a> {
         others.iter().enumerate().filter_map(compare).collect()
     }
 
-    fn score(&self, reader: &Reader, samples: &[&Sample], index: u64) -> Option<Score> {
+    fn score(&self, reader: &Reader, samples: &[&ProbeSample], index: u64) -> Option<Score> {
         let errors = by_episode(samples, |sample| error(reader, sample));
         let exact = by_episode(samples, |sample| {
-            let told = reader.read(sample).round();
-            f64::from(u8::from(told == f64::from(sample.delay)))
+            let predicted = reader.read(sample).round();
+            f64::from(u8::from(predicted == f64::from(sample.delay)))
         });
         let error = self.bootstrap.mean(&errors, index)?;
         Some(Score { error, exact: self.bootstrap.mean(&exact, index + 1)? })
     }
 }
 
-fn error(reader: &Reader, sample: &Sample) -> f64 {
+fn error(reader: &Reader, sample: &ProbeSample) -> f64 {
     (reader.read(sample) - f64::from(sample.delay)).abs()
 }
 
 /// Returns the mean of a number over the samples of each episode; samples of one episode lie side by side.
-fn by_episode(samples: &[&Sample], value: impl Fn(&Sample) -> f64) -> Vec<f64> {
+fn by_episode(samples: &[&ProbeSample], value: impl Fn(&ProbeSample) -> f64) -> Vec<f64> {
     let episodes = samples.chunk_by(|a, b| a.episode == b.episode);
     episodes.map(|of| mean(&of.iter().map(|sample| value(sample)).collect::<Vec<_>>())).collect()
 }
 
-/// Describes samples without judging them.
-fn described(name: String, n_learned_from: usize, samples: &[&Sample]) -> Stage {
-    let average = |value: fn(&Sample) -> u32| {
+/// Describes samples without scoring them.
+fn described(name: String, n_learned_from: usize, samples: &[&ProbeSample]) -> ProbeStage {
+    let average = |value: fn(&ProbeSample) -> u32| {
         let values = by_episode(samples, |sample| f64::from(value(sample)));
         (!values.is_empty()).then(|| mean(&values))
     };
-    Stage {
+    ProbeStage {
         name,
         n_learned_from,
-        n_judged_on: samples.chunk_by(|a, b| a.episode == b.episode).count(),
+        n_evaluated_on: samples.chunk_by(|a, b| a.episode == b.episode).count(),
         n_steps: samples.iter().map(|sample| sample.n_steps).sum(),
         mean_delay: average(|sample| sample.delay),
         mean_comprehended: average(|sample| sample.comprehended),
@@ -191,5 +189,5 @@ fn described(name: String, n_learned_from: usize, samples: &[&Sample]) -> Stage 
 }
 
 #[cfg(test)]
-#[path = "judge_tests.rs"]
+#[path = "scoring_tests.rs"]
 mod tests;

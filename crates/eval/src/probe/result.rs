@@ -3,37 +3,39 @@
 use leadtime_numerics::stats::{Bootstrap, Interval};
 use serde::{Deserialize, Serialize};
 
-use super::judge::MIN_EPISODES;
 use crate::measure::{Difference, Table, written};
 use crate::report::Fact;
 
-/// What stands for a number that there is none of.
+/// A stage that fewer episodes of either half reached is not scored.
+pub const MIN_EPISODES: usize = 20;
+
+/// Stands for a number that is undefined.
 const NONE: &str = "\u{2013}";
 
-/// How well a person's reaction delay can be told, by how much the person has done so far.
+/// How well a person's reaction delay can be predicted, by how much the person has done so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Knowledge {
+pub struct ProbeResult {
     /// The policy's name.
     pub player: String,
     /// Seed of the episodes.
     pub seed: u64,
     /// Episodes that readers learned from.
     pub n_learned_from: u64,
-    /// Episodes that they were judged on.
-    pub n_judged_on: u64,
+    /// Episodes that they were evaluated on.
+    pub n_evaluated_on: u64,
     /// How intervals were made, by resampling episodes.
     pub bootstrap: Bootstrap,
-    /// The ways to tell the delay, weakest first.
+    /// The ways to predict the delay, weakest first.
     pub readers: Vec<ReaderScore>,
     /// The stages, by reactions begun.
-    pub stages: Vec<Stage>,
+    pub stages: Vec<ProbeStage>,
     /// All stages that enough episodes reached; every episode counts once.
-    pub overall: Stage,
+    pub overall: ProbeStage,
     /// What reading the features changes in the error, over all stages; the same episodes are compared.
     pub differences: Vec<Difference>,
 }
 
-/// A way to tell the delay.
+/// A way to predict the delay.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReaderScore {
     /// Its name.
@@ -42,20 +44,20 @@ pub struct ReaderScore {
     pub n_features: usize,
     /// Penalty of its regression, if it is one.
     pub penalty: Option<f64>,
-    /// Share of the delay's variance that it explains over all judged stages, `R²`: 0 for always telling the mean of
+    /// Share of the delay's variance that it explains over all scored stages, `R²`: 0 for always predicting the mean of
     /// what was learned from, negative for less than that. `None` if the delay does not vary there.
     pub r_squared: Option<f64>,
 }
 
 /// The time during which the person has begun to react to the same number of messages.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Stage {
+pub struct ProbeStage {
     /// How many reactions have begun.
     pub name: String,
     /// Episodes with this stage that readers learned from.
     pub n_learned_from: usize,
-    /// Episodes with this stage that they were judged on.
-    pub n_judged_on: usize,
+    /// Episodes with this stage that they were evaluated on.
+    pub n_evaluated_on: usize,
     /// Steps that the stage has in the latter.
     pub n_steps: u64,
     /// Mean reaction delay in the latter, in steps.
@@ -66,7 +68,7 @@ pub struct Stage {
     pub scores: Vec<Score>,
 }
 
-/// How well a reader tells the delay.
+/// How well a reader predicts the delay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// Mean absolute error, in steps.
@@ -75,7 +77,7 @@ pub struct Score {
     pub exact: Interval,
 }
 
-impl Knowledge {
+impl ProbeResult {
     /// Writes the tables as plain text.
     pub fn text(&self) -> String {
         let [errors, exact] = self.tables().map(|table| table.text());
@@ -111,7 +113,7 @@ impl Knowledge {
         for stage in self.stages.iter().chain([&self.overall]) {
             let name = || std::iter::once(stage.name.clone());
             let counts = [
-                stage.n_judged_on.to_string(),
+                stage.n_evaluated_on.to_string(),
                 stage.n_steps.to_string(),
                 number(stage.mean_delay),
                 number(stage.mean_comprehended),
@@ -122,7 +124,7 @@ impl Knowledge {
         [errors, exact]
     }
 
-    fn cells(&self, stage: &Stage, which: fn(&Score) -> Interval) -> Vec<String> {
+    fn cells(&self, stage: &ProbeStage, which: fn(&Score) -> Interval) -> Vec<String> {
         let cell = |i: usize| {
             let score = stage.scores.get(i);
             score.map_or_else(|| NONE.to_owned(), |score| written(&which(score)).join(" "))
@@ -133,9 +135,9 @@ impl Knowledge {
     fn reading(&self) -> String {
         let percent = 100.0 * self.bootstrap.confidence;
         format!(
-            "Learned from {} episodes, judged on {} others (counted in the table), at one step of every stage of an \
+            "Learned from {} episodes, evaluated on {} others (counted in the table), at one step of every stage of an \
              episode; {percent:.0} % bootstrap intervals over episodes. {NONE}: fewer than {MIN_EPISODES} episodes.",
-            self.n_learned_from, self.n_judged_on
+            self.n_learned_from, self.n_evaluated_on
         )
     }
 
@@ -170,7 +172,7 @@ fn number(value: Option<f64>) -> String {
 mod tests {
     use super::*;
 
-    fn knowledge() -> Knowledge {
+    fn knowledge() -> ProbeResult {
         let interval =
             |estimate| Interval { estimate, low: estimate - 0.125, high: estimate + 0.125 };
         let reader = |name: &str, penalty| ReaderScore {
@@ -179,10 +181,10 @@ mod tests {
             penalty,
             r_squared: Some(-0.25),
         };
-        let stage = |name: &str, n: usize| Stage {
+        let stage = |name: &str, n: usize| ProbeStage {
             name: name.to_owned(),
             n_learned_from: n,
-            n_judged_on: n,
+            n_evaluated_on: n,
             n_steps: 10 * n as u64,
             mean_delay: (n > 0).then_some(2.5),
             mean_comprehended: (n > 0).then_some(1.0),
@@ -192,11 +194,11 @@ mod tests {
                 .map(|error| Score { error: interval(error), exact: interval(error / 2.0) })
                 .collect(),
         };
-        Knowledge {
+        ProbeResult {
             player: "policy".to_owned(),
             seed: 1,
             n_learned_from: 20,
-            n_judged_on: 20,
+            n_evaluated_on: 20,
             bootstrap: Bootstrap::new(1),
             readers: vec![reader("constant", None), reader("hidden features", Some(0.1))],
             stages: vec![stage("0", 20), stage("1", 0)],
@@ -224,7 +226,7 @@ mod tests {
     #[test]
     fn what_is_read_from_json_gives_the_same_tables() {
         let json = serde_json::to_string(&knowledge()).unwrap();
-        let again: Knowledge = serde_json::from_str(&json).unwrap();
+        let again: ProbeResult = serde_json::from_str(&json).unwrap();
         assert_eq!(again.text(), knowledge().text());
     }
 }

@@ -1,4 +1,4 @@
-//! Putting labels beside markers so that no two overlap.
+//! Placing labels next to markers so that no two overlap.
 
 use crate::draw::{Area, Weight, text_width};
 
@@ -23,7 +23,7 @@ const DIRECTIONS: [[f64; 2]; 8] = [
     [0.0, 1.0],
 ];
 
-/// What is in the way of labels.
+/// The areas that labels must avoid.
 #[derive(Clone, Debug)]
 pub(super) struct Placer {
     bounds: Area,

@@ -1,8 +1,8 @@
-//! The legend of a picture: a sample of each mark and its meaning, in as many lines as that needs.
+//! The legend of a picture: a mark of each mark and its meaning, in as many lines as that needs.
 
-use super::story::Doing;
-use super::world::draw_marker;
+use super::marker;
 use crate::draw::{Area, Canvas, Ink, Paint, TextStyle, Weight, text_width, wrapped};
+use crate::playthrough::Activity;
 
 /// Size of the text.
 const SIZE: f64 = 11.0;
@@ -15,15 +15,15 @@ const STROKE: f64 = 20.0;
 
 /// A mark and its meaning.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Entry {
-    pub(super) sample: Sample,
+pub(super) struct LegendEntry {
+    pub(super) mark: Mark,
     pub(super) label: &'static str,
 }
 
 /// What stands before its meaning.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Sample {
-    /// A piece of a way.
+pub(super) enum Mark {
+    /// A piece of a trajectory.
     Stroke(Paint),
     /// The same, with a dot in its middle.
     Dotted(Paint, Ink),
@@ -35,7 +35,7 @@ pub(super) enum Sample {
     Swatch(Paint),
 }
 
-impl Sample {
+impl Mark {
     /// Returns the room up to its meaning.
     fn room(self) -> f64 {
         match self {
@@ -59,36 +59,35 @@ impl Sample {
                 stroke(paint);
                 canvas.circle(at(STROKE), 3.0, Paint::fill(ink));
             }
-            Self::Start => draw_marker(canvas, at(5.0)),
+            Self::Start => marker::draw_marker(canvas, at(5.0)),
             Self::Swatch(paint) => canvas.rectangle(Area::new(x, y - 9.5, 14.0, 11.0), 1.0, paint),
         }
     }
 }
 
-impl Entry {
-    /// Explains the colour of a way.
-    pub(super) fn doing(doing: Doing) -> Self {
-        let stroke = Paint::stroke(doing.ink(), doing.width());
-        Self { sample: Sample::Stroke(stroke), label: doing.label() }
+impl LegendEntry {
+    /// Explains the colour of a trajectory.
+    pub(super) fn activity(activity: Activity) -> Self {
+        Self { mark: Mark::Stroke(marker::stroke(activity)), label: activity.label() }
     }
 
     /// Returns its width with the gap behind it.
     fn width(&self) -> f64 {
-        self.sample.room() + text_width(self.label, SIZE, Weight::Regular) + GAP
+        self.mark.room() + text_width(self.label, SIZE, Weight::Regular) + GAP
     }
 }
 
 /// Entries, split into lines.
 #[derive(Clone, Debug)]
 pub(super) struct Legend {
-    lines: Vec<Vec<Entry>>,
+    lines: Vec<Vec<LegendEntry>>,
 }
 
 impl Legend {
     /// Splits entries into lines that are no wider than `room`.
-    pub(super) fn new(entries: &[Entry], room: f64) -> Self {
+    pub(super) fn new(entries: &[LegendEntry], room: f64) -> Self {
         // The gap behind the last entry of a line may lie outside.
-        let lines = wrapped(entries.iter().map(Entry::width).enumerate(), room + GAP);
+        let lines = wrapped(entries.iter().map(LegendEntry::width).enumerate(), room + GAP);
         let line = |places: Vec<usize>| places.into_iter().map(|i| entries[i]).collect();
         Self { lines: lines.into_iter().map(line).collect() }
     }
@@ -103,9 +102,9 @@ impl Legend {
         for (below, line) in self.lines.iter().enumerate() {
             let (mut x, y) = (left, y + LINE * below as f64);
             for entry in line {
-                entry.sample.draw(canvas, [x, y]);
+                entry.mark.draw(canvas, [x, y]);
                 let style = TextStyle::new(SIZE, Ink::Text);
-                canvas.text([x + entry.sample.room(), y], entry.label, style);
+                canvas.text([x + entry.mark.room(), y], entry.label, style);
                 x += entry.width();
             }
         }
@@ -118,8 +117,8 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_goes_to_another_line_and_needs_its_height() {
-        let entries = Doing::ALL.map(Entry::doing);
-        let whole: f64 = entries.iter().map(Entry::width).sum::<f64>() - GAP;
+        let entries = Activity::ALL.map(LegendEntry::activity);
+        let whole: f64 = entries.iter().map(LegendEntry::width).sum::<f64>() - GAP;
         assert_eq!(Legend::new(&entries, whole + 0.1).extra_height(), 0.0);
         let broken = Legend::new(&entries, whole - 0.1);
         assert_eq!(broken.lines.iter().map(Vec::len).collect::<Vec<_>>(), [3, 1]);

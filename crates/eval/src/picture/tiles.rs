@@ -2,7 +2,7 @@
 
 use leadtime_sims::Scene;
 
-use super::world::World;
+use super::world_view::WorldView;
 
 /// What a picture of tiles leaves to its maker: lengths in pixels.
 #[derive(Clone, Copy, Debug)]
@@ -35,7 +35,7 @@ impl Tiles {
     pub(super) fn new(style: TileStyle, n_columns: usize, seen: &[Scene]) -> Self {
         let n = n_columns.max(1) as f64;
         let width = (style.width - 2.0 * style.margin - (n - 1.0) * style.gap) / n;
-        let world = World::new([0.0, 0.0], width, seen);
+        let world = WorldView::new([0.0, 0.0], width, seen);
         let height = style.caption + world.area.height + style.gap;
         Self { style, n_columns: n_columns.max(1), width, height }
     }
