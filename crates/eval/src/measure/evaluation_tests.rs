@@ -1,5 +1,8 @@
 //! Evaluations are functions of task, player and seed, and of nothing else.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use leadtime_episodes::Decision;
 use leadtime_proto::{ActionSpec, Encoder, HeadCredit, PolicySpec};
 use leadtime_sims::classic::{CartPole, CartPoleSettings};
 use leadtime_sims::{Environment, TaskError};
@@ -97,6 +100,70 @@ fn an_episode_without_an_end_is_given_up() {
         matches!(error, Error::Play(leadtime_episodes::Error::Endless { index: 0, n_steps: 3 })),
         "{error}"
     );
+}
+
+#[test]
+fn a_raised_flag_ends_an_evaluation() {
+    let stop = AtomicBool::new(true);
+    for n_threads in [1, 2] {
+        let settings = PlaySettings::new(23, 9).threads(n_threads).stopped_by(&stop);
+        let error = evaluate(&cartpole, &untrained(), &settings).unwrap_err();
+        assert!(matches!(error, Error::Play(leadtime_episodes::Error::Interrupted)), "{error}");
+    }
+    stop.store(false, Ordering::Relaxed);
+    let settings = PlaySettings::new(4, 9);
+    assert_eq!(play(&settings.stopped_by(&stop)), play(&settings));
+}
+
+#[test]
+fn observers_watch_the_episodes_that_are_measured() {
+    let settings = PlaySettings { n_slots: 3, ..PlaySettings::new(8, 9) };
+    let (evaluation, seen) =
+        evaluate_with(&cartpole, &untrained(), &settings, HookCount::new).unwrap();
+    for (index, (episode, seen)) in (0..).zip(evaluation.episodes.iter().zip(seen)) {
+        let expected = HookCount { index, n_resets: 1, n_actions: episode.n_steps, n_hidden: 1 };
+        assert_eq!(seen, expected);
+    }
+}
+
+/// Counts its hooks; wants the hidden features of the first step.
+#[derive(Debug, PartialEq)]
+struct HookCount {
+    index: u64,
+    n_resets: u64,
+    n_actions: u64,
+    n_hidden: u64,
+}
+
+impl HookCount {
+    fn new(index: u64) -> Self {
+        Self { index, n_resets: 0, n_actions: 0, n_hidden: 0 }
+    }
+}
+
+impl Observer for HookCount {
+    fn on_reset(&mut self, slot: &EnvSlot) {
+        assert_eq!(slot.seed(), leadtime_episodes::episode_seed(9, self.index));
+        self.n_resets += 1;
+    }
+
+    fn wants_hidden(&mut self, slot: &EnvSlot) -> bool {
+        slot.n_steps() == 0
+    }
+
+    fn on_decision(&mut self, slot: &EnvSlot, decision: &Decision<'_>) {
+        assert_eq!(u64::from(slot.n_steps()), self.n_actions);
+        self.n_actions += 1;
+        self.n_hidden += u64::from(decision.hidden.is_some_and(|hidden| hidden.len() == 16));
+    }
+}
+
+impl EpisodeObserver for HookCount {
+    type Output = Self;
+
+    fn finish(self, _slot: &EnvSlot, _end: End) -> Self {
+        self
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@
 use super::evaluation::Evaluation;
 
 /// The metrics that [`lead_times`] and [`hazards`] read.
+#[cfg(test)]
 pub(super) const HAZARDS: [&str; 3] = [FIRST, DANGER, CRASHED];
 const FIRST: &str = "first_notification";
 const DANGER: &str = "danger_from";

@@ -101,7 +101,7 @@ pub fn trajectories(id: &str, title: &str, panels: &[TrajectoryPanel]) -> Svg {
             let trajectories =
                 panel.trajectories.iter().filter(|trajectory| TrajectoryEnd::of(trajectory) == end);
             trajectories.for_each(|trajectory| {
-                draw_trajectory(&mut canvas, &world, &trajectory.scenes, end)
+                draw_trajectory(&mut canvas, &world, &trajectory.scenes, end);
             });
         }
         draw_caption(&mut canvas, &world, &panel.title, &counted(&panel.trajectories));
