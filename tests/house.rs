@@ -18,11 +18,12 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-sims"],
     &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval"],
+    &["leadtime-config"],
     &["leadtime"],
 ];
 
 /// Crates that are pure functions of their arguments: no clock, file, environment, thread or network.
-const PURE: &[&str] = &["crates/numerics", "proto", "crates/policy", "sims"];
+const PURE: &[&str] = &["crates/numerics", "proto", "crates/policy", "sims", "crates/config"];
 
 /// Folders that hold our Rust sources.
 const FOLDERS: &[&str] =

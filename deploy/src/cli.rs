@@ -4,11 +4,10 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use leadtime_config::{Alternatives, EvaluationAction, MAX_EPISODES, Override};
 
-use crate::config::checked::MAX_EPISODES;
-use crate::config::raw::EvaluationAction;
-use crate::config::table::{Alternatives, Assignment};
 use crate::exit::EXIT_CODE_HELP;
 
 mod compare;
@@ -74,7 +73,10 @@ pub enum Command {
     },
     /// Compare a world with recorded traces of its public original.
     Conformance(ConformanceArgs),
-    /// Print the default configuration of a domain, every key with its comment.
+    /// Print a built-in configuration as one complete file, every key with its comment.
+    ///
+    /// A file of your own writes only what differs: `base = "paper_lander"` names the built-in configuration that it starts
+    /// from, and `domain = "lander"` the one of that domain; without either it is the lander's.
     Config(ConfigArgs),
     /// List runs, or compare their configurations and results.
     Runs(RunsArgs),
@@ -89,13 +91,14 @@ pub enum Command {
 
 /// Where the configuration comes from, and what to change in it.
 #[derive(Clone, Debug, Default, Args)]
-pub struct ConfigSource {
-    /// Configuration file, or the name of a built-in one (`leadtime config` lists them).
+pub struct SourceArgs {
+    /// Configuration file, or the name of a built-in one (`leadtime config` lists them). A file writes only what differs
+    /// from its `base = "NAME"`.
     #[arg(short, long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Change one key: `--set learner.learning_rate=1e-4`; may be given again.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
-    pub set: Vec<Assignment>,
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
     /// Seed of every random stream (as `--set seed=N`).
     #[arg(long)]
     pub seed: Option<u64>,
@@ -139,7 +142,7 @@ pub struct SmokeArgs {
     pub json: bool,
     /// Where the configuration comes from.
     #[command(flatten)]
-    pub source: ConfigSource,
+    pub source: SourceArgs,
 }
 
 /// `leadtime up`
@@ -147,7 +150,7 @@ pub struct SmokeArgs {
 pub struct UpArgs {
     /// Where the configuration comes from.
     #[command(flatten)]
-    pub source: ConfigSource,
+    pub source: SourceArgs,
     /// Which run.
     #[command(flatten)]
     pub run: RunChoice,
@@ -164,7 +167,7 @@ pub struct UpArgs {
 pub struct LearnerArgs {
     /// Where the configuration comes from.
     #[command(flatten)]
-    pub source: ConfigSource,
+    pub source: SourceArgs,
     /// Which run.
     #[command(flatten)]
     pub run: RunChoice,
@@ -217,7 +220,7 @@ pub struct EvalArgs {
     #[arg(long, default_value_t = 1_000_000)]
     pub eval_seed: u64,
     /// How the policy chooses (default: the configuration's).
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = action())]
     pub action: Option<EvaluationAction>,
     /// Also judge this scripted policy, such as `unaided` or `heuristic`; may be given again.
     #[arg(long, value_name = "NAME")]
@@ -226,8 +229,8 @@ pub struct EvalArgs {
     #[arg(long, value_name = "NAME", conflicts_with = "transcript")]
     pub measure: Vec<String>,
     /// Change one key of the task: `--set human.reaction_delay={fixed=3}`; may be given again.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
-    pub set: Vec<Assignment>,
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
     /// Judge once with each of these values: `--each 'human.reaction_delay=[{fixed=0}, {fixed=2}]'`.
     #[arg(long, value_name = "KEY=[VALUES]", value_parser = Alternatives::parse)]
     #[arg(conflicts_with = "transcript")]
@@ -265,11 +268,11 @@ pub struct PlayArgs {
     #[arg(long, value_name = "NAME")]
     pub baseline: Option<String>,
     /// How the policy chooses (default: the configuration's).
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = action())]
     pub action: Option<EvaluationAction>,
     /// Change one key of the task; may be given again.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
-    pub set: Vec<Assignment>,
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,
@@ -364,7 +367,7 @@ pub enum RunsCommand {
 pub struct CheckArgs {
     /// Where the configuration comes from.
     #[command(flatten)]
-    pub source: ConfigSource,
+    pub source: SourceArgs,
     /// Also say hello to the learner at this address.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
@@ -378,6 +381,14 @@ fn duration(text: &str) -> Result<Duration, String> {
     let span: jiff::SignedDuration =
         text.parse().map_err(|error| format!("{error}; write 60s or 2m"))?;
     Duration::try_from(span).map_err(|error| format!("{error}; write 60s or 2m"))
+}
+
+/// Reads how a policy chooses.
+fn action() -> impl TypedValueParser<Value = EvaluationAction> {
+    PossibleValuesParser::new(["sample", "greedy"]).map(|name| match name.as_str() {
+        "greedy" => EvaluationAction::Greedy,
+        _ => EvaluationAction::Sample,
+    })
 }
 
 /// Reads a number of episodes.

@@ -4,7 +4,7 @@
 //! know: how a policy learns, how a rollout travels, how a world moves.
 //!
 //! ```text
-//! main -> Program -> cli -> commands/*  -> config   (as written -> as checked)
+//! main -> Program -> cli -> commands/*  -> leadtime-config (as written -> as checked)
 //!                                       -> run_dir  (naming, locking, resuming)
 //!                                       -> learner, actor, eval (crates)   progress -> metrics.jsonl, tensorboard
 //!                                       -> supervise -> learner and actors as child processes
@@ -20,7 +20,6 @@ pub mod build_id;
 pub mod cli;
 pub mod clock;
 pub mod commands;
-pub mod config;
 pub mod cpu;
 pub mod exit;
 pub mod logging;

@@ -1,16 +1,19 @@
 //! The program as a value: what it can train on, and one door into it.
 
-use std::process;
+use std::path::Path;
+use std::{fs, io, process};
 
+use anyhow::Context as _;
 use clap::Parser as _;
+use leadtime_config::{Catalog, Config, ConfigSource, Layer};
 use leadtime_eval::measure::episode_seed;
 use leadtime_proto::TaskSpec;
+use leadtime_proto::text::printable;
 use leadtime_sims::Environment;
 use leadtime_sims::registry::{Registry, TaskError};
 
-use crate::cli::Cli;
+use crate::cli::{Cli, SourceArgs};
 use crate::commands;
-use crate::config::Catalog;
 use crate::exit::{ExitCode, Failure};
 use crate::{output, threads};
 
@@ -59,6 +62,38 @@ impl Program {
         self
     }
 
+    /// Loads a configuration: the file, or the built-in one of that name, with the changes of the command line.
+    ///
+    /// # Errors
+    ///
+    /// If there is no such file or configuration, or if it is refused.
+    pub(crate) fn configure(
+        &self,
+        args: &SourceArgs,
+        name: Option<&str>,
+    ) -> anyhow::Result<Config> {
+        let file = args.config.as_deref().map(|file| self.read(file)).transpose()?;
+        let SourceArgs { set, seed, runs, .. } = args.clone();
+        let source = ConfigSource { file, set, seed, runs, name: name.map(str::to_owned) };
+        Ok(Config::load(&source, &self.catalog, &self.registry)?)
+    }
+
+    /// Reads a configuration file, or finds the built-in configuration of that name.
+    fn read(&self, file: &Path) -> anyhow::Result<Layer> {
+        let shown = file.display();
+        let built_in = file.to_str().and_then(|name| self.catalog.file(Some(name)));
+        match (fs::read_to_string(file), built_in) {
+            (Ok(text), _) => Ok(Layer::text(format!("configuration {shown}"), text)),
+            (Err(_), Some(built_in)) => Ok(built_in),
+            (Err(error), None) if error.kind() == io::ErrorKind::NotFound => {
+                let names: Vec<&str> = self.catalog.names().collect();
+                let names = names.join(", ");
+                anyhow::bail!("there is no file {shown}; built-in configurations: {names}")
+            }
+            (Err(error), None) => Err(error).with_context(|| format!("reading {shown}")),
+        }
+    }
+
     /// Names the topics of a task in the order of their ids; none if nobody speaks in it, or if it cannot be built.
     pub(crate) fn topics(&self, task: &TaskSpec) -> Vec<&'static str> {
         let Ok(mut environment) = self.registry.build(task) else { return Vec::new() };
@@ -70,16 +105,30 @@ impl Program {
     /// Reads the command line, does what it says, and returns the exit code.
     pub fn run(self) -> process::ExitCode {
         threads::pin();
-        let cli = Cli::parse();
+        let cli = match Cli::try_parse() {
+            Ok(cli) => cli,
+            Err(error) => return usage(&error),
+        };
         let code = match commands::dispatch(&self, cli.command) {
             Ok(()) => ExitCode::Done,
             Err(Failure { code, error }) => {
                 if let Some(error) = error {
-                    output::say(&format!("error: {error:#}"));
+                    output::say(&printable(&format!("error: {error:#}")));
                 }
                 code
             }
         };
         code.into()
     }
+}
+
+/// Prints help, or what is wrong with the command line, which quotes what was typed.
+fn usage(error: &clap::Error) -> process::ExitCode {
+    let text = error.to_string();
+    if error.use_stderr() && printable(&text) != text.trim_end() {
+        output::say(&printable(&text));
+    } else if error.print().is_err() {
+        return ExitCode::WrongInput.into();
+    }
+    process::ExitCode::from(error.exit_code() as u8)
 }

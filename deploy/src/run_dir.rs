@@ -18,20 +18,14 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use leadtime_proto::RunName;
-use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use toml::Table;
 
 use crate::cli::RunChoice;
 use crate::clock;
-use crate::config::Config;
-use crate::config::table::{Change, deciding, difference};
 use crate::record::{RunRecord, write_atomically};
-
-/// Sections that say where and how a run is carried out, and not what it computes.
-const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
-/// The key that may grow when a run is taken up again.
-const TOTAL_STEPS: &str = "learner.total_steps";
+use leadtime_config::Config;
+use leadtime_config::identity::{self, Change, TOTAL_STEPS, difference};
 
 /// Why a run directory cannot be used.
 #[derive(Debug, Error)]
@@ -235,7 +229,7 @@ fn compare(
     let mut grows = false;
     let changes: Vec<Change> = difference(before, now)
         .into_iter()
-        .filter(|change| !FREE_SECTIONS.iter().any(|section| change.key.starts_with(section)))
+        .filter(|change| !identity::is_free(&change.key))
         .filter(|change| {
             let longer = change.key == TOTAL_STEPS && is_longer(change);
             grows |= longer;
@@ -287,34 +281,26 @@ fn write_config(path: &Path, config: &Config) -> io::Result<()> {
 
 /// Computes the hash over everything that must not change when a run is taken up again.
 pub fn identity(config: &Config) -> [u8; 32] {
-    let mut hash = Sha256::new();
-    for (key, value) in deciding(&config.table) {
-        let free =
-            key == TOTAL_STEPS || FREE_SECTIONS.iter().any(|section| key.starts_with(section));
-        if !free {
-            hash.update(format!("{key}={value}\n"));
-        }
-    }
-    hash.finalize().into()
+    identity::of_run(&config.table)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::ConfigSource;
-    use crate::config::table::Assignment;
-    use crate::config::{Catalog, load};
     use crate::record::RunResult;
+    use leadtime_config::{Catalog, ConfigSource, Override};
     use leadtime_sims::registry::Registry;
 
     fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
+        let catalog = Catalog::built_in();
         let source = ConfigSource {
-            config: Some("cartpole".into()),
-            set: set.iter().map(|text| Assignment::parse(text).unwrap()).collect(),
+            file: catalog.file(Some("cartpole")),
+            set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
             seed: None,
             runs: Some(runs.to_owned()),
+            name: name.map(str::to_owned),
         };
-        load(&source, name, &Catalog::built_in(), &Registry::builtin()).unwrap()
+        Config::load(&source, &catalog, &Registry::builtin()).unwrap()
     }
 
     fn open(runs: &Path, name: Option<&str>, set: &[&str]) -> Result<(RunDir, State), RunDirError> {

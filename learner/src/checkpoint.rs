@@ -22,6 +22,8 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 
+use crate::{LearnerSettings, Mode};
+
 /// The version of what a checkpoint holds.
 pub const FORMAT_VERSION: u32 = 1;
 /// How many checkpoints are kept.
@@ -31,6 +33,19 @@ const FRONT_BYTES: usize = 48;
 /// The largest state that a checkpoint holds, in bytes.
 pub const MAX_PAYLOAD_BYTES: usize = leadtime_proto::limits::MAX_MESSAGE_BYTES;
 const EXTENSION: &str = "checkpoint";
+
+/// What the last training episodes and the books take, in bytes.
+const RECORDS_BYTES: usize = 64 << 10;
+/// Room beside an environment's snapshot: ids, counts, lengths.
+const ENV_BYTES: usize = 256;
+
+/// Returns an upper bound on the size of a state, in bytes, from the same for one version of the weights and for one
+/// environment's snapshot with its recurrent state.
+pub fn max_payload_bytes(settings: &LearnerSettings, weights: usize, snapshot: usize) -> usize {
+    let n_older = if settings.mode == Mode::Lag { settings.lag as usize } else { 0 };
+    // The parameters with Adam's two moments, the best policy, and the versions that acting still needs.
+    (3 + 1 + n_older) * weights + settings.n_envs * (snapshot + ENV_BYTES) + RECORDS_BYTES
+}
 
 /// Why checkpoints cannot be written or read.
 #[derive(Debug, Error)]

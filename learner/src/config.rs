@@ -21,12 +21,6 @@ pub struct CheckpointInterval {
     pub time: Duration,
 }
 
-impl Default for CheckpointInterval {
-    fn default() -> Self {
-        Self { updates: 100, time: Duration::from_secs(30) }
-    }
-}
-
 /// Everything about a run that its learner must be told.
 #[derive(Clone, Debug)]
 pub struct LearnerConfig {

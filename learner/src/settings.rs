@@ -1,4 +1,4 @@
-//! Every setting of training, with the defaults of the main job.
+//! Every setting of training. `Default` is what CleanRL trains CartPole with; runs take theirs from the configuration files.
 //!
 //! What is written is checked once ([`LearnerSettings::check`]); afterwards the rest of the crate relies on it.
 
@@ -33,13 +33,13 @@ pub enum Truncation {
 /// The settings of PPO, its normalisers and its schedule.
 #[expect(clippy::struct_excessive_bools, reason = "independent switches of a configuration file")]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct LearnerSettings {
     /// Environments of the run, over all actors. Default 4; more make larger, smoother updates.
     pub n_envs: usize,
     /// Steps per rollout. Default 128; longer ones see further before they bootstrap.
     pub n_steps: usize,
-    /// Environment steps of the whole run. Default 500 000; rounded down to whole updates, at least one.
+    /// Environment steps of the whole run. Default 500 000; rounded down to whole updates, but at least one update.
     pub total_steps: u64,
     /// Adam's step size. Default 2.5e-4.
     pub learning_rate: f64,
@@ -120,6 +120,8 @@ pub struct SettingsError {
     pub requirement: &'static str,
 }
 
+const ABOVE_0: &str = "above 0 and at most 1000000";
+
 impl LearnerSettings {
     /// Checks ranges, and that the numbers fit together.
     ///
@@ -128,14 +130,15 @@ impl LearnerSettings {
     /// [`SettingsError`] naming the first key that is wrong.
     pub fn check(&self) -> Result<(), SettingsError> {
         let unit = |x: f64| (0.0..=1.0).contains(&x);
-        let positive = |x: f64| x.is_finite() && x > 0.0;
-        let not_negative = |x: f64| x.is_finite() && x >= 0.0;
+        // Beyond it a single-precision loss overflows, and the run would blame its actors.
+        let positive = |x: f64| x > 0.0 && x <= 1e6;
+        let not_negative = |x: f64| (0.0..=1e6).contains(&x);
         let n_samples = self.n_envs.saturating_mul(self.n_steps);
         let rules: [(bool, &'static str, &'static str); 16] = [
             ((1..=limits::MAX_ENVS).contains(&self.n_envs), "n_envs", "from 1 to 65536"),
             ((1..=limits::MAX_ROLLOUT_STEPS).contains(&self.n_steps), "n_steps", "from 1 to 65536"),
             (self.total_steps > 0, "total_steps", "at least 1"),
-            (positive(self.learning_rate), "learning_rate", "above 0"),
+            (positive(self.learning_rate), "learning_rate", ABOVE_0),
             (unit(self.gamma), "gamma", "from 0 to 1"),
             (unit(self.gae_lambda), "gae_lambda", "from 0 to 1"),
             (
@@ -144,12 +147,12 @@ impl LearnerSettings {
                 "from 1 to n_envs * n_steps",
             ),
             (self.n_epochs > 0, "n_epochs", "at least 1"),
-            (positive(self.clip), "clip", "above 0"),
-            (not_negative(self.entropy_coef), "entropy_coef", "at least 0"),
-            (not_negative(self.value_coef), "value_coef", "at least 0"),
-            (positive(self.max_grad_norm), "max_grad_norm", "above 0"),
-            (self.target_kl.is_none_or(positive), "target_kl", "above 0"),
-            (positive(self.reward_scale), "reward_scale", "above 0"),
+            (positive(self.clip), "clip", ABOVE_0),
+            (not_negative(self.entropy_coef), "entropy_coef", "from 0 to 1000000"),
+            (not_negative(self.value_coef), "value_coef", "from 0 to 1000000"),
+            (positive(self.max_grad_norm), "max_grad_norm", ABOVE_0),
+            (self.target_kl.is_none_or(positive), "target_kl", ABOVE_0),
+            (positive(self.reward_scale), "reward_scale", ABOVE_0),
             (
                 self.mode != Mode::Lag || (1..=limits::MAX_LAG).contains(&self.lag),
                 "lag",
@@ -210,6 +213,8 @@ mod tests {
         assert_eq!(LearnerSettings::default().check(), Ok(()));
         let settings = LearnerSettings { gamma: f64::NAN, ..LearnerSettings::default() };
         assert_eq!(settings.check().unwrap_err().key, "gamma");
+        let settings = LearnerSettings { reward_scale: 1e38, ..LearnerSettings::default() };
+        assert_eq!(settings.check().unwrap_err().key, "reward_scale");
     }
 
     #[test]

@@ -28,6 +28,7 @@ pub mod receive;
 pub mod rollout;
 pub mod schedule;
 pub mod spec;
+pub mod text;
 
 pub use header::Header;
 pub use ids::{

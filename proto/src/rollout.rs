@@ -88,6 +88,24 @@ pub struct Rollout {
     pub snapshot: Vec<u8>,
 }
 
+/// Room for what has no length of its own: ids, counts, the lengths of arrays.
+const FRAME_BYTES: usize = 256;
+/// The same for the end of an episode.
+const END_BYTES: usize = 64;
+
+impl Rollout {
+    /// Returns an upper bound on the encoded size of a rollout, in bytes; S is the policy's recurrent width.
+    pub fn max_bytes(env: &EnvSpec, recurrent_dim: usize, n_steps: usize) -> usize {
+        let observation = 4 * env.obs_dim;
+        // Observation, mask, choices, log-probability, value, reward.
+        let step = observation + 8 + env.actions.heads.len() + 12;
+        // An episode may end in every step.
+        let end = observation + 4 * env.metrics.len() + END_BYTES;
+        let rest = observation + 4 * recurrent_dim + limits::MAX_SNAPSHOT_BYTES + FRAME_BYTES;
+        n_steps * (step + end) + rest
+    }
+}
+
 /// Why a decoded rollout cannot be used.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum InvalidRollout {

@@ -97,6 +97,9 @@ pub enum SnapshotError {
     },
 }
 
+/// How much a snapshot may grow beyond twice its size at the start, in bytes.
+const SNAPSHOT_MARGIN: usize = 8 << 10;
+
 /// A task that a policy can learn.
 pub trait Environment: Send {
     /// Returns shapes, heads and metric names.
@@ -131,6 +134,18 @@ pub trait Environment: Send {
 
     /// Appends everything the future depends on.
     fn snapshot(&self, out: &mut Vec<u8>);
+
+    /// Returns an upper bound on the size of a snapshot, in bytes; starts an episode to measure one.
+    ///
+    /// Worlds remember more than at the start of an episode: a lander that touches the ground some four kilobytes of contacts.
+    fn max_snapshot_bytes(&mut self) -> usize {
+        let mut observation = vec![0.0; self.spec().obs_dim];
+        let seed = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
+        self.reset(seed, &mut observation);
+        let mut snapshot = Vec::new();
+        self.snapshot(&mut snapshot);
+        2 * snapshot.len() + SNAPSHOT_MARGIN
+    }
 
     /// Continues from a snapshot, bit for bit, and writes the observation at that point.
     ///

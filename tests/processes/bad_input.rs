@@ -50,7 +50,10 @@ fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
             "domain = \"cartpole\"\n[learner]\nclip = \"much\"",
             &["line 3", "clip = \"much\"", "expected f64"],
         ),
-        ("domain = \"cartpole\"\n[human]\nreaction_delay = 2", &["line 3", "reaction_delay"]),
+        (
+            "domain = \"cartpole\"\n[human]\nreaction_delay = 2",
+            &["line 2", "unknown field `human`"],
+        ),
         ("domain = \"cartpole\"\n[leaner]", &["line 2", "leaner", "`learner`"]),
         ("domain = \"moon\"", &["`domain` is \"moon\"", "lander"]),
         ("domain = \"cartpole\"\nseed = -1", &["line 2", "seed"]),
@@ -126,7 +129,7 @@ fn sizes_that_no_message_and_no_file_may_have_are_refused_before_the_run() {
     let wide = "policy.hidden=[1024, 1024]";
     refused(
         &[wide, "learner.lag=16"],
-        &["`policy.hidden`", "16 older versions", "`learner.lag`", "at most 67108864 bytes"],
+        &["`policy.hidden`", "`learner.lag` is 16", "at most 67108864 bytes"],
     );
     refused(
         &["learner.n_envs=65536", "learner.n_steps=1"],

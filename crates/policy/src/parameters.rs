@@ -261,6 +261,15 @@ pub fn shapes(spec: &PolicySpec) -> BTreeMap<String, Vec<usize>> {
     shapes
 }
 
+/// Returns an upper bound on the size of a file with all weights and statistics, in bytes.
+pub fn max_bytes(spec: &PolicySpec) -> usize {
+    // A tensor's name, shape and place in the file.
+    const TENSOR: usize = 192;
+    let tensor = |shape: &Vec<usize>| 4 * shape.iter().product::<usize>() + TENSOR;
+    let statistics = 2 * 8 * spec.obs_dim + 3 * TENSOR;
+    shapes(spec).values().map(tensor).sum::<usize>() + statistics
+}
+
 /// Lists the statistics as tensors, in the order of names.
 pub(crate) fn normalizer_tensors(
     normalizer: &ObservationNormalizer,

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::{n_episodes, number_range};
-use crate::config::table::Assignment;
+use leadtime_config::Override;
 
 /// Evaluation episodes per training seed of every table.
 const EPISODES: u32 = 100;
@@ -28,8 +28,8 @@ pub struct CompareArgs {
     #[arg(long = "part", value_name = "PART")]
     pub parts: Vec<String>,
     /// Change one key of what is trained: `--set human.reaction_delay.fixed=3`; may be given again.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
-    pub set: Vec<Assignment>,
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
     /// Start from this configuration, in the parts of its domain, instead of the study's own.
     #[arg(long, value_name = "FILE")]
     pub profile: Vec<PathBuf>,

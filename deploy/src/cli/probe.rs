@@ -4,9 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::n_episodes;
-use crate::config::raw::EvaluationAction;
-use crate::config::table::Assignment;
+use super::{action, n_episodes};
+use leadtime_config::{EvaluationAction, Override};
 
 /// `leadtime probe`
 #[derive(Debug, Args)]
@@ -20,12 +19,12 @@ pub struct ProbeArgs {
     #[arg(long, default_value_t = 1_000_000)]
     pub eval_seed: u64,
     /// How the policy chooses (default: the configuration's).
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = action())]
     pub action: Option<EvaluationAction>,
     /// Change one key of the task: `--set 'human.reaction_delay={uniform={low=0,high=5,drawn="per_episode"}}'`; may be
     /// given again.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
-    pub set: Vec<Assignment>,
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,

@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 
 use super::duration;
-use crate::config::table::Assignment;
+use leadtime_config::Override;
 
 /// `leadtime taxonomy ...`
 #[derive(Debug, Subcommand)]
@@ -52,8 +52,8 @@ pub struct PlanArgs {
     /// The plan: `highway`, `lander`, `steakhouse`, or a file.
     pub plan: String,
     /// Change one key of the plan: `--set settings.theta=60`; may be given again.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Assignment::parse)]
-    pub set: Vec<Assignment>,
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
 }
 
 /// Who writes and rates, and how to reach them.

@@ -7,18 +7,20 @@ use anyhow::Context as _;
 use leadtime_link::{ConnectSettings, Endpoint, ObserverLink};
 
 use crate::cli::CheckArgs;
-use crate::config::{self, Config};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{Program, cpu, output, threads};
+use leadtime_config::Config;
 
 pub(super) async fn run(program: &Program, args: &CheckArgs) -> Result<(), Failure> {
-    let config = config::load(&args.source, None, &program.catalog, &program.registry)
-        .blame(ExitCode::WrongInput)?;
+    let config = program.configure(&args.source, None).blame(ExitCode::WrongInput)?;
     let (n_updates, n_envs) = (config.learner.n_updates(), config.learner.n_envs);
     report(
         "configuration",
         &format!("domain {}, {n_updates} updates, {n_envs} environments", config.domain),
     );
+    for notice in config.notices() {
+        report("notice", &notice);
+    }
     let (obs_dim, heads) = (config.env.obs_dim, &config.env.actions.heads);
     let heads: Vec<String> =
         heads.iter().map(|head| format!("{} {}", head.name, head.n_choices)).collect();

@@ -1,7 +1,7 @@
 //! `leadtime config`: the built-in configurations, comments and all.
 
 use crate::cli::ConfigArgs;
-use crate::exit::Failure;
+use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{Program, output};
 
 pub(super) fn run(program: &Program, args: &ConfigArgs) -> Result<(), Failure> {
@@ -14,7 +14,7 @@ pub(super) fn run(program: &Program, args: &ConfigArgs) -> Result<(), Failure> {
     };
     match program.catalog.text(domain) {
         Some(text) => {
-            output::line(text.trim_end());
+            output::line(text.blame(ExitCode::WrongInput)?.trim_end());
             Ok(())
         }
         None => Err(Failure::input(format!(

@@ -8,11 +8,9 @@ use serde_json::{Value, json};
 
 use super::{judge, policy_file};
 use crate::cli::EvalArgs;
-use crate::config::Config;
-use crate::config::raw::EvaluationAction;
-use crate::config::table::Assignment;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{Program, output};
+use leadtime_config::{Config, EvaluationAction, Override};
 
 pub(super) fn run(program: &Program, args: &EvalArgs) -> Result<(), Failure> {
     if args.transcript {
@@ -31,9 +29,9 @@ pub(super) fn run(program: &Program, args: &EvalArgs) -> Result<(), Failure> {
     };
     // All of them first: a value that cannot be is told before an hour's work.
     let load = |change| Task::load(program, args, Some(change));
-    let tasks = each.assignments().iter().map(load).collect::<Result<Vec<_>, _>>()?;
+    let tasks = each.overrides().iter().map(load).collect::<Result<Vec<_>, _>>()?;
     let mut results = Vec::new();
-    for (task, change) in tasks.iter().zip(each.assignments()) {
+    for (task, change) in tasks.iter().zip(each.overrides()) {
         let comparison = task.compare(program, args)?;
         if args.json {
             let mut result = task.json(args, &comparison);
@@ -62,9 +60,9 @@ impl Task {
     fn load(
         program: &Program,
         args: &EvalArgs,
-        change: Option<&Assignment>,
+        change: Option<&Override>,
     ) -> Result<Self, Failure> {
-        let changes: Vec<Assignment> = args.set.iter().chain(change).cloned().collect();
+        let changes: Vec<Override> = args.set.iter().chain(change).cloned().collect();
         let loaded = policy_file::load(program, &args.runs, &args.policy, &changes)
             .blame(ExitCode::WrongInput)?;
         let config = loaded.config;

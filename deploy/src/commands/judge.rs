@@ -11,9 +11,8 @@ use leadtime_policy::Parameters;
 
 use super::taxonomy;
 use crate::Program;
-use crate::config::Config;
-use crate::config::raw::EvaluationAction;
 use crate::exit::{Blame as _, ExitCode, Failure};
+use leadtime_config::{Config, EvaluationAction};
 
 /// Seed of evaluations: another than any run's by default, so that nothing is judged on what it was trained on.
 pub(super) const EVAL_SEED: u64 = 1_000_000;

@@ -9,9 +9,9 @@ use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::RunChoice;
-use crate::config::Config;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::supervise::{Plan, supervise};
+use leadtime_config::Config;
 
 /// The longest temporary directory that leaves room for a socket's name (the kernel allows 107 bytes in all).
 const MAX_TEMP_DIR: usize = 60;
@@ -74,6 +74,9 @@ fn plan(config: &Config, launch: &Launch<'_>, directory: &Path) -> anyhow::Resul
     let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
     let mut learner = text(&["learner", "--supervised", "--name", launch.name.as_str(), "-c"]);
     learner.push(file.into_os_string());
+    // The file is text, and a path need not be.
+    learner.push("--runs".into());
+    learner.push(config.run.directory.clone().into_os_string());
     learner.extend(text(&["--listen", &endpoint, "--scratch"]));
     learner.push(directory.as_os_str().to_owned());
     for extra in launch.listen {

@@ -9,20 +9,19 @@ use leadtime_link::{Endpoint, ListenSettings};
 use super::policy_file;
 use super::run_report::{self, Findings};
 use crate::cli::LearnerArgs;
-use crate::config::{self, Config};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::progress::RunSink;
 use crate::record::RunResult;
 use crate::run_dir::{self, RunDir, State};
 use crate::shutdown::{Watch, watch};
 use crate::{Program, build_id, clock, cpu, output};
+use leadtime_config::Config;
 
 pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = watch(watched).blame(ExitCode::Failed)?;
     let name = args.run.name.as_deref();
-    let mut config = config::load(&args.source, name, &program.catalog, &program.registry)
-        .blame(ExitCode::WrongInput)?;
+    let mut config = program.configure(&args.source, name).blame(ExitCode::WrongInput)?;
     let fork = args.run.fork.as_ref().map(|from| policy_file::read_fork(&config, from));
     let fork = fork.transpose().blame(ExitCode::WrongInput)?;
     config.run.name = Some(run_dir::choose_name(&config, &args.run).blame(ExitCode::WrongInput)?);
@@ -43,6 +42,9 @@ pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Fai
             "{grown}: with learner.anneal = true the learning rate falls over the new length from here on, so the \
              weights will differ from those of a run that has this length from the start"
         );
+    }
+    for notice in config.notices() {
+        tracing::warn!("{notice}");
     }
     tracing::info!(run = %run_dir.name(), directory = %run_dir.path().display(), "run opened");
     let metadata = policy_file::metadata(&config, run_dir.name().as_str());

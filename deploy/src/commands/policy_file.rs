@@ -8,11 +8,10 @@ use anyhow::Context as _;
 use leadtime_policy::{Parameters, read_metadata};
 use sha2::{Digest as _, Sha256};
 
-use crate::config::Config;
-use crate::config::table::Assignment;
 use crate::progress::sink::{BEST_POLICY, LAST_POLICY};
 use crate::record::write_atomically;
 use crate::{Program, output};
+use leadtime_config::{Config, Override};
 
 /// File in a forked run's directory that holds what it starts from.
 const INITIAL_POLICY: &str = "initial.safetensors";
@@ -55,19 +54,15 @@ pub(super) fn load(
     program: &Program,
     runs: &Path,
     name: &str,
-    changes: &[Assignment],
+    changes: &[Override],
 ) -> anyhow::Result<LoadedPolicy> {
     let path = find(runs, name, [BEST_POLICY, LAST_POLICY])?;
     let bytes = std::fs::read(&path).with_context(|| format!("reading {}", path.display()))?;
     let not_ours = || format!("{} is not a policy of Leadtime", path.display());
     let metadata = read_metadata(&bytes).with_context(not_ours)?;
-    let config = metadata.get(CONFIG).with_context(not_ours)?;
-    let mut table: toml::Table = config.parse().with_context(not_ours)?;
-    for change in changes {
-        change.apply(&mut table);
-    }
-    let config = Config::from_table(table, &program.registry)
-        .with_context(|| format!("the configuration in {}", path.display()))?;
+    let text = metadata.get(CONFIG).with_context(not_ours)?;
+    let place = format!("the configuration in {}", path.display());
+    let config = Config::stored(&place, text, changes, &program.registry)?;
     let parameters = Parameters::from_safetensors(&bytes, &config.policy)
         .with_context(|| format!("{} does not fit its task", path.display()))?;
     let sha256 = output::hex(&Sha256::digest(&bytes));

@@ -12,10 +12,10 @@ use serde_json::{Value, json};
 use super::policy_file::LoadedPolicy;
 use super::{judge, origin, policy_file};
 use crate::cli::ProbeArgs;
-use crate::config::raw::EvaluationAction;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::record::write_atomically;
 use crate::{Program, output};
+use leadtime_config::EvaluationAction;
 
 /// Digits of the weights' digest.
 const DIGEST_DIGITS: usize = 12;

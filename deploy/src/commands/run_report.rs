@@ -9,9 +9,9 @@ use leadtime_eval::measure::Comparison;
 use leadtime_eval::report::{Book, Fact, Picture, Report, Verdict};
 use serde_json::{Map, Value};
 
-use crate::config::Config;
 use crate::progress::journal;
 use crate::record::{RunRecord, write_atomically};
+use leadtime_config::Config;
 
 /// Updates on each side that a smoothed curve averages over.
 const SMOOTHING: usize = 3;

@@ -7,12 +7,12 @@ use anyhow::Context as _;
 use serde::Serialize;
 
 use crate::cli::{RunsArgs, RunsCommand};
-use crate::config::table::difference;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 use crate::progress::journal;
 use crate::record::RunRecord;
 use crate::run_dir::read_config;
+use leadtime_config::identity::difference;
 
 /// One line of the list.
 #[derive(Debug, Serialize)]

@@ -11,18 +11,17 @@ use anyhow::Context as _;
 use leadtime_eval::measure::{Comparison, Evaluation, Player};
 use leadtime_eval::report::Verdict;
 use serde_json::json;
-use toml::{Table, Value};
 
 use super::launch::{Launch, launch};
 use super::run_report::{self, Findings};
 use super::{judge, play, policy_file};
 use crate::cli::{RunChoice, SmokeArgs};
-use crate::config::{self, Config};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::record::RunRecord;
 use crate::run_dir;
 use crate::shutdown::{Watch, watch};
 use crate::{Program, output};
+use leadtime_config::{Config, Layer};
 
 /// What the trained notifier must gain over the unaided person, in success, with its whole interval.
 const MARK: f64 = 0.3;
@@ -64,18 +63,13 @@ pub(super) async fn run(program: &Program, args: &SmokeArgs) -> Result<(), Failu
 fn configure(program: &Program, args: &SmokeArgs) -> anyhow::Result<Config> {
     let mut source = args.source.clone();
     source.config.get_or_insert_with(|| PathBuf::from(&args.domain));
-    let config = config::load(&source, None, &program.catalog, &program.registry)?;
+    let config = program.configure(&source, None)?;
     if !args.quick {
         return Ok(config);
     }
-    let steps = i64::try_from(QUICK_UPDATES * config.steps_per_update())?;
-    let mut table = config.table;
-    for (section, key, value) in [("learner", "total_steps", steps), ("run", "checkpoint_every", 4)]
-    {
-        let section = table.get_mut(section).and_then(Value::as_table_mut);
-        section.unwrap_or(&mut Table::new()).insert(key.to_owned(), value.into());
-    }
-    Config::from_table(table, &program.registry)
+    let steps = QUICK_UPDATES * config.steps_per_update();
+    let quick = format!("learner.total_steps = {steps}\nrun.checkpoint_every = 4\n");
+    Ok(config.with([Layer::text("--quick", quick)], &program.registry)?)
 }
 
 /// What came out.

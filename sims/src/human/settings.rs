@@ -4,7 +4,12 @@
 //! and its most likely reading where it does not; [`HumanSettings::delay_free`] is the listener who understands
 //! and acts at once.
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::value::{MapAccessDeserializer, StrDeserializer};
+use serde::de::{self, MapAccess, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::Message;
 use crate::setting::{SettingError, require};
@@ -173,7 +178,8 @@ pub enum Repeat {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HumanSettings {
-    /// Steps from comprehension to reaction, `d_r` (0..=60). Default `{ fixed = 2 }`.
+    /// Steps from comprehension to reaction, `d_r` (0..=60). Default `{ fixed = 2 }`; a bare number means the same.
+    #[serde(deserialize_with = "read_or_fixed")]
     pub reaction_delay: ReactionDelay,
     /// When a message is understood. Default `words`: after its k-th word.
     pub comprehension: Comprehension,
@@ -189,7 +195,8 @@ pub struct HumanSettings {
     pub reason_weight: f64,
     /// Messages of at least this many words state a reason (at least 1). Default 4.
     pub reason_from_words: u32,
-    /// Steps that a reaction lasts, `d_f`. Default `length`.
+    /// Steps that a reaction lasts, `d_f`. Default `length`; a bare number means `{ fixed = number }`.
+    #[serde(deserialize_with = "read_or_fixed")]
     pub follow_through: FollowThrough,
     /// Whether a reaction lasts `d_f` steps or one more. Default `exclusive`.
     pub follow_through_end: FollowThroughEnd,
@@ -207,6 +214,53 @@ pub struct HumanSettings {
     pub repeat: Repeat,
     /// Whether the notifier may break off its own utterance. Default false.
     pub can_stop: bool,
+}
+
+impl From<u32> for ReactionDelay {
+    fn from(steps: u32) -> Self {
+        Self::Fixed(steps)
+    }
+}
+
+impl From<u32> for FollowThrough {
+    fn from(steps: u32) -> Self {
+        Self::Fixed(steps)
+    }
+}
+
+/// Reads a choice by its name, as a table with one key, or as a bare number of steps.
+fn read_or_fixed<'de, T, D>(deserializer: D) -> Result<T, D::Error>
+where
+    T: Deserialize<'de> + From<u32>,
+    D: Deserializer<'de>,
+{
+    struct Steps<T>(PhantomData<T>);
+    impl<'de, T: Deserialize<'de> + From<u32>> Visitor<'de> for Steps<T> {
+        type Value = T;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a number of steps, or a choice such as { fixed = 2 }")
+        }
+
+        fn visit_u64<E: de::Error>(self, steps: u64) -> Result<T, E> {
+            let wrong = |_| E::invalid_value(Unexpected::Unsigned(steps), &self);
+            u32::try_from(steps).map(T::from).map_err(wrong)
+        }
+
+        fn visit_i64<E: de::Error>(self, steps: i64) -> Result<T, E> {
+            let wrong = |_| E::invalid_value(Unexpected::Signed(steps), &self);
+            u32::try_from(steps).map(T::from).map_err(wrong)
+        }
+
+        fn visit_str<E: de::Error>(self, name: &str) -> Result<T, E> {
+            T::deserialize(StrDeserializer::new(name))
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, table: A) -> Result<T, A::Error> {
+            T::deserialize(MapAccessDeserializer::new(table))
+        }
+    }
+    deserializer.deserialize_any(Steps(PhantomData))
 }
 
 impl Default for HumanSettings {
@@ -265,7 +319,7 @@ impl HumanSettings {
             ("human.reason_weight", self.reason_weight),
         ];
         for (key, weight) in weights {
-            require(weight.is_finite() && weight >= 0.0, key, weight, "a number of at least 0")?;
+            require((0.0..=1e6).contains(&weight), key, weight, "0 to 1000000")?;
         }
         let words = self.reason_from_words;
         require(words >= 1, "human.reason_from_words", words, "at least 1")?;

@@ -17,10 +17,26 @@ use crate::human::Order;
 use crate::setting::SettingError;
 
 /// Names of the heads whose choices are numbers of words, in increasing order.
-pub const LENGTH_HEADS: [&str; 2] = ["k", "l"];
+const LENGTH_HEADS: [&str; 2] = ["k", "l"];
 
 const START: u8 = 1;
 const STOP: u8 = 2;
+
+/// Returns the biases of an untrained policy's logits, one per choice: `initiate` for starting a message, `length` for every
+/// choice of k and of l beyond the shortest. Empty where there is nothing to say, or no bias.
+pub fn initial_bias(actions: &ActionSpec, initiate: f64, length: f64) -> Vec<f32> {
+    let Some(gate) = actions.gate else { return Vec::new() };
+    let mut biases = vec![0.0; actions.n_choices()];
+    let offsets = actions.offsets();
+    biases[offsets[gate.head] + gate.choice] = initiate as f32;
+    for (head, offset) in actions.heads.iter().zip(offsets) {
+        if LENGTH_HEADS.contains(&head.name.as_str()) {
+            let head = &mut biases[offset..offset + head.n_choices];
+            head.iter_mut().enumerate().for_each(|(i, bias)| *bias = (i as f64 * length) as f32);
+        }
+    }
+    if biases.iter().all(|bias| *bias == 0.0) { Vec::new() } else { biases }
+}
 
 /// Which choices of the initiate head, beside silence, a step offers.
 #[derive(Clone, Copy, Debug)]

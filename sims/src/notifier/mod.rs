@@ -19,7 +19,7 @@ mod environment;
 mod history;
 mod settings;
 
-pub use actions::LENGTH_HEADS;
+pub use actions::initial_bias;
 pub use cells::{Cell, Cells};
 pub use environment::NotifierEnv;
 pub use settings::{NotificationType, NotifierSettings};

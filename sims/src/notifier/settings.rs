@@ -72,8 +72,8 @@ impl NotifierSettings {
         )?;
         let fits = (1..=64).contains(&self.history);
         require(fits, "notifier.history", self.history, "1 to 64 pairs")?;
-        let fits = self.initiation_cost.is_finite() && self.initiation_cost >= 0.0;
-        require(fits, "notifier.initiation_cost", self.initiation_cost, "a number of at least 0")?;
+        let cost = self.initiation_cost;
+        require((0.0..=1e6).contains(&cost), "notifier.initiation_cost", cost, "0 to 1000000")?;
         self.said(known_topics).map(drop)
     }
 
@@ -149,6 +149,7 @@ mod tests {
         assert!(given.contains(topics), "{given}");
         assert!(refused(|s| s.history = 0).contains("notifier.history"));
         assert!(refused(|s| s.initiation_cost = f64::NAN).contains("notifier.initiation_cost"));
+        assert!(refused(|s| s.initiation_cost = 1e38).contains("allowed: 0 to 1000000"));
         NotifierSettings::default().check(TOPICS).unwrap();
     }
 

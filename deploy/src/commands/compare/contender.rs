@@ -10,7 +10,7 @@ use super::study::WhichPolicy;
 use crate::Program;
 use crate::cli::CompareArgs;
 use crate::commands::{judge, policy_file};
-use crate::config::raw::EvaluationAction;
+use leadtime_config::EvaluationAction;
 
 /// The folder of judged cells: in a run's directory, and for scripts, which have no run, beside the runs.
 const FOLDER: &str = "evaluations";

@@ -7,7 +7,6 @@ use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::measure::{PlaySettings, Player};
 use leadtime_eval::picture::{self, TrajectoryPanel};
 use leadtime_eval::playthrough::Playthrough;
-use toml::Value;
 
 use super::configure::{self, Profile};
 use super::judging::{Judge, UNAIDED};
@@ -16,7 +15,7 @@ use super::study::Part;
 use super::write::Drawn;
 use crate::Program;
 use crate::commands::judge;
-use crate::config::Config;
+use leadtime_config::Config;
 
 /// The domain that has maps and flights.
 const DOMAIN: &str = "lander";
@@ -42,7 +41,7 @@ pub(super) fn plan(
     part: &Part,
     profile: &Profile,
 ) -> anyhow::Result<Vec<PlannedMap>> {
-    let own = profile.table.get("domain").and_then(Value::as_str).unwrap_or_default();
+    let own = profile.config.domain.as_str();
     if part.trajectories_on.is_some() {
         check_domain(&profile.name, own).context("`trajectories_on`")?;
     }

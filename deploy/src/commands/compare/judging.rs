@@ -19,9 +19,8 @@ use super::study::WhichPolicy;
 use crate::Program;
 use crate::cli::CompareArgs;
 use crate::commands::judge;
-use crate::config::Config;
-use crate::config::raw::EvaluationAction;
 use crate::exit::{ExitCode, Failure};
+use leadtime_config::{Config, EvaluationAction};
 
 /// Seed of every interval: what is uncertain is the data.
 const BOOTSTRAP_SEED: u64 = 1;

@@ -11,9 +11,9 @@ use super::flights::{self, PlannedMap};
 use super::study::{Part, Row, WhichPolicy};
 use crate::Program;
 use crate::cli::CompareArgs;
-use crate::config::Config;
 use crate::progress::journal;
 use crate::record::RunRecord;
+use leadtime_config::Config;
 
 /// The longest name of a run.
 const MAX_NAME: usize = 64;

@@ -93,7 +93,7 @@ pub(super) fn facts(
     let steps: u64 = runs.iter().map(|run| run.steps).sum();
     let minutes: f64 = runs.iter().map(|run| run.minutes).sum();
     let profiles = plan.parts.iter().map(|part| {
-        let hash = configure::hash(&part.profile.table);
+        let hash = configure::hash(&part.profile.config.table);
         format!("{} `{}` ({hash})", part.part.name, part.profile.name)
     });
     let judged = match plan.named.study.judged {

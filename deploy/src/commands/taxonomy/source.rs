@@ -9,8 +9,8 @@ use leadtime_taxonomy::{Taxonomy, shipped};
 use toml::Table;
 
 use crate::cli::PlanArgs;
-use crate::config::table::Assignment;
 use crate::exit::{Blame as _, ExitCode, Failure};
+use leadtime_config::{Layer, Override};
 
 /// Blames an error of the pipeline on the server, or on what the person gave.
 pub(super) fn failure(error: &PipelineError) -> Failure {
@@ -44,19 +44,18 @@ pub(super) fn plan(args: &PlanArgs) -> Result<Plan, Failure> {
         _ if named => failure(&error),
         _ => Failure::input(format!("{name}: {error}")),
     })?;
-    args.set.iter().try_fold(plan, |plan, change| changed(&plan, change))
-}
-
-fn changed(plan: &Plan, change: &Assignment) -> Result<Plan, Failure> {
-    let mut table =
-        Table::try_from(plan).context("a plan can be written").map_err(Failure::from)?;
-    change.apply(&mut table);
-    let name = || format!("--set {}", change.key());
-    let refuse = |message: &str| {
-        Failure::input(format!("{}: {}", name(), message.trim_end().replace('\n', ", ")))
-    };
-    let plan: Plan = table.try_into().map_err(|error: toml::de::Error| refuse(error.message()))?;
-    plan.check().map_err(|error| refuse(&error.to_string()))?;
+    if args.set.is_empty() {
+        return Ok(plan);
+    }
+    let table = Table::try_from(plan).context("a plan can be written").map_err(Failure::from)?;
+    let changes = args.set.iter().map(Layer::set);
+    let plan: Plan =
+        leadtime_config::read([Layer::table("the plan", &table)].into_iter().chain(changes))
+            .blame(ExitCode::WrongInput)?;
+    let keys: Vec<String> = args.set.iter().map(Override::key).collect();
+    // Its sentence holds its causes; as causes they would be said twice.
+    let refused = |error| Failure::input(format!("--set {}: {error}", keys.join(", ")));
+    plan.check().map_err(refused)?;
     Ok(plan)
 }
 

@@ -1,0 +1,130 @@
+//! The built-in configurations: a complete, commented TOML file per world, and what variants change in one.
+
+use std::collections::BTreeMap;
+
+use leadtime_proto::text::quoted;
+
+use crate::edit::edited;
+use crate::error::{ConfigError, ensure};
+use crate::layers::{Layer, word};
+
+/// Files that come with the program: name and text.
+const BUILT_IN: [(&str, &str); 11] = [
+    ("cartpole", include_str!("../configs/cartpole.toml")),
+    ("cue_recall", include_str!("../configs/cue_recall.toml")),
+    ("highway", include_str!("../configs/highway.toml")),
+    ("lander", include_str!("../configs/lander.toml")),
+    ("lander_hard", include_str!("../configs/lander_hard.toml")),
+    ("paper_highway", include_str!("../configs/paper_highway.toml")),
+    ("paper_lander", include_str!("../configs/paper_lander.toml")),
+    ("paper_lander_hard", include_str!("../configs/paper_lander_hard.toml")),
+    ("pilot", include_str!("../configs/pilot.toml")),
+    ("steakhouse", include_str!("../configs/steakhouse.toml")),
+    ("steakhouse_timing", include_str!("../configs/steakhouse_timing.toml")),
+];
+/// What every domain without a complete file of its own starts from.
+pub(crate) const GENERAL: &str = "general";
+pub(crate) const GENERAL_TEXT: &str = include_str!("../configs/general.toml");
+/// What a file starts from that names neither a base nor a domain.
+const DEFAULT: &str = "lander";
+/// How long a chain of bases may be.
+const MAX_BASES: usize = 8;
+
+/// The configurations that this program knows by name.
+#[derive(Clone, Debug)]
+pub struct Catalog {
+    texts: BTreeMap<String, String>,
+}
+
+impl Catalog {
+    /// Returns the built-in configurations.
+    pub fn built_in() -> Self {
+        let texts = BUILT_IN.map(|(name, text)| (name.to_owned(), text.to_owned()));
+        Self { texts: texts.into() }
+    }
+
+    /// Adds a domain of the user's own; what `text` leaves out comes from the general defaults.
+    pub fn add(&mut self, domain: &str, text: &str) {
+        self.texts.insert(domain.to_owned(), text.to_owned());
+    }
+
+    /// Lists the names.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.texts.keys().map(String::as_str)
+    }
+
+    /// Returns a configuration as it is written, to be read like a person's file; without a name the default one.
+    pub fn file(&self, name: Option<&str>) -> Option<Layer> {
+        let name = name.unwrap_or(DEFAULT);
+        let text = if name == GENERAL { GENERAL_TEXT } else { self.texts.get(name)? };
+        Some(Layer::text(format!("built-in configuration `{name}`"), text))
+    }
+
+    /// Returns a configuration as one complete file, with comments; `None` if there is none of that name.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] if the text of a domain of the user's own is not TOML.
+    pub fn text(&self, name: &str) -> Option<Result<String, ConfigError>> {
+        self.texts.contains_key(name).then(|| {
+            let chain = self.chain(name, "domain")?.into_iter();
+            let texts = chain.map(|layer| layer.as_str().to_owned());
+            Ok(texts.reduce(|below, above| edited(&below, &above)).unwrap_or_default())
+        })
+    }
+
+    /// Returns a file with everything that it starts from, the most general first.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] if the file is not TOML, or its `base` or `domain` is unknown.
+    pub(crate) fn with_bases(&self, file: &Layer) -> Result<Vec<Layer>, ConfigError> {
+        let table = file.parse()?;
+        let at = |error: ConfigError| error.at(file.place());
+        let (base, domain) = (word(&table, "base"), word(&table, "domain"));
+        let (base, domain) = (base.map_err(at)?, domain.map_err(at)?);
+        let (key, name) = match (base, domain) {
+            (Some(base), _) => ("base", base),
+            (None, Some(domain)) => ("domain", domain),
+            (None, None) => ("domain", DEFAULT),
+        };
+        let mut layers = self.chain(name, key).map_err(at)?;
+        if let (Some(base), Some(domain)) = (base.filter(|base| *base != GENERAL), domain) {
+            let about = domain_of(&layers)?;
+            let allowed = format!("\"{about}\", which `base` \"{base}\" is about");
+            ensure(domain == about, "domain", format!("\"{domain}\""), allowed).map_err(at)?;
+        }
+        layers.push(file.clone());
+        Ok(layers)
+    }
+
+    /// Returns a configuration of this catalog with everything that it starts from, the most general first.
+    fn chain(&self, name: &str, key: &'static str) -> Result<Vec<Layer>, ConfigError> {
+        let mut layers: Vec<Layer> = Vec::new();
+        let mut next = Some(name.to_owned());
+        while let Some(name) = next {
+            let Some(layer) = self.file(Some(&name)) else {
+                let (name, known) = (quoted(&name), self.names().collect::<Vec<_>>().join(", "));
+                return Err(ConfigError(format!("`{key}` is \"{name}\"; allowed: {known}")));
+            };
+            let base = word(&layer.parse()?, "base")?.map(str::to_owned);
+            let is_complete = name == GENERAL || BUILT_IN.iter().any(|(known, _)| *known == name);
+            next = base.or_else(|| (!is_complete).then(|| GENERAL.to_owned()));
+            layers.push(layer);
+            let n = layers.len();
+            ensure(n <= MAX_BASES, "base", format!("the {n}th"), format!("at most {MAX_BASES}"))?;
+        }
+        layers.reverse();
+        Ok(layers)
+    }
+}
+
+/// Returns the domain of the topmost text that names one.
+fn domain_of(layers: &[Layer]) -> Result<String, ConfigError> {
+    for layer in layers.iter().rev() {
+        if let Some(domain) = word(&layer.parse()?, "domain")? {
+            return Ok(domain.to_owned());
+        }
+    }
+    Ok(DEFAULT.to_owned())
+}

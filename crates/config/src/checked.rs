@@ -1,0 +1,380 @@
+//! The configuration as checked: it cannot be wrong any more.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use leadtime_learner::checkpoint::{MAX_PAYLOAD_BYTES, max_payload_bytes};
+use leadtime_learner::{CheckpointInterval, LearnerSettings};
+use leadtime_policy::parameters;
+use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
+use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
+use leadtime_sims::registry::{Registry, TaskError};
+use leadtime_sims::{Environment, notifier};
+use toml::Table;
+use toml::de::DeValue;
+
+use crate::catalog::{Catalog, GENERAL, GENERAL_TEXT};
+use crate::error::{ConfigError, ensure, within};
+use crate::layers::{Layer, Layers};
+use crate::overrides::Override;
+use crate::sections::{self, SECTIONS};
+use crate::written::{
+    EncoderKind, EvaluationAction, EvaluationSection, PolicySection, RunSection, Written,
+};
+
+/// The most episodes that one policy is evaluated over.
+pub const MAX_EPISODES: u32 = 1_000_000;
+/// The widest layer.
+const MAX_WIDTH: usize = 4_096;
+/// Beyond it a choice is made never or always, and no training changes that.
+const MAX_BIAS: f64 = 50.0;
+
+/// Where a configuration comes from, and what to change in it.
+#[derive(Clone, Debug, Default)]
+pub struct ConfigSource {
+    /// The person's file; `None`: the default domain's.
+    pub file: Option<Layer>,
+    /// Changes of single keys, in order.
+    pub set: Vec<Override>,
+    /// Seed of every random stream.
+    pub seed: Option<u64>,
+    /// Directory that holds the runs.
+    pub runs: Option<PathBuf>,
+    /// Name of the run.
+    pub name: Option<String>,
+}
+
+/// Where and how a run is carried out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunSettings {
+    /// Its name, if it was given one.
+    pub name: Option<RunName>,
+    /// Directory that holds the runs.
+    pub directory: PathBuf,
+    /// Actors that must be there before the run starts, at least 1.
+    pub actors_min: u32,
+    /// How often checkpoints are written.
+    pub checkpoints: CheckpointInterval,
+}
+
+/// How policies are evaluated.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EvaluationSettings {
+    /// Episodes per policy, at least 1.
+    pub episodes: u32,
+    /// How actions are chosen.
+    pub action: EvaluationAction,
+    /// The task as it is in evaluation.
+    pub task: TaskSpec,
+}
+
+/// A whole configuration, checked.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// What to train on.
+    pub domain: DomainName,
+    /// Seed of every random stream.
+    pub seed: u64,
+    /// Where and how the run is carried out.
+    pub run: RunSettings,
+    /// The task, as actors build it.
+    pub task: TaskSpec,
+    /// What the task looks like.
+    pub env: EnvSpec,
+    /// The networks.
+    pub policy: PolicySpec,
+    /// The algorithm.
+    pub learner: LearnerSettings,
+    /// The most rollouts that one actor may have unacknowledged.
+    pub window: u32,
+    /// How policies are evaluated.
+    pub evaluation: EvaluationSettings,
+    /// The same as a complete table: what a run writes beside its results.
+    pub table: Table,
+}
+
+impl Config {
+    /// Loads a configuration: the file over its bases, the changes of the command line over both.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] with the key, its line or option, and the values that are allowed.
+    pub fn load(
+        source: &ConfigSource,
+        catalog: &Catalog,
+        registry: &Registry,
+    ) -> Result<Self, ConfigError> {
+        let default = || catalog.file(None).unwrap_or_else(|| Layer::text("", ""));
+        let mut layers = catalog.with_bases(&source.file.clone().unwrap_or_else(default))?;
+        layers.extend(source.set.iter().map(Layer::set));
+        if let Some(seed) = source.seed {
+            let given = i64::try_from(seed);
+            ensure(given.is_ok(), "--seed", seed, format!("0 to {}", i64::MAX))?;
+            layers.push(Layer::option("--seed", &Override::new("seed", seed as i64)));
+        }
+        if let Some(name) = &source.name {
+            layers.push(Layer::option("--name", &Override::new("run.name", name.as_str())));
+        }
+        if let Some(directory) = &source.runs {
+            // A path need not be UTF-8; the table, which is, only tells where the run was.
+            let shown = directory.to_string_lossy().into_owned();
+            layers.push(Layer::option("--runs", &Override::new("run.directory", shown)));
+        }
+        let mut config = Self::resolve(layers, registry)?;
+        if let Some(directory) = &source.runs {
+            config.run.directory.clone_from(directory);
+        }
+        Ok(config)
+    }
+
+    /// Reads a configuration that a run or a policy carries, with changes.
+    ///
+    /// # Errors
+    ///
+    /// As [`Config::load`].
+    pub fn stored(
+        place: &str,
+        text: &str,
+        changes: &[Override],
+        registry: &Registry,
+    ) -> Result<Self, ConfigError> {
+        // It may be older than some settings, which change nothing at their general defaults.
+        let layers = [Layer::text(GENERAL, GENERAL_TEXT), Layer::text(place, text)];
+        Self::resolve(layers.into_iter().chain(changes.iter().map(Layer::set)).collect(), registry)
+    }
+
+    /// Returns this configuration with other texts laid over it.
+    ///
+    /// # Errors
+    ///
+    /// As [`Config::load`].
+    pub fn with(
+        &self,
+        over: impl IntoIterator<Item = Layer>,
+        registry: &Registry,
+    ) -> Result<Self, ConfigError> {
+        let own = Layer::table("configuration", &self.table);
+        let mut config = Self::resolve([own].into_iter().chain(over).collect(), registry)?;
+        if config.table["run"].get("directory") == self.table["run"].get("directory") {
+            config.run.directory.clone_from(&self.run.directory);
+        }
+        Ok(config)
+    }
+
+    /// Lays the layers over each other, reads the result once, and checks it.
+    fn resolve(mut layers: Vec<Layer>, registry: &Registry) -> Result<Self, ConfigError> {
+        let layers = Layers::merge(&mut layers)?;
+        let mut root = layers.root().clone();
+        let sections = sections::take(&mut root);
+        let changes = root.get("evaluation").and_then(|section| section.get_ref().as_table());
+        let changes = changes.and_then(|section| section.get("world").cloned());
+        known_keys(&layers)?;
+        let written: Written = layers.read(root)?;
+        let domain = DomainName::new(&written.domain);
+        let domain = domain.map_err(|error| ConfigError::of(error).at("`domain`"))?;
+        let task = sections::read(domain.as_str(), &layers, sections.clone())?;
+        let evaluated = match changes.map(toml::Spanned::into_inner) {
+            Some(DeValue::Table(changes)) if !changes.is_empty() => {
+                let mut sections = sections;
+                let world = sections.get_mut("world").map(toml::Spanned::get_mut);
+                if let Some(DeValue::Table(world)) = world {
+                    layers.overlay(world, changes)?;
+                }
+                sections::read(domain.as_str(), &layers, sections)?.spec
+            }
+            _ => task.spec.clone(),
+        };
+        let mut table = Table::try_from(&written).map_err(ConfigError::of)?;
+        table.extend(task.table);
+        Self::check(domain, &written, task.spec, evaluated, table, registry)
+    }
+
+    fn check(
+        domain: DomainName,
+        written: &Written,
+        task: TaskSpec,
+        evaluated: TaskSpec,
+        table: Table,
+        registry: &Registry,
+    ) -> Result<Self, ConfigError> {
+        let mut environment = registry.build(&task).map_err(ConfigError::of)?;
+        let env = environment.spec().clone();
+        let policy = check_policy(&written.policy, environment.as_ref())?;
+        written.learner.check().map_err(ConfigError::of)?;
+        check_sequences(&policy, &written.learner)?;
+        check_sizes(environment.as_mut(), &policy, &written.learner)?;
+        if evaluated != task {
+            let built = registry.build(&evaluated);
+            built.map_err(|error| ConfigError::of(error).at("`evaluation.world`"))?;
+        }
+        let window = written.actor.window;
+        within("actor.window", window, 1, MAX_WINDOW)?;
+        let EvaluationSection { episodes, action, .. } = written.evaluation;
+        within("evaluation.episodes", episodes, 1, MAX_EPISODES)?;
+        Ok(Self {
+            run: check_run(&written.run)?,
+            window,
+            evaluation: EvaluationSettings { episodes, action, task: evaluated },
+            domain,
+            seed: written.seed,
+            task,
+            env,
+            policy,
+            learner: written.learner.clone(),
+            table,
+        })
+    }
+
+    /// Builds one environment of the task.
+    ///
+    /// # Errors
+    ///
+    /// [`TaskError`] if the registry is not the one that the configuration was checked with.
+    pub fn build(&self, registry: &Registry) -> Result<Box<dyn Environment>, TaskError> {
+        registry.build(&self.task)
+    }
+
+    /// Returns how many steps one update trains on.
+    pub fn steps_per_update(&self) -> u64 {
+        self.learner.n_envs as u64 * self.learner.n_steps as u64
+    }
+
+    /// Lists what is done otherwise than written.
+    pub fn notices(&self) -> Vec<String> {
+        let (steps, batch) = (self.learner.total_steps, self.steps_per_update());
+        let rounded =
+            format!("`learner.total_steps` is {steps}; rounded up to {batch}, one update");
+        if steps < batch { vec![rounded] } else { Vec::new() }
+    }
+}
+
+/// Refuses an unknown top-level key, and finds the section that a key without one was meant for.
+fn known_keys(layers: &Layers<'_>) -> Result<(), ConfigError> {
+    const KEYS: [&str; 7] = ["domain", "seed", "run", "policy", "learner", "actor", "evaluation"];
+    let known = || KEYS.into_iter().chain(SECTIONS);
+    let key = layers.root().keys().find(|key| !known().any(|known| known == key.get_ref()));
+    let Some(key) = key else { return Ok(()) };
+    let name = key.get_ref().as_ref();
+    let holds = |section: &&str| {
+        let section = layers.root().get(*section).and_then(|value| value.get_ref().as_table());
+        section.is_some_and(|section| section.contains_key(name))
+    };
+    let meant = known().find(holds).map(|section| format!("; did you mean `{section}.{name}`?"));
+    let known = known().map(|key| format!("`{key}`")).collect::<Vec<_>>().join(", ");
+    let meant = meant.unwrap_or_default();
+    let message = format!("unknown field `{name}`, expected one of {known}{meant}");
+    Err(layers.refuse(Some(key.span()), &message))
+}
+
+fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {
+    let (actors_min, updates) = (run.actors_min, run.checkpoint_every);
+    ensure(actors_min >= 1, "run.actors_min", actors_min, "at least 1")?;
+    ensure(updates >= 1, "run.checkpoint_every", updates, "at least 1 update")?;
+    let seconds = run.checkpoint_seconds;
+    ensure(seconds >= 1, "run.checkpoint_seconds", seconds, "at least 1 second")?;
+    ensure(!run.directory.is_empty(), "run.directory", "empty", "a path")?;
+    let name = (!run.name.is_empty()).then(|| RunName::new(&run.name)).transpose();
+    Ok(RunSettings {
+        name: name.map_err(|error| ConfigError::of(error).at("`run.name`"))?,
+        directory: PathBuf::from(&run.directory),
+        actors_min,
+        checkpoints: CheckpointInterval { updates, time: Duration::from_secs(seconds) },
+    })
+}
+
+fn check_policy(
+    policy: &PolicySection,
+    environment: &dyn Environment,
+) -> Result<PolicySpec, ConfigError> {
+    let env = environment.spec();
+    let encoder = check_encoder(policy, environment)?;
+    let (n_layers, fewest) = (policy.hidden.len(), usize::from(encoder == Encoder::Identity));
+    let fits = (fewest..=8).contains(&n_layers);
+    let given = format_args!("{n_layers} layers");
+    ensure(fits, "policy.hidden", given, format_args!("{fewest} to 8"))?;
+    for width in &policy.hidden {
+        within("policy.hidden", *width, 1, MAX_WIDTH)?;
+    }
+    let (initiate, length) = (policy.initiate_bias, policy.length_bias);
+    within("policy.initiate_bias", initiate, -MAX_BIAS, MAX_BIAS)?;
+    within("policy.length_bias", length, -MAX_BIAS, MAX_BIAS)?;
+    env.actions.check().map_err(ConfigError::of)?;
+    Ok(PolicySpec {
+        obs_dim: env.obs_dim,
+        encoder,
+        hidden: policy.hidden.clone(),
+        actions: env.actions.clone(),
+        head_credit: policy.head_credit,
+        logit_bias: notifier::initial_bias(&env.actions, initiate, length),
+        normalize_observations: policy.normalize_observations,
+    })
+}
+
+/// Checks the encoder's widths.
+fn check_encoder(
+    policy: &PolicySection,
+    environment: &dyn Environment,
+) -> Result<Encoder, ConfigError> {
+    let (projection, state) = (policy.lstm_projection, policy.lstm_state);
+    match policy.encoder {
+        EncoderKind::None => Ok(Encoder::Identity),
+        EncoderKind::Lstm => {
+            within("policy.lstm_projection", projection, 0, MAX_WIDTH)?;
+            within("policy.lstm_state", state, 1, MAX_WIDTH / 4)?;
+            Ok(Encoder::Lstm { projection, state })
+        }
+        EncoderKind::Attention => {
+            let (width, heads) = (policy.attention_width, policy.attention_heads);
+            within("policy.attention_width", width, 1, 1_024)?;
+            let fits = heads >= 1 && width.is_multiple_of(heads);
+            let allowed = format_args!("a divisor of {width} (`attention_width`)");
+            ensure(fits, "policy.attention_heads", heads, allowed)?;
+            let given = "\"attention\", but this domain's observation does not consist of entities";
+            let history = environment.entity_history();
+            ensure(history.is_some(), "policy.encoder", given, "\"none\", \"lstm\"")?;
+            let attention = history.map(|history| history.attention(width, heads));
+            Ok(attention.map_or(Encoder::Identity, Encoder::EgoAttention))
+        }
+    }
+}
+
+/// A recurrent policy learns from whole rollouts, so an update cannot be cut finer than these.
+fn check_sequences(policy: &PolicySpec, learner: &LearnerSettings) -> Result<(), ConfigError> {
+    let (n_minibatches, n_envs) = (learner.n_minibatches, learner.n_envs);
+    let fits = policy.recurrent_dim() == 0 || n_minibatches <= n_envs;
+    let allowed = format!(
+        "1 to {n_envs} (`learner.n_envs`), because a recurrent policy learns from whole rollouts"
+    );
+    ensure(fits, "learner.n_minibatches", n_minibatches, allowed)
+}
+
+/// Refuses messages and files that could never be sent or written: a rollout over its limit would be sent, refused and
+/// sent again for ever; a checkpoint over its limit would end the run at its first one.
+fn check_sizes(
+    environment: &mut dyn Environment,
+    policy: &PolicySpec,
+    learner: &LearnerSettings,
+) -> Result<(), ConfigError> {
+    let (n_steps, n_envs) = (learner.n_steps, learner.n_envs);
+    let spec = environment.spec();
+    let rollout = |n_steps| Rollout::max_bytes(spec, policy.recurrent_dim(), n_steps);
+    let (bytes, empty) = (rollout(n_steps), rollout(0));
+    let most = MAX_ROLLOUT_BYTES.saturating_sub(empty) / (rollout(1) - empty);
+    let given = format!("{n_steps}, which makes rollouts of up to {bytes} bytes");
+    let allowed = format!("at most {MAX_ROLLOUT_BYTES} bytes, which is {most} steps of this task");
+    ensure(bytes <= MAX_ROLLOUT_BYTES, "learner.n_steps", given, allowed)?;
+    let weights = parameters::max_bytes(policy);
+    let given = format!("so wide, with the encoder, that weights have up to {weights} bytes");
+    let allowed = format!("at most {MAX_WEIGHTS_BYTES} bytes");
+    ensure(weights <= MAX_WEIGHTS_BYTES, "policy.hidden", given, allowed)?;
+    let snapshot = environment.max_snapshot_bytes() + 4 * policy.recurrent_dim();
+    let (bytes, lag) = (max_payload_bytes(learner, weights, snapshot), learner.lag);
+    let refused = || {
+        ConfigError(format!(
+            "a checkpoint would have up to {bytes} bytes: {weights} for each version of the weights that is kept \
+             (`policy.hidden`, `learner.lag` is {lag}), {snapshot} for each environment (`learner.n_envs` is {n_envs}); \
+             allowed: at most {MAX_PAYLOAD_BYTES} bytes"
+        ))
+    };
+    if bytes <= MAX_PAYLOAD_BYTES { Ok(()) } else { Err(refused()) }
+}

@@ -1,0 +1,295 @@
+//! Texts laid over each other, and where each value of the result was written.
+//!
+//! ```text
+//! base of the base  <-  base  <-  the person's file  <-  --set, --seed, --name, --runs
+//! ```
+//!
+//! The result is one table whose values remember their place: the [`Layer`] and the bytes in it. It is read into typed
+//! structs once, and an error still shows the line of the file, or names the option, that it is about.
+
+use std::ops::Range;
+
+use serde::de::DeserializeOwned;
+use toml::de::{DeTable, DeValue, Deserializer, Error};
+use toml::{Spanned, Table};
+
+use leadtime_proto::text::{escaped, quoted};
+
+use crate::error::{ConfigError, ensure};
+use crate::overrides::Override;
+
+/// Positions of the i-th layer begin at i times this, so that one number says layer and byte.
+const STRIDE: usize = 1 << 40;
+/// How deep tables and lists may be nested; no setting needs more than five levels.
+const MAX_DEPTH: usize = 32;
+/// The one table inside a section that is a section itself: `[evaluation.world]`.
+const SUBSECTION: &str = "world";
+/// The key that names what a file starts from.
+pub(crate) const BASE: &str = "base";
+/// Characters of a line that are shown on each side of an error.
+const SHOWN: usize = 60;
+
+/// One text of a configuration: a file, a part of a study, or an option of the command line.
+#[derive(Clone, Debug)]
+pub struct Layer {
+    place: String,
+    text: String,
+    /// An option is short enough to be named without its line.
+    change: Option<Override>,
+}
+
+impl Layer {
+    /// Makes a layer of a whole text; `place` names it in messages.
+    pub fn text(place: impl Into<String>, text: impl Into<String>) -> Self {
+        Self { place: place.into(), text: text.into(), change: None }
+    }
+
+    /// Makes a layer of a table.
+    pub fn table(place: impl Into<String>, table: &Table) -> Self {
+        Self::text(place, table.to_string())
+    }
+
+    /// Makes a layer of `--set section.key=value`.
+    pub fn set(change: &Override) -> Self {
+        Self::option(format!("--set {}", quoted(&change.key())), change)
+    }
+
+    /// Makes a layer of another option of the command line, which stands for a change of one key.
+    pub fn option(option: impl Into<String>, change: &Override) -> Self {
+        Self { place: option.into(), text: change.to_string(), change: Some(change.clone()) }
+    }
+
+    /// Names it in messages.
+    pub(crate) fn place(&self) -> &str {
+        &self.place
+    }
+
+    /// Returns the text as written.
+    pub(crate) fn as_str(&self) -> &str {
+        &self.text
+    }
+
+    /// Reads the text on its own.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] if it is not TOML.
+    pub(crate) fn parse(&self) -> Result<DeTable<'_>, ConfigError> {
+        let table = DeTable::parse(&self.text);
+        Ok(table.map_err(|error| self.refuse(error.span(), error.message()))?.into_inner())
+    }
+
+    /// Describes an error in this text: for a file with its line and a caret.
+    fn refuse(&self, span: Option<Range<usize>>, message: &str) -> ConfigError {
+        let message = message.lines().map(escaped).collect::<Vec<_>>().join(", ");
+        let text = match span {
+            Some(span) if self.change.is_none() => {
+                format!("TOML parse error at {}{message}", pointed(&self.text, span))
+            }
+            _ => message,
+        };
+        ConfigError(text).at(&self.place)
+    }
+}
+
+/// Shows the line of an error, with a caret below it.
+fn pointed(text: &str, span: Range<usize>) -> String {
+    let start = text.floor_char_boundary(span.start.min(text.len()));
+    let end = text.floor_char_boundary(span.end.clamp(start, text.len()));
+    let begin = text[..start].rfind('\n').map_or(0, |at| at + 1);
+    let line = text[..start].matches('\n').count() + 1;
+    let before: Vec<char> = text[begin..start].chars().collect();
+    let rest = text[start..].lines().next().unwrap_or_default();
+    let column = before.len() + 1;
+    let shown: String = before[before.len().saturating_sub(SHOWN)..].iter().collect();
+    let (shown, rest) = (escaped(&shown), escaped(&rest.chars().take(SHOWN).collect::<String>()));
+    let n_marked = text[start..end].lines().next().unwrap_or_default().chars().count();
+    let (gutter, indent) = (" ".repeat(line.to_string().len()), " ".repeat(shown.chars().count()));
+    let marks = "^".repeat(n_marked.clamp(1, SHOWN));
+    format!(
+        "line {line}, column {column}\n{gutter} |\n{line} | {shown}{rest}\n{gutter} | {indent}{marks}\n"
+    )
+}
+
+/// The result of laying texts over each other.
+#[derive(Debug)]
+pub(crate) struct Layers<'a> {
+    layers: Vec<&'a Layer>,
+    table: DeTable<'a>,
+}
+
+/// A refused value: where it stands and why.
+type Refused = (Range<usize>, String);
+
+impl<'a> Layers<'a> {
+    /// Lays every layer over those before it: sections are merged key by key, everything else is replaced.
+    ///
+    /// Inside a section a table with one key stands for a choice (`{ fixed = 2 }`), so another choice replaces it whole.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] if a text is not TOML, holds a number that no setting can have, or puts a list in place of a
+    /// section.
+    pub(crate) fn merge(layers: &'a mut [Layer]) -> Result<Self, ConfigError> {
+        let mut merged = Self { layers: Vec::new(), table: DeTable::new() };
+        for (i, layer) in layers.iter_mut().enumerate() {
+            if layer.change.as_ref().is_some_and(|change| merged.wants_fraction(change)) {
+                layer.text.push_str(".0");
+            }
+            let layer: &'a Layer = layer;
+            merged.layers.push(layer);
+            let placed = placed_table(layer.parse()?, "", i * STRIDE, 0);
+            let laid = placed.and_then(|table| overlay(&mut merged.table, table, true));
+            laid.map_err(|(span, message)| merged.refuse(Some(span), &message))?;
+        }
+        merged.table.remove(BASE);
+        Ok(merged)
+    }
+
+    /// Tells whether an option writes a whole number where the layers below hold a fraction.
+    fn wants_fraction(&self, change: &Override) -> bool {
+        let below = change.path().split_first().and_then(|(first, rest)| {
+            let first = self.table.get(first.as_str())?.get_ref();
+            rest.iter()
+                .try_fold(first, |at, part| Some(at.as_table()?.get(part.as_str())?.get_ref()))
+        });
+        change.is_whole() && below.is_some_and(DeValue::is_float)
+    }
+
+    /// Returns the merged table.
+    pub(crate) fn root(&self) -> &DeTable<'a> {
+        &self.table
+    }
+
+    /// Lays one part of the result over another.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] if it puts a list in place of a section.
+    pub(crate) fn overlay(
+        &self,
+        base: &mut DeTable<'a>,
+        over: DeTable<'a>,
+    ) -> Result<(), ConfigError> {
+        let laid = overlay(base, over, false);
+        laid.map_err(|(span, message)| self.refuse(Some(span), &message))
+    }
+
+    /// Reads a part of the result into its type.
+    ///
+    /// # Errors
+    ///
+    /// An unknown key or a wrong type, with the place where it was written and what is allowed.
+    pub(crate) fn read<T: DeserializeOwned>(&self, table: DeTable<'a>) -> Result<T, ConfigError> {
+        T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
+            .map_err(|error: Error| self.refuse(error.span(), error.message()))
+    }
+
+    /// Describes an error at a position of the result, in the layer where it was written.
+    pub(crate) fn refuse(&self, span: Option<Range<usize>>, message: &str) -> ConfigError {
+        let Some(span) = span else { return ConfigError::of(message) };
+        let (layer, start) = (span.start / STRIDE, span.start % STRIDE);
+        self.layers[layer].refuse(Some(start..start + span.len()), message)
+    }
+}
+
+/// Reads a value of texts that are laid over each other.
+///
+/// # Errors
+///
+/// [`ConfigError`] with the place of what is unknown or of the wrong type, and what is allowed.
+pub fn read<T: DeserializeOwned>(
+    layers: impl IntoIterator<Item = Layer>,
+) -> Result<T, ConfigError> {
+    let mut layers: Vec<Layer> = layers.into_iter().collect();
+    let layers = Layers::merge(&mut layers)?;
+    layers.read(layers.root().clone())
+}
+
+/// Returns the text of a top-level key, if there is one.
+///
+/// # Errors
+///
+/// [`ConfigError`] if it is not text.
+pub(crate) fn word<'t>(table: &'t DeTable<'_>, key: &str) -> Result<Option<&'t str>, ConfigError> {
+    let Some(value) = table.get(key).map(Spanned::get_ref) else { return Ok(None) };
+    ensure(value.is_str(), key, value.type_str(), "a name in quotes")?;
+    Ok(value.as_str())
+}
+
+fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Result<(), Refused> {
+    for (key, value) in over {
+        let (name, span) = (key.get_ref().clone(), value.span());
+        let is_table = value.get_ref().is_table();
+        match (base.get_mut(name.as_ref()).map(Spanned::get_mut), value.into_inner()) {
+            (Some(DeValue::Table(below)), DeValue::Table(above))
+                if is_root || name == SUBSECTION || !is_other_choice(below, &above) =>
+            {
+                overlay(below, above, false)?;
+            }
+            (Some(DeValue::Table(below)), above) if !is_table && (is_root || above.is_array()) => {
+                let keys: Vec<String> = below.keys().map(ToString::to_string).collect();
+                let kind = above.type_str();
+                let keys = keys.join(", ");
+                return Err((span, format!("`{name}` is a section, not {kind}; its keys: {keys}")));
+            }
+            (_, above) => {
+                base.insert(key, Spanned::new(span, above));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn is_other_choice(below: &DeTable<'_>, above: &DeTable<'_>) -> bool {
+    below.len() == 1 && above.len() == 1 && below.keys().next() != above.keys().next()
+}
+
+/// Moves every position of a table by the layer's, and checks what no type would.
+fn placed_table<'a>(
+    table: DeTable<'a>,
+    path: &str,
+    by: usize,
+    depth: usize,
+) -> Result<DeTable<'a>, Refused> {
+    let entries = table.into_iter().map(|(key, value)| {
+        let (span, name) = (key.span(), key.into_inner());
+        let path = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
+        let value = placed(value, &path, by, depth + 1)?;
+        Ok((Spanned::new(span.start + by..span.end + by, name), value))
+    });
+    entries.collect()
+}
+
+fn placed<'a>(
+    value: Spanned<DeValue<'a>>,
+    path: &str,
+    by: usize,
+    depth: usize,
+) -> Result<Spanned<DeValue<'a>>, Refused> {
+    let span = value.span().start + by..value.span().end + by;
+    let refuse = |given: &str, allowed: &str| {
+        Err((span.clone(), format!("`{}` is {given}; allowed: {allowed}", quoted(path))))
+    };
+    if depth > MAX_DEPTH {
+        return refuse("nested too deeply", &format!("at most {MAX_DEPTH} levels"));
+    }
+    let inner = match value.into_inner() {
+        DeValue::Table(table) => DeValue::Table(placed_table(table, path, by, depth)?),
+        DeValue::Array(values) => DeValue::Array(
+            values
+                .into_iter()
+                .map(|value| placed(value, path, by, depth + 1))
+                .collect::<Result<_, _>>()?,
+        ),
+        // JSON, in which actors get their task, has neither.
+        DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => {
+            return refuse(x.as_str(), "a finite number");
+        }
+        DeValue::Integer(n) if i64::from_str_radix(n.as_str(), n.radix()).is_err() => {
+            return refuse(&quoted(n.as_str()), &format!("whole numbers up to {}", i64::MAX));
+        }
+        other => other,
+    };
+    Ok(Spanned::new(span, inner))
+}

@@ -1,0 +1,39 @@
+//! Configuration: as written, resolved, checked.
+//!
+//! ```text
+//! built-in files  <-  the person's file  <-  --set, --seed, --name, --runs      texts (layers, catalog)
+//!        = one table that remembers where each value was written                resolved (layers)
+//!        = typed sections                                                       read once (written, sections)
+//!        = Config: complete, in range, consistent; also as the table that a run writes beside its results
+//! ```
+//!
+//! Defaults live in the built-in TOML files and nowhere else: no typed section has a default. A variant, such as
+//! `paper_highway`, names its `base` and writes only what differs; so may a person's own file.
+//!
+//! # What it does not know
+//!
+//! The command line, files, the clock, how to print: it takes texts and gives values.
+//!
+//! # Where to start
+//!
+//! [`Config::load`]; what identifies a run: [`identity`].
+
+mod catalog;
+mod checked;
+mod edit;
+mod error;
+pub mod identity;
+mod layers;
+mod overrides;
+mod sections;
+mod written;
+
+pub use catalog::Catalog;
+pub use checked::{Config, ConfigSource, EvaluationSettings, MAX_EPISODES, RunSettings};
+pub use error::ConfigError;
+pub use layers::{Layer, read};
+pub use overrides::{Alternatives, Override};
+pub use written::EvaluationAction;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,155 @@
+//! Changes of single keys, as the command line gives them: `--set section.key=value`.
+
+use std::fmt;
+
+use leadtime_proto::text::quoted;
+use toml::Value;
+use toml::de::DeValue;
+
+/// The most parts of a key.
+const MAX_PARTS: usize = 16;
+
+/// One `--set section.key=value`.
+#[derive(Clone, Debug)]
+pub struct Override {
+    path: Vec<String>,
+    value: Value,
+}
+
+impl Override {
+    /// Makes a change of one key.
+    pub fn new(key: &str, value: impl Into<Value>) -> Self {
+        Self { path: key.split('.').map(str::to_owned).collect(), value: value.into() }
+    }
+
+    /// Reads `section.key=value`; the value is TOML, or text if it is not TOML.
+    ///
+    /// # Errors
+    ///
+    /// If there is no `=` or no key in front of it, if the key has too many parts, or if a whole number is beyond what
+    /// TOML can hold.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let shown = quoted(text);
+        let (key, value) = text
+            .split_once('=')
+            .ok_or_else(|| format!("`{shown}` is not of the form section.key=value"))?;
+        let n_parts = key.split('.').count();
+        if n_parts > MAX_PARTS {
+            return Err(format!("the key has {n_parts} parts; allowed: at most {MAX_PARTS}"));
+        }
+        let path: Vec<String> = key.trim().split('.').map(str::to_owned).collect();
+        if path.iter().any(String::is_empty) {
+            return Err(format!("`{}` is not a key: write section.key=value", quoted(key)));
+        }
+        let value = value.trim();
+        let value = match (value.parse(), DeValue::parse(value)) {
+            (Ok(value), _) => value,
+            (Err(_), Err(_)) => Value::String(value.to_owned()),
+            (Err(_), Ok(_)) => {
+                let (key, value) = (quoted(key), quoted(value));
+                return Err(format!(
+                    "`{key}` is {value}; allowed: whole numbers up to {}",
+                    i64::MAX
+                ));
+            }
+        };
+        Ok(Self { path, value })
+    }
+
+    /// Returns the key as written: `learner.clip`.
+    pub fn key(&self) -> String {
+        self.path.join(".")
+    }
+
+    /// Returns the parts of the key.
+    pub fn path(&self) -> &[String] {
+        &self.path
+    }
+
+    /// Tells whether the value is a whole number.
+    pub(crate) fn is_whole(&self) -> bool {
+        self.value.is_integer()
+    }
+}
+
+/// The change as a line of TOML.
+impl fmt::Display for Override {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let is_bare = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-';
+        for (i, part) in self.path.iter().enumerate() {
+            let dot = if i == 0 { "" } else { "." };
+            if part.bytes().all(is_bare) {
+                write!(f, "{dot}{part}")?;
+            } else {
+                write!(f, "{dot}{}", Value::from(part.as_str()))?;
+            }
+        }
+        write!(f, " = {}", self.value)
+    }
+}
+
+/// One `--each section.key=[values]`: a change per value.
+#[derive(Clone, Debug)]
+pub struct Alternatives(Vec<Override>);
+
+impl Alternatives {
+    /// Reads `section.key=[value, ...]`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Override::parse`], and if the value is not a list, or an empty one.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let Override { path, value } = Override::parse(text)?;
+        match value {
+            Value::Array(values) if !values.is_empty() => {
+                let change = |value| Override { path: path.clone(), value };
+                Ok(Self(values.into_iter().map(change).collect()))
+            }
+            _ => Err(format!("`{}` is not of the form section.key=[value, ...]", quoted(text))),
+        }
+    }
+
+    /// Returns the changes, in order.
+    pub fn overrides(&self) -> &[Override] {
+        &self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_override_reads_toml_and_plain_words() {
+        for (text, line) in [
+            ("learner.clip=1", "learner.clip = 1"),
+            ("learner.mode=sync", "learner.mode = \"sync\""),
+            ("world.wind = true", "world.wind = true"),
+            ("a.b c=x", "a.\"b c\" = \"x\""),
+            ("a=1\nb=2", "a = \"\"\"\n1\nb=2\"\"\""),
+        ] {
+            assert_eq!(Override::parse(text).unwrap().to_string(), line);
+        }
+        for text in ["clip", ".clip=1", "learner..clip=1", "seed=9223372036854775808"] {
+            assert!(Override::parse(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_key_of_sixty_thousand_parts_is_refused_in_one_line() {
+        let error = Override::parse(&format!("{}=1", vec!["a"; 60_000].join("."))).unwrap_err();
+        assert_eq!(error, "the key has 60000 parts; allowed: at most 16");
+        let error = Override::parse(&"a".repeat(1_000_000)).unwrap_err();
+        assert!(error.len() < 250, "{error}");
+    }
+
+    #[test]
+    fn alternatives_are_an_override_each() {
+        let each = Alternatives::parse("human.delay=[{fixed=0}, {fixed=2}]").unwrap();
+        let texts: Vec<String> = each.overrides().iter().map(ToString::to_string).collect();
+        assert_eq!(texts, ["human.delay = { fixed = 0 }", "human.delay = { fixed = 2 }"]);
+        for text in ["human.delay=3", "human.delay=[]", "human.delay"] {
+            assert!(Alternatives::parse(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! The sections about the task: which a domain has, and of which types.
+
+use leadtime_proto::TaskSpec;
+use leadtime_sims::classic::{CartPoleSettings, CueRecallSettings};
+use leadtime_sims::human::HumanSettings;
+use leadtime_sims::lander::PilotTaskSettings;
+use leadtime_sims::notifier::NotifierSettings;
+use leadtime_sims::registry::WorldOnly;
+use leadtime_sims::{cooking, driving, piloting};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use toml::Table;
+use toml::de::{DeTable, DeValue};
+
+use crate::error::ConfigError;
+use crate::layers::Layers;
+
+/// The sections that differ from domain to domain.
+pub(crate) const SECTIONS: [&str; 3] = ["world", "human", "notifier"];
+
+/// A task as configured.
+#[derive(Debug)]
+pub(crate) struct Task {
+    /// Its sections, complete.
+    pub(crate) table: Table,
+    /// The same as actors get them.
+    pub(crate) spec: TaskSpec,
+}
+
+/// The sections of a notifier problem.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NotifierSections<W> {
+    world: W,
+    human: HumanSettings,
+    notifier: NotifierSettings,
+}
+
+/// Takes a task's sections out of a merged configuration.
+pub(crate) fn take<'a>(root: &mut DeTable<'a>) -> DeTable<'a> {
+    let entries = SECTIONS.iter().filter_map(|name| root.remove_entry(*name));
+    // A domain without people has no such section, and its builder does not want to see one.
+    let is_empty = |value: &DeValue<'_>| value.as_table().is_some_and(DeTable::is_empty);
+    entries
+        .filter(|(name, value)| name.get_ref() == "world" || !is_empty(value.get_ref()))
+        .collect()
+}
+
+/// Reads a task's sections into the types of its domain, and writes them down complete.
+///
+/// # Errors
+///
+/// An unknown key or a wrong type, with its place.
+pub(crate) fn read<'a>(
+    domain: &str,
+    layers: &Layers<'a>,
+    sections: DeTable<'a>,
+) -> Result<Task, ConfigError> {
+    match domain {
+        "lander" => typed::<NotifierSections<piloting::WorldSettings>>(domain, layers, sections),
+        "highway" => typed::<NotifierSections<driving::WorldSettings>>(domain, layers, sections),
+        "steakhouse" => typed::<NotifierSections<cooking::WorldSettings>>(domain, layers, sections),
+        "pilot" => typed::<WorldOnly<PilotTaskSettings>>(domain, layers, sections),
+        "cartpole" => typed::<WorldOnly<CartPoleSettings>>(domain, layers, sections),
+        "cue_recall" => typed::<WorldOnly<CueRecallSettings>>(domain, layers, sections),
+        // A domain of the user's own checks its sections itself.
+        _ => typed::<Table>(domain, layers, sections),
+    }
+}
+
+fn typed<'a, S: Serialize + DeserializeOwned>(
+    domain: &str,
+    layers: &Layers<'a>,
+    sections: DeTable<'a>,
+) -> Result<Task, ConfigError> {
+    let sections: S = layers.read(sections)?;
+    let json = serde_json::to_value(&sections).map_err(ConfigError::of)?;
+    let table = Table::try_from(&sections).map_err(ConfigError::of)?;
+    let spec = TaskSpec { domain: domain.to_owned(), settings: json.to_string() };
+    Ok(Task { table, spec })
+}

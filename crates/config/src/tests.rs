@@ -1,0 +1,355 @@
+use std::path::PathBuf;
+
+use leadtime_learner::{LearnerSettings, Truncation};
+use leadtime_proto::TaskSpec;
+use leadtime_sims::registry::Registry;
+use toml::Table;
+
+use super::{Catalog, Config, ConfigError, ConfigSource, Layer, Override, identity};
+
+fn load(text: &str, set: &[&str], catalog: &Catalog) -> Result<Config, ConfigError> {
+    let source = ConfigSource {
+        file: Some(Layer::text("configuration my.toml", text)),
+        set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
+        ..ConfigSource::default()
+    };
+    Config::load(&source, catalog, &Registry::builtin())
+}
+
+fn check(text: &str) -> Result<Config, ConfigError> {
+    load(text, &[], &Catalog::built_in())
+}
+
+/// The error as the program prints it.
+fn refused(text: &str) -> String {
+    check(text).expect_err("the configuration is refused").to_string()
+}
+
+fn refused_set(text: &str) -> String {
+    load("", &[text], &Catalog::built_in()).expect_err("the change is refused").to_string()
+}
+
+/// The built-in configurations as `leadtime config NAME` prints them.
+fn printed() -> Vec<(String, String)> {
+    let catalog = Catalog::built_in();
+    let text = |name: &str| (name.to_owned(), catalog.text(name).unwrap().unwrap());
+    catalog.names().map(text).collect()
+}
+
+#[test]
+fn every_built_in_configuration_is_sound_and_is_printed_complete() {
+    for (name, text) in printed() {
+        let of_name =
+            check(&format!("base = \"{name}\"")).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let written: Table = text.parse().unwrap_or_else(|error| panic!("{name}: {error}\n{text}"));
+        let (written, resolved) = (identity::flatten(&written), identity::flatten(&of_name.table));
+        assert_eq!(written, resolved, "{name}");
+        assert_eq!(check(&text).unwrap().table, of_name.table, "{name} read again");
+    }
+}
+
+#[test]
+fn every_key_of_every_built_in_configuration_has_a_comment() {
+    for (name, text) in printed() {
+        let mut before = "";
+        for line in text.lines() {
+            let is_key = line.split_once(" = ").is_some_and(|(key, _)| {
+                key.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_')
+            });
+            let explained = before.starts_with("# ") || before == "[evaluation.world]";
+            assert!(!is_key || explained, "{name}: `{line}` has no comment");
+            before = line;
+        }
+        let (before, _) = text.split_once("\ntotal_steps = ").unwrap();
+        let comment: Vec<&str> = before.lines().rev().take_while(|l| l.starts_with('#')).collect();
+        assert!(comment.iter().any(|line| line.contains("anneal = true")), "{name}: total_steps");
+    }
+}
+
+/// The first four bytes of every run identity, as computed before variants became differences to a base: runs that were
+/// begun then must still be found.
+#[test]
+fn run_identities_stay() {
+    let identities = printed().into_iter().map(|(name, _)| {
+        let table = check(&format!("base = \"{name}\"")).unwrap().table;
+        let [a, b, c, d, ..] = identity::of_run(&table);
+        (name, u32::from_be_bytes([a, b, c, d]))
+    });
+    let expected = [
+        ("cartpole", 0),
+        ("cue_recall", 0),
+        ("highway", 0),
+        ("lander", 0),
+        ("lander_hard", 0),
+        ("paper_highway", 0),
+        ("paper_lander", 0),
+        ("paper_lander_hard", 0),
+        ("pilot", 0),
+        ("steakhouse", 0),
+        ("steakhouse_timing", 0),
+    ];
+    let expected = expected.map(|(name, identity)| (name.to_owned(), identity));
+    assert_eq!(identities.collect::<Vec<_>>(), expected);
+}
+
+#[test]
+fn the_learners_own_defaults_are_those_of_cartpole() {
+    let config = check("domain = \"cartpole\"").unwrap();
+    let own = LearnerSettings { truncation: Truncation::Cleanrl, ..LearnerSettings::default() };
+    assert_eq!(config.learner, own);
+}
+
+#[test]
+fn a_person_needs_to_write_only_what_differs() {
+    let config = check("domain = \"cartpole\"\n[learner]\nn_envs = 8").unwrap();
+    assert_eq!((config.learner.n_envs, config.learner.n_steps), (8, 128));
+    let lander = check("").unwrap();
+    assert_eq!(lander.domain.as_str(), "lander");
+    assert!(lander.env.actions.gate.is_some());
+    assert_eq!(lander.policy.logit_bias.iter().filter(|bias| **bias != 0.0).count(), 1);
+    let hard = check("base = \"paper_lander_hard\"\nhuman.reaction_delay = { fixed = 4 }").unwrap();
+    assert_eq!((hard.domain.as_str(), hard.learner.gamma), ("lander", 0.999));
+    assert!(hard.task.settings.contains("\"reaction_delay\":{\"fixed\":4}"), "{hard:?}");
+    assert!(!hard.table.contains_key("base"));
+    for (text, part) in [
+        ("base = \"paper\"", "`base` is \"paper\"; allowed: cartpole, cue_recall"),
+        ("domain = \"moon\"", "`domain` is \"moon\"; allowed: cartpole"),
+        ("base = 3", "`base` is integer; allowed: a name in quotes"),
+        ("base = \"highway\"\ndomain = \"lander\"", "`domain` is \"lander\"; allowed: \"highway\""),
+    ] {
+        assert!(refused(text).contains(part), "{part}: {}", refused(text));
+    }
+}
+
+#[test]
+fn another_choice_replaces_the_old_one() {
+    let delay = |text: &str, set: &[&str]| {
+        let config = load(text, set, &Catalog::built_in()).unwrap();
+        config.table["human"]["reaction_delay"].to_string()
+    };
+    let uniform = "human.reaction_delay.uniform = { low = 1, high = 3, drawn = \"per_episode\" }";
+    let all = "{ uniform = { drawn = \"per_episode\", high = 3, low = 1 } }";
+    assert_eq!(delay(uniform, &[]), all);
+    assert_eq!(delay(uniform, &["human.reaction_delay.fixed=3"]), "{ fixed = 3 }");
+    assert_eq!(delay("", &["human.reaction_delay={fixed=4}"]), "{ fixed = 4 }");
+}
+
+#[test]
+fn an_untrained_notifier_is_quiet_and_brief_as_asked() {
+    let biases = |text: &str| check(text).unwrap().policy.logit_bias;
+    let brief =
+        "[policy]\ninitiate_bias = -3.0\nlength_bias = -1.0\n[notifier]\nwords = [2, 3, 4]\n";
+    let (n_topics, lengths) = (4, [0.0, -1.0, -2.0]);
+    let quiet = [vec![0.0, -3.0], vec![0.0; n_topics]].concat();
+    let both = biases(&format!("{brief}notification = \"incrementally_actionable\""));
+    assert_eq!(both, [&quiet[..], &lengths, &lengths].concat());
+    let complete = biases(&format!("{brief}notification = \"complete_utterance\""));
+    assert_eq!(complete, [&quiet[..], &lengths].concat());
+    assert_eq!(biases(&format!("{brief}notification = \"topic_only\"")), quiet);
+    assert!(biases("domain = \"cartpole\"\n[policy]\nlength_bias = -1.0").is_empty());
+}
+
+#[test]
+fn a_typo_is_reported_with_its_line_and_what_is_allowed() {
+    let text = refused("domain = \"cartpole\"\n\n[learner]\nn_env = 8");
+    let expected = "configuration my.toml: TOML parse error at line 4, column 1\n  |\n4 | n_env = 8\n  | ^^^^^\n\
+                    unknown field `n_env`, expected one of `n_envs`";
+    assert!(text.starts_with(expected), "{text}");
+    for (text, parts) in [
+        ("[human]\nrepeat = \"often\"", ["line 2", "restart"]),
+        ("[learner]\nclip = \"much\"", ["line 2", "invalid type: string \"much\", expected f64"]),
+        ("domain = \"cartpole\"\n[human]\ncan_stop = true", ["line 2", "unknown field `human`"]),
+        ("\nlearning_rate = 1.0", ["line 2", "did you mean `learner.learning_rate`?"]),
+        ("[evaluation.world]\n\nwnd = true", ["line 3", "unknown field `wnd`"]),
+        ("[[[[", ["line 1", "[[[["]),
+    ] {
+        let refused = refused(text);
+        assert!(parts.iter().all(|part| refused.contains(part)), "{parts:?}: {refused}");
+    }
+}
+
+#[test]
+fn an_option_is_reported_by_its_name() {
+    for (set, parts) in [
+        ("learner.clipp=1", ["--set learner.clipp: ", "`clip`"]),
+        ("learning_rate=1", ["--set learning_rate: ", "did you mean `learner.learning_rate`?"]),
+        ("learner=[]", ["--set learner: `learner` is a section, not array", "clip"]),
+        ("learner=3", ["--set learner: `learner` is a section, not integer", "clip"]),
+        ("human.reaction_delay=[]", ["`reaction_delay` is a section, not array", "fixed"]),
+        ("world.landing_reward=nan", ["`world.landing_reward` is nan", "a finite number"]),
+    ] {
+        let refused = refused_set(set);
+        assert!(parts.iter().all(|part| refused.contains(part)), "{parts:?}: {refused}");
+    }
+}
+
+#[test]
+fn a_number_that_no_setting_can_have_is_reported_by_key_and_line_wherever_it_hides() {
+    for (text, parts) in [
+        ("seed = 1\n[learner]\nclip = nan", ["line 3", "`learner.clip` is nan; allowed: a finite"]),
+        ("[world]\nzone_jitter = [1.0, -inf]", ["line 2", "`world.zone_jitter` is -inf; allowed"]),
+        ("[world]\n\nzones = [{ x0 = inf }]", ["line 3", "`world.zones.x0` is inf; allowed"]),
+        (
+            "seed = 9223372036854775808",
+            ["line 1", "allowed: whole numbers up to 922337203685477580"],
+        ),
+    ] {
+        let refused = refused(text);
+        assert!(parts.iter().all(|part| refused.contains(part)), "{parts:?}: {refused}");
+    }
+}
+
+#[test]
+fn impossible_values_are_reported_by_key() {
+    for (text, key) in [
+        ("[learner]\nclip = -1.0", "learner.clip"),
+        ("[actor]\nwindow = 0", "actor.window"),
+        ("[policy]\nhidden = []", "policy.hidden"),
+        ("[policy]\nhidden = [4096, 4096]", "policy.hidden"),
+        ("[policy]\nlength_bias = -51.0", "policy.length_bias"),
+        ("[policy]\ninitiate_bias = 1e39", "policy.initiate_bias"),
+        ("[policy]\nencoder = \"lstm\"\nlstm_state = 0", "policy.lstm_state"),
+        ("[policy]\nencoder = \"attention\"", "does not consist of entities"),
+        (
+            "domain = \"highway\"\n[policy]\nencoder = \"attention\"\nattention_heads = 3",
+            "policy.attention_heads",
+        ),
+        (
+            "[policy]\nencoder = \"lstm\"\n[learner]\nn_envs = 4\nn_minibatches = 8",
+            "learner.n_minibatches",
+        ),
+        ("[learner]\nn_steps = 65536", "learner.n_steps"),
+        ("[learner]\nn_envs = 20000", "learner.n_envs"),
+        ("[run]\nactors_min = 0", "run.actors_min"),
+        ("[run]\nname = \"A\"", "run.name"),
+        ("[evaluation]\nepisodes = 0", "evaluation.episodes"),
+        ("[evaluation.world]\nmax_steps = 0", "evaluation.world"),
+        ("[world]\nzones = [{ x0 = 1.0, x1 = 0.0, y0 = 0.0, y1 = 1.0 }]", "world.zones"),
+        ("[notifier]\nwords = [5, 2]", "notifier.words"),
+    ] {
+        let refused = refused(text);
+        assert!(refused.contains(key), "{key}: {refused}");
+    }
+}
+
+#[test]
+fn fewer_steps_than_one_update_are_noticed() {
+    assert!(check("").unwrap().notices().is_empty());
+    let notices = check("domain = \"cartpole\"\nlearner.total_steps = 1").unwrap().notices();
+    assert_eq!(notices, ["`learner.total_steps` is 1; rounded up to 512, one update"]);
+}
+
+#[test]
+fn the_command_line_has_the_last_word() {
+    let set = |text: &str| Override::parse(text).unwrap();
+    let catalog = Catalog::built_in();
+    let source = ConfigSource {
+        file: catalog.file(Some("cartpole")),
+        set: vec![set("learner.learning_rate=1"), set("world.max_steps=200")],
+        seed: Some(7),
+        runs: Some("elsewhere".into()),
+        name: Some("mine".to_owned()),
+    };
+    let config = Config::load(&source, &catalog, &Registry::builtin()).unwrap();
+    assert_eq!(config.learner.learning_rate, 1.0);
+    assert_eq!(config.table["learner"]["learning_rate"].to_string(), "1.0");
+    assert_eq!(config.task.settings, r#"{"world":{"max_steps":200}}"#);
+    assert_eq!((config.seed, config.run.directory), (7, PathBuf::from("elsewhere")));
+    assert_eq!(config.run.name.unwrap().as_str(), "mine");
+    let seed = ConfigSource { seed: Some(1 << 63), ..source };
+    let error = Config::load(&seed, &catalog, &Registry::builtin()).unwrap_err();
+    assert!(
+        error.to_string().contains("`--seed` is 9223372036854775808; allowed: 0 to"),
+        "{error}"
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn a_directory_of_runs_need_not_be_text() {
+    use std::os::unix::ffi::OsStrExt as _;
+    let directory = PathBuf::from(std::ffi::OsStr::from_bytes(b"r\xff"));
+    let source = ConfigSource { runs: Some(directory.clone()), ..ConfigSource::default() };
+    let registry = Registry::builtin();
+    let config = Config::load(&source, &Catalog::built_in(), &registry).unwrap();
+    assert_eq!(config.run.directory, directory);
+    let changed = config.with([Layer::text("", "seed = 2")], &registry).unwrap();
+    assert_eq!((changed.seed, changed.run.directory), (2, directory));
+}
+
+#[test]
+fn evaluation_may_differ_from_training() {
+    let config = check("").unwrap();
+    assert!(config.task.settings.contains("\"zone_ends_episode\":true"));
+    assert!(config.evaluation.task.settings.contains("\"zone_ends_episode\":false"));
+    let same = check("domain = \"cartpole\"").unwrap();
+    assert_eq!(same.evaluation.task, same.task);
+}
+
+#[test]
+fn a_stored_configuration_may_lack_what_came_later() {
+    let mut table = check("").unwrap().table;
+    for key in ["length_bias", "attention_width", "attention_heads"] {
+        table["policy"].as_table_mut().unwrap().remove(key).unwrap();
+    }
+    let stored = |set: &[Override]| {
+        Config::stored("the policy", &table.to_string(), set, &Registry::builtin()).unwrap()
+    };
+    assert_eq!(stored(&[]).table, check("").unwrap().table);
+    let slower = stored(&[Override::parse("human.reaction_delay.fixed=5").unwrap()]);
+    assert!(slower.task.settings.contains("\"reaction_delay\":{\"fixed\":5}"));
+}
+
+#[test]
+fn a_domain_of_ones_own_starts_from_general_defaults() {
+    let mut catalog = Catalog::built_in();
+    let text = "# Mine.\ndomain = \"mine\"\n\n[world]\n# Metres.\nwidth = 3\nx = 1.5\n\n\
+                # The person.\n[human]\npatience = 2\n\n[learner]\nn_envs = 2\n";
+    catalog.add("mine", text);
+    let printed = catalog.text("mine").unwrap().unwrap();
+    for part in
+        ["# Mine.\n", "[world]\n# Metres.\nwidth = 3", "\n# The person.\n[human]", "n_envs = 2"]
+    {
+        assert!(printed.contains(part), "{part}: {printed}");
+    }
+    let registry = Registry::builtin().with("mine", |settings| {
+        let expected = r#"{"human":{"patience":2},"world":{"height":4,"width":3,"x":2.0}}"#;
+        assert_eq!(settings, expected);
+        let settings = String::from("{}");
+        Registry::builtin().build(&TaskSpec { domain: "cartpole".to_owned(), settings })
+    });
+    let load = |text: &str, set: &str| {
+        let file = Some(Layer::text("mine.toml", text));
+        let set = vec![Override::parse(set).unwrap()];
+        let source = ConfigSource { file, set, ..ConfigSource::default() };
+        Config::load(&source, &catalog, &registry).unwrap()
+    };
+    let config = load("domain = \"mine\"\n[world]\nheight = 4", "world.x=2");
+    assert_eq!((config.learner.n_envs, config.policy.hidden.len()), (2, 2));
+    assert_eq!(load(&printed, "world.height=4").table["world"]["width"].as_integer(), Some(3));
+}
+
+#[test]
+fn endless_and_hostile_texts_are_refused_in_a_few_lines() {
+    let deep_key = vec!["a"; 60_000].join(".");
+    let inline = format!("{}1{}", "a={".repeat(70), "}".repeat(70));
+    let both = format!("{k}={{{k}={{{k}={{{k}=1}}}}}}", k = vec!["a"; 79].join("."));
+    for text in [
+        "[".repeat(1_000_000),
+        format!("seed = {}", "[".repeat(100_000)),
+        format!("{deep_key} = 1"),
+        format!("[{deep_key}]\nb = 1"),
+        inline,
+        both,
+        format!("{} = 1", "x".repeat(1_000_000)),
+        "\"\\u001b[31m\" = 1".to_owned(),
+        "[learner]\nn_envs = \"\\u001b[31m\"".to_owned(),
+        "# \u{1b}[31m\nseed = x".to_owned(),
+        format!("seed = {}", "9".repeat(1_000_000)),
+        format!("[learner]\nmode = \"{}\"", "x".repeat(1_000_000)),
+    ] {
+        let refused = refused(&text);
+        assert!(refused.len() < 2_000, "{} bytes", refused.len());
+        assert!(!refused.contains('\u{1b}'), "{refused:?}");
+    }
+}
