@@ -6,7 +6,11 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use leadtime_config::{Alternatives, EvaluationAction, MAX_EPISODES, Override};
+use leadtime_config::{
+    Alternatives, Config, ConfigSource, EvaluationAction, MAX_EPISODES, Override,
+};
+use leadtime_runs::Tasks;
+use leadtime_runs::tasks::ConfigureError;
 
 use crate::exit::EXIT_CODE_HELP;
 
@@ -32,40 +36,40 @@ pub struct Cli {
 }
 
 const EXAMPLES: &str = "Examples:\n  \
-    leadtime smoke                                         everything once, in minutes\n  \
-    leadtime up -c cartpole --actors 2                     learner and actors right here\n  \
-    leadtime learner -c my.toml --listen tcp/0.0.0.0:7447  a learner for actors anywhere\n  \
+    leadtime smoke                                         train, evaluate and draw once, in minutes\n  \
+    leadtime up -c cartpole --actors 2                     a learner and actors on this machine\n  \
+    leadtime learner -c my.toml --listen tcp/0.0.0.0:7447  a learner that actors elsewhere can join\n  \
     leadtime actor --connect tcp/HOST:7447                 one more actor, at any time\n  \
-    leadtime play runs/NAME -o flight.png                  a picture of what it learned\n  \
+    leadtime play runs/NAME -o episode.png                 a picture of what it learned\n  \
     leadtime config lander > my.toml                       every setting, explained\n  \
     leadtime compare table1                                the paper's main table, ours beside it";
 
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Train, judge and draw once, end to end, and check that it learned.
+    /// Train, evaluate and draw once, end to end, and check that it learned.
     Smoke(SmokeArgs),
     /// Run a learner and actors on this machine, supervised.
     Up(UpArgs),
-    /// Own a run: assign environments, receive rollouts, train, offer weights.
+    /// Run a learner: assign environments, collect rollouts, train, publish weights.
     Learner(LearnerArgs),
-    /// Step environments for a learner; join and leave at any time.
+    /// Run an actor: step environments for a learner; it may join and leave at any time.
     Actor(ActorArgs),
-    /// Judge a policy over many episodes, with 95 % intervals.
+    /// Evaluate a policy over many episodes, with 95 % intervals.
     Eval(EvalArgs),
-    /// Tell how well a notifier knows its listener's reaction delay, from what goes on in its network.
+    /// Probe a policy: how well can the reaction delay be decoded from its activations?
     Probe(ProbeArgs),
     /// Draw one episode of a policy as PNG, SVG, GIF or HTML.
     Play(PlayArgs),
-    /// Make the paper's tables: train what is missing, judge every notifier on every person, write tables and figures.
+    /// Reproduce the paper's tables: train missing runs, evaluate every policy on every listener, write tables and figures.
     Compare(CompareArgs),
-    /// Judge a pilot of the lander.
+    /// Evaluate a pilot of the lander.
     Pilot {
-        /// What to do with it.
+        /// The pilot's command.
         #[command(subcommand)]
         command: PilotCommand,
     },
-    /// Make, look at and check the sentences that a notifier's messages are spoken in.
+    /// Build, show and check the sentences that a notifier's messages are spoken in.
     Taxonomy {
         /// What to do with them.
         #[command(subcommand)]
@@ -80,9 +84,9 @@ pub enum Command {
     Config(ConfigArgs),
     /// List runs, or compare their configurations and results.
     Runs(RunsArgs),
-    /// Check a configuration, this machine, and (with --connect) the way to a learner.
+    /// Check a configuration, this machine and, with --connect, the connection to a learner.
     Check(CheckArgs),
-    /// Print shell completions, to be sourced or put where the shell looks for them.
+    /// Print shell completions.
     Completions {
         /// The shell.
         shell: clap_complete::Shell,
@@ -96,7 +100,7 @@ pub struct SourceArgs {
     /// from its `base = "NAME"`.
     #[arg(short, long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Change one key: `--set learner.learning_rate=1e-4`; may be given again.
+    /// Change one key: `--set learner.learning_rate=1e-4`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
     /// Seed of every random stream (as `--set seed=N`).
@@ -107,25 +111,38 @@ pub struct SourceArgs {
     pub runs: Option<PathBuf>,
 }
 
+impl SourceArgs {
+    /// Loads the configuration.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigureError`] if there is no such file or configuration, or if it is refused.
+    pub fn load(&self, tasks: &Tasks, name: Option<&str>) -> Result<Config, ConfigureError> {
+        let Self { config, set, seed, runs } = self.clone();
+        let source = ConfigSource { file: None, set, seed, runs, name: name.map(str::to_owned) };
+        tasks.configure(config.as_deref(), source)
+    }
+}
+
 /// Which run to work on.
 #[derive(Clone, Debug, Default, Args)]
 pub struct RunChoice {
-    /// Name of the run (as `--set run.name=NAME`); without one, an unfinished run of the same configuration is taken
-    /// up again, or a new one begins.
+    /// Name of the run (as `--set run.name=NAME`); without one, an unfinished run of the same configuration is resumed,
+    /// or a new one begins.
     #[arg(long)]
     pub name: Option<String>,
-    /// Start a new run from the weights of this one (a name or a directory).
+    /// Start a new run from the weights of this one (a name, a directory or a policy file).
     #[arg(long, value_name = "RUN")]
-    pub fork: Option<String>,
-    /// Stop with a checkpoint after this many updates in all; the run can be taken up again.
+    pub fork: Option<PathBuf>,
+    /// Stop with a checkpoint once the run has made this many updates; it can be resumed.
     #[arg(long, value_name = "UPDATES")]
     pub stop_after: Option<u64>,
 }
 
 /// `leadtime smoke`
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct SmokeArgs {
-    /// Check the mechanics only, in about half a minute: no claim about what is learned.
+    /// Check the mechanics only, in seconds; says nothing about what is learned.
     #[arg(long)]
     pub quick: bool,
     /// What to train on.
@@ -134,7 +151,7 @@ pub struct SmokeArgs {
     /// Actor processes.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=256))]
     pub actors: u32,
-    /// Episodes per judged policy (default: 200, with --quick 10).
+    /// Episodes per evaluated policy (default: the configuration's; 10 with --quick).
     #[arg(long, value_parser = n_episodes())]
     pub episodes: Option<u32>,
     /// Print the results as JSON.
@@ -185,7 +202,7 @@ pub struct LearnerArgs {
 /// `leadtime actor`
 #[derive(Debug, Args)]
 pub struct ActorArgs {
-    /// Where the learner (or a router) is: `tcp/HOST:7447`.
+    /// Address of the learner (or of a router): `tcp/HOST:7447`.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub connect: Vec<String>,
     /// The run, where several share the address.
@@ -194,7 +211,7 @@ pub struct ActorArgs {
     /// Name of this actor (default: host and process id).
     #[arg(long)]
     pub id: Option<String>,
-    /// How long to look for a learner, at the start and after losing one.
+    /// How long to look for a learner, at the start and after losing it.
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = duration)]
     pub connect_timeout: Duration,
     /// Stop when standard input closes: whoever started this process holds the other end.
@@ -206,32 +223,32 @@ pub struct ActorArgs {
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// A policy file, a run directory or the name of a run.
-    pub policy: String,
+    pub policy: PathBuf,
     /// Episodes per policy (default: the configuration's; 1 with --transcript).
     #[arg(long, value_parser = n_episodes())]
     pub episodes: Option<u32>,
-    /// Print the episodes as a person would hear them, word by word, instead of judging them.
+    /// Print the episodes as the listener hears them, word by word, instead of evaluating them.
     #[arg(long, conflicts_with = "json")]
     pub transcript: bool,
     /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE", requires = "transcript")]
     pub words: Option<String>,
-    /// Seed of the evaluation's random streams; another than in training.
+    /// Seed of the evaluation's random streams; not the one of training.
     #[arg(long, default_value_t = 1_000_000)]
     pub eval_seed: u64,
     /// How the policy chooses (default: the configuration's).
     #[arg(long, value_parser = action())]
     pub action: Option<EvaluationAction>,
-    /// Also judge this scripted policy, such as `unaided` or `heuristic`; may be given again.
+    /// Also evaluate this scripted policy, such as `unaided` or `heuristic`; repeatable.
     #[arg(long, value_name = "NAME")]
     pub baseline: Vec<String>,
-    /// Also compare the policy with the others in this measure, such as `steps_to_deliver`; may be given again.
+    /// Also compare the policy with the others in this measure, such as `steps_to_deliver`; repeatable.
     #[arg(long, value_name = "NAME", conflicts_with = "transcript")]
     pub measure: Vec<String>,
-    /// Change one key of the task: `--set human.reaction_delay={fixed=3}`; may be given again.
+    /// Change one key of the task: `--set human.reaction_delay={fixed=3}`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
-    /// Judge once with each of these values: `--each 'human.reaction_delay=[{fixed=0}, {fixed=2}]'`.
+    /// Evaluate once with each of these values: `--each 'human.reaction_delay=[{fixed=0}, {fixed=2}]'`.
     #[arg(long, value_name = "KEY=[VALUES]", value_parser = Alternatives::parse)]
     #[arg(conflicts_with = "transcript")]
     pub each: Option<Alternatives>,
@@ -248,11 +265,11 @@ pub struct EvalArgs {
 pub struct PlayArgs {
     /// A policy file, a run directory or the name of a run.
     #[arg(required_unless_present = "demonstration")]
-    pub policy: Option<String>,
+    pub policy: Option<PathBuf>,
     /// Draw the paper's cooking demonstration instead: "Go down, all stations occupied", word by word.
     #[arg(long, conflicts_with_all = ["policy", "words", "baseline", "action", "set", "eval_seed"])]
     pub demonstration: bool,
-    /// Draw these moments beside each other (B not included), instead of the whole episode in one.
+    /// Draw these steps side by side (B excluded), instead of the whole episode in one picture.
     #[arg(long, value_name = "A..B", value_parser = number_range)]
     pub frames: Option<Range<u64>>,
     /// The picture; its extension decides: png, svg, gif or html.
@@ -270,7 +287,7 @@ pub struct PlayArgs {
     /// How the policy chooses (default: the configuration's).
     #[arg(long, value_parser = action())]
     pub action: Option<EvaluationAction>,
-    /// Change one key of the task; may be given again.
+    /// Change one key of the task; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
     /// Directory that holds the runs.
@@ -281,7 +298,7 @@ pub struct PlayArgs {
 /// `leadtime pilot ...`
 #[derive(Debug, Subcommand)]
 pub enum PilotCommand {
-    /// Fly it without zones and messages: mean return, and how the flights end.
+    /// Fly without zones and messages: mean return, and how the episodes end.
     Eval(PilotEvalArgs),
 }
 
@@ -291,7 +308,7 @@ pub struct PilotEvalArgs {
     /// `heuristic`, `embedded`, or a policy file.
     #[arg(long, default_value = "embedded")]
     pub pilot: String,
-    /// Seeds of the flights, half open: the same seeds fly the same terrain and start in Gymnasium.
+    /// Seeds of the episodes, B excluded: each gives the terrain and start that it gives in Gymnasium.
     #[arg(long, value_name = "A..B", default_value = "0..100", value_parser = number_range)]
     pub seeds: Range<u64>,
     /// With wind and turbulence.
@@ -368,7 +385,7 @@ pub struct CheckArgs {
     /// Where the configuration comes from.
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Also say hello to the learner at this address.
+    /// Also connect to the learner at this address.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// How long to look for it.
@@ -398,7 +415,7 @@ fn n_episodes() -> clap::builder::RangedI64ValueParser<u32> {
 
 /// Reads `A..B`, half open.
 fn number_range(text: &str) -> Result<Range<u64>, String> {
-    let (from, to) = text.split_once("..").ok_or("write A..B, B not included")?;
+    let (from, to) = text.split_once("..").ok_or("write A..B, B excluded")?;
     let number = |text: &str| text.trim().parse::<u64>().map_err(|error| error.to_string());
     let range = number(from)?..number(to)?;
     if range.is_empty() {

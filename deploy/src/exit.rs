@@ -1,7 +1,7 @@
 //! How the program ends: one closed list of exit codes, and failures that know theirs.
 //!
-//! A library's typed error becomes a [`Failure`] where a command knows whose fault it is: the person's input, the
-//! peer's, or ours. It is printed once, as `error: ...` with its causes, by [`crate::Program::run`].
+//! A library's typed error becomes a [`Failure`] where a command knows what caused it: the input, the peer or the
+//! program. The program prints it once, as `error: ...` with its causes.
 
 use std::fmt;
 
@@ -9,25 +9,25 @@ use std::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ExitCode {
-    /// The command did what was asked.
+    /// The command succeeded.
     Done = 0,
-    /// A bug of the program, or a check that failed (conformance beyond its bounds, smoke below its mark).
+    /// A bug in the program, or a failed check (conformance out of bounds, smoke below its mark).
     Failed = 1,
-    /// The input cannot be used: arguments, configuration, files, directories, addresses.
+    /// Unusable input or output: arguments, configuration, files, directories, addresses, standard output.
     WrongInput = 2,
-    /// A peer or the network is not there, was lost, or sent us away.
+    /// A peer or the network is unreachable, was lost, or rejected us.
     PeerLost = 3,
-    /// Ctrl-C, SIGTERM, or the end of the supervising process.
+    /// Ctrl-C, SIGTERM, SIGHUP, or the end of the supervising process.
     Interrupted = 130,
 }
 
 /// The paragraph of `--help` that lists the exit codes.
 pub const EXIT_CODE_HELP: &str = "Exit codes:\n  \
     0    done\n  \
-    1    a bug of the program, or a check that failed\n  \
-    2    wrong input: arguments, configuration, files, directories, addresses\n  \
-    3    a peer or the network was lost, never there, or sent us away\n  \
-    130  interrupted (Ctrl-C, SIGTERM, supervisor gone)";
+    1    a bug in the program, or a failed check\n  \
+    2    unusable input or output: arguments, configuration, files, directories, addresses\n  \
+    3    a peer or the network is unreachable, was lost, or rejected us\n  \
+    130  interrupted (Ctrl-C, SIGTERM, SIGHUP, supervisor gone)";
 
 impl ExitCode {
     /// Every code, in ascending order.
@@ -46,21 +46,21 @@ impl From<ExitCode> for std::process::ExitCode {
     }
 }
 
-/// An error with the exit code it leads to.
+/// An error and the exit code that it leads to.
 pub struct Failure {
-    /// Whose fault it is.
+    /// The exit code: what caused the error.
     pub code: ExitCode,
-    /// What to print; `None` where it was said already (by a child process, or on standard output).
+    /// The error to print; `None` if it has been reported (by a child process, or on standard output).
     pub error: Option<anyhow::Error>,
 }
 
 impl Failure {
-    /// Makes a failure that was reported already.
+    /// Makes a failure that has been reported.
     pub fn silent(code: ExitCode) -> Self {
         Self { code, error: None }
     }
 
-    /// Makes a failure by wrong input from one sentence.
+    /// Makes a failure caused by the input, from one sentence.
     pub fn input(sentence: impl fmt::Display + fmt::Debug + Send + Sync + 'static) -> Self {
         Self { code: ExitCode::WrongInput, error: Some(anyhow::Error::msg(sentence)) }
     }
@@ -81,7 +81,7 @@ impl From<anyhow::Error> for Failure {
     }
 }
 
-/// Blames a failed result on the input, the peer or the program.
+/// Gives an error the exit code of what caused it.
 pub trait Blame<T> {
     /// Makes the error a [`Failure`] with this exit code.
     ///
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_foreign_exit_status_counts_as_a_bug() {
+    fn an_unknown_exit_status_counts_as_a_bug() {
         assert_eq!(ExitCode::from_status(130), ExitCode::Interrupted);
         assert_eq!(ExitCode::from_status(101), ExitCode::Failed);
     }

@@ -1,13 +1,12 @@
-//! The program `leadtime`: command line, configuration, supervision, logging, output.
+//! The program `leadtime`: command line, commands, logging, output, exit codes.
 //!
-//! The only crate that reads arguments, environment and wall clock, prints, and decides exit codes. What it does not
-//! know: how a policy learns, how a rollout travels, how a world moves.
+//! The only crate that reads arguments and environment, prints, and decides exit codes. What it does not know: how a
+//! policy learns, how a rollout travels, what a run consists of.
 //!
 //! ```text
-//! main -> Program -> cli -> commands/*  -> leadtime-config (as written -> as checked)
-//!                                       -> run_dir  (naming, locking, resuming)
-//!                                       -> learner, actor, eval (crates)   progress -> metrics.jsonl, tensorboard
-//!                                       -> supervise -> learner and actors as child processes
+//! main -> Program -> cli -> commands/* -> Tasks      worlds and built-in configurations
+//!                                      -> sink       progress of a run: recorded, shown, logged
+//!                                      -> config, runs, learner, actor, eval (crates)
 //! ```
 //!
 //! A binary of one's own adds tasks to [`Program`] and has every command for them.
@@ -16,21 +15,17 @@
 //!
 //! [`Program::run`], then the command of interest in [`commands`].
 
-pub mod build_id;
+pub mod build;
 pub mod cli;
-pub mod clock;
 pub mod commands;
-pub mod cpu;
+pub mod crash;
+pub mod display;
 pub mod exit;
 pub mod logging;
 pub mod output;
 pub mod program;
-pub mod progress;
-pub mod record;
-pub mod run_dir;
 pub mod shutdown;
-pub mod supervise;
-pub mod tensorboard;
+pub mod sink;
 pub mod threads;
 
 pub use program::Program;

@@ -1,14 +1,25 @@
 //! Everything that goes to standard output (data) and the last words on standard error.
 //!
-//! A closed pipe (`leadtime runs | head -1`) is no error: whoever stopped reading has what they wanted.
+//! A closed pipe (`leadtime runs | head -1`) is no error: whoever stopped reading has what they wanted. Any other
+//! failure, such as a full disk, is kept, and [`finish`] reports it when the command is done: work that was done is
+//! not undone by it. What cannot be written to standard error is dropped.
 
+use std::ffi::OsString;
+use std::fmt::Display;
 use std::io::{self, Write as _};
+use std::sync::OnceLock;
 
+use leadtime_proto::text::printable;
 use serde::Serialize;
+
+use crate::exit::Failure;
+
+/// The first failure to write to standard output.
+static FAILED: OnceLock<io::Error> = OnceLock::new();
 
 /// Writes text and a line end to standard output.
 pub fn line(text: &str) {
-    drop(writeln!(io::stdout().lock(), "{text}"));
+    keep(writeln!(io::stdout().lock(), "{text}"));
 }
 
 /// Writes a value as one line of JSON to standard output.
@@ -20,41 +31,58 @@ pub fn json<T: Serialize>(value: &T) {
     line(&serde_json::to_string(value).expect("results are plain data"));
 }
 
-/// Writes a line of talk to standard error, whatever `RUST_LOG` says.
+/// Keeps the outcome of a write to standard output for [`finish`].
+pub fn keep(written: io::Result<()>) {
+    if let Err(error) = written
+        && error.kind() != io::ErrorKind::BrokenPipe
+    {
+        // Only the first one counts.
+        drop(FAILED.set(error));
+    }
+}
+
+/// Writes out what is still buffered.
+///
+/// # Errors
+///
+/// Wrong input, if anything could not be written to standard output.
+pub fn finish() -> Result<(), Failure> {
+    keep(io::stdout().lock().flush());
+    match FAILED.get() {
+        Some(error) => Err(Failure::input(format!("standard output cannot be written: {error}"))),
+        None => Ok(()),
+    }
+}
+
+/// Writes a line to standard error, whatever `RUST_LOG` says.
 pub fn say(text: &str) {
     drop(writeln!(io::stderr().lock(), "{text}"));
 }
 
+/// Writes an error as the last line of a command.
+pub fn error(error: &impl Display) {
+    say(&printable(&format!("error: {error:#}")));
+}
+
 /// Writes a command with its arguments so that a shell reads the same ones.
-pub fn command_line(args: impl Iterator<Item = String>) -> String {
+pub fn command_line(args: impl Iterator<Item = OsString>) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-+=.,:/@%".contains(c);
     let quoted = args.map(|arg| {
+        let arg = arg.to_string_lossy();
         let plain = !arg.is_empty() && arg.chars().all(is_plain);
-        if plain { arg } else { format!("'{}'", arg.replace('\'', r"'\''")) }
+        if plain { arg.into_owned() } else { format!("'{}'", arg.replace('\'', r"'\''")) }
     });
     std::iter::once("leadtime".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
 }
 
-/// Writes bytes as hexadecimal digits.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
-        text.push(char::from_digit(u32::from(byte >> 4), 16).unwrap_or_default());
-        text.push(char::from_digit(u32::from(byte & 15), 16).unwrap_or_default());
-        text
-    })
-}
-
 #[cfg(test)]
 mod tests {
+    use super::*;
+
     #[test]
     fn a_shell_reads_a_command_back() {
         let args = ["eval", "it's", "--set=human.d={fixed=3}", "", "a b"];
-        let command = super::command_line(args.into_iter().map(str::to_owned));
+        let command = command_line(args.into_iter().map(OsString::from));
         assert_eq!(command, r"leadtime eval 'it'\''s' '--set=human.d={fixed=3}' '' 'a b'");
-    }
-
-    #[test]
-    fn bytes_have_two_digits_each() {
-        assert_eq!(super::hex(&[0, 10, 255]), "000aff");
     }
 }

@@ -1,21 +1,16 @@
 //! The program as a value: what it can train on, and one door into it.
 
-use std::path::Path;
-use std::{fs, io, process};
+use std::process;
 
-use anyhow::Context as _;
 use clap::Parser as _;
-use leadtime_config::{Catalog, Config, ConfigSource, Layer};
-use leadtime_eval::measure::episode_seed;
-use leadtime_proto::TaskSpec;
 use leadtime_proto::text::printable;
+use leadtime_runs::Tasks;
 use leadtime_sims::Environment;
-use leadtime_sims::registry::{Registry, TaskError};
+use leadtime_sims::registry::TaskError;
 
-use crate::cli::{Cli, SourceArgs};
-use crate::commands;
+use crate::cli::Cli;
 use crate::exit::{ExitCode, Failure};
-use crate::{output, threads};
+use crate::{commands, crash, output, threads};
 
 /// The `leadtime` program, perhaps with tasks of the user's own.
 ///
@@ -26,22 +21,15 @@ use crate::{output, threads};
 ///     leadtime::Program::new().run()
 /// }
 /// ```
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Program {
-    pub(crate) registry: Registry,
-    pub(crate) catalog: Catalog,
-}
-
-impl Default for Program {
-    fn default() -> Self {
-        Self::new()
-    }
+    tasks: Tasks,
 }
 
 impl Program {
     /// Makes the program with its built-in tasks.
     pub fn new() -> Self {
-        Self { registry: Registry::builtin(), catalog: Catalog::built_in() }
+        Self::default()
     }
 
     /// Adds a task: `name` becomes a domain like the built-in ones, for learner, actors and evaluation alike.
@@ -51,69 +39,34 @@ impl Program {
     where
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
     {
-        self.registry = self.registry.with(name, builder);
-        self.catalog.add(name, &format!("domain = \"{name}\"\n"));
+        self.tasks = self.tasks.with(name, builder);
         self
     }
 
     /// Gives an added task default settings of its own, laid over the general ones; `leadtime config NAME` prints them.
     pub fn with_defaults(mut self, name: &str, defaults: &str) -> Self {
-        self.catalog.add(name, defaults);
+        self.tasks.catalog.add(name, defaults);
         self
-    }
-
-    /// Loads a configuration: the file, or the built-in one of that name, with the changes of the command line.
-    ///
-    /// # Errors
-    ///
-    /// If there is no such file or configuration, or if it is refused.
-    pub(crate) fn configure(
-        &self,
-        args: &SourceArgs,
-        name: Option<&str>,
-    ) -> anyhow::Result<Config> {
-        let file = args.config.as_deref().map(|file| self.read(file)).transpose()?;
-        let SourceArgs { set, seed, runs, .. } = args.clone();
-        let source = ConfigSource { file, set, seed, runs, name: name.map(str::to_owned) };
-        Ok(Config::load(&source, &self.catalog, &self.registry)?)
-    }
-
-    /// Reads a configuration file, or finds the built-in configuration of that name.
-    fn read(&self, file: &Path) -> anyhow::Result<Layer> {
-        let shown = file.display();
-        let built_in = file.to_str().and_then(|name| self.catalog.file(Some(name)));
-        match (fs::read_to_string(file), built_in) {
-            (Ok(text), _) => Ok(Layer::text(format!("configuration {shown}"), text)),
-            (Err(_), Some(built_in)) => Ok(built_in),
-            (Err(error), None) if error.kind() == io::ErrorKind::NotFound => {
-                let names: Vec<&str> = self.catalog.names().collect();
-                let names = names.join(", ");
-                anyhow::bail!("there is no file {shown}; built-in configurations: {names}")
-            }
-            (Err(error), None) => Err(error).with_context(|| format!("reading {shown}")),
-        }
-    }
-
-    /// Names the topics of a task in the order of their ids; none if nobody speaks in it, or if it cannot be built.
-    pub(crate) fn topics(&self, task: &TaskSpec) -> Vec<&'static str> {
-        let Ok(mut environment) = self.registry.build(task) else { return Vec::new() };
-        let mut observation = vec![0.0; environment.spec().obs_dim];
-        environment.reset(episode_seed(0, 0), &mut observation);
-        environment.scene().map(|scene| scene.listener.topics).unwrap_or_default()
     }
 
     /// Reads the command line, does what it says, and returns the exit code.
     pub fn run(self) -> process::ExitCode {
+        crash::end_on_panic();
         threads::pin();
-        let cli = match Cli::try_parse() {
-            Ok(cli) => cli,
-            Err(error) => return usage(&error),
+        let done = Cli::try_parse().map_or_else(
+            |answer| refuse(&answer),
+            |cli| commands::dispatch(&self.tasks, cli.command),
+        );
+        let done = match output::finish() {
+            // The command's own failure says more.
+            Err(unwritten) if done.is_ok() => Err(unwritten),
+            _ => done,
         };
-        let code = match commands::dispatch(&self, cli.command) {
+        let code = match done {
             Ok(()) => ExitCode::Done,
             Err(Failure { code, error }) => {
                 if let Some(error) = error {
-                    output::say(&printable(&format!("error: {error:#}")));
+                    output::error(&error);
                 }
                 code
             }
@@ -122,13 +75,16 @@ impl Program {
     }
 }
 
-/// Prints help, or what is wrong with the command line, which quotes what was typed.
-fn usage(error: &clap::Error) -> process::ExitCode {
-    let text = error.to_string();
-    if error.use_stderr() && printable(&text) != text.trim_end() {
-        output::say(&printable(&text));
-    } else if error.print().is_err() {
-        return ExitCode::WrongInput.into();
+/// Prints what the command line is answered with instead of a command: help, version, or what is wrong with it.
+fn refuse(answer: &clap::Error) -> Result<(), Failure> {
+    if !answer.use_stderr() {
+        output::keep(answer.print());
+        return Ok(());
     }
-    process::ExitCode::from(error.exit_code() as u8)
+    let text = answer.to_string();
+    // It quotes what was typed.
+    if printable(&text) != text.trim_end() || answer.print().is_err() {
+        output::say(&printable(&text));
+    }
+    Err(Failure::silent(ExitCode::WrongInput))
 }

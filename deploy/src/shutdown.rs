@@ -1,31 +1,37 @@
 //! Shutdown, designed: three causes, one token, one deadline.
 //!
-//! Ctrl-C, SIGTERM and (for a supervised process) the end of standard input all cancel the same token; everything
-//! that works watches it, writes its checkpoint and books, and returns. If that takes longer than
+//! Ctrl-C, SIGTERM, SIGHUP (the terminal was closed) and, for a supervised process, the end of standard input all cancel
+//! the same token; everything that works watches it, writes its checkpoint and books, and returns. If that takes longer than
 //! [`DEADLINE`] the process ends anyway, and a second Ctrl-C ends it at once. A supervisor has a little longer
 //! ([`SUPERVISOR_DEADLINE`]): it must outlive its children to kill those that hang.
 //!
 //! A supervised process reads its standard input and does nothing with it: the supervisor holds the other end and
 //! never writes. When the supervisor closes it, or dies in whatever way, the read ends: so there are no orphans.
 
+use std::fs;
 use std::io::{self, Read as _};
 use std::thread;
 use std::time::Duration;
 
-use tokio::signal::unix::{SignalKind, signal};
+use leadtime_runs::supervise::GRACE;
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use crate::exit::ExitCode;
+use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// How long a process may take to end after it was asked to.
 pub const DEADLINE: Duration = Duration::from_millis(4_400);
 /// How long a supervisor may take: its children's [`DEADLINE`], the time to notice, and the time to kill.
 pub const SUPERVISOR_DEADLINE: Duration = Duration::from_millis(4_950);
+const _: () = assert!(
+    DEADLINE.as_millis() < GRACE.as_millis() && GRACE.as_millis() < SUPERVISOR_DEADLINE.as_millis(),
+    "a child ends by itself first, then it is killed, then the supervisor ends"
+);
 
 /// Who may ask a process to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Watch {
-    /// The person, by Ctrl-C or SIGTERM.
+    /// The person, by Ctrl-C, SIGTERM or SIGHUP.
     Signals,
     /// The person or the supervisor, by closing standard input.
     SignalsAndStdin,
@@ -51,13 +57,16 @@ pub fn watch(who: Watch) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
+    let mut hangup = if ignores_hangup() { None } else { Some(signal(SignalKind::hangup())?) };
     let cancel = token.clone();
     tokio::spawn(async move {
         tokio::select! {
             _ = interrupt.recv() => tracing::info!("interrupted: finishing"),
             _ = terminate.recv() => tracing::info!("asked to terminate: finishing"),
+            () = received(hangup.as_mut()) => tracing::info!("the terminal was closed: finishing"),
         }
         cancel.cancel();
+        // A hang-up is no insistence: a closing terminal sends several.
         tokio::select! {
             _ = interrupt.recv() => end_now(),
             _ = terminate.recv() => end_now(),
@@ -84,6 +93,38 @@ pub fn watch(who: Watch) -> io::Result<CancellationToken> {
         }
     });
     Ok(token)
+}
+
+/// Tells whether this process was started to outlive its terminal, as `nohup` does.
+fn ignores_hangup() -> bool {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask & 1 != 0
+}
+
+async fn received(signal: Option<&mut Signal>) {
+    match signal {
+        Some(signal) => {
+            signal.recv().await;
+        }
+        None => std::future::pending().await,
+    }
+}
+
+/// Does blocking work that leaves nothing half done, unless the process is asked to end meanwhile.
+///
+/// # Errors
+///
+/// [`ExitCode::Interrupted`] if it was asked; the work goes on until the process ends. Or the work's own failure.
+pub async fn unless_cancelled<T: Send + 'static>(
+    shutdown: &CancellationToken,
+    work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
+) -> Result<T, Failure> {
+    tokio::select! {
+        () = shutdown.cancelled() => Err(Failure::silent(ExitCode::Interrupted)),
+        done = tokio::task::spawn_blocking(work) => done.blame(ExitCode::Failed)?,
+    }
 }
 
 fn wait_for_end_of_input() {

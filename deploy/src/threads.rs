@@ -9,6 +9,8 @@ use std::env;
 use std::os::unix::process::CommandExt as _;
 use std::process::Command;
 
+use leadtime_runs::build::running_program;
+
 /// The variables that the numeric libraries read.
 const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "OMP_NUM_THREADS"];
 /// One thread per process: actors and learner share the machine's cores as processes.
@@ -22,7 +24,7 @@ pub fn pin() {
     if env::var_os(VARIABLES[0]).is_some() {
         return;
     }
-    let Ok(program) = env::current_exe() else { return };
+    let Ok(program) = running_program() else { return };
     let mut again = Command::new(program);
     again.args(env::args_os().skip(1)).envs(VARIABLES.map(|name| (name, N_THREADS)));
     if let Some(name) = env::args_os().next() {

@@ -1,7 +1,6 @@
 //! Checkpoint files: whole or not there.
 //!
-//! A file is written beside its place, flushed to the disk, renamed into place, and the directory is flushed;
-//! so a crash leaves the old files or the new one. What a disk does to a file later is noticed by the digest,
+//! A file is replaced in one step ([`write_atomically`]), so a crash leaves the old files or the new one. What a disk does to a file later is noticed by the digest,
 //! and the run falls back to the file before it, saying so.
 //!
 //! ```text
@@ -13,7 +12,7 @@
 //! The directory is locked as long as a [`CheckpointStore`] lives, so two learners cannot share a run.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use leadtime_proto::codec::{self, CodecError};
@@ -22,7 +21,7 @@ use serde::de::DeserializeOwned;
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 
-use crate::{LearnerSettings, Mode};
+use crate::{LearnerSettings, Mode, write_atomically};
 
 /// The version of what a checkpoint holds.
 pub const FORMAT_VERSION: u32 = 1;
@@ -199,16 +198,7 @@ impl CheckpointStore {
     /// [`CheckpointError::Write`], with the path.
     pub fn write_file(&self, name: &str, bytes: &[u8]) -> Result<PathBuf, CheckpointError> {
         let path = self.directory.join(name);
-        let partial = self.directory.join(format!("{name}.partial"));
-        let write = || -> io::Result<()> {
-            let mut file = File::create(&partial)?;
-            file.write_all(bytes)?;
-            file.sync_all()?;
-            drop(file);
-            fs::rename(&partial, &path)?;
-            File::open(&self.directory)?.sync_all()
-        };
-        match write() {
+        match write_atomically(&path, bytes) {
             Ok(()) => Ok(path),
             Err(source) => Err(CheckpointError::Write { path, source }),
         }

@@ -33,6 +33,7 @@ mod dense_op;
 mod encoder;
 pub mod episodes;
 pub mod error;
+mod files;
 pub mod gae;
 mod loss;
 mod lstm_op;
@@ -59,6 +60,7 @@ pub use books::{Books, Imbalance};
 pub use config::{CheckpointInterval, LearnerConfig};
 pub use episodes::EpisodeMeans;
 pub use error::Error;
+pub use files::write_atomically;
 pub use report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };

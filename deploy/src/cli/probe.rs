@@ -11,8 +11,8 @@ use leadtime_config::{EvaluationAction, Override};
 #[derive(Debug, Args)]
 pub struct ProbeArgs {
     /// A policy file, a run directory or the name of a run.
-    pub policy: String,
-    /// Episodes; what is read off the policy is learned from the first half and judged on the other.
+    pub policy: PathBuf,
+    /// Episodes; the probe is fitted on the first half and scored on the other.
     #[arg(long, default_value_t = 400, value_parser = n_episodes())]
     pub episodes: u32,
     /// Seed of the evaluation's random streams; another than in training.

@@ -11,15 +11,15 @@ use leadtime_config::Override;
 /// `leadtime taxonomy ...`
 #[derive(Debug, Subcommand)]
 pub enum TaxonomyCommand {
-    /// Make a database from a plan: ask for sentences, rate them word by word, keep those that stand for the others.
+    /// Build a database from a plan: ask for sentences, rate them word by word, keep the most representative.
     Build(TaxonomyBuildArgs),
-    /// Have sentences of one's own rated word by word: where would they land?
+    /// Rate your own sentences word by word: which cells would they fill?
     Rate(TaxonomyRateArgs),
-    /// Print the report of a finished call log: cells, rejections, thresholds, sentences to be read.
+    /// Print the report of a finished call log: cells, rejections, thresholds, sentences to review.
     Report(TaxonomyReportArgs),
     /// Print a database in another form.
     Export(TaxonomyExportArgs),
-    /// Check a database, and list what it lacks.
+    /// Check a database and list its empty cells.
     Validate(TaxonomyValidateArgs),
 }
 
@@ -51,7 +51,7 @@ pub enum Claim {
 pub struct PlanArgs {
     /// The plan: `highway`, `lander`, `steakhouse`, or a file.
     pub plan: String,
-    /// Change one key of the plan: `--set settings.theta=60`; may be given again.
+    /// Change one key of the plan: `--set settings.theta=60`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
 }
@@ -108,7 +108,7 @@ pub struct TaxonomyBuildArgs {
     /// the call log in it.
     #[arg(short, long, value_name = "DIR", default_value = "words")]
     pub output: PathBuf,
-    /// Ask nobody: make the database of a finished call log again, byte for byte.
+    /// Make no calls: rebuild the database of a finished call log, byte for byte.
     #[arg(long, value_name = "LOG")]
     pub replay: Option<PathBuf>,
     /// Who writes and rates.
@@ -124,7 +124,7 @@ pub struct TaxonomyBuildArgs {
     /// of by the words they share.
     #[arg(long, value_name = "DIR", conflicts_with = "replay")]
     pub embedder: Option<PathBuf>,
-    /// Stop after this many calls; the same command goes on.
+    /// Stop after this many calls; the same command continues.
     #[arg(long, value_name = "CALLS", conflicts_with = "replay")]
     pub max_calls: Option<u64>,
     /// Print the results as JSON.
@@ -139,16 +139,16 @@ pub struct TaxonomyRateArgs {
     /// What sentences are made for.
     #[command(flatten)]
     pub plan: PlanArgs,
-    /// The topic that the sentences are to say.
+    /// The topic of the sentences.
     #[arg(long)]
     pub topic: String,
-    /// The sentences, each as one argument.
+    /// The sentences, one argument each.
     #[arg(required = true, value_name = "SENTENCE")]
     pub sentences: Vec<String>,
     /// Who rates.
     #[command(flatten)]
     pub backend: BackendArgs,
-    /// Keep the replies in this call log, and ask for nothing that it holds.
+    /// Keep the replies in this call log, and do not repeat the calls that it holds.
     #[arg(long, value_name = "LOG")]
     pub log: Option<PathBuf>,
     /// Print the results as JSON.

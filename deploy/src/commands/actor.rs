@@ -6,22 +6,24 @@ use anyhow::Context as _;
 use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Error};
 use leadtime_link::{ConnectSettings, Endpoint, Error as LinkError};
 use leadtime_proto::{ActorId, RunName};
+use leadtime_runs::{ProgramBuild, clock};
 use serde_json::json;
 
 use crate::cli::ActorArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{Watch, watch};
-use crate::{Program, build_id, clock, cpu, output};
+use crate::{build, output};
+use leadtime_runs::Tasks;
 
 /// The longest part of a host's name that becomes part of an actor's.
 const HOST_CHARS: usize = 24;
 
-pub(super) async fn run(program: &Program, args: &ActorArgs) -> Result<(), Failure> {
+pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = watch(watched).blame(ExitCode::Failed)?;
-    let settings = settings(args).blame(ExitCode::WrongInput)?;
+    let settings = settings(args, build::this_build()?).blame(ExitCode::WrongInput)?;
     tracing::info!(actor = %settings.actor, at = %args.connect.join(", "), "looking for a learner");
-    let report = leadtime_actor::run(settings, program.registry.clone(), shutdown).await;
+    let report = leadtime_actor::run(settings, tasks.registry.clone(), shutdown).await;
     let report = report.map_err(failure)?;
     output::json(&account(&report));
     match report.end {
@@ -30,7 +32,7 @@ pub(super) async fn run(program: &Program, args: &ActorArgs) -> Result<(), Failu
     }
 }
 
-fn settings(args: &ActorArgs) -> anyhow::Result<ActorSettings> {
+fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettings> {
     let endpoints: Result<Vec<Endpoint>, _> =
         args.connect.iter().map(|text| text.parse()).collect();
     let mut connect = ConnectSettings::new(endpoints.context("--connect")?);
@@ -43,8 +45,8 @@ fn settings(args: &ActorArgs) -> anyhow::Result<ActorSettings> {
         run,
         connect,
         reconnect_timeout: args.connect_timeout,
-        program: build_id::fingerprint().context("reading the program's own file")?,
-        cpu: cpu::fingerprint(),
+        program: build.program,
+        cpu: build.cpu,
     })
 }
 
@@ -75,7 +77,7 @@ fn account(report: &ActorReport) -> serde_json::Value {
     })
 }
 
-/// Decides whose fault an actor's end is.
+/// Chooses the exit code for an actor's error.
 fn failure(error: Error) -> Failure {
     let code = match &error {
         Error::CancelledEarly => return Failure::silent(ExitCode::Interrupted),

@@ -5,14 +5,16 @@ use std::thread::available_parallelism;
 
 use anyhow::Context as _;
 use leadtime_link::{ConnectSettings, Endpoint, ObserverLink};
+use leadtime_runs::cpu;
 
 use crate::cli::CheckArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::{Program, cpu, output, threads};
+use crate::{output, threads};
 use leadtime_config::Config;
+use leadtime_runs::Tasks;
 
-pub(super) async fn run(program: &Program, args: &CheckArgs) -> Result<(), Failure> {
-    let config = program.configure(&args.source, None).blame(ExitCode::WrongInput)?;
+pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> {
+    let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
     let (n_updates, n_envs) = (config.learner.n_updates(), config.learner.n_envs);
     report(
         "configuration",

@@ -2,17 +2,18 @@
 
 use crate::cli::ConfigArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::{Program, output};
+use crate::output;
+use leadtime_runs::Tasks;
 
-pub(super) fn run(program: &Program, args: &ConfigArgs) -> Result<(), Failure> {
-    let names: Vec<&str> = program.catalog.names().collect();
+pub(super) fn run(tasks: &Tasks, args: &ConfigArgs) -> Result<(), Failure> {
+    let names: Vec<&str> = tasks.catalog.names().collect();
     let Some(domain) = &args.domain else {
         for name in names {
             output::line(name);
         }
         return Ok(());
     };
-    match program.catalog.text(domain) {
+    match tasks.catalog.text(domain) {
         Some(text) => {
             output::line(text.blame(ExitCode::WrongInput)?.trim_end());
             Ok(())

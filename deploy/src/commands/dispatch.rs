@@ -9,31 +9,32 @@ use super::{
 };
 use crate::cli::{Cli, Command, PilotCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::{Program, logging, output};
+use crate::{logging, output};
+use leadtime_runs::Tasks;
 
 /// Carries out one command.
 ///
 /// # Errors
 ///
 /// [`Failure`] with the exit code that the program should end with.
-pub fn dispatch(program: &Program, command: Command) -> Result<(), Failure> {
+pub fn dispatch(tasks: &Tasks, command: Command) -> Result<(), Failure> {
     let quiet = matches!(&command, Command::Actor(args) if args.supervised);
-    logging::start(if quiet { "warn" } else { "info" });
+    logging::start(if quiet { "warn" } else { "info" })?;
     match command {
-        Command::Smoke(args) => block_on(smoke::run(program, &args)),
-        Command::Up(args) => block_on(up::run(program, &args)),
-        Command::Learner(args) => block_on(learner::run(program, &args)),
-        Command::Actor(args) => block_on(actor::run(program, &args)),
-        Command::Eval(args) => eval::run(program, &args),
-        Command::Probe(args) => probe::run(program, &args),
-        Command::Play(args) => play::run(program, &args),
-        Command::Compare(args) => block_on(compare::run(program, &args)),
+        Command::Smoke(args) => block_on(smoke::run(tasks, &args)),
+        Command::Up(args) => block_on(up::run(tasks, &args)),
+        Command::Learner(args) => block_on(learner::run(tasks, &args)),
+        Command::Actor(args) => block_on(actor::run(tasks, &args)),
+        Command::Eval(args) => eval::run(tasks, &args),
+        Command::Probe(args) => probe::run(tasks, &args),
+        Command::Play(args) => play::run(tasks, &args),
+        Command::Compare(args) => block_on(compare::run(tasks, &args)),
         Command::Pilot { command: PilotCommand::Eval(args) } => pilot::run(&args),
-        Command::Taxonomy { command } => taxonomy::run(program, &command),
+        Command::Taxonomy { command } => taxonomy::run(tasks, &command),
         Command::Conformance(args) => conformance::run(&args),
-        Command::Config(args) => config::run(program, &args),
+        Command::Config(args) => config::run(tasks, &args),
         Command::Runs(args) => runs::run(&args),
-        Command::Check(args) => block_on(check::run(program, &args)),
+        Command::Check(args) => block_on(check::run(tasks, &args)),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "leadtime", &mut script);

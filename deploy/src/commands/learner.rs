@@ -5,68 +5,76 @@ use std::collections::BTreeMap;
 use anyhow::Context as _;
 use leadtime_learner::{LearnerConfig, RunEnd, RunReport};
 use leadtime_link::{Endpoint, ListenSettings};
+use leadtime_runs::RunState;
+use leadtime_runs::policy_file::{self, Fork};
+use leadtime_runs::{
+    ProgramBuild, RunDir, RunDirError, RunRecorder, RunResult, clock, digest, scratch,
+};
+use tokio_util::sync::CancellationToken;
 
-use super::policy_file;
 use super::run_report::{self, Findings};
 use crate::cli::LearnerArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::progress::RunSink;
-use crate::record::RunResult;
-use crate::run_dir::{self, RunDir, State};
 use crate::shutdown::{Watch, watch};
-use crate::{Program, build_id, clock, cpu, output};
-use leadtime_config::Config;
+use crate::sink::RunSink;
+use crate::{build, output};
+use leadtime_config::{Config, identity};
+use leadtime_runs::Tasks;
 
-pub(super) async fn run(program: &Program, args: &LearnerArgs) -> Result<(), Failure> {
+pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = watch(watched).blame(ExitCode::Failed)?;
     let name = args.run.name.as_deref();
-    let mut config = program.configure(&args.source, name).blame(ExitCode::WrongInput)?;
-    let fork = args.run.fork.as_ref().map(|from| policy_file::read_fork(&config, from));
-    let fork = fork.transpose().blame(ExitCode::WrongInput)?;
-    config.run.name = Some(run_dir::choose_name(&config, &args.run).blame(ExitCode::WrongInput)?);
+    let config = args.source.load(tasks, name).blame(ExitCode::WrongInput)?;
+    let fork = args.run.fork.as_deref().map(|from| Fork::read(&config, from));
+    let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
     let listen = listen_settings(&args.listen).blame(ExitCode::WrongInput)?;
-    let (mut run_dir, state) = RunDir::open(&config).blame(ExitCode::WrongInput)?;
-    if state == State::Finished {
+    let build = build::this_build()?;
+    let (mut run_dir, state) =
+        RunDir::open(&config, fork.as_ref(), &build).blame(ExitCode::WrongInput)?;
+    if state == RunState::Finished {
         let (name, path) = (run_dir.name(), run_dir.path().display());
         output::say(&format!(
             "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
         ));
         return Ok(());
     }
-    if let (State::Fresh, Some(weights)) = (state, &fork) {
-        policy_file::write_fork(run_dir.path(), weights).blame(ExitCode::WrongInput)?;
-    }
+    config.notices().iter().for_each(|notice| tracing::warn!("{notice}"));
     if let (Some(grown), true) = (run_dir.grown(), config.learner.anneal) {
         tracing::warn!(
             "{grown}: with learner.anneal = true the learning rate falls over the new length from here on, so the \
              weights will differ from those of a run that has this length from the start"
         );
     }
-    for notice in config.notices() {
-        tracing::warn!("{notice}");
-    }
     tracing::info!(run = %run_dir.name(), directory = %run_dir.path().display(), "run opened");
-    let metadata = policy_file::metadata(&config, run_dir.name().as_str());
-    let mut sink =
-        RunSink::open(run_dir.path(), config.policy.clone(), metadata, config.steps_per_update())
-            .with_context(|| format!("opening the files of {}", run_dir.path().display()))
-            .blame(ExitCode::WrongInput)?;
-    sink.stop_after(args.run.stop_after, shutdown.clone());
-    let build = build_id::fingerprint()
-        .context("reading the program's own file")
-        .blame(ExitCode::Failed)?;
-    let learner = learner_config(&config, &run_dir, listen, build);
+    let learner = learner_config(&config, &run_dir, listen, build).blame(ExitCode::WrongInput)?;
+    let sink = sink(&config, &run_dir, args, &shutdown).blame(ExitCode::WrongInput)?;
     let report = leadtime_learner::run(learner, Box::new(sink), shutdown.clone()).await;
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
-        // If the supervisor lives it does the same; if it was killed nobody else would.
-        drop(std::fs::remove_dir_all(scratch));
+        // A supervisor that lives removes it itself; if it was killed nobody else would.
+        scratch::remove_if_abandoned(scratch);
     }
     let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args);
     if let Err(error) = run_report::write(run_dir.path(), Findings::of_training(&config)) {
         tracing::warn!("report.html cannot be written: {error:#}");
     }
     concluded
+}
+
+fn sink(
+    config: &Config,
+    run_dir: &RunDir,
+    args: &LearnerArgs,
+    shutdown: &CancellationToken,
+) -> anyhow::Result<RunSink> {
+    let directory = run_dir.path();
+    let metadata = policy_file::metadata(config, run_dir.name().as_str());
+    let policy = config.policy.clone();
+    let recorder = RunRecorder::open(directory, policy, metadata, config.steps_per_update())
+        .with_context(|| format!("opening the files of {}", directory.display()))?;
+    let mut sink = RunSink::new(directory.to_owned(), recorder);
+    sink.stop_after(args.run.stop_after, shutdown.clone());
+    Ok(sink)
 }
 
 fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
@@ -78,7 +86,7 @@ fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
     Ok(ListenSettings::new(endpoints))
 }
 
-/// Tells whether other machines can reach an address without showing who they are.
+/// Tells whether other machines can reach an address without authentication.
 fn is_open(endpoint: &str) -> bool {
     let local = ["127.0.0.1:", "localhost:", "[::1]:"];
     let address = endpoint.strip_prefix("tcp/");
@@ -89,9 +97,9 @@ fn learner_config(
     config: &Config,
     run_dir: &RunDir,
     listen: ListenSettings,
-    program: String,
-) -> LearnerConfig {
-    LearnerConfig {
+    build: ProgramBuild,
+) -> Result<LearnerConfig, RunDirError> {
+    Ok(LearnerConfig {
         run: run_dir.name().clone(),
         incarnation: clock::incarnation(),
         run_seed: config.seed,
@@ -102,16 +110,16 @@ fn learner_config(
         window: config.window,
         actors_min: config.run.actors_min as usize,
         listen,
-        program,
-        cpu: cpu::fingerprint(),
-        checkpoints: run_dir.path().join("checkpoints"),
+        program: build.program,
+        cpu: build.cpu,
+        checkpoints: run_dir.checkpoints(),
         checkpoint_interval: config.run.checkpoints,
-        initial: policy_file::initial(run_dir.path()),
-        identity: run_dir::identity(config),
-    }
+        initial: run_dir.initial(config)?,
+        identity: identity::of_run(&config.table),
+    })
 }
 
-/// Decides whose fault a learner's end is.
+/// Chooses the exit code for a learner's error.
 fn failure(error: leadtime_learner::Error) -> Failure {
     use leadtime_learner::Error;
     use leadtime_link::Error as LinkError;
@@ -127,9 +135,9 @@ fn failure(error: leadtime_learner::Error) -> Failure {
     Failure { code, error: Some(error.into()) }
 }
 
-/// Writes down how the run ended, and says it.
+/// Records and prints how the run ended.
 fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Result<(), Failure> {
-    let digest = output::hex(&report.digest);
+    let digest = digest::hex(&report.digest);
     let mut books = serde_json::to_value(Accounts::from(report)).blame(ExitCode::Failed)?;
     books["balanced"] = report.balance.is_ok().into();
     let (n_updates, n_steps) = (report.n_updates, report.n_steps);
@@ -151,9 +159,10 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
         };
         return run_dir.finish(result).blame(ExitCode::WrongInput);
     }
+    tracing::info!("stopped after {n_updates} updates: the same command resumes the run");
     if !report.checkpointed {
         tracing::warn!(
-            "the state at the end is not on the disk: a resume goes on from an older checkpoint"
+            "the last state is not on the disk: the run will resume from an older checkpoint"
         );
     }
     let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);

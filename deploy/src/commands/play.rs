@@ -8,12 +8,13 @@ use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::measure::Player;
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::{Picture, Report};
+use leadtime_runs::{LoadedPolicy, write_atomically};
 
-use super::{judge, policy_file};
+use super::{episode, evaluation};
 use crate::cli::PlayArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::record::write_atomically;
-use crate::{Program, output};
+use crate::output;
+use leadtime_runs::Tasks;
 
 /// Pixels per unit of a PNG.
 const PNG_SCALE: f32 = 2.0;
@@ -26,9 +27,9 @@ const GIF_FRAMES: usize = 150;
 /// How long a GIF plays, in seconds.
 const GIF_SECONDS: f64 = 12.0;
 
-pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
+pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     let kinds = ["png", "svg", "gif", "html"];
-    if !kinds.contains(&judge::extension(&args.output).as_str()) {
+    if !kinds.contains(&extension(&args.output).as_str()) {
         let shown = args.output.display();
         return Err(Failure::input(format!(
             "{shown}: the extension must be png, svg, gif or html"
@@ -39,16 +40,16 @@ pub(super) fn run(program: &Program, args: &PlayArgs) -> Result<(), Failure> {
         let frames = args.frames.clone().unwrap_or(DEMONSTRATION_FRAMES);
         return write(&spoken, Some(frames), &args.output);
     }
-    let name = args.policy.as_deref().unwrap_or_default();
-    let loaded =
-        policy_file::load(program, &args.runs, name, &args.set).blame(ExitCode::WrongInput)?;
+    let name = args.policy.as_deref().unwrap_or(Path::new(""));
+    let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, name, &args.set)
+        .blame(ExitCode::WrongInput)?;
     let action = args.action.unwrap_or(loaded.config.evaluation.action);
     let player = match &args.baseline {
         Some(name) => Player::baseline(name),
-        None => judge::policy("policy", &loaded.config, &loaded.parameters, action)?,
+        None => evaluation::policy("policy", &loaded.config, &loaded.parameters, action)?,
     };
-    let voice = judge::voice(program, &loaded.config, args.words.as_deref())?;
-    let spoken = judge::record(program, &loaded.config, &player, voice.as_ref(), args.eval_seed, 0)
+    let voice = episode::voice(tasks, &loaded.config, args.words.as_deref())?;
+    let spoken = episode::record(tasks, &loaded.config, &player, voice.as_ref(), args.eval_seed, 0)
         .blame(ExitCode::WrongInput)?;
     write(&spoken, args.frames.clone(), &args.output)
 }
@@ -72,7 +73,7 @@ fn draw_frames(spoken: &Spoken, frames: &Range<u64>, path: &Path) -> anyhow::Res
     ensure!(first <= last, "--frames begins at {first}; the episode ends at {last}");
     ensure!(n <= MAX_FRAMES, "--frames asks for {n} moments; allowed: 1 to {MAX_FRAMES}");
     let svg = spoken.frames_svg("frames", first as usize..frames.end as usize).text;
-    let bytes = match judge::extension(path).as_str() {
+    let bytes = match extension(path).as_str() {
         "png" => Rasterizer::new().png(&svg, PNG_SCALE)?,
         "svg" => svg.into_bytes(),
         other => bail!("frames beside each other cannot be a `{other}` file: png or svg"),
@@ -82,7 +83,7 @@ fn draw_frames(spoken: &Spoken, frames: &Range<u64>, path: &Path) -> anyhow::Res
 
 /// Draws an episode into a file.
 pub(super) fn draw(spoken: &Spoken, path: &Path) -> anyhow::Result<()> {
-    let bytes = match judge::extension(path).as_str() {
+    let bytes = match extension(path).as_str() {
         "png" => spoken.png(&Rasterizer::new(), PNG_SCALE)?,
         "svg" => spoken.svg("playthrough").text.into_bytes(),
         "gif" => spoken.gif(&Rasterizer::new(), GIF_FRAMES, GIF_SECONDS)?,
@@ -109,4 +110,9 @@ pub(super) fn picture(spoken: &Spoken, id: &str) -> Picture {
         played.total_reward
     );
     Picture { title: played.title(), caption, svg: spoken.svg(id).text }
+}
+
+/// Returns the extension of a path in lower case.
+fn extension(path: &Path) -> String {
+    path.extension().and_then(|extension| extension.to_str()).unwrap_or_default().to_lowercase()
 }

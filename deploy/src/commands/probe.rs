@@ -7,30 +7,30 @@ use leadtime_eval::measure::PlaySettings;
 use leadtime_eval::probe::{ProbeResult, probe};
 use leadtime_eval::report::Fact;
 use leadtime_numerics::stats::Bootstrap;
+use leadtime_runs::{LoadedPolicy, digest, write_atomically};
 use serde_json::{Value, json};
 
-use super::policy_file::LoadedPolicy;
-use super::{judge, origin, policy_file};
+use super::{evaluation, origin};
 use crate::cli::ProbeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::record::write_atomically;
-use crate::{Program, output};
+use crate::output;
 use leadtime_config::EvaluationAction;
+use leadtime_runs::Tasks;
 
 /// Digits of the weights' digest.
 const DIGEST_DIGITS: usize = 12;
 
-pub(super) fn run(program: &Program, args: &ProbeArgs) -> Result<(), Failure> {
-    let loaded = policy_file::load(program, &args.runs, &args.policy, &args.set)
+pub(super) fn run(tasks: &Tasks, args: &ProbeArgs) -> Result<(), Failure> {
+    let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, &args.policy, &args.set)
         .blame(ExitCode::WrongInput)?;
     let action = args.action.unwrap_or(loaded.config.evaluation.action);
-    let known = measure(program, args, &loaded, action).blame(ExitCode::WrongInput)?;
+    let known = measure(tasks, args, &loaded, action).blame(ExitCode::WrongInput)?;
     if let Some(path) = &args.markdown {
-        write(path, args, &loaded, action, &known).blame(ExitCode::WrongInput)?;
+        write(path, args, &loaded, action, &known)?;
     }
     if args.json {
         output::json(&json!({
-            "policy": loaded.path,
+            "policy": loaded.path.display().to_string(),
             "domain": loaded.config.domain.as_str(),
             "action": action,
             "seed": args.eval_seed,
@@ -44,16 +44,16 @@ pub(super) fn run(program: &Program, args: &ProbeArgs) -> Result<(), Failure> {
 }
 
 fn measure(
-    program: &Program,
+    tasks: &Tasks,
     args: &ProbeArgs,
     loaded: &LoadedPolicy,
     action: EvaluationAction,
 ) -> anyhow::Result<ProbeResult> {
     let (config, n_episodes) = (&loaded.config, args.episodes);
-    let player = judge::policy("policy", config, &loaded.parameters, action)?;
-    let make = || program.registry.build(&config.evaluation.task);
+    let player = evaluation::policy("policy", config, &loaded.parameters, action)?;
+    let make = || tasks.registry.build(&config.evaluation.task);
     let settings =
-        PlaySettings::new(u64::from(n_episodes), args.eval_seed).threads(judge::n_threads());
+        PlaySettings::new(u64::from(n_episodes), args.eval_seed).threads(evaluation::n_threads());
     tracing::info!(policy = %loaded.path.display(), n_episodes, "probing");
     Ok(probe(&make, &player, &settings, Bootstrap::new(config.seed))?)
 }
@@ -71,20 +71,23 @@ fn write(
     loaded: &LoadedPolicy,
     action: EvaluationAction,
     known: &ProbeResult,
-) -> anyhow::Result<()> {
-    let mut weights = output::hex(&loaded.parameters.digest()?);
+) -> Result<(), Failure> {
+    let digest = loaded.parameters.digest().blame(ExitCode::Failed)?;
+    let mut weights = digest::hex(&digest);
     weights.truncate(DIGEST_DIGITS);
     let choices = format!("{action:?}").to_lowercase();
     let mut facts = vec![
-        Fact::new("command", format!("`{}`", output::command_line(std::env::args().skip(1)))),
-        Fact::new("policy", format!("`{}`, weights `{weights}`", args.policy)),
+        Fact::new("command", format!("`{}`", output::command_line(std::env::args_os().skip(1)))),
+        Fact::new("policy", format!("`{}`, weights `{weights}`", args.policy.display())),
         Fact::new("domain", format!("`{}`", loaded.config.domain)),
         Fact::new("reaction delay", format!("`{}`", reaction_delay(loaded))),
         Fact::new("choices", choices),
         Fact::new("evaluation seed", args.eval_seed.to_string()),
     ];
-    facts.extend(origin::this_program().context("reading the program's own file")?);
-    let title = format!("What `{}` knows of its listener's reaction delay", args.policy);
+    facts.extend(origin::this_program()?);
+    let title = format!("What `{}` knows of its listener's reaction delay", args.policy.display());
     let text = known.markdown(&title, &facts);
-    write_atomically(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
+    write_atomically(path, text.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
+        .blame(ExitCode::WrongInput)
 }

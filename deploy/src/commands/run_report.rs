@@ -7,10 +7,9 @@ use anyhow::Context as _;
 use leadtime_eval::figure::{CurvePanel, Series, ShareRow, smoothed};
 use leadtime_eval::measure::Comparison;
 use leadtime_eval::report::{Book, Fact, Picture, Report, Verdict};
+use leadtime_runs::{RunRecord, journal, write_atomically};
 use serde_json::{Map, Value};
 
-use crate::progress::journal;
-use crate::record::{RunRecord, write_atomically};
 use leadtime_config::Config;
 
 /// Updates on each side that a smoothed curve averages over.
@@ -19,7 +18,7 @@ const SMOOTHING: usize = 3;
 /// What an evaluation adds to a run's own records.
 #[derive(Debug, Default)]
 pub(super) struct Findings {
-    /// A paragraph for somebody who knows nothing of the run.
+    /// Introduction for readers who do not know the run.
     pub(super) lead: String,
     /// Claims, and whether they hold.
     pub(super) verdicts: Vec<Verdict>,
@@ -27,16 +26,16 @@ pub(super) struct Findings {
     pub(super) comparison: Option<Comparison>,
     /// Playthroughs.
     pub(super) pictures: Vec<Picture>,
-    /// What a reader should know.
+    /// Remarks for the reader.
     pub(super) notes: Vec<String>,
 }
 
 impl Findings {
-    /// Says what a run was, before anybody has judged its policy.
+    /// Describes a run whose policy has not been evaluated.
     pub(super) fn of_training(config: &Config) -> Self {
         let lead = format!(
             "Training on domain {}, {} updates of {} steps by a learner and separate actors. The policy was not \
-             judged here: the curves are of training episodes (`leadtime eval` judges).",
+             evaluated here: the curves are of training episodes (see `leadtime eval`).",
             config.domain,
             config.learner.n_updates(),
             config.steps_per_update()
@@ -47,7 +46,7 @@ impl Findings {
 
 /// Writes the report into the run's directory.
 pub(super) fn write(directory: &Path, findings: Findings) -> anyhow::Result<()> {
-    let record = RunRecord::read(&directory.join("run.json"))?;
+    let record = RunRecord::read(directory)?;
     let journal = journal::read(directory).context("reading metrics.jsonl")?;
     let books = record.result.as_ref().map(|result| &result.books);
     let report = Report {
@@ -139,17 +138,27 @@ fn provenance(record: &RunRecord) -> Vec<Fact> {
     let mut facts = vec![
         Fact::new("domain", &record.domain),
         Fact::new("seed", record.seed.to_string()),
-        Fact::new("program", format!("leadtime {}", record.version)),
-        Fact::new("commit", record.commit.as_deref().unwrap_or("unknown")),
-        Fact::new("class of CPU", &record.cpu),
-        Fact::new("threads per process", &record.threads),
         Fact::new("started", &record.started),
     ];
+    if let Some(origin) = &record.origin {
+        facts.push(Fact::new("forked from", &origin.run));
+        facts.push(Fact::new("SHA-256 of the starting weights", &origin.weights_sha256));
+    }
+    for build in &record.builds {
+        let commit = build.commit.as_deref().unwrap_or("unknown");
+        let text = format!(
+            "{}, commit {commit}, on {} with {} threads per process",
+            build.program, build.cpu, build.threads
+        );
+        facts.push(Fact::new(format!("program since {}", build.since), text));
+    }
     if let Some(result) = &record.result {
         facts.push(Fact::new("finished", &result.finished));
         facts.push(Fact::new("updates", result.updates.to_string()));
         facts.push(Fact::new("steps", result.steps.to_string()));
         facts.push(Fact::new("SHA-256 of the weights", &result.weights_sha256));
+        let answer = if result.reproducible { "yes" } else { "no" };
+        facts.push(Fact::new("same weights again", answer));
     }
     facts
 }

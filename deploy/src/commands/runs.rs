@@ -4,19 +4,20 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use leadtime_eval::measure::Table;
+use leadtime_runs::layout::read_config;
+use leadtime_runs::record::RecordError;
+use leadtime_runs::{ForkOrigin, RunRecord, journal};
 use serde::Serialize;
 
 use crate::cli::{RunsArgs, RunsCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use crate::progress::journal;
-use crate::record::RunRecord;
-use crate::run_dir::read_config;
 use leadtime_config::identity::difference;
 
-/// One line of the list.
+/// A run as it is listed.
 #[derive(Debug, Serialize)]
-struct Row {
+struct ListedRun {
     name: String,
     domain: String,
     state: &'static str,
@@ -28,6 +29,8 @@ struct Row {
     weights_sha256: Option<String>,
     /// Whether the same seed would give the same weights again; `None` while the run is unfinished.
     reproducible: Option<bool>,
+    /// What the run was forked from.
+    origin: Option<ForkOrigin>,
     started: String,
     /// Why the record cannot be read as one.
     problem: Option<String>,
@@ -36,7 +39,7 @@ struct Row {
 /// What the weights of two runs say about each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-enum Weights {
+enum WeightsVerdict {
     /// Bit for bit.
     Equal,
     /// In at least one bit.
@@ -45,8 +48,8 @@ enum Weights {
     Unknown,
 }
 
-impl Weights {
-    fn of(first: &Row, second: &Row) -> Self {
+impl WeightsVerdict {
+    fn of(first: &ListedRun, second: &ListedRun) -> Self {
         match (&first.weights_sha256, &second.weights_sha256) {
             (Some(first), Some(second)) if first == second => Self::Equal,
             (Some(_), Some(_)) => Self::Differ,
@@ -96,9 +99,8 @@ fn list(runs: &Path, json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn print(rows: &[Row]) {
-    output::line(&format!(
-        "{:<36} {:<11} {:<10} {:>9} {:>11} {:>8} {:>9} {:<12} {:<12}",
+fn print(rows: &[ListedRun]) {
+    let head = [
         "run",
         "domain",
         "state",
@@ -107,45 +109,50 @@ fn print(rows: &[Row]) {
         "success",
         "return",
         "weights",
-        "reproducible"
-    ));
+        "reproducible",
+        "forked from",
+    ];
+    let mut table = Table::new(head.map(str::to_owned));
     for row in rows {
-        output::line(text(row).trim_end());
+        table.push(cells(row));
     }
+    output::line(table.text().trim_end());
 }
 
-fn text(row: &Row) -> String {
+fn cells(row: &ListedRun) -> [String; 10] {
     let number = |value: Option<f64>, digits| {
         value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
     };
-    let digest = row.weights_sha256.as_deref().and_then(|digest| digest.get(..DIGEST_DIGITS));
+    let cut = |digest: &str| digest.chars().take(DIGEST_DIGITS).collect::<String>();
     let reproducible = row.reproducible.map(|yes| if yes { "yes" } else { "no" });
-    format!(
-        "{:<36} {:<11} {:<10} {:>9} {:>11} {:>8} {:>9} {:<12} {:<12}",
-        row.name,
-        row.domain,
-        row.state,
-        row.updates,
-        row.steps,
+    let origin =
+        row.origin.as_ref().map(|from| format!("{} {}", from.run, cut(&from.weights_sha256)));
+    [
+        row.name.clone(),
+        row.domain.clone(),
+        row.state.to_owned(),
+        row.updates.to_string(),
+        row.steps.to_string(),
         number(row.success, 2),
         number(row.episode_return, 1),
-        digest.unwrap_or("-"),
-        reproducible.unwrap_or("-")
-    )
+        row.weights_sha256.as_deref().map_or_else(|| "-".to_owned(), cut),
+        reproducible.unwrap_or("-").to_owned(),
+        origin.unwrap_or_default(),
+    ]
 }
 
 /// Describes a run's directory; `None` if it is none.
-fn row(path: &Path) -> Option<Row> {
+fn row(path: &Path) -> Option<ListedRun> {
     let is_run = ["run.json", "config.toml"].iter().any(|file| path.join(file).exists());
     is_run.then(|| {
-        RunRecord::read(&path.join("run.json"))
-            .map_or_else(|error| unreadable(path, &error), |record| readable(path, record))
+        RunRecord::read(path)
+            .map_or_else(|error| unreadable(path, error), |record| readable(path, record))
     })
 }
 
-fn unreadable(path: &Path, error: &anyhow::Error) -> Row {
+fn unreadable(path: &Path, error: RecordError) -> ListedRun {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-    Row {
+    ListedRun {
         name: name.unwrap_or_default(),
         domain: "-".to_owned(),
         state: "unreadable",
@@ -155,20 +162,23 @@ fn unreadable(path: &Path, error: &anyhow::Error) -> Row {
         episode_return: None,
         weights_sha256: None,
         reproducible: None,
+        origin: None,
         started: String::new(),
-        problem: Some(format!("{error:#}")),
+        problem: Some(format!("{:#}", anyhow::Error::from(error))),
     }
 }
 
-fn readable(path: &Path, record: RunRecord) -> Row {
+fn readable(path: &Path, record: RunRecord) -> ListedRun {
     let last = journal::read(path).ok().and_then(|mut lines| lines.pop()).unwrap_or_default();
     let number = |key: &str| last.get(key).and_then(serde_json::Value::as_f64);
     let whole = |key: &str| last.get(key).and_then(serde_json::Value::as_u64).unwrap_or(0);
-    Row {
+    let reproducible = record.is_reproducible(path);
+    ListedRun {
         name: record.name,
         domain: record.domain,
         state: if record.result.is_some() { "finished" } else { "unfinished" },
-        reproducible: record.result.as_ref().map(|result| result.reproducible),
+        reproducible,
+        origin: record.origin,
         weights_sha256: record.result.map(|result| result.weights_sha256),
         updates: whole("update"),
         steps: whole("steps"),
@@ -182,12 +192,12 @@ fn readable(path: &Path, record: RunRecord) -> Row {
 fn compare(args: &RunsArgs, first: &str, second: &str) -> anyhow::Result<()> {
     let open = |name: &str| -> anyhow::Result<_> {
         let path = directory(&args.runs, name)?;
-        let record = RunRecord::read(&path.join("run.json"))?;
+        let record = RunRecord::read(&path)?;
         Ok((read_config(&path)?, readable(&path, record)))
     };
     let ((config_a, row_a), (config_b, row_b)) = (open(first)?, open(second)?);
     let changes = difference(&config_a, &config_b);
-    let weights = Weights::of(&row_a, &row_b);
+    let weights = WeightsVerdict::of(&row_a, &row_b);
     if args.json {
         let changes: Vec<_> = changes
             .iter()

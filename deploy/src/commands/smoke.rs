@@ -1,4 +1,4 @@
-//! `leadtime smoke`: the whole path once, trained, judged and drawn, and a verdict.
+//! `leadtime smoke`: the whole path once, trained, evaluated and drawn, and a verdict.
 //!
 //! ```text
 //! up (learner + actors over the network)  ->  policy file
@@ -7,21 +7,22 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use leadtime_eval::measure::{Comparison, Evaluation, Player};
 use leadtime_eval::report::Verdict;
+use leadtime_runs::Naming;
+use leadtime_runs::launch::Launch;
+use leadtime_runs::{LoadedPolicy, RunRecord};
 use serde_json::json;
 
-use super::launch::{Launch, launch};
+use super::launch::launch;
 use super::run_report::{self, Findings};
-use super::{judge, play, policy_file};
-use crate::cli::{RunChoice, SmokeArgs};
+use super::{episode, evaluation, play};
+use crate::cli::SmokeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::record::RunRecord;
-use crate::run_dir;
-use crate::shutdown::{Watch, watch};
-use crate::{Program, output};
+use crate::output;
+use crate::shutdown::{Watch, unless_cancelled, watch};
 use leadtime_config::{Config, Layer};
+use leadtime_runs::Tasks;
 
 /// What the trained notifier must gain over the unaided person, in success, with its whole interval.
 const MARK: f64 = 0.3;
@@ -33,72 +34,64 @@ const TRAINED: &str = "trained";
 /// The player that shows what the person does alone.
 const UNAIDED: &str = "unaided";
 
-pub(super) async fn run(program: &Program, args: &SmokeArgs) -> Result<(), Failure> {
-    let config = configure(program, args).blame(ExitCode::WrongInput)?;
+pub(super) async fn run(tasks: &Tasks, args: &SmokeArgs) -> Result<(), Failure> {
+    let config = configure(tasks, args).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
-    let name = run_dir::fresh_name(&config, &format!("smoke-{}", config.domain))
-        .blame(ExitCode::WrongInput)?;
     if args.quick {
         output::say("smoke --quick checks the mechanics only: nothing is claimed about learning");
     }
-    let choice = RunChoice::default();
-    let what = Launch {
-        name: &name,
-        n_actors: args.actors,
-        listen: &[],
-        choice: &choice,
-        learner_talks: false,
-        log: None,
-    };
-    launch(&config, &what, &shutdown).await?;
-    let directory = config.run.directory.join(name.as_str());
-    let judged = judge(program, args, &config, &directory)?;
-    let record = RunRecord::read(&directory.join("run.json"))?;
+    let stem = format!("smoke-{}", config.domain);
+    let what = Launch::new(Naming::New(&stem), args.actors);
+    let directory = launch(&config, &what, &shutdown).await?;
+    let (tasks, arguments, run) = (tasks.clone(), args.clone(), directory.clone());
+    let work = move || evaluate(&tasks, &arguments, &config, &run).map_err(Failure::from);
+    let outcome = unless_cancelled(&shutdown, work).await?;
+    let record = RunRecord::read(&directory).blame(ExitCode::Failed)?;
     let books = record.result.map(|result| result.books).unwrap_or_default();
-    print(args, &directory, &judged, &books);
-    if judged.passed { Ok(()) } else { Err(Failure::silent(ExitCode::Failed)) }
+    print(args, &directory, &outcome, &books);
+    if outcome.passed { Ok(()) } else { Err(Failure::silent(ExitCode::Failed)) }
 }
 
 /// Loads the domain's configuration, made small for a quick run.
-fn configure(program: &Program, args: &SmokeArgs) -> anyhow::Result<Config> {
+fn configure(tasks: &Tasks, args: &SmokeArgs) -> anyhow::Result<Config> {
     let mut source = args.source.clone();
     source.config.get_or_insert_with(|| PathBuf::from(&args.domain));
-    let config = program.configure(&source, None)?;
+    let config = source.load(tasks, None)?;
     if !args.quick {
         return Ok(config);
     }
     let steps = QUICK_UPDATES * config.steps_per_update();
     let quick = format!("learner.total_steps = {steps}\nrun.checkpoint_every = 4\n");
-    Ok(config.with([Layer::text("--quick", quick)], &program.registry)?)
+    Ok(config.with([Layer::text("--quick", quick)], &tasks.registry)?)
 }
 
-/// What came out.
-struct Judged {
+/// What the evaluation found.
+struct SmokeOutcome {
     comparison: Comparison,
     sentence: String,
     passed: bool,
 }
 
-fn judge(
-    program: &Program,
+fn evaluate(
+    tasks: &Tasks,
     args: &SmokeArgs,
     config: &Config,
     directory: &Path,
-) -> anyhow::Result<Judged> {
-    let name = directory.to_str().context("the run directory's path is not UTF-8")?;
-    let loaded = policy_file::load(program, &config.run.directory, name, &[])?;
+) -> anyhow::Result<SmokeOutcome> {
+    let loaded = LoadedPolicy::load(&tasks.registry, &config.run.directory, directory, &[])?;
     let action = config.evaluation.action;
-    let trained = judge::policy(TRAINED, config, &loaded.parameters, action)?;
-    let environment = config.build(&program.registry)?;
+    let trained = evaluation::policy(TRAINED, config, &loaded.parameters, action)?;
+    let environment = config.build(&tasks.registry)?;
     let scripts = environment.baselines().iter().map(|script| Player::baseline(script));
-    let untrained = Player::untrained(&config.policy, config.seed, judge::choice(action))?;
+    let untrained = Player::untrained(&config.policy, config.seed, evaluation::choice(action))?;
     let players: Vec<Player> = [trained].into_iter().chain(scripts).chain([untrained]).collect();
     let default = if args.quick { QUICK_EPISODES } else { config.evaluation.episodes };
     let n_episodes = args.episodes.unwrap_or(default);
-    let evaluations = judge::evaluate_all(program, config, &players, n_episodes, judge::EVAL_SEED)?;
-    let comparison = judge::compare(config, &evaluations, &[])?;
+    let evaluations =
+        evaluation::evaluate_all(tasks, config, &players, n_episodes, evaluation::EVAL_SEED)?;
+    let comparison = evaluation::compare(config, &evaluations, &[])?;
     let (sentence, passed) = verdict(args, config, &comparison);
-    let pictures = draw(program, config, &players, &evaluations, directory)?;
+    let pictures = draw(tasks, config, &players, &evaluations, directory)?;
     let findings = Findings {
         lead: lead(config, &loaded.path),
         verdicts: vec![Verdict { holds: passed, sentence: sentence.clone() }],
@@ -107,14 +100,14 @@ fn judge(
         notes: notes(args),
     };
     run_report::write(directory, findings)?;
-    Ok(Judged { comparison, sentence, passed })
+    Ok(SmokeOutcome { comparison, sentence, passed })
 }
 
 fn lead(config: &Config, policy: &Path) -> String {
     let file = policy.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     format!(
-        "Trained on domain {} for {} updates of {} steps by a learner and separate actors, then judged on \
-         episodes that training never saw. The judged policy is {file}.",
+        "Trained on domain {} for {} updates of {} steps by a learner and separate actors, then evaluated on \
+         episodes that training never saw. The evaluated policy is {file}.",
         config.domain,
         config.learner.n_updates(),
         config.steps_per_update()
@@ -131,7 +124,7 @@ fn verdict(args: &SmokeArgs, config: &Config, comparison: &Comparison) -> (Strin
     if args.quick {
         return ("The mechanics work; learning was not checked (--quick).".to_owned(), true);
     }
-    let measure = judge::main_measure(config);
+    let measure = evaluation::main_measure(config);
     let against =
         |name: &str| comparison.differences.iter().find(|difference| difference.minus == name);
     let (Some(difference), true) = (against(UNAIDED), measure == "success") else {
@@ -147,22 +140,22 @@ fn verdict(args: &SmokeArgs, config: &Config, comparison: &Comparison) -> (Strin
 
 /// Draws the first episode that shows what training did: the trained policy succeeds where the unaided person fails.
 fn draw(
-    program: &Program,
+    tasks: &Tasks,
     config: &Config,
     players: &[Player],
     evaluations: &[Evaluation],
     directory: &Path,
 ) -> anyhow::Result<Vec<leadtime_eval::report::Picture>> {
-    let environment = program.registry.build(&config.evaluation.task)?;
+    let environment = tasks.registry.build(&config.evaluation.task)?;
     if environment.scene().is_none() {
         return Ok(Vec::new());
     }
     let index = telling_episode(evaluations);
-    let voice = judge::shipped_voice(program, config);
+    let voice = episode::shipped_voice(tasks, config);
     let mut pictures = Vec::new();
     for (i, player) in players.iter().enumerate().take(2) {
-        let seed = judge::EVAL_SEED;
-        let spoken = judge::record(program, config, player, voice.as_ref(), seed, index)?;
+        let seed = evaluation::EVAL_SEED;
+        let spoken = episode::record(tasks, config, player, voice.as_ref(), seed, index)?;
         if i == 0 {
             play::draw(&spoken, &directory.join("playthrough.png"))?;
         }
@@ -179,22 +172,22 @@ fn telling_episode(evaluations: &[Evaluation]) -> u64 {
     telling.unwrap_or(0) as u64
 }
 
-fn print(args: &SmokeArgs, directory: &Path, judged: &Judged, books: &serde_json::Value) {
+fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome, books: &serde_json::Value) {
     let report = directory.join("report.html");
     if args.json {
         output::json(&json!({
-            "run": directory,
-            "report": report,
+            "run": directory.display().to_string(),
+            "report": report.display().to_string(),
             "quick": args.quick,
-            "passed": judged.passed,
-            "verdict": judged.sentence,
-            "comparison": judged.comparison,
+            "passed": outcome.passed,
+            "verdict": outcome.sentence,
+            "comparison": outcome.comparison,
             "books": books,
         }));
         return;
     }
-    output::line(judged.comparison.text().trim_end());
-    output::line(&format!("\n{}", judged.sentence));
+    output::line(outcome.comparison.text().trim_end());
+    output::line(&format!("\n{}", outcome.sentence));
     output::line(&format!("Books:  {books}"));
     output::line(&format!("Report: {}", report.display()));
 }

@@ -20,8 +20,8 @@ use leadtime_eval::measure::{EpisodeResult, Evaluation};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use crate::record::write_atomically;
-use crate::{build_id, cpu, output};
+use leadtime_runs::write_atomically;
+use leadtime_runs::{build, cpu, digest::hex};
 
 /// Digits of a question's digest in a file's name.
 const NAME_DIGITS: usize = 32;
@@ -72,9 +72,9 @@ impl Cells {
     ///
     /// # Errors
     ///
-    /// As [`build_id::executable_digest`].
+    /// As [`build::executable_digest`].
     pub(super) fn new() -> io::Result<Self> {
-        let program = format!("{} on {}", build_id::executable_digest()?, cpu::fingerprint());
+        let program = format!("{} on {}", build::executable_digest()?, cpu::fingerprint());
         Ok(Self::of(program))
     }
 
@@ -143,7 +143,7 @@ impl Answer {
 }
 
 fn digest(bytes: &[u8]) -> String {
-    output::hex(&Sha256::digest(bytes))
+    hex(&Sha256::digest(bytes))
 }
 
 #[cfg(test)]

@@ -7,11 +7,11 @@ use toml::Table;
 
 use super::catalog::Named;
 use super::study::{Part, Person, Row};
-use crate::Program;
 use crate::cli::{CompareArgs, SourceArgs};
-use crate::output;
 use leadtime_config::identity::{self, difference};
 use leadtime_config::{Config, Layer, Override};
+use leadtime_runs::Tasks;
+use leadtime_runs::digest::hex;
 
 /// Keys that options set, and which ones.
 const OPTIONS: [(&str, &str); 3] =
@@ -34,7 +34,7 @@ impl Profile {
     /// # Errors
     ///
     /// One sentence: what is wrong with a configuration.
-    pub(super) fn load(program: &Program, part: &Part, args: &CompareArgs) -> anyhow::Result<Self> {
+    pub(super) fn load(program: &Tasks, part: &Part, args: &CompareArgs) -> anyhow::Result<Self> {
         let own = read(program, Path::new(&part.profile))?;
         for other in &args.profile {
             let config = read(program, other).context("--profile")?;
@@ -53,7 +53,7 @@ impl Profile {
     /// One sentence: the key at fault.
     pub(super) fn training(
         &self,
-        program: &Program,
+        program: &Tasks,
         part: &Part,
         row: &Row,
         args: &CompareArgs,
@@ -97,7 +97,7 @@ impl Profile {
 ///
 /// One sentence: the key at fault.
 pub(super) fn evaluation(
-    program: &Program,
+    program: &Tasks,
     training: &Config,
     person: &Person,
 ) -> anyhow::Result<Config> {
@@ -110,7 +110,7 @@ pub(super) fn evaluation(
 ///
 /// As [`Config::with`].
 pub(super) fn seeded(
-    program: &Program,
+    program: &Tasks,
     training: &Config,
     seed: u64,
     name: &str,
@@ -122,7 +122,7 @@ pub(super) fn seeded(
 /// Computes the first digits of the hash over everything in a complete table that decides what a training computes, its
 /// seed excepted.
 pub(super) fn hash(table: &Table) -> String {
-    output::hex(&identity::of_training(table)).chars().take(HASH_DIGITS).collect()
+    hex(&identity::of_training(table)).chars().take(HASH_DIGITS).collect()
 }
 
 /// Checks that every profile on the command line takes the place of some part's, and no two of the same.
@@ -131,7 +131,7 @@ pub(super) fn hash(table: &Table) -> String {
 ///
 /// One sentence that names it.
 pub(super) fn check_profiles(
-    program: &Program,
+    program: &Tasks,
     studies: &[Named],
     args: &CompareArgs,
 ) -> anyhow::Result<()> {
@@ -164,7 +164,7 @@ pub(super) fn check_profiles(
 /// # Errors
 ///
 /// One sentence: what is wrong with it.
-pub(super) fn read(program: &Program, file: &Path) -> anyhow::Result<Config> {
+pub(super) fn read(program: &Tasks, file: &Path) -> anyhow::Result<Config> {
     let source = SourceArgs { config: Some(PathBuf::from(file)), ..SourceArgs::default() };
-    program.configure(&source, None)
+    Ok(source.load(program, None)?)
 }

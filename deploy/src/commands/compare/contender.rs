@@ -2,15 +2,15 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use leadtime_eval::measure::Player;
+use leadtime_runs::LoadedPolicy;
 
 use super::plan::{PlannedRow, Training};
 use super::study::WhichPolicy;
-use crate::Program;
 use crate::cli::CompareArgs;
-use crate::commands::{judge, policy_file};
+use crate::commands::evaluation;
 use leadtime_config::EvaluationAction;
+use leadtime_runs::Tasks;
 
 /// The folder of judged cells: in a run's directory, and for scripts, which have no run, beside the runs.
 const FOLDER: &str = "evaluations";
@@ -38,19 +38,19 @@ impl Contender {
     }
 
     fn policy(
-        program: &Program,
+        program: &Tasks,
         row: &PlannedRow,
         training: &Training,
         which: WhichPolicy,
         action: EvaluationAction,
     ) -> anyhow::Result<Self> {
         let file = training.policy(which);
-        let file = file.to_str().context("the path is not UTF-8")?;
-        let loaded = policy_file::load(program, &training.config.run.directory, file, &[])?;
+        let runs = &training.config.run.directory;
+        let loaded = LoadedPolicy::load(&program.registry, runs, &file, &[])?;
         let networks = serde_json::to_string(&row.config.policy)?;
         let choice = serde_json::to_string(&action)?;
         Ok(Self {
-            player: judge::policy(&row.row.title, &row.config, &loaded.parameters, action)?,
+            player: evaluation::policy(&row.row.title, &row.config, &loaded.parameters, action)?,
             identity: vec!["policy".to_owned(), loaded.sha256, networks, choice],
             directory: training.directory().join(FOLDER),
         })
@@ -63,7 +63,7 @@ impl Contender {
 ///
 /// A policy that cannot be read, or does not fit its task.
 pub(super) fn of(
-    program: &Program,
+    program: &Tasks,
     args: &CompareArgs,
     which: WhichPolicy,
     row: &PlannedRow,

@@ -16,8 +16,8 @@ use super::naming::label_of;
 use super::plan::{PlannedPart, PlannedRow, Training};
 use super::study::Person;
 use super::write::Drawn;
-use crate::commands::judge;
-use crate::progress::journal;
+use crate::commands::episode;
+use leadtime_runs::journal;
 
 /// Pixels per unit.
 const SCALE: f32 = 1.5;
@@ -167,8 +167,15 @@ fn playthroughs(
     for row in &planned.rows {
         let on = row.evaluations.iter().find(|evaluated| evaluated.names.contains(person));
         let (Some(on), Some(player)) = (on, judge.first_player(row)?) else { continue };
-        let voice = judge::shipped_voice(judge.program, &on.config);
-        episodes.push(judge::record(judge.program, &on.config, &player, voice.as_ref(), seed, 0)?);
+        let voice = episode::shipped_voice(judge.program, &on.config);
+        episodes.push(episode::record(
+            judge.program,
+            &on.config,
+            &player,
+            voice.as_ref(),
+            seed,
+            0,
+        )?);
     }
     let Some(n_steps) = episodes.iter().map(|spoken| spoken.played.n_steps()).max() else {
         return Ok(None);

@@ -13,9 +13,9 @@ use super::judging::{Judge, UNAIDED};
 use super::plan::PlannedPart;
 use super::study::Part;
 use super::write::Drawn;
-use crate::Program;
-use crate::commands::judge;
+use crate::commands::evaluation;
 use leadtime_config::Config;
+use leadtime_runs::Tasks;
 
 /// The domain that has maps and flights.
 const DOMAIN: &str = "lander";
@@ -37,7 +37,7 @@ pub(super) struct PlannedMap {
 ///
 /// One sentence: a configuration that cannot be read, or a domain in which nobody flies.
 pub(super) fn plan(
-    program: &Program,
+    program: &Tasks,
     part: &Part,
     profile: &Profile,
 ) -> anyhow::Result<Vec<PlannedMap>> {
@@ -127,14 +127,14 @@ pub(super) fn trajectories(
 
 /// Flies the first episodes of a seed.
 fn fly(
-    program: &Program,
+    program: &Tasks,
     config: &Config,
     player: &Player,
     seed: u64,
     n: u64,
 ) -> anyhow::Result<Vec<Playthrough>> {
     let make = || program.registry.build(&config.evaluation.task);
-    let settings = PlaySettings::new(n, seed).threads(judge::n_threads());
+    let settings = PlaySettings::new(n, seed).threads(evaluation::n_threads());
     Ok(Playthrough::record_all(&make, player, &settings)?)
 }
 

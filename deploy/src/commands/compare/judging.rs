@@ -16,11 +16,11 @@ use super::naming::notification;
 use super::plan::{Evaluated, PlannedPart, PlannedRow};
 use super::provenance;
 use super::study::WhichPolicy;
-use crate::Program;
 use crate::cli::CompareArgs;
-use crate::commands::judge;
+use crate::commands::evaluation;
 use crate::exit::{ExitCode, Failure};
 use leadtime_config::{Config, EvaluationAction};
+use leadtime_runs::Tasks;
 
 /// Seed of every interval: what is uncertain is the data.
 const BOOTSTRAP_SEED: u64 = 1;
@@ -35,7 +35,7 @@ pub(super) fn bootstrap() -> Bootstrap {
 /// Judges policies; remembers what was judged before, and what the unaided person did in the same episodes.
 #[derive(Debug)]
 pub(super) struct Judge<'a> {
-    pub(super) program: &'a Program,
+    pub(super) program: &'a Tasks,
     pub(super) args: &'a CompareArgs,
     pub(super) which: WhichPolicy,
     pub(super) shutdown: &'a CancellationToken,
@@ -47,7 +47,7 @@ pub(super) struct Judge<'a> {
 impl<'a> Judge<'a> {
     /// Makes one.
     pub(super) fn new(
-        program: &'a Program,
+        program: &'a Tasks,
         args: &'a CompareArgs,
         which: WhichPolicy,
         shutdown: &'a CancellationToken,
@@ -114,7 +114,7 @@ impl<'a> Judge<'a> {
         let people = row.evaluations.iter();
         for (person, action) in people.flat_map(|p| actions(row).into_iter().map(move |a| (p, a))) {
             let by_seed = self.row(seeds, row, person, action)?;
-            judged.push(sum_up(row, person, judge::choice(action), &by_seed));
+            judged.push(sum_up(row, person, evaluation::choice(action), &by_seed));
             if action == EvaluationAction::Sample {
                 let under = |name: &String| (row.row.name.clone(), name.clone());
                 sampled.extend(person.names.iter().map(|name| (under(name), by_seed.clone())));
@@ -199,7 +199,7 @@ impl<'a> Judge<'a> {
         Ok(match told {
             Told::Course => {
                 let make = || program.registry.build(&config.evaluation.task);
-                with_claims(evaluation, unaided, &make, &contender.player, judge::n_threads())?
+                with_claims(evaluation, unaided, &make, &contender.player, evaluation::n_threads())?
             }
             Told::Measures | Told::Lead => evaluation,
         })
@@ -239,14 +239,14 @@ impl Told {
 
 /// Plays the episodes of a cell.
 fn evaluate(
-    program: &Program,
+    program: &Tasks,
     args: &CompareArgs,
     config: &Config,
     player: &Player,
     seed: u64,
 ) -> anyhow::Result<Evaluation> {
     let players = std::slice::from_ref(player);
-    let judged = judge::evaluate_all(program, config, players, args.episodes, seed)?;
+    let judged = evaluation::evaluate_all(program, config, players, args.episodes, seed)?;
     judged.into_iter().next().context("one player gives one evaluation")
 }
 

@@ -7,9 +7,9 @@ use super::super::naming::told_apart;
 use super::super::plan::Plan;
 use super::super::test_support::{args, study};
 use super::*;
-use crate::commands::policy_file;
-use crate::progress::sink::LAST_POLICY;
-use crate::record::{RunRecord, RunResult};
+use leadtime_runs::policy_file::{self, LAST_POLICY};
+use leadtime_runs::{LoadedPolicy, ProgramBuild};
+use leadtime_runs::{RunRecord, RunResult};
 
 const STUDY: &str = r#"
 title = "t"
@@ -35,7 +35,7 @@ title = "Trained"
 /// Writes the study's part: what it found, and how many cells were played and taken for it.
 fn written(runs: &Path, more: &[&str]) -> (PartResult, String) {
     let args = args(runs, &[&["--seeds", "7..8"], more].concat());
-    let program = Program::new();
+    let program = Tasks::new();
     let plan = Plan::new(&program, study("t", STUDY), &args).unwrap();
     for training in plan.trainings() {
         finish(&training.directory(), &training.config);
@@ -62,8 +62,11 @@ fn finish(directory: &Path, config: &Config) {
         reproducible: true,
         books: serde_json::Value::Null,
     };
-    let record = RunRecord { result: Some(result), ..RunRecord::begin("a", "lander", 7) };
-    record.write(&directory.join("run.json")).unwrap();
+    let record = RunRecord {
+        result: Some(result),
+        ..RunRecord::begin("a", "lander", 7, &ProgramBuild::default())
+    };
+    record.write(directory).unwrap();
 }
 
 fn put_policy(directory: &Path, config: &Config, seed: u64) {
@@ -89,7 +92,7 @@ fn a_measure_that_there_is_not_is_told_with_those_there_are() {
     let args = args(runs.path(), &["--seeds", "7..8"]);
     let check = |from: &str, to: &str| {
         let named = study("t", &STUDY.replace(from, to));
-        let plan = Plan::new(&Program::new(), named, &args).unwrap();
+        let plan = Plan::new(&Tasks::new(), named, &args).unwrap();
         check_measures(&plan.parts[0], &part.rows)
     };
     check("[\"success\"]", "[\"success\", \"mean_l\"]").unwrap();
@@ -128,10 +131,10 @@ fn another_policy_seed_setting_or_number_of_episodes_is_played() {
         ALL
     );
     assert_eq!(written(runs.path(), TWO).1, NONE);
-    let program = Program::new();
+    let program = Tasks::new();
     let run = run_of(runs.path());
     let file = run.join(LAST_POLICY);
-    let loaded = policy_file::load(&program, runs.path(), file.to_str().unwrap(), &[]).unwrap();
+    let loaded = LoadedPolicy::load(&program.registry, runs.path(), &file, &[]).unwrap();
     put_policy(&run, &loaded.config, 99);
     let two = "judged 2 cells, and took 2 that were judged before";
     assert_eq!(written(runs.path(), TWO).1, two, "the script and the unaided person stay");
@@ -163,7 +166,7 @@ title = "Trained"
 set.notifier.notification = "topic_only"
 "#;
     let named = study("t", &format!("{STUDY}{more}"));
-    let plan = Plan::new(&Program::new(), named, &args(runs.path(), &[])).unwrap();
+    let plan = Plan::new(&Tasks::new(), named, &args(runs.path(), &[])).unwrap();
     let [script, trained, topics] = &plan.parts[0].rows[..] else { panic!() };
     assert_eq!(told_apart([script, trained]), ["script", "trained"]);
     let expected = ["trained (incrementally actionable)", "trained (topic only)"];

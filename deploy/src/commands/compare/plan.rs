@@ -9,11 +9,11 @@ use super::catalog::Named;
 use super::configure::{self, Profile};
 use super::flights::{self, PlannedMap};
 use super::study::{Part, Row, WhichPolicy};
-use crate::Program;
 use crate::cli::CompareArgs;
-use crate::progress::journal;
-use crate::record::RunRecord;
 use leadtime_config::Config;
+use leadtime_runs::RunRecord;
+use leadtime_runs::Tasks;
+use leadtime_runs::journal;
 
 /// The longest name of a run.
 const MAX_NAME: usize = 64;
@@ -85,7 +85,7 @@ impl Plan {
     /// # Errors
     ///
     /// One sentence: an unknown row or part, or what is wrong with a setting.
-    pub(super) fn new(program: &Program, named: Named, args: &CompareArgs) -> anyhow::Result<Self> {
+    pub(super) fn new(program: &Tasks, named: Named, args: &CompareArgs) -> anyhow::Result<Self> {
         let wanted = |part: &&Part| args.parts.is_empty() || args.parts.contains(&part.name);
         let mut parts = Vec::new();
         for part in named.study.parts.iter().filter(wanted) {
@@ -155,7 +155,7 @@ fn is_called(part: &Part, row: &Row, name: &str) -> bool {
 }
 
 fn plan_part(
-    program: &Program,
+    program: &Tasks,
     study: &str,
     part: &Part,
     args: &CompareArgs,
@@ -177,7 +177,7 @@ fn plan_part(
 }
 
 fn plan_row(
-    program: &Program,
+    program: &Tasks,
     stem: &str,
     part: &Part,
     row: &Row,
@@ -219,7 +219,7 @@ fn seeds(part: &Part, args: &CompareArgs) -> Vec<u64> {
 }
 
 fn plan_training(
-    program: &Program,
+    program: &Tasks,
     stem: &str,
     config: &Config,
     hash: &str,
@@ -246,7 +246,7 @@ fn existing(runs: &Path, suffix: &str) -> Option<String> {
 
 /// Tells whether the run in a directory has reached its end.
 fn is_finished(directory: &Path) -> bool {
-    let record = RunRecord::read(&directory.join("run.json"));
+    let record = RunRecord::read(directory);
     record.is_ok_and(|record| record.result.is_some())
 }
 
@@ -263,7 +263,7 @@ impl Training {
 
     /// Returns the file of the policy that is judged.
     pub(super) fn policy(&self, which: WhichPolicy) -> PathBuf {
-        use crate::progress::sink::{BEST_POLICY, LAST_POLICY};
+        use leadtime_runs::policy_file::{BEST_POLICY, LAST_POLICY};
         let directory = self.directory();
         let best = directory.join(BEST_POLICY);
         // A run in which no hundred episodes ended knows no best one.

@@ -1,6 +1,6 @@
 use super::super::test_support::{args, study};
 use super::*;
-use crate::record::RunResult;
+use leadtime_runs::{ProgramBuild, RunResult};
 
 const STUDY: &str = r#"
 title = "t"
@@ -33,7 +33,7 @@ fn named(name: &str) -> Named {
 }
 
 fn plan(runs: &Path, more: &[&str]) -> anyhow::Result<Plan> {
-    Plan::new(&Program::new(), named("t"), &args(runs, more))
+    Plan::new(&Tasks::new(), named("t"), &args(runs, more))
 }
 
 fn names(plan: &Plan) -> Vec<String> {
@@ -56,7 +56,7 @@ fn a_training_per_row_and_seed_named_by_what_it_computes() {
     assert_eq!(stems, expected);
     assert_eq!(plan.trainings()[1].config.seed, 8);
     let again = super::plan_part(
-        &Program::new(),
+        &Tasks::new(),
         "t",
         &plan.named.study.parts[0],
         &args(runs.path(), &["--seeds", "7..9", "--jobs", "3"]),
@@ -70,7 +70,7 @@ fn a_part_has_seeds_of_its_own_unless_the_command_line_says() {
     let later = STUDY.replace("quick_steps", "first_seed = 301\nquick_steps");
     let seeds = |text: &str, more: &[&str]| {
         let args = args(runs.path(), more);
-        let plan = Plan::new(&Program::new(), study("t", text), &args).unwrap();
+        let plan = Plan::new(&Tasks::new(), study("t", text), &args).unwrap();
         plan.parts[0].seeds.clone()
     };
     assert_eq!(seeds(STUDY, &[]), [201, 202, 203, 204, 205]);
@@ -105,13 +105,13 @@ fn a_run_that_computes_the_same_is_taken_whatever_it_is_called() {
     let directory = runs.path().join(&other);
     std::fs::create_dir_all(&directory).unwrap();
     assert_eq!(names(&plan(runs.path(), &["--seeds", "7..8"]).unwrap()), names(&first));
-    RunRecord::begin(&other, "lander", 7).write(&directory.join("run.json")).unwrap();
+    RunRecord::begin(&other, "lander", 7, &ProgramBuild::default()).write(&directory).unwrap();
     let again = plan(runs.path(), &["--seeds", "7..8"]).unwrap();
     assert_eq!(names(&again)[0], other);
     assert!(!again.trainings()[0].is_finished(), "it was only begun");
     let later = format!("later-{}-s7", training.hash);
     std::fs::create_dir_all(runs.path().join(&later)).unwrap();
-    let mut finished = RunRecord::begin(&later, "lander", 7);
+    let mut finished = RunRecord::begin(&later, "lander", 7, &ProgramBuild::default());
     finished.result = Some(RunResult {
         finished: String::new(),
         updates: 1,
@@ -120,7 +120,7 @@ fn a_run_that_computes_the_same_is_taken_whatever_it_is_called() {
         reproducible: true,
         books: serde_json::Value::Null,
     });
-    finished.write(&runs.path().join(&later).join("run.json")).unwrap();
+    finished.write(&runs.path().join(&later)).unwrap();
     let again = plan(runs.path(), &["--seeds", "7..8"]).unwrap();
     assert_eq!(names(&again)[0], later, "a finished one is taken before one that was begun");
 }
@@ -129,7 +129,7 @@ fn a_run_that_computes_the_same_is_taken_whatever_it_is_called() {
 fn studies_share_what_they_have_in_common() {
     let runs = tempfile::tempdir().unwrap();
     let args = args(runs.path(), &["--seeds", "7..9"]);
-    let one = |name: &str| Plan::new(&Program::new(), named(name), &args).unwrap();
+    let one = |name: &str| Plan::new(&Tasks::new(), named(name), &args).unwrap();
     let mut plans = vec![one("first"), one("second")];
     let shared = share(&mut plans);
     assert_eq!(shared.len(), 4);
@@ -173,7 +173,7 @@ fn maps_and_flights_are_for_piloting_alone() {
     let plan = |change: &str| {
         let text = STUDY.replace("quick_steps = 4096", &format!("quick_steps = 4096\n{change}"));
         let named = study("t", &text);
-        Plan::new(&Program::new(), named, &args(runs.path(), &[]))
+        Plan::new(&Tasks::new(), named, &args(runs.path(), &[]))
     };
     let maps = |profile: &str| format!("maps = [{{ profile = \"{profile}\", title = \"a\" }}]");
     assert_eq!(plan(&maps("lander_hard")).unwrap().parts[0].maps.len(), 1);
@@ -188,7 +188,7 @@ fn maps_and_flights_are_for_piloting_alone() {
     let text =
         steakhouse.replace("quick_steps = 4096", "quick_steps = 4096\ntrajectories_on = \"real\"");
     let named = study("t", &text);
-    let error = Plan::new(&Program::new(), named, &args(runs.path(), &[])).unwrap_err();
+    let error = Plan::new(&Tasks::new(), named, &args(runs.path(), &[])).unwrap_err();
     let text = format!("{error:#}");
     assert!(text.contains("`trajectories_on`: `steakhouse`") && text.contains("flights"), "{text}");
 }
@@ -201,7 +201,7 @@ fn a_rows_own_steps_are_above_the_parts_and_below_the_command_lines() {
         .replace("name = \"real_one\"", "name = \"real_one\"\nset.learner.total_steps = 61440");
     let steps = |more: &[&str]| -> Vec<u64> {
         let named = study("t", &text);
-        let plan = Plan::new(&Program::new(), named, &args(runs.path(), more)).unwrap();
+        let plan = Plan::new(&Tasks::new(), named, &args(runs.path(), more)).unwrap();
         plan.parts[0].rows.iter().skip(1).map(|row| row.config.learner.total_steps).collect()
     };
     assert_eq!(steps(&[]), [20_480, 61_440]);
@@ -225,7 +225,7 @@ fn what_is_not_there_is_told_with_what_is() {
     assert!(text.contains("--set seed") && text.contains("see --seeds"), "{text}");
     let profile = |more: &[&str]| {
         let args = args(runs.path(), more);
-        configure::check_profiles(&Program::new(), &[named("t")], &args)
+        configure::check_profiles(&Tasks::new(), &[named("t")], &args)
     };
     profile(&["--profile", "paper_lander"]).unwrap();
     let text = profile(&["--profile", "highway"]).unwrap_err().to_string();

@@ -9,8 +9,8 @@ use super::plan::{Plan, PlannedPart, Training};
 use super::study::WhichPolicy;
 use crate::cli::CompareArgs;
 use crate::commands::origin;
-use crate::progress::journal;
-use crate::record::RunRecord;
+use leadtime_runs::RunRecord;
+use leadtime_runs::journal;
 
 /// Digits of a weights' digest.
 const DIGEST_DIGITS: usize = 12;
@@ -31,7 +31,7 @@ pub(super) fn profile(planned: &PlannedPart) -> String {
 /// A record that cannot be read, or a run that is not finished.
 pub(super) fn run(training: &Training) -> anyhow::Result<TrainedRun> {
     let directory = training.directory();
-    let record = RunRecord::read(&directory.join("run.json"))?;
+    let record = RunRecord::read(&directory)?;
     let result = record.result.with_context(|| format!("run {} is not finished", training.name))?;
     let commit = record.commit.map_or(String::new(), |commit| format!(" {}", cut(&commit)));
     Ok(TrainedRun {
@@ -122,7 +122,7 @@ pub(super) fn facts(
 mod tests {
     use super::super::test_support::{args, study};
     use super::*;
-    use crate::Program;
+    use leadtime_runs::Tasks;
 
     #[test]
     fn seeds_are_told_by_part_where_parts_differ() {
@@ -138,7 +138,7 @@ mod tests {
             let text = format!("title = \"t\"\nlead = \"l\"\n{parts}");
             let runs = tempfile::tempdir().unwrap();
             let plan =
-                Plan::new(&Program::new(), study("t", &text), &args(runs.path(), &[])).unwrap();
+                Plan::new(&Tasks::new(), study("t", &text), &args(runs.path(), &[])).unwrap();
             seeds(&plan.parts)
         };
         assert_eq!(told("", ""), "201, 202, 203, 204, 205");

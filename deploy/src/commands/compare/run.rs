@@ -13,15 +13,16 @@ use super::write::Place;
 use super::{catalog, configure, figures, provenance};
 use crate::cli::CompareArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output;
 use crate::shutdown::{Watch, watch};
-use crate::{Program, output};
+use leadtime_runs::Tasks;
 
 /// Carries the command out.
 ///
 /// # Errors
 ///
 /// [`Failure`] with the exit code that the program should end with.
-pub(in crate::commands) async fn run(program: &Program, args: &CompareArgs) -> Result<(), Failure> {
+pub(in crate::commands) async fn run(program: &Tasks, args: &CompareArgs) -> Result<(), Failure> {
     let Some(name) = &args.study else { return list().blame(ExitCode::Failed) };
     let studies = catalog::find(name).blame(ExitCode::WrongInput)?;
     plan::check_choice(&studies, args).blame(ExitCode::WrongInput)?;
@@ -79,7 +80,7 @@ fn show(trainings: &[Training]) {
 }
 
 fn judge(
-    program: &Program,
+    program: &Tasks,
     plan: &Plan,
     args: &CompareArgs,
     place: &Place,
@@ -100,7 +101,7 @@ fn judge(
     for training in plan.trainings() {
         runs.push(provenance::run(training)?);
     }
-    let command = output::command_line(std::env::args().skip(1));
+    let command = output::command_line(std::env::args_os().skip(1));
     Ok(StudyResult {
         study: plan.named.name.clone(),
         title: plan.named.study.title.clone(),

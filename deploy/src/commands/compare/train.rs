@@ -4,13 +4,15 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use leadtime_runs::Naming;
+use leadtime_runs::launch::Launch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::plan::Training;
 use super::progress::Progress;
-use crate::cli::{CompareArgs, RunChoice};
-use crate::commands::launch::{Launch, launch};
+use crate::cli::CompareArgs;
+use crate::commands::launch::launch;
 use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// Pause between two looks at how far the trainings are.
@@ -76,18 +78,9 @@ async fn carry_out(
     n_actors: u32,
     stop: CancellationToken,
 ) -> Result<(), Failure> {
-    let choice = RunChoice::default();
     let log = training.log();
-    let what = Launch {
-        name: &training.name,
-        n_actors,
-        listen: &[],
-        choice: &choice,
-        learner_talks: false,
-        log: Some(log.clone()),
-    };
-    let ended = launch(&training.config, &what, &stop).await;
-    match ended {
+    let what = Launch { stderr_log: Some(log.clone()), ..Launch::new(Naming::Resume, n_actors) };
+    match launch(&training.config, &what, &stop).await.map(|_run| ()) {
         // The processes have said why, but not to the person.
         Err(Failure { code, error: None }) if code != ExitCode::Interrupted => {
             let sentence = format!("run `{}` failed: {}", training.name, last_words(&log));

@@ -10,7 +10,7 @@ use super::catalog::Named;
 use super::{catalog, index};
 use crate::cli::CompareArgs;
 use crate::output;
-use crate::record::write_atomically;
+use leadtime_runs::write_atomically;
 
 /// Where results go unless the person says otherwise.
 const RESULTS: &str = "docs/results";

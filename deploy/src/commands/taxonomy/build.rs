@@ -15,7 +15,7 @@ use super::{backend, source};
 use crate::cli::TaxonomyBuildArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use crate::record::write_atomically;
+use leadtime_runs::write_atomically;
 
 /// Names of the files in the output directory.
 const LOG: &str = "calls.jsonl";

@@ -11,8 +11,9 @@ use serde_json::json;
 use super::source;
 use crate::cli::{ExportFormat, TaxonomyExportArgs, TaxonomyReportArgs, TaxonomyValidateArgs};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::record::write_atomically;
-use crate::{Program, output};
+use crate::output;
+use leadtime_runs::Tasks;
+use leadtime_runs::write_atomically;
 
 /// What is said where no log can be meant.
 const NO_LOG: &str =
@@ -71,9 +72,9 @@ fn deliver(path: Option<&Path>, text: &str) -> Result<(), Failure> {
         .blame(ExitCode::WrongInput)
 }
 
-pub(super) fn validate(program: &Program, args: &TaxonomyValidateArgs) -> Result<(), Failure> {
+pub(super) fn validate(tasks: &Tasks, args: &TaxonomyValidateArgs) -> Result<(), Failure> {
     let taxonomy = source::database(&args.database)?;
-    fits(program, &taxonomy).with_context(|| args.database.clone()).blame(ExitCode::WrongInput)?;
+    fits(tasks, &taxonomy).with_context(|| args.database.clone()).blame(ExitCode::WrongInput)?;
     let findings: Vec<String> =
         check(&taxonomy, args.wanted).iter().map(Finding::to_string).collect();
     let header = taxonomy.header();
@@ -106,9 +107,9 @@ pub(super) fn validate(program: &Program, args: &TaxonomyValidateArgs) -> Result
 }
 
 /// Makes sure that a database of a domain that the program knows speaks of its topics.
-fn fits(program: &Program, taxonomy: &Taxonomy) -> anyhow::Result<()> {
+fn fits(tasks: &Tasks, taxonomy: &Taxonomy) -> anyhow::Result<()> {
     let domain = taxonomy.header().domain.clone();
-    let topics = program.topics(&TaskSpec { domain, settings: "{}".to_owned() });
+    let topics = tasks.topics(&TaskSpec { domain, settings: "{}".to_owned() });
     if topics.is_empty() {
         return Ok(());
     }

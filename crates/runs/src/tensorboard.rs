@@ -38,7 +38,7 @@ impl EventFile {
     ///
     /// # Errors
     ///
-    /// Whatever the file system says.
+    /// If the file cannot be written.
     pub fn create(
         directory: &Path,
         wall_time: f64,
@@ -62,7 +62,7 @@ impl EventFile {
     ///
     /// # Errors
     ///
-    /// Whatever the file system says.
+    /// If the file cannot be written.
     pub fn scalars(
         &mut self,
         wall_time: f64,

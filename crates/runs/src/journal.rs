@@ -4,8 +4,8 @@
 //! {"update": 12, "steps": 6144, "time": "2026-01-31T12:00:00Z", "staleness": {"1": 8}, "train/entropy": 1.2, ...}
 //! ```
 //!
-//! A learner that comes back from a checkpoint drops the lines of updates that were lost with its predecessor; they
-//! are made and written again.
+//! A learner that takes a run up again drops the lines of updates that were lost with its predecessor, all of them if
+//! there was no checkpoint yet; they are made and written again.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
@@ -32,7 +32,7 @@ impl Journal {
     ///
     /// # Errors
     ///
-    /// Whatever the file system says.
+    /// If the file cannot be made or opened.
     pub fn open(run_directory: &Path) -> io::Result<Self> {
         let path = run_directory.join("metrics.jsonl");
         let file = OpenOptions::new().create(true).append(true).open(&path)?;
@@ -43,7 +43,7 @@ impl Journal {
     ///
     /// # Errors
     ///
-    /// Whatever the file system says.
+    /// If the file cannot be read or replaced.
     pub fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
         let text = fs::read_to_string(&self.path)?;
         let belongs = |line: &str| {
@@ -51,7 +51,7 @@ impl Journal {
         };
         let kept: String =
             text.split_inclusive('\n').filter(|line| belongs(line.trim_end())).collect();
-        crate::record::write_atomically(&self.path, kept.as_bytes())?;
+        leadtime_learner::write_atomically(&self.path, kept.as_bytes())?;
         self.file = OpenOptions::new().append(true).open(&self.path)?;
         Ok(())
     }
@@ -60,7 +60,7 @@ impl Journal {
     ///
     /// # Errors
     ///
-    /// Whatever the file system says.
+    /// If the line cannot be written.
     pub fn append(&mut self, line: Map<String, Value>) -> io::Result<()> {
         let mut text = Value::Object(line).to_string();
         text.push('\n');
@@ -72,7 +72,7 @@ impl Journal {
 ///
 /// # Errors
 ///
-/// Whatever the file system says.
+/// If the file cannot be read.
 pub fn read(run_directory: &Path) -> io::Result<Vec<Map<String, Value>>> {
     let text = fs::read_to_string(run_directory.join("metrics.jsonl"))?;
     Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
@@ -83,8 +83,17 @@ const TAIL: u64 = 16_384;
 
 /// Returns the steps of a run's last update; 0 before the first.
 pub fn last_steps(run_directory: &Path) -> u64 {
+    last(run_directory, "steps")
+}
+
+/// Returns the number of a run's last update; 0 before the first.
+pub fn last_update(run_directory: &Path) -> u64 {
+    last(run_directory, "update")
+}
+
+fn last(run_directory: &Path, key: &str) -> u64 {
     let line = tail(run_directory).unwrap_or_default();
-    line.get("steps").and_then(Value::as_u64).unwrap_or(0)
+    line.get(key).and_then(Value::as_u64).unwrap_or(0)
 }
 
 fn tail(run_directory: &Path) -> io::Result<Map<String, Value>> {

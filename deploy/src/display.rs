@@ -11,12 +11,12 @@ use crate::logging;
 /// Pause between two plain lines.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
-/// Shows how far a run is.
+/// Shows how far a run has come.
 #[derive(Debug)]
 pub enum Display {
-    /// On a terminal.
+    /// A bar, on a terminal.
     Bar(ProgressBar),
-    /// Anywhere else; the time of the last line.
+    /// Lines, anywhere else; with the time of the last one.
     Lines(Option<Instant>),
 }
 
@@ -26,7 +26,8 @@ impl Display {
         if !io::stderr().is_terminal() {
             return Self::Lines(None);
         }
-        let template = "{bar:32} {pos}/{len} updates  {msg}  {elapsed} < {eta}";
+        // The message gives way where the terminal is narrow.
+        let template = "{bar:24} {pos}/{len} updates  {wide_msg} {elapsed}, {eta} left";
         let style =
             ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
         Self::Bar(logging::bars().add(ProgressBar::new(0).with_style(style)))
@@ -36,6 +37,11 @@ impl Display {
     pub fn update(&mut self, progress: &UpdateProgress) {
         match self {
             Self::Bar(bar) => {
+                if bar.position() == 0 {
+                    // What a predecessor did took no time of this process.
+                    bar.set_position(progress.n_updates.saturating_sub(1));
+                    bar.reset_eta();
+                }
                 bar.set_length(progress.n_updates_total);
                 bar.set_position(progress.n_updates);
                 bar.set_message(summary(progress));
@@ -51,7 +57,7 @@ impl Display {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&mut self) {
         if let Self::Bar(bar) = self {
             bar.finish_and_clear();

@@ -1,0 +1,57 @@
+//! The only file that reads the wall clock.
+
+use std::time::SystemTime;
+
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
+use leadtime_proto::Incarnation;
+
+/// Reads the clock.
+#[expect(clippy::disallowed_methods, reason = "this is the one file that reads the wall clock")]
+fn now() -> Timestamp {
+    at(SystemTime::now())
+}
+
+/// Converts a system time; a clock beyond the last year that a timestamp can hold stands still there.
+fn at(time: SystemTime) -> Timestamp {
+    Timestamp::try_from(time).unwrap_or(Timestamp::MAX)
+}
+
+/// Returns seconds since the Unix epoch, as TensorBoard wants them.
+pub fn unix_seconds() -> f64 {
+    now().as_nanosecond() as f64 * 1e-9
+}
+
+/// Returns this moment in UTC, as records keep it: `2026-01-31T12:00:00Z`.
+pub fn utc_now() -> String {
+    now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
+}
+
+/// Returns today's date in UTC, as tables bear it: `2026-01-31`.
+pub fn utc_date() -> String {
+    now().strftime("%Y-%m-%d").to_string()
+}
+
+/// Returns local date and time as part of a run's name: `20260131-120000`.
+pub fn name_stamp() -> String {
+    now().to_zoned(TimeZone::system()).strftime("%Y%m%d-%H%M%S").to_string()
+}
+
+/// Draws the number that distinguishes this start of a process from every other: nanoseconds and process id.
+pub fn incarnation() -> Incarnation {
+    let nanoseconds = now().as_nanosecond() as u64;
+    Incarnation(nanoseconds ^ (u64::from(std::process::id()) << 48))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn a_clock_beyond_the_last_year_stands_still() {
+        let year_10_000 = SystemTime::UNIX_EPOCH + Duration::from_secs(253_402_300_800);
+        let last = at(year_10_000).to_zoned(TimeZone::system());
+        assert!(last.strftime("%Y%m%d-%H%M%S").to_string().starts_with("9999"));
+    }
+}

@@ -1,0 +1,247 @@
+use super::*;
+use crate::clock;
+use crate::journal::Journal;
+use crate::naming::{Naming, Reservation};
+use leadtime_config::{Catalog, ConfigSource, Override};
+use leadtime_policy::Parameters;
+use leadtime_sims::registry::Registry;
+use serde_json::{Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
+
+fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
+    let catalog = Catalog::built_in();
+    let source = ConfigSource {
+        file: catalog.file(Some("cartpole")),
+        set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
+        seed: None,
+        runs: Some(runs.to_owned()),
+        name: name.map(str::to_owned),
+    };
+    Config::load(&source, &catalog, &Registry::builtin()).unwrap()
+}
+
+fn build(program: &str) -> ProgramBuild {
+    ProgramBuild { program: program.to_owned(), ..ProgramBuild::default() }
+}
+
+fn open(runs: &Path, name: Option<&str>, set: &[&str]) -> Result<(RunDir, RunState), RunDirError> {
+    RunDir::open(&config(runs, name, set), None, &build("a"))
+}
+
+/// Leaves what a learner does after its first updates; with a checkpoint, if it got that far.
+fn train(run: &RunDir, n_updates: u64, checkpoint: bool) {
+    let line = Map::from_iter([("update".to_owned(), Value::from(n_updates))]);
+    Journal::open(run.path()).unwrap().append(line).unwrap();
+    if checkpoint {
+        fs::write(run.checkpoints().join(format!("{n_updates:012}.checkpoint")), "state").unwrap();
+        fs::write(run.path().join(LAST_POLICY), "weights").unwrap();
+    }
+}
+
+/// Begins a run and leaves it after 20 updates.
+fn begun(runs: &Path, name: Option<&str>, set: &[&str]) -> RunName {
+    let (run, state) = open(runs, name, set).unwrap();
+    assert_eq!(state, RunState::Fresh);
+    train(&run, 20, true);
+    run.name().clone()
+}
+
+fn result() -> RunResult {
+    RunResult {
+        finished: clock::utc_now(),
+        updates: 20,
+        steps: 1,
+        weights_sha256: String::new(),
+        reproducible: true,
+        books: Value::Null,
+    }
+}
+
+fn fork(runs: &Path, run: &str, seed: u64) -> Fork {
+    let policy = config(runs, None, &[]).policy;
+    let bytes =
+        Parameters::initialize(&policy, seed).unwrap().to_safetensors(&BTreeMap::new()).unwrap();
+    let weights_sha256 = weights_digest(&bytes, &policy).unwrap();
+    Fork { origin: ForkOrigin { run: run.to_owned(), weights_sha256 }, bytes }
+}
+
+#[test]
+fn an_unfinished_run_of_the_same_configuration_is_taken_up_again() {
+    let runs = tempfile::tempdir().unwrap();
+    let name = begun(runs.path(), None, &[]);
+    let (first, state) = open(runs.path(), None, &[]).unwrap();
+    assert_eq!((first.name(), state), (&name, RunState::Unfinished));
+    let (other, _) = open(runs.path(), None, &[]).unwrap();
+    assert_ne!(other.name(), &name, "a run that is being trained is left alone");
+    drop((first, other));
+    let (changed, state) = open(runs.path(), None, &["learner.clip=0.1"]).unwrap();
+    assert_eq!(state, RunState::Fresh);
+    assert_ne!(changed.name(), &name);
+    let (again, state) = open(runs.path(), Some(name.as_str()), &[]).unwrap();
+    assert_eq!((state, again.record().resumed), (RunState::Unfinished, 2));
+}
+
+#[test]
+fn starts_in_the_same_second_choose_runs_of_their_own() {
+    let runs = tempfile::tempdir().unwrap();
+    let config = config(runs.path(), None, &[]);
+    let reserve = || Reservation::make(&config, &Naming::Resume).unwrap();
+    let reserved: Vec<Reservation> = std::thread::scope(|scope| {
+        let starts: Vec<_> = (0..8).map(|_| scope.spawn(reserve)).collect();
+        starts.into_iter().map(|start| start.join().unwrap()).collect()
+    });
+    let names: BTreeSet<_> = reserved.iter().map(Reservation::name).collect();
+    assert_eq!(names.len(), 8);
+    drop(reserved);
+    assert_eq!(fs::read_dir(runs.path()).unwrap().count(), 0, "nothing was begun");
+    // Two supervisors and a learner of one configuration: one of them takes up the unfinished run.
+    let unfinished = begun(runs.path(), None, &[]);
+    let (first, second) = (reserve(), reserve());
+    let (third, _) = open(runs.path(), None, &[]).unwrap();
+    assert_eq!(first.name(), &unfinished);
+    assert!(second.name() != &unfinished && ![first.name(), second.name()].contains(&third.name()));
+}
+
+#[test]
+fn a_changed_configuration_is_refused_with_the_difference_once_something_was_trained() {
+    let runs = tempfile::tempdir().unwrap();
+    drop(open(runs.path(), Some("r"), &["learner.clip=0.4"]).unwrap());
+    // A learner that was stopped before its first update leaves a state all the same.
+    let (run, state) = open(runs.path(), Some("r"), &[]).unwrap();
+    assert_eq!(state, RunState::Fresh, "nothing was trained, so nothing binds");
+    fs::write(run.checkpoints().join("000000000000.checkpoint"), "state").unwrap();
+    drop(run);
+    let (run, _) = open(runs.path(), Some("r"), &["seed=3"]).unwrap();
+    assert!(checkpoints(run.path()).is_empty());
+    drop(run);
+    begun(runs.path(), Some("r"), &[]);
+    let error = open(runs.path(), Some("r"), &["learner.clip=0.1", "seed=5"]).unwrap_err();
+    let text = error.to_string();
+    assert!(text.contains("learner.clip: 0.2 -> 0.1; seed: 1 -> 5"), "{text}");
+    let (_, state) = open(runs.path(), Some("r"), &["run.actors_min=3", "actor.window=5"]).unwrap();
+    assert_eq!(state, RunState::Unfinished, "how a run is carried out may change");
+}
+
+#[test]
+fn a_run_from_before_a_setting_came_stays_the_same_run() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    let file = runs.path().join("r/config.toml");
+    let now = fs::read_to_string(&file).unwrap();
+    let before: Vec<&str> = now.lines().filter(|line| !line.contains("length_bias")).collect();
+    assert_eq!(before.len() + 1, now.lines().count());
+    fs::write(&file, before.join("\n")).unwrap();
+    assert_eq!(open(runs.path(), Some("r"), &[]).unwrap().1, RunState::Unfinished);
+    fs::write(&file, before.join("\n")).unwrap();
+    let error = open(runs.path(), Some("r"), &["policy.length_bias=-1"]).unwrap_err();
+    assert!(error.to_string().contains("policy.length_bias: (none) -> -1.0"), "{error}");
+}
+
+#[test]
+fn a_finished_run_stays_finished_unless_it_may_go_on_for_longer() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    open(runs.path(), Some("r"), &[]).unwrap().0.finish(result()).unwrap();
+    assert_eq!(open(runs.path(), Some("r"), &[]).unwrap().1, RunState::Finished);
+    let longer = ["learner.total_steps=600000"];
+    assert_eq!(open(runs.path(), Some("r"), &longer).unwrap().1, RunState::Unfinished);
+    let error = open(runs.path(), Some("r"), &["learner.total_steps=1000"]).unwrap_err();
+    assert!(matches!(error, RunDirError::Changed { .. }));
+}
+
+#[test]
+fn a_directory_that_is_no_run_is_left_alone_and_one_that_was_hardly_begun_is_used() {
+    let runs = tempfile::tempdir().unwrap();
+    for (name, file) in [("r", "novel.txt"), ("s", "checkpoints/000000000001.checkpoint")] {
+        let path = runs.path().join(name).join(file);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(&path, "mine").unwrap();
+        let reserved = Reservation::make(&config(runs.path(), Some(name), &[]), &Naming::Resume);
+        for error in [open(runs.path(), Some(name), &[]).unwrap_err(), reserved.unwrap_err()] {
+            assert!(matches!(error, RunDirError::NotARun { .. }), "{error}");
+        }
+        assert_eq!(fs::read_dir(runs.path().join(name)).unwrap().count(), 1);
+    }
+    // Killed before the configuration was written.
+    fs::create_dir_all(runs.path().join("k/checkpoints")).unwrap();
+    for file in ["lock", "run.json", "config.toml.partial"] {
+        fs::write(runs.path().join("k").join(file), "").unwrap();
+    }
+    assert_eq!(open(runs.path(), Some("k"), &[]).unwrap().1, RunState::Fresh);
+}
+
+#[test]
+fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_begins_anew() {
+    let runs = tempfile::tempdir().unwrap();
+    let (run, _) = open(runs.path(), Some("early"), &[]).unwrap();
+    train(&run, 10, false);
+    drop(run);
+    let again = RunDir::open(&config(runs.path(), Some("early"), &[]), None, &build("b")).unwrap();
+    assert_eq!((again.1, again.0.record().builds.len()), (RunState::Unfinished, 1));
+    let (run, _) = open(runs.path(), Some("late"), &[]).unwrap();
+    train(&run, 21, false);
+    drop(run);
+    begun(runs.path(), Some("gone"), &[]);
+    open(runs.path(), Some("gone"), &[]).unwrap().0.finish(result()).unwrap();
+    fs::remove_file(runs.path().join("gone/checkpoints/000000000020.checkpoint")).unwrap();
+    for name in ["late", "gone"] {
+        let error = open(runs.path(), Some(name), &["learner.total_steps=600000"]).unwrap_err();
+        let expected = format!("--fork {name}");
+        assert!(error.to_string().contains(&expected), "{error}");
+    }
+    assert_eq!(open(runs.path(), Some("gone"), &[]).unwrap().1, RunState::Finished);
+    // Without a name, another run is begun instead.
+    assert_eq!(
+        open(runs.path(), None, &["learner.total_steps=600000"]).unwrap().1,
+        RunState::Fresh
+    );
+}
+
+#[test]
+fn a_fork_begins_with_its_weights_or_not_at_all() {
+    let runs = tempfile::tempdir().unwrap();
+    let wanted = config(runs.path(), Some("f"), &[]);
+    let (from_a, from_b) = (fork(runs.path(), "a", 1), fork(runs.path(), "b", 2));
+    let start = |fork| RunDir::open(&wanted, fork, &build("a"));
+    let (run, _) = start(Some(&from_a)).unwrap();
+    assert_eq!(RunRecord::read(run.path()).unwrap().origin.as_ref(), Some(&from_a.origin));
+    assert_eq!(run.initial(&wanted).unwrap().as_deref(), Some(&from_a.bytes[..]));
+    let initial = run.path().join(INITIAL_POLICY);
+    drop(run);
+    // Nothing was trained yet: the same weights without --fork, others with it.
+    let (run, _) = start(None).unwrap();
+    assert_eq!(run.initial(&wanted).unwrap().as_deref(), Some(&from_a.bytes[..]));
+    drop(run);
+    let (run, _) = start(Some(&from_b)).unwrap();
+    assert_eq!(run.initial(&wanted).unwrap().as_deref(), Some(&from_b.bytes[..]));
+    train(&run, 5, false);
+    drop(run);
+    let error = start(Some(&from_a)).unwrap_err().to_string();
+    assert!(error.contains("already begun, from the weights of `b`"), "{error}");
+    for damage in ["", "text"] {
+        fs::write(&initial, damage).unwrap();
+        let (run, state) = start(Some(&from_b)).unwrap();
+        assert_eq!(state, RunState::Unfinished);
+        assert!(matches!(run.initial(&wanted), Err(RunDirError::OriginLost { .. })));
+    }
+    fs::write(&initial, &from_a.bytes).unwrap();
+    assert!(start(None).unwrap().0.initial(&wanted).is_err(), "other weights are none");
+    begun(runs.path(), Some("r"), &[]);
+    let scratch = config(runs.path(), Some("r"), &[]);
+    let error = RunDir::open(&scratch, Some(&from_a), &build("a")).unwrap_err().to_string();
+    assert!(error.contains("from fresh weights"), "{error}");
+}
+
+#[test]
+fn a_run_that_two_builds_trained_is_not_reproducible() {
+    let runs = tempfile::tempdir().unwrap();
+    for (second, reproducible) in [("a", true), ("b", false)] {
+        let name = format!("r-{second}");
+        begun(runs.path(), Some(&name), &[]);
+        let config = config(runs.path(), Some(&name), &[]);
+        let (mut run, _) = RunDir::open(&config, None, &build(second)).unwrap();
+        run.finish(result()).unwrap();
+        let record = RunRecord::read(run.path()).unwrap();
+        assert_eq!(record.result.unwrap().reproducible, reproducible, "{name}");
+    }
+}

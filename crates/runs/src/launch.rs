@@ -1,0 +1,157 @@
+//! A learner and actors on this machine, over a unix socket in a short temporary directory.
+
+use std::ffi::OsString;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use leadtime_config::Config;
+use thiserror::Error;
+use tokio_util::sync::CancellationToken;
+
+use crate::RunDirError;
+use crate::naming::{Naming, Reservation};
+use crate::scratch::ScratchDir;
+use crate::supervise::{Ended, ProcessPlan, supervise};
+
+/// What to launch beside the configuration.
+#[derive(Clone, Debug)]
+pub struct Launch<'a> {
+    /// Which run.
+    pub naming: Naming<'a>,
+    /// How many actors.
+    pub n_actors: u32,
+    /// Further addresses for the learner.
+    pub listen: &'a [String],
+    /// The run or file whose weights a new run starts from.
+    pub fork: Option<&'a Path>,
+    /// Updates in all after which the run stops with a checkpoint.
+    pub stop_after: Option<u64>,
+    /// Whether the learner's results go to standard output.
+    pub learner_stdout: bool,
+    /// File that collects what the processes log, instead of standard error.
+    pub stderr_log: Option<PathBuf>,
+}
+
+impl<'a> Launch<'a> {
+    /// Describes a launch that is seen only in its run's files.
+    pub fn new(naming: Naming<'a>, n_actors: u32) -> Self {
+        Self {
+            naming,
+            n_actors,
+            listen: &[],
+            fork: None,
+            stop_after: None,
+            learner_stdout: false,
+            stderr_log: None,
+        }
+    }
+}
+
+/// A launch that has come to its end.
+#[derive(Clone, Debug)]
+pub struct Launched {
+    /// Directory of the run.
+    pub run: PathBuf,
+    /// How it ended.
+    pub ended: Ended,
+}
+
+/// Why nothing can be launched.
+#[derive(Debug, Error)]
+pub enum LaunchError {
+    /// The run would wait for ever: nobody else can join where only this program's actors know the address.
+    #[error(
+        "`run.actors_min` is {n_needed} and --actors is {n_actors}, so the run would never start; allowed: at least \
+         {n_needed} actors, or a --listen address where others can join"
+    )]
+    TooFewActors {
+        /// Actors that the run needs.
+        n_needed: u32,
+        /// Actors that were asked for.
+        n_actors: u32,
+    },
+    /// The run's directory cannot be used.
+    #[error(transparent)]
+    RunDir(#[from] RunDirError),
+    /// A temporary directory or a file in it cannot be made.
+    #[error("making a temporary directory in {}", path.display())]
+    Scratch {
+        /// Where it was tried.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The learner cannot be started.
+    #[error("starting the learner")]
+    Start(#[source] io::Error),
+}
+
+/// Runs learner and actors as child processes until the learner ends.
+///
+/// # Errors
+///
+/// [`LaunchError`] if nothing was started.
+pub async fn launch(
+    config: &Config,
+    launch: &Launch<'_>,
+    shutdown: &CancellationToken,
+) -> Result<Launched, LaunchError> {
+    let (n_actors, n_needed) = (launch.n_actors, config.run.actors_min);
+    if n_actors < n_needed && launch.listen.is_empty() {
+        return Err(LaunchError::TooFewActors { n_needed, n_actors });
+    }
+    let naming = match launch.naming {
+        // A fork is a new run.
+        Naming::Resume if launch.fork.is_some() && config.run.name.is_none() => {
+            Naming::New(config.domain.as_str())
+        }
+        naming => naming,
+    };
+    let reserved = Reservation::make(config, &naming)?;
+    let failed = |(path, source)| LaunchError::Scratch { path, source };
+    let scratch = ScratchDir::make().map_err(failed)?;
+    let plan = plan(config, launch, &reserved, scratch.path()).map_err(failed)?;
+    let ended = supervise(&plan, shutdown).await.map_err(LaunchError::Start)?;
+    Ok(Launched { run: plan.run, ended })
+}
+
+fn plan(
+    config: &Config,
+    launch: &Launch<'_>,
+    reserved: &Reservation,
+    scratch: &Path,
+) -> Result<ProcessPlan, (PathBuf, io::Error)> {
+    let file = scratch.join("config.toml");
+    std::fs::write(&file, config.table.to_string()).map_err(|error| (file.clone(), error))?;
+    let endpoint = format!("unixsock-stream/{}", scratch.join("learner.sock").display());
+    let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
+    let mut learner = text(&["learner", "--supervised", "--name", reserved.name().as_str(), "-c"]);
+    learner.push(file.into_os_string());
+    learner.extend(text(&["--listen", &endpoint, "--scratch"]));
+    learner.push(scratch.as_os_str().to_owned());
+    // Not through the file: a path need not be text.
+    learner.push("--runs".into());
+    learner.push(config.run.directory.as_os_str().to_owned());
+    for extra in launch.listen {
+        learner.extend(text(&["--listen", extra]));
+    }
+    if let Some(fork) = launch.fork {
+        learner.push("--fork".into());
+        learner.push(fork.as_os_str().to_owned());
+    }
+    if let Some(updates) = launch.stop_after {
+        learner.extend(text(&["--stop-after", &updates.to_string()]));
+    }
+    let actor = |number: u32| {
+        let id = format!("actor-{number}");
+        text(&["actor", "--supervised", "--connect", &endpoint, "--id", &id])
+    };
+    Ok(ProcessPlan {
+        learner,
+        actors: (1..=launch.n_actors).map(actor).collect(),
+        run: reserved.path().to_owned(),
+        others_may_join: !launch.listen.is_empty(),
+        learner_stdout: launch.learner_stdout,
+        stderr_log: launch.stderr_log.clone(),
+    })
+}

@@ -1,0 +1,46 @@
+//! A run on the disk and as processes.
+//!
+//! ```text
+//! directory    locking, resuming, refusing; on naming and layout      build, cpu      which program computed it
+//! record       run.json                                 clock           the only reader of the wall clock
+//! recorder     what the learner reports, written down by journal (metrics.jsonl), tensorboard and policy_file
+//! launch       a learner and its actors as children  ->  supervise      watched until the last of them is gone
+//! scratch      the short-lived directory of a launch        tasks           what there is to train on
+//! ```
+//!
+//! It knows no command line, prints nothing and decides no exit code: it returns what happened, and the program words
+//! it. It does not know how a policy learns or how a world moves.
+//!
+//! # Where to start
+//!
+//! [`RunDir::open`], then [`launch::launch`].
+
+pub mod build;
+pub mod clock;
+pub mod cpu;
+pub mod digest;
+pub mod directory;
+mod directory_error;
+pub mod journal;
+pub mod launch;
+pub mod layout;
+pub mod metrics;
+pub mod naming;
+pub mod policy_file;
+pub mod record;
+pub mod recorder;
+pub mod scratch;
+pub mod supervise;
+pub mod tasks;
+pub mod tensorboard;
+
+pub use build::ProgramBuild;
+pub use directory::RunDir;
+pub use directory_error::RunDirError;
+pub use layout::RunState;
+pub use leadtime_learner::write_atomically;
+pub use naming::Naming;
+pub use policy_file::{BEST_POLICY, LAST_POLICY, LoadedPolicy};
+pub use record::{ForkOrigin, RunRecord, RunResult};
+pub use recorder::RunRecorder;
+pub use tasks::Tasks;

@@ -1,0 +1,124 @@
+//! Which run a start is about: the named one, the newest unfinished one, or a new one.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use leadtime_config::Config;
+use leadtime_proto::RunName;
+
+use crate::directory_error::RunDirError;
+use crate::layout::{
+    LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, compare, is_begun, lock, read_config,
+};
+use crate::{RunRecord, clock};
+
+/// Which run a start is about.
+#[derive(Clone, Copy, Debug)]
+pub enum Naming<'a> {
+    /// The run that the configuration names, else the newest unfinished one of the same configuration, else a new one.
+    Resume,
+    /// A new run, whose name begins with this word.
+    New(&'a str),
+}
+
+/// A run that a supervisor has chosen, so that no other start chooses it; released when dropped.
+#[derive(Debug)]
+pub struct Reservation {
+    path: PathBuf,
+    name: RunName,
+    _lock: File,
+}
+
+impl Reservation {
+    /// Chooses a run, and makes its directory if there is none.
+    ///
+    /// # Errors
+    ///
+    /// [`RunDirError`] if the directory cannot be made, is no run's, or is taken.
+    pub fn make(config: &Config, naming: &Naming<'_>) -> Result<Self, RunDirError> {
+        match (naming, &config.run.name) {
+            (Naming::Resume, Some(name)) => Self::named(config, name),
+            (Naming::New(stem), _) => Self::named(config, &make_new(config, stem)?),
+            (Naming::Resume, None) => {
+                for name in unfinished(config) {
+                    match Self::named(config, &name) {
+                        Err(RunDirError::Locked { .. }) => {}
+                        reserved => return reserved,
+                    }
+                }
+                Self::named(config, &make_new(config, config.domain.as_str())?)
+            }
+        }
+    }
+
+    fn named(config: &Config, name: &RunName) -> Result<Self, RunDirError> {
+        let path = config.run.directory.join(name.as_str());
+        is_begun(&path)?;
+        fs::create_dir_all(&path)
+            .map_err(|source| RunDirError::Io { path: path.clone(), source })?;
+        let supervisor = lock(&path, SUPERVISOR_LOCK, name)?;
+        if path.join(LOCK).exists() {
+            drop(lock(&path, LOCK, name)?);
+        }
+        Ok(Self { path, name: name.clone(), _lock: supervisor })
+    }
+
+    /// Returns the run's directory.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Returns the run's name.
+    pub fn name(&self) -> &RunName {
+        &self.name
+    }
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        let is_lock = |entry: fs::DirEntry| entry.file_name() == SUPERVISOR_LOCK;
+        let entries = fs::read_dir(&self.path).into_iter().flatten().filter_map(Result::ok);
+        // Nothing was begun in it.
+        if entries.map(is_lock).all(|is_lock| is_lock) {
+            drop(fs::remove_dir_all(&self.path));
+        }
+    }
+}
+
+/// Makes the directory of a new run: `<stem>-<local date and time>`, with a number if need be.
+pub(crate) fn make_new(config: &Config, stem: &str) -> Result<RunName, RunDirError> {
+    let runs = &config.run.directory;
+    let io = |source| RunDirError::Io { path: runs.clone(), source };
+    fs::create_dir_all(runs).map_err(io)?;
+    let base = format!("{}-{}", stem.replace('_', "-"), clock::name_stamp());
+    let mut number = 1;
+    loop {
+        let suffix = if number == 1 { String::new() } else { format!("-{number}") };
+        let name = RunName::new(format!("{base}{suffix}"))?;
+        // Of several starts in one second, only one makes it.
+        match fs::create_dir(runs.join(name.as_str())) {
+            Ok(()) => return Ok(name),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
+            Err(error) => return Err(io(error)),
+        }
+    }
+}
+
+/// Lists the unfinished runs of the same configuration, newest first; a fork is resumed only by its name.
+pub(crate) fn unfinished(config: &Config) -> Vec<RunName> {
+    let Ok(entries) = fs::read_dir(&config.run.directory) else { return Vec::new() };
+    let candidate = |entry: fs::DirEntry| {
+        let path = entry.path();
+        let name = RunName::new(entry.file_name().to_str()?).ok()?;
+        let record = RunRecord::read(&path).ok()?;
+        let before = read_config(&path).ok()?;
+        let state = compare(&record, &before, &config.table, &name).ok()?;
+        let lost = TrainingTraces::find(&path, &record).check(&path, &name, &before);
+        let is_open = record.result.is_none() && state == RunState::Unfinished && lost.is_ok();
+        (is_open && !record.is_fork(&path)).then_some((record.started, name))
+    };
+    let mut found: Vec<_> = entries.filter_map(Result::ok).filter_map(candidate).collect();
+    found.sort();
+    found.into_iter().rev().map(|(_, name)| name).collect()
+}

@@ -1,0 +1,225 @@
+//! Policy files: they carry the whole configuration they were trained under, so one file is enough to evaluate them.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use leadtime_config::{Config, ConfigError, Override};
+use leadtime_policy::{Parameters, read_metadata};
+use leadtime_proto::PolicySpec;
+use leadtime_sims::registry::Registry;
+use thiserror::Error;
+
+use crate::ForkOrigin;
+use crate::digest::{hex, sha256};
+use crate::directory_error::with_causes;
+
+/// File of the newest policy in a run directory.
+pub const LAST_POLICY: &str = "policy.safetensors";
+/// File of the best policy in a run directory.
+pub const BEST_POLICY: &str = "best.safetensors";
+/// Metadata key of the configuration, as TOML.
+const CONFIG: &str = "config";
+/// Metadata key of the optimiser iterations that made the policy.
+pub(crate) const VERSION: &str = "policy_version";
+
+/// Why a policy cannot be used.
+#[derive(Debug, Error)]
+pub enum PolicyFileError {
+    /// There is neither a file nor a run of that name.
+    #[error("`{}` is no policy file, and no run in {} with a policy", name.display(), runs.display())]
+    NotFound {
+        /// What was looked for.
+        name: PathBuf,
+        /// Where runs are.
+        runs: PathBuf,
+    },
+    /// The file cannot be read.
+    #[error("reading {}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file holds something else.
+    #[error("{} is not a policy of Leadtime: {reason}", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// What it is, or what is missing.
+        reason: String,
+    },
+    /// The configuration in the file, or a change of it, is refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The weights are not those of the task's networks.
+    #[error("{} does not fit its task", path.display())]
+    Misfit {
+        /// The file.
+        path: PathBuf,
+        /// Which tensor does not fit.
+        source: leadtime_policy::Error,
+    },
+}
+
+/// A policy with everything that is needed to let it act.
+#[derive(Debug)]
+pub struct LoadedPolicy {
+    /// Where it was found.
+    pub path: PathBuf,
+    /// What it was trained under, with changes for evaluation.
+    pub config: Config,
+    /// The weights.
+    pub parameters: Parameters,
+    /// SHA-256 over the file, in hexadecimal.
+    pub sha256: String,
+}
+
+impl LoadedPolicy {
+    /// Loads a policy file, or the best policy of a run (its newest, where no best one is known).
+    ///
+    /// # Errors
+    ///
+    /// [`PolicyFileError`] if there is none, or if it does not fit its task after the changes.
+    pub fn load(
+        registry: &Registry,
+        runs: &Path,
+        name: &Path,
+        changes: &[Override],
+    ) -> Result<Self, PolicyFileError> {
+        let path = find(runs, name, [BEST_POLICY, LAST_POLICY])?;
+        let bytes = read(&path)?;
+        let foreign = |reason: String| PolicyFileError::Foreign { path: path.clone(), reason };
+        let metadata =
+            read_metadata(&bytes).map_err(|error| foreign(what_it_is(&bytes, &error)))?;
+        let Some(text) = metadata.get(CONFIG) else {
+            return Err(foreign("it has no configuration in its metadata".to_owned()));
+        };
+        let place = format!("the configuration in {}", path.display());
+        let config = Config::stored(&place, text, changes, registry)?;
+        match Parameters::from_safetensors(&bytes, &config.policy) {
+            Ok(parameters) => Ok(Self { path, config, parameters, sha256: sha256(&bytes) }),
+            Err(source) => Err(PolicyFileError::Misfit { path, source }),
+        }
+    }
+}
+
+/// The weights that a new run is to start from.
+#[derive(Clone, Debug)]
+pub struct Fork {
+    /// What they are, for the run's record.
+    pub origin: ForkOrigin,
+    /// The policy file.
+    pub bytes: Vec<u8>,
+}
+
+impl Fork {
+    /// Reads the newest weights of another run, or a policy file.
+    ///
+    /// # Errors
+    ///
+    /// [`PolicyFileError`] if there are none, or if they do not fit the new run's networks.
+    pub fn read(config: &Config, run: &Path) -> Result<Self, PolicyFileError> {
+        let path = find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY])?;
+        let bytes = read(&path)?;
+        if let Err(error) = read_metadata(&bytes) {
+            let reason = what_it_is(&bytes, &error);
+            return Err(PolicyFileError::Foreign { path, reason });
+        }
+        match weights_digest(&bytes, &config.policy) {
+            Ok(weights_sha256) => {
+                let origin = ForkOrigin { run: run.display().to_string(), weights_sha256 };
+                Ok(Self { origin, bytes })
+            }
+            Err(source) => Err(PolicyFileError::Misfit { path, source }),
+        }
+    }
+}
+
+/// Returns the digest over the parameters in a policy file, as a run's result has it.
+///
+/// # Errors
+///
+/// If they do not fit the networks.
+pub(crate) fn weights_digest(
+    bytes: &[u8],
+    policy: &PolicySpec,
+) -> Result<String, leadtime_policy::Error> {
+    Ok(hex(&Parameters::from_safetensors(bytes, policy)?.digest()?))
+}
+
+/// Returns how many optimiser iterations made a policy file; 0 if it is not there.
+pub(crate) fn n_updates(path: &Path) -> u64 {
+    let Ok(bytes) = fs::read(path) else { return 0 };
+    let version = read_metadata(&bytes).ok().and_then(|entries| entries.get(VERSION)?.parse().ok());
+    // One that cannot be read is somebody's work all the same.
+    version.unwrap_or(1)
+}
+
+/// Returns what goes into every policy file of a run.
+pub fn metadata(config: &Config, run: &str) -> BTreeMap<String, String> {
+    let specification = serde_json::to_vec(&config.policy).unwrap_or_default();
+    let entries = [
+        ("domain", config.domain.to_string()),
+        ("specification_sha256", sha256(&specification)),
+        (CONFIG, config.table.to_string()),
+        ("run", run.to_owned()),
+        ("program", format!("leadtime {}", env!("CARGO_PKG_VERSION"))),
+    ];
+    entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+}
+
+/// Says what a file is that holds no safetensors: most often it is one of a few things.
+pub fn what_it_is(bytes: &[u8], error: &dyn std::error::Error) -> String {
+    let start = bytes.get(..1_024).unwrap_or(bytes);
+    let text = str::from_utf8(start).or_else(|error| match error.error_len() {
+        // Cut inside of a character.
+        None => str::from_utf8(&start[..error.valid_up_to()]),
+        Some(_) => Err(error),
+    });
+    let is_text = |text: &&str| !text.contains('\0') && !text.trim().is_empty();
+    match text.ok().filter(is_text).map(|text| text.trim_start().to_lowercase()) {
+        _ if bytes.is_empty() => "it is empty".to_owned(),
+        Some(text) if text.starts_with("version https://git-lfs") => {
+            "it is a Git LFS pointer; fetch the file itself with `git lfs pull`".to_owned()
+        }
+        Some(text) if text.starts_with("<!doctype") || text.starts_with("<html") => {
+            "it is an HTML page; download the file itself".to_owned()
+        }
+        Some(_) => "it is text".to_owned(),
+        None => with_causes(error),
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, PolicyFileError> {
+    fs::read(path).map_err(|source| PolicyFileError::Read { path: path.to_owned(), source })
+}
+
+fn find(runs: &Path, name: &Path, files: [&str; 2]) -> Result<PathBuf, PolicyFileError> {
+    if name.is_file() {
+        return Ok(name.to_owned());
+    }
+    let directories = [name.to_owned(), runs.join(name)];
+    let mut paths = directories.iter().flat_map(|directory| files.map(|file| directory.join(file)));
+    paths
+        .find(|path| path.is_file())
+        .ok_or_else(|| PolicyFileError::NotFound { name: name.to_owned(), runs: runs.to_owned() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_that_are_often_taken_for_policies_are_recognised() {
+        let error = io::Error::other("header too large");
+        let is = |bytes: &[u8]| what_it_is(bytes, &error);
+        assert!(is(b"version https://git-lfs.github.com/spec/v1\noid sha256:00").contains("LFS"));
+        assert!(is(b"\n<!DOCTYPE html><html>").contains("HTML"));
+        assert_eq!(is("not a policy, nor \u{e4} one".as_bytes()), "it is text");
+        assert_eq!(is(b""), "it is empty");
+        assert_eq!(is(&[0; 64]), "header too large");
+    }
+}

@@ -1,0 +1,242 @@
+//! `run.json`: what a run is, what it began from, which builds worked on it, and how it ended.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use leadtime_learner::write_atomically;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::{ProgramBuild, clock};
+
+/// The format of a run directory; a newer one is refused with a sentence.
+pub const RUN_FORMAT: u32 = 1;
+/// The record's file in a run directory.
+pub const RECORD: &str = "run.json";
+/// The file that holds what a forked run began with.
+pub(crate) const INITIAL_POLICY: &str = "initial.safetensors";
+
+/// Why a record cannot be read.
+#[derive(Debug, Error)]
+pub enum RecordError {
+    /// There is no such file, or it cannot be read.
+    #[error("reading {}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file holds something else.
+    #[error("{} is not the record of a run", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// Where it stops being one.
+        source: serde_json::Error,
+    },
+    /// A later release wrote it.
+    #[error("{} has format {found}, this release reads up to {RUN_FORMAT}: use the newer release", path.display())]
+    Newer {
+        /// The file.
+        path: PathBuf,
+        /// Its format.
+        found: u32,
+    },
+}
+
+/// The record of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunRecord {
+    /// [`RUN_FORMAT`] of the program that made the directory.
+    pub format: u32,
+    /// The run's name.
+    pub name: String,
+    /// What it trains on.
+    pub domain: String,
+    /// Seed of every random stream.
+    pub seed: u64,
+    /// Release of the program that began the run.
+    pub version: String,
+    /// Commit that this program was built from, if known.
+    pub commit: Option<String>,
+    /// Class of the CPU that the run began on: equal classes give equal bits.
+    pub cpu: String,
+    /// `RAYON_NUM_THREADS` of the learner that began it.
+    pub threads: String,
+    /// When the run began, UTC.
+    pub started: String,
+    /// How often a learner took the run up again.
+    pub resumed: u32,
+    /// The weights that a forked run began with; `None` if it began from fresh ones.
+    #[serde(default)]
+    pub origin: Option<ForkOrigin>,
+    /// The builds of the learner that the run's bits come from, in order; one more whenever another one took over.
+    #[serde(default)]
+    pub builds: Vec<ProgramBuild>,
+    /// How it ended; `None` while it is unfinished.
+    pub result: Option<RunResult>,
+}
+
+/// What a forked run began with.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ForkOrigin {
+    /// The run or file that `--fork` named.
+    pub run: String,
+    /// SHA-256 over its parameters, in hexadecimal: that of the run's result, if it was finished.
+    pub weights_sha256: String,
+}
+
+/// What a finished run came to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunResult {
+    /// When, UTC.
+    pub finished: String,
+    /// Optimiser iterations.
+    pub updates: u64,
+    /// Steps trained on.
+    pub steps: u64,
+    /// SHA-256 over the final parameters, in hexadecimal: equal for equal seeds in `sync` and `lag`.
+    pub weights_sha256: String,
+    /// Whether the same seed (and origin) would give the same bits again: a deterministic schedule, one build of the
+    /// program, one class of CPU.
+    pub reproducible: bool,
+    /// The books, as JSON.
+    pub books: serde_json::Value,
+}
+
+impl RunRecord {
+    /// Starts the record of a new run.
+    pub fn begin(name: &str, domain: &str, seed: u64, build: &ProgramBuild) -> Self {
+        Self {
+            format: RUN_FORMAT,
+            name: name.to_owned(),
+            domain: domain.to_owned(),
+            seed,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            commit: build.commit.clone(),
+            cpu: build.cpu.clone(),
+            threads: build.threads.clone(),
+            started: clock::utc_now(),
+            resumed: 0,
+            origin: None,
+            builds: vec![build.clone()],
+            result: None,
+        }
+    }
+
+    /// Notes that a build works on the run from here on.
+    pub(crate) fn worked_on_by(&mut self, build: &ProgramBuild) {
+        if self.builds.is_empty() {
+            // A record from before builds were kept: the fingerprint is not known, and so equal to no other.
+            self.builds.push(ProgramBuild {
+                since: self.started.clone(),
+                program: format!("leadtime {}", self.version),
+                commit: self.commit.clone(),
+                cpu: self.cpu.clone(),
+                threads: self.threads.clone(),
+            });
+        }
+        if self.builds.last().is_none_or(|last| !last.computes_like(build)) {
+            self.builds.push(build.clone());
+        }
+    }
+
+    /// Tells whether the same seed and origin would give the same weights again; `None` while the run is unfinished.
+    ///
+    /// A fork whose record does not say what it began with cannot be made again.
+    pub fn is_reproducible(&self, directory: &Path) -> Option<bool> {
+        let is_known = self.origin.is_some() || !self.is_fork(directory);
+        self.result.as_ref().map(|result| result.reproducible && is_known)
+    }
+
+    /// Tells whether the run began with the weights of another one.
+    pub(crate) fn is_fork(&self, directory: &Path) -> bool {
+        self.origin.is_some() || directory.join(INITIAL_POLICY).exists()
+    }
+
+    /// Reads the record of a run directory.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordError`]: it is missing, unreadable, or of a newer format.
+    pub fn read(directory: &Path) -> Result<Self, RecordError> {
+        let path = directory.join(RECORD);
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(source) => return Err(RecordError::Read { path, source }),
+        };
+        let record: Self = match serde_json::from_str(&text) {
+            Ok(record) => record,
+            Err(source) => return Err(RecordError::Foreign { path, source }),
+        };
+        if record.format > RUN_FORMAT {
+            return Err(RecordError::Newer { path, found: record.format });
+        }
+        Ok(record)
+    }
+
+    /// Writes the record into a run directory.
+    ///
+    /// # Errors
+    ///
+    /// If the file cannot be written; the old one then stays.
+    pub fn write(&self, directory: &Path) -> io::Result<()> {
+        let mut text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
+        text.push('\n');
+        write_atomically(&directory.join(RECORD), text.as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn build(program: &str, cpu: &str) -> ProgramBuild {
+        ProgramBuild {
+            since: clock::utc_now(),
+            program: program.to_owned(),
+            commit: None,
+            cpu: cpu.to_owned(),
+            threads: "1".to_owned(),
+        }
+    }
+
+    fn record() -> RunRecord {
+        RunRecord::begin("cart-1", "cartpole", 7, &build("a", "x86_64"))
+    }
+
+    #[test]
+    fn a_record_survives_the_disk() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut record = record();
+        record.origin = Some(ForkOrigin { run: "r".to_owned(), weights_sha256: "00".to_owned() });
+        record.write(dir.path()).unwrap();
+        assert_eq!(RunRecord::read(dir.path()).unwrap(), record);
+    }
+
+    #[test]
+    fn a_newer_format_is_refused_and_an_older_one_is_read() {
+        let dir = tempfile::tempdir().unwrap();
+        RunRecord { format: RUN_FORMAT + 1, ..record() }.write(dir.path()).unwrap();
+        let error = RunRecord::read(dir.path()).unwrap_err().to_string();
+        assert!(error.contains("use the newer release"), "{error}");
+        let old = r#"{"format": 1, "name": "r", "domain": "cartpole", "seed": 1, "version": "0.1.0", "commit": "abc",
+            "cpu": "x86_64", "threads": "1", "started": "2026-01-01T00:00:00Z", "resumed": 0, "result": null}"#;
+        fs::write(dir.path().join(RECORD), old).unwrap();
+        let mut old = RunRecord::read(dir.path()).unwrap();
+        old.worked_on_by(&build("a", "x86_64"));
+        assert_eq!(old.builds.len(), 2, "an unknown build is equal to none");
+    }
+
+    #[test]
+    fn every_build_and_class_of_cpu_that_takes_over_is_on_record() {
+        let mut record = record();
+        record.worked_on_by(&build("a", "x86_64"));
+        assert_eq!(record.builds.len(), 1);
+        record.worked_on_by(&build("b", "x86_64"));
+        record.worked_on_by(&build("b", "aarch64"));
+        assert_eq!(record.builds.len(), 3);
+    }
+}

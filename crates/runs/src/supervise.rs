@@ -1,0 +1,400 @@
+//! A learner and its actors as child processes of this one, watched until the last of them is gone.
+//!
+//! | what happens | what is done |
+//! |---|---|
+//! | an actor dies | it is restarted, after a longer pause each time; after [`RESTARTS`] restarts in a row it is given up |
+//! | the learner is killed | the same; it resumes from its checkpoint, and the actors find it by themselves |
+//! | the learner ends | the actors end with it; its exit code is ours |
+//! | every actor is given up | the learner is stopped, unless actors elsewhere may join |
+//! | Ctrl-C, SIGTERM | every child is asked to end, and killed if it does not within [`GRACE`] |
+//! | this process dies | the children see their standard input close, and end |
+//!
+//! A child that was healthy for a while is restarted as if it had never died, so that a long run outlives rare deaths.
+//! A restart that fails is one more death: what goes wrong here never ends the other children without a checkpoint.
+//!
+//! Every child leads a process group of its own, so that Ctrl-C at a terminal reaches only the supervisor, and so
+//! that killing a child kills what it started.
+
+use std::ffi::OsString;
+use std::fs::OpenOptions;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
+use tokio_util::sync::CancellationToken;
+
+use crate::build::running_program;
+use crate::journal;
+
+/// How often a child is restarted without having been healthy in between.
+pub const RESTARTS: u32 = 5;
+/// A child that lived this long was healthy.
+pub const HEALTHY_TIME: Duration = Duration::from_mins(10);
+/// So was one during whose life the run made this many updates, if that life was no shorter than [`HEALTHY_LIFE`].
+pub const HEALTHY_UPDATES: u64 = 100;
+/// The shortest life after which updates count: while one actor dies as soon as it starts, others make many.
+pub const HEALTHY_LIFE: Duration = Duration::from_secs(1);
+/// How long children may take to end by themselves before they are killed.
+pub const GRACE: Duration = Duration::from_millis(4_600);
+/// The exit codes of an actor that is worth another try: it failed, or it lost the network.
+pub const RETRIED: [i32; 2] = [1, 3];
+/// Pause between two looks at the children.
+const TICK: Duration = Duration::from_millis(20);
+/// Pause before the first restart; doubled for each further one.
+const FIRST_PAUSE: Duration = Duration::from_millis(200);
+
+/// What to start: the arguments after the program's name.
+#[derive(Clone, Debug)]
+pub struct ProcessPlan {
+    /// Arguments of the learner.
+    pub learner: Vec<OsString>,
+    /// Arguments of each actor.
+    pub actors: Vec<Vec<OsString>>,
+    /// Directory of the run; its journal shows whether the run advances.
+    pub run: PathBuf,
+    /// Whether actors that are not ours may keep the run going.
+    pub others_may_join: bool,
+    /// Whether the learner's results go to our standard output.
+    pub learner_stdout: bool,
+    /// File that collects what the children log, instead of our standard error.
+    pub stderr_log: Option<PathBuf>,
+}
+
+/// How a supervised run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// The learner ended with this exit code; `None` if it kept being killed.
+    Learner(Option<i32>),
+    /// Every actor was given up, and the learner was stopped.
+    NoActorLeft,
+    /// We were asked to stop.
+    Stopped,
+}
+
+/// Runs a plan to its end.
+///
+/// # Errors
+///
+/// If the learner cannot be started at all.
+pub async fn supervise(plan: &ProcessPlan, shutdown: &CancellationToken) -> io::Result<Ended> {
+    let quiet = ChildOutput { results: false, stderr_log: plan.stderr_log.clone() };
+    let output = ChildOutput { results: plan.learner_stdout, ..quiet.clone() };
+    let mut learner = ChildHandle::new("learner", ChildRole::Learner, &plan.learner, output);
+    learner.start(&plan.run)?;
+    let handle = |(index, args): (usize, &Vec<OsString>)| {
+        ChildHandle::new(&format!("actor {}", index + 1), ChildRole::Actor, args, quiet.clone())
+    };
+    let mut actors: Vec<ChildHandle> = plan.actors.iter().enumerate().map(handle).collect();
+    let ended = watch(plan, &mut learner, &mut actors, shutdown).await;
+    if ended != Ended::Learner(Some(0)) {
+        learner.request_stop();
+        actors.iter_mut().for_each(ChildHandle::request_stop);
+    }
+    wait_for_all(&mut learner, &mut actors).await;
+    Ok(ended)
+}
+
+async fn watch(
+    plan: &ProcessPlan,
+    learner: &mut ChildHandle,
+    actors: &mut [ChildHandle],
+    shutdown: &CancellationToken,
+) -> Ended {
+    let mut ticks = tokio::time::interval(TICK);
+    let mut warned = false;
+    loop {
+        tokio::select! {
+            () = shutdown.cancelled() => return Ended::Stopped,
+            _ = ticks.tick() => {}
+        }
+        if let ChildHealth::Gone(code) = learner.poll(&plan.run) {
+            return Ended::Learner(code);
+        }
+        let health: Vec<ChildHealth> =
+            actors.iter_mut().map(|actor| actor.poll(&plan.run)).collect();
+        // An actor that ended well was dismissed: the learner is about to end as well.
+        if health
+            .iter()
+            .any(|health| matches!(health, ChildHealth::Alive | ChildHealth::Gone(Some(0))))
+        {
+            continue;
+        }
+        if !plan.others_may_join {
+            tracing::error!("no actor is left: giving up; run the same command again to resume");
+            return Ended::NoActorLeft;
+        }
+        if !warned {
+            warned = true;
+            tracing::warn!("no actor of this command is left: the run depends on those elsewhere");
+        }
+    }
+}
+
+/// Waits until every child has ended; what has not within [`GRACE`] is killed when its handle is dropped.
+async fn wait_for_all(learner: &mut ChildHandle, actors: &mut [ChildHandle]) {
+    let started = Instant::now();
+    let mut ticks = tokio::time::interval(TICK);
+    while started.elapsed() < GRACE {
+        ticks.tick().await;
+        let n_running =
+            actors.iter_mut().chain([&mut *learner]).filter_map(|child| child.running()).count();
+        if n_running == 0 {
+            return;
+        }
+        if started.elapsed() > GRACE / 4 {
+            actors.iter_mut().for_each(ChildHandle::request_stop);
+        }
+    }
+    tracing::warn!("some processes did not end in time and are killed");
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ChildRole {
+    Learner,
+    Actor,
+}
+
+/// Where a child's output goes.
+#[derive(Clone, Debug)]
+struct ChildOutput {
+    /// Its results go to our standard output, instead of nowhere.
+    results: bool,
+    /// Its log goes to the end of this file, instead of to our standard error.
+    stderr_log: Option<PathBuf>,
+}
+
+impl ChildOutput {
+    fn stderr(&self) -> io::Result<Stdio> {
+        let open = |path: &Path| OpenOptions::new().create(true).append(true).open(path);
+        let log = self.stderr_log.as_deref().map(open).transpose()?;
+        Ok(log.map_or_else(Stdio::inherit, Stdio::from))
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ChildHealth {
+    /// It runs, or will again after a pause.
+    Alive,
+    /// It ended for good, with this exit code unless it was killed.
+    Gone(Option<i32>),
+}
+
+/// One child and its restarts.
+#[derive(Debug)]
+struct ChildHandle {
+    name: String,
+    role: ChildRole,
+    /// Finds the program anew for every start, as its file may be replaced meanwhile.
+    program: fn() -> io::Result<PathBuf>,
+    args: Vec<OsString>,
+    output: ChildOutput,
+    process: Option<ChildProcess>,
+    gone: Option<Option<i32>>,
+    n_restarts: u32,
+    /// When it is to be started; `None` while it runs.
+    start_at: Option<Instant>,
+    started: Instant,
+    /// Updates of the run when it was started.
+    updates_before: u64,
+}
+
+impl ChildHandle {
+    fn new(name: &str, role: ChildRole, args: &[OsString], output: ChildOutput) -> Self {
+        let now = Instant::now();
+        Self {
+            name: name.to_owned(),
+            role,
+            program: running_program,
+            args: args.to_vec(),
+            output,
+            process: None,
+            gone: None,
+            n_restarts: 0,
+            start_at: Some(now),
+            started: now,
+            updates_before: 0,
+        }
+    }
+
+    fn start(&mut self, run: &Path) -> io::Result<()> {
+        self.process = Some(ChildProcess::spawn(&(self.program)()?, &self.args, &self.output)?);
+        self.start_at = None;
+        self.started = Instant::now();
+        self.updates_before = journal::last_update(run);
+        Ok(())
+    }
+
+    /// Notices the child's end, and starts it when it is time.
+    fn poll(&mut self, run: &Path) -> ChildHealth {
+        if let Some(code) = self.gone {
+            return ChildHealth::Gone(code);
+        }
+        if let Some(at) = self.start_at {
+            if Instant::now() >= at
+                && let Err(error) = self.start(run)
+            {
+                return self.ended(None, &error.to_string(), run);
+            }
+            return ChildHealth::Alive;
+        }
+        let status = self.process.as_mut().map(ChildProcess::poll).transpose();
+        let (code, how) = match status {
+            Ok(None | Some(None)) => return ChildHealth::Alive,
+            Ok(Some(Some(status))) => (status.code(), status.to_string()),
+            Err(error) => (None, error.to_string()),
+        };
+        self.process = None;
+        self.ended(code, &how, run)
+    }
+
+    fn ended(&mut self, code: Option<i32>, how: &str, run: &Path) -> ChildHealth {
+        let again = match (self.role, code) {
+            // Killed from outside, crashed, or not started: worth another try.
+            (_, None) => true,
+            (ChildRole::Actor, Some(code)) => RETRIED.contains(&code),
+            // A learner that ended with an error would only repeat it.
+            (ChildRole::Learner, Some(_)) => false,
+        };
+        if self.was_healthy(run) {
+            self.n_restarts = 0;
+        }
+        if again && self.n_restarts < RESTARTS {
+            self.start_at = Some(Instant::now() + FIRST_PAUSE * 2_u32.pow(self.n_restarts));
+            self.n_restarts += 1;
+            self.started = Instant::now();
+            tracing::warn!(process = %self.name, how, restart = self.n_restarts, "process died; restarting it");
+            return ChildHealth::Alive;
+        }
+        if again {
+            let n_deaths = self.n_restarts + 1;
+            tracing::error!("{} died {n_deaths} times and is given up ({how})", self.name);
+        } else if self.role == ChildRole::Actor && code != Some(0) {
+            tracing::error!("{} ended and is not restarted ({how})", self.name);
+        }
+        self.gone = Some(code);
+        ChildHealth::Gone(code)
+    }
+
+    /// Tells whether its last life shows that it works.
+    fn was_healthy(&self, run: &Path) -> bool {
+        let lived = self.started.elapsed();
+        let n_updates = || journal::last_update(run).saturating_sub(self.updates_before);
+        lived >= HEALTHY_TIME || (lived >= HEALTHY_LIFE && n_updates() >= HEALTHY_UPDATES)
+    }
+
+    /// Returns the process if it has not ended yet.
+    fn running(&mut self) -> Option<&mut ChildProcess> {
+        let process = self.process.as_mut()?;
+        if !matches!(process.poll(), Ok(None)) {
+            self.process = None;
+        }
+        self.process.as_mut()
+    }
+
+    fn request_stop(&mut self) {
+        self.start_at = None;
+        if let Some(process) = &mut self.process {
+            process.lifeline = None;
+        }
+    }
+}
+
+/// A running process of ours; dropping it kills its group.
+#[derive(Debug)]
+struct ChildProcess {
+    process: Box<dyn ChildWrapper>,
+    /// The child ends when this closes.
+    lifeline: Option<ChildStdin>,
+}
+
+impl ChildProcess {
+    fn spawn(program: &Path, args: &[OsString], output: &ChildOutput) -> io::Result<Self> {
+        let mut command = Command::new(program);
+        let stdout = if output.results { Stdio::inherit() } else { Stdio::null() };
+        command.args(args).stdin(Stdio::piped()).stdout(stdout).stderr(output.stderr()?);
+        let mut process = CommandWrap::from(command).wrap(ProcessGroup::leader()).spawn()?;
+        let lifeline = process.stdin().take();
+        Ok(Self { process, lifeline })
+    }
+
+    fn poll(&mut self) -> io::Result<Option<ExitStatus>> {
+        self.process.try_wait()
+    }
+}
+
+impl Drop for ChildProcess {
+    fn drop(&mut self) {
+        if matches!(self.process.try_wait(), Ok(Some(_))) {
+            return;
+        }
+        if let Err(error) = self.process.start_kill().and_then(|()| self.process.wait()) {
+            tracing::warn!(%error, "a process could not be killed");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn actor() -> ChildHandle {
+        let output = ChildOutput { results: false, stderr_log: None };
+        ChildHandle::new("actor 1", ChildRole::Actor, &[], output)
+    }
+
+    #[test]
+    fn deaths_in_a_row_end_an_actor_and_health_in_between_forgives_them() {
+        let run = tempfile::tempdir().unwrap();
+        let mut hopeless = actor();
+        for _ in 0..RESTARTS {
+            assert_eq!(hopeless.ended(None, "killed", run.path()), ChildHealth::Alive);
+        }
+        assert_eq!(hopeless.ended(None, "killed", run.path()), ChildHealth::Gone(None));
+        let line = format!("{{\"update\": {HEALTHY_UPDATES}}}\n");
+        std::fs::write(run.path().join("metrics.jsonl"), line).unwrap();
+        let mut healthy = actor();
+        for _ in 0..3 * RESTARTS {
+            healthy.started = Instant::now().checked_sub(HEALTHY_LIFE).unwrap();
+            assert_eq!(healthy.ended(Some(1), "failed", run.path()), ChildHealth::Alive);
+        }
+        assert_eq!(healthy.ended(Some(2), "wrong input", run.path()), ChildHealth::Gone(Some(2)));
+    }
+
+    #[tokio::test]
+    async fn a_run_without_local_actors_goes_on_only_where_others_may_join() {
+        let run = tempfile::tempdir().unwrap();
+        let mut plan = ProcessPlan {
+            learner: Vec::new(),
+            actors: Vec::new(),
+            run: run.path().to_owned(),
+            others_may_join: false,
+            learner_stdout: false,
+            stderr_log: None,
+        };
+        let output = ChildOutput { results: false, stderr_log: None };
+        let mut learner = ChildHandle::new("learner", ChildRole::Learner, &["600".into()], output);
+        learner.program = || Ok("sleep".into());
+        let mut gone = actor();
+        gone.gone = Some(None);
+        let mut actors = [gone];
+        let stop = CancellationToken::new();
+        assert_eq!(watch(&plan, &mut learner, &mut actors, &stop).await, Ended::NoActorLeft);
+        plan.others_may_join = true;
+        let watching = watch(&plan, &mut learner, &mut actors, &stop);
+        // Far more than the one look that it takes to give up.
+        let still_watching = tokio::time::timeout(10 * TICK, watching).await;
+        assert!(still_watching.is_err(), "{still_watching:?}");
+    }
+
+    #[test]
+    fn a_start_that_fails_is_a_death_and_not_the_supervisors_end() {
+        let run = tempfile::tempdir().unwrap();
+        let mut actor = actor();
+        // A log in a directory that is not there: the process cannot be started.
+        actor.output.stderr_log = Some(run.path().join("missing/log"));
+        assert_eq!(actor.poll(run.path()), ChildHealth::Alive);
+        assert_eq!(actor.n_restarts, 1);
+    }
+}

@@ -1,0 +1,102 @@
+//! What can be trained on: the worlds that build environments, and the configurations that come with them.
+
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+use leadtime_config::{Catalog, Config, ConfigError, ConfigSource, Layer};
+use leadtime_proto::{EnvId, TaskSpec};
+use leadtime_sims::registry::{Registry, TaskError};
+use leadtime_sims::{Environment, EpisodeSeed};
+use thiserror::Error;
+
+/// Why a configuration cannot be loaded.
+#[derive(Debug, Error)]
+pub enum ConfigureError {
+    /// There is neither a file nor a built-in configuration of that name.
+    #[error("there is no file {}; built-in configurations: {}", file.display(), known.join(", "))]
+    NotFound {
+        /// The file as named.
+        file: PathBuf,
+        /// The built-in configurations.
+        known: Vec<String>,
+    },
+    /// The file cannot be read.
+    #[error("reading {}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The configuration is refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+}
+
+/// Every task that the commands know, by name.
+#[derive(Clone, Debug)]
+pub struct Tasks {
+    /// Builds the environments.
+    pub registry: Registry,
+    /// The built-in configurations.
+    pub catalog: Catalog,
+}
+
+impl Default for Tasks {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Tasks {
+    /// Returns the built-in tasks.
+    pub fn new() -> Self {
+        Self { registry: Registry::builtin(), catalog: Catalog::built_in() }
+    }
+
+    /// Adds a task with the general default settings.
+    pub fn with<F>(mut self, name: &str, builder: F) -> Self
+    where
+        F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
+    {
+        self.registry = self.registry.with(name, builder);
+        self.catalog.add(name, &format!("domain = \"{name}\"\n"));
+        self
+    }
+
+    /// Loads a configuration: a file, or the built-in one of that name, with the changes of `source`.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigureError`] if there is no such file or configuration, or if it is refused.
+    pub fn configure(
+        &self,
+        file: Option<&Path>,
+        source: ConfigSource,
+    ) -> Result<Config, ConfigureError> {
+        let file = file.map(|file| self.read(file)).transpose()?;
+        Ok(Config::load(&ConfigSource { file, ..source }, &self.catalog, &self.registry)?)
+    }
+
+    fn read(&self, file: &Path) -> Result<Layer, ConfigureError> {
+        let built_in = file.to_str().and_then(|name| self.catalog.file(Some(name)));
+        match (fs::read_to_string(file), built_in) {
+            (Ok(text), _) => Ok(Layer::text(format!("configuration {}", file.display()), text)),
+            (Err(_), Some(built_in)) => Ok(built_in),
+            (Err(error), None) if error.kind() == io::ErrorKind::NotFound => {
+                let known = self.catalog.names().map(str::to_owned).collect();
+                Err(ConfigureError::NotFound { file: file.to_owned(), known })
+            }
+            (Err(source), None) => Err(ConfigureError::Read { file: file.to_owned(), source }),
+        }
+    }
+
+    /// Names the topics of a task in the order of their ids; none if nobody speaks in it, or if it cannot be built.
+    pub fn topics(&self, task: &TaskSpec) -> Vec<&'static str> {
+        let Ok(mut environment) = self.registry.build(task) else { return Vec::new() };
+        let mut observation = vec![0.0; environment.spec().obs_dim];
+        let first = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
+        environment.reset(first, &mut observation);
+        environment.scene().map(|scene| scene.listener.topics).unwrap_or_default()
+    }
+}

@@ -1,0 +1,71 @@
+//! A bug in any thread ends the process: one sentence, exit code 1.
+//!
+//! A thread that panics takes with it what it alone does, such as answering the network; the others would wait for it
+//! for ever. What a run has on the disk is whole at every moment, so ending at once loses little.
+
+use std::panic::{self, PanicHookInfo};
+use std::process;
+
+use crate::exit::ExitCode;
+use crate::output;
+
+/// Where a person asks for the stack.
+const BACKTRACE: &str = "RUST_BACKTRACE";
+/// What the system says when a limit is reached, and what to do about it.
+const LIMITS: [(&str, &str); 4] = [
+    ("Too many open files", "the limit on open files is too small: see `ulimit -n`"),
+    (
+        "Resource temporarily unavailable",
+        "the limit on memory or processes is too small: see `ulimit -v`, `ulimit -u`",
+    ),
+    ("Cannot allocate memory", "there is not enough memory: see `ulimit -v`"),
+    ("failed to spawn thread", "no thread can be started: see `ulimit -v`, `ulimit -u`"),
+];
+
+/// Makes every panic end the process.
+pub fn end_on_panic() {
+    let default = panic::take_hook();
+    panic::set_hook(Box::new(move |panic| {
+        if std::env::var_os(BACKTRACE).is_some_and(|value| value != "0") {
+            default(panic);
+        }
+        output::error(&sentence(&message(panic), &place(panic)));
+        end();
+    }));
+}
+
+#[expect(clippy::exit, reason = "the panicking thread may be any, and nothing else would notice")]
+fn end() {
+    process::exit(ExitCode::Failed as i32);
+}
+
+fn message(panic: &PanicHookInfo<'_>) -> String {
+    panic.payload_as_str().unwrap_or("a panic without a message").replace('\n', " ")
+}
+
+fn place(panic: &PanicHookInfo<'_>) -> String {
+    panic.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string)
+}
+
+fn sentence(message: &str, place: &str) -> String {
+    match LIMITS.iter().find(|(sign, _)| message.contains(sign)) {
+        Some((_, remedy)) => {
+            format!("the system refuses what the program needs ({message}): {remedy}")
+        }
+        None => format!("a bug of the program: {message} (at {place}; {BACKTRACE}=1 shows more)"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_of_the_system_is_not_called_a_bug() {
+        let limit = "failed to spawn thread: Os { code: 11, message: \"Resource temporarily unavailable\" }";
+        assert!(sentence(limit, "a.rs:1").contains("ulimit -v"));
+        assert!(
+            sentence("index out of bounds", "a.rs:1").starts_with("a bug of the program: index")
+        );
+    }
+}
