@@ -3,7 +3,7 @@
 use std::fs;
 use std::net::TcpListener;
 
-use crate::support::{Finished, PATIENCE, Place, Running, wait_until};
+use crate::support::{Finished, PATIENCE, Place, Running, record, wait_until};
 
 /// Exit code for wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -192,6 +192,9 @@ fn an_address_that_cannot_be_used_is_told_as_what_it_is() {
     let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
     let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
     place.finish(&args).with_code(WRONG_INPUT).saying(&["in use", &endpoint]);
+    // The directory that is left holds nothing, so another configuration may take it.
+    let changed = [&args[..], &["--set", "learner.clip=0.3"]].concat();
+    place.finish(&changed).with_code(WRONG_INPUT).saying(&["in use", &endpoint]);
     let args = [&["learner", "--name", "r", "--listen", "http/example:1"], SMALL].concat();
     place.finish(&args).with_code(WRONG_INPUT).saying(&["http/example:1", "tcp/"]);
     place
@@ -267,6 +270,63 @@ fn weights(finished: &Finished) -> &str {
 }
 
 #[test]
+fn a_second_fork_is_refused_and_a_fork_says_what_it_began_with() {
+    let place = Place::new();
+    let up = ["up", "-c", "cartpole", "--actors", "1", "--set", "learner.n_steps=32"];
+    let start = |more: &[&str]| place.finish(&[&up, more].concat());
+    let [first, _] = [("fa", "5"), ("fb", "6")].map(|(name, seed)| {
+        start(&["--name", name, "--seed", seed, "--stop-after", "2"]).with_code(0)
+    });
+    let fork = |from: &str, updates: &str| {
+        start(&["--name", "fc", "--fork", from, "--stop-after", updates])
+    };
+    fork("fa", "2").with_code(0);
+    fork("fb", "4").with_code(WRONG_INPUT).saying(&["`fc` has already begun", "weights of `fa`"]);
+    fork("fa", "4").with_code(0);
+    let record = record(&place.run("fc"));
+    let digest = record["origin"]["weights_sha256"].as_str().unwrap().to_owned();
+    assert_eq!(record["origin"]["run"], "fa");
+    assert!(weights(&first).ends_with(&digest), "{record}");
+    let listed = place.finish(&["runs"]).with_code(0).stdout;
+    assert!(listed.contains(&format!("fa {}", &digest[..12])), "{listed}");
+    let report = fs::read_to_string(place.run("fc").join("report.html")).unwrap();
+    assert!(report.contains(&digest), "the report names the starting weights");
+}
+
+#[test]
+fn a_run_that_lost_its_checkpoints_keeps_its_policy() {
+    let place = Place::new();
+    let up = |steps: &str| {
+        let steps = format!("learner.total_steps={steps}");
+        let args = ["up", "--name", "gone", "--actors", "1"];
+        place.finish(&[&args, SMALL, &["--set", &steps]].concat())
+    };
+    up("2560").with_code(0);
+    let policy = place.run("gone").join("policy.safetensors");
+    let before = fs::read(&policy).unwrap();
+    for entry in fs::read_dir(place.run("gone").join("checkpoints")).unwrap() {
+        fs::remove_file(entry.unwrap().path()).unwrap();
+    }
+    up("5120").with_code(WRONG_INPUT).saying(&["20 updates on record", "--fork gone"]);
+    assert!(fs::read(&policy).unwrap() == before, "the finished policy stays");
+}
+
+#[test]
+fn learners_that_start_at_once_have_runs_of_their_own() {
+    let place = Place::new();
+    let start = |seed: &str| {
+        let endpoint = place.endpoint(seed);
+        place.start(&[&["learner", "--seed", seed, "--listen", &endpoint], SMALL].concat())
+    };
+    let learners = ["1", "2", "3", "4"].map(start);
+    for learner in &learners {
+        wait_until("it listens", PATIENCE, || learner.stderr().contains("listening"));
+    }
+    assert_eq!(fs::read_dir(place.path().join("runs")).unwrap().count(), 4);
+    learners.into_iter().for_each(Running::kill);
+}
+
+#[test]
 fn damaged_checkpoints_give_way_to_older_ones_or_stop_the_run() {
     let place = Place::new();
     let first = learner(&place, &["--stop-after", "12"]);
@@ -305,7 +365,16 @@ fn damaged_checkpoints_give_way_to_older_ones_or_stop_the_run() {
 fn a_policy_or_trace_file_that_is_none_is_refused() {
     let place = Place::new();
     let file = place.write("policy.safetensors", "not a policy");
-    place.finish(&["eval", &file]).with_code(WRONG_INPUT).saying(&["policy.safetensors"]);
+    place.finish(&["eval", &file]).with_code(WRONG_INPUT).saying(&["policy.safetensors", "text"]);
+    let pointer = place.write("lfs.safetensors", "version https://git-lfs.github.com/spec/v1\n");
+    place.finish(&["eval", &pointer]).with_code(WRONG_INPUT).saying(&["Git LFS pointer"]);
+    let page = place.write("page.safetensors", "<!DOCTYPE html>");
+    for command in
+        [&["eval"][..], &["pilot", "eval", "--pilot"], &["up", "-c", "cartpole", "--fork"]]
+    {
+        let args = [command, &[page.as_str()]].concat();
+        place.finish(&args).with_code(WRONG_INPUT).saying(&["HTML page"]);
+    }
     place.finish(&["play", "nothing"]).with_code(WRONG_INPUT).saying(&["`nothing`"]);
     place.finish(&["conformance", "lander", &file]).with_code(WRONG_INPUT).saying(&["traces"]);
     place

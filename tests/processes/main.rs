@@ -7,6 +7,7 @@
 //! | `compare` | a study becomes its tables, also when it is killed on the way |
 //! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
 //! | `resilience` | killing anything changes no bit; the books balance |
+//! | `streams` | output that cannot be written, limits, names that are not text: a sentence, and nothing is lost |
 //! | `supervision` | processes live and die together |
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
 //! | `words_server` | a language model's words are paid once, whatever is killed or breaks down |
@@ -22,6 +23,7 @@ mod program;
 mod resilience;
 mod rogue;
 mod shipped;
+mod streams;
 mod supervision;
 mod support;
 mod taxonomy;

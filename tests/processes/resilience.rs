@@ -2,10 +2,13 @@
 //!
 //! Every test compares the digest of the final weights with that of one undisturbed run, made once.
 
+use std::io::Write as _;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use crate::support::{PATIENCE, Place, Running, result, updates, wait_until};
+use crate::support::{
+    PATIENCE, Place, Running, journal, record, result, signal, updates, wait_until,
+};
 use serde_json::Value;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -119,12 +122,65 @@ fn a_learner_killed_and_restarted_changes_nothing() {
     second.finish(PATIENCE).with_code(0).saying(&["resumed"]);
     actor.finish(PATIENCE).with_code(0);
     assert_eq!(digest(&place), undisturbed());
-    let journal = std::fs::read_to_string(place.run("r").join("metrics.jsonl")).unwrap();
-    let numbers: Vec<u64> = journal
-        .lines()
-        .map(|line| serde_json::from_str::<Value>(line).unwrap()["update"].as_u64().unwrap())
-        .collect();
-    assert_eq!(numbers, (1..=40).collect::<Vec<u64>>(), "every update is there once");
+    assert!(journal(&place.run("r")).into_iter().eq(1..=40), "every update is there once");
+}
+
+#[test]
+fn a_learner_killed_before_its_first_checkpoint_begins_anew_with_every_update_once() {
+    let place = Place::new();
+    let late = ["--set", "run.checkpoint_every=1000"];
+    let (first, helper) = (learner(&place, &late), actor(&place, "a"));
+    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 5);
+    first.kill();
+    learner(&place, &late).finish(PATIENCE).with_code(0);
+    helper.finish(PATIENCE).with_code(0);
+    assert!(journal(&place.run("r")).into_iter().eq(1..=40), "every update is there once");
+    assert_eq!(digest(&place), undisturbed());
+}
+
+#[test]
+fn a_run_that_another_build_resumes_is_not_called_reproducible() {
+    let place = Place::new();
+    let (first, helper) = (learner(&place, &["--stop-after", "8"]), actor(&place, "a"));
+    first.finish(PATIENCE).with_code(0);
+    helper.finish(PATIENCE);
+    let other = place.copy_of_program("other");
+    let append = std::fs::File::options().append(true).open(&other);
+    append.unwrap().write_all(b"x").unwrap();
+    let endpoint = place.endpoint("learner");
+    let args = [&["learner", "--name", "r", "--listen", &endpoint], RUN].concat();
+    let second = place.start_with(place.program_at(&other, &args));
+    let helper = place.start_with(place.program_at(&other, &["actor", "--connect", &endpoint]));
+    second.finish(PATIENCE).with_code(0).saying(&["resumed"]);
+    helper.finish(PATIENCE).with_code(0);
+    let record = record(&place.run("r"));
+    assert_eq!(record["result"]["reproducible"], false);
+    assert_eq!(record["builds"].as_array().map(Vec::len), Some(2), "{record}");
+}
+
+#[test]
+fn a_closed_terminal_leaves_a_checkpoint_and_does_not_end_what_was_to_outlive_it() {
+    let place = Place::new();
+    let first = learner(&place, &[]);
+    let helper = actor(&place, "a");
+    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
+    signal("HUP", first.id());
+    first.finish(5 * SECOND).with_code(130);
+    helper.finish(PATIENCE);
+    let endpoint = place.endpoint("learner");
+    let mut shell = std::process::Command::new("sh");
+    shell.current_dir(place.path()).args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]);
+    shell.args([env!("CARGO_BIN_EXE_leadtime"), "learner", "--name", "r", "--listen", &endpoint]);
+    let second = place.start_with({
+        shell.args(RUN);
+        shell
+    });
+    wait_until("it listens", PATIENCE, || second.stderr().contains("listening"));
+    signal("HUP", second.id());
+    let helper = actor(&place, "b");
+    second.finish(PATIENCE).with_code(0).saying(&["resumed"]);
+    helper.finish(PATIENCE).with_code(0);
+    assert_eq!(digest(&place), undisturbed());
 }
 
 #[test]
@@ -147,7 +203,7 @@ fn an_interrupted_learner_leaves_a_checkpoint_within_five_seconds() {
     let first = learner(&place, &[]);
     let helper = actor(&place, "a");
     wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 6);
-    crate::support::signal("TERM", first.id());
+    signal("TERM", first.id());
     first.finish(5 * SECOND).with_code(130);
     helper.finish(PATIENCE);
     assert!(result(&place.run("r")).is_null(), "an interrupted run is unfinished");

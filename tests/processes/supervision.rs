@@ -107,6 +107,53 @@ fn crashed_processes_are_started_again() {
 }
 
 #[test]
+fn a_program_whose_file_is_gone_restarts_its_processes() {
+    let place = Place::new();
+    let copy = place.copy_of_program("leadtime");
+    let supervisor = place.start_with(place.program_at(&copy, LONG));
+    let (_, actors) = family(supervisor.id());
+    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
+    std::fs::remove_file(&copy).unwrap();
+    signal("KILL", actors[0]);
+    wait_until("the old one is gone", PATIENCE, || !is_alive(actors[0]));
+    let (_, actors) = family(supervisor.id());
+    let before = updates(&place.run("r"));
+    wait_until("the run goes on", PATIENCE, || updates(&place.run("r")) > before + 5);
+    assert!(actors.iter().all(|actor| is_alive(*actor)));
+    signal("TERM", supervisor.id());
+    supervisor.finish(6 * SECOND).with_code(130).saying(&["process died; restarting it"]);
+}
+
+#[test]
+fn an_interrupted_evaluation_ends_at_once() {
+    let place = Place::new();
+    let smoke = place.start(&["smoke", "--quick", "--episodes", "1000000"]);
+    let finished =
+        |run: std::path::PathBuf| run.join("run.json").exists() && !result(&run).is_null();
+    wait_until("the training is over", 2 * PATIENCE, || {
+        let runs = std::fs::read_dir(place.path().join("runs")).into_iter().flatten();
+        children(smoke.id()).is_empty() && { runs }.any(|run| finished(run.unwrap().path()))
+    });
+    signal("INT", smoke.id());
+    smoke.finish(2 * SECOND).with_code(130);
+}
+
+#[test]
+fn a_directory_that_is_not_the_supervisors_is_never_removed() {
+    let place = Place::new();
+    let notes = place.path().join("leadtime-notes");
+    std::fs::create_dir(&notes).unwrap();
+    std::fs::write(notes.join("mine"), "").unwrap();
+    let (endpoint, notes) = (place.endpoint("learner"), notes.to_str().unwrap().to_owned());
+    let args = ["learner", "-c", "cartpole", "--listen", &endpoint, "--scratch", &notes];
+    let learner = place.start(&args);
+    wait_until("it listens", PATIENCE, || learner.stderr().contains("listening"));
+    signal("INT", learner.id());
+    learner.finish(5 * SECOND).with_code(130);
+    assert!(std::path::Path::new(&notes).join("mine").exists());
+}
+
+#[test]
 fn a_run_under_supervision_ends_by_itself_and_is_on_record() {
     let place = Place::new();
     let short = ["--set", "learner.total_steps=1280"];

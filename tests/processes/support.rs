@@ -56,9 +56,21 @@ impl Place {
         self.dir.path().join("runs").join(name)
     }
 
-    /// Prepares the program; `--runs` is appended where the command knows it.
+    /// Prepares the program, to be run in this place.
     pub(crate) fn program(&self, args: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_leadtime"));
+        self.program_at(Path::new(env!("CARGO_BIN_EXE_leadtime")), args)
+    }
+
+    /// Makes a copy of the program, which may be replaced or removed.
+    pub(crate) fn copy_of_program(&self, name: &str) -> PathBuf {
+        let copy = self.path().join(name);
+        fs::copy(env!("CARGO_BIN_EXE_leadtime"), &copy).expect("the program can be copied");
+        copy
+    }
+
+    /// As [`Place::program`], for a copy of it.
+    pub(crate) fn program_at(&self, program: &Path, args: &[&str]) -> Command {
+        let mut command = Command::new(program);
         command.args(args).current_dir(self.path()).env_remove("RUST_LOG");
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
@@ -75,14 +87,26 @@ impl Place {
     }
 
     /// As [`Place::start`], for a prepared command.
-    pub(crate) fn start_with(&self, mut command: Command) -> Running {
+    pub(crate) fn start_with(&self, command: Command) -> Running {
+        self.start_to(command, None, None)
+    }
+
+    /// As [`Place::start_with`], with standard output or standard error going somewhere else.
+    pub(crate) fn start_to(
+        &self,
+        mut command: Command,
+        stdout: Option<&str>,
+        stderr: Option<&str>,
+    ) -> Running {
         let log = |name: &str| {
             let unique = format!("{name}-{:?}-{}", thread::current().id(), unique());
             let path = self.dir.path().join(unique);
             (fs::File::create(&path).expect("a log can be made"), path)
         };
         let ((out, out_path), (err, err_path)) = (log("stdout"), log("stderr"));
-        command.stdout(out).stderr(err);
+        let elsewhere = |path: &str| fs::File::options().write(true).open(path);
+        let elsewhere = |path: &str| elsewhere(path).expect("the file can be opened");
+        command.stdout(stdout.map_or(out, elsewhere)).stderr(stderr.map_or(err, elsewhere));
         let child = command.spawn().expect("the program starts");
         Running { child, out: out_path, err: err_path }
     }
@@ -228,11 +252,22 @@ pub(crate) fn updates(run: &Path) -> u64 {
     last.and_then(|line| line["update"].as_u64()).unwrap_or(0)
 }
 
+/// Returns the number of every update in a run's journal.
+pub(crate) fn journal(run: &Path) -> Vec<u64> {
+    let journal = fs::read_to_string(run.join("metrics.jsonl")).expect("the run has a journal");
+    let number = |line: &str| serde_json::from_str::<Value>(line).ok()?["update"].as_u64();
+    journal.lines().map(|line| number(line).expect("every line has its update")).collect()
+}
+
+/// Returns a run's record.
+pub(crate) fn record(run: &Path) -> Value {
+    let text = fs::read_to_string(run.join("run.json")).expect("the run has a record");
+    serde_json::from_str(&text).expect("the record is JSON")
+}
+
 /// Returns the result in a run's record; null while it is unfinished.
 pub(crate) fn result(run: &Path) -> Value {
-    let text = fs::read_to_string(run.join("run.json")).expect("the run has a record");
-    let record: Value = serde_json::from_str(&text).expect("the record is JSON");
-    record["result"].clone()
+    record(run)["result"].clone()
 }
 
 /// Runs a tool that is not ours to its end.
