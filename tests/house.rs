@@ -3,7 +3,7 @@
 //! Each rule is an absence that ARCHITECTURE.md promises. They read the sources and `cargo metadata`, so a rule that
 //! is broken is named with the file that breaks it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -55,6 +55,11 @@ impl Source {
     fn is_test(&self) -> bool {
         let name = self.path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
         name.ends_with("tests") || self.path.iter().any(|part| part == "tests")
+    }
+
+    /// Tells whether it is part of a library or of the program: no test, bench or example.
+    fn is_product(&self) -> bool {
+        !self.is_test() && self.path.iter().any(|part| part == "src")
     }
 
     /// Tells whether a script wrote it: its first line says which.
@@ -222,26 +227,187 @@ fn only_one_file_reads_the_wall_clock() {
     assert_eq!(offenders(&words, &["crates/runs/src/clock.rs", "tests/house.rs"]), [""; 0]);
 }
 
-/// Product files that may be longer than most, up to [`STOP`], and why they stay whole.
-const LONG: &[(&str, &str)] = &[
-    ("learner/src/coordinator.rs", "one state machine, whose transitions read best side by side"),
-    ("learner/src/run.rs", "one loop, and what each thing that wakes it sets off"),
-];
-/// Lines before its tests that a product file may have.
-const WARN: usize = 500;
-/// Lines that no file may exceed; a file of tests may be this long, for its parts do not depend on each other.
-const STOP: usize = 800;
+/// Lines that no file may exceed, tests included: nobody finds their way in more.
+const STOP: usize = 1_000;
 
 #[test]
-fn source_files_stay_readable() {
+fn no_source_file_is_endless() {
     for source in all_sources() {
-        let n_lines =
-            source.text.split("\n#[cfg(test)]").next().unwrap_or_default().lines().count();
-        let may_be_long =
-            source.is_test() || LONG.iter().any(|(path, _)| source.path.ends_with(path));
-        let limit = if may_be_long { STOP } else { WARN };
-        assert!(n_lines <= limit, "{} has {n_lines} lines", source.path.display());
+        let n_lines = source.text.lines().count();
+        assert!(n_lines <= STOP, "{} has {n_lines} lines", source.path.display());
     }
+}
+
+/// Type names that two product types share, and why that does not mislead.
+const SHARED_NAMES: &[(&str, &str)] = &[
+    ("Error", "each library's own error, always written with its crate: `link::Error`"),
+];
+
+#[test]
+fn a_type_name_means_one_thing() {
+    let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for source in all_sources().iter().filter(|source| source.is_product()) {
+        for name in source.code.lines().filter_map(type_name) {
+            places.entry(name.to_owned()).or_default().push(source.path.display().to_string());
+        }
+    }
+    places.retain(|_, files| files.len() > 1);
+    let shared: BTreeSet<&str> = places.keys().map(String::as_str).collect();
+    let listed: BTreeSet<&str> = SHARED_NAMES.iter().map(|(name, _)| *name).collect();
+    assert_eq!(shared, listed, "types that share a name, and those listed: {places:#?}");
+    assert!(listed.len() <= 15, "{} names mean two things", listed.len());
+}
+
+/// Returns the name that a line defines as a type; a `type` inside a trait is not one.
+fn type_name(line: &str) -> Option<&str> {
+    let mut rest = line.trim_start();
+    let is_indented = rest.len() < line.len();
+    if let Some(after) = rest.strip_prefix("pub") {
+        rest = match after.strip_prefix('(') {
+            Some(inside) => inside.split_once(')')?.1,
+            None => after,
+        };
+    }
+    let (keyword, rest) = rest.trim_start().split_once(' ')?;
+    let is_type = matches!(keyword, "struct" | "enum" | "trait")
+        || (keyword == "type" && !is_indented);
+    let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+    (is_type && end > 0).then_some(&rest[..end])
+}
+
+#[test]
+fn type_names_are_read_off_their_definitions() {
+    assert_eq!(type_name("pub(crate) struct Lane {"), Some("Lane"));
+    assert_eq!(type_name("    enum Wake<T> {"), Some("Wake"));
+    assert_eq!(type_name("pub type Key = (u8, u8);"), Some("Key"));
+    assert_eq!(type_name("    type Error = Never;"), None);
+    assert_eq!(type_name("let structure = 1;"), None);
+}
+
+#[test]
+fn no_two_files_of_a_crate_import_each_other() {
+    let root = root();
+    let mut circles = Vec::new();
+    for manifest in crate_folders() {
+        let src = root.join(&manifest).join("src");
+        let files = sources(&src);
+        let modules: BTreeSet<Module> =
+            files.iter().map(|source| module_of(&source.path, &src)).collect();
+        let mut arrows = BTreeSet::new();
+        for source in files.iter().filter(|source| !source.is_test()) {
+            let from = module_of(&source.path, &src);
+            for to in imports(&source.code, &from, &modules) {
+                arrows.insert((from.clone(), to));
+            }
+        }
+        for (from, to) in &arrows {
+            if from < to && arrows.contains(&(to.clone(), from.clone())) {
+                circles.push(format!("{manifest}: {} <-> {}", from.join("::"), to.join("::")));
+            }
+        }
+    }
+    assert_eq!(circles, [""; 0], "files that import each other");
+}
+
+/// A module's path inside its crate; the crate's root is empty.
+type Module = Vec<String>;
+
+/// Lists the folders of the workspace's crates, relative to its root.
+fn crate_folders() -> Vec<String> {
+    let root = root();
+    let metadata = metadata();
+    let packages = metadata["packages"].as_array().expect("packages");
+    let folders = packages.iter().map(|package| {
+        let manifest = Path::new(package["manifest_path"].as_str().expect("path"));
+        let folder = manifest.parent().expect("a manifest lies in a folder");
+        folder.strip_prefix(&root).expect("inside").display().to_string()
+    });
+    folders.collect()
+}
+
+/// Returns the module that a file holds: `a/b.rs` and `a/b/mod.rs` are `a::b`.
+fn module_of(path: &Path, src: &Path) -> Module {
+    let inside = path.strip_prefix(src).expect("inside").with_extension("");
+    let mut module: Module =
+        inside.iter().map(|part| part.to_string_lossy().into_owned()).collect();
+    if module.last().is_some_and(|last| matches!(last.as_str(), "mod" | "lib" | "main")) {
+        module.pop();
+    }
+    module
+}
+
+/// Lists the modules of other files that a file's code names, but for its ancestors and descendants.
+fn imports(code: &str, from: &Module, modules: &BTreeSet<Module>) -> BTreeSet<Module> {
+    let mut found = BTreeSet::new();
+    for (start, _) in code.match_indices("::") {
+        let head = code[..start].rsplit(|c: char| !c.is_alphanumeric() && c != '_').next();
+        // Where a path begins; what follows a first `super` is part of the same path.
+        let is_first = !code[..start - head.unwrap_or_default().len()].ends_with("::");
+        let base = match head {
+            Some("crate") if is_first => Vec::new(),
+            Some("super") if is_first => from[..from.len().saturating_sub(1)].to_vec(),
+            _ => continue,
+        };
+        let mut paths = Vec::new();
+        expand(&code[start + 2..], &base, &mut paths);
+        for path in paths {
+            let known = (0..=path.len()).rev().find(|&n| modules.contains(&path[..n]));
+            let to = path[..known.unwrap_or(0)].to_vec();
+            let is_kin = to.starts_with(from) || from.starts_with(&to);
+            if !is_kin {
+                found.insert(to);
+            }
+        }
+    }
+    found
+}
+
+/// Reads one path, or a braced list of paths, and adds each with `base` in front; returns what follows.
+fn expand<'a>(text: &'a str, base: &Module, paths: &mut Vec<Module>) -> &'a str {
+    let mut text = text.trim_start();
+    if let Some(mut rest) = text.strip_prefix('{') {
+        loop {
+            rest = rest.trim_start().trim_start_matches(',').trim_start();
+            if let Some(after) = rest.strip_prefix('}') {
+                return after;
+            }
+            let after = expand(rest, base, paths);
+            if after.len() == rest.len() {
+                return rest;
+            }
+            // A renamed import: ` as name` is no part of the path.
+            rest = after.trim_start();
+            if let Some(renamed) = rest.strip_prefix("as ") {
+                rest = renamed.trim_start_matches(|c: char| c.is_alphanumeric() || c == '_');
+            }
+        }
+    }
+    let end = text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len());
+    let (name, rest) = text.split_at(end);
+    text = rest;
+    let mut path = base.clone();
+    match name {
+        "" => return text,
+        "self" => {}
+        "super" => drop(path.pop()),
+        _ => path.push(name.to_owned()),
+    }
+    if let Some(rest) = text.strip_prefix("::") {
+        return expand(rest, &path, paths);
+    }
+    paths.push(path);
+    text
+}
+
+#[test]
+fn imports_are_read_through_braces_and_parents() {
+    let module = |path: &str| -> Module { path.split("::").map(str::to_owned).collect() };
+    let modules: BTreeSet<Module> =
+        ["a", "a::b", "a::c", "d", "e::f"].into_iter().map(module).chain([Vec::new()]).collect();
+    let code = "use crate::{a::{self, c::Thing as Other}, d};\nlet x = super::c::make();\nuse super::super::e::{f::G};";
+    let found = imports(code, &module("a::b"), &modules);
+    let expected: BTreeSet<Module> = ["a::c", "d", "e::f"].into_iter().map(module).collect();
+    assert_eq!(found, expected);
 }
 
 #[test]
