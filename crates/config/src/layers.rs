@@ -7,13 +7,14 @@
 //! The result is one table whose values remember their place: the [`Layer`] and the bytes in it. It is read into typed
 //! structs once, and an error still shows the line of the file, or names the option, that it is about.
 
+use std::mem::ManuallyDrop;
 use std::ops::Range;
 
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
 use toml::{Spanned, Table};
 
-use leadtime_proto::text::{escaped, quoted};
+use leadtime_proto::text::{escaped, printable, quoted};
 
 use crate::error::{ConfigError, ensure};
 use crate::overrides::Override;
@@ -81,7 +82,7 @@ impl Layer {
 
     /// Describes an error in this text: for a file with its line and a caret.
     fn refuse(&self, span: Option<Range<usize>>, message: &str) -> ConfigError {
-        let message = message.lines().map(escaped).collect::<Vec<_>>().join(", ");
+        let message = printable(message).replace('\n', ", ");
         let text = match span {
             Some(span) if self.change.is_none() => {
                 format!("TOML parse error at {}{message}", pointed(&self.text, span))
@@ -187,7 +188,7 @@ impl<'a> Layers<'a> {
 
     /// Describes an error at a position of the result, in the layer where it was written.
     pub(crate) fn refuse(&self, span: Option<Range<usize>>, message: &str) -> ConfigError {
-        let Some(span) = span else { return ConfigError::of(message) };
+        let Some(span) = span else { return ConfigError(printable(message)) };
         let (layer, start) = (span.start / STRIDE, span.start % STRIDE);
         self.layers[layer].refuse(Some(start..start + span.len()), message)
     }
@@ -272,6 +273,8 @@ fn placed<'a>(
         Err((span.clone(), format!("`{}` is {given}; allowed: {allowed}", quoted(path))))
     };
     if depth > MAX_DEPTH {
+        // Dropping it would recurse as deep as it is.
+        let _kept = ManuallyDrop::new(value);
         return refuse("nested too deeply", &format!("at most {MAX_DEPTH} levels"));
     }
     let inner = match value.into_inner() {
