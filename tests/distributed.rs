@@ -10,15 +10,16 @@ use std::time::Duration;
 
 use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker, WorkerSettings};
 use leadtime_learner::{
-    CheckpointInterval, LearnerConfig, LearnerSettings, Mode, ProgressSink, RatedPolicy, RunEnd,
-    RunEvent, RunReport, Trainer, UpdateProgress,
+    CheckpointInterval, LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport,
+    UpdateProgress,
 };
 use leadtime_link::{ConnectSettings, Endpoint, ListenSettings};
 use leadtime_policy::{Parameters, Policy};
+use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{
     ActorId, Encoder, EnvId, EnvSpec, HeadCredit, Incarnation, Iteration, PolicySpec,
-    PolicyVersion, RunName, TaskSpec,
+    PolicyVersion, Rollout, RunName, TaskSpec,
 };
 use leadtime_sims::Registry;
 use tokio::sync::watch;
@@ -82,13 +83,15 @@ fn reference(mode: Mode) -> [u8; 32] {
             EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: Vec::new() };
         worker.insert(Registry::builtin().build(&task()).unwrap(), &beginning).unwrap();
     }
-    let mut trainer = Trainer::new(&policy, &env, &settings, RUN_SEED).unwrap();
+    let mut trainer = Trainer::new(&policy, &settings, RUN_SEED).unwrap();
     let pack = |trainer: &Trainer| Policy::new(&policy, trainer.parameters()).unwrap();
     let mut policies = BTreeMap::from([(PolicyVersion(0), pack(&trainer))]);
     for update in 0..N_UPDATES {
         let version = settings.schedule().behavior_version(Iteration(update)).unwrap();
         let acting = policies.get_mut(&version).unwrap();
         let rollouts = worker.collect(acting, version, &mut ()).to_vec();
+        let check = |rollout: Rollout| rollout.check(&env, settings.n_steps, 0).unwrap();
+        let rollouts: Vec<_> = rollouts.into_iter().map(check).collect();
         trainer.update(&rollouts).unwrap();
         policies.insert(trainer.version(), pack(&trainer));
     }

@@ -2,11 +2,10 @@
 //! memory is carried rightly if a cue is recalled.
 
 use leadtime_actor::{Worker, WorkerSettings};
-use leadtime_learner::settings::Mode;
-use leadtime_learner::{LearnerSettings, Trainer, UpdateReport};
 use leadtime_policy::Policy;
+use leadtime_ppo::{LearnerSettings, Mode, Trainer, UpdateReport};
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{Encoder, EnvId, HeadCredit, Iteration, PolicySpec, TaskSpec};
+use leadtime_proto::{Encoder, EnvId, HeadCredit, Iteration, PolicySpec, Rollout, TaskSpec};
 use leadtime_sims::Registry;
 
 /// Trains on a task and returns, per finished episode, its return; and what the first update reported.
@@ -28,17 +27,17 @@ fn train(
         logit_bias: Vec::new(),
         normalize_observations: false,
     };
-    let mut trainer = Trainer::new(&policy, &env, settings, run_seed).expect("sound settings");
+    let mut trainer = Trainer::new(&policy, settings, run_seed).expect("sound settings");
     let mut worker = Worker::new(WorkerSettings {
         run_seed,
         n_steps: settings.n_steps as u32,
-        env,
+        env: env.clone(),
         policy: policy.clone(),
     });
     for env_id in (0..settings.n_envs as u32).map(EnvId) {
         let start = EnvAssignment { env_id, iteration: Iteration(0), snapshot: Vec::new() };
-        let env = registry.build(&task).expect("the task is built in");
-        worker.insert(env, &start).expect("an empty snapshot is a fresh start");
+        let environment = registry.build(&task).expect("the task is built in");
+        worker.insert(environment, &start).expect("an empty snapshot is a fresh start");
     }
     let (mut returns, mut reports) = (Vec::new(), Vec::new());
     for _ in 0..trainer.n_updates() {
@@ -47,7 +46,11 @@ fn train(
         for end in rollouts.iter().flat_map(|rollout| &rollout.ends) {
             returns.push(end.summary.episode_return);
         }
-        reports.push(trainer.update(rollouts).expect("the update succeeds"));
+        let check = |rollout: &Rollout| {
+            rollout.clone().check(&env, settings.n_steps, policy.recurrent_dim()).expect("sound")
+        };
+        let rollouts: Vec<_> = rollouts.iter().map(check).collect();
+        reports.push(trainer.update(&rollouts).expect("the update succeeds"));
     }
     (returns, reports.swap_remove(0))
 }

@@ -1,4 +1,4 @@
-"""PyTorch eager on one thread at the shape of `crates/policy/benches/inference.rs` and `learner/benches/update.rs`.
+"""PyTorch eager on one thread at the shape of `crates/policy/benches/inference.rs` and `crates/ppo/benches/update.rs`.
 
     python3 bench/peers/ppo_torch.py [--json]
 

@@ -15,13 +15,14 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use leadtime_ppo::{LearnerSettings, Mode};
 use leadtime_proto::codec::{self, CodecError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 
-use crate::{LearnerSettings, Mode, write_atomically};
+use crate::write_atomically;
 
 /// The version of what a checkpoint holds.
 pub const FORMAT_VERSION: u32 = 1;

@@ -18,7 +18,7 @@
 use std::collections::VecDeque;
 
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{EnvId, Iteration, PolicyVersion, Rollout, Schedule, Staleness};
+use leadtime_proto::{CheckedRollout, EnvId, Iteration, PolicyVersion, Schedule, Staleness};
 
 /// How many updates' worth of rollouts `async` lets wait.
 const QUEUED_UPDATES: usize = 2;
@@ -27,7 +27,7 @@ const QUEUED_UPDATES: usize = 2;
 #[derive(Debug)]
 pub struct Batch {
     /// The rollouts.
-    pub rollouts: Vec<Rollout>,
+    pub rollouts: Vec<CheckedRollout>,
 }
 
 #[derive(Debug)]
@@ -35,7 +35,7 @@ struct EnvQueue {
     consumed: Iteration,
     snapshot: Vec<u8>,
     /// Arrival number and rollout.
-    waiting: VecDeque<(u64, Rollout)>,
+    waiting: VecDeque<(u64, CheckedRollout)>,
 }
 
 impl EnvQueue {
@@ -43,10 +43,9 @@ impl EnvQueue {
         Iteration(self.consumed.0 + self.waiting.len() as u64)
     }
 
-    fn take(&mut self) -> Option<Rollout> {
-        let (_, rollout) = self.waiting.pop_front()?;
-        // The rollout keeps its own: the trainer checks it as it would check any other.
-        self.snapshot.clone_from(&rollout.snapshot);
+    fn take(&mut self) -> Option<CheckedRollout> {
+        let (_, mut rollout) = self.waiting.pop_front()?;
+        self.snapshot = rollout.take_snapshot();
         self.consumed = self.consumed.next();
         Some(rollout)
     }
@@ -88,7 +87,7 @@ impl Collector {
     /// # Panics
     ///
     /// If it is not the environment's expected one: the caller checks.
-    pub fn accept(&mut self, rollout: Rollout) {
+    pub fn accept(&mut self, rollout: CheckedRollout) {
         let env = &mut self.envs[rollout.env_id.0 as usize];
         assert_eq!(rollout.iteration, env.expected(), "rollouts are accepted in order");
         env.waiting.push_back((self.n_arrived, rollout));
@@ -160,7 +159,7 @@ impl Collector {
         Some(Batch { rollouts })
     }
 
-    fn take_first_arrived(&mut self) -> Option<Vec<Rollout>> {
+    fn take_first_arrived(&mut self) -> Option<Vec<CheckedRollout>> {
         let n_wanted = self.envs.len();
         if self.len() < n_wanted {
             return None;
@@ -175,16 +174,21 @@ impl Collector {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_proto::{ActionSpec, EnvSpec, Rollout};
+
     use super::*;
 
-    fn rollout(env_id: u32, iteration: u64, version: u64) -> Rollout {
-        Rollout {
+    /// Makes a rollout of no steps.
+    fn rollout(env_id: u32, iteration: u64, version: u64) -> CheckedRollout {
+        let rollout = Rollout {
             env_id: EnvId(env_id),
             iteration: Iteration(iteration),
             version: PolicyVersion(version),
             snapshot: vec![env_id as u8, iteration as u8],
             ..Rollout::default()
-        }
+        };
+        let actions = ActionSpec::discrete("a", 2);
+        rollout.check(&EnvSpec { obs_dim: 0, actions, metrics: Vec::new() }, 0, 0).unwrap()
     }
 
     fn ids(batch: Option<Batch>) -> Vec<(u32, u64)> {

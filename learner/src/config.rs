@@ -5,12 +5,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use leadtime_link::ListenSettings;
+use leadtime_ppo::LearnerSettings;
 use leadtime_proto::message::Welcome;
 use leadtime_proto::{
     EnvSpec, Incarnation, PolicySpec, PolicyVersion, RunName, Sequence, TaskSpec,
 };
-
-use crate::LearnerSettings;
 
 /// How often the state of a run goes to the disk; whichever comes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -23,8 +23,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use leadtime_proto::message::{Assignment, Control, Credit, EnvAssignment, Hello};
 use leadtime_proto::{
-    ActorId, EnvId, Epoch, Header, Incarnation, PolicyVersion, RefusalCause, Rollout, Sequence,
-    limits, receive,
+    ActorId, CheckedRollout, EnvId, Epoch, Header, Incarnation, PolicyVersion, RefusalCause,
+    Rollout, Sequence, limits, receive,
 };
 
 use crate::assign::{Assigner, Change};
@@ -321,9 +321,10 @@ impl Coordinator {
         self.same_program && self.same_cpu
     }
 
-    fn read(&self, header: &Header, payload: &[u8]) -> Result<Rollout, Fault> {
+    fn read(&self, header: &Header, payload: &[u8]) -> Result<CheckedRollout, Fault> {
         let rollout: Rollout = receive::open(header, payload, receive::ROLLOUT)?;
-        rollout.check(&self.terms.env, self.terms.n_steps as usize, self.terms.recurrent_dim)?;
+        let n_steps = self.terms.n_steps as usize;
+        let rollout = rollout.check(&self.terms.env, n_steps, self.terms.recurrent_dim)?;
         let env_id = rollout.env_id;
         if self.collector.expected(env_id).is_none() {
             return Err(Fault::Environment { env_id });
@@ -344,7 +345,7 @@ impl Coordinator {
         self.books.steps_redone += u64::from(self.terms.n_steps);
     }
 
-    fn place(&mut self, key: &SenderKey, epoch: Epoch, rollout: Rollout) {
+    fn place(&mut self, key: &SenderKey, epoch: Epoch, rollout: CheckedRollout) {
         let owned = self.assigner.owner(rollout.env_id).is_some_and(|owner| {
             owner.actor == key.0 && owner.incarnation == key.1 && epoch >= owner.since
         });

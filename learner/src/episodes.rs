@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use leadtime_proto::{EnvSpec, EpisodeSummary, Rollout};
+use leadtime_proto::{EnvSpec, EpisodeSummary};
 use serde::{Deserialize, Serialize};
 
 /// How many episodes the means are over.
@@ -40,11 +40,13 @@ pub struct Episodes {
 }
 
 impl Episodes {
-    /// Takes in the episodes that ended in rollouts sorted by environment.
-    pub fn extend(&mut self, spec: &EnvSpec, rollouts: &[Rollout]) {
+    /// Adds the episodes that ended in an update's rollouts, in their order.
+    pub fn extend<'a>(
+        &mut self,
+        spec: &EnvSpec,
+        summaries: impl IntoIterator<Item = &'a EpisodeSummary>,
+    ) {
         let success = spec.metrics.iter().position(|name| name == SUCCESS);
-        let summaries =
-            rollouts.iter().flat_map(|rollout| rollout.ends.iter().map(|end| &end.summary));
         for summary in summaries {
             self.push(summary, success);
         }
@@ -91,35 +93,24 @@ impl Episodes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use leadtime_proto::{ActionSpec, EpisodeEnd};
+    use leadtime_proto::ActionSpec;
 
     fn spec(metrics: &[&str]) -> EnvSpec {
         let metrics = metrics.iter().map(|&name| name.to_owned()).collect();
         EnvSpec { obs_dim: 1, actions: ActionSpec::discrete("a", 2), metrics }
     }
 
-    fn ended(returns: &[f64], metric: f32) -> Rollout {
-        let end = |&episode_return| EpisodeEnd {
-            step: 0,
-            truncated: false,
-            final_observation: vec![0.0],
-            final_value: 0.0,
-            summary: EpisodeSummary {
-                episode: 0,
-                episode_return,
-                length: 2,
-                metrics: vec![metric],
-            },
-        };
-        Rollout { ends: returns.iter().map(end).collect(), ..Rollout::default() }
+    fn ended(episode_return: f64, metric: f32) -> EpisodeSummary {
+        EpisodeSummary { episode: 0, episode_return, length: 2, metrics: vec![metric] }
     }
 
     #[test]
     fn only_the_last_hundred_episodes_count() {
         let mut episodes = Episodes::default();
-        episodes.extend(&spec(&["success"]), &[ended(&[1000.0], 1.0)]);
+        episodes.extend(&spec(&["success"]), &[ended(1000.0, 1.0)]);
         assert_eq!(episodes.score(), None);
-        episodes.extend(&spec(&["success"]), &[ended(&[1.0; 50], 0.0), ended(&[3.0; 50], 1.0)]);
+        let (bad, good) = (vec![ended(1.0, 0.0); 50], vec![ended(3.0, 1.0); 50]);
+        episodes.extend(&spec(&["success"]), bad.iter().chain(&good));
         let means = episodes.means();
         assert_eq!((means.n_finished, means.n_averaged), (101, 100));
         assert_eq!(
@@ -132,7 +123,7 @@ mod tests {
     #[test]
     fn a_task_without_success_is_judged_by_its_return() {
         let mut episodes = Episodes::default();
-        episodes.extend(&spec(&["speed"]), &[ended(&[5.0; 100], 1.0)]);
+        episodes.extend(&spec(&["speed"]), &vec![ended(5.0, 1.0); 100]);
         assert_eq!(episodes.means().success, None);
         assert_eq!(episodes.score(), Some(5.0));
     }

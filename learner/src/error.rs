@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use leadtime_ppo::TrainError;
 use thiserror::Error;
 
-use crate::TrainError;
 use crate::checkpoint::CheckpointError;
 
 /// Why a run ended without a report.

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use leadtime_ppo::UpdateReport;
 use leadtime_proto::{ActorId, Epoch, Incarnation, PolicyVersion, RefusalCause};
 
-use crate::UpdateReport;
 use crate::books::{Books, Imbalance};
 use crate::checkpoint::Damage;
 use crate::episodes::EpisodeMeans;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use leadtime_policy::Parameters;
+use leadtime_ppo::{Trainer, TrainerState};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{Epoch, PolicyVersion};
 use serde::{Deserialize, Serialize};
@@ -16,7 +17,7 @@ use crate::coordinator::Start;
 use crate::episodes::Episodes;
 use crate::report::{RatedPolicy, RunEvent};
 use crate::training::encode;
-use crate::{Error, LearnerConfig, Trainer, TrainerState};
+use crate::{Error, LearnerConfig};
 
 /// A policy as a checkpoint keeps it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -76,12 +77,12 @@ pub(crate) struct Standing {
 
 /// Begins a run: from its newest whole checkpoint, or from the beginning if there never was one.
 pub(crate) fn begin(config: &LearnerConfig, store: &CheckpointStore) -> Result<Standing, Error> {
-    let (policy, env, settings) = (&config.policy, &config.env, &config.settings);
+    let (policy, settings) = (&config.policy, &config.settings);
     let trainer = match &config.initial {
-        None => Trainer::new(policy, env, settings, config.run_seed)?,
+        None => Trainer::new(policy, settings, config.run_seed)?,
         Some(weights) => {
             let parameters = Parameters::from_safetensors(weights, policy)?;
-            Trainer::from_parameters(policy, env, settings, (config.run_seed, parameters))?
+            Trainer::from_parameters(policy, settings, config.run_seed, parameters)?
         }
     };
     match store.newest::<Checkpoint>()? {

@@ -23,6 +23,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use leadtime_link::{LearnerEvent, LearnerLink};
+use leadtime_ppo::TrainerState;
 use leadtime_proto::PolicyVersion;
 use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
@@ -38,7 +39,7 @@ use crate::report::{
 };
 use crate::resume::{self, Checkpoint, SavedPolicy, Standing};
 use crate::training::{Job, Outcome, Training, Updated};
-use crate::{Error, LearnerConfig, TrainerState};
+use crate::{Error, LearnerConfig};
 
 /// How often credit is repeated and actors that are gone are forgotten.
 const TICK: Duration = Duration::from_millis(500);
@@ -312,7 +313,8 @@ impl Run {
         let oldest = self.config.settings.schedule().oldest_needed(self.version);
         self.offered = self.offered.split_off(&oldest);
         self.link.retire_weights(oldest);
-        self.episodes.extend(&self.config.env, &updated.rollouts);
+        let ends = updated.rollouts.iter().flat_map(|rollout| &rollout.ends);
+        self.episodes.extend(&self.config.env, ends.map(|end| &end.summary));
         for (&staleness, &n_rollouts) in &updated.report.staleness {
             *self.staleness.entry(staleness).or_default() += n_rollouts;
         }

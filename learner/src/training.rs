@@ -6,10 +6,11 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use leadtime_proto::{PolicyVersion, Rollout};
+use leadtime_ppo::{TrainError, Trainer, TrainerState, UpdateReport};
+use leadtime_proto::{CheckedRollout, PolicyVersion};
 use tokio::sync::mpsc;
 
-use crate::{Error, TrainError, Trainer, TrainerState, UpdateReport};
+use crate::Error;
 
 /// One job and one result may be under way.
 const DEPTH: usize = 1;
@@ -20,7 +21,7 @@ pub(crate) enum Job {
     /// Make an update of these rollouts, and copy the state afterwards if asked to.
     Update {
         /// Sorted by environment and iteration.
-        rollouts: Vec<Rollout>,
+        rollouts: Vec<CheckedRollout>,
         /// A checkpoint is due.
         want_state: bool,
     },
@@ -35,7 +36,7 @@ pub(crate) struct Updated {
     pub(crate) version: PolicyVersion,
     pub(crate) weights: Arc<[u8]>,
     pub(crate) state: Option<Box<TrainerState>>,
-    pub(crate) rollouts: Vec<Rollout>,
+    pub(crate) rollouts: Vec<CheckedRollout>,
     pub(crate) took: Duration,
 }
 
@@ -95,7 +96,7 @@ fn work(mut trainer: Trainer, inbox: &Receiver<Job>, outbox: &mpsc::Sender<Outco
 
 fn update(
     trainer: &mut Trainer,
-    rollouts: Vec<Rollout>,
+    rollouts: Vec<CheckedRollout>,
     want_state: bool,
 ) -> Result<Updated, Error> {
     let started = Instant::now();

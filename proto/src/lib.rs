@@ -36,7 +36,7 @@ pub use ids::{
     Staleness,
 };
 pub use receive::{Refusal, RefusalCause};
-pub use rollout::{EpisodeEnd, EpisodeSummary, Rollout};
+pub use rollout::{CheckedRollout, EpisodeEnd, EpisodeSummary, Rollout};
 pub use schedule::Schedule;
 pub use spec::{
     ActionSpec, Conditional, EgoAttention, Encoder, EnvSpec, Gate, Head, HeadCredit, Mask,

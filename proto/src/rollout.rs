@@ -5,6 +5,8 @@
 //! **snapshot** of everything the environment's future depends on, taken after the last step: whoever holds the
 //! newest snapshot can go on as if nothing had happened.
 
+use std::ops::Deref;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -49,7 +51,7 @@ pub struct EpisodeEnd {
 pub struct Rollout {
     /// The environment.
     pub env_id: EnvId,
-    /// The how-manieth rollout of this environment, from 0.
+    /// Zero-based index of this rollout within its environment.
     pub iteration: Iteration,
     /// The version of the policy that acted.
     pub version: PolicyVersion,
@@ -174,13 +176,13 @@ impl Rollout {
     ///
     /// # Errors
     ///
-    /// [`InvalidRollout`] naming the first field that is wrong.
+    /// [`InvalidRollout`] names the first field that is wrong.
     pub fn check(
-        &self,
+        self,
         spec: &EnvSpec,
         n_steps: usize,
         recurrent_dim: usize,
-    ) -> Result<(), InvalidRollout> {
+    ) -> Result<CheckedRollout, InvalidRollout> {
         if self.n_steps as usize != n_steps {
             return Err(InvalidRollout::Steps { found: self.n_steps as usize, expected: n_steps });
         }
@@ -204,7 +206,8 @@ impl Rollout {
         plausible("rewards", &self.rewards)?;
         plausible("recurrent", &self.recurrent)?;
         self.check_actions(spec)?;
-        self.check_ends(spec, n_steps)
+        self.check_ends(spec, n_steps)?;
+        Ok(CheckedRollout(self))
     }
 
     fn check_actions(&self, spec: &EnvSpec) -> Result<(), InvalidRollout> {
@@ -234,6 +237,25 @@ impl Rollout {
             plausible("episode_return", &[end.summary.episode_return])?;
         }
         Ok(())
+    }
+}
+
+/// A rollout that is what the run agreed on: [`Rollout::check`] made it, so nobody behind the receiver checks again.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CheckedRollout(Rollout);
+
+impl CheckedRollout {
+    /// Moves the snapshot out: who trains on a rollout does not need it, and who hands out environments does.
+    pub fn take_snapshot(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.0.snapshot)
+    }
+}
+
+impl Deref for CheckedRollout {
+    type Target = Rollout;
+
+    fn deref(&self) -> &Rollout {
+        &self.0
     }
 }
 
@@ -298,7 +320,7 @@ mod tests {
         let spec = EnvSpec { obs_dim: 1, actions, metrics: vec!["success".to_owned()] };
         let mut rollout = rollout();
         change(&mut rollout);
-        rollout.check(&spec, 1, 1)
+        rollout.check(&spec, 1, 1).map(drop)
     }
 
     /// A field's name, and how to set a number of it.

@@ -240,7 +240,7 @@ proptest! {
     ) {
         if let Some(got) = receive_spoilt(&rollout, &damages, ROLLOUT)? {
             match got.check(&spec(), rollout.n_steps as usize, 0) {
-                Ok(()) => prop_assert_eq!(got.observations.len(), rollout.observations.len()),
+                Ok(got) => prop_assert_eq!(got.observations.len(), rollout.observations.len()),
                 Err(invalid) => {
                     let cause = RefusalCause::from(&invalid);
                     prop_assert!(RefusalCause::ALL.contains(&cause));

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use leadtime_learner::CheckpointInterval;
 use leadtime_learner::checkpoint::{MAX_PAYLOAD_BYTES, max_payload_bytes};
-use leadtime_learner::{CheckpointInterval, LearnerSettings};
 use leadtime_policy::parameters;
+use leadtime_ppo::LearnerSettings;
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
 use leadtime_sims::registry::{Registry, TaskError};

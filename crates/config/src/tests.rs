@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use leadtime_learner::{LearnerSettings, Truncation};
+use leadtime_ppo::{LearnerSettings, Truncation};
 use leadtime_proto::TaskSpec;
 use leadtime_sims::registry::Registry;
 use toml::Table;

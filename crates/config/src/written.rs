@@ -3,7 +3,7 @@
 //! No key has a default here: what a person leaves out comes from the built-in files ([`Catalog`](crate::Catalog)). The
 //! sections about the task differ from domain to domain ([`sections`](crate::sections)).
 
-use leadtime_learner::LearnerSettings;
+use leadtime_ppo::LearnerSettings;
 use leadtime_proto::HeadCredit;
 use serde::{Deserialize, Serialize};
 use toml::Table;

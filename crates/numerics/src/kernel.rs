@@ -25,7 +25,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::tanh::tanh_vector;
+use crate::elementary::tanh_vector;
 
 /// Columns per panel: one AVX-512 vector, two of AVX2, four of NEON.
 const PANEL: usize = 16;
@@ -39,7 +39,7 @@ const DEPTH: usize = 256;
 /// What happens to an output before it is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
-    /// Nothing.
+    /// The output is stored as it is.
     Linear,
     /// The hyperbolic tangent ([`crate::tanh_inplace`]).
     Tanh,
@@ -203,7 +203,7 @@ impl Multiply<'_> {
             }
             let start = load::<S, V>(&start);
             let m = self.out.len() / n;
-            let part = Part { panel, start, first, activation };
+            let part = PanelPart { panel, start, first, activation };
             let mut row = 0;
             while V == 1 && row + WIDE_ROWS <= m {
                 self.tile::<S, V, WIDE_ROWS>(simd, &part, row);
@@ -229,7 +229,7 @@ impl Multiply<'_> {
     fn tile<S: Simd, const V: usize, const R: usize>(
         &mut self,
         simd: S,
-        part: &Part<'_, [S::f32s; V]>,
+        part: &PanelPart<'_, [S::f32s; V]>,
         row: usize,
     ) -> usize {
         let depth = part.panel.len();
@@ -262,7 +262,7 @@ impl Multiply<'_> {
 }
 
 /// One panel's share of a product.
-struct Part<'a, T> {
+struct PanelPart<'a, T> {
     panel: &'a [[f32; PANEL]],
     start: T,
     /// The panel's first column.
@@ -378,7 +378,9 @@ mod tests {
         a: &[f32],
         b: &[f32],
         start: &[f32],
-        (m, k, n): (usize, usize, usize),
+        m: usize,
+        k: usize,
+        n: usize,
     ) -> Vec<f32> {
         let element = |i: usize, j: usize| {
             let first = start.get(j).copied().unwrap_or(0.0);
@@ -389,11 +391,11 @@ mod tests {
 
     #[test]
     fn the_product_is_the_definition_bit_for_bit() {
-        for shape @ (m, k, n) in [(1, 1, 1), (7, 60, 64), (13, 64, 14), (64, 5, 33), (6, 0, 3)] {
+        for (m, k, n) in [(1, 1, 1), (7, 60, 64), (13, 64, 14), (64, 5, 33), (6, 0, 3)] {
             let (a, b, start) = (draws(m * k, 1), draws(k * n, 2), draws(n, 3));
             let mut out = vec![f32::NAN; m * n];
             Panels::from_rows(&b, k, n).multiply(&a, &start, Activation::Linear, &mut out);
-            assert_eq!(out, by_definition(&a, &b, &start, shape), "{shape:?}");
+            assert_eq!(out, by_definition(&a, &b, &start, m, k, n), "{m} {k} {n}");
         }
     }
 
@@ -415,7 +417,7 @@ mod tests {
                 (0..m * depth).map(|i| a[i % depth.max(1) * m + i / depth.max(1)]).collect();
             let mut out = vec![0.0; m * n];
             add_outer_products(&a, &b, m, n, &mut out);
-            assert_eq!(out, by_definition(&transposed, &b, &[], (m, depth, n)), "{depth} {m} {n}");
+            assert_eq!(out, by_definition(&transposed, &b, &[], m, depth, n), "{depth} {m} {n}");
         }
     }
 }

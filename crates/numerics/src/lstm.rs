@@ -12,7 +12,7 @@
 //! Hochreiter and Schmidhuber, *Long short-term memory*, 1997, with the forget gate of Gers et al., 2000; gates in
 //! `PyTorch`'s order.
 
-use crate::tanh::tanh_inplace;
+use crate::elementary::tanh_inplace;
 
 /// Gates per unit: input, forget, cell, output.
 pub const N_GATES: usize = 4;

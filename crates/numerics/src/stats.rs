@@ -60,9 +60,9 @@ pub fn percentile(sorted: &[f64], percent: f64) -> f64 {
 pub struct Interval {
     /// The statistic of the data itself.
     pub estimate: f64,
-    /// Lower bound.
+    /// Lower bound, at most the estimate or close to it.
     pub low: f64,
-    /// Upper bound.
+    /// Upper bound, at least the estimate or close to it.
     pub high: f64,
 }
 

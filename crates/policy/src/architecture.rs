@@ -25,17 +25,17 @@ use leadtime_numerics::Activation;
 use leadtime_numerics::lstm::N_GATES;
 use leadtime_proto::{EgoAttention, Encoder, PolicySpec};
 
-/// The two networks of an actor-critic.
+/// The two branches of an actor-critic, behind the encoder that they share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Network {
-    /// Features to logits.
+pub enum Branch {
+    /// From features to logits, one per choice.
     Actor,
-    /// Features to the value.
+    /// From features to the value of the state.
     Critic,
 }
 
-impl Network {
-    /// Returns the prefix of the network's tensor names.
+impl Branch {
+    /// Returns the prefix of the branch's tensor names.
     pub fn prefix(self) -> &'static str {
         match self {
             Self::Actor => "actor",
@@ -49,13 +49,13 @@ impl Network {
 pub struct Layer {
     /// `actor.0`, `critic.head` and the like; `.weight` and `.bias` follow.
     pub name: String,
-    /// Inputs.
+    /// Number of inputs.
     pub n_in: usize,
-    /// Outputs.
+    /// Number of outputs.
     pub n_out: usize,
     /// Scale of the orthogonal initial weights.
     pub gain: f64,
-    /// What follows (heads: nothing).
+    /// What is applied to the outputs; heads are linear.
     pub activation: Activation,
     /// Whether it has biases.
     pub biased: bool,
@@ -73,7 +73,7 @@ impl Layer {
     }
 }
 
-/// Returns the width of what the two networks see.
+/// Returns the width of the features that both branches see.
 pub fn feature_dim(spec: &PolicySpec) -> usize {
     match spec.encoder {
         Encoder::Identity => spec.obs_dim,
@@ -123,13 +123,13 @@ impl LstmLayers {
 /// The layers of ego attention.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttentionLayers {
-    /// The ego's embedding.
+    /// The two layers that embed the ego.
     pub ego: [Layer; 2],
     /// The embedding of everybody else.
     pub others: [Layer; 2],
-    /// Embedding to key.
+    /// From an embedding to its key; no biases.
     pub key: Layer,
-    /// Embedding to value.
+    /// From an embedding to its value; no biases.
     pub value: Layer,
     /// The ego's embedding to query.
     pub query: Layer,
@@ -176,9 +176,9 @@ impl AttentionLayers {
     }
 }
 
-/// Lists the layers of one network, input first.
-pub fn layers(spec: &PolicySpec, network: Network) -> Vec<Layer> {
-    let prefix = network.prefix();
+/// Lists the layers of one branch, input first.
+pub fn layers(spec: &PolicySpec, branch: Branch) -> Vec<Layer> {
+    let prefix = branch.prefix();
     let mut n_in = feature_dim(spec);
     let mut layers = Vec::with_capacity(spec.hidden.len() + 1);
     for (i, &n_out) in spec.hidden.iter().enumerate() {
@@ -187,9 +187,9 @@ pub fn layers(spec: &PolicySpec, network: Network) -> Vec<Layer> {
         layers.push(Layer { name, n_in, n_out, gain, activation, biased: true });
         n_in = n_out;
     }
-    let (n_out, gain) = match network {
-        Network::Actor => (spec.actions.n_choices(), 0.01),
-        Network::Critic => (1, 1.0),
+    let (n_out, gain) = match branch {
+        Branch::Actor => (spec.actions.n_choices(), 0.01),
+        Branch::Critic => (1, 1.0),
     };
     let (name, activation) = (format!("{prefix}.head"), Activation::Linear);
     layers.push(Layer { name, n_in, n_out, gain, activation, biased: true });
@@ -209,8 +209,8 @@ fn encoder_layers(spec: &PolicySpec) -> Vec<Layer> {
 
 /// Lists all layers: the actor's, the critic's, then the encoder's. The order numbers the streams of initialisation.
 pub fn all_layers(spec: &PolicySpec) -> Vec<Layer> {
-    let mut all = layers(spec, Network::Actor);
-    all.extend(layers(spec, Network::Critic));
+    let mut all = layers(spec, Branch::Actor);
+    all.extend(layers(spec, Branch::Critic));
     all.extend(encoder_layers(spec));
     all
 }

@@ -1,4 +1,4 @@
-//! The joint distribution over factored actions: sampled by actors, weighed by the learner, one code for both.
+//! The joint distribution over factored actions: sampled by actors, evaluated by the learner, with the same code.
 //!
 //! Heads are categorical and come in order; the environment's mask and the choices of earlier heads decide which
 //! choices a head has left (`l >= k`), so the learner rebuilds each head's support from the stored choices. A gate and
@@ -12,12 +12,12 @@
 //!
 //! # Where to start
 //!
-//! [`ActionDistribution::sample`] for acting; [`ActionDistribution::terms`] and [`Terms::gradient`] for learning.
+//! [`ActionDistribution::sample`] for acting; [`ActionDistribution::terms`] and [`ActionTerms::gradient`] for learning.
 
 use std::ops::Range;
 
 use leadtime_numerics::Pcg64;
-use leadtime_numerics::tanh::{exp, ln};
+use leadtime_numerics::elementary::{exp, ln};
 use leadtime_proto::limits::{MAX_CHOICES, MAX_HEADS};
 use leadtime_proto::{ActionSpec, HeadCredit, Mask};
 
@@ -40,9 +40,9 @@ pub struct ActionDistribution {
     open: Option<u8>,
 }
 
-/// What the log-probability and entropy of one action consist of.
+/// Log-probability and entropy of one action, and what their gradients need.
 #[derive(Clone, Debug)]
-pub struct Terms {
+pub struct ActionTerms {
     /// Log-probability of the action over the heads that count.
     pub log_prob: f32,
     /// Entropy over the heads that count.
@@ -57,7 +57,7 @@ pub struct Terms {
     counts: [bool; MAX_HEADS],
 }
 
-impl Default for Terms {
+impl Default for ActionTerms {
     fn default() -> Self {
         Self {
             log_prob: 0.0,
@@ -142,24 +142,24 @@ impl ActionDistribution {
         })
     }
 
-    /// Returns the log-probability of an action under the heads that count.
+    /// Returns the log-probability of an action over the heads that count, in nats.
     ///
     /// # Shapes
     ///
     /// `logits`: `[C]`; `action`: `[H]`.
     pub fn log_prob(&self, logits: &[f32], mask: Mask, action: &[u8]) -> f32 {
-        let mut terms = Terms::default();
+        let mut terms = ActionTerms::default();
         self.terms(logits, mask, action, &mut terms);
         terms.log_prob
     }
 
-    /// Returns the entropy of the heads that count, each given the action's earlier choices.
+    /// Returns the entropy of the heads that count, each given the action's earlier choices, in nats.
     ///
     /// # Shapes
     ///
     /// `logits`: `[C]`; `action`: `[H]`.
     pub fn entropy(&self, logits: &[f32], mask: Mask, action: &[u8]) -> f32 {
-        let mut terms = Terms::default();
+        let mut terms = ActionTerms::default();
         self.terms(logits, mask, action, &mut terms);
         terms.entropy
     }
@@ -170,7 +170,7 @@ impl ActionDistribution {
     ///
     /// `logits`: `[C]`; `action`: `[H]`.
     #[inline]
-    pub fn terms(&self, logits: &[f32], mask: Mask, action: &[u8], terms: &mut Terms) {
+    pub fn terms(&self, logits: &[f32], mask: Mask, action: &[u8], terms: &mut ActionTerms) {
         // Loops over all choices at once, padded to whole vectors: heads of two to five are too short for any.
         let n = self.n_choices.next_multiple_of(8);
         let (mut offered, mut highest) = ([0.0_f32; MAX_CHOICES], [0.0_f32; MAX_CHOICES]);
@@ -182,7 +182,7 @@ impl ActionDistribution {
             }
             highest[range.clone()].fill(highest_logit(&logits[range], allowed));
         }
-        let Terms { log_probs, probs, .. } = terms;
+        let ActionTerms { log_probs, probs, .. } = terms;
         log_probs[..self.n_choices].copy_from_slice(&logits[..self.n_choices]);
         for c in 0..n {
             log_probs[c] -= highest[c];
@@ -209,7 +209,7 @@ impl ActionDistribution {
 
     /// Sums log-probability and entropy over the heads that count.
     #[inline]
-    fn add_up(&self, action: &[u8], surprise: &[f32; MAX_CHOICES], terms: &mut Terms) {
+    fn add_up(&self, action: &[u8], surprise: &[f32; MAX_CHOICES], terms: &mut ActionTerms) {
         terms.log_prob = 0.0;
         terms.entropy = 0.0;
         for (h, head) in self.heads.iter().enumerate() {
@@ -301,8 +301,8 @@ fn each(mut bits: u64) -> impl Iterator<Item = usize> {
     })
 }
 
-impl Terms {
-    /// Writes `d_log_prob · ∂log π/∂logits + d_entropy · ∂H/∂logits`.
+impl ActionTerms {
+    /// Computes the gradient `d_log_prob · ∂log π/∂logits + d_entropy · ∂H/∂logits`.
     ///
     /// With p the probabilities of a head, `∂log p(a)/∂z_c = [c = a] - p_c` and `∂H/∂z_c = -p_c (log p_c + H)`.
     ///
@@ -314,7 +314,8 @@ impl Terms {
         &self,
         distribution: &ActionDistribution,
         action: &[u8],
-        (d_log_prob, d_entropy): (f32, f32),
+        d_log_prob: f32,
+        d_entropy: f32,
         gradient: &mut [f32],
     ) {
         for (h, head) in distribution.heads.iter().enumerate() {

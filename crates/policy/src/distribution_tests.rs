@@ -116,10 +116,10 @@ fn gradients_are_the_slopes() {
                 f64::from(d_log_prob * distribution.log_prob(logits, mask, &action))
                     + f64::from(d_entropy * distribution.entropy(logits, mask, &action))
             };
-            let mut terms = Terms::default();
+            let mut terms = ActionTerms::default();
             distribution.terms(&logits, mask, &action, &mut terms);
             let mut gradient = [f32::NAN; 14];
-            terms.gradient(&distribution, &action, (d_log_prob, d_entropy), &mut gradient);
+            terms.gradient(&distribution, &action, d_log_prob, d_entropy, &mut gradient);
             for choice in 0..14 {
                 let step = 1e-2;
                 let (mut above, mut below) = (logits.clone(), logits.clone());

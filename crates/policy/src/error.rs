@@ -18,21 +18,21 @@ pub enum Error {
     /// A tensor that the architecture needs is not there.
     #[error("parameters hold no tensor `{name}`")]
     Missing {
-        /// The tensor's name.
+        /// The tensor's name, as `actor.0.weight`.
         name: String,
     },
     /// A tensor that the architecture does not know.
     #[error("parameters hold a tensor `{name}` that this architecture does not know")]
     Unknown {
-        /// The tensor's name.
+        /// The tensor's name, as `actor.0.weight`.
         name: String,
     },
     /// A tensor of the wrong shape.
     #[error("tensor `{name}` has shape {found:?}, the architecture needs {expected:?}")]
     Shape {
-        /// The tensor's name.
+        /// The tensor's name, as `actor.0.weight`.
         name: String,
-        /// Its shape.
+        /// The shape that it has.
         found: Vec<usize>,
         /// The shape it must have.
         expected: Vec<usize>,
@@ -40,23 +40,23 @@ pub enum Error {
     /// A tensor of another number type.
     #[error("tensor `{name}` has numbers of type {found:?}")]
     Type {
-        /// The tensor's name.
+        /// The tensor's name, as `actor.0.weight`.
         name: String,
-        /// Its type.
+        /// The number type that it has; `F32` is needed, and `F64` for statistics.
         found: safetensors::Dtype,
     },
     /// A NaN or an infinity.
     #[error("tensor `{name}` holds a value that is not finite")]
     NonFinite {
-        /// The tensor's name.
+        /// The tensor's name, as `actor.0.weight`.
         name: String,
     },
     /// As many initial biases as logits are needed, or none.
     #[error("`logit_bias` has {found} entries, the heads have {expected} choices")]
     LogitBias {
-        /// As given.
+        /// How many the specification gives.
         found: usize,
-        /// One per choice.
+        /// How many there are, one per choice.
         expected: usize,
     },
     /// The heads or the encoder are impossible.

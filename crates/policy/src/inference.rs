@@ -9,7 +9,7 @@
 use leadtime_numerics::{Activation, Dense};
 use leadtime_proto::PolicySpec;
 
-use crate::architecture::{Layer, Network, layers};
+use crate::architecture::{Branch, Layer, layers};
 use crate::encoder::FastEncoder;
 use crate::normalizer::FrozenNormalizer;
 use crate::{Error, Parameters};
@@ -17,23 +17,15 @@ use crate::{Error, Parameters};
 /// Rows per block: two 64-wide activations of 48 rows take 24 KiB.
 const BLOCK: usize = 48;
 
-/// Packs a layer's weights; without biases they are zero.
-pub(crate) fn dense(layer: &Layer, parameters: &Parameters) -> Result<Dense, Error> {
-    let weight = parameters.values(&layer.weight())?;
-    let bias =
-        if layer.biased { parameters.values(&layer.bias())? } else { vec![0.0; layer.n_out] };
-    Ok(Dense::new(&weight, &bias)?)
-}
-
 #[derive(Clone, Debug)]
-struct Stack {
+struct LayerStack {
     layers: Vec<(Dense, Activation)>,
 }
 
-impl Stack {
-    fn new(spec: &PolicySpec, parameters: &Parameters, network: Network) -> Result<Self, Error> {
-        let build = |layer: &Layer| Ok((dense(layer, parameters)?, layer.activation));
-        let layers = layers(spec, network).iter().map(build).collect::<Result<_, Error>>()?;
+impl LayerStack {
+    fn new(spec: &PolicySpec, parameters: &Parameters, branch: Branch) -> Result<Self, Error> {
+        let build = |layer: &Layer| Ok((parameters.dense(layer)?, layer.activation));
+        let layers = layers(spec, branch).iter().map(build).collect::<Result<_, Error>>()?;
         Ok(Self { layers })
     }
 
@@ -88,8 +80,8 @@ pub struct Policy {
     recurrent_dim: usize,
     normalizer: Option<FrozenNormalizer>,
     encoder: FastEncoder,
-    actor: Stack,
-    critic: Stack,
+    actor: LayerStack,
+    critic: LayerStack,
     features: Vec<f32>,
     scratch: Vec<f32>,
 }
@@ -101,8 +93,9 @@ impl Policy {
     ///
     /// [`Error`] if the parameters are not those of this architecture.
     pub fn new(spec: &PolicySpec, parameters: &Parameters) -> Result<Self, Error> {
-        let actor = Stack::new(spec, parameters, Network::Actor)?;
-        let critic = Stack::new(spec, parameters, Network::Critic)?;
+        parameters.check(spec)?;
+        let actor = LayerStack::new(spec, parameters, Branch::Actor)?;
+        let critic = LayerStack::new(spec, parameters, Branch::Critic)?;
         let widest = actor.widest().max(critic.widest());
         Ok(Self {
             obs_dim: spec.obs_dim,
@@ -346,9 +339,9 @@ mod tests {
             let before = observations(n, spec.recurrent_dim());
             let mut hidden = vec![0.0; n * policy.hidden_dim()];
             policy.hidden(&raw, &before, &mut hidden);
-            let head = layers(&spec, Network::Actor).pop().unwrap();
+            let head = layers(&spec, Branch::Actor).pop().unwrap();
             let mut expected = vec![0.0; n * 14];
-            let head = dense(&head, &parameters).unwrap();
+            let head = parameters.dense(&head).unwrap();
             head.forward(&hidden, &mut expected, Activation::Linear);
             let (mut logits, mut values) = (vec![0.0; n * 14], vec![0.0; n]);
             policy.evaluate(&raw, &mut before.clone(), &mut logits, &mut values);
@@ -357,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recurrent_row_is_judged_alike_in_every_batch() {
+    fn a_recurrent_row_has_the_same_bits_in_every_batch() {
         let spec = recurrent(32, vec![]);
         let mut policy = Policy::new(&spec, &parameters(&spec)).unwrap();
         let (n, dim) = (65, spec.recurrent_dim());
@@ -377,14 +370,14 @@ mod tests {
     }
 
     #[test]
-    fn an_observation_is_judged_alike_in_every_batch() {
+    fn an_observation_has_the_same_bits_in_every_batch() {
         for mut spec in [notifier(60), attentive()] {
             spec.normalize_observations = true;
-            is_judged_alike_in_every_batch(&spec);
+            has_the_same_bits_in_every_batch(&spec);
         }
     }
 
-    fn is_judged_alike_in_every_batch(spec: &PolicySpec) {
+    fn has_the_same_bits_in_every_batch(spec: &PolicySpec) {
         let obs_dim = spec.obs_dim;
         let mut policy = Policy::new(spec, &parameters(spec)).unwrap();
         let raw = observations(65, obs_dim);

@@ -1,8 +1,7 @@
 //! Actor-critic policies: architecture, parameters, fast inference and the distribution over actions.
 //!
-//! What this crate does not know: networks, files, clocks, environments, or how a policy is trained. It holds what
-//! acting and learning must share to agree: the same weights give the same logits, the same mask the same support,
-//! the same action the same log-probability, bit for bit.
+//! It holds what acting and learning must share to agree: the same weights give the same logits, the same mask the
+//! same support, the same action the same log-probability, bit for bit.
 //!
 //! ```text
 //! PolicySpec ──► architecture (names, shapes) ──► Parameters ⇄ safetensors
@@ -10,6 +9,10 @@
 //!                                raw observation ──► Policy ──► logits ──► ActionDistribution ──► action, log π
 //!                                                      └──────► value
 //! ```
+//!
+//! # What it does not know
+//!
+//! How a policy is trained, and what it acts in: no gradients, environments, networks, files or clocks.
 //!
 //! # Where to start
 //!
@@ -24,9 +27,8 @@ pub mod file;
 pub mod inference;
 pub mod normalizer;
 pub mod parameters;
-pub mod sight;
 
-pub use distribution::{ActionDistribution, Terms};
+pub use distribution::{ActionDistribution, ActionTerms};
 pub use error::Error;
 pub use file::read_metadata;
 pub use inference::Policy;

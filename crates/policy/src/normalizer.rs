@@ -34,7 +34,7 @@ impl ObservationNormalizer {
         Self { mean: vec![0.0; dim], variance: vec![1.0; dim], count: INITIAL_COUNT }
     }
 
-    /// Takes in a batch of raw observations.
+    /// Updates the moments with a batch of raw observations.
     ///
     /// # Shapes
     ///

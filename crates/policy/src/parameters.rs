@@ -6,11 +6,11 @@
 use std::collections::BTreeMap;
 
 use candle_core::{DType, Device, Tensor};
-use leadtime_numerics::{Activation, Purpose, orthogonal, stream};
+use leadtime_numerics::{Activation, Dense, Purpose, orthogonal, stream};
 use leadtime_proto::{EgoAttention, Encoder, PolicySpec};
 use sha2::{Digest as _, Sha256};
 
-use crate::architecture::{AttentionLayers, Layer, LstmLayers, Network, all_layers, layers};
+use crate::architecture::{AttentionLayers, Branch, Layer, LstmLayers, all_layers, layers};
 use crate::{Error, ObservationNormalizer};
 
 /// All weights of an actor-critic and the statistics of its inputs.
@@ -84,6 +84,29 @@ impl Parameters {
         Ok(Self { tensors, normalizer })
     }
 
+    /// Checks that these are parameters of an architecture: the same tensors in the same shapes.
+    ///
+    /// # Errors
+    ///
+    /// [`Error`] naming the first tensor that is missing, unknown or misshapen; [`Error::Spec`] if the architecture
+    /// is impossible.
+    pub fn check(&self, spec: &PolicySpec) -> Result<(), Error> {
+        spec.check()?;
+        let shapes = shapes(spec);
+        for (name, expected) in &shapes {
+            let tensor = self.tensors.get(name);
+            let found = tensor.ok_or_else(|| Error::Missing { name: name.clone() })?.dims();
+            if found != expected {
+                let (name, found, expected) = (name.clone(), found.to_vec(), expected.clone());
+                return Err(Error::Shape { name, found, expected });
+            }
+        }
+        if let Some(name) = self.tensors.keys().find(|name| !shapes.contains_key(*name)) {
+            return Err(Error::Unknown { name: name.clone() });
+        }
+        check_normalizer(spec, self.normalizer.as_ref())
+    }
+
     /// Returns the tensors by name.
     pub fn tensors(&self) -> &BTreeMap<String, Tensor> {
         &self.tensors
@@ -103,6 +126,17 @@ impl Parameters {
         let tensor =
             self.tensors.get(name).ok_or_else(|| Error::Missing { name: name.to_owned() })?;
         Ok(tensor.flatten_all()?.to_vec1()?)
+    }
+
+    /// Packs a layer's weights for acting; a layer without biases gets zeros.
+    ///
+    /// # Errors
+    ///
+    /// [`Error`] if a tensor of the layer is missing, or its weights do not fit its biases.
+    pub(crate) fn dense(&self, layer: &Layer) -> Result<Dense, Error> {
+        let weight = self.values(&layer.weight())?;
+        let bias = if layer.biased { self.values(&layer.bias())? } else { vec![0.0; layer.n_out] };
+        Ok(Dense::new(&weight, &bias)?)
     }
 
     /// Computes the SHA-256 over names and little-endian numbers, in the order of names.
@@ -155,12 +189,10 @@ impl Parameters {
             }
             Encoder::EgoAttention(attention) => self.encode(attention, observations)?,
         };
-        let run = |network| -> Result<Tensor, Error> {
-            layers(spec, network)
-                .iter()
-                .try_fold(features.clone(), |x, layer| self.apply(&x, layer))
+        let run = |branch| -> Result<Tensor, Error> {
+            layers(spec, branch).iter().try_fold(features.clone(), |x, layer| self.apply(&x, layer))
         };
-        Ok((run(Network::Actor)?, run(Network::Critic)?))
+        Ok((run(Branch::Actor)?, run(Branch::Critic)?))
     }
 
     /// Runs an LSTM of `width` units over the steps of an episode.
@@ -307,6 +339,8 @@ fn check_normalizer(
 
 #[cfg(test)]
 mod tests {
+    use leadtime_proto::spec::SpecError;
+
     use super::*;
     use crate::tests::notifier;
 
@@ -336,5 +370,24 @@ mod tests {
             Parameters::initialize(&spec, 1),
             Err(Error::LogitBias { found: 13, expected: 14 })
         ));
+    }
+    #[test]
+    fn parameters_of_another_architecture_are_refused() {
+        let parameters = Parameters::initialize(&notifier(8), 1).unwrap();
+        let error = |change: fn(&mut PolicySpec)| {
+            let mut spec = notifier(8);
+            change(&mut spec);
+            crate::Policy::new(&spec, &parameters).unwrap_err()
+        };
+        assert!(matches!(error(|spec| spec.obs_dim = 9), Error::Shape { .. }));
+        assert!(matches!(error(|spec| spec.hidden.push(64)), Error::Missing { .. }));
+        assert!(matches!(error(|spec| spec.hidden.truncate(1)), Error::Unknown { .. }));
+        assert!(matches!(error(|spec| spec.normalize_observations = true), Error::Missing { .. }));
+        let nine_heads = |spec: &mut PolicySpec| {
+            let head = spec.actions.heads[0].clone();
+            spec.actions.heads.resize(9, head);
+        };
+        let error = error(nine_heads);
+        assert!(matches!(error, Error::Spec(SpecError::Heads { n_heads: 9 })), "{error}");
     }
 }

@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 use std::io::Read as _;
 
 use flate2::read::GzDecoder;
-use leadtime_policy::encoder::AttentionEncoder;
+use leadtime_policy::Parameters;
+use leadtime_policy::attention::{Attention, AttentionEncoder};
 use leadtime_policy::parameters::shapes;
-use leadtime_policy::{Parameters, attention::Attention};
 use leadtime_proto::{ActionSpec, EgoAttention, Encoder, HeadCredit, PolicySpec};
 use serde_json::Value;
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use leadtime_link::LearnerEvent;
 use leadtime_policy::Parameters;
+use leadtime_ppo::TrainerState;
 use tokio::time::{interval, timeout};
 use tokio_util::sync::CancellationToken;
 use tracing::warn;
@@ -13,7 +14,7 @@ use super::{Run, TICK};
 use crate::report::{RatedPolicy, RunEnd, RunEvent, RunReport};
 use crate::resume::Standing;
 use crate::training::{Job, Outcome};
-use crate::{Error, LearnerConfig, TrainerState};
+use crate::{Error, LearnerConfig};
 
 /// How long the end of a run waits for actors to leave and for the update under way.
 const FAREWELL: Duration = Duration::from_millis(2_500);

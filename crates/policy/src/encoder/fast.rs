@@ -2,8 +2,9 @@
 
 use leadtime_proto::{Encoder, PolicySpec};
 
-use super::{AttentionEncoder, LstmEncoder};
-use crate::architecture::feature_dim;
+use super::LstmEncoder;
+use crate::architecture::{LstmLayers, feature_dim};
+use crate::attention::AttentionEncoder;
 use crate::{Error, Parameters};
 
 /// An encoder with fixed weights, and room for a block of rows.
@@ -24,8 +25,8 @@ impl FastEncoder {
         Ok(match &spec.encoder {
             Encoder::Identity => Self::Identity,
             &Encoder::Lstm { projection, state } => {
-                let shape = (spec.obs_dim, projection, state);
-                Self::Lstm(Box::new(LstmEncoder::new(shape, parameters, block)?))
+                let layers = LstmLayers::new(spec.obs_dim, projection, state);
+                Self::Lstm(Box::new(LstmEncoder::new(&layers, parameters, block)?))
             }
             Encoder::EgoAttention(attention) => Self::Attention {
                 encoder: Box::new(AttentionEncoder::new(attention, spec.obs_dim, parameters)?),

@@ -10,7 +10,6 @@
 use leadtime_numerics::{Activation, Dense, lstm};
 
 use crate::architecture::LstmLayers;
-use crate::inference::dense;
 use crate::{Error, Parameters};
 
 /// An LSTM with fixed weights and room for a block of rows.
@@ -28,18 +27,15 @@ pub struct LstmEncoder {
 }
 
 impl LstmEncoder {
-    /// Packs parameters of an LSTM over `obs_dim` numbers, with room for `block` rows at a time.
+    /// Packs an LSTM's parameters, with room for `block` rows at a time.
     ///
     /// # Errors
     ///
     /// [`Error`] if the parameters are not those of this architecture.
-    pub fn new(
-        (obs_dim, projection, width): (usize, usize, usize),
-        parameters: &Parameters,
-        block: usize,
-    ) -> Result<Self, Error> {
-        let layers = LstmLayers::new(obs_dim, projection, width);
-        let pack = |layer| dense(layer, parameters);
+    pub fn new(layers: &LstmLayers, parameters: &Parameters, block: usize) -> Result<Self, Error> {
+        let width = layers.state.n_in;
+        let projection = layers.projection.as_ref().map_or(0, |layer| layer.n_out);
+        let pack = |layer| parameters.dense(layer);
         Ok(Self {
             width,
             projection: layers.projection.as_ref().map(pack).transpose()?,

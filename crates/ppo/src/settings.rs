@@ -1,6 +1,6 @@
 //! Every setting of training. `Default` is what CleanRL trains CartPole with; runs take theirs from the configuration files.
 //!
-//! What is written is checked once ([`LearnerSettings::check`]); afterwards the rest of the crate relies on it.
+//! They are checked once ([`LearnerSettings::check`]); the rest of the crate relies on it.
 
 use leadtime_proto::{Schedule, limits};
 use serde::{Deserialize, Serialize};
@@ -114,9 +114,9 @@ impl Default for LearnerSettings {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`learner.{key}` must be {requirement}")]
 pub struct SettingsError {
-    /// The key.
+    /// The key in the section `learner`.
     pub key: &'static str,
-    /// What would do.
+    /// The values that the key may have.
     pub requirement: &'static str,
 }
 

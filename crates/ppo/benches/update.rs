@@ -1,13 +1,14 @@
 //! Samples per second of the PPO update (forward, loss, backward, clip, Adam) by minibatch size.
 //!
-//! 60 inputs, actor 60-64-64 with heads 2+4+4+4, separate critic 60-64-64-1: `cargo bench -p leadtime-learner`.
+//! 60 inputs, actor 60-64-64 with heads 2+4+4+4, separate critic 60-64-64-1: `cargo bench -p leadtime-ppo`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use leadtime_learner::{LearnerSettings, Trainer};
 use leadtime_numerics::Pcg64;
 use leadtime_policy::{ActionDistribution, Policy};
+use leadtime_ppo::{LearnerSettings, Trainer};
 use leadtime_proto::{
-    ActionSpec, Encoder, EnvId, EnvSpec, Head, HeadCredit, Mask, PolicySpec, Rollout,
+    ActionSpec, CheckedRollout, Encoder, EnvId, EnvSpec, Head, HeadCredit, Mask, PolicySpec,
+    Rollout,
 };
 
 const OBS_DIM: usize = 60;
@@ -30,8 +31,8 @@ fn specs() -> (PolicySpec, EnvSpec) {
 }
 
 /// Makes one rollout of random observations, acted by the trainer's present policy.
-fn rollout(trainer: &Trainer, n_steps: usize) -> Rollout {
-    let (spec, _) = specs();
+fn rollout(trainer: &Trainer, n_steps: usize) -> CheckedRollout {
+    let (spec, env) = specs();
     let mut policy = Policy::new(&spec, trainer.parameters()).expect("the parameters fit");
     let distribution = ActionDistribution::new(&spec.actions, spec.head_credit);
     let mut generator = Pcg64::seed_from_u64(3);
@@ -46,7 +47,7 @@ fn rollout(trainer: &Trainer, n_steps: usize) -> Rollout {
     let log_probs = rows
         .map(|(logits, action)| distribution.sample(logits, Mask::ALL, &mut generator, action))
         .collect();
-    Rollout {
+    let rollout = Rollout {
         env_id: EnvId(0),
         version: trainer.version(),
         n_steps: n_steps as u32,
@@ -59,11 +60,12 @@ fn rollout(trainer: &Trainer, n_steps: usize) -> Rollout {
         rewards,
         snapshot: vec![0],
         ..Rollout::default()
-    }
+    };
+    rollout.check(&env, n_steps, 0).expect("the rollout fits its own trainer")
 }
 
 fn update(criterion: &mut Criterion) {
-    let (policy, env) = specs();
+    let (policy, _) = specs();
     let mut group = criterion.benchmark_group("update");
     for minibatch in [128, 512, 1200, 4096] {
         let settings = LearnerSettings {
@@ -73,7 +75,7 @@ fn update(criterion: &mut Criterion) {
             n_epochs: 4,
             ..LearnerSettings::default()
         };
-        let mut trainer = Trainer::new(&policy, &env, &settings, 1).expect("sound settings");
+        let mut trainer = Trainer::new(&policy, &settings, 1).expect("sound settings");
         let rollouts = [rollout(&trainer, settings.n_steps)];
         group.throughput(Throughput::Elements((settings.n_steps * settings.n_epochs) as u64));
         group.bench_function(BenchmarkId::from_parameter(minibatch), |bencher| {

@@ -29,9 +29,9 @@ pub(crate) struct Sequences {
     pub(crate) resets: Vec<bool>,
 }
 
-/// What the way forward leaves for the way back; all by time, then by sequence.
+/// What the forward pass leaves for the backward pass; all by time, then by sequence.
 #[derive(Debug, Default)]
-struct Record {
+struct ForwardStates {
     /// Activated gates. `[T, S, 4 H]`
     gates: Vec<f32>,
     /// States before each step, zero where an episode starts. `[T, S, H]`
@@ -47,12 +47,12 @@ struct Record {
 pub(crate) struct LstmOp {
     sequences: Arc<Sequences>,
     width: usize,
-    record: Arc<Mutex<Record>>,
+    states: Arc<Mutex<ForwardStates>>,
 }
 
 impl LstmOp {
     pub(crate) fn new(sequences: Arc<Sequences>, width: usize) -> Self {
-        Self { sequences, width, record: Arc::default() }
+        Self { sequences, width, states: Arc::default() }
     }
 
     fn n_sequences(&self) -> usize {
@@ -80,10 +80,10 @@ impl LstmOp {
     }
 
     /// Runs all sequences; returns h `[M, H]`.
-    fn run(&self, from_input: &[f32], weight: &Panels, bias: &[f32]) -> (Vec<f32>, Record) {
+    fn run(&self, from_input: &[f32], weight: &Panels, bias: &[f32]) -> (Vec<f32>, ForwardStates) {
         let (n, width) = (self.n_sequences(), self.width);
         let n_gates = N_GATES * width;
-        let mut record = Record::default();
+        let mut states = ForwardStates::default();
         let mut out = vec![0.0; n * self.sequences.n_steps * width];
         let (mut hidden, mut cell) = self.start();
         let mut gates = vec![0.0; n * n_gates];
@@ -92,38 +92,38 @@ impl LstmOp {
                 hidden[s * width..(s + 1) * width].fill(0.0);
                 cell[s * width..(s + 1) * width].fill(0.0);
             }
-            record.hidden_before.extend_from_slice(&hidden);
-            record.cell_before.extend_from_slice(&cell);
+            states.hidden_before.extend_from_slice(&hidden);
+            states.cell_before.extend_from_slice(&cell);
             weight.multiply(&hidden, bias, Activation::Linear, &mut gates);
             for (s, gates) in gates.chunks_exact_mut(n_gates).enumerate() {
                 let from_input = &from_input[self.sample(t, s, n_gates)];
                 gates.iter_mut().zip(from_input).for_each(|(gate, x)| *gate += x);
             }
             lstm::step(&mut gates, &mut hidden, &mut cell, width);
-            record.gates.extend_from_slice(&gates);
-            record.cell.extend_from_slice(&cell);
+            states.gates.extend_from_slice(&gates);
+            states.cell.extend_from_slice(&cell);
             for (s, hidden) in hidden.chunks_exact(width).enumerate() {
                 out[self.sample(t, s, width)].copy_from_slice(hidden);
             }
         }
-        (out, record)
+        (out, states)
     }
 
     /// Goes back through time; returns the slopes before the gates' activations, by time: `[T, S, 4 H]`.
-    fn back(&self, record: &Record, d_out: &[f32], weight: &Panels) -> Vec<f32> {
+    fn back(&self, states: &ForwardStates, d_out: &[f32], weight: &Panels) -> Vec<f32> {
         let (n, width, n_steps) = (self.n_sequences(), self.width, self.sequences.n_steps);
         let (n_gates, n_states) = (N_GATES * width, n * width);
         let mut d_gates = vec![0.0; n_steps * n * n_gates];
         let (mut d_hidden, mut d_cell) = (vec![0.0; n_states], vec![0.0; n_states]);
-        let mut squashed = record.cell.clone();
+        let mut squashed = states.cell.clone();
         tanh_inplace(&mut squashed);
         for t in (0..n_steps).rev() {
             for s in 0..n {
                 let own = s * width..(s + 1) * width;
                 let place = t * n_states + s * width;
-                let step = Step {
-                    gates: &record.gates[(t * n + s) * n_gates..][..n_gates],
-                    cell_before: &record.cell_before[place..place + width],
+                let step = SequenceStep {
+                    gates: &states.gates[(t * n + s) * n_gates..][..n_gates],
+                    cell_before: &states.cell_before[place..place + width],
                     squashed: &squashed[place..place + width],
                 };
                 let d_out = &d_out[self.sample(t, s, width)];
@@ -143,15 +143,15 @@ impl LstmOp {
     }
 }
 
-/// One sequence at one step, on the way back.
-struct Step<'a> {
+/// One sequence at one step, in the backward pass.
+struct SequenceStep<'a> {
     gates: &'a [f32],
     cell_before: &'a [f32],
     /// tanh of the cell state after the step.
     squashed: &'a [f32],
 }
 
-impl Step<'_> {
+impl SequenceStep<'_> {
     /// From slopes in h and c after the step: those before the gates' activations, and the one in c before the step.
     fn back(&self, d_hidden: &[f32], d_cell: &mut [f32], d_gates: &mut [f32]) {
         let n = d_hidden.len();
@@ -193,8 +193,8 @@ impl CustomOp3 for LstmOp {
         }
         let weight = Panels::from_columns(floats(weight, weight_layout)?, n_gates, width);
         let bias = floats(bias, bias_layout)?;
-        let (out, record) = self.run(floats(from_input, from_input_layout)?, &weight, bias);
-        *self.record.lock().unwrap_or_else(PoisonError::into_inner) = record;
+        let (out, states) = self.run(floats(from_input, from_input_layout)?, &weight, bias);
+        *self.states.lock().unwrap_or_else(PoisonError::into_inner) = states;
         Ok((CpuStorage::F32(out), Shape::from((n_samples, width))))
     }
 
@@ -207,11 +207,11 @@ impl CustomOp3 for LstmOp {
         d_out: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let (n_gates, width, device) = (N_GATES * self.width, self.width, weight.device());
-        let record = self.record.lock().unwrap_or_else(PoisonError::into_inner);
+        let states = self.states.lock().unwrap_or_else(PoisonError::into_inner);
         let panels = with_floats(weight, |weight| Panels::from_rows(weight, n_gates, width))?;
-        let d_gates = with_floats(d_out, |d_out| self.back(&record, d_out, &panels))?;
+        let d_gates = with_floats(d_out, |d_out| self.back(&states, d_out, &panels))?;
         let mut d_weight = vec![0.0; n_gates * width];
-        add_outer_products(&d_gates, &record.hidden_before, n_gates, width, &mut d_weight);
+        add_outer_products(&d_gates, &states.hidden_before, n_gates, width, &mut d_weight);
         let mut d_bias = vec![0.0; n_gates];
         let mut d_input = vec![0.0; d_gates.len()];
         for (i, row) in d_gates.chunks_exact(n_gates).enumerate() {

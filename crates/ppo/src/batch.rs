@@ -3,7 +3,7 @@
 use leadtime_policy::{ActionDistribution, FrozenNormalizer, Policy};
 use leadtime_proto::{Mask, Rollout};
 
-use crate::gae::{Cut, Segment, gae};
+use crate::gae::{Cut, TrajectorySegment, gae};
 use crate::loss::Samples;
 use crate::lstm_op::Sequences;
 use crate::settings::{LearnerSettings, Truncation};
@@ -11,7 +11,7 @@ use crate::vtrace::vtrace;
 
 /// All samples of an update, one environment after the other.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Batch {
+pub(crate) struct UpdateBatch {
     /// Normalised observations. `[N, D]`
     pub(crate) features: Vec<f32>,
     pub(crate) samples: Samples,
@@ -19,7 +19,7 @@ pub(crate) struct Batch {
     pub(crate) sequences: Sequences,
 }
 
-impl Batch {
+impl UpdateBatch {
     pub(crate) fn n_samples(&self) -> usize {
         self.samples.masks.len()
     }
@@ -49,7 +49,8 @@ impl Batch {
     ) {
         let cuts = cuts(rollout, settings.truncation, |end| rollout.ends[end].final_value);
         let values = rollout.values.as_slice();
-        let segment = Segment { rewards, values, next_value: rollout.next_value, cuts: &cuts };
+        let segment =
+            TrajectorySegment { rewards, values, next_value: rollout.next_value, cuts: &cuts };
         let start = self.samples.advantages.len();
         self.samples.advantages.resize(start + values.len(), 0.0);
         let advantages = &mut self.samples.advantages[start..];
@@ -64,20 +65,21 @@ impl Batch {
         rollout: &Rollout,
         rewards: &[f32],
         settings: &LearnerSettings,
-        (policy, distribution): (&mut Policy, &ActionDistribution),
+        policy: &mut Policy,
+        distribution: &ActionDistribution,
     ) {
-        let present = Present::of(rollout, policy, distribution);
-        let cuts = cuts(rollout, settings.truncation, |end| present.final_values[end]);
-        let segment = Segment {
+        let current = Reevaluation::of(rollout, policy, distribution);
+        let cuts = cuts(rollout, settings.truncation, |end| current.final_values[end]);
+        let segment = TrajectorySegment {
             rewards,
-            values: &present.values,
-            next_value: present.next_value,
+            values: &current.values,
+            next_value: current.next_value,
             cuts: &cuts,
         };
-        let targets = vtrace(&segment, &present.log_rhos, settings.gamma as f32);
+        let targets = vtrace(&segment, &current.log_rhos, settings.gamma as f32);
         self.samples.advantages.extend_from_slice(&targets.advantages);
         self.samples.returns.extend_from_slice(&targets.value_targets);
-        self.samples.values.extend_from_slice(&present.values);
+        self.samples.values.extend_from_slice(&current.values);
     }
 
     /// Copies the samples at `indices`, and their inputs into `features`.
@@ -147,9 +149,9 @@ fn episode_starts(rollout: &Rollout) -> impl Iterator<Item = bool> {
     (0..rollout.masks.len()).map(move |step| ends.next_if_eq(&step).is_some())
 }
 
-/// What the present policy thinks of a rollout that an older one acted.
+/// A rollout that an older policy acted, evaluated by the current one.
 #[derive(Default)]
-struct Present {
+struct Reevaluation {
     logits: Vec<f32>,
     values: Vec<f32>,
     next_value: f32,
@@ -158,26 +160,26 @@ struct Present {
     log_rhos: Vec<f32>,
 }
 
-impl Present {
+impl Reevaluation {
     fn of(rollout: &Rollout, policy: &mut Policy, distribution: &ActionDistribution) -> Self {
         let n = rollout.masks.len();
         let (n_choices, n_heads) = (distribution.n_choices(), distribution.n_heads());
-        let mut present = Self::evaluate(rollout, policy, n_choices);
+        let mut current = Self::evaluate(rollout, policy, n_choices);
         let log_rho = |i: usize| {
             let action = &rollout.actions[i * n_heads..(i + 1) * n_heads];
-            let logits = &present.logits[i * n_choices..(i + 1) * n_choices];
+            let logits = &current.logits[i * n_choices..(i + 1) * n_choices];
             let log_prob = distribution.log_prob(logits, Mask(rollout.masks[i]), action);
             log_prob - rollout.log_probs[i]
         };
-        present.log_rhos = (0..n).map(log_rho).collect();
-        present
+        current.log_rhos = (0..n).map(log_rho).collect();
+        current
     }
 
     /// Runs the policy over a rollout, episode by episode, from the stored state on.
     fn evaluate(rollout: &Rollout, policy: &mut Policy, n_choices: usize) -> Self {
         let n = rollout.masks.len();
         let obs_dim = policy.obs_dim();
-        let mut present =
+        let mut current =
             Self { logits: vec![0.0; n * n_choices], values: vec![0.0; n], ..Self::default() };
         let mut state = rollout.recurrent.clone();
         // Rows of a policy without memory do not depend on each other: the whole rollout is one batch.
@@ -188,16 +190,16 @@ impl Present {
             policy.evaluate(
                 &rollout.observations[first * obs_dim..after * obs_dim],
                 &mut state,
-                &mut present.logits[first * n_choices..after * n_choices],
-                &mut present.values[first..after],
+                &mut current.logits[first * n_choices..after * n_choices],
+                &mut current.values[first..after],
             );
             while let Some(end) = ends.next_if(|end| (end.step as usize) < after) {
-                present.final_values.push(value(policy, &end.final_observation, &state));
+                current.final_values.push(value(policy, &end.final_observation, &state));
                 state.fill(0.0);
             }
         }
-        present.next_value = value(policy, &rollout.next_observation, &state);
-        present
+        current.next_value = value(policy, &rollout.next_observation, &state);
+        current
     }
 }
 

@@ -22,21 +22,27 @@ use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 use leadtime_policy::{ActionDistribution, ObservationNormalizer, Parameters, Policy};
-use leadtime_proto::{EnvSpec, PolicySpec, PolicyVersion, Rollout, Schedule, Staleness};
+use leadtime_proto::limits::MAX_MAGNITUDE;
+use leadtime_proto::{CheckedRollout, Encoder, PolicySpec, PolicyVersion, Schedule, Staleness};
 use serde::{Deserialize, Serialize};
 
 use crate::TrainError;
 use crate::adam::{Adam, clip_factor, global_norm};
-use crate::batch::Batch;
+use crate::batch::UpdateBatch;
 use crate::loss::{AdvantageScale, LossOp, LossReport, LossSettings, PpoLoss};
 use crate::lstm_op::Sequences;
 use crate::minibatch::Minibatches;
 use crate::network::ActorCritic;
 use crate::rewards::ReturnNormalizer;
 use crate::settings::LearnerSettings;
+use crate::storage::with_floats;
 
 /// Samples whose activations are in the graph at a time: those of 512 rows stay in the second-level cache.
 const BLOCK: usize = 512;
+
+/// A critic's weights and its bias may together not make more than the largest value that a rollout may hold; the
+/// factor leaves room for both and for rounding. Weights that learn are smaller by six orders of magnitude.
+const LARGEST_SUM: f64 = MAX_MAGNITUDE / 4.0;
 
 /// What one update did.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -59,7 +65,7 @@ pub struct UpdateReport {
     pub gradient_norm: f64,
     /// Share of the targets' variance that the critic explained before the update.
     pub explained_variance: f64,
-    /// As used.
+    /// Step size of the update, annealed.
     pub learning_rate: f64,
     /// Rollouts by staleness in versions.
     pub staleness: BTreeMap<u64, u64>,
@@ -73,7 +79,6 @@ pub struct UpdateReport {
 #[derive(Debug)]
 pub struct Trainer {
     pub(crate) policy_spec: PolicySpec,
-    env_spec: EnvSpec,
     settings: LearnerSettings,
     run_seed: u64,
     distribution: Arc<ActionDistribution>,
@@ -93,13 +98,12 @@ impl Trainer {
     /// [`TrainError`] if settings or specification cannot be used.
     pub fn new(
         policy: &PolicySpec,
-        env: &EnvSpec,
         settings: &LearnerSettings,
         run_seed: u64,
     ) -> Result<Self, TrainError> {
         settings.check()?;
         let parameters = Parameters::initialize(policy, run_seed)?;
-        Self::from_parameters(policy, env, settings, (run_seed, parameters))
+        Self::from_parameters(policy, settings, run_seed, parameters)
     }
 
     /// Starts a run at version 0 from given parameters, as a fork of another run does.
@@ -109,15 +113,14 @@ impl Trainer {
     /// [`TrainError`] if settings, specification and parameters cannot be used together.
     pub fn from_parameters(
         policy: &PolicySpec,
-        env: &EnvSpec,
         settings: &LearnerSettings,
-        (run_seed, parameters): (u64, Parameters),
+        run_seed: u64,
+        parameters: Parameters,
     ) -> Result<Self, TrainError> {
         settings.check()?;
         let network = ActorCritic::new(policy, &parameters)?;
         Ok(Self {
             policy_spec: policy.clone(),
-            env_spec: env.clone(),
             settings: settings.clone(),
             run_seed,
             distribution: Arc::new(ActionDistribution::new(&policy.actions, policy.head_credit)),
@@ -149,19 +152,25 @@ impl Trainer {
     ///
     /// # Errors
     ///
-    /// [`TrainError`] if the rollouts are not sorted by environment id and iteration, one does not fit the
-    /// specification, or training diverges. The trainer is then unusable and must be restored.
-    pub fn update(&mut self, rollouts: &[Rollout]) -> Result<UpdateReport, TrainError> {
-        self.check(rollouts)?;
+    /// [`TrainError`] if there is no rollout, they are not sorted by environment id and iteration, or training
+    /// diverges. After a divergence the trainer is unusable and must be restored.
+    ///
+    /// # Panics
+    ///
+    /// If a rollout was checked against another specification than that of this trainer's policy.
+    pub fn update(&mut self, rollouts: &[CheckedRollout]) -> Result<UpdateReport, TrainError> {
+        check_order(rollouts)?;
         let batch = self.batch(rollouts)?;
         let learning_rate = self.settings.learning_rate_at(self.version.0);
         let totals = self.learn(&batch, learning_rate)?;
+        check_weights(&self.network)?;
         if let Some(normalizer) = &mut self.observations {
             for rollout in rollouts {
                 normalizer.update(&rollout.observations);
             }
         }
         self.parameters = self.network.parameters(self.observations.clone())?;
+        self.check_outputs(rollouts)?;
         let mut staleness = BTreeMap::new();
         for rollout in rollouts {
             let Staleness(age) = Staleness::between(self.version, rollout.version);
@@ -186,37 +195,20 @@ impl Trainer {
         })
     }
 
-    fn check(&self, rollouts: &[Rollout]) -> Result<(), TrainError> {
-        if rollouts.is_empty() {
-            return Err(TrainError::NoRollouts);
-        }
-        let key = |rollout: &Rollout| (rollout.env_id, rollout.iteration);
-        if let Some(i) = rollouts.windows(2).position(|pair| key(&pair[0]) >= key(&pair[1])) {
-            return Err(TrainError::Unsorted { index: i + 1 });
-        }
-        let recurrent_dim = self.policy_spec.recurrent_dim();
-        rollouts.iter().try_for_each(|rollout| {
-            rollout
-                .check(&self.env_spec, self.settings.n_steps, recurrent_dim)
-                .map_err(|source| TrainError::Rollout { env_id: rollout.env_id, source })
-        })
-    }
-
     /// Lays out the samples of an update with their targets.
-    fn batch(&mut self, rollouts: &[Rollout]) -> Result<Batch, TrainError> {
+    fn batch(&mut self, rollouts: &[CheckedRollout]) -> Result<UpdateBatch, TrainError> {
         let rewards = self.scaled_rewards(rollouts);
         let frozen = self.observations.as_ref().map(ObservationNormalizer::freeze);
         let is_async = matches!(self.settings.schedule(), Schedule::Async { .. });
         let mut policy =
             if is_async { Some(Policy::new(&self.policy_spec, &self.parameters)?) } else { None };
-        let mut batch = Batch::default();
+        let mut batch = UpdateBatch::default();
         for (rollout, rewards) in rollouts.iter().zip(&rewards) {
             batch.push(rollout, frozen.as_ref());
             match &mut policy {
                 None => batch.push_gae(rollout, rewards, &self.settings),
                 Some(policy) => {
-                    let judge = (policy, &*self.distribution);
-                    batch.push_vtrace(rollout, rewards, &self.settings, judge);
+                    batch.push_vtrace(rollout, rewards, &self.settings, policy, &self.distribution);
                 }
             }
         }
@@ -224,9 +216,9 @@ impl Trainer {
     }
 
     /// Returns each rollout's rewards, scaled and (after the statistics took all of them in) normalised.
-    fn scaled_rewards(&mut self, rollouts: &[Rollout]) -> Vec<Vec<f32>> {
+    fn scaled_rewards(&mut self, rollouts: &[CheckedRollout]) -> Vec<Vec<f32>> {
         let scale = self.settings.reward_scale as f32;
-        let scaled = |rollout: &Rollout| rollout.rewards.iter().map(|r| r * scale).collect();
+        let scaled = |rollout: &CheckedRollout| rollout.rewards.iter().map(|r| r * scale).collect();
         let mut rewards: Vec<Vec<f32>> = rollouts.iter().map(scaled).collect();
         if self.settings.normalize_rewards {
             for (rollout, rewards) in rollouts.iter().zip(&rewards) {
@@ -240,11 +232,12 @@ impl Trainer {
     }
 
     /// Runs the epochs.
-    fn learn(&mut self, batch: &Batch, learning_rate: f64) -> Result<Totals, TrainError> {
+    fn learn(&mut self, batch: &UpdateBatch, learning_rate: f64) -> Result<Totals, TrainError> {
         let unit_len = if self.is_recurrent() { self.settings.n_steps } else { 1 };
         let n_minibatches = self.settings.n_minibatches.min(batch.n_samples() / unit_len);
-        let place = (self.run_seed, self.version.0);
-        let mut order = Minibatches::new(batch.n_samples(), unit_len, n_minibatches, place);
+        let (n_samples, iteration) = (batch.n_samples(), self.version.0);
+        let mut order =
+            Minibatches::new(n_samples, unit_len, n_minibatches, self.run_seed, iteration);
         let mut indices = Vec::new();
         let mut totals = Totals::default();
         for _ in 0..self.settings.n_epochs {
@@ -254,7 +247,7 @@ impl Trainer {
                 order.indices(minibatch, &mut indices);
                 let (report, norm) = self.step(batch, &indices, learning_rate)?;
                 if !norm.is_finite() {
-                    return Err(TrainError::Diverged { minibatch: totals.all.n, norm });
+                    return Err(TrainError::DivergedGradient { minibatch: totals.all.n, norm });
                 }
                 totals.all.add(&report);
                 totals.last_epoch.add(&report);
@@ -272,7 +265,7 @@ impl Trainer {
     /// Takes one optimiser step; returns the loss and the gradient's norm.
     fn step(
         &mut self,
-        batch: &Batch,
+        batch: &UpdateBatch,
         indices: &[usize],
         learning_rate: f64,
     ) -> Result<(LossReport, f64), TrainError> {
@@ -283,7 +276,7 @@ impl Trainer {
         let mut report = LossReport::default();
         let mut gradients = BTreeMap::new();
         for rows in indices.chunks(block) {
-            let (total, loss) = self.loss(batch, rows, (scale, indices.len()))?;
+            let (total, loss) = self.loss(batch, rows, scale, indices.len())?;
             add_gradients(&mut gradients, self.network.gradients(&total)?)?;
             report.add(&loss.report());
         }
@@ -298,9 +291,10 @@ impl Trainer {
     /// Builds the graph of the share that some rows have in the loss of their minibatch of `n_samples`.
     fn loss(
         &self,
-        batch: &Batch,
+        batch: &UpdateBatch,
         rows: &[usize],
-        (scale, n_samples): (Option<AdvantageScale>, usize),
+        scale: Option<AdvantageScale>,
+        n_samples: usize,
     ) -> Result<(Tensor, Arc<PpoLoss>), TrainError> {
         let obs_dim = self.policy_spec.obs_dim;
         let (features, mut samples) = batch.gather(rows, obs_dim);
@@ -317,9 +311,58 @@ impl Trainer {
         Ok((total, loss))
     }
 
+    /// Finds outputs that no rollout may hold, where the size of the weights does not bound them already: heads
+    /// that follow ego attention at once see features of any size. All others see the range of tanh.
+    fn check_outputs(&self, rollouts: &[CheckedRollout]) -> Result<(), TrainError> {
+        let is_bounded = !matches!(self.policy_spec.encoder, Encoder::EgoAttention(_))
+            || !self.policy_spec.hidden.is_empty();
+        if is_bounded {
+            return Ok(());
+        }
+        let mut policy = Policy::new(&self.policy_spec, &self.parameters)?;
+        let mut largest = 0.0_f64;
+        for rollout in rollouts {
+            let n = rollout.masks.len();
+            let (mut logits, mut values) = (vec![0.0; n * policy.n_choices()], vec![0.0; n]);
+            policy.evaluate(&rollout.observations, &mut [], &mut logits, &mut values);
+            for output in logits.into_iter().chain(values) {
+                let size = if output.is_nan() { f32::INFINITY } else { output.abs() };
+                largest = largest.max(size.into());
+            }
+        }
+        if largest > LARGEST_SUM { Err(TrainError::DivergedOutputs { largest }) } else { Ok(()) }
+    }
+
     fn is_recurrent(&self) -> bool {
         self.policy_spec.recurrent_dim() > 0
     }
+}
+
+/// Refuses an order that depends on who arrived first.
+fn check_order(rollouts: &[CheckedRollout]) -> Result<(), TrainError> {
+    if rollouts.is_empty() {
+        return Err(TrainError::NoRollouts);
+    }
+    let sorted = |pair: &[CheckedRollout]| {
+        (pair[0].env_id, pair[0].iteration) < (pair[1].env_id, pair[1].iteration)
+    };
+    match rollouts.windows(2).position(|pair| !sorted(pair)) {
+        Some(i) => Err(TrainError::Unsorted { index: i + 1 }),
+        None => Ok(()),
+    }
+}
+
+/// Finds weights with which actors would make numbers that no rollout may hold: the run has diverged, and its actors
+/// are not to blame for what they would send.
+fn check_weights(network: &ActorCritic) -> Result<(), TrainError> {
+    for (name, var) in network.vars() {
+        let sum =
+            with_floats(var, |values| values.iter().map(|&x| f64::from(x).abs()).sum::<f64>())?;
+        if sum.is_nan() || sum > LARGEST_SUM {
+            return Err(TrainError::DivergedWeights { name: name.clone(), sum });
+        }
+    }
+    Ok(())
 }
 
 /// Adds one block's gradients to those of the blocks before it.

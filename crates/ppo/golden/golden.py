@@ -1,4 +1,4 @@
-"""Golden numbers of the learner's tests: `python3 learner/golden/golden.py` (numpy; torch for `loss` and `adam`).
+"""Golden numbers of this crate's tests: `python3 crates/ppo/golden/golden.py` (numpy; torch for `loss` and `adam`).
 
 Writes gae.rs, vtrace.rs, loss.rs and adam.rs beside itself. `gae` is CleanRL's loop (ppo.py), `vtrace` the sum of Espeholt et al. 2018, eq. 1,
 written out, `loss` and `adam` are CleanRL's lines run by PyTorch's autograd and optimiser.

@@ -1,5 +1,4 @@
-//! Ego attention for acting: a history of observations of entities becomes features, without a graph and without
-//! allocation.
+//! Ego attention for acting, without a graph and without allocation.
 //!
 //! ```text
 //! frame ─┬─ ego ──────► embedding ─┬─► query ─┐
@@ -15,10 +14,9 @@ use leadtime_numerics::{Activation, Dense};
 use leadtime_proto::EgoAttention;
 
 use super::folded::FoldedAttention;
+use super::presence::{FrameShape, PresentEntities};
+use super::shares::Attention;
 use crate::architecture::AttentionLayers;
-use crate::attention::Attention;
-use crate::inference::dense;
-use crate::sight::{FrameShape, Sight};
 use crate::{Error, Parameters};
 
 /// Frames per pass: with ten entities, two 64-wide activations of them take 40 KiB.
@@ -40,7 +38,7 @@ pub struct AttentionEncoder {
 /// Room for one pass; N entities of F numbers, width W, H heads.
 #[derive(Clone, Debug)]
 struct Scratch {
-    sight: Sight,
+    present: PresentEntities,
     /// `[FRAMES * N, W]` each: a layer of embeddings.
     first: Vec<f32>,
     egos: Vec<f32>,
@@ -71,7 +69,7 @@ impl AttentionEncoder {
         let attention = Attention { width, n_heads };
         let shape = FrameShape { n_entities, n_features, frame_dim: spec.frame_dim() };
         let pair = |[first, second]: &[_; 2]| -> Result<_, Error> {
-            Ok([dense(first, parameters)?, dense(second, parameters)?])
+            Ok([parameters.dense(first)?, parameters.dense(second)?])
         };
         let zeros = |n: usize| vec![0.0; FRAMES * n];
         Ok(Self {
@@ -83,7 +81,7 @@ impl AttentionEncoder {
             others: pair(&layers.others)?,
             folded: FoldedAttention::new(attention, &layers, parameters)?,
             scratch: Scratch {
-                sight: Sight::with_capacity(FRAMES, &shape),
+                present: PresentEntities::with_capacity(FRAMES, &shape),
                 first: zeros(n_entities * width),
                 egos: zeros(width),
                 others: zeros((n_entities - 1) * width),
@@ -133,21 +131,21 @@ impl AttentionEncoder {
     /// Encodes up to [`FRAMES`] frames.
     fn encode_frames(&mut self, frames: &[f32], out: &mut [f32]) {
         let &EgoAttention { action_dim, width, .. } = &self.spec;
-        self.scratch.sight.list(frames, &self.shape);
+        self.scratch.present.list(frames, &self.shape);
         self.embed();
-        let n = self.scratch.sight.seen.len();
+        let n = self.scratch.present.frames.len();
         let wide = self.spec.n_heads * width;
-        let Scratch { sight, egos, others, queries, taken, combined, shares, .. } =
+        let Scratch { present, egos, others, queries, taken, combined, shares, .. } =
             &mut self.scratch;
         let egos = &egos[..n * width];
         self.folded.query.forward(egos, &mut queries[..n * wide], Activation::Linear);
         let mut others = others.as_slice();
-        for (m, &seen) in sight.seen.iter().enumerate() {
-            let (now, later) = others.split_at(seen.n_others * width);
+        for (m, &frame) in present.frames.iter().enumerate() {
+            let (now, later) = others.split_at(frame.n_others * width);
             others = later;
             let (ego, heads) = (&egos[m * width..][..width], m * wide..(m + 1) * wide);
-            let shares = &mut shares[..self.spec.n_heads * seen.n_entities()];
-            self.attention.shares(&queries[heads.clone()], ego, now, seen, shares);
+            let shares = &mut shares[..self.spec.n_heads * frame.n_entities()];
+            self.attention.shares(&queries[heads.clone()], ego, now, frame, shares);
             self.attention.gather(shares, ego, now, &mut taken[heads]);
         }
         let combined = &mut combined[..n * width];
@@ -163,17 +161,17 @@ impl AttentionEncoder {
         }
     }
 
-    /// Embeds the egos and the others in sight.
+    /// Embeds the egos and the present others.
     fn embed(&mut self) {
         let width = self.spec.width;
-        let Scratch { sight, first, egos, others, .. } = &mut self.scratch;
-        let (n, n_others) = (sight.seen.len(), sight.n_others());
-        let ego = (&self.ego, &sight.egos, egos, n);
-        let other = (&self.others, &sight.others, others, n_others);
-        for (layers, x, out, n) in [ego, other] {
+        let Scratch { present, first, egos, others, .. } = &mut self.scratch;
+        let (n, n_others) = (present.frames.len(), present.n_others());
+        let mut embed = |layers: &[Dense; 2], x: &[f32], n: usize, out: &mut [f32]| {
             let first = &mut first[..n * width];
             layers[0].forward(x, first, Activation::Relu);
             layers[1].forward(first, &mut out[..n * width], Activation::Relu);
-        }
+        };
+        embed(&self.ego, &present.egos, n, egos);
+        embed(&self.others, &present.others, n_others, others);
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use candle_core::{Tensor, Var};
-use leadtime_policy::architecture::{Layer, Network, layers};
+use leadtime_policy::architecture::{Branch, Layer, layers};
 use leadtime_policy::{ObservationNormalizer, Parameters};
 use leadtime_proto::PolicySpec;
 
@@ -25,12 +25,17 @@ pub(crate) struct ActorCritic {
 
 impl ActorCritic {
     /// Copies parameters into variables.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError::Policy`] if the specification is impossible, or the parameters are those of another one.
     pub(crate) fn new(spec: &PolicySpec, parameters: &Parameters) -> Result<Self, TrainError> {
+        parameters.check(spec)?;
         let mut vars = BTreeMap::new();
         for (name, tensor) in parameters.tensors() {
             vars.insert(name.clone(), Var::from_tensor(&tensor.copy()?)?);
         }
-        let (actor, critic) = (layers(spec, Network::Actor), layers(spec, Network::Critic));
+        let (actor, critic) = (layers(spec, Branch::Actor), layers(spec, Branch::Critic));
         let encoder = EncoderGraph::new(spec)?;
         Ok(Self { spec: spec.clone(), encoder, actor, critic, vars })
     }

@@ -1,10 +1,10 @@
-//! V-trace: returns of a policy from steps that a slightly older policy acted.
+//! V-trace: value targets and advantages of a policy from steps that a slightly older policy acted.
 
-use leadtime_numerics::tanh::exp;
+use leadtime_numerics::elementary::exp;
 
-use crate::gae::Segment;
+use crate::gae::TrajectorySegment;
 
-/// What [`vtrace`] computes. Both `[T]`.
+/// Value targets and advantages of one segment. Both `[T]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VTrace {
     /// Targets of the critic.
@@ -24,14 +24,31 @@ pub struct VTrace {
 ///
 /// `log_rhos`: `[T]`, `log π(a_t|s_t) - log μ(a_t|s_t)`.
 ///
+/// # Units
+///
+/// `log_rhos` in nats; `gamma` is a factor per step, 0 to 1.
+///
 /// # Panics
 ///
 /// If the lengths differ.
 ///
+/// # Example
+///
+/// ```
+/// use leadtime_ppo::gae::TrajectorySegment;
+/// use leadtime_ppo::vtrace::vtrace;
+///
+/// // The policy would act half as often as the one that acted: half of the error counts.
+/// let segment = TrajectorySegment { rewards: &[1.0], values: &[0.0], next_value: 2.0, cuts: &[] };
+/// let found = vtrace(&segment, &[0.5_f32.ln()], 0.5);
+/// assert_eq!(found.advantages, [2.0]);
+/// assert!((found.value_targets[0] - 1.0).abs() < 1e-6);
+/// ```
+///
 /// # Source
 ///
 /// Espeholt et al., *IMPALA*, ICML 2018 (arXiv:1802.01561), equation 1 and section 4.2.
-pub fn vtrace(segment: &Segment<'_>, log_rhos: &[f32], gamma: f32) -> VTrace {
+pub fn vtrace(segment: &TrajectorySegment<'_>, log_rhos: &[f32], gamma: f32) -> VTrace {
     let n = segment.rewards.len();
     assert_eq!(segment.values.len(), n, "`values` must be [T]");
     assert_eq!(log_rhos.len(), n, "`log_rhos` must be [T]");
@@ -61,10 +78,14 @@ mod tests {
 
     #[test]
     fn targets_equal_the_defining_sum() {
-        // learner/golden/golden.py, `vtrace`: the sum of Espeholt et al., equation 1, written out in numpy, float64.
+        // crates/ppo/golden/golden.py, `vtrace`: the sum of Espeholt et al., equation 1, written out in numpy, float64.
         let cuts = [Cut { step: 2, bootstrap: 0.0 }, Cut { step: 4, bootstrap: 1.5 }];
-        let segment =
-            Segment { rewards: &REWARDS, values: &VALUES, next_value: NEXT_VALUE, cuts: &cuts };
+        let segment = TrajectorySegment {
+            rewards: &REWARDS,
+            values: &VALUES,
+            next_value: NEXT_VALUE,
+            cuts: &cuts,
+        };
         let out = vtrace(&segment, &LOG_RHOS, 0.97);
         for i in 0..7 {
             let (target, advantage) = (out.value_targets[i], out.advantages[i]);
@@ -78,7 +99,8 @@ mod tests {
     fn on_policy_the_targets_are_n_step_returns() {
         let cuts = [Cut { step: 1, bootstrap: 3.0 }];
         let (rewards, values) = ([1.0, -2.0, 0.5, 4.0], [0.3, 0.1, -0.7, 2.0]);
-        let segment = Segment { rewards: &rewards, values: &values, next_value: 5.0, cuts: &cuts };
+        let segment =
+            TrajectorySegment { rewards: &rewards, values: &values, next_value: 5.0, cuts: &cuts };
         let out = vtrace(&segment, &[0.0; 4], 0.9);
         let mut advantages = [0.0; 4];
         gae(&segment, 0.9, 1.0, &mut advantages);

@@ -1,9 +1,10 @@
-//! The heart of ego attention: how much the ego heeds each entity, and what it takes from it.
+//! How much attention the ego pays to each entity, and what it takes from it.
 //!
-//! One code for acting and learning, with sums in a fixed order: the same bits in both, whatever else is in a batch.
+//! Acting and learning share this code. Its sums have a fixed order, so both get the same bits, whatever else is in a
+//! batch.
 //!
 //! ```text
-//! score_i = q · k_i / √d   (-1e9 where the entity is not there)      p = softmax(score)      out = Σ p_i v_i
+//! score_i = q · k_i / √d   (-1e9 where the entity is absent)      p = softmax(score)      out = Σ p_i v_i
 //! ```
 //!
 //! per head, on its share of d numbers of query, keys, values and output. There is one query per frame, so keys and
@@ -13,19 +14,19 @@
 //! q = Q e    k_i = K e_i    v_i = V e_i       q · k_i = (Kᵀ Q e) · e_i       C Σ p_i v_i = (C V) Σ p_i e_i
 //! ```
 //!
-//! with C the output's map; what is in brackets is one vector per head and frame. Entities that are not there are not
-//! even embedded ([`crate::sight`]): their share is 0.
+//! with C the output's map; what is in brackets is one vector per head and frame. Absent entities are not even
+//! embedded ([`super::presence`]): their share is 0.
 //!
 //! # Source
 //!
 //! Leurent and Mercat, *Social Attention for Autonomous Decision-Making in Dense Traffic* (arXiv:1911.12250);
 //! rl-agents (84df15ea), `EgoAttention`.
 
-use leadtime_numerics::tanh::exp;
+use leadtime_numerics::elementary::exp;
 
-use crate::sight::Seen;
+use super::presence::FramePresence;
 
-/// The score of an entity that is not there.
+/// The score of an absent entity.
 const ABSENT: f32 = -1e9;
 /// Terms of a sum that are added side by side.
 const LANES: usize = 8;
@@ -50,7 +51,7 @@ impl Attention {
         self.width / self.n_heads
     }
 
-    /// Computes how much each head of one ego heeds each of the n + 1 entities in sight.
+    /// Computes the share of attention that each head of one ego pays to each of the n + 1 present entities.
     ///
     /// # Shapes
     ///
@@ -65,27 +66,32 @@ impl Attention {
         queries: &[f32],
         ego: &[f32],
         others: &[f32],
-        seen: Seen,
+        presence: FramePresence,
         shares: &mut [f32],
     ) {
         assert_eq!(queries.len(), self.n_heads * self.width, "`queries` must be [H, W]");
         assert_eq!(ego.len(), self.width, "`ego` must be [W]");
-        assert_eq!(others.len(), seen.n_others * self.width, "`others` must be [n, W]");
-        assert_eq!(shares.len(), self.n_heads * seen.n_entities(), "`shares` must be [H, 1 + n]");
+        assert_eq!(others.len(), presence.n_others * self.width, "`others` must be [n, W]");
+        assert_eq!(
+            shares.len(),
+            self.n_heads * presence.n_entities(),
+            "`shares` must be [H, 1 + n]"
+        );
         let scale = self.scale();
         let heads = queries.chunks_exact(self.width);
-        for (query, shares) in heads.zip(shares.chunks_exact_mut(seen.n_entities())) {
-            let score =
-                |there, embedding| if there { dot(query, embedding) * scale } else { ABSENT };
-            shares[0] = score(seen.ego, ego);
+        for (query, shares) in heads.zip(shares.chunks_exact_mut(presence.n_entities())) {
+            let score = |is_present, embedding| {
+                if is_present { dot(query, embedding) * scale } else { ABSENT }
+            };
+            shares[0] = score(presence.ego, ego);
             for (share, other) in shares[1..].iter_mut().zip(others.chunks_exact(self.width)) {
-                *share = score(seen.others, other);
+                *share = score(presence.others, other);
             }
             softmax(shares);
         }
     }
 
-    /// Adds up the embeddings of which one ego takes its shares.
+    /// Adds up embeddings, weighted by the shares of one ego.
     ///
     /// # Shapes
     ///
@@ -143,8 +149,8 @@ mod tests {
         let attention = Attention { width: 2, n_heads: 2 };
         let (queries, ego, others) = ([1.0, 0.0, 0.0, 1.0], [1.0, 0.0], [0.0, 2.0]);
         let mut shares = [f32::NAN; 4];
-        let seen = Seen { n_others: 1, ego: true, others: true };
-        attention.shares(&queries, &ego, &others, seen, &mut shares);
+        let presence = FramePresence { n_others: 1, ego: true, others: true };
+        attention.shares(&queries, &ego, &others, presence, &mut shares);
         let e = 1.0_f32.exp();
         let expected = [e / (e + 1.0), 1.0 / (e + 1.0), 1.0 / (1.0 + e * e), e * e / (1.0 + e * e)];
         for (share, expected) in shares.iter().zip(expected) {
@@ -153,13 +159,13 @@ mod tests {
         let mut out = [f32::NAN; 4];
         attention.gather(&shares, &ego, &others, &mut out);
         assert_eq!(out, [shares[0], 2.0 * shares[1], shares[2], 2.0 * shares[3]]);
-        // The ego is not there: all is the other's.
-        let seen = Seen { n_others: 1, ego: false, others: true };
-        attention.shares(&queries, &ego, &others, seen, &mut shares);
+        // The ego is absent: all attention goes to the other.
+        let presence = FramePresence { n_others: 1, ego: false, others: true };
+        attention.shares(&queries, &ego, &others, presence, &mut shares);
         assert_eq!(shares, [0.0, 1.0, 0.0, 1.0]);
-        // Nobody is: all are alike.
-        let seen = Seen { n_others: 1, ego: false, others: false };
-        attention.shares(&queries, &ego, &others, seen, &mut shares);
+        // Everyone is absent: all count alike.
+        let presence = FramePresence { n_others: 1, ego: false, others: false };
+        attention.shares(&queries, &ego, &others, presence, &mut shares);
         assert_eq!(shares, [0.5; 4]);
     }
 

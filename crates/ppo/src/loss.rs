@@ -17,8 +17,8 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
-use leadtime_numerics::tanh::exp;
-use leadtime_policy::{ActionDistribution, Terms};
+use leadtime_numerics::elementary::exp;
+use leadtime_policy::{ActionDistribution, ActionTerms};
 use leadtime_proto::Mask;
 
 use crate::settings::LearnerSettings;
@@ -122,7 +122,7 @@ impl LossReport {
 
 /// What the forward pass leaves for the backward pass and for the report.
 #[derive(Debug, Default)]
-struct Outcome {
+struct LossPass {
     report: LossReport,
     d_logits: Vec<f32>,
     d_values: Vec<f32>,
@@ -136,7 +136,7 @@ pub(crate) struct PpoLoss {
     samples: Samples,
     /// Samples of the whole minibatch, of which these may be a part.
     n_samples: usize,
-    outcome: Mutex<Outcome>,
+    pass: Mutex<LossPass>,
 }
 
 impl PpoLoss {
@@ -146,22 +146,22 @@ impl PpoLoss {
         samples: Samples,
         n_samples: usize,
     ) -> Arc<Self> {
-        Arc::new(Self { distribution, settings, samples, n_samples, outcome: Mutex::default() })
+        Arc::new(Self { distribution, settings, samples, n_samples, pass: Mutex::default() })
     }
 
     /// Returns the means of the last forward pass.
     pub(crate) fn report(&self) -> LossReport {
-        self.outcome.lock().unwrap_or_else(PoisonError::into_inner).report
+        self.pass.lock().unwrap_or_else(PoisonError::into_inner).report
     }
 
-    fn compute(&self, logits: &[f32], values: &[f32]) -> Outcome {
+    fn compute(&self, logits: &[f32], values: &[f32]) -> LossPass {
         let n_choices = self.distribution.n_choices();
         let n_heads = self.distribution.n_heads();
         let mut sums = LossReport::default();
         let mut d_logits = vec![0.0; logits.len()];
         let mut d_values = vec![0.0; values.len()];
         let share = 1.0 / self.n_samples as f32;
-        let mut terms = Terms::default();
+        let mut terms = ActionTerms::default();
         let rows = logits.chunks_exact(n_choices).zip(d_logits.chunks_exact_mut(n_choices));
         for (i, (logits, d_logits)) in rows.enumerate() {
             let action = &self.samples.actions[i * n_heads..(i + 1) * n_heads];
@@ -171,12 +171,12 @@ impl PpoLoss {
             let d_log_prob = self.settings.policy_term(log_ratio, advantage, &mut sums);
             sums.entropy += f64::from(terms.entropy);
             let d_entropy = -self.settings.entropy_coef * share;
-            terms.gradient(&self.distribution, action, (d_log_prob * share, d_entropy), d_logits);
+            terms.gradient(&self.distribution, action, d_log_prob * share, d_entropy, d_logits);
             let (old, target) = (self.samples.values[i], self.samples.returns[i]);
             let slope = self.settings.value_term(values[i], old, target, &mut sums);
             d_values[i] = slope * self.settings.value_coef * share;
         }
-        Outcome { report: self.settings.means(sums, self.n_samples as f64), d_logits, d_values }
+        LossPass { report: self.settings.means(sums, self.n_samples as f64), d_logits, d_values }
     }
 }
 
@@ -249,9 +249,9 @@ impl CustomOp2 for LossOp {
             candle_core::bail!("ppo-loss: logits, values and samples differ in shape")
         }
         let logits = floats(logits, logits_layout)?;
-        let outcome = self.0.compute(logits, floats(values, values_layout)?);
-        let total = outcome.report.total as f32;
-        *self.0.outcome.lock().unwrap_or_else(PoisonError::into_inner) = outcome;
+        let pass = self.0.compute(logits, floats(values, values_layout)?);
+        let total = pass.report.total as f32;
+        *self.0.pass.lock().unwrap_or_else(PoisonError::into_inner) = pass;
         Ok((CpuStorage::F32(vec![total]), Shape::from(())))
     }
 
@@ -263,7 +263,7 @@ impl CustomOp2 for LossOp {
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let factor = with_floats(gradient, |gradient| gradient[0])?;
-        let mut outcome = self.0.outcome.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut pass = self.0.pass.lock().unwrap_or_else(PoisonError::into_inner);
         let scaled = |mut gradient: Vec<f32>| {
             // The loss is the root of the graph, so the factor is 1 but for tests.
             if factor != 1.0 {
@@ -273,8 +273,8 @@ impl CustomOp2 for LossOp {
             }
             gradient
         };
-        let d_logits = scaled(std::mem::take(&mut outcome.d_logits));
-        let d_values = scaled(std::mem::take(&mut outcome.d_values));
+        let d_logits = scaled(std::mem::take(&mut pass.d_logits));
+        let d_values = scaled(std::mem::take(&mut pass.d_values));
         let d_logits = Tensor::from_vec(d_logits, logits.shape(), logits.device())?;
         Ok((Some(d_logits), Some(Tensor::from_vec(d_values, values.shape(), values.device())?)))
     }

@@ -1,4 +1,4 @@
-//! Ego attention as a graph of fused layers: what [`leadtime_policy::encoder`] computes, with gradients, and with the
+//! Ego attention as a graph of fused layers: what [`leadtime_policy::attention::AttentionEncoder`] computes, with gradients, and with the
 //! maps of queries, keys, values and output multiplied out in the graph as [`leadtime_policy::attention`] says.
 
 use std::collections::BTreeMap;
@@ -7,8 +7,7 @@ use std::sync::Arc;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use leadtime_numerics::kernel::Activation;
 use leadtime_policy::architecture::{AttentionLayers, Layer};
-use leadtime_policy::attention::Attention;
-use leadtime_policy::sight::{FrameShape, Sight};
+use leadtime_policy::attention::{Attention, FrameShape, PresentEntities};
 use leadtime_proto::EgoAttention;
 
 use crate::attention_op::AttentionOp;
@@ -42,16 +41,16 @@ impl AttentionGraph {
         let (n, frame_dim) = (m * n_frames, self.spec.frame_dim());
         let frames = observations.narrow(1, 0, n_frames * frame_dim)?.reshape((n, frame_dim))?;
         let shape = FrameShape { n_entities, n_features, frame_dim };
-        let mut sight = Sight::default();
-        with_floats(&frames, |frames| sight.list(frames, &shape))?;
-        let n_others = sight.n_others();
-        let Sight { egos, others, seen } = sight;
+        let mut present = PresentEntities::default();
+        with_floats(&frames, |frames| present.list(frames, &shape))?;
+        let n_others = present.n_others();
+        let PresentEntities { egos, others, frames: presence } = present;
         let rows = |rows, n| Tensor::from_vec(rows, (n, n_features), &Device::Cpu);
         let egos = Self::embed(vars, &rows(egos, n)?, &self.layers.ego)?;
         let others = Self::embed(vars, &rows(others, n_others)?, &self.layers.others)?;
         let attention = Attention { width, n_heads };
         let queries = self.map(&egos, &self.query_map(vars, attention)?)?;
-        let op = AttentionOp { attention, seen: Arc::new(seen) };
+        let op = AttentionOp { attention, presence: Arc::new(presence) };
         let taken = queries.apply_op3(&egos, &others, op)?;
         let combined = self.map(&taken, &self.output_map(vars, attention)?)?;
         let encoded = ((combined + egos)? * 0.5)?;

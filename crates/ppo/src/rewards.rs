@@ -30,7 +30,11 @@ impl Default for ReturnNormalizer {
 }
 
 impl ReturnNormalizer {
-    /// Takes in the (scaled) rewards of one rollout; returns restart where episodes end.
+    /// Updates the statistics with the rewards of one rollout; returns restart where episodes end.
+    ///
+    /// # Shapes
+    ///
+    /// `rewards`: `[T]`, the rollout's, scaled.
     pub fn update(&mut self, rollout: &Rollout, rewards: &[f32], gamma: f64) {
         let so_far = self.returns.entry(rollout.env_id).or_default();
         let mut ends = rollout.ends.iter().map(|end| end.step as usize).peekable();
@@ -59,7 +63,11 @@ impl ReturnNormalizer {
         self.count = total;
     }
 
-    /// Divides rewards by the deviation of the return and clips them.
+    /// Divides rewards by the standard deviation of the return and clips them to ±10.
+    ///
+    /// # Shapes
+    ///
+    /// `rewards`: `[T]`.
     pub fn apply(&self, rewards: &mut [f32]) {
         let scale = (1.0 / (self.variance + EPSILON).sqrt()) as f32;
         for reward in rewards {

@@ -35,7 +35,7 @@ fn whole(
 
 #[test]
 fn loss_gradients_and_diagnostics_equal_cleanrls() {
-    // learner/golden/golden.py, `loss`: the lines of CleanRL's ppo.py under PyTorch's autograd.
+    // crates/ppo/golden/golden.py, `loss`: the lines of CleanRL's ppo.py under PyTorch's autograd.
     let distribution = ActionDistribution::new(&ActionSpec::discrete("a", 5), HeadCredit::All);
     let samples = Samples {
         masks: vec![u64::MAX; 9],

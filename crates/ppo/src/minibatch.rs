@@ -25,7 +25,8 @@ impl Minibatches {
         n_samples: usize,
         unit_len: usize,
         n_parts: usize,
-        (run_seed, iteration): (u64, u64),
+        run_seed: u64,
+        iteration: u64,
     ) -> Self {
         assert!(n_samples.is_multiple_of(unit_len), "{n_samples} samples in units of {unit_len}");
         let n_units = n_samples / unit_len;
@@ -71,7 +72,7 @@ mod tests {
 
     #[test]
     fn every_sample_comes_once_per_epoch_in_a_new_order() {
-        let mut order = Minibatches::new(103, 1, 4, (1, 0));
+        let mut order = Minibatches::new(103, 1, 4, 1, 0);
         let (first, second) = (epoch(&mut order), epoch(&mut order));
         assert_ne!(first, second);
         for mut samples in [first, second] {
@@ -82,7 +83,7 @@ mod tests {
 
     #[test]
     fn sequences_stay_whole() {
-        let samples = epoch(&mut Minibatches::new(24, 6, 2, (1, 0)));
+        let samples = epoch(&mut Minibatches::new(24, 6, 2, 1, 0));
         for sequence in samples.chunks_exact(6) {
             assert!(sequence[0] % 6 == 0 && sequence.windows(2).all(|w| w[1] == w[0] + 1));
         }
@@ -90,7 +91,7 @@ mod tests {
 
     #[test]
     fn the_order_depends_on_seed_and_iteration_alone() {
-        let order = |seed, iteration| epoch(&mut Minibatches::new(50, 1, 5, (seed, iteration)));
+        let order = |seed, iteration| epoch(&mut Minibatches::new(50, 1, 5, seed, iteration));
         assert_eq!(order(1, 2), order(1, 2));
         assert_ne!(order(1, 2), order(1, 3));
         assert_ne!(order(1, 2), order(2, 2));

@@ -95,6 +95,15 @@ pub(crate) fn tanh_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 const LN_2: (f32, f32) = (0.693_359_4, -2.121_944_4e-4);
 
 /// Computes the exponential; below -87 the result is 0, above 88 it is as for 88.
+///
+/// # Example
+///
+/// ```
+/// use leadtime_numerics::elementary::{exp, ln};
+///
+/// assert!((exp(1.0) - 1.0_f32.exp()).abs() < 1e-6);
+/// assert!((ln(exp(-3.5)) + 3.5).abs() < 1e-6);
+/// ```
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
     let clamped = x.clamp(-87.0, 88.0);

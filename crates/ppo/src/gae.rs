@@ -1,4 +1,6 @@
 //! Generalised advantage estimation: how much better an action was than the critic expected.
+//!
+//! [`TrajectorySegment`] is also what [`crate::vtrace`] reads.
 
 /// Where an episode ends inside a rollout.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,13 +11,13 @@ pub struct Cut {
     pub bootstrap: f32,
 }
 
-/// One environment's consecutive steps, ready for returns.
+/// Consecutive steps of one environment, over which advantages are computed.
 ///
 /// # Shapes
 ///
 /// T steps; `rewards` and `values`: `[T]`.
 #[derive(Clone, Copy, Debug)]
-pub struct Segment<'a> {
+pub struct TrajectorySegment<'a> {
     /// Rewards as the critic sees them (scaled, normalised).
     pub rewards: &'a [f32],
     /// Values of the observations acted on.
@@ -26,7 +28,7 @@ pub struct Segment<'a> {
     pub cuts: &'a [Cut],
 }
 
-impl Segment<'_> {
+impl TrajectorySegment<'_> {
     /// Visits the steps from the last to the first with the value of what follows and whether the episode goes on.
     pub(crate) fn backwards(&self, mut visit: impl FnMut(usize, f32, bool)) {
         let mut cuts = self.cuts.iter().rev().peekable();
@@ -50,15 +52,33 @@ impl Segment<'_> {
 ///
 /// `advantages`: `[T]`.
 ///
+/// # Units
+///
+/// `gamma` and `lambda` are factors per step, 0 to 1; rewards, values and advantages share one unit.
+///
 /// # Panics
 ///
 /// If the lengths differ.
+///
+/// # Example
+///
+/// ```
+/// use leadtime_ppo::gae::{Cut, TrajectorySegment, gae};
+///
+/// // The episode ends for good at the first step; the second step starts another one, which goes on.
+/// let cuts = [Cut { step: 0, bootstrap: 0.0 }];
+/// let (rewards, values) = ([1.0, 1.0], [0.5, 0.0]);
+/// let segment = TrajectorySegment { rewards: &rewards, values: &values, next_value: 4.0, cuts: &cuts };
+/// let mut advantages = [0.0; 2];
+/// gae(&segment, 0.5, 0.95, &mut advantages);
+/// assert_eq!(advantages, [0.5, 3.0]);
+/// ```
 ///
 /// # Source
 ///
 /// Schulman et al., *High-dimensional continuous control using generalized advantage estimation*, ICLR 2016,
 /// equation 16.
-pub fn gae(segment: &Segment<'_>, gamma: f32, lambda: f32, advantages: &mut [f32]) {
+pub fn gae(segment: &TrajectorySegment<'_>, gamma: f32, lambda: f32, advantages: &mut [f32]) {
     assert_eq!(segment.rewards.len(), segment.values.len(), "`values` must be [T]");
     assert_eq!(segment.rewards.len(), advantages.len(), "`advantages` must be [T]");
     let mut later = 0.0;
@@ -79,10 +99,14 @@ mod tests {
 
     #[test]
     fn advantages_equal_cleanrls() {
-        // learner/golden/golden.py, `gae`: CleanRL's loop (ppo.py) in numpy, float32. Dones after steps 2 and 5.
+        // crates/ppo/golden/golden.py, `gae`: CleanRL's loop (ppo.py) in numpy, float32. Dones after steps 2 and 5.
         let cuts = [Cut { step: 2, bootstrap: 0.0 }, Cut { step: 5, bootstrap: 0.0 }];
-        let segment =
-            Segment { rewards: &REWARDS, values: &VALUES, next_value: NEXT_VALUE, cuts: &cuts };
+        let segment = TrajectorySegment {
+            rewards: &REWARDS,
+            values: &VALUES,
+            next_value: NEXT_VALUE,
+            cuts: &cuts,
+        };
         let mut advantages = [f32::NAN; 8];
         gae(&segment, 0.99, 0.95, &mut advantages);
         for (i, (a, b)) in advantages.iter().zip(&ADVANTAGES).enumerate() {
@@ -94,8 +118,12 @@ mod tests {
     fn a_time_limit_bootstraps_and_a_true_end_does_not() {
         let run = |bootstrap| {
             let cuts = [Cut { step: 0, bootstrap }];
-            let segment =
-                Segment { rewards: &[1.0, 1.0], values: &[0.0, 0.0], next_value: 8.0, cuts: &cuts };
+            let segment = TrajectorySegment {
+                rewards: &[1.0, 1.0],
+                values: &[0.0, 0.0],
+                next_value: 8.0,
+                cuts: &cuts,
+            };
             let mut advantages = [0.0; 2];
             gae(&segment, 0.5, 1.0, &mut advantages);
             advantages

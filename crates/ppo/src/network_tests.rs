@@ -6,7 +6,7 @@ use candle_core::{DType, Device};
 use flate2::read::GzDecoder;
 use leadtime_numerics::Pcg64;
 use leadtime_policy::Policy;
-use leadtime_policy::encoder::AttentionEncoder;
+use leadtime_policy::attention::AttentionEncoder;
 use leadtime_policy::parameters::shapes;
 use leadtime_proto::{ActionSpec, EgoAttention, Encoder, HeadCredit};
 use serde_json::Value;
@@ -65,7 +65,7 @@ fn reference_weights(spec: &PolicySpec) -> Parameters {
 }
 
 fn vector() -> Value {
-    let packed = include_bytes!("../../tests/data/highway_traces.json.gz");
+    let packed = include_bytes!("../../../tests/data/highway_traces.json.gz");
     let mut text = String::new();
     GzDecoder::new(packed.as_slice()).read_to_string(&mut text).unwrap();
     serde_json::from_str::<Value>(&text).unwrap()["unit_attention"].clone()

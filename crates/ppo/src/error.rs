@@ -1,7 +1,5 @@
 //! What can go wrong in an update.
 
-use leadtime_proto::EnvId;
-use leadtime_proto::rollout::InvalidRollout;
 use thiserror::Error;
 
 use crate::settings::SettingsError;
@@ -21,28 +19,33 @@ pub enum TrainError {
     /// An update without a rollout.
     #[error("an update needs at least one rollout")]
     NoRollouts,
-    /// A rollout that cannot be trained on.
-    #[error("rollout of environment {env_id} cannot be trained on")]
-    Rollout {
-        /// Its environment.
-        env_id: EnvId,
-        /// What is wrong with it.
-        #[source]
-        source: InvalidRollout,
-    },
     /// Rollouts out of order: results would depend on who arrived first.
     #[error("rollouts are not sorted by environment id and iteration at index {index}")]
     Unsorted {
         /// The first one that is out of order.
         index: usize,
     },
-    /// Training has diverged.
+    /// A gradient is no number any more.
     #[error("gradient norm of minibatch {minibatch} is {norm}: training has diverged")]
-    Diverged {
+    DivergedGradient {
         /// Index within the update, over all epochs.
         minibatch: usize,
-        /// NaN or infinite.
+        /// The norm over all gradients: NaN or infinite.
         norm: f64,
+    },
+    /// Weights are so large that actors would send numbers which every learner refuses.
+    #[error("magnitudes of tensor `{name}` sum up to {sum:e}: training has diverged")]
+    DivergedWeights {
+        /// The first such tensor.
+        name: String,
+        /// NaN, infinite, or far beyond any weights that learn.
+        sum: f64,
+    },
+    /// The policy computes numbers that no rollout may hold.
+    #[error("the policy's outputs reach {largest:e}: training has diverged")]
+    DivergedOutputs {
+        /// The largest magnitude of a logit or value; infinite where one is no number.
+        largest: f64,
     },
     /// A state that belongs to another architecture.
     #[error("state does not fit this trainer: `{what}`")]

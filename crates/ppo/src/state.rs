@@ -17,9 +17,9 @@ use crate::trainer::Trainer;
 #[serde(transparent)]
 struct Numbers(#[serde(with = "packed")] Vec<f32>);
 
-/// A parameter and what the optimiser knows about it.
+/// A parameter tensor and the optimiser's moments of it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Entry {
+struct SavedTensor {
     values: Numbers,
     first_moment: Numbers,
     second_moment: Numbers,
@@ -29,7 +29,7 @@ struct Entry {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainerState {
     version: PolicyVersion,
-    parameters: BTreeMap<String, Entry>,
+    parameters: BTreeMap<String, SavedTensor>,
     powers: [f64; 2],
     observations: Option<ObservationNormalizer>,
     rewards: ReturnNormalizer,
@@ -51,7 +51,7 @@ impl Trainer {
     pub fn state(&self) -> Result<TrainerState, TrainError> {
         let mut parameters = BTreeMap::new();
         for (name, moments) in &self.adam.moments {
-            let entry = Entry {
+            let entry = SavedTensor {
                 values: Numbers(self.parameters.values(name)?),
                 first_moment: Numbers(moments.first.clone()),
                 second_moment: Numbers(moments.second.clone()),

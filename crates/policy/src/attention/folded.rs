@@ -1,9 +1,9 @@
-//! The maps of an attention with one query, multiplied out: see [`crate::attention`].
+//! The maps of an attention with one query, multiplied out: see [`super::shares`].
 
 use leadtime_numerics::{Activation, Dense};
 
+use super::shares::Attention;
 use crate::architecture::{AttentionLayers, Layer};
-use crate::attention::Attention;
 use crate::{Error, Parameters};
 
 /// What is left of queries, keys, values and their combination; W wide, H heads.

@@ -1,7 +1,7 @@
-//! The optimiser: Adam with a clipped global gradient norm, its whole state in the open.
+//! The optimiser: Adam with a clipped global gradient norm.
 //!
-//! The engine's own optimiser decays weights by default and hides its moments, so that a checkpoint could not hold
-//! them. Here the step is one fused pass per tensor, in the order of names.
+//! The engine's own optimiser decays weights by default and keeps its moments private, so a checkpoint could not hold
+//! them. Here the state is public, and a step is one fused pass per tensor, in the order of names.
 //!
 //! # Source
 //!
@@ -27,7 +27,7 @@ pub struct Moments {
     pub second: Vec<f32>,
 }
 
-/// The optimiser's state.
+/// The optimiser: its state, and the step that changes it.
 #[derive(Clone, Debug)]
 pub struct Adam {
     /// Moments by tensor name.
@@ -48,6 +48,10 @@ impl Adam {
     }
 
     /// Takes one step along gradients, each multiplied by `scale` first.
+    ///
+    /// # Shapes
+    ///
+    /// A gradient has the shape of its parameter.
     ///
     /// # Errors
     ///
@@ -72,7 +76,8 @@ impl Adam {
         };
         for (name, gradient) in gradients {
             let moments = self.moments.get_mut(name).expect("every parameter has its moments");
-            vars[name].inplace_op2(gradient, &Step { factors, moments: RefCell::new(moments) })?;
+            vars[name]
+                .inplace_op2(gradient, &AdamStep { factors, moments: RefCell::new(moments) })?;
         }
         Ok(())
     }
@@ -85,12 +90,12 @@ struct Factors {
     root: f32,
 }
 
-struct Step<'a> {
+struct AdamStep<'a> {
     factors: Factors,
     moments: RefCell<&'a mut Moments>,
 }
 
-impl InplaceOp2 for Step<'_> {
+impl InplaceOp2 for AdamStep<'_> {
     fn name(&self) -> &'static str {
         "adam-step"
     }
@@ -109,22 +114,16 @@ impl InplaceOp2 for Step<'_> {
             candle_core::bail!("{}: parameters must be contiguous 32-bit numbers", self.name())
         };
         let mut moments = self.moments.borrow_mut();
-        let moments = &mut **moments;
-        let (first, second) = (&mut moments.first, &mut moments.second);
-        update(self.factors, &mut parameter[start..end], gradient, (first, second));
+        update(self.factors, &mut parameter[start..end], gradient, &mut moments);
         Ok(())
     }
 }
 
-fn update(
-    factors: Factors,
-    parameter: &mut [f32],
-    gradient: &[f32],
-    (first, second): (&mut [f32], &mut [f32]),
-) {
+fn update(factors: Factors, parameter: &mut [f32], gradient: &[f32], moments: &mut Moments) {
     let (keep1, keep2) = (BETA1 as f32, BETA2 as f32);
     let (take1, take2) = ((1.0 - BETA1) as f32, (1.0 - BETA2) as f32);
     let epsilon = EPSILON as f32;
+    let Moments { first, second } = moments;
     pulp::Arch::new().dispatch(
         #[inline(always)]
         || {
@@ -166,6 +165,15 @@ pub fn global_norm(gradients: &BTreeMap<String, Tensor>) -> candle_core::Result<
 
 /// Returns the factor that shortens a gradient of this norm to at most `longest`.
 ///
+/// # Example
+///
+/// ```
+/// use leadtime_ppo::adam::clip_factor;
+///
+/// assert_eq!(clip_factor(0.25, 0.5), 1.0);
+/// assert!((clip_factor(2.0, 0.5) - 0.25).abs() < 1e-6);
+/// ```
+///
 /// # Source
 ///
 /// `torch.nn.utils.clip_grad_norm_`.
@@ -185,7 +193,7 @@ mod tests {
 
     #[test]
     fn five_clipped_steps_equal_pytorchs() {
-        // learner/golden/golden.py, `adam`: torch.optim.Adam and clip_grad_norm_, one tiny and four long gradients.
+        // crates/ppo/golden/golden.py, `adam`: torch.optim.Adam and clip_grad_norm_, one tiny and four long gradients.
         let tensor = |values: &[f32]| Tensor::new(values, &Device::Cpu).unwrap();
         let vars = BTreeMap::from([
             ("a".to_owned(), Var::from_tensor(&tensor(&WEIGHT)).unwrap()),

@@ -6,18 +6,17 @@ use std::iter::once;
 use std::sync::Arc;
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
-use leadtime_policy::attention::{Attention, dot};
-use leadtime_policy::sight::Seen;
+use leadtime_policy::attention::{Attention, FramePresence, dot};
 
 use crate::storage::{floats, with_floats};
 
-/// What each of M egos takes from the embeddings in sight: of queries `[M, H W]`, egos `[M, W]` and others `[P, W]`,
+/// What each of M egos takes from the present embeddings: of queries `[M, H W]`, egos `[M, W]` and others `[P, W]`,
 /// `[M, H W]`.
 #[derive(Clone, Debug)]
 pub(crate) struct AttentionOp {
     pub(crate) attention: Attention,
     /// `[M]`
-    pub(crate) seen: Arc<Vec<Seen>>,
+    pub(crate) presence: Arc<Vec<FramePresence>>,
 }
 
 impl CustomOp3 for AttentionOp {
@@ -36,9 +35,9 @@ impl CustomOp3 for AttentionOp {
     ) -> Result<(CpuStorage, Shape)> {
         let Attention { width, n_heads } = self.attention;
         let (m, wide) = queries_layout.shape().dims2()?;
-        let n_others: usize = self.seen.iter().map(|seen| seen.n_others).sum();
+        let n_others: usize = self.presence.iter().map(|frame| frame.n_others).sum();
         let fits = wide == n_heads * width
-            && self.seen.len() == m
+            && self.presence.len() == m
             && egos_layout.shape().dims2()? == (m, width)
             && others_layout.shape().dims2()? == (n_others, width);
         if !fits {
@@ -84,16 +83,16 @@ struct Gradients {
     others: Vec<f32>,
 }
 
-/// One ego: its queries `[H, W]`, its embedding `[W]`, those of the others in its sight `[n, W]`.
-struct Row<'a> {
+/// One ego: its queries `[H, W]`, its embedding `[W]`, those of the present others `[n, W]`.
+struct EgoRow<'a> {
     queries: &'a [f32],
     ego: &'a [f32],
     others: &'a [f32],
-    seen: Seen,
+    presence: FramePresence,
 }
 
 /// One head of one ego: its query `[W]`, its shares `[1 + n]`, the gradient of what it takes `[W]`.
-struct Head<'a> {
+struct HeadRow<'a> {
     query: &'a [f32],
     shares: &'a [f32],
     gradient: &'a [f32],
@@ -113,20 +112,20 @@ impl AttentionOp {
         queries: &'a [f32],
         egos: &'a [f32],
         mut others: &'a [f32],
-    ) -> impl Iterator<Item = Row<'a>> {
+    ) -> impl Iterator<Item = EgoRow<'a>> {
         let Attention { width, n_heads } = self.attention;
         let rows = queries.chunks_exact(n_heads * width).zip(egos.chunks_exact(width));
-        rows.zip(self.seen.iter()).map(move |((queries, ego), &seen)| {
-            let (own, later) = others.split_at(seen.n_others * width);
+        rows.zip(self.presence.iter()).map(move |((queries, ego), &presence)| {
+            let (own, later) = others.split_at(presence.n_others * width);
             others = later;
-            Row { queries, ego, others: own, seen }
+            EgoRow { queries, ego, others: own, presence }
         })
     }
 
     /// Computes the shares `[H, 1 + n]` of one ego's attention.
-    fn share(&self, row: &Row<'_>, shares: &mut Vec<f32>) {
-        shares.resize(self.attention.n_heads * row.seen.n_entities(), 0.0);
-        self.attention.shares(row.queries, row.ego, row.others, row.seen, shares);
+    fn share(&self, row: &EgoRow<'_>, shares: &mut Vec<f32>) {
+        shares.resize(self.attention.n_heads * row.presence.n_entities(), 0.0);
+        self.attention.shares(row.queries, row.ego, row.others, row.presence, shares);
     }
 
     /// Computes all gradients.
@@ -144,10 +143,10 @@ impl AttentionOp {
             let (d_own, d_later) = d_others.split_at_mut(row.others.len());
             d_others = d_later;
             let d_ego = &mut found.egos[m * width..][..width];
-            for (head, shares) in shares.chunks_exact(row.seen.n_entities()).enumerate() {
+            for (head, shares) in shares.chunks_exact(row.presence.n_entities()).enumerate() {
                 let at = (m * n_heads + head) * width;
                 let query = &row.queries[head * width..][..width];
-                let head = Head { query, shares, gradient: &g[at..][..width] };
+                let head = HeadRow { query, shares, gradient: &g[at..][..width] };
                 let d_query = &mut found.queries[at..][..width];
                 let sums = Sums { query: d_query, ego: d_ego, others: d_own };
                 self.backward_head(&row, &head, sums, &mut d_scores);
@@ -157,15 +156,15 @@ impl AttentionOp {
     }
 
     /// Adds one head's gradients to the sums: with g that of the output, `ds_i = p_i (g·e_i - Σ_j p_j g·e_j)`, and
-    /// nothing through the score of an entity that is not there.
+    /// nothing through the score of an absent entity.
     fn backward_head(
         &self,
-        row: &Row<'_>,
-        head: &Head<'_>,
+        row: &EgoRow<'_>,
+        head: &HeadRow<'_>,
         sums: Sums<'_>,
         d_scores: &mut Vec<f32>,
     ) {
-        let &Head { query, shares, gradient: g } = head;
+        let &HeadRow { query, shares, gradient: g } = head;
         let width = self.attention.width;
         let entities = || once(row.ego).chain(row.others.chunks_exact(width));
         d_scores.clear();
@@ -174,7 +173,7 @@ impl AttentionOp {
         let d_entities = once(sums.ego).chain(sums.others.chunks_exact_mut(width));
         for (i, (entity, d_entity)) in entities().zip(d_entities).enumerate() {
             add_scaled(d_entity, g, shares[i]);
-            if row.seen.has(i) {
+            if row.presence.has(i) {
                 let d_score = shares[i] * (d_scores[i] - mean) * self.attention.scale();
                 add_scaled(sums.query, entity, d_score);
                 add_scaled(d_entity, query, d_score);
@@ -223,21 +222,21 @@ mod tests {
     fn the_fused_attention_has_the_values_and_gradients_of_the_plain_one() {
         let (queries, egos, others) = (draw((M, 8), 1), draw((M, 4), 2), draw((M * (N - 1), 4), 3));
         let target = draw((M, 8), 4);
-        // The last frame's ego is not there, and neither are some others.
+        // The last frame's ego is absent, and so are some others.
         let presence: Vec<f32> =
             (0..M * N).map(|i| f32::from(u8::from(i % 3 != 2 && i != (M - 1) * N))).collect();
-        let there = |i: &usize| presence[i / (N - 1) * N + 1 + i % (N - 1)] > 0.5;
-        let kept: Vec<u32> = (0..M * (N - 1)).filter(there).map(|i| i as u32).collect();
+        let is_present = |i: &usize| presence[i / (N - 1) * N + 1 + i % (N - 1)] > 0.5;
+        let kept: Vec<u32> = (0..M * (N - 1)).filter(is_present).map(|i| i as u32).collect();
         let n_kept = kept.len();
         let kept = Tensor::from_vec(kept, n_kept, &Device::Cpu).unwrap();
-        let seen = presence.chunks_exact(N).map(|frame| Seen {
+        let frames = presence.chunks_exact(N).map(|frame| FramePresence {
             n_others: frame[1..].iter().filter(|p| **p > 0.5).count(),
             ego: frame[0] > 0.5,
             others: true,
         });
-        let op = AttentionOp { attention: ATTENTION, seen: Arc::new(seen.collect()) };
-        let in_sight = others.index_select(&kept, 0).unwrap();
-        let fused = queries.apply_op3(&egos, &in_sight, op).unwrap();
+        let op = AttentionOp { attention: ATTENTION, presence: Arc::new(frames.collect()) };
+        let present = others.index_select(&kept, 0).unwrap();
+        let fused = queries.apply_op3(&egos, &present, op).unwrap();
         let plain = plain(&queries, &egos, &others, &presence);
         close(&fused, &plain, 1e-5);
         let gradients =
@@ -249,10 +248,10 @@ mod tests {
     }
 
     #[test]
-    fn an_ego_alone_heeds_itself() {
+    fn an_ego_alone_attends_to_itself() {
         let (queries, egos, others) = (draw((1, 8), 1), draw((1, 4), 2), draw((0, 4), 3));
-        let seen = Seen { n_others: 0, ego: true, others: true };
-        let op = AttentionOp { attention: ATTENTION, seen: Arc::new(vec![seen]) };
+        let alone = FramePresence { n_others: 0, ego: true, others: true };
+        let op = AttentionOp { attention: ATTENTION, presence: Arc::new(vec![alone]) };
         let taken = queries.apply_op3(&egos, &others, op).unwrap();
         close(&taken, &Tensor::cat(&[egos.as_tensor(), &egos], 1).unwrap(), 1e-6);
         let gradients = taken.sum_all().unwrap().backward().unwrap();
@@ -266,8 +265,8 @@ mod tests {
     #[test]
     fn wrong_shapes_are_refused() {
         let (queries, egos, others) = (draw((M, 8), 1), draw((M, 4), 2), draw((M * N, 4), 3));
-        let seen = vec![Seen { n_others: N - 1, ego: true, others: true }; M];
-        let op = AttentionOp { attention: ATTENTION, seen: Arc::new(seen) };
+        let presence = vec![FramePresence { n_others: N - 1, ego: true, others: true }; M];
+        let op = AttentionOp { attention: ATTENTION, presence: Arc::new(presence) };
         assert!(queries.apply_op3(&egos, &others, op).is_err());
     }
 }

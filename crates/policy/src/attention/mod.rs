@@ -1,0 +1,18 @@
+//! Ego attention: a history of observations of entities becomes features of a width that does not depend on how many
+//! entities there are.
+//!
+//! ```text
+//! presence   frames without the entities that are absent        shares    how much of each entity the ego takes
+//! folded     the four maps, multiplied out to two               encoder   all of it, as actors run it
+//! ```
+//!
+//! The learner runs the same `presence` and `shares` in a graph with gradients, so that both compute the same bits.
+
+mod encoder;
+mod folded;
+mod presence;
+mod shares;
+
+pub use encoder::AttentionEncoder;
+pub use presence::{FramePresence, FrameShape, PresentEntities};
+pub use shares::{Attention, dot};

@@ -1,0 +1,44 @@
+//! Proximal policy optimisation: rollouts in, better parameters out.
+//!
+//! ```text
+//! settings   every setting of PPO            trainer   the update                      state    what a checkpoint holds
+//! gae, vtrace   advantages and targets       loss      PPO's loss, fused               adam     clip and optimiser
+//! rewards    scale and normalisation         minibatch shuffled samples                network  the graph: encoder, *_op
+//! ```
+//!
+//! An update is a pure function of the trainer's state and the rollouts: the same bits on every run, whoever acted
+//! and in whichever order the rollouts arrived.
+//!
+//! # What it does not know
+//!
+//! Actors, environments, networks, files, clocks and threads. Rollouts are trained on as they are: a
+//! [`CheckedRollout`](leadtime_proto::CheckedRollout) is one whose receiver has checked it.
+//!
+//! # Where to start
+//!
+//! [`Trainer::update`].
+
+pub mod adam;
+mod attention_op;
+mod batch;
+mod dense_op;
+mod encoder;
+pub mod error;
+pub mod gae;
+mod loss;
+mod lstm_op;
+pub mod minibatch;
+mod network;
+pub mod rewards;
+pub mod settings;
+pub mod state;
+mod storage;
+#[cfg(test)]
+mod test_support;
+pub mod trainer;
+pub mod vtrace;
+
+pub use error::TrainError;
+pub use settings::{LearnerSettings, Mode, SettingsError, Truncation};
+pub use state::TrainerState;
+pub use trainer::{Trainer, UpdateReport};
