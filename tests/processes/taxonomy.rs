@@ -198,9 +198,6 @@ fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
         "1 to 100 percent",
     ]);
     set("settings.bound=60").saying(&["--set settings.bound", "unknown field `bound`"]);
-    let fluency = set("settings.fluency=5");
-    fluency
-        .saying(&["grammar of phrases cannot tell how likely a sentence is", "`settings.fluency`"]);
     let report = ["report", "highway", "--set", "settings.theta=60"];
     taxonomy(&place, &report).with_code(WRONG_INPUT).saying(&["--log is missing"]);
     let wrong = place.write("annotations.txt", "# ascend two 4\n");
@@ -228,14 +225,15 @@ fn a_server_that_is_not_there_is_a_lost_peer() {
 }
 
 #[test]
-fn a_local_model_must_be_the_one_that_was_named() {
+fn an_embedder_must_be_built_in_and_the_one_that_is_known() {
     let place = Place::new();
-    let file = place.write("model.gguf", "abc");
-    let local = ["build", "highway", "--backend", "local", "--gguf", &file, "--sha256", "0000"];
-    let refused = taxonomy(&place, &local).with_code(WRONG_INPUT);
-    if cfg!(feature = "local-models") {
-        refused.saying(&["model.gguf", "has sha256 ba7816bf", "expected 0000"]);
+    place.write("model.safetensors", "abc");
+    let here = place.path().display().to_string();
+    let build = ["build", "highway", "--backend", "grammar", "--embedder", &here];
+    let refused = taxonomy(&place, &build).with_code(WRONG_INPUT);
+    if cfg!(feature = "minilm") {
+        refused.saying(&["model.safetensors", "has sha256 ba7816bf", "expected 53aa5117"]);
     } else {
-        refused.saying(&["without local models", "--features local-models"]);
+        refused.saying(&["without an embedder", "--features minilm"]);
     }
 }

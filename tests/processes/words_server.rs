@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use leadtime_taxonomy::pipeline::Plan;
+use leadtime_taxonomy::pipeline::DatabasePlan;
 use leadtime_taxonomy::pipeline::fakes::{Manner, Server};
 
 use crate::support::{Finished, PATIENCE, Place, Running};
@@ -13,14 +13,14 @@ use crate::support::{Finished, PATIENCE, Place, Running};
 const WRONG_INPUT: i32 = 2;
 
 /// A plan of the highway's first topic alone, as file and read.
-fn small_plan(place: &Place) -> Plan {
+fn small_plan(place: &Place) -> DatabasePlan {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let whole = fs::read_to_string(root.join("crates/taxonomy/data/highway/plan.toml")).unwrap();
     let mut parts = whole.split_inclusive("[[topic]]");
     let text = [parts.next().unwrap(), parts.next().unwrap()].concat();
     let text = text.trim_end_matches("[[topic]]").replace("keep = 4", "keep = 3\ntarget = 3");
     place.write("plan.toml", &text);
-    Plan::from_toml(&text).unwrap()
+    DatabasePlan::from_toml(&text).unwrap()
 }
 
 fn start(place: &Place, server: &Server) -> Running {

@@ -53,7 +53,7 @@ fn a_rollout_is_what_the_learner_expects() {
     let mut worker = worker(&[beginning(0), beginning(1)]);
     for iteration in 0..2 {
         for rollout in collect(&mut worker) {
-            rollout.check(&settings().env, N_STEPS as usize, 0).unwrap();
+            let rollout = rollout.check(&settings().env, N_STEPS as usize, 0).unwrap();
             assert_eq!(
                 (rollout.iteration, rollout.version),
                 (Iteration(iteration), PolicyVersion(3))

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes the shipped databases anew from their plans and annotations: call log, database and report under crates/taxonomy/data.
-# Build the program first (`cargo build --release -p leadtime --features local-models`) and fetch the embedder
-# (`fetch_models.sh`). Starts from the beginning: what an older plan or prompt asked for has no place in a log.
+# Build the program first (`cargo build --release -p leadtime --features minilm`) and fetch the embedder
+# (`fetch_model.sh`). Starts from the beginning: what an older plan or prompt asked for has no place in a log.
 set -euo pipefail
 usage="usage: make_databases.sh LEADTIME EMBEDDER_DIRECTORY"
 leadtime=$(realpath "${1:?$usage}")

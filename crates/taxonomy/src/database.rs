@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use crate::error::{Defect, TaxonomyError};
 use crate::raw::{self, RawDatabase, RawUtterance, SCHEMA};
-use crate::utterance::{Cell, Fidelity, Part, Utterance};
+use crate::utterance::{Cell, Fidelity, SpanKind, Utterance};
 use crate::words;
 
 /// The most words that a sentence may have.
@@ -18,7 +18,7 @@ pub const MAX_WORDS: u32 = 20;
 
 /// What a file says of itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Header {
+pub struct DatabaseHeader {
     /// The domain whose topics these are.
     pub domain: String,
     /// What made it.
@@ -91,7 +91,7 @@ impl Topic {
 /// Sentences by topic and cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Taxonomy {
-    header: Header,
+    header: DatabaseHeader,
     topics: Vec<Topic>,
 }
 
@@ -139,7 +139,7 @@ impl Taxonomy {
         if let Some(empty) = topics.iter().find(|topic| topic.utterances.is_empty()) {
             return Err(TaxonomyError::EmptyTopic { topic: empty.name.clone() });
         }
-        let header = Header {
+        let header = DatabaseHeader {
             domain: raw.domain,
             fidelity: raw.fidelity,
             generator: raw.generator,
@@ -153,7 +153,7 @@ impl Taxonomy {
     }
 
     /// Returns what the file says of itself.
-    pub fn header(&self) -> &Header {
+    pub fn header(&self) -> &DatabaseHeader {
         &self.header
     }
 
@@ -265,7 +265,7 @@ fn check_spans(raw: &RawUtterance) -> Result<(), Defect> {
         }
         end = span.to;
     }
-    let given = raw.spans.iter().filter(|span| span.part == Part::What).count();
+    let given = raw.spans.iter().filter(|span| span.part == SpanKind::What).count();
     if given == 1 { Ok(()) } else { Err(Defect::Directives { given }) }
 }
 

@@ -36,10 +36,10 @@ pub mod utterance;
 pub mod words;
 
 pub use check::{Finding, check};
-pub use database::{Header, Taxonomy, Topic};
+pub use database::{DatabaseHeader, Taxonomy, Topic};
 pub use error::{Defect, TaxonomyError};
 pub use retrieve::{Loss, Request, Retrieved};
 pub use rotation::Rotation;
 pub use shipped::shipped;
 pub use timing::Pace;
-pub use utterance::{Cell, Fidelity, Part, Span, Utterance};
+pub use utterance::{Cell, Fidelity, SpanKind, Utterance, WordSpan};

@@ -3,7 +3,7 @@
 use serde::Deserialize;
 
 use crate::error::TaxonomyError;
-use crate::utterance::{Fidelity, Span};
+use crate::utterance::{Fidelity, WordSpan};
 
 /// The schema that this crate reads and writes.
 pub(crate) const SCHEMA: u32 = 1;
@@ -34,7 +34,7 @@ pub(crate) struct RawUtterance {
     pub(crate) comprehension: u32,
     pub(crate) conveyance: u32,
     pub(crate) text: String,
-    pub(crate) spans: Vec<Span>,
+    pub(crate) spans: Vec<WordSpan>,
     pub(crate) curve: Vec<u8>,
     #[serde(default)]
     pub(crate) clamped: bool,

@@ -1,9 +1,8 @@
-//! From words to seconds.
+//! How fast speech is: from words to seconds.
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::TaxonomyError;
-use crate::utterance::Utterance;
 
 /// How fast sentences are spoken.
 ///
@@ -45,46 +44,11 @@ impl Pace {
         }
         Ok(())
     }
-
-    /// Computes when a word (from 1) has been heard, in seconds after the decision to speak.
-    pub fn word_end(&self, utterance: &Utterance, word: u32) -> f64 {
-        let recorded = utterance.word_end_ms.get(word.saturating_sub(1) as usize);
-        let spoken = match recorded {
-            Some(_) if word == 0 => 0.0,
-            Some(&ms) => f64::from(ms) / 1000.0,
-            None => f64::from(word) * self.seconds_per_word,
-        };
-        self.startup_seconds + spoken
-    }
-
-    /// Computes when the sentence is understood, in seconds.
-    pub fn comprehension_seconds(&self, utterance: &Utterance) -> f64 {
-        self.word_end(utterance, utterance.cell.comprehension)
-    }
-
-    /// Computes when the sentence is over, in seconds.
-    pub fn conveyance_seconds(&self, utterance: &Utterance) -> f64 {
-        self.word_end(utterance, utterance.cell.conveyance)
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Cell, shipped};
-
-    #[test]
-    fn words_take_their_time_unless_it_was_recorded() {
-        let taxonomy = shipped("lander").unwrap();
-        let mut utterance = taxonomy.topics()[0].cell(Cell::new(2, 4))[0].clone();
-        let pace = Pace { seconds_per_word: 0.5, startup_seconds: 0.25 };
-        assert_eq!(pace.comprehension_seconds(&utterance), 1.25);
-        assert_eq!(pace.conveyance_seconds(&utterance), 2.25);
-        utterance.word_end_ms = vec![400, 700, 1100, 1750];
-        assert_eq!(pace.comprehension_seconds(&utterance), 0.95);
-        assert_eq!(pace.conveyance_seconds(&utterance), 2.0);
-        assert_eq!(pace.word_end(&utterance, 0), 0.25);
-    }
 
     #[test]
     fn an_impossible_pace_is_named() {

@@ -37,7 +37,7 @@ impl fmt::Display for Cell {
 /// What a part of a sentence does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Part {
+pub enum SpanKind {
     /// Tells what to do: the directive. Every utterance has exactly one.
     What,
     /// Tells in which manner, or how soon.
@@ -48,31 +48,31 @@ pub enum Part {
 
 /// Some words of a sentence that belong together: `["why", 0, 2]` in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(from = "(Part, u32, u32)", into = "(Part, u32, u32)")]
-pub struct Span {
+#[serde(from = "(SpanKind, u32, u32)", into = "(SpanKind, u32, u32)")]
+pub struct WordSpan {
     /// What they do.
-    pub part: Part,
+    pub part: SpanKind,
     /// Index of the first word, from 0.
     pub from: u32,
     /// Index after the last word.
     pub to: u32,
 }
 
-impl Span {
+impl WordSpan {
     /// Returns the number of words.
     pub fn n_words(self) -> u32 {
         self.to.saturating_sub(self.from)
     }
 }
 
-impl From<(Part, u32, u32)> for Span {
-    fn from((part, from, to): (Part, u32, u32)) -> Self {
+impl From<(SpanKind, u32, u32)> for WordSpan {
+    fn from((part, from, to): (SpanKind, u32, u32)) -> Self {
         Self { part, from, to }
     }
 }
 
-impl From<Span> for (Part, u32, u32) {
-    fn from(span: Span) -> Self {
+impl From<WordSpan> for (SpanKind, u32, u32) {
+    fn from(span: WordSpan) -> Self {
         (span.part, span.from, span.to)
     }
 }
@@ -111,7 +111,7 @@ pub struct Utterance {
     /// k and l.
     pub cell: Cell,
     /// What, How and Why, in order; words in none of them are fillers.
-    pub spans: Vec<Span>,
+    pub spans: Vec<WordSpan>,
     /// Comprehension after each word, in percent; never falls. Shape `[l]`.
     pub curve: Vec<u8>,
     /// The threshold was crossed before the least k that a notifier can choose.
@@ -126,8 +126,8 @@ pub struct Utterance {
 
 impl Utterance {
     /// Returns the directive's words.
-    pub fn what(&self) -> Option<Span> {
-        self.spans.iter().copied().find(|span| span.part == Part::What)
+    pub fn what(&self) -> Option<WordSpan> {
+        self.spans.iter().copied().find(|span| span.part == SpanKind::What)
     }
 
     /// Computes where understanding should come by structure alone: the place of the directive's last word, from 1.
@@ -135,7 +135,7 @@ impl Utterance {
         self.what().map(|what| what.to)
     }
 
-    /// Counts the words of reasons that come before the directive, `I_why`.
+    /// Counts the words of reasons that come before the directive: `I_why` of the informativeness α·l + β·`I_why`.
     ///
     /// # Source
     ///
@@ -143,22 +143,8 @@ impl Utterance {
     /// speed up."), some to one that leads ("To speed up, press the pedal slowly."): our reading of `I_why`.
     pub fn words_of_reason(&self) -> u32 {
         let Some(what) = self.what() else { return 0 };
-        let leads = |span: &&Span| span.part == Part::Why && span.to <= what.from;
+        let leads = |span: &&WordSpan| span.part == SpanKind::Why && span.to <= what.from;
         self.spans.iter().filter(leads).map(|span| span.n_words()).sum()
-    }
-
-    /// Tells whether the sentence states a reason, wherever it stands.
-    pub fn has_reason(&self) -> bool {
-        self.spans.iter().any(|span| span.part == Part::Why)
-    }
-
-    /// Computes the informativeness I(u) = α·l + β·`I_why`.
-    ///
-    /// # Source
-    ///
-    /// arXiv:2509.07438, where α = 1 and β = 0.
-    pub fn informativeness(&self, alpha: f64, beta: f64) -> f64 {
-        alpha * f64::from(self.cell.conveyance) + beta * f64::from(self.words_of_reason())
     }
 }
 
@@ -166,12 +152,12 @@ impl Utterance {
 mod tests {
     use super::*;
 
-    fn utterance(text: &str, spans: &[(Part, u32, u32)]) -> Utterance {
+    fn utterance(text: &str, spans: &[(SpanKind, u32, u32)]) -> Utterance {
         let l = crate::words::count(text);
         Utterance {
             text: text.to_owned(),
             cell: Cell::new(l, l),
-            spans: spans.iter().map(|span| Span::from(*span)).collect(),
+            spans: spans.iter().map(|span| WordSpan::from(*span)).collect(),
             curve: vec![100; l as usize],
             clamped: false,
             word_end_ms: Vec::new(),
@@ -192,16 +178,13 @@ mod tests {
     fn only_a_reason_that_leads_adds_information() {
         let trails = utterance(
             "Press the pedal slowly to speed up.",
-            &[(Part::What, 0, 4), (Part::Why, 4, 7)],
+            &[(SpanKind::What, 0, 4), (SpanKind::Why, 4, 7)],
         );
         let leads = utterance(
             "To speed up, press the pedal slowly.",
-            &[(Part::Why, 0, 3), (Part::What, 3, 7)],
+            &[(SpanKind::Why, 0, 3), (SpanKind::What, 3, 7)],
         );
         assert_eq!((trails.words_of_reason(), leads.words_of_reason()), (0, 3));
-        assert_eq!(trails.informativeness(1.0, 0.5), 7.0);
-        assert_eq!(leads.informativeness(1.0, 0.5), 8.5);
-        assert!(trails.has_reason());
         assert_eq!(leads.structural_comprehension(), Some(7));
     }
 }

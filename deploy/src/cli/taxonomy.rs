@@ -32,8 +32,6 @@ pub enum BackendName {
     Grammar,
     /// A language model behind HTTP, by the chat API that llama.cpp's server, vLLM and Ollama share.
     Http,
-    /// A language model in this process (only if built with the feature `local-models`).
-    Local,
 }
 
 /// What may be claimed of what a language model writes.
@@ -86,15 +84,6 @@ pub struct BackendArgs {
     /// Wait before the second try over `http`; doubles with each further one.
     #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = duration)]
     pub backoff: Duration,
-    /// Weights for `local`: a Llama-family model as GGUF file.
-    #[arg(long, value_name = "FILE", required_if_eq("backend", "local"))]
-    pub gguf: Option<PathBuf>,
-    /// Their sha256, in hexadecimal.
-    #[arg(long, value_name = "HEX", required_if_eq("backend", "local"))]
-    pub sha256: Option<String>,
-    /// Let the model for `local` go on with a text, up to the end of the line, rather than converse.
-    #[arg(long)]
-    pub completion: bool,
 }
 
 /// `leadtime taxonomy build`
@@ -117,11 +106,8 @@ pub struct TaxonomyBuildArgs {
     /// Directory of prompt templates; those that it lacks are the built-in ones.
     #[arg(long, value_name = "DIR")]
     pub prompts: Option<PathBuf>,
-    /// Rate by likeness to the phrases of the plan's topics instead of asking the writer: a stand-in.
-    #[arg(long, conflicts_with = "replay")]
-    pub rate_by_likeness: bool,
-    /// Compare sentences by the sentence embedder in this directory (only if built with the feature `local-models`), instead
-    /// of by the words they share.
+    /// Compare sentences by the MiniLM embedder in this directory (only if built with the feature `minilm`), instead of
+    /// by the words they share.
     #[arg(long, value_name = "DIR", conflicts_with = "replay")]
     pub embedder: Option<PathBuf>,
     /// Stop after this many calls; the same command continues.

@@ -17,7 +17,7 @@
 
 use std::collections::BTreeMap;
 
-use super::backend::{Call, Finish, Input, Model, Reply, Stage};
+use super::backend::{Call, CallStage, Finish, Input, Model, Reply};
 use super::error::BackendError;
 use crate::utterance::{Cell, Fidelity};
 use crate::words;
@@ -26,16 +26,16 @@ use crate::words;
 pub const AUTHORED: &str = "annotator (a language model writing by hand, no sampled run)";
 
 /// A sentence with its rating.
-type Rated = (String, Vec<u8>);
+type RatedText = (String, Vec<u8>);
 
 /// Answers from annotations.
 #[derive(Clone, Debug)]
 pub struct Annotator {
     summary: String,
     /// By topic and cell, in the order of the file.
-    sentences: BTreeMap<(String, Cell), Vec<Rated>>,
+    sentences: BTreeMap<(String, Cell), Vec<RatedText>>,
     /// By topic, what is rated only.
-    controls: BTreeMap<String, Vec<Rated>>,
+    controls: BTreeMap<String, Vec<RatedText>>,
 }
 
 impl Annotator {
@@ -82,14 +82,14 @@ impl Annotator {
         Ok(Self { summary, ..annotator })
     }
 
-    fn add(&mut self, topic: String, cell: Option<Cell>, rated: Rated) {
+    fn add(&mut self, topic: String, cell: Option<Cell>, rated: RatedText) {
         match cell {
             Some(cell) => self.sentences.entry((topic, cell)).or_default().push(rated),
             None => self.controls.entry(topic).or_default().push(rated),
         }
     }
 
-    fn generate(&self, topic: &str, cell: Cell, (n, round): (usize, u32)) -> Reply {
+    fn generate(&self, topic: &str, cell: Cell, n: usize, round: u32) -> Reply {
         let key = (topic.to_owned(), cell);
         let all = self.sentences.get(&key).map(Vec::as_slice).unwrap_or_default();
         let rest = all.iter().skip(n * round as usize).take(n);
@@ -98,7 +98,7 @@ impl Annotator {
         Reply { text: lines.join("\n"), finish, tokens: None }
     }
 
-    fn rate(&self, (topic, text): (&str, &str), n_words: Option<usize>) -> Option<Reply> {
+    fn rate(&self, topic: &str, text: &str, n_words: Option<usize>) -> Option<Reply> {
         let of_topic = self.sentences.iter().filter(|((id, _), _)| id == topic);
         let said = of_topic.flat_map(|(_, list)| list);
         let mut all = said.chain(self.controls.get(topic).into_iter().flatten());
@@ -148,12 +148,12 @@ impl Model for Annotator {
         match &call.input {
             Input::Domain => Ok(Reply::complete(self.summary.clone())),
             Input::Sentences { topic, cell, n, round } => {
-                Ok(self.generate(topic, *cell, (*n, *round)))
+                Ok(self.generate(topic, *cell, *n, *round))
             }
-            Input::Sentence { topic, text, words } => match self.rate((topic, text), *words) {
+            Input::Sentence { topic, text, words } => match self.rate(topic, text, *words) {
                 Some(reply) => Ok(reply),
                 // Controls are welcome and not owed.
-                None if call.stage == Stage::Control => {
+                None if call.stage == CallStage::Control => {
                     Ok(Reply { finish: Finish::Exhausted, ..Reply::complete("") })
                 }
                 None => Err(BackendError::NotAnnotated { what: call.what() }),
@@ -174,16 +174,13 @@ mod tests {
     fn what_was_written_is_what_is_answered() {
         let annotator = Annotator::parse(TEXT).unwrap();
         assert_eq!(annotator.summary, "The zone is near.");
-        let reply = annotator.generate("ascend", Cell::new(2, 4), (8, 0));
+        let reply = annotator.generate("ascend", Cell::new(2, 4), 8, 0);
         assert_eq!((reply.text.as_str(), reply.finish), ("Go up, zone ahead.", Finish::Stop));
-        assert_eq!(annotator.generate("ascend", Cell::new(2, 4), (8, 1)).finish, Finish::Exhausted);
-        assert_eq!(
-            annotator.generate("descend", Cell::new(2, 4), (8, 0)).finish,
-            Finish::Exhausted
-        );
-        let rating = annotator.rate(("ascend", "Go up, zone ahead."), None).unwrap();
+        assert_eq!(annotator.generate("ascend", Cell::new(2, 4), 8, 1).finish, Finish::Exhausted);
+        assert_eq!(annotator.generate("descend", Cell::new(2, 4), 8, 0).finish, Finish::Exhausted);
+        let rating = annotator.rate("ascend", "Go up, zone ahead.", None).unwrap();
         assert!(TEXT.contains(&rating.text));
-        let after = |topic, n| annotator.rate((topic, "Go up, zone ahead."), Some(n));
+        let after = |topic, n| annotator.rate(topic, "Go up, zone ahead.", Some(n));
         assert_eq!(after("ascend", 2).unwrap().text, "90");
         assert_eq!(after("ascend", 0).unwrap().text, "0");
         assert!(after("descend", 2).is_none());
@@ -193,8 +190,8 @@ mod tests {
     fn controls_are_rated_and_never_proposed() {
         let control = "# ascend control\nInstruction: ahead up zone go\nComprehension after each word: 5, 10, 20, 80\n";
         let annotator = Annotator::parse(&format!("{TEXT}\n{control}")).unwrap();
-        assert_eq!(annotator.rate(("ascend", "ahead up zone go"), Some(4)).unwrap().text, "80");
-        let reply = annotator.generate("ascend", Cell::new(2, 4), (8, 0));
+        assert_eq!(annotator.rate("ascend", "ahead up zone go", Some(4)).unwrap().text, "80");
+        let reply = annotator.generate("ascend", Cell::new(2, 4), 8, 0);
         assert_eq!(reply.text, "Go up, zone ahead.");
     }
 

@@ -10,7 +10,7 @@ use crate::utterance::{Cell, Fidelity};
 /// The stage of the pipeline that asks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Stage {
+pub enum CallStage {
     /// What in the domain matters for a decision.
     Summarise,
     /// Sentences for a topic and a cell.
@@ -19,8 +19,6 @@ pub enum Stage {
     Rate,
     /// The same of nothing, or of words in another order: what the rater makes of it is only reported.
     Control,
-    /// How likely the writer finds a sentence.
-    Fluency,
     /// A sentence as a vector.
     Embed,
 }
@@ -74,7 +72,7 @@ pub enum Input {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Call {
     /// Who asks.
-    pub stage: Stage,
+    pub stage: CallStage,
     /// What the model is.
     pub system: String,
     /// What it is asked.
@@ -157,15 +155,6 @@ pub trait Model {
     ///
     /// [`BackendError`] if there is no answer; waiting and trying again is the backend's own business.
     fn complete(&mut self, call: &Call) -> Result<Reply, BackendError>;
-
-    /// Computes the mean log-probability per token of a sentence after its first word, if it is a model that can tell.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError::NoLikelihood`] if it cannot.
-    fn likelihood(&mut self, _text: &str) -> Result<f64, BackendError> {
-        Err(BackendError::NoLikelihood { model: self.id().to_owned() })
-    }
 }
 
 /// Turns sentences into vectors.
@@ -183,14 +172,14 @@ pub trait Embedder {
 
 /// Stands for whoever made a log: it has their name, and asks nobody.
 #[derive(Clone, Debug)]
-pub struct Absent {
+pub struct LoggedBackend {
     /// The name.
     pub id: String,
     /// What may be claimed of what it made.
     pub fidelity: Fidelity,
 }
 
-impl Model for Absent {
+impl Model for LoggedBackend {
     fn id(&self) -> &str {
         &self.id
     }
@@ -204,7 +193,7 @@ impl Model for Absent {
     }
 }
 
-impl Embedder for Absent {
+impl Embedder for LoggedBackend {
     fn id(&self) -> &str {
         &self.id
     }

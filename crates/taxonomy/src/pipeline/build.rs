@@ -1,18 +1,17 @@
 //! All stages, from a plan to a file: what is asked next depends only on what was answered so far.
 
-use super::backend::{Finish, Stage};
+use super::backend::{CallStage, Finish};
 use super::caller::Caller;
 use super::candidate::{Candidate, Reason};
-use super::controls::{self, Control};
+use super::controls::{self, RaterControl};
 use super::coverage::Coverage;
-use super::curve::heard;
+use super::curve::listen;
 use super::error::PipelineError;
 use super::export;
-use super::fluency::Fluency;
 use super::log::LogHeader;
-use super::plan::Plan;
-use super::progress::Progress;
-use super::prompts::{Prompts, Writer};
+use super::plan::DatabasePlan;
+use super::progress::BuildProgress;
+use super::prompts::{PromptWriter, Prompts};
 use super::rating::Rating;
 use super::reply::{self, Proposals};
 use super::representatives::choose;
@@ -33,7 +32,7 @@ pub struct Built {
     /// What came of it.
     pub coverage: Coverage,
     /// What the rater made of nothing and of words in another order.
-    pub controls: Vec<Control>,
+    pub controls: Vec<RaterControl>,
     /// Calls made in this run; what the log answered is not counted.
     pub calls: u64,
 }
@@ -45,17 +44,18 @@ pub struct Built {
 /// [`PipelineError`] if a backend cannot answer, answers nonsense, or a budget is spent: the log keeps what was paid,
 /// and the next run goes on from there.
 pub fn build(
-    plan: &Plan,
+    plan: &DatabasePlan,
     prompts: &Prompts,
     caller: &mut Caller<'_>,
 ) -> Result<Built, PipelineError> {
-    let writer = Writer::new(plan, prompts);
+    let writer = PromptWriter::new(plan, prompts);
     let summary = caller.ask(&writer.summarise()?)?.1.text;
     let mut progress = propose(plan, &writer, &summary, caller)?;
     let kept = choose(plan, &mut progress.candidates, caller)?;
     let text = export::database(plan, &caller.header(), &kept);
     let taxonomy = Taxonomy::from_toml(&text);
-    let controls = controls::controls(&Rating::new(plan, &writer, Stage::Control), caller, &kept)?;
+    let controls =
+        controls::controls(&Rating::new(plan, &writer, CallStage::Control), caller, &kept)?;
     let mut coverage = Coverage::new(plan, &progress.candidates, &progress.rounds);
     coverage.replies.clone_from(caller.replies());
     let calls = caller.calls();
@@ -64,43 +64,41 @@ pub fn build(
 
 /// Who decides about a proposal.
 struct Judges<'a> {
-    plan: &'a Plan,
+    plan: &'a DatabasePlan,
     rules: Rules,
-    fluency: Fluency,
     rating: Rating<'a>,
 }
 
 /// Asks for sentences and rates them until every cell has enough, or was asked often enough.
 fn propose(
-    plan: &Plan,
-    writer: &Writer<'_>,
+    plan: &DatabasePlan,
+    writer: &PromptWriter<'_>,
     summary: &str,
     caller: &mut Caller<'_>,
-) -> Result<Progress, PipelineError> {
+) -> Result<BuildProgress, PipelineError> {
     let judges = Judges {
         plan,
         rules: Rules::new(plan),
-        fluency: Fluency::of_examples(plan, caller)?,
-        rating: Rating::new(plan, writer, Stage::Rate),
+        rating: Rating::new(plan, writer, CallStage::Rate),
     };
-    let mut progress = Progress::new(plan);
+    let mut progress = BuildProgress::new(plan);
     while let Some((topic, cell, round)) = progress.next(plan) {
         let there = progress.texts(topic);
-        let call = writer.generate(summary, &plan.topic[topic], (cell, round), &there)?;
+        let call = writer.generate(summary, &plan.topic[topic], cell, round, &there)?;
         let (source, answer) = caller.ask(&call)?;
         if answer.finish == Finish::Exhausted {
             progress.given_up.insert((topic, cell));
             continue;
         }
         let Proposals { whole, cut } = reply::sentences(&answer);
-        caller.judge(Stage::Generate, !whole.is_empty())?;
+        caller.judge(CallStage::Generate, !whole.is_empty())?;
         for text in whole {
-            let mut candidate = Candidate::new((topic, cell), text, &source);
-            candidate.reason = examine(&judges, (&mut progress, caller), &mut candidate)?.err();
+            let mut candidate = Candidate::new(topic, cell, text, &source);
+            candidate.reason = examine(&judges, &mut progress, caller, &mut candidate)?.err();
             progress.add(candidate);
         }
         if let Some(text) = cut {
-            let mut candidate = Candidate::new((topic, cell), text, &source);
+            let mut candidate = Candidate::new(topic, cell, text, &source);
             candidate.reason = Some(Reason::Truncated);
             progress.add(candidate);
         }
@@ -111,7 +109,8 @@ fn propose(
 /// Applies the rules to a proposal, has it rated, and finds where it lands.
 fn examine(
     judges: &Judges<'_>,
-    (progress, caller): (&mut Progress, &mut Caller<'_>),
+    progress: &mut BuildProgress,
+    caller: &mut Caller<'_>,
     candidate: &mut Candidate,
 ) -> Result<Result<(), Reason>, PipelineError> {
     let structure = match judges.rules.check(&candidate.text, candidate.topic) {
@@ -122,15 +121,12 @@ fn examine(
     if let Some(reason) = progress.repeated(candidate) {
         return Ok(Err(reason));
     }
-    if !judges.fluency.accepts(caller, &candidate.text)? {
-        return Ok(Err(Reason::NotFluent));
-    }
     let Some(rated) = judges.rating.words(caller, candidate.topic, &candidate.text)? else {
         return Ok(Err(Reason::Malformed));
     };
     candidate.rated = rated;
-    let Plan { settings, words, .. } = judges.plan;
-    let heard = match heard(&candidate.rated, settings.theta, words[0], settings.max_drop) {
+    let DatabasePlan { settings, words, .. } = judges.plan;
+    let heard = match listen(&candidate.rated, settings.theta, words[0], settings.max_drop) {
         Ok(heard) => heard,
         Err(reason) => return Ok(Err(reason)),
     };
@@ -148,7 +144,7 @@ impl Built {
     }
 
     /// Writes the report.
-    pub fn report(&self, plan: &Plan, header: &LogHeader) -> String {
+    pub fn report(&self, plan: &DatabasePlan, header: &LogHeader) -> String {
         self.coverage.report(plan, header, &self.candidates, &self.controls)
     }
 }

@@ -151,12 +151,12 @@ fn a_rater_that_talks_nonsense_is_given_up() {
 #[test]
 fn the_same_words_for_two_topics_go_to_neither() {
     let mut plan = job::plan("highway").unwrap();
-    let mut progress = Progress::new(&plan);
+    let mut progress = BuildProgress::new(&plan);
     let candidate = |topic: usize| Candidate {
         topic,
         requested: Cell::new(2, 2),
         text: "Slow down.".to_owned(),
-        spans: vec![crate::Span { part: crate::Part::What, from: 0, to: 2 }],
+        spans: vec![crate::WordSpan { part: crate::SpanKind::What, from: 0, to: 2 }],
         rated: vec![50, 90],
         curve: vec![50, 90],
         landed: Some(Cell::new(2, 2)),
@@ -191,7 +191,7 @@ fn one_call_per_word_gives_what_one_call_per_sentence_gives_if_nothing_leaks() {
     assert!(prefix.calls > 5 * joint.calls);
 }
 
-/// Writes one list, finds short words unlikely, and rates by a rule.
+/// Writes one list, and rates by a rule.
 struct Opinionated {
     replies: Vec<Reply>,
     rate: fn(&str, Option<usize>) -> u8,
@@ -218,14 +218,10 @@ impl Model for Opinionated {
             _ => self.replies.remove(0),
         })
     }
-
-    fn likelihood(&mut self, text: &str) -> Result<f64, BackendError> {
-        Ok(if text.contains("zzz") { -9.0 } else { -3.0 })
-    }
 }
 
 /// Lets it write for the highway, and returns what came of it.
-fn built(model: Opinionated, change: fn(&mut Plan)) -> (Plan, Built, LogHeader) {
+fn built(model: Opinionated, change: fn(&mut DatabasePlan)) -> (DatabasePlan, Built, LogHeader) {
     let directory = tempfile::tempdir().unwrap();
     let mut plan = job::plan("highway").unwrap();
     plan.settings.rate = RateForm::Prefix;
@@ -239,7 +235,7 @@ fn built(model: Opinionated, change: fn(&mut Plan)) -> (Plan, Built, LogHeader) 
         embedder: Box::new(crate::pipeline::lexical::Lexical),
     };
     let mut open = crate::pipeline::log::CallLog::open(&log).unwrap();
-    let mode = crate::pipeline::Mode::Live { max_calls: None };
+    let mode = crate::pipeline::CallMode::Live { max_calls: None };
     let mut caller = Caller::new(backends, &mut open, mode, "highway").unwrap();
     let made = build(&plan, &prompts, &mut caller).unwrap();
     let header = caller.header();
@@ -283,25 +279,4 @@ fn a_sentence_that_asks_for_another_action_as_clearly_is_turned_down() {
     assert_eq!(close, Some(Reason::LowMargin));
     let other = turned_down(|topic, _| if topic == "merge_left" { 95 } else { 90 });
     assert_eq!(other, Some(Reason::WrongAction));
-}
-
-#[test]
-fn a_sentence_that_is_less_likely_than_the_examples_is_turned_down() {
-    let replies = vec![Reply::complete("Slow down zzz.\nSlow down now.")];
-    let model = Opinionated { replies, rate: |_, _| 90 };
-    let (_, built, _) = built(model, |plan| plan.settings.fluency = 5);
-    let expected = [("Slow down zzz.", Some(Reason::NotFluent)), ("Slow down now.", None)];
-    assert_eq!(reasons(&built), expected);
-}
-
-#[test]
-fn only_a_local_model_can_tell_how_likely_a_sentence_is() {
-    let directory = tempfile::tempdir().unwrap();
-    let mut plan = job::plan("highway").unwrap();
-    plan.settings.fluency = 5;
-    let log = directory.path().join("calls.jsonl");
-    let error = job::run(&plan, job(&log, Backend::Grammar)).unwrap_err().to_string();
-    let says =
-        "grammar of phrases cannot tell how likely a sentence is: leave `settings.fluency` at 0";
-    assert!(error.starts_with(says), "{error}");
 }

@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use super::backend::{Call, Embedder, Input, Model, Reply, Sampling, Stage};
+use super::backend::{Call, CallStage, Embedder, Input, Model, Reply, Sampling};
 use super::embedding::Embedding;
-use super::error::{BackendError, PipelineError};
+use super::error::PipelineError;
 use super::log::{CallLog, LogHeader};
 use crate::utterance::Fidelity;
 
@@ -13,7 +13,7 @@ pub const WINDOW: usize = 50;
 
 /// Whether anybody may be asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mode {
+pub enum CallMode {
     /// Whatever the log lacks is asked for, up to this many calls.
     Live {
         /// Calls after which the run stops; none: no limit.
@@ -41,9 +41,9 @@ impl std::fmt::Debug for Backends {
 
 impl Backends {
     /// Returns who is asked in a stage.
-    fn of(&mut self, stage: Stage) -> &mut dyn Model {
+    fn of(&mut self, stage: CallStage) -> &mut dyn Model {
         match (&mut self.rater, stage) {
-            (Some(rater), Stage::Rate | Stage::Control) => rater.as_mut(),
+            (Some(rater), CallStage::Rate | CallStage::Control) => rater.as_mut(),
             _ => self.generator.as_mut(),
         }
     }
@@ -68,13 +68,13 @@ impl Backends {
 pub struct Caller<'a> {
     backends: Backends,
     log: &'a mut CallLog,
-    mode: Mode,
+    mode: CallMode,
     /// Calls made in this run, replies from the log not counted.
     calls: u64,
     /// Of the last replies, which were useless.
     recent: VecDeque<bool>,
     /// Per stage, replies that could be read and those that could not.
-    replies: BTreeMap<Stage, [usize; 2]>,
+    replies: BTreeMap<CallStage, [usize; 2]>,
 }
 
 impl<'a> Caller<'a> {
@@ -86,7 +86,7 @@ impl<'a> Caller<'a> {
     pub fn new(
         backends: Backends,
         log: &'a mut CallLog,
-        mode: Mode,
+        mode: CallMode,
         domain: &str,
     ) -> Result<Self, PipelineError> {
         log.claim(&backends.header(domain))?;
@@ -106,7 +106,7 @@ impl<'a> Caller<'a> {
     }
 
     /// Returns per stage how many replies could be read, and how many could not; those from the log included.
-    pub fn replies(&self) -> &BTreeMap<Stage, [usize; 2]> {
+    pub fn replies(&self) -> &BTreeMap<CallStage, [usize; 2]> {
         &self.replies
     }
 
@@ -133,7 +133,14 @@ impl<'a> Caller<'a> {
     ///
     /// [`PipelineError`] if there is no answer.
     pub fn embed(&mut self, text: &str) -> Result<Embedding, PipelineError> {
-        let call = about(Stage::Embed, text);
+        let call = Call {
+            stage: CallStage::Embed,
+            system: String::new(),
+            prompt: text.to_owned(),
+            sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 0 },
+            seed: 0,
+            input: Input::Text { text: text.to_owned() },
+        };
         let key = call.key(self.backends.embedder.id());
         if let Some(reply) = self.log.reply(&key) {
             return Ok(Embedding::from_hex(&reply.text)?);
@@ -144,36 +151,13 @@ impl<'a> Caller<'a> {
         Ok(embedding)
     }
 
-    /// Asks the writer how likely a sentence is, as mean log-probability per token.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if there is no answer.
-    pub fn likelihood(&mut self, text: &str) -> Result<f64, PipelineError> {
-        let call = about(Stage::Fluency, text);
-        let key = call.key(self.backends.generator.id());
-        let reply = if let Some(reply) = self.log.reply(&key) {
-            reply.text.clone()
-        } else {
-            self.spend(&call)?;
-            let likelihood = self.backends.generator.likelihood(text)?;
-            // Rounded before it is used, so that a replay computes with the same number.
-            let text = format!("{likelihood:.6}");
-            self.log.add(key, &call, Reply::complete(text.clone()))?;
-            text
-        };
-        Ok(reply.parse().map_err(|error| BackendError::Local {
-            message: format!("a likelihood in the log, {reply}: {error}"),
-        })?)
-    }
-
     fn spend(&mut self, call: &Call) -> Result<(), PipelineError> {
         match self.mode {
-            Mode::Replay => return Err(PipelineError::NotInLog { what: call.what() }),
-            Mode::Live { max_calls: Some(most) } if self.calls >= most => {
+            CallMode::Replay => return Err(PipelineError::NotInLog { what: call.what() }),
+            CallMode::Live { max_calls: Some(most) } if self.calls >= most => {
                 return Err(PipelineError::BudgetSpent { calls: self.calls });
             }
-            Mode::Live { .. } => {}
+            CallMode::Live { .. } => {}
         }
         self.calls += 1;
         Ok(())
@@ -184,7 +168,7 @@ impl<'a> Caller<'a> {
     /// # Errors
     ///
     /// [`PipelineError::Malformed`] once more than half of the last [`WINDOW`] replies could not.
-    pub fn judge(&mut self, stage: Stage, useful: bool) -> Result<(), PipelineError> {
+    pub fn judge(&mut self, stage: CallStage, useful: bool) -> Result<(), PipelineError> {
         self.replies.entry(stage).or_default()[usize::from(!useful)] += 1;
         if self.recent.len() == WINDOW {
             self.recent.pop_front();
@@ -196,17 +180,5 @@ impl<'a> Caller<'a> {
         }
         let model = self.backends.of(stage).id().to_owned();
         Err(PipelineError::Malformed { malformed, window: WINDOW, model })
-    }
-}
-
-/// Makes a call about a text alone.
-fn about(stage: Stage, text: &str) -> Call {
-    Call {
-        stage,
-        system: String::new(),
-        prompt: text.to_owned(),
-        sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 0 },
-        seed: 0,
-        input: Input::Text { text: text.to_owned() },
     }
 }

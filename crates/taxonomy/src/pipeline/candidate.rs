@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::utterance::{Cell, Span};
+use crate::utterance::{Cell, WordSpan};
 
 /// Why a sentence is turned down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -42,8 +42,6 @@ pub enum Reason {
     Duplicate,
     /// The same words came for two topics: neither gets them.
     AmbiguousTopic,
-    /// Its writer finds it much less likely than the examples: hardly English.
-    NotFluent,
     /// A later word made it much less clear.
     NonMonotone,
     /// No word made it clear enough.
@@ -73,7 +71,6 @@ impl fmt::Display for Reason {
             Self::HumanReject => "human_reject",
             Self::Duplicate => "duplicate",
             Self::AmbiguousTopic => "ambiguous_topic",
-            Self::NotFluent => "not_fluent",
             Self::NonMonotone => "non_monotone",
             Self::NeverUnderstood => "never_understood",
             Self::LowMargin => "low_margin",
@@ -92,7 +89,7 @@ pub struct Candidate {
     /// As proposed.
     pub text: String,
     /// What, How, Why; empty if it has no structure.
-    pub spans: Vec<Span>,
+    pub spans: Vec<WordSpan>,
     /// As rated. Shape `[l]`, or `[0]` if it was not.
     pub rated: Vec<u8>,
     /// The rating's running maximum. Shape as `rated`.
@@ -111,7 +108,7 @@ pub struct Candidate {
 
 impl Candidate {
     /// Begins with a text as it was proposed for a topic and a cell by the call `source`.
-    pub fn new((topic, requested): (usize, Cell), text: String, source: &str) -> Self {
+    pub fn new(topic: usize, requested: Cell, text: String, source: &str) -> Self {
         Self {
             topic,
             requested,

@@ -10,7 +10,7 @@ use leadtime_numerics::Pcg64;
 use super::caller::Caller;
 use super::candidate::Candidate;
 use super::error::PipelineError;
-use super::plan::{Plan, hash};
+use super::plan::{DatabasePlan, hash};
 use super::rating::Rating;
 use crate::words;
 
@@ -19,7 +19,7 @@ const MAX_SHUFFLES: usize = 20;
 
 /// What the rater made of one topic's controls.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Control {
+pub struct RaterControl {
     /// Index of the topic.
     pub topic: usize,
     /// Percent after nothing; none if the rater does not say.
@@ -46,7 +46,7 @@ pub(super) fn controls(
     rating: &Rating<'_>,
     caller: &mut Caller<'_>,
     kept: &[Candidate],
-) -> Result<Vec<Control>, PipelineError> {
+) -> Result<Vec<RaterControl>, PipelineError> {
     let plan = rating.plan;
     let n_wanted = plan.settings.controls;
     let mut found = Vec::new();
@@ -54,7 +54,7 @@ pub(super) fn controls(
         if n_wanted == 0 {
             break;
         }
-        let silence = rating.after(caller, topic, ("", 0))?;
+        let silence = rating.after(caller, topic, "", 0)?;
         let mut shuffled = Vec::new();
         for candidate in chosen(kept, topic, n_wanted) {
             let text = shuffle(plan, candidate);
@@ -63,7 +63,7 @@ pub(super) fn controls(
             let others = rating.words(caller, topic, &text)?;
             shuffled.push(Shuffled { said, rated, text, text_rated: others });
         }
-        found.push(Control { topic, silence, shuffled });
+        found.push(RaterControl { topic, silence, shuffled });
     }
     Ok(found)
 }
@@ -80,7 +80,7 @@ fn chosen(kept: &[Candidate], topic: usize, n_wanted: usize) -> Vec<&Candidate> 
     (0..n).map(|i| list[if n > 1 { i * (list.len() - 1) / (n - 1) } else { 0 }]).collect()
 }
 
-fn shuffle(plan: &Plan, candidate: &Candidate) -> String {
+fn shuffle(plan: &DatabasePlan, candidate: &Candidate) -> String {
     let said = words::words(&candidate.text);
     let name = hash(format!("{} control {}", plan.settings.seed, candidate.text).as_bytes());
     let seed = u64::from_str_radix(&name[..16], 16).unwrap_or_default();
@@ -96,7 +96,7 @@ fn shuffle(plan: &Plan, candidate: &Candidate) -> String {
 }
 
 /// Writes the controls, as Markdown.
-pub(super) fn report(plan: &Plan, controls: &[Control]) -> String {
+pub(super) fn report(plan: &DatabasePlan, controls: &[RaterControl]) -> String {
     if controls.is_empty() {
         return String::new();
     }

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use super::backend::Stage;
+use super::backend::CallStage;
 use super::candidate::{Candidate, Reason};
-use super::controls::{self, Control};
-use super::curve::heard;
+use super::controls::{self, RaterControl};
+use super::curve::listen;
 use super::log::LogHeader;
-use super::plan::Plan;
-use crate::utterance::{Cell, Part};
+use super::plan::DatabasePlan;
+use crate::utterance::{Cell, SpanKind};
 
 /// Thresholds that the sweep tries, in percent.
 const THETAS: [u8; 5] = [50, 60, 70, 80, 90];
@@ -44,13 +44,13 @@ pub struct Coverage {
     /// Proposed sentences.
     pub proposed: usize,
     /// Per stage, replies that could be read and those that could not.
-    pub replies: BTreeMap<Stage, [usize; 2]>,
+    pub replies: BTreeMap<CallStage, [usize; 2]>,
 }
 
 impl Coverage {
     /// Counts.
     pub fn new(
-        plan: &Plan,
+        plan: &DatabasePlan,
         candidates: &[Candidate],
         rounds: &BTreeMap<(usize, Cell), u32>,
     ) -> Self {
@@ -88,10 +88,10 @@ impl Coverage {
     /// Writes the report, as Markdown.
     pub fn report(
         &self,
-        plan: &Plan,
+        plan: &DatabasePlan,
         header: &LogHeader,
         candidates: &[Candidate],
-        controls: &[Control],
+        controls: &[RaterControl],
     ) -> String {
         let mut out = format!(
             "# Words of the domain `{}`\n\nFidelity: **{}**. Written by {}; rated by {}; compared by {}; theta {} %.\n\n\
@@ -121,9 +121,9 @@ impl Coverage {
 
     fn unreadable(&self, out: &mut String) {
         let names = [
-            (Stage::Generate, "generations"),
-            (Stage::Rate, "ratings"),
-            (Stage::Control, "ratings of controls"),
+            (CallStage::Generate, "generations"),
+            (CallStage::Rate, "ratings"),
+            (CallStage::Control, "ratings of controls"),
         ];
         let said = names.iter().filter_map(|(stage, name)| {
             let [good, bad] = self.replies.get(stage)?;
@@ -133,7 +133,7 @@ impl Coverage {
         line(out, &format!("\nReplies that could not be read: {}.", said.join(", ")));
     }
 
-    fn grids(&self, out: &mut String, plan: &Plan) {
+    fn grids(&self, out: &mut String, plan: &DatabasePlan) {
         let [from, to] = plan.words;
         line(out, "\n## Cells: kept / accepted / proposed (times asked)\n");
         line(out, "A dash marks what cannot be: nothing is understood after it is over.");
@@ -155,7 +155,7 @@ impl Coverage {
     }
 
     /// Names the cells without a representative, and those with only one, which is then heard again and again.
-    fn gaps(&self, out: &mut String, plan: &Plan) {
+    fn gaps(&self, out: &mut String, plan: &DatabasePlan) {
         let named = |n_kept: usize| {
             let with = self.cells.iter().filter(|(_, counts)| counts.kept == n_kept);
             let name = |(topic, cell): (usize, Cell)| format!("{} {cell}", plan.topic[topic].id);
@@ -178,7 +178,7 @@ impl Coverage {
     }
 }
 
-fn landed(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
+fn landed(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     let [from, to] = plan.words;
     let cells: Vec<Cell> = Cell::feasible(from, to).collect();
     line(out, "\n## Where it was asked for (rows), where it landed (columns)\n");
@@ -202,7 +202,7 @@ fn landed(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
     }
 }
 
-fn sweep(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
+fn sweep(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     let settings = &plan.settings;
     let [from, to] = plan.words;
     let feasible = plan.topic.len() * Cell::feasible(from, to).count();
@@ -215,7 +215,7 @@ fn sweep(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
         let mut filled: BTreeMap<(usize, Cell), usize> = BTreeMap::new();
         let (mut sum, mut clamped, mut n) = (0, 0, 0_u32);
         for candidate in candidates.iter().filter(|candidate| depends_on_theta(candidate)) {
-            if let Ok(heard) = heard(&candidate.rated, theta, from, settings.max_drop) {
+            if let Ok(heard) = listen(&candidate.rated, theta, from, settings.max_drop) {
                 let cell = Cell::new(heard.comprehension, heard.curve.len() as u32);
                 *filled.entry((candidate.topic, cell)).or_default() += 1;
                 sum += heard.comprehension;
@@ -234,7 +234,7 @@ fn depends_on_theta(candidate: &Candidate) -> bool {
     candidate.is_accepted() || candidate.reason == Some(Reason::NeverUnderstood)
 }
 
-fn agreement(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
+fn agreement(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     line(out, "\n## Rated k against the place of the directive's last word\n");
     line(out, "| topic | same | within a word | earlier | later | clamped | with a reason |");
     line(out, "|---|---|---|---|---|---|---|");
@@ -243,7 +243,7 @@ fn agreement(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
         let (mut clamped, mut reason, mut n) = (0, 0, 0);
         let of_topic = |c: &&Candidate| c.topic == i && c.is_accepted();
         for candidate in candidates.iter().filter(of_topic) {
-            let what = candidate.spans.iter().find(|span| span.part == Part::What);
+            let what = candidate.spans.iter().find(|span| span.part == SpanKind::What);
             let (Some(cell), Some(what)) = (candidate.landed, what) else { continue };
             let (rated, structural) = (cell.comprehension, what.to);
             n += 1;
@@ -252,7 +252,7 @@ fn agreement(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
             earlier += usize::from(rated < structural);
             later += usize::from(rated > structural);
             clamped += usize::from(candidate.clamped);
-            reason += usize::from(candidate.spans.iter().any(|span| span.part == Part::Why));
+            reason += usize::from(candidate.spans.iter().any(|span| span.part == SpanKind::Why));
         }
         let share = |part| format!("{:.0} %", percent(part, n));
         let (same, within, reason) = (share(same), share(within), share(reason));
@@ -264,7 +264,7 @@ fn agreement(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
     }
 }
 
-fn to_read(out: &mut String, plan: &Plan, candidates: &[Candidate]) {
+fn to_read(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     line(
         out,
         "\n## To be read\n\nThe first representative of every cell, with its comprehension after each word.",

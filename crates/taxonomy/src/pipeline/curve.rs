@@ -4,7 +4,7 @@ use super::candidate::Reason;
 
 /// When a sentence is understood.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Heard {
+pub struct ListenerCurve {
     /// Running maximum of the rating: a listener does not forget what was understood. Shape `[l]`.
     pub curve: Vec<u8>,
     /// Comprehension time k.
@@ -23,7 +23,7 @@ pub struct Heard {
 /// # Source
 ///
 /// arXiv:2509.07438 reads comprehension word by word and names no threshold.
-pub fn heard(rated: &[u8], theta: u8, least: u32, max_drop: u8) -> Result<Heard, Reason> {
+pub fn listen(rated: &[u8], theta: u8, least: u32, max_drop: u8) -> Result<ListenerCurve, Reason> {
     let mut highest = 0;
     let mut curve = Vec::with_capacity(rated.len());
     for &percent in rated {
@@ -35,7 +35,7 @@ pub fn heard(rated: &[u8], theta: u8, least: u32, max_drop: u8) -> Result<Heard,
     }
     let crossing = curve.iter().position(|&percent| percent >= theta);
     let first = crossing.ok_or(Reason::NeverUnderstood)? as u32 + 1;
-    Ok(Heard { curve, comprehension: first.max(least), clamped: first < least })
+    Ok(ListenerCurve { curve, comprehension: first.max(least), clamped: first < least })
 }
 
 #[cfg(test)]
@@ -45,23 +45,23 @@ mod tests {
     #[test]
     fn the_first_crossing_is_k() {
         // The two worked examples of the source's rating prompt.
-        let danger = heard(&[5, 20, 70, 80, 100], 70, 2, 20).unwrap();
+        let danger = listen(&[5, 20, 70, 80, 100], 70, 2, 20).unwrap();
         assert_eq!((danger.comprehension, danger.clamped), (3, false));
-        let adjust = heard(&[5, 50, 50, 50, 70, 70, 70], 70, 2, 20).unwrap();
+        let adjust = listen(&[5, 50, 50, 50, 70, 70, 70], 70, 2, 20).unwrap();
         assert_eq!(adjust.comprehension, 5);
     }
 
     #[test]
     fn nothing_is_understood_less_later() {
-        let dip = heard(&[30, 60, 40, 90], 70, 2, 20).unwrap();
+        let dip = listen(&[30, 60, 40, 90], 70, 2, 20).unwrap();
         assert_eq!(dip.curve, [30, 60, 60, 90]);
-        assert_eq!(heard(&[30, 61, 40, 90], 70, 2, 20), Err(Reason::NonMonotone));
+        assert_eq!(listen(&[30, 61, 40, 90], 70, 2, 20), Err(Reason::NonMonotone));
     }
 
     #[test]
     fn what_is_clear_at_once_is_clamped_and_what_never_is_is_refused() {
-        let clear = heard(&[90, 95], 70, 2, 20).unwrap();
+        let clear = listen(&[90, 95], 70, 2, 20).unwrap();
         assert_eq!((clear.comprehension, clear.clamped), (2, true));
-        assert_eq!(heard(&[10, 69], 70, 2, 20), Err(Reason::NeverUnderstood));
+        assert_eq!(listen(&[10, 69], 70, 2, 20), Err(Reason::NeverUnderstood));
     }
 }

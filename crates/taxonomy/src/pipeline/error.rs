@@ -146,19 +146,11 @@ pub enum BackendError {
         /// As named.
         expected: String,
     },
-    /// A local model that cannot be loaded or run.
-    #[error("the local model cannot be used: {message}")]
+    /// The embedder cannot be loaded or run, or what it said cannot be read from the log.
+    #[error("the embedder cannot be used: {message}")]
     Local {
         /// Why.
         message: String,
-    },
-    /// A model that does not show its probabilities.
-    #[error(
-        "{model} cannot tell how likely a sentence is: leave `settings.fluency` at 0 or write with a local model"
-    )]
-    NoLikelihood {
-        /// The model.
-        model: String,
     },
     /// A log of annotations that lacks what was asked.
     #[error("the annotations lack {what}")]

@@ -6,9 +6,9 @@ use serde_json::json;
 
 use super::candidate::Candidate;
 use super::log::LogHeader;
-use super::plan::Plan;
+use super::plan::DatabasePlan;
 use crate::database::Taxonomy;
-use crate::utterance::{Fidelity, Part, Utterance};
+use crate::utterance::{Fidelity, SpanKind, Utterance};
 
 /// Says at the head of a file what may be claimed of it.
 fn claim(fidelity: Fidelity) -> &'static str {
@@ -31,7 +31,7 @@ fn claim(fidelity: Fidelity) -> &'static str {
 }
 
 /// Writes the file of the chosen sentences.
-pub fn database(plan: &Plan, header: &LogHeader, kept: &[Candidate]) -> String {
+pub fn database(plan: &DatabasePlan, header: &LogHeader, kept: &[Candidate]) -> String {
     let topics: Vec<String> = plan.topic.iter().map(|topic| quote(&topic.id)).collect();
     let mut out = format!(
         "# What is said in the domain `{}`, by topic, comprehension time k and conveyance time l, in words.\n# {}\n\
@@ -60,7 +60,7 @@ pub fn database(plan: &Plan, header: &LogHeader, kept: &[Candidate]) -> String {
     out
 }
 
-fn sentence(out: &mut String, plan: &Plan, candidate: &Candidate) {
+fn sentence(out: &mut String, plan: &DatabasePlan, candidate: &Candidate) {
     let Some(cell) = candidate.landed else { return };
     let spans: Vec<String> = candidate
         .spans
@@ -86,11 +86,11 @@ fn push(out: &mut String, text: &str) {
     out.push_str(text);
 }
 
-fn part(part: Part) -> &'static str {
+fn part(part: SpanKind) -> &'static str {
     match part {
-        Part::What => "what",
-        Part::How => "how",
-        Part::Why => "why",
+        SpanKind::What => "what",
+        SpanKind::How => "how",
+        SpanKind::Why => "why",
     }
 }
 

@@ -10,9 +10,9 @@ use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
-use super::backend::{Call, Input, Model as _, Sampling, Stage};
+use super::backend::{Call, CallStage, Input, Model as _, Sampling};
 use super::grammar::Grammar;
-use super::plan::Plan;
+use super::plan::DatabasePlan;
 use crate::utterance::Cell;
 use crate::words;
 
@@ -39,7 +39,7 @@ pub enum Manner {
 
 /// What the server has seen.
 #[derive(Debug, Default)]
-pub struct Seen {
+pub struct ServerLog {
     /// Requests, answered or not.
     pub requests: usize,
     /// Bodies of the requests that were answered in full.
@@ -56,7 +56,7 @@ pub struct Seen {
 
 #[derive(Debug, Default)]
 struct Shared {
-    seen: Mutex<Seen>,
+    seen: Mutex<ServerLog>,
     changed: Condvar,
 }
 
@@ -74,7 +74,7 @@ impl Server {
     /// # Panics
     ///
     /// If there is no port or no thread to be had.
-    pub fn start(plan: &Plan, manners: &[Manner]) -> Self {
+    pub fn start(plan: &DatabasePlan, manners: &[Manner]) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}/v1", listener.local_addr().unwrap());
         let shared = Arc::new(Shared::default());
@@ -99,7 +99,7 @@ impl Server {
     /// # Panics
     ///
     /// If a connection's thread panicked while it counted.
-    pub fn seen(&self) -> MutexGuard<'_, Seen> {
+    pub fn seen(&self) -> MutexGuard<'_, ServerLog> {
         self.shared.seen.lock().unwrap()
     }
 
@@ -114,7 +114,7 @@ impl Server {
     ///
     /// If none is within `patience`.
     pub fn wait_held(&self, patience: Duration) {
-        let (seen, wait) = (self.seen(), |seen: &mut Seen| seen.held == 0);
+        let (seen, wait) = (self.seen(), |seen: &mut ServerLog| seen.held == 0);
         let (seen, waited) = self.shared.changed.wait_timeout_while(seen, patience, wait).unwrap();
         assert!(!waited.timed_out(), "no request is held after {} answers", seen.answered.len());
     }
@@ -128,7 +128,12 @@ impl Server {
     }
 }
 
-fn handle(stream: &TcpStream, plan: &Plan, manners: &[Manner], shared: &Shared) -> Option<()> {
+fn handle(
+    stream: &TcpStream,
+    plan: &DatabasePlan,
+    manners: &[Manner],
+    shared: &Shared,
+) -> Option<()> {
     let (body, authorization) = request(stream)?;
     let manner = {
         let mut seen = shared.seen.lock().unwrap();
@@ -138,7 +143,7 @@ fn handle(stream: &TcpStream, plan: &Plan, manners: &[Manner], shared: &Shared) 
             seen.held += 1;
             shared.changed.notify_all();
             let n_released = seen.n_released;
-            let held = |seen: &mut Seen| seen.n_released == n_released;
+            let held = |seen: &mut ServerLog| seen.n_released == n_released;
             drop(shared.changed.wait_while(seen, held).unwrap());
             return None;
         }
@@ -199,7 +204,7 @@ fn request(stream: &TcpStream) -> Option<(String, Option<String>)> {
 }
 
 /// Understands a prompt well enough to have a grammar answer it.
-fn answer(plan: &Plan, prompt: &str) -> String {
+fn answer(plan: &DatabasePlan, prompt: &str) -> String {
     let after = |mark: &str| prompt.rsplit_once(mark).map(|(_, rest)| rest);
     let topic = |named: &str| {
         let topic = plan.topic.iter().find(|topic| named.starts_with(&topic.action));
@@ -224,6 +229,6 @@ fn answer(plan: &Plan, prompt: &str) -> String {
     };
     let sampling = Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 16 };
     let (system, prompt) = (String::new(), String::new());
-    let call = Call { stage: Stage::Generate, system, prompt, sampling, seed: 0, input };
+    let call = Call { stage: CallStage::Generate, system, prompt, sampling, seed: 0, input };
     Grammar::new(plan).complete(&call).unwrap().text
 }

@@ -4,22 +4,22 @@ use leadtime_numerics::Pcg64;
 
 use super::backend::{Call, Finish, Input, Model, Reply};
 use super::error::BackendError;
-use super::plan::{Plan, hash};
+use super::plan::{DatabasePlan, hash};
 use super::structure::Lexicon;
-use crate::utterance::{Cell, Fidelity, Part};
+use crate::utterance::{Cell, Fidelity, SpanKind};
 use crate::words;
 
 /// Orders in which people say it; a reason between manner and directive is not one of them.
-const ORDERS: [&[Part]; 9] = [
-    &[Part::What],
-    &[Part::What, Part::How],
-    &[Part::How, Part::What],
-    &[Part::What, Part::Why],
-    &[Part::Why, Part::What],
-    &[Part::What, Part::How, Part::Why],
-    &[Part::How, Part::What, Part::Why],
-    &[Part::Why, Part::What, Part::How],
-    &[Part::Why, Part::How, Part::What],
+const ORDERS: [&[SpanKind]; 9] = [
+    &[SpanKind::What],
+    &[SpanKind::What, SpanKind::How],
+    &[SpanKind::How, SpanKind::What],
+    &[SpanKind::What, SpanKind::Why],
+    &[SpanKind::Why, SpanKind::What],
+    &[SpanKind::What, SpanKind::How, SpanKind::Why],
+    &[SpanKind::How, SpanKind::What, SpanKind::Why],
+    &[SpanKind::Why, SpanKind::What, SpanKind::How],
+    &[SpanKind::Why, SpanKind::How, SpanKind::What],
 ];
 
 /// Comprehension once the directive is out, in percent.
@@ -28,13 +28,13 @@ const UNDERSTOOD: u8 = 95;
 /// Answers from the phrase lists of a plan.
 #[derive(Clone, Debug)]
 pub struct Grammar {
-    plan: Plan,
+    plan: DatabasePlan,
     lexicon: Lexicon,
 }
 
 impl Grammar {
     /// Takes a plan's phrases.
-    pub fn new(plan: &Plan) -> Self {
+    pub fn new(plan: &DatabasePlan) -> Self {
         Self { plan: plan.clone(), lexicon: Lexicon::new(plan) }
     }
 
@@ -48,8 +48,8 @@ impl Grammar {
         let mut found = Vec::new();
         for order in ORDERS {
             let list = |part| if order.contains(&part) { None } else { Some(&nothing[..]) };
-            let hows = list(Part::How).unwrap_or(hows);
-            let whys = list(Part::Why).unwrap_or(&topic.why);
+            let hows = list(SpanKind::How).unwrap_or(hows);
+            let whys = list(SpanKind::Why).unwrap_or(&topic.why);
             for what in &topic.what {
                 let pairs = hows.iter().flat_map(|how| whys.iter().map(move |why| (how, why)));
                 found
@@ -68,9 +68,10 @@ impl Grammar {
         let spoken = words::words(text);
         let topic = self.plan.topic_idx(topic);
         let structure = self.lexicon.analyse(&spoken).ok();
-        let what = structure
-            .filter(|structure| Some(structure.topic) == topic)
-            .and_then(|structure| structure.spans.into_iter().find(|span| span.part == Part::What));
+        let what =
+            structure.filter(|structure| Some(structure.topic) == topic).and_then(|structure| {
+                structure.spans.into_iter().find(|span| span.part == SpanKind::What)
+            });
         let end = what.map_or(usize::MAX, |what| what.to as usize);
         let percent = |i: usize| {
             if i + 1 >= end { UNDERSTOOD } else { 10 + (40 * i / spoken.len()) as u8 }
@@ -85,18 +86,18 @@ impl Grammar {
 }
 
 /// Puts phrases together, if that gives the k and l of a cell.
-fn sentence(order: &[Part], phrases: [&str; 3], cell: Cell) -> Option<String> {
+fn sentence(order: &[SpanKind], phrases: [&str; 3], cell: Cell) -> Option<String> {
     let phrase = |part| phrases[part as usize];
     let mut n_words = 0;
     let mut comprehension = 0;
     let mut text = String::new();
     for (i, &part) in order.iter().enumerate() {
         n_words += words::count(phrase(part));
-        if part == Part::What {
+        if part == SpanKind::What {
             comprehension = n_words;
         }
         // A reason is set off, wherever it stands.
-        let comma = i > 0 && (part == Part::Why || order[i - 1] == Part::Why);
+        let comma = i > 0 && (part == SpanKind::Why || order[i - 1] == SpanKind::Why);
         text.push_str(if comma {
             ", "
         } else if i > 0 {

@@ -65,19 +65,19 @@ pub struct Http {
 
 /// The part of an answer that is read.
 #[derive(Deserialize)]
-struct Answer {
-    choices: Vec<Choice>,
+struct ChatAnswer {
+    choices: Vec<ChatChoice>,
     usage: Option<Usage>,
 }
 
 #[derive(Deserialize)]
-struct Choice {
-    message: Message,
+struct ChatChoice {
+    message: ChatMessage,
     finish_reason: Option<String>,
 }
 
 #[derive(Deserialize)]
-struct Message {
+struct ChatMessage {
     content: Option<String>,
 }
 
@@ -173,7 +173,7 @@ impl Http {
 }
 
 fn read(text: &str) -> Attempt {
-    let answer: Answer = match serde_json::from_str(text) {
+    let answer: ChatAnswer = match serde_json::from_str(text) {
         Ok(answer) => answer,
         Err(error) => return Attempt::Again(format!("an answer that cannot be read: {error}")),
     };

@@ -6,10 +6,10 @@ use std::path::Path;
 use super::*;
 use crate::pipeline::fakes::{Manner, Server};
 use crate::pipeline::job::{self, Backend, BuildJob};
-use crate::pipeline::plan::{Plan, RateForm};
+use crate::pipeline::plan::{DatabasePlan, RateForm};
 
 /// A plan of one topic, so that a run takes seconds.
-fn small_plan() -> Plan {
+fn small_plan() -> DatabasePlan {
     let mut plan = job::plan("highway").unwrap();
     plan.topic.truncate(1);
     plan.settings.rate = RateForm::Joint;

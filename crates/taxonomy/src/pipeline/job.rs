@@ -3,24 +3,24 @@
 use std::path::{Path, PathBuf};
 
 use super::annotator::Annotator;
-use super::backend::{Absent, Embedder, Model, Stage};
+use super::backend::{CallStage, Embedder, LoggedBackend, Model};
 use super::build::{Built, build};
-use super::caller::{Backends, Caller, Mode};
+use super::caller::{Backends, CallMode, Caller};
 use super::error::PipelineError;
 use super::export;
 use super::grammar::Grammar;
 use super::http::{Http, HttpSettings};
 use super::lexical::Lexical;
 use super::log::{CallLog, LogHeader};
-use super::plan::Plan;
-use super::prompts::{Prompts, Writer};
+use super::plan::DatabasePlan;
+use super::prompts::{PromptWriter, Prompts};
 use super::rating::Rating;
 use crate::check::{Finding, check};
 use crate::database::Taxonomy;
 
 /// What comes with the crate for one domain: its plan, and the annotations and call log of its database.
 #[derive(Clone, Copy, Debug)]
-struct Source {
+struct ShippedSource {
     domain: &'static str,
     plan: &'static str,
     annotations: &'static str,
@@ -29,7 +29,7 @@ struct Source {
 
 macro_rules! source {
     ($domain:literal) => {
-        Source {
+        ShippedSource {
             domain: $domain,
             plan: include_str!(concat!("../../data/", $domain, "/plan.toml")),
             annotations: include_str!(concat!("../../data/", $domain, "/annotations.txt")),
@@ -38,9 +38,9 @@ macro_rules! source {
     };
 }
 
-const SOURCES: [Source; 3] = [source!("highway"), source!("lander"), source!("steakhouse")];
+const SOURCES: [ShippedSource; 3] = [source!("highway"), source!("lander"), source!("steakhouse")];
 
-fn source(domain: &str) -> Result<&'static Source, PipelineError> {
+fn source(domain: &str) -> Result<&'static ShippedSource, PipelineError> {
     SOURCES.iter().find(|source| source.domain == domain).ok_or_else(|| PipelineError::Plan {
         key: "domain".to_owned(),
         given: domain.to_owned(),
@@ -53,8 +53,8 @@ fn source(domain: &str) -> Result<&'static Source, PipelineError> {
 /// # Errors
 ///
 /// [`PipelineError::Plan`] if there is none for the domain.
-pub fn plan(domain: &str) -> Result<Plan, PipelineError> {
-    Plan::from_toml(source(domain)?.plan)
+pub fn plan(domain: &str) -> Result<DatabasePlan, PipelineError> {
+    DatabasePlan::from_toml(source(domain)?.plan)
 }
 
 /// Reads a plan from a file, or the one that comes with the crate under that name.
@@ -62,12 +62,12 @@ pub fn plan(domain: &str) -> Result<Plan, PipelineError> {
 /// # Errors
 ///
 /// [`PipelineError`] naming what cannot be read.
-pub fn plan_or_file(name_or_path: &str) -> Result<Plan, PipelineError> {
+pub fn plan_or_file(name_or_path: &str) -> Result<DatabasePlan, PipelineError> {
     if SOURCES.iter().any(|source| source.domain == name_or_path) {
         return plan(name_or_path);
     }
     let path = Path::new(name_or_path);
-    Plan::from_toml(&std::fs::read_to_string(path).map_err(PipelineError::file(path))?)
+    DatabasePlan::from_toml(&std::fs::read_to_string(path).map_err(PipelineError::file(path))?)
 }
 
 /// Who writes and rates.
@@ -79,9 +79,6 @@ pub enum Backend {
     Grammar,
     /// A model behind HTTP.
     Http(HttpSettings),
-    /// A model that runs in this process.
-    #[cfg(feature = "candle")]
-    Local(super::local::LlamaSettings),
     /// Nobody: the log holds every reply.
     Replay,
 }
@@ -120,7 +117,7 @@ impl std::fmt::Debug for dyn Model {
 /// # Errors
 ///
 /// [`PipelineError`] saying in one sentence what to do.
-pub fn run(plan: &Plan, job: BuildJob) -> Result<(Built, LogHeader), PipelineError> {
+pub fn run(plan: &DatabasePlan, job: BuildJob) -> Result<(Built, LogHeader), PipelineError> {
     let prompts = match &job.prompts {
         Some(directory) => Prompts::from_directory(directory)?,
         None => Prompts::default(),
@@ -129,18 +126,18 @@ pub fn run(plan: &Plan, job: BuildJob) -> Result<(Built, LogHeader), PipelineErr
         let text = std::fs::read_to_string(&job.log).map_err(PipelineError::file(&job.log))?;
         return replay(plan, &prompts, &job.log, &text);
     }
-    Writer::new(plan, &prompts).check()?;
+    PromptWriter::new(plan, &prompts).check()?;
     let generator = generator(plan, &job.backend)?;
     let embedder = job.embedder.unwrap_or_else(|| Box::new(Lexical));
     let backends = Backends { generator, rater: job.rater, embedder };
     let mut log = CallLog::open(&job.log)?;
-    let mode = Mode::Live { max_calls: job.max_calls };
+    let mode = CallMode::Live { max_calls: job.max_calls };
     let mut caller = Caller::new(backends, &mut log, mode, &plan.domain)?;
     let header = caller.header();
     Ok((build(plan, &prompts, &mut caller)?, header))
 }
 
-fn generator(plan: &Plan, backend: &Backend) -> Result<Box<dyn Model>, PipelineError> {
+fn generator(plan: &DatabasePlan, backend: &Backend) -> Result<Box<dyn Model>, PipelineError> {
     Ok(match backend {
         Backend::Authored(Some(path)) => {
             let text = std::fs::read_to_string(path).map_err(PipelineError::file(path))?;
@@ -149,11 +146,10 @@ fn generator(plan: &Plan, backend: &Backend) -> Result<Box<dyn Model>, PipelineE
         Backend::Authored(None) => Box::new(Annotator::parse(source(&plan.domain)?.annotations)?),
         Backend::Grammar => Box::new(Grammar::new(plan)),
         Backend::Http(settings) => Box::new(Http::new(settings.clone())?),
-        #[cfg(feature = "candle")]
-        Backend::Local(settings) => Box::new(super::local::Llama::load(settings)?),
-        Backend::Replay => {
-            Box::new(Absent { id: String::new(), fidelity: crate::utterance::Fidelity::Local })
-        }
+        Backend::Replay => Box::new(LoggedBackend {
+            id: String::new(),
+            fidelity: crate::utterance::Fidelity::Local,
+        }),
     })
 }
 
@@ -163,7 +159,7 @@ fn generator(plan: &Plan, backend: &Backend) -> Result<Box<dyn Model>, PipelineE
 ///
 /// [`PipelineError::NotInLog`] if the plan, a prompt or the log has changed since.
 pub fn replay(
-    plan: &Plan,
+    plan: &DatabasePlan,
     prompts: &Prompts,
     path: &Path,
     log: &str,
@@ -172,13 +168,13 @@ pub fn replay(
     let header = log.header().cloned().ok_or_else(|| PipelineError::NotInLog {
         what: "who was asked: the log is empty".to_owned(),
     })?;
-    let absent = |id: &str| Absent { id: id.to_owned(), fidelity: header.fidelity };
+    let absent = |id: &str| LoggedBackend { id: id.to_owned(), fidelity: header.fidelity };
     let backends = Backends {
         generator: Box::new(absent(&header.generator)),
         rater: Some(Box::new(absent(&header.rater))),
         embedder: Box::new(absent(&header.embedder)),
     };
-    let mut caller = Caller::new(backends, &mut log, Mode::Replay, &plan.domain)?;
+    let mut caller = Caller::new(backends, &mut log, CallMode::Replay, &plan.domain)?;
     Ok((build(plan, prompts, &mut caller)?, header))
 }
 
@@ -198,7 +194,7 @@ pub fn replay_shipped(domain: &str) -> Result<(Built, LogHeader), PipelineError>
 ///
 /// [`PipelineError`] if the topic is unknown or there are no replies.
 pub fn rate_texts(
-    plan: &Plan,
+    plan: &DatabasePlan,
     backend: &Backend,
     log: &Path,
     topic: &str,
@@ -211,13 +207,13 @@ pub fn rate_texts(
         allowed: known(),
     })?;
     let prompts = Prompts::default();
-    let writer = Writer::new(plan, &prompts);
+    let writer = PromptWriter::new(plan, &prompts);
     let generator = generator(plan, backend)?;
     let backends = Backends { generator, rater: None, embedder: Box::new(Lexical) };
     let mut log = CallLog::open(log)?;
-    let mode = Mode::Live { max_calls: None };
+    let mode = CallMode::Live { max_calls: None };
     let mut caller = Caller::new(backends, &mut log, mode, &plan.domain)?;
-    let rating = Rating::new(plan, &writer, Stage::Rate);
+    let rating = Rating::new(plan, &writer, CallStage::Rate);
     texts.iter().map(|text| rating.words(&mut caller, topic, text)).collect()
 }
 

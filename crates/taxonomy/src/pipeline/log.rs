@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::backend::{Call, Input, Reply, Stage};
+use super::backend::{Call, CallStage, Input, Reply};
 use super::error::PipelineError;
 use crate::utterance::Fidelity;
 
@@ -42,9 +42,9 @@ impl LogHeader {
 /// One further line.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Record {
+struct LogLine {
     key: String,
-    stage: Stage,
+    stage: CallStage,
     input: Input,
     seed: u64,
     reply: Reply,
@@ -98,7 +98,7 @@ impl CallLog {
             if i == 0 {
                 log.header = Some(serde_json::from_str(line).map_err(damaged)?);
             } else {
-                let record: Record = serde_json::from_str(line).map_err(damaged)?;
+                let record: LogLine = serde_json::from_str(line).map_err(damaged)?;
                 log.replies.insert(record.key, record.reply);
             }
         }
@@ -152,7 +152,7 @@ impl CallLog {
     /// [`PipelineError::File`] if the file cannot be written.
     pub fn add(&mut self, key: String, call: &Call, reply: Reply) -> Result<(), PipelineError> {
         let (stage, input, seed) = (call.stage, call.input.clone(), call.seed);
-        let record = Record { key, stage, input, seed, reply };
+        let record = LogLine { key, stage, input, seed, reply };
         self.write(&record)?;
         self.replies.insert(record.key, record.reply);
         Ok(())

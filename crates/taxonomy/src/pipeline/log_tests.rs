@@ -16,7 +16,7 @@ fn header(generator: &str) -> LogHeader {
 
 fn call(prompt: &str) -> Call {
     Call {
-        stage: Stage::Summarise,
+        stage: CallStage::Summarise,
         system: String::new(),
         prompt: prompt.to_owned(),
         sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 16 },

@@ -9,7 +9,7 @@
 //! Whatever costs money or time is a *call*: a prompt to a language model, a sentence to an embedder. Every call and
 //! its reply is a line of the log, under a key that hashes everything the reply can depend on. A run that is cut off
 //! goes on from its log without repeating a call, and a finished log makes the same file again, byte for byte,
-//! without network or weights ([`Mode::Replay`]).
+//! without network or weights ([`CallMode::Replay`]).
 //!
 //! Sentences are placed where they were *measured* to be understood, not where they were asked for; whatever is
 //! turned down has a [`Reason`], and the report counts them.
@@ -29,8 +29,6 @@ pub mod backend;
 pub mod build;
 pub mod caller;
 pub mod candidate;
-pub mod chat;
-pub mod closed_set;
 pub mod controls;
 pub mod coverage;
 pub mod curve;
@@ -39,15 +37,14 @@ pub mod error;
 pub mod export;
 #[cfg(any(test, feature = "fakes"))]
 pub mod fakes;
-mod fluency;
 pub mod grammar;
 pub mod http;
 pub mod job;
 pub mod lexical;
-#[cfg(feature = "candle")]
-pub mod local;
 pub mod log;
 pub mod medoids;
+#[cfg(feature = "minilm")]
+pub mod minilm;
 pub mod plan;
 mod progress;
 pub mod prompts;
@@ -57,13 +54,12 @@ mod representatives;
 pub mod rules;
 pub mod structure;
 pub mod template;
-pub mod weights;
 
-pub use backend::{Call, Embedder, Finish, Input, Model, Reply, Sampling, Stage};
+pub use backend::{Call, CallStage, Embedder, Finish, Input, Model, Reply, Sampling};
 pub use build::{Built, build};
-pub use caller::{Caller, Mode};
+pub use caller::{CallMode, Caller};
 pub use candidate::{Candidate, Reason};
 pub use embedding::Embedding;
 pub use error::PipelineError;
 pub use log::CallLog;
-pub use plan::{Plan, RateForm};
+pub use plan::{DatabasePlan, RateForm};

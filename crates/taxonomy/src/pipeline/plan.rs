@@ -23,7 +23,7 @@ pub enum RateForm {
 /// The settings of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
+pub struct PlanSettings {
     /// Comprehension from which on a listener acts (1..=100 percent). Default 70; the source names none.
     pub theta: u8,
     /// Sentences that a cell should get before representatives are chosen (1..=200). Default 6.
@@ -47,9 +47,6 @@ pub struct Settings {
     /// Percent by which the action must be ahead of every other one when it is understood (0..=100); each other action
     /// costs a rating. Default 0: nobody is asked.
     pub min_margin: u8,
-    /// Percentile of the examples' likelihood below which a sentence is hardly English (0..=50); only a local model can
-    /// tell. Default 0: it is not asked.
-    pub fluency: u8,
     /// Sentences per topic that are also rated with their words in another order, to see what the rater makes of it
     /// (0..=10). Default 2.
     pub controls: usize,
@@ -65,7 +62,7 @@ pub struct Settings {
     pub seed: u64,
 }
 
-impl Default for Settings {
+impl Default for PlanSettings {
     fn default() -> Self {
         Self {
             theta: 70,
@@ -79,7 +76,6 @@ impl Default for Settings {
             repeats: 1,
             max_drop: 20,
             min_margin: 0,
-            fluency: 0,
             controls: 2,
             near_duplicate: 0.95,
             temperature: 0.9,
@@ -93,7 +89,7 @@ impl Default for Settings {
 /// A sentence with its rating, as a prompt shows it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Rated {
+pub struct RatedSentence {
     /// The sentence.
     pub text: String,
     /// Percent after each word.
@@ -122,13 +118,13 @@ pub struct TopicPlan {
     /// Reasons for it (Why), for the grammar.
     pub why: Vec<String>,
     /// Worked examples of a rating.
-    pub rated: Vec<Rated>,
+    pub rated: Vec<RatedSentence>,
 }
 
 /// Everything about a domain that sentences are made from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Plan {
+pub struct DatabasePlan {
     /// The domain.
     pub domain: String,
     /// Who listens: `the pilot of a small lander`.
@@ -156,12 +152,12 @@ pub struct Plan {
     pub reject: Vec<String>,
     /// The settings of a run.
     #[serde(default)]
-    pub settings: Settings,
+    pub settings: PlanSettings,
     /// The topics, in the order of their ids.
     pub topic: Vec<TopicPlan>,
 }
 
-impl Plan {
+impl DatabasePlan {
     /// Reads a plan.
     ///
     /// # Errors
@@ -210,7 +206,7 @@ impl Plan {
     }
 }
 
-impl Settings {
+impl PlanSettings {
     fn check(&self) -> Result<(), PipelineError> {
         let within = |holds, key: &str, given: f64, allowed| {
             require(holds, &format!("settings.{key}"), given, allowed)
@@ -229,7 +225,6 @@ impl Settings {
         within(odd, "repeats", self.repeats.into(), "an odd number from 1 to 9")?;
         within(self.max_drop <= 100, "max_drop", self.max_drop.into(), "0 to 100 percent")?;
         within(self.min_margin <= 100, "min_margin", self.min_margin.into(), "0 to 100 percent")?;
-        within(self.fluency <= 50, "fluency", self.fluency.into(), "0 to 50")?;
         within(self.controls <= 10, "controls", self.controls as f64, "0 to 10")?;
         let near = self.near_duplicate;
         within(near > 0.0 && near <= 1.0, "near_duplicate", near, "above 0 and at most 1")?;

@@ -7,7 +7,7 @@ const PLAN: &str = include_str!("../../data/lander/plan.toml");
 
 fn refuse(from: &str, to: &str) -> String {
     assert!(PLAN.contains(from), "the plan has no {from}");
-    Plan::from_toml(&PLAN.replacen(from, to, 1)).unwrap_err().to_string()
+    DatabasePlan::from_toml(&PLAN.replacen(from, to, 1)).unwrap_err().to_string()
 }
 
 #[test]

@@ -3,13 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::candidate::{Candidate, Reason};
-use super::plan::Plan;
+use super::plan::DatabasePlan;
 use crate::utterance::Cell;
 use crate::words;
 
 /// What was proposed, accepted and given up so far.
 #[derive(Debug)]
-pub(super) struct Progress {
+pub(super) struct BuildProgress {
     pub(super) candidates: Vec<Candidate>,
     /// Normalised text to its first candidate.
     seen: BTreeMap<String, usize>,
@@ -21,8 +21,8 @@ pub(super) struct Progress {
     iterations: u32,
 }
 
-impl Progress {
-    pub(super) fn new(plan: &Plan) -> Self {
+impl BuildProgress {
+    pub(super) fn new(plan: &DatabasePlan) -> Self {
         let [from, to] = plan.words;
         let cells = |topic| Cell::feasible(from, to).map(move |cell| (topic, cell));
         let all = || (0..plan.topic.len()).flat_map(cells);
@@ -37,7 +37,7 @@ impl Progress {
     }
 
     /// Picks the emptiest cell that may still be asked for; of equals, the one asked for least.
-    pub(super) fn next(&mut self, plan: &Plan) -> Option<(usize, Cell, u32)> {
+    pub(super) fn next(&mut self, plan: &DatabasePlan) -> Option<(usize, Cell, u32)> {
         let settings = &plan.settings;
         if self.iterations >= settings.max_iterations {
             return None;

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::backend::{Call, Input, Sampling, Stage};
+use super::backend::{Call, CallStage, Input, Sampling};
 use super::error::PipelineError;
-use super::plan::{Plan, TopicPlan, hash};
+use super::plan::{DatabasePlan, TopicPlan, hash};
 use super::template::{Variables, render};
 use crate::utterance::Cell;
 use crate::words;
@@ -63,14 +63,14 @@ impl Prompts {
 
 /// Writes the calls of a run.
 #[derive(Clone, Debug)]
-pub struct Writer<'a> {
-    plan: &'a Plan,
+pub struct PromptWriter<'a> {
+    plan: &'a DatabasePlan,
     prompts: &'a Prompts,
 }
 
-impl<'a> Writer<'a> {
+impl<'a> PromptWriter<'a> {
     /// Puts a plan and its prompts together.
-    pub fn new(plan: &'a Plan, prompts: &'a Prompts) -> Self {
+    pub fn new(plan: &'a DatabasePlan, prompts: &'a Prompts) -> Self {
         Self { plan, prompts }
     }
 
@@ -82,7 +82,7 @@ impl<'a> Writer<'a> {
     pub fn check(&self) -> Result<(), PipelineError> {
         self.summarise()?;
         for topic in &self.plan.topic {
-            self.generate("", topic, (Cell::new(1, 1), 0), &[])?;
+            self.generate("", topic, Cell::new(1, 1), 0, &[])?;
             self.rate_joint(topic, "", 0)?;
             self.rate_prefix(topic, "", 0, 0)?;
         }
@@ -99,7 +99,7 @@ impl<'a> Writer<'a> {
         variables.insert("world", self.plan.world.trim().to_owned());
         variables.insert("missing", self.plan.missing.trim().to_owned());
         let prompt = render("summarise", &self.prompts.summarise, &variables)?;
-        self.call(Stage::Summarise, prompt, 0.0, 0, Input::Domain)
+        self.call(CallStage::Summarise, prompt, 0.0, 0, Input::Domain)
     }
 
     /// Asks for sentences.
@@ -111,32 +111,28 @@ impl<'a> Writer<'a> {
         &self,
         summary: &str,
         topic: &TopicPlan,
-        (cell, round): (Cell, u32),
-        there: &[String],
+        cell: Cell,
+        round: u32,
+        accepted: &[String],
     ) -> Result<Call, PipelineError> {
-        let Settings { batch, temperature, seed } = self.settings();
+        let settings = &self.plan.settings;
         let mut variables = self.common();
-        let recent = there.len().saturating_sub(MAX_AVOID);
+        let recent = accepted.len().saturating_sub(MAX_AVOID);
         variables.insert("summary", summary.trim().to_owned());
         variables.insert("topic", topic.id.clone());
         variables.insert("action", topic.action.clone());
-        variables.insert("n", batch.to_string());
+        variables.insert("n", settings.batch.to_string());
         variables.insert("k", cell.comprehension.to_string());
         variables.insert("l", cell.conveyance.to_string());
         variables.insert("order", order(cell).to_owned());
         variables.insert("examples", self.plan.examples.join("\n"));
-        variables.insert("topic_examples", shown(topic));
-        let others = self.plan.topic.iter().filter(|other| other.id != topic.id);
-        let shots: Vec<String> = others
-            .map(|other| format!("Action: {}\nNotifications: {}\n", other.action, shown(other)))
-            .collect();
-        variables.insert("shots", shots.join("\n"));
-        let avoid = if there.is_empty() { "(none)".to_owned() } else { there[recent..].join("\n") };
+        let avoid =
+            if accepted.is_empty() { "(none)".to_owned() } else { accepted[recent..].join("\n") };
         variables.insert("avoid", avoid);
         let prompt = render("generate", &self.prompts.generate, &variables)?;
-        let seed = derive(seed, &(&self.plan.domain, "generate", &topic.id, cell, round));
-        let input = Input::Sentences { topic: topic.id.clone(), cell, n: batch, round };
-        self.call(Stage::Generate, prompt, temperature, seed, input)
+        let seed = derive(settings.seed, &(&self.plan.domain, "generate", &topic.id, cell, round));
+        let input = Input::Sentences { topic: topic.id.clone(), cell, n: settings.batch, round };
+        self.call(CallStage::Generate, prompt, settings.temperature, seed, input)
     }
 
     /// Asks for one percentage per word of a sentence.
@@ -156,7 +152,7 @@ impl<'a> Writer<'a> {
         variables.insert("text", text.to_owned());
         variables.insert("rated", rated(topic));
         let prompt = render("rate_joint", &self.prompts.rate_joint, &variables)?;
-        self.rating(topic, text, None, (prompt, attempt))
+        self.rating(topic, text, None, prompt, attempt)
     }
 
     /// Asks for the percentage after the first words of a sentence, the others hidden.
@@ -177,7 +173,7 @@ impl<'a> Writer<'a> {
         variables.insert("prefix", words::prefix(text, n_words));
         variables.insert("rated_prefixes", rated_prefixes(topic));
         let prompt = render("rate_prefix", &self.prompts.rate_prefix, &variables)?;
-        self.rating(topic, text, Some(n_words), (prompt, attempt))
+        self.rating(topic, text, Some(n_words), prompt, attempt)
     }
 
     fn rating(
@@ -185,7 +181,8 @@ impl<'a> Writer<'a> {
         topic: &TopicPlan,
         text: &str,
         words: Option<usize>,
-        (prompt, attempt): (String, u32),
+        prompt: String,
+        attempt: u32,
     ) -> Result<Call, PipelineError> {
         // The first single rating is the likeliest one; repeats and second tries must differ to be of use.
         let drawn = attempt > 0 || self.plan.settings.repeats > 1;
@@ -193,12 +190,12 @@ impl<'a> Writer<'a> {
         let seed = self.plan.settings.seed;
         let seed = derive(seed, &(&self.plan.domain, "rate", &topic.id, text, words, attempt));
         let input = Input::Sentence { topic: topic.id.clone(), text: text.to_owned(), words };
-        self.call(Stage::Rate, prompt, temperature, seed, input)
+        self.call(CallStage::Rate, prompt, temperature, seed, input)
     }
 
     fn call(
         &self,
-        stage: Stage,
+        stage: CallStage,
         prompt: String,
         temperature: f64,
         seed: u64,
@@ -211,23 +208,11 @@ impl<'a> Writer<'a> {
         Ok(Call { stage, system, prompt, sampling, seed, input })
     }
 
-    fn settings(&self) -> Settings {
-        let settings = &self.plan.settings;
-        Settings { batch: settings.batch, temperature: settings.temperature, seed: settings.seed }
-    }
-
     fn common(&self) -> Variables {
         let actions: Vec<String> =
             self.plan.topic.iter().map(|topic| format!("- {}", topic.action)).collect();
         BTreeMap::from([("role", self.plan.role.clone()), ("actions", actions.join("\n"))])
     }
-}
-
-/// What generation needs of a run's settings.
-struct Settings {
-    batch: usize,
-    temperature: f64,
-    seed: u64,
 }
 
 /// Tells where the directive should stand. Naming a number alone leaves the late cells empty.
@@ -239,14 +224,6 @@ fn order(cell: Cell) -> &'static str {
     } else {
         "say a word or two of warning or manner first, then what to do, then the rest"
     }
-}
-
-/// Shows how a topic sounds, on one line: for models that go on with a text rather than answer.
-fn shown(topic: &TopicPlan) -> String {
-    let rated = topic.rated.iter().map(|rated| rated.text.trim_end_matches(['.', '!']));
-    let reason = topic.why.first().map(String::as_str).unwrap_or_default();
-    let reasons = topic.what.iter().take(1).map(|what| format!("{reason}, {what}"));
-    rated.map(str::to_lowercase).chain(reasons).collect::<Vec<_>>().join("; ")
 }
 
 fn rated(topic: &TopicPlan) -> String {
@@ -293,14 +270,14 @@ mod tests {
     fn every_built_in_prompt_can_be_filled() {
         let plan = job::plan("highway").unwrap();
         let prompts = Prompts::default();
-        let writer = Writer::new(&plan, &prompts);
+        let writer = PromptWriter::new(&plan, &prompts);
         let topic = &plan.topic[0];
-        let there: Vec<String> = (0..7).map(|i| format!("sentence {i}")).collect();
-        let call = writer.generate("SUMMARY", topic, (Cell::new(2, 4), 3), &there).unwrap();
+        let accepted: Vec<String> = (0..7).map(|i| format!("sentence {i}")).collect();
+        let call = writer.generate("SUMMARY", topic, Cell::new(2, 4), 3, &accepted).unwrap();
         assert!(call.prompt.contains("exactly 4 words") && call.prompt.contains("SUMMARY"));
         assert!(call.prompt.contains("sentence 6") && !call.prompt.contains("sentence 1\n"));
         assert!(call.seed < 1 << 53);
-        let again = writer.generate("SUMMARY", topic, (Cell::new(2, 4), 4), &there).unwrap();
+        let again = writer.generate("SUMMARY", topic, Cell::new(2, 4), 4, &accepted).unwrap();
         assert_ne!(call.seed, again.seed);
         assert!(writer.summarise().unwrap().prompt.contains("merge"));
         let joint = writer.rate_joint(topic, "Slow down now.", 0).unwrap();
@@ -313,7 +290,7 @@ mod tests {
     fn a_prefix_call_does_not_see_later_words() {
         let plan = job::plan("highway").unwrap();
         let prompts = Prompts::default();
-        let writer = Writer::new(&plan, &prompts);
+        let writer = PromptWriter::new(&plan, &prompts);
         let call = writer.rate_prefix(&plan.topic[0], "Zebra slow down.", 1, 0).unwrap();
         assert!(call.prompt.contains("Heard so far: \"Zebra\"\n"));
         assert!(!call.prompt.contains("Zebra slow"));
@@ -325,8 +302,8 @@ mod tests {
         std::fs::write(directory.path().join("generate.txt"), "Say {{topik}}").unwrap();
         let prompts = Prompts::from_directory(directory.path()).unwrap();
         let plan = job::plan("highway").unwrap();
-        let writer = Writer::new(&plan, &prompts);
-        let error = writer.generate("", &plan.topic[0], (Cell::new(2, 2), 0), &[]).unwrap_err();
+        let writer = PromptWriter::new(&plan, &prompts);
+        let error = writer.generate("", &plan.topic[0], Cell::new(2, 2), 0, &[]).unwrap_err();
         let says =
             "prompt template `generate` has the unknown variable `topik`; known: action, actions";
         assert!(error.to_string().starts_with(says), "{error}");

@@ -1,11 +1,11 @@
 //! Asks how well a sentence is understood, word by word, and whether another action is as clear.
 
-use super::backend::{Call, Finish, Reply, Stage};
+use super::backend::{Call, CallStage, Finish, Reply};
 use super::caller::Caller;
 use super::candidate::{Candidate, Reason};
 use super::error::PipelineError;
-use super::plan::{Plan, RateForm};
-use super::prompts::Writer;
+use super::plan::{DatabasePlan, RateForm};
+use super::prompts::PromptWriter;
 use super::reply;
 use crate::words;
 
@@ -13,15 +13,15 @@ use crate::words;
 #[derive(Clone, Debug)]
 pub struct Rating<'a> {
     /// What is rated.
-    pub(super) plan: &'a Plan,
-    writer: &'a Writer<'a>,
-    /// [`Stage::Rate`] or [`Stage::Control`].
-    stage: Stage,
+    pub(super) plan: &'a DatabasePlan,
+    writer: &'a PromptWriter<'a>,
+    /// [`CallStage::Rate`] or [`CallStage::Control`].
+    stage: CallStage,
 }
 
 impl<'a> Rating<'a> {
     /// Asks on behalf of a stage.
-    pub fn new(plan: &'a Plan, writer: &'a Writer<'a>, stage: Stage) -> Self {
+    pub fn new(plan: &'a DatabasePlan, writer: &'a PromptWriter<'a>, stage: CallStage) -> Self {
         Self { plan, writer, stage }
     }
 
@@ -66,7 +66,7 @@ impl<'a> Rating<'a> {
         let n_words = words::count(text) as usize;
         let mut curve = Vec::with_capacity(n_words);
         for n in 1..=n_words {
-            match self.prefix(caller, topic, (text, n), attempts.clone())? {
+            match self.prefix(caller, topic, text, n, attempts.clone())? {
                 Some(percent) => curve.push(percent),
                 None => return Ok(None),
             }
@@ -83,16 +83,18 @@ impl<'a> Rating<'a> {
         &self,
         caller: &mut Caller<'_>,
         topic: usize,
-        (text, n): (&str, usize),
+        text: &str,
+        n: usize,
     ) -> Result<Option<u8>, PipelineError> {
-        self.prefix(caller, topic, (text, n), 0..self.plan.settings.tries)
+        self.prefix(caller, topic, text, n, 0..self.plan.settings.tries)
     }
 
     fn prefix(
         &self,
         caller: &mut Caller<'_>,
         topic: usize,
-        (text, n): (&str, usize),
+        text: &str,
+        n: usize,
         attempts: std::ops::Range<u32>,
     ) -> Result<Option<u8>, PipelineError> {
         let of = &self.plan.topic[topic];
@@ -116,7 +118,7 @@ impl<'a> Rating<'a> {
         let own = candidate.curve.get(n - 1).copied().unwrap_or_default();
         let mut most = 0;
         for other in (0..self.plan.topic.len()).filter(|other| *other != candidate.topic) {
-            let Some(percent) = self.after(caller, other, (&candidate.text, n))? else {
+            let Some(percent) = self.after(caller, other, &candidate.text, n)? else {
                 return Ok(Err(Reason::Malformed));
             };
             most = most.max(percent);

@@ -7,12 +7,12 @@ use super::candidate::{Candidate, Reason};
 use super::embedding::Embedding;
 use super::error::PipelineError;
 use super::medoids::{Distances, medoids};
-use super::plan::Plan;
+use super::plan::DatabasePlan;
 use crate::utterance::Cell;
 
 /// Chooses the representatives of every cell, and marks them; in the order of the file.
 pub(super) fn choose(
-    plan: &Plan,
+    plan: &DatabasePlan,
     candidates: &mut [Candidate],
     caller: &mut Caller<'_>,
 ) -> Result<Vec<Candidate>, PipelineError> {

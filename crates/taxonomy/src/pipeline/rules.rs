@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::candidate::Reason;
-use super::plan::Plan;
+use super::plan::DatabasePlan;
 use super::structure::{Lexicon, Structure};
 use crate::words;
 
@@ -24,7 +24,7 @@ pub struct Rules {
 
 impl Rules {
     /// Collects a plan's rules.
-    pub fn new(plan: &Plan) -> Self {
+    pub fn new(plan: &DatabasePlan) -> Self {
         Self {
             lexicon: Lexicon::new(plan),
             words: plan.words,

@@ -1,8 +1,8 @@
 //! What, How and Why by phrase lists: which words tell what to do, how, and for what reason.
 
 use super::candidate::Reason;
-use super::plan::{Plan, TopicPlan};
-use crate::utterance::{Part, Span};
+use super::plan::{DatabasePlan, TopicPlan};
+use crate::utterance::{SpanKind, WordSpan};
 use crate::words;
 
 /// The phrases of one topic.
@@ -26,12 +26,12 @@ pub struct Structure {
     /// Index of the topic that its directive belongs to.
     pub topic: usize,
     /// What, How, Why, in order.
-    pub spans: Vec<Span>,
+    pub spans: Vec<WordSpan>,
 }
 
 impl Lexicon {
     /// Collects a plan's phrases.
-    pub fn new(plan: &Plan) -> Self {
+    pub fn new(plan: &DatabasePlan) -> Self {
         let split = |phrases: &[String], also: &[String]| {
             phrases.iter().chain(also).map(|phrase| words::words(phrase)).collect()
         };
@@ -68,7 +68,7 @@ impl Lexicon {
     }
 
     /// Lists the directives (or the facts) of a sentence: of phrases that start with the same word, the longest.
-    fn find(&self, words: &[String], statement: bool) -> Vec<(usize, Span)> {
+    fn find(&self, words: &[String], statement: bool) -> Vec<(usize, WordSpan)> {
         let mut found = Vec::new();
         let mut from = 0;
         while from < words.len() {
@@ -80,7 +80,7 @@ impl Lexicon {
             match longest {
                 Some((n, topic)) => {
                     let (start, end) = (from as u32, (from + n) as u32);
-                    found.push((topic, Span { part: Part::What, from: start, to: end }));
+                    found.push((topic, WordSpan { part: SpanKind::What, from: start, to: end }));
                     from += n;
                 }
                 None => from += 1,
@@ -89,7 +89,7 @@ impl Lexicon {
         found
     }
 
-    fn spans(&self, words: &[String], what: Span) -> Vec<Span> {
+    fn spans(&self, words: &[String], what: WordSpan) -> Vec<WordSpan> {
         let mut spans = Vec::new();
         let mut reason: Option<(usize, usize)> = None;
         let mut from = 0;
@@ -99,7 +99,11 @@ impl Lexicon {
             let next = if from == what.from as usize {
                 Some(what)
             } else {
-                how.map(|n| Span { part: Part::How, from: from as u32, to: (from + n) as u32 })
+                how.map(|n| WordSpan {
+                    part: SpanKind::How,
+                    from: from as u32,
+                    to: (from + n) as u32,
+                })
             };
             if let Some(span) = next {
                 spans.extend(self.reason(words, reason.take()));
@@ -115,7 +119,7 @@ impl Lexicon {
     }
 
     /// Makes a reason of words that are nothing else, unless they are only fillers.
-    fn reason(&self, words: &[String], run: Option<(usize, usize)>) -> Option<Span> {
+    fn reason(&self, words: &[String], run: Option<(usize, usize)>) -> Option<WordSpan> {
         let (mut from, mut to) = run?;
         let filler = |i: usize| self.fillers.contains(&words[i]);
         while from < to && filler(from) {
@@ -124,7 +128,7 @@ impl Lexicon {
         while from < to && filler(to - 1) {
             to -= 1;
         }
-        (from < to).then_some(Span { part: Part::Why, from: from as u32, to: to as u32 })
+        (from < to).then_some(WordSpan { part: SpanKind::Why, from: from as u32, to: to as u32 })
     }
 }
 
@@ -140,9 +144,9 @@ mod tests {
     use crate::pipeline::job;
 
     /// Topic and spans, as they are easiest to compare.
-    type Found = (String, Vec<(Part, u32, u32)>);
+    type Analysed = (String, Vec<(SpanKind, u32, u32)>);
 
-    fn analyse(domain: &str, text: &str) -> Result<Found, Reason> {
+    fn analyse(domain: &str, text: &str) -> Result<Analysed, Reason> {
         let plan = job::plan(domain).unwrap();
         let structure = Lexicon::new(&plan).analyse(&words::words(text))?;
         let spans = structure.spans.into_iter().map(Into::into).collect();
@@ -153,19 +157,19 @@ mod tests {
     fn a_sentence_falls_into_what_how_and_why() {
         let (topic, spans) = analyse("lander", "Avoid top-left danger zone, ascend.").unwrap();
         assert_eq!(topic, "ascend");
-        assert_eq!(spans, [(Part::Why, 0, 4), (Part::What, 4, 5)]);
+        assert_eq!(spans, [(SpanKind::Why, 0, 4), (SpanKind::What, 4, 5)]);
         let (topic, spans) = analyse("highway", "Now slow down, traffic ahead.").unwrap();
         assert_eq!(topic, "slow_down");
-        assert_eq!(spans, [(Part::How, 0, 1), (Part::What, 1, 3), (Part::Why, 3, 5)]);
+        assert_eq!(spans, [(SpanKind::How, 0, 1), (SpanKind::What, 1, 3), (SpanKind::Why, 3, 5)]);
         let (_, spans) = analyse("highway", "Please slow down.").unwrap();
-        assert_eq!(spans, [(Part::What, 1, 3)]);
+        assert_eq!(spans, [(SpanKind::What, 1, 3)]);
     }
 
     #[test]
     fn a_fact_beside_a_directive_is_a_reason() {
         let (topic, spans) = analyse("steakhouse", "Chopping board full, go right.").unwrap();
         assert_eq!(topic, "move_right");
-        assert_eq!(spans, [(Part::Why, 0, 3), (Part::What, 3, 5)]);
+        assert_eq!(spans, [(SpanKind::Why, 0, 3), (SpanKind::What, 3, 5)]);
         assert_eq!(analyse("steakhouse", "Chopping board full.").unwrap().0, "inform");
     }
 

@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use leadtime_taxonomy::pipeline::build::Built;
 use leadtime_taxonomy::pipeline::job::{self, BuildJob};
 use leadtime_taxonomy::pipeline::log::LogHeader;
-use leadtime_taxonomy::pipeline::{PipelineError, Plan};
+use leadtime_taxonomy::pipeline::{DatabasePlan, PipelineError};
 use leadtime_taxonomy::{Finding, check};
 use serde_json::json;
 
@@ -29,7 +29,7 @@ pub(super) fn run(args: &TaxonomyBuildArgs) -> Result<(), Failure> {
     let plan = source::plan(&args.plan)?;
     source::directory("--prompts", args.prompts.as_deref())?;
     source::directory("--embedder", args.embedder.as_deref())?;
-    let job = job(args, &plan)?;
+    let job = job(args)?;
     fs::create_dir_all(&args.output)
         .with_context(|| format!("--output {}", args.output.display()))
         .blame(ExitCode::WrongInput)?;
@@ -46,20 +46,24 @@ pub(super) fn run(args: &TaxonomyBuildArgs) -> Result<(), Failure> {
     print(args, &built, &header)
 }
 
-fn job(args: &TaxonomyBuildArgs, plan: &Plan) -> Result<BuildJob, Failure> {
-    let embedder = args.embedder.as_deref();
+fn job(args: &TaxonomyBuildArgs) -> Result<BuildJob, Failure> {
     Ok(BuildJob {
         backend: backend::backend(&args.backend)?,
         log: args.replay.clone().unwrap_or_else(|| args.output.join(LOG)),
         prompts: args.prompts.clone(),
-        embedder: backend::embedder(embedder)?,
-        rater: backend::rater(plan, args.rate_by_likeness, embedder)?,
+        embedder: backend::embedder(args.embedder.as_deref())?,
+        rater: None,
         max_calls: args.max_calls,
     })
 }
 
 /// Writes report, proposals and, if it can be used, the database.
-fn write(directory: &Path, plan: &Plan, built: &Built, header: &LogHeader) -> anyhow::Result<()> {
+fn write(
+    directory: &Path,
+    plan: &DatabasePlan,
+    built: &Built,
+    header: &LogHeader,
+) -> anyhow::Result<()> {
     let write = |name: &str, text: &str| {
         let path = directory.join(name);
         write_atomically(&path, text.as_bytes())

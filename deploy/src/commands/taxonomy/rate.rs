@@ -1,8 +1,8 @@
 //! `leadtime taxonomy rate`: where would sentences of one's own land?
 
 use anyhow::Context as _;
-use leadtime_taxonomy::pipeline::curve::heard;
-use leadtime_taxonomy::pipeline::{Plan, Reason, job};
+use leadtime_taxonomy::pipeline::curve::listen;
+use leadtime_taxonomy::pipeline::{DatabasePlan, Reason, job};
 use leadtime_taxonomy::{Cell, words};
 use serde_json::json;
 
@@ -30,14 +30,14 @@ pub(super) fn run(args: &TaxonomyRateArgs) -> Result<(), Failure> {
 }
 
 /// Finds the cell of a rating, or why it has none.
-fn cell(plan: &Plan, rating: Option<&[u8]>) -> Result<Cell, Reason> {
+fn cell(plan: &DatabasePlan, rating: Option<&[u8]>) -> Result<Cell, Reason> {
     let rating = rating.ok_or(Reason::Malformed)?;
     let settings = &plan.settings;
-    let heard = heard(rating, settings.theta, plan.words[0], settings.max_drop)?;
+    let heard = listen(rating, settings.theta, plan.words[0], settings.max_drop)?;
     Ok(Cell::new(heard.comprehension, heard.curve.len() as u32))
 }
 
-fn print(args: &TaxonomyRateArgs, plan: &Plan, sentence: &str, rating: Option<&[u8]>) {
+fn print(args: &TaxonomyRateArgs, plan: &DatabasePlan, sentence: &str, rating: Option<&[u8]>) {
     let cell = cell(plan, rating);
     if args.json {
         output::json(&json!({

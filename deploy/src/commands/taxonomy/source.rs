@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use leadtime_taxonomy::pipeline::error::BackendError;
-use leadtime_taxonomy::pipeline::{PipelineError, Plan, job};
+use leadtime_taxonomy::pipeline::{DatabasePlan, PipelineError, job};
 use leadtime_taxonomy::{Taxonomy, shipped};
 use toml::Table;
 
@@ -29,7 +29,7 @@ pub(super) fn failure(error: &PipelineError) -> Failure {
 /// # Errors
 ///
 /// Wrong input: what there is, or the line of the file, or the change.
-pub(super) fn plan(args: &PlanArgs) -> Result<Plan, Failure> {
+pub(super) fn plan(args: &PlanArgs) -> Result<DatabasePlan, Failure> {
     let name = &args.plan;
     let named = is_shipped(name);
     if !named && !Path::new(name).is_file() {
@@ -49,7 +49,7 @@ pub(super) fn plan(args: &PlanArgs) -> Result<Plan, Failure> {
     }
     let table = Table::try_from(plan).context("a plan can be written").map_err(Failure::from)?;
     let changes = args.set.iter().map(Layer::set);
-    let plan: Plan =
+    let plan: DatabasePlan =
         leadtime_config::read([Layer::table("the plan", &table)].into_iter().chain(changes))
             .blame(ExitCode::WrongInput)?;
     let keys: Vec<String> = args.set.iter().map(Override::key).collect();

@@ -1,17 +1,20 @@
-//! `all-MiniLM-L6-v2`: sentences as 384 numbers, by mean over the tokens.
+//! `all-MiniLM-L6-v2` in this process: sentences as 384 numbers, by mean over the tokens (feature `minilm`).
+//!
+//! The shipped databases were made with it, so it is what makes them again from their annotations, byte for byte. No
+//! weights come with Leadtime: `crates/taxonomy/scripts/fetch_model.sh` fetches them (91 MB, Apache-2.0), and whatever
+//! is loaded is checked by hash.
 
 use std::path::Path;
 
 use candle_core::{DType, Device, Tensor};
 use candle_nn::VarBuilder;
 use candle_transformers::models::bert::{BertModel, Config};
+use sha2::{Digest as _, Sha256};
 use tokenizers::Tokenizer;
 
-use super::complaint::local;
-use crate::pipeline::backend::Embedder;
-use crate::pipeline::embedding::Embedding;
-use crate::pipeline::error::BackendError;
-use crate::pipeline::weights::read;
+use super::backend::Embedder;
+use super::embedding::Embedding;
+use super::error::BackendError;
 
 /// Hash of `model.safetensors`.
 const WEIGHTS: &str = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db";
@@ -76,5 +79,44 @@ impl Embedder for MiniLm {
 
     fn embed(&mut self, text: &str) -> Result<Embedding, BackendError> {
         Ok(Embedding::new(&self.vector(text)?))
+    }
+}
+
+/// Reports the first line of what the tensor library or the tokenizer says.
+fn local(error: impl std::fmt::Display) -> BackendError {
+    BackendError::Local { message: error.to_string().lines().next().unwrap_or_default().to_owned() }
+}
+
+/// Reads a file whose sha256 is known; `expected` in hexadecimal.
+///
+/// # Errors
+///
+/// [`BackendError::WrongHash`] if it is another file, [`BackendError::Local`] if it cannot be read.
+fn read(path: &Path, expected: &str) -> Result<Vec<u8>, BackendError> {
+    let bytes =
+        std::fs::read(path).map_err(|error| local(format!("{}: {error}", path.display())))?;
+    let found: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+    if found != expected {
+        let (path, expected) = (path.to_owned(), expected.to_owned());
+        return Err(BackendError::WrongHash { path, found, expected });
+    }
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_not_the_one_named_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("model.safetensors");
+        std::fs::write(&path, "abc").unwrap();
+        let abc = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(read(&path, abc).unwrap(), b"abc");
+        let error = read(&path, "0000").unwrap_err().to_string();
+        assert!(error.ends_with(&format!("has sha256 {abc}; expected 0000")), "{error}");
+        let error = read(&directory.path().join("none"), abc).unwrap_err().to_string();
+        assert!(error.starts_with("the embedder cannot be used: "), "{error}");
     }
 }
