@@ -244,9 +244,8 @@ fn no_source_file_is_endless() {
 }
 
 /// Type names that two product types share, and why that does not mislead.
-const SHARED_NAMES: &[(&str, &str)] = &[
-    ("Error", "each library's own error, always written with its crate: `link::Error`"),
-];
+const SHARED_NAMES: &[(&str, &str)] =
+    &[("Error", "each library's own error, always written with its crate: `link::Error`")];
 
 #[test]
 fn a_type_name_means_one_thing() {
@@ -274,8 +273,8 @@ fn type_name(line: &str) -> Option<&str> {
         };
     }
     let (keyword, rest) = rest.trim_start().split_once(' ')?;
-    let is_type = matches!(keyword, "struct" | "enum" | "trait")
-        || (keyword == "type" && !is_indented);
+    let is_type =
+        matches!(keyword, "struct" | "enum" | "trait") || (keyword == "type" && !is_indented);
     let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
     (is_type && end > 0).then_some(&rest[..end])
 }

@@ -20,7 +20,7 @@ use crate::layers::{Layer, Layers};
 use crate::overrides::Override;
 use crate::sections::{self, SECTIONS};
 use crate::written::{
-    EncoderKind, EvaluationAction, EvaluationSection, PolicySection, RunSection, Written,
+    EncoderKind, EvaluationAction, EvaluationSection, PolicySection, RunSection, WrittenConfig,
 };
 
 /// The most episodes that one policy is evaluated over.
@@ -170,7 +170,7 @@ impl Config {
         let changes = root.get("evaluation").and_then(|section| section.get_ref().as_table());
         let changes = changes.and_then(|section| section.get("world").cloned());
         known_keys(&layers)?;
-        let written: Written = layers.read(root)?;
+        let written: WrittenConfig = layers.read(root)?;
         let domain = DomainName::new(&written.domain);
         let domain = domain.map_err(|error| ConfigError::of(error).at("`domain`"))?;
         let task = sections::read(domain.as_str(), &layers, sections.clone())?;
@@ -192,7 +192,7 @@ impl Config {
 
     fn check(
         domain: DomainName,
-        written: &Written,
+        written: &WrittenConfig,
         task: TaskSpec,
         evaluated: TaskSpec,
         table: Table,

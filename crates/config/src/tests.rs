@@ -1,7 +1,8 @@
 use std::path::PathBuf;
 
 use leadtime_ppo::{LearnerSettings, Truncation};
-use leadtime_proto::TaskSpec;
+use leadtime_proto::{EnvId, TaskSpec};
+use leadtime_sims::EpisodeSeed;
 use leadtime_sims::registry::Registry;
 use toml::Table;
 
@@ -132,6 +133,9 @@ fn another_choice_replaces_the_old_one() {
     assert_eq!(delay(uniform, &[]), all);
     assert_eq!(delay(uniform, &["human.reaction_delay.fixed=3"]), "{ fixed = 3 }");
     assert_eq!(delay("", &["human.reaction_delay={fixed=4}"]), "{ fixed = 4 }");
+    assert_eq!(delay("human.reaction_delay = 3", &[]), "{ fixed = 3 }", "a bare number");
+    let negative = refused_set("human.reaction_delay=-1");
+    assert!(negative.contains("integer `-1`, expected a number of steps"), "{negative}");
 }
 
 #[test]
@@ -229,6 +233,34 @@ fn impossible_values_are_reported_by_key() {
     ] {
         let refused = refused(text);
         assert!(refused.contains(key), "{key}: {refused}");
+    }
+}
+
+/// A lander that touches the ground remembers its contacts, nine times what it is at the start.
+#[test]
+fn no_snapshot_is_larger_than_the_bound_that_checkpoints_are_planned_with() {
+    let registry = Registry::builtin();
+    for name in Catalog::built_in().names() {
+        let config = check(&format!("base = \"{name}\"")).unwrap();
+        let mut environment = config.build(&registry).unwrap();
+        let most = environment.max_snapshot_bytes();
+        let mut observation = vec![0.0; config.env.obs_dim];
+        let action = vec![0; config.env.actions.heads.len()];
+        let mut largest = 0;
+        for episode in 0..3 {
+            let seed = EpisodeSeed { run_seed: 1, env_id: EnvId(0), episode };
+            environment.reset(seed, &mut observation);
+            for _ in 0..400 {
+                let outcome = environment.step(&action, &mut observation);
+                let mut snapshot = Vec::new();
+                environment.snapshot(&mut snapshot);
+                largest = largest.max(snapshot.len());
+                if outcome.end.is_some() {
+                    break;
+                }
+            }
+        }
+        assert!(largest <= most, "{name}: {largest} bytes, bound {most}");
     }
 }
 

@@ -11,7 +11,7 @@ use toml::Table;
 /// The file, but for the sections about the task.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Written {
+pub(crate) struct WrittenConfig {
     /// What to train on.
     pub(crate) domain: String,
     /// Seed of every random stream.

@@ -256,8 +256,12 @@ where
             T::deserialize(StrDeserializer::new(name))
         }
 
-        fn visit_map<A: MapAccess<'de>>(self, table: A) -> Result<T, A::Error> {
-            T::deserialize(MapAccessDeserializer::new(table))
+        fn visit_map<A: MapAccess<'de>>(self, mut table: A) -> Result<T, A::Error> {
+            let choice = T::deserialize(MapAccessDeserializer::new(&mut table))?;
+            match table.next_key::<String>()? {
+                None => Ok(choice),
+                Some(other) => Err(de::Error::custom(format!("a second choice `{other}`"))),
+            }
         }
     }
     deserializer.deserialize_any(Steps(PhantomData))
