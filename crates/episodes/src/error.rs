@@ -40,7 +40,7 @@ pub enum Error {
         /// Number of steps after which it was given up.
         n_steps: u64,
     },
-    /// The caller's flag was raised ([`crate::PlaySettings::stop`]).
+    /// The caller stopped it ([`crate::PlaySettings::stop`]).
     #[error("the evaluation was interrupted")]
     Interrupted,
     /// A thread cannot be started.

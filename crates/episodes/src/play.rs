@@ -3,7 +3,8 @@
 //! Episode i is the same whoever plays beside it: its world, listener and action draws come from streams named by
 //! (seed, i). So neither the number of slots nor that of threads changes a result, and two players meet the same worlds.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
 use leadtime_numerics::Purpose;
@@ -19,7 +20,7 @@ use crate::slot::EnvSlot;
 pub type MakeEnvironment<'a> = dyn Fn() -> Result<Box<dyn Environment>, TaskError> + Sync + 'a;
 
 /// Which episodes are played, and how.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct PlaySettings<'a> {
     /// Index of the first episode.
     pub first: u64,
@@ -33,8 +34,15 @@ pub struct PlaySettings<'a> {
     pub n_threads: usize,
     /// An episode that takes longer is reported as endless.
     pub max_steps: u64,
-    /// Ends the playing with [`Error::Interrupted`] once it is true; looked at in every step.
-    pub stop: Option<&'a AtomicBool>,
+    /// Asked before every step whether to end the playing with [`Error::Interrupted`].
+    pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
+}
+
+impl fmt::Debug for PlaySettings<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, n_episodes, seed, .. } = self;
+        write!(f, "PlaySettings({n_episodes} episodes of seed {seed} from {first})")
+    }
 }
 
 impl<'a> PlaySettings<'a> {
@@ -56,13 +64,13 @@ impl<'a> PlaySettings<'a> {
         Self { n_threads, ..self }
     }
 
-    /// Ends the playing early when the flag is raised.
-    pub fn stopped_by(self, stop: &'a AtomicBool) -> Self {
+    /// Ends the playing early once the function returns true.
+    pub fn stopped_by(self, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
         Self { stop: Some(stop), ..self }
     }
 
     fn is_stopped(&self) -> bool {
-        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+        self.stop.is_some_and(|stop| stop())
     }
 }
 
@@ -102,7 +110,7 @@ pub fn episode_seed(seed: u64, index: u64) -> EpisodeSeed {
 /// # Errors
 ///
 /// [`Error::Task`] if an environment cannot be made, [`Error::PolicyShape`] or [`Error::UnknownBaseline`] if the
-/// player cannot play it, [`Error::Endless`] if an episode does not end, [`Error::Interrupted`] if the flag was raised.
+/// player cannot play it, [`Error::Endless`] if an episode does not end, [`Error::Interrupted`] if it was stopped.
 pub fn play<O: EpisodeObserver>(
     make: &MakeEnvironment<'_>,
     player: &Player,

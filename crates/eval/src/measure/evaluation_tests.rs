@@ -1,7 +1,5 @@
 //! Evaluations are functions of task, player and seed, and of nothing else.
 
-use std::sync::atomic::{AtomicBool, Ordering};
-
 use leadtime_episodes::Decision;
 use leadtime_proto::{ActionSpec, Encoder, HeadCredit, PolicySpec};
 use leadtime_sims::classic::{CartPole, CartPoleSettings};
@@ -103,16 +101,14 @@ fn an_episode_without_an_end_is_given_up() {
 }
 
 #[test]
-fn a_raised_flag_ends_an_evaluation() {
-    let stop = AtomicBool::new(true);
+fn an_evaluation_can_be_stopped() {
     for n_threads in [1, 2] {
-        let settings = PlaySettings::new(23, 9).threads(n_threads).stopped_by(&stop);
+        let settings = PlaySettings::new(23, 9).threads(n_threads).stopped_by(&|| true);
         let error = evaluate(&cartpole, &untrained(), &settings).unwrap_err();
         assert!(matches!(error, Error::Play(leadtime_episodes::Error::Interrupted)), "{error}");
     }
-    stop.store(false, Ordering::Relaxed);
     let settings = PlaySettings::new(4, 9);
-    assert_eq!(play(&settings.stopped_by(&stop)), play(&settings));
+    assert_eq!(play(&settings.stopped_by(&|| false)), play(&settings));
 }
 
 #[test]
