@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker, WorkerSettings};
+use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker};
 use leadtime_learner::{
     CheckpointInterval, LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport,
     UpdateProgress,
@@ -18,8 +18,8 @@ use leadtime_policy::{Parameters, Policy};
 use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{
-    ActorId, Encoder, EnvId, EnvSpec, HeadCredit, Incarnation, Iteration, PolicySpec,
-    PolicyVersion, Rollout, RunName, TaskSpec,
+    ActorId, EnvId, EnvSpec, Incarnation, Iteration, PolicySpec, PolicyVersion, Rollout, RunName,
+    RunSpec, TaskSpec,
 };
 use leadtime_sims::Registry;
 use tokio::sync::watch;
@@ -44,16 +44,7 @@ fn env_spec() -> EnvSpec {
 }
 
 fn policy_spec() -> PolicySpec {
-    let env = env_spec();
-    PolicySpec {
-        obs_dim: env.obs_dim,
-        encoder: Encoder::Identity,
-        hidden: vec![16, 16],
-        actions: env.actions,
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: true,
-    }
+    PolicySpec { normalize_observations: true, ..PolicySpec::dense(&env_spec(), &[16, 16]) }
 }
 
 fn settings(mode: Mode) -> LearnerSettings {
@@ -69,15 +60,23 @@ fn settings(mode: Mode) -> LearnerSettings {
     }
 }
 
+fn run_spec(mode: Mode) -> RunSpec {
+    let settings = settings(mode);
+    RunSpec {
+        seed: RUN_SEED,
+        task: task(),
+        env: env_spec(),
+        policy: policy_spec(),
+        n_steps: settings.n_steps as u32,
+        schedule: settings.schedule(),
+    }
+}
+
 /// The weights of a run without processes, network or time.
 fn reference(mode: Mode) -> [u8; 32] {
-    let (settings, env, policy) = (settings(mode), env_spec(), policy_spec());
-    let mut worker = Worker::new(WorkerSettings {
-        run_seed: RUN_SEED,
-        n_steps: settings.n_steps as u32,
-        env: env.clone(),
-        policy: policy.clone(),
-    });
+    let (settings, spec) = (settings(mode), run_spec(mode));
+    let mut worker = Worker::new(spec.clone());
+    let RunSpec { env, policy, .. } = spec;
     for id in 0..N_ENVS as u32 {
         let beginning =
             EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: Vec::new() };
@@ -131,10 +130,7 @@ impl Learner {
         let config = LearnerConfig {
             run: RunName::new("test").unwrap(),
             incarnation: Incarnation(incarnation),
-            run_seed: RUN_SEED,
-            task: task(),
-            env: env_spec(),
-            policy: policy_spec(),
+            spec: run_spec(mode),
             settings: settings(mode),
             window: 4,
             actors_min,
@@ -194,9 +190,9 @@ fn endpoint(directory: &Path) -> Endpoint {
     format!("unixsock-stream/{}", directory.join("z.sock").display()).parse().unwrap()
 }
 
-type Actor = JoinHandle<Result<ActorReport, leadtime_actor::Error>>;
+type ActorTask = JoinHandle<Result<ActorReport, leadtime_actor::Error>>;
 
-fn actor(directory: &Path, name: &str, incarnation: u64) -> Actor {
+fn actor(directory: &Path, name: &str, incarnation: u64) -> ActorTask {
     let settings = ActorSettings {
         actor: ActorId::new(name).unwrap(),
         incarnation: Incarnation(incarnation),
@@ -209,7 +205,7 @@ fn actor(directory: &Path, name: &str, incarnation: u64) -> Actor {
     tokio::spawn(leadtime_actor::run(settings, Registry::builtin(), CancellationToken::new()))
 }
 
-async fn dismissed(actor: Actor) -> ActorReport {
+async fn dismissed(actor: ActorTask) -> ActorReport {
     let joined = tokio::time::timeout(PATIENCE, actor).await.expect("in time");
     let report = joined.unwrap().unwrap();
     assert!(matches!(report.end, ActorEnd::Dismissed { .. }), "{:?}", report.end);
@@ -219,7 +215,7 @@ async fn dismissed(actor: Actor) -> ActorReport {
 async fn undisturbed(mode: Mode, n_actors: usize) -> RunReport {
     let directory = tempfile::tempdir().unwrap();
     let learner = Learner::start(directory.path(), mode, n_actors, 1);
-    let actors: Vec<Actor> =
+    let actors: Vec<ActorTask> =
         (0..n_actors).map(|i| actor(directory.path(), &format!("a{i}"), 1)).collect();
     let report = learner.report().await;
     let mut journal = 0;

@@ -1,11 +1,11 @@
 //! Learning, from environment to weights, without processes between: the update is right if a pole is balanced, and
 //! memory is carried rightly if a cue is recalled.
 
-use leadtime_actor::{Worker, WorkerSettings};
+use leadtime_actor::Worker;
 use leadtime_policy::Policy;
 use leadtime_ppo::{LearnerSettings, Mode, Trainer, UpdateReport};
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{Encoder, EnvId, HeadCredit, Iteration, PolicySpec, Rollout, TaskSpec};
+use leadtime_proto::{Encoder, EnvId, Iteration, PolicySpec, Rollout, RunSpec, TaskSpec};
 use leadtime_sims::Registry;
 
 /// Trains on a task and returns, per finished episode, its return; and what the first update reported.
@@ -18,21 +18,15 @@ fn train(
     let task = TaskSpec { domain: domain.to_owned(), settings: r#"{"world": {}}"#.to_owned() };
     let registry = Registry::builtin();
     let env = registry.build(&task).expect("the task is built in").spec().clone();
-    let policy = PolicySpec {
-        obs_dim: env.obs_dim,
-        encoder,
-        hidden: hidden.to_vec(),
-        actions: env.actions.clone(),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    };
+    let policy = PolicySpec { encoder, ..PolicySpec::dense(&env, hidden) };
     let mut trainer = Trainer::new(&policy, settings, run_seed).expect("sound settings");
-    let mut worker = Worker::new(WorkerSettings {
-        run_seed,
-        n_steps: settings.n_steps as u32,
+    let mut worker = Worker::new(RunSpec {
+        seed: run_seed,
+        task: task.clone(),
         env: env.clone(),
         policy: policy.clone(),
+        n_steps: settings.n_steps as u32,
+        schedule: settings.schedule(),
     });
     for env_id in (0..settings.n_envs as u32).map(EnvId) {
         let start = EnvAssignment { env_id, iteration: Iteration(0), snapshot: Vec::new() };

@@ -8,13 +8,14 @@
 
 use std::alloc::System;
 
-use leadtime_actor::{Phase, Stopwatch, Worker, WorkerSettings};
+use leadtime_actor::{Phase, Stopwatch, Worker};
 use leadtime_episodes::{Choice, EnvSlot, EpisodeObserver, Observer, PlaySettings, Player};
 use leadtime_eval::measure::evaluate_with;
 use leadtime_policy::{Parameters, Policy};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{
-    Encoder, EnvId, EnvSpec, HeadCredit, Iteration, PolicySpec, PolicyVersion, TaskSpec,
+    Encoder, EnvId, EnvSpec, HeadCredit, Iteration, PolicySpec, PolicyVersion, RunSpec, Schedule,
+    TaskSpec,
 };
 use leadtime_sims::{End, Registry, StepOutcome};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Stats, StatsAlloc};
@@ -97,7 +98,14 @@ fn collecting_allocates_nothing(domain: &str, n_steps: u32) {
     let policy = policy_spec(&env);
     let parameters = Parameters::initialize(&policy, 1).expect("the architecture is sound");
     let mut acting = Policy::new(&policy, &parameters).expect("the parameters fit");
-    let mut worker = Worker::new(WorkerSettings { run_seed: 1, n_steps, env, policy });
+    let mut worker = Worker::new(RunSpec {
+        seed: 1,
+        task: task(domain),
+        env,
+        policy,
+        n_steps,
+        schedule: Schedule::Lag(0),
+    });
     for env_id in (0..N_ENVS).map(EnvId) {
         let start = EnvAssignment { env_id, iteration: Iteration(0), snapshot: Vec::new() };
         worker.insert(build(), &start).expect("an empty snapshot is a fresh start");

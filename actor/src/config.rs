@@ -16,7 +16,8 @@ pub struct ActorSettings {
     pub run: Option<RunName>,
     /// Where to look for it, and for how long.
     pub connect: ConnectSettings,
-    /// How long to look for a learner that was lost.
+    /// How long to look for a learner that was lost: longer than at the start, because a network fails for longer than
+    /// a typing error lasts.
     pub reconnect_timeout: Duration,
     /// Fingerprint of the program's build: equal ones compute the same numbers.
     pub program: String,

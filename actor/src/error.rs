@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use leadtime_proto::codec::CodecError;
+use leadtime_proto::spec::SpecError;
 use leadtime_proto::{EnvId, RunName};
 use leadtime_sims::{SnapshotError, TaskError};
 use thiserror::Error;
@@ -19,6 +20,9 @@ pub enum Error {
     /// The run's task cannot be built here.
     #[error("this program cannot build the run's task")]
     Task(#[from] TaskError),
+    /// What the learner says of the run contradicts itself.
+    #[error("the learner describes a run that cannot be")]
+    Spec(#[from] SpecError),
     /// The task is another one here than in the learner.
     #[error(
         "domain `{domain}` has another observation, action space or metrics here than in the learner: \

@@ -4,26 +4,30 @@
 //! run (task, seed, policy's shape, schedule) from the learner's welcome.
 //!
 //! ```text
-//!            ┌── collect thread: Worker (slots x policy) ──┐
-//! network ── run: one closed enum of things that happen ───┤
-//!            └── publish thread: rollouts to the network ──┘
+//!            ┌── collect: Worker (environments x policy)
+//! network ── run ── Actor decides what to do about each thing that happens
+//!            └── outbox, weight cache: what waits to be sent, and what acts
 //! ```
 //!
 //! # Where to start
 //!
-//! [`Worker::collect`] makes rollouts and needs no network; [`run()`] is the life of an actor process.
+//! [`Worker::collect`] makes rollouts and needs no network; [`Actor`] holds all decisions and can be driven without a
+//! network, too; [`run()`] is the life of an actor process.
 
+mod collect;
 mod config;
 mod error;
-mod greeting;
+mod job_thread;
 mod metrics;
 mod outbox;
 mod run;
-mod shelf;
-mod threads;
+mod state;
+mod weight_cache;
 mod worker;
 
 pub use config::{ActorEnd, ActorReport, ActorSettings};
 pub use error::Error;
+pub use outbox::EncodedRollout;
 pub use run::run;
-pub use worker::{Phase, Stopwatch, Worker, WorkerSettings};
+pub use state::{Actor, ActorInput, ActorOutput, PUBLISHING};
+pub use worker::{Phase, Stopwatch, Worker};

@@ -2,24 +2,23 @@
 
 use std::time::Duration;
 
-use leadtime_proto::{Iteration, Sequence};
 use serde_json::json;
 
-use crate::threads::{Collected, Times};
+use crate::collect::{CollectTimes, Collected};
+use crate::state::Actor;
 
 /// Sums since the actor's start.
 #[derive(Debug, Default)]
 pub(crate) struct Metrics {
     pub(crate) n_steps: u64,
-    pub(crate) n_reconnects: u64,
     pub(crate) publish: Duration,
-    times: Times,
+    times: CollectTimes,
 }
 
 impl Metrics {
     /// Adds what the collecting thread did for one job.
     pub(crate) fn add(&mut self, collected: &Collected, n_steps: u32) {
-        self.n_steps += collected.parcels.len() as u64 * u64::from(n_steps);
+        self.n_steps += collected.rollouts.len() as u64 * u64::from(n_steps);
         self.times.infer += collected.times.infer;
         self.times.simulate += collected.times.simulate;
         self.times.encode += collected.times.encode;
@@ -27,12 +26,13 @@ impl Metrics {
     }
 
     /// Writes the report; times in seconds.
-    pub(crate) fn report(&self, acknowledged: Sequence, next: Option<Iteration>) -> String {
+    pub(crate) fn report<W: Clone, R, E: Default>(&self, actor: &Actor<W, R, E>) -> String {
+        let [_, _, acknowledged] = actor.sequences();
         let report = json!({
             "n_steps": self.n_steps,
             "n_rollouts_acknowledged": acknowledged.0,
-            "iteration": next.map(|iteration| iteration.0),
-            "n_reconnects": self.n_reconnects,
+            "iteration": actor.next_iteration().map(|iteration| iteration.0),
+            "n_reconnects": actor.n_reconnects(),
             "infer_s": self.times.infer.as_secs_f64(),
             "simulate_s": self.times.simulate.as_secs_f64(),
             "encode_s": self.times.encode.as_secs_f64(),

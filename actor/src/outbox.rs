@@ -11,19 +11,22 @@
 
 use std::collections::VecDeque;
 
+use bytes::Bytes;
 use leadtime_proto::{Header, Schedule, Sequence};
 
-/// One encoded rollout.
+/// One rollout as it is sent. A copy of it is a count: the payload is shared with what is kept for sending again.
 #[derive(Clone, Debug)]
-pub(crate) struct Parcel {
-    pub(crate) header: Header,
-    pub(crate) payload: Vec<u8>,
+pub struct EncodedRollout {
+    /// What the learner reads before it looks at the rollout; the sequence is given by the outbox.
+    pub header: Header,
+    /// The encoded [`leadtime_proto::Rollout`].
+    pub payload: Bytes,
 }
 
 /// The rollouts of one start of an actor.
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
-    entries: VecDeque<Parcel>,
+    entries: VecDeque<EncodedRollout>,
     made: Sequence,
     acknowledged: Sequence,
     sent: Sequence,
@@ -32,14 +35,14 @@ pub(crate) struct Outbox {
 
 impl Outbox {
     /// Takes a rollout in and gives it the next sequence.
-    pub(crate) fn push(&mut self, mut parcel: Parcel) {
+    pub(crate) fn push(&mut self, mut rollout: EncodedRollout) {
         self.made = self.made.next();
-        parcel.header.sequence = self.made;
-        self.entries.push_back(parcel);
+        rollout.header.sequence = self.made;
+        self.entries.push_back(rollout);
     }
 
     /// Returns the next rollout that may be sent, as often as it is asked before [`Self::mark_sent`].
-    pub(crate) fn next_to_send(&self) -> Option<&Parcel> {
+    pub(crate) fn next_to_send(&self) -> Option<&EncodedRollout> {
         let next = self.sent.next();
         let index = (next.0 - self.acknowledged.next().0) as usize;
         self.entries.get(index).filter(|_| next <= self.limit)
@@ -130,7 +133,7 @@ mod tests {
         let mut outbox = Outbox::default();
         for _ in 0..n {
             let header = Header::plain(Schema::Rollout, Incarnation(1), &[]);
-            outbox.push(Parcel { header, payload: Vec::new() });
+            outbox.push(EncodedRollout { header, payload: Bytes::new() });
         }
         outbox.credit(Sequence(0), Sequence(limit));
         outbox
@@ -138,8 +141,8 @@ mod tests {
 
     fn send_all(outbox: &mut Outbox) -> Vec<u64> {
         let mut sent = Vec::new();
-        while let Some(parcel) = outbox.next_to_send() {
-            sent.push(parcel.header.sequence.0);
+        while let Some(rollout) = outbox.next_to_send() {
+            sent.push(rollout.header.sequence.0);
             outbox.mark_sent();
         }
         sent

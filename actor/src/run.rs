@@ -1,74 +1,69 @@
-//! The life of an actor process.
+//! The life of an actor process: what [`Actor`] decides, carried out.
 //!
 //! ```text
-//! connect ── hello ── welcome ──> loop: Wake ──> dismissed, cancelled, or an error
-//!                        ▲          │
-//!                        └── greet ─┘  learner lost, silent, or new
+//! connect ── hello ── welcome ──> loop: what happens -> Actor -> what is to be done ──> dismissed, cancelled, an error
+//!
+//!            ┌── collect thread: environments x policy
+//! the loop ──┼── restore thread: environments from snapshots
+//!            ├── publish thread: rollouts to the network
+//!            └── tasks: a hello, a pull of weights
 //! ```
 //!
-//! The loop has at most one job with the collecting thread, one pull of weights and a few rollouts with the
-//! publishing thread under way; everything else waits in the [`Outbox`]. Whatever goes wrong with the learner,
-//! the remedy is the same: say hello again, hear from where to resend, go on.
+//! The loop itself never waits for the network or for an environment.
 
-use std::collections::VecDeque;
+use std::future::pending;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use leadtime_link::{ActorEvent, ActorLink, ControlResponder};
+use leadtime_link::{ActorEvent, ActorLink, ControlResponder, Events};
 use leadtime_policy::Parameters;
-use leadtime_proto::message::{Control, ControlAck, Credit, Welcome};
-use leadtime_proto::{Epoch, Iteration, PolicyVersion};
+use leadtime_proto::message::{Assignment, Hello, Welcome};
+use leadtime_proto::{EnvId, PolicyVersion};
 use leadtime_sims::Registry;
 use tokio::sync::mpsc;
-use tokio::time::{Interval, MissedTickBehavior, interval, timeout_at};
+use tokio::time::{Interval, MissedTickBehavior, interval, sleep_until, timeout_at};
 use tokio_util::sync::CancellationToken;
-use tracing::{debug, info, warn};
+use tracing::{debug, info};
 
-use crate::greeting::{compose_hello, is_same_run};
+use crate::collect::{CollectJob, CollectWorker, Collected, EnvBuilder, RestoredEnvs};
+use crate::job_thread::JobThread;
 use crate::metrics::Metrics;
-use crate::outbox::Outbox;
-use crate::shelf::{Pull, Shelf};
-use crate::threads::{Collected, Collector, Job, PUBLISHING, Publisher};
+use crate::outbox::EncodedRollout;
+use crate::state::{Actor, ActorInput, ActorOutput, PUBLISHING};
 use crate::{ActorEnd, ActorReport, ActorSettings, Error};
 
 /// How often time-outs are looked at and metrics are published.
 const TICK: Duration = Duration::from_secs(1);
-/// How long rollouts may stay unacknowledged before the actor says hello again.
-const ACK_TIMEOUT: Duration = Duration::from_secs(3);
-/// How long an actor without environments waits before it says hello again.
-const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long one hello may take.
 const HELLO_TIMEOUT: Duration = Duration::from_secs(2);
-/// First and longest pause between hellos that failed.
-const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
 /// How long a leaving actor waits for the acknowledgement of what it sent.
 const FAREWELL: Duration = Duration::from_secs(1);
 
+type LiveActor = Actor<Arc<Parameters>, ControlResponder, RestoredEnvs>;
+type LiveInput = ActorInput<Arc<Parameters>, ControlResponder, RestoredEnvs>;
+type LiveOutput = ActorOutput<Arc<Parameters>, ControlResponder, RestoredEnvs>;
+
 /// Everything that can wake an actor.
 #[derive(Debug)]
-enum Wake {
+enum ActorWake {
     /// Something came from the network.
     Network(ActorEvent),
+    /// A hello was answered, or not.
+    Greeted(leadtime_link::Result<Welcome>),
     /// The collecting thread is done with its job.
-    Collected(Box<Result<Collected, Error>>),
-    /// A rollout is with the network.
-    Published(Result<Duration, Error>),
+    Collected(Result<Collected, Error>),
+    /// The restoring thread is.
+    Restored(Result<(RestoredEnvs, Vec<EnvId>), Error>),
+    /// The publishing thread is.
+    Published(leadtime_link::Result<Duration>),
     /// Weights have arrived, or will not.
-    Pulled(Pulled),
+    Pulled(PolicyVersion, leadtime_link::Result<Vec<u8>>),
     /// Time has passed.
     Tick,
+    /// The actor wants to be woken.
+    Alarm,
     /// This process is asked to stop.
     Stop,
-}
-
-/// The end of a pull that was begun in some generation.
-type Pulled = (u64, Result<(PolicyVersion, Vec<u8>), leadtime_link::Error>);
-
-/// What the loop does next.
-enum Next {
-    GoOn,
-    Greet,
-    Leave(ActorEnd),
 }
 
 /// Runs an actor until it is dismissed, cancelled, or cannot go on.
@@ -101,384 +96,241 @@ async fn live(
     settings: ActorSettings,
     registry: Registry,
     link: &Arc<ActorLink>,
-    events: &flume::Receiver<ActorEvent>,
+    events: &Events<ActorEvent>,
     stop: &CancellationToken,
 ) -> Result<ActorReport, Error> {
-    let hello = compose_hello(&settings, &Outbox::default());
+    let hello = LiveActor::first_hello(&settings);
     let greeting = link.hello(settings.run.as_ref(), &hello, settings.connect.timeout);
     let welcome = tokio::select! {
         welcome = greeting => welcome?,
         () = stop.cancelled() => return Err(Error::CancelledEarly),
     };
-    info!(run = %welcome.run, domain = welcome.task.domain, "joined");
-    let mut actor = Actor::new(settings, registry, Arc::clone(link), welcome)?;
-    let end = actor.work(events, stop).await?;
-    actor.farewell(events).await;
-    info!(?end, "leaving");
-    Ok(actor.report(end))
+    info!(run = %welcome.run, domain = welcome.spec.task.domain, "joined");
+    let mut process = Process::new(settings, registry, Arc::clone(link), welcome)?;
+    let end = process.work(events, stop).await?;
+    process.farewell(events).await;
+    match &end {
+        ActorEnd::Dismissed { reason } => info!("leaving: {reason}"),
+        ActorEnd::Cancelled => info!("leaving: asked to stop"),
+    }
+    Ok(process.report(end))
 }
 
-struct Actor {
-    settings: ActorSettings,
+/// The threads and tasks of an actor process.
+struct Process {
+    actor: LiveActor,
     link: Arc<ActorLink>,
-    welcome: Welcome,
-    outbox: Outbox,
-    shelf: Shelf,
-    collector: Collector,
-    publisher: Publisher,
-    pulls: (mpsc::Sender<Pulled>, mpsc::Receiver<Pulled>),
-    /// Counts learners: what was begun under an older one is of no use.
-    generation: u64,
-    job_generation: Option<u64>,
-    n_publishing: usize,
-    is_pulling: bool,
-    may_pull_from: Instant,
-    paused: bool,
-    epoch: Epoch,
-    next: Option<Iteration>,
-    assignments: VecDeque<Job>,
-    last_progress: Instant,
+    policy: Arc<leadtime_proto::PolicySpec>,
+    collector: JobThread<CollectJob, Result<Collected, Error>>,
+    restorer: JobThread<Assignment, Result<(RestoredEnvs, Vec<EnvId>), Error>>,
+    publisher: JobThread<EncodedRollout, leadtime_link::Result<Duration>>,
+    /// Where the tasks bring their results.
+    tasks: (mpsc::Sender<ActorWake>, mpsc::Receiver<ActorWake>),
+    n_steps: u32,
     metrics: Metrics,
 }
 
-impl Actor {
+impl Process {
     fn new(
         settings: ActorSettings,
         registry: Registry,
         link: Arc<ActorLink>,
         welcome: Welcome,
     ) -> Result<Self, Error> {
-        let mut outbox = Outbox::default();
-        outbox.resume(welcome.resend_from, welcome.window);
-        let now = Instant::now();
+        // What the learner says of the run is checked before anything is built by it.
+        let (incarnation, spec) = (settings.incarnation, welcome.spec.clone());
+        let actor = Actor::new(settings, welcome, Instant::now())?;
+        let builder = EnvBuilder::new(registry, &spec)?;
+        let mut worker = CollectWorker::new(builder.clone(), incarnation);
+        let sender = Arc::clone(&link);
+        let publish = move |rollout: EncodedRollout| {
+            let started = Instant::now();
+            sender.publish_rollout(&rollout.header, rollout.payload).map(|()| started.elapsed())
+        };
         Ok(Self {
-            collector: Collector::start(registry, &welcome, settings.incarnation)?,
-            publisher: Publisher::start(Arc::clone(&link))?,
-            shelf: Shelf::new(welcome.schedule, welcome.version),
-            pulls: mpsc::channel(1),
-            settings,
+            actor,
             link,
-            welcome,
-            outbox,
-            generation: 0,
-            job_generation: None,
-            n_publishing: 0,
-            is_pulling: false,
-            may_pull_from: now,
-            paused: false,
-            epoch: Epoch(0),
-            next: None,
-            assignments: VecDeque::new(),
-            last_progress: now,
+            policy: Arc::new(spec.policy),
+            collector: JobThread::start("actor-collect", 1, move |job| worker.work(job))?,
+            restorer: JobThread::start("actor-restore", 1, move |a| builder.restore(a))?,
+            publisher: JobThread::start("actor-publish", PUBLISHING, publish)?,
+            tasks: mpsc::channel(2),
+            n_steps: spec.n_steps,
             metrics: Metrics::default(),
         })
     }
 
     async fn work(
         &mut self,
-        events: &flume::Receiver<ActorEvent>,
+        events: &Events<ActorEvent>,
         stop: &CancellationToken,
     ) -> Result<ActorEnd, Error> {
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             let wake = self.next_wake(events, &mut ticks, stop).await?;
-            match self.handle(wake)? {
-                Next::GoOn => {}
-                Next::Leave(end) => return Ok(end),
-                Next::Greet => {
-                    if !self.greet(stop).await? {
-                        return Ok(ActorEnd::Cancelled);
-                    }
+            let Some(input) = self.input(wake)? else { return Ok(ActorEnd::Cancelled) };
+            for output in self.actor.handle(Instant::now(), input) {
+                if let ActorOutput::End(end) = output {
+                    return end;
                 }
+                self.carry_out(output)?;
             }
-            self.publish()?;
-            self.collect()?;
-            self.pull();
         }
     }
 
     async fn next_wake(
         &mut self,
-        events: &flume::Receiver<ActorEvent>,
+        events: &Events<ActorEvent>,
         ticks: &mut Interval,
         stop: &CancellationToken,
-    ) -> Result<Wake, Error> {
+    ) -> Result<ActorWake, Error> {
+        let (alarm, listens) = (self.actor.wakes_at(), !self.actor.is_greeting());
+        let alarm = async {
+            match alarm {
+                Some(at) => sleep_until(at.into()).await,
+                None => pending().await,
+            }
+        };
         Ok(tokio::select! {
             biased;
-            () = stop.cancelled() => Wake::Stop,
-            event = events.recv_async() => {
-                Wake::Network(event.map_err(|_closed| Error::ThreadGone { name: "network" })?)
+            () = stop.cancelled() => ActorWake::Stop,
+            // Before what strangers can flood, or time-outs would never be looked at.
+            _ = ticks.tick() => ActorWake::Tick,
+            () = alarm => ActorWake::Alarm,
+            Some(done) = self.tasks.1.recv() => done,
+            published = self.publisher.result() => ActorWake::Published(published?),
+            collected = self.collector.result() => ActorWake::Collected(collected?),
+            restored = self.restorer.result() => ActorWake::Restored(restored?),
+            event = events.recv(), if listens => {
+                ActorWake::Network(event.ok_or(Error::ThreadGone { name: "network" })?)
             }
-            published = self.publisher.result(), if self.n_publishing > 0 => {
-                Wake::Published(published)
-            }
-            collected = self.collector.result(), if self.job_generation.is_some() => {
-                Wake::Collected(Box::new(collected))
-            }
-            Some(pulled) = self.pulls.1.recv() => Wake::Pulled(pulled),
-            _ = ticks.tick() => Wake::Tick,
         })
     }
 
-    fn handle(&mut self, wake: Wake) -> Result<Next, Error> {
-        match wake {
-            Wake::Network(event) => return self.network(event),
-            Wake::Collected(collected) => self.collected((*collected)?),
-            Wake::Published(published) => {
-                self.n_publishing -= 1;
+    /// Makes of what woke the process what the actor takes in; `None` if the process is asked to stop.
+    fn input(&mut self, wake: ActorWake) -> Result<Option<LiveInput>, Error> {
+        Ok(Some(match wake {
+            ActorWake::Network(event) => from_network(event),
+            ActorWake::Greeted(Ok(welcome)) => ActorInput::Welcomed(Box::new(welcome)),
+            ActorWake::Greeted(Err(error)) => ActorInput::NotWelcomed(Box::new(error)),
+            ActorWake::Collected(collected) => {
+                let collected = collected?;
+                self.metrics.add(&collected, self.n_steps);
+                ActorInput::Collected { rollouts: collected.rollouts, next: collected.next }
+            }
+            ActorWake::Restored(restored) => {
+                let (envs, failed) = restored?;
+                ActorInput::Restored { envs, failed }
+            }
+            ActorWake::Published(published) => {
                 match published {
                     Ok(took) => self.metrics.publish += took,
-                    // Not on its way: the missing acknowledgement brings it back.
                     Err(error) => debug!(%error, "rollout not published"),
                 }
+                ActorInput::Published
             }
-            Wake::Pulled(pulled) => self.pulled(pulled)?,
-            Wake::Tick => return Ok(self.tick()),
-            Wake::Stop => return Ok(Next::Leave(ActorEnd::Cancelled)),
-        }
-        Ok(Next::GoOn)
-    }
-
-    fn network(&mut self, event: ActorEvent) -> Result<Next, Error> {
-        match event {
-            ActorEvent::Control { control, ack } => return self.control(control, ack),
-            ActorEvent::Credit(credit) => self.credit(credit),
-            ActorEvent::Announcement(news) => {
-                if news.learner == self.welcome.learner {
-                    self.shelf.announce(news.version);
-                }
+            ActorWake::Pulled(version, Ok(bytes)) => {
+                let parameters = Parameters::from_safetensors(&bytes, &self.policy)?;
+                ActorInput::Pulled { version, weights: Arc::new(parameters) }
             }
-            ActorEvent::LearnerJoined(learner) if learner != self.welcome.learner => {
-                return Ok(Next::Greet);
-            }
-            ActorEvent::LearnerLeft(learner) if learner == self.welcome.learner => {
-                warn!(run = %self.welcome.run, "the learner is gone; looking for it");
-                return Ok(Next::Greet);
-            }
-            ActorEvent::LearnerJoined(_) | ActorEvent::LearnerLeft(_) => {}
-        }
-        Ok(Next::GoOn)
-    }
-
-    fn control(&mut self, control: Control, ack: ControlResponder) -> Result<Next, Error> {
-        let mut next = Next::GoOn;
-        match control {
-            Control::Assign(assignment) => {
-                // An order that is given twice is followed once.
-                if assignment.epoch > self.epoch {
-                    self.epoch = assignment.epoch;
-                    debug!(epoch = %self.epoch, given = assignment.envs.len(), "assigned");
-                    self.assignments.push_back(Job::Assign(assignment));
-                }
-            }
-            Control::Pause => self.paused = true,
-            Control::Resume => self.paused = false,
-            Control::Stop { reason, cut_off: false } => {
-                next = Next::Leave(ActorEnd::Dismissed { reason });
-            }
-            Control::Stop { reason, cut_off: true } => {
-                self.acknowledge(ack);
-                let run = self.welcome.run.clone();
-                return Err(Error::CutOff { run, reason });
-            }
-        }
-        self.acknowledge(ack);
-        Ok(next)
-    }
-
-    fn acknowledge(&self, ack: ControlResponder) {
-        if let Err(error) = ack.acknowledge(ControlAck { epoch: self.epoch }) {
-            debug!(%error, "order not acknowledged; it will come again");
-        }
-    }
-
-    fn credit(&mut self, credit: Credit) {
-        if credit.learner == self.welcome.learner
-            && self.outbox.credit(credit.acknowledged, credit.limit)
-        {
-            self.last_progress = Instant::now();
-        }
-    }
-
-    fn collected(&mut self, collected: Collected) {
-        let generation = self.job_generation.take();
-        self.metrics.add(&collected, self.welcome.n_steps);
-        if generation != Some(self.generation) {
-            return; // Made for a learner that is gone.
-        }
-        self.next = collected.next;
-        if !self.outbox.is_waiting() {
-            self.last_progress = Instant::now();
-        }
-        for parcel in collected.parcels {
-            self.outbox.push(parcel);
-        }
-    }
-
-    fn pulled(&mut self, (generation, pulled): Pulled) -> Result<(), Error> {
-        self.is_pulling = false;
-        if generation != self.generation {
-            return Ok(());
-        }
-        match pulled {
-            Ok((version, bytes)) => {
-                let parameters = Parameters::from_safetensors(&bytes, &self.welcome.policy)?;
-                self.shelf.put(version, parameters);
-            }
-            Err(error) => {
+            ActorWake::Pulled(version, Err(error)) => {
                 debug!(%error, "weights not pulled; trying again");
-                self.may_pull_from = Instant::now() + BACK_OFF.0;
+                let not_kept = matches!(error, leadtime_link::Error::NotKept { .. });
+                ActorInput::PullFailed { version, not_kept }
             }
+            ActorWake::Alarm => ActorInput::Tick,
+            ActorWake::Tick => {
+                self.link.health()?;
+                self.report_metrics();
+                ActorInput::Tick
+            }
+            ActorWake::Stop => return Ok(None),
+        }))
+    }
+
+    fn carry_out(&mut self, output: LiveOutput) -> Result<(), Error> {
+        match output {
+            ActorOutput::Hello(hello) => self.greet(hello),
+            ActorOutput::Reply(responder, answer) => {
+                if let Err(error) = responder.reply(&answer) {
+                    debug!(%error, "order not answered; it will come again");
+                }
+            }
+            ActorOutput::Restore(assignment) => self.restorer.begin(assignment)?,
+            ActorOutput::Adopt { epoch, keep, envs } => {
+                self.collector.begin(CollectJob::Adopt { epoch, keep, envs })?;
+            }
+            ActorOutput::Collect { version, weights } => {
+                self.collector.begin(CollectJob::Collect { version, weights })?;
+            }
+            ActorOutput::Publish(rollout) => self.publisher.begin(rollout)?,
+            ActorOutput::Pull { version, sha256 } => {
+                let (link, done) = (Arc::clone(&self.link), self.tasks.0.clone());
+                tokio::spawn(async move {
+                    let pulled = link.pull_weights(version, sha256).await;
+                    drop(done.send(ActorWake::Pulled(version, pulled)).await);
+                });
+            }
+            ActorOutput::End(_) => {}
         }
         Ok(())
     }
 
-    fn tick(&mut self) -> Next {
-        let report = self.metrics.report(self.outbox.acknowledged(), self.next);
-        if let Err(error) = self.link.publish_metrics(report.as_bytes()) {
-            debug!(%error, "metrics not published");
-        }
-        let is_idle = self.next.is_none() && self.assignments.is_empty() && !self.paused;
-        let silence = self.last_progress.elapsed();
-        if self.outbox.is_waiting() && silence > ACK_TIMEOUT {
-            warn!(run = %self.welcome.run, "the learner does not acknowledge; asking again");
-            Next::Greet
-        } else if is_idle && silence > IDLE_TIMEOUT {
-            debug!("no environments; asking for some");
-            Next::Greet
-        } else {
-            Next::GoOn
-        }
-    }
-
-    /// Hands rollouts to the publishing thread as far as credit and its queue allow.
-    fn publish(&mut self) -> Result<(), Error> {
-        while self.n_publishing < PUBLISHING
-            && let Some(parcel) = self.outbox.next_to_send()
-        {
-            self.publisher.begin(parcel.clone())?;
-            self.outbox.mark_sent();
-            self.n_publishing += 1;
-        }
-        Ok(())
-    }
-
-    /// Gives the collecting thread its next job, if there is one.
-    fn collect(&mut self) -> Result<(), Error> {
-        if self.job_generation.is_some() {
-            return Ok(());
-        }
-        let Some(job) = self.assignments.pop_front().or_else(|| self.next_collection()) else {
-            return Ok(());
-        };
-        self.collector.begin(job)?;
-        self.job_generation = Some(self.generation);
-        Ok(())
-    }
-
-    /// Returns the job of collecting the next iteration, if there is room for it and its weights are here.
-    fn next_collection(&self) -> Option<Job> {
-        let has_room = self.outbox.has_room(self.welcome.schedule, self.welcome.window);
-        let next = self.next.filter(|_| has_room && !self.paused)?;
-        let (version, parameters) = self.shelf.get(next)?;
-        Some(Job::Collect { version, parameters })
-    }
-
-    /// Begins to pull the weights that are missing, unless a pull is under way.
-    fn pull(&mut self) {
-        if self.is_pulling || Instant::now() < self.may_pull_from {
-            return;
-        }
-        let Some(wanted) = self.shelf.wanted(self.next) else { return };
-        let version = match wanted {
-            Pull::Version(version) => Some(version),
-            Pull::Newest => None,
-        };
-        let (link, pulls) = (Arc::clone(&self.link), self.pulls.0.clone());
-        let generation = self.generation;
-        self.is_pulling = true;
+    fn greet(&self, hello: Hello) {
+        let (link, done) = (Arc::clone(&self.link), self.tasks.0.clone());
+        let run = self.actor.run().clone();
         tokio::spawn(async move {
-            let pulled = link.pull_weights(version).await;
-            drop(pulls.send((generation, pulled)).await);
+            let answer = link.hello(Some(&run), &hello, HELLO_TIMEOUT).await;
+            drop(done.send(ActorWake::Greeted(answer)).await);
         });
     }
 
-    /// Says hello until it is answered. Returns whether it was; otherwise this process is asked to stop.
-    async fn greet(&mut self, stop: &CancellationToken) -> Result<bool, Error> {
-        let (started, timeout) = (Instant::now(), self.settings.reconnect_timeout);
-        let run = self.welcome.run.clone();
-        let mut pause = BACK_OFF.0;
-        self.metrics.n_reconnects += 1;
-        loop {
-            let hello = compose_hello(&self.settings, &self.outbox);
-            let source = tokio::select! {
-                () = stop.cancelled() => return Ok(false),
-                answer = self.link.hello(Some(&run), &hello, HELLO_TIMEOUT) => match answer {
-                    Ok(welcome) => return self.welcomed(welcome).map(|()| true),
-                    Err(
-                        error @ (leadtime_link::Error::Refused { .. }
-                        | leadtime_link::Error::Taken { .. }),
-                    ) => return Err(error.into()),
-                    Err(error) => error,
-                },
-            };
-            debug!(%source, "hello not answered");
-            if started.elapsed() >= timeout {
-                return Err(Error::LearnerLost { run, timeout, source });
-            }
-            tokio::select! {
-                () = stop.cancelled() => return Ok(false),
-                () = tokio::time::sleep(pause) => pause = (pause * 2).min(BACK_OFF.1),
-            }
+    fn report_metrics(&self) {
+        let report = self.metrics.report(&self.actor);
+        if let Err(error) = self.link.publish_metrics(report.as_bytes()) {
+            debug!(%error, "metrics not published");
         }
-    }
-
-    /// Goes on with a learner that may be a new one.
-    fn welcomed(&mut self, welcome: Welcome) -> Result<(), Error> {
-        if !is_same_run(&self.welcome, &welcome) {
-            return Err(Error::RunChanged { run: welcome.run });
-        }
-        if welcome.learner != self.welcome.learner {
-            info!(version = %welcome.version, "the learner is back; starting over from its state");
-            self.generation += 1;
-            self.epoch = Epoch(0);
-            self.next = None;
-            self.assignments.clear();
-            self.shelf = Shelf::new(welcome.schedule, welcome.version);
-        }
-        self.shelf.announce(welcome.version);
-        self.outbox.resume(welcome.resend_from, welcome.window);
-        self.last_progress = Instant::now();
-        self.welcome = welcome;
-        Ok(())
     }
 
     /// Waits a moment for the acknowledgement of what was sent; the rest is made again by others.
-    async fn farewell(&mut self, events: &flume::Receiver<ActorEvent>) {
-        self.outbox.drop_unsent();
+    async fn farewell(&mut self, events: &Events<ActorEvent>) {
+        self.actor.begin_farewell();
         let deadline = tokio::time::Instant::now() + FAREWELL;
-        while self.outbox.is_waiting() {
-            match timeout_at(deadline, events.recv_async()).await {
-                Ok(Ok(ActorEvent::Credit(credit))) => self.credit(credit),
-                Ok(Ok(ActorEvent::LearnerLeft(learner))) if learner == self.welcome.learner => {
+        while self.actor.awaits_acknowledgement() {
+            match timeout_at(deadline, events.recv()).await {
+                Ok(Some(ActorEvent::LearnerLeft(learner))) if learner == self.actor.learner() => {
                     break;
                 }
-                Ok(Ok(_)) => {}
-                Ok(Err(_)) | Err(_) => break,
+                Ok(Some(event @ ActorEvent::Credit(_))) => {
+                    self.actor.handle(Instant::now(), from_network(event));
+                }
+                Ok(Some(_)) => {}
+                Ok(None) | Err(_) => break,
             }
         }
     }
 
     fn report(self, end: ActorEnd) -> ActorReport {
+        let [made, sent, acknowledged] = self.actor.sequences();
         ActorReport {
-            run: self.welcome.run,
+            run: self.actor.run().clone(),
             end,
             n_steps: self.metrics.n_steps,
-            made: self.outbox.made(),
-            sent: self.outbox.sent(),
-            acknowledged: self.outbox.acknowledged(),
-            n_reconnects: self.metrics.n_reconnects,
+            made,
+            sent,
+            acknowledged,
+            n_reconnects: self.actor.n_reconnects(),
         }
+    }
+}
+
+fn from_network(event: ActorEvent) -> LiveInput {
+    match event {
+        ActorEvent::Control { control, reply } => ActorInput::Order { control, reply },
+        ActorEvent::Credit(credit) => ActorInput::Credit(credit),
+        ActorEvent::Announcement(news) => ActorInput::Announcement(news),
+        ActorEvent::LearnerJoined(learner) => ActorInput::LearnerJoined(learner),
+        ActorEvent::LearnerLeft(learner) => ActorInput::LearnerLeft(learner),
     }
 }

@@ -22,7 +22,7 @@ use leadtime_episodes::{Choice, Decider, Decision, EnvSlot, Lockstep, Observer};
 use leadtime_numerics::{Purpose, stream};
 use leadtime_policy::{ActionDistribution, Policy};
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{EnvId, EnvSpec, EpisodeEnd, Iteration, PolicySpec, PolicyVersion, Rollout};
+use leadtime_proto::{EnvId, EpisodeEnd, Iteration, PolicyVersion, Rollout, RunSpec};
 use leadtime_sims::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
 
 /// What collecting spends its time on.
@@ -45,23 +45,10 @@ impl Stopwatch for () {
     fn lap(&mut self, _phase: Phase) {}
 }
 
-/// What all environments of a worker have in common.
-#[derive(Clone, Debug)]
-pub struct WorkerSettings {
-    /// Seed of every random stream.
-    pub run_seed: u64,
-    /// Steps per rollout.
-    pub n_steps: u32,
-    /// Shapes of the environments.
-    pub env: EnvSpec,
-    /// Shapes of the policy.
-    pub policy: PolicySpec,
-}
-
 /// A set of environments and the means to collect rollouts from them.
 #[derive(Debug)]
 pub struct Worker {
-    settings: WorkerSettings,
+    spec: RunSpec,
     distribution: ActionDistribution,
     /// Each with the iteration that it does next.
     slots: BTreeMap<EnvId, (Iteration, EnvSlot)>,
@@ -71,14 +58,14 @@ pub struct Worker {
 
 impl Worker {
     /// Starts without environments.
-    pub fn new(settings: WorkerSettings) -> Self {
-        let policy = &settings.policy;
+    pub fn new(spec: RunSpec) -> Self {
+        let policy = &spec.policy;
         Self {
             distribution: ActionDistribution::new(&policy.actions, policy.head_credit),
             slots: BTreeMap::new(),
             lockstep: Lockstep::default(),
             rollouts: Vec::new(),
-            settings,
+            spec,
         }
     }
 
@@ -92,15 +79,14 @@ impl Worker {
         env: Box<dyn Environment>,
         assignment: &EnvAssignment,
     ) -> Result<(), SnapshotError> {
-        let (run_seed, env_id) = (self.settings.run_seed, assignment.env_id);
-        let recurrent_dim = self.settings.policy.recurrent_dim();
-        let slot = if assignment.snapshot.is_empty() {
-            EnvSlot::new(env, recurrent_dim, EpisodeSeed { run_seed, env_id, episode: 0 })
-        } else {
-            EnvSlot::restored(env, recurrent_dim, run_seed, env_id, &assignment.snapshot)?
-        };
-        self.slots.insert(env_id, (assignment.iteration, slot));
+        let slot = ready_slot(&self.spec, env, assignment)?;
+        self.adopt(assignment.iteration, slot);
         Ok(())
+    }
+
+    /// Takes in an environment that is ready to be stepped; one of the same id is replaced.
+    pub(crate) fn adopt(&mut self, iteration: Iteration, slot: EnvSlot) {
+        self.slots.insert(slot.seed().env_id, (iteration, slot));
     }
 
     /// Lets go of all environments but these.
@@ -123,7 +109,7 @@ impl Worker {
         watch: &mut dyn Stopwatch,
     ) -> &[Rollout] {
         let Some(iteration) = self.next_iteration() else { return &[] };
-        let WorkerSettings { run_seed, n_steps, .. } = self.settings;
+        let (run_seed, n_steps) = (self.spec.seed, self.spec.n_steps);
         let at_it = self.slots.values_mut().filter(|(at, _)| *at == iteration);
         let mut slots: Vec<&mut EnvSlot> = at_it
             .map(|(at, slot)| {
@@ -169,6 +155,21 @@ impl Worker {
         watch.lap(Phase::Simulate);
         &self.rollouts
     }
+}
+
+/// Makes an environment ready to be stepped, from its snapshot or from the beginning.
+pub(crate) fn ready_slot(
+    spec: &RunSpec,
+    env: Box<dyn Environment>,
+    assignment: &EnvAssignment,
+) -> Result<EnvSlot, SnapshotError> {
+    let (run_seed, env_id) = (spec.seed, assignment.env_id);
+    let recurrent_dim = spec.policy.recurrent_dim();
+    if assignment.snapshot.is_empty() {
+        let seed = EpisodeSeed { run_seed, env_id, episode: 0 };
+        return Ok(EnvSlot::new(env, recurrent_dim, seed));
+    }
+    EnvSlot::restored(env, recurrent_dim, run_seed, env_id, &assignment.snapshot)
 }
 
 /// Writes a slot's steps into a rollout.

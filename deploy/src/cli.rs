@@ -211,9 +211,12 @@ pub struct ActorArgs {
     /// Name of this actor (default: host and process id).
     #[arg(long)]
     pub id: Option<String>,
-    /// How long to look for a learner, at the start and after losing it.
+    /// How long to look for a learner at the start.
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = duration)]
     pub connect_timeout: Duration,
+    /// How long to look for a learner that was lost: networks fail for longer than typing errors last.
+    #[arg(long, value_name = "DURATION", default_value = "30m", value_parser = duration)]
+    pub reconnect_timeout: Duration,
     /// Stop when standard input closes: whoever started this process holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,

@@ -100,6 +100,9 @@ fn log(event: &RunEvent) {
             let actor = actor.as_ref().map_or("unknown", |actor| actor.as_str());
             tracing::warn!(actor, ?cause, "message refused: {reason}");
         }
+        RunEvent::CannotRestore { actor, n_envs } => {
+            tracing::warn!(%actor, n_envs, "the actor cannot go on from the snapshots of some environments");
+        }
         RunEvent::CutOff { actor, reason, .. } => {
             tracing::warn!(%actor, "actor cut off: {reason}");
         }

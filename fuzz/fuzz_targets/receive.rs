@@ -1,11 +1,11 @@
 //! Feeds noise to the receiving path: first as a header and a payload, then as payloads that an intruder sealed.
 //!
-//! The same functions judge messages in the running system; see `leadtime_proto::receive`. A panic, an allocation
+//! The same functions check messages in the running system; see `leadtime_proto::receive`. A panic, an allocation
 //! over libFuzzer's `-malloc_limit_mb`, or a message that does not survive a second crossing is a finding.
 #![no_main]
 
 use leadtime_proto::header::HEADER_BYTES;
-use leadtime_proto::message::{Announcement, Control, ControlAck, Credit, Hello, HelloReply};
+use leadtime_proto::message::{Announcement, Control, ControlReply, Credit, Hello, HelloReply};
 use leadtime_proto::receive::{self, Expected};
 use leadtime_proto::{ActionSpec, EnvSpec, Header, Incarnation, Rollout, codec};
 use libfuzzer_sys::fuzz_target;
@@ -33,10 +33,11 @@ fuzz_target!(|bytes: &[u8]| {
             actions: ActionSpec::discrete("choice", 3),
             metrics: vec!["success".to_owned()],
         };
-        drop(rollout.check(&spec, rollout.n_steps as usize, 0));
+        let n_steps = rollout.n_steps as usize;
+        drop(rollout.check(&spec, n_steps, 0));
     }
     sealed::<Control>(bytes, receive::CONTROL);
-    sealed::<ControlAck>(bytes, receive::CONTROL_ACK);
+    sealed::<ControlReply>(bytes, receive::CONTROL_REPLY);
     sealed::<Hello>(bytes, receive::HELLO);
     sealed::<HelloReply>(bytes, receive::HELLO_REPLY);
     sealed::<Credit>(bytes, receive::CREDIT);

@@ -103,6 +103,11 @@ impl Books {
         self.refused += u64::from(sequenced);
     }
 
+    /// Counts refused messages that were reported as a number.
+    pub fn refuse_without_event(&mut self, cause: RefusalCause, n: u64) {
+        *self.refusals.entry(cause).or_default() += n;
+    }
+
     /// Checks the identity.
     ///
     /// # Errors

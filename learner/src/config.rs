@@ -6,10 +6,8 @@ use std::time::Duration;
 
 use leadtime_link::ListenSettings;
 use leadtime_ppo::LearnerSettings;
-use leadtime_proto::message::Welcome;
-use leadtime_proto::{
-    EnvSpec, Incarnation, PolicySpec, PolicyVersion, RunName, Sequence, TaskSpec,
-};
+use leadtime_proto::message::{Announcement, Welcome};
+use leadtime_proto::{Incarnation, RunName, RunSpec, Sequence};
 
 /// How often the state of a run goes to the disk; whichever comes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,14 +25,8 @@ pub struct LearnerConfig {
     pub run: RunName,
     /// This start of the learner; drawn anew for every start.
     pub incarnation: Incarnation,
-    /// Seed of every random stream.
-    pub run_seed: u64,
-    /// What actors simulate.
-    pub task: TaskSpec,
-    /// What that looks like.
-    pub env: EnvSpec,
-    /// The policy's shape.
-    pub policy: PolicySpec,
+    /// What is computed, and how; its steps and schedule are those of `settings`.
+    pub spec: RunSpec,
     /// How to train.
     pub settings: LearnerSettings,
     /// The most rollouts that one actor may have unacknowledged, 1..=[`leadtime_proto::limits::MAX_WINDOW`].
@@ -61,23 +53,11 @@ impl LearnerConfig {
     /// Composes the answer to an actor's hello.
     pub(crate) fn welcome(
         &self,
-        version: PolicyVersion,
+        weights: Announcement,
         resend_from: Sequence,
         window: u32,
     ) -> Welcome {
-        Welcome {
-            run: self.run.clone(),
-            learner: self.incarnation,
-            run_seed: self.run_seed,
-            task: self.task.clone(),
-            env: self.env.clone(),
-            policy: self.policy.clone(),
-            n_steps: self.settings.n_steps as u32,
-            schedule: self.settings.schedule(),
-            window,
-            version,
-            resend_from,
-        }
+        Welcome { run: self.run.clone(), spec: self.spec.clone(), window, weights, resend_from }
     }
 
     /// Returns the environment steps of one update.

@@ -23,19 +23,18 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use leadtime_proto::message::{Assignment, Control, Credit, EnvAssignment, Hello};
 use leadtime_proto::{
-    ActorId, CheckedRollout, EnvId, Epoch, Header, Incarnation, PolicyVersion, RefusalCause,
-    Rollout, Sequence, limits, receive,
+    ActorId, CheckedRollout, EnvId, Epoch, Header, Incarnation, PolicyVersion, Refusal,
+    RefusalCause, Rollout, Sequence, limits, receive,
 };
 
 use crate::assign::{Assigner, Change};
 use crate::books::{Books, SenderKey};
 use crate::collect::{Batch, Collector};
-use crate::refusal::Fault;
 use crate::report::RunEvent;
 use crate::roster::Roster;
 
 use terms::Stage;
-pub use terms::{Effect, Start, Terms, Unwelcome};
+pub use terms::{Effect, HelloRefusal, Start, Terms};
 
 /// The most bytes of snapshots in one assignment; more environments go into a second one.
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
@@ -73,7 +72,7 @@ impl Coordinator {
     pub fn new(terms: Terms, start: Start) -> Self {
         Self {
             assigner: Assigner::new(start.places.len(), start.epoch),
-            collector: Collector::new(terms.schedule, start.places),
+            collector: Collector::new(terms.spec.schedule, start.places),
             terms,
             version: start.version,
             roster: Roster::default(),
@@ -93,18 +92,18 @@ impl Coordinator {
     ///
     /// # Errors
     ///
-    /// [`Unwelcome`], to be told to the actor.
-    pub fn hello(&mut self, hello: &Hello) -> Result<Sequence, Unwelcome> {
+    /// [`HelloRefusal`], to be told to the actor.
+    pub fn hello(&mut self, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let key = (hello.actor.clone(), hello.incarnation);
         if self.roster.sender(&key).is_some_and(|sender| sender.cut_off) {
-            return Err(Unwelcome::CutOff);
+            return Err(HelloRefusal::CutOff);
         }
         if self.roster.is_taken(&key) {
-            return Err(Unwelcome::Taken);
+            return Err(HelloRefusal::Taken);
         }
         let acknowledged = self.acknowledged(&key, hello)?;
         self.roster.greet(&key, hello.published);
-        let n_steps = u64::from(self.terms.n_steps);
+        let n_steps = u64::from(self.terms.spec.n_steps);
         self.books.roll_back_through(&key, acknowledged, n_steps);
         if hello.program != self.terms.program {
             self.same_program = false;
@@ -129,13 +128,13 @@ impl Coordinator {
     ///
     /// More than this learner has heard is what one before it took with it when it was killed: an actor tells of
     /// that once, in its first hello.
-    fn acknowledged(&mut self, key: &SenderKey, hello: &Hello) -> Result<Sequence, Unwelcome> {
+    fn acknowledged(&mut self, key: &SenderKey, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
         let consistent = (1..=MAX_SEQUENCE).contains(&first)
             && first <= published.saturating_add(1)
             && published - (first - 1) <= MAX_UNACKNOWLEDGED;
         if !consistent {
-            return Err(Unwelcome::Nonsense);
+            return Err(HelloRefusal::Nonsense);
         }
         let (acknowledged, heard) = (Sequence(first - 1), self.books.sequence(key));
         if acknowledged > heard {
@@ -143,7 +142,7 @@ impl Coordinator {
             let stranger = heard == Sequence(0);
             let credible = is_new && acknowledged.0 - heard.0 <= MAX_LOST;
             if !credible || (stranger && self.n_losers >= MAX_LOSERS) {
-                return Err(Unwelcome::Nonsense);
+                return Err(HelloRefusal::Nonsense);
             }
             self.n_losers += usize::from(stranger);
         }
@@ -180,15 +179,34 @@ impl Coordinator {
     }
 
     /// Counts a message that the network layer refused.
-    pub fn refused_by_link(&mut self, actor: Option<ActorId>, cause: RefusalCause, reason: String) {
-        let key = actor
-            .as_ref()
-            .and_then(|actor| self.roster.members().get_key_value(actor))
-            .map(|(actor, &incarnation)| (actor.clone(), incarnation));
-        match key {
-            Some(key) => self.refuse(&key, cause, reason, false),
-            None => self.refuse_stranger(actor, cause, reason),
+    ///
+    /// It is held against a member only if a readable header names that member's present start: anyone can publish
+    /// under anyone's key, so everything else is a stranger's.
+    pub fn refused_by_link(&mut self, actor: Option<ActorId>, refusal: Refusal) {
+        let key = actor.clone().zip(refusal.sender);
+        match key.filter(|key| self.roster.members().get(&key.0) == Some(&key.1)) {
+            Some(key) => self.refuse(&key, refusal, false),
+            None => self.refuse_stranger(actor, refusal),
         }
+    }
+
+    /// Counts messages that the network layer refused without an event of their own. They are held against nobody.
+    pub fn refused_without_event(
+        &mut self,
+        counts: impl IntoIterator<Item = ((Option<ActorId>, RefusalCause), u64)>,
+    ) {
+        for ((actor, cause), n) in counts {
+            self.note_first(actor, &Refusal::new(cause, "no room in the queue, or its sender was cut off: such messages are only counted"));
+            self.books.refuse_without_event(cause, n);
+        }
+    }
+
+    /// Hears which environments an actor cannot restore under an assignment.
+    ///
+    /// Until they are given anew they stand still.
+    pub fn cannot_restore(&mut self, key: &SenderKey, envs: &[EnvId]) {
+        let (actor, n_envs) = (key.0.clone(), envs.len());
+        self.effects.push(Effect::Event(RunEvent::CannotRestore { actor, n_envs }));
     }
 
     /// Takes in a rollout message.
@@ -196,8 +214,8 @@ impl Coordinator {
         let key = (actor, header.incarnation);
         let heard = self.books.sequence(&key);
         let Some(sender) = self.roster.sender(&key) else {
-            let reason = "it never said hello to this learner".to_owned();
-            return self.refuse_stranger(Some(key.0), RefusalCause::Stranger, reason);
+            let text = "it never said hello to this learner";
+            return self.refuse_stranger(Some(key.0), Refusal::new(RefusalCause::Stranger, text));
         };
         if sender.cut_off {
             return;
@@ -208,8 +226,9 @@ impl Coordinator {
             return;
         }
         if header.sequence > sender.limit {
-            let fault = Fault::Credit { found: header.sequence, limit: sender.limit };
-            return self.refuse(&key, fault.cause(), fault.to_string(), false);
+            let (found, limit) = (header.sequence, sender.limit);
+            let text = format!("its sequence {found} is over the limit {limit}");
+            return self.refuse(&key, Refusal::new(RefusalCause::Credit, text), false);
         }
         if header.sequence > heard.next() {
             return; // Beyond a gap: not acknowledged, so it comes again in order.
@@ -220,7 +239,7 @@ impl Coordinator {
             return self.supersede();
         }
         match self.read(header, payload) {
-            Err(fault) => self.refuse(&key, fault.cause(), fault.to_string(), true),
+            Err(refusal) => self.refuse(&key, refusal, true),
             Ok(rollout) => self.place(&key, header.epoch, rollout),
         }
     }
@@ -321,28 +340,31 @@ impl Coordinator {
         self.same_program && self.same_cpu
     }
 
-    fn read(&self, header: &Header, payload: &[u8]) -> Result<CheckedRollout, Fault> {
+    fn read(&self, header: &Header, payload: &[u8]) -> Result<CheckedRollout, Refusal> {
+        let spec = &self.terms.spec;
         let rollout: Rollout = receive::open(header, payload, receive::ROLLOUT)?;
-        let n_steps = self.terms.n_steps as usize;
-        let rollout = rollout.check(&self.terms.env, n_steps, self.terms.recurrent_dim)?;
+        let recurrent_dim = spec.policy.recurrent_dim();
+        let rollout = rollout.check(&spec.env, spec.n_steps as usize, recurrent_dim)?;
         let env_id = rollout.env_id;
         if self.collector.expected(env_id).is_none() {
-            return Err(Fault::Environment { env_id });
+            let text = format!("the run has no environment {env_id}");
+            return Err(Refusal::new(RefusalCause::Assignment, text));
         }
         let found = rollout.version;
         let newest = self.version;
-        let required = self.terms.schedule.behavior_version(rollout.iteration);
+        let required = spec.schedule.behavior_version(rollout.iteration);
         let expected = required.unwrap_or(newest);
         let wrong = found > newest || (required.is_some() && found != expected);
         if wrong || header.version != found {
-            return Err(Fault::Version { found, expected });
+            let text = format!("policy version {found} acted it where {expected} had to");
+            return Err(Refusal::new(RefusalCause::Version, text));
         }
         Ok(rollout)
     }
 
     fn supersede(&mut self) {
         self.books.superseded += 1;
-        self.books.steps_redone += u64::from(self.terms.n_steps);
+        self.books.steps_redone += u64::from(self.terms.spec.n_steps);
     }
 
     fn place(&mut self, key: &SenderKey, epoch: Epoch, rollout: CheckedRollout) {
@@ -353,23 +375,25 @@ impl Coordinator {
         if !owned || rollout.iteration < expected {
             self.supersede();
         } else if rollout.iteration > expected {
-            let fault = Fault::Iteration { found: rollout.iteration, expected };
-            self.refuse(key, fault.cause(), fault.to_string(), true);
+            let found = rollout.iteration;
+            let text = format!("it is rollout {found} of its environment where {expected} is next");
+            self.refuse(key, Refusal::new(RefusalCause::Assignment, text), true);
         } else {
             self.collector.accept(rollout);
         }
     }
 
-    fn refuse(&mut self, key: &SenderKey, cause: RefusalCause, reason: String, sequenced: bool) {
+    fn refuse(&mut self, key: &SenderKey, refusal: Refusal, sequenced: bool) {
+        let Refusal { cause, text, .. } = refusal;
         self.books.refuse(cause, sequenced);
         let Some(sender) = self.roster.sender(key) else { return };
         let verdict = sender.refuse(cause);
         if verdict.first {
-            let (actor, reason) = (Some(key.0.clone()), reason.clone());
+            let (actor, reason) = (Some(key.0.clone()), text.to_string());
             self.effects.push(Effect::Event(RunEvent::Refused { actor, cause, reason }));
         }
         if verdict.cut_off {
-            self.cut_off(key, reason);
+            self.cut_off(key, text.into_owned());
         } else if sequenced
             && self.roster.members().get(&key.0) == Some(&key.1)
             && let Some(change) = self.assigner.renew(&key.0)
@@ -378,10 +402,15 @@ impl Coordinator {
         }
     }
 
-    fn refuse_stranger(&mut self, actor: Option<ActorId>, cause: RefusalCause, reason: String) {
-        let first = !self.books.refusals.contains_key(&cause);
-        self.books.refuse(cause, false);
-        if first {
+    fn refuse_stranger(&mut self, actor: Option<ActorId>, refusal: Refusal) {
+        self.note_first(actor, &refusal);
+        self.books.refuse(refusal.cause, false);
+    }
+
+    /// Reports the first refusal of its cause in the run.
+    fn note_first(&mut self, actor: Option<ActorId>, refusal: &Refusal) {
+        if !self.books.refusals.contains_key(&refusal.cause) {
+            let (cause, reason) = (refusal.cause, refusal.text.to_string());
             self.effects.push(Effect::Event(RunEvent::Refused { actor, cause, reason }));
         }
     }
@@ -412,7 +441,7 @@ impl Coordinator {
     fn lose(&mut self, actor: &ActorId) {
         let n_envs = self.assigner.release(actor);
         if self.stage != Stage::Closing {
-            self.books.steps_redone += n_envs as u64 * u64::from(self.terms.n_steps);
+            self.books.steps_redone += n_envs as u64 * u64::from(self.terms.spec.n_steps);
         }
         let (actor, n_actors) = (actor.clone(), self.n_actors());
         self.effects.push(Effect::Event(RunEvent::ActorLeft { actor, n_actors, n_envs }));

@@ -25,7 +25,6 @@ pub mod episodes;
 pub mod error;
 mod files;
 mod orders;
-pub mod refusal;
 pub mod report;
 mod resume;
 pub mod roster;

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use leadtime_link::LearnerLink;
-use leadtime_proto::message::Control;
+use leadtime_proto::EnvId;
+use leadtime_proto::message::{Control, ControlReply};
 use tokio::sync::mpsc;
 use tracing::debug;
 
@@ -17,16 +18,25 @@ const QUEUED_ORDERS: usize = 64;
 const ORDER_TIMEOUT: Duration = Duration::from_secs(3);
 /// How often an order is given before the actor is given up.
 const ATTEMPTS: usize = 2;
-/// The most actors whose giving up waits to be noticed.
+/// The most failures that wait to be noticed.
 const QUEUED_FAILURES: usize = 256;
+
+/// What went wrong with an order.
+#[derive(Debug)]
+pub(crate) enum OrderFailure {
+    /// The actor does not answer.
+    Silent(SenderKey),
+    /// The actor follows the order except for environments that it cannot restore.
+    CannotRestore(SenderKey, Vec<EnvId>),
+}
 
 /// A courier per actor.
 #[derive(Debug)]
 pub(crate) struct Orders {
     link: Arc<LearnerLink>,
     couriers: BTreeMap<SenderKey, mpsc::Sender<Control>>,
-    failed: mpsc::Sender<SenderKey>,
-    failures: mpsc::Receiver<SenderKey>,
+    failed: mpsc::Sender<OrderFailure>,
+    failures: mpsc::Receiver<OrderFailure>,
 }
 
 impl Orders {
@@ -51,10 +61,10 @@ impl Orders {
         self.couriers.retain(|key, courier| wanted(key) && !courier.is_closed());
     }
 
-    /// Waits for an actor that does not take its orders.
-    pub(crate) async fn failure(&mut self) -> SenderKey {
+    /// Waits for the next order that failed.
+    pub(crate) async fn failure(&mut self) -> OrderFailure {
         match self.failures.recv().await {
-            Some(key) => key,
+            Some(failure) => failure,
             None => std::future::pending().await,
         }
     }
@@ -64,16 +74,20 @@ async fn deliver(
     link: Arc<LearnerLink>,
     to: SenderKey,
     mut orders: mpsc::Receiver<Control>,
-    failed: mpsc::Sender<SenderKey>,
+    failed: mpsc::Sender<OrderFailure>,
 ) {
     while let Some(control) = orders.recv().await {
         for attempt in 1..=ATTEMPTS {
             match link.control(&to.0, to.1, &control, ORDER_TIMEOUT).await {
-                Ok(_ack) => break,
+                Ok(ControlReply::Followed { .. }) => break,
+                Ok(ControlReply::CannotRestore { envs, .. }) => {
+                    drop(failed.send(OrderFailure::CannotRestore(to.clone(), envs)).await);
+                    break;
+                }
                 Err(error) => {
                     debug!(actor = %to.0, attempt, %error, "order not taken");
                     if attempt == ATTEMPTS {
-                        drop(failed.send(to).await);
+                        drop(failed.send(OrderFailure::Silent(to)).await);
                         return;
                     }
                 }

@@ -111,6 +111,13 @@ pub enum RunEvent {
         /// In words.
         reason: String,
     },
+    /// An actor cannot go on from the snapshots of some environments that it was given.
+    CannotRestore {
+        /// The actor.
+        actor: ActorId,
+        /// How many environments.
+        n_envs: usize,
+    },
     /// An actor was cut off.
     CutOff {
         /// Which.

@@ -77,12 +77,12 @@ pub(crate) struct Standing {
 
 /// Begins a run: from its newest whole checkpoint, or from the beginning if there never was one.
 pub(crate) fn begin(config: &LearnerConfig, store: &CheckpointStore) -> Result<Standing, Error> {
-    let (policy, settings) = (&config.policy, &config.settings);
+    let (policy, settings) = (&config.spec.policy, &config.settings);
     let trainer = match &config.initial {
-        None => Trainer::new(policy, settings, config.run_seed)?,
+        None => Trainer::new(policy, settings, config.spec.seed)?,
         Some(weights) => {
             let parameters = Parameters::from_safetensors(weights, policy)?;
-            Trainer::from_parameters(policy, settings, config.run_seed, parameters)?
+            Trainer::from_parameters(policy, settings, config.spec.seed, parameters)?
         }
     };
     match store.newest::<Checkpoint>()? {

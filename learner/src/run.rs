@@ -29,11 +29,10 @@ use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
-use crate::books::SenderKey;
 use crate::checkpoint::CheckpointStore;
-use crate::coordinator::{Coordinator, Effect, Terms, Unwelcome};
+use crate::coordinator::{Coordinator, Effect, HelloRefusal, Terms};
 use crate::episodes::Episodes;
-use crate::orders::Orders;
+use crate::orders::{OrderFailure, Orders};
 use crate::report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
@@ -57,8 +56,8 @@ enum Wake {
     Network(LearnerEvent),
     /// The training thread is done with its job.
     Trained(Outcome),
-    /// An actor does not take its orders.
-    Silent(SenderKey),
+    /// An order failed.
+    Order(OrderFailure),
     /// Time has passed.
     Tick,
     /// The run is asked to end.
@@ -89,7 +88,8 @@ pub async fn run(
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
     let (link, events) =
-        LearnerLink::open(&config.run, &config.task.domain, config.incarnation, &listen).await?;
+        LearnerLink::open(&config.run, &config.spec.task.domain, config.incarnation, &listen)
+            .await?;
     sink.on_event(&RunEvent::Listening { locators: link.locators() });
     let mut run = Run::new(config, store, sink, standing, link)?;
     let result = run.live(&events, &stop).await;
@@ -114,7 +114,6 @@ struct Run {
     training: Training,
     is_training: bool,
     n_updates: u64,
-    offered: BTreeMap<PolicyVersion, Arc<[u8]>>,
     version: PolicyVersion,
     best: Option<RatedPolicy>,
     episodes: Episodes,
@@ -138,7 +137,7 @@ impl Run {
     ) -> Result<Self, Error> {
         let Standing { trainer, start, offered, best, episodes, staleness, uniform, .. } = standing;
         let (version, n_updates) = (trainer.version(), trainer.version().0);
-        for (&version, weights) in &offered {
+        for (version, weights) in offered {
             link.offer_weights(version, weights)?;
         }
         let link = Arc::new(link);
@@ -153,7 +152,6 @@ impl Run {
             sink,
             link,
             n_updates,
-            offered,
             version,
             best,
             episodes,
@@ -199,10 +197,11 @@ impl Run {
         Ok(tokio::select! {
             biased;
             () = stop.cancelled() => Wake::Stop,
-            outcome = self.training.outcome(), if self.is_training => Wake::Trained(outcome),
-            silent = self.orders.failure() => Wake::Silent(silent),
-            event = events.recv_async() => Wake::Network(event.map_err(|_closed| Error::LinkGone)?),
+            // Before what strangers can flood, or credit would never be repeated.
             _ = ticks.tick() => Wake::Tick,
+            outcome = self.training.outcome(), if self.is_training => Wake::Trained(outcome),
+            failure = self.orders.failure() => Wake::Order(failure),
+            event = events.recv_async() => Wake::Network(event.map_err(|_closed| Error::LinkGone)?),
         })
     }
 
@@ -215,8 +214,11 @@ impl Run {
                 }
             }
             Wake::Trained(outcome) => self.trained(outcome)?,
-            Wake::Silent(key) => self.coordinator.give_up(&key),
-            Wake::Tick => self.tick(),
+            Wake::Order(OrderFailure::Silent(key)) => self.coordinator.give_up(&key),
+            Wake::Order(OrderFailure::CannotRestore(key, envs)) => {
+                self.coordinator.cannot_restore(&key, &envs);
+            }
+            Wake::Tick => self.tick()?,
             Wake::Stop => {}
         }
         Ok(())
@@ -228,10 +230,11 @@ impl Run {
                 let answered = match self.coordinator.hello(&hello) {
                     Ok(resend_from) => {
                         let window = self.coordinator.window();
-                        reply.welcome(self.config.welcome(self.version, resend_from, window))
+                        let weights = self.link.announcement();
+                        reply.welcome(self.config.welcome(weights, resend_from, window))
                     }
-                    Err(Unwelcome::Taken) => reply.taken(),
-                    Err(unwelcome) => reply.refuse(&unwelcome.to_string()),
+                    Err(HelloRefusal::Taken) => reply.taken(),
+                    Err(refusal) => reply.refuse(&refusal.to_string()),
                 };
                 if let Err(error) = answered {
                     debug!(actor = %hello.actor, %error, "hello not answered; it will come again");
@@ -245,12 +248,14 @@ impl Run {
             }
             LearnerEvent::Left { actor, incarnation } => self.coordinator.left(actor, incarnation),
             LearnerEvent::Refused { actor, refusal, .. } => {
-                self.coordinator.refused_by_link(actor, refusal.cause(), refusal.to_string());
+                self.coordinator.refused_by_link(actor, refusal);
             }
         }
     }
 
-    fn tick(&mut self) {
+    fn tick(&mut self) -> Result<(), Error> {
+        self.link.health()?;
+        self.coordinator.refused_without_event(self.link.take_uncounted());
         self.coordinator.credit_everyone();
         self.tell_waiting();
         let members = self.coordinator.members();
@@ -264,6 +269,7 @@ impl Run {
         if let Err(error) = self.link.publish_metrics(metrics.as_bytes()) {
             debug!(%error, "metrics not published");
         }
+        Ok(())
     }
 
     /// Says that actors are missing, at once and then every [`WAITING_EVERY`].
@@ -308,13 +314,10 @@ impl Run {
         self.version = updated.version;
         self.n_updates += 1;
         self.coordinator.trained(updated.version);
-        self.offered.insert(updated.version, Arc::clone(&updated.weights));
-        self.link.offer_weights(updated.version, &updated.weights)?;
-        let oldest = self.config.settings.schedule().oldest_needed(self.version);
-        self.offered = self.offered.split_off(&oldest);
-        self.link.retire_weights(oldest);
+        self.link.offer_weights(updated.version, Arc::clone(&updated.weights))?;
+        self.link.retire_weights(self.oldest_needed());
         let ends = updated.rollouts.iter().flat_map(|rollout| &rollout.ends);
-        self.episodes.extend(&self.config.env, ends.map(|end| &end.summary));
+        self.episodes.extend(&self.config.spec.env, ends.map(|end| &end.summary));
         for (&staleness, &n_rollouts) in &updated.report.staleness {
             *self.staleness.entry(staleness).or_default() += n_rollouts;
         }
@@ -377,18 +380,21 @@ impl Run {
         }
     }
 
+    fn oldest_needed(&self) -> PolicyVersion {
+        self.config.spec.schedule.oldest_needed(self.version)
+    }
+
     fn last(&self) -> RatedPolicy {
-        RatedPolicy {
-            version: self.version,
-            score: self.episodes.score(),
-            weights: Arc::clone(&self.offered[&self.version]),
-        }
+        let weights = self.link.weights_since(self.version).pop();
+        let (version, weights) = weights.expect("the newest version is on offer");
+        RatedPolicy { version, score: self.episodes.score(), weights }
     }
 
     fn checkpoint(&mut self, trainer: TrainerState) -> Result<(), Error> {
-        let older = self.offered.range(..self.version).map(|(&version, weights)| {
-            let policy = RatedPolicy { version, score: None, weights: Arc::clone(weights) };
-            SavedPolicy::from(&policy)
+        let mut older = self.link.weights_since(self.oldest_needed());
+        older.pop(); // The trainer's own.
+        let older = older.into_iter().map(|(version, weights)| {
+            SavedPolicy::from(&RatedPolicy { version, score: None, weights })
         });
         let checkpoint = Checkpoint {
             identity: self.config.identity,
@@ -425,10 +431,7 @@ impl Run {
 fn terms(config: &LearnerConfig) -> Terms {
     Terms {
         learner: config.incarnation,
-        env: config.env.clone(),
-        recurrent_dim: config.policy.recurrent_dim(),
-        n_steps: config.settings.n_steps as u32,
-        schedule: config.settings.schedule(),
+        spec: config.spec.clone(),
         window: config.window,
         actors_min: config.actors_min,
         program: config.program.clone(),

@@ -1,28 +1,27 @@
 //! The 48 bytes in front of every message: what it is, whose, which, and whether it arrived whole.
 //!
 //! ```text
-//! offset 0      4        6       8        12        16           24        32     40       48
-//!        magic  schema   flags   crc32c   protocol  incarnation  sequence  epoch  version
-//!        u32    u16      u16     u32      u32       u64          u64       u64    u64
+//! offset 0      4       8        12        16           24        32     40       48
+//!        magic  schema  crc32c   protocol  incarnation  sequence  epoch  version
+//!        u32    u32     u32      u32       u64          u64       u64    u64
 //! ```
 //!
 //! All little-endian, readable without the codec. It travels beside the payload, so a receiver can refuse a
 //! message before it decodes a byte of it.
 
-use thiserror::Error;
-
+use crate::refusal::{Refusal, RefusalCause};
 use crate::{Epoch, Incarnation, PolicyVersion, Sequence};
 
 /// The version of everything in this crate that crosses a process boundary.
-pub const PROTOCOL_VERSION: u32 = 2;
-/// `LDTM` in little-endian bytes.
-const MAGIC: u32 = u32::from_le_bytes(*b"LDTM");
+pub const PROTOCOL_VERSION: u32 = 3;
+/// What every header begins with.
+const MAGIC: [u8; 4] = *b"LDTM";
 /// Length of an encoded header.
 pub const HEADER_BYTES: usize = 48;
 
 /// What a payload holds; a receiver decodes only what it expects at that key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u16)]
+#[repr(u32)]
 pub enum Schema {
     /// [`crate::message::Hello`]
     Hello = 1,
@@ -30,8 +29,8 @@ pub enum Schema {
     HelloReply = 2,
     /// [`crate::message::Control`]
     Control = 3,
-    /// [`crate::message::ControlAck`]
-    ControlAck = 4,
+    /// [`crate::message::ControlReply`]
+    ControlReply = 4,
     /// [`crate::Rollout`]
     Rollout = 5,
     /// [`crate::message::Credit`]
@@ -45,13 +44,13 @@ pub enum Schema {
 }
 
 impl Schema {
-    fn from_u16(id: u16) -> Option<Self> {
+    fn from_u32(id: u32) -> Option<Self> {
         use Schema as S;
         [
             S::Hello,
             S::HelloReply,
             S::Control,
-            S::ControlAck,
+            S::ControlReply,
             S::Rollout,
             S::Credit,
             S::Announcement,
@@ -59,7 +58,7 @@ impl Schema {
             S::Metrics,
         ]
         .into_iter()
-        .find(|schema| *schema as u16 == id)
+        .find(|schema| *schema as u32 == id)
     }
 }
 
@@ -80,34 +79,6 @@ pub struct Header {
     pub epoch: Epoch,
     /// The policy version that the message is about; 0 where none is.
     pub version: PolicyVersion,
-}
-
-/// Why a header cannot be read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum HeaderError {
-    /// Not 48 bytes.
-    #[error("header has {found} bytes, expected {HEADER_BYTES}")]
-    Length {
-        /// As sent.
-        found: usize,
-    },
-    /// Not one of our messages.
-    #[error("header does not start with the magic number")]
-    Magic,
-    /// A sender of another version.
-    #[error(
-        "peer speaks protocol {found}, this program speaks {PROTOCOL_VERSION}: run the same release on both sides"
-    )]
-    Protocol {
-        /// The sender's version.
-        found: u32,
-    },
-    /// A message kind that this version does not know.
-    #[error("unknown message schema {found}")]
-    Schema {
-        /// As sent.
-        found: u16,
-    },
 }
 
 impl Header {
@@ -132,8 +103,8 @@ impl Header {
     /// Writes the header as it crosses the wire.
     pub fn to_bytes(self) -> [u8; HEADER_BYTES] {
         let mut bytes = [0; HEADER_BYTES];
-        bytes[0..4].copy_from_slice(&MAGIC.to_le_bytes());
-        bytes[4..6].copy_from_slice(&(self.schema as u16).to_le_bytes());
+        bytes[0..4].copy_from_slice(&MAGIC);
+        bytes[4..8].copy_from_slice(&(self.schema as u32).to_le_bytes());
         bytes[8..12].copy_from_slice(&self.checksum.to_le_bytes());
         bytes[12..16].copy_from_slice(&self.protocol.to_le_bytes());
         bytes[16..24].copy_from_slice(&self.incarnation.0.to_le_bytes());
@@ -147,24 +118,33 @@ impl Header {
     ///
     /// # Errors
     ///
-    /// [`HeaderError`]: wrong length, magic, protocol version or schema, in this order.
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, HeaderError> {
+    /// [`Refusal`] without a sender: wrong length or magic, another protocol version, an unknown schema, in this order.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, Refusal> {
         let found = bytes.len();
-        let Ok(bytes) = <&[u8; HEADER_BYTES]>::try_from(bytes) else {
-            return Err(HeaderError::Length { found });
+        let Some(bytes) =
+            <&[u8; HEADER_BYTES]>::try_from(bytes).ok().filter(|bytes| bytes.starts_with(&MAGIC))
+        else {
+            let text = format!(
+                "message has no valid header ({found} bytes, expected {HEADER_BYTES} starting with the magic number)"
+            );
+            return Err(Refusal::new(RefusalCause::Header, text));
         };
         let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
         let long = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
-        if word(0) != MAGIC {
-            return Err(HeaderError::Magic);
-        }
+        // Of another version nothing else is read: what stands where may have changed, the sender's start included.
         if word(12) != PROTOCOL_VERSION {
-            return Err(HeaderError::Protocol { found: word(12) });
+            let text = format!(
+                "the message has protocol {}, its receiver speaks {PROTOCOL_VERSION}: run the same release on both sides",
+                word(12)
+            );
+            return Err(Refusal::new(RefusalCause::Protocol, text));
         }
-        let id = u16::from_le_bytes([bytes[4], bytes[5]]);
+        let schema = Schema::from_u32(word(4)).ok_or_else(|| {
+            Refusal::new(RefusalCause::Schema, format!("unknown message schema {}", word(4)))
+        })?;
         Ok(Self {
             protocol: word(12),
-            schema: Schema::from_u16(id).ok_or(HeaderError::Schema { found: id })?,
+            schema,
             checksum: word(8),
             incarnation: Incarnation(long(16)),
             sequence: Sequence(long(24)),
@@ -199,17 +179,24 @@ mod tests {
     }
 
     #[test]
-    fn another_protocol_version_is_named() {
-        let bytes = Header { protocol: 200, ..header() }.to_bytes();
-        assert_eq!(Header::from_bytes(&bytes), Err(HeaderError::Protocol { found: 200 }));
-    }
-
-    #[test]
-    fn short_foreign_and_unknown_headers_are_refused() {
-        assert_eq!(Header::from_bytes(&[0; 47]), Err(HeaderError::Length { found: 47 }));
-        assert_eq!(Header::from_bytes(&[0; 48]), Err(HeaderError::Magic));
-        let mut bytes = header().to_bytes();
-        bytes[4] = 99;
-        assert_eq!(Header::from_bytes(&bytes), Err(HeaderError::Schema { found: 99 }));
+    fn short_foreign_unknown_and_newer_headers_are_refused() {
+        let good = header().to_bytes();
+        let changed = |at: usize, value: u8| {
+            let mut bytes = good;
+            bytes[at] = value;
+            bytes
+        };
+        for (bytes, cause) in [
+            (&good[..47], RefusalCause::Header),
+            (&changed(0, b'X'), RefusalCause::Header),
+            (&changed(4, 99), RefusalCause::Schema),
+            (&changed(7, 1), RefusalCause::Schema),
+            (&changed(12, 200), RefusalCause::Protocol),
+        ] {
+            let refusal = Header::from_bytes(bytes).unwrap_err();
+            assert_eq!((refusal.cause, refusal.sender), (cause, None));
+        }
+        let told = Header::from_bytes(&changed(12, 200)).unwrap_err().to_string();
+        assert!(told.contains("protocol 200, its receiver speaks 3"), "{told}");
     }
 }

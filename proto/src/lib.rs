@@ -5,13 +5,14 @@
 //!
 //! ```text
 //! ids      who and which        EnvId, ActorId, PolicyVersion, Epoch, Sequence ...
-//! spec     what can be done     EnvSpec, ActionSpec (factored heads, masks), PolicySpec, TaskSpec
+//! spec     what a run is        RunSpec: TaskSpec, EnvSpec, PolicySpec, ActionSpec (factored heads, masks)
 //! schedule who waits for whom   Schedule (sync, lag k, async)
 //! rollout  what an actor sends  Rollout, EpisodeEnd
 //! message  everything else      Hello, Welcome, Control, Credit, Announcement ...
 //! header   48 bytes in front    Header
 //! codec    the one door         encode, decode (the only file that names bincode)
-//! receive  the doorman          size, header, schema, checksum, decode; every refusal has a cause
+//! receive  message validation   size, header, schema, checksum, decode
+//! refusal  what fails there     Refusal: cause, sentence, sender; the books count it
 //! ```
 //!
 //! # Where to start
@@ -25,6 +26,7 @@ pub mod limits;
 pub mod message;
 pub mod packed;
 pub mod receive;
+pub mod refusal;
 pub mod rollout;
 pub mod schedule;
 pub mod spec;
@@ -35,10 +37,10 @@ pub use ids::{
     ActorId, DomainName, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, Sequence,
     Staleness,
 };
-pub use receive::{Refusal, RefusalCause};
+pub use refusal::{Refusal, RefusalCause};
 pub use rollout::{CheckedRollout, EpisodeEnd, EpisodeSummary, Rollout};
 pub use schedule::Schedule;
 pub use spec::{
     ActionSpec, Conditional, EgoAttention, Encoder, EnvSpec, Gate, Head, HeadCredit, Mask,
-    PolicySpec, TaskSpec,
+    PolicySpec, RunSpec, TaskSpec,
 };

@@ -6,8 +6,8 @@ pub const MAX_ROLLOUT_BYTES: usize = 16 << 20;
 pub const MAX_CONTROL_BYTES: usize = 8 << 20;
 /// The largest hello, in bytes.
 pub const MAX_HELLO_BYTES: usize = 64 << 10;
-/// The largest credit or announcement, in bytes.
-pub const MAX_NOTICE_BYTES: usize = 1 << 10;
+/// The largest credit or announcement (a digest for every version that the longest lag needs), in bytes.
+pub const MAX_NOTICE_BYTES: usize = 4 << 10;
 /// The largest report of metrics, in bytes.
 pub const MAX_METRICS_BYTES: usize = 1 << 20;
 /// The largest set of policy parameters, in bytes.

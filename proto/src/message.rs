@@ -5,8 +5,8 @@
 //!   |-- Hello (query ctl/hello) ------------->|   who I am
 //!   |<------------------ HelloReply ----------|   the task, the policy's shape, the seed; or why not
 //!   |<--- Control::Assign (query ctl/actor) --|   these environments, from these snapshots, under this epoch
-//!   |-- ControlAck -------------------------->|
-//!   |<------- Announcement (weights) ---------|   version v is there; the actor pulls it
+//!   |-- ControlReply ------------------------>|   followed, or: these environments cannot be restored here
+//!   |<------- Announcement (weights) ---------|   version v is there and has this digest; the actor pulls it
 //!   |-- Rollout (traj) ---------------------->|
 //!   |<------------------- Credit -------------|   received up to n, publish up to m
 //!   |<--- Control::Stop ----------------------|
@@ -14,16 +14,17 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::refusal::{Refusal, RefusalCause};
 use crate::{
-    ActorId, EnvId, EnvSpec, Epoch, Incarnation, Iteration, PolicySpec, PolicyVersion, RunName,
-    Schedule, Sequence, TaskSpec,
+    ActorId, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, RunSpec, Sequence,
 };
+
+/// The longest fingerprint of a program or a CPU, in bytes: they end up in logs.
+const MAX_FINGERPRINT: usize = 200;
 
 /// An actor's first words; said again whenever it suspects that the learner has forgotten it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hello {
-    /// [`crate::header::PROTOCOL_VERSION`] of the sender.
-    pub protocol: u32,
     /// The build of the sender's program: equal fingerprints compute the same numbers.
     pub program: String,
     /// The actor.
@@ -36,6 +37,22 @@ pub struct Hello {
     pub published: Sequence,
     /// The lowest sequence it still holds unacknowledged; `published + 1` if none.
     pub first_unacknowledged: Sequence,
+}
+
+impl Hello {
+    /// Checks the texts in it, which reach logs and records.
+    ///
+    /// # Errors
+    ///
+    /// [`Refusal`] if a fingerprint is longer than any real one, or holds a control character.
+    pub fn check(&self) -> Result<(), Refusal> {
+        let odd = |text: &String| text.len() > MAX_FINGERPRINT || text.contains(char::is_control);
+        if odd(&self.program) || odd(&self.cpu) {
+            let text = "hello with a fingerprint that is none";
+            return Err(Refusal::new(RefusalCause::Malformed, text).of(self.incarnation));
+        }
+        Ok(())
+    }
 }
 
 /// The answer to a [`Hello`].
@@ -57,24 +74,12 @@ pub enum HelloReply {
 pub struct Welcome {
     /// The run.
     pub run: RunName,
-    /// The learner's start.
-    pub learner: Incarnation,
-    /// Seed of every random stream.
-    pub run_seed: u64,
-    /// What to simulate.
-    pub task: TaskSpec,
-    /// What the simulation must look like; an actor whose task differs says so and leaves.
-    pub env: EnvSpec,
-    /// What the weights are for.
-    pub policy: PolicySpec,
-    /// Steps per rollout.
-    pub n_steps: u32,
-    /// Who waits for whom.
-    pub schedule: Schedule,
+    /// What is computed, and how.
+    pub spec: RunSpec,
     /// The most rollouts that may be unacknowledged.
     pub window: u32,
-    /// The learner's newest version.
-    pub version: PolicyVersion,
+    /// The learner's start, and the weights that it offers.
+    pub weights: Announcement,
     /// The sequence from which this actor's rollouts count; lower ones need not be sent again.
     pub resend_from: Sequence,
 }
@@ -108,10 +113,6 @@ pub struct Assignment {
 pub enum Control {
     /// Step these environments.
     Assign(Assignment),
-    /// Finish the rollout at hand and wait.
-    Pause,
-    /// Go on after a pause.
-    Resume,
     /// Leave.
     Stop {
         /// One sentence for the actor's log.
@@ -121,11 +122,26 @@ pub enum Control {
     },
 }
 
-/// An actor's acknowledgement of a [`Control`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ControlAck {
-    /// The assignment that the actor now follows.
-    pub epoch: Epoch,
+/// An actor's answer to a [`Control`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ControlReply {
+    /// The order is followed.
+    Followed {
+        /// The assignment that the actor now follows.
+        epoch: Epoch,
+    },
+    /// The assignment is followed except for environments whose snapshots cannot be restored here: their state has
+    /// another layout (an actor of another build made it), or was never one.
+    ///
+    /// The actor does not step these environments and says no more of them, so the learner has to give them again,
+    /// under a new epoch, or they stand still for ever: from an older snapshot that is known to be good, or from the
+    /// beginning of a fresh episode (which the books count). Who sent the snapshot is to blame, not who reports it.
+    CannotRestore {
+        /// The assignment that the actor now follows.
+        epoch: Epoch,
+        /// The environments that it does not step, in ascending order.
+        envs: Vec<EnvId>,
+    },
 }
 
 /// The learner's cumulative acknowledgement and permission, repeated so that a lost one does no harm.
@@ -141,15 +157,21 @@ pub struct Credit {
     pub limit: Sequence,
 }
 
-/// Says that a version of the weights is there to be pulled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Says which versions of the weights there are to be pulled, and how to know them.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Announcement {
     /// The learner's start.
     pub learner: Incarnation,
-    /// The newest version.
-    pub version: PolicyVersion,
-    /// Size of the parameters in bytes.
-    pub size: u64,
-    /// SHA-256 of the parameters' bytes.
-    pub sha256: [u8; 32],
+    /// The versions that are kept, the newest last, each with the SHA-256 of its parameters' bytes.
+    ///
+    /// All of them are told every time: announcements may be lost, and what is pulled is used only if it has the
+    /// digest that the learner told.
+    pub versions: Vec<(PolicyVersion, [u8; 32])>,
+}
+
+impl Announcement {
+    /// Returns the newest version; 0 as long as there is none.
+    pub fn newest(&self) -> PolicyVersion {
+        self.versions.last().map_or(PolicyVersion(0), |(version, _)| *version)
+    }
 }

@@ -7,12 +7,14 @@
 #![expect(clippy::unwrap_used, reason = "the tests' helpers fail as their tests do")]
 
 use leadtime_proto::header::Schema;
-use leadtime_proto::message::{Assignment, Control, EnvAssignment, Hello, HelloReply, Welcome};
+use leadtime_proto::message::{
+    Announcement, Assignment, Control, EnvAssignment, Hello, HelloReply, Welcome,
+};
 use leadtime_proto::receive::{self, CONTROL, Expected, HELLO, HELLO_REPLY, ROLLOUT};
 use leadtime_proto::{
-    ActionSpec, ActorId, Encoder, EnvId, EnvSpec, EpisodeEnd, EpisodeSummary, Epoch, HeadCredit,
-    Header, Incarnation, Iteration, PolicySpec, PolicyVersion, RefusalCause, Rollout, RunName,
-    Schedule, Sequence, TaskSpec, codec,
+    ActionSpec, ActorId, EnvId, EnvSpec, EpisodeEnd, EpisodeSummary, Epoch, HeadCredit, Header,
+    Incarnation, Iteration, PolicySpec, PolicyVersion, Refusal, RefusalCause, Rollout, RunName,
+    RunSpec, Schedule, Sequence, TaskSpec, codec,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -22,7 +24,7 @@ use serde::de::DeserializeOwned;
 
 /// One way in which bytes are spoilt; positions are taken modulo the length.
 #[derive(Clone, Debug)]
-enum Damage {
+enum Mutation {
     Flip {
         at: usize,
         mask: u8,
@@ -45,41 +47,41 @@ enum Damage {
     },
 }
 
-fn damage() -> impl Strategy<Value = Damage> {
+fn damage() -> impl Strategy<Value = Mutation> {
     let at = any::<usize>();
     prop_oneof![
-        (at, 1..=u8::MAX).prop_map(|(at, mask)| Damage::Flip { at, mask }),
+        (at, 1..=u8::MAX).prop_map(|(at, mask)| Mutation::Flip { at, mask }),
         (at, prop_oneof![Just(0), Just(1), 250..=255_u8])
-            .prop_map(|(at, value)| Damage::Set { at, value }),
-        at.prop_map(|at| Damage::Cut { at }),
-        (at, vec(any::<u8>(), 1..16)).prop_map(|(at, bytes)| Damage::Insert { at, bytes }),
-        (at, 0..63_u32).prop_map(|(at, bits)| Damage::Claim { at, length: 1 << bits }),
+            .prop_map(|(at, value)| Mutation::Set { at, value }),
+        at.prop_map(|at| Mutation::Cut { at }),
+        (at, vec(any::<u8>(), 1..16)).prop_map(|(at, bytes)| Mutation::Insert { at, bytes }),
+        (at, 0..63_u32).prop_map(|(at, bits)| Mutation::Claim { at, length: 1 << bits }),
     ]
 }
 
-fn spoil(mut bytes: Vec<u8>, damages: &[Damage]) -> Vec<u8> {
+fn spoil(mut bytes: Vec<u8>, damages: &[Mutation]) -> Vec<u8> {
     for damage in damages {
         let n = bytes.len().max(1);
         match damage {
-            Damage::Flip { at, mask } => {
+            Mutation::Flip { at, mask } => {
                 if let Some(byte) = bytes.get_mut(at % n) {
                     *byte ^= mask;
                 }
             }
-            Damage::Set { at, value } => {
+            Mutation::Set { at, value } => {
                 if let Some(byte) = bytes.get_mut(at % n) {
                     *byte = *value;
                 }
             }
-            Damage::Cut { at } => bytes.truncate(at % n),
-            Damage::Insert { at, bytes: inserted } => {
+            Mutation::Cut { at } => bytes.truncate(at % n),
+            Mutation::Insert { at, bytes: inserted } => {
                 let at = at % n;
                 drop(
                     bytes
                         .splice(at.min(bytes.len())..at.min(bytes.len()), inserted.iter().copied()),
                 );
             }
-            Damage::Claim { at, length } => {
+            Mutation::Claim { at, length } => {
                 let word = [&[253], length.to_le_bytes().as_slice()].concat();
                 let start = (at % n).min(bytes.len());
                 let end = (start + 1).min(bytes.len());
@@ -144,7 +146,6 @@ fn control() -> Control {
 
 fn hello() -> Hello {
     Hello {
-        protocol: 1,
         program: "0.1.0".to_owned(),
         actor: ActorId::new("actor-1").unwrap(),
         incarnation: Incarnation(7),
@@ -155,26 +156,21 @@ fn hello() -> Hello {
 }
 
 fn reply() -> HelloReply {
-    let policy = PolicySpec {
-        obs_dim: 2,
-        encoder: Encoder::Identity,
-        hidden: vec![64, 64],
-        actions: spec().actions,
-        head_credit: HeadCredit::Active,
-        logit_bias: vec![0.0; 3],
-        normalize_observations: true,
-    };
     HelloReply::Welcome(Box::new(Welcome {
         run: RunName::new("run").unwrap(),
-        learner: Incarnation(1),
-        run_seed: 2,
-        task: TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() },
-        env: spec(),
-        policy,
-        n_steps: 20,
-        schedule: Schedule::Async { staleness_max: 8 },
+        spec: RunSpec {
+            seed: 2,
+            task: TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() },
+            env: spec(),
+            policy: PolicySpec::dense(&spec(), &[64, 64]),
+            n_steps: 20,
+            schedule: Schedule::Async { staleness_max: 8 },
+        },
         window: 4,
-        version: PolicyVersion(3),
+        weights: Announcement {
+            learner: Incarnation(1),
+            versions: vec![(PolicyVersion(2), [2; 32]), (PolicyVersion(3), [3; 32])],
+        },
         resend_from: Sequence(1),
     }))
 }
@@ -193,7 +189,7 @@ fn header(schema: Schema, payload: &[u8]) -> Header {
 /// Returns what the intruder got through.
 fn receive_spoilt<T: Serialize + DeserializeOwned>(
     message: &T,
-    damages: &[Damage],
+    damages: &[Mutation],
     expected: Expected,
 ) -> Result<Option<T>, TestCaseError> {
     let sent = codec::encode(message).unwrap();
@@ -205,7 +201,7 @@ fn receive_spoilt<T: Serialize + DeserializeOwned>(
     if spoilt == sent {
         prop_assert!(arrived.is_ok());
     } else {
-        let cause = arrived.map(drop).unwrap_err().cause();
+        let cause = arrived.map(drop).unwrap_err().cause;
         prop_assert_eq!(cause, RefusalCause::Checksum);
     }
 
@@ -219,7 +215,7 @@ fn receive_spoilt<T: Serialize + DeserializeOwned>(
             Ok(Some(message))
         }
         Err(refusal) => {
-            prop_assert_eq!(refusal.cause(), RefusalCause::Malformed);
+            prop_assert_eq!(refusal.cause, RefusalCause::Malformed);
             Ok(None)
         }
     }
@@ -242,7 +238,7 @@ proptest! {
             match got.check(&spec(), rollout.n_steps as usize, 0) {
                 Ok(got) => prop_assert_eq!(got.observations.len(), rollout.observations.len()),
                 Err(invalid) => {
-                    let cause = RefusalCause::from(&invalid);
+                    let cause = Refusal::from(invalid).cause;
                     prop_assert!(RefusalCause::ALL.contains(&cause));
                 }
             }
@@ -285,7 +281,7 @@ proptest! {
             }
             Err(refusal) => {
                 use RefusalCause as C;
-                let cause = refusal.cause();
+                let cause = refusal.cause;
                 prop_assert!([C::Header, C::Protocol, C::Schema, C::Checksum].contains(&cause), "{cause}");
             }
         }
@@ -294,6 +290,6 @@ proptest! {
     #[test]
     fn noise_is_refused(header in vec(any::<u8>(), 0..64), payload in vec(any::<u8>(), 0..256)) {
         let refusal = receive::receive::<Rollout>(Some(&header), &payload, ROLLOUT).unwrap_err();
-        prop_assert_eq!(refusal.cause(), RefusalCause::Header);
+        prop_assert_eq!(refusal.cause, RefusalCause::Header);
     }
 }

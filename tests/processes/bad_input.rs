@@ -186,7 +186,7 @@ fn a_place_that_is_no_run_directory_is_named() {
 }
 
 #[test]
-fn an_address_that_cannot_be_used_is_told_as_what_it_is() {
+fn an_address_that_cannot_be_used_is_reported_as_what_it_is() {
     let place = Place::new();
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
@@ -195,6 +195,15 @@ fn an_address_that_cannot_be_used_is_told_as_what_it_is() {
     // The directory that is left holds nothing, so another configuration may take it.
     let changed = [&args[..], &["--set", "learner.clip=0.3"]].concat();
     place.finish(&changed).with_code(WRONG_INPUT).saying(&["in use", &endpoint]);
+    place
+        .finish(&["actor", "--connect", &endpoint, "--connect-timeout", "500ms"])
+        .with_code(PEER_LOST)
+        .saying(&[&endpoint, "does not answer as a learner does"]);
+    let file = place.write("policy.safetensors", "precious");
+    let endpoint = format!("unixsock-stream/{file}");
+    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
+    place.finish(&args).with_code(WRONG_INPUT).saying(&["there is a file at", &file]);
+    assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
     let args = [&["learner", "--name", "r", "--listen", "http/example:1"], SMALL].concat();
     place.finish(&args).with_code(WRONG_INPUT).saying(&["http/example:1", "tcp/"]);
     place

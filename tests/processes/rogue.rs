@@ -8,10 +8,10 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use crate::support::{PATIENCE, Place, Running, result, wait_until};
-use leadtime_link::{ActorEvent, ActorLink, ConnectSettings};
+use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Events};
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF};
-use leadtime_proto::message::{Control, ControlAck, EnvAssignment, Hello, Welcome};
+use leadtime_proto::message::{Control, ControlReply, EnvAssignment, Hello, Welcome};
 use leadtime_proto::{
     ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, Sequence, codec,
 };
@@ -57,7 +57,7 @@ fn honest(place: &Place) -> Running {
 /// An actor without a conscience.
 struct Rogue {
     link: ActorLink,
-    events: flume::Receiver<ActorEvent>,
+    events: Events<ActorEvent>,
     welcome: Welcome,
     epoch: Epoch,
     env: EnvAssignment,
@@ -71,7 +71,6 @@ impl Rogue {
         settings.timeout = SOON;
         let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
         let hello = Hello {
-            protocol: PROTOCOL_VERSION,
             program: "rogue".to_owned(),
             actor,
             incarnation,
@@ -94,8 +93,8 @@ impl Rogue {
 
     /// Handles one event; returns the reason if the learner sent us away.
     async fn hear(&mut self) -> Option<(String, bool)> {
-        let event = tokio::time::timeout(SOON, self.events.recv_async()).await;
-        if let ActorEvent::Control { control, ack } = event.expect("in time").expect("open") {
+        let event = tokio::time::timeout(SOON, self.events.recv()).await;
+        if let ActorEvent::Control { control, reply } = event.expect("in time").expect("open") {
             let mut away = None;
             match control {
                 Control::Assign(assignment) => {
@@ -103,10 +102,9 @@ impl Rogue {
                     self.env = assignment.envs.first().cloned().unwrap_or(self.env.clone());
                 }
                 Control::Stop { reason, cut_off } => away = Some((reason, cut_off)),
-                Control::Pause | Control::Resume => {}
             }
             // The answer may find nobody any more.
-            drop(ack.acknowledge(ControlAck { epoch: self.epoch }));
+            drop(reply.reply(&ControlReply::Followed { epoch: self.epoch }));
             return away;
         }
         None
@@ -114,8 +112,8 @@ impl Rogue {
 
     /// A rollout that nothing is wrong with, as far as its shape tells.
     fn plausible(&self) -> Rollout {
-        let (n, dim) = (self.welcome.n_steps as usize, self.welcome.env.obs_dim);
-        let behavior = self.welcome.schedule.behavior_version(self.env.iteration);
+        let (n, dim) = (self.welcome.spec.n_steps as usize, self.welcome.spec.env.obs_dim);
+        let behavior = self.welcome.spec.schedule.behavior_version(self.env.iteration);
         Rollout {
             env_id: self.env.env_id,
             iteration: self.env.iteration,
@@ -124,7 +122,7 @@ impl Rogue {
             observations: vec![0.0; n * dim],
             next_observation: vec![0.0; dim],
             masks: vec![u64::MAX; n],
-            actions: vec![0; n * self.welcome.env.actions.heads.len()],
+            actions: vec![0; n * self.welcome.spec.env.actions.heads.len()],
             log_probs: vec![-0.7; n],
             values: vec![0.0; n],
             rewards: vec![1.0; n],
@@ -134,7 +132,7 @@ impl Rogue {
     }
 
     fn header(&self, sequence: u64, payload: &[u8]) -> Header {
-        let version = self.welcome.schedule.behavior_version(self.env.iteration);
+        let version = self.welcome.spec.schedule.behavior_version(self.env.iteration);
         Header {
             sequence: Sequence(sequence),
             epoch: self.epoch,
@@ -147,17 +145,18 @@ impl Rogue {
         self.sent += 1;
         let mut header = self.header(self.sent, &payload);
         damage(&mut header);
-        self.link.publish_rollout(&header, payload).unwrap();
+        self.link.publish_rollout(&header, payload.into()).unwrap();
     }
 
     /// Sends what is refused before it is read: it has no place in the sequence, and no answer.
     fn send_unread(&self, payload: Vec<u8>, protocol: u32) {
         let header = Header { protocol, ..self.header(self.sent + 1, &payload) };
-        self.link.publish_rollout(&header, payload).unwrap();
+        self.link.publish_rollout(&header, payload.into()).unwrap();
     }
 }
 
-/// What the learner must have counted: two rounds of kinds, the second one cut short by the sixteenth refusal.
+/// What the learner must have counted: two rounds of kinds, the second one cut short by the sixteenth refusal that is held
+/// against the rogue. What has no readable header, like a message of another protocol, is nobody's.
 fn expected_refusals() -> Value {
     json!({
         "oversize": 1,
@@ -167,7 +166,7 @@ fn expected_refusals() -> Value {
         "assignment": 1,
         "version": 2,
         "shape": 1,
-        "non_finite": 3,
+        "non_finite": 4,
         "action": 1,
         "snapshot": 1,
         "magnitude": 1,
@@ -225,7 +224,7 @@ async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
     let second = learner(&place, &["--set", "run.actors_min=2"]);
     let helper = honest(&place);
     let (sent, reason) = misbehave(place.endpoint("learner")).await;
-    assert_eq!(sent, REFUSALS_BEFORE_CUT_OFF - 2, "two of them had no place in the sequence");
+    assert_eq!(sent, REFUSALS_BEFORE_CUT_OFF - 1, "one of them had no place in the sequence");
     assert!(reason.contains("refused"), "{reason}");
     wait_until("the cut is told", SOON, || second.stderr().contains("cut off"));
     let told = second.finish(PATIENCE).with_code(0).stderr;

@@ -1,25 +1,23 @@
 //! Environments together give the bits of environments apart; a snapshot goes on as if nothing had happened.
 
 use leadtime_policy::Parameters;
-use leadtime_proto::{Encoder, HeadCredit};
+use leadtime_proto::{PolicySpec, Schedule, TaskSpec};
 use leadtime_sims::classic::{CartPole, CartPoleSettings};
 
 use super::*;
 
 const N_STEPS: u32 = 40;
 
-fn settings() -> WorkerSettings {
+fn spec() -> RunSpec {
     let env = cart_pole().spec().clone();
-    let policy = PolicySpec {
-        obs_dim: env.obs_dim,
-        encoder: Encoder::Identity,
-        hidden: vec![16, 16],
-        actions: env.actions.clone(),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    };
-    WorkerSettings { run_seed: 5, n_steps: N_STEPS, env, policy }
+    RunSpec {
+        seed: 5,
+        task: TaskSpec { domain: "cartpole".to_owned(), settings: "{}".to_owned() },
+        policy: PolicySpec::dense(&env, &[16, 16]),
+        env,
+        n_steps: N_STEPS,
+        schedule: Schedule::Lag(0),
+    }
 }
 
 /// Short episodes: some end by falling, some by the time limit.
@@ -28,7 +26,7 @@ fn cart_pole() -> Box<dyn Environment> {
 }
 
 fn policy() -> Policy {
-    let spec = settings().policy;
+    let spec = spec().policy;
     Policy::new(&spec, &Parameters::initialize(&spec, 9).unwrap()).unwrap()
 }
 
@@ -37,7 +35,7 @@ fn beginning(env_id: u32) -> EnvAssignment {
 }
 
 fn worker(assignments: &[EnvAssignment]) -> Worker {
-    let mut worker = Worker::new(settings());
+    let mut worker = Worker::new(spec());
     for assignment in assignments {
         worker.insert(cart_pole(), assignment).unwrap();
     }
@@ -53,7 +51,7 @@ fn a_rollout_is_what_the_learner_expects() {
     let mut worker = worker(&[beginning(0), beginning(1)]);
     for iteration in 0..2 {
         for rollout in collect(&mut worker) {
-            let rollout = rollout.check(&settings().env, N_STEPS as usize, 0).unwrap();
+            let rollout = rollout.check(&spec().env, N_STEPS as usize, 0).unwrap();
             assert_eq!(
                 (rollout.iteration, rollout.version),
                 (Iteration(iteration), PolicyVersion(3))

@@ -11,9 +11,10 @@
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use bytes::Bytes;
 use leadtime_proto::header::Schema;
 use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
-use leadtime_proto::message::{Announcement, Control, Credit, Hello, HelloReply, Welcome};
+use leadtime_proto::message::{Announcement, Credit, Hello, HelloReply, Welcome};
 use leadtime_proto::receive::{ANNOUNCEMENT, CONTROL, CREDIT, HELLO_REPLY};
 use leadtime_proto::{ActorId, DomainName, Header, Incarnation, PolicyVersion, RunName};
 use tracing::{debug, warn};
@@ -24,44 +25,24 @@ use zenoh::query::{Query, Queryable};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
-use crate::ask::{Answer, Question, ask};
-use crate::intake::lock;
-use crate::keys::{self, Key, Keys, Member};
-use crate::learner::{INCARNATION, publish_metrics};
+use crate::answer::{Answers, PendingReply};
+use crate::ask::{Inquiry, InquiryEnd, ask, plain};
+use crate::event::ActorEvent;
+use crate::keys::{self, INCARNATION, Key, Keys, Member};
+use crate::latest::{Events, Latest};
+use crate::lock::lock;
+use crate::pull::pull;
 use crate::queue::{Class, EventQueue};
-use crate::weights::{self, VERSION};
-use crate::{ConnectSettings, ControlResponder, Error, Result, discovery, session, wire};
+use crate::{ConnectSettings, ControlResponder, Error, Result, discovery, publish, session, wire};
 
-/// Places in the event queue for credit and announcements.
-const N_BULK: usize = 1_024;
+/// Threads that answer orders; there is one learner to answer.
+const N_ANSWERING: usize = 1;
 /// How long a run that was named may be missing while others are there.
 const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
 /// How long it is waited for another start of this actor to go.
 const TAKEN_GRACE: Duration = Duration::from_secs(2);
 /// First and longest pause between attempts to find a run.
 const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_millis(500));
-/// How long a pull of weights may take.
-const PULL_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Everything that can wake an actor from the network.
-#[derive(Debug)]
-pub enum ActorEvent {
-    /// The learner gives an order.
-    Control {
-        /// The order.
-        control: Control,
-        /// Where to acknowledge it.
-        ack: ControlResponder,
-    },
-    /// The learner acknowledges rollouts and allows more.
-    Credit(Credit),
-    /// Weights are there to be pulled.
-    Announcement(Announcement),
-    /// The learner is there (may be told more than once).
-    LearnerJoined(Incarnation),
-    /// The learner is gone, or the connection to it is lost.
-    LearnerLeft(Incarnation),
-}
 
 /// What an actor holds in a run before it is welcome.
 #[derive(Debug)]
@@ -75,7 +56,7 @@ struct Joined {
 
 /// What it holds once it is.
 #[derive(Debug)]
-struct Entered {
+struct Membership {
     run: RunName,
     domain: DomainName,
     rollouts: Publisher<'static>,
@@ -90,8 +71,10 @@ pub struct ActorLink {
     actor: ActorId,
     incarnation: Incarnation,
     events: EventQueue<ActorEvent>,
+    latest: Arc<Latest<ActorEvent>>,
+    answers: Answers,
     joined: Mutex<Option<Joined>>,
-    entered: Mutex<Option<Arc<Entered>>>,
+    entered: Mutex<Option<Arc<Membership>>>,
 }
 
 impl ActorLink {
@@ -99,20 +82,22 @@ impl ActorLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NobodyThere`] if nobody answers within the settings' time-out.
+    /// [`Error::Unreachable`] if nobody answers within the settings' time-out.
     pub async fn open(
         settings: &ConnectSettings,
         actor: &ActorId,
         incarnation: Incarnation,
-    ) -> Result<(Self, flume::Receiver<ActorEvent>)> {
+    ) -> Result<(Self, Events<ActorEvent>)> {
         let session = session::connect(settings).await?;
-        let (events, receiver) = EventQueue::new(N_BULK);
+        let (events, latest, receiver) = Events::new(0);
         let link = Self {
             session,
             endpoints: settings.described(),
             actor: actor.clone(),
             incarnation,
             events,
+            latest,
+            answers: Answers::start(N_ANSWERING)?,
             joined: Mutex::default(),
             entered: Mutex::default(),
         };
@@ -144,53 +129,62 @@ impl ActorLink {
             let key = Key::Hello(&run).to_string();
             let (header, payload) = wire::seal(Schema::Hello, self.incarnation, hello)?;
             let timeout_left = timeout.saturating_sub(started.elapsed());
-            let lane = wire::CONTROL;
-            let selector = key.clone();
-            let question = Question { selector, header, payload, lane, timeout: timeout_left };
-            match ask(&self.session, question).await? {
-                Answer::Reply(sample) => match self.answered(run, &sample) {
-                    // One that was killed is there for a moment longer.
-                    Err(Error::Taken { .. }) if started.elapsed() < timeout.min(TAKEN_GRACE) => {
-                        tokio::time::sleep(RETRY.1).await;
-                    }
-                    answered => return answered,
-                },
-                Answer::Rejected(reason) => {
+            let question = Inquiry {
+                selector: key.clone(),
+                header,
+                payload,
+                qos: wire::CONTROL,
+                timeout: timeout_left,
+            };
+            let read = |sample: &Sample| {
+                wire::unseal(sample.attachment(), Some(sample.payload()), HELLO_REPLY)
+                    .map(|(_, reply)| reply)
+                    .map_err(|source| Error::BadAnswer { key: key.clone(), source })
+            };
+            match ask(&self.session, question, read).await? {
+                // One that was killed is there for a moment longer.
+                InquiryEnd::Good(HelloReply::Taken)
+                    if started.elapsed() < timeout.min(TAKEN_GRACE) =>
+                {
+                    tokio::time::sleep(RETRY.1).await;
+                }
+                InquiryEnd::Good(reply) => return self.answered(run, reply),
+                InquiryEnd::Unusable(error) => return Err(error),
+                InquiryEnd::Rejected(reason) => {
                     return Err(Error::Refused { run, actor: self.actor.clone(), reason });
                 }
-                Answer::Nobody if started.elapsed() < timeout => {
+                InquiryEnd::Nobody if started.elapsed() < timeout => {
                     debug!(%run, "the learner did not answer the hello, trying again");
                     tokio::time::sleep(RETRY.0).await;
                 }
-                Answer::Nobody | Answer::TimedOut => return Err(Error::NoAnswer { key, timeout }),
+                InquiryEnd::Nobody | InquiryEnd::TimedOut => {
+                    return Err(Error::NoAnswer { key, timeout });
+                }
             }
         }
     }
 
-    /// Pulls the newest weights, or one version of them, and checks their digest.
+    /// Pulls a version of the weights: the bytes that have the digest which the learner announced.
     ///
     /// # Errors
     ///
-    /// [`Error::Rejected`] if the version is not kept (any more), [`Error::NoAnswer`] if the learner is gone,
-    /// [`Error::WeightsDamaged`] or [`Error::BadAnswer`] if what arrives is not what was sent.
-    pub async fn pull_weights(
-        &self,
-        version: Option<PolicyVersion>,
-    ) -> Result<(PolicyVersion, Vec<u8>)> {
+    /// [`Error::NotKept`] if the version is not kept (any more), [`Error::NoAnswer`] if the learner is gone,
+    /// [`Error::ForeignWeights`] or [`Error::BadAnswer`] if nothing that arrives is what was announced.
+    pub async fn pull_weights(&self, version: PolicyVersion, sha256: [u8; 32]) -> Result<Vec<u8>> {
         let entered = self.entered()?;
-        let place = (&entered.run, &entered.domain);
-        pull(&self.session, place, self.incarnation, version).await
+        let (run, domain) = (&entered.run, &entered.domain);
+        pull(&self.session, run, domain, self.incarnation, version, sha256).await
     }
 
     /// Publishes a rollout: waits for the network, so call it from a thread of its own, never from a task.
     ///
-    /// Header and payload travel as they are; judging them is the learner's.
+    /// Header and payload travel as they are; checking them is the learner's.
     ///
     /// # Errors
     ///
     /// [`Error::TooLarge`] if it is so large that the network would drop it unsaid; [`Error::NotInARun`];
     /// [`Error::Network`].
-    pub fn publish_rollout(&self, header: &Header, payload: Vec<u8>) -> Result<()> {
+    pub fn publish_rollout(&self, header: &Header, payload: Bytes) -> Result<()> {
         let entered = self.entered()?;
         let key = entered.rollouts.key_expr().as_str();
         if payload.len() > 2 * MAX_ROLLOUT_BYTES {
@@ -209,12 +203,16 @@ impl ActorLink {
     pub fn publish_metrics(&self, json: &[u8]) -> Result<()> {
         let entered = self.entered()?;
         let member = Member::Actor(self.actor.clone());
-        publish_metrics(&self.session, (&entered.run, &member), self.incarnation, json)
+        publish::metrics(&self.session, &entered.run, &member, self.incarnation, json)
     }
 
-    /// Returns how many events did not fit into the queue.
-    pub fn n_lost_events(&self) -> u64 {
-        self.events.n_lost()
+    /// Checks that the connection has not been closed; to be asked now and then, because no event tells it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Dead`] if it has.
+    pub fn health(&self) -> Result<()> {
+        if self.session.is_closed() { Err(Error::Dead) } else { Ok(()) }
     }
 
     /// Leaves the network, within a limited time. Rollouts that are not acknowledged may be lost.
@@ -226,7 +224,7 @@ impl ActorLink {
         session::close(&self.session).await
     }
 
-    fn entered(&self) -> Result<Arc<Entered>> {
+    fn entered(&self) -> Result<Arc<Membership>> {
         let entered = lock(&self.entered).clone();
         entered.ok_or_else(|| Error::NotInARun { actor: self.actor.clone() })
     }
@@ -294,24 +292,25 @@ impl ActorLink {
 
     fn declare_orders(&self, run: &RunName) -> Result<Queryable<()>> {
         let key = Key::Control(run, &self.actor);
-        let (events, incarnation) = (self.events.clone(), self.incarnation);
+        let (events, answers) = (self.events.clone(), self.answers.clone());
+        let incarnation = self.incarnation;
         self.session
             .declare_queryable(keys::expr(key))
             .complete(true)
-            .callback(move |query| on_order(&events, incarnation, query))
+            .callback(move |query| on_order(&events, &answers, incarnation, query))
             .wait()
             .map_err(Error::network("declare", &key.to_string()))
     }
 
     fn declare_credit(&self, run: &RunName) -> Result<Subscriber<()>> {
         let key = Key::Credit(run, &self.actor);
-        let (events, incarnation) = (self.events.clone(), self.incarnation);
+        let (latest, incarnation) = (Arc::clone(&self.latest), self.incarnation);
         self.session
             .declare_subscriber(keys::expr(key))
             .callback(move |sample: Sample| {
                 let read = wire::unseal(sample.attachment(), Some(sample.payload()), CREDIT);
                 match read {
-                    Ok((_, credit)) => offer_credit(&events, incarnation, credit),
+                    Ok((_, credit)) => offer_credit(&latest, incarnation, credit),
                     Err(refusal) => warn!(%refusal, "credit refused"),
                 }
             })
@@ -339,19 +338,15 @@ impl ActorLink {
             .map_err(Error::network("subscribe to", &keys.to_string()))
     }
 
-    fn answered(&self, run: RunName, sample: &Sample) -> Result<Welcome> {
-        let read = wire::unseal(sample.attachment(), Some(sample.payload()), HELLO_REPLY);
-        let (_, reply) = read.map_err(|source| {
-            let key = Key::Hello(&run).to_string();
-            Error::BadAnswer { key, source }
-        })?;
+    fn answered(&self, run: RunName, reply: HelloReply) -> Result<Welcome> {
         match reply {
             HelloReply::Refused { reason } => {
+                let reason = plain(reason.as_bytes());
                 Err(Error::Refused { run, actor: self.actor.clone(), reason })
             }
             HelloReply::Taken => Err(Error::Taken { actor: self.actor.clone() }),
             HelloReply::Welcome(welcome) => {
-                self.enter(run, DomainName::new(welcome.task.domain.clone())?)?;
+                self.enter(run, DomainName::new(welcome.spec.task.domain.clone())?)?;
                 Ok(*welcome)
             }
         }
@@ -373,7 +368,7 @@ impl ActorLink {
             .wait()
             .map_err(Error::network("declare", &rollouts.to_string()))?;
         let announcements = self.declare_announcements(Key::Announcement(&run, &domain))?;
-        *entered = Some(Arc::new(Entered {
+        *entered = Some(Arc::new(Membership {
             run,
             domain,
             rollouts: publisher,
@@ -383,14 +378,15 @@ impl ActorLink {
     }
 
     fn declare_announcements(&self, key: Key<'_>) -> Result<Subscriber<()>> {
-        let events = self.events.clone();
+        let latest = Arc::clone(&self.latest);
         self.session
             .declare_subscriber(keys::expr(key))
             .callback(move |sample: Sample| {
                 let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
-                match wire::unseal(attachment, payload, ANNOUNCEMENT) {
+                match wire::unseal::<Announcement>(attachment, payload, ANNOUNCEMENT) {
                     Ok((_, news)) => {
-                        events.offer_or_drop(ActorEvent::Announcement(news), Class::Bulk);
+                        let key = format!("weights/{}", news.learner);
+                        latest.put(&key, ActorEvent::Announcement(news));
                     }
                     Err(refusal) => warn!(%refusal, "announcement refused"),
                 }
@@ -400,63 +396,33 @@ impl ActorLink {
     }
 }
 
-fn offer_credit(events: &EventQueue<ActorEvent>, incarnation: Incarnation, credit: Credit) {
+fn offer_credit(latest: &Latest<ActorEvent>, incarnation: Incarnation, credit: Credit) {
     // An earlier start of this actor may still be credited; that is not for us.
     if credit.incarnation == incarnation {
-        events.offer_or_drop(ActorEvent::Credit(credit), Class::Bulk);
+        latest.put(&format!("credit/{}", credit.learner), ActorEvent::Credit(credit));
     }
 }
 
-fn on_order(events: &EventQueue<ActorEvent>, incarnation: Incarnation, query: Query) {
+fn on_order(
+    events: &EventQueue<ActorEvent>,
+    answers: &Answers,
+    incarnation: Incarnation,
+    query: Query,
+) {
+    let say_no = |query, reason| answers.give(PendingReply::Refusal(query, reason));
     let meant_for = query.parameters().get(INCARNATION).and_then(|text| text.parse().ok());
     if meant_for != Some(incarnation.0) {
-        return say_no(&query, "another start of this actor is meant");
+        return say_no(query, "another start of this actor is meant".to_owned());
     }
     match wire::unseal(query.attachment(), query.payload(), CONTROL) {
         Ok((_, control)) => {
-            let ack = ControlResponder::new(query, incarnation);
+            let reply = ControlResponder::new(query, answers.clone(), incarnation);
             // An order that does not fit ends without an answer; the learner gives it again.
-            events.offer_or_drop(ActorEvent::Control { control, ack }, Class::Request);
+            events.offer_or_drop(ActorEvent::Control { control, reply }, Class::Request);
         }
         Err(refusal) => {
             warn!(%refusal, "order refused");
-            say_no(&query, &refusal.to_string());
+            say_no(query, refusal.to_string());
         }
-    }
-}
-
-fn say_no(query: &Query, reason: &str) {
-    if let Err(error) = query.reply_err(reason).wait() {
-        debug!(%error, "an answer could not be sent");
-    }
-}
-
-/// Pulls weights and checks them.
-pub(crate) async fn pull(
-    session: &Session,
-    (run, domain): (&RunName, &DomainName),
-    incarnation: Incarnation,
-    version: Option<PolicyVersion>,
-) -> Result<(PolicyVersion, Vec<u8>)> {
-    let key = Key::Weights(run, domain).to_string();
-    let selector = match version {
-        None => key.clone(),
-        Some(version) => format!("{key}?{VERSION}={version}"),
-    };
-    let header = Header::plain(Schema::Weights, incarnation, &[]);
-    let (payload, lane) = (Vec::new(), wire::BULK);
-    let question = Question { selector, header, payload, lane, timeout: PULL_TIMEOUT };
-    let sample = match ask(session, question).await? {
-        Answer::Reply(sample) => sample,
-        Answer::Rejected(reason) => return Err(Error::Rejected { key, reason }),
-        Answer::Nobody | Answer::TimedOut => {
-            return Err(Error::NoAnswer { key, timeout: PULL_TIMEOUT });
-        }
-    };
-    let read = weights::read(&sample).map_err(|source| Error::BadAnswer { key, source })?;
-    let (found, bytes) = read.checked()?;
-    match version {
-        Some(wanted) if wanted != found => Err(Error::WrongVersion { wanted, found }),
-        _ => Ok((found, bytes)),
     }
 }

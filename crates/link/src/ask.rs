@@ -1,4 +1,4 @@
-//! Asking a question and waiting for the first good answer, for a limited time.
+//! Asking a question and waiting for the first usable answer, for a limited time that covers the sending, too.
 
 use std::time::{Duration, Instant};
 
@@ -9,32 +9,36 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Sample;
 use zenoh::session::Session;
 
-use crate::wire::Lane;
+use crate::wire::Qos;
 use crate::{Error, Result};
 
 /// Most answers to one question that are looked at.
 const MAX_ANSWERS: usize = 64;
 /// Longest sentence that is taken from a peer.
 const MAX_REASON_CHARS: usize = 1_000;
+/// How long a pull of weights may take.
+pub(crate) const PULL_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long after our own limit the network may clean up.
 const NETWORK_SLACK: Duration = Duration::from_secs(1);
 
 /// A question.
 #[derive(Debug)]
-pub(crate) struct Question {
+pub(crate) struct Inquiry {
     /// Key and parameters.
     pub(crate) selector: String,
     pub(crate) header: Header,
     pub(crate) payload: Vec<u8>,
-    pub(crate) lane: Lane,
+    pub(crate) qos: Qos,
     pub(crate) timeout: Duration,
 }
 
 /// What became of it.
 #[derive(Debug)]
-pub(crate) enum Answer {
-    /// The first good answer.
-    Reply(Box<Sample>),
+pub(crate) enum InquiryEnd<T> {
+    /// The first usable answer.
+    Good(T),
+    /// Only answers that are no use; what is wrong with the last one.
+    Unusable(Error),
     /// Only answers that say no; the last one's sentence.
     Rejected(String),
     /// Nobody was there to answer.
@@ -43,40 +47,59 @@ pub(crate) enum Answer {
     TimedOut,
 }
 
-/// Asks everyone at the key.
-pub(crate) async fn ask(session: &Session, question: Question) -> Result<Answer> {
-    let deadline = Instant::now() + question.timeout;
+/// Asks everyone at the key, and reads answers until one can be used.
+pub(crate) async fn ask<T>(
+    session: &Session,
+    question: Inquiry,
+    mut read: impl FnMut(&Sample) -> Result<T>,
+) -> Result<InquiryEnd<T>> {
+    let deadline = (Instant::now() + question.timeout).into();
     let (sender, answers) = flume::bounded::<Reply>(MAX_ANSWERS);
     let session = session.clone();
-    // Sending waits when the connection is congested, and would then hold up a whole worker.
-    let sent = tokio::task::spawn_blocking(move || send(&session, question, sender)).await;
-    sent.expect("sending a question does not panic")?;
-    let mut rejected = None;
+    // Sending waits when the connection is congested, and would then hold up a whole worker. A thread that still waits
+    // when time is over ends with the connection.
+    let sending = tokio::task::spawn_blocking(move || send(&session, question, sender));
+    match tokio::time::timeout_at(deadline, sending).await {
+        Err(_) => return Ok(InquiryEnd::TimedOut),
+        Ok(sent) => sent.map_err(|_panicked| Error::Panicked { action: "ask a question" })??,
+    }
+    let mut fallback = InquiryEnd::Nobody;
     loop {
-        match tokio::time::timeout_at(deadline.into(), answers.recv_async()).await {
-            Err(_) => return Ok(Answer::TimedOut),
-            Ok(Err(flume::RecvError::Disconnected)) => break,
+        match tokio::time::timeout_at(deadline, answers.recv_async()).await {
+            Err(_) if matches!(fallback, InquiryEnd::Nobody) => return Ok(InquiryEnd::TimedOut),
+            Err(_) | Ok(Err(flume::RecvError::Disconnected)) => return Ok(fallback),
             Ok(Ok(reply)) => match reply.into_result() {
-                Ok(sample) => return Ok(Answer::Reply(Box::new(sample))),
-                Err(error) => rejected = Some(error.payload().to_bytes().into_owned()),
+                Ok(sample) => match read(&sample) {
+                    Ok(good) => return Ok(InquiryEnd::Good(good)),
+                    // A plain no says more than an answer that is no use, which may be anybody's.
+                    Err(_) if matches!(fallback, InquiryEnd::Rejected(_)) => {}
+                    Err(error) => fallback = InquiryEnd::Unusable(error),
+                },
+                Err(error) => {
+                    fallback = InquiryEnd::Rejected(plain(&error.payload().to_bytes()));
+                }
             },
         }
     }
-    Ok(rejected.map_or(Answer::Nobody, |bytes| {
-        Answer::Rejected(String::from_utf8_lossy(&bytes).chars().take(MAX_REASON_CHARS).collect())
-    }))
 }
 
-fn send(session: &Session, question: Question, sender: flume::Sender<Reply>) -> Result<()> {
-    let Question { selector, header, payload, lane, timeout } = question;
+/// Makes a peer's sentence one that can be shown: of limited length, and without characters that move a terminal's cursor.
+pub(crate) fn plain(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(bytes);
+    let shown = text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c });
+    shown.take(MAX_REASON_CHARS).collect()
+}
+
+fn send(session: &Session, question: Inquiry, sender: flume::Sender<Reply>) -> Result<()> {
+    let Inquiry { selector, header, payload, qos, timeout } = question;
     session
         .get(&selector)
         .payload(payload)
         .attachment(header.to_bytes())
         .encoding(Encoding::APPLICATION_OCTET_STREAM)
-        .priority(lane.priority)
-        .congestion_control(lane.congestion)
-        .express(lane.express)
+        .priority(qos.priority)
+        .congestion_control(qos.congestion)
+        .express(qos.express)
         .target(QueryTarget::All)
         .consolidation(ConsolidationMode::None)
         .timeout(timeout + NETWORK_SLACK)
@@ -86,4 +109,15 @@ fn send(session: &Session, question: Question, sender: flume::Sender<Reply>) -> 
         })
         .wait()
         .map_err(Error::network("ask", &selector))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::plain;
+
+    #[test]
+    fn a_peers_sentence_cannot_move_the_cursor_or_fill_the_screen() {
+        assert_eq!(plain(b"a\x1b[2Jb\n"), "a\u{fffd}[2Jb\u{fffd}");
+        assert_eq!(plain(&[b'x'; 5_000]).len(), super::MAX_REASON_CHARS);
+    }
 }

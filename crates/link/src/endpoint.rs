@@ -1,47 +1,93 @@
-//! Addresses, checked before anything is opened, so that a typo is told as a typo.
+//! Addresses, checked before anything is opened, so that a typo is reported as a typo.
 
 use std::fmt;
+use std::fs::File;
+use std::os::unix::fs::FileTypeExt as _;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
 use std::str::FromStr;
 
-use thiserror::Error;
 use zenoh::config::EndPoint;
 
-use crate::Error;
+use crate::error::{EndpointProblem, Error, MAX_SOCKET_PATH};
 
-/// Longest path of a Unix socket: the kernel's 107 less the lock file's `.lock`.
-const MAX_SOCKET_PATH: usize = 100;
-
-/// An address that can be listened on or connected to, such as `tcp/127.0.0.1:7447`.
+/// An address that can be listened on or connected to, such as `tcp/127.0.0.1:7447` (or `127.0.0.1:7447` for short).
+///
+/// `tls/` takes its certificates from behind a `#`, as `tls/host:7447#root_ca_certificate_file=ca.pem`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint(String);
-
-/// What is wrong with an address.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum EndpointProblem {
-    /// No known protocol in front.
-    #[error("it must start with `tcp/`, `tls/` or `unixsock-stream/`, as in `tcp/127.0.0.1:7447`")]
-    Protocol,
-    /// No host or no port.
-    #[error("after the protocol come a host and a port, as in `tcp/127.0.0.1:7447`")]
-    HostAndPort,
-    /// No path, or one that is too long for a socket.
-    #[error("the socket's path has {found} bytes; 1 to {MAX_SOCKET_PATH} are possible")]
-    Path {
-        /// Its length.
-        found: usize,
-    },
-    /// A quotation mark, a backslash or something invisible.
-    #[error("it holds a quotation mark, a backslash, a space or a control character")]
-    Character,
-    /// Wrong in some other way.
-    #[error("its syntax is wrong")]
-    Syntax,
-}
 
 impl Endpoint {
     /// Returns the address as text.
     pub fn as_str(&self) -> &str {
         &self.0
+    }
+
+    /// Returns protocol, address and settings.
+    pub(crate) fn parts(&self) -> (&str, &str, &str) {
+        let (protocol, rest) = self.0.split_once('/').unwrap_or_default();
+        let (address, settings) = rest.split_once('#').unwrap_or((rest, ""));
+        (protocol, address.split('?').next().unwrap_or_default(), settings)
+    }
+
+    /// Returns the address as a person reads it, without its settings.
+    pub(crate) fn plain(&self) -> &str {
+        self.0.split('#').next().unwrap_or_default()
+    }
+
+    /// Tells whether other machines can reach this address without showing who they are: neither local nor TLS with
+    /// certificates on both sides.
+    pub fn is_open_to_strangers(&self) -> bool {
+        let (protocol, address, settings) = self.parts();
+        match protocol {
+            "tcp" => {
+                let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+                let ip = host.trim_matches(['[', ']']).parse::<std::net::IpAddr>();
+                host != "localhost" && !ip.is_ok_and(|ip| ip.is_loopback())
+            }
+            "tls" => !settings.split(';').any(|setting| setting == "enable_mtls=true"),
+            _ => false,
+        }
+    }
+
+    /// Checks what is at the address before anybody listens there: the network library removes whatever stands where
+    /// its socket, or the lock beside it, is to be.
+    pub(crate) fn check_listen(&self) -> Result<(), Error> {
+        self.check_files()?;
+        let ("unixsock-stream", address, _) = self.parts() else { return Ok(()) };
+        let path = Path::new(address);
+        let lock = path.with_file_name(format!(
+            "{}.lock",
+            path.file_name().unwrap_or_default().to_string_lossy()
+        ));
+        // A symbolic link is looked at itself, not what it points to: the link is what would be removed.
+        let found = path.symlink_metadata();
+        if found.as_ref().is_ok_and(|found| !found.file_type().is_socket()) {
+            return Err(Error::NotASocket { path: path.to_owned() });
+        }
+        // A lock file of the library's own is empty.
+        if lock.symlink_metadata().is_ok_and(|found| !found.is_file() || found.len() > 0) {
+            return Err(Error::NotASocket { path: lock });
+        }
+        // Some other program's socket has no lock that would protect it; one where nobody answers is left over.
+        if found.is_ok() && UnixStream::connect(path).is_ok() {
+            return Err(Error::AddressInUse { endpoint: self.to_string() });
+        }
+        Ok(())
+    }
+
+    /// Checks that the files which the settings name can be read: the library reports one that cannot as a time-out.
+    pub(crate) fn check_files(&self) -> Result<(), Error> {
+        let (_, _, settings) = self.parts();
+        let files = settings.split(';').filter_map(|setting| setting.split_once('='));
+        for (setting, path) in files.filter(|(setting, _)| setting.ends_with("_file")) {
+            File::open(path).map_err(|source| Error::TlsFile {
+                setting: setting.to_owned(),
+                path: path.into(),
+                source,
+            })?;
+        }
+        Ok(())
     }
 
     fn check(text: &str) -> Result<(), EndpointProblem> {
@@ -75,9 +121,11 @@ impl FromStr for Endpoint {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self, Error> {
-        match Self::check(text) {
-            Ok(()) => Ok(Self(text.to_owned())),
-            Err(problem) => Err(Error::Endpoint { endpoint: text.to_owned(), problem }),
+        // An address as everybody else writes it.
+        let text = if text.contains('/') { text.to_owned() } else { format!("tcp/{text}") };
+        match Self::check(&text) {
+            Ok(()) => Ok(Self(text)),
+            Err(problem) => Err(Error::Endpoint { endpoint: text, problem }),
         }
     }
 }
@@ -93,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_typo_in_an_address_is_told_as_what_it_is() {
+    fn a_typo_in_an_address_is_reported_as_what_it_is() {
         use EndpointProblem as P;
         let long = format!("unixsock-stream//{}", "x".repeat(100));
         for (text, problem) in [
@@ -111,12 +159,66 @@ mod tests {
         }
     }
 
+    fn endpoint(text: &str) -> Endpoint {
+        text.parse().unwrap()
+    }
+
     #[test]
     fn usual_addresses_are_accepted() {
         for text in
             ["tcp/0.0.0.0:0", "tcp/[::1]:7447", "tls/host.example:7447", "unixsock-stream//tmp/z"]
         {
-            assert_eq!(text.parse::<Endpoint>().unwrap().as_str(), text);
+            assert_eq!(endpoint(text).as_str(), text);
         }
+        assert_eq!(endpoint("127.0.0.1:7447").as_str(), "tcp/127.0.0.1:7447");
+    }
+
+    #[test]
+    fn only_addresses_that_others_can_reach_without_a_certificate_are_open() {
+        for closed in [
+            "tcp/127.0.0.1:7447",
+            "tcp/127.0.0.2:7447",
+            "tcp/[::1]:0",
+            "tcp/localhost:1",
+            "unixsock-stream//tmp/a",
+            "tls/h:1#listen_certificate_file=l.pem;enable_mtls=true",
+        ] {
+            assert!(!endpoint(closed).is_open_to_strangers(), "{closed}");
+        }
+        for open in ["tcp/0.0.0.0:7447", "tcp/box.example.org:1", "tls/0.0.0.0:1", "tcp/[::]:1"] {
+            assert!(endpoint(open).is_open_to_strangers(), "{open}");
+        }
+    }
+
+    #[test]
+    fn a_file_where_a_socket_is_to_be_stays_what_it_is() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let listen = |name: &str| {
+            endpoint(&format!("unixsock-stream/{}", at(name).display())).check_listen()
+        };
+        std::fs::write(at("file"), b"precious").unwrap();
+        std::os::unix::fs::symlink(at("file"), at("link")).unwrap();
+        std::fs::write(at("z.lock"), b"precious").unwrap();
+        for name in ["file", "link", "z"] {
+            let error = listen(name).unwrap_err();
+            assert!(error.to_string().contains("there is a file at"), "{error}");
+        }
+        for name in ["file", "z.lock"] {
+            assert_eq!(std::fs::read(at(name)).unwrap(), b"precious");
+        }
+        listen("new").unwrap();
+        let socket = std::os::unix::net::UnixListener::bind(at("socket")).unwrap();
+        assert!(matches!(listen("socket").unwrap_err(), Error::AddressInUse { .. }));
+        drop(socket);
+        listen("socket").expect("nobody listens there any more");
+    }
+
+    #[test]
+    fn a_certificate_that_cannot_be_read_is_named() {
+        let error = endpoint("tls/h:1#root_ca_certificate_file=/no/ca.pem;enable_mtls=true");
+        let error = error.check_files().unwrap_err();
+        assert!(error.to_string().contains("`root_ca_certificate_file`"), "{error}");
+        assert!(error.to_string().contains("/no/ca.pem"), "{error}");
     }
 }

@@ -1,6 +1,7 @@
 //! What can go wrong on the network, with what a person needs to put it right.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use leadtime_proto::codec::CodecError;
@@ -8,10 +9,34 @@ use leadtime_proto::ids::InvalidId;
 use leadtime_proto::{ActorId, PolicyVersion, Refusal, RunName};
 use thiserror::Error;
 
-use crate::EndpointProblem;
+/// Longest path of a Unix socket: the kernel's 107 less the lock file's `.lock`.
+pub(crate) const MAX_SOCKET_PATH: usize = 100;
 
 /// A result of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What is wrong with an address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum EndpointProblem {
+    /// No known protocol in front.
+    #[error("it must start with `tcp/`, `tls/` or `unixsock-stream/`, as in `tcp/127.0.0.1:7447`")]
+    Protocol,
+    /// No host or no port.
+    #[error("after the protocol come a host and a port, as in `tcp/127.0.0.1:7447`")]
+    HostAndPort,
+    /// No path, or one that is too long for a socket.
+    #[error("the socket's path has {found} bytes; 1 to {MAX_SOCKET_PATH} are possible")]
+    Path {
+        /// Its length.
+        found: usize,
+    },
+    /// A quotation mark, a backslash or something invisible.
+    #[error("it holds a quotation mark, a backslash, a space or a control character")]
+    Character,
+    /// Wrong in some other way.
+    #[error("its syntax is wrong")]
+    Syntax,
+}
 
 /// The network library's own error: opaque, only to be shown.
 pub struct NetworkFault(zenoh::Error);
@@ -42,7 +67,7 @@ impl std::error::Error for NetworkFault {}
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// An address that is none.
+    /// Malformed address.
     #[error("`{endpoint}` is not an address: {problem}")]
     Endpoint {
         /// As given.
@@ -60,9 +85,22 @@ pub enum Error {
     AddressInUse {
         /// The address.
         endpoint: String,
-        /// What the network said.
-        #[source]
-        source: NetworkFault,
+    },
+    /// Something else is where a socket is to be; listening there would remove it.
+    #[error("there is a file at {}, where the socket (or its lock) is to be: choose another path", path.display())]
+    NotASocket {
+        /// The path of the file.
+        path: PathBuf,
+    },
+    /// A file that the address names for TLS.
+    #[error("`{setting}` of the address: cannot read {}", path.display())]
+    TlsFile {
+        /// The name of the setting.
+        setting: String,
+        /// The path as given.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
     },
     /// Listening failed for another reason.
     #[error("cannot listen on `{endpoint}`")]
@@ -73,18 +111,13 @@ pub enum Error {
         #[source]
         source: NetworkFault,
     },
-    /// Nobody listens there.
-    #[error(
-        "nobody answers at {endpoints} (tried for {timeout:?}): start a learner there, or correct the address"
-    )]
-    NobodyThere {
-        /// The addresses.
-        endpoints: String,
+    /// Nobody can be reached, with the reason for every address.
+    #[error("no learner can be reached (tried for {timeout:?}): {obstacles}")]
+    Unreachable {
+        /// Every address with what is in the way.
+        obstacles: String,
         /// For how long it was tried.
         timeout: Duration,
-        /// What the network said last.
-        #[source]
-        source: NetworkFault,
     },
     /// Someone listens there, but no learner is to be found.
     #[error("no learner is running at {endpoints} (waited {timeout:?})")]
@@ -153,19 +186,21 @@ pub enum Error {
         /// The peer's sentence.
         reason: String,
     },
-    /// Weights that do not have the announced digest.
-    #[error("weights of version {version} arrived damaged: their SHA-256 is not the announced one")]
-    WeightsDamaged {
-        /// The version.
+    /// A version of the weights that the learner does not keep (any more).
+    #[error("weights of version {version} cannot be pulled: {reason}")]
+    NotKept {
+        /// The version that was asked for.
         version: PolicyVersion,
+        /// The learner's sentence.
+        reason: String,
     },
-    /// Weights of another version than the one asked for.
-    #[error("asked for weights of version {wanted}, got version {found}")]
-    WrongVersion {
-        /// As asked.
-        wanted: PolicyVersion,
-        /// As answered.
-        found: PolicyVersion,
+    /// Weights that are not the ones which the learner announced.
+    #[error(
+        "what arrives as weights of version {version} is not what the learner announced: its SHA-256 differs"
+    )]
+    ForeignWeights {
+        /// The version that was asked for.
+        version: PolicyVersion,
     },
     /// A message that no receiver would take.
     #[error("message of {found} bytes for `{key}`, at most {limit} are possible")]
@@ -203,6 +238,17 @@ pub enum Error {
     /// A thread that serves the network could not be started.
     #[error("cannot start a thread for the network")]
     Thread(#[source] std::io::Error),
+    /// The network library failed in one of its own threads, or could not start one.
+    #[error(
+        "the network library failed to {action}; are there too few threads or memory for this process?"
+    )]
+    Panicked {
+        /// What was being done.
+        action: &'static str,
+    },
+    /// The connection was closed, or what listened for actors has ended.
+    #[error("the network connection of this process has ended")]
+    Dead,
     /// Closing took longer than it may.
     #[error("closing the network connection took longer than {timeout:?}")]
     Close {

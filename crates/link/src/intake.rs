@@ -1,96 +1,79 @@
 //! Taking rollouts from the network into the event queue: who may have how much waiting there.
 //!
-//! A sender that keeps to its window always finds room. One that does not is refused and counted, and cannot keep the
-//! others out: each has its own share of places, and all together have a limit in bytes.
+//! ```text
+//! share of a sender   `rollouts_per_actor` places, and an equal part of half of `max_queued_bytes`
+//! common pool         the other half: who needs more bytes than its share takes them from here
+//! ```
+//!
+//! A sender within its share always finds room, whatever the others do: their excess is bounded by the pool, and nobody
+//! can use another's share. Who finds no room is the one that wanted more than its share, so the refusal is its own.
+//! The window is chosen so that an honest sender stays within its places; a stalled learner may still cost it bytes of
+//! the pool, so having no room ([`RefusalCause::Overflow`]) is no offence: it is counted, and what was refused is sent
+//! again.
+//!
+//! # Invariants
+//!
+//! * Nothing here waits, and nothing grows with what strangers send: names, places, bytes and counts have limits.
+//! * Every refusal is either an event in the queue or part of [`RolloutIntake::take_uncounted`], never both.
 
 use std::collections::BTreeMap;
-use std::ops::Deref;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 
 use leadtime_proto::receive::ROLLOUT;
-use leadtime_proto::{ActorId, Header, Incarnation, Refusal, RefusalCause};
+use leadtime_proto::{ActorId, Incarnation, Refusal, RefusalCause};
 use zenoh::sample::Sample;
 
+use crate::event::LearnerEvent;
 use crate::keys;
-use crate::learner::LearnerEvent;
+use crate::lock::lock;
+use crate::permit::{Payload, QueuePermit, QueueUsage};
 use crate::queue::{Class, EventQueue};
 use crate::session::ListenSettings;
 use crate::wire;
 
 /// Places in the queue for refusals beside the rollouts' own.
 const REFUSAL_PLACES: usize = 1_024;
+/// The most pairs of name and cause that are counted apart; the rest is counted without a name.
+const MAX_COUNTS: usize = 1_024;
 
-/// One place (and some bytes) in the event queue, given back when dropped.
-#[derive(Debug, Default)]
-pub struct Place {
-    of_actor: Option<Arc<AtomicUsize>>,
-    of_bytes: Option<(Arc<AtomicUsize>, usize)>,
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        if let Some(n_queued) = &self.of_actor {
-            n_queued.fetch_sub(1, Ordering::Relaxed);
-        }
-        if let Some((n_bytes, len)) = &self.of_bytes {
-            n_bytes.fetch_sub(*len, Ordering::Relaxed);
-        }
-    }
-}
-
-/// The body of a rollout message: bytes that count against their sender's share until dropped.
-#[derive(Debug)]
-pub struct Payload {
-    bytes: Vec<u8>,
-    _place: Place,
-}
-
-impl Deref for Payload {
-    type Target = [u8];
-
-    fn deref(&self) -> &[u8] {
-        &self.bytes
-    }
-}
-
-impl From<Vec<u8>> for Payload {
-    fn from(bytes: Vec<u8>) -> Self {
-        Self { bytes, _place: Place::default() }
-    }
-}
+/// Refused messages that are no events, by the name in their key and by cause.
+pub type RefusalCounts = BTreeMap<(Option<ActorId>, RefusalCause), u64>;
 
 #[derive(Debug, Default)]
-struct Sender {
-    n_queued: Arc<AtomicUsize>,
+struct SenderShare {
+    usage: Arc<QueueUsage>,
     cut_off: Option<Incarnation>,
 }
 
 /// What stands between the network's callback and the event queue.
 #[derive(Debug)]
-pub(crate) struct Intake {
+pub(crate) struct RolloutIntake {
     events: EventQueue<LearnerEvent>,
     per_actor: usize,
     max_actors: usize,
-    max_bytes: usize,
-    n_bytes: Arc<AtomicUsize>,
-    senders: Mutex<BTreeMap<Option<ActorId>, Sender>>,
-    refusals: Mutex<BTreeMap<RefusalCause, u64>>,
+    bytes_per_actor: usize,
+    pool_bytes: usize,
+    all: Arc<QueueUsage>,
+    senders: Mutex<BTreeMap<Option<ActorId>, SenderShare>>,
+    uncounted: Mutex<RefusalCounts>,
 }
 
-impl Intake {
+impl RolloutIntake {
     pub(crate) fn new(settings: &ListenSettings) -> (Self, flume::Receiver<LearnerEvent>) {
         let per_actor = settings.rollouts_per_actor;
         let n_bulk = per_actor.saturating_mul(settings.max_actors) + REFUSAL_PLACES;
         let (events, receiver) = EventQueue::new(n_bulk);
+        let half = settings.max_queued_bytes / 2;
         let intake = Self {
             events,
             per_actor,
             max_actors: settings.max_actors,
-            max_bytes: settings.max_queued_bytes,
-            n_bytes: Arc::default(),
+            bytes_per_actor: half / settings.max_actors.max(1),
+            pool_bytes: half,
+            all: Arc::default(),
             senders: Mutex::default(),
-            refusals: Mutex::default(),
+            uncounted: Mutex::default(),
         };
         (intake, receiver)
     }
@@ -98,50 +81,65 @@ impl Intake {
     /// Takes a rollout message: checks it, gives it a place, or refuses it.
     pub(crate) fn rollout(&self, sample: &Sample) {
         let Some(actor) = keys::parse_rollouts(sample.key_expr()) else {
-            return self.refuse(None, None, Refusal::Key);
+            return self.refuse(None, malformed_key());
         };
         let checked = wire::inspect(sample.attachment(), Some(sample.payload()), ROLLOUT);
         let header = match checked {
             Ok(header) => header,
-            Err(refusal) => return self.refuse(Some(actor), None, refusal),
+            Err(refusal) => return self.refuse(Some(actor), refusal),
         };
         if self.is_cut_off(&actor, header.incarnation) {
-            return self.count(RefusalCause::CutOff);
+            return self.count(Some(actor), RefusalCause::CutOff);
         }
-        let Some(place) = self.place(Some(&actor), sample.payload().len()) else {
-            return self.refuse(Some(actor), Some(header), Refusal::Overflow);
+        let Some(permit) = self.permit(Some(&actor), sample.payload().len()) else {
+            return self.count(Some(actor), RefusalCause::Overflow);
         };
-        let payload = Payload { bytes: sample.payload().to_bytes().into_owned(), _place: place };
+        // Copied on purpose: the network's buffer is shared with whatever arrived together with this message, so
+        // keeping a small rollout could keep much more than the bytes that its sender is billed for.
+        let payload = Payload::new(sample.payload().to_bytes().into_owned(), permit);
         let event = LearnerEvent::Rollout { actor, header, payload };
-        if self.events.offer(event, Class::Bulk).is_err() {
-            self.count(RefusalCause::Overflow);
+        if let Some(LearnerEvent::Rollout { actor, .. }) = self.offer(event, Class::Bulk) {
+            self.count(Some(actor), RefusalCause::Overflow);
         }
     }
 
-    /// Offers an event that is neither a rollout nor a refusal; gives it back if there is no room.
+    /// Offers an event that is no refusal; gives it back if there is no room.
     pub(crate) fn offer(&self, event: LearnerEvent, class: Class) -> Option<LearnerEvent> {
         self.events.offer(event, class).err().map(|overflow| overflow.0)
     }
 
-    /// Counts a refusal and tells of it, as long as its sender has few untold.
-    pub(crate) fn refuse(&self, actor: Option<ActorId>, header: Option<Header>, refusal: Refusal) {
-        self.count(refusal.cause());
-        if let Some(place) = self.place(actor.as_ref(), 0) {
-            let event = LearnerEvent::Refused { actor, header, refusal, place };
-            self.events.offer_or_drop(event, Class::Bulk);
+    /// Reports a refusal as an event as long as its sender has room for one, and counts it otherwise.
+    pub(crate) fn refuse(&self, actor: Option<ActorId>, refusal: Refusal) {
+        // Who cannot be named has no share of its own: else a stranger could use up the share of any name.
+        let of = actor.as_ref().filter(|_| refusal.sender.is_some());
+        let cause = refusal.cause;
+        let told = match self.permit(of, 0) {
+            None => Err(actor),
+            Some(permit) => {
+                let event = LearnerEvent::Refused { actor, refusal, permit };
+                match self.offer(event, Class::Bulk) {
+                    Some(LearnerEvent::Refused { actor, .. }) => Err(actor),
+                    _ => Ok(()),
+                }
+            }
+        };
+        if let Err(actor) = told {
+            self.count(actor, cause);
         }
     }
 
-    pub(crate) fn count(&self, cause: RefusalCause) {
-        *lock(&self.refusals).entry(cause).or_default() += 1;
+    /// Counts a refusal that is no event.
+    pub(crate) fn count(&self, actor: Option<ActorId>, cause: RefusalCause) {
+        let mut counts = lock(&self.uncounted);
+        let key = (actor, cause);
+        let has_room = counts.len() < MAX_COUNTS || counts.contains_key(&key);
+        let key = if has_room { key } else { (None, cause) };
+        *counts.entry(key).or_default() += 1;
     }
 
-    pub(crate) fn refusals(&self) -> BTreeMap<RefusalCause, u64> {
-        lock(&self.refusals).clone()
-    }
-
-    pub(crate) fn n_lost(&self) -> u64 {
-        self.events.n_lost()
+    /// Returns the refusals that were no events since the last call.
+    pub(crate) fn take_uncounted(&self) -> RefusalCounts {
+        std::mem::take(&mut lock(&self.uncounted))
     }
 
     /// Takes nothing more from this start of the actor.
@@ -155,93 +153,132 @@ impl Intake {
         known.is_some_and(|sender| sender.cut_off == Some(incarnation))
     }
 
-    /// Reserves a place for a message of `len` bytes. Nobody's messages share one allowance.
-    fn place(&self, actor: Option<&ActorId>, len: usize) -> Option<Place> {
+    /// Takes room for a message of `len` bytes. Nobody's messages share one allowance.
+    fn permit(&self, actor: Option<&ActorId>, len: usize) -> Option<QueuePermit> {
         let mut senders = lock(&self.senders);
         let actor = actor.cloned();
         if !senders.contains_key(&actor) && senders.len() > self.max_actors {
             senders.retain(|_, sender| {
-                sender.cut_off.is_some() || sender.n_queued.load(Ordering::Relaxed) > 0
+                let n_queued = sender.usage.n_messages.load(Ordering::Relaxed);
+                sender.cut_off.is_some() || n_queued > 0
             });
             if senders.len() > self.max_actors {
                 return None;
             }
         }
-        let n_queued = &senders.entry(actor).or_default().n_queued;
-        let full = n_queued.load(Ordering::Relaxed) >= self.per_actor
-            || self.n_bytes.load(Ordering::Relaxed).saturating_add(len) > self.max_bytes;
-        if full {
-            return None;
-        }
-        // Only callbacks add, and they hold the lock; others only give back.
-        n_queued.fetch_add(1, Ordering::Relaxed);
-        self.n_bytes.fetch_add(len, Ordering::Relaxed);
-        Some(Place {
-            of_actor: Some(Arc::clone(n_queued)),
-            of_bytes: Some((Arc::clone(&self.n_bytes), len)),
-        })
+        let usage = &senders.entry(actor).or_default().usage;
+        let load = |n: &std::sync::atomic::AtomicUsize| n.load(Ordering::Relaxed);
+        let fits = |used: usize, limit: usize| used.saturating_add(len) <= limit;
+        let in_share = fits(load(&usage.n_bytes), self.bytes_per_actor);
+        let has_bytes = in_share || fits(load(&self.all.n_bytes), self.pool_bytes);
+        // Only callbacks take, and they hold the lock; others only give back.
+        (load(&usage.n_messages) < self.per_actor && has_bytes)
+            .then(|| QueuePermit::take(usage, &self.all, len))
     }
 }
 
-/// Locks; what these locks guard is consistent after every single operation, so a panic elsewhere does no harm.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+/// What is wrong with a message on a key that names no actor.
+pub(crate) fn malformed_key() -> Refusal {
+    Refusal::new(RefusalCause::Key, "message arrived on a malformed key")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn intake(per_actor: usize, max_actors: usize) -> Intake {
+    fn intake(
+        per_actor: usize,
+        max_actors: usize,
+    ) -> (RolloutIntake, flume::Receiver<LearnerEvent>) {
         let settings = ListenSettings {
             rollouts_per_actor: per_actor,
             max_actors,
-            max_queued_bytes: 100,
+            max_queued_bytes: 200,
             ..ListenSettings::new(Vec::new())
         };
-        Intake::new(&settings).0
+        RolloutIntake::new(&settings)
     }
 
     fn actor(id: &str) -> ActorId {
         ActorId::new(id).unwrap()
     }
 
-    #[test]
-    fn a_greedy_sender_leaves_the_others_their_places() {
-        let intake = intake(2, 4);
-        let greedy = [intake.place(Some(&actor("g")), 1), intake.place(Some(&actor("g")), 1)];
-        assert!(greedy.iter().all(Option::is_some));
-        assert!(intake.place(Some(&actor("g")), 1).is_none());
-        assert!(intake.place(Some(&actor("h")), 1).is_some());
-        drop(greedy);
-        assert!(intake.place(Some(&actor("g")), 1).is_some());
+    fn damaged(sender: Option<u64>) -> Refusal {
+        let sender = sender.map(Incarnation);
+        Refusal { sender, ..Refusal::new(RefusalCause::Checksum, "damaged") }
     }
 
     #[test]
-    fn waiting_bytes_have_a_limit_over_all_senders() {
-        let intake = intake(8, 4);
-        let first = intake.place(Some(&actor("a")), 60);
-        assert!(intake.place(Some(&actor("b")), 60).is_none());
-        drop(first);
-        assert!(intake.place(Some(&actor("b")), 60).is_some());
+    fn a_greedy_sender_leaves_the_others_their_places() {
+        let (intake, _events) = intake(2, 4);
+        let greedy = [intake.permit(Some(&actor("g")), 1), intake.permit(Some(&actor("g")), 1)];
+        assert!(greedy.iter().all(Option::is_some));
+        assert!(intake.permit(Some(&actor("g")), 1).is_none());
+        assert!(intake.permit(Some(&actor("h")), 1).is_some());
+        drop(greedy);
+        assert!(intake.permit(Some(&actor("g")), 1).is_some());
+    }
+
+    #[test]
+    fn who_uses_up_the_pool_takes_nothing_of_anothers_share() {
+        // A share is 25 bytes, the pool 100.
+        let (intake, _events) = intake(64, 4);
+        let first = intake.permit(Some(&actor("a")), 60).unwrap();
+        assert!(
+            intake.permit(Some(&actor("b")), 60).is_none(),
+            "neither in its share nor the pool"
+        );
+        let more = intake.permit(Some(&actor("a")), 40).unwrap();
+        assert!(intake.permit(Some(&actor("a")), 1).is_none(), "the greedy one is refused");
+        let held: Vec<QueuePermit> = ["b", "c", "d"]
+            .iter()
+            .flat_map(|id| (0..5).map(|_| intake.permit(Some(&actor(id)), 5).expect("its share")))
+            .collect();
+        assert!(intake.permit(Some(&actor("b")), 1).is_none());
+        drop((first, more, held));
+        assert!(intake.permit(Some(&actor("b")), 60).is_some());
     }
 
     #[test]
     fn invented_senders_do_not_use_up_memory() {
-        let intake = intake(1, 2);
+        let (intake, _events) = intake(1, 2);
         let held: Vec<_> =
-            (0..10).map(|i| intake.place(Some(&actor(&format!("a{i}"))), 0)).collect();
-        assert_eq!(held.iter().filter(|place| place.is_some()).count(), 3);
+            (0..10).map(|i| intake.permit(Some(&actor(&format!("a{i}"))), 0)).collect();
+        assert_eq!(held.iter().filter(|permit| permit.is_some()).count(), 3);
         drop(held);
-        assert!(intake.place(Some(&actor("late")), 0).is_some());
+        assert!(intake.permit(Some(&actor("late")), 0).is_some());
+        for i in 0..2 * MAX_COUNTS {
+            intake.count(Some(actor(&format!("a{i}"))), RefusalCause::Overflow);
+        }
+        let counts = intake.take_uncounted();
+        assert!(counts.len() <= MAX_COUNTS + 1);
+        assert_eq!(counts.values().sum::<u64>(), 2 * MAX_COUNTS as u64);
     }
 
     #[test]
-    fn refusals_are_counted_even_when_nobody_listens() {
-        let intake = intake(1, 2);
+    fn every_refusal_is_an_event_or_a_number() {
+        let (intake, events) = intake(2, 4);
         for _ in 0..5 {
-            intake.refuse(Some(actor("a")), None, Refusal::Checksum);
+            intake.refuse(Some(actor("a")), damaged(Some(1)));
         }
-        assert_eq!(intake.refusals(), BTreeMap::from([(RefusalCause::Checksum, 5)]));
+        intake.count(Some(actor("a")), RefusalCause::Overflow);
+        let told = events.try_iter().filter(|event| {
+            matches!(event, LearnerEvent::Refused { refusal, .. } if refusal.sender == Some(Incarnation(1)))
+        });
+        assert_eq!(told.count(), 2);
+        let numbers = [(RefusalCause::Overflow, 1), (RefusalCause::Checksum, 3)];
+        let numbers = numbers.map(|(cause, n)| ((Some(actor("a")), cause), n));
+        assert_eq!(intake.take_uncounted(), RefusalCounts::from(numbers));
+        assert!(intake.take_uncounted().is_empty(), "each is reported once");
+    }
+
+    #[test]
+    fn who_cannot_be_named_uses_up_no_ones_share() {
+        let (intake, events) = intake(2, 4);
+        for _ in 0..5 {
+            intake.refuse(Some(actor("a")), damaged(None));
+        }
+        assert_eq!(events.len(), 2);
+        assert!(intake.permit(Some(&actor("a")), 1).is_some());
     }
 }

@@ -7,7 +7,7 @@
 //! leadtime/1/{run}/traj/{domain}/{id}                rollouts
 //! leadtime/1/{run}/credit/{id}                       acknowledgement and window
 //! leadtime/1/{run}/weights/{domain}                  announcements
-//! leadtime/1/{run}/weights/{domain}/latest           query for weights, `?version=N` for an older one
+//! leadtime/1/{run}/weights/{domain}/latest           query for weights, `?version=N`
 //! leadtime/1/{run}/metrics/{role}/{id}               metrics
 //! ```
 //!
@@ -18,6 +18,11 @@ use std::fmt;
 
 use leadtime_proto::{ActorId, DomainName, Incarnation, RunName};
 use zenoh::key_expr::OwnedKeyExpr;
+
+/// The parameter of an order that says for which start of the actor it is meant.
+pub(crate) const INCARNATION: &str = "incarnation";
+/// The parameter of a pull that says which version is wanted.
+pub(crate) const VERSION: &str = "version";
 
 const ROOT: &str = "leadtime/1";
 const LEARNER: &str = "learner";

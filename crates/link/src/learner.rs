@@ -1,15 +1,16 @@
 //! The learner's end: one run, its actors' messages as events, and what it tells them.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
-use leadtime_proto::message::{Control, ControlAck, Credit, Hello};
-use leadtime_proto::receive::{CONTROL_ACK, HELLO};
-use leadtime_proto::{
-    ActorId, DomainName, Header, Incarnation, PolicyVersion, Refusal, RefusalCause, RunName,
-};
+use leadtime_proto::header::Schema;
+use leadtime_proto::limits::MAX_HELLO_BYTES;
+use leadtime_proto::message::{Announcement, Control, ControlReply, Credit, Hello};
+use leadtime_proto::receive::{CONTROL_REPLY, HELLO};
+use leadtime_proto::{ActorId, DomainName, Incarnation, PolicyVersion, RefusalCause, RunName};
+use tokio::time::interval;
+use tracing::debug;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Publisher;
@@ -17,67 +18,22 @@ use zenoh::query::Query;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
-use crate::ask::{Answer, Question, ask};
-use crate::intake::{Intake, Payload, Place};
-use crate::keys::{self, Key, Keys, Member};
+use crate::answer::{Answers, PendingReply};
+use crate::ask::{Inquiry, InquiryEnd, ask};
+use crate::event::LearnerEvent;
+use crate::intake::{RefusalCounts, RolloutIntake, malformed_key};
+use crate::keys::{self, INCARNATION, Key, Keys, Member};
+use crate::publish::{self, put};
 use crate::queue::Class;
-use crate::weights::{self, Owed, Shelf};
-use crate::wire;
-use crate::{Error, HelloResponder, ListenSettings, Result, session};
+use crate::weights::{self, WeightStore};
+use crate::{Error, HelloResponder, ListenSettings, Result, session, wire};
 
-/// The parameter of an order that says for which start of the actor it is meant.
-pub(crate) const INCARNATION: &str = "incarnation";
 /// How long an order is repeated when nobody is there to take it.
 const NOBODY_GRACE: Duration = Duration::from_secs(1);
 /// Pause between such repetitions.
 const NOBODY_PAUSE: Duration = Duration::from_millis(50);
-
-/// Everything that can wake a learner from the network.
-#[derive(Debug)]
-pub enum LearnerEvent {
-    /// An actor introduces itself; its presence ([`LearnerEvent::Joined`]) is usually told before.
-    Hello {
-        /// What it says.
-        hello: Hello,
-        /// Where to answer.
-        reply: HelloResponder,
-    },
-    /// A rollout that passed [`leadtime_proto::receive::inspect`]; duplicate check, then
-    /// [`leadtime_proto::receive::open`], are the consumer's.
-    Rollout {
-        /// The sender, by its key.
-        actor: ActorId,
-        /// The header.
-        header: Header,
-        /// The body, still encoded.
-        payload: Payload,
-    },
-    /// An actor is there (may be told more than once).
-    Joined {
-        /// The actor.
-        actor: ActorId,
-        /// Its start.
-        incarnation: Incarnation,
-    },
-    /// An actor is gone: it left, died, or the connection to it is lost.
-    Left {
-        /// The actor.
-        actor: ActorId,
-        /// Its start.
-        incarnation: Incarnation,
-    },
-    /// A message was refused.
-    Refused {
-        /// The sender, by its key, if the key names one.
-        actor: Option<ActorId>,
-        /// The header, if it could be read.
-        header: Option<Header>,
-        /// Why; [`Refusal::cause`] is what to count.
-        refusal: Refusal,
-        /// The event's place in the queue, given back when dropped.
-        place: Place,
-    },
-}
+/// Threads that answer hellos and pulls: this many slow connections do not hold up the others.
+const N_ANSWERING: usize = 4;
 
 /// A learner's place on the network.
 #[derive(Debug)]
@@ -86,10 +42,11 @@ pub struct LearnerLink {
     run: RunName,
     incarnation: Incarnation,
     locators: Vec<String>,
-    intake: Arc<Intake>,
-    shelf: Arc<Shelf>,
+    intake: Arc<RolloutIntake>,
+    store: Arc<WeightStore>,
     announcer: Arc<Publisher<'static>>,
-    repeater: tokio::task::JoinHandle<()>,
+    is_dead: Arc<AtomicBool>,
+    upkeep: tokio::task::JoinHandle<()>,
     _alive: LivelinessToken,
 }
 
@@ -98,8 +55,8 @@ impl LearnerLink {
     ///
     /// # Errors
     ///
-    /// [`Error::AddressInUse`], [`Error::Listen`], [`Error::NobodyThere`] (a router that is not there),
-    /// [`Error::Name`] (a domain that cannot be part of a key) or [`Error::Network`].
+    /// [`Error::AddressInUse`], [`Error::NotASocket`], [`Error::Listen`], [`Error::Unreachable`] (a router that is not
+    /// there), [`Error::Name`] (a domain that cannot be part of a key) or [`Error::Network`].
     pub async fn open(
         run: &RunName,
         domain: &str,
@@ -109,27 +66,35 @@ impl LearnerLink {
         let domain = DomainName::new(domain)?;
         let session = session::listen(settings).await?;
         let locators = session.info().locators().await;
-        let (intake, events) = Intake::new(settings);
-        let (intake, shelf) = (Arc::new(intake), Arc::new(Shelf::new(incarnation)));
-        let owed = weights::start_answering(&shelf)?;
+        let (intake, events) = RolloutIntake::new(settings);
+        let (intake, store) = (Arc::new(intake), Arc::new(WeightStore::new(incarnation)));
+        let answers = Answers::start(N_ANSWERING)?;
         let announcer = Arc::new(declare_announcer(&session, Key::Announcement(run, &domain))?);
         declare_intake(&session, run, &domain, &intake)?;
-        declare_pulls(&session, Key::Weights(run, &domain), owed.clone())?;
-        declare_hello(&session, run, incarnation, (&intake, owed))?;
+        declare_pulls(&session, Key::Weights(run, &domain), answers.clone(), &store)?;
+        declare_hello(&session, run, incarnation, &intake, answers)?;
         // Last of all: whoever sees it may rely on everything else.
         let alive = Key::Alive(run, &Member::Learner, incarnation);
         let token = session.liveliness().declare_token(keys::expr(alive)).wait();
-        let repeater = weights::repeat(Arc::clone(&announcer), Arc::clone(&shelf));
+        let is_dead = Arc::new(AtomicBool::new(false));
+        let upkeep = Upkeep {
+            session: session.clone(),
+            listens: !locators.is_empty(),
+            is_dead: Arc::clone(&is_dead),
+            announcer: Arc::clone(&announcer),
+            store: Arc::clone(&store),
+        };
         let link = Self {
             _alive: token.map_err(Error::network("declare", &alive.to_string()))?,
             locators: locators.iter().map(ToString::to_string).collect(),
-            repeater: tokio::spawn(repeater),
+            upkeep: tokio::spawn(upkeep.run()),
             run: run.clone(),
             session,
             incarnation,
             intake,
-            shelf,
+            store,
             announcer,
+            is_dead,
         };
         Ok((link, events))
     }
@@ -139,18 +104,38 @@ impl LearnerLink {
         self.locators.clone()
     }
 
+    /// Checks that this learner can still be reached; to be asked now and then, because no event tells it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Dead`] if the connection, or what listens for actors, has ended.
+    pub fn health(&self) -> Result<()> {
+        if self.is_dead.load(Ordering::Relaxed) { Err(Error::Dead) } else { Ok(()) }
+    }
+
     /// Offers a version of the weights: announced at once and every second, pulled by whoever wants it.
     ///
     /// # Errors
     ///
     /// [`Error::Network`] if it cannot be announced.
-    pub fn offer_weights(&self, version: PolicyVersion, bytes: &[u8]) -> Result<()> {
-        weights::announce(&self.announcer, &self.shelf.put(version, bytes))
+    pub fn offer_weights(&self, version: PolicyVersion, weights: Arc<[u8]>) -> Result<()> {
+        self.store.put(version, weights);
+        weights::announce(&self.announcer, &self.store)
     }
 
-    /// Stops offering versions older than `oldest_kept`.
+    /// Stops offering versions older than `oldest_kept`; the last few stay for actors that were told of one a moment ago.
     pub fn retire_weights(&self, oldest_kept: PolicyVersion) {
-        self.shelf.retire(oldest_kept);
+        self.store.retire(oldest_kept);
+    }
+
+    /// Lists the versions on offer from `oldest` on.
+    pub fn weights_since(&self, oldest: PolicyVersion) -> Vec<(PolicyVersion, Arc<[u8]>)> {
+        self.store.since(oldest)
+    }
+
+    /// Returns what a welcome tells of the weights.
+    pub fn announcement(&self) -> Announcement {
+        self.store.announcement()
     }
 
     /// Tells an actor its credit. May be lost; repeat it.
@@ -161,10 +146,10 @@ impl LearnerLink {
     pub fn send_credit(&self, actor: &ActorId, credit: Credit) -> Result<()> {
         let key = Key::Credit(&self.run, actor);
         let (header, payload) = wire::seal(Schema::Credit, self.incarnation, &credit)?;
-        put(&self.session, key, wire::NOTICE, (&header, payload))
+        put(&self.session, key, wire::NOTICE, &header, payload)
     }
 
-    /// Gives one start of an actor an order and waits until it is taken.
+    /// Gives one start of an actor an order and waits for its answer.
     ///
     /// # Errors
     ///
@@ -176,30 +161,34 @@ impl LearnerLink {
         incarnation: Incarnation,
         control: &Control,
         timeout: Duration,
-    ) -> Result<ControlAck> {
+    ) -> Result<ControlReply> {
         let key = Key::Control(&self.run, actor).to_string();
         let started = Instant::now();
         loop {
             let (header, payload) = wire::seal(Schema::Control, self.incarnation, control)?;
             let timeout_left = timeout.saturating_sub(started.elapsed());
-            let question = Question {
+            let question = Inquiry {
                 selector: format!("{key}?{INCARNATION}={}", incarnation.0),
                 header,
                 payload,
-                lane: wire::CONTROL,
+                qos: wire::CONTROL,
                 timeout: timeout_left,
             };
-            match ask(&self.session, question).await? {
-                Answer::Reply(sample) => {
-                    return wire::unseal(sample.attachment(), Some(sample.payload()), CONTROL_ACK)
-                        .map(|(_, ack)| ack)
-                        .map_err(|source| Error::BadAnswer { key, source });
-                }
-                Answer::Rejected(reason) => return Err(Error::Rejected { key, reason }),
-                Answer::Nobody if started.elapsed() < timeout.min(NOBODY_GRACE) => {
+            let read = |sample: &Sample| {
+                wire::unseal(sample.attachment(), Some(sample.payload()), CONTROL_REPLY)
+                    .map(|(_, reply)| reply)
+                    .map_err(|source| Error::BadAnswer { key: key.clone(), source })
+            };
+            match ask(&self.session, question, read).await? {
+                InquiryEnd::Good(reply) => return Ok(reply),
+                InquiryEnd::Unusable(error) => return Err(error),
+                InquiryEnd::Rejected(reason) => return Err(Error::Rejected { key, reason }),
+                InquiryEnd::Nobody if started.elapsed() < timeout.min(NOBODY_GRACE) => {
                     tokio::time::sleep(NOBODY_PAUSE).await;
                 }
-                Answer::Nobody | Answer::TimedOut => return Err(Error::NoAnswer { key, timeout }),
+                InquiryEnd::Nobody | InquiryEnd::TimedOut => {
+                    return Err(Error::NoAnswer { key, timeout });
+                }
             }
         }
     }
@@ -215,17 +204,16 @@ impl LearnerLink {
     ///
     /// [`Error::Network`] if they cannot be sent.
     pub fn publish_metrics(&self, json: &[u8]) -> Result<()> {
-        publish_metrics(&self.session, (&self.run, &Member::Learner), self.incarnation, json)
+        publish::metrics(&self.session, &self.run, &Member::Learner, self.incarnation, json)
     }
 
-    /// Returns how many messages this link refused, by cause.
-    pub fn refusals(&self) -> BTreeMap<RefusalCause, u64> {
-        self.intake.refusals()
-    }
-
-    /// Returns how many events did not fit into the queue.
-    pub fn n_lost_events(&self) -> u64 {
-        self.intake.n_lost()
+    /// Returns the refused messages since the last call that were no [`LearnerEvent::Refused`]: those for which there
+    /// was no room, those of senders that were cut off, and events of presence that did not fit.
+    ///
+    /// They are no evidence against anyone: whoever overflows may be honest and only late to be heard. The caller
+    /// counts them in its books.
+    pub fn take_uncounted(&self) -> RefusalCounts {
+        self.intake.take_uncounted()
     }
 
     /// Leaves the network, within a limited time.
@@ -234,41 +222,44 @@ impl LearnerLink {
     ///
     /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
-        self.repeater.abort();
+        self.upkeep.abort();
         session::close(&self.session).await
     }
 }
 
 impl Drop for LearnerLink {
     fn drop(&mut self) {
-        self.repeater.abort();
+        self.upkeep.abort();
     }
 }
 
-pub(crate) fn put(
-    session: &Session,
-    key: Key<'_>,
-    lane: wire::Lane,
-    (header, payload): (&Header, Vec<u8>),
-) -> Result<()> {
-    session
-        .put(keys::expr(key), payload)
-        .attachment(header.to_bytes())
-        .priority(lane.priority)
-        .congestion_control(lane.congestion)
-        .express(lane.express)
-        .wait()
-        .map_err(Error::network("publish on", &key.to_string()))
+/// What has to be done once a second for as long as a learner is there.
+struct Upkeep {
+    session: Session,
+    listens: bool,
+    is_dead: Arc<AtomicBool>,
+    announcer: Arc<Publisher<'static>>,
+    store: Arc<WeightStore>,
 }
 
-pub(crate) fn publish_metrics(
-    session: &Session,
-    (run, member): (&RunName, &Member),
-    incarnation: Incarnation,
-    json: &[u8],
-) -> Result<()> {
-    let header = Header::plain(Schema::Metrics, incarnation, json);
-    put(session, Key::Metrics(run, member), wire::METRICS, (&header, json.to_vec()))
+impl Upkeep {
+    async fn run(self) {
+        let mut ticks = interval(weights::REPEAT);
+        loop {
+            ticks.tick().await;
+            // The library tells nobody that its listener ended; it only stops listing its address.
+            let is_deaf = self.listens && self.session.info().locators().await.is_empty();
+            if is_deaf || self.session.is_closed() {
+                self.is_dead.store(true, Ordering::Relaxed);
+            }
+            if self.store.announcement().versions.is_empty() {
+                continue;
+            }
+            if let Err(error) = weights::announce(&self.announcer, &self.store) {
+                debug!(%error, "announcement could not be repeated");
+            }
+        }
+    }
 }
 
 fn declare_announcer(session: &Session, key: Key<'_>) -> Result<Publisher<'static>> {
@@ -285,7 +276,7 @@ fn declare_intake(
     session: &Session,
     run: &RunName,
     domain: &DomainName,
-    intake: &Arc<Intake>,
+    intake: &Arc<RolloutIntake>,
 ) -> Result<()> {
     let (rollouts, actors) = (Keys::RolloutsOf(run, domain), Keys::ActorsOf(run));
     let taker = Arc::clone(intake);
@@ -306,9 +297,9 @@ fn declare_intake(
         .map_err(Error::network("subscribe to", &actors.to_string()))
 }
 
-fn on_presence(intake: &Intake, sample: &Sample) {
+fn on_presence(intake: &RolloutIntake, sample: &Sample) {
     let Some(alive) = keys::parse_alive(sample.key_expr()) else {
-        return intake.refuse(None, None, Refusal::Key);
+        return intake.refuse(None, malformed_key());
     };
     let Member::Actor(actor) = alive.member else { return };
     let incarnation = alive.incarnation;
@@ -317,17 +308,25 @@ fn on_presence(intake: &Intake, sample: &Sample) {
         SampleKind::Delete => LearnerEvent::Left { actor, incarnation },
     };
     if intake.offer(event, Class::Presence).is_some() {
-        intake.count(RefusalCause::Overflow);
+        intake.count(None, RefusalCause::Overflow);
     }
 }
 
-fn declare_pulls(session: &Session, key: Key<'_>, owed: flume::Sender<Owed>) -> Result<()> {
+fn declare_pulls(
+    session: &Session,
+    key: Key<'_>,
+    answers: Answers,
+    store: &Arc<WeightStore>,
+) -> Result<()> {
+    let store = Arc::clone(store);
     session
         .declare_queryable(keys::expr(key))
         .complete(true)
         .callback(move |query| {
-            // A pull beyond what can be owed ends without an answer; the asker tries again.
-            drop(owed.try_send(Owed::Weights(query)));
+            // A pull has no body; one that has is not kept waiting with it.
+            if query.payload().is_none_or(zenoh::bytes::ZBytes::is_empty) {
+                answers.give(PendingReply::Weights(query, Arc::clone(&store)));
+            }
         })
         .background()
         .wait()
@@ -338,43 +337,37 @@ fn declare_hello(
     session: &Session,
     run: &RunName,
     incarnation: Incarnation,
-    (intake, owed): (&Arc<Intake>, flume::Sender<Owed>),
+    intake: &Arc<RolloutIntake>,
+    answers: Answers,
 ) -> Result<()> {
     let key = Key::Hello(run);
     let intake = Arc::clone(intake);
     session
         .declare_queryable(keys::expr(key))
         .complete(true)
-        .callback(move |query| on_hello(&intake, &owed, incarnation, query))
+        .callback(move |query| on_hello(&intake, &answers, incarnation, query))
         .background()
         .wait()
         .map_err(Error::network("declare", &key.to_string()))
 }
 
-fn on_hello(intake: &Intake, owed: &flume::Sender<Owed>, incarnation: Incarnation, query: Query) {
-    let answer = match wire::unseal::<Hello>(query.attachment(), query.payload(), HELLO) {
+fn on_hello(intake: &RolloutIntake, answers: &Answers, incarnation: Incarnation, query: Query) {
+    let (attachment, payload) = (query.attachment(), query.payload());
+    let is_huge = payload.is_some_and(|payload| payload.len() > MAX_HELLO_BYTES);
+    let hello = wire::unseal::<Hello>(attachment, payload, HELLO);
+    match hello.and_then(|(_, hello)| hello.check().map(|()| hello)) {
         Err(refusal) => {
-            let reason = match refusal {
-                Refusal::Protocol { found } => format!(
-                    "the actor speaks protocol {found}, the learner speaks {PROTOCOL_VERSION}: \
-                     run the same release on both sides"
-                ),
-                ref other => other.to_string(),
-            };
-            intake.refuse(None, None, refusal);
-            Owed::Refusal(query, reason)
+            // An answer waits with its question, body and all, so there is none to a huge one.
+            if !is_huge {
+                answers.give(PendingReply::Refusal(query, refusal.to_string()));
+            }
+            intake.refuse(None, refusal);
         }
-        Ok((_, hello)) => {
-            let reply = HelloResponder::new(query, incarnation);
-            match intake.offer(LearnerEvent::Hello { hello, reply }, Class::Request) {
-                Some(LearnerEvent::Hello { reply, .. }) => {
-                    intake.count(RefusalCause::Overflow);
-                    Owed::Nothing(reply.into_query())
-                }
-                _ => return,
+        Ok(hello) => {
+            let reply = HelloResponder::new(query, answers.clone(), incarnation);
+            if intake.offer(LearnerEvent::Hello { hello, reply }, Class::Request).is_some() {
+                intake.count(None, RefusalCause::Overflow);
             }
         }
-    };
-    // Beyond what can be owed, the question ends without an answer; the asker tries again.
-    drop(owed.try_send(answer));
+    }
 }

@@ -13,7 +13,9 @@
 //! # Invariants
 //!
 //! * **Callbacks never block.** What arrives goes into a bounded queue by `try_send`; what does not fit is refused and
-//!   counted. A sender that keeps to its window always fits, so a stalled consumer costs nobody else anything.
+//!   counted. A sender within its share always fits, so a stalled consumer costs nobody else anything.
+//! * **A name in a key proves nothing.** Who sent a message is what a readable header says; what has none is nobody's.
+//! * **Weights are what was announced.** Whoever answers a pull, only bytes with the announced digest are taken.
 //! * Nothing relies on the network's congestion control as flow control; the credit window does that.
 //! * Topology is a star, dialled one way: actors and observers are clients of the learner or of a router.
 //! * Every wait has a limit and every error names the address, key, actor or run it is about.
@@ -35,24 +37,35 @@
 pub mod keys;
 
 mod actor;
+mod answer;
 mod ask;
+mod diagnose;
 mod discovery;
 mod endpoint;
 mod error;
+mod event;
 mod intake;
+mod latest;
 mod learner;
+mod lock;
 mod observer;
+mod permit;
+mod publish;
+mod pull;
 mod queue;
 mod responder;
 mod session;
 mod weights;
 mod wire;
 
-pub use actor::{ActorEvent, ActorLink};
-pub use endpoint::{Endpoint, EndpointProblem};
-pub use error::{Error, NetworkFault, Result};
-pub use intake::{Payload, Place};
-pub use learner::{LearnerEvent, LearnerLink};
+pub use actor::ActorLink;
+pub use endpoint::Endpoint;
+pub use error::{EndpointProblem, Error, NetworkFault, Result};
+pub use event::{ActorEvent, LearnerEvent};
+pub use intake::RefusalCounts;
+pub use latest::Events;
+pub use learner::LearnerLink;
 pub use observer::{ObserverEvent, ObserverLink};
+pub use permit::{Payload, QueuePermit};
 pub use responder::{ControlResponder, HelloResponder};
 pub use session::{ConnectSettings, ListenSettings};

@@ -1,6 +1,7 @@
 //! The observer's end: reads presence, metrics, announcements and weights, and touches nothing.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use leadtime_proto::message::Announcement;
 use leadtime_proto::receive::{self, ANNOUNCEMENT, METRICS};
@@ -10,12 +11,13 @@ use zenoh::Wait as _;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
-use crate::actor::pull;
 use crate::keys::{self, Keys, Member};
+use crate::latest::{Events, Latest};
+use crate::pull::pull;
 use crate::queue::{Class, EventQueue};
 use crate::{ConnectSettings, Error, Result, discovery, session, wire};
 
-/// Places in the event queue for metrics and announcements.
+/// Places in the event queue for metrics.
 const N_BULK: usize = 4_096;
 
 /// What an observer sees.
@@ -23,28 +25,28 @@ const N_BULK: usize = 4_096;
 pub enum ObserverEvent {
     /// A member's metrics.
     Metrics {
-        /// Whose.
+        /// The member that published them.
         member: Member,
         /// As the member wrote them.
         json: Vec<u8>,
     },
     /// A version of the weights is there.
     Announcement {
-        /// Of which domain.
+        /// The domain whose policy it is.
         domain: DomainName,
-        /// What is told.
+        /// The versions that are kept, with their digests.
         announcement: Announcement,
     },
     /// A member is there (may be told more than once).
     Joined {
-        /// Who.
+        /// The member.
         member: Member,
         /// Its start.
         incarnation: Incarnation,
     },
     /// A member is gone.
     Left {
-        /// Who.
+        /// The member.
         member: Member,
         /// Its start.
         incarnation: Incarnation,
@@ -56,6 +58,7 @@ pub enum ObserverEvent {
 pub struct ObserverLink {
     session: Session,
     events: EventQueue<ObserverEvent>,
+    latest: Arc<Latest<ObserverEvent>>,
 }
 
 impl ObserverLink {
@@ -63,13 +66,11 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NobodyThere`] if nobody answers within the settings' time-out.
-    pub async fn open(
-        settings: &ConnectSettings,
-    ) -> Result<(Self, flume::Receiver<ObserverEvent>)> {
+    /// [`Error::Unreachable`] if nobody answers within the settings' time-out.
+    pub async fn open(settings: &ConnectSettings) -> Result<(Self, Events<ObserverEvent>)> {
         let session = session::connect(settings).await?;
-        let (events, receiver) = EventQueue::new(N_BULK);
-        Ok((Self { session, events }, receiver))
+        let (events, latest, receiver) = Events::new(N_BULK);
+        Ok((Self { session, events, latest }, receiver))
     }
 
     /// Lists the runs that are there now.
@@ -87,8 +88,10 @@ impl ObserverLink {
     ///
     /// [`Error::Network`] if it cannot be subscribed to.
     pub fn follow(&self, run: &RunName) -> Result<()> {
-        self.subscribe(Keys::MetricsOf(run), on_metrics)?;
-        self.subscribe(Keys::AnnouncementsOf(run), on_announcement)?;
+        let events = self.events.clone();
+        self.subscribe(Keys::MetricsOf(run), move |sample| on_metrics(&events, sample))?;
+        let latest = Arc::clone(&self.latest);
+        self.subscribe(Keys::AnnouncementsOf(run), move |sample| on_announcement(&latest, sample))?;
         let members = Keys::MembersOf(run);
         let events = self.events.clone();
         self.session
@@ -101,7 +104,7 @@ impl ObserverLink {
             .map_err(Error::network("subscribe to", &members.to_string()))
     }
 
-    /// Pulls the newest weights, or one version of them, and checks their digest.
+    /// Pulls a version of the weights that was announced.
     ///
     /// # Errors
     ///
@@ -110,9 +113,10 @@ impl ObserverLink {
         &self,
         run: &RunName,
         domain: &DomainName,
-        version: Option<PolicyVersion>,
-    ) -> Result<(PolicyVersion, Vec<u8>)> {
-        pull(&self.session, (run, domain), Incarnation(0), version).await
+        version: PolicyVersion,
+        sha256: [u8; 32],
+    ) -> Result<Vec<u8>> {
+        pull(&self.session, run, domain, Incarnation(0), version, sha256).await
     }
 
     /// Leaves the network, within a limited time.
@@ -127,12 +131,11 @@ impl ObserverLink {
     fn subscribe(
         &self,
         keys: Keys<'_>,
-        take: fn(&EventQueue<ObserverEvent>, &Sample),
+        take: impl Fn(&Sample) + Send + Sync + 'static,
     ) -> Result<()> {
-        let events = self.events.clone();
         self.session
             .declare_subscriber(keys::expr(keys))
-            .callback(move |sample| take(&events, &sample))
+            .callback(move |sample| take(&sample))
             .background()
             .wait()
             .map_err(Error::network("subscribe to", &keys.to_string()))
@@ -153,12 +156,12 @@ fn on_metrics(events: &EventQueue<ObserverEvent>, sample: &Sample) {
     }
 }
 
-fn on_announcement(events: &EventQueue<ObserverEvent>, sample: &Sample) {
+fn on_announcement(latest: &Latest<ObserverEvent>, sample: &Sample) {
     let Some(domain) = keys::parse_announcement(sample.key_expr()) else { return };
     match wire::unseal(sample.attachment(), Some(sample.payload()), ANNOUNCEMENT) {
         Ok((_, announcement)) => {
-            let event = ObserverEvent::Announcement { domain, announcement };
-            events.offer_or_drop(event, Class::Bulk);
+            let key = domain.to_string();
+            latest.put(&key, ObserverEvent::Announcement { domain, announcement });
         }
         Err(refusal) => warn!(%refusal, "announcement refused"),
     }

@@ -6,11 +6,8 @@
 //!
 //! ```text
 //! 0 ────────────── bulk ──────────────┬── requests ──┬── presence ──┐ capacity
-//!   rollouts, credit, metrics …       │ hello, orders│ joined, left │
+//!   rollouts, refusals, metrics …     │ hello, orders│ joined, left │
 //! ```
-
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Queue places that only requests and presence may use.
 const REQUESTS: usize = 1_024;
@@ -34,12 +31,11 @@ pub(crate) struct Overflow<T>(pub T);
 pub(crate) struct EventQueue<T> {
     sender: flume::Sender<T>,
     n_bulk: usize,
-    n_lost: Arc<AtomicU64>,
 }
 
 impl<T> Clone for EventQueue<T> {
     fn clone(&self) -> Self {
-        Self { sender: self.sender.clone(), n_bulk: self.n_bulk, n_lost: Arc::clone(&self.n_lost) }
+        Self { sender: self.sender.clone(), n_bulk: self.n_bulk }
     }
 }
 
@@ -47,10 +43,10 @@ impl<T> EventQueue<T> {
     /// Makes a queue with `n_bulk` places for bulk and a reserve for the rest.
     pub(crate) fn new(n_bulk: usize) -> (Self, flume::Receiver<T>) {
         let (sender, receiver) = flume::bounded(n_bulk + REQUESTS + PRESENCE);
-        (Self { sender, n_bulk, n_lost: Arc::default() }, receiver)
+        (Self { sender, n_bulk }, receiver)
     }
 
-    /// Puts an event into the queue without waiting, or gives it back and counts it.
+    /// Puts an event into the queue without waiting, or gives it back.
     pub(crate) fn offer(&self, event: T, class: Class) -> Result<(), Overflow<T>> {
         let limit = match class {
             Class::Bulk => self.n_bulk,
@@ -58,13 +54,9 @@ impl<T> EventQueue<T> {
             Class::Presence => self.n_bulk + REQUESTS + PRESENCE,
         };
         if self.sender.len() >= limit {
-            self.n_lost.fetch_add(1, Ordering::Relaxed);
             return Err(Overflow(event));
         }
-        self.sender.try_send(event).map_err(|error| {
-            self.n_lost.fetch_add(1, Ordering::Relaxed);
-            Overflow(error.into_inner())
-        })
+        self.sender.try_send(event).map_err(|error| Overflow(error.into_inner()))
     }
 
     /// Puts an event into the queue, or lets go of it: for what is repeated or counted elsewhere.
@@ -72,11 +64,6 @@ impl<T> EventQueue<T> {
         if let Err(Overflow(event)) = self.offer(event, class) {
             drop(event);
         }
-    }
-
-    /// Returns how many events did not fit since the start.
-    pub(crate) fn n_lost(&self) -> u64 {
-        self.n_lost.load(Ordering::Relaxed)
     }
 }
 
@@ -94,7 +81,6 @@ mod tests {
         queue.offer(3, Class::Request).unwrap();
         queue.offer(4, Class::Presence).unwrap();
         assert_eq!(receiver.drain().collect::<Vec<_>>(), [0, 1, 3, 4]);
-        assert_eq!(queue.n_lost(), 1);
     }
 
     #[test]

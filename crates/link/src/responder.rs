@@ -1,93 +1,94 @@
-//! Answers that are still owed: to a hello and to an order.
+//! Answers that the consumer of an event owes: to a hello and to an order.
 //!
-//! Dropping a responder ends the question without an answer; the asker tries again or gives up.
+//! Giving one never waits. Dropping a responder ends the question without an answer; the asker tries again or gives up.
 
 use leadtime_proto::header::Schema;
-use leadtime_proto::message::{ControlAck, HelloReply, Welcome};
+use leadtime_proto::message::{ControlReply, HelloReply, Welcome};
 use leadtime_proto::{Header, Incarnation};
-use zenoh::Wait as _;
-use zenoh::bytes::Encoding;
+use serde::Serialize;
 use zenoh::query::Query;
 
-use crate::{Error, Result, wire};
+use crate::answer::{Answers, PendingReply};
+use crate::{Result, wire};
 
-/// The learner's answer to a hello.
+/// A question and the way to its answer.
 #[derive(Debug)]
-pub struct HelloResponder {
-    query: Query,
+struct Responder {
+    query: Option<Query>,
+    answers: Answers,
     incarnation: Incarnation,
 }
 
-impl HelloResponder {
-    pub(crate) fn new(query: Query, incarnation: Incarnation) -> Self {
-        Self { query, incarnation }
+impl Responder {
+    fn reply<T: Serialize>(mut self, schema: Schema, message: &T) -> Result<()> {
+        let (header, payload): (Header, _) = wire::seal(schema, self.incarnation, message)?;
+        if let Some(query) = self.query.take() {
+            self.answers.give(PendingReply::Message(query, header, payload.into()));
+        }
+        Ok(())
     }
+}
 
-    pub(crate) fn into_query(self) -> Query {
-        self.query
+impl Drop for Responder {
+    fn drop(&mut self) {
+        if let Some(query) = self.query.take() {
+            self.answers.give(PendingReply::Nothing(query));
+        }
+    }
+}
+
+/// The learner's answer to a hello.
+#[derive(Debug)]
+pub struct HelloResponder(Responder);
+
+impl HelloResponder {
+    pub(crate) fn new(query: Query, answers: Answers, incarnation: Incarnation) -> Self {
+        Self(Responder { query: Some(query), answers, incarnation })
     }
 
     /// Lets the actor in.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if the answer cannot be sent.
+    /// [`crate::Error::Codec`] if the answer cannot be encoded.
     pub fn welcome(self, welcome: Welcome) -> Result<()> {
-        self.reply(&HelloReply::Welcome(Box::new(welcome)))
+        self.0.reply(Schema::HelloReply, &HelloReply::Welcome(Box::new(welcome)))
     }
 
     /// Turns the actor away with one sentence: what is wrong and what to do.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if the answer cannot be sent.
+    /// [`crate::Error::Codec`] if the answer cannot be encoded.
     pub fn refuse(self, reason: &str) -> Result<()> {
-        self.reply(&HelloReply::Refused { reason: reason.to_owned() })
+        self.0.reply(Schema::HelloReply, &HelloReply::Refused { reason: reason.to_owned() })
     }
 
     /// Turns the actor away because its name is taken.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if the answer cannot be sent.
+    /// [`crate::Error::Codec`] if the answer cannot be encoded.
     pub fn taken(self) -> Result<()> {
-        self.reply(&HelloReply::Taken)
-    }
-
-    fn reply(self, reply: &HelloReply) -> Result<()> {
-        let (header, payload) = wire::seal(Schema::HelloReply, self.incarnation, reply)?;
-        send(&self.query, &header, payload)
+        self.0.reply(Schema::HelloReply, &HelloReply::Taken)
     }
 }
 
-/// An actor's acknowledgement of an order.
+/// An actor's answer to an order.
 #[derive(Debug)]
-pub struct ControlResponder {
-    query: Query,
-    incarnation: Incarnation,
-}
+pub struct ControlResponder(Responder);
 
 impl ControlResponder {
-    pub(crate) fn new(query: Query, incarnation: Incarnation) -> Self {
-        Self { query, incarnation }
+    pub(crate) fn new(query: Query, answers: Answers, incarnation: Incarnation) -> Self {
+        Self(Responder { query: Some(query), answers, incarnation })
     }
 
-    /// Says that the order was taken.
+    /// Says what became of the order.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if the answer cannot be sent.
-    pub fn acknowledge(self, ack: ControlAck) -> Result<()> {
-        let (header, payload) = wire::seal(Schema::ControlAck, self.incarnation, &ack)?;
-        send(&self.query, &header, payload)
+    /// [`crate::Error::Codec`] if the answer cannot be encoded.
+    pub fn reply(self, reply: &ControlReply) -> Result<()> {
+        self.0.reply(Schema::ControlReply, reply)
     }
-}
-
-fn send(query: &Query, header: &Header, payload: Vec<u8>) -> Result<()> {
-    query
-        .reply(query.key_expr().clone(), payload)
-        .attachment(header.to_bytes())
-        .encoding(Encoding::APPLICATION_OCTET_STREAM)
-        .wait()
-        .map_err(Error::network("answer on", query.key_expr()))
 }

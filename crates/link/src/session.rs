@@ -10,6 +10,7 @@ use zenoh::Wait as _;
 use zenoh::config::Config;
 use zenoh::session::Session;
 
+use crate::diagnose::diagnose;
 use crate::error::NetworkFault;
 use crate::{Endpoint, Error, Result};
 
@@ -25,6 +26,9 @@ const MESSAGE_SLACK: usize = 64 << 10;
 const RETRY_MS: (u64, u64) = (100, 1_000);
 /// Longest single round of attempts, after which it is told that nobody answers.
 const ROUND: Duration = Duration::from_secs(2);
+/// Connections that may be opening at once, and how long each may take, in milliseconds: whoever connects and says nothing
+/// must not keep out those who do.
+const ACCEPT: (u64, u64) = (1_000, 4_000);
 /// Longest time that closing may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -41,7 +45,8 @@ pub struct ListenSettings {
     pub rollouts_per_actor: usize,
     /// The most actors whose rollouts wait in the event queue at once. Default: 256.
     pub max_actors: usize,
-    /// The most bytes of rollouts that wait in the event queue. Default: 256 MiB.
+    /// The most bytes of rollouts that wait in the event queue: one half is shared out among `max_actors` senders, the
+    /// other half is taken by whoever needs more. Default: 256 MiB.
     pub max_queued_bytes: usize,
 }
 
@@ -81,7 +86,11 @@ impl ConnectSettings {
 }
 
 fn describe(endpoints: &[Endpoint]) -> String {
-    endpoints.iter().map(|endpoint| format!("`{endpoint}`")).collect::<Vec<_>>().join(", ")
+    endpoints
+        .iter()
+        .map(|endpoint| format!("`{}`", endpoint.plain()))
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on.
@@ -89,23 +98,26 @@ pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
         return dial(&settings.connect, settings.timeout, LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
+    settings.endpoints.iter().try_for_each(Endpoint::check_listen)?;
+    settings.connect.iter().try_for_each(Endpoint::check_files)?;
     // Twice the largest rollout, so that what is a little too large is refused and counted by us.
     let config = config(&[
         ("mode", "\"peer\"".to_owned()),
         ("listen/endpoints", json_list(&settings.endpoints)),
         ("connect/endpoints", json_list(&settings.connect)),
+        ("transport/unicast/accept_pending", ACCEPT.0.to_string()),
+        ("transport/unicast/accept_timeout", ACCEPT.1.to_string()),
         max_message(2 * limits::MAX_ROLLOUT_BYTES),
         wait_before_close(LEARNER_WAIT_BEFORE_CLOSE_US),
     ]);
-    open(config).await.map_err(|source| {
+    open(config).await?.map_err(|source| {
         let endpoint = describe(&settings.endpoints).trim_matches('`').to_owned();
         let text = source.to_string();
-        let source = NetworkFault::new(source);
         // The library has no codes, only words: the kernel's for a port, its own for a socket's lock file.
         if text.contains("in use") || text.contains("Unable to acquire lock") {
-            Error::AddressInUse { endpoint, source }
+            Error::AddressInUse { endpoint }
         } else {
-            Error::Listen { endpoint, source }
+            Error::Listen { endpoint, source: NetworkFault::new(source) }
         }
     })
 }
@@ -119,8 +131,9 @@ async fn dial(endpoints: &[Endpoint], timeout: Duration, wait_us: u64) -> Result
     if endpoints.is_empty() {
         return Err(Error::NoEndpoint);
     }
+    endpoints.iter().try_for_each(Endpoint::check_files)?;
     let deadline = Instant::now() + timeout;
-    let mut told = false;
+    let mut reported = false;
     loop {
         let round = deadline.saturating_duration_since(Instant::now()).min(ROUND);
         let config = config(&[
@@ -132,20 +145,30 @@ async fn dial(endpoints: &[Endpoint], timeout: Duration, wait_us: u64) -> Result
             max_message(limits::MAX_MESSAGE_BYTES),
             wait_before_close(wait_us),
         ]);
-        let source = match open(config).await {
+        let source = match open(config).await? {
             Ok(session) => return Ok(session),
             Err(source) => source,
         };
         debug!(%source, "round of attempts to connect failed");
         if Instant::now() >= deadline {
-            let (endpoints, source) = (describe(endpoints), NetworkFault::new(source));
-            return Err(Error::NobodyThere { endpoints, timeout, source });
+            return Err(Error::Unreachable { obstacles: obstacles(endpoints).await, timeout });
         }
-        if !told {
-            told = true;
-            info!(endpoints = describe(endpoints), ?timeout, "nobody answers yet, trying again");
+        if !reported {
+            reported = true;
+            let obstacles = obstacles(endpoints).await;
+            info!(?timeout, "no learner can be reached yet, trying again: {obstacles}");
         }
     }
+}
+
+/// Finds out what is in the way at each address.
+async fn obstacles(endpoints: &[Endpoint]) -> String {
+    let endpoints = endpoints.to_vec();
+    let look = move || {
+        let told = endpoints.iter().map(|e| format!("at `{}`, {}", e.plain(), diagnose(e)));
+        told.collect::<Vec<_>>().join("; ")
+    };
+    tokio::task::spawn_blocking(look).await.unwrap_or_default()
 }
 
 /// Closes a session within a limited time. What was published and not acknowledged may be lost.
@@ -157,10 +180,10 @@ pub(crate) async fn close(session: &Session) -> Result<()> {
     }
 }
 
-/// Opening waits on its thread, so it gets one of its own.
-async fn open(config: Config) -> zenoh::Result<Session> {
+/// Opening waits on its thread, so it gets one of its own. Where no thread can be made, the library panics.
+async fn open(config: Config) -> Result<zenoh::Result<Session>> {
     let opened = tokio::task::spawn_blocking(move || zenoh::open(config).wait()).await;
-    opened.expect("opening a session does not panic")
+    opened.map_err(|_panicked| Error::Panicked { action: "open a connection" })
 }
 
 fn max_message(bytes: usize) -> (&'static str, String) {

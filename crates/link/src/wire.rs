@@ -12,29 +12,28 @@ use zenoh::qos::{CongestionControl, Priority};
 
 use crate::Result;
 
-/// How a message travels.
+/// How a message travels: its quality of service.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Lane {
+pub(crate) struct Qos {
     pub(crate) priority: Priority,
     pub(crate) congestion: CongestionControl,
     pub(crate) express: bool,
 }
 
 /// Hello and orders: first of all, never lost.
-pub(crate) const CONTROL: Lane =
-    Lane { priority: Priority::RealTime, congestion: CongestionControl::Block, express: true };
-/// Credit and announcements: small, repeated, so that one slow peer does not hold up the rest.
-pub(crate) const NOTICE: Lane = Lane {
-    priority: Priority::InteractiveHigh,
-    congestion: CongestionControl::Drop,
-    express: true,
-};
-/// Rollouts and weights.
-pub(crate) const BULK: Lane =
-    Lane { priority: Priority::Data, congestion: CongestionControl::Block, express: false };
+pub(crate) const CONTROL: Qos =
+    Qos { priority: Priority::RealTime, congestion: CongestionControl::Block, express: true };
+/// Credit and announcements. Dropped rather than waited for: they are repeated, and waiting for one slow peer would hold
+/// up what the others live on.
+pub(crate) const NOTICE: Qos =
+    Qos { priority: Priority::InteractiveHigh, congestion: CongestionControl::Drop, express: true };
+/// Rollouts and weights. They wait: a rollout that is dropped on the way would come again only after a time-out. That
+/// is why they are sent by threads of their own.
+pub(crate) const BULK: Qos =
+    Qos { priority: Priority::Data, congestion: CongestionControl::Block, express: false };
 /// Metrics: nobody waits for them.
-pub(crate) const METRICS: Lane =
-    Lane { priority: Priority::Background, congestion: CongestionControl::Drop, express: false };
+pub(crate) const METRICS: Qos =
+    Qos { priority: Priority::Background, congestion: CongestionControl::Drop, express: false };
 
 /// Encodes a message and makes its header.
 pub(crate) fn seal<T: Serialize>(

@@ -44,7 +44,7 @@ fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettin
         incarnation: clock::incarnation(),
         run,
         connect,
-        reconnect_timeout: args.connect_timeout,
+        reconnect_timeout: args.reconnect_timeout,
         program: build.program,
         cpu: build.cpu,
     })
@@ -85,6 +85,7 @@ fn failure(error: Error) -> Failure {
         | Error::Link(
             LinkError::Endpoint { .. }
             | LinkError::NoEndpoint
+            | LinkError::TlsFile { .. }
             | LinkError::Name(_)
             | LinkError::SeveralRuns { .. }
             | LinkError::Taken { .. }

@@ -1,10 +1,9 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
-use std::collections::BTreeMap;
-
 use anyhow::Context as _;
-use leadtime_learner::{LearnerConfig, RunEnd, RunReport};
+use leadtime_learner::{Books, LearnerConfig, RunEnd, RunReport};
 use leadtime_link::{Endpoint, ListenSettings};
+use leadtime_proto::RunSpec;
 use leadtime_runs::RunState;
 use leadtime_runs::policy_file::{self, Fork};
 use leadtime_runs::{
@@ -80,17 +79,10 @@ fn sink(
 fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
     let endpoints: Result<Vec<Endpoint>, _> = listen.iter().map(|text| text.parse()).collect();
     let endpoints = endpoints.context("--listen")?;
-    for endpoint in endpoints.iter().filter(|endpoint| is_open(endpoint.as_str())) {
-        tracing::warn!(%endpoint, "whoever reaches this address can take part: it has neither encryption nor passwords");
+    for endpoint in endpoints.iter().filter(|endpoint| endpoint.is_open_to_strangers()) {
+        tracing::warn!(%endpoint, "whoever reaches this address can take part: it asks for no certificate");
     }
     Ok(ListenSettings::new(endpoints))
-}
-
-/// Tells whether other machines can reach an address without authentication.
-fn is_open(endpoint: &str) -> bool {
-    let local = ["127.0.0.1:", "localhost:", "[::1]:"];
-    let address = endpoint.strip_prefix("tcp/");
-    address.is_some_and(|address| !local.iter().any(|prefix| address.starts_with(prefix)))
 }
 
 fn learner_config(
@@ -102,10 +94,14 @@ fn learner_config(
     Ok(LearnerConfig {
         run: run_dir.name().clone(),
         incarnation: clock::incarnation(),
-        run_seed: config.seed,
-        task: config.task.clone(),
-        env: config.env.clone(),
-        policy: config.policy.clone(),
+        spec: RunSpec {
+            seed: config.seed,
+            task: config.task.clone(),
+            env: config.env.clone(),
+            policy: config.policy.clone(),
+            n_steps: config.learner.n_steps as u32,
+            schedule: config.learner.schedule(),
+        },
         settings: config.learner.clone(),
         window: config.window,
         actors_min: config.run.actors_min as usize,
@@ -127,7 +123,11 @@ fn failure(error: leadtime_learner::Error) -> Failure {
         Error::Checkpoint(_)
         | Error::ConfigurationChanged { .. }
         | Error::Link(
-            LinkError::AddressInUse { .. } | LinkError::Listen { .. } | LinkError::NoEndpoint,
+            LinkError::AddressInUse { .. }
+            | LinkError::NotASocket { .. }
+            | LinkError::TlsFile { .. }
+            | LinkError::Listen { .. }
+            | LinkError::NoEndpoint,
         ) => ExitCode::WrongInput,
         Error::Link(_) => ExitCode::PeerLost,
         _ => ExitCode::Failed,
@@ -138,7 +138,7 @@ fn failure(error: leadtime_learner::Error) -> Failure {
 /// Records and prints how the run ended.
 fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Result<(), Failure> {
     let digest = digest::hex(&report.digest);
-    let mut books = serde_json::to_value(Accounts::from(report)).blame(ExitCode::Failed)?;
+    let mut books = accounts(&report.books);
     books["balanced"] = report.balance.is_ok().into();
     let (n_updates, n_steps) = (report.n_updates, report.n_steps);
     output::line(&format!("run      {}", run_dir.path().display()));
@@ -170,47 +170,17 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
 }
 
 /// The books as the record keeps them.
-#[derive(serde::Serialize)]
-struct Accounts {
-    published: u64,
-    trained: u64,
-    dropped_stale: u64,
-    refused: u64,
-    refusals: BTreeMap<&'static str, u64>,
-    superseded: u64,
-    unused_at_end: u64,
-    rolled_back: u64,
-    duplicates: u64,
-    steps_redone: u64,
-}
-
-impl From<&RunReport> for Accounts {
-    fn from(report: &RunReport) -> Self {
-        let books = &report.books;
-        Self {
-            published: books.published,
-            trained: books.trained,
-            dropped_stale: books.dropped_stale,
-            refused: books.refused,
-            refusals: books.refusals.iter().map(|(cause, &n)| (cause.name(), n)).collect(),
-            superseded: books.superseded,
-            unused_at_end: books.unused_at_end,
-            rolled_back: books.rolled_back,
-            duplicates: books.duplicates,
-            steps_redone: books.steps_redone,
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::is_open;
-
-    #[test]
-    fn only_addresses_that_others_can_reach_are_open() {
-        for closed in ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "unixsock-stream//tmp/a", "tls/h:1"] {
-            assert!(!is_open(closed), "{closed}");
-        }
-        assert!(is_open("tcp/0.0.0.0:7447") && is_open("tcp/box.example.org:1"));
-    }
+fn accounts(books: &Books) -> serde_json::Value {
+    serde_json::json!({
+        "published": books.published,
+        "trained": books.trained,
+        "dropped_stale": books.dropped_stale,
+        "refused": books.refused,
+        "refusals": books.refusals,
+        "superseded": books.superseded,
+        "unused_at_end": books.unused_at_end,
+        "rolled_back": books.rolled_back,
+        "duplicates": books.duplicates,
+        "steps_redone": books.steps_redone,
+    })
 }

@@ -1,7 +1,7 @@
 //! What a coordinator starts from, how far it is, and what it asks for.
 
 use leadtime_proto::message::{Control, Credit, EnvAssignment};
-use leadtime_proto::{ActorId, EnvSpec, Epoch, Incarnation, PolicyVersion, Schedule};
+use leadtime_proto::{ActorId, Epoch, Incarnation, PolicyVersion, RunSpec};
 
 use crate::books::{Books, SenderKey};
 use crate::report::RunEvent;
@@ -11,14 +11,8 @@ use crate::report::RunEvent;
 pub struct Terms {
     /// This start of the learner.
     pub learner: Incarnation,
-    /// What rollouts must look like.
-    pub env: EnvSpec,
-    /// Width of the policy's recurrent state.
-    pub recurrent_dim: usize,
-    /// Steps per rollout.
-    pub n_steps: u32,
-    /// Who waits for whom.
-    pub schedule: Schedule,
+    /// What is computed, and how: rollouts must fit it.
+    pub spec: RunSpec,
     /// The most rollouts an actor may have unacknowledged.
     pub window: u32,
     /// Actors that must be there before a run starts.
@@ -65,7 +59,7 @@ pub enum Effect {
 
 /// Why a hello is answered with a refusal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Unwelcome {
+pub enum HelloRefusal {
     /// The actor was cut off.
     #[error(
         "this actor was cut off because it kept sending messages that were refused: restart it"

@@ -1,23 +1,31 @@
 //! Everything that can happen to a rollout, without a network.
 
 use leadtime_proto::header::Schema;
-use leadtime_proto::{ActionSpec, EnvSpec, Iteration, Schedule, codec};
+use leadtime_proto::{
+    ActionSpec, EnvSpec, Iteration, PolicySpec, RunSpec, Schedule, TaskSpec, codec,
+};
 
 use super::*;
 
 const WINDOW: u32 = 4;
 
-fn spec() -> EnvSpec {
-    EnvSpec { obs_dim: 1, actions: ActionSpec::discrete("a", 2), metrics: Vec::new() }
+fn spec(schedule: Schedule) -> RunSpec {
+    let actions = ActionSpec::discrete("a", 2);
+    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+    RunSpec {
+        seed: 1,
+        task: TaskSpec { domain: "test".to_owned(), settings: String::new() },
+        policy: PolicySpec::dense(&env, &[8]),
+        env,
+        n_steps: 1,
+        schedule,
+    }
 }
 
 fn coordinator(n_envs: usize, schedule: Schedule) -> Coordinator {
     let terms = Terms {
         learner: Incarnation(99),
-        env: spec(),
-        recurrent_dim: 0,
-        n_steps: 1,
-        schedule,
+        spec: spec(schedule),
         window: WINDOW,
         actors_min: 1,
         program: "test".to_owned(),
@@ -38,7 +46,6 @@ fn actor(name: &str) -> ActorId {
 
 fn hello(name: &str, published: u64, first_unacknowledged: u64) -> Hello {
     Hello {
-        protocol: leadtime_proto::header::PROTOCOL_VERSION,
         program: "test".to_owned(),
         actor: actor(name),
         incarnation: Incarnation(1),
@@ -234,13 +241,38 @@ fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
     c.rollout(actor("a"), &header(6, b"short"), b"short");
     c.rollout(actor("a"), &header(500, &payload), &payload);
     c.rollout(actor("x"), &header(1, &payload), &payload);
-    c.refused_by_link(Some(actor("a")), Cause::Oversize, "too large".to_owned());
+    c.refused_by_link(Some(actor("a")), by_link(Cause::Oversize, Some(1)));
     for cause in
         [Cause::Checksum, Cause::Malformed, Cause::Credit, Cause::Stranger, Cause::Oversize]
     {
         assert_eq!(c.books().refusals.get(&cause), Some(&1), "{cause:?}");
     }
     assert_eq!(close_balanced(&mut c).refused, 6);
+}
+
+fn by_link(cause: RefusalCause, start: Option<u64>) -> Refusal {
+    Refusal { sender: start.map(Incarnation), ..Refusal::new(cause, "refused") }
+}
+
+#[test]
+fn only_what_carries_a_members_own_start_is_held_against_it() {
+    use RefusalCause as Cause;
+    let mut c = coordinator(1, Schedule::Lag(0));
+    join(&mut c, "a");
+    for _ in 0..2 * limits::REFUSALS_BEFORE_CUT_OFF {
+        c.refused_by_link(Some(actor("a")), by_link(Cause::Header, None));
+        c.refused_by_link(Some(actor("a")), by_link(Cause::Oversize, Some(2)));
+    }
+    let overflow = ((Some(actor("a")), Cause::Overflow), 3_000);
+    c.refused_without_event([overflow]);
+    assert_eq!(c.n_actors(), 1, "garbage under its name, and too little room, are not its fault");
+    let counted =
+        [Cause::Header, Cause::Oversize, Cause::Overflow].map(|cause| c.books().refusals[&cause]);
+    assert_eq!(counted, [32, 32, 3_000]);
+    for _ in 0..limits::REFUSALS_BEFORE_CUT_OFF {
+        c.refused_by_link(Some(actor("a")), by_link(Cause::Oversize, Some(1)));
+    }
+    assert_eq!(c.n_actors(), 0);
 }
 
 #[test]
@@ -272,7 +304,7 @@ fn a_rogue_is_told_why_and_cut_off_and_the_others_go_on() {
         .collect();
     assert_eq!(stops.len(), 1);
     assert_eq!(c.n_actors(), 1);
-    assert_eq!(c.hello(&hello("rogue", 20, 21)), Err(Unwelcome::CutOff));
+    assert_eq!(c.hello(&hello("rogue", 20, 21)), Err(HelloRefusal::CutOff));
     for env in 0..2 {
         send(&mut c, "good", u64::from(env) + 1, 100, &rollout(env, 0, 0));
     }
@@ -299,7 +331,7 @@ fn a_resumed_learner_rolls_back_what_was_lost_and_supersedes_what_was_made_befor
 fn a_hello_that_contradicts_itself_is_refused() {
     let mut c = coordinator(1, Schedule::Lag(0));
     for (published, first) in [(0, 0), (1, 3), (u64::MAX, 1)] {
-        assert_eq!(c.hello(&hello("a", published, first)), Err(Unwelcome::Nonsense));
+        assert_eq!(c.hello(&hello("a", published, first)), Err(HelloRefusal::Nonsense));
     }
 }
 
@@ -355,12 +387,12 @@ fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credi
 fn what_one_killed_learner_took_with_it_is_told_once_and_has_a_limit() {
     let mut c = coordinator(1, Schedule::Lag(0));
     let (lost, kept) = (MAX_LOST + 1, MAX_UNACKNOWLEDGED + 1);
-    assert_eq!(c.hello(&hello("a", lost, lost + 1)), Err(Unwelcome::Nonsense));
-    assert_eq!(c.hello(&hello("a", kept, 1)), Err(Unwelcome::Nonsense));
+    assert_eq!(c.hello(&hello("a", lost, lost + 1)), Err(HelloRefusal::Nonsense));
+    assert_eq!(c.hello(&hello("a", kept, 1)), Err(HelloRefusal::Nonsense));
     assert_eq!(c.books().rolled_back, 0);
     assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)));
     assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)), "the answer may have been lost");
-    assert_eq!(c.hello(&hello("a", 9, 9)), Err(Unwelcome::Nonsense));
+    assert_eq!(c.hello(&hello("a", 9, 9)), Err(HelloRefusal::Nonsense));
     assert_eq!(c.books().rolled_back, 5);
     close_balanced(&mut c);
 }
@@ -371,7 +403,7 @@ fn strangers_do_not_fill_the_books() {
     for i in 0..MAX_LOSERS {
         c.hello(&hello(&format!("s{i}"), 1, 2)).unwrap();
     }
-    assert_eq!(c.hello(&hello("one-more", 1, 2)), Err(Unwelcome::Nonsense));
+    assert_eq!(c.hello(&hello("one-more", 1, 2)), Err(HelloRefusal::Nonsense));
     assert_eq!(c.hello(&hello("honest", 0, 1)), Ok(Sequence(1)));
     assert_eq!(c.books().rolled_back, MAX_LOSERS as u64);
 }
@@ -383,12 +415,12 @@ fn a_name_is_taken_for_as_long_as_its_actor_is_there() {
     c.take_effects();
     let second = Hello { incarnation: Incarnation(2), ..hello("a", 0, 1) };
     c.joined(actor("a"), Incarnation(2));
-    assert_eq!(c.hello(&second), Err(Unwelcome::Taken));
+    assert_eq!(c.hello(&second), Err(HelloRefusal::Taken));
     assert!(assignments(&mut c).is_empty(), "the first goes on undisturbed");
     c.left(actor("a"), Incarnation(1));
     assert_eq!(c.hello(&second), Ok(Sequence(1)));
     assert_eq!(assignments(&mut c).len(), 1);
-    assert_eq!(c.hello(&hello("a", 0, 1)), Err(Unwelcome::Taken), "the first is too late");
+    assert_eq!(c.hello(&hello("a", 0, 1)), Err(HelloRefusal::Taken), "the first is too late");
 }
 
 #[test]

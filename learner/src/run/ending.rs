@@ -44,7 +44,7 @@ impl Run {
             warn!("the update under way took too long; a resume will make it again");
         }
         let last = self.last();
-        let parameters = Parameters::from_safetensors(&last.weights, &self.config.policy)?;
+        let parameters = Parameters::from_safetensors(&last.weights, &self.config.spec.policy)?;
         let books = self.coordinator.books().clone();
         Ok(RunReport {
             end,

@@ -8,7 +8,7 @@ use leadtime_link::{
     ActorLink, ConnectSettings, Endpoint, Error, LearnerEvent, LearnerLink, ListenSettings,
 };
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
-use leadtime_proto::{Header, Refusal, RefusalCause, codec};
+use leadtime_proto::{Header, RefusalCause, codec};
 
 use crate::support::*;
 
@@ -76,8 +76,9 @@ async fn an_address_without_a_learner_is_told_from_one_without_anybody() {
     let started = Instant::now();
     let error = ActorLink::open(&to(&site.endpoint, SHORT), &actor_id("a"), ACTOR).await;
     let error = error.map(drop).unwrap_err();
-    assert!(matches!(error, Error::NobodyThere { timeout, .. } if timeout == SHORT), "{error}");
+    assert!(matches!(error, Error::Unreachable { timeout, .. } if timeout == SHORT), "{error}");
     assert!(error.to_string().contains(site.endpoint.as_str()), "{error}");
+    assert!(error.to_string().contains("there is no such socket"), "{error}");
     assert!((SHORT..SOON).contains(&started.elapsed()), "{:?}", started.elapsed());
 
     let _router = site.raw("router").await;
@@ -103,7 +104,20 @@ async fn an_address_in_use_is_named() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_socket_that_cannot_be_made_is_told() {
+async fn a_file_where_the_socket_is_to_be_is_not_removed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("policy.safetensors");
+    std::fs::write(&path, b"precious").unwrap();
+    let there = format!("unixsock-stream/{}", path.display()).parse().unwrap();
+    let settings = ListenSettings::new(vec![there]);
+    let opened = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &settings).await;
+    let error = opened.map(drop).unwrap_err();
+    assert!(matches!(&error, Error::NotASocket { .. }), "{error}");
+    assert_eq!(std::fs::read(&path).unwrap(), b"precious");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_socket_that_cannot_be_made_is_reported() {
     let missing = ListenSettings::new(vec!["unixsock-stream//no/such/dir/z".parse().unwrap()]);
     let opened = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &missing).await;
     let error = opened.map(drop).unwrap_err();
@@ -152,7 +166,7 @@ async fn a_learner_tells_an_actor_of_another_release() {
     assert_eq!(
         sentence,
         format!(
-            "the actor speaks protocol 77, the learner speaks {PROTOCOL_VERSION}: \
+            "the message has protocol 77, its receiver speaks {PROTOCOL_VERSION}: \
              run the same release on both sides"
         )
     );
@@ -161,10 +175,9 @@ async fn a_learner_tells_an_actor_of_another_release() {
         _ => None,
     });
     let refusal = refusal.await;
-    assert_eq!(refusal.cause(), RefusalCause::Protocol);
-    let told = format!("protocol 77, this program speaks {PROTOCOL_VERSION}");
-    assert!(refusal.to_string().contains(&told), "{refusal}");
-    assert_eq!(learner.refusals()[&RefusalCause::Protocol], 1);
+    assert_eq!((refusal.cause, refusal.sender), (RefusalCause::Protocol, None));
+    assert_eq!(refusal.to_string(), sentence);
+    assert!(learner.take_uncounted().is_empty(), "it was an event");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -186,7 +199,7 @@ async fn an_actor_tells_of_a_learner_of_another_release() {
     let _token = foreign.liveliness().declare_token(&alive).await.unwrap();
     let (actor, _events) = site.actor("a").await;
     let error = actor.hello(None, &hello("a", ACTOR), SOON).await.unwrap_err();
-    let Error::BadAnswer { source: Refusal::Protocol { found: 77 }, .. } = error else {
-        panic!("{error}")
-    };
+    let Error::BadAnswer { source, .. } = error else { panic!("{error}") };
+    assert_eq!(source.cause, RefusalCause::Protocol);
+    assert!(source.to_string().contains("protocol 77"), "{source}");
 }

@@ -4,9 +4,11 @@ use std::time::Duration;
 
 use leadtime_link::keys::Member;
 use leadtime_link::{ActorEvent, Error, LearnerEvent, ObserverEvent, ObserverLink};
-use leadtime_proto::message::{Assignment, Control, ControlAck, Credit, EnvAssignment};
+use leadtime_proto::message::{Assignment, Control, ControlReply, Credit, EnvAssignment};
 use leadtime_proto::receive::{self, ROLLOUT};
-use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, Rollout, Sequence, codec};
+use leadtime_proto::{
+    EnvId, Epoch, Incarnation, Iteration, PolicyVersion, Rollout, Sequence, codec,
+};
 
 use crate::support::*;
 
@@ -35,7 +37,7 @@ async fn a_rollout_of_many_fragments_arrives_whole() {
     let rollout = Rollout { observations: vec![0.25; 300_000], n_steps: 2, ..Rollout::default() };
     let payload = codec::encode(&rollout).unwrap();
     let header = leadtime_proto::Header::plain(ROLLOUT.schema, ACTOR, &payload);
-    actor.publish_rollout(&header, payload).unwrap();
+    actor.publish_rollout(&header, payload.into()).unwrap();
     let opened: Rollout = until(&events, |event| match event {
         LearnerEvent::Rollout { header, payload, .. } => {
             Some(receive::open(&header, &payload, ROLLOUT).unwrap())
@@ -57,18 +59,19 @@ async fn an_order_is_acknowledged() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let (_actor, actor_events) = site.welcomed("a", &events).await;
+    let answer = ControlReply::CannotRestore { epoch: Epoch(3), envs: vec![EnvId(4)] };
     let obey = async {
-        let (control, ack) = until(&actor_events, |event| match event {
-            ActorEvent::Control { control, ack } => Some((control, ack)),
+        let (control, reply) = until(&actor_events, |event| match event {
+            ActorEvent::Control { control, reply } => Some((control, reply)),
             _ => None,
         })
         .await;
-        ack.acknowledge(ControlAck { epoch: Epoch(3) }).unwrap();
+        reply.reply(&answer).unwrap();
         control
     };
     let (id, order) = (actor_id("a"), order());
-    let (ack, taken) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
-    assert_eq!(ack.unwrap(), ControlAck { epoch: Epoch(3) });
+    let (got, taken) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
+    assert_eq!(got.unwrap(), answer);
     assert_eq!(taken, order);
 }
 
@@ -77,17 +80,17 @@ async fn an_order_that_nobody_takes_ends_in_time() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let (_actor, actor_events) = site.welcomed("a", &events).await;
-    let short = Duration::from_millis(200);
+    let (short, order) = (Duration::from_millis(200), order());
 
-    let absent = learner.control(&actor_id("b"), ACTOR, &Control::Pause, short).await;
+    let absent = learner.control(&actor_id("b"), ACTOR, &order, short).await;
     assert!(matches!(absent.unwrap_err(), Error::NoAnswer { timeout, .. } if timeout == short));
 
     // The order waits in the queue of an actor that does not look.
-    let silent = learner.control(&actor_id("a"), ACTOR, &Control::Pause, short).await;
+    let silent = learner.control(&actor_id("a"), ACTOR, &order, short).await;
     assert!(matches!(silent.unwrap_err(), Error::NoAnswer { .. }));
     drop(actor_events);
 
-    let earlier = learner.control(&actor_id("a"), Incarnation(1), &Control::Pause, SOON).await;
+    let earlier = learner.control(&actor_id("a"), Incarnation(1), &order, SOON).await;
     assert!(matches!(earlier.unwrap_err(), Error::Rejected { .. }));
 }
 
@@ -128,15 +131,16 @@ async fn an_observer_reads_metrics_presence_and_announcements() {
     })
     .await;
 
-    learner.offer_weights(leadtime_proto::PolicyVersion(4), b"weights").unwrap();
+    learner.offer_weights(PolicyVersion(4), b"weights".as_slice().into()).unwrap();
     let announced = until(&seen, |event| match event {
         ObserverEvent::Announcement { domain, announcement } => Some((domain, announcement)),
         _ => None,
     })
     .await;
-    assert_eq!((announced.0, announced.1.version.0, announced.1.size), (domain(), 4, 7));
-    let pulled = observer.pull_weights(&run("one"), &domain(), None).await.unwrap();
-    assert_eq!(pulled, (leadtime_proto::PolicyVersion(4), b"weights".to_vec()));
+    assert_eq!(announced, (domain(), learner.announcement()));
+    let (version, sha256) = announced.1.versions[0];
+    let pulled = observer.pull_weights(&run("one"), &domain(), version, sha256).await.unwrap();
+    assert_eq!((version, pulled), (PolicyVersion(4), b"weights".to_vec()));
 
     actor.publish_metrics(b"{\"steps\":1}").unwrap();
     let read = until(&seen, |event| match event {

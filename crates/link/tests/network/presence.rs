@@ -75,19 +75,22 @@ async fn actors_outlive_their_learner_and_greet_the_next_one() {
         _ => None,
     })
     .await;
-    assert!(matches!(actor.pull_weights(None).await.unwrap_err(), Error::NoAnswer { .. }));
+    assert!(matches!(
+        actor.pull_weights(PolicyVersion(0), [0; 32]).await.unwrap_err(),
+        Error::NoAnswer { .. }
+    ));
 
     let next = Incarnation(101);
     let (learner, events) =
         LearnerLink::open(&run("one"), DOMAIN, next, &site.listen()).await.unwrap();
-    learner.offer_weights(PolicyVersion(1), b"resumed").unwrap();
+    learner.offer_weights(PolicyVersion(1), b"resumed".as_slice().into()).unwrap();
     until(&actor_events, |event| match event {
         ActorEvent::LearnerJoined(incarnation) => (incarnation == next).then_some(()),
         _ => None,
     })
     .await;
     say_hello(&actor, "a", ACTOR, &events).await;
-    assert_eq!(actor.pull_weights(None).await.unwrap().1, b"resumed");
+    assert_eq!(pull(&actor, &learner, 1).await.unwrap(), b"resumed");
     let (header, payload) = rollout(1);
     actor.publish_rollout(&header, payload).unwrap();
     until(&events, |event| match event {

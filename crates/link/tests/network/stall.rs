@@ -2,9 +2,11 @@
 
 use std::time::Duration;
 
+use leadtime_link::keys::Key;
 use leadtime_link::{ActorEvent, LearnerEvent, LearnerLink, ListenSettings};
-use leadtime_proto::message::{Control, ControlAck};
-use leadtime_proto::{Epoch, PolicyVersion, RefusalCause};
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::{Control, ControlReply};
+use leadtime_proto::{Epoch, Header, PolicyVersion, RefusalCause, codec};
 
 use crate::support::*;
 
@@ -19,7 +21,7 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
         LearnerLink::open(&run("one"), DOMAIN, LEARNER, &settings).await.unwrap();
     let (rogue, _rogue_events) = site.welcomed("rogue", &events).await;
     let (honest, honest_events) = site.welcomed("honest", &events).await;
-    learner.offer_weights(PolicyVersion(1), b"weights").unwrap();
+    learner.offer_weights(PolicyVersion(1), b"weights".as_slice().into()).unwrap();
 
     // Nobody looks at `events` from here on.
     let flood = tokio::task::spawn_blocking(move || {
@@ -32,31 +34,35 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
     let rogue = tokio::time::timeout(SOON, flood).await.expect("publishing never waits").unwrap();
 
     // Pulls and orders go on, and so do the rollouts of those who keep to their window.
-    assert_eq!(honest.pull_weights(None).await.unwrap().1, b"weights");
+    assert_eq!(pull(&honest, &learner, 1).await.unwrap(), b"weights");
     let obey = async {
-        let ack = until(&honest_events, |event| match event {
-            ActorEvent::Control { ack, .. } => Some(ack),
+        let reply = until(&honest_events, |event| match event {
+            ActorEvent::Control { reply, .. } => Some(reply),
             _ => None,
         });
-        ack.await.acknowledge(ControlAck { epoch: Epoch(1) }).unwrap();
+        reply.await.reply(&ControlReply::Followed { epoch: Epoch(1) }).unwrap();
     };
     let id = actor_id("honest");
-    let (ack, ()) = tokio::join!(learner.control(&id, ACTOR, &Control::Pause, SOON), obey);
-    ack.unwrap();
+    let order = Control::Stop { reason: "enough".to_owned(), cut_off: false };
+    let (followed, ()) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
+    followed.unwrap();
     for sequence in 1..=PER_ACTOR as u64 {
         let (header, payload) = rollout(sequence);
         honest.publish_rollout(&header, payload).unwrap();
     }
 
-    // All of the flood has been judged; what was not taken is counted.
-    let refused = || learner.refusals().get(&RefusalCause::Overflow).copied().unwrap_or(0);
-    let judged = async {
-        while refused() < FLOOD - PER_ACTOR as u64 {
-            rogue.pull_weights(None).await.unwrap();
+    // All of the flood has been looked at; what was not taken is counted, and on the account of who sent it.
+    let mut n_refused = 0;
+    let counted = async {
+        while n_refused < FLOOD - PER_ACTOR as u64 {
+            pull(&rogue, &learner, 1).await.unwrap();
+            let counts = learner.take_uncounted();
+            assert!(counts.keys().all(|(who, _)| *who == Some(actor_id("rogue"))), "{counts:?}");
+            n_refused += total(&counts, RefusalCause::Overflow);
         }
     };
-    tokio::time::timeout(SOON, judged).await.expect("the flood is judged");
-    assert_eq!(refused(), FLOOD - PER_ACTOR as u64);
+    tokio::time::timeout(SOON, counted).await.expect("the flood is looked at");
+    assert_eq!(n_refused, FLOOD - PER_ACTOR as u64);
 
     let mut n_taken = (0, 0);
     while n_taken.1 < PER_ACTOR {
@@ -68,4 +74,39 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
         }
     }
     assert_eq!(n_taken, (PER_ACTOR, PER_ACTOR));
+}
+
+/// Says hello again and again from a session that never reads the answers; they end with the returned sender.
+async fn ask_without_reading(site: &Site, n: usize) -> (zenoh::Session, flume::Sender<()>) {
+    let session = site.raw("client").await;
+    let (stall, stalled) = flume::bounded::<()>(0);
+    let payload = codec::encode(&hello("deaf", ACTOR)).unwrap();
+    let header = Header::plain(Schema::Hello, ACTOR, &payload).to_bytes();
+    for _ in 0..n {
+        let (stalled, key) = (stalled.clone(), Key::Hello(&run("one")).to_string());
+        let asked = session.get(key).payload(payload.clone()).attachment(header);
+        asked.callback(move |_| drop(stalled.recv())).await.unwrap();
+    }
+    (session, stall)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn answering_one_that_does_not_read_holds_up_neither_the_learner_nor_its_actors() {
+    const N: usize = 1_000;
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let deaf = ask_without_reading(&site, N).await;
+    // Far more than the connection holds; each answer would wait for seconds.
+    let mut large = welcome("one");
+    large.spec.task.settings = "x".repeat(16_000);
+    let started = std::time::Instant::now();
+    for _ in 0..N {
+        let reply = until(&events, |event| match event {
+            LearnerEvent::Hello { reply, .. } => Some(reply),
+            _ => None,
+        });
+        reply.await.welcome(large.clone()).unwrap();
+    }
+    assert!(started.elapsed() < Duration::from_secs(4), "{:?}", started.elapsed());
+    drop(deaf);
 }

@@ -2,14 +2,16 @@
 
 use std::time::Duration;
 
+use bytes::Bytes;
 use leadtime_link::{
-    ActorEvent, ActorLink, ConnectSettings, Endpoint, LearnerEvent, LearnerLink, ListenSettings,
+    ActorEvent, ActorLink, ConnectSettings, Endpoint, Error, Events, LearnerEvent, LearnerLink,
+    ListenSettings, RefusalCounts,
 };
-use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
-use leadtime_proto::message::{Hello, Welcome};
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::{Announcement, Hello, Welcome};
 use leadtime_proto::{
-    ActionSpec, ActorId, DomainName, Encoder, EnvId, EnvSpec, HeadCredit, Header, Incarnation,
-    Iteration, PolicySpec, PolicyVersion, Rollout, RunName, Schedule, Sequence, TaskSpec, codec,
+    ActionSpec, ActorId, DomainName, EnvId, EnvSpec, Header, Incarnation, Iteration, PolicySpec,
+    PolicyVersion, RefusalCause, Rollout, RunName, RunSpec, Schedule, Sequence, TaskSpec, codec,
 };
 use tempfile::TempDir;
 
@@ -20,7 +22,7 @@ pub(crate) const DOMAIN: &str = "cue_recall";
 pub(crate) const SOON: Duration = Duration::from_secs(20);
 
 pub(crate) type LearnerEvents = flume::Receiver<LearnerEvent>;
-pub(crate) type ActorEvents = flume::Receiver<ActorEvent>;
+pub(crate) type ActorEvents = Events<ActorEvent>;
 
 /// An address of its own.
 pub(crate) struct Site {
@@ -102,14 +104,31 @@ pub(crate) async fn welcome_next(learner: &LearnerEvents) {
     reply.await.welcome(welcome("one")).unwrap();
 }
 
+/// Where events come from.
+pub(crate) trait EventSource<E> {
+    async fn next(&self) -> Option<E>;
+}
+
+impl<E> EventSource<E> for flume::Receiver<E> {
+    async fn next(&self) -> Option<E> {
+        self.recv_async().await.ok()
+    }
+}
+
+impl<E> EventSource<E> for Events<E> {
+    async fn next(&self) -> Option<E> {
+        self.recv().await
+    }
+}
+
 /// Waits for the first event that `pick` takes; lets the others go.
 pub(crate) async fn until<E, T>(
-    events: &flume::Receiver<E>,
+    events: &impl EventSource<E>,
     mut pick: impl FnMut(E) -> Option<T>,
 ) -> T {
     let wait = async {
         loop {
-            let event = events.recv_async().await.expect("the link is open");
+            let event = events.next().await.expect("the link is open");
             if let Some(picked) = pick(event) {
                 return picked;
             }
@@ -132,7 +151,6 @@ pub(crate) fn domain() -> DomainName {
 
 pub(crate) fn hello(id: &str, incarnation: Incarnation) -> Hello {
     Hello {
-        protocol: PROTOCOL_VERSION,
         program: "test".to_owned(),
         actor: actor_id(id),
         incarnation,
@@ -144,32 +162,27 @@ pub(crate) fn hello(id: &str, incarnation: Incarnation) -> Hello {
 
 pub(crate) fn welcome(name: &str) -> Welcome {
     let actions = ActionSpec::discrete("choice", 2);
+    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
     let task = TaskSpec { domain: DOMAIN.to_owned(), settings: "{}".to_owned() };
-    Welcome {
-        run: run(name),
-        learner: LEARNER,
-        run_seed: 7,
+    let spec = RunSpec {
+        seed: 7,
         task,
-        env: EnvSpec { obs_dim: 1, actions: actions.clone(), metrics: Vec::new() },
-        policy: PolicySpec {
-            obs_dim: 1,
-            encoder: Encoder::Identity,
-            hidden: vec![64, 64],
-            actions,
-            head_credit: HeadCredit::All,
-            logit_bias: Vec::new(),
-            normalize_observations: false,
-        },
+        policy: PolicySpec::dense(&env, &[8]),
+        env,
         n_steps: 2,
         schedule: Schedule::Lag(0),
+    };
+    Welcome {
+        run: run(name),
+        spec,
         window: 4,
-        version: PolicyVersion(0),
+        weights: Announcement { learner: LEARNER, versions: Vec::new() },
         resend_from: Sequence(1),
     }
 }
 
 /// A rollout message that a learner takes.
-pub(crate) fn rollout(sequence: u64) -> (Header, Vec<u8>) {
+pub(crate) fn rollout(sequence: u64) -> (Header, Bytes) {
     let rollout = Rollout {
         env_id: EnvId(3),
         iteration: Iteration(sequence),
@@ -181,5 +194,21 @@ pub(crate) fn rollout(sequence: u64) -> (Header, Vec<u8>) {
     let payload = codec::encode(&rollout).unwrap();
     let header =
         Header { sequence: Sequence(sequence), ..Header::plain(Schema::Rollout, ACTOR, &payload) };
-    (header, payload)
+    (header, payload.into())
+}
+
+/// Pulls the weights that a learner announces.
+pub(crate) async fn pull(
+    actor: &ActorLink,
+    learner: &LearnerLink,
+    version: u64,
+) -> Result<Vec<u8>, Error> {
+    let told = learner.announcement().versions;
+    let sha256 = told.iter().find(|(told, _)| told.0 == version).map_or([0; 32], |told| told.1);
+    actor.pull_weights(PolicyVersion(version), sha256).await
+}
+
+/// Adds up the refusals of a cause.
+pub(crate) fn total(counts: &RefusalCounts, cause: RefusalCause) -> u64 {
+    counts.iter().filter(|((_, of), _)| *of == cause).map(|(_, n)| n).sum()
 }

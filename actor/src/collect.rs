@@ -1,0 +1,258 @@
+//! What the collecting and the restoring thread do: make environments ready, step them, encode what comes of it.
+//!
+//! Environments are restored beside the collecting thread, not by it: an order is answered with what could not be
+//! restored, and a rollout may take longer than an order may wait for its answer.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use leadtime_episodes::EnvSlot;
+use leadtime_policy::{Parameters, Policy};
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::{Assignment, EnvAssignment};
+use leadtime_proto::{
+    EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, RunSpec, codec,
+};
+use leadtime_sims::{Environment, Registry};
+use tracing::debug;
+
+use crate::Error;
+use crate::outbox::EncodedRollout;
+use crate::worker::{Phase, Stopwatch, Worker, ready_slot};
+
+/// Builds a run's environments.
+#[derive(Clone, Debug)]
+pub(crate) struct EnvBuilder {
+    registry: Registry,
+    spec: Arc<RunSpec>,
+}
+
+/// Environments that can be stepped.
+#[derive(Debug, Default)]
+pub(crate) struct RestoredEnvs {
+    restored: Vec<(Iteration, EnvSlot)>,
+    /// Those that start from the beginning, which cannot fail and may be many: built by whoever steps them.
+    fresh: Vec<EnvAssignment>,
+}
+
+impl EnvBuilder {
+    /// Builds one environment to see that it is the one the learner means.
+    pub(crate) fn new(registry: Registry, spec: &RunSpec) -> Result<Self, Error> {
+        let builder = Self { registry, spec: Arc::new(spec.clone()) };
+        builder.build().map(drop)?;
+        Ok(builder)
+    }
+
+    fn build(&self) -> Result<Box<dyn Environment>, Error> {
+        let env = self.registry.build(&self.spec.task)?;
+        if *env.spec() == self.spec.env {
+            Ok(env)
+        } else {
+            Err(Error::SpecMismatch { domain: self.spec.task.domain.clone() })
+        }
+    }
+
+    /// Makes an assignment's environments ready, and names those that cannot be.
+    pub(crate) fn restore(
+        &self,
+        assignment: Assignment,
+    ) -> Result<(RestoredEnvs, Vec<EnvId>), Error> {
+        let (mut envs, mut failed) = (RestoredEnvs::default(), Vec::new());
+        for given in assignment.envs {
+            if given.snapshot.is_empty() {
+                envs.fresh.push(given);
+                continue;
+            }
+            match ready_slot(&self.spec, self.build()?, &given) {
+                Ok(slot) => envs.restored.push((given.iteration, slot)),
+                Err(error) => {
+                    debug!(env_id = %given.env_id, %error, "snapshot not restored");
+                    failed.push(given.env_id);
+                }
+            }
+        }
+        failed.sort_unstable();
+        Ok((envs, failed))
+    }
+}
+
+/// What the collecting thread is asked to do.
+#[derive(Debug)]
+pub(crate) enum CollectJob {
+    /// Step these environments from now on.
+    Adopt { epoch: Epoch, keep: Vec<EnvId>, envs: RestoredEnvs },
+    /// Collect the lowest iteration.
+    Collect { version: PolicyVersion, weights: Arc<Parameters> },
+}
+
+/// Where the collecting thread's time went.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct CollectTimes {
+    pub(crate) infer: Duration,
+    pub(crate) simulate: Duration,
+    pub(crate) encode: Duration,
+    pub(crate) wait: Duration,
+}
+
+/// What came of a job.
+#[derive(Debug)]
+pub(crate) struct Collected {
+    pub(crate) rollouts: Vec<EncodedRollout>,
+    /// The iteration to be collected next.
+    pub(crate) next: Option<Iteration>,
+    pub(crate) times: CollectTimes,
+}
+
+#[derive(Debug)]
+struct PhaseTimer {
+    last: Instant,
+    times: CollectTimes,
+}
+
+impl PhaseTimer {
+    fn lap(&mut self) -> Duration {
+        std::mem::replace(&mut self.last, Instant::now()).elapsed()
+    }
+}
+
+impl Stopwatch for PhaseTimer {
+    fn lap(&mut self, phase: Phase) {
+        let took = self.lap();
+        match phase {
+            Phase::Infer => self.times.infer += took,
+            Phase::Simulate => self.times.simulate += took,
+        }
+    }
+}
+
+/// What the collecting thread works with.
+#[derive(Debug)]
+pub(crate) struct CollectWorker {
+    worker: Worker,
+    builder: EnvBuilder,
+    incarnation: Incarnation,
+    epoch: Epoch,
+    policy: Option<(Arc<Parameters>, Policy)>,
+    timer: PhaseTimer,
+}
+
+impl CollectWorker {
+    pub(crate) fn new(builder: EnvBuilder, incarnation: Incarnation) -> Self {
+        Self {
+            worker: Worker::new(RunSpec::clone(&builder.spec)),
+            builder,
+            incarnation,
+            epoch: Epoch(0),
+            policy: None,
+            timer: PhaseTimer { last: Instant::now(), times: CollectTimes::default() },
+        }
+    }
+
+    pub(crate) fn work(&mut self, job: CollectJob) -> Result<Collected, Error> {
+        self.timer.times = CollectTimes { wait: self.timer.lap(), ..CollectTimes::default() };
+        let rollouts = match job {
+            CollectJob::Adopt { epoch, keep, envs } => {
+                self.adopt(epoch, &keep, envs)?;
+                Vec::new()
+            }
+            CollectJob::Collect { version, weights } => self.collect(version, &weights)?,
+        };
+        let next = self.worker.next_iteration();
+        Ok(Collected { rollouts, next, times: self.timer.times })
+    }
+
+    fn adopt(&mut self, epoch: Epoch, keep: &[EnvId], envs: RestoredEnvs) -> Result<(), Error> {
+        self.epoch = epoch;
+        self.worker.retain(keep);
+        for (iteration, slot) in envs.restored {
+            self.worker.adopt(iteration, slot);
+        }
+        for given in envs.fresh {
+            let inserted = self.worker.insert(self.builder.build()?, &given);
+            inserted.map_err(|source| Error::Snapshot { env_id: given.env_id, source })?;
+        }
+        Ok(())
+    }
+
+    fn collect(
+        &mut self,
+        version: PolicyVersion,
+        weights: &Arc<Parameters>,
+    ) -> Result<Vec<EncodedRollout>, Error> {
+        let packed = self.policy.take().filter(|(packed, _)| Arc::ptr_eq(packed, weights));
+        let packed = match packed {
+            Some(packed) => packed,
+            None => (Arc::clone(weights), Policy::new(&self.builder.spec.policy, weights)?),
+        };
+        let (_, policy) = self.policy.insert(packed);
+        let (epoch, incarnation) = (self.epoch, self.incarnation);
+        let rollouts = self.worker.collect(policy, version, &mut self.timer);
+        let encoded: Result<Vec<EncodedRollout>, Error> =
+            rollouts.iter().map(|rollout| encode(rollout, epoch, incarnation)).collect();
+        self.timer.times.encode = self.timer.lap();
+        encoded
+    }
+}
+
+fn encode(
+    rollout: &Rollout,
+    epoch: Epoch,
+    incarnation: Incarnation,
+) -> Result<EncodedRollout, Error> {
+    let payload = codec::encode(rollout)?;
+    let header = Header {
+        epoch,
+        version: rollout.version,
+        ..Header::plain(Schema::Rollout, incarnation, &payload)
+    };
+    Ok(EncodedRollout { header, payload: payload.into() })
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::{PolicySpec, Schedule, TaskSpec};
+
+    use super::*;
+
+    #[test]
+    fn a_snapshot_that_is_none_costs_its_own_environment_only() {
+        let registry = Registry::builtin();
+        let settings = r#"{"world": {"max_steps": 30}}"#.to_owned();
+        let task = TaskSpec { domain: "cartpole".to_owned(), settings };
+        let env = registry.build(&task).unwrap().spec().clone();
+        let policy = PolicySpec::dense(&env, &[8]);
+        let schedule = Schedule::Lag(0);
+        let spec = RunSpec { seed: 1, task, policy, env, n_steps: 8, schedule };
+        let weights = Arc::new(Parameters::initialize(&spec.policy, 1).unwrap());
+        let builder = EnvBuilder::new(registry, &spec).unwrap();
+        let mut worker = CollectWorker::new(builder.clone(), Incarnation(1));
+        let given = |id: u32, iteration, snapshot: &[u8]| EnvAssignment {
+            env_id: EnvId(id),
+            iteration: Iteration(iteration),
+            snapshot: snapshot.to_vec(),
+        };
+        let mut follow = |epoch, envs| {
+            let assignment = Assignment { epoch: Epoch(epoch), envs, keep: Vec::new() };
+            let (envs, failed) = builder.restore(assignment).unwrap();
+            let adopt = CollectJob::Adopt { epoch: Epoch(epoch), keep: Vec::new(), envs };
+            worker.work(adopt).unwrap();
+            let collect =
+                CollectJob::Collect { version: PolicyVersion(0), weights: Arc::clone(&weights) };
+            let rollouts = worker.work(collect).unwrap().rollouts;
+            let decode = |encoded: &EncodedRollout| -> Rollout {
+                codec::decode(&encoded.payload, usize::MAX).unwrap()
+            };
+            (rollouts.iter().map(decode).collect::<Vec<_>>(), failed)
+        };
+        let (made, failed) = follow(1, vec![given(0, 0, &[])]);
+        assert_eq!((made.len(), failed), (1, Vec::new()));
+        let whole = &made[0].snapshot;
+        let mut longer = whole.clone();
+        longer.push(0);
+        let envs = [&[1][..], whole, &whole[1..], &longer, &[]];
+        let envs = (0..).zip(envs).map(|(id, snapshot)| given(id, 1, snapshot)).collect();
+        let (made, failed) = follow(2, envs);
+        let stepped: Vec<u32> = made.iter().map(|rollout| rollout.env_id.0).collect();
+        assert_eq!((stepped, failed), (vec![1, 4], [0, 2, 3].map(EnvId).to_vec()));
+    }
+}

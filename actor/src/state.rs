@@ -1,0 +1,608 @@
+//! An actor's decisions, without network, clock or threads: what to do about each thing that happens.
+//!
+//! ```text
+//! order, credit, announcement, welcome, rollouts, weights, time  ->  Actor  ->  ActorOutput (say, restore, collect, send)
+//! ```
+//!
+//! Whatever goes wrong with the learner, the remedy is the same: say hello again, hear from where to send again, go on.
+//! That is done when the learner is gone or new, does not acknowledge, or grants no credit (it has forgotten this
+//! actor, for a learner credits its members all the time), and when weights that are needed are offered no more.
+//!
+//! # Invariants
+//!
+//! * At most one job is with the collecting thread, one assignment with the restoring one, one pull and one hello under
+//!   way; everything else waits here. What was begun under an earlier learner is let go when it is done.
+//! * An order is answered when it is known what comes of it, and answered alike however often it is given.
+//!
+//! # Driving it
+//!
+//! [`Actor::handle`] takes one thing that happened and returns what is to be done, in order. Every output but
+//! [`ActorOutput::Reply`] and [`ActorOutput::End`] is answered by the input that its documentation names. While
+//! [`Actor::is_greeting`], what comes from the network waits with the driver: an order of a new learner must not be
+//! followed before its welcome. After [`Actor::wakes_at`] a [`ActorInput::Tick`] is due, and one now and then anyway.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use leadtime_proto::limits::MAX_WINDOW;
+use leadtime_proto::message::{
+    Announcement, Assignment, Control, ControlReply, Credit, Hello, Welcome,
+};
+use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, Sequence};
+use tracing::{debug, info, warn};
+
+use crate::outbox::{EncodedRollout, Outbox};
+use crate::weight_cache::WeightCache;
+use crate::{ActorEnd, ActorSettings, Error};
+
+/// Rollouts that may be with the publishing thread.
+pub const PUBLISHING: usize = 4;
+/// How long rollouts may stay unacknowledged before the actor says hello again.
+const ACK_TIMEOUT: Duration = Duration::from_secs(3);
+/// How long an actor without environments waits before it says hello again.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long an actor without credit waits before it says hello again, the first time and at most: a learner credits its
+/// members twice a second, so no credit means that it is none.
+const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
+/// First and longest pause between hellos that failed; the first one also after a pull that failed.
+const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
+
+/// Something that happened. `W`, `R` and `E` are what an [`Actor`] passes on without looking into it.
+#[derive(Debug)]
+pub enum ActorInput<W, R, E> {
+    /// The learner gives an order.
+    Order {
+        /// The order.
+        control: Control,
+        /// Where to answer it.
+        reply: R,
+    },
+    /// The learner acknowledges rollouts and allows more.
+    Credit(Credit),
+    /// Weights are there to be pulled.
+    Announcement(Announcement),
+    /// A learner is there.
+    LearnerJoined(Incarnation),
+    /// A learner is gone.
+    LearnerLeft(Incarnation),
+    /// The hello was answered with a welcome.
+    Welcomed(Box<Welcome>),
+    /// The hello was answered otherwise, or not at all.
+    NotWelcomed(Box<leadtime_link::Error>),
+    /// The environments of an assignment are ready.
+    Restored {
+        /// Those that can be stepped.
+        envs: E,
+        /// Those whose snapshots cannot be restored here.
+        failed: Vec<EnvId>,
+    },
+    /// The collecting thread is done with its job.
+    Collected {
+        /// What it made, in order.
+        rollouts: Vec<EncodedRollout>,
+        /// The iteration to be collected next; `None` without environments.
+        next: Option<Iteration>,
+    },
+    /// A rollout is with the network, or failed to get there: a missing acknowledgement brings it back.
+    Published,
+    /// Weights have arrived.
+    Pulled {
+        /// Their version.
+        version: PolicyVersion,
+        /// The weights.
+        weights: W,
+    },
+    /// Weights will not arrive.
+    PullFailed {
+        /// Their version.
+        version: PolicyVersion,
+        /// The learner does not keep them (any more).
+        not_kept: bool,
+    },
+    /// Time has passed.
+    Tick,
+}
+
+/// Something to be done.
+#[derive(Debug)]
+pub enum ActorOutput<W, R, E> {
+    /// Say hello; [`ActorInput::Welcomed`] or [`ActorInput::NotWelcomed`] follows.
+    Hello(Hello),
+    /// Answer an order.
+    Reply(R, ControlReply),
+    /// Make the environments of an assignment ready, from their snapshots; [`ActorInput::Restored`] follows.
+    Restore(Assignment),
+    /// Have the collecting thread step these from now on; [`ActorInput::Collected`] follows.
+    Adopt {
+        /// The assignment that rollouts carry from now on.
+        epoch: Epoch,
+        /// Environments that stay as they are; the others are let go.
+        keep: Vec<EnvId>,
+        /// Environments that come.
+        envs: E,
+    },
+    /// Have the collecting thread collect the lowest iteration; [`ActorInput::Collected`] follows.
+    Collect {
+        /// The version that acts.
+        version: PolicyVersion,
+        /// Its weights.
+        weights: W,
+    },
+    /// Send a rollout; [`ActorInput::Published`] follows.
+    Publish(EncodedRollout),
+    /// Pull weights; [`ActorInput::Pulled`] or [`ActorInput::PullFailed`] follows.
+    Pull {
+        /// The version.
+        version: PolicyVersion,
+        /// The digest that they must have.
+        sha256: [u8; 32],
+    },
+    /// Leave; nothing follows.
+    End(Result<ActorEnd, Error>),
+}
+
+/// A hello that is not answered yet.
+#[derive(Debug)]
+struct Greeting {
+    since: Instant,
+    pause: Duration,
+    /// When to say it again; `None` while one is under way.
+    retry_at: Option<Instant>,
+}
+
+/// An assignment whose environments are being restored.
+#[derive(Debug)]
+struct Restoration<R> {
+    generation: u64,
+    epoch: Epoch,
+    keep: Vec<EnvId>,
+    replies: Vec<R>,
+}
+
+/// An assignment whose environments are ready.
+#[derive(Debug)]
+struct Adoption<E> {
+    epoch: Epoch,
+    keep: Vec<EnvId>,
+    envs: E,
+}
+
+/// The state behind an actor's decisions.
+///
+/// It passes on without looking into them: a policy's weights `W` (a copy is a count), where an order is answered `R`
+/// (dropping it leaves the order without an answer), environments that are ready to be stepped `E` (none by default).
+#[derive(Debug)]
+pub struct Actor<W, R, E> {
+    settings: ActorSettings,
+    welcome: Welcome,
+    outbox: Outbox,
+    weights: WeightCache<W>,
+    /// Counts learners: what was begun under an earlier one is of no use.
+    generation: u64,
+    greeting: Option<Greeting>,
+    orders: VecDeque<(Assignment, R)>,
+    restoring: Option<Restoration<R>>,
+    adoptions: VecDeque<Adoption<E>>,
+    /// The generation of the job, and of the pull, that is under way.
+    job: Option<u64>,
+    pull: Option<u64>,
+    may_pull_from: Instant,
+    n_publishing: usize,
+    /// The assignment that is followed, and what of it cannot be.
+    epoch: Epoch,
+    unrestored: Vec<EnvId>,
+    next: Option<Iteration>,
+    last_progress: Instant,
+    last_credit: Instant,
+    credit_timeout: Duration,
+    n_reconnects: u64,
+    has_ended: bool,
+    outputs: Vec<ActorOutput<W, R, E>>,
+}
+
+impl<W: Clone, R, E: Default> Actor<W, R, E> {
+    /// Starts with the first welcome.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Spec`] if the run that the learner describes cannot be.
+    pub fn new(settings: ActorSettings, welcome: Welcome, now: Instant) -> Result<Self, Error> {
+        welcome.spec.check()?;
+        let weights = WeightCache::new(welcome.spec.schedule, &welcome.weights);
+        let mut actor = Self {
+            settings,
+            outbox: Outbox::default(),
+            weights,
+            welcome,
+            generation: 0,
+            greeting: None,
+            orders: VecDeque::new(),
+            restoring: None,
+            adoptions: VecDeque::new(),
+            job: None,
+            pull: None,
+            may_pull_from: now,
+            n_publishing: 0,
+            epoch: Epoch(0),
+            unrestored: Vec::new(),
+            next: None,
+            last_progress: now,
+            last_credit: now,
+            credit_timeout: CREDIT_TIMEOUT.0,
+            n_reconnects: 0,
+            has_ended: false,
+            outputs: Vec::new(),
+        };
+        actor.outbox.resume(actor.welcome.resend_from, actor.window());
+        Ok(actor)
+    }
+
+    /// Composes the first hello of an actor, before there is a learner to answer it.
+    pub fn first_hello(settings: &ActorSettings) -> Hello {
+        compose_hello(settings, &Outbox::default())
+    }
+
+    /// Takes in something that happened and returns what is to be done about it, in order.
+    pub fn handle(
+        &mut self,
+        now: Instant,
+        input: ActorInput<W, R, E>,
+    ) -> Vec<ActorOutput<W, R, E>> {
+        match input {
+            ActorInput::Order { control, reply } => self.order(control, reply),
+            ActorInput::Credit(credit) => self.credit(now, credit),
+            ActorInput::Announcement(news) => {
+                if news.learner == self.learner() {
+                    self.weights.announce(&news);
+                }
+            }
+            ActorInput::LearnerJoined(learner) if learner != self.learner() => self.greet(now),
+            ActorInput::LearnerLeft(learner) if learner == self.learner() => {
+                warn!(run = %self.welcome.run, "the learner is gone; looking for it");
+                self.greet(now);
+            }
+            ActorInput::LearnerJoined(_) | ActorInput::LearnerLeft(_) => {}
+            ActorInput::Welcomed(welcome) => self.welcomed(now, *welcome),
+            ActorInput::NotWelcomed(error) => self.not_welcomed(now, *error),
+            ActorInput::Restored { envs, failed } => self.restored(envs, failed),
+            ActorInput::Collected { rollouts, next } => self.collected(now, rollouts, next),
+            ActorInput::Published => self.n_publishing -= 1,
+            ActorInput::Pulled { version, weights } => {
+                if self.pull.take() == Some(self.generation) {
+                    self.weights.put(version, weights);
+                }
+            }
+            ActorInput::PullFailed { version, not_kept } => {
+                self.may_pull_from = now + BACK_OFF.0;
+                if self.pull.take() == Some(self.generation)
+                    && self.weights.failed(version, not_kept, self.next)
+                {
+                    self.let_go(now);
+                }
+            }
+            ActorInput::Tick => self.look_at_the_time(now),
+        }
+        self.go_on(now);
+        std::mem::take(&mut self.outputs)
+    }
+
+    /// Tells whether a hello is not answered yet; until it is, what comes from the network waits with the driver.
+    pub fn is_greeting(&self) -> bool {
+        self.greeting.is_some()
+    }
+
+    /// Returns when a [`ActorInput::Tick`] is due, if one is due before the driver's next regular one.
+    pub fn wakes_at(&self) -> Option<Instant> {
+        match &self.greeting {
+            Some(greeting) => greeting.retry_at,
+            None => self.wants_weights().map(|_| self.may_pull_from),
+        }
+    }
+
+    /// Lets go of what was not sent, because the actor leaves. From now on nothing is begun.
+    pub fn begin_farewell(&mut self) {
+        self.has_ended = true;
+        self.outbox.drop_unsent();
+    }
+
+    /// Tells whether something was sent and is not acknowledged.
+    pub fn awaits_acknowledgement(&self) -> bool {
+        self.outbox.is_waiting()
+    }
+
+    /// Returns the run.
+    pub fn run(&self) -> &RunName {
+        &self.welcome.run
+    }
+
+    /// Returns the learner that this actor works for.
+    pub fn learner(&self) -> Incarnation {
+        self.welcome.weights.learner
+    }
+
+    /// Returns the highest sequences made, sent and acknowledged.
+    pub fn sequences(&self) -> [Sequence; 3] {
+        [self.outbox.made(), self.outbox.sent(), self.outbox.acknowledged()]
+    }
+
+    /// Returns the iteration to be collected next.
+    pub fn next_iteration(&self) -> Option<Iteration> {
+        self.next
+    }
+
+    /// Returns how often hello was said again.
+    pub fn n_reconnects(&self) -> u64 {
+        self.n_reconnects
+    }
+
+    fn window(&self) -> u32 {
+        self.welcome.window.clamp(1, MAX_WINDOW)
+    }
+
+    fn order(&mut self, control: Control, reply: R) {
+        let assignment = match control {
+            Control::Assign(assignment) => assignment,
+            Control::Stop { reason, cut_off } => {
+                self.answer(reply);
+                let run = self.welcome.run.clone();
+                return self.end(if cut_off {
+                    Err(Error::CutOff { run, reason })
+                } else {
+                    Ok(ActorEnd::Dismissed { reason })
+                });
+            }
+        };
+        // An order that is given again, because its answer was late or lost, is followed once and answered alike.
+        if let Some(waiting) = self.orders.iter_mut().find(|(order, _)| *order == assignment) {
+            waiting.1 = reply;
+        } else if let Some(restoring) =
+            self.restoring.as_mut().filter(|r| r.epoch == assignment.epoch)
+        {
+            restoring.replies.push(reply);
+        } else if assignment.epoch > self.newest_epoch() {
+            self.orders.push_back((assignment, reply));
+        } else {
+            self.answer(reply);
+        }
+    }
+
+    /// Returns the newest assignment that was given, followed already or not.
+    fn newest_epoch(&self) -> Epoch {
+        let restoring = self.restoring.as_ref().filter(|r| r.generation == self.generation);
+        let waiting = self.orders.iter().map(|(order, _)| order.epoch);
+        let known = restoring.map(|restoring| restoring.epoch);
+        waiting.chain(known).max().unwrap_or_default().max(self.epoch)
+    }
+
+    /// Answers an order with what has come of the assignment that is followed.
+    fn answer(&mut self, reply: R) {
+        let (epoch, envs) = (self.epoch, self.unrestored.clone());
+        let answer = if envs.is_empty() {
+            ControlReply::Followed { epoch }
+        } else {
+            ControlReply::CannotRestore { epoch, envs }
+        };
+        self.outputs.push(ActorOutput::Reply(reply, answer));
+    }
+
+    fn restored(&mut self, envs: E, failed: Vec<EnvId>) {
+        let Some(restored) = self.restoring.take() else { return };
+        if restored.generation != self.generation {
+            return; // Given by a learner that is gone; nobody waits for the answer.
+        }
+        let Restoration { epoch, keep, replies, .. } = restored;
+        debug!(%epoch, "assigned");
+        if !failed.is_empty() {
+            let ids: Vec<String> = failed.iter().map(ToString::to_string).collect();
+            warn!(
+                run = %self.welcome.run,
+                "environments {} cannot go on from their snapshots here, which another build may have made: left to \
+                 the learner",
+                ids.join(", ")
+            );
+        }
+        (self.epoch, self.unrestored) = (epoch, failed);
+        replies.into_iter().for_each(|reply| self.answer(reply));
+        self.adoptions.push_back(Adoption { epoch, keep, envs });
+    }
+
+    fn credit(&mut self, now: Instant, credit: Credit) {
+        if credit.learner != self.learner() {
+            return;
+        }
+        (self.last_credit, self.credit_timeout) = (now, CREDIT_TIMEOUT.0);
+        if self.outbox.credit(credit.acknowledged, credit.limit) {
+            self.last_progress = now;
+        }
+    }
+
+    fn collected(&mut self, now: Instant, rollouts: Vec<EncodedRollout>, next: Option<Iteration>) {
+        if self.job.take() != Some(self.generation) {
+            return; // Made for a learner that is gone.
+        }
+        self.next = next;
+        if !self.outbox.is_waiting() {
+            self.last_progress = now;
+        }
+        rollouts.into_iter().for_each(|rollout| self.outbox.push(rollout));
+    }
+
+    fn look_at_the_time(&mut self, now: Instant) {
+        if self.greeting.is_some() {
+            return;
+        }
+        let is_idle = self.next.is_none()
+            && self.adoptions.is_empty()
+            && self.restoring.is_none()
+            && self.orders.is_empty();
+        let silence = now.saturating_duration_since(self.last_progress);
+        if self.outbox.is_waiting() && silence > ACK_TIMEOUT {
+            warn!(run = %self.welcome.run, "the learner does not acknowledge; asking again");
+            self.greet(now);
+        } else if now.saturating_duration_since(self.last_credit) > self.credit_timeout {
+            // It may have given this actor up, over an order that was answered too late, without this actor's notice.
+            // Less and less often, because one that is there and does not credit is not helped by hellos.
+            debug!("no credit; asking whether this actor still belongs to the run");
+            self.credit_timeout = (self.credit_timeout * 2).min(CREDIT_TIMEOUT.1);
+            self.greet(now);
+        } else if is_idle && silence > IDLE_TIMEOUT {
+            debug!("no environments; asking for some");
+            self.greet(now);
+        }
+    }
+
+    /// Begins to say hello, unless that is under way.
+    fn greet(&mut self, now: Instant) {
+        if self.greeting.is_none() {
+            self.n_reconnects += 1;
+            self.greeting = Some(Greeting { since: now, pause: BACK_OFF.0, retry_at: Some(now) });
+        }
+    }
+
+    fn not_welcomed(&mut self, now: Instant, error: leadtime_link::Error) {
+        use leadtime_link::Error as LinkError;
+        let Some(greeting) = &mut self.greeting else { return };
+        if matches!(error, LinkError::Refused { .. } | LinkError::Taken { .. }) {
+            return self.end(Err(error.into()));
+        }
+        debug!(%error, "hello not answered");
+        let timeout = self.settings.reconnect_timeout;
+        if now.saturating_duration_since(greeting.since) >= timeout {
+            let run = self.welcome.run.clone();
+            return self.end(Err(Error::LearnerLost { run, timeout, source: error }));
+        }
+        greeting.retry_at = Some(now + greeting.pause);
+        greeting.pause = (greeting.pause * 2).min(BACK_OFF.1);
+    }
+
+    /// Goes on with a learner that may be a new one.
+    fn welcomed(&mut self, now: Instant, welcome: Welcome) {
+        self.greeting = None;
+        if self.welcome.spec != welcome.spec {
+            return self.end(Err(Error::RunChanged { run: welcome.run }));
+        }
+        if welcome.weights.learner == self.learner() {
+            self.weights.announce(&welcome.weights);
+        } else {
+            let version = welcome.weights.newest();
+            info!(%version, "the learner is back; starting over from its state");
+            self.generation += 1;
+            (self.epoch, self.next) = (Epoch(0), None);
+            self.unrestored.clear();
+            self.orders.clear();
+            self.adoptions.clear();
+            self.weights = WeightCache::new(welcome.spec.schedule, &welcome.weights);
+        }
+        self.welcome = welcome;
+        self.outbox.resume(self.welcome.resend_from, self.window());
+        (self.last_progress, self.last_credit) = (now, now);
+    }
+
+    /// Lets go of environments that went on elsewhere. Kept, they would wait here for weights that never come; and since
+    /// this actor did not hear of it, the learner may have given it up.
+    fn let_go(&mut self, now: Instant) {
+        warn!(run = %self.welcome.run, "the run went on without this actor; asking for environments");
+        self.next = None;
+        let (epoch, envs) = (self.epoch, E::default());
+        self.adoptions.push_front(Adoption { epoch, keep: Vec::new(), envs });
+        self.greet(now);
+    }
+
+    fn end(&mut self, end: Result<ActorEnd, Error>) {
+        self.has_ended = true;
+        self.outputs.push(ActorOutput::End(end));
+    }
+
+    /// Begins whatever can be begun.
+    fn go_on(&mut self, now: Instant) {
+        if self.has_ended {
+            return;
+        }
+        if let Some(greeting) = &mut self.greeting {
+            if greeting.retry_at.is_some_and(|at| at <= now) {
+                greeting.retry_at = None;
+                let hello = compose_hello(&self.settings, &self.outbox);
+                self.outputs.push(ActorOutput::Hello(hello));
+            }
+            return;
+        }
+        self.restore();
+        self.publish();
+        self.collect();
+        self.pull(now);
+    }
+
+    /// Has the next assignment's environments made ready, one assignment at a time.
+    fn restore(&mut self) {
+        if self.restoring.is_some() {
+            return;
+        }
+        let Some((assignment, reply)) = self.orders.pop_front() else { return };
+        self.restoring = Some(Restoration {
+            generation: self.generation,
+            epoch: assignment.epoch,
+            keep: assignment.keep.clone(),
+            replies: vec![reply],
+        });
+        self.outputs.push(ActorOutput::Restore(assignment));
+    }
+
+    /// Hands rollouts to the publishing thread as far as credit and its queue allow.
+    fn publish(&mut self) {
+        while self.n_publishing < PUBLISHING
+            && let Some(rollout) = self.outbox.next_to_send()
+        {
+            self.outputs.push(ActorOutput::Publish(rollout.clone()));
+            self.outbox.mark_sent();
+            self.n_publishing += 1;
+        }
+    }
+
+    /// Gives the collecting thread its next job, if there is one.
+    fn collect(&mut self) {
+        if self.job.is_some() {
+            return;
+        }
+        if let Some(Adoption { epoch, keep, envs }) = self.adoptions.pop_front() {
+            self.job = Some(self.generation);
+            return self.outputs.push(ActorOutput::Adopt { epoch, keep, envs });
+        }
+        let Some(next) = self.next else { return };
+        if !self.outbox.has_room(self.welcome.spec.schedule, self.window()) {
+            return;
+        }
+        if let Some((version, weights)) = self.weights.get(next) {
+            self.job = Some(self.generation);
+            self.outputs.push(ActorOutput::Collect { version, weights });
+        }
+    }
+
+    fn wants_weights(&self) -> Option<(PolicyVersion, [u8; 32])> {
+        self.weights.wanted(self.next).filter(|_| self.pull.is_none())
+    }
+
+    /// Begins to pull the weights that are missing, unless a pull is under way.
+    fn pull(&mut self, now: Instant) {
+        if let Some((version, sha256)) = self.wants_weights()
+            && now >= self.may_pull_from
+        {
+            self.pull = Some(self.generation);
+            self.outputs.push(ActorOutput::Pull { version, sha256 });
+        }
+    }
+}
+
+/// Composes a hello: who this is, and what it has made so far.
+fn compose_hello(settings: &ActorSettings, outbox: &Outbox) -> Hello {
+    Hello {
+        program: settings.program.clone(),
+        actor: settings.actor.clone(),
+        incarnation: settings.incarnation,
+        cpu: settings.cpu.clone(),
+        published: outbox.made(),
+        first_unacknowledged: outbox.acknowledged().next(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

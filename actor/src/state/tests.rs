@@ -1,0 +1,263 @@
+//! An actor's decisions, without a network.
+
+use bytes::Bytes;
+use leadtime_link::ConnectSettings;
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::EnvAssignment;
+use leadtime_proto::{
+    ActionSpec, ActorId, EnvSpec, Header, PolicySpec, RunSpec, Schedule, TaskSpec,
+};
+
+use super::*;
+
+const LEARNER: Incarnation = Incarnation(100);
+const PATIENCE: Duration = Duration::from_mins(30);
+
+/// Orders are numbered, environments and weights are nothing.
+type ToDo = ActorOutput<(), u32, ()>;
+
+/// An actor, and a clock that stands still unless it is told otherwise.
+struct Bench {
+    actor: Actor<(), u32, ()>,
+    now: Instant,
+}
+
+fn welcome(learner: Incarnation, versions: std::ops::RangeInclusive<u64>) -> Welcome {
+    let actions = ActionSpec::discrete("a", 2);
+    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+    Welcome {
+        run: RunName::new("r").unwrap(),
+        spec: RunSpec {
+            seed: 1,
+            task: TaskSpec { domain: "test".to_owned(), settings: String::new() },
+            policy: PolicySpec::dense(&env, &[8]),
+            env,
+            n_steps: 1,
+            schedule: Schedule::Lag(0),
+        },
+        window: 4,
+        weights: news(learner, versions),
+        resend_from: Sequence(1),
+    }
+}
+
+fn news(learner: Incarnation, versions: std::ops::RangeInclusive<u64>) -> Announcement {
+    let versions = versions.map(|version| (PolicyVersion(version), [version as u8; 32]));
+    Announcement { learner, versions: versions.collect() }
+}
+
+impl Bench {
+    fn new(versions: std::ops::RangeInclusive<u64>) -> Self {
+        let settings = ActorSettings {
+            actor: ActorId::new("a").unwrap(),
+            incarnation: Incarnation(1),
+            run: None,
+            connect: ConnectSettings::new(Vec::new()),
+            reconnect_timeout: PATIENCE,
+            program: "test".to_owned(),
+            cpu: "cpu".to_owned(),
+        };
+        let now = Instant::now();
+        Self { actor: Actor::new(settings, welcome(LEARNER, versions), now).unwrap(), now }
+    }
+
+    fn give(&mut self, input: ActorInput<(), u32, ()>) -> Vec<ToDo> {
+        self.actor.handle(self.now, input)
+    }
+
+    fn wait(&mut self, time: Duration) -> Vec<ToDo> {
+        self.now += time;
+        self.give(ActorInput::Tick)
+    }
+
+    fn assign(&mut self, reply: u32, epoch: u64, envs: &[u32]) -> Vec<ToDo> {
+        let env =
+            |&id| EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: vec![1] };
+        let envs = envs.iter().map(env).collect();
+        let assignment = Assignment { epoch: Epoch(epoch), envs, keep: Vec::new() };
+        self.give(ActorInput::Order { control: Control::Assign(assignment), reply })
+    }
+
+    /// Has an assignment restored and adopted; the next rollout is of this iteration.
+    fn follow(&mut self, reply: u32, epoch: u64, next: u64) -> Vec<ToDo> {
+        self.assign(reply, epoch, &[0]);
+        self.give(ActorInput::Restored { envs: (), failed: Vec::new() });
+        self.collected(0, Some(next))
+    }
+
+    fn collected(&mut self, n: usize, next: Option<u64>) -> Vec<ToDo> {
+        let header = Header::plain(Schema::Rollout, Incarnation(1), &[]);
+        let rollout = EncodedRollout { header, payload: Bytes::new() };
+        self.give(ActorInput::Collected { rollouts: vec![rollout; n], next: next.map(Iteration) })
+    }
+
+    fn pulled(&mut self, version: u64) -> Vec<ToDo> {
+        self.give(ActorInput::Pulled { version: PolicyVersion(version), weights: () })
+    }
+
+    fn credit(&mut self, acknowledged: u64, limit: u64) -> Vec<ToDo> {
+        self.give(ActorInput::Credit(Credit {
+            incarnation: Incarnation(1),
+            learner: self.actor.learner(),
+            acknowledged: Sequence(acknowledged),
+            limit: Sequence(limit),
+        }))
+    }
+
+    fn welcomed(&mut self, learner: Incarnation) -> Vec<ToDo> {
+        self.give(ActorInput::Welcomed(Box::new(welcome(learner, 0..=9))))
+    }
+}
+
+/// Names what is to be done, in order.
+fn names(outputs: &[ToDo]) -> Vec<&'static str> {
+    let name = |output: &ToDo| match output {
+        ActorOutput::Hello(_) => "hello",
+        ActorOutput::Reply(..) => "reply",
+        ActorOutput::Restore(_) => "restore",
+        ActorOutput::Adopt { .. } => "adopt",
+        ActorOutput::Collect { .. } => "collect",
+        ActorOutput::Publish(_) => "publish",
+        ActorOutput::Pull { .. } => "pull",
+        ActorOutput::End(_) => "end",
+    };
+    outputs.iter().map(name).collect()
+}
+
+fn replies(outputs: &[ToDo]) -> Vec<(u32, ControlReply)> {
+    let reply = |output: &ToDo| match output {
+        ActorOutput::Reply(reply, answer) => Some((*reply, answer.clone())),
+        _ => None,
+    };
+    outputs.iter().filter_map(reply).collect()
+}
+
+#[test]
+fn an_assignment_is_restored_answered_adopted_collected_and_sent() {
+    let mut bench = Bench::new(0..=0);
+    assert_eq!(names(&bench.give(ActorInput::Tick)), ["pull"]);
+    bench.pulled(0);
+    assert_eq!(names(&bench.assign(1, 1, &[0, 1])), ["restore"]);
+    let done = bench.give(ActorInput::Restored { envs: (), failed: Vec::new() });
+    assert_eq!(names(&done), ["reply", "adopt"]);
+    assert_eq!(replies(&done), [(1, ControlReply::Followed { epoch: Epoch(1) })]);
+    assert_eq!(names(&bench.collected(0, Some(0))), ["collect"]);
+    assert_eq!(names(&bench.collected(2, Some(1))), ["publish", "publish"]);
+    assert_eq!(bench.actor.sequences(), [Sequence(2), Sequence(2), Sequence(0)]);
+}
+
+#[test]
+fn what_cannot_be_restored_is_reported_and_the_rest_goes_on() {
+    let mut bench = Bench::new(0..=0);
+    bench.give(ActorInput::Tick);
+    bench.pulled(0);
+    bench.assign(1, 7, &[0, 1]);
+    assert!(bench.assign(2, 7, &[0, 1]).is_empty(), "given again while it is restored");
+    let done = bench.give(ActorInput::Restored { envs: (), failed: vec![EnvId(1)] });
+    let answer = ControlReply::CannotRestore { epoch: Epoch(7), envs: vec![EnvId(1)] };
+    assert_eq!(replies(&done), [(1, answer.clone()), (2, answer.clone())]);
+    assert_eq!(replies(&bench.assign(3, 7, &[0, 1])), [(3, answer)], "and again");
+    assert_eq!(names(&bench.collected(0, Some(0))), ["collect"], "the other environment");
+    bench.assign(4, 8, &[1]);
+    let done = bench.give(ActorInput::Restored { envs: (), failed: Vec::new() });
+    assert_eq!(replies(&done), [(4, ControlReply::Followed { epoch: Epoch(8) })]);
+}
+
+#[test]
+fn who_gets_no_credit_asks_again_but_less_and_less_often() {
+    let mut bench = Bench::new(5..=5);
+    bench.follow(1, 1, 5);
+    let mut hellos = Vec::new();
+    for second in 1..=90_u64 {
+        if names(&bench.wait(Duration::from_secs(1))).contains(&"hello") {
+            hellos.push(second);
+            bench.welcomed(LEARNER);
+        }
+    }
+    assert_eq!(hellos, [6, 17, 38, 79]);
+    assert!(names(&bench.credit(0, 4)).is_empty());
+    for _ in 0..20 {
+        assert!(!names(&bench.wait(Duration::from_secs(1))).contains(&"hello"));
+        bench.credit(0, 4);
+    }
+    bench.wait(Duration::from_secs(6));
+    assert!(bench.actor.is_greeting(), "credit begins the count anew");
+}
+
+#[test]
+fn environments_that_went_on_elsewhere_are_let_go_and_others_asked_for() {
+    let mut bench = Bench::new(5..=9);
+    // The order was followed too late: the learner has given this actor up, and its weights are gone.
+    let told = bench.follow(1, 1, 4);
+    let Some(ActorOutput::Pull { version, .. }) = told.last() else { panic!("{told:?}") };
+    assert_eq!(*version, PolicyVersion(4));
+    let told = bench.give(ActorInput::PullFailed { version: PolicyVersion(4), not_kept: true });
+    assert_eq!(names(&told), ["hello"]);
+    assert_eq!(names(&bench.welcomed(LEARNER)), ["adopt"]);
+    assert!(bench.collected(0, None).is_empty());
+    assert!(bench.actor.next_iteration().is_none());
+}
+
+#[test]
+fn a_new_learner_starts_everything_over() {
+    let mut bench = Bench::new(0..=0);
+    bench.give(ActorInput::Tick);
+    bench.pulled(0);
+    bench.follow(1, 5, 0);
+    bench.assign(2, 6, &[1]);
+    let next = Incarnation(101);
+    assert_eq!(names(&bench.give(ActorInput::LearnerJoined(next))), ["hello"]);
+    assert!(bench.actor.is_greeting());
+    bench.welcomed(next);
+    let late = bench.give(ActorInput::Restored { envs: (), failed: Vec::new() });
+    assert_eq!(replies(&late), [], "nobody waits for the answer any more");
+    bench.collected(1, Some(1));
+    assert_eq!(bench.actor.sequences()[0], Sequence(0), "made for the learner before");
+    assert_eq!(names(&bench.assign(3, 1, &[0])), ["restore"], "its epochs count anew");
+}
+
+#[test]
+fn a_hello_that_fails_is_said_again_until_time_is_over() {
+    let mut bench = Bench::new(0..=0);
+    assert_eq!(names(&bench.give(ActorInput::LearnerLeft(LEARNER))), ["hello"]);
+    let key = || "k".to_owned();
+    let failed = || {
+        let error = leadtime_link::Error::NoAnswer { key: key(), timeout: Duration::ZERO };
+        ActorInput::NotWelcomed(Box::new(error))
+    };
+    let started = bench.now;
+    while bench.now < started + PATIENCE {
+        assert!(bench.give(failed()).is_empty());
+        bench.now = bench.actor.wakes_at().expect("it tries again");
+        assert_eq!(names(&bench.give(ActorInput::Tick)), ["hello"]);
+    }
+    let end = bench.give(failed());
+    assert!(matches!(end[..], [ActorOutput::End(Err(Error::LearnerLost { .. }))]), "{end:?}");
+    assert_eq!(bench.actor.n_reconnects(), 1);
+}
+
+#[test]
+fn who_is_refused_dismissed_or_cut_off_leaves() {
+    let taken = || leadtime_link::Error::Taken { actor: ActorId::new("a").unwrap() };
+    let mut bench = Bench::new(0..=0);
+    bench.give(ActorInput::LearnerLeft(LEARNER));
+    let end = bench.give(ActorInput::NotWelcomed(Box::new(taken())));
+    assert!(matches!(end[..], [ActorOutput::End(Err(Error::Link(_)))]), "{end:?}");
+    for cut_off in [false, true] {
+        let mut bench = Bench::new(0..=0);
+        let control = Control::Stop { reason: "enough".to_owned(), cut_off };
+        let told = bench.give(ActorInput::Order { control, reply: 1 });
+        assert_eq!(names(&told), ["reply", "end"]);
+        let Some(ActorOutput::End(end)) = told.last() else { panic!() };
+        assert_eq!(end.is_err(), cut_off);
+    }
+}
+
+#[test]
+fn a_run_that_cannot_be_is_not_joined() {
+    let settings = Bench::new(0..=0).actor.settings;
+    let mut impossible = welcome(LEARNER, 0..=0);
+    impossible.spec.policy.obs_dim = 9;
+    let refused = Actor::<(), u32, ()>::new(settings, impossible, Instant::now());
+    assert!(matches!(refused.unwrap_err(), Error::Spec(_)));
+}

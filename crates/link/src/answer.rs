@@ -1,0 +1,87 @@
+//! Answering questions on threads of their own.
+//!
+//! An answer waits for a slow connection (the network's replies have their question's congestion control, and hellos,
+//! orders and pulls wait), and neither a callback nor a loop that serves everybody may. So whoever owes an answer hands
+//! it over here; even an answer that is never given, because ending a question sends a message, too.
+
+use std::sync::Arc;
+use std::thread;
+
+use leadtime_proto::Header;
+use tracing::debug;
+use zenoh::Wait as _;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::query::Query;
+
+use crate::keys::VERSION;
+use crate::weights::WeightStore;
+use crate::{Error, Result};
+
+/// Most answers that are owed at once; an asker beyond it tries again.
+const MAX_PENDING: usize = 2_048;
+
+/// An answer that somebody owes.
+#[derive(Debug)]
+pub(crate) enum PendingReply {
+    /// A message of ours.
+    Message(Query, Header, ZBytes),
+    /// Whatever of these weights the question asks for.
+    Weights(Query, Arc<WeightStore>),
+    /// A sentence that says no.
+    Refusal(Query, String),
+    /// Nothing but the end of the question.
+    Nothing(Query),
+}
+
+/// Where owed answers are handed over, without waiting.
+#[derive(Clone, Debug)]
+pub(crate) struct Answers(flume::Sender<PendingReply>);
+
+impl Answers {
+    /// Starts the threads that answer; they end when the last clone of this is dropped.
+    ///
+    /// So many askers can be slow before the others wait for them.
+    pub(crate) fn start(n_threads: usize) -> Result<Self> {
+        let (sender, receiver) = flume::bounded(MAX_PENDING);
+        for i in 0..n_threads {
+            let receiver: flume::Receiver<PendingReply> = receiver.clone();
+            let work = move || receiver.iter().for_each(answer);
+            let name = format!("link-answer-{i}");
+            // Detached: it ends by itself when the questions' places are undeclared.
+            drop(thread::Builder::new().name(name).spawn(work).map_err(Error::Thread)?);
+        }
+        Ok(Self(sender))
+    }
+
+    /// Hands an answer over. Beyond the limit the question ends without one, and the asker tries again.
+    pub(crate) fn give(&self, reply: PendingReply) {
+        drop(self.0.try_send(reply));
+    }
+}
+
+fn answer(reply: PendingReply) {
+    let sent = match reply {
+        PendingReply::Message(query, header, payload) => send(&query, &header, payload),
+        PendingReply::Weights(query, store) => match store.find(query.parameters().get(VERSION)) {
+            Ok((header, payload)) => send(&query, &header, payload),
+            Err(reason) => refuse(&query, reason),
+        },
+        PendingReply::Refusal(query, reason) => refuse(&query, reason),
+        PendingReply::Nothing(query) => return drop(query),
+    };
+    if let Err(error) = sent {
+        debug!(%error, "an answer could not be sent");
+    }
+}
+
+fn send(query: &Query, header: &Header, payload: ZBytes) -> zenoh::Result<()> {
+    query
+        .reply(query.key_expr().clone(), payload)
+        .attachment(header.to_bytes())
+        .encoding(Encoding::APPLICATION_OCTET_STREAM)
+        .wait()
+}
+
+fn refuse(query: &Query, reason: String) -> zenoh::Result<()> {
+    query.reply_err(reason).encoding(Encoding::TEXT_PLAIN).wait()
+}

@@ -1,0 +1,119 @@
+//! Why nobody can be reached at an address. The network library only says that its time is over, so it is tried once
+//! more, by hand, with what the system says.
+
+use std::fmt;
+use std::io::ErrorKind;
+use std::net::{TcpStream, ToSocketAddrs as _};
+use std::os::unix::net::UnixStream;
+use std::time::Duration;
+
+use crate::Endpoint;
+
+/// How long one attempt to connect may take.
+const ATTEMPT: Duration = Duration::from_millis(800);
+/// The most of a name's addresses that are tried.
+const MAX_ADDRESSES: usize = 3;
+
+/// What is in the way.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Obstacle {
+    /// The host's name has no address.
+    Unresolved,
+    /// The host is there, but no program listens.
+    Refused,
+    /// There is no such socket.
+    NoSocket,
+    /// The host does not answer at all.
+    Silent,
+    /// The system says something else.
+    Other(String),
+    /// A program listens, but it does not behave as a learner does.
+    NoLearner,
+    /// A program listens, but no encrypted connection comes about.
+    NoTls,
+}
+
+impl fmt::Display for Obstacle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Unresolved => "the host's name cannot be resolved: correct the address",
+            Self::Refused => "the connection is refused: start a learner there, or correct the address",
+            Self::NoSocket => "there is no such socket: start a learner there, or correct the path",
+            Self::Silent => "the host does not answer: is it up, and does a firewall let this port through?",
+            Self::Other(text) => text,
+            Self::NoLearner => {
+                "a program listens there, but it does not answer as a learner does: is it the right port?"
+            }
+            Self::NoTls => {
+                "a program listens there, but no encrypted connection comes about: the certificate there has to be \
+                 signed by the authority in `root_ca_certificate_file`, be for this host's name, and not be expired; \
+                 and the learner may ask for a certificate of ours"
+            }
+        })
+    }
+}
+
+/// Finds out why nobody can be reached; takes a few seconds at most.
+pub(crate) fn diagnose(endpoint: &Endpoint) -> Obstacle {
+    let (protocol, address, _) = endpoint.parts();
+    match protocol {
+        "unixsock-stream" => match UnixStream::connect(address) {
+            Ok(_) => Obstacle::NoLearner,
+            Err(error) => obstacle(&error),
+        },
+        _ => match tcp(address) {
+            Some(obstacle) => obstacle,
+            None if protocol == "tls" => Obstacle::NoTls,
+            None => Obstacle::NoLearner,
+        },
+    }
+}
+
+/// Tries to connect; `None` if that works.
+fn tcp(address: &str) -> Option<Obstacle> {
+    let Ok(addresses) = address.to_socket_addrs() else { return Some(Obstacle::Unresolved) };
+    let mut last = Some(Obstacle::Unresolved);
+    for address in addresses.take(MAX_ADDRESSES) {
+        match TcpStream::connect_timeout(&address, ATTEMPT) {
+            Ok(_) => return None,
+            Err(error) => last = Some(obstacle(&error)),
+        }
+    }
+    last
+}
+
+fn obstacle(error: &std::io::Error) -> Obstacle {
+    match error.kind() {
+        ErrorKind::ConnectionRefused => Obstacle::Refused,
+        ErrorKind::NotFound => Obstacle::NoSocket,
+        ErrorKind::TimedOut => Obstacle::Silent,
+        _ => Obstacle::Other(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+
+    use super::*;
+
+    fn at(address: &str) -> Obstacle {
+        diagnose(&address.parse().unwrap())
+    }
+
+    #[test]
+    fn a_refusal_a_foreign_program_and_an_unknown_name_are_told_apart() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        assert_eq!(at(&format!("tcp/127.0.0.1:{port}")), Obstacle::NoLearner);
+        assert_eq!(at(&format!("tls/127.0.0.1:{port}")), Obstacle::NoTls);
+        drop(listener);
+        assert_eq!(at(&format!("tcp/127.0.0.1:{port}")), Obstacle::Refused);
+        assert_eq!(at("tcp/no-such-host.invalid:1"), Obstacle::Unresolved);
+        let dir = tempfile::tempdir().unwrap();
+        let socket = dir.path().join("z");
+        assert_eq!(at(&format!("unixsock-stream/{}", socket.display())), Obstacle::NoSocket);
+        drop(std::os::unix::net::UnixListener::bind(&socket).unwrap());
+        assert_eq!(at(&format!("unixsock-stream/{}", socket.display())), Obstacle::Refused);
+    }
+}

@@ -1,0 +1,91 @@
+//! Messages of which only the newest counts, beside a queue of those that all count.
+//!
+//! Credit and announcements are cumulative. In a queue that is full, the newest would be the one that is dropped; here
+//! it replaces the one before it, so a consumer that was busy finds exactly what it needs and nothing else.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+
+use tokio::sync::Notify;
+
+use crate::lock::lock;
+use crate::queue::EventQueue;
+
+/// The most keys whose newest message is kept: an observer hears of as many domains as somebody invents.
+const MAX_KEYS: usize = 1_024;
+
+/// The newest message by key.
+#[derive(Debug)]
+pub(crate) struct Latest<T> {
+    newest: Mutex<BTreeMap<String, T>>,
+    arrived: Notify,
+}
+
+impl<T> Latest<T> {
+    /// Keeps a message instead of the one before it, without waiting.
+    pub(crate) fn put(&self, key: &str, message: T) {
+        let mut newest = lock(&self.newest);
+        if newest.len() < MAX_KEYS || newest.contains_key(key) {
+            newest.insert(key.to_owned(), message);
+            self.arrived.notify_one();
+        }
+    }
+
+    async fn next(&self) -> T {
+        loop {
+            if let Some((_, message)) = lock(&self.newest).pop_first() {
+                // There may be another; who waits next must not sleep over it.
+                self.arrived.notify_one();
+                return message;
+            }
+            self.arrived.notified().await;
+        }
+    }
+}
+
+/// The consumer's end: events in their order, and the newest of the cumulative ones.
+#[derive(Debug)]
+pub struct Events<T> {
+    queue: flume::Receiver<T>,
+    latest: Arc<Latest<T>>,
+}
+
+impl<T> Events<T> {
+    /// Makes both ends, with `n_bulk` places in the queue beside its reserve.
+    pub(crate) fn new(n_bulk: usize) -> (EventQueue<T>, Arc<Latest<T>>, Self) {
+        let (sender, queue) = EventQueue::new(n_bulk);
+        let latest = Arc::new(Latest { newest: Mutex::default(), arrived: Notify::new() });
+        let events = Self { queue, latest: Arc::clone(&latest) };
+        (sender, latest, events)
+    }
+
+    /// Waits for the next event; `None` once the link is gone.
+    pub async fn recv(&self) -> Option<T> {
+        // In random order: neither kind can keep out the other.
+        tokio::select! {
+            event = self.queue.recv_async() => event.ok(),
+            event = self.latest.next() => Some(event),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::queue::Class;
+
+    #[tokio::test]
+    async fn the_newest_replaces_the_one_before_it_even_if_the_queue_is_full() {
+        let (queue, latest, events) = Events::new(1);
+        while queue.offer(0, Class::Presence).is_ok() {}
+        for credit in 1..=3 {
+            latest.put("credit", credit);
+        }
+        latest.put("weights", 9);
+        let mut heard = Vec::new();
+        while heard.len() < 2 {
+            heard.extend(events.recv().await.filter(|event| *event > 0));
+        }
+        assert_eq!(heard, [3, 9]);
+    }
+}

@@ -1,0 +1,136 @@
+//! The factored, conditional action space: heads, gate, restrictions between heads.
+
+use serde::{Deserialize, Serialize};
+
+use super::error::SpecError;
+use super::mask::{Mask, bits};
+use crate::limits;
+
+/// One categorical part of an action.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Head {
+    /// What is chosen, for logs and metadata.
+    pub name: String,
+    /// How many choices there are, 1..=255.
+    pub n_choices: usize,
+}
+
+/// Says that heads other than `head` matter only when `head` took `choice`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Gate {
+    /// Index of the deciding head; it comes first.
+    pub head: usize,
+    /// The choice that makes the other heads matter.
+    pub choice: usize,
+}
+
+/// Restricts the choices of `head` given the choice of an earlier head.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Conditional {
+    /// The restricted head.
+    pub head: usize,
+    /// The earlier head that decides.
+    pub given: usize,
+    /// Per choice of `given`: the allowed choices of `head`, bit `i` for choice `i`; never empty.
+    pub allowed: Vec<u64>,
+}
+
+/// The factored, conditional action space of an environment.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ActionSpec {
+    /// The heads in sampling order.
+    pub heads: Vec<Head>,
+    /// When heads matter; `None`: always.
+    pub gate: Option<Gate>,
+    /// Restrictions between heads, at most one per restricted head.
+    pub conditionals: Vec<Conditional>,
+}
+
+impl ActionSpec {
+    /// Describes a single plain choice out of `n_choices`, as in classic control.
+    pub fn discrete(name: &str, n_choices: usize) -> Self {
+        let heads = vec![Head { name: name.to_owned(), n_choices }];
+        Self { heads, gate: None, conditionals: Vec::new() }
+    }
+
+    /// Returns the number of choices over all heads: the width of the logits.
+    pub fn n_choices(&self) -> usize {
+        self.heads.iter().map(|head| head.n_choices).sum()
+    }
+
+    /// Returns where each head's choices start in the logits and in a [`Mask`].
+    pub fn offsets(&self) -> Vec<usize> {
+        let mut next = 0;
+        let starts = self.heads.iter().map(|head| {
+            let start = next;
+            next += head.n_choices;
+            start
+        });
+        starts.collect()
+    }
+
+    /// Checks that the heads, gate and conditionals fit together.
+    ///
+    /// # Errors
+    ///
+    /// [`SpecError`] naming the first thing that does not.
+    pub fn check(&self) -> Result<(), SpecError> {
+        let n_heads = self.heads.len();
+        if !(1..=limits::MAX_HEADS).contains(&n_heads) {
+            return Err(SpecError::Heads { n_heads });
+        }
+        if let Some(head) = self.heads.iter().find(|h| !(1..=255).contains(&h.n_choices)) {
+            return Err(SpecError::Choices { head: head.name.clone(), n_choices: head.n_choices });
+        }
+        if self.n_choices() > limits::MAX_CHOICES {
+            return Err(SpecError::TotalChoices { n_choices: self.n_choices() });
+        }
+        if let Some(gate) = self.gate
+            && (gate.head != 0 || gate.choice >= self.heads[0].n_choices)
+        {
+            return Err(SpecError::Gate { head: gate.head, choice: gate.choice });
+        }
+        self.conditionals.iter().try_for_each(|rule| self.check_conditional(rule))
+    }
+
+    fn check_conditional(&self, rule: &Conditional) -> Result<(), SpecError> {
+        let error = SpecError::Conditional { head: rule.head, given: rule.given };
+        if rule.head >= self.heads.len() || rule.given >= rule.head {
+            return Err(error);
+        }
+        let choices = bits(self.heads[rule.head].n_choices);
+        let right_len = rule.allowed.len() == self.heads[rule.given].n_choices;
+        let twice = self.conditionals.iter().filter(|other| other.head == rule.head).count() > 1;
+        if !right_len || twice || rule.allowed.iter().any(|allowed| allowed & choices == 0) {
+            return Err(error);
+        }
+        Ok(())
+    }
+
+    /// Tells whether an action of one choice per head is one that could have been sampled under `mask`.
+    ///
+    /// Heads behind a closed gate are still sampled, so they are still checked.
+    pub fn allows(&self, mask: Mask, action: &[u8]) -> bool {
+        let offsets = self.offsets();
+        action.len() == self.heads.len()
+            && (0..action.len()).all(|h| {
+                let choice = usize::from(action[h]);
+                choice < self.heads[h].n_choices
+                    && self.allowed(h, &offsets, mask, action) >> choice & 1 == 1
+            })
+    }
+
+    /// Returns the allowed choices of head `h` given the mask and the earlier heads' choices.
+    ///
+    /// Where mask and conditional leave nothing, the conditional alone decides: an environment that offers an
+    /// impossible combination must not bring a run down.
+    pub fn allowed(&self, h: usize, offsets: &[usize], mask: Mask, action: &[u8]) -> u64 {
+        let n_choices = self.heads[h].n_choices;
+        let offered = mask.of_head(offsets[h], n_choices);
+        let rule = self.conditionals.iter().find(|rule| rule.head == h);
+        let conditional = rule.map_or(bits(n_choices), |rule| {
+            rule.allowed[usize::from(action[rule.given])] & bits(n_choices)
+        });
+        if offered & conditional == 0 { conditional } else { offered & conditional }
+    }
+}

@@ -1,0 +1,68 @@
+//! Why a specification is impossible.
+
+use thiserror::Error;
+
+use crate::limits;
+
+/// Why a specification is impossible.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum SpecError {
+    /// No head, or too many.
+    #[error("an action has {n_heads} heads; 1 to {max} are possible", max = limits::MAX_HEADS)]
+    Heads {
+        /// How many there are.
+        n_heads: usize,
+    },
+    /// A head without a choice, or with too many.
+    #[error("head `{head}` has {n_choices} choices; 1 to 255 are possible")]
+    Choices {
+        /// The head's name.
+        head: String,
+        /// How many choices it has.
+        n_choices: usize,
+    },
+    /// Too many choices over all heads.
+    #[error("an action has {n_choices} choices in all; at most {max} fit a mask", max = limits::MAX_CHOICES)]
+    TotalChoices {
+        /// How many there are.
+        n_choices: usize,
+    },
+    /// The gate is not a choice of the first head.
+    #[error("gate on choice {choice} of head {head}; it must be a choice of head 0")]
+    Gate {
+        /// The gate's head.
+        head: usize,
+        /// The gate's choice.
+        choice: usize,
+    },
+    /// A restriction that is out of order, has the wrong shape, or leaves no choice.
+    #[error(
+        "conditional of head {head} given head {given} is out of order, misshapen, or leaves no choice"
+    )]
+    Conditional {
+        /// The restricted head.
+        head: usize,
+        /// The head it depends on.
+        given: usize,
+    },
+    /// An ego attention that does not fit the observation.
+    #[error(
+        "{encoder} does not fit {obs_dim} observed numbers; frames must fit, heads share out the width, two \
+         entities be there, and counts be 1 to 1024"
+    )]
+    Attention {
+        /// The encoder's settings.
+        encoder: String,
+        /// Length of the observation.
+        obs_dim: usize,
+    },
+    /// A policy for another observation or other actions than the environment's.
+    #[error("the policy is for another observation or other actions than the environment's")]
+    Policy,
+    /// A rollout without a step, or with too many.
+    #[error("a rollout has {n_steps} steps; 1 to {max} are possible", max = limits::MAX_ROLLOUT_STEPS)]
+    Steps {
+        /// How many it has.
+        n_steps: u32,
+    },
+}
