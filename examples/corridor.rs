@@ -19,10 +19,11 @@ use std::process::ExitCode;
 
 use leadtime::Program;
 use leadtime_numerics::Purpose;
+use leadtime_sims::TaskError;
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_sims::human::HumanSettings;
 use leadtime_sims::notifier::{NotifierEnv, NotifierSettings};
-use leadtime_sims::registry::{TaskError, read};
+use leadtime_sims::registry::read;
 use leadtime_sims::{
     Advance, Domain, End, Environment, EpisodeSeed, Gauge, Listener, Message, ReactionStatus,
     ReactionStep, Scene, Shape, SnapshotError, Tone, View,
@@ -46,12 +47,12 @@ const SETTINGS: &str = include_str!("corridor.toml");
 /// `[world]`
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
-struct World {
+struct CorridorWorld {
     /// Reward for reaching the goal; slipping costs the same.
     goal_reward: f64,
 }
 
-impl Default for World {
+impl Default for CorridorWorld {
     fn default() -> Self {
         Self { goal_reward: 1.0 }
     }
@@ -61,20 +62,20 @@ impl Default for World {
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Settings {
-    world: World,
+    world: CorridorWorld,
     human: HumanSettings,
     notifier: NotifierSettings,
 }
 
 fn build(settings: &str) -> Result<Box<dyn Environment>, TaskError> {
     let settings: Settings = read("corridor", settings)?;
-    let corridor = Corridor { world: settings.world, state: State::default() };
+    let corridor = Corridor { world: settings.world, state: CorridorState::default() };
     Ok(Box::new(NotifierEnv::new(corridor, &settings.human, &settings.notifier)?))
 }
 
 /// Everything the future depends on.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
-struct State {
+struct CorridorState {
     cell: i32,
     /// 0: left, 1: right.
     lane: usize,
@@ -85,8 +86,8 @@ struct State {
 
 #[derive(Debug)]
 struct Corridor {
-    world: World,
-    state: State,
+    world: CorridorWorld,
+    state: CorridorState,
 }
 
 impl Corridor {
@@ -107,13 +108,13 @@ impl Domain for Corridor {
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {
-        let mut rng = seed.stream(Purpose::World);
+        let mut rng = seed.stream(Purpose::CorridorWorld);
         let mut wet_floor = |n: usize| {
             let cell = 10 * (n as i32 + 1) + rng.below(4) as i32;
             (cell, rng.below(2))
         };
         let wet = (0..N_WET).map(&mut wet_floor).collect();
-        self.state = State { cell: 0, lane: rng.below(2), wet, slipped: false };
+        self.state = CorridorState { cell: 0, lane: rng.below(2), wet, slipped: false };
     }
 
     fn observe(&self, out: &mut [f32]) {

@@ -21,7 +21,6 @@ use leadtime_proto::{
     ActorId, EnvId, EnvSpec, Incarnation, Iteration, PolicySpec, PolicyVersion, Rollout, RunName,
     RunSpec, TaskSpec,
 };
-use leadtime_sims::Registry;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -40,7 +39,7 @@ fn task() -> TaskSpec {
 }
 
 fn env_spec() -> EnvSpec {
-    Registry::builtin().build(&task()).unwrap().spec().clone()
+    leadtime_worlds::builtin().build(&task()).unwrap().spec().clone()
 }
 
 fn policy_spec() -> PolicySpec {
@@ -80,7 +79,7 @@ fn reference(mode: Mode) -> [u8; 32] {
     for id in 0..N_ENVS as u32 {
         let beginning =
             EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: Vec::new() };
-        worker.insert(Registry::builtin().build(&task()).unwrap(), &beginning).unwrap();
+        worker.insert(leadtime_worlds::builtin().build(&task()).unwrap(), &beginning).unwrap();
     }
     let mut trainer = Trainer::new(&policy, &settings, RUN_SEED).unwrap();
     let pack = |trainer: &Trainer| Policy::new(&policy, trainer.parameters()).unwrap();
@@ -202,7 +201,11 @@ fn actor(directory: &Path, name: &str, incarnation: u64) -> ActorTask {
         program: "test".to_owned(),
         cpu: "cpu".to_owned(),
     };
-    tokio::spawn(leadtime_actor::run(settings, Registry::builtin(), CancellationToken::new()))
+    tokio::spawn(leadtime_actor::run(
+        settings,
+        leadtime_worlds::builtin(),
+        CancellationToken::new(),
+    ))
 }
 
 async fn dismissed(actor: ActorTask) -> ActorReport {

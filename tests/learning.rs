@@ -6,7 +6,6 @@ use leadtime_policy::Policy;
 use leadtime_ppo::{LearnerSettings, Mode, Trainer, UpdateReport};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{Encoder, EnvId, Iteration, PolicySpec, Rollout, RunSpec, TaskSpec};
-use leadtime_sims::Registry;
 
 /// Trains on a task and returns, per finished episode, its return; and what the first update reported.
 fn train(
@@ -16,7 +15,7 @@ fn train(
     run_seed: u64,
 ) -> (Vec<f64>, UpdateReport) {
     let task = TaskSpec { domain: domain.to_owned(), settings: r#"{"world": {}}"#.to_owned() };
-    let registry = Registry::builtin();
+    let registry = leadtime_worlds::builtin();
     let env = registry.build(&task).expect("the task is built in").spec().clone();
     let policy = PolicySpec { encoder, ..PolicySpec::dense(&env, hidden) };
     let mut trainer = Trainer::new(&policy, settings, run_seed).expect("sound settings");

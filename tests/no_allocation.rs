@@ -17,7 +17,7 @@ use leadtime_proto::{
     Encoder, EnvId, EnvSpec, HeadCredit, Iteration, PolicySpec, PolicyVersion, RunSpec, Schedule,
     TaskSpec,
 };
-use leadtime_sims::{End, Registry, StepOutcome};
+use leadtime_sims::{End, StepOutcome};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Stats, StatsAlloc};
 
 #[global_allocator]
@@ -92,7 +92,7 @@ impl Stopwatch for Laps {
 }
 
 fn collecting_allocates_nothing(domain: &str, n_steps: u32) {
-    let registry = Registry::builtin();
+    let registry = leadtime_worlds::builtin();
     let build = || registry.build(&task(domain)).expect("the default task can be built");
     let env = build().spec().clone();
     let policy = policy_spec(&env);
@@ -140,7 +140,7 @@ impl EpisodeObserver for FirstSteps {
 }
 
 fn evaluating_allocates_nothing(domain: &str, n_steps: u64) {
-    let registry = Registry::builtin();
+    let registry = leadtime_worlds::builtin();
     let make = || registry.build(&task(domain));
     let spec = make().expect("the default task can be built").spec().clone();
     let trained = Player::untrained(&policy_spec(&spec), 1, Choice::Sample);

@@ -216,7 +216,8 @@ mod tests {
 
     #[test]
     fn a_snapshot_that_is_none_costs_its_own_environment_only() {
-        let registry = Registry::builtin();
+        let tasks = leadtime_sims::classic::entries().into_iter();
+        let registry = tasks.fold(Registry::default(), Registry::with_domain);
         let settings = r#"{"world": {"max_steps": 30}}"#.to_owned();
         let task = TaskSpec { domain: "cartpole".to_owned(), settings };
         let env = registry.build(&task).unwrap().spec().clone();

@@ -1,4 +1,4 @@
-"""Frames per second of highway-env's merge-v0 on one core, beside `cargo bench -p leadtime-sims --bench highway`.
+"""Frames per second of highway-env's merge-v0 on one core, beside `cargo bench -p leadtime-highway --bench highway`.
 
     pip install highway-env==1.12.1
     python3 bench/peers/highway.py [FRAMES]

@@ -1,4 +1,4 @@
-"""Frames per second of Gymnasium's LunarLander-v3 on one core, beside `cargo bench -p leadtime-sims --bench lander`.
+"""Frames per second of Gymnasium's LunarLander-v3 on one core, beside `cargo bench -p leadtime-lander --bench lander`.
 
     pip install "gymnasium[box2d]==1.4.0"
     python3 bench/peers/lander_gymnasium.py [FRAMES]

@@ -16,7 +16,7 @@ except ImportError as missing:
     print(f"skipped: {missing}; pip install 'gymnasium[box2d]==1.4.0'")
     sys.exit(0)
 
-WEIGHTS = sys.argv[1] if len(sys.argv) > 1 else "sims/src/lander/pilot.safetensors"
+WEIGHTS = sys.argv[1] if len(sys.argv) > 1 else "sims/lander/src/pilot/pilot.safetensors"
 EPISODES = int(sys.argv[2]) if len(sys.argv) > 2 else 200
 LEADTIME = sys.argv[3] if len(sys.argv) > 3 else "target/release/leadtime"
 

@@ -1,8 +1,8 @@
-"""Steps per second of the steakhouse in Python on one core, beside `cargo bench -p leadtime-sims --bench steakhouse`.
+"""Steps per second of the steakhouse in Python on one core, beside `cargo bench -p leadtime-steakhouse --bench steakhouse`.
 
     python3 bench/peers/steakhouse.py [STEPS]
 
-Steps sims/tests/golden/steakhouse.py, the program that recorded the golden episodes: `world and cook` as there, with
+Steps sims/steakhouse/tests/golden/steakhouse.py, the program that recorded the golden episodes: `world and cook` as there, with
 random starts and resets but no reference run; `domain` with rewards, observations and the reference run of every
 episode. Prints CPU-time rates, one JSON line each.
 """
@@ -13,7 +13,7 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "sims" / "tests" / "golden"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "sims" / "steakhouse" / "tests" / "golden"))
 import steakhouse as kitchen  # noqa: E402
 
 N_STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000

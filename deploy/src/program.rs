@@ -5,8 +5,7 @@ use std::process;
 use clap::Parser as _;
 use leadtime_proto::text::printable;
 use leadtime_runs::Tasks;
-use leadtime_sims::Environment;
-use leadtime_sims::registry::TaskError;
+use leadtime_sims::{Environment, TaskError};
 
 use crate::cli::Cli;
 use crate::exit::{ExitCode, Failure};

@@ -2,8 +2,7 @@
 //!
 //! A domain is a world with a person in it who acts by their own plan. It knows nothing of words, delays,
 //! interruptions or notifiers: those are the [`human`](crate::human) model's and the notifier environment's. It
-//! is told, step by step, which reaction (if any) the person carries out, and what a fully delivered message
-//! disclosed.
+//! receives, step by step, the reaction (if any) that the person carries out, and every fully delivered message.
 //!
 //! | | lander | highway | steakhouse |
 //! |---|---|---|---|
@@ -15,7 +14,7 @@
 //! | full delivery discloses | - | - | true station states |
 //! | observation | fixed vector | entities with presence flags | fixed vector |
 
-use crate::environment::{End, EpisodeSeed, SnapshotError};
+use crate::environment::{End, Entities, EpisodeSeed, SnapshotError};
 use crate::scene::Scene;
 
 /// A notification: what to do, when it can be understood, how long it takes to say.
@@ -38,7 +37,7 @@ pub struct ReactionStep {
     pub first: bool,
 }
 
-/// What became of the reaction in a step.
+/// How a reaction went in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReactionStatus {
     /// The person did (at least part of) what was asked for.
@@ -49,33 +48,22 @@ pub enum ReactionStatus {
     Ended,
 }
 
-/// What one step of the world gave.
+/// The result of one step of the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Advance {
     /// The domain's reward for the step, without the cost of messages.
     pub reward: f64,
-    /// What became of the reaction, if one was asked for.
+    /// How the reaction went, if one was asked for.
     pub reaction: Option<ReactionStatus>,
     /// The end of the episode, if the world ended it (time limits included).
     pub end: Option<End>,
 }
 
-/// What the full delivery of a message did.
+/// The effect of a fully delivered message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Delivery {
     /// A reaction that ran before is off: the person re-plans with what they now know.
     pub cancels_reaction: bool,
-}
-
-/// An observation that consists of entities: rows of numbers, one entity each.
-///
-/// The person's own entity comes first; the first number of a row tells whether there is anything (1) or not (0).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Entities {
-    /// Rows.
-    pub n_entities: usize,
-    /// Numbers per row.
-    pub n_features: usize,
 }
 
 /// A world with a person in it.
@@ -106,13 +94,13 @@ pub trait Domain: Send {
     /// Advances the world by one step (one word): the person reacts, or acts by their own plan.
     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance;
 
-    /// Is told that a reaction is over (run out, replaced or cancelled): a plan made before it may be invalid.
+    /// Called when a reaction is over (run out, replaced or cancelled): a plan made before it may be invalid.
     fn reaction_over(&mut self) {}
 
-    /// Is told that a message has started: a scripted notifier may want to let it work.
+    /// Called when a message has started: a scripted notifier may wait for its effect.
     fn started(&mut self, _message: Message) {}
 
-    /// Is told that a message was heard to its end.
+    /// Called when a message was heard to its end; returns its effect.
     fn deliver(&mut self, _message: Message) -> Delivery {
         Delivery::default()
     }
@@ -133,7 +121,7 @@ pub trait Domain: Send {
         (name == "heuristic").then(|| self.heuristic()).flatten()
     }
 
-    /// Tells whether the episode so far is a success, judged at its end.
+    /// Tells whether the episode so far counts as a success; meaningful at its end.
     fn success(&self) -> bool;
 
     /// Names the domain's own metrics, after `success`.

@@ -1,6 +1,6 @@
 //! What every task looks like to actors, learner, wire and evaluation: they know nothing else.
 //!
-//! An environment is stepped one decision at a time. It never resets itself: whoever drives it sees the final
+//! An environment is stepped one decision at a time. It never resets itself: its driver sees the final
 //! observation first. Its whole future depends on its snapshot and on the actions to come, because every random
 //! draw comes from streams named by [`EpisodeSeed`].
 
@@ -10,16 +10,16 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{Entities, Scene, Speech};
+use crate::scene::{Scene, Speech};
 
 /// Names the random streams of one episode of one environment of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EpisodeSeed {
     /// Seed of the run.
     pub run_seed: u64,
-    /// The environment.
+    /// Which of the run's environments.
     pub env_id: EnvId,
-    /// The how-manieth episode of this environment, from 0.
+    /// Zero-based index of the episode within its environment.
     pub episode: u64,
 }
 
@@ -39,6 +39,17 @@ pub enum End {
     Truncated,
 }
 
+/// An observation that consists of entities: rows of numbers, one entity each.
+///
+/// The person's own entity comes first; the first number of a row tells whether there is anything (1) or not (0).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entities {
+    /// How many entities there is room for: one row each.
+    pub n_entities: usize,
+    /// Numbers per entity, the presence flag included.
+    pub n_features: usize,
+}
+
 /// How an observation begins that is a history of observations of entities.
 ///
 /// `n_frames` times: `entities` (row by row), then `action_dim` numbers about the own action. More may follow.
@@ -48,7 +59,7 @@ pub struct EntityHistory {
     pub n_frames: usize,
     /// What each consists of.
     pub entities: Entities,
-    /// Numbers behind each.
+    /// Numbers about the own action behind each observation.
     pub action_dim: usize,
 }
 
@@ -60,16 +71,16 @@ impl EntityHistory {
     }
 }
 
-/// What one step gave.
+/// The result of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOutcome {
-    /// Raw reward.
+    /// Reward of the task, not normalised.
     pub reward: f32,
     /// The end of the episode, if this step was its last.
     pub end: Option<End>,
 }
 
-/// What is in a person's head, for whoever measures what a policy knows of it: no policy ever sees it.
+/// The person's hidden state, for measuring what a policy knows of it; no policy ever sees it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Insight {
     /// The reaction delay `d_r` of a message that would be understood now, in steps; `None` where every message draws
@@ -83,16 +94,32 @@ pub struct Insight {
     pub speech: Option<Speech>,
 }
 
+/// The layout of every environment's snapshots; a change to any of them adds 1.
+pub const SNAPSHOT_SCHEMA: u32 = 1;
+/// How a snapshot begins; what was written before there was a schema does not.
+const SNAPSHOT_MARK: [u8; 4] = *b"ltS\xf5";
+/// Bytes before the state: the mark, the schema, the task.
+const SNAPSHOT_TAG: usize = 16;
+
 /// Why a snapshot cannot be restored.
 #[derive(Debug, Error)]
 pub enum SnapshotError {
+    /// It was written by a release with other layouts, or by none at all.
+    #[error(
+        "snapshot was not written by this release of Leadtime, which reads schema {SNAPSHOT_SCHEMA} only: continue the \
+         run with the release that began it, or begin a new run"
+    )]
+    OtherRelease,
+    /// It is of another task, or of one that looks otherwise: other shapes, heads or metrics.
+    #[error("snapshot is of another task, or of this one with other settings")]
+    OtherTask,
     /// The bytes are not a snapshot of this kind of environment.
     #[error("snapshot cannot be read by this environment")]
     Codec(#[from] leadtime_proto::codec::CodecError),
     /// The snapshot is of another world, or of other settings.
     #[error("snapshot does not fit this environment: {what}")]
     Mismatch {
-        /// What differs.
+        /// The part of the snapshot that does not fit.
         what: &'static str,
     },
 }
@@ -105,7 +132,7 @@ pub trait Environment: Send {
     /// Returns shapes, heads and metric names.
     fn spec(&self) -> &EnvSpec;
 
-    /// Tells how the observation is a history of entities, if it is: what an attention encoder needs to know.
+    /// Describes the observation as a history of entities, if it is one: an attention encoder needs to know.
     fn entity_history(&self) -> Option<EntityHistory> {
         None
     }
@@ -133,7 +160,20 @@ pub trait Environment: Send {
     fn metrics(&self, out: &mut [f32]);
 
     /// Appends everything the future depends on.
-    fn snapshot(&self, out: &mut Vec<u8>);
+    fn write_state(&self, out: &mut Vec<u8>);
+
+    /// Continues from a state, bit for bit, and writes the observation at that point.
+    ///
+    /// # Errors
+    ///
+    /// [`SnapshotError`] if the bytes are no state of such an environment; it must then be reset.
+    fn read_state(&mut self, state: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError>;
+
+    /// Appends the state, with a tag in front that says what can read it.
+    fn snapshot(&self, out: &mut Vec<u8>) {
+        out.extend_from_slice(&snapshot_tag(self.spec()));
+        self.write_state(out);
+    }
 
     /// Returns an upper bound on the size of a snapshot, in bytes; starts an episode to measure one.
     ///
@@ -151,8 +191,20 @@ pub trait Environment: Send {
     ///
     /// # Errors
     ///
-    /// [`SnapshotError`] if the bytes are no snapshot of such an environment; it must then be reset.
-    fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError>;
+    /// [`SnapshotError`] if the bytes are no snapshot of such an environment in this release; it must then be reset.
+    fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        let own = snapshot_tag(self.spec());
+        let (tag, state) =
+            snapshot.split_at_checked(SNAPSHOT_TAG).ok_or(SnapshotError::OtherRelease)?;
+        // The encoding says nothing about what it encodes, so bytes of another layout may well decode into a state.
+        if tag[..8] != own[..8] {
+            return Err(SnapshotError::OtherRelease);
+        }
+        if tag != own {
+            return Err(SnapshotError::OtherTask);
+        }
+        self.read_state(state, observation)
+    }
 
     /// Lists the scripted policies that this task knows, such as `unaided` and `heuristic`.
     fn baselines(&self) -> &'static [&'static str] {
@@ -164,7 +216,7 @@ pub trait Environment: Send {
         false
     }
 
-    /// Tells what is in the person's head, if there is a person who listens.
+    /// Returns the person's hidden state, if there is a person who listens.
     ///
     /// A step that was taken before a snapshot was restored is not remembered: no reaction began in it.
     fn insight(&self) -> Option<Insight> {
@@ -175,6 +227,23 @@ pub trait Environment: Send {
     fn scene(&self) -> Option<Scene> {
         None
     }
+}
+
+/// Returns what snapshots of a task begin with: mark, schema, and a hash (FNV-1a) of what the task looks like.
+fn snapshot_tag(spec: &EnvSpec) -> [u8; SNAPSHOT_TAG] {
+    let heads = spec.actions.heads.iter().map(|head| (head.name.as_str(), head.n_choices));
+    let metrics = spec.metrics.iter().map(|name| (name.as_str(), 0));
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    for (name, number) in [("", spec.obs_dim)].into_iter().chain(heads).chain(metrics) {
+        for byte in name.bytes().chain([0]).chain((number as u64).to_le_bytes()) {
+            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+    }
+    let mut tag = [0; SNAPSHOT_TAG];
+    tag[..4].copy_from_slice(&SNAPSHOT_MARK);
+    tag[4..8].copy_from_slice(&SNAPSHOT_SCHEMA.to_le_bytes());
+    tag[8..].copy_from_slice(&hash.to_le_bytes());
+    tag
 }
 
 /// Writes a state through the project's one codec.

@@ -30,21 +30,21 @@ pub enum Shape {
         min: [f64; 2],
         /// Upper right corner.
         max: [f64; 2],
-        /// Meaning.
+        /// What the rectangle means.
         tone: Tone,
     },
     /// A line through points.
     Line {
-        /// The points.
+        /// From one end to the other.
         points: Vec<[f64; 2]>,
-        /// Meaning.
+        /// What the line means.
         tone: Tone,
     },
     /// A filled polygon.
     Polygon {
-        /// The corners.
+        /// Its corners in order, either way round.
         points: Vec<[f64; 2]>,
-        /// Meaning.
+        /// What the polygon means.
         tone: Tone,
     },
     /// A short text.
@@ -68,7 +68,7 @@ pub struct View {
 /// An utterance while it is spoken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Speech {
-    /// Topic id.
+    /// Index of the topic in [`Listener::topics`].
     pub topic: usize,
     /// k, in words.
     pub comprehension: u32,
@@ -98,7 +98,7 @@ pub struct Listener {
 pub struct Gauge {
     /// What it is, with its unit if it has one; the same in every moment of a task.
     pub label: &'static str,
-    /// Its value.
+    /// Its value in that unit.
     pub value: f64,
 }
 

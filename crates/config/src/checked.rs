@@ -9,10 +9,10 @@ use leadtime_policy::parameters;
 use leadtime_ppo::LearnerSettings;
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
-use leadtime_sims::registry::{Registry, TaskError};
 use leadtime_sims::{Environment, notifier};
+use leadtime_sims::{Registry, TaskError};
 use toml::Table;
-use toml::de::DeValue;
+use toml::de::{DeTable, DeValue};
 
 use crate::catalog::{Catalog, GENERAL, GENERAL_TEXT};
 use crate::error::{ConfigError, ensure, within};
@@ -174,16 +174,21 @@ impl Config {
         let domain = DomainName::new(&written.domain);
         let domain = domain.map_err(|error| ConfigError::of(error).at("`domain`"))?;
         let task = sections::read(domain.as_str(), &layers, sections.clone())?;
-        let evaluated = match changes.map(toml::Spanned::into_inner) {
-            Some(DeValue::Table(changes)) if !changes.is_empty() => {
-                let mut sections = sections;
-                let world = sections.get_mut("world").map(toml::Spanned::get_mut);
-                if let Some(DeValue::Table(world)) = world {
-                    layers.overlay(world, changes)?;
-                }
-                sections::read(domain.as_str(), &layers, sections)?.spec
+        // What the task itself does otherwise in evaluation comes first, what the user wants on top.
+        let evaluation = DeTable::parse(registry.evaluation_world(domain.as_str()));
+        let mut evaluation = evaluation.map_err(ConfigError::of)?.into_inner();
+        if let Some(DeValue::Table(changes)) = changes.map(toml::Spanned::into_inner) {
+            layers.overlay(&mut evaluation, changes)?;
+        }
+        let evaluated = if evaluation.is_empty() {
+            task.spec.clone()
+        } else {
+            let mut sections = sections;
+            let world = sections.get_mut("world").map(toml::Spanned::get_mut);
+            if let Some(DeValue::Table(world)) = world {
+                layers.overlay(world, evaluation)?;
             }
-            _ => task.spec.clone(),
+            sections::read(domain.as_str(), &layers, sections)?.spec
         };
         let mut table = Table::try_from(&written).map_err(ConfigError::of)?;
         table.extend(task.table);

@@ -1,12 +1,14 @@
 //! The sections about the task: which a domain has, and of which types.
 
+use leadtime_highway::task::HighwayWorldSettings;
+use leadtime_lander::pilot::PilotTaskSettings;
+use leadtime_lander::task::LanderWorldSettings;
 use leadtime_proto::TaskSpec;
 use leadtime_sims::classic::{CartPoleSettings, CueRecallSettings};
 use leadtime_sims::human::HumanSettings;
-use leadtime_sims::lander::PilotTaskSettings;
 use leadtime_sims::notifier::NotifierSettings;
 use leadtime_sims::registry::WorldOnly;
-use leadtime_sims::{cooking, driving, piloting};
+use leadtime_steakhouse::task::SteakhouseWorldSettings;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use toml::Table;
@@ -57,9 +59,11 @@ pub(crate) fn read<'a>(
     sections: DeTable<'a>,
 ) -> Result<Task, ConfigError> {
     match domain {
-        "lander" => typed::<NotifierSections<piloting::WorldSettings>>(domain, layers, sections),
-        "highway" => typed::<NotifierSections<driving::WorldSettings>>(domain, layers, sections),
-        "steakhouse" => typed::<NotifierSections<cooking::WorldSettings>>(domain, layers, sections),
+        "lander" => typed::<NotifierSections<LanderWorldSettings>>(domain, layers, sections),
+        "highway" => typed::<NotifierSections<HighwayWorldSettings>>(domain, layers, sections),
+        "steakhouse" => {
+            typed::<NotifierSections<SteakhouseWorldSettings>>(domain, layers, sections)
+        }
         "pilot" => typed::<WorldOnly<PilotTaskSettings>>(domain, layers, sections),
         "cartpole" => typed::<WorldOnly<CartPoleSettings>>(domain, layers, sections),
         "cue_recall" => typed::<WorldOnly<CueRecallSettings>>(domain, layers, sections),

@@ -3,7 +3,6 @@ use std::path::PathBuf;
 use leadtime_ppo::{LearnerSettings, Truncation};
 use leadtime_proto::{EnvId, TaskSpec};
 use leadtime_sims::EpisodeSeed;
-use leadtime_sims::registry::Registry;
 use toml::Table;
 
 use super::{Catalog, Config, ConfigError, ConfigSource, Layer, Override, identity};
@@ -14,7 +13,7 @@ fn load(text: &str, set: &[&str], catalog: &Catalog) -> Result<Config, ConfigErr
         set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
         ..ConfigSource::default()
     };
-    Config::load(&source, catalog, &Registry::builtin())
+    Config::load(&source, catalog, &leadtime_worlds::builtin())
 }
 
 fn check(text: &str) -> Result<Config, ConfigError> {
@@ -239,7 +238,7 @@ fn impossible_values_are_reported_by_key() {
 /// A lander that touches the ground remembers its contacts, nine times what it is at the start.
 #[test]
 fn no_snapshot_is_larger_than_the_bound_that_checkpoints_are_planned_with() {
-    let registry = Registry::builtin();
+    let registry = leadtime_worlds::builtin();
     for name in Catalog::built_in().names() {
         let config = check(&format!("base = \"{name}\"")).unwrap();
         let mut environment = config.build(&registry).unwrap();
@@ -282,14 +281,14 @@ fn the_command_line_has_the_last_word() {
         runs: Some("elsewhere".into()),
         name: Some("mine".to_owned()),
     };
-    let config = Config::load(&source, &catalog, &Registry::builtin()).unwrap();
+    let config = Config::load(&source, &catalog, &leadtime_worlds::builtin()).unwrap();
     assert_eq!(config.learner.learning_rate, 1.0);
     assert_eq!(config.table["learner"]["learning_rate"].to_string(), "1.0");
     assert_eq!(config.task.settings, r#"{"world":{"max_steps":200}}"#);
     assert_eq!((config.seed, config.run.directory), (7, PathBuf::from("elsewhere")));
     assert_eq!(config.run.name.unwrap().as_str(), "mine");
     let seed = ConfigSource { seed: Some(1 << 63), ..source };
-    let error = Config::load(&seed, &catalog, &Registry::builtin()).unwrap_err();
+    let error = Config::load(&seed, &catalog, &leadtime_worlds::builtin()).unwrap_err();
     assert!(
         error.to_string().contains("`--seed` is 9223372036854775808; allowed: 0 to"),
         "{error}"
@@ -302,7 +301,7 @@ fn a_directory_of_runs_need_not_be_text() {
     use std::os::unix::ffi::OsStrExt as _;
     let directory = PathBuf::from(std::ffi::OsStr::from_bytes(b"r\xff"));
     let source = ConfigSource { runs: Some(directory.clone()), ..ConfigSource::default() };
-    let registry = Registry::builtin();
+    let registry = leadtime_worlds::builtin();
     let config = Config::load(&source, &Catalog::built_in(), &registry).unwrap();
     assert_eq!(config.run.directory, directory);
     let changed = config.with([Layer::text("", "seed = 2")], &registry).unwrap();
@@ -319,13 +318,32 @@ fn evaluation_may_differ_from_training() {
 }
 
 #[test]
+fn a_drive_is_evaluated_to_its_arrival() {
+    let absorbs = |config: &Config| {
+        let until = |task: &TaskSpec| {
+            let settings: serde_json::Value = serde_json::from_str(&task.settings).unwrap();
+            settings["world"]["absorb_until"].as_u64().unwrap()
+        };
+        (until(&config.task), until(&config.evaluation.task))
+    };
+    let highway = check("domain = \"highway\"").unwrap();
+    assert_eq!(absorbs(&highway), (200, 0));
+    // As runs and policies have it that are older than this rule.
+    let stored = highway.table.to_string();
+    let stored = Config::stored("the run", &stored, &[], &leadtime_worlds::builtin()).unwrap();
+    assert_eq!(absorbs(&stored), (200, 0));
+    let own = check("domain = \"highway\"\n[evaluation.world]\nabsorb_until = 150").unwrap();
+    assert_eq!(absorbs(&own), (200, 150));
+}
+
+#[test]
 fn a_stored_configuration_may_lack_what_came_later() {
     let mut table = check("").unwrap().table;
     for key in ["length_bias", "attention_width", "attention_heads"] {
         table["policy"].as_table_mut().unwrap().remove(key).unwrap();
     }
     let stored = |set: &[Override]| {
-        Config::stored("the policy", &table.to_string(), set, &Registry::builtin()).unwrap()
+        Config::stored("the policy", &table.to_string(), set, &leadtime_worlds::builtin()).unwrap()
     };
     assert_eq!(stored(&[]).table, check("").unwrap().table);
     let slower = stored(&[Override::parse("human.reaction_delay.fixed=5").unwrap()]);
@@ -344,11 +362,11 @@ fn a_domain_of_ones_own_starts_from_general_defaults() {
     {
         assert!(printed.contains(part), "{part}: {printed}");
     }
-    let registry = Registry::builtin().with("mine", |settings| {
+    let registry = leadtime_worlds::builtin().with("mine", |settings| {
         let expected = r#"{"human":{"patience":2},"world":{"height":4,"width":3,"x":2.0}}"#;
         assert_eq!(settings, expected);
         let settings = String::from("{}");
-        Registry::builtin().build(&TaskSpec { domain: "cartpole".to_owned(), settings })
+        leadtime_worlds::builtin().build(&TaskSpec { domain: "cartpole".to_owned(), settings })
     });
     let load = |text: &str, set: &str| {
         let file = Some(Layer::text("mine.toml", text));

@@ -6,16 +6,13 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use leadtime_episodes::{Choice, EnvSlot, Lockstep, Player};
 use leadtime_proto::{Encoder, EnvId, HeadCredit, PolicySpec};
-use leadtime_sims::cooking::{Cooking, CookingSettings};
-use leadtime_sims::{Environment, EpisodeSeed, NotifierEnv};
+use leadtime_sims::{Environment, EpisodeSeed};
+use leadtime_steakhouse::task::SteakhouseTaskSettings;
 
 const BATCH: u32 = 64;
 
 fn environment() -> Box<dyn Environment> {
-    let settings = CookingSettings::default();
-    let task = Cooking::new(&settings.world).expect("the defaults are possible");
-    let env = NotifierEnv::new(task, &settings.human, &settings.notifier);
-    Box::new(env.expect("the defaults are possible"))
+    Box::new(SteakhouseTaskSettings::default().build().expect("the defaults are possible"))
 }
 
 fn steps_per_second(criterion: &mut Criterion) {

@@ -4,7 +4,6 @@ use crate::journal::Journal;
 use crate::naming::{Naming, Reservation};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
-use leadtime_sims::registry::Registry;
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,7 +16,7 @@ fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
         runs: Some(runs.to_owned()),
         name: name.map(str::to_owned),
     };
-    Config::load(&source, &catalog, &Registry::builtin()).unwrap()
+    Config::load(&source, &catalog, &leadtime_worlds::builtin()).unwrap()
 }
 
 fn build(program: &str) -> ProgramBuild {

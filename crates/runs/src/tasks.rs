@@ -5,8 +5,7 @@ use std::{fs, io};
 
 use leadtime_config::{Catalog, Config, ConfigError, ConfigSource, Layer};
 use leadtime_proto::{EnvId, TaskSpec};
-use leadtime_sims::registry::{Registry, TaskError};
-use leadtime_sims::{Environment, EpisodeSeed};
+use leadtime_sims::{Environment, EpisodeSeed, Registry, TaskError};
 use thiserror::Error;
 
 /// Why a configuration cannot be loaded.
@@ -51,7 +50,7 @@ impl Default for Tasks {
 impl Tasks {
     /// Returns the built-in tasks.
     pub fn new() -> Self {
-        Self { registry: Registry::builtin(), catalog: Catalog::built_in() }
+        Self { registry: leadtime_worlds::builtin(), catalog: Catalog::built_in() }
     }
 
     /// Adds a task with the general default settings.

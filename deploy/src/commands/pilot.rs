@@ -1,7 +1,8 @@
 //! `leadtime pilot eval`: a pilot flies without zones and messages, on Gymnasium's seeds.
 
 use anyhow::Context as _;
-use leadtime_sims::lander::{Evaluation, Flyer, LanderSettings, Pilot, evaluate};
+use leadtime_lander::pilot::{Flyer, Pilot, PilotEvaluation, evaluate};
+use leadtime_lander::world::PhysicsSettings;
 use serde_json::json;
 
 use crate::cli::PilotEvalArgs;
@@ -9,7 +10,7 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 
 pub(super) fn run(args: &PilotEvalArgs) -> Result<(), Failure> {
-    let settings = LanderSettings { wind: args.wind, ..LanderSettings::default() };
+    let settings = PhysicsSettings { wind: args.wind, ..PhysicsSettings::default() };
     let from_file;
     let flyer = match args.pilot.as_str() {
         "heuristic" => Flyer::Heuristic,
@@ -30,7 +31,7 @@ fn read(file: &str) -> anyhow::Result<Pilot> {
     Pilot::from_safetensors(&bytes).with_context(|| format!("{file} is not a pilot"))
 }
 
-fn print(args: &PilotEvalArgs, evaluation: &Evaluation) {
+fn print(args: &PilotEvalArgs, evaluation: &PilotEvaluation) {
     if args.json {
         output::json(&json!({
             "pilot": args.pilot,

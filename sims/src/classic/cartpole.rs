@@ -9,11 +9,11 @@ use leadtime_numerics::{Pcg64, Purpose};
 use leadtime_proto::{ActionSpec, EnvSpec};
 use serde::{Deserialize, Serialize};
 
+use crate::check::{SettingError, require};
 use crate::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
 use crate::scene::{Gauge, Scene, Shape, Tone, View};
-use crate::setting::{SettingError, require};
 
 const GRAVITY: f64 = 9.8;
 const CART_MASS: f64 = 1.0;
@@ -55,7 +55,7 @@ impl CartPoleSettings {
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct State {
+struct CartPoleState {
     /// Cart position (m), its velocity (m/s), pole angle (rad), its velocity (rad/s).
     motion: [f64; 4],
     n_steps: u32,
@@ -71,7 +71,7 @@ struct State {
 pub struct CartPole {
     spec: EnvSpec,
     max_steps: u32,
-    state: State,
+    state: CartPoleState,
 }
 
 impl CartPole {
@@ -87,13 +87,13 @@ impl CartPole {
             actions: ActionSpec::discrete("push", 2),
             metrics: vec!["success".to_owned()],
         };
-        Ok(Self { spec, max_steps: settings.max_steps, state: State::default() })
+        Ok(Self { spec, max_steps: settings.max_steps, state: CartPoleState::default() })
     }
 
     /// Starts an episode from a given generator; `Pcg64::seed_from_u64(seed)` is Gymnasium's `reset(seed=seed)`.
     pub fn reset_with(&mut self, mut generator: Pcg64, observation: &mut [f32]) {
         let motion = std::array::from_fn(|_| generator.uniform(-0.05, 0.05));
-        self.state = State { motion, n_steps: 0 };
+        self.state = CartPoleState { motion, n_steps: 0 };
         self.observe(observation);
     }
 
@@ -145,12 +145,12 @@ impl Environment for CartPole {
         out[0] = f32::from(u8::from(self.state.n_steps >= self.max_steps && !self.has_fallen()));
     }
 
-    fn snapshot(&self, out: &mut Vec<u8>) {
+    fn write_state(&self, out: &mut Vec<u8>) {
         write_snapshot(&self.state, out);
     }
 
-    fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
-        let state: State = read_snapshot(snapshot)?;
+    fn read_state(&mut self, state: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        let state: CartPoleState = read_snapshot(state)?;
         let finite = state.motion.iter().all(|value| value.is_finite());
         if !finite || state.n_steps > self.max_steps {
             return Err(SnapshotError::Mismatch { what: "motion or time limit" });

@@ -13,10 +13,10 @@ use leadtime_numerics::Purpose;
 use leadtime_proto::{ActionSpec, EnvSpec};
 use serde::{Deserialize, Serialize};
 
+use crate::check::{SettingError, require};
 use crate::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
-use crate::setting::{SettingError, require};
 
 /// Settings of [`CueRecall`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -52,7 +52,7 @@ impl CueRecallSettings {
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct State {
+struct CueRecallState {
     cue: u8,
     delay: u32,
     n_steps: u32,
@@ -69,7 +69,7 @@ struct State {
 pub struct CueRecall {
     spec: EnvSpec,
     settings: CueRecallSettings,
-    state: State,
+    state: CueRecallState,
 }
 
 impl CueRecall {
@@ -85,7 +85,7 @@ impl CueRecall {
             actions: ActionSpec::discrete("recall", settings.n_cues),
             metrics: vec!["success".to_owned()],
         };
-        Ok(Self { spec, settings: settings.clone(), state: State::default() })
+        Ok(Self { spec, settings: settings.clone(), state: CueRecallState::default() })
     }
 
     fn observe(&self, observation: &mut [f32]) {
@@ -108,7 +108,7 @@ impl Environment for CueRecall {
         let cue = generator.below(self.settings.n_cues) as u8;
         let (low, high) = (self.settings.delay_min, self.settings.delay_max);
         let delay = generator.integers(i64::from(low), i64::from(high) + 1) as u32;
-        self.state = State { cue, delay, n_steps: 0, recalled: false };
+        self.state = CueRecallState { cue, delay, n_steps: 0, recalled: false };
         self.observe(observation);
     }
 
@@ -129,12 +129,12 @@ impl Environment for CueRecall {
         out[0] = f32::from(u8::from(self.state.recalled));
     }
 
-    fn snapshot(&self, out: &mut Vec<u8>) {
+    fn write_state(&self, out: &mut Vec<u8>) {
         write_snapshot(&self.state, out);
     }
 
-    fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
-        let state: State = read_snapshot(snapshot)?;
+    fn read_state(&mut self, state: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        let state: CueRecallState = read_snapshot(state)?;
         if usize::from(state.cue) >= self.settings.n_cues {
             return Err(SnapshotError::Mismatch { what: "number of cues" });
         }

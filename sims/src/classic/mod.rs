@@ -7,6 +7,8 @@
 
 mod cartpole;
 mod cue_recall;
+mod entries;
 
 pub use cartpole::{CartPole, CartPoleSettings};
 pub use cue_recall::{CueRecall, CueRecallSettings};
+pub use entries::entries;

@@ -3,7 +3,7 @@
 use leadtime_numerics::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use super::settings::{Drawn, MAX_REACTION_DELAY, ReactionDelay};
+use super::settings::{DelayDraw, MAX_REACTION_DELAY, ReactionDelay};
 
 /// A person's reaction delay in one episode: what was drawn at its start, and the stream for what is drawn later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -37,8 +37,8 @@ impl DelaySource {
 
     fn standing(&self, setting: ReactionDelay, now: u32) -> Option<f64> {
         match setting {
-            ReactionDelay::Normal { drawn: Drawn::PerNotification, .. }
-            | ReactionDelay::Uniform { drawn: Drawn::PerNotification, .. } => None,
+            ReactionDelay::Normal { drawn: DelayDraw::PerNotification, .. }
+            | ReactionDelay::Uniform { drawn: DelayDraw::PerNotification, .. } => None,
             ReactionDelay::Person { drift, .. } => Some(self.of_episode + drift * f64::from(now)),
             _ => Some(self.of_episode),
         }
@@ -71,7 +71,8 @@ mod tests {
 
     #[test]
     fn a_delay_drawn_per_episode_stays() {
-        let setting = ReactionDelay::Normal { mean: 2.0, deviation: 1.0, drawn: Drawn::PerEpisode };
+        let setting =
+            ReactionDelay::Normal { mean: 2.0, deviation: 1.0, drawn: DelayDraw::PerEpisode };
         let means: Vec<u32> = (0..50)
             .map(|seed| {
                 let drawn = delays(setting, seed);
@@ -84,7 +85,7 @@ mod tests {
 
     #[test]
     fn a_delay_drawn_per_notification_has_its_distribution() {
-        let drawn = Drawn::PerNotification;
+        let drawn = DelayDraw::PerNotification;
         let uniform = delays(ReactionDelay::Uniform { low: 1, high: 3, drawn }, 7);
         assert_eq!((uniform.iter().min(), uniform.iter().max()), (Some(&1), Some(&3)));
         let normal = delays(ReactionDelay::Normal { mean: 4.0, deviation: 1.0, drawn }, 7);
@@ -95,7 +96,7 @@ mod tests {
 
     #[test]
     fn a_delay_is_known_before_the_message_unless_every_message_draws_its_own() {
-        let per_episode = ReactionDelay::Uniform { low: 0, high: 5, drawn: Drawn::PerEpisode };
+        let per_episode = ReactionDelay::Uniform { low: 0, high: 5, drawn: DelayDraw::PerEpisode };
         let tiring = ReactionDelay::Person { mean: 2.0, spread: 1.0, drift: 0.1 };
         for (setting, seed) in [(per_episode, 3), (per_episode, 4), (tiring, 3)] {
             let mut source = DelaySource::new(setting, Pcg64::seed_from_u64(seed));
@@ -104,7 +105,7 @@ mod tests {
                 assert_eq!(known, Some(source.next(setting, now)), "time {now}");
             }
         }
-        let anew = ReactionDelay::Uniform { low: 0, high: 5, drawn: Drawn::PerNotification };
+        let anew = ReactionDelay::Uniform { low: 0, high: 5, drawn: DelayDraw::PerNotification };
         assert_eq!(DelaySource::new(anew, Pcg64::seed_from_u64(3)).known(anew, 0), None);
     }
 

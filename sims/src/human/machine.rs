@@ -4,15 +4,15 @@
 //! A step is driven in this order; `t` is the step's index and the time at its start:
 //!
 //! 1. [`Human::begin_step`]: is a reaction due?
-//! 2. [`Human::obey`]: the notifier starts a message, stops its own, or does neither.
-//! 3. [`Human::reaction`] is carried out in the world (unless there is none), and
-//! 4. [`Human::acted`] is told how that went.
+//! 2. [`Human::apply`]: the notifier starts a message, stops its own, or does neither.
+//! 3. [`Human::reaction`], if there is one, is carried out in the world, and
+//! 4. [`Human::acted`] records how that went.
 //! 5. [`Human::hear_word`]: one more word is heard, and the time is `t + 1`.
 //!
 //! # Transitions
 //!
 //! `k'` is the effective comprehension time, `l'` the effective conveyance time (`k'` but at least 1 if speech does
-//! not occupy the channel), `d` the delay drawn for the message. "Over" means that the world is told
+//! not occupy the channel), `d` the delay drawn for the message. "Over" means that the world is notified
 //! ([`Human::take_reaction_over`]). Everything that no row names stays as it is.
 //!
 //! | row | event | state and setting | becomes |
@@ -76,7 +76,7 @@ const MAX_TIME: u32 = 1 << 30;
 
 /// What the notifier wants in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
+pub enum SpeechAct {
     /// Nothing new: a running utterance goes on.
     Continue,
     /// To start a message.
@@ -85,10 +85,10 @@ pub enum Order {
     Stop,
 }
 
-/// What became of the notifier's order.
+/// What became of the notifier's speech act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Initiation {
-    /// There was none.
+    /// The notifier did not speak.
     None,
     /// The message started.
     Started,
@@ -100,25 +100,9 @@ pub enum Initiation {
     Stopped,
 }
 
-/// What a step of a reaction meant for the human's reward.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Reacted {
-    /// `R_react` of this step.
-    pub reward: f64,
-}
-
-/// What one more word did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Heard {
-    /// The message that became actionable.
-    pub comprehended: Option<Message>,
-    /// The message that was heard to its end.
-    pub delivered: Option<Message>,
-}
-
 /// A message while it is spoken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-struct Utterance {
+struct SpokenMessage {
     message: Message,
     heard: u32,
     understood: bool,
@@ -133,7 +117,7 @@ struct Pending {
 
 /// A message that is being acted upon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-struct Running {
+struct RunningReaction {
     message: Message,
     steps_left: u32,
     /// At least one step was asked of the world.
@@ -146,9 +130,9 @@ struct Running {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HumanState {
     now: u32,
-    speech: Option<Utterance>,
+    speech: Option<SpokenMessage>,
     pending: VecDeque<Pending>,
-    running: Option<Running>,
+    running: Option<RunningReaction>,
     delay: DelaySource,
     tally: Tally,
 }
@@ -291,24 +275,26 @@ impl Human {
         }
         self.state.pending.pop_front();
         let steps_left = self.settings.reaction_steps(pending.message);
+        // Row D4: it asks for nothing, so what runs goes on.
         if steps_left == 0 {
             self.state.tally.unheeded += 1;
             return;
         }
         self.end_running();
         let message = pending.message;
-        self.state.running = Some(Running { message, steps_left, begun: false, followed: false });
+        self.state.running =
+            Some(RunningReaction { message, steps_left, begun: false, followed: false });
     }
 
-    /// Obeys the notifier's order, as far as the settings let it (rows I and S).
-    pub fn obey(&mut self, order: Order) -> Initiation {
-        match order {
-            Order::Stop if self.may_stop() => {
+    /// Applies the notifier's speech act, as far as the settings let it (rows I and S).
+    pub fn apply(&mut self, act: SpeechAct) -> Initiation {
+        match act {
+            SpeechAct::Stop if self.may_stop() => {
                 self.cut_speech();
                 Initiation::Stopped
             }
-            Order::Continue | Order::Stop => Initiation::None,
-            Order::Start(message) => self.initiate(message),
+            SpeechAct::Continue | SpeechAct::Stop => Initiation::None,
+            SpeechAct::Start(message) => self.initiate(message),
         }
     }
 
@@ -333,6 +319,7 @@ impl Human {
 
     fn start(&mut self, message: Message) {
         self.cut_speech();
+        // Before the new message can become pending itself, which with k' = 0 happens below.
         if self.settings.pending == PendingRule::CancelOnInitiation {
             self.drop_pending_after(None);
         }
@@ -345,7 +332,8 @@ impl Human {
         tally.sum_l += message.conveyance;
         tally.long += u32::from(message.conveyance >= LONG_FROM_WORDS);
         let understood = self.settings.effective_comprehension(message) == 0;
-        self.state.speech = Some(Utterance { message, heard: 0, understood });
+        self.state.speech = Some(SpokenMessage { message, heard: 0, understood });
+        // Row I9: `begin_step` of this step is past, so a reaction that is due at once starts here, and not a step late.
         if understood {
             self.comprehend(message);
             self.begin_step();
@@ -358,12 +346,13 @@ impl Human {
         Some(ReactionStep { topic: running.message.topic, first: !running.begun })
     }
 
-    /// Is told how this step of the running reaction went (rows A).
+    /// Records how this step of the running reaction went (rows A); returns `R_react` of the step.
     ///
     /// A world that says nothing about a reaction it was asked for has refused it.
-    pub fn acted(&mut self, status: Option<ReactionStatus>) -> Reacted {
-        let Some(running) = self.state.running.as_mut() else { return Reacted::default() };
+    pub fn acted(&mut self, status: Option<ReactionStatus>) -> f64 {
+        let Some(running) = self.state.running.as_mut() else { return 0.0 };
         let status = status.unwrap_or(ReactionStatus::Refused);
+        // A refused step uses up time as a followed one does: the person tried for `d_f` steps.
         let follows = status != ReactionStatus::Refused;
         let first_followed = follows && !running.followed;
         running.begun = true;
@@ -379,31 +368,30 @@ impl Human {
             ReactionReward::Once => first_followed,
             ReactionReward::PerStep => follows,
         };
-        let reward = if pays { self.settings.informativeness_of(message) - 2.0 } else { 0.0 };
-        Reacted { reward }
+        if pays { self.settings.informativeness_of(message) - 2.0 } else { 0.0 }
     }
 
-    /// Hears one more word, if one is spoken, and ends the step (rows C and L1).
-    pub fn hear_word(&mut self) -> Heard {
+    /// Hears one more word, if one is spoken, and ends the step (rows C and L1); returns the message that was heard to
+    /// its end.
+    pub fn hear_word(&mut self) -> Option<Message> {
+        // Time moves even in silence, and before comprehension: a delay counts from the end of the k-th word's step.
         self.state.now += 1;
-        let Some(utterance) = self.state.speech.as_mut() else { return Heard::default() };
+        let utterance = self.state.speech.as_mut()?;
         utterance.heard += 1;
-        let Utterance { message, heard, understood } = *utterance;
+        let SpokenMessage { message, heard, understood } = *utterance;
         let comprehension = self.settings.effective_comprehension(message);
         let length = if self.settings.occupies { message.conveyance } else { comprehension.max(1) };
-        let mut result = Heard::default();
+        // Comprehension comes first: with k = l the message is pending before its delivery may cancel a reaction.
         if !understood && heard >= comprehension {
             utterance.understood = true;
             self.comprehend(message);
-            result.comprehended = Some(message);
         }
-        if heard >= length {
+        (heard >= length).then(|| {
             self.state.speech = None;
             self.state.tally.delivered += 1;
             self.state.tally.followed += u32::from(self.only_informs(message));
-            result.delivered = Some(message);
-        }
-        result
+            message
+        })
     }
 
     /// Drops the running reaction because what was delivered made the person think again (row L2).
@@ -413,6 +401,7 @@ impl Human {
 
     fn comprehend(&mut self, message: Message) {
         self.state.tally.comprehended += 1;
+        // Row C6, before any draw: a message without a reaction must not use up the stream of delays.
         if self.only_informs(message) {
             return;
         }
@@ -421,12 +410,14 @@ impl Human {
         }
         let delay = self.state.delay.next(self.settings.reaction_delay, self.state.now);
         let is_queue = self.settings.pending == PendingRule::Queue;
+        // After the draw, so that a full queue does not shift the delays of later messages.
         if is_queue && self.state.pending.len() == MAX_PENDING {
             self.state.tally.overwritten += 1;
             return;
         }
         if !is_queue {
-            // A reaction whose time has come starts before this one is processed.
+            // Row C5: what is due now has waited its full delay and starts with the next step, unless the new one is
+            // due in that very step too: one step starts one reaction.
             self.drop_pending_after(if delay == 0 { None } else { Some(self.state.now) });
         }
         self.state.pending.push_back(Pending { message, due: self.state.now + delay });
@@ -449,6 +440,7 @@ impl Human {
 
     fn end_running(&mut self) {
         if let Some(running) = self.state.running.take() {
+            // A reaction of which the world has seen no step has left nothing behind that a plan could miss.
             self.reaction_over |= running.begun;
             self.state.tally.overwritten += u32::from(!running.begun);
             self.state.tally.unheeded += u32::from(running.begun && !running.followed);

@@ -24,7 +24,7 @@ fn any_settings() -> impl Strategy<Value = HumanSettings> {
     let rest = (interrupt, pending, running, flags, 0_u32..6, 0_u32..2);
     rest.prop_map(|(interrupt, pending, running, flags, high, words_from)| {
         let (occupies, can_stop, immediate, repeats) = flags;
-        let drawn = crate::human::Drawn::PerNotification;
+        let drawn = crate::human::DelayDraw::PerNotification;
         with(|s| {
             s.interrupt = interrupt;
             s.pending = pending;
@@ -41,11 +41,11 @@ fn any_settings() -> impl Strategy<Value = HumanSettings> {
     })
 }
 
-fn any_step() -> impl Strategy<Value = (Order, ReactionStatus)> {
+fn any_step() -> impl Strategy<Value = (SpeechAct, ReactionStatus)> {
     let words = (1_u32..6, 0_u32..4).prop_map(|(k, more)| (k, k + more));
-    let order = prop_oneof![
-        3 => Just(Order::Continue),
-        1 => Just(Order::Stop),
+    let act = prop_oneof![
+        3 => Just(SpeechAct::Continue),
+        1 => Just(SpeechAct::Stop),
         4 => (0_usize..2, words).prop_map(|(topic, (k, l))| start(topic, k, l)),
     ];
     let status = prop::sample::select(vec![
@@ -53,7 +53,7 @@ fn any_step() -> impl Strategy<Value = (Order, ReactionStatus)> {
         ReactionStatus::Refused,
         ReactionStatus::Ended,
     ]);
-    (order, status)
+    (act, status)
 }
 
 proptest! {
@@ -63,8 +63,8 @@ proptest! {
         steps in prop::collection::vec(any_step(), 1..80),
     ) {
         let mut human = human(&settings);
-        for (order, status) in steps {
-            step_in(&mut human, order, status);
+        for (act, status) in steps {
+            step_in(&mut human, act, status);
             let HumanState { speech, pending, running, tally, .. } = human.state();
             let spoken = u32::from(speech.is_some_and(|utterance| !utterance.understood));
             prop_assert_eq!(tally.started, tally.preempted + tally.comprehended + spoken);
@@ -84,14 +84,14 @@ proptest! {
         let mut straight = human(&settings);
         let mut resumed = human(&settings);
         let cut = (cut * steps.len() as f64) as usize;
-        for (t, &(order, status)) in steps.iter().enumerate() {
+        for (t, &(act, status)) in steps.iter().enumerate() {
             if t == cut {
                 let bytes = leadtime_proto::codec::encode(resumed.state()).unwrap();
                 resumed = Human::new(&settings);
                 resumed.restore(leadtime_proto::codec::decode(&bytes, bytes.len()).unwrap());
             }
-            let expected = step_in(&mut straight, order, status);
-            prop_assert_eq!(step_in(&mut resumed, order, status), expected);
+            let expected = step_in(&mut straight, act, status);
+            prop_assert_eq!(step_in(&mut resumed, act, status), expected);
             prop_assert_eq!(resumed.state(), straight.state());
         }
     }

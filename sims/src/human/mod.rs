@@ -1,7 +1,7 @@
 //! The delayed human: hears words one by one, understands late, reacts later, and keeps at it for a while.
 //!
-//! Nothing here knows a world, a notifier or a reward; a [`Human`] is told what is said and how its reactions
-//! went, and tells which reaction is due.
+//! Nothing here knows a world, a notifier or a reward: what is said and how a reaction went goes in, which reaction is
+//! due comes out.
 //!
 //! ```text
 //! message (c, k = 2, l = 5) starts at t = 0; reaction delay 2; follow-through 5 steps
@@ -28,9 +28,9 @@ pub mod machine;
 mod settings;
 mod tally;
 
-pub use machine::{Heard, Human, HumanState, Initiation, Order, Reacted};
+pub use machine::{Human, HumanState, Initiation, SpeechAct};
 pub use settings::{
-    BlockedInitiation, Comprehension, Drawn, FollowThrough, FollowThroughEnd, HumanSettings,
+    BlockedInitiation, Comprehension, DelayDraw, FollowThrough, FollowThroughEnd, HumanSettings,
     Informativeness, Interrupt, PendingRule, ReactionDelay, ReactionReward, Repeat, RunningRule,
 };
 pub use tally::Tally;

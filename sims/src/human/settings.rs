@@ -12,7 +12,7 @@ use serde::de::{self, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::Message;
-use crate::setting::{SettingError, require};
+use crate::check::{SettingError, require};
 
 /// The longest reaction delay, in steps; draws beyond it are cut.
 pub(super) const MAX_REACTION_DELAY: u32 = 60;
@@ -21,7 +21,7 @@ pub(super) const MAX_REACTION_DELAY: u32 = 60;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum ReactionDelay {
-    /// Always the same.
+    /// The same number of steps for every message.
     Fixed(u32),
     /// Normally distributed, rounded to the nearest integer that is not negative.
     Normal {
@@ -30,7 +30,7 @@ pub enum ReactionDelay {
         /// Standard deviation, in steps.
         deviation: f64,
         /// How often it is drawn.
-        drawn: Drawn,
+        drawn: DelayDraw,
     },
     /// Uniform over `low..=high`.
     Uniform {
@@ -39,7 +39,7 @@ pub enum ReactionDelay {
         /// Largest delay, in steps.
         high: u32,
         /// How often it is drawn.
-        drawn: Drawn,
+        drawn: DelayDraw,
     },
     /// A person: their own mean is drawn once per episode, and they tire.
     Person {
@@ -55,7 +55,7 @@ pub enum ReactionDelay {
 /// How often a random delay is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Drawn {
+pub enum DelayDraw {
     /// Once, when the episode starts.
     PerEpisode,
     /// Anew whenever a message is comprehended.
@@ -86,7 +86,7 @@ pub enum Informativeness {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FollowThrough {
-    /// I steps.
+    /// As many steps as the informativeness I says.
     Length,
     /// 2 I - 2 steps.
     TwiceLengthMinusTwo,
@@ -108,7 +108,7 @@ pub enum FollowThroughEnd {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ReactionReward {
-    /// Never.
+    /// Never: the notifier is paid by the task alone.
     Off,
     /// In the first step that follows the message.
     Once,
@@ -430,7 +430,7 @@ mod tests {
         };
         let error = delay(ReactionDelay::Fixed(61));
         assert_eq!(error.to_string(), "`human.reaction_delay` is 61; allowed: 0 to 60 steps");
-        let drawn = Drawn::PerEpisode;
+        let drawn = DelayDraw::PerEpisode;
         let error = delay(ReactionDelay::Uniform { low: 3, high: 1, drawn });
         assert_eq!(error.given, "3..=1");
         delay(ReactionDelay::Normal { mean: f64::NAN, deviation: 1.0, drawn });

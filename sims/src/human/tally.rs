@@ -11,7 +11,7 @@ const MAX_COUNT: u32 = 1 << 30;
 /// (`overwritten`), or comes to nothing (`unheeded`). What is still under way is in none of these.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Tally {
-    /// Messages that started.
+    /// Messages that the notifier started.
     pub started: u32,
     /// Initiations that were blocked.
     pub ignored: u32,
@@ -19,7 +19,7 @@ pub struct Tally {
     pub continued: u32,
     /// Messages cut before their k-th word.
     pub preempted: u32,
-    /// Messages understood.
+    /// Messages heard up to their k-th word.
     pub comprehended: u32,
     /// Messages heard to their last word.
     pub delivered: u32,

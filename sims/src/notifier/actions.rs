@@ -1,4 +1,4 @@
-//! From choices to orders and back: the factored action of a notifier.
+//! From choices to speech acts and back: the factored action of a notifier.
 //!
 //! | type | heads | k, l |
 //! |---|---|---|
@@ -10,11 +10,11 @@
 
 use leadtime_proto::{ActionSpec, Conditional, Gate, Head, Mask};
 
-use super::cells::Cells;
+use super::cells::CellTable;
 use super::settings::{NotificationType, NotifierSettings};
 use crate::Message;
-use crate::human::Order;
-use crate::setting::SettingError;
+use crate::check::SettingError;
+use crate::human::SpeechAct;
 
 /// Names of the heads whose choices are numbers of words, in increasing order.
 const LENGTH_HEADS: [&str; 2] = ["k", "l"];
@@ -53,7 +53,7 @@ pub(super) struct Actions {
     /// The domain's id of each topic choice.
     topic_ids: Vec<usize>,
     /// What can be said, if not everything.
-    cells: Option<Cells>,
+    cells: Option<CellTable>,
     can_stop: bool,
 }
 
@@ -86,7 +86,7 @@ impl Actions {
             NotificationType::IncrementallyActionable => {
                 heads.extend(LENGTH_HEADS.map(|name| head(name, n_words)));
                 // Words increase, so l >= k means a choice of at least the same index. At most 64 choices fit a
-                // mask, which the caller checks; shifts of more are cut so that it gets to say so.
+                // mask, so clamp the shift: the caller reports the error.
                 let allowed = (0..n_words).map(|k| u64::MAX << k.min(63)).collect();
                 conditionals.push(Conditional { head: 3, given: 2, allowed });
             }
@@ -99,12 +99,12 @@ impl Actions {
     ///
     /// # Panics
     ///
-    /// If a choice is none of its head's.
-    pub(super) fn order(&self, action: &[u8]) -> Order {
+    /// If a choice is not one of its head's.
+    pub(super) fn speech_act(&self, action: &[u8]) -> SpeechAct {
         match action[0] {
-            START => Order::Start(self.message(action)),
-            STOP => Order::Stop,
-            _ => Order::Continue,
+            START => SpeechAct::Start(self.message(action)),
+            STOP => SpeechAct::Stop,
+            _ => SpeechAct::Continue,
         }
     }
 
@@ -216,7 +216,9 @@ mod tests {
         let possible: Vec<[u8; 4]> = pairs.filter(|a| spec.allows(Mask::ALL, a)).collect();
         assert_eq!(possible.len(), 10);
         for action in possible {
-            let Order::Start(message) = actions.order(&action) else { panic!("{action:?}") };
+            let SpeechAct::Start(message) = actions.speech_act(&action) else {
+                panic!("{action:?}")
+            };
             assert!(message.comprehension <= message.conveyance);
         }
     }
@@ -224,13 +226,13 @@ mod tests {
     #[test]
     fn actions_and_messages_correspond() {
         let topic_only = actions(NotificationType::TopicOnly, false);
-        assert_eq!(topic_only.order(&[1, 2]), Order::Start(message(2, 2, 2)));
+        assert_eq!(topic_only.speech_act(&[1, 2]), SpeechAct::Start(message(2, 2, 2)));
         let complete = actions(NotificationType::CompleteUtterance, false);
-        assert_eq!(complete.order(&[1, 1, 3]), Order::Start(message(1, 5, 5)));
+        assert_eq!(complete.speech_act(&[1, 1, 3]), SpeechAct::Start(message(1, 5, 5)));
         let full = actions(NotificationType::IncrementallyActionable, true);
-        assert_eq!(full.order(&[1, 0, 1, 3]), Order::Start(message(0, 3, 5)));
-        assert_eq!(full.order(&[0, 0, 1, 3]), Order::Continue);
-        assert_eq!(full.order(&[2, 0, 1, 3]), Order::Stop);
+        assert_eq!(full.speech_act(&[1, 0, 1, 3]), SpeechAct::Start(message(0, 3, 5)));
+        assert_eq!(full.speech_act(&[0, 0, 1, 3]), SpeechAct::Continue);
+        assert_eq!(full.speech_act(&[2, 0, 1, 3]), SpeechAct::Stop);
         let mut action = [9; 4];
         full.write(Some(message(0, 3, 9)), &mut action);
         assert_eq!(action, [1, 0, 1, 3]);
@@ -244,9 +246,9 @@ mod tests {
         let cells = vec![cell("up", 2, 4), cell("down", 3, 3), cell("wait", 2, 2)];
         let settings = NotifierSettings { cells: Some(cells), ..NotifierSettings::default() };
         let actions = Actions::new(&settings, TOPICS, false).unwrap();
-        assert_eq!(actions.order(&[1, 0, 0, 2]), Order::Start(message(0, 2, 4)));
-        assert_eq!(actions.order(&[1, 0, 2, 3]), Order::Start(message(0, 2, 4)));
-        assert_eq!(actions.order(&[1, 1, 0, 0]), Order::Start(message(1, 3, 3)));
+        assert_eq!(actions.speech_act(&[1, 0, 0, 2]), SpeechAct::Start(message(0, 2, 4)));
+        assert_eq!(actions.speech_act(&[1, 0, 2, 3]), SpeechAct::Start(message(0, 2, 4)));
+        assert_eq!(actions.speech_act(&[1, 1, 0, 0]), SpeechAct::Start(message(1, 3, 3)));
         // What is offered does not change: a policy for one database fits another.
         assert_eq!(actions.spec(), self::actions(settings.notification, false).spec());
         let lacking = NotifierSettings { cells: Some(vec![cell("up", 2, 4)]), ..settings };

@@ -4,11 +4,11 @@
 //! that a database fills, it hears of each choice what a person would: another k or l, and never another topic.
 
 use crate::Message;
+use crate::check::SettingError;
 use crate::human::machine::MAX_WORDS;
-use crate::setting::SettingError;
 
 /// A topic's name, k and l, as a person writes them: `["ascend", 2, 4]`.
-pub type Cell = (String, u32, u32);
+pub type SayableCell = (String, u32, u32);
 
 /// What a word costs, in sixths of the dearest: understood later, understood earlier, another length.
 const LATE: u32 = 6;
@@ -17,18 +17,22 @@ const LENGTH: u32 = 1;
 
 /// The k and l that can be said.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Cells {
+pub struct CellTable {
     /// By topic id, in rising order.
     by_topic: Vec<Vec<(u32, u32)>>,
 }
 
-impl Cells {
+impl CellTable {
     /// Sorts a table by the topics of a domain.
     ///
     /// # Errors
     ///
     /// [`SettingError`] if a topic is not known, a k or l impossible, or one of the `spoken` topics has no cell.
-    pub fn new(cells: &[Cell], known: &[&str], spoken: &[usize]) -> Result<Self, SettingError> {
+    pub fn new(
+        cells: &[SayableCell],
+        known: &[&str],
+        spoken: &[usize],
+    ) -> Result<Self, SettingError> {
         let error = |given: String| {
             SettingError {
             key: "notifier.cells",
@@ -88,14 +92,14 @@ mod tests {
 
     const TOPICS: &[&str] = &["up", "down"];
 
-    fn cells(list: &[(&str, u32, u32)]) -> Vec<Cell> {
+    fn cells(list: &[(&str, u32, u32)]) -> Vec<SayableCell> {
         list.iter().map(|(topic, k, l)| ((*topic).to_owned(), *k, *l)).collect()
     }
 
     #[test]
     fn an_empty_cell_becomes_the_nearest_of_its_topic() {
         let list = cells(&[("up", 4, 4), ("up", 2, 2), ("up", 3, 5), ("down", 2, 2)]);
-        let cells = Cells::new(&list, TOPICS, &[0, 1]).unwrap();
+        let cells = CellTable::new(&list, TOPICS, &[0, 1]).unwrap();
         let said = |topic, comprehension, conveyance| {
             let said = cells.nearest(Message { topic, comprehension, conveyance });
             assert_eq!(said.topic, topic);
@@ -111,7 +115,7 @@ mod tests {
     #[test]
     fn impossible_tables_are_named() {
         let refused = |list: &[(&str, u32, u32)]| {
-            Cells::new(&cells(list), TOPICS, &[0, 1]).unwrap_err().to_string()
+            CellTable::new(&cells(list), TOPICS, &[0, 1]).unwrap_err().to_string()
         };
         assert!(
             refused(&[("up", 2, 2)])
@@ -123,6 +127,6 @@ mod tests {
                 format!("`notifier.cells` is a table with [\"{topic}\", {k}, {l}]; allowed");
             assert!(text.starts_with(&given), "{text}");
         }
-        Cells::new(&cells(&[("up", 2, 2)]), TOPICS, &[0]).unwrap();
+        CellTable::new(&cells(&[("up", 2, 2)]), TOPICS, &[0]).unwrap();
     }
 }

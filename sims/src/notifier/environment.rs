@@ -11,8 +11,8 @@ use crate::environment::{
     EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome, read_snapshot,
     write_snapshot,
 };
-use crate::human::{BlockedInitiation, Human, HumanSettings, HumanState, Initiation, Order};
-use crate::registry::TaskError;
+use crate::error::TaskError;
+use crate::human::{BlockedInitiation, Human, HumanSettings, HumanState, Initiation, SpeechAct};
 use crate::scene::{Listener, Scene, Speech};
 use crate::{Domain, Message};
 
@@ -42,9 +42,9 @@ const MAX_STEPS: u32 = 1 << 30;
 
 /// What the last step left behind that no other part remembers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct LastStep {
+struct StepMemory {
     n_steps: u32,
-    /// In the how-manieth step the episode's first message started; 0 before it.
+    /// One-based step in which the episode's first message started; 0 before it.
     first_start: u32,
     started: bool,
     reacting: Option<usize>,
@@ -52,11 +52,11 @@ struct LastStep {
 
 /// Everything that the future of a [`NotifierEnv`] depends on.
 #[derive(Serialize, Deserialize)]
-struct Snapshot {
+struct NotifierSnapshot {
     domain: Vec<u8>,
     human: HumanState,
     history: Vec<f32>,
-    last: LastStep,
+    last: StepMemory,
 }
 
 /// The notifier problem of a domain, as an [`Environment`].
@@ -77,7 +77,7 @@ pub struct NotifierEnv<D> {
     observe_utterance: bool,
     initiation_cost: f64,
     blocked: BlockedInitiation,
-    last: LastStep,
+    last: StepMemory,
     /// The last step was the first of a reaction; the future does not depend on it.
     reaction_began: bool,
 }
@@ -115,7 +115,7 @@ impl<D: Domain> NotifierEnv<D> {
             observe_utterance: notifier.observe_utterance,
             initiation_cost: notifier.initiation_cost,
             blocked: human.blocked_initiation,
-            last: LastStep::default(),
+            last: StepMemory::default(),
             reaction_began: false,
         })
     }
@@ -130,56 +130,56 @@ impl<D: Domain> NotifierEnv<D> {
         &self.human
     }
 
-    /// Takes one step with an order instead of a policy's choices, and returns what became of the order.
+    /// Takes one step with a speech act instead of a policy's choices, and returns what became of it.
     ///
     /// A scripted notifier may use messages that no choice of the policy's stands for.
-    pub fn step_order(
+    pub fn step_with(
         &mut self,
-        order: Order,
+        act: SpeechAct,
         observation: &mut [f32],
     ) -> (StepOutcome, Initiation) {
         self.human.begin_step();
-        self.tell_reaction_over();
-        let initiation = self.human.obey(order);
-        self.tell_reaction_over();
-        if let (Order::Start(message), Initiation::Started) = (order, initiation) {
+        self.report_reaction_over();
+        let initiation = self.human.apply(act);
+        self.report_reaction_over();
+        if let (SpeechAct::Start(message), Initiation::Started) = (act, initiation) {
             self.domain.started(message);
         }
         let reaction = self.human.reaction();
         let advance = self.domain.advance(reaction);
         let n_followed = self.human.tally().followed;
-        let reacted = self.human.acted(advance.reaction);
+        let reaction_reward = self.human.acted(advance.reaction);
         self.reaction_began = self.human.tally().followed > n_followed;
-        self.tell_reaction_over();
+        self.report_reaction_over();
         self.hear_word();
         let (n_steps, started) = (self.last.n_steps + 1, initiation == Initiation::Started);
         let is_first = started && self.last.first_start == 0;
-        self.last = LastStep {
+        self.last = StepMemory {
             n_steps,
             first_start: if is_first { n_steps } else { self.last.first_start },
             started,
             reacting: reaction.map(|reaction| reaction.topic),
         };
-        self.remember(order, initiation);
+        self.remember(act, initiation);
         self.write_observation(observation);
-        let reward = advance.reward + reacted.reward - self.cost(initiation);
+        let reward = advance.reward + reaction_reward - self.cost(initiation);
         (StepOutcome { reward: reward as f32, end: advance.end }, initiation)
     }
 
-    fn tell_reaction_over(&mut self) {
+    fn report_reaction_over(&mut self) {
         if self.human.take_reaction_over() {
             self.domain.reaction_over();
         }
     }
 
     fn hear_word(&mut self) {
-        let heard = self.human.hear_word();
-        self.tell_reaction_over();
-        if let Some(message) = heard.delivered
+        let delivered = self.human.hear_word();
+        self.report_reaction_over();
+        if let Some(message) = delivered
             && self.domain.deliver(message).cancels_reaction
         {
             self.human.cancel_reaction();
-            self.tell_reaction_over();
+            self.report_reaction_over();
         }
     }
 
@@ -194,9 +194,9 @@ impl<D: Domain> NotifierEnv<D> {
     }
 
     /// Adds the step to the history: what the world looks like now, and what was really started or stopped.
-    fn remember(&mut self, order: Order, initiation: Initiation) {
-        let started = match (order, initiation) {
-            (Order::Start(message), Initiation::Started) => Some(message),
+    fn remember(&mut self, act: SpeechAct, initiation: Initiation) {
+        let started = match (act, initiation) {
+            (SpeechAct::Start(message), Initiation::Started) => Some(message),
             _ => None,
         };
         let stopped = initiation == Initiation::Stopped;
@@ -252,7 +252,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
     fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
         self.domain.reset(seed);
         self.human.reset(seed.stream(Purpose::Human));
-        self.last = LastStep::default();
+        self.last = StepMemory::default();
         self.reaction_began = false;
         let domain = &self.domain;
         self.history.begin(|out| domain.observe(out));
@@ -265,7 +265,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
     }
 
     fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
-        self.step_order(self.actions.order(action), observation).0
+        self.step_with(self.actions.speech_act(action), observation).0
     }
 
     fn metrics(&self, out: &mut [f32]) {
@@ -294,23 +294,23 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         self.domain.metrics(domain);
     }
 
-    fn snapshot(&self, out: &mut Vec<u8>) {
+    fn write_state(&self, out: &mut Vec<u8>) {
         let mut domain = Vec::new();
         self.domain.snapshot(&mut domain);
         let human = self.human.state().clone();
         let history = self.history.row().to_vec();
-        write_snapshot(&Snapshot { domain, human, history, last: self.last }, out);
+        write_snapshot(&NotifierSnapshot { domain, human, history, last: self.last }, out);
     }
 
-    fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
-        let snapshot: Snapshot = read_snapshot(snapshot)?;
+    fn read_state(&mut self, state: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        let snapshot: NotifierSnapshot = read_snapshot(state)?;
         let n_topics = self.domain.topics().len();
         let known = snapshot.last.reacting.is_none_or(|topic| topic < n_topics);
         if !snapshot.human.fits(n_topics) || !known {
             return Err(SnapshotError::Mismatch { what: "topics or words" });
         }
         let finite = snapshot.history.iter().all(|value| value.is_finite());
-        let LastStep { n_steps, first_start, .. } = snapshot.last;
+        let StepMemory { n_steps, first_start, .. } = snapshot.last;
         let counts_on = n_steps < MAX_STEPS && first_start <= n_steps;
         if !finite || !counts_on || !self.history.restore(&snapshot.history) {
             return Err(SnapshotError::Mismatch { what: "history" });

@@ -1,7 +1,7 @@
 //! The notifier problem: a world with a delayed human in it, seen by a policy that may only speak.
 //!
 //! ```text
-//! policy --(initiate, topic, k, l)--> NotifierEnv --order--> Human --reaction--> Domain
+//! policy --(initiate, topic, k, l)--> NotifierEnv --speech act--> Human --reaction--> Domain
 //!    ↑                                    │                                        │
 //!    └── last n (observation, action) ────┘ <───── observation, reward, end ───────┘
 //! ```
@@ -11,15 +11,17 @@
 //!
 //! # Where to start
 //!
-//! [`NotifierEnv`] is the environment; [`NotifierSettings`] what can be chosen about it.
+//! [`NotifierEnv`] is the environment; [`NotifierSettings`] what can be chosen about it; [`TaskSettings`] a whole task.
 
 mod actions;
 mod cells;
 mod environment;
 mod history;
 mod settings;
+mod task;
 
 pub use actions::initial_bias;
-pub use cells::{Cell, Cells};
+pub use cells::{CellTable, SayableCell};
 pub use environment::NotifierEnv;
 pub use settings::{NotificationType, NotifierSettings};
+pub use task::{NotifierWorld, TaskSettings};

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::cells::{Cell, Cells};
+use super::cells::{CellTable, SayableCell};
+use crate::check::{SettingError, require};
 use crate::human::machine::MAX_WORDS;
-use crate::setting::{SettingError, require};
 
 /// Which parts of a message the policy chooses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,9 +28,9 @@ pub struct NotifierSettings {
     pub words: Vec<u32>,
     /// The topics that may be spoken of, by name, in this order. Default: all of the domain's.
     pub topics: Option<Vec<String>>,
-    /// The k and l that can be said on each topic; another choice becomes the nearest of its topic ([`Cells`]).
+    /// The k and l that can be said on each topic; another choice becomes the nearest of its topic ([`CellTable`]).
     /// Default: all.
-    pub cells: Option<Vec<Cell>>,
+    pub cells: Option<Vec<SayableCell>>,
     /// How many (observation, action) pairs the policy sees (1..=64). Default 4.
     pub history: usize,
     /// Whether the policy sees how much of its own utterance is spoken, and on what topic. Default true.
@@ -82,16 +82,16 @@ impl NotifierSettings {
     /// # Errors
     ///
     /// [`SettingError`] if the table is impossible, or lacks a topic that may be spoken of.
-    pub fn said(&self, known: &[&str]) -> Result<Option<Cells>, SettingError> {
+    pub fn said(&self, known: &[&str]) -> Result<Option<CellTable>, SettingError> {
         let spoken = self.topic_ids(known)?;
-        self.cells.as_ref().map(|cells| Cells::new(cells, known, &spoken)).transpose()
+        self.cells.as_ref().map(|cells| CellTable::new(cells, known, &spoken)).transpose()
     }
 
     /// Returns the domain's ids of the topics that may be spoken of.
     ///
     /// # Errors
     ///
-    /// [`SettingError`] if there is none, one twice, or one that the domain does not know.
+    /// [`SettingError`] if the list is empty, names one twice, or one that the domain does not know.
     pub fn topic_ids(&self, known: &[&str]) -> Result<Vec<usize>, SettingError> {
         let error = |given: String| SettingError {
             key: "notifier.topics",

@@ -3,9 +3,9 @@
 import gymnasium
 
 print("// Written by cartpole.py (gymnasium 1.4.0); do not edit.")
-print("struct Golden {\n    seed: u64,\n    first: [f32; 4],\n    n_steps: usize,\n    last: [f32; 4],\n}\n")
+print("struct CartPoleGolden {\n    seed: u64,\n    first: [f32; 4],\n    n_steps: usize,\n    last: [f32; 4],\n}\n")
 print('#[expect(clippy::unreadable_literal, reason = "as numpy prints them")]')
-print("const GOLDEN: &[Golden] = &[")
+print("const GOLDEN: &[CartPoleGolden] = &[")
 for seed in (0, 1, 7, 123, 2**40):
     env = gymnasium.make("CartPole-v1")
     first, _ = env.reset(seed=seed)
@@ -16,5 +16,5 @@ for seed in (0, 1, 7, 123, 2**40):
         done = terminated or truncated
         n_steps += 1
     row = lambda values: "[" + ", ".join(str(v) for v in values) + "]"
-    print(f"    Golden {{ seed: {seed}, first: {row(first)}, n_steps: {n_steps}, last: {row(last)} }},")
+    print(f"    CartPoleGolden {{ seed: {seed}, first: {row(first)}, n_steps: {n_steps}, last: {row(last)} }},")
 print("];")

@@ -191,7 +191,6 @@ mod tests {
     use std::collections::BTreeSet;
 
     use leadtime_proto::TaskSpec;
-    use leadtime_sims::Registry;
 
     use super::*;
     use crate::measure::lead::HAZARDS;
@@ -230,7 +229,7 @@ mod tests {
 
     #[test]
     fn every_name_used_here_is_that_of_a_measure() {
-        let registry = Registry::builtin();
+        let registry = leadtime_worlds::builtin();
         let metrics = registry.names().flat_map(|domain| {
             let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
             registry.build(&task).unwrap().spec().metrics.clone()

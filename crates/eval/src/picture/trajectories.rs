@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use leadtime_sims::piloting::ENTERED;
+use leadtime_lander::task::ENTERED;
 use leadtime_sims::{Scene, Shape, Tone};
 
 use super::legend::{Legend, LegendEntry, Mark};

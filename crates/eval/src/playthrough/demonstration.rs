@@ -1,9 +1,9 @@
-//! The cooking demonstration: one message that first makes the cook move, and then makes them know.
+//! The demonstration in the steakhouse: one message that first makes the cook move, and then makes them know.
 
 use leadtime_proto::EnvId;
-use leadtime_sims::cooking::{Cooking, CookingSettings, DEMONSTRATION};
-use leadtime_sims::human::Order;
-use leadtime_sims::{Environment as _, EpisodeSeed, NotifierEnv, TaskError};
+use leadtime_sims::human::SpeechAct;
+use leadtime_sims::{Environment as _, EpisodeSeed};
+use leadtime_steakhouse::task::{DEMONSTRATION, demonstration};
 use leadtime_taxonomy::Cell;
 
 use super::record::Playthrough;
@@ -14,7 +14,7 @@ use crate::error::Error;
 const TEXT: &str = "Go down, all stations occupied";
 
 impl Spoken {
-    /// Plays the paper's cooking demonstration: "Go down, all stations occupied", begun at t = 0. By t = 2 the cook has
+    /// Plays the paper's demonstration in the steakhouse: "Go down, all stations occupied", begun at t = 0. By t = 2 the cook has
     /// acted on the first words; at t = 5 they know what the stations hold, and plan anew.
     ///
     /// # Errors
@@ -25,17 +25,15 @@ impl Spoken {
     ///
     /// Hsu et al. (arXiv:2509.07438), the figure on cooking.
     pub fn demonstration() -> Result<Self, Error> {
-        let settings = CookingSettings::demonstration();
-        let task = Cooking::new(&settings.world).map_err(TaskError::from)?;
-        let mut env = NotifierEnv::new(task, &settings.human, &settings.notifier)?;
+        let mut env = demonstration().build()?;
         let mut observation = vec![0.0; env.spec().obs_dim];
         let seed = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
         env.reset(seed, &mut observation);
         let mut scenes: Vec<_> = env.scene().into_iter().collect();
-        let (mut order, mut total_reward) = (Order::Start(DEMONSTRATION), 0.0);
+        let (mut act, mut total_reward) = (SpeechAct::Start(DEMONSTRATION), 0.0);
         loop {
-            let (outcome, _) = env.step_order(order, &mut observation);
-            order = Order::Continue;
+            let (outcome, _) = env.step_with(act, &mut observation);
+            act = SpeechAct::Continue;
             total_reward += f64::from(outcome.reward);
             scenes.extend(env.scene());
             if outcome.end.is_some() {

@@ -118,8 +118,7 @@ impl From<Playthrough> for Spoken {
 mod tests {
     use leadtime_proto::TaskSpec;
     use leadtime_sims::Message;
-    use leadtime_sims::notifier::Cells;
-    use leadtime_sims::registry::Registry;
+    use leadtime_sims::notifier::CellTable;
 
     use super::*;
     use crate::playthrough::synthetic;
@@ -152,7 +151,7 @@ mod tests {
 
     #[test]
     fn the_shipped_sentences_are_about_the_topics_of_the_built_in_domains() {
-        let registry = Registry::builtin();
+        let registry = leadtime_worlds::builtin();
         for domain in shipped::domains() {
             let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
             let mut environment = registry.build(&task).unwrap();
@@ -193,7 +192,7 @@ mod tests {
             let taxonomy = Taxonomy::from_toml(&format!("{header}{text}")).unwrap();
             let table: Vec<_> =
                 filled.iter().map(|cell| ("a".to_owned(), pair(*cell).0, pair(*cell).1)).collect();
-            let cells = Cells::new(&table, &["a"], &[0]).unwrap();
+            let cells = CellTable::new(&table, &["a"], &[0]).unwrap();
             for &cell in &all {
                 let request = Request { topic: 0, cell };
                 let said = taxonomy.retrieve(request, &Loss::default()).unwrap().cell;

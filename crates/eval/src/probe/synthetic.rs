@@ -81,9 +81,9 @@ impl Environment for Synthetic {
 
     fn metrics(&self, _out: &mut [f32]) {}
 
-    fn snapshot(&self, _out: &mut Vec<u8>) {}
+    fn write_state(&self, _out: &mut Vec<u8>) {}
 
-    fn restore(&mut self, _: &[u8], _: &mut [f32]) -> Result<(), SnapshotError> {
+    fn read_state(&mut self, _: &[u8], _: &mut [f32]) -> Result<(), SnapshotError> {
         Err(SnapshotError::Mismatch { what: "a test's world" })
     }
 

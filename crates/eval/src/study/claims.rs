@@ -73,28 +73,24 @@ fn row(utterances: &[Utterance], n_steps: usize, hazard: usize) -> [f32; 4] {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_sims::human::HumanSettings;
-    use leadtime_sims::notifier::NotifierSettings;
-    use leadtime_sims::piloting::{Piloting, WorldSettings};
-    use leadtime_sims::{Environment, NotifierEnv, TaskError};
+    use leadtime_lander::task::LanderTaskSettings;
+    use leadtime_sims::{Environment, TaskError};
 
     use super::*;
     use crate::measure::evaluate;
 
-    fn piloting() -> Result<Box<dyn Environment>, TaskError> {
-        let task = Piloting::new(&WorldSettings::default()).map_err(TaskError::from)?;
-        let (human, notifier) = (HumanSettings::default(), NotifierSettings::default());
-        Ok(Box::new(NotifierEnv::new(task, &human, &notifier)?))
+    fn lander() -> Result<Box<dyn Environment>, TaskError> {
+        Ok(Box::new(LanderTaskSettings::default().build()?))
     }
 
     #[test]
     fn the_number_of_threads_changes_nothing() {
         let settings = PlaySettings::new(5, 3);
-        let unaided = evaluate(&piloting, &Player::baseline("unaided"), &settings).unwrap();
+        let unaided = evaluate(&lander, &Player::baseline("unaided"), &settings).unwrap();
         let player = Player::baseline("heuristic");
-        let judged = evaluate(&piloting, &player, &settings).unwrap();
+        let judged = evaluate(&lander, &player, &settings).unwrap();
         let told = |n_threads| {
-            let told = with_claims(judged.clone(), &unaided, &piloting, &player, n_threads);
+            let told = with_claims(judged.clone(), &unaided, &lander, &player, n_threads);
             let bits = |value: &f32| value.to_bits();
             let rows = told.unwrap().episodes.into_iter();
             rows.map(|episode| episode.metrics.iter().map(bits).collect())

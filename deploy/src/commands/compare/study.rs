@@ -64,10 +64,10 @@ pub(super) struct Part {
     pub(super) axis: String,
     /// The evaluation whose first episode is drawn for every row; none: no such figure.
     pub(super) pictured_on: Option<String>,
-    /// Maps to draw side by side, each with an unaided flight; none: no such figure. Piloting only.
+    /// Maps to draw side by side, each with an unaided flight; none: no such figure. The lander only.
     #[serde(default)]
     pub(super) maps: Vec<Map>,
-    /// The evaluation whose first flights are drawn for every row; none: no such figure. Piloting only.
+    /// The evaluation whose first flights are drawn for every row; none: no such figure. The lander only.
     pub(super) trajectories_on: Option<String>,
     /// Measures of the main table.
     pub(super) columns: Vec<String>,

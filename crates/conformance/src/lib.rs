@@ -1,0 +1,14 @@
+//! Our worlds against recorded traces of their public originals: same start, same actions, same trajectory.
+//!
+//! A tool: no other part of the program needs it, and it knows only the worlds.
+//!
+//! # Where to start
+//!
+//! [`Original::replay`] takes a text of traces; [`Replay`] is what came out.
+
+pub mod highway;
+pub mod lander;
+mod replay;
+pub mod steakhouse;
+
+pub use replay::{Original, Replay, ReplayError, Section};

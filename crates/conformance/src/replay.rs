@@ -1,0 +1,85 @@
+//! What every world's replay comes to: a report, and the same as tables.
+
+use serde_json::Value;
+use thiserror::Error;
+
+use crate::{highway, lander, steakhouse};
+
+/// A public original of one of our worlds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Original {
+    /// Gymnasium's `LunarLander-v3`.
+    Lander,
+    /// The merge environments of highway-env.
+    Highway,
+    /// FOV-aware-planner's kitchen, and recorded episodes of our own cook.
+    Steakhouse,
+}
+
+/// What a replay found.
+#[derive(Clone, Debug)]
+pub struct Replay {
+    /// What recorded the traces.
+    pub source: String,
+    /// Whether everything is within its bounds.
+    pub passed: bool,
+    /// The whole report.
+    pub report: Value,
+    /// The report as tables.
+    pub sections: Vec<Section>,
+}
+
+/// One table of a report.
+#[derive(Clone, Debug, Default)]
+pub struct Section {
+    /// What was compared.
+    pub title: String,
+    /// Titles of the columns.
+    pub head: Vec<&'static str>,
+    /// The rows.
+    pub rows: Vec<Vec<String>>,
+    /// What the rows have no room for.
+    pub notes: Vec<String>,
+}
+
+/// Why a text cannot be replayed.
+#[derive(Debug, Error)]
+#[error(transparent)]
+#[expect(missing_docs, reason = "each is the error of the world it is called after")]
+pub enum ReplayError {
+    Lander(#[from] lander::LanderReplayError),
+    Highway(#[from] highway::HighwayReplayError),
+    Steakhouse(#[from] steakhouse::SteakhouseReplayError),
+}
+
+impl Original {
+    /// Replays recorded traces.
+    ///
+    /// # Errors
+    ///
+    /// [`ReplayError`] if the text is of no known format, or holds nothing to compare.
+    pub fn replay(self, text: &str) -> Result<Replay, ReplayError> {
+        // A report has its own type in each world, and the same is wanted of each.
+        macro_rules! replay {
+            ($world:ident) => {{
+                let report = $world::replay(text)?;
+                Ok(Replay {
+                    passed: report.passed,
+                    report: serde_json::to_value(&report).unwrap_or_default(),
+                    sections: report.sections(),
+                    source: report.source,
+                })
+            }};
+        }
+        match self {
+            Self::Lander => replay!(lander),
+            Self::Highway => replay!(highway),
+            Self::Steakhouse => replay!(steakhouse),
+        }
+    }
+}
+
+/// Marks what is beyond its bound.
+pub(crate) fn mark(passed: bool) -> String {
+    if passed { String::new() } else { "beyond the bound".to_owned() }
+}

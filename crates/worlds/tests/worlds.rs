@@ -1,0 +1,238 @@
+//! What holds in every built-in world: it builds, says why it does not, snapshots go on bit for bit and nowhere else.
+
+use leadtime_highway::task::HighwayTaskSettings;
+use leadtime_numerics::Pcg64;
+use leadtime_proto::{EnvId, Mask, TaskSpec};
+use leadtime_sims::human::{FollowThrough, Interrupt};
+use leadtime_sims::{Environment, EpisodeSeed, SnapshotError};
+use leadtime_steakhouse::task::SteakhouseTaskSettings;
+use leadtime_worlds::builtin;
+
+fn task(domain: &str, settings: &str) -> TaskSpec {
+    TaskSpec { domain: domain.to_owned(), settings: settings.to_owned() }
+}
+
+fn build(domain: &str) -> Box<dyn Environment> {
+    builtin().build(&task(domain, "{}")).expect("the default task can be built")
+}
+
+fn refuse(domain: &str, settings: &str) -> String {
+    builtin().build(&task(domain, settings)).err().expect("the task is refused").to_string()
+}
+
+fn names() -> Vec<String> {
+    builtin().names().map(str::to_owned).collect()
+}
+
+fn seed(episode: u64) -> EpisodeSeed {
+    EpisodeSeed { run_seed: 11, env_id: EnvId(2), episode }
+}
+
+/// Draws an action that is possible whatever the mask.
+fn draw(env: &dyn Environment, generator: &mut Pcg64) -> Vec<u8> {
+    let actions = &env.spec().actions;
+    loop {
+        let action: Vec<u8> =
+            actions.heads.iter().map(|head| generator.below(head.n_choices) as u8).collect();
+        if actions.allows(Mask::ALL, &action) {
+            return action;
+        }
+    }
+}
+
+/// Plays up to `n` random steps; returns the observation after them, and whether the episode goes on.
+fn play(env: &mut dyn Environment, n: usize, generator: &mut Pcg64) -> (Vec<f32>, bool) {
+    let mut observation = vec![0.0; env.spec().obs_dim];
+    env.reset(seed(generator.below(100) as u64), &mut observation);
+    let goes_on = (0..n).all(|_| {
+        let action = draw(env, generator);
+        env.step(&action, &mut observation).end.is_none()
+    });
+    (observation, goes_on)
+}
+
+fn snapshot(env: &dyn Environment) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    env.snapshot(&mut bytes);
+    bytes
+}
+
+#[test]
+fn every_task_has_a_default() {
+    assert_eq!(names(), ["cartpole", "cue_recall", "highway", "lander", "pilot", "steakhouse"]);
+    for name in names() {
+        assert!(build(&name).spec().obs_dim > 0, "{name}");
+    }
+}
+
+#[test]
+fn what_cannot_be_built_says_why() {
+    let known = "there is no domain `lunar`; known: cartpole, cue_recall, highway, lander, pilot, steakhouse";
+    for (domain, settings, expected) in [
+        ("lunar", "{}", known),
+        (
+            "cartpole",
+            r#"{"world": {"max_step": 5}}"#,
+            "unknown field `max_step`, expected `max_steps`",
+        ),
+        ("cartpole", r#"{"human": {}}"#, "unknown field `human`, expected `world`"),
+        (
+            "cartpole",
+            r#"{"world": {"max_steps": 0}}"#,
+            "`world.max_steps` is 0; allowed: 1 to 100000 steps",
+        ),
+        (
+            "lander",
+            r#"{"notifier": {"topics": []}}"#,
+            "`notifier.topics` is []; allowed: at least one of ascend",
+        ),
+        (
+            "lander",
+            r#"{"human": {"reaction_delay": {"fixed": "two"}}}"#,
+            "string \"two\", expected u32",
+        ),
+        ("highway", r#"{"human": {"delay": 2}}"#, "unknown field `delay`, expected"),
+        ("highway", r#"{"world": {"roads": 2}}"#, "unknown field `roads`"),
+        (
+            "highway",
+            r#"{"world": {"road": {"lanes": [{"from": "a", "to": "b", "start": [0, 0]}]}}}"#,
+            "missing field `end`",
+        ),
+    ] {
+        let text = refuse(domain, settings);
+        assert!(text.contains(expected), "{text}");
+    }
+    let words: Vec<u32> = (1..40).collect();
+    let text = refuse("lander", &format!(r#"{{"notifier": {{"words": {words:?}}}}}"#));
+    assert!(text.contains("action space is impossible"), "{text}");
+}
+
+#[test]
+fn what_is_not_given_is_as_in_that_world() {
+    let text = r#"{"human": {"interrupt": "finish"}, "notifier": {"history": 2}}"#;
+    let highway: HighwayTaskSettings = serde_json::from_str(text).unwrap();
+    let steakhouse: SteakhouseTaskSettings = serde_json::from_str(text).unwrap();
+    for (human, notifier, follow_through, cost) in [
+        (&highway.human, &highway.notifier, FollowThrough::TwiceLengthMinusTwo, 0.3),
+        (&steakhouse.human, &steakhouse.notifier, FollowThrough::Fixed(3), 0.2),
+    ] {
+        assert_eq!((human.interrupt, human.follow_through), (Interrupt::Finish, follow_through));
+        assert_eq!((notifier.history, notifier.initiation_cost), (2, cost));
+    }
+    let text = serde_json::to_string(&highway).unwrap();
+    assert_eq!(serde_json::from_str::<HighwayTaskSettings>(&text).unwrap(), highway);
+}
+
+#[test]
+fn a_restored_episode_goes_on_bit_for_bit() {
+    let varied =
+        r#"{"world": {"zone_jitter": [0.05, 0.05], "zone_ends_episode": false, "wind": true}}"#;
+    let mut tasks: Vec<_> = names().iter().map(|name| task(name, "{}")).collect();
+    tasks.push(task("lander", varied));
+    let mut generator = Pcg64::seed_from_u64(7);
+    for task in tasks {
+        let mut n_restored = 0;
+        while n_restored < 12 {
+            let mut straight = builtin().build(&task).unwrap();
+            let cut = generator.below(150);
+            let (mut expected, goes_on) = play(straight.as_mut(), cut, &mut generator);
+            if !goes_on {
+                continue;
+            }
+            n_restored += 1;
+            let mut resumed = builtin().build(&task).unwrap();
+            let mut observation = vec![f32::NAN; expected.len()];
+            resumed.restore(&snapshot(straight.as_ref()), &mut observation).unwrap();
+            assert_eq!(observation, expected, "{task:?}");
+            for _ in 0..100 {
+                let action = draw(straight.as_ref(), &mut generator);
+                let outcome = straight.step(&action, &mut expected);
+                assert_eq!(resumed.step(&action, &mut observation), outcome, "{task:?}");
+                assert_eq!(observation, expected, "{task:?}");
+                if outcome.end.is_some() {
+                    break;
+                }
+            }
+            assert_eq!(snapshot(straight.as_ref()), snapshot(resumed.as_ref()), "{task:?}");
+        }
+    }
+}
+
+#[test]
+fn every_world_refuses_the_snapshots_of_every_other() {
+    let mut generator = Pcg64::seed_from_u64(3);
+    let snapshots: Vec<_> = names()
+        .into_iter()
+        .map(|name| {
+            let mut env = build(&name);
+            play(env.as_mut(), 2, &mut generator);
+            (name, snapshot(env.as_ref()))
+        })
+        .collect();
+    for (own, _) in &snapshots {
+        let mut env = build(own);
+        let mut observation = vec![0.0; env.spec().obs_dim];
+        for (other, bytes) in &snapshots {
+            let restored = env.restore(bytes, &mut observation);
+            let refused = matches!(restored, Err(SnapshotError::OtherTask));
+            assert_eq!(refused, own != other, "{other} into {own}: {restored:?}");
+        }
+    }
+}
+
+#[test]
+fn a_snapshot_without_its_tag_is_refused() {
+    for name in names() {
+        let mut env = build(&name);
+        let (mut observation, _) = play(env.as_mut(), 2, &mut Pcg64::seed_from_u64(3));
+        let bytes = snapshot(env.as_ref());
+        let tag = bytes.len().min(16);
+        for cut in (0..tag).chain([bytes.len() - 1]) {
+            assert!(env.restore(&bytes[..cut], &mut observation).is_err(), "{name}, {cut} bytes");
+        }
+        for bit in 0..8 * tag {
+            let mut flipped = bytes.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            assert!(env.restore(&flipped, &mut observation).is_err(), "{name}, bit {bit}");
+        }
+        // What was written before snapshots had a tag.
+        let error = env.restore(&bytes[tag..], &mut observation).unwrap_err();
+        assert!(matches!(error, SnapshotError::OtherRelease), "{name}: {error}");
+        env.restore(&bytes, &mut observation).unwrap();
+    }
+}
+
+/// A layout that changes must not be taken for the one before it.
+///
+/// If this fails, what an environment writes has changed: add 1 to `SNAPSHOT_SCHEMA`, and put the new digests here.
+#[test]
+fn snapshots_are_laid_out_as_their_schema_says() {
+    let digests: Vec<(String, u64)> = names()
+        .into_iter()
+        .map(|name| {
+            let mut env = build(&name);
+            play(env.as_mut(), 2, &mut Pcg64::seed_from_u64(3));
+            let digest = snapshot(env.as_ref()).iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+                (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
+            });
+            (name, digest)
+        })
+        .collect();
+    assert_eq!(digests, []);
+}
+
+#[test]
+fn a_highway_policy_is_evaluated_to_its_arrival() {
+    assert_eq!(builtin().evaluation_world("highway"), "absorb_until = 0");
+    assert_eq!(builtin().evaluation_world("lander"), "zone_ends_episode = false");
+    assert_eq!(builtin().evaluation_world("cartpole"), "");
+    let length = |world: &str| {
+        let settings = format!(r#"{{"world": {{"merging": {{"blindness": "never"}}{world}}}}}"#);
+        let mut env = builtin().build(&task("highway", &settings)).unwrap();
+        let mut observation = vec![0.0; env.spec().obs_dim];
+        env.reset(seed(0), &mut observation);
+        (1..).find(|_| env.step(&[0; 4], &mut observation).end.is_some()).unwrap()
+    };
+    assert_eq!(length(""), 200);
+    assert!(length(r#", "absorb_until": 0"#) < 160);
+}

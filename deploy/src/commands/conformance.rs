@@ -1,0 +1,65 @@
+//! `leadtime conformance`: our worlds against recorded traces of their public originals.
+
+use std::io::Read as _;
+use std::path::Path;
+
+use anyhow::Context as _;
+use flate2::read::MultiGzDecoder;
+use leadtime_conformance::{Original, Replay};
+use leadtime_eval::measure::Table;
+
+use crate::cli::{ConformanceArgs, ConformanceWorld};
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output;
+
+/// The first bytes of a gzip file.
+const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
+/// The most text that is unpacked: many times any trace file of ours, and far from what memory holds.
+const MAX_BYTES: u64 = 1 << 30;
+
+pub(super) fn run(args: &ConformanceArgs) -> Result<(), Failure> {
+    let replay = replay(args).blame(ExitCode::WrongInput)?;
+    if args.json {
+        output::json(&replay.report)
+    } else {
+        print(&replay)
+    }
+    if replay.passed { Ok(()) } else { Err(Failure::silent(ExitCode::Failed)) }
+}
+
+fn replay(args: &ConformanceArgs) -> anyhow::Result<Replay> {
+    let text = read(&args.file)?;
+    let original = match args.world {
+        ConformanceWorld::Lander => Original::Lander,
+        ConformanceWorld::Highway => Original::Highway,
+        ConformanceWorld::Steakhouse => Original::Steakhouse,
+    };
+    original.replay(&text).with_context(|| format!("{} cannot be replayed", args.file.display()))
+}
+
+fn print(replay: &Replay) {
+    output::line(&format!("recorded by {}", replay.source));
+    for section in &replay.sections {
+        let mut table = Table::new(section.head.iter().map(|&title| title.to_owned()));
+        section.rows.iter().for_each(|row| table.push(row.iter().cloned()));
+        output::line(&format!("\n{}\n{}", section.title, table.text().trim_end()));
+        section.notes.iter().for_each(|note| output::line(note));
+    }
+    output::line(if replay.passed { "\npassed" } else { "\nfailed" });
+}
+
+/// Reads a text file, unpacking it if it is gzip.
+fn read(file: &Path) -> anyhow::Result<String> {
+    let bytes = std::fs::read(file).with_context(|| format!("reading {}", file.display()))?;
+    let text = if bytes.starts_with(&GZIP_MAGIC) {
+        let mut text = String::new();
+        MultiGzDecoder::new(bytes.as_slice())
+            .take(MAX_BYTES)
+            .read_to_string(&mut text)
+            .with_context(|| format!("unpacking {}", file.display()))?;
+        text
+    } else {
+        String::from_utf8(bytes).with_context(|| format!("{} is no text", file.display()))?
+    };
+    Ok(text)
+}

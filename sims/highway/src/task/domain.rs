@@ -1,0 +1,315 @@
+//! The highway with a person who trusts merging cars, as a domain.
+
+use std::sync::Arc;
+
+use leadtime_numerics::{Pcg64, Purpose};
+use leadtime_sims::check::SettingError;
+use leadtime_sims::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_snapshot};
+use leadtime_sims::human::{FollowThrough, HumanSettings};
+use leadtime_sims::notifier::{NotifierSettings, NotifierWorld, TaskSettings};
+use leadtime_sims::scene::Scene;
+use leadtime_sims::{Advance, Domain, Entities, Message, ReactionStatus, ReactionStep};
+use serde::{Deserialize, Serialize};
+
+use super::admit::{is_due, merging_car, populate};
+use super::heuristic::advise;
+use super::picture::picture;
+use super::progress::{DriveOutcome, DriveProgress};
+use super::reaction::{EGO, TOPICS, is_lane_change, react};
+use super::settings::{HighwayWorldSettings, start_lanes};
+use crate::world::{CarRole, Traffic, Vehicle};
+
+/// What a step pays once the ego has arrived.
+const ARRIVED_REWARD: f64 = 1.0;
+
+#[derive(Serialize, Deserialize)]
+struct HighwaySnapshot {
+    vehicles: Vec<Vehicle>,
+    n_admitted: usize,
+    generator: Pcg64,
+    progress: DriveProgress,
+}
+
+/// The task: a highway, its traffic, and the person who does not look at the ramps.
+///
+/// # Shapes
+///
+/// Observation: `[rows, columns]` of [`ObservationSettings`](crate::world::ObservationSettings), the ego first.
+#[derive(Debug)]
+pub struct HighwayDomain {
+    settings: HighwayWorldSettings,
+    traffic: Traffic,
+    /// Lanes abreast where the ego starts: the unit of observed y.
+    n_lanes: usize,
+    /// Ramps whose car has appeared.
+    n_admitted: usize,
+    generator: Pcg64,
+    progress: DriveProgress,
+}
+
+impl HighwayDomain {
+    /// Creates the task.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] if a setting is out of range or the road is malformed.
+    pub fn new(settings: &HighwayWorldSettings) -> Result<Self, SettingError> {
+        let road = Arc::new(settings.build()?);
+        let n_lanes = start_lanes(&road).count();
+        let n_vehicles = 1 + settings.traffic.cars.len() + road.ramps.len();
+        let mut traffic = Traffic::new(road, settings.merging.blindness);
+        traffic.reserve(n_vehicles);
+        let mut generator = Pcg64::seed_from_u64(0);
+        populate(&mut traffic, settings, &mut generator);
+        Ok(Self {
+            settings: settings.clone(),
+            traffic,
+            n_lanes,
+            n_admitted: 0,
+            generator,
+            progress: DriveProgress::default(),
+        })
+    }
+
+    /// Returns the cars and their road; the ego is car 0.
+    pub fn traffic(&self) -> &Traffic {
+        &self.traffic
+    }
+
+    /// Returns the number of the merge at which the ego crashed, if it did.
+    pub fn crash_ramp(&self) -> Option<usize> {
+        self.progress.crash_ramp
+    }
+
+    /// Tells whether the ego has passed the goal.
+    pub fn has_arrived(&self) -> bool {
+        self.progress.is(DriveOutcome::Arrived)
+    }
+
+    fn ego(&self) -> &Vehicle {
+        &self.traffic.vehicles()[EGO]
+    }
+
+    /// Lets the next merging car appear, if its time has come.
+    fn admit(&mut self) {
+        let Some(ramp) = self.traffic.road().ramps.get(self.n_admitted) else { return };
+        let merging = &self.settings.merging;
+        if is_due(&self.traffic, ramp, merging) {
+            let car = merging_car(&self.traffic, ramp, merging, &mut self.generator);
+            self.traffic.push(car);
+            self.n_admitted += 1;
+        }
+    }
+
+    fn run_frames(&mut self) {
+        let dt = self.settings.dt();
+        for _ in 0..self.settings.frames_per_step {
+            self.admit();
+            let before = self.ego().speed;
+            self.traffic.step(dt);
+            let ego = &self.traffic.vehicles()[EGO];
+            self.progress.record_frame(before, ego, dt);
+        }
+    }
+
+    /// Computes the reward of a step, and adds its pieces to the progress.
+    fn pay(&mut self, changes_lanes: bool) -> f64 {
+        let weights = &self.settings.reward;
+        let terms = self.traffic.terms(EGO, changes_lanes, weights);
+        for (sum, piece) in self.progress.pieces.iter_mut().zip(weights.pieces(&terms)) {
+            *sum += piece;
+        }
+        weights.reward(&terms)
+    }
+
+    /// Notes how the episode stands, and tells whether it is over.
+    fn finish(&mut self) -> Option<End> {
+        let (x, crashed) = (self.ego().position[0], self.ego().crashed);
+        let progress = &mut self.progress;
+        if crashed {
+            progress.outcome = Some(DriveOutcome::Crashed);
+            let ramps = self.traffic.road().ramps.iter();
+            let met = ramps.filter(|ramp| x > ramp.merge_x - self.settings.merging.distance);
+            progress.crash_ramp = met.count().checked_sub(1);
+            return Some(End::Terminated);
+        }
+        if x > self.settings.goal {
+            progress.outcome = Some(DriveOutcome::Arrived);
+            return (progress.n_steps >= self.settings.absorb_until).then_some(End::Terminated);
+        }
+        if progress.n_steps >= self.settings.max_steps {
+            progress.outcome = Some(DriveOutcome::OutOfTime);
+            return Some(End::Truncated);
+        }
+        None
+    }
+
+    /// Waits at the goal: nothing moves any more.
+    fn wait(&self, reaction: Option<ReactionStep>) -> Advance {
+        let over = self.progress.n_steps >= self.settings.absorb_until;
+        Advance {
+            reward: ARRIVED_REWARD,
+            reaction: reaction.map(|_| ReactionStatus::Refused),
+            end: over.then_some(End::Terminated),
+        }
+    }
+
+    fn fits(&self, snapshot: &HighwaySnapshot) -> bool {
+        let road = self.traffic.road();
+        let n_vehicles = 1 + self.settings.traffic.cars.len() + snapshot.n_admitted;
+        let one_ego =
+            |(i, vehicle): (usize, &Vehicle)| (vehicle.role == CarRole::Ego) == (i == EGO);
+        snapshot.n_admitted <= road.ramps.len()
+            && snapshot.vehicles.len() == n_vehicles
+            && snapshot.vehicles.iter().all(|vehicle| vehicle.is_proper(&road.network))
+            && snapshot.vehicles.iter().enumerate().all(one_ego)
+    }
+}
+
+impl Domain for HighwayDomain {
+    fn topics(&self) -> &[&'static str] {
+        TOPICS
+    }
+
+    fn obs_dim(&self) -> usize {
+        self.settings.observation.dim()
+    }
+
+    fn entities(&self) -> Option<Entities> {
+        let observation = &self.settings.observation;
+        Some(Entities { n_entities: observation.rows, n_features: observation.n_columns() })
+    }
+
+    fn reset(&mut self, seed: EpisodeSeed) {
+        self.generator = seed.stream(Purpose::World);
+        self.traffic.clear();
+        populate(&mut self.traffic, &self.settings, &mut self.generator);
+        self.n_admitted = 0;
+        self.progress = DriveProgress::begin(self.traffic.vehicles());
+    }
+
+    fn observe(&self, out: &mut [f32]) {
+        self.traffic.observe(EGO, self.n_lanes, &self.settings.observation, out);
+    }
+
+    fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
+        self.progress.n_steps += 1;
+        if self.has_arrived() {
+            return self.wait(reaction);
+        }
+        let Self { traffic, settings, progress, .. } = self;
+        let status = react(traffic, reaction, &settings.ego, &mut progress.refused);
+        let changes_lanes = reaction.is_some_and(|it| it.first && is_lane_change(it.topic));
+        progress.n_refused += u32::from(changes_lanes && progress.refused);
+        self.run_frames();
+        let reward = self.pay(changes_lanes);
+        Advance { reward, reaction: status, end: self.finish() }
+    }
+
+    fn heuristic(&self) -> Option<Message> {
+        if self.has_arrived() {
+            return None;
+        }
+        advise(&self.traffic, &self.settings.heuristic)
+    }
+
+    fn success(&self) -> bool {
+        self.has_arrived()
+    }
+
+    fn metric_names(&self) -> &'static [&'static str] {
+        &[
+            "crashed",
+            "arrived",
+            "timed_out",
+            "overtaken",
+            "refused_changes",
+            "mean_speed",
+            "hardest_braking",
+            "jerk",
+            "return_collision",
+            "return_right_lane",
+            "return_high_speed",
+            "return_merging",
+            "return_lane_change",
+        ]
+    }
+
+    fn metrics(&self, out: &mut [f32]) {
+        let progress = &self.progress;
+        let flags = [DriveOutcome::Crashed, DriveOutcome::Arrived, DriveOutcome::OutOfTime];
+        let counts = [progress.overtaken(&self.traffic), progress.n_refused];
+        let amounts = [progress.mean_speed(), progress.hardest_braking(), progress.jerk()];
+        let flags = flags.into_iter().map(|outcome| f64::from(u8::from(progress.is(outcome))));
+        let values = flags.chain(counts.map(f64::from)).chain(amounts).chain(progress.pieces);
+        for (out, value) in out.iter_mut().zip(values) {
+            *out = value as f32;
+        }
+    }
+
+    fn snapshot(&self, out: &mut Vec<u8>) {
+        let snapshot = HighwaySnapshot {
+            vehicles: self.traffic.vehicles().to_vec(),
+            n_admitted: self.n_admitted,
+            generator: self.generator.clone(),
+            progress: self.progress,
+        };
+        write_snapshot(&snapshot, out);
+    }
+
+    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+        let snapshot: HighwaySnapshot = read_snapshot(snapshot)?;
+        if !self.fits(&snapshot) {
+            return Err(SnapshotError::Mismatch { what: "cars" });
+        }
+        let n_ramps = self.traffic.road().ramps.len();
+        if !snapshot.progress.is_plausible(self.settings.max_steps, n_ramps) {
+            return Err(SnapshotError::Mismatch { what: "progress" });
+        }
+        self.traffic.clear();
+        for mut vehicle in snapshot.vehicles {
+            vehicle.face(vehicle.heading);
+            self.traffic.push(vehicle);
+        }
+        self.n_admitted = snapshot.n_admitted;
+        self.generator = snapshot.generator;
+        self.progress = snapshot.progress;
+        Ok(())
+    }
+
+    fn scene(&self) -> Scene {
+        let outcome = match self.progress.outcome {
+            Some(DriveOutcome::Crashed) => "crashed",
+            Some(DriveOutcome::Arrived) => "arrived",
+            Some(DriveOutcome::OutOfTime) => "out of time",
+            None => "",
+        };
+        picture(&self.traffic, self.settings.goal, outcome)
+    }
+}
+
+/// Everything about the task.
+pub type HighwayTaskSettings = TaskSettings<HighwayWorldSettings>;
+
+impl NotifierWorld for HighwayWorldSettings {
+    type Task = HighwayDomain;
+
+    /// The follow-through is 2 l - 2.
+    fn human() -> HumanSettings {
+        let follow_through = FollowThrough::TwiceLengthMinusTwo;
+        HumanSettings { follow_through, ..HumanSettings::default() }
+    }
+
+    /// A message costs 0.3.
+    fn notifier() -> NotifierSettings {
+        NotifierSettings { initiation_cost: 0.3, ..NotifierSettings::default() }
+    }
+
+    fn domain(&self) -> Result<HighwayDomain, SettingError> {
+        HighwayDomain::new(self)
+    }
+}
+
+#[cfg(test)]
+#[path = "domain_tests.rs"]
+mod tests;

@@ -1,0 +1,339 @@
+//! The task: who comes, what a reaction does, what a step pays, how an episode ends.
+
+use leadtime_proto::EnvId;
+use leadtime_sims::Environment as _;
+use leadtime_sims::human::HumanSettings;
+use leadtime_sims::notifier::{NotifierEnv, NotifierSettings};
+
+use super::*;
+use crate::task::HighwayTaskSettings;
+use crate::task::reaction::{MERGE_LEFT, MERGE_RIGHT, SLOW_DOWN, SPEED_UP};
+use crate::world::{Driver, RoadSettings, Side};
+
+fn seed(episode: u64) -> EpisodeSeed {
+    EpisodeSeed { run_seed: 11, env_id: EnvId(2), episode }
+}
+
+fn settings(change: impl FnOnce(&mut HighwayWorldSettings)) -> HighwayWorldSettings {
+    let mut settings = HighwayWorldSettings::default();
+    change(&mut settings);
+    settings
+}
+
+/// A road without ramps and traffic.
+fn empty(s: &mut HighwayWorldSettings) {
+    s.road = RoadSettings::merges(&[]);
+    s.road.lanes.iter_mut().for_each(|lane| lane.end[0] = 1080.0);
+    s.traffic.cars.clear();
+}
+
+fn start(settings: &HighwayWorldSettings, episode: u64) -> HighwayDomain {
+    let mut task = HighwayDomain::new(settings).unwrap();
+    task.reset(seed(episode));
+    task
+}
+
+/// Drives to the end of the episode; returns the last step, the return and the number of steps.
+fn drive(task: &mut HighwayDomain) -> (Advance, f64, u32) {
+    let mut total = 0.0;
+    loop {
+        let advance = task.advance(None);
+        total += advance.reward;
+        if advance.end.is_some() {
+            return (advance, total, task.progress.n_steps);
+        }
+    }
+}
+
+fn react(task: &mut HighwayDomain, topic: usize, first: bool) -> Option<ReactionStatus> {
+    task.advance(Some(ReactionStep { topic, first })).reaction
+}
+
+fn metric(task: &HighwayDomain, name: &str) -> f32 {
+    let mut metrics = vec![f32::NAN; task.metric_names().len()];
+    task.metrics(&mut metrics);
+    metrics[task.metric_names().iter().position(|metric| *metric == name).unwrap()]
+}
+
+#[test]
+fn an_episode_starts_as_drawn() {
+    let mut lanes = [0; 2];
+    for episode in 0..40 {
+        let task = start(&HighwayWorldSettings::default(), episode);
+        let [ego, cars @ ..] = task.traffic.vehicles() else { panic!("there is an ego") };
+        assert_eq!((ego.position[0], ego.speed, ego.target_speed), (30.0, 30.0, 30.0));
+        lanes[usize::from(ego.position[1] == 4.0)] += 1;
+        assert_eq!(cars.len(), 3);
+        for (car, (x, speed)) in cars.iter().zip([(90.0, 29.0), (70.0, 31.0), (5.0, 31.5)]) {
+            assert!((car.position[0] - x).abs() <= 5.0 && (car.speed - speed).abs() <= 1.0);
+            assert_eq!(car.target_speed, car.speed);
+        }
+    }
+    assert!(lanes.iter().all(|&n| n > 8), "{lanes:?}");
+    let task = start(&settings(|s| s.ego.lane = Some(0)), 0);
+    assert_eq!(task.ego().position[1], 0.0);
+}
+
+#[test]
+fn a_merging_car_appears_when_the_ego_comes_near() {
+    let mut task = start(&settings(|s| s.traffic.cars.clear()), 0);
+    // The ego starts exactly 200 m before the first merge, and has moved on after a frame.
+    assert_eq!(task.traffic.vehicles().len(), 1);
+    task.advance(None);
+    let car = task.traffic.vehicles()[1];
+    assert_eq!((car.role, car.target_speed), (CarRole::Merging, 30.0));
+    // 20 m/s * 200 m / 30 m/s before the merge, less a lead of at most 30 m; after at most 5 frames.
+    assert!((230.0 - 133.4..230.0 - 103.3 + 20.0 / 3.0).contains(&car.position[0]), "{car:?}");
+    assert_eq!(car.position[1], 14.5);
+    for (n_cars, side, merge_x) in [(2, Side::Left, 540.0), (3, Side::Right, 850.0)] {
+        // Slowly, or the ego might meet a car before the next one comes.
+        while task.traffic.vehicles().len() == n_cars {
+            assert_eq!(react(&mut task, SLOW_DOWN, false), Some(ReactionStatus::Followed));
+            assert!(!task.ego().crashed);
+        }
+        let (ego, car) = (task.ego().position[0], task.traffic.vehicles()[n_cars].position);
+        assert!((merge_x - 200.0..merge_x - 200.0 + 13.0).contains(&ego), "{ego}");
+        assert_eq!(car[1] < 0.0, side == Side::Left);
+    }
+}
+
+#[test]
+fn merging_cars_and_the_ego_do_not_see_each_other_until_they_settle() {
+    let mut task = start(&settings(|s| s.traffic.cars.clear()), 3);
+    task.advance(None);
+    assert!(!task.traffic.sees(0, 1) && !task.traffic.sees(1, 0));
+    let settled = (0..100).find(|_| {
+        task.advance(None);
+        task.traffic.sees(0, 1)
+    });
+    if settled.is_some() {
+        let car = task.traffic.vehicles()[1];
+        let lane = task.traffic.network().lane(car.lane);
+        assert!(!lane.is_forbidden() && lane.local(car.position)[1].abs() < 0.5);
+    }
+}
+
+#[test]
+fn speeds_climb_the_grid_from_the_actual_speed() {
+    let mut task = start(&settings(empty), 0);
+    assert_eq!(react(&mut task, SLOW_DOWN, true), Some(ReactionStatus::Followed));
+    assert_eq!(task.ego().target_speed, 26.5);
+    // The controller brakes by (26.5 - 30) / 0.6, which is 5.83 m/s².
+    assert!((30.0 - task.ego().speed - 1.74).abs() < 0.3, "{}", task.ego().speed);
+    for _ in 0..30 {
+        react(&mut task, SLOW_DOWN, false);
+    }
+    assert!((task.ego().speed - 15.0).abs() < 0.1);
+    for _ in 0..60 {
+        react(&mut task, SPEED_UP, false);
+    }
+    assert!(task.ego().speed > 33.0, "{}", task.ego().speed);
+    task.advance(None);
+    assert_eq!(task.ego().target_speed, 30.0);
+}
+
+#[test]
+fn a_lane_change_acts_once_and_mobil_rests_meanwhile() {
+    let mut task = start(&settings(|s| (empty(s), s.ego.lane = Some(1)).1), 0);
+    let can_think = |task: &HighwayDomain| match task.ego().driver {
+        Driver::Idm(idm) => idm.changes_lanes,
+        _ => panic!("the ego has a driver"),
+    };
+    let first = task.advance(Some(ReactionStep { topic: MERGE_LEFT, first: true }));
+    let second = task.advance(Some(ReactionStep { topic: MERGE_LEFT, first: false }));
+    assert_eq!(first.reaction, Some(ReactionStatus::Followed));
+    assert_eq!(second.reaction, Some(ReactionStatus::Followed));
+    // -0.05 / 1.8 in the first step only; at 30 m/s both are otherwise alike.
+    assert!((second.reward - first.reward).abs() > 0.02, "{first:?} {second:?}");
+    assert_eq!(task.ego().target_lane, 0);
+    assert!(!can_think(&task));
+    for _ in 0..10 {
+        task.advance(None);
+    }
+    assert!(can_think(&task) && task.ego().position[1].abs() < 0.2);
+}
+
+#[test]
+fn an_impossible_lane_change_is_refused_and_charged() {
+    let mut task = start(&settings(|s| (empty(s), s.ego.lane = Some(1)).1), 0);
+    let step = Some(ReactionStep { topic: MERGE_RIGHT, first: true });
+    let refused = task.advance(step);
+    let later = task.advance(Some(ReactionStep { topic: MERGE_RIGHT, first: false }));
+    for advance in [refused, later] {
+        assert_eq!(advance.reaction, Some(ReactionStatus::Refused));
+    }
+    assert!((later.reward - refused.reward - 0.05 / 1.8).abs() < 1e-9);
+    assert_eq!((task.ego().target_lane, metric(&task, "refused_changes")), (1, 1.0));
+    // Towards a ramp as well.
+    let mut task = start(&settings(|s| (s.traffic.cars.clear(), s.ego.lane = Some(1)).1), 0);
+    while task.ego().position[0] < 240.0 {
+        task.advance(None);
+    }
+    assert_eq!(task.traffic.network().n_abreast(task.ego().lane), 3);
+    assert_eq!(react(&mut task, MERGE_RIGHT, true), Some(ReactionStatus::Refused));
+}
+
+#[test]
+fn an_unsafe_lane_change_is_executed_or_refused() {
+    let with = |unsafe_changes| {
+        let settings = settings(|s| {
+            empty(s);
+            s.ego.lane = Some(1);
+            s.ego.unsafe_changes = unsafe_changes;
+        });
+        let mut task = start(&settings, 0);
+        // Somebody fast, close behind on the left.
+        let car = Vehicle::new(task.traffic.network(), [22.0, 0.0], 0.0, 38.0).with_idm(38.0);
+        task.traffic.push(car);
+        react(&mut task, MERGE_LEFT, true)
+    };
+    assert_eq!(with(super::super::UnsafeChanges::Execute), Some(ReactionStatus::Followed));
+    assert_eq!(with(super::super::UnsafeChanges::Refuse), Some(ReactionStatus::Refused));
+}
+
+#[test]
+fn an_undisturbed_drive_arrives_and_waits_until_its_time_is_over() {
+    let mut task = start(&settings(|s| (empty(s), s.ego.lane = Some(1)).1), 0);
+    let (last, total, n_steps) = drive(&mut task);
+    assert_eq!((last.end, n_steps, task.success()), (Some(End::Terminated), 200, true));
+    // 960 m at 30 m/s are 32 s or 96 steps at (0.1 + 0.2 * 15 / 23 + 1.5) / 1.8, then 1 per step; the last step of
+    // the drive crosses the goal.
+    let expected = 96.0 * 0.961_352_657 + 104.0;
+    assert!((total - expected).abs() < 0.1, "{total} {expected}");
+    assert!((metric(&task, "mean_speed") - 30.0).abs() < 1e-3);
+    assert_eq!(metric(&task, "hardest_braking"), 0.0);
+    let mut task = start(&settings(|s| (empty(s), s.absorb_until = 0).1), 0);
+    let (last, _, n_steps) = drive(&mut task);
+    assert!(last.end == Some(End::Terminated) && (96..=97).contains(&n_steps), "{n_steps}");
+    assert_eq!(task.scene().outcome, "arrived");
+}
+
+#[test]
+fn time_runs_out_as_a_truncation() {
+    let mut task = start(&settings(|s| (s.max_steps, s.absorb_until) = (5, 0)), 0);
+    let (last, _, n_steps) = drive(&mut task);
+    assert_eq!((last.end, n_steps, task.success()), (Some(End::Truncated), 5, false));
+    assert_eq!(metric(&task, "timed_out"), 1.0);
+}
+
+#[test]
+fn a_crash_ends_the_episode_and_costs() {
+    let crashed = (0..40).find_map(|episode| {
+        let mut task = start(&HighwayWorldSettings::default(), episode);
+        let (last, ..) = drive(&mut task);
+        (metric(&task, "crashed") == 1.0).then_some((task, last))
+    });
+    let (task, last) = crashed.expect("one of forty unaided episodes ends in a crash");
+    assert_eq!((last.end, task.success()), (Some(End::Terminated), false));
+    assert!(last.reward < 0.5 && task.crash_ramp().is_some(), "{last:?}");
+    assert_eq!(task.scene().outcome, "crashed");
+    assert!((metric(&task, "return_collision") + 1.0 / 1.8).abs() < 1e-6);
+}
+
+#[test]
+fn the_pieces_of_the_return_add_up() {
+    let mut task = start(&settings(|s| s.absorb_until = 0), 1);
+    let (_, total, n_steps) = drive(&mut task);
+    let pieces: f64 = task.progress.pieces.iter().sum();
+    assert!((total - pieces - f64::from(n_steps) * 1.5 / 1.8).abs() < 1e-9);
+}
+
+#[test]
+fn the_scripted_notifier_warns_before_a_merge_and_not_far_from_one() {
+    let mut task = start(&settings(|s| s.ego.lane = Some(1)), 0);
+    let mut warned = Vec::new();
+    while task.advance(None).end.is_none() && !task.has_arrived() {
+        if let Some(message) = task.heuristic() {
+            assert!(message.comprehension <= message.conveyance);
+            warned.push(task.ego().position[0]);
+        }
+    }
+    assert!(!warned.is_empty());
+    let near = |x: f64| {
+        [230.0, 540.0, 850.0].iter().any(|merge| (merge - 200.0..merge + 80.0).contains(&x))
+    };
+    assert!(warned.iter().all(|&x| near(x)), "{warned:?}");
+    assert_eq!(start(&settings(empty), 0).heuristic(), None);
+}
+
+#[test]
+fn a_scene_shows_road_cars_and_ego() {
+    use leadtime_sims::scene::{Shape, Tone};
+    let mut task = start(&HighwayWorldSettings::default(), 0);
+    while task.ego().position[0] < 200.0 {
+        task.advance(None);
+    }
+    let scene = task.scene();
+    let tones: Vec<Tone> = scene
+        .shapes
+        .iter()
+        .filter_map(|shape| match shape {
+            Shape::Rectangle { tone, .. } | Shape::Polygon { tone, .. } => Some(*tone),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(tones.last(), Some(&Tone::Own));
+    for tone in [Tone::Ground, Tone::Danger, Tone::Other] {
+        assert!(tones.contains(&tone), "{tone:?}");
+    }
+    // What is on the right of the road is below in the picture.
+    let obstacle = scene.shapes.iter().find_map(|shape| match shape {
+        Shape::Rectangle { min, .. } => Some(*min),
+        _ => None,
+    });
+    assert_eq!(obstacle, Some([309.0, -9.0]));
+}
+
+#[test]
+fn broken_snapshots_are_refused() {
+    let mut task = start(&HighwayWorldSettings::default(), 0);
+    for _ in 0..10 {
+        task.advance(None);
+    }
+    let mut bytes = Vec::new();
+    task.snapshot(&mut bytes);
+    let fewer = settings(|s| s.traffic.cars.truncate(1));
+    let error = HighwayDomain::new(&fewer).unwrap().restore(&bytes).unwrap_err();
+    assert!(matches!(error, SnapshotError::Mismatch { what: "cars" }), "{error}");
+    assert!(task.restore(&bytes[..bytes.len() - 1]).is_err());
+    for at in 0..bytes.len() {
+        let mut flipped = bytes.clone();
+        flipped[at] ^= 0x41;
+        if task.restore(&flipped).is_ok() {
+            task.advance(None);
+            task.observe(&mut vec![0.0; task.obs_dim()]);
+        }
+    }
+}
+
+fn notifier_env() -> NotifierEnv<HighwayDomain> {
+    let task = HighwayDomain::new(&HighwayWorldSettings::default()).unwrap();
+    NotifierEnv::new(task, &HumanSettings::default(), &NotifierSettings::default()).unwrap()
+}
+
+#[test]
+fn the_notifiers_observation_is_a_history_of_entities() {
+    let env = notifier_env();
+    let history = env.entity_history().unwrap();
+    let attention = history.attention(64, 2);
+    assert_eq!((attention.n_frames, attention.n_entities, attention.n_features), (4, 10, 7));
+    // Initiate 1, topics 4, k 4, l 4; behind the frames: words spoken and topic of the own utterance.
+    assert_eq!((attention.action_dim, env.spec().obs_dim), (13, 4 * (70 + 13) + 5));
+    attention.check(env.spec().obs_dim).unwrap();
+    let mut env = env;
+    let mut observation = vec![0.0; env.spec().obs_dim];
+    env.reset(seed(0), &mut observation);
+    for frame in observation.chunks_exact(attention.frame_dim()).take(4) {
+        assert_eq!(frame[0], 1.0);
+    }
+}
+
+#[test]
+fn an_unknown_topic_is_named() {
+    let HighwayTaskSettings { world, human, mut notifier } = HighwayTaskSettings::default();
+    notifier.topics = Some(vec!["overtake".to_owned()]);
+    let refused = NotifierEnv::new(HighwayDomain::new(&world).unwrap(), &human, &notifier);
+    let expected = "`notifier.topics` is [\"overtake\"]; allowed: at least one of slow_down, speed_up, \
+                    merge_left, merge_right, none twice";
+    assert_eq!(refused.unwrap_err().to_string(), expected);
+}

@@ -1,0 +1,108 @@
+//! What happened in an episode so far.
+
+use serde::{Deserialize, Serialize};
+
+use crate::world::{Traffic, Vehicle};
+
+/// How an episode stands once it is decided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum DriveOutcome {
+    /// The ego has hit something.
+    Crashed,
+    /// It has passed the goal.
+    Arrived,
+    /// It took too long.
+    OutOfTime,
+}
+
+/// Counts and sums of an episode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct DriveProgress {
+    pub(super) n_steps: u32,
+    pub(super) outcome: Option<DriveOutcome>,
+    /// Number of the merge at which the ego crashed.
+    pub(super) crash_ramp: Option<usize>,
+    /// The commanded lane change of the running reaction was impossible.
+    pub(super) refused: bool,
+    pub(super) n_refused: u32,
+    /// Which cars of the traffic started ahead of the ego, a bit each.
+    ahead: u64,
+    n_frames: u32,
+    speed_sum: f64,
+    hardest_braking: f64,
+    jerk_square_sum: f64,
+    n_jerks: u32,
+    acceleration: Option<f64>,
+    /// Sums of the weighted terms of the reward.
+    pub(super) pieces: [f64; 5],
+}
+
+impl DriveProgress {
+    /// Begins with the cars at their start.
+    pub(super) fn begin(vehicles: &[Vehicle]) -> Self {
+        let [ego, traffic @ ..] = vehicles else { return Self::default() };
+        let ahead = traffic
+            .iter()
+            .enumerate()
+            .fold(0, |ahead, (i, car)| ahead | u64::from(car.position[0] > ego.position[0]) << i);
+        Self { ahead, ..Self::default() }
+    }
+
+    /// Takes in a frame of `dt` seconds in which the ego went from one speed to another.
+    pub(super) fn record_frame(&mut self, from: f64, ego: &Vehicle, dt: f64) {
+        self.n_frames += 1;
+        self.speed_sum += ego.speed;
+        // What a wreck does is no one's driving.
+        if ego.crashed {
+            return;
+        }
+        let acceleration = (ego.speed - from) / dt;
+        self.hardest_braking = self.hardest_braking.max(-acceleration);
+        if let Some(before) = self.acceleration.replace(acceleration) {
+            let jerk = (acceleration - before) / dt;
+            self.jerk_square_sum += jerk * jerk;
+            self.n_jerks += 1;
+        }
+    }
+
+    /// Returns the ego's mean speed, in m/s.
+    pub(super) fn mean_speed(&self) -> f64 {
+        self.speed_sum / f64::from(self.n_frames.max(1))
+    }
+
+    /// Returns the hardest braking, in m/s².
+    pub(super) fn hardest_braking(&self) -> f64 {
+        self.hardest_braking
+    }
+
+    /// Returns the root mean square of the jerk, in m/s³.
+    pub(super) fn jerk(&self) -> f64 {
+        libm::sqrt(self.jerk_square_sum / f64::from(self.n_jerks.max(1)))
+    }
+
+    /// Counts the cars that the ego has overtaken.
+    pub(super) fn overtaken(&self, traffic: &Traffic) -> u32 {
+        let [ego, cars @ ..] = traffic.vehicles() else { return 0 };
+        let passed = |(i, car): &(usize, &Vehicle)| {
+            *i < 64 && self.ahead >> i & 1 == 1 && car.position[0] < ego.position[0]
+        };
+        cars.iter().enumerate().filter(passed).count() as u32
+    }
+
+    /// Tells whether the episode stands like this.
+    pub(super) fn is(&self, outcome: DriveOutcome) -> bool {
+        self.outcome == Some(outcome)
+    }
+
+    /// Tells whether an episode could have come to these numbers, with room to count on.
+    pub(super) fn is_plausible(&self, max_steps: u32, n_ramps: usize) -> bool {
+        let sums = [self.speed_sum, self.hardest_braking, self.jerk_square_sum];
+        let numbers = sums.iter().chain(&self.pieces).chain(&self.acceleration);
+        numbers.into_iter().all(|number| number.is_finite())
+            && self.n_steps <= max_steps
+            && self.n_refused <= max_steps
+            && self.n_jerks <= self.n_frames
+            && self.n_frames <= 1 << 30
+            && self.crash_ramp.is_none_or(|ramp| ramp < n_ramps)
+    }
+}

@@ -1,0 +1,357 @@
+//! Which lanes there are, which lie side by side, and which follow which.
+//!
+//! Lanes between the same two nodes form a road. Lanes are numbered in the order of first mention of their
+//! start nodes, then of their end nodes, then as written: the order in which ties are broken everywhere.
+//!
+//! # What a driver looks along
+//!
+//! A driver who looks for the next car ahead or behind sees more than one segment. [`Lookup`] says how
+//! much: the original's two ways (for comparison) and one that follows the geometry, which alone is right beside
+//! ramps on the left.
+
+use serde::{Deserialize, Serialize};
+
+use super::lane::{Lane, LaneSettings};
+
+/// Number of a lane.
+pub type LaneId = usize;
+
+/// How far a lane's end may be from the start of the one that follows it, in metres.
+const TOUCH: f64 = 0.1;
+
+/// How drivers look along the road for their neighbours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Lookup {
+    /// On the one segment: highway-env's `merge-v0`. Blind beyond its end.
+    LaneSegment,
+    /// One segment ahead and behind, matched by lane numbers: highway-env's `merge-v1`.
+    Numbers,
+    /// Two segments ahead and one behind, matched by where lanes touch.
+    Geometry,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct ParallelLanes {
+    from: usize,
+    to: usize,
+    lanes: Vec<LaneId>,
+}
+
+/// A segment in a driver's view: the lane, and what to add to s on it.
+type LaneSegment = (LaneId, f64);
+
+/// The lanes of a world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RoadNetwork {
+    nodes: Vec<String>,
+    roads: Vec<ParallelLanes>,
+    lanes: Vec<Lane>,
+    road_of: Vec<usize>,
+    /// `[left, right]` of each lane.
+    sides: Vec<[Option<LaneId>; 2]>,
+    ranks: Vec<u32>,
+    views: Vec<Vec<LaneSegment>>,
+}
+
+/// Start node, end node and lanes of a road as it is written.
+type Written<'a> = (usize, usize, Vec<&'a LaneSettings>);
+
+/// Numbers nodes in the order of their mention, and gathers lanes into roads, in the order of lane numbers.
+fn gather_roads<'a>(settings: &'a [LaneSettings], nodes: &mut Vec<String>) -> Vec<Written<'a>> {
+    let mut starts: Vec<usize> = Vec::new();
+    let mut written: Vec<Written<'a>> = Vec::new();
+    for lane in settings {
+        let [from, to] = [&lane.from, &lane.to].map(|name| number(name, nodes));
+        if !starts.contains(&from) {
+            starts.push(from);
+        }
+        match written.iter_mut().find(|road| (road.0, road.1) == (from, to)) {
+            Some(road) => road.2.push(lane),
+            None => written.push((from, to, vec![lane])),
+        }
+    }
+    // A stable sort: roads from one node stay in the order of their first mention.
+    written.sort_by_key(|road| starts.iter().position(|&start| start == road.0));
+    written
+}
+
+fn number(name: &str, nodes: &mut Vec<String>) -> usize {
+    nodes.iter().position(|node| node == name).unwrap_or_else(|| {
+        nodes.push(name.to_owned());
+        nodes.len() - 1
+    })
+}
+
+impl RoadNetwork {
+    /// Arranges lanes; they must have a length.
+    pub fn new(settings: &[LaneSettings], lookup: Lookup) -> Self {
+        let mut nodes = Vec::new();
+        let written = gather_roads(settings, &mut nodes);
+        let mut this = Self {
+            nodes,
+            roads: Vec::new(),
+            lanes: Vec::new(),
+            road_of: Vec::new(),
+            sides: Vec::new(),
+            ranks: Vec::new(),
+            views: Vec::new(),
+        };
+        for (from, to, lanes) in written {
+            let first = this.lanes.len();
+            this.road_of.extend(lanes.iter().map(|_| this.roads.len()));
+            this.lanes.extend(lanes.into_iter().map(Lane::new));
+            this.roads.push(ParallelLanes { from, to, lanes: (first..this.lanes.len()).collect() });
+        }
+        this.sides = (0..this.lanes.len()).map(|lane| this.find_sides(lane)).collect();
+        this.ranks = (0..this.lanes.len()).map(|lane| this.find_rank(lane)).collect();
+        this.views = (0..this.lanes.len()).map(|lane| this.find_view(lane, lookup)).collect();
+        this
+    }
+
+    /// Returns a lane.
+    pub fn lane(&self, lane: LaneId) -> &Lane {
+        &self.lanes[lane]
+    }
+
+    /// Returns all lanes, by number.
+    pub fn lanes(&self) -> &[Lane] {
+        &self.lanes
+    }
+
+    /// Names a lane for a person: `m0→m1 1`.
+    pub fn name(&self, lane: LaneId) -> String {
+        let road = &self.roads[self.road_of[lane]];
+        let (from, to) = (&self.nodes[road.from], &self.nodes[road.to]);
+        format!("{from}→{to} {}", self.place(lane))
+    }
+
+    /// Returns the lanes between two nodes, in the order in which they were written.
+    pub fn between(&self, from: &str, to: &str) -> &[LaneId] {
+        let is_it =
+            |road: &&ParallelLanes| self.nodes[road.from] == from && self.nodes[road.to] == to;
+        self.roads.iter().find(is_it).map_or(&[], |road| &road.lanes)
+    }
+
+    /// Returns how many lanes lie side by side with a lane, itself included.
+    pub fn n_abreast(&self, lane: LaneId) -> usize {
+        self.roads[self.road_of[lane]].lanes.len()
+    }
+
+    /// Returns the lanes to the left and to the right of a lane.
+    pub fn sides(&self, lane: LaneId) -> [Option<LaneId>; 2] {
+        self.sides[lane]
+    }
+
+    /// Counts the lanes to the left of a lane that one may change into: 0 for the leftmost.
+    pub fn rank(&self, lane: LaneId) -> u32 {
+        self.ranks[lane]
+    }
+
+    /// Tells whether two lanes lie side by side.
+    pub fn same_road(&self, a: LaneId, b: LaneId) -> bool {
+        self.road_of[a] == self.road_of[b]
+    }
+
+    /// Returns how far along a lane a driver on it sees a point, if it lies in their view.
+    pub fn seen_along(&self, lane: LaneId, point: [f64; 2]) -> Option<f64> {
+        self.views[lane].iter().find_map(|&(segment, offset)| {
+            self.lanes[segment].holds(point, 1.0).map(|s| s + offset)
+        })
+    }
+
+    /// Finds the lane that a car is on: the least sum of distance and difference in heading (1 m per radian).
+    ///
+    /// `hint` is where it was; it makes the search quick and does not change its result.
+    pub fn closest(&self, point: [f64; 2], heading: f64, hint: LaneId) -> LaneId {
+        let cost = |lane: &Lane, distance: f64| distance + lane.misalignment(point, heading);
+        let hinted = &self.lanes[hint];
+        let bound = cost(hinted, hinted.distance(point));
+        let (mut best, mut lowest) = (hint, f64::INFINITY);
+        for (id, lane) in self.lanes.iter().enumerate() {
+            let distance = lane.distance(point);
+            if distance > bound {
+                continue;
+            }
+            let cost = cost(lane, distance);
+            if cost < lowest {
+                (best, lowest) = (id, cost);
+            }
+        }
+        best
+    }
+
+    /// Finds the lane that follows a lane for a driver without a route; the lane itself at the end of the network.
+    ///
+    /// Between roads of as many lanes one keeps one's place; otherwise the nearest lane follows.
+    pub fn next(&self, lane: LaneId, point: [f64; 2]) -> LaneId {
+        let centre = self.lanes[lane].position(self.lanes[lane].along(point), 0.0);
+        let road = &self.roads[self.road_of[lane]];
+        let (mut best, mut nearest) = (lane, f64::INFINITY);
+        for next in self.roads.iter().filter(|next| next.from == road.to) {
+            let same = next.lanes.len() == road.lanes.len();
+            let range =
+                if same { self.place(lane)..=self.place(lane) } else { 0..=next.lanes.len() - 1 };
+            for &candidate in &next.lanes[range] {
+                let distance = self.lanes[candidate].distance(centre);
+                if distance < nearest {
+                    (best, nearest) = (candidate, distance);
+                }
+            }
+        }
+        best
+    }
+
+    /// Returns a lane's place among those beside it, as written.
+    fn place(&self, lane: LaneId) -> usize {
+        lane - self.roads[self.road_of[lane]].lanes[0]
+    }
+
+    fn find_sides(&self, lane: LaneId) -> [Option<LaneId>; 2] {
+        let mut sides = [None; 2];
+        let mut reach = [f64::INFINITY; 2];
+        for &other in &self.roads[self.road_of[lane]].lanes {
+            let across = self.lanes[lane].local(self.lanes[other].position(0.0, 0.0))[1];
+            let side = usize::from(across > 0.0);
+            if other != lane && across.abs() < reach[side] {
+                (sides[side], reach[side]) = (Some(other), across.abs());
+            }
+        }
+        sides
+    }
+
+    fn find_rank(&self, lane: LaneId) -> u32 {
+        let (mut rank, mut at) = (0, lane);
+        // At most as many as lie abreast, so that odd geometry cannot go round in a circle.
+        for _ in 0..self.n_abreast(lane) {
+            let Some(left) = self.sides[at][0] else { break };
+            rank += u32::from(!self.lanes[left].is_forbidden());
+            at = left;
+        }
+        rank
+    }
+
+    fn find_view(&self, lane: LaneId, lookup: Lookup) -> Vec<LaneSegment> {
+        let mut view = vec![(lane, 0.0)];
+        match lookup {
+            Lookup::LaneSegment => {}
+            Lookup::Numbers => self.view_by_numbers(lane, &mut view),
+            Lookup::Geometry => self.view_by_geometry(lane, &mut view),
+        }
+        view
+    }
+
+    fn view_by_numbers(&self, lane: LaneId, view: &mut Vec<LaneSegment>) {
+        let road = &self.roads[self.road_of[lane]];
+        let place = self.place(lane);
+        let matching =
+            |road: &ParallelLanes| road.lanes.get(place).copied().unwrap_or(road.lanes[0]);
+        for next in self.roads.iter().filter(|next| next.from == road.to) {
+            view.push((matching(next), self.lanes[lane].length()));
+        }
+        for previous in self.roads.iter().filter(|previous| previous.to == road.from) {
+            let previous = matching(previous);
+            view.push((previous, -self.lanes[previous].length()));
+        }
+    }
+
+    fn view_by_geometry(&self, lane: LaneId, view: &mut Vec<LaneSegment>) {
+        let mut ahead = vec![(lane, 0.0)];
+        for _hop in 0..2 {
+            let next = ahead.iter().flat_map(|&(at, offset)| {
+                let beyond = offset + self.lanes[at].length();
+                self.following(at).map(move |follower| (follower, beyond))
+            });
+            ahead = next.collect();
+            view.extend(&ahead);
+        }
+        for previous in (0..self.lanes.len()).filter(|&previous| self.follows(lane, previous)) {
+            view.push((previous, -self.lanes[previous].length()));
+        }
+    }
+
+    fn following(&self, lane: LaneId) -> impl Iterator<Item = LaneId> + '_ {
+        (0..self.lanes.len()).filter(move |&next| self.follows(next, lane))
+    }
+
+    /// Tells whether lane `b` begins where lane `a` ends.
+    fn follows(&self, b: LaneId, a: LaneId) -> bool {
+        let end = self.lanes[a].position(self.lanes[a].length(), 0.0);
+        let start = self.lanes[b].position(0.0, 0.0);
+        let [dx, dy] = [end[0] - start[0], end[1] - start[1]];
+        a != b && libm::sqrt(dx * dx + dy * dy) < TOUCH
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::RoadSettings;
+
+    fn network(lookup: Lookup) -> RoadNetwork {
+        RoadNetwork::new(&RoadSettings::merge().lanes, lookup)
+    }
+
+    #[test]
+    fn lanes_are_numbered_by_their_nodes_first_mention() {
+        let network = network(Lookup::LaneSegment);
+        let names: Vec<String> =
+            (0..network.lanes().len()).map(|lane| network.name(lane)).collect();
+        let expected =
+            ["a→b 0", "a→b 1", "b→c 0", "b→c 1", "b→c 2", "c→d 0", "c→d 1", "j→k 0", "k→b 0"];
+        assert_eq!(names, expected);
+        assert_eq!(network.between("b", "c"), [2, 3, 4]);
+        assert_eq!(network.between("c", "b"), [0; 0]);
+    }
+
+    #[test]
+    fn neighbours_are_found_across_the_road() {
+        let network = RoadNetwork::new(&RoadSettings::three_merges().lanes, Lookup::Geometry);
+        let [left, right, ramp] = network.between("m3", "m4")[..] else { panic!("three lanes") };
+        assert_eq!(network.sides(left), [Some(ramp), Some(right)]);
+        assert_eq!(network.sides(right), [Some(left), None]);
+        assert_eq!(network.sides(ramp), [None, Some(left)]);
+        assert_eq!([left, right, ramp].map(|lane| network.rank(lane)), [0, 1, 0]);
+        let ramp = network.between("m1", "m2")[2];
+        assert_eq!((network.sides(ramp)[1], network.rank(ramp)), (None, 2));
+    }
+
+    #[test]
+    fn a_ramp_leads_into_the_parallel_lane_and_that_to_the_nearest() {
+        let network = network(Lookup::LaneSegment);
+        assert_eq!(network.next(7, [149.0, 14.5]), 8);
+        assert_eq!(network.next(8, [229.0, 8.0]), 4);
+        assert_eq!(network.next(4, [309.0, 8.0]), 6);
+        assert_eq!(network.next(0, [229.0, 0.0]), 2);
+        assert_eq!(network.next(6, [459.0, 4.0]), 6);
+    }
+
+    #[test]
+    fn the_closest_lane_does_not_depend_on_the_hint() {
+        let network = network(Lookup::LaneSegment);
+        for (point, lane) in
+            [([229.9, 2.0], 0), ([230.0, 2.1], 1), ([231.0, 6.1], 4), ([190.0, 9.0], 8)]
+        {
+            for hint in 0..9 {
+                assert_eq!(network.closest(point, 0.0, hint), lane, "{point:?} from {hint}");
+            }
+        }
+    }
+
+    #[test]
+    fn lookups_differ_in_what_lies_beyond_a_segment() {
+        let beyond = [250.0, 4.0];
+        let seen = |lookup| network(lookup).seen_along(1, beyond);
+        assert_eq!(seen(Lookup::LaneSegment), None);
+        assert_eq!(seen(Lookup::Numbers), Some(250.0));
+        assert_eq!(seen(Lookup::Geometry), Some(250.0));
+        // By numbers, a car from the ramp looks ahead on the left lane of the carriageway.
+        let left = [250.0, 0.0];
+        assert_eq!(network(Lookup::Numbers).seen_along(8, left), Some(100.0));
+        assert_eq!(network(Lookup::Geometry).seen_along(8, left), None);
+        let ramp = [250.0, 8.0];
+        assert_eq!(network(Lookup::Geometry).seen_along(8, ramp), Some(100.0));
+        assert_eq!(network(Lookup::Geometry).seen_along(1, [400.0, 4.0]), Some(400.0));
+        assert_eq!(network(Lookup::Geometry).seen_along(6, beyond), Some(-60.0));
+    }
+}

@@ -1,0 +1,66 @@
+//! Frames per second of the lander on one core: `cargo bench -p leadtime-lander --bench lander`.
+//!
+//! Each iteration flies 10,000 frames, resets included, with the original's time limit (without it some landers
+//! stay on the ground for ever, and the rate means nothing). `bench/peers/lander_*.py` does the same with
+//! Gymnasium and EnvPool.
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use leadtime_lander::pilot::{Flyer, MAX_FRAMES, Pilot, heuristic};
+use leadtime_lander::world::{Engine, Lander, Physics, PhysicsSettings};
+use leadtime_numerics::Pcg64;
+
+const FRAMES: u32 = 10_000;
+
+/// A lander that is reset whenever its episode ends.
+struct LanderLoop {
+    lander: Lander,
+    next_seed: u64,
+    frames: u32,
+}
+
+impl LanderLoop {
+    fn new(physics: Physics) -> Self {
+        let lander = Lander::new(&PhysicsSettings { physics, ..PhysicsSettings::default() });
+        Self { lander, next_seed: 1, frames: 0 }
+    }
+
+    fn step(&mut self, engine: Engine) {
+        self.frames += 1;
+        if self.lander.step(engine).outcome.is_some() || self.frames == MAX_FRAMES {
+            self.lander.reset(Pcg64::seed_from_u64(self.next_seed));
+            self.next_seed += 1;
+            self.frames = 0;
+        }
+    }
+}
+
+fn frames_per_second(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("lander");
+    group.throughput(Throughput::Elements(u64::from(FRAMES))).sample_size(30);
+    for (name, physics) in [("two gears", Physics::Hybrid), ("contact world", Physics::Rapier)] {
+        let mut world = LanderLoop::new(physics);
+        let mut rng = Pcg64::seed_from_u64(7);
+        group.bench_function(format!("{name}, random actions"), |bencher| {
+            bencher.iter(|| {
+                (0..FRAMES).for_each(|_| world.step(Engine::ALL[(rng.next_u64() >> 62) as usize]));
+            });
+        });
+        let mut world = LanderLoop::new(physics);
+        group.bench_function(format!("{name}, heuristic pilot"), |bencher| {
+            bencher.iter(|| {
+                (0..FRAMES).for_each(|_| world.step(heuristic(world.lander.observation())));
+            });
+        });
+        let mut world = LanderLoop::new(physics);
+        let flyer = Flyer::Network { pilot: Pilot::embedded(), rests: true };
+        group.bench_function(format!("{name}, embedded pilot"), |bencher| {
+            bencher.iter(|| {
+                (0..FRAMES).for_each(|_| world.step(flyer.engine(world.lander.observation())));
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, frames_per_second);
+criterion_main!(benches);

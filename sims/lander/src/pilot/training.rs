@@ -1,0 +1,216 @@
+//! The pilot's own training task: the unmodified lander, with the weather and the starts that a pilot must master.
+//!
+//! Observation, actions and reward are those of `LunarLander-v3`. What is drawn per episode, from the environment's
+//! own stream, is whether the wind blows and whether the start is wide: a pilot that has only seen the original's
+//! starts cannot recover from the places to which a notification leads it.
+
+use leadtime_numerics::Purpose;
+use leadtime_proto::{ActionSpec, EnvSpec};
+use leadtime_sims::check::{SettingError, require};
+use leadtime_sims::environment::{
+    End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
+};
+use leadtime_sims::scene::{Gauge, Listener, Scene};
+use serde::{Deserialize, Serialize};
+
+use super::evaluate::Flyer;
+use super::network::{Pilot, engines_off};
+use crate::world::Engine;
+use crate::world::{Lander, LanderOutcome, LanderSnapshot};
+use crate::world::{Physics, PhysicsSettings, check_impulse, check_powers};
+use crate::world::{VIEW, caption};
+
+/// Settings of the pilot's training task.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PilotTaskSettings {
+    /// Which physics moves the lander.
+    pub physics: Physics,
+    /// Share of episodes with wind and turbulence, 0 to 1.
+    pub wind_share: f64,
+    /// Largest wind force, in newtons, 0 to 20.
+    pub wind_power: f64,
+    /// Largest turbulence torque, in newton metres, 0 to 2.
+    pub turbulence_power: f64,
+    /// Largest start force, in newtons, 0 to 3000; the original's is 1000.
+    pub start_impulse: f64,
+    /// Share of episodes with a wide start, 0 to 1.
+    pub wide_start_share: f64,
+    /// Largest start force of a wide start, in newtons, 0 to 3000.
+    pub wide_start_impulse: f64,
+    /// Whether engines rest, whatever the policy says, once the lander stands still on both legs.
+    pub engines_off: bool,
+    /// Frames after which an episode is cut off, 1 to 100000; the original's is 1000.
+    pub max_frames: u32,
+}
+
+impl Default for PilotTaskSettings {
+    fn default() -> Self {
+        let world = PhysicsSettings::default();
+        Self {
+            physics: world.physics,
+            wind_share: 0.5,
+            wind_power: world.wind_power,
+            turbulence_power: world.turbulence_power,
+            start_impulse: world.start_impulse,
+            wide_start_share: 0.5,
+            wide_start_impulse: 2200.0,
+            engines_off: false,
+            max_frames: super::evaluate::MAX_FRAMES,
+        }
+    }
+}
+
+impl PilotTaskSettings {
+    /// Checks every range.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] naming the first setting outside its range.
+    pub fn check(&self) -> Result<(), SettingError> {
+        let share = |key, value: f64| require((0.0..=1.0).contains(&value), key, value, "0 to 1");
+        share("world.wind_share", self.wind_share)?;
+        share("world.wide_start_share", self.wide_start_share)?;
+        check_powers(self.wind_power, self.turbulence_power)?;
+        check_impulse("world.start_impulse", self.start_impulse)?;
+        check_impulse("world.wide_start_impulse", self.wide_start_impulse)?;
+        let frames = self.max_frames;
+        let possible = (1..=100_000).contains(&frames);
+        require(possible, "world.max_frames", frames, "1 to 100000 frames")
+    }
+}
+
+/// The pilot's training task.
+#[derive(Debug)]
+pub struct PilotTask {
+    settings: PilotTaskSettings,
+    spec: EnvSpec,
+    lander: Lander,
+    frames: u32,
+    outcome: Option<LanderOutcome>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct PilotTaskSnapshot {
+    frames: u32,
+    outcome: Option<LanderOutcome>,
+    lander: LanderSnapshot,
+}
+
+impl PilotTask {
+    /// Makes the task.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] if a setting is outside its range.
+    pub fn new(settings: &PilotTaskSettings) -> Result<Self, SettingError> {
+        settings.check()?;
+        let world = PhysicsSettings {
+            physics: settings.physics,
+            wind_power: settings.wind_power,
+            turbulence_power: settings.turbulence_power,
+            ..PhysicsSettings::default()
+        };
+        let metrics = ["success", "crashed", "out", "timed_out"];
+        Ok(Self {
+            settings: settings.clone(),
+            spec: EnvSpec {
+                obs_dim: 8,
+                actions: ActionSpec::discrete("engine", Engine::ALL.len()),
+                metrics: metrics.map(str::to_owned).to_vec(),
+            },
+            lander: Lander::new(&world),
+            frames: 0,
+            outcome: None,
+        })
+    }
+
+    fn timed_out(&self) -> bool {
+        self.outcome.is_none() && self.frames >= self.settings.max_frames
+    }
+}
+
+impl Environment for PilotTask {
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+
+    fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
+        let mut variant = seed.stream(Purpose::Task);
+        let windy = variant.unit() < self.settings.wind_share;
+        let wide = variant.unit() < self.settings.wide_start_share;
+        let settings = &self.settings;
+        let impulse = if wide { settings.wide_start_impulse } else { settings.start_impulse };
+        self.lander.set_wind(windy);
+        self.lander.set_start_impulse(impulse);
+        observation.copy_from_slice(&self.lander.reset(seed.stream(Purpose::World)));
+        (self.frames, self.outcome) = (0, None);
+    }
+
+    fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
+        let chosen = Engine::try_from(action[0]).expect("actions are those of the specification");
+        let rests = self.settings.engines_off && engines_off(self.lander.observation());
+        let frame = self.lander.step(if rests { Engine::Idle } else { chosen });
+        self.frames += 1;
+        self.outcome = frame.outcome;
+        observation.copy_from_slice(&frame.observation);
+        let end = match frame.outcome {
+            Some(_) => Some(End::Terminated),
+            None => self.timed_out().then_some(End::Truncated),
+        };
+        StepOutcome { reward: frame.reward as f32, end }
+    }
+
+    fn metrics(&self, out: &mut [f32]) {
+        let ended = |outcome| self.outcome == Some(outcome);
+        let values = [
+            ended(LanderOutcome::Landed),
+            ended(LanderOutcome::Crashed),
+            ended(LanderOutcome::Out),
+            self.timed_out(),
+        ];
+        for (slot, value) in out.iter_mut().zip(values) {
+            *slot = f32::from(u8::from(value));
+        }
+    }
+
+    fn write_state(&self, out: &mut Vec<u8>) {
+        let (frames, outcome) = (self.frames, self.outcome);
+        write_snapshot(&PilotTaskSnapshot { frames, outcome, lander: self.lander.snapshot() }, out);
+    }
+
+    fn read_state(&mut self, state: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        let snapshot: PilotTaskSnapshot = read_snapshot(state)?;
+        self.lander.restore(&snapshot.lander)?;
+        (self.frames, self.outcome) = (snapshot.frames, snapshot.outcome);
+        observation.copy_from_slice(self.lander.observation());
+        Ok(())
+    }
+
+    fn baselines(&self) -> &'static [&'static str] {
+        &["heuristic", "embedded"]
+    }
+
+    fn baseline_action(&self, name: &str, action: &mut [u8]) -> bool {
+        let flyer = match name {
+            "heuristic" => Flyer::Heuristic,
+            "embedded" => Flyer::Network { pilot: Pilot::embedded(), rests: false },
+            _ => return false,
+        };
+        action[0] = flyer.engine(self.lander.observation()) as u8;
+        true
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        let [x, y, ..] = *self.lander.observation();
+        Some(Scene {
+            view: VIEW,
+            shapes: self.lander.shapes(),
+            position: [f64::from(x), f64::from(y)],
+            gauge: Gauge { label: "height", value: f64::from(y) },
+            others: Vec::new(),
+            listener: Listener::default(),
+            outcome: caption(self.outcome).to_owned(),
+        })
+    }
+}

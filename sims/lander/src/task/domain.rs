@@ -1,0 +1,359 @@
+//! The lander with danger zones, as a domain.
+
+use leadtime_numerics::Purpose;
+use leadtime_sims::check::SettingError;
+use leadtime_sims::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_snapshot};
+use leadtime_sims::notifier::{NotifierWorld, TaskSettings};
+use leadtime_sims::scene::{Gauge, Listener, Scene, Shape, Tone};
+use leadtime_sims::{Advance, Domain, Message, ReactionStatus, ReactionStep};
+use serde::{Deserialize, Serialize};
+
+use super::maneuver::{TOPICS, listens, maneuver, raw};
+use super::safe_path::direct;
+use super::settings::{EntryPenalty, LanderWorldSettings, NearPenalty, PilotKind, ReactionKind};
+use super::zone::Zone;
+use crate::pilot::{Pilot, engines_off, heuristic};
+use crate::world::{Engine, Lander, LanderOutcome, LanderSnapshot, VIEW, caption};
+
+/// The outcome of a scene in which the lander has been in a danger zone, however it went on.
+pub const ENTERED: &str = "entered a danger zone";
+
+/// Half the pad's width.
+const PAD: f64 = 0.2;
+
+/// Who has the controls while no reaction runs.
+#[derive(Clone, Debug)]
+enum Hands {
+    Embedded(&'static Pilot),
+    Heuristic,
+}
+
+/// What happened in an episode so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct LanderProgress {
+    n_steps: u32,
+    outcome: Option<LanderOutcome>,
+    timed_out: bool,
+    entered: bool,
+    /// One-based index of the first step in a zone; 0 before it.
+    entered_at: u32,
+    zone_steps: u32,
+    fuel: f64,
+}
+
+/// What the frames of one step came to.
+#[derive(Clone, Copy, Debug, Default)]
+struct Frames {
+    fuel: f64,
+    followed: bool,
+    inside: bool,
+}
+
+#[derive(Serialize, Deserialize)]
+struct LanderTaskSnapshot {
+    zones: Vec<Zone>,
+    progress: LanderProgress,
+    lander: LanderSnapshot,
+}
+
+/// The task: a lander, its pilot, and the zones that the pilot does not see.
+///
+/// # Shapes
+///
+/// Observation: the lander's 8 values; if zones differ between episodes, 4 more per zone (x0, x1, y0, y1).
+#[derive(Debug)]
+pub struct LanderDomain {
+    settings: LanderWorldSettings,
+    hands: Hands,
+    lander: Lander,
+    zones: Vec<Zone>,
+    progress: LanderProgress,
+}
+
+impl LanderDomain {
+    /// Creates the task.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] if a setting is out of range.
+    pub fn new(settings: &LanderWorldSettings) -> Result<Self, SettingError> {
+        settings.check()?;
+        let hands = match settings.pilot {
+            PilotKind::Embedded => Hands::Embedded(Pilot::embedded()),
+            PilotKind::Heuristic => Hands::Heuristic,
+        };
+        Ok(Self {
+            lander: Lander::new(&settings.lander()),
+            hands,
+            zones: settings.zones.clone(),
+            progress: LanderProgress::default(),
+            settings: settings.clone(),
+        })
+    }
+
+    /// Returns the zones of this episode.
+    pub fn zones(&self) -> &[Zone] {
+        &self.zones
+    }
+
+    fn place(&self) -> [f64; 2] {
+        let observation = self.lander.observation();
+        [f64::from(observation[0]), f64::from(observation[1])]
+    }
+
+    /// Chooses the pilot's engine for one frame, and tells whether it follows the reaction.
+    fn engine(&self, reaction: Option<ReactionStep>) -> (Engine, bool) {
+        let observation = self.lander.observation();
+        if let Some(reaction) = reaction
+            && listens(observation)
+        {
+            let engine = match self.settings.reaction {
+                ReactionKind::Maneuver => maneuver(reaction.topic, observation),
+                ReactionKind::Raw => raw(reaction.topic),
+            };
+            return (engine, true);
+        }
+        if self.settings.engines_off && engines_off(observation) {
+            return (Engine::Idle, false);
+        }
+        let engine = match &self.hands {
+            Hands::Embedded(pilot) => pilot.engine(observation),
+            Hands::Heuristic => heuristic(observation),
+        };
+        (engine, false)
+    }
+
+    /// Flies the frames of one step, fewer if the episode ends.
+    fn fly(&mut self, reaction: Option<ReactionStep>) -> Frames {
+        let mut frames = Frames::default();
+        for _ in 0..self.settings.frames_per_step {
+            let (engine, follows) = self.engine(reaction);
+            frames.followed |= follows;
+            frames.fuel += match engine {
+                Engine::Idle => 0.0,
+                Engine::Main => self.settings.main_fuel,
+                Engine::Left | Engine::Right => self.settings.side_fuel,
+            };
+            self.progress.outcome = self.lander.step(engine).outcome;
+            let place = self.place();
+            frames.inside |= self.zones.iter().any(|zone| zone.contains(place));
+            let ends_here = frames.inside && self.settings.zone_ends_episode;
+            if ends_here || self.progress.outcome.is_some() {
+                break;
+            }
+        }
+        frames
+    }
+
+    fn counts_as_landed(&self) -> bool {
+        let there = !self.settings.on_pad || self.place()[0].abs() <= PAD;
+        self.progress.outcome == Some(LanderOutcome::Landed) && there
+    }
+
+    fn near_cost(&self) -> f64 {
+        let (place, near) = (self.place(), self.settings.near_distance);
+        let depth = |distance: f64| (near - distance).max(0.0);
+        let zones = self.zones.iter();
+        let sum: f64 = match self.settings.near_penalty {
+            NearPenalty::Off => 0.0,
+            NearPenalty::Depth => zones.map(|zone| depth(zone.distance(place))).sum(),
+            NearPenalty::Sides => {
+                zones.flat_map(|zone| zone.side_distances(place)).map(depth).sum()
+            }
+            NearPenalty::Literal => {
+                zones.map(|zone| zone.distance(place)).filter(|&distance| distance < near).sum()
+            }
+        };
+        self.settings.near_weight * sum
+    }
+
+    /// Computes what the zones cost in a step that is not part of the progress yet.
+    fn zone_cost(&self, inside: bool) -> f64 {
+        let settings = &self.settings;
+        let entry = match (inside, settings.zone_ends_episode, settings.entry_charged) {
+            (false, ..) => 0.0,
+            (true, true, _) => settings.zone_end_penalty,
+            (true, false, EntryPenalty::Once) if self.progress.entered => 0.0,
+            (true, false, _) => settings.entry_penalty,
+        };
+        entry + self.near_cost()
+    }
+
+    /// Computes the reward of how the episode ended, and whether it did.
+    fn finish(&mut self, inside: bool) -> (f64, Option<End>) {
+        if inside && self.settings.zone_ends_episode {
+            return (0.0, Some(End::Terminated));
+        }
+        let reward = match self.progress.outcome {
+            Some(LanderOutcome::Landed) if self.counts_as_landed() => self.settings.landing_reward,
+            Some(LanderOutcome::Landed) => 0.0,
+            Some(LanderOutcome::Crashed | LanderOutcome::Out) => -self.settings.crash_penalty,
+            None if self.progress.n_steps >= self.settings.max_steps => {
+                self.progress.timed_out = true;
+                -self.settings.timeout_penalty
+            }
+            None => return (0.0, None),
+        };
+        // Running out of time is a failure of the task and not a limit on our patience: a true end.
+        (reward, Some(End::Terminated))
+    }
+}
+
+impl Domain for LanderDomain {
+    fn topics(&self) -> &[&'static str] {
+        TOPICS
+    }
+
+    fn obs_dim(&self) -> usize {
+        8 + if self.settings.has_jitter() { 4 * self.settings.zones.len() } else { 0 }
+    }
+
+    fn reset(&mut self, seed: EpisodeSeed) {
+        self.progress = LanderProgress::default();
+        if self.settings.has_jitter() {
+            let mut generator = seed.stream(Purpose::Task);
+            let [reach_x, reach_y] = self.settings.zone_jitter;
+            for (zone, original) in self.zones.iter_mut().zip(&self.settings.zones) {
+                let dx = generator.uniform(-reach_x, reach_x);
+                *zone = original.moved(dx, generator.uniform(-reach_y, reach_y));
+            }
+        }
+        self.lander.reset(seed.stream(Purpose::World));
+    }
+
+    fn observe(&self, out: &mut [f32]) {
+        let (lander, zones) = out.split_at_mut(8);
+        lander.copy_from_slice(self.lander.observation());
+        for (sides, zone) in zones.chunks_exact_mut(4).zip(&self.zones) {
+            sides.copy_from_slice(&[zone.x0, zone.x1, zone.y0, zone.y1].map(|side| side as f32));
+        }
+    }
+
+    fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
+        let frames = self.fly(reaction);
+        let zone_cost = self.zone_cost(frames.inside);
+        self.progress.n_steps += 1;
+        if frames.inside && !self.progress.entered {
+            self.progress.entered_at = self.progress.n_steps;
+        }
+        self.progress.entered |= frames.inside;
+        self.progress.zone_steps += u32::from(frames.inside);
+        self.progress.fuel += frames.fuel;
+        let (ending, end) = self.finish(frames.inside);
+        let status =
+            if frames.followed { ReactionStatus::Followed } else { ReactionStatus::Refused };
+        Advance {
+            reward: ending - frames.fuel - zone_cost,
+            reaction: reaction.map(|_| status),
+            end,
+        }
+    }
+
+    fn heuristic(&self) -> Option<Message> {
+        let place = self.place();
+        let is_near = |zone: &Zone| zone.distance(place) < self.settings.heuristic_distance;
+        let speaks = self.zones.iter().any(is_near);
+        speaks.then(|| direct(place, &self.settings.safe_path)).flatten()
+    }
+
+    fn success(&self) -> bool {
+        self.counts_as_landed() && !self.progress.entered
+    }
+
+    fn metric_names(&self) -> &'static [&'static str] {
+        &[
+            "enter_danger",
+            "landed",
+            "landed_on_pad",
+            "crashed",
+            "out",
+            "timed_out",
+            "danger_from",
+            "danger_steps",
+            "fuel",
+        ]
+    }
+
+    fn metrics(&self, out: &mut [f32]) {
+        let progress = &self.progress;
+        let ended = |outcome| progress.outcome == Some(outcome);
+        let on_pad = ended(LanderOutcome::Landed) && self.place()[0].abs() <= PAD;
+        let flags = [
+            progress.entered,
+            ended(LanderOutcome::Landed),
+            on_pad,
+            ended(LanderOutcome::Crashed),
+            ended(LanderOutcome::Out),
+            progress.timed_out,
+        ];
+        let (yes_or_no, amounts) = out.split_at_mut(flags.len());
+        for (out, flag) in yes_or_no.iter_mut().zip(flags) {
+            *out = f32::from(u8::from(flag));
+        }
+        let (from, steps) = (progress.entered_at as f32, progress.zone_steps as f32);
+        amounts.copy_from_slice(&[from, steps, progress.fuel as f32]);
+    }
+
+    fn snapshot(&self, out: &mut Vec<u8>) {
+        let lander = self.lander.snapshot();
+        write_snapshot(
+            &LanderTaskSnapshot { zones: self.zones.clone(), progress: self.progress, lander },
+            out,
+        );
+    }
+
+    fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+        let snapshot: LanderTaskSnapshot = read_snapshot(snapshot)?;
+        let right_number = snapshot.zones.len() == self.settings.zones.len();
+        if !right_number || !snapshot.zones.iter().all(Zone::is_proper) {
+            return Err(SnapshotError::Mismatch { what: "danger zones" });
+        }
+        let LanderProgress { n_steps, entered_at, zone_steps, fuel, .. } = snapshot.progress;
+        let counts = entered_at.max(zone_steps) <= n_steps && n_steps <= self.settings.max_steps;
+        if !counts || !fuel.is_finite() {
+            return Err(SnapshotError::Mismatch { what: "progress" });
+        }
+        self.lander.restore(&snapshot.lander)?;
+        self.zones = snapshot.zones;
+        self.progress = snapshot.progress;
+        Ok(())
+    }
+
+    fn scene(&self) -> Scene {
+        let zones = self.zones.iter().map(|zone| Shape::Rectangle {
+            min: [zone.x0, zone.y0],
+            max: [zone.x1, zone.y1],
+            tone: Tone::Danger,
+        });
+        let progress = &self.progress;
+        let outcome = match (progress.entered, progress.timed_out) {
+            (true, _) => ENTERED,
+            (false, true) => "out of time",
+            (false, false) => caption(progress.outcome),
+        };
+        Scene {
+            view: VIEW,
+            shapes: zones.chain(self.lander.shapes()).collect(),
+            position: self.place(),
+            gauge: Gauge { label: "height", value: self.place()[1] },
+            others: Vec::new(),
+            listener: Listener::default(),
+            outcome: outcome.to_owned(),
+        }
+    }
+}
+
+/// Everything about the task.
+pub type LanderTaskSettings = TaskSettings<LanderWorldSettings>;
+
+impl NotifierWorld for LanderWorldSettings {
+    type Task = LanderDomain;
+
+    fn domain(&self) -> Result<LanderDomain, SettingError> {
+        LanderDomain::new(self)
+    }
+}
+
+#[cfg(test)]
+#[path = "domain_tests.rs"]
+mod tests;

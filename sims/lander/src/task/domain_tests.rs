@@ -1,0 +1,222 @@
+//! The task with the scripted pilot, so that nothing here depends on trained weights.
+
+use leadtime_proto::EnvId;
+use leadtime_sims::Environment as _;
+
+use super::*;
+use crate::task::LanderTaskSettings;
+use crate::task::maneuver::{DESCEND, SHIFT_LEFT};
+
+/// Everything above y = 1: where every episode starts.
+const SKY: Zone = Zone { x0: -2.0, x1: 2.0, y0: 1.0, y1: 3.0 };
+
+fn settings(change: impl FnOnce(&mut LanderWorldSettings)) -> LanderWorldSettings {
+    let mut settings = LanderWorldSettings {
+        pilot: PilotKind::Heuristic,
+        zones: Vec::new(),
+        near_penalty: NearPenalty::Off,
+        ..LanderWorldSettings::default()
+    };
+    change(&mut settings);
+    settings
+}
+
+fn seed(episode: u64) -> EpisodeSeed {
+    EpisodeSeed { run_seed: 11, env_id: EnvId(2), episode }
+}
+
+fn start(settings: &LanderWorldSettings, episode: u64) -> LanderDomain {
+    let mut task = LanderDomain::new(settings).unwrap();
+    task.reset(seed(episode));
+    task
+}
+
+/// Flies to the end of the episode; returns the last step and the return.
+fn fly(task: &mut LanderDomain, reaction: Option<ReactionStep>) -> (Advance, f64) {
+    let mut total = 0.0;
+    loop {
+        let advance = task.advance(reaction);
+        total += advance.reward;
+        if advance.end.is_some() {
+            return (advance, total);
+        }
+    }
+}
+
+fn metric(task: &LanderDomain, name: &str) -> f32 {
+    let mut metrics = vec![f32::NAN; task.metric_names().len()];
+    task.metrics(&mut metrics);
+    metrics[task.metric_names().iter().position(|metric| *metric == name).unwrap()]
+}
+
+#[test]
+fn a_landing_pays_its_reward_less_the_fuel() {
+    let settings = settings(|s| s.landing_reward = 250.0);
+    let landings = (0..20).filter(|&episode| {
+        let mut task = start(&settings, episode);
+        let (last, total) = fly(&mut task, None);
+        let landed = metric(&task, "landed_on_pad") == 1.0;
+        assert_eq!(task.success(), landed);
+        if landed {
+            let expected = 250.0 - task.progress.fuel;
+            assert!((total - expected).abs() < 1e-9, "{total} {expected}");
+            assert_eq!(last.end, Some(End::Terminated));
+        }
+        landed
+    });
+    // The scripted pilot lands safely in nine of ten episodes, mostly on the pad.
+    assert!(landings.count() >= 12);
+}
+
+#[test]
+fn entering_a_zone_ends_the_episode_or_costs_per_step_or_once() {
+    let mut task = start(&settings(|s| s.zones = vec![SKY]), 0);
+    let advance = task.advance(None);
+    assert_eq!((advance.end, advance.reward), (Some(End::Terminated), -300.0 - task.progress.fuel));
+    assert_eq!((metric(&task, "enter_danger"), task.success()), (1.0, false));
+    assert_eq!(task.scene().outcome, "entered a danger zone");
+
+    for (entry_charged, second) in [(EntryPenalty::PerStep, -20.0), (EntryPenalty::Once, 0.0)] {
+        let settings = settings(|s| {
+            s.zones = vec![SKY];
+            s.zone_ends_episode = false;
+            s.entry_charged = entry_charged;
+            (s.main_fuel, s.side_fuel) = (0.0, 0.0);
+        });
+        let mut task = start(&settings, 0);
+        assert_eq!((task.advance(None).reward, task.advance(None).reward), (-20.0, second));
+        assert_eq!(metric(&task, "danger_steps"), 2.0);
+    }
+}
+
+#[test]
+fn a_landing_after_a_zone_is_no_success() {
+    let settings = settings(|s| {
+        s.zones = vec![SKY];
+        s.zone_ends_episode = false;
+    });
+    let task = (0..20)
+        .map(|episode| {
+            let mut task = start(&settings, episode);
+            fly(&mut task, None);
+            task
+        })
+        .find(|task| metric(task, "landed_on_pad") == 1.0)
+        .unwrap();
+    assert!(!task.success());
+}
+
+#[test]
+fn being_near_costs_by_depth_by_side_or_by_distance() {
+    let cost = |near_penalty| {
+        // A narrow pillar to the right of the start, reaching far up and down.
+        let pillar = Zone { x0: 0.1, x1: 0.14, y0: -5.0, y1: 5.0 };
+        let settings = settings(|s| {
+            s.zones = vec![pillar];
+            s.near_penalty = near_penalty;
+            (s.main_fuel, s.side_fuel, s.start_impulse) = (0.0, 0.0, 0.0);
+        });
+        let mut task = start(&settings, 0);
+        let reward = task.advance(None).reward;
+        (reward, 0.1 - task.place()[0])
+    };
+    let (off, _) = cost(NearPenalty::Off);
+    assert_eq!(off, 0.0);
+    let (depth, distance) = cost(NearPenalty::Depth);
+    assert!((0.0..0.16).contains(&distance), "{distance}");
+    assert!((depth + 10.0 * (0.2 - distance)).abs() < 1e-9, "{depth}");
+    let (sides, _) = cost(NearPenalty::Sides);
+    assert!((sides + 10.0 * (0.4 - distance - (distance + 0.04))).abs() < 1e-9, "{sides}");
+    let (literal, _) = cost(NearPenalty::Literal);
+    assert!((literal + 10.0 * distance).abs() < 1e-9, "{literal}");
+}
+
+#[test]
+fn running_out_of_time_is_a_costly_end() {
+    let settings = settings(|s| {
+        s.max_steps = 3;
+        (s.main_fuel, s.side_fuel) = (0.0, 0.0);
+    });
+    let mut task = start(&settings, 0);
+    let (last, total) = fly(&mut task, None);
+    assert_eq!((last.end, total), (Some(End::Terminated), -300.0));
+    assert_eq!((metric(&task, "timed_out"), task.progress.n_steps), (1.0, 3));
+}
+
+#[test]
+fn shifting_left_for_ever_leaves_the_view_and_costs_as_a_crash() {
+    let settings = settings(|s| (s.main_fuel, s.side_fuel) = (0.0, 0.0));
+    let mut task = start(&settings, 0);
+    let (_, total) = fly(&mut task, Some(ReactionStep { topic: SHIFT_LEFT, first: true }));
+    assert_eq!((metric(&task, "out"), total), (1.0, -300.0));
+    assert!(task.place()[0] <= -1.0);
+}
+
+#[test]
+fn near_the_ground_the_pilot_does_not_listen() {
+    let mut task = start(&settings(|_| {}), 0);
+    let descend = Some(ReactionStep { topic: DESCEND, first: false });
+    assert_eq!(task.advance(descend).reaction, Some(ReactionStatus::Followed));
+    assert_eq!(task.advance(None).reaction, None);
+    let refused = loop {
+        let before = *task.lander.observation();
+        let advance = task.advance(descend);
+        if advance.reaction == Some(ReactionStatus::Refused) {
+            break before;
+        }
+        assert_eq!(advance.end, None);
+    };
+    assert!(refused[1] < 0.1, "{refused:?}");
+}
+
+#[test]
+fn zones_that_move_are_observed_and_stay_in_reach() {
+    let settings = settings(|s| {
+        s.zones = crate::task::DEFAULT_ZONES.to_vec();
+        s.zone_jitter = [0.1, 0.05];
+    });
+    let mut first_sides = Vec::new();
+    for episode in 0..5 {
+        let task = start(&settings, episode);
+        let mut observation = vec![f32::NAN; task.obs_dim()];
+        task.observe(&mut observation);
+        assert_eq!(observation.len(), 8 + 12);
+        for (zone, original) in task.zones().iter().zip(&settings.zones) {
+            assert!((zone.x0 - original.x0).abs() <= 0.1 && (zone.y1 - original.y1).abs() <= 0.05);
+        }
+        assert_eq!(observation[8], task.zones()[0].x0 as f32);
+        first_sides.push(observation[8]);
+    }
+    assert!(first_sides.iter().any(|&side| side != first_sides[0]));
+}
+
+#[test]
+fn the_scripted_notifier_speaks_near_zones_only() {
+    let task = start(&settings(|s| s.zones = vec![SKY]), 0);
+    assert!(task.heuristic().is_some());
+    let far = Zone { x0: 1.5, x1: 2.0, y0: 0.0, y1: 0.1 };
+    assert_eq!(start(&settings(|s| s.zones = vec![far]), 0).heuristic(), None);
+}
+
+#[test]
+fn a_scene_shows_zones_ground_and_lander() {
+    let task = start(&LanderWorldSettings::default(), 0);
+    let tones: Vec<Tone> = task
+        .scene()
+        .shapes
+        .iter()
+        .filter_map(|shape| match shape {
+            Shape::Rectangle { tone, .. } | Shape::Polygon { tone, .. } => Some(*tone),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(tones.iter().filter(|tone| **tone == Tone::Danger).count(), 3);
+    assert!(tones.contains(&Tone::Ground) && tones.contains(&Tone::Own));
+}
+
+#[test]
+fn the_documented_input_width_is_right() {
+    let mut settings = LanderTaskSettings::default();
+    settings.notifier.observe_utterance = false;
+    assert_eq!(settings.build().unwrap().spec().obs_dim, 84);
+}

@@ -1,0 +1,83 @@
+//! Danger zones: rectangles in the units of observed positions.
+
+use serde::{Deserialize, Serialize};
+
+/// A rectangle where a lander must not be.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Zone {
+    /// Left side.
+    pub x0: f64,
+    /// Right side, greater than `x0`.
+    pub x1: f64,
+    /// Lower side.
+    pub y0: f64,
+    /// Upper side, greater than `y0`.
+    pub y1: f64,
+}
+
+/// The three zones of the task: near the start, above the pad, to its right.
+pub const DEFAULT_ZONES: [Zone; 3] = [
+    Zone { x0: -1.5, x1: -0.4, y0: 0.95, y1: 1.1 },
+    Zone { x0: -0.3, x1: 0.3, y0: 0.5, y1: 0.65 },
+    Zone { x0: 0.3, x1: 1.5, y0: 0.4, y1: 0.65 },
+];
+
+impl Zone {
+    /// Tells whether its sides are numbers in the right order.
+    pub fn is_proper(&self) -> bool {
+        let finite = [self.x0, self.x1, self.y0, self.y1].iter().all(|side| side.is_finite());
+        finite && self.x0 < self.x1 && self.y0 < self.y1
+    }
+
+    /// Tells whether a point lies in it; the border belongs to it.
+    pub fn contains(&self, [x, y]: [f64; 2]) -> bool {
+        (self.x0..=self.x1).contains(&x) && (self.y0..=self.y1).contains(&y)
+    }
+
+    /// Computes the distance from a point; 0 inside.
+    pub fn distance(&self, [x, y]: [f64; 2]) -> f64 {
+        let dx = (self.x0 - x).max(x - self.x1).max(0.0);
+        let dy = (self.y0 - y).max(y - self.y1).max(0.0);
+        libm::sqrt(dx * dx + dy * dy)
+    }
+
+    /// Computes the distances from a point to the four sides: left, right, lower, upper.
+    pub fn side_distances(&self, point: [f64; 2]) -> [f64; 4] {
+        let Self { x0, x1, y0, y1 } = *self;
+        let side = |x0, x1, y0, y1| Self { x0, x1, y0, y1 }.distance(point);
+        [side(x0, x0, y0, y1), side(x1, x1, y0, y1), side(x0, x1, y0, y0), side(x0, x1, y1, y1)]
+    }
+
+    /// Returns it moved.
+    pub(super) fn moved(&self, dx: f64, dy: f64) -> Self {
+        Self { x0: self.x0 + dx, x1: self.x1 + dx, y0: self.y0 + dy, y1: self.y1 + dy }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ZONE: Zone = Zone { x0: 0.0, x1: 2.0, y0: 0.0, y1: 1.0 };
+
+    #[test]
+    fn distances_are_to_the_nearest_point() {
+        assert_eq!(ZONE.distance([1.0, 0.5]), 0.0);
+        assert_eq!(ZONE.distance([1.0, 1.5]), 0.5);
+        assert_eq!(ZONE.distance([-3.0, 5.0]), 5.0);
+        assert_eq!(ZONE.side_distances([0.5, 0.25]), [0.5, 1.5, 0.25, 0.75]);
+    }
+
+    #[test]
+    fn the_border_is_inside() {
+        assert!(ZONE.contains([0.0, 1.0]) && !ZONE.contains([0.0, 1.001]));
+    }
+
+    #[test]
+    fn a_zone_has_an_inside() {
+        assert!(ZONE.is_proper());
+        assert!(!Zone { x0: 2.0, ..ZONE }.is_proper());
+        assert!(!Zone { y1: f64::NAN, ..ZONE }.is_proper());
+    }
+}

@@ -1,0 +1,375 @@
+//! One lander world: terrain, lander, weather, and the order of everything in a frame.
+//!
+//! # Invariants
+//!
+//! * Random draws come in Gymnasium's order, so a generator seeded as Gymnasium's makes the same episode: twelve
+//!   heights, two start forces, the wind's two starts (if windy), then two dispersion draws in every frame, the
+//!   hidden first one included.
+//! * A frame depends on the snapshot and on the engine alone: nothing of earlier episodes is left.
+
+use std::fmt;
+
+use leadtime_numerics::Pcg64;
+use leadtime_sims::environment::SnapshotError;
+use serde::{Deserialize, Serialize};
+
+use super::body::Body;
+use super::constants::{HULL, Vec2};
+use super::contact::{ContactWorld, Effort};
+use super::contact_template::TEMPLATE;
+use super::engines::{Dispersion, Engine, Gust, Load, WindClock};
+use super::flight::Flight;
+use super::observe;
+use super::settings::{Physics, PhysicsSettings};
+use super::sleep::Sleep;
+use super::start;
+use super::terrain::{N_POINTS, Terrain};
+use super::touch::Touch;
+
+/// Frames without nearness or touch before the free-flight integrator takes over again.
+const CLEAR_FRAMES: u32 = 3;
+
+/// How an episode of the lander ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LanderOutcome {
+    /// It came to rest (on the pad or elsewhere) without its hull ever touching the ground.
+    Landed,
+    /// Its hull touched the ground.
+    Crashed,
+    /// It left the view sideways.
+    Out,
+}
+
+/// What one frame gave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// The observation after it.
+    pub observation: [f32; 8],
+    /// The reward of the original: difference of potentials minus fuel; ±100 at the end.
+    pub reward: f64,
+    /// How the episode ended, if this frame was its last; the world must be reset then.
+    pub outcome: Option<LanderOutcome>,
+}
+
+/// Which physics moves the lander at the moment.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+enum Integrator {
+    /// Free flight.
+    Flight(Flight),
+    /// The contact world, for so many frames clear of the ground.
+    Contact { clear_frames: u32 },
+}
+
+/// Everything of an episode but the contact world.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct LanderEpisode {
+    rng: Pcg64,
+    terrain: Terrain,
+    wind: Option<WindClock>,
+    integrator: Integrator,
+    bodies: [Body; 3],
+    angle: f64,
+    touch: Touch,
+    sleep: Sleep,
+    shaping: f64,
+    observation: [f32; 8],
+}
+
+/// A lander world in the middle of an episode, ready to be stored or sent.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LanderSnapshot {
+    physics: Physics,
+    episode: LanderEpisode,
+    /// The physics engine's state, only while it is what moves the lander.
+    contact: Option<Vec<u8>>,
+}
+
+/// The world of `LunarLander-v3` on rapier2d.
+///
+/// # Example
+///
+/// ```
+/// use leadtime_numerics::Pcg64;
+/// use leadtime_lander::pilot::heuristic;
+/// use leadtime_lander::world::{Lander, PhysicsSettings};
+///
+/// let mut lander = Lander::new(&PhysicsSettings::default());
+/// let mut observation = lander.reset(Pcg64::seed_from_u64(0));
+/// let outcome = (0..1000).find_map(|_| {
+///     let frame = lander.step(heuristic(&observation));
+///     observation = frame.observation;
+///     frame.outcome
+/// });
+/// assert_eq!(outcome, Some(leadtime_lander::world::Outcome::Landed));
+/// ```
+pub struct Lander {
+    settings: PhysicsSettings,
+    episode: LanderEpisode,
+    /// Kept between episodes for its memory only.
+    contact: Option<Box<ContactWorld>>,
+}
+
+impl fmt::Debug for Lander {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Lander")
+            .field("settings", &self.settings)
+            .field("episode", &self.episode)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Lander {
+    /// Makes a world; it stands at the start of the episode of seed 0.
+    pub fn new(settings: &PhysicsSettings) -> Self {
+        let mut contact = None;
+        let episode = LanderEpisode::start(settings, Pcg64::seed_from_u64(0), &mut contact);
+        Self { settings: settings.clone(), episode, contact }
+    }
+
+    /// Turns wind and turbulence on or off, from the next episode.
+    pub fn set_wind(&mut self, on: bool) {
+        self.settings.wind = on;
+    }
+
+    /// Sets the largest start force, from the next episode.
+    ///
+    /// # Units
+    ///
+    /// Newtons, acting for one frame in each direction.
+    pub fn set_start_impulse(&mut self, newtons: f64) {
+        self.settings.start_impulse = newtons;
+    }
+
+    /// Starts an episode and returns its first observation.
+    ///
+    /// With `Pcg64::seed_from_u64(seed)` this is Gymnasium's `reset(seed=seed)`: the same ground, the same push,
+    /// the same wind, and the same dispersion in every frame to come.
+    pub fn reset(&mut self, rng: Pcg64) -> [f32; 8] {
+        self.episode = LanderEpisode::start(&self.settings, rng, &mut self.contact);
+        self.episode.observation
+    }
+
+    /// Advances by one frame, 0.02 s.
+    pub fn step(&mut self, engine: Engine) -> Frame {
+        let load = self.episode.load(&self.settings, engine);
+        self.shift();
+        self.episode.advance(&load, self.contact.as_deref_mut());
+        self.episode.score(engine)
+    }
+
+    /// Changes the integrator where the distance to the ground asks for it.
+    fn shift(&mut self) {
+        let episode = &mut self.episode;
+        let clear = !episode.touch.near && !episode.touch.any();
+        match &mut episode.integrator {
+            Integrator::Flight(_) if episode.touch.near => episode.enter_contact(&mut self.contact),
+            Integrator::Contact { clear_frames } if self.settings.physics == Physics::Hybrid => {
+                *clear_frames = if clear { *clear_frames + 1 } else { 0 };
+                if *clear_frames > CLEAR_FRAMES {
+                    episode.integrator =
+                        Integrator::Flight(Flight::take_over(&episode.bodies, episode.angle));
+                }
+            }
+            Integrator::Flight(_) | Integrator::Contact { .. } => {}
+        }
+    }
+
+    /// Returns the current observation: x, y, vx, vy, angle, angular velocity, leg flags (right leg first).
+    pub fn observation(&self) -> &[f32; 8] {
+        &self.episode.observation
+    }
+
+    /// Returns the hull's origin in metres; the world is 20 wide and the pad lies at (10, 3.3).
+    pub fn position(&self) -> [f64; 2] {
+        self.episode.bodies[HULL].origin().into()
+    }
+
+    /// Returns the velocity of the hull's centre of mass, in metres per second.
+    pub fn velocity(&self) -> [f64; 2] {
+        self.episode.bodies[HULL].velocity.into()
+    }
+
+    /// Returns the hull's angle in radians, unwrapped; positive is counter-clockwise.
+    pub fn angle(&self) -> f64 {
+        self.episode.angle
+    }
+
+    /// Returns the leg flags as the original computes them, right leg first.
+    pub fn leg_contacts(&self) -> [bool; 2] {
+        self.episode.touch.legs
+    }
+
+    /// Returns the eleven heights of the ground, in metres, two metres apart.
+    pub fn terrain(&self) -> [f64; N_POINTS] {
+        self.episode.terrain.heights
+    }
+
+    /// Returns the ground as a line, in the units of observed positions.
+    pub fn terrain_outline(&self) -> Vec<[f64; 2]> {
+        let point = |i| observe::to_observation_units(self.episode.terrain.point(i)).into();
+        (0..N_POINTS).map(point).collect()
+    }
+
+    /// Returns the hull's corners, in the units of observed positions.
+    pub fn hull_outline(&self) -> Vec<[f64; 2]> {
+        self.outline(HULL)
+    }
+
+    /// Returns both legs' corners, in the units of observed positions.
+    pub fn leg_outlines(&self) -> [Vec<[f64; 2]>; 2] {
+        [self.outline(1), self.outline(2)]
+    }
+
+    fn outline(&self, i: usize) -> Vec<[f64; 2]> {
+        let outline = self.episode.bodies[i].outline(i == HULL);
+        outline.corners().iter().map(|&c| observe::to_observation_units(c).into()).collect()
+    }
+
+    /// Tells whether the contact world moves the lander at the moment.
+    pub fn is_in_contact(&self) -> bool {
+        matches!(self.episode.integrator, Integrator::Contact { .. })
+    }
+
+    /// Captures everything that the rest of the episode depends on.
+    ///
+    /// In free flight that is half a kilobyte; in the contact world the engine's state adds about four.
+    pub fn snapshot(&self) -> LanderSnapshot {
+        let contact = self.contact.as_ref().filter(|_| self.is_in_contact());
+        LanderSnapshot {
+            physics: self.settings.physics,
+            episode: self.episode.clone(),
+            contact: contact.map(|world| world.encode()),
+        }
+    }
+
+    /// Continues from a snapshot, bit for bit; settings of later episodes stay as they are.
+    ///
+    /// # Errors
+    ///
+    /// [`SnapshotError`] if the snapshot is of another physics, or its engine state cannot be read; nothing has
+    /// changed then.
+    pub fn restore(&mut self, snapshot: &LanderSnapshot) -> Result<(), SnapshotError> {
+        if snapshot.physics != self.settings.physics {
+            return Err(SnapshotError::Mismatch { what: "lander physics" });
+        }
+        let in_contact = matches!(snapshot.episode.integrator, Integrator::Contact { .. });
+        match (&snapshot.contact, in_contact) {
+            (Some(bytes), true) => {
+                let world = ContactWorld::decode(bytes, TEMPLATE.names)?;
+                let world = world.ok_or(SnapshotError::Mismatch { what: "lander bodies" })?;
+                self.contact = Some(Box::new(world));
+            }
+            (None, false) => {}
+            _ => return Err(SnapshotError::Mismatch { what: "lander integrator" }),
+        }
+        self.episode = snapshot.episode.clone();
+        Ok(())
+    }
+}
+
+impl LanderEpisode {
+    fn start(
+        settings: &PhysicsSettings,
+        mut rng: Pcg64,
+        contact: &mut Option<Box<ContactWorld>>,
+    ) -> Self {
+        let terrain = Terrain::draw(&mut rng);
+        let reach = settings.start_impulse;
+        let mut force = Vec2::new(rng.uniform(-reach, reach), rng.uniform(-reach, reach));
+        let mut wind = settings.wind.then(|| WindClock::draw(&mut rng));
+        let still = Gust { force: 0.0, torque: 0.0 };
+        let gust = wind
+            .as_mut()
+            .map_or(still, |clock| clock.blow(settings.wind_power, settings.turbulence_power));
+        force.x += gust.force;
+        Dispersion::draw(&mut rng);
+        let (bodies, angle) = start::after_hidden_frame(force, gust.torque);
+        let (touch, sleep) = (Touch::default(), Sleep::default());
+        let state = observe::state(&bodies, angle, touch.legs);
+        let mut episode = Self {
+            rng,
+            terrain,
+            wind,
+            integrator: Integrator::Flight(Flight::take_over(&bodies, angle)),
+            bodies,
+            angle,
+            touch,
+            sleep,
+            shaping: observe::shaping(&state),
+            observation: state.map(|value| value as f32),
+        };
+        if settings.physics == Physics::Rapier {
+            episode.enter_contact(contact);
+        }
+        episode
+    }
+
+    /// Hands the lander over to the contact world.
+    fn enter_contact(&mut self, contact: &mut Option<Box<ContactWorld>>) {
+        let Integrator::Flight(flight) = &self.integrator else { return };
+        let world = contact.get_or_insert_with(|| Box::new(TEMPLATE.world()));
+        world.enter(&TEMPLATE.sets, flight, &flight.bodies(), &self.terrain);
+        self.integrator = Integrator::Contact { clear_frames: 0 };
+    }
+
+    /// Gathers what pushes the lander in the coming frame; draws the frame's random numbers.
+    fn load(&mut self, settings: &PhysicsSettings, engine: Engine) -> Load {
+        let flying = self.touch.legs == [false; 2];
+        let wind = self.wind.as_mut().filter(|_| flying);
+        let wind = wind.map(|clock| clock.blow(settings.wind_power, settings.turbulence_power));
+        let drawn = Dispersion::draw(&mut self.rng);
+        let dispersion = if settings.dispersion { drawn } else { Dispersion::NONE };
+        Load { engine: engine.push(&self.bodies[HULL], dispersion), wind }
+    }
+
+    /// Moves the lander, and finds out what it touches.
+    fn advance(&mut self, load: &Load, contact: Option<&mut ContactWorld>) {
+        match (&mut self.integrator, contact) {
+            (Integrator::Flight(flight), _) => {
+                flight.step(&self.bodies[HULL], load);
+                self.bodies = flight.bodies();
+                self.angle = flight.angle;
+            }
+            (Integrator::Contact { .. }, Some(world)) => {
+                let effort = if self.touch.near { Effort::Near } else { Effort::Far };
+                world.step(load, effort);
+                let before = std::mem::replace(&mut self.bodies, world.bodies())[HULL];
+                self.angle += turned(&before, &self.bodies[HULL]);
+            }
+            (Integrator::Contact { .. }, None) => unreachable!("the contact world has its world"),
+        }
+        self.touch.update(&self.bodies, &self.terrain);
+    }
+
+    /// Computes observation, reward and end of the frame.
+    fn score(&mut self, engine: Engine) -> Frame {
+        let asleep = self.sleep.update(&self.bodies);
+        let state = observe::state(&self.bodies, self.angle, self.touch.legs);
+        let shaping = observe::shaping(&state);
+        let difference = shaping - self.shaping - engine.fuel();
+        self.shaping = shaping;
+        self.observation = state.map(|value| value as f32);
+        let outcome = if asleep {
+            Some(LanderOutcome::Landed)
+        } else if self.touch.hull {
+            Some(LanderOutcome::Crashed)
+        } else if state[0].abs() >= 1.0 {
+            Some(LanderOutcome::Out)
+        } else {
+            None
+        };
+        let reward = match outcome {
+            None => difference,
+            Some(LanderOutcome::Landed) => 100.0,
+            Some(LanderOutcome::Crashed | LanderOutcome::Out) => -100.0,
+        };
+        Frame { observation: self.observation, reward, outcome }
+    }
+}
+
+/// Returns the angle from one pose to the next.
+fn turned(before: &Body, after: &Body) -> f64 {
+    let sin = after.sin * before.cos - after.cos * before.sin;
+    let cos = after.cos * before.cos + after.sin * before.sin;
+    libm::atan2(sin, cos)
+}

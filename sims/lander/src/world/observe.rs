@@ -1,0 +1,41 @@
+//! What the pilot sees, and the potential whose difference is the reward.
+
+use super::body::Body;
+use super::constants::{FPS, HALF_WORLD, HULL, PAD_X, REST_Y, Vec2};
+
+/// x, y, vx, vy, angle, angular velocity, right and left leg flag, in double precision.
+pub(super) type RawObservation = [f64; 8];
+
+/// Computes the eight observed values.
+///
+/// # Units
+///
+/// Position in half worlds from the standing hull on the pad; velocity in half worlds per second, over 50 frames
+/// times the frame rate as the original scales it; angle in radians, unwrapped; angular velocity times 0.4.
+pub(super) fn state(bodies: &[Body; 3], angle: f64, legs: [bool; 2]) -> RawObservation {
+    let hull = &bodies[HULL];
+    let position = to_observation_units(hull.origin());
+    [
+        position.x,
+        position.y,
+        hull.velocity.x * HALF_WORLD[0] / FPS,
+        hull.velocity.y * HALF_WORLD[1] / FPS,
+        angle,
+        20.0 * hull.spin / FPS,
+        f64::from(u8::from(legs[0])),
+        f64::from(u8::from(legs[1])),
+    ]
+}
+
+/// Turns a point of the world into the units of observed positions.
+pub(super) fn to_observation_units(point: Vec2) -> Vec2 {
+    (point - Vec2::new(PAD_X, REST_Y)).component_div(&Vec2::from(HALF_WORLD))
+}
+
+/// Computes the shaping potential: nearer, slower, more upright and standing is better.
+pub(super) fn shaping(s: &RawObservation) -> f64 {
+    let norm = |a: f64, b: f64| (a * a + b * b).sqrt();
+    -100.0 * norm(s[0], s[1]) - 100.0 * norm(s[2], s[3]) - 100.0 * s[4].abs()
+        + 10.0 * s[6]
+        + 10.0 * s[7]
+}

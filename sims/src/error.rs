@@ -1,0 +1,24 @@
+//! Why a task cannot be built.
+
+use leadtime_proto::spec::SpecError;
+use thiserror::Error;
+
+use crate::check::SettingError;
+
+/// Why a task cannot be built.
+#[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
+pub enum TaskError {
+    /// No task of that name.
+    #[error("there is no domain `{domain}`; known: {}", known.join(", "))]
+    UnknownDomain { domain: String, known: Vec<String> },
+    /// The settings are not of the right form: an unknown key, a wrong type.
+    #[error("settings of domain `{domain}` cannot be read: {source}")]
+    Settings { domain: &'static str, source: serde_json::Error },
+    /// A well-formed setting that is impossible.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
+    /// An action space that is impossible, for instance with too many choices.
+    #[error("the task's action space is impossible")]
+    Actions(#[from] SpecError),
+}

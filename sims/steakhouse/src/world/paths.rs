@@ -1,0 +1,172 @@
+//! Shortest ways through a kitchen, all computed when it is loaded.
+//!
+//! From every pose, a breadth-first search over (tile, direction): going to a direction steps onto the floor ahead and
+//! faces it, or only turns; every action costs 1. Directions are tried north, south, east, west, poses are marked when
+//! they are generated, and the first generated pose that faces a target ends the way to it. That fixes one way per
+//! pose and target, so that nothing about motion is left to chance.
+
+use std::collections::VecDeque;
+
+use super::grid::{Grid, GridPlace, Pose};
+use super::kinds::{Action, Direction, Tile};
+
+/// The way to a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Route {
+    /// Actions until the place is in front: steps and turns.
+    pub cost: u16,
+    /// What to do first; to interact, if the place is in front.
+    pub first: Action,
+}
+
+/// The ways from every pose to everything that a cook can use.
+#[derive(Clone, Debug)]
+pub struct Paths {
+    /// By tile: its number among the floor tiles, or among the others.
+    number: Vec<u16>,
+    n_targets: usize,
+    /// `[floor, facing, target]`
+    routes: Vec<Option<Route>>,
+}
+
+impl Paths {
+    /// Computes all ways.
+    pub fn new(grid: &Grid) -> Self {
+        let (mut n_floor, mut n_targets) = (0, 0);
+        let number = grid
+            .places()
+            .map(|place| {
+                let count =
+                    if grid.tile(place) == Tile::Floor { &mut n_floor } else { &mut n_targets };
+                *count += 1;
+                *count - 1
+            })
+            .collect();
+        let n_targets = usize::from(n_targets);
+        let n_routes = usize::from(n_floor) * 4 * n_targets;
+        let mut paths = Self { number, n_targets, routes: vec![None; n_routes] };
+        let mut search = Search::new(usize::from(n_floor) * 4);
+        for &place in grid.floor() {
+            for facing in Direction::ALL {
+                paths.search(grid, Pose { place, facing }, &mut search);
+            }
+        }
+        paths
+    }
+
+    /// Returns the way from a pose to facing a place; `None` if it cannot be reached.
+    pub fn route(&self, from: Pose, to: GridPlace) -> Option<Route> {
+        let target = usize::from(self.number[to.index()]);
+        self.routes[self.pose_index(from) * self.n_targets + target]
+    }
+
+    fn pose_index(&self, pose: Pose) -> usize {
+        usize::from(self.number[pose.place.index()]) * 4 + pose.facing as usize
+    }
+
+    fn search(&mut self, grid: &Grid, start: Pose, search: &mut Search) {
+        search.begin();
+        search.reach(self.pose_index(start), start, Route { cost: 0, first: Action::Interact });
+        self.note(grid, start, start, Route { cost: 0, first: Action::Interact });
+        while let Some((pose, so_far)) = search.open.pop_front() {
+            for direction in Direction::ALL {
+                let turned = Pose { place: pose.place, facing: direction };
+                let ahead = grid.ahead(turned);
+                let is_floor = grid.tile(ahead) == Tile::Floor;
+                let next = Pose { place: if is_floor { ahead } else { pose.place }, ..turned };
+                let first = if so_far.cost == 0 { Action::Go(direction) } else { so_far.first };
+                let route = Route { cost: so_far.cost + 1, first };
+                if search.reach(self.pose_index(next), next, route) {
+                    self.note(grid, start, next, route);
+                }
+            }
+        }
+    }
+
+    /// Notes the way to what a newly reached pose faces, unless there was one before.
+    fn note(&mut self, grid: &Grid, start: Pose, reached: Pose, route: Route) {
+        let faced = grid.ahead(reached);
+        if grid.tile(faced) == Tile::Floor {
+            return;
+        }
+        let target = usize::from(self.number[faced.index()]);
+        let index = self.pose_index(start) * self.n_targets + target;
+        self.routes[index].get_or_insert(route);
+    }
+}
+
+/// The working memory of one search after the other.
+struct Search {
+    /// By pose: the last search that reached it.
+    reached_by: Vec<u32>,
+    n_searches: u32,
+    open: VecDeque<(Pose, Route)>,
+}
+
+impl Search {
+    fn new(n_poses: usize) -> Self {
+        Self { reached_by: vec![0; n_poses], n_searches: 0, open: VecDeque::with_capacity(n_poses) }
+    }
+
+    fn begin(&mut self) {
+        self.n_searches += 1;
+        self.open.clear();
+    }
+
+    /// Marks a pose; `false` if this search was there before.
+    fn reach(&mut self, index: usize, pose: Pose, route: Route) -> bool {
+        let is_new = self.reached_by[index] != self.n_searches;
+        if is_new {
+            self.reached_by[index] = self.n_searches;
+            self.open.push_back((pose, route));
+        }
+        is_new
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::layouts::kitchen;
+
+    fn costs(grid: &Grid, from: Pose) -> Vec<u16> {
+        let paths = Paths::new(grid);
+        let targets =
+            [(8, 1), (8, 3), (8, 5), (2, 0), (4, 0), (0, 1), (0, 3), (0, 5), (2, 6), (6, 6)];
+        let cost = |(x, y)| paths.route(from, grid.place(x, y).unwrap()).unwrap().cost;
+        targets.into_iter().map(cost).collect()
+    }
+
+    #[test]
+    fn distances_in_the_ring_are_those_counted_by_hand() {
+        let ring = kitchen("ring").unwrap();
+        let pose = |x, y, facing| Pose { place: ring.place(x, y).unwrap(), facing };
+        let start = pose(6, 3, Direction::South);
+        assert_eq!(costs(&ring, start), [3, 1, 3, 7, 5, 7, 9, 7, 7, 2]);
+        let meat = pose(7, 1, Direction::East);
+        assert_eq!(costs(&ring, meat), [0, 3, 5, 6, 4, 6, 8, 10, 9, 5]);
+        let sink = pose(1, 5, Direction::West);
+        assert_eq!(costs(&ring, sink), [10, 8, 6, 5, 8, 5, 3, 0, 2, 6]);
+    }
+
+    #[test]
+    fn the_first_action_steps_turns_or_interacts() {
+        let ring = kitchen("ring").unwrap();
+        let paths = Paths::new(&ring);
+        let first = |x, y, facing, to: (i32, i32)| {
+            let from = Pose { place: ring.place(x, y).unwrap(), facing };
+            paths.route(from, ring.place(to.0, to.1).unwrap()).unwrap().first
+        };
+        assert_eq!(first(7, 1, Direction::East, (8, 1)), Action::Interact);
+        assert_eq!(first(7, 1, Direction::South, (8, 1)), Action::Go(Direction::East));
+        // North before west: the meat is fetched along the east wall.
+        assert_eq!(first(6, 3, Direction::South, (8, 1)), Action::Go(Direction::North));
+    }
+
+    #[test]
+    fn what_no_floor_borders_on_has_no_way() {
+        let ring = kitchen("ring").unwrap();
+        let from = Pose { place: ring.place(6, 3).unwrap(), facing: Direction::South };
+        assert_eq!(Paths::new(&ring).route(from, ring.place(0, 0).unwrap()), None);
+    }
+}
