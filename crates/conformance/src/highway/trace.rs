@@ -59,12 +59,12 @@ pub(super) struct MergeEpisodes {
 pub(super) struct MergeEpisode {
     /// (lane, U(-5, 5), U(-1, 1)) of three cars.
     pub(super) draws: [(usize, f64, f64); 3],
-    pub(super) policy: Vec<Decision>,
+    pub(super) policy: Vec<RecordedDecision>,
     pub(super) states: Vec<Vec<VehicleRow>>,
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct Decision {
+pub(super) struct RecordedDecision {
     pub(super) action: Option<u8>,
     pub(super) obs: Vec<Vec<f64>>,
     #[serde(default)]

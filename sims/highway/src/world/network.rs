@@ -55,12 +55,15 @@ pub struct RoadNetwork {
 }
 
 /// Start node, end node and lanes of a road as it is written.
-type Written<'a> = (usize, usize, Vec<&'a LaneSettings>);
+type WrittenNetwork<'a> = (usize, usize, Vec<&'a LaneSettings>);
 
 /// Numbers nodes in the order of their mention, and gathers lanes into roads, in the order of lane numbers.
-fn gather_roads<'a>(settings: &'a [LaneSettings], nodes: &mut Vec<String>) -> Vec<Written<'a>> {
+fn gather_roads<'a>(
+    settings: &'a [LaneSettings],
+    nodes: &mut Vec<String>,
+) -> Vec<WrittenNetwork<'a>> {
     let mut starts: Vec<usize> = Vec::new();
-    let mut written: Vec<Written<'a>> = Vec::new();
+    let mut written: Vec<WrittenNetwork<'a>> = Vec::new();
     for lane in settings {
         let [from, to] = [&lane.from, &lane.to].map(|name| number(name, nodes));
         if !starts.contains(&from) {
