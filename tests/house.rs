@@ -12,7 +12,7 @@ use serde_json::Value;
 
 /// Crates by layer, lowest first. A crate may depend only on crates of a lower layer.
 const LAYERS: &[&[&str]] = &[
-    &["leadtime-numerics"],
+    &["leadtime-numerics", "leadtime-table"],
     &["leadtime-proto"],
     &["leadtime-taxonomy", "leadtime-link", "leadtime-policy"],
     &["leadtime-sims", "leadtime-ppo"],
@@ -28,6 +28,7 @@ const LAYERS: &[&[&str]] = &[
 /// Crates that are pure functions of their arguments: no clock, file, environment, thread or network.
 const PURE: &[&str] = &[
     "crates/numerics",
+    "crates/table",
     "proto",
     "crates/policy",
     "crates/ppo",

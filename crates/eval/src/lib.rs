@@ -8,7 +8,7 @@
 //! probe        how well the person's reaction delay can be read off a policy's features --> table
 //! playthrough  one recorded episode: its scenes, its words as a person would hear them
 //! picture      a playthrough --> SVG, PNG, GIF
-//! figure       curves, histograms, shares of time --> SVG
+//! figure       means with bands, histograms, shares of time --> SVG
 //! report       all of it --> one self-contained HTML file
 //! study        policies of several training seeds beside published figures --> Markdown, JSON
 //! draw         canvas, palette, typeface, axes, pixels

@@ -3,6 +3,7 @@
 use anyhow::Context as _;
 use leadtime_lander::pilot::{Flyer, Pilot, PilotEvaluation, evaluate};
 use leadtime_lander::world::PhysicsSettings;
+use leadtime_table::Table;
 use serde_json::json;
 
 use crate::cli::PilotEvalArgs;
@@ -52,13 +53,15 @@ fn print(args: &PilotEvalArgs, evaluation: &PilotEvaluation) {
     let n = evaluation.n_episodes;
     output::line(&format!("pilot {}, {n} episodes {wind}", args.pilot));
     let (mean, error) = (evaluation.mean_return, evaluation.standard_error);
-    output::line(&format!("return     {mean:.1} +- {error:.1} (mean, standard error)"));
+    let mut table = Table::new(["episodes", "share"]);
     for (name, share) in [
         ("landed", evaluation.landed),
         ("crashed", evaluation.crashed),
         ("out", evaluation.out),
         ("timed out", evaluation.timed_out),
     ] {
-        output::line(&format!("{name:<10} {share:.3}"));
+        table.push([name.to_owned(), format!("{share:.3}")]);
     }
+    output::line(&format!("return {mean:.1} +- {error:.1} (mean, standard error)\n"));
+    output::line(table.text().trim_end());
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context as _;
-use leadtime_eval::figure::{CurvePanel, Series, ShareRow, smoothed};
+use leadtime_eval::figure::{Band, BandPanel, ShareRow};
 use leadtime_eval::measure::Comparison;
 use leadtime_eval::report::{Book, Fact, Picture, Report, Verdict};
 use leadtime_runs::{RunRecord, journal, write_atomically};
@@ -12,8 +12,8 @@ use serde_json::{Map, Value};
 
 use leadtime_config::Config;
 
-/// Updates on each side that a smoothed curve averages over.
-const SMOOTHING: usize = 3;
+/// Points of a learning curve.
+const N_POINTS: usize = 120;
 
 /// What an evaluation adds to a run's own records.
 #[derive(Debug, Default)]
@@ -68,7 +68,7 @@ pub(super) fn write(directory: &Path, findings: Findings) -> anyhow::Result<()> 
         .with_context(|| format!("writing {}", path.display()))
 }
 
-fn curves(journal: &[Map<String, Value>]) -> Vec<CurvePanel> {
+fn curves(journal: &[Map<String, Value>]) -> Vec<BandPanel> {
     let panels: [(&str, &str, Option<[f64; 2]>); 5] = [
         ("episodes/success", "success", Some([0.0, 1.0])),
         ("episodes/return", "return", None),
@@ -78,9 +78,8 @@ fn curves(journal: &[Map<String, Value>]) -> Vec<CurvePanel> {
     ];
     let panel = |(key, label, range): (&str, &str, Option<[f64; 2]>)| {
         let points = points(journal, key);
-        let series = vec![Series { label: String::new(), points: smoothed(&points, SMOOTHING) }];
-        let label = label.to_owned();
-        (!points.is_empty()).then_some(CurvePanel { label, range, reference: None, series })
+        let (label, bands) = (label.to_owned(), vec![Band::summary(&points, N_POINTS)]);
+        (!points.is_empty()).then_some(BandPanel { label, range, bands })
     };
     panels.into_iter().filter_map(panel).collect()
 }

@@ -4,10 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use leadtime_eval::measure::Table;
 use leadtime_runs::layout::read_config;
 use leadtime_runs::record::RecordError;
 use leadtime_runs::{ForkOrigin, RunRecord, journal};
+use leadtime_table::Table;
 use serde::Serialize;
 
 use crate::cli::{RunsArgs, RunsCommand};
@@ -112,7 +112,7 @@ fn print(rows: &[ListedRun]) {
         "reproducible",
         "forked from",
     ];
-    let mut table = Table::new(head.map(str::to_owned));
+    let mut table = Table::new(head).left(&[0, 1, 2, 7, 8, 9]);
     for row in rows {
         table.push(cells(row));
     }

@@ -3,36 +3,12 @@
 //! It cannot be asked for anything that is not well formed: groups are closures, every text and attribute value
 //! goes through [`escape`], and a coordinate that is no number is written as 0.
 
-use std::borrow::Cow;
 use std::fmt::Write as _;
+
+use leadtime_table::escape;
 
 use super::font::{FAMILY, Weight};
 use super::palette::Ink;
-
-/// Replaces the characters that mean something in XML and HTML, and drops those that XML forbids.
-pub fn escape(text: &str) -> Cow<'_, str> {
-    let special = |c: char| matches!(c, '&' | '<' | '>' | '"' | '\'') || forbidden(c);
-    if !text.contains(special) {
-        return Cow::Borrowed(text);
-    }
-    let mut out = String::with_capacity(text.len() + 16);
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c if forbidden(c) => {}
-            c => out.push(c),
-        }
-    }
-    Cow::Owned(out)
-}
-
-fn forbidden(c: char) -> bool {
-    (c.is_control() && !matches!(c, '\n' | '\t')) || matches!(c, '\u{fffe}' | '\u{ffff}')
-}
 
 /// Writes a coordinate with at most two decimals.
 pub fn number(value: f64) -> String {
@@ -362,12 +338,6 @@ fn joined(points: &[[f64; 2]]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn text_cannot_break_out() {
-        assert_eq!(escape("a<b & \"c\" 'd'\u{1}>"), "a&lt;b &amp; &quot;c&quot; &#39;d&#39;&gt;");
-        assert!(matches!(escape("plain"), Cow::Borrowed("plain")));
-    }
 
     #[test]
     fn numbers_are_short_and_finite() {

@@ -17,7 +17,7 @@ mod raster;
 mod wrap;
 
 pub use axis::{Panel, Scale, compact, nice_ticks};
-pub use canvas::{Anchor, Area, Canvas, Paint, Svg, TextStyle, escape, number};
+pub use canvas::{Anchor, Area, Canvas, Paint, Svg, TextStyle, number};
 pub use font::{FAMILY, Weight, text_width};
 pub use palette::Ink;
 pub use raster::{Pixels, Rasterizer, gif};

@@ -1,16 +1,25 @@
-//! Means with bands: several training runs as one line, with how far they spread.
+//! Means with bands, in panels above each other that share the horizontal axis.
 
-use serde::{Deserialize, Serialize};
+use super::legend;
+use crate::draw::{Area, Canvas, Ink, Paint, Panel, Svg, TextStyle};
 
-use super::stack::{Axis, PanelStack, Stacked, extent, with_margin};
-use crate::draw::{Canvas, Ink, Paint, Panel, Svg};
-
-const STACK: PanelStack = PanelStack { panel_height: 190.0, top: 56.0, gap: 40.0 };
+const WIDTH: f64 = 760.0;
+const LEFT: f64 = 68.0;
+const RIGHT: f64 = 18.0;
+const BOTTOM: f64 = 46.0;
+const PLOT_WIDTH: f64 = WIDTH - LEFT - RIGHT;
+const PANEL_HEIGHT: f64 = 190.0;
+/// Room above the first panel, with a legend of one line.
+const TOP: f64 = 56.0;
+/// Room between two panels, likewise.
+const GAP: f64 = 40.0;
+/// So few points are shown one by one.
+const FEW: usize = 12;
 
 /// One line with its band.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Band {
-    /// What it is, for the legend.
+    /// What it is, for the legend; empty if the panel's label says it.
     pub label: String,
     /// Points (x, mean, lower, upper) in order; those that are no numbers are left out.
     pub points: Vec<[f64; 4]>,
@@ -19,7 +28,7 @@ pub struct Band {
 }
 
 /// Lines of one unit in one frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct BandPanel {
     /// The vertical axis' label.
     pub label: String,
@@ -29,30 +38,49 @@ pub struct BandPanel {
     pub bands: Vec<Band>,
 }
 
-/// Draws panels of lines with bands above each other, that share the horizontal axis and its number of ticks.
-///
-/// `id` must be unique on the page.
-pub fn bands(id: &str, title: &str, x_label: &str, n_ticks: usize, panels: &[BandPanel]) -> Svg {
-    let panels: Vec<BandPanel> = panels.iter().map(without_gaps).collect();
-    let lines = || panels.iter().flat_map(|panel| &panel.bands);
-    let xs =
-        lines().flat_map(|b| b.points.iter().map(|p| p[0]).chain(b.published.iter().map(|p| p[0])));
-    let axis = Axis { label: x_label, n_ticks, range: extent(xs) };
-    STACK.draw(id, title, &axis, &panels)
+impl Band {
+    /// Summarises a long series of (x, value) in at most `n` pieces: the mean of each, with its least and greatest value.
+    pub fn summary(series: &[[f64; 2]], n: usize) -> Self {
+        let piece = |piece: &[[f64; 2]]| {
+            let mean = |i: usize| piece.iter().map(|p| p[i]).sum::<f64>() / piece.len() as f64;
+            let [low, high] = extent(piece.iter().map(|p| p[1])).unwrap_or_default();
+            [mean(0), mean(1), low, high]
+        };
+        let size = series.len().div_ceil(n.max(1)).max(1);
+        Self { points: series.chunks(size).map(piece).collect(), ..Self::default() }
+    }
 }
 
-impl Stacked for BandPanel {
-    fn vertical(&self) -> (&str, [f64; 2]) {
-        (&self.label, y_range(self))
+/// Draws panels above each other, with about `n_ticks` ticks on the axis that they share. `id` must be unique on the page.
+pub fn bands(id: &str, title: &str, x_label: &str, n_ticks: usize, panels: &[BandPanel]) -> Svg {
+    let panels: Vec<BandPanel> = panels.iter().map(without_gaps).collect();
+    let lines = panels.iter().flat_map(|panel| &panel.bands);
+    let xs =
+        lines.flat_map(|b| b.points.iter().map(|p| p[0]).chain(b.published.iter().map(|p| p[0])));
+    let x_range = extent(xs).unwrap_or([0.0, 1.0]);
+    let legends: Vec<_> =
+        panels.iter().map(|panel| legend::lines(&labels(panel), PLOT_WIDTH)).collect();
+    let room = legends.iter().map(|lines| legend::extra_height(lines)).fold(0.0, f64::max);
+    let (above, gap) = (TOP + room, GAP + room);
+    let n = panels.len().max(1) as f64;
+    let height = above + n * PANEL_HEIGHT + (n - 1.0) * gap + BOTTOM;
+    let mut canvas = Canvas::new(id, WIDTH, height);
+    canvas.text([LEFT, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
+    for (i, panel) in panels.iter().enumerate() {
+        let top = above + i as f64 * (PANEL_HEIGHT + gap);
+        let area = Area::new(LEFT, top, PLOT_WIDTH, PANEL_HEIGHT);
+        let frame = Panel::new(area, x_range, y_range(panel));
+        frame.draw_y(&mut canvas, 4, &panel.label);
+        let last = i + 1 == panels.len();
+        frame.draw_x(&mut canvas, n_ticks, last.then_some(x_label));
+        canvas.clipped(frame.area, |canvas| draw(canvas, &frame, &panel.bands));
+        legend::draw(&mut canvas, &frame, &labels(panel), &legends[i]);
     }
+    canvas.finish(title)
+}
 
-    fn labels(&self) -> Vec<&str> {
-        self.bands.iter().map(|band| band.label.as_str()).collect()
-    }
-
-    fn paint(&self, canvas: &mut Canvas, frame: &Panel) {
-        canvas.clipped(frame.area, |canvas| draw(canvas, frame, &self.bands));
-    }
+fn labels(panel: &BandPanel) -> Vec<&str> {
+    panel.bands.iter().map(|band| band.label.as_str()).collect()
 }
 
 fn draw(canvas: &mut Canvas, frame: &Panel, bands: &[Band]) {
@@ -79,9 +107,6 @@ fn draw(canvas: &mut Canvas, frame: &Panel, bands: &[Band]) {
     }
 }
 
-/// So few points are shown one by one.
-const FEW: usize = 12;
-
 fn without_gaps(panel: &BandPanel) -> BandPanel {
     let mut panel = panel.clone();
     for band in &mut panel.bands {
@@ -91,10 +116,21 @@ fn without_gaps(panel: &BandPanel) -> BandPanel {
     panel
 }
 
+/// Returns the least and the greatest of some values.
+fn extent(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
+    values.fold(None, |range: Option<[f64; 2]>, value| {
+        let [low, high] = range.unwrap_or([value, value]);
+        Some([low.min(value), high.max(value)])
+    })
+}
+
+/// Returns the fixed range, or that of the data, with a small margin.
 fn y_range(panel: &BandPanel) -> [f64; 2] {
     let points = panel.bands.iter().flat_map(|band| &band.points).flat_map(|p| [p[2], p[3]]);
     let published = panel.bands.iter().flat_map(|band| &band.published).map(|p| p[1]);
-    with_margin(panel.range, points.chain(published))
+    let [low, high] = panel.range.or_else(|| extent(points.chain(published))).unwrap_or([0.0, 1.0]);
+    let margin = 0.05 * (high - low);
+    [low - margin, high + margin]
 }
 
 #[cfg(test)]
@@ -123,5 +159,14 @@ mod tests {
     fn the_axis_holds_the_bands_and_what_was_published() {
         let [low, high] = y_range(&panel(vec![[0.0, 0.5, 0.45, 0.8]]));
         assert!(low < 0.4 && high > 0.8);
+    }
+
+    #[test]
+    fn a_long_series_becomes_means_between_its_extremes() {
+        let series: Vec<[f64; 2]> = (0..9).map(|i| [f64::from(i), f64::from(i % 2)]).collect();
+        let expected =
+            [[1.0, 1.0 / 3.0, 0.0, 1.0], [4.0, 2.0 / 3.0, 0.0, 1.0], [7.0, 1.0 / 3.0, 0.0, 1.0]];
+        assert_eq!(Band::summary(&series, 4).points, expected);
+        assert_eq!(Band::summary(&[], 4), Band::default());
     }
 }

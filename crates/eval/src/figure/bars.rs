@@ -2,8 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
-
 use crate::draw::{
     Anchor, Area, Canvas, Ink, Paint, Panel, Svg, TextStyle, Weight, compact, text_width, wrapped,
 };
@@ -62,7 +60,7 @@ fn binned(counts: &BTreeMap<u64, u64>) -> Vec<(String, u64)> {
 }
 
 /// What one process spent its time on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ShareRow {
     /// The process.
     pub label: String,

@@ -1,6 +1,8 @@
 //! Several pictures on one sheet.
 
-use crate::draw::{Ink, Svg, escape, number};
+use leadtime_table::escape;
+
+use crate::draw::{Ink, Svg, number};
 
 /// Space between pictures, in units.
 const GAP: f64 = 16.0;

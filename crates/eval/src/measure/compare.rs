@@ -1,11 +1,11 @@
 //! Several players on the same task, side by side.
 
 use leadtime_numerics::stats::{Bootstrap, Interval};
+use leadtime_table::{Table, TableCell};
 use serde::{Deserialize, Serialize};
 
 use super::evaluation::Evaluation;
 use super::summary::{self, Summary};
-use super::table::Table;
 
 /// Index of the draws for differences: one that no mean uses.
 const DIFFERENCE: u64 = u32::MAX as u64;
@@ -112,42 +112,42 @@ impl Comparison {
 
     /// Lays the summaries out: one row per measure, one column per player.
     pub fn table(&self) -> Table {
-        let players = self.summaries.iter().map(|s| s.player.clone());
-        let mut table = Table::new(std::iter::once(String::new()).chain(players));
+        let players = self.summaries.iter().map(|summary| summary.player.as_str());
+        let mut table = Table::new(std::iter::once("").chain(players));
         for name in self.measure_names() {
-            let cells = self.summaries.iter().map(|summary| {
-                let interval = summary.get(name).and_then(|measure| measure.interval);
-                interval.map_or_else(|| "\u{2013}".to_owned(), |i| cell(&i))
-            });
-            table.push(std::iter::once(summary::title(name)).chain(cells));
+            let interval = |summary: &Summary| summary.get(name).and_then(|m| m.interval);
+            let cells = self.summaries.iter().map(|summary| cell(interval(summary)));
+            let title = TableCell::from(summary::title(name));
+            table.push(std::iter::once(title).chain(cells));
         }
         table
     }
 
     /// Writes table and differences as plain text.
     pub fn text(&self) -> String {
-        let percent = 100.0 * self.bootstrap.confidence;
-        let episodes = self.summaries.iter().map(|s| s.n_episodes.to_string());
-        let episodes = episodes.collect::<Vec<_>>().join(", ");
-        let mut text = self.table().text();
-        let kind = format!("Means with {percent:.0} % bootstrap intervals; episodes: {episodes}.");
         let sentences = self.differences.iter().map(|d| d.sentence(self.bootstrap.confidence));
-        for line in std::iter::once(kind).chain(sentences) {
-            text.push_str(&line);
-            text.push('\n');
-        }
-        text
+        let lines: Vec<String> = std::iter::once(self.reading()).chain(sentences).collect();
+        format!("{}{}\n", self.table().text(), lines.join("\n"))
+    }
+
+    /// Says how the table's cells are to be read.
+    pub(crate) fn reading(&self) -> String {
+        let percent = 100.0 * self.bootstrap.confidence;
+        let episodes = self.summaries.iter().map(|summary| summary.n_episodes.to_string());
+        let episodes = episodes.collect::<Vec<_>>().join(", ");
+        format!("Means with {percent:.0} % bootstrap intervals; episodes: {episodes}.")
     }
 }
 
-/// Writes a mean and its interval with digits that suit its size.
-fn cell(interval: &Interval) -> String {
-    let [mean, bounds] = written(interval);
-    format!("{mean} {bounds}")
+/// Writes a mean with its bounds as a note; a dash where there is none.
+pub(crate) fn cell(interval: Option<Interval>) -> TableCell {
+    let Some(interval) = interval else { return TableCell::from("\u{2013}") };
+    let [mean, bounds] = written(&interval);
+    TableCell::noted(mean, bounds)
 }
 
 /// Writes a mean, and its bounds in brackets, with digits that suit their size.
-pub(crate) fn written(interval: &Interval) -> [String; 2] {
+pub fn written(interval: &Interval) -> [String; 2] {
     let Interval { estimate, low, high } = interval;
     let digits = match [*estimate, *low, *high].map(f64::abs).into_iter().fold(0.0, f64::max) {
         size if size >= 100.0 => 0,

@@ -9,14 +9,12 @@ mod compare;
 mod evaluation;
 mod lead;
 mod summary;
-mod table;
 mod utterance;
 
-pub(crate) use compare::written;
-pub use compare::{Comparison, Difference};
+pub(crate) use compare::cell;
+pub use compare::{Comparison, Difference, written};
 pub use evaluation::{EpisodeResult, Evaluation, evaluate, evaluate_with};
 pub use lead::{hazards, lead_times};
 pub use leadtime_episodes::{Choice, MakeEnvironment, PlaySettings, Player, episode_seed};
 pub use summary::{Measure, Summary, measure_names, title};
-pub use table::Table;
 pub use utterance::{SpeechLog, Utterance};

@@ -1,9 +1,10 @@
 //! What a probe found, as data, as text and as a section of a page.
 
 use leadtime_numerics::stats::{Bootstrap, Interval};
+use leadtime_table::{Table, TableCell};
 use serde::{Deserialize, Serialize};
 
-use crate::measure::{Difference, Table, written};
+use crate::measure::{Difference, cell};
 use crate::report::Fact;
 
 /// A stage that fewer episodes of either half reached is not scored.
@@ -105,31 +106,28 @@ impl ProbeResult {
 
     /// Lays out errors, and shares of exact predictions.
     fn tables(&self) -> [Table; 2] {
-        let counts = ["episodes", "steps", "mean d_r", "understood"].map(str::to_owned);
-        let readers = || self.readers.iter().map(|reader| reader.name.clone());
-        let first = || std::iter::once("reactions begun".to_owned());
+        let counts = ["episodes", "steps", "mean d_r", "understood"];
+        let readers = || self.readers.iter().map(|reader| reader.name.as_str());
+        let first = || std::iter::once("reactions begun");
         let mut errors = Table::new(first().chain(counts).chain(readers()));
         let mut exact = Table::new(first().chain(readers()));
         for stage in self.stages.iter().chain([&self.overall]) {
-            let name = || std::iter::once(stage.name.clone());
+            let name = || std::iter::once(TableCell::from(stage.name.as_str()));
             let counts = [
                 stage.n_evaluated_on.to_string(),
                 stage.n_steps.to_string(),
                 number(stage.mean_delay),
                 number(stage.mean_comprehended),
             ];
+            let counts = counts.map(TableCell::from);
             errors.push(name().chain(counts).chain(self.cells(stage, |score| score.error)));
             exact.push(name().chain(self.cells(stage, |score| score.exact)));
         }
         [errors, exact]
     }
 
-    fn cells(&self, stage: &ProbeStage, which: fn(&Score) -> Interval) -> Vec<String> {
-        let cell = |i: usize| {
-            let score = stage.scores.get(i);
-            score.map_or_else(|| NONE.to_owned(), |score| written(&which(score)).join(" "))
-        };
-        (0..self.readers.len()).map(cell).collect()
+    fn cells(&self, stage: &ProbeStage, which: fn(&Score) -> Interval) -> Vec<TableCell> {
+        (0..self.readers.len()).map(|i| cell(stage.scores.get(i).map(which))).collect()
     }
 
     fn reading(&self) -> String {

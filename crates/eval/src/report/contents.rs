@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::figure::{CurvePanel, ShareRow};
+use crate::figure::{BandPanel, ShareRow};
 use crate::measure::Comparison;
 
 /// Everything in a report; what is empty is left out of the page.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// The page's title.
     pub title: String,
@@ -22,7 +21,7 @@ pub struct Report {
     /// Playthroughs and other pictures.
     pub pictures: Vec<Picture>,
     /// Returns, success, ... over environment steps.
-    pub curves: Vec<CurvePanel>,
+    pub curves: Vec<BandPanel>,
     /// Rollouts per staleness, in policy versions.
     pub staleness: BTreeMap<u64, u64>,
     /// What each process spent its time on.
@@ -38,7 +37,7 @@ pub struct Report {
 }
 
 /// A claim about the run.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verdict {
     /// Whether it holds.
     pub holds: bool,
@@ -47,7 +46,7 @@ pub struct Verdict {
 }
 
 /// A picture with its words.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
     /// Its heading.
     pub title: String,
@@ -58,7 +57,7 @@ pub struct Picture {
 }
 
 /// One account of the books.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Book {
     /// The account, such as `published` or `trained`.
     pub name: String,

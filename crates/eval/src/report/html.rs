@@ -1,8 +1,10 @@
 //! The page around the sections.
 
+use leadtime_table::escape;
+
 use super::contents::Report;
 use super::sections;
-use crate::draw::{Ink, escape};
+use crate::draw::Ink;
 
 const STYLE: &str = include_str!("style.css");
 

@@ -1,9 +1,9 @@
 //! The parts of the page; a part without contents is an empty string.
 
-use super::contents::Report;
-use crate::draw::escape;
+use leadtime_table::{Table, escape};
+
+use super::contents::{Book, Fact, Report};
 use crate::figure;
-use crate::measure::{Comparison, Summary, title, written};
 
 fn section(id: &str, heading: &str, body: &str) -> String {
     if body.is_empty() {
@@ -14,6 +14,11 @@ fn section(id: &str, heading: &str, body: &str) -> String {
 
 fn drawing(svg: &str, caption: &str) -> String {
     format!("<figure>\n{svg}<figcaption>{}</figcaption>\n</figure>\n", escape(caption))
+}
+
+/// Writes a table that scrolls sideways where the screen is narrow.
+fn scrolled(table: &Table, class: &str) -> String {
+    format!("<div class=\"scroll\">{}</div>\n", table.html(class))
 }
 
 pub(super) fn verdicts(report: &Report) -> String {
@@ -29,43 +34,15 @@ pub(super) fn verdicts(report: &Report) -> String {
 
 pub(super) fn comparison(report: &Report) -> String {
     let Some(comparison) = &report.comparison else { return String::new() };
-    let percent = 100.0 * comparison.bootstrap.confidence;
-    let intro = format!(
-        "<p>Means over episodes, with {percent:.0} % bootstrap intervals in brackets. A rate counts only the \
-         episodes in which it is defined.</p>\n"
-    );
+    let reading = escape(&comparison.reading()).into_owned();
+    let intro =
+        format!("<p>{reading} A rate counts only the episodes in which it is defined.</p>\n");
     let differences = comparison.differences.iter().map(|difference| {
         let sentence = difference.sentence(comparison.bootstrap.confidence);
         format!("<p><strong>Difference.</strong> {}.</p>\n", escape(&sentence))
     });
-    let body = [intro, numbers(comparison), differences.collect()].concat();
+    let body = [intro, scrolled(&comparison.table(), "numbers"), differences.collect()].concat();
     section("results", "Results", &body)
-}
-
-fn numbers(comparison: &Comparison) -> String {
-    let heads = comparison.summaries.iter().map(|summary| {
-        let (player, n) = (escape(&summary.player), summary.n_episodes);
-        format!("<th scope=\"col\">{player}<br/><span class=\"muted\">{n} episodes</span></th>")
-    });
-    let heads: String = heads.collect();
-    let names = comparison.measure_names();
-    let row = |name: &&str| {
-        let cells: String =
-            comparison.summaries.iter().map(|summary| cell(summary, name)).collect();
-        format!("<tr><th scope=\"row\">{}</th>{cells}</tr>\n", escape(&title(name)))
-    };
-    let rows: String = names.iter().map(row).collect();
-    format!(
-        "<div class=\"scroll\"><table class=\"numbers\">\n<thead><tr><th scope=\"col\">measure</th>{heads}</tr>\
-         </thead>\n<tbody>\n{rows}</tbody>\n</table></div>\n"
-    )
-}
-
-fn cell(summary: &Summary, name: &str) -> String {
-    let interval = summary.get(name).and_then(|measure| measure.interval);
-    let Some(interval) = interval else { return "<td>\u{2013}</td>".to_owned() };
-    let [mean, bounds] = written(&interval);
-    format!("<td>{mean} <span>{bounds}</span></td>")
 }
 
 pub(super) fn pictures(report: &Report) -> String {
@@ -80,8 +57,9 @@ pub(super) fn training(report: &Report) -> String {
     if report.curves.is_empty() {
         return String::new();
     }
-    let svg = figure::curves("curves", "Learning curve", "environment steps", &report.curves);
-    let caption = "Faint: as recorded. Strong: centred moving average.";
+    let svg = figure::bands("curves", "Learning curve", "environment steps", 7, &report.curves);
+    let caption =
+        "Line: mean over neighbouring updates. Band: from the lowest to the highest of them.";
     section("training", "Training", &drawing(&svg.text, caption))
 }
 
@@ -109,11 +87,10 @@ fn books(report: &Report) -> String {
     if report.books.is_empty() {
         return String::new();
     }
-    let row = |book: &super::contents::Book| {
-        let (name, meaning) = (escape(&book.name), escape(&book.meaning));
-        format!("<tr><th scope=\"row\">{name}</th><td>{}</td><td>{meaning}</td></tr>\n", book.count)
-    };
-    let rows: String = report.books.iter().map(row).collect();
+    let mut table = Table::new(["account", "rollouts", "meaning"]);
+    for Book { name, count, meaning } in &report.books {
+        table.push([name, &count.to_string(), meaning]);
+    }
     let balance = match report.books_balance {
         Some(true) => {
             "<p>The books balance: every rollout that was published is accounted for.</p>\n"
@@ -121,26 +98,18 @@ fn books(report: &Report) -> String {
         Some(false) => "<p><strong>The books do not balance.</strong></p>\n",
         None => "",
     };
-    format!(
-        "<h3>Books</h3>\n{balance}<div class=\"scroll\"><table>\n<thead><tr><th scope=\"col\">account</th>\
-         <th scope=\"col\">rollouts</th><th scope=\"col\">meaning</th></tr></thead>\n<tbody>\n{rows}</tbody>\n\
-         </table></div>\n"
-    )
+    format!("<h3>Books</h3>\n{balance}{}", scrolled(&table, "accounts"))
 }
 
 pub(super) fn provenance(report: &Report) -> String {
     if report.provenance.is_empty() {
         return String::new();
     }
-    let row = |fact: &super::contents::Fact| {
-        let (name, value) = (escape(&fact.name), escape(&fact.value));
-        format!("<tr><th scope=\"row\">{name}</th><td>{value}</td></tr>\n")
-    };
-    let rows: String = report.provenance.iter().map(row).collect();
-    let table = format!(
-        "<div class=\"scroll\"><table class=\"facts\">\n<tbody>\n{rows}</tbody>\n</table></div>\n"
-    );
-    section("provenance", "Where the numbers come from", &table)
+    let mut table = Table::new(["", ""]);
+    for Fact { name, value } in &report.provenance {
+        table.push([name, value]);
+    }
+    section("provenance", "Where the numbers come from", &scrolled(&table, "facts"))
 }
 
 pub(super) fn notes(report: &Report) -> String {

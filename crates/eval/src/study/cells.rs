@@ -30,11 +30,6 @@ pub(super) fn published(published: Option<&Published>) -> String {
     }
 }
 
-/// Makes a text one cell: no bar, no line break.
-pub(super) fn plain(text: &str) -> String {
-    text.replace('|', "\\|").replace('\n', " ")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -52,10 +47,5 @@ mod tests {
         assert_eq!(measured(Some(&measure(&[0.5]))), "0.500 [0.250, 0.750]");
         assert_eq!(measured(Some(&Measure { interval: None, ..measure(&[]) })), NONE);
         assert_eq!(measured(None), NONE);
-    }
-
-    #[test]
-    fn a_cell_stays_one_cell() {
-        assert_eq!(plain("a|b\nc"), "a\\|b c");
     }
 }

@@ -1,6 +1,8 @@
 //! A study's results as a page of Markdown: tables, differences, pictures, provenance.
 
-use super::cells::{measured, plain, published};
+use leadtime_table::Table;
+
+use super::cells::{measured, published};
 use super::result::{Judged, Layout, PartResult, RowResult, Shown, StudyResult, TrainedRun};
 use crate::measure::{Choice, title};
 use crate::report::Fact;
@@ -80,46 +82,45 @@ impl PartResult {
     /// Writes a line per policy and person, what was published above what was measured.
     fn lines(&self) -> String {
         let titles = self.columns.iter().map(|name| title(name));
-        let head = ["notifier".to_owned(), "judged on".to_owned()].into_iter().chain(titles);
-        let mut table = head_of(head.collect());
+        let head = ["notifier", "judged on"].map(str::to_owned);
+        let mut table = Table::new(head.into_iter().chain(titles));
         for row in &self.rows {
             let mut name = format!("**{}**, {}", row.title, row.notification);
             if !row.published.is_empty() {
                 let cells = self.columns.iter().map(|c| published(row.published(None, c)));
-                table.push_str(&line([name, "*the paper*".to_owned()].into_iter().chain(cells)));
+                table.push([name, "*the paper*".to_owned()].into_iter().chain(cells));
                 name = String::new();
             }
             for judged in row.judged.iter().filter(|judged| judged.choice == Choice::Sample) {
                 let cells = self.columns.iter().map(|c| measured(judged.summary.get(c)));
-                table.push_str(&line([name, judged.title.clone()].into_iter().chain(cells)));
+                table.push([name, judged.title.clone()].into_iter().chain(cells));
                 name = String::new();
             }
         }
-        table + "\n"
+        table.markdown() + "\n"
     }
 
     /// Writes one measure: a line per policy, a column per person.
     fn grid(&self, measure: &str) -> String {
         let people = self.people();
         let titles = people.iter().map(|(_, title)| title.clone());
-        let head = [title(measure), String::new()].into_iter().chain(titles);
-        let mut table = head_of(head.collect());
+        let mut table = Table::new([title(measure), String::new()].into_iter().chain(titles));
         for rows in self.rows.chunk_by(|a, b| a.title == b.title) {
             let mut name = format!("**{}**, {}", rows[0].title, rows[0].notification);
             let said =
                 |person: &str| rows.iter().find_map(|row| row.published(Some(person), measure));
             if people.iter().any(|(person, _)| said(person).is_some()) {
                 let cells = people.iter().map(|(person, _)| published(said(person)));
-                table.push_str(&line([name, "*the paper*".to_owned()].into_iter().chain(cells)));
+                table.push([name, "*the paper*".to_owned()].into_iter().chain(cells));
                 name = String::new();
             }
             let cells = people.iter().map(|(person, _)| {
                 let judged = rows.iter().find_map(|row| row.judged(person, Choice::Sample));
                 measured(judged.and_then(|judged| judged.summary.get(measure)))
             });
-            table.push_str(&line([name, "ours".to_owned()].into_iter().chain(cells)));
+            table.push([name, "ours".to_owned()].into_iter().chain(cells));
         }
-        table + "\n"
+        table.markdown() + "\n"
     }
 
     /// Lists the people on whom policies were judged, in the order in which they first occur: name, title.
@@ -145,11 +146,10 @@ impl PartResult {
             return String::new();
         }
         let head = ["run", "seed", "configuration", "steps", "minutes", "weights", "program"];
-        let mut text = format!("<details><summary>{}: runs</summary>\n\n", self.title);
-        text.push_str(&head_of(head.map(str::to_owned).to_vec()));
+        let mut table = Table::new(head);
         for run in runs {
             let mark = if run.reproducible { "" } else { " (not reproducible)" };
-            text.push_str(&line([
+            table.push([
                 format!("`{}`", run.name),
                 run.seed.to_string(),
                 format!("`{}`", run.configuration),
@@ -157,30 +157,26 @@ impl PartResult {
                 format!("{:.1}", run.minutes),
                 format!("`{}`{mark}", run.weights),
                 run.program.clone(),
-            ]));
+            ]);
         }
-        text + "\n</details>\n\n"
+        folded(&format!("{}: runs", self.title), &table.markdown())
     }
 }
 
 /// Writes every measure of one policy: a line per measure, a column per person and way of choosing.
 fn details(row: &RowResult) -> String {
-    let mut text = format!(
-        "<details><summary>{}, {}: every measure</summary>\n\n",
-        row.title, row.notification
-    );
+    let mut text = String::new();
     if !row.settings.is_empty() {
         let settings = row.settings.iter().map(|setting| format!("`{}`", plain(setting)));
         let settings = settings.collect::<Vec<_>>().join(", ");
-        let sentence = format!("Differs from the profile in {settings}.\n\n");
-        text.push_str(&sentence);
+        text = format!("Differs from the profile in {settings}.\n\n");
     }
     let heading = |judged: &Judged| match judged.choice {
         Choice::Sample => judged.title.clone(),
         Choice::Greedy => format!("{}, greedy", judged.title),
     };
     let head = std::iter::once("measure".to_owned()).chain(row.judged.iter().map(heading));
-    text.push_str(&head_of(head.collect()));
+    let mut table = Table::new(head);
     let mut names: Vec<&str> = Vec::new();
     for measure in row.judged.iter().flat_map(|judged| &judged.summary.measures) {
         if !names.contains(&measure.name.as_str()) {
@@ -189,9 +185,10 @@ fn details(row: &RowResult) -> String {
     }
     for name in names {
         let cells = row.judged.iter().map(|judged| measured(judged.summary.get(name)));
-        text.push_str(&line(std::iter::once(title(name)).chain(cells)));
+        table.push(std::iter::once(title(name)).chain(cells));
     }
-    text + "\n</details>\n\n"
+    text.push_str(&table.markdown());
+    folded(&format!("{}, {}: every measure", row.title, row.notification), &text)
 }
 
 fn facts(facts: &[Fact]) -> String {
@@ -199,15 +196,14 @@ fn facts(facts: &[Fact]) -> String {
     lines.collect::<Vec<_>>().concat() + "\n"
 }
 
-/// Writes a table's head and the rule beneath it.
-fn head_of(cells: Vec<String>) -> String {
-    let rule = "|---".repeat(cells.len());
-    format!("{}{rule}|\n", line(cells))
+/// Folds a text away under its summary.
+fn folded(summary: &str, text: &str) -> String {
+    format!("<details><summary>{summary}</summary>\n\n{text}\n</details>\n\n")
 }
 
-fn line(cells: impl IntoIterator<Item = String>) -> String {
-    let cells: Vec<String> = cells.into_iter().map(|cell| plain(&cell)).collect();
-    format!("| {} |\n", cells.join(" | "))
+/// Keeps a text on one line, outside every table.
+fn plain(text: &str) -> String {
+    text.replace('|', "\\|").replace('\n', " ")
 }
 
 #[cfg(test)]

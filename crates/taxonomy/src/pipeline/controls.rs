@@ -6,6 +6,7 @@
 use std::fmt::Write as _;
 
 use leadtime_numerics::Pcg64;
+use leadtime_table::Table;
 
 use super::caller::Caller;
 use super::candidate::Candidate;
@@ -106,18 +107,19 @@ pub(super) fn report(plan: &DatabasePlan, controls: &[RaterControl]) -> String {
     let list = |rated: &[u8]| rated.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
     let mut out = String::from(
         "\n## Does the rater listen?\n\nPercent before the first word, and after each word of sentences in another \
-         order.\n\n| topic | before | sentence | words in another order |\n|---|---|---|---|\n",
+         order.\n\n",
     );
+    let mut table = Table::new(["topic", "before", "sentence", "words in another order"]);
     for control in controls {
         let id = &plan.topic[control.topic].id;
         let silence = percent(control.silence);
         for Shuffled { said, rated, text, text_rated } in &control.shuffled {
             let other = text_rated.as_deref().map_or_else(|| "not rated".to_owned(), list);
-            // Writing to a string cannot fail.
-            let _written =
-                writeln!(out, "| {id} | {silence} | {said} [{}] | {text} [{other}] |", list(rated));
+            let (said, text) = (format!("{said} [{}]", list(rated)), format!("{text} [{other}]"));
+            table.push([id, &silence, &said, &text]);
         }
     }
+    out.push_str(&table.markdown());
     let last = |rated: &[u8]| f64::from(rated.last().copied().unwrap_or_default());
     let pairs = controls.iter().flat_map(|control| &control.shuffled);
     let both: Vec<(f64, f64)> = pairs

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use leadtime_table::Table;
+
 use super::backend::CallStage;
 use super::candidate::{Candidate, Reason};
 use super::controls::{self, RaterControl};
@@ -138,9 +140,8 @@ impl Coverage {
         line(out, "\n## Cells: kept / accepted / proposed (times asked)\n");
         line(out, "A dash marks what cannot be: nothing is understood after it is over.");
         for (i, topic) in plan.topic.iter().enumerate() {
-            let columns: Vec<String> = (from..=to).map(|l| format!("l = {l}")).collect();
-            line(out, &format!("\n### {}\n\n| k | {} |", topic.id, columns.join(" | ")));
-            line(out, &format!("|---|{}", "---|".repeat(columns.len())));
+            let columns = (from..=to).map(|l| format!("l = {l}"));
+            let mut table = Table::new(std::iter::once("k".to_owned()).chain(columns));
             for k in from..=to {
                 let column = |l| match self.cells.get(&(i, Cell::new(k, l))) {
                     Some(Counts { kept, accepted, proposed, rounds }) => {
@@ -148,9 +149,10 @@ impl Coverage {
                     }
                     None => "-".to_owned(),
                 };
-                let row: Vec<String> = (from..=to).map(column).collect();
-                line(out, &format!("| {k} | {} |", row.join(" | ")));
+                table.push(std::iter::once(k.to_string()).chain((from..=to).map(column)));
             }
+            line(out, &format!("\n### {}\n", topic.id));
+            out.push_str(&table.markdown());
         }
     }
 
@@ -171,10 +173,11 @@ impl Coverage {
             line(out, "None.");
             return;
         }
-        line(out, "| reason | sentences |\n|---|---|");
+        let mut table = Table::new(["reason", "sentences"]);
         for (reason, n) in &self.reasons {
-            line(out, &format!("| `{reason}` | {n} |"));
+            table.push([format!("`{reason}`"), n.to_string()]);
         }
+        out.push_str(&table.markdown());
     }
 }
 
@@ -182,9 +185,8 @@ fn landed(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     let [from, to] = plan.words;
     let cells: Vec<Cell> = Cell::feasible(from, to).collect();
     line(out, "\n## Where it was asked for (rows), where it landed (columns)\n");
-    let columns: Vec<String> = cells.iter().map(ToString::to_string).collect();
-    line(out, &format!("| (k, l) | {} | turned down |", columns.join(" | ")));
-    line(out, &format!("|---|{}", "---|".repeat(cells.len() + 1)));
+    let columns = cells.iter().map(ToString::to_string).chain(["turned down".to_owned()]);
+    let mut table = Table::new(std::iter::once("(k, l)".to_owned()).chain(columns));
     for requested in &cells {
         let of_row = || candidates.iter().filter(|candidate| candidate.requested == *requested);
         let count = |landed: &Cell| {
@@ -196,10 +198,11 @@ fn landed(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
                 n => n.to_string(),
             }
         };
-        let row: Vec<String> = cells.iter().map(count).collect();
         let refused = of_row().filter(|candidate| candidate.reason.is_some()).count();
-        line(out, &format!("| {requested} | {} | {refused} |", row.join(" | ")));
+        let row = cells.iter().map(count).chain([refused.to_string()]);
+        table.push(std::iter::once(requested.to_string()).chain(row));
     }
+    out.push_str(&table.markdown());
 }
 
 fn sweep(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
@@ -210,7 +213,7 @@ fn sweep(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
         out,
         "\n## Threshold\n\nThe same ratings, read with other thresholds; with those of sentences that were never understood.\n",
     );
-    line(out, "| theta | understood | clamped | mean k | cells filled |\n|---|---|---|---|---|");
+    let mut table = Table::new(["theta", "understood", "clamped", "mean k", "cells filled"]);
     for theta in THETAS {
         let mut filled: BTreeMap<(usize, Cell), usize> = BTreeMap::new();
         let (mut sum, mut clamped, mut n) = (0, 0, 0_u32);
@@ -225,8 +228,15 @@ fn sweep(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
         }
         let mean = f64::from(sum) / f64::from(n.max(1));
         let filled = filled.len();
-        line(out, &format!("| {theta} | {n} | {clamped} | {mean:.2} | {filled} of {feasible} |"));
+        table.push([
+            theta.to_string(),
+            n.to_string(),
+            clamped.to_string(),
+            format!("{mean:.2}"),
+            format!("{filled} of {feasible}"),
+        ]);
     }
+    out.push_str(&table.markdown());
 }
 
 /// Tells whether nothing but the threshold can turn a sentence down.
@@ -236,8 +246,8 @@ fn depends_on_theta(candidate: &Candidate) -> bool {
 
 fn agreement(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     line(out, "\n## Rated k against the place of the directive's last word\n");
-    line(out, "| topic | same | within a word | earlier | later | clamped | with a reason |");
-    line(out, "|---|---|---|---|---|---|---|");
+    let head = ["topic", "same", "within a word", "earlier", "later", "clamped", "with a reason"];
+    let mut table = Table::new(head);
     for (i, topic) in plan.topic.iter().enumerate() {
         let (mut same, mut within, mut earlier, mut later) = (0, 0, 0, 0);
         let (mut clamped, mut reason, mut n) = (0, 0, 0);
@@ -255,13 +265,11 @@ fn agreement(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
             reason += usize::from(candidate.spans.iter().any(|span| span.part == SpanKind::Why));
         }
         let share = |part| format!("{:.0} %", percent(part, n));
-        let (same, within, reason) = (share(same), share(within), share(reason));
-        let id = &topic.id;
-        line(
-            out,
-            &format!("| {id} | {same} | {within} | {earlier} | {later} | {clamped} | {reason} |"),
-        );
+        let counts = [earlier, later, clamped].map(|n| n.to_string());
+        let cells = [share(same), share(within)].into_iter().chain(counts).chain([share(reason)]);
+        table.push(std::iter::once(topic.id.clone()).chain(cells));
     }
+    out.push_str(&table.markdown());
 }
 
 fn to_read(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {

@@ -1,0 +1,15 @@
+//! A table as aligned text, as Markdown and as HTML.
+//!
+//! Commands, result pages and reports say what stands in a table; how wide a column is and what must be escaped is
+//! decided here alone. What this crate does not know: numbers. Whoever has a number writes it with the digits that it
+//! deserves.
+//!
+//! # Where to start
+//!
+//! [`Table`].
+
+mod escape;
+mod table;
+
+pub use escape::escape;
+pub use table::{Table, TableCell};
