@@ -22,6 +22,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-actor", "leadtime-learner", "leadtime-eval"],
     &["leadtime-config"],
     &["leadtime-runs"],
+    &["leadtime-studies"],
     &["leadtime"],
 ];
 

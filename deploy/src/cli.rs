@@ -6,9 +6,8 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use leadtime_config::{
-    Alternatives, Config, ConfigSource, EvaluationAction, MAX_EPISODES, Override,
-};
+use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
+use leadtime_eval::measure::Choice;
 use leadtime_runs::Tasks;
 use leadtime_runs::tasks::ConfigureError;
 
@@ -241,7 +240,7 @@ pub struct EvalArgs {
     pub eval_seed: u64,
     /// How the policy chooses (default: the configuration's).
     #[arg(long, value_parser = action())]
-    pub action: Option<EvaluationAction>,
+    pub action: Option<Choice>,
     /// Also evaluate this scripted policy, such as `unaided` or `heuristic`; repeatable.
     #[arg(long, value_name = "NAME")]
     pub baseline: Vec<String>,
@@ -289,7 +288,7 @@ pub struct PlayArgs {
     pub baseline: Option<String>,
     /// How the policy chooses (default: the configuration's).
     #[arg(long, value_parser = action())]
-    pub action: Option<EvaluationAction>,
+    pub action: Option<Choice>,
     /// Change one key of the task; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
@@ -404,10 +403,10 @@ fn duration(text: &str) -> Result<Duration, String> {
 }
 
 /// Reads how a policy chooses.
-fn action() -> impl TypedValueParser<Value = EvaluationAction> {
+fn action() -> impl TypedValueParser<Value = Choice> {
     PossibleValuesParser::new(["sample", "greedy"]).map(|name| match name.as_str() {
-        "greedy" => EvaluationAction::Greedy,
-        _ => EvaluationAction::Sample,
+        "greedy" => Choice::Greedy,
+        _ => Choice::Sample,
     })
 }
 

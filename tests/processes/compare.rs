@@ -52,7 +52,7 @@ fn words(words: &[String]) -> Vec<&str> {
 
 fn runs(place: &Place) -> Vec<String> {
     let Ok(entries) = fs::read_dir(place.path().join("runs")) else { return Vec::new() };
-    // Beside the runs is the folder in which scripts' judged episodes are kept.
+    // Beside the runs is the folder in which scripts' evaluations are kept.
     let is_run = |entry: &fs::DirEntry| entry.path().join("config.toml").is_file();
     let directories = entries.filter_map(Result::ok).filter(is_run);
     let mut names: Vec<String> =
@@ -127,7 +127,9 @@ fn wrong_requests_are_one_sentence() {
     let place = Place::new();
     let broken =
         place.write("broken.toml", &STUDY.replace("profile = \"lander\"", "profile = \"sub\""));
+    let misspelt = place.write("misspelt.toml", &STUDY.replace("[\"success\",", "[\"sucess\","));
     for (args, told) in [
+        (vec!["compare", &misspelt], "there is no measure `sucess`; known: success"),
         (vec!["compare", "table9"], "there is no study `table9`"),
         (vec!["compare", "table1", "--row", "silent"], "there is no row `silent`"),
         (vec!["compare", "table1", "--row", "convey", "--set", "human.x=1"], "--set human.x"),

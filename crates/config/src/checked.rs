@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use leadtime_episodes::Choice;
 use leadtime_learner::CheckpointInterval;
 use leadtime_learner::checkpoint::{MAX_PAYLOAD_BYTES, max_payload_bytes};
 use leadtime_policy::parameters;
@@ -19,9 +20,7 @@ use crate::error::{ConfigError, ensure, within};
 use crate::layers::{Layer, Layers};
 use crate::overrides::Override;
 use crate::sections::{self, SECTIONS};
-use crate::written::{
-    EncoderKind, EvaluationAction, EvaluationSection, PolicySection, RunSection, WrittenConfig,
-};
+use crate::written::{EncoderKind, EvaluationSection, PolicySection, RunSection, WrittenConfig};
 
 /// The most episodes that one policy is evaluated over.
 pub const MAX_EPISODES: u32 = 1_000_000;
@@ -64,7 +63,7 @@ pub struct EvaluationSettings {
     /// Episodes per policy, at least 1.
     pub episodes: u32,
     /// How actions are chosen.
-    pub action: EvaluationAction,
+    pub action: Choice,
     /// The task as it is in evaluation.
     pub task: TaskSpec,
 }

@@ -33,7 +33,6 @@ pub use checked::{Config, ConfigSource, EvaluationSettings, MAX_EPISODES, RunSet
 pub use error::ConfigError;
 pub use layers::{Layer, read};
 pub use overrides::{Alternatives, Override};
-pub use written::EvaluationAction;
 
 #[cfg(test)]
 mod tests;

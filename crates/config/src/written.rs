@@ -3,6 +3,7 @@
 //! No key has a default here: what a person leaves out comes from the built-in files ([`Catalog`](crate::Catalog)). The
 //! sections about the task differ from domain to domain ([`sections`](crate::sections)).
 
+use leadtime_episodes::Choice;
 use leadtime_ppo::LearnerSettings;
 use leadtime_proto::HeadCredit;
 use serde::{Deserialize, Serialize};
@@ -97,18 +98,8 @@ pub(crate) struct EvaluationSection {
     /// Episodes per policy.
     pub(crate) episodes: u32,
     /// Whether actions are drawn or the most likely one is taken.
-    pub(crate) action: EvaluationAction,
+    pub(crate) action: Choice,
     /// Keys of `[world]` that differ in evaluation.
     #[serde(default)]
     pub(crate) world: Table,
-}
-
-/// How an evaluated policy chooses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EvaluationAction {
-    /// Draw from the policy's distribution.
-    Sample,
-    /// Take the most likely choice of every head.
-    Greedy,
 }

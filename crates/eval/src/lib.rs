@@ -10,7 +10,6 @@
 //! picture      a playthrough --> SVG, PNG, GIF
 //! figure       means with bands, histograms, shares of time --> SVG
 //! report       all of it --> one self-contained HTML file
-//! study        policies of several training seeds beside published figures --> Markdown, JSON
 //! draw         canvas, palette, typeface, axes, pixels
 //! ```
 //!
@@ -26,6 +25,5 @@ pub mod picture;
 pub mod playthrough;
 pub mod probe;
 pub mod report;
-pub mod study;
 
 pub use error::Error;

@@ -4,14 +4,10 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use clap::Args;
+use leadtime_config::Override;
+use leadtime_studies::{EPISODES, EVAL_SEED};
 
 use super::{n_episodes, number_range};
-use leadtime_config::Override;
-
-/// Evaluation episodes per training seed of every table.
-const EPISODES: u32 = 100;
-/// Where the evaluation seeds of every table begin.
-const EVAL_SEED: u64 = 2_000_000;
 
 /// `leadtime compare`
 #[derive(Debug, Args)]
@@ -61,11 +57,4 @@ pub struct CompareArgs {
     /// List the trainings and how far they are, and do nothing.
     #[arg(long)]
     pub plan: bool,
-}
-
-impl CompareArgs {
-    /// Tells whether policies are judged over the episodes of every table.
-    pub(crate) fn has_the_tables_episodes(&self) -> bool {
-        (self.episodes, self.eval_seed) == (EPISODES, EVAL_SEED)
-    }
 }

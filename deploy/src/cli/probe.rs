@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::{action, n_episodes};
-use leadtime_config::{EvaluationAction, Override};
+use leadtime_config::Override;
+use leadtime_eval::measure::Choice;
 
 /// `leadtime probe`
 #[derive(Debug, Args)]
@@ -20,7 +21,7 @@ pub struct ProbeArgs {
     pub eval_seed: u64,
     /// How the policy chooses (default: the configuration's).
     #[arg(long, value_parser = action())]
-    pub action: Option<EvaluationAction>,
+    pub action: Option<Choice>,
     /// Change one key of the task: `--set 'human.reaction_delay={uniform={low=0,high=5,drawn="per_episode"}}'`; may be
     /// given again.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use leadtime_eval::measure::{Comparison, Player};
+use leadtime_eval::measure::{Choice, Comparison, Player};
 use leadtime_runs::LoadedPolicy;
 use leadtime_taxonomy::Pace;
 use serde_json::{Value, json};
@@ -11,7 +11,7 @@ use super::{episode, evaluation};
 use crate::cli::EvalArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use leadtime_config::{Config, EvaluationAction, Override};
+use leadtime_config::{Config, Override};
 use leadtime_runs::Tasks;
 
 pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
@@ -53,7 +53,7 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
 struct EvalTask {
     path: PathBuf,
     config: Config,
-    action: EvaluationAction,
+    action: Choice,
     players: Vec<Player>,
 }
 
@@ -64,6 +64,7 @@ impl EvalTask {
         let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, &args.policy, &changes)
             .blame(ExitCode::WrongInput)?;
         let config = loaded.config;
+        evaluation::check_measures(&config, &args.measure).blame(ExitCode::WrongInput)?;
         let action = args.action.unwrap_or(config.evaluation.action);
         let mut players = vec![evaluation::policy("policy", &config, &loaded.parameters, action)?];
         players.extend(args.baseline.iter().map(|name| Player::baseline(name)));
@@ -81,7 +82,7 @@ impl EvalTask {
         let (config, players) = (&self.config, &self.players);
         let evaluations =
             evaluation::evaluate_all(tasks, config, players, n_episodes, args.eval_seed)?;
-        evaluation::compare(config, &evaluations, &args.measure).blame(ExitCode::WrongInput)
+        Ok(evaluation::compare(config, &evaluations, &args.measure))
     }
 
     fn json(&self, args: &EvalArgs, comparison: &Comparison) -> Value {

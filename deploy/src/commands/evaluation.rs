@@ -2,33 +2,27 @@
 
 use std::thread::available_parallelism;
 
-use anyhow::bail;
-use leadtime_eval::measure::{Choice, Comparison, Evaluation, PlaySettings, Player, evaluate};
+use anyhow::ensure;
+use leadtime_eval::measure::{
+    Choice, Comparison, Evaluation, PlaySettings, Player, evaluate, measure_names,
+};
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_policy::Parameters;
 
-use leadtime_config::{Config, EvaluationAction};
+use leadtime_config::Config;
 use leadtime_runs::Tasks;
 
 /// Default seed of evaluations, which no run trains with by default: nothing is evaluated on its training episodes.
 pub(super) const EVAL_SEED: u64 = 1_000_000;
-
-/// Converts the configured way of choosing actions.
-pub(super) fn choice(action: EvaluationAction) -> Choice {
-    match action {
-        EvaluationAction::Sample => Choice::Sample,
-        EvaluationAction::Greedy => Choice::Greedy,
-    }
-}
 
 /// Makes a policy a player under a name.
 pub(super) fn policy(
     name: &str,
     config: &Config,
     parameters: &Parameters,
-    action: EvaluationAction,
+    action: Choice,
 ) -> anyhow::Result<Player> {
-    Ok(Player::policy(name, &config.policy, parameters, choice(action))?)
+    Ok(Player::policy(name, &config.policy, parameters, action)?)
 }
 
 /// Returns how many threads play episodes: as many as there are cores, for the results do not depend on it.
@@ -55,22 +49,31 @@ pub(super) fn main_measure(config: &Config) -> &'static str {
     if config.env.metrics.iter().any(|name| name == "success") { "success" } else { "return" }
 }
 
-/// Compares the first player with every other one, in the task's main measure and in the given ones.
+/// Checks, before anything is played, that a task knows some measures.
 ///
 /// # Errors
 ///
-/// If a measure is unknown.
+/// If it does not know one of them; the sentence lists the known ones.
+pub(super) fn check_measures(config: &Config, measures: &[String]) -> anyhow::Result<()> {
+    let known = measure_names(&config.env.metrics);
+    let unknown = measures.iter().find(|name| !known.contains(name));
+    ensure!(
+        unknown.is_none(),
+        "there is no measure `{}`; known: {}",
+        unknown.map_or("", String::as_str),
+        known.join(", ")
+    );
+    Ok(())
+}
+
+/// Compares the first player with every other one, in the task's main measure and in the given ones.
 pub(super) fn compare(
     config: &Config,
     evaluations: &[Evaluation],
     measures: &[String],
-) -> anyhow::Result<Comparison> {
+) -> Comparison {
     let mut comparison = Comparison::new(evaluations, Bootstrap::new(config.seed));
-    let known = comparison.measure_names();
-    if let Some(unknown) = measures.iter().find(|name| !known.contains(&name.as_str())) {
-        bail!("there is no measure `{unknown}`; known: {}", known.join(", "));
-    }
-    let Some((first, others)) = evaluations.split_first() else { return Ok(comparison) };
+    let Some((first, others)) = evaluations.split_first() else { return comparison };
     let main = main_measure(config);
     let further = measures.iter().map(String::as_str).filter(|&measure| measure != main);
     for measure in [main].into_iter().chain(further) {
@@ -78,5 +81,5 @@ pub(super) fn compare(
             comparison = comparison.with_difference(first, other, measure);
         }
     }
-    Ok(comparison)
+    comparison
 }

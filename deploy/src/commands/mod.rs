@@ -11,7 +11,6 @@ mod eval;
 mod evaluation;
 mod launch;
 mod learner;
-mod origin;
 mod pilot;
 mod play;
 mod probe;

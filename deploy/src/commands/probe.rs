@@ -3,19 +3,19 @@
 use std::path::Path;
 
 use anyhow::Context as _;
-use leadtime_eval::measure::PlaySettings;
+use leadtime_eval::measure::{Choice, PlaySettings};
 use leadtime_eval::probe::{ProbeResult, probe};
 use leadtime_eval::report::Fact;
 use leadtime_numerics::stats::Bootstrap;
-use leadtime_runs::{LoadedPolicy, digest, write_atomically};
+use leadtime_runs::{LoadedPolicy, Tasks, digest, write_atomically};
+use leadtime_studies::program_facts;
 use serde_json::{Value, json};
 
-use super::{evaluation, origin};
+use super::evaluation;
+use crate::build::this_build;
 use crate::cli::ProbeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use leadtime_config::EvaluationAction;
-use leadtime_runs::Tasks;
 
 /// Digits of the weights' digest.
 const DIGEST_DIGITS: usize = 12;
@@ -47,7 +47,7 @@ fn measure(
     tasks: &Tasks,
     args: &ProbeArgs,
     loaded: &LoadedPolicy,
-    action: EvaluationAction,
+    action: Choice,
 ) -> anyhow::Result<ProbeResult> {
     let (config, n_episodes) = (&loaded.config, args.episodes);
     let player = evaluation::policy("policy", config, &loaded.parameters, action)?;
@@ -69,7 +69,7 @@ fn write(
     path: &Path,
     args: &ProbeArgs,
     loaded: &LoadedPolicy,
-    action: EvaluationAction,
+    action: Choice,
     known: &ProbeResult,
 ) -> Result<(), Failure> {
     let digest = loaded.parameters.digest().blame(ExitCode::Failed)?;
@@ -84,7 +84,7 @@ fn write(
         Fact::new("choices", choices),
         Fact::new("evaluation seed", args.eval_seed.to_string()),
     ];
-    facts.extend(origin::this_program()?);
+    facts.extend(program_facts(&this_build()?));
     let title = format!("What `{}` knows of its listener's reaction delay", args.policy.display());
     let text = known.markdown(&title, &facts);
     write_atomically(path, text.as_bytes())

@@ -9,15 +9,31 @@ use super::evaluation::Evaluation;
 /// The metrics that [`lead_times`] and [`hazards`] read.
 #[cfg(test)]
 pub(super) const HAZARDS: [&str; 3] = [FIRST, DANGER, CRASHED];
+/// Name of the measure.
+pub(super) const LEAD_TIME: &str = "lead_time";
 const FIRST: &str = "first_notification";
 const DANGER: &str = "danger_from";
 const CRASHED: &str = "crashed";
+
+/// Tells whether a task with these metrics has lead times.
+pub(super) fn is_known(metrics: &[String]) -> bool {
+    let has = |name: &str| metrics.iter().any(|metric| metric == name);
+    has(FIRST) && (has(DANGER) || has(CRASHED))
+}
+
+/// Adds the lead time to an evaluation, where the task has one.
+pub fn with_lead_times(evaluation: Evaluation, unaided: &Evaluation) -> Evaluation {
+    match lead_times(&evaluation, unaided) {
+        Some(leads) => evaluation.with_column(LEAD_TIME, &leads),
+        None => evaluation,
+    }
+}
 
 /// Computes, per episode, the steps from a player's first message to the hazard of the unaided person in the same
 /// episode; negative if the message came later, NaN where there was no message or no hazard.
 ///
 /// `None` if the task knows no such metrics, or if the two played other episodes.
-pub fn lead_times(player: &Evaluation, unaided: &Evaluation) -> Option<Vec<f32>> {
+fn lead_times(player: &Evaluation, unaided: &Evaluation) -> Option<Vec<f32>> {
     let same = player.seed == unaided.seed && player.episodes.len() == unaided.episodes.len();
     let first = player.column(FIRST).filter(|_| same)?;
     let hazards = hazards(unaided)?;
@@ -29,7 +45,7 @@ pub fn lead_times(player: &Evaluation, unaided: &Evaluation) -> Option<Vec<f32>>
 }
 
 /// Returns the step of each episode's hazard, counted from 1; 0 where there was none. `None` if the task knows no hazards.
-pub fn hazards(unaided: &Evaluation) -> Option<Vec<f64>> {
+pub(super) fn hazards(unaided: &Evaluation) -> Option<Vec<f64>> {
     if let Some(steps) = unaided.column(DANGER) {
         return Some(steps);
     }

@@ -8,13 +8,15 @@
 mod compare;
 mod evaluation;
 mod lead;
+mod said;
 mod summary;
 mod utterance;
 
 pub(crate) use compare::cell;
 pub use compare::{Comparison, Difference, written};
 pub use evaluation::{EpisodeResult, Evaluation, evaluate, evaluate_with};
-pub use lead::{hazards, lead_times};
+pub use lead::with_lead_times;
 pub use leadtime_episodes::{Choice, MakeEnvironment, PlaySettings, Player, episode_seed};
-pub use summary::{Measure, Summary, measure_names, title};
+pub use said::with_said;
+pub use summary::{Measure, Summary, known_measures, measure_names, title};
 pub use utterance::{SpeechLog, Utterance};

@@ -7,6 +7,7 @@ use leadtime_numerics::stats::{Bootstrap, Interval, mean, standard_deviation};
 use serde::{Deserialize, Serialize};
 
 use super::evaluation::Evaluation;
+use super::{lead, said};
 
 /// Rates that are made from two counts: name, numerator, denominator.
 const RATES: [(&str, &str, &str); 5] = [
@@ -113,6 +114,15 @@ fn measure(name: String, values: &[Vec<f64>], bootstrap: &Bootstrap, index: u64)
     let by_seed = groups.iter().filter(|group| !group.is_empty()).map(|group| mean(group));
     let by_seed = by_seed.collect();
     Measure { name, n: all.len(), interval, standard_deviation: deviation, by_seed }
+}
+
+/// Lists the measures of a task with these metrics, those in comparison with the unaided listener included.
+pub fn known_measures(metrics: &[String]) -> Vec<String> {
+    let mut metrics = metrics.to_vec();
+    if lead::is_known(&metrics) {
+        metrics.extend([lead::LEAD_TIME].into_iter().chain(said::COLUMNS).map(str::to_owned));
+    }
+    measure_names(&metrics)
 }
 
 /// Lists the measures of a task with these metrics, most telling first.
@@ -236,8 +246,7 @@ mod tests {
         });
         let metrics: BTreeSet<String> = metrics.collect();
         let derived = ["return", "length"].into_iter().chain(RATES.map(|rate| rate.0));
-        let added = ["lead_time", "first_l", "later_l"].into_iter();
-        let added = added.chain(["per_step_before_hazard", "per_step_after_hazard"]);
+        let added = [lead::LEAD_TIME].into_iter().chain(said::COLUMNS);
         let known: BTreeSet<&str> =
             metrics.iter().map(String::as_str).chain(derived).chain(added).collect();
         let counts = RATES.iter().flat_map(|(_, top, bottom)| [*top, *bottom]);

@@ -1,0 +1,80 @@
+//! Who is evaluated: a row's policy of one training seed, or its script, and where its evaluations are kept.
+
+use std::path::{Path, PathBuf};
+
+use leadtime_eval::measure::{Choice, Player};
+use leadtime_runs::{LoadedPolicy, Tasks};
+
+use crate::error::Error;
+use crate::plan::{PlannedRow, PlannedTraining};
+use crate::study::WhichPolicy;
+
+/// The folder of evaluations: in a run's directory, and for scripts, which have no run, beside the runs.
+const FOLDER: &str = "evaluations";
+
+/// A player with what decides how it plays.
+#[derive(Clone, Debug)]
+pub(crate) struct EvalCandidate {
+    /// The player, under the row's title.
+    pub(crate) player: Player,
+    /// Everything that decides what the player does: the bytes of its policy, its networks and its way of choosing, or
+    /// its script.
+    pub(crate) identity: Vec<String>,
+    /// Where its evaluations are kept.
+    pub(crate) directory: PathBuf,
+}
+
+impl EvalCandidate {
+    /// Lets a script play.
+    pub(crate) fn script(runs: &Path, script: &str, title: &str) -> Self {
+        Self {
+            player: Player::baseline(script).named(title),
+            identity: vec!["script".to_owned(), script.to_owned()],
+            directory: runs.join(FOLDER),
+        }
+    }
+
+    fn policy(
+        tasks: &Tasks,
+        row: &PlannedRow,
+        training: &PlannedTraining,
+        which: WhichPolicy,
+        choice: Choice,
+    ) -> Result<Self, Error> {
+        let (runs, file) = (&training.config.run.directory, training.policy(which));
+        let loaded = LoadedPolicy::load(&tasks.registry, runs, &file, &[])?;
+        let networks = serde_json::to_string(&row.config.policy).unwrap_or_default();
+        let spec = &row.config.policy;
+        Ok(Self {
+            player: Player::policy(&row.row.title, spec, &loaded.parameters, choice)?,
+            identity: vec!["policy".to_owned(), loaded.sha256, networks, format!("{choice:?}")],
+            directory: training.directory().join(FOLDER),
+        })
+    }
+
+    /// Returns a row's candidates of the first `n_seeds` training seeds.
+    pub(crate) fn of(
+        tasks: &Tasks,
+        row: &PlannedRow,
+        which: WhichPolicy,
+        choice: Choice,
+        n_seeds: usize,
+    ) -> Result<Vec<Self>, Error> {
+        if let Some(script) = &row.row.script {
+            let script = Self::script(&row.config.run.directory, script, &row.row.title);
+            return Ok(vec![script; n_seeds]);
+        }
+        let policy = |training| Self::policy(tasks, row, training, which, choice);
+        row.trainings.iter().take(n_seeds).map(policy).collect()
+    }
+
+    /// Returns a row's player of the first training seed, which samples its choices.
+    pub(crate) fn first_player(
+        tasks: &Tasks,
+        row: &PlannedRow,
+        which: WhichPolicy,
+    ) -> Result<Option<Player>, Error> {
+        let candidates = Self::of(tasks, row, which, Choice::Sample, 1)?;
+        Ok(candidates.into_iter().next().map(|first| first.player))
+    }
+}

@@ -1,0 +1,122 @@
+//! The studies that come with the program.
+
+use std::fs;
+use std::path::Path;
+
+use crate::error::{Error, Placed as _, ensure};
+use crate::study::Study;
+
+/// Name and text, in the order in which `all` carries them out.
+const BUILT_IN: [(&str, &str); 10] = [
+    ("table1", include_str!("../studies/table1.toml")),
+    ("robustness", include_str!("../studies/robustness.toml")),
+    ("types", include_str!("../studies/types.toml")),
+    ("cliff", include_str!("../studies/cliff.toml")),
+    ("hard", include_str!("../studies/hard.toml")),
+    ("steakhouse", include_str!("../studies/steakhouse.toml")),
+    ("adaptive", include_str!("../studies/adaptive.toml")),
+    ("layouts", include_str!("../studies/layouts.toml")),
+    ("realtime", include_str!("../studies/realtime.toml")),
+    ("reasons", include_str!("../studies/reasons.toml")),
+];
+
+/// The word for every study that comes with the program.
+const ALL: &str = "all";
+
+/// A study with the name that its files bear.
+#[derive(Clone, Debug)]
+pub struct NamedStudy {
+    /// The name.
+    pub name: String,
+    /// The study.
+    pub study: Study,
+}
+
+/// Lists the names of the studies that come with the program.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    BUILT_IN.iter().map(|(name, _)| *name)
+}
+
+/// Tells whether a study of that name comes with the program.
+pub(crate) fn is_built_in(name: &str) -> bool {
+    names().any(|known| known == name)
+}
+
+/// Finds studies: one by name, all of them, or the one in a file.
+///
+/// # Errors
+///
+/// If there is no such study, or its file cannot be read or is not a sound study.
+pub fn find(name: &str) -> Result<Vec<NamedStudy>, Error> {
+    if name == ALL {
+        return names().map(built_in).collect();
+    }
+    if is_built_in(name) {
+        return Ok(vec![built_in(name)?]);
+    }
+    let path = Path::new(name);
+    let is_file = path.extension().is_some_and(|extension| extension == "toml");
+    ensure(is_file, || {
+        let known = names().collect::<Vec<_>>().join(", ");
+        format!("there is no study `{name}`; known: {known}, {ALL}, or a .toml file")
+    })?;
+    let text = fs::read_to_string(path).map_err(Error::file("reading", path))?;
+    let place = format!("study {}", path.display());
+    let study = Study::parse(&text).at(&place)?;
+    let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    check_name(stem).at(&place)?;
+    Ok(vec![NamedStudy { name: stem.to_owned(), study }])
+}
+
+/// Checks the name of a file, which the study's runs and pages will bear.
+fn check_name(name: &str) -> Result<(), Error> {
+    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '-';
+    ensure(!name.is_empty() && name.chars().all(plain), || {
+        format!("`{name}` cannot name a study; name the file with a-z, 0-9, _ and -")
+    })?;
+    ensure(!is_built_in(name) && name != ALL, || {
+        format!("`{name}` is the name of a built-in study; rename the file")
+    })
+}
+
+fn built_in(name: &str) -> Result<NamedStudy, Error> {
+    let text = BUILT_IN.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| *text);
+    let study = Study::parse(text).at(format_args!("study {name}"))?;
+    Ok(NamedStudy { name: name.to_owned(), study })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::sentence;
+
+    #[test]
+    fn every_study_that_comes_with_the_program_is_sound() {
+        assert_eq!(find(ALL).unwrap().len(), BUILT_IN.len());
+    }
+
+    #[test]
+    fn the_search_is_a_sound_study_too() {
+        Study::parse(include_str!("../studies/search.toml")).unwrap();
+    }
+
+    #[test]
+    fn a_file_cannot_take_the_name_of_a_built_in_study() {
+        for (name, reason) in [
+            ("table1", "built-in study"),
+            ("all", "built-in study"),
+            ("My Study", "cannot name a study"),
+            ("README", "cannot name a study"),
+        ] {
+            let error = sentence(check_name(name));
+            assert!(error.contains(reason) && error.contains(name), "{error}");
+        }
+        check_name("my-study_2").unwrap();
+    }
+
+    #[test]
+    fn an_unknown_study_is_refused_with_the_known_ones() {
+        let error = sentence(find("table9"));
+        assert!(error.contains("`table9`") && error.contains("table1, robustness"), "{error}");
+    }
+}

@@ -1,0 +1,221 @@
+//! Evaluates every row of a part under every condition, sampled and greedy, and sums it up.
+
+use std::collections::BTreeMap;
+use std::thread::available_parallelism;
+
+use leadtime_config::Config;
+use leadtime_eval::measure::{
+    Choice, Difference, Evaluation, PlaySettings, SpeechLog, Summary, evaluate_with,
+    with_lead_times, with_said,
+};
+use leadtime_runs::Tasks;
+use serde::Serialize;
+use tokio_util::sync::CancellationToken;
+
+use crate::cache::{EvalCache, EvalKey};
+use crate::candidate::EvalCandidate;
+use crate::error::Error;
+use crate::plan::{
+    PlannedCondition, PlannedPart, PlannedRow, Protocol, UNAIDED, bootstrap, disambiguate,
+};
+use crate::provenance;
+use crate::result::{ConditionResult, PartResult, RowResult};
+use crate::study::StatedDifference;
+
+/// One evaluation per training seed.
+type BySeed = Vec<Evaluation>;
+
+/// Evaluations by row and condition.
+type Sampled = BTreeMap<(String, String), BySeed>;
+
+/// Evaluates policies; remembers what the unaided listener did in the same episodes.
+#[derive(Debug)]
+pub(crate) struct Evaluator<'a> {
+    tasks: &'a Tasks,
+    shutdown: &'a CancellationToken,
+    /// Evaluations that were made before.
+    pub(crate) cache: EvalCache,
+    /// By task and seed.
+    unaided: BTreeMap<(String, u64), Evaluation>,
+}
+
+/// The metrics that are computed for an episode beyond the task's own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+enum Detail {
+    /// None.
+    Measures,
+    /// Its lead time.
+    Lead,
+    /// Its lead time, and what is said over its course.
+    Course,
+}
+
+impl Detail {
+    /// Greedy choices are a check on the side, so they have no course.
+    fn of(choice: Choice) -> Self {
+        match choice {
+            Choice::Sample => Self::Course,
+            Choice::Greedy => Self::Lead,
+        }
+    }
+}
+
+impl<'a> Evaluator<'a> {
+    /// Makes an evaluator that stops when `shutdown` is cancelled.
+    pub(crate) fn new(tasks: &'a Tasks, shutdown: &'a CancellationToken, cache: EvalCache) -> Self {
+        Self { tasks, shutdown, cache, unaided: BTreeMap::new() }
+    }
+
+    /// Evaluates the rows of a part.
+    pub(crate) fn part(&mut self, planned: &PlannedPart) -> Result<PartResult, Error> {
+        let mut rows = Vec::new();
+        let mut sampled = Sampled::new();
+        for row in &planned.rows {
+            let results = self.row(planned, row, &mut sampled)?;
+            rows.push(row_result(planned, row, results)?);
+        }
+        let stated = planned.part.differences.iter();
+        let differences = stated.filter_map(|d| difference(planned, d, &sampled)).collect();
+        let part = &planned.part;
+        Ok(PartResult {
+            name: part.name.clone(),
+            title: part.title.clone(),
+            profile: provenance::profile(planned),
+            layout: part.layout,
+            columns: part.columns.clone(),
+            rows,
+            differences,
+            pictures: Vec::new(),
+        })
+    }
+
+    /// Evaluates a row under every condition, in every way of choosing.
+    fn row(
+        &mut self,
+        planned: &PlannedPart,
+        row: &PlannedRow,
+        sampled: &mut Sampled,
+    ) -> Result<Vec<ConditionResult>, Error> {
+        let mut results = Vec::new();
+        for condition in &row.conditions {
+            for &choice in choices(row) {
+                let by_seed = self.condition(planned, row, condition, choice)?;
+                results.push(ConditionResult {
+                    evaluations: condition.names.clone(),
+                    title: condition.titles.join(" = "),
+                    choice,
+                    summary: Summary::over_seeds(&row.row.title, &by_seed, &bootstrap()),
+                });
+                if choice == Choice::Sample {
+                    let key = |name: &String| (row.row.name.clone(), name.clone());
+                    sampled.extend(condition.names.iter().map(|name| (key(name), by_seed.clone())));
+                }
+            }
+        }
+        Ok(results)
+    }
+
+    /// Evaluates a row under a condition: one evaluation per training seed.
+    fn condition(
+        &mut self,
+        planned: &PlannedPart,
+        row: &PlannedRow,
+        condition: &PlannedCondition,
+        choice: Choice,
+    ) -> Result<BySeed, Error> {
+        let (seeds, protocol) = (&planned.seeds, &planned.protocol);
+        let candidates = EvalCandidate::of(self.tasks, row, protocol.policy, choice, seeds.len())?;
+        let mut by_seed = Vec::new();
+        for (candidate, seed) in candidates.iter().zip(seeds) {
+            if self.shutdown.is_cancelled() {
+                return Err(Error::Interrupted);
+            }
+            let protocol = Protocol { seed: protocol.seed + seed, ..*protocol };
+            let detail = Detail::of(choice);
+            by_seed.push(self.evaluation(candidate, &condition.config, protocol, detail)?);
+        }
+        Ok(by_seed)
+    }
+
+    /// Takes an evaluation that was made before, or makes it.
+    fn evaluation(
+        &mut self,
+        candidate: &EvalCandidate,
+        config: &Config,
+        protocol: Protocol,
+        detail: Detail,
+    ) -> Result<Evaluation, Error> {
+        let Protocol { n_episodes, seed, .. } = protocol;
+        let task = &config.evaluation.task;
+        let key = EvalKey::new(&(&candidate.identity, task, seed, n_episodes, detail));
+        let path = candidate.directory.join(key.file());
+        if let Some(evaluation) = self.cache.take(&path) {
+            // Rows with other titles may share a run.
+            return Ok(Evaluation { player: candidate.player.name().to_owned(), ..evaluation });
+        }
+        let make = || self.tasks.registry.build(task);
+        let n_threads = available_parallelism().map_or(1, usize::from);
+        let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_threads);
+        let (mut evaluation, said) =
+            evaluate_with(&make, &candidate.player, &settings, |_| SpeechLog::default())?;
+        if detail != Detail::Measures {
+            let unaided = self.unaided(config, protocol)?;
+            evaluation = with_lead_times(evaluation, unaided);
+            if detail == Detail::Course {
+                evaluation = with_said(evaluation, unaided, &said);
+            }
+        }
+        self.cache.keep(&path, &evaluation);
+        Ok(evaluation)
+    }
+
+    fn unaided(&mut self, config: &Config, protocol: Protocol) -> Result<&Evaluation, Error> {
+        let key = (config.evaluation.task.settings.clone(), protocol.seed);
+        if !self.unaided.contains_key(&key) {
+            let unaided = EvalCandidate::script(&config.run.directory, UNAIDED, UNAIDED);
+            let evaluation = self.evaluation(&unaided, config, protocol, Detail::Measures)?;
+            self.unaided.insert(key.clone(), evaluation);
+        }
+        Ok(&self.unaided[&key])
+    }
+}
+
+/// Lists the ways of choosing; a script has no distribution to draw from.
+fn choices(row: &PlannedRow) -> &'static [Choice] {
+    let both = &[Choice::Sample, Choice::Greedy];
+    if row.row.script.is_some() { &both[..1] } else { both }
+}
+
+/// States a difference; `None` where a row was not asked for, or its task has no such measure.
+fn difference(
+    planned: &PlannedPart,
+    stated: &StatedDifference,
+    sampled: &Sampled,
+) -> Option<Difference> {
+    let StatedDifference { of, minus, on, measure } = stated;
+    let evaluated = |row: &String| sampled.get(&(row.clone(), on.clone())).map(Vec::as_slice);
+    let (a, b) = (evaluated(of)?, evaluated(minus)?);
+    let [of, minus] = disambiguate([planned.row(of)?, planned.row(minus)?]);
+    let minus = format!("{minus} (both on: {})", planned.part.condition(on)?.title);
+    Difference::over_seeds((&of, a), (&minus, b), measure, &bootstrap())
+}
+
+fn row_result(
+    planned: &PlannedPart,
+    row: &PlannedRow,
+    results: Vec<ConditionResult>,
+) -> Result<RowResult, Error> {
+    Ok(RowResult {
+        name: row.row.name.clone(),
+        title: row.row.title.clone(),
+        notification: row.notification(),
+        settings: planned.profile.differences(&row.config),
+        published: row.row.published(),
+        results,
+        runs: row.trainings.iter().map(provenance::run).collect::<Result<_, _>>()?,
+    })
+}
+
+#[cfg(test)]
+#[path = "evaluate_tests.rs"]
+mod tests;

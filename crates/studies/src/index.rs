@@ -1,0 +1,101 @@
+//! The index of results: every study's main tables, from the data that lies beside it.
+
+use std::fs;
+use std::io::ErrorKind;
+use std::path::Path;
+
+use crate::catalog;
+use crate::error::Error;
+use crate::result::StudyResult;
+
+/// The index's file.
+pub(crate) const FILE: &str = "README.md";
+/// The folder beside it for results of quick runs.
+pub(crate) const QUICK: &str = "quick";
+
+/// Makes the index of a directory: full results where there are some, else those of a quick run, and in the end how to
+/// get the rest.
+pub(crate) fn page(results: &Path) -> Result<String, Error> {
+    let mut page = String::from(
+        "# Results\n\nThe paper's figures and ours beside them. This page is written by `leadtime compare`; each study's \
+         own page has every measure, and says where its numbers are from.\n\n",
+    );
+    page.push_str(&others(results)?);
+    let mut missing = Vec::new();
+    for name in catalog::names() {
+        let full = read(&results.join(format!("{name}.json")))?;
+        let quick = read(&results.join(QUICK).join(format!("{name}.json")))?;
+        let section = match (full, quick) {
+            (Some(result), _) => result.section(""),
+            (None, Some(result)) => result.section(&format!("{QUICK}/")),
+            (None, None) => {
+                missing.push(format!("`leadtime compare {name}`"));
+                continue;
+            }
+        };
+        // The index has the only heading of the first level.
+        page.push_str(&section.replace("\n## ", "\n### ").replacen("# ", "## ", 1));
+    }
+    if !missing.is_empty() {
+        let rest = missing.join(", ");
+        page = format!("{page}Other tables are not in this directory: {rest}.\n");
+    }
+    Ok(page)
+}
+
+fn read(path: &Path) -> Result<Option<StudyResult>, Error> {
+    let text = match fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(Error::file("reading", path)(error)),
+    };
+    let foreign = |error: serde_json::Error| {
+        Error::Refused(format!("{} is not a study's result: {error}", path.display()))
+    };
+    serde_json::from_str(&text).map(Some).map_err(foreign)
+}
+
+/// Lists the other pages of the directory by their headings.
+fn others(results: &Path) -> Result<String, Error> {
+    let Ok(entries) = fs::read_dir(results) else { return Ok(String::new()) };
+    let names = entries.filter_map(Result::ok).filter_map(|e| e.file_name().into_string().ok());
+    let is_page = |name: &str| Path::new(name).extension().is_some_and(|end| end == "md");
+    let is_study = |name: &str| catalog::names().any(|study| name == format!("{study}.md"));
+    let mut names: Vec<String> =
+        names.filter(|name| is_page(name) && name != FILE && !is_study(name)).collect();
+    names.sort();
+    let mut lines = String::new();
+    for name in names {
+        let path = results.join(&name);
+        let text = fs::read_to_string(&path).map_err(Error::file("reading", &path))?;
+        let heading = text.lines().find_map(|line| line.strip_prefix("# ")).unwrap_or(&name);
+        let line = format!("* [{heading}]({name})\n");
+        lines.push_str(&line);
+    }
+    Ok(if lines.is_empty() { lines } else { format!("Elsewhere:\n\n{lines}\n") })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::sentence;
+
+    #[test]
+    fn an_empty_directory_gets_a_page_that_says_how_to_fill_it() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join("parity.md"), "# Parity with others\n").unwrap();
+        let page = page(dir.path()).unwrap();
+        assert!(page.contains("* [Parity with others](parity.md)"), "{page}");
+        let rest = "Other tables are not in this directory: `leadtime compare table1`, ";
+        assert!(page.contains(rest), "{page}");
+        assert!(!page.contains("\n## "), "what is not there has no section: {page}");
+    }
+
+    #[test]
+    fn foreign_json_is_reported_with_its_path() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join("hard.json"), "{}").unwrap();
+        let error = sentence(page(dir.path()));
+        assert!(error.contains("hard.json is not a study's result"), "{error}");
+    }
+}

@@ -1,0 +1,394 @@
+//! What a study needs, as data: which trainings, under which names, and which policies are evaluated under which
+//! conditions.
+
+use std::path::{Path, PathBuf};
+
+use leadtime_config::Config;
+use leadtime_eval::measure::known_measures;
+use leadtime_numerics::stats::Bootstrap;
+use leadtime_proto::RunName;
+use leadtime_runs::{BEST_POLICY, LAST_POLICY, RunRecord, Tasks, journal};
+use toml::Value;
+
+use crate::catalog::NamedStudy;
+use crate::error::{Error, Placed as _, ensure};
+use crate::profile::{self, Profile};
+use crate::request::{StudyRequest, is_called};
+use crate::study::{StudyPart, StudyRow, WhichPolicy};
+
+/// The longest name of a run.
+const MAX_NAME: usize = 64;
+/// Seed of every interval: what is uncertain is the data.
+const BOOTSTRAP_SEED: u64 = 1;
+/// The script that says nothing: what happens when nobody speaks.
+pub(crate) const UNAIDED: &str = "unaided";
+
+/// Returns how every interval is made.
+pub(crate) fn bootstrap() -> Bootstrap {
+    Bootstrap::new(BOOTSTRAP_SEED)
+}
+
+/// A study, ready to be carried out.
+#[derive(Clone, Debug)]
+pub(crate) struct StudyPlan {
+    pub(crate) named: NamedStudy,
+    /// Its parts, as far as they were asked for.
+    pub(crate) parts: Vec<PlannedPart>,
+}
+
+/// A part, ready to be carried out.
+#[derive(Clone, Debug)]
+pub(crate) struct PlannedPart {
+    pub(crate) part: StudyPart,
+    pub(crate) profile: Profile,
+    /// The seeds that its rows are trained and evaluated on.
+    pub(crate) seeds: Vec<u64>,
+    pub(crate) protocol: Protocol,
+    /// Its rows, as far as they were asked for.
+    pub(crate) rows: Vec<PlannedRow>,
+    pub(crate) maps: Vec<PlannedMap>,
+}
+
+/// How policies are evaluated, whoever they are.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Protocol {
+    pub(crate) policy: WhichPolicy,
+    pub(crate) n_episodes: u32,
+    /// Seed of the evaluations, to which the training seed is added.
+    pub(crate) seed: u64,
+}
+
+/// A row, ready to be carried out.
+#[derive(Clone, Debug)]
+pub(crate) struct PlannedRow {
+    pub(crate) row: StudyRow,
+    /// Its training, without a seed; a script's task as well.
+    pub(crate) config: Config,
+    /// One training per seed; none for a script.
+    pub(crate) trainings: Vec<PlannedTraining>,
+    pub(crate) conditions: Vec<PlannedCondition>,
+}
+
+/// A run that must be finished before its policy can be evaluated.
+#[derive(Clone, Debug)]
+pub struct PlannedTraining {
+    /// Its name: what it is for, what it computes, its seed.
+    pub name: RunName,
+    /// Its configuration.
+    pub(crate) config: Config,
+    /// First digits of the hash over what it computes.
+    pub(crate) hash: String,
+}
+
+/// A condition under which a row is evaluated.
+#[derive(Clone, Debug)]
+pub(crate) struct PlannedCondition {
+    /// The evaluations of the study that come to this.
+    pub(crate) names: Vec<String>,
+    pub(crate) titles: Vec<String>,
+    pub(crate) config: Config,
+}
+
+/// A map, ready to be drawn.
+#[derive(Clone, Debug)]
+pub(crate) struct PlannedMap {
+    pub(crate) title: String,
+    pub(crate) config: Config,
+}
+
+impl StudyPlan {
+    /// Plans a study.
+    pub(crate) fn new(
+        tasks: &Tasks,
+        named: NamedStudy,
+        request: &StudyRequest,
+    ) -> Result<Self, Error> {
+        let mut parts = Vec::new();
+        for part in named.study.parts.iter().filter(|part| request.wants_part(part)) {
+            let planned = PlannedPart::new(tasks, &named, part, request)
+                .at(format_args!("study {}, part {}", named.name, part.name))?;
+            // A part of which no row was asked for.
+            if !planned.rows.is_empty() {
+                parts.push(planned);
+            }
+        }
+        Ok(Self { named, parts })
+    }
+
+    /// Lists the trainings, each once.
+    pub(crate) fn trainings(&self) -> Vec<&PlannedTraining> {
+        let mut all: Vec<&PlannedTraining> = Vec::new();
+        for training in self.parts.iter().flat_map(|part| &part.rows).flat_map(|row| &row.trainings)
+        {
+            if !all.iter().any(|known| known.is_same(training)) {
+                all.push(training);
+            }
+        }
+        all
+    }
+}
+
+/// Lists the trainings of several studies, each once, and gives those that compute the same the same name.
+pub(crate) fn share(plans: &mut [StudyPlan]) -> Vec<PlannedTraining> {
+    let mut all: Vec<PlannedTraining> = Vec::new();
+    let rows = plans.iter_mut().flat_map(|plan| &mut plan.parts).flat_map(|part| &mut part.rows);
+    for training in rows.flat_map(|row| &mut row.trainings) {
+        match all.iter().find(|known| known.is_same(training)) {
+            Some(known) => *training = known.clone(),
+            None => all.push(training.clone()),
+        }
+    }
+    all
+}
+
+/// Checks that every requested row and part is somewhere.
+pub(crate) fn check_choice(studies: &[NamedStudy], request: &StudyRequest) -> Result<(), Error> {
+    let parts = || studies.iter().flat_map(|named| &named.study.parts);
+    for wanted in &request.parts {
+        let known: Vec<&str> = parts().map(|part| part.name.as_str()).collect();
+        ensure(known.contains(&wanted.as_str()), || {
+            format!("there is no part `{wanted}`; known: {}", known.join(", "))
+        })?;
+    }
+    for wanted in &request.rows {
+        let rows = || parts().flat_map(|part| part.rows.iter().map(move |row| (part, row)));
+        ensure(rows().any(|(part, row)| is_called(part, row, wanted)), || {
+            let known: Vec<String> =
+                rows().map(|(part, row)| format!("{}/{}", part.name, row.name)).collect();
+            format!("there is no row `{wanted}`; known: {}", known.join(", "))
+        })?;
+    }
+    Ok(())
+}
+
+impl PlannedPart {
+    fn new(
+        tasks: &Tasks,
+        named: &NamedStudy,
+        part: &StudyPart,
+        request: &StudyRequest,
+    ) -> Result<Self, Error> {
+        let profile = Profile::load(tasks, part, request)?;
+        let seeds = request.seeds(part);
+        let mut rows = Vec::new();
+        for row in part.rows.iter().filter(|row| request.wants_row(part, row)) {
+            let stem = format!("{}-{}-{}", named.name, part.name, row.name).replace('_', "-");
+            let config = profile.training(tasks, part, row, request);
+            let planned =
+                config.and_then(|config| PlannedRow::new(tasks, &stem, part, row, config, &seeds));
+            rows.push(planned.at(format_args!("row {}", row.name))?);
+        }
+        check_measures(part, &rows)?;
+        let protocol = Protocol {
+            policy: named.study.policy,
+            n_episodes: request.episodes,
+            seed: request.eval_seed,
+        };
+        let maps = plan_maps(tasks, part, &profile)?;
+        Ok(Self { part: part.clone(), profile, seeds, protocol, rows, maps })
+    }
+
+    /// Returns the evaluation seed that belongs to the first training seed.
+    pub(crate) fn first_seed(&self) -> u64 {
+        self.protocol.seed + self.seeds.first().copied().unwrap_or(0)
+    }
+
+    /// Returns a row by name.
+    pub(crate) fn row(&self, name: &str) -> Option<&PlannedRow> {
+        self.rows.iter().find(|row| row.row.name == name)
+    }
+
+    /// Labels a row in a figure: by its title, or, where rows share it, by its name.
+    pub(crate) fn label_of(&self, row: &PlannedRow) -> String {
+        let title = &row.row.title;
+        let n = self.part.rows.iter().filter(|other| other.title == *title).count();
+        if n > 1 { row.row.name.replace('_', " ") } else { title.clone() }
+    }
+}
+
+/// Checks that every measure that a part names is one of its task's.
+fn check_measures(part: &StudyPart, rows: &[PlannedRow]) -> Result<(), Error> {
+    let metrics = rows.first().map(|row| row.config.env.metrics.as_slice()).unwrap_or_default();
+    let known = known_measures(metrics);
+    let check = |measure: &str| {
+        ensure(rows.is_empty() || known.iter().any(|name| name == measure), || {
+            format!("there is no measure `{measure}`; known: {}", known.join(", "))
+        })
+    };
+    part.columns.iter().try_for_each(|measure| check(measure)).at("`columns`")?;
+    part.differences.iter().try_for_each(|stated| check(&stated.measure)).at("`differences`")?;
+    for row in &part.rows {
+        let published = row.published();
+        published
+            .iter()
+            .try_for_each(|published| check(&published.measure))
+            .at(format_args!("row {}, `paper`", row.name))?;
+    }
+    Ok(())
+}
+
+/// Reads the maps that a part wants drawn, and checks that its domain has some if it wants any.
+fn plan_maps(tasks: &Tasks, part: &StudyPart, own: &Profile) -> Result<Vec<PlannedMap>, Error> {
+    let check = |profile: &str, domain: &str| {
+        ensure(tasks.registry.has_map(domain), || {
+            format!(
+                "`{profile}` is a configuration of the domain `{domain}`, which has no map to draw trajectories on"
+            )
+        })
+    };
+    if part.trajectories_on.is_some() {
+        check(&own.name, own.config.domain.as_str()).at("`trajectories_on`")?;
+    }
+    let mut maps = Vec::new();
+    for map in &part.maps {
+        let config = profile::read(tasks, Path::new(&map.profile)).at("`maps`")?;
+        check(&map.profile, config.domain.as_str()).at("`maps`")?;
+        maps.push(PlannedMap { title: map.title.clone(), config });
+    }
+    Ok(maps)
+}
+
+impl PlannedRow {
+    fn new(
+        tasks: &Tasks,
+        stem: &str,
+        part: &StudyPart,
+        row: &StudyRow,
+        config: Config,
+        seeds: &[u64],
+    ) -> Result<Self, Error> {
+        let mut conditions: Vec<PlannedCondition> = Vec::new();
+        let wanted = part.evaluations.iter().filter(|known| row.is_evaluated_on(&known.name));
+        for condition in wanted {
+            // A script was not trained, so there is nothing to evaluate it as.
+            if row.script.is_some() && condition.set.is_empty() {
+                continue;
+            }
+            let evaluated = profile::evaluation(tasks, &config, condition)
+                .at(format_args!("evaluation {}", condition.name))?;
+            let same =
+                |known: &&mut PlannedCondition| known.config.evaluation == evaluated.evaluation;
+            let (name, title) = (condition.name.clone(), condition.title.clone());
+            if let Some(known) = conditions.iter_mut().find(same) {
+                known.names.push(name);
+                known.titles.push(title);
+            } else {
+                let (names, titles) = (vec![name], vec![title]);
+                conditions.push(PlannedCondition { names, titles, config: evaluated });
+            }
+        }
+        let hash = profile::hash(&config);
+        let seeds = seeds.iter().take(if row.script.is_none() { usize::MAX } else { 0 });
+        let train = |&seed| PlannedTraining::new(tasks, stem, &config, &hash, seed);
+        let trainings = seeds.map(train).collect::<Result<_, Error>>()?;
+        Ok(Self { row: row.clone(), config, trainings, conditions })
+    }
+
+    /// Returns the condition that a study calls so.
+    pub(crate) fn condition(&self, name: &str) -> Option<&PlannedCondition> {
+        self.conditions.iter().find(|condition| condition.names.iter().any(|known| known == name))
+    }
+
+    /// Names the type of the row's notifications.
+    pub(crate) fn notification(&self) -> String {
+        if self.row.script.is_some() {
+            return "scripted".to_owned();
+        }
+        let section = self.config.table.get("notifier");
+        let kind = section.and_then(|section| section.get("notification")).and_then(Value::as_str);
+        kind.unwrap_or_default().replace('_', " ")
+    }
+}
+
+/// Labels two rows in a sentence: by their titles, and by the type of their notifications where the titles are equal.
+pub(crate) fn disambiguate(rows: [&PlannedRow; 2]) -> [String; 2] {
+    let titles = rows.map(|row| inside_a_sentence(&row.row.title));
+    if titles[0] != titles[1] {
+        return titles;
+    }
+    rows.map(|row| format!("{} ({})", titles[0], row.notification()))
+}
+
+/// Writes a title's first letter small, unless it is a symbol such as R or the N of N(2, 1).
+fn inside_a_sentence(title: &str) -> String {
+    let mut letters = title.chars();
+    match (letters.next(), letters.clone().next()) {
+        (Some(first), Some(second)) if second.is_lowercase() => {
+            first.to_lowercase().chain(letters).collect()
+        }
+        _ => title.to_owned(),
+    }
+}
+
+impl PlannedTraining {
+    fn new(
+        tasks: &Tasks,
+        stem: &str,
+        config: &Config,
+        hash: &str,
+        seed: u64,
+    ) -> Result<Self, Error> {
+        let suffix = format!("-{hash}-s{seed}");
+        let name = existing(&config.run.directory, &suffix).unwrap_or_else(|| {
+            let room = MAX_NAME - suffix.len();
+            let stem: String = stem.chars().take(room).collect();
+            format!("{}{suffix}", stem.trim_end_matches('-'))
+        });
+        let config = profile::seeded(tasks, config, seed, &name)?;
+        let name = RunName::new(name).map_err(|error| Error::Refused(error.to_string()))?;
+        Ok(Self { name, config, hash: hash.to_owned() })
+    }
+
+    /// Returns the run's directory.
+    pub(crate) fn directory(&self) -> PathBuf {
+        self.config.run.directory.join(self.name.as_str())
+    }
+
+    /// Returns the file for the log of its processes.
+    pub(crate) fn log(&self) -> PathBuf {
+        self.config.run.directory.join(format!("{}.log", self.name))
+    }
+
+    /// Returns the file of the policy that is evaluated.
+    pub(crate) fn policy(&self, which: WhichPolicy) -> PathBuf {
+        let directory = self.directory();
+        let best = directory.join(BEST_POLICY);
+        // A run in which no hundred episodes ended knows no best one.
+        if which == WhichPolicy::Best && best.exists() { best } else { directory.join(LAST_POLICY) }
+    }
+
+    /// Tells whether the run has reached its end.
+    pub fn is_finished(&self) -> bool {
+        is_finished(&self.directory())
+    }
+
+    /// Returns the environment steps that it was trained on so far, and in all.
+    pub fn steps(&self) -> [u64; 2] {
+        let all = self.config.learner.n_updates() * self.config.steps_per_update();
+        let done = if self.is_finished() { all } else { journal::last_steps(&self.directory()) };
+        [done.min(all), all]
+    }
+
+    fn is_same(&self, other: &Self) -> bool {
+        self.hash == other.hash && self.config.seed == other.config.seed
+    }
+}
+
+/// Finds a run that computes the same, whatever study it was made for; of several a finished one, the first by name.
+fn existing(runs: &Path, suffix: &str) -> Option<String> {
+    let entries = std::fs::read_dir(runs).ok()?.filter_map(Result::ok);
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    let is_run =
+        |name: &String| name.ends_with(suffix) && runs.join(name).join("run.json").exists();
+    names.filter(is_run).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
+}
+
+/// Tells whether the run in a directory has reached its end.
+fn is_finished(directory: &Path) -> bool {
+    let record = RunRecord::read(directory);
+    record.is_ok_and(|record| record.result.is_some())
+}
+
+#[cfg(test)]
+#[path = "plan_tests.rs"]
+mod tests;

@@ -1,0 +1,142 @@
+//! From a profile and its differences to the configuration of a training, or of an evaluation.
+
+use std::path::Path;
+
+use leadtime_config::identity::{self, Change};
+use leadtime_config::{Config, ConfigSource, Layer, Override};
+use leadtime_runs::Tasks;
+use leadtime_runs::digest::hex;
+
+use crate::catalog::NamedStudy;
+use crate::error::{Error, Placed as _, ensure};
+use crate::request::StudyRequest;
+use crate::study::{StudyCondition, StudyPart, StudyRow};
+
+/// Keys that options set, and which ones.
+const OPTIONS: [(&str, &str); 3] =
+    [("seed", "--seeds"), ("run.directory", "--runs"), ("run.name", "--runs")];
+/// Digits of a configuration's hash in names and tables.
+const HASH_DIGITS: usize = 10;
+
+/// A part's profile, with the name that tables give it.
+#[derive(Clone, Debug)]
+pub(crate) struct Profile {
+    /// The name of a built-in configuration, or its file.
+    pub(crate) name: String,
+    /// The complete configuration.
+    pub(crate) config: Config,
+}
+
+impl Profile {
+    /// Loads the part's own profile, or the requested one for its domain.
+    pub(crate) fn load(
+        tasks: &Tasks,
+        part: &StudyPart,
+        request: &StudyRequest,
+    ) -> Result<Self, Error> {
+        let own = read(tasks, Path::new(&part.profile))?;
+        for other in &request.profiles {
+            let config = read(tasks, other).at("--profile")?;
+            if config.domain == own.domain {
+                return Ok(Self { name: other.display().to_string(), config });
+            }
+        }
+        Ok(Self { name: part.profile.clone(), config: own })
+    }
+
+    /// Configures the training of a row: the profile, then the part's length, then the row's differences, then the
+    /// request's.
+    pub(crate) fn training(
+        &self,
+        tasks: &Tasks,
+        part: &StudyPart,
+        row: &StudyRow,
+        request: &StudyRequest,
+    ) -> Result<Config, Error> {
+        for change in &request.set {
+            let key = change.key();
+            if let Some((_, option)) = OPTIONS.iter().find(|(known, _)| key == *known) {
+                return Err(Error::Refused(format!(
+                    "--set {key}: trainings of a study have seeds and names of their own; see {option}"
+                )));
+            }
+        }
+        let steps = |steps: u64| Layer::text("steps", format!("learner.total_steps = {steps}"));
+        let shortened = request.steps.or(request.quick.then_some(part.quick_steps));
+        let runs = Override::new("run.directory", request.runs.to_string_lossy().as_ref());
+        let layers = part.steps.map(steps).into_iter().chain([Layer::table("`set`", &row.set)]);
+        let layers = layers.chain(shortened.map(steps)).chain([Layer::option("--runs", &runs)]);
+        let layers = layers.chain(request.set.iter().map(Layer::set));
+        let mut config = self.config.with(layers, &tasks.registry)?;
+        // A path need not be UTF-8, and a table is.
+        config.run.directory.clone_from(&request.runs);
+        Ok(config)
+    }
+
+    /// Lists the settings in which a training differs from the profile.
+    pub(crate) fn differences(&self, config: &Config) -> Vec<String> {
+        let changes = identity::difference(&self.config.table, &config.table).into_iter();
+        let decides = |change: &Change| change.key != "seed" && !identity::is_free(&change.key);
+        let sentence = |change: Change| match change.after.as_str() {
+            "" => format!("{} left out", change.key),
+            after => format!("{} = {after}", change.key),
+        };
+        changes.filter(decides).map(sentence).collect()
+    }
+}
+
+/// Configures the evaluation of a row under a condition.
+pub(crate) fn evaluation(
+    tasks: &Tasks,
+    training: &Config,
+    condition: &StudyCondition,
+) -> Result<Config, Error> {
+    Ok(training.with([Layer::table("`set`", &condition.set)], &tasks.registry)?)
+}
+
+/// Gives a training its seed and its name.
+pub(crate) fn seeded(
+    tasks: &Tasks,
+    training: &Config,
+    seed: u64,
+    name: &str,
+) -> Result<Config, Error> {
+    let text = format!("seed = {seed}\nrun.name = \"{name}\"\n");
+    Ok(training.with([Layer::text("--seeds", text)], &tasks.registry)?)
+}
+
+/// Computes the first digits of the hash over everything that decides what a training computes, its seed excepted.
+pub(crate) fn hash(config: &Config) -> String {
+    hex(&identity::of_training(&config.table)).chars().take(HASH_DIGITS).collect()
+}
+
+/// Checks that every requested profile takes the place of some part's, and no two of the same.
+pub(crate) fn check_profiles(
+    tasks: &Tasks,
+    studies: &[NamedStudy],
+    request: &StudyRequest,
+) -> Result<(), Error> {
+    let mut seen = Vec::new();
+    for file in &request.profiles {
+        let domain = read(tasks, file).at("--profile")?.domain;
+        let mut fits = false;
+        for part in studies.iter().flat_map(|named| &named.study.parts) {
+            fits |=
+                request.wants_part(part) && read(tasks, Path::new(&part.profile))?.domain == domain;
+        }
+        let place = format!("--profile {}", file.display());
+        ensure(fits, || {
+            format!("{place}: no part that was asked for is about the domain `{domain}`")
+        })?;
+        ensure(!seen.contains(&domain), || {
+            format!("{place}: there is another one for the domain `{domain}`")
+        })?;
+        seen.push(domain);
+    }
+    Ok(())
+}
+
+/// Reads a configuration as it is: a built-in one or a file.
+pub(crate) fn read(tasks: &Tasks, file: &Path) -> Result<Config, Error> {
+    Ok(tasks.configure(Some(file), ConfigSource::default())?)
+}

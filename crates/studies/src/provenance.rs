@@ -1,0 +1,143 @@
+//! Where a study's numbers are from.
+
+use leadtime_eval::report::Fact;
+use leadtime_runs::RunRecord;
+use leadtime_runs::{ProgramBuild, clock, journal};
+
+use crate::error::Error;
+use crate::plan::{PlannedPart, PlannedTraining, StudyPlan};
+use crate::profile;
+use crate::request::StudyRequest;
+use crate::result::TrainedRun;
+use crate::study::WhichPolicy;
+
+/// Digits of a weights' digest.
+const DIGEST_DIGITS: usize = 12;
+
+/// Names a part's profile and how it was chosen.
+pub(crate) fn profile(planned: &PlannedPart) -> String {
+    let mut text = format!("`{}`", planned.profile.name);
+    if planned.profile.name == planned.part.profile && !planned.part.note.is_empty() {
+        text = format!("{text}, {}", planned.part.note.trim_end_matches('.'));
+    }
+    text
+}
+
+/// Tells where a finished run comes from.
+pub(crate) fn run(training: &PlannedTraining) -> Result<TrainedRun, Error> {
+    let directory = training.directory();
+    let record = RunRecord::read(&directory)?;
+    let reproducible = record.is_reproducible(&directory) == Some(true);
+    let unfinished = || Error::Refused(format!("run {} is not finished", training.name));
+    let result = record.result.ok_or_else(unfinished)?;
+    let commit = record.commit.map_or(String::new(), |commit| format!(" {}", cut(&commit)));
+    Ok(TrainedRun {
+        name: training.name.to_string(),
+        seed: training.config.seed,
+        configuration: training.hash.clone(),
+        steps: result.steps,
+        minutes: minutes(training),
+        weights: cut(&result.weights_sha256),
+        reproducible,
+        program: format!("{}{commit}", record.version),
+    })
+}
+
+/// Adds up the time of every update: pauses of an interrupted run do not count.
+fn minutes(training: &PlannedTraining) -> f64 {
+    let lines = journal::read(&training.directory()).unwrap_or_default();
+    let mut steps = 0.0;
+    let mut seconds = 0.0;
+    for line in lines {
+        let now = line.get("steps").and_then(serde_json::Value::as_f64).unwrap_or(steps);
+        let speed = line.get("system/steps_per_second").and_then(serde_json::Value::as_f64);
+        if let Some(speed) = speed.filter(|speed| *speed > 0.0) {
+            seconds += (now - steps) / speed;
+        }
+        steps = now;
+    }
+    seconds / 60.0
+}
+
+fn cut(digest: &str) -> String {
+    digest.chars().take(DIGEST_DIGITS).collect()
+}
+
+/// Lists the training seeds, by part where parts have different ones.
+fn seeds(parts: &[PlannedPart]) -> String {
+    let list =
+        |part: &PlannedPart| part.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+    match parts {
+        [first, rest @ ..] if rest.iter().all(|part| part.seeds == first.seeds) => list(first),
+        _ => {
+            let by_part = parts.iter().map(|part| format!("{}: {}", part.part.name, list(part)));
+            by_part.collect::<Vec<_>>().join("; ")
+        }
+    }
+}
+
+/// Lists where a study's numbers are from.
+pub(crate) fn facts(plan: &StudyPlan, request: &StudyRequest, runs: &[TrainedRun]) -> Vec<Fact> {
+    let steps: u64 = runs.iter().map(|run| run.steps).sum();
+    let minutes: f64 = runs.iter().map(|run| run.minutes).sum();
+    let profiles = plan.parts.iter().map(|part| {
+        let hash = profile::hash(&part.profile.config);
+        format!("{} `{}` ({hash})", part.part.name, part.profile.name)
+    });
+    let policy = match plan.named.study.policy {
+        WhichPolicy::Last => "the one at the end of training",
+        WhichPolicy::Best => "the one with the best mean success over 100 training episodes",
+    };
+    let mut facts = vec![
+        Fact::new("command", format!("`{}`", request.command)),
+        Fact::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
+        Fact::new("training seeds", seeds(&plan.parts)),
+        Fact::new(
+            "evaluation",
+            format!(
+                "{} episodes per training seed, under seed {} + training seed, the same for every notifier",
+                request.episodes, request.eval_seed
+            ),
+        ),
+        Fact::new("judged policy", policy),
+        Fact::new("training", format!("{} runs, {steps} steps, {minutes:.1} minutes", runs.len())),
+    ];
+    facts.extend(program_facts(&request.build));
+    facts
+}
+
+/// Describes the program, the processor and the day: the last lines of where numbers are from.
+pub fn program_facts(build: &ProgramBuild) -> [Fact; 3] {
+    let commit = build.commit.as_deref().unwrap_or("unknown");
+    [
+        Fact::new("program", format!("{}, commit {commit}", build.program)),
+        Fact::new("processor", &build.cpu),
+        Fact::new("date", clock::utc_date()),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::{plan, request};
+
+    #[test]
+    fn seeds_are_listed_by_part_where_parts_differ() {
+        let part = |name: &str, more: &str| {
+            format!(
+                "[[parts]]\nname = \"{name}\"\ntitle = \"t\"\nprofile = \"lander\"\nquick_steps = 4096\n{more}\n\
+                 columns = [\"success\"]\nevaluations = [{{ name = \"own\", title = \"own\" }}]\n\
+                 [[parts.rows]]\nname = \"r\"\ntitle = \"R\"\n"
+            )
+        };
+        let listed = |first: &str, second: &str| {
+            let parts = [part("one", first), part("two", second)].concat();
+            let runs = tempfile::tempdir().unwrap();
+            let text = format!("title = \"t\"\nlead = \"l\"\n{parts}");
+            seeds(&plan(&text, &request(runs.path())).unwrap().parts)
+        };
+        assert_eq!(listed("", ""), "201, 202, 203, 204, 205");
+        let expected = "one: 201, 202, 203, 204, 205; two: 301, 302, 303, 304, 305";
+        assert_eq!(listed("", "first_seed = 301"), expected);
+    }
+}

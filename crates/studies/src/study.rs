@@ -1,0 +1,289 @@
+//! A study as its author writes it: TOML in `studies/`, or a file of one's own.
+//!
+//! Everything is a difference: a row trains the part's profile with a few keys changed, an evaluation is the row's task
+//! with a few keys changed. So a new question is a new file, and no code.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use toml::Table;
+
+use crate::error::{Error, Placed as _, ensure};
+
+/// A question, and the tables that answer it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Study {
+    /// The title of its page.
+    pub title: String,
+    /// What is compared and why, for somebody who knows nothing of it.
+    pub(crate) lead: String,
+    /// Which policy of a run is evaluated.
+    #[serde(default, rename = "judged")]
+    pub(crate) policy: WhichPolicy,
+    /// The tables.
+    pub parts: Vec<StudyPart>,
+}
+
+/// Which of a run's policies is evaluated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum WhichPolicy {
+    /// The one at the end of training: nothing was chosen by looking.
+    #[default]
+    Last,
+    /// The one with the best mean success over 100 training episodes.
+    Best,
+}
+
+/// A table: policies trained from one profile.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StudyPart {
+    /// Its short name, which begins the names of its runs and figures.
+    pub name: String,
+    /// Its heading.
+    pub(crate) title: String,
+    /// The configuration that every row starts from: a built-in one or a file.
+    pub(crate) profile: String,
+    /// How the profile was chosen.
+    #[serde(default)]
+    pub(crate) note: String,
+    /// Environment steps of each training whose row does not set `learner.total_steps`; the profile's if left out.
+    pub(crate) steps: Option<u64>,
+    /// The first of five training seeds: none that a search for the profile used, or saw results of.
+    #[serde(default = "first_seed")]
+    pub(crate) first_seed: u64,
+    /// Steps with `--quick`, of every row.
+    pub(crate) quick_steps: u64,
+    /// How the table is laid out.
+    #[serde(default)]
+    pub(crate) layout: Layout,
+    /// What the evaluations of a grid differ in, as a figure's axis says it.
+    #[serde(default)]
+    pub(crate) axis: String,
+    /// The evaluation whose first episode is drawn for every row; none: no such figure.
+    pub(crate) pictured_on: Option<String>,
+    /// Maps to draw side by side, each with an unaided trajectory; none: no such figure. Only in a domain with maps.
+    #[serde(default)]
+    pub(crate) maps: Vec<StudyMap>,
+    /// The evaluation whose first trajectories are drawn for every row; none: no such figure. Only in a domain with
+    /// maps.
+    pub(crate) trajectories_on: Option<String>,
+    /// Measures of the main table.
+    pub(crate) columns: Vec<String>,
+    /// Differences to state.
+    #[serde(default)]
+    pub(crate) differences: Vec<StatedDifference>,
+    /// The conditions under which policies are evaluated.
+    pub(crate) evaluations: Vec<StudyCondition>,
+    /// The policies.
+    pub rows: Vec<StudyRow>,
+}
+
+/// How a part is laid out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Layout {
+    /// A line per policy and condition, a column per measure.
+    #[default]
+    Lines,
+    /// A table per measure: a line per policy, a column per condition.
+    Grid,
+}
+
+/// Where the seeds of most tables begin.
+fn first_seed() -> u64 {
+    201
+}
+
+/// A map to draw.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct StudyMap {
+    /// The configuration whose map it is: a built-in one or a file.
+    pub(crate) profile: String,
+    /// What stands above it.
+    pub(crate) title: String,
+}
+
+/// Two rows whose difference is stated, under one condition.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct StatedDifference {
+    /// The row whose mean is taken.
+    pub(crate) of: String,
+    /// The row whose mean is subtracted.
+    pub(crate) minus: String,
+    /// The evaluation.
+    pub(crate) on: String,
+    /// The measure.
+    pub(crate) measure: String,
+}
+
+/// A condition under which policies are evaluated: a listener, a map, a speed of speech.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct StudyCondition {
+    /// Its short name, by which rows and figures refer to it.
+    pub(crate) name: String,
+    /// What tables call it.
+    pub(crate) title: String,
+    /// Where it stands on the axis of a grid's figure.
+    pub(crate) at: Option<f64>,
+    /// What differs from the row's own training; nothing: as it was trained.
+    #[serde(default)]
+    pub(crate) set: Table,
+}
+
+/// A policy, once per training seed.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StudyRow {
+    /// Its short name, which is part of the names of its runs.
+    pub name: String,
+    /// What tables call it; neighbours with the same title share a line of a grid.
+    pub(crate) title: String,
+    /// A scripted player of the task, instead of a trained policy.
+    pub(crate) script: Option<String>,
+    /// What differs from the profile in training.
+    #[serde(default)]
+    pub(crate) set: Table,
+    /// Evaluations by name; all if left out.
+    #[serde(default)]
+    pub(crate) on: Vec<String>,
+    /// The paper's figures: mean, or mean and standard deviation.
+    #[serde(default)]
+    paper: BTreeMap<String, Vec<f64>>,
+    /// The same by evaluation.
+    #[serde(default)]
+    paper_on: BTreeMap<String, BTreeMap<String, Vec<f64>>>,
+}
+
+/// A published figure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Published {
+    /// The condition it is about, by the name of an evaluation; `None` where the source does not say.
+    pub(crate) evaluation: Option<String>,
+    /// The measure.
+    pub(crate) measure: String,
+    /// Its mean over training seeds.
+    pub(crate) mean: f64,
+    /// Its standard deviation over training seeds, if given.
+    pub(crate) deviation: Option<f64>,
+}
+
+impl Study {
+    /// Reads a study and checks that it is consistent in itself.
+    pub(crate) fn parse(text: &str) -> Result<Self, Error> {
+        let study: Self = toml::from_str(text)
+            .map_err(|error| Error::Refused(error.to_string().trim_end().to_owned()))?;
+        ensure(!study.parts.is_empty(), || "a study needs at least one of `parts`")?;
+        distinct(study.parts.iter().map(|part| &part.name)).at("`parts`")?;
+        for part in &study.parts {
+            part.check().at(format_args!("part `{}`", part.name))?;
+        }
+        Ok(study)
+    }
+}
+
+impl StudyPart {
+    /// Returns the condition of that name.
+    pub(crate) fn condition(&self, name: &str) -> Option<&StudyCondition> {
+        self.evaluations.iter().find(|condition| condition.name == name)
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        distinct(self.rows.iter().map(|row| &row.name)).at("`rows`")?;
+        distinct(self.evaluations.iter().map(|known| &known.name)).at("`evaluations`")?;
+        ensure(!self.columns.is_empty(), || "`columns` is empty; allowed: at least one measure")?;
+        ensure(self.quick_steps > 0, || "`quick_steps` is 0; allowed: at least 1")?;
+        let known = |name: &str| {
+            let found = self.condition(name).is_some();
+            ensure(found, || format!("there is no evaluation `{name}`"))
+        };
+        for row in &self.rows {
+            row.check(&known).at(format_args!("row `{}`", row.name))?;
+        }
+        let pictured =
+            [("pictured_on", &self.pictured_on), ("trajectories_on", &self.trajectories_on)];
+        for (key, name) in pictured {
+            name.as_deref().map_or(Ok(()), &known).at(format_args!("`{key}`"))?;
+        }
+        for StatedDifference { of, minus, on, .. } in &self.differences {
+            known(on).at("`differences`")?;
+            for name in [of, minus] {
+                let row = self.rows.iter().find(|row| row.name == *name);
+                ensure(row.is_some(), || format!("`differences`: there is no row `{name}`"))?;
+                let evaluated = row.is_some_and(|row| row.is_evaluated_on(on));
+                ensure(evaluated, || {
+                    format!("`differences`: row `{name}` is not evaluated on `{on}`")
+                })?;
+            }
+        }
+        let unplaced = self.evaluations.iter().find(|condition| condition.at.is_none());
+        if let (Layout::Grid, Some(condition)) = (self.layout, unplaced) {
+            let name = &condition.name;
+            let sentence =
+                format!("`evaluations`: in a grid `{name}` needs `at`, its place on the axis");
+            return Err(Error::Refused(sentence));
+        }
+        Ok(())
+    }
+}
+
+impl StudyRow {
+    fn check(&self, known: &dyn Fn(&str) -> Result<(), Error>) -> Result<(), Error> {
+        self.on.iter().chain(self.paper_on.keys()).try_for_each(|name| known(name))?;
+        for name in self.paper_on.keys() {
+            ensure(self.is_evaluated_on(name), || {
+                format!("`paper_on.{name}`, where it is not evaluated")
+            })?;
+        }
+        for (measure, numbers) in self.paper.iter().chain(self.paper_on.values().flatten()) {
+            ensure(matches!(numbers.len(), 1 | 2), || {
+                format!("`{measure}` needs a mean, or a mean and a standard deviation")
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Tells whether the policy is evaluated under a condition.
+    pub(crate) fn is_evaluated_on(&self, condition: &str) -> bool {
+        self.on.is_empty() || self.on.iter().any(|name| name == condition)
+    }
+
+    /// Lists what was published about it.
+    pub(crate) fn published(&self) -> Vec<Published> {
+        let published =
+            |evaluation: Option<&String>, (measure, numbers): (&String, &Vec<f64>)| Published {
+                evaluation: evaluation.cloned(),
+                measure: measure.clone(),
+                mean: numbers[0],
+                deviation: numbers.get(1).copied(),
+            };
+        let anywhere = self.paper.iter().map(|entry| published(None, entry));
+        let somewhere = self.paper_on.iter().flat_map(|(condition, figures)| {
+            figures.iter().map(move |entry| published(Some(condition), entry))
+        });
+        anywhere.chain(somewhere).collect()
+    }
+}
+
+/// Checks that names are plain words, each used once.
+fn distinct<'a>(names: impl Iterator<Item = &'a String>) -> Result<(), Error> {
+    let mut seen: Vec<&String> = Vec::new();
+    for name in names {
+        let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+        ensure(!name.is_empty() && name.chars().all(plain), || {
+            format!("`{name}` is not a name; allowed: a-z, 0-9 and _")
+        })?;
+        ensure(!seen.contains(&name), || format!("`{name}` is there twice"))?;
+        seen.push(name);
+    }
+    ensure(!seen.is_empty(), || "there is none")
+}
+
+#[cfg(test)]
+#[path = "study_tests.rs"]
+mod tests;

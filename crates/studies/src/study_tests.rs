@@ -1,0 +1,81 @@
+use super::*;
+use crate::test_support::sentence;
+
+const SMALL: &str = r#"
+title = "t"
+lead = "l"
+[[parts]]
+name = "cart"
+title = "Cart"
+profile = "cartpole"
+quick_steps = 512
+columns = ["return"]
+evaluations = [{ name = "own", title = "own" }, { name = "long", title = "long", set.world.max_steps = 300 }]
+differences = [{ of = "b", minus = "a", on = "long", measure = "return" }]
+[[parts.rows]]
+name = "a"
+title = "A"
+paper = { return = [490.0, 6.0] }
+[[parts.rows]]
+name = "b"
+title = "B"
+on = ["long"]
+set.learner.gamma = 0.9
+paper_on.long = { return = [1.0] }
+"#;
+
+fn refused(from: &str, to: &str) -> String {
+    assert!(SMALL.contains(from), "{from}");
+    sentence(Study::parse(&SMALL.replacen(from, to, 1)))
+}
+
+#[test]
+fn a_study_reads_as_it_is_written() {
+    let study = Study::parse(SMALL).unwrap();
+    let part = &study.parts[0];
+    assert_eq!((study.policy, part.layout), (WhichPolicy::Last, Layout::Lines));
+    let [a, b] = &part.rows[..] else { panic!("two rows") };
+    assert!(a.is_evaluated_on("own") && a.is_evaluated_on("long") && !b.is_evaluated_on("own"));
+    let published = &a.published()[0];
+    assert_eq!((published.mean, published.deviation), (490.0, Some(6.0)));
+    assert_eq!(b.published()[0].evaluation.as_deref(), Some("long"));
+}
+
+#[test]
+fn an_inconsistent_study_is_refused_with_one_sentence() {
+    for (from, to, reason) in [
+        ("title = \"t\"", "heading = \"t\"", "unknown field `heading`"),
+        ("name = \"b\"", "name = \"a\"", "`a` is there twice"),
+        ("name = \"b\"", "name = \"B 2\"", "`B 2` is not a name"),
+        ("on = [\"long\"]", "on = [\"short\"]", "row `b`: there is no evaluation `short`"),
+        ("paper_on.long", "paper_on.short", "row `b`: there is no evaluation `short`"),
+        ("minus = \"a\"", "minus = \"c\"", "`differences`: there is no row `c`"),
+        (
+            "on = \"long\", measure",
+            "on = \"nobody\", measure",
+            "`differences`: there is no evaluation `nobody`",
+        ),
+        ("on = \"long\", measure", "on = \"own\", measure", "row `b` is not evaluated on `own`"),
+        ("paper_on.long", "paper_on.own", "row `b`: `paper_on.own`, where it is not evaluated"),
+        ("quick_steps", "layout = \"grid\"\nquick_steps", "in a grid `own` needs `at`"),
+        ("[490.0, 6.0]", "[]", "row `a`: `return` needs a mean"),
+        ("[\"return\"]", "[]", "`columns` is empty"),
+        ("quick_steps = 512", "quick_steps = 0", "`quick_steps` is 0"),
+        ("quick_steps = 512", "quick_steps = 512\npictured_on = \"x\"", "`pictured_on`"),
+        (
+            "quick_steps = 512",
+            "quick_steps = 512\ntrajectories_on = \"x\"",
+            "`trajectories_on`: there is no evaluation `x`",
+        ),
+        (
+            "quick_steps = 512",
+            "quick_steps = 512\nmaps = [{ profile = \"lander\" }]",
+            "missing field `title`",
+        ),
+    ] {
+        let text = refused(from, to);
+        assert!(text.contains(reason), "{reason}: {text}");
+    }
+    let text = sentence(Study::parse("title = \"t\"\nlead = \"l\"\nparts = []"));
+    assert!(text.contains("at least one of `parts`"), "{text}");
+}

@@ -1,0 +1,139 @@
+//! Where tables and figures go.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use leadtime_runs::write_atomically;
+
+use crate::catalog::NamedStudy;
+use crate::error::{Error, ensure};
+use crate::request::StudyRequest;
+use crate::result::{FigureLink, StudyFigure, StudyResult};
+use crate::{catalog, index};
+
+/// Where results go unless a request names another directory.
+const RESULTS: &str = "docs/results";
+
+/// The directory for results, if they are written.
+#[derive(Clone, Debug)]
+pub(crate) struct Destination {
+    results: Option<PathBuf>,
+    quick: bool,
+}
+
+impl Destination {
+    /// Chooses it: only a complete, unchanged, built-in study replaces a page unless the request names a directory.
+    pub(crate) fn new(request: &StudyRequest, studies: &[NamedStudy]) -> Self {
+        let built_in = studies.iter().all(|named| catalog::is_built_in(&named.name));
+        let default = (request.is_unchanged() && built_in).then(|| PathBuf::from(RESULTS));
+        Self { results: request.out.clone().or(default), quick: request.quick }
+    }
+
+    /// Checks, before hours of training, that a study's page would replace nothing but an earlier one of its own.
+    pub(crate) fn check(&self, study: &str) -> Result<(), Error> {
+        let Some(directory) = self.directory() else { return Ok(()) };
+        let [page, data] = ["md", "json"].map(|end| directory.join(format!("{study}.{end}")));
+        ensure(!page.exists() || data.exists(), || {
+            format!(
+                "{} was not written by a study ({} is missing); use another --out, or another name for the study",
+                page.display(),
+                data.display()
+            )
+        })
+    }
+
+    fn directory(&self) -> Option<PathBuf> {
+        let results = self.results.as_ref()?;
+        Some(if self.quick { results.join(index::QUICK) } else { results.clone() })
+    }
+
+    /// Writes figures, and returns where they are.
+    pub(crate) fn write_figures(
+        &self,
+        figures: Vec<StudyFigure>,
+    ) -> Result<Vec<FigureLink>, Error> {
+        let Some(directory) = self.directory() else { return Ok(Vec::new()) };
+        let write = |StudyFigure { file, caption, png }| {
+            put(&directory, &file, &png)?;
+            Ok(FigureLink { file, caption })
+        };
+        figures.into_iter().map(write).collect()
+    }
+
+    /// Writes a study's page and data, and returns the page's path; `None` if results are not written.
+    pub(crate) fn write(&self, result: &StudyResult) -> Result<Option<PathBuf>, Error> {
+        let Some(directory) = self.directory() else { return Ok(None) };
+        let name = &result.study;
+        let json = serde_json::to_string_pretty(result).unwrap_or_default() + "\n";
+        let page = put(&directory, &format!("{name}.md"), result.markdown().as_bytes())?;
+        put(&directory, &format!("{name}.json"), json.as_bytes())?;
+        Ok(Some(page))
+    }
+
+    /// Writes the index over all results in the directory, and returns its path; `None` if results are not written.
+    pub(crate) fn write_index(&self) -> Result<Option<PathBuf>, Error> {
+        let Some(results) = &self.results else { return Ok(None) };
+        let page = index::page(results)?;
+        put(results, index::FILE, page.as_bytes()).map(Some)
+    }
+}
+
+fn put(directory: &Path, file: &str, bytes: &[u8]) -> Result<PathBuf, Error> {
+    fs::create_dir_all(directory).map_err(Error::file("making", directory))?;
+    let path = directory.join(file);
+    write_atomically(&path, bytes).map_err(Error::file("writing", &path))?;
+    Ok(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::{request, sentence};
+    use leadtime_config::Override;
+
+    fn destination(request: &StudyRequest) -> Destination {
+        Destination::new(request, &catalog::find("table1").unwrap())
+    }
+
+    #[test]
+    fn only_a_whole_unchanged_study_replaces_a_page_unasked() {
+        let whole = request(Path::new("runs"));
+        let directory = |request: &StudyRequest| destination(request).directory();
+        assert_eq!(directory(&whole), Some(PathBuf::from("docs/results")));
+        let quick = StudyRequest { quick: true, ..whole.clone() };
+        assert_eq!(directory(&quick), Some(PathBuf::from("docs/results/quick")));
+        let set = vec![Override::parse("learner.clip=0.1").unwrap()];
+        for changed in [
+            StudyRequest { rows: vec!["a".to_owned()], ..whole.clone() },
+            StudyRequest { parts: vec!["a".to_owned()], ..whole.clone() },
+            StudyRequest { set, ..whole.clone() },
+            StudyRequest { profiles: vec![PathBuf::from("lander")], ..whole.clone() },
+            StudyRequest { steps: Some(9_000), ..whole.clone() },
+            StudyRequest { seeds: Some(1..2), ..whole.clone() },
+            StudyRequest { episodes: 5, ..whole.clone() },
+            StudyRequest { eval_seed: 7, ..whole.clone() },
+        ] {
+            assert_eq!(directory(&changed), None, "{changed:?}");
+            let out = Some(PathBuf::from("elsewhere"));
+            assert_eq!(directory(&StudyRequest { out: out.clone(), ..changed }), out);
+        }
+        let own = catalog::NamedStudy {
+            name: "own".to_owned(),
+            ..catalog::find("table1").unwrap().remove(0)
+        };
+        assert_eq!(Destination::new(&whole, &[own]).directory(), None);
+    }
+
+    #[test]
+    fn a_page_that_no_study_wrote_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = Some(dir.path().to_owned());
+        let destination = destination(&StudyRequest { out, ..request(Path::new("runs")) });
+        destination.check("driving").unwrap();
+        fs::write(dir.path().join("driving.md"), "# Written by hand").unwrap();
+        let error = sentence(destination.check("driving"));
+        assert!(error.contains("driving.md was not written by a study"), "{error}");
+        fs::write(dir.path().join("driving.json"), "{}").unwrap();
+        destination.check("driving").unwrap();
+    }
+}

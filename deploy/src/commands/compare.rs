@@ -1,0 +1,153 @@
+//! `leadtime compare`: arguments in, lines and exit codes out; the rest is [`leadtime_studies`].
+
+use std::io::{self, IsTerminal as _};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use leadtime_runs::Tasks;
+use leadtime_studies::{
+    Crew, Error, EvalCache, PlannedTraining, StudyObserver, StudyRequest, StudySession,
+    TrainingProgress, find, names,
+};
+use leadtime_table::Table;
+
+use crate::build::this_build;
+use crate::cli::CompareArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::shutdown::{Watch, watch};
+use crate::{logging, output};
+
+/// Pause between two plain lines.
+const LINE_EVERY: Duration = Duration::from_secs(15);
+
+pub(super) async fn run(tasks: &Tasks, args: &CompareArgs) -> Result<(), Failure> {
+    let Some(name) = &args.study else { return list().map_err(failure) };
+    let studies = find(name).map_err(failure)?;
+    let session = StudySession::plan(tasks, studies, request(args)?).map_err(failure)?;
+    if args.plan {
+        show(session.trainings());
+        return Ok(());
+    }
+    let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let crew = Crew { jobs: args.jobs, actors: args.actors };
+    session.carry_out(crew, &mut Console::new(), &shutdown).await.map_err(failure)
+}
+
+fn request(args: &CompareArgs) -> Result<StudyRequest, Failure> {
+    Ok(StudyRequest {
+        quick: args.quick,
+        rows: args.rows.clone(),
+        parts: args.parts.clone(),
+        set: args.set.clone(),
+        profiles: args.profile.clone(),
+        seeds: args.seeds.clone(),
+        steps: args.steps,
+        episodes: args.episodes,
+        eval_seed: args.eval_seed,
+        runs: args.runs.clone(),
+        out: args.out.clone(),
+        command: output::command_line(std::env::args_os().skip(1)),
+        build: this_build().blame(ExitCode::Failed)?,
+    })
+}
+
+/// Gives an error its exit code.
+fn failure(error: Error) -> Failure {
+    let code = match &error {
+        Error::Interrupted => ExitCode::Interrupted,
+        Error::Training { code, .. } => code.map_or(ExitCode::Failed, ExitCode::from_status),
+        Error::Task(_) | Error::Play(_) | Error::Eval(_) => ExitCode::Failed,
+        _ => ExitCode::WrongInput,
+    };
+    // Whoever interrupts a command knows why it ended.
+    let error = (code != ExitCode::Interrupted).then(|| error.into());
+    Failure { code, error }
+}
+
+/// Lists studies and rows.
+fn list() -> Result<(), Error> {
+    for name in names() {
+        for named in find(name)? {
+            output::line(&format!("{name}: {}", named.study.title));
+            for part in &named.study.parts {
+                let rows: Vec<&str> = part.rows.iter().map(|row| row.name.as_str()).collect();
+                output::line(&format!("    {}: {}", part.name, rows.join(", ")));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Lists trainings and how far they are.
+fn show(trainings: &[PlannedTraining]) {
+    let mut table = Table::new(["state", "steps", "of", "training"]).left(&[0, 3]);
+    let mut left = 0;
+    for training in trainings {
+        let [done, all] = training.steps();
+        let state = match (training.is_finished(), done) {
+            (true, _) => "finished",
+            (false, 0) => "to do",
+            (false, _) => "begun",
+        };
+        left += all - done;
+        table.push([state, &done.to_string(), &all.to_string(), training.name.as_str()]);
+    }
+    output::line(&table.text());
+    output::line(&format!("{} trainings, {left} steps to go", trainings.len()));
+}
+
+/// Shows what goes on: a bar on a terminal, a plain line now and then elsewhere.
+#[derive(Debug)]
+struct Console {
+    bar: Option<ProgressBar>,
+    last_line: Option<Instant>,
+}
+
+impl Console {
+    fn new() -> Self {
+        let bar = io::stderr().is_terminal().then(|| {
+            let style = ProgressStyle::with_template("{bar:32} {msg}");
+            let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+            logging::bars().add(ProgressBar::new(0).with_style(style))
+        });
+        Self { bar, last_line: None }
+    }
+}
+
+impl Drop for Console {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl StudyObserver for Console {
+    fn training(&mut self, progress: &TrainingProgress) {
+        if let Some(bar) = &self.bar {
+            bar.set_length(progress.all);
+            bar.set_position(progress.done);
+            bar.set_message(progress.to_string());
+        } else if self.last_line.is_none_or(|at| at.elapsed() >= LINE_EVERY) {
+            self.last_line = Some(Instant::now());
+            output::say(&progress.to_string());
+        }
+    }
+
+    fn evaluating(&mut self, study: &str) {
+        output::say(&format!("evaluating {study}"));
+    }
+
+    fn evaluated(&mut self, cache: &EvalCache) {
+        output::say(&cache.sentence());
+    }
+
+    fn page(&mut self, markdown: &str) {
+        output::line(markdown.trim_end());
+    }
+
+    fn written(&mut self, path: &Path) {
+        output::line(&path.display().to_string());
+    }
+}
