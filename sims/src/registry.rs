@@ -34,6 +34,7 @@ pub struct DomainEntry {
     builder: Builder,
     /// Keys of `[world]` that differ while a policy is evaluated, as TOML.
     evaluation: &'static str,
+    has_map: bool,
 }
 
 impl fmt::Debug for DomainEntry {
@@ -48,7 +49,7 @@ impl DomainEntry {
     where
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
     {
-        Self { name: name.to_owned(), builder: Arc::new(builder), evaluation: "" }
+        Self { name: name.to_owned(), builder: Arc::new(builder), evaluation: "", has_map: false }
     }
 
     /// Describes the notifier task of a world.
@@ -74,6 +75,12 @@ impl DomainEntry {
     /// Sets what differs of `[world]` while a policy is evaluated, as TOML: `max_steps = 7`.
     pub fn evaluated_with(mut self, world: &'static str) -> Self {
         self.evaluation = world;
+        self
+    }
+
+    /// Says that the scenes are maps with zones, over which trajectories can be drawn.
+    pub fn drawn_on_a_map(mut self) -> Self {
+        self.has_map = true;
         self
     }
 }
@@ -123,6 +130,11 @@ impl Registry {
     /// Lists the names of the tasks, in alphabetical order.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.entries.keys().map(String::as_str)
+    }
+
+    /// Tells whether the scenes of a domain are maps with zones, over which trajectories can be drawn.
+    pub fn has_map(&self, domain: &str) -> bool {
+        self.entries.get(domain).is_some_and(|entry| entry.has_map)
     }
 
     /// Builds the environment of a task; it must be reset before the first step.

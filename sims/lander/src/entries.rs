@@ -10,7 +10,8 @@ pub fn entries() -> [DomainEntry; 2] {
     [
         // An entered zone is a failure of the episode, but its end only where a policy learns from it.
         DomainEntry::notifier::<LanderWorldSettings>("lander")
-            .evaluated_with("zone_ends_episode = false"),
+            .evaluated_with("zone_ends_episode = false")
+            .drawn_on_a_map(),
         DomainEntry::world_only("pilot", PilotTask::new),
     ]
 }
