@@ -81,7 +81,7 @@ async fn carry_out(
     let log = training.log();
     let what = Launch {
         stderr_log: Some(log.clone()),
-        ..Launch::new(Naming::Named(&training.name), n_actors)
+        ..Launch::new(Naming::Resume, n_actors)
     };
     let code = match launch(&training.config, &what, &stop).await?.ended {
         Ended::Learner(Some(0)) => return Ok(()),
