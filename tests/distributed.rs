@@ -10,16 +10,17 @@ use std::time::Duration;
 
 use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker};
 use leadtime_learner::{
-    CheckpointInterval, LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport,
-    UpdateProgress,
+    Build, CheckpointInterval, LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent,
+    RunReport, UpdateProgress,
 };
-use leadtime_link::{ConnectSettings, Endpoint, ListenSettings};
+use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings};
 use leadtime_policy::{Parameters, Policy};
 use leadtime_ppo::{LearnerSettings, Mode, Trainer};
-use leadtime_proto::message::EnvAssignment;
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::{Control, ControlReply, EnvAssignment, Hello};
 use leadtime_proto::{
-    ActorId, EnvId, EnvSpec, Incarnation, Iteration, PolicySpec, PolicyVersion, Rollout, RunName,
-    RunSpec, TaskSpec,
+    ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, Iteration, PolicySpec, PolicyVersion,
+    Rollout, RunName, RunSpec, Sequence, TaskSpec, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -126,7 +127,11 @@ struct Learner {
 
 impl Learner {
     fn start(directory: &Path, mode: Mode, actors_min: usize, incarnation: u64) -> Self {
-        let config = LearnerConfig {
+        Self::start_with(Self::config(directory, mode, actors_min, incarnation))
+    }
+
+    fn config(directory: &Path, mode: Mode, actors_min: usize, incarnation: u64) -> LearnerConfig {
+        LearnerConfig {
             run: RunName::new("test").unwrap(),
             incarnation: Incarnation(incarnation),
             spec: run_spec(mode),
@@ -134,13 +139,15 @@ impl Learner {
             window: 4,
             actors_min,
             listen: ListenSettings::new(vec![endpoint(directory)]),
-            program: "test".to_owned(),
-            cpu: "cpu".to_owned(),
+            build: Build { program: "test".to_owned(), cpu: "cpu".to_owned() },
             checkpoints: directory.join("checkpoints"),
             checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_mins(1) },
             initial: None,
             identity: [mode as u8; 32],
-        };
+        }
+    }
+
+    fn start_with(config: LearnerConfig) -> Self {
         let (progress, n_updates) = watch::channel(0);
         let events = Arc::new(Mutex::new(Vec::new()));
         let sink = Witness { n_updates: progress, events: Arc::clone(&events) };
@@ -192,13 +199,17 @@ fn endpoint(directory: &Path) -> Endpoint {
 type ActorTask = JoinHandle<Result<ActorReport, leadtime_actor::Error>>;
 
 fn actor(directory: &Path, name: &str, incarnation: u64) -> ActorTask {
+    actor_of(directory, name, incarnation, "test")
+}
+
+fn actor_of(directory: &Path, name: &str, incarnation: u64, program: &str) -> ActorTask {
     let settings = ActorSettings {
         actor: ActorId::new(name).unwrap(),
         incarnation: Incarnation(incarnation),
         run: None,
         connect: ConnectSettings::new(vec![endpoint(directory)]),
         reconnect_timeout: PATIENCE,
-        program: "test".to_owned(),
+        program: program.to_owned(),
         cpu: "cpu".to_owned(),
     };
     tokio::spawn(leadtime_actor::run(
@@ -293,7 +304,7 @@ async fn a_learner_that_comes_back_goes_on_to_the_same_weights() {
         learner.stop.cancel();
         let stopped = learner.report().await;
         assert_eq!(stopped.end, RunEnd::Stopped);
-        assert!(stopped.checkpointed && stopped.n_updates < N_UPDATES);
+        assert!(stopped.n_updates < N_UPDATES);
         dismissed(first).await;
         let resumed = Learner::start(directory.path(), mode, 1, 2);
         let second = actor(directory.path(), "second", 1);
@@ -360,6 +371,124 @@ async fn async_takes_what_comes_and_accounts_for_all_of_it() {
     assert!(!report.reproducible);
     assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);
     assert_eq!(report.staleness.values().sum::<u64>(), report.books.trained);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_another_build_goes_on_with_is_not_called_reproducible() {
+    let directory = tempfile::tempdir().unwrap();
+    let begin = |program: &str, incarnation| {
+        let config = Learner::config(directory.path(), Mode::Sync, 1, incarnation);
+        let build = Build { program: program.to_owned(), cpu: "cpu".to_owned() };
+        Learner::start_with(LearnerConfig { build, ..config })
+    };
+    let mut learner = begin("a", 1);
+    let first = actor_of(directory.path(), "first", 1, "a");
+    learner.reach(6).await;
+    learner.stop.cancel();
+    assert!(learner.report().await.reproducible);
+    dismissed(first).await;
+    let learner = begin("b", 2);
+    let events = Arc::clone(&learner.events);
+    let second = actor_of(directory.path(), "second", 1, "b");
+    let report = learner.report().await;
+    dismissed(second).await;
+    assert!(!report.reproducible);
+    assert!(report.builds.programs.iter().eq(["a", "b"]));
+    let is_warning = |event: &RunEvent| matches!(event, RunEvent::OtherBuild { actor: None, .. });
+    assert!(events.lock().unwrap().iter().any(is_warning));
+    assert!(!begin("a", 3).report().await.reproducible, "nor ever again");
+}
+
+/// An actor that takes part in everything but the work.
+async fn pretender(directory: &Path, name: &str) -> (ActorLink, flume::Receiver<ActorEvent>) {
+    let (actor, incarnation) = (ActorId::new(name).unwrap(), Incarnation(1));
+    let settings = ConnectSettings::new(vec![endpoint(directory)]);
+    let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
+    let hello = Hello {
+        program: "test".to_owned(),
+        actor,
+        incarnation,
+        cpu: "cpu".to_owned(),
+        published: Sequence(0),
+        first_unacknowledged: Sequence(1),
+    };
+    link.hello(None, &hello, PATIENCE).await.unwrap();
+    (link, events)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_member_that_delivers_nothing_loses_its_environments_and_changes_no_bit() {
+    let directory = tempfile::tempdir().unwrap();
+    let learner = Learner::start(directory.path(), Mode::Lag, 2, 1);
+    let events = Arc::clone(&learner.events);
+    let (_link, inbox) = pretender(directory.path(), "mute").await;
+    let follower = tokio::spawn(async move {
+        while let Ok(event) = inbox.recv_async().await {
+            if let ActorEvent::Control { reply, .. } = event {
+                reply.reply(&ControlReply::Followed { epoch: Epoch(0) }).unwrap();
+            }
+        }
+    });
+    let honest = actor(directory.path(), "honest", 1);
+    let report = learner.report().await;
+    assert_eq!(report.digest, reference(Mode::Lag));
+    assert!(report.reproducible);
+    dismissed(honest).await;
+    follower.abort();
+    let is_named = |event: &RunEvent| {
+        matches!(event, RunEvent::WaitingForRollouts { actor, n_envs, .. }
+            if actor.as_str() == "mute" && *n_envs > 0)
+    };
+    assert!(events.lock().unwrap().iter().any(is_named));
+}
+
+/// Sends one rollout of every environment that it is given, sound but for the state at the end, and leaves.
+async fn poison(link: ActorLink, inbox: flume::Receiver<ActorEvent>) {
+    let spec = run_spec(Mode::Sync);
+    let trainer = Trainer::new(&spec.policy, &settings(Mode::Sync), spec.seed).unwrap();
+    let mut policy = Policy::new(&spec.policy, trainer.parameters()).unwrap();
+    let mut n_sent = None;
+    while let Ok(event) = inbox.recv_async().await {
+        match event {
+            ActorEvent::Control { control: Control::Assign(assignment), reply } => {
+                let epoch = assignment.epoch;
+                reply.reply(&ControlReply::Followed { epoch }).unwrap();
+                let mut worker = Worker::new(spec.clone());
+                for given in &assignment.envs {
+                    let env = Registry::builtin().build(&spec.task).unwrap();
+                    worker.insert(env, given).unwrap();
+                }
+                for (rollout, number) in
+                    worker.collect(&mut policy, PolicyVersion(0), &mut ()).iter().zip(1..)
+                {
+                    let rollout = Rollout { snapshot: vec![1], ..rollout.clone() };
+                    let payload = codec::encode(&rollout).unwrap();
+                    let plain = Header::plain(Schema::Rollout, Incarnation(1), &payload);
+                    let header = Header { sequence: Sequence(number), epoch, ..plain };
+                    link.publish_rollout(&header, payload.into()).unwrap();
+                    n_sent = Some(Sequence(number));
+                }
+            }
+            ActorEvent::Credit(credit) if Some(credit.acknowledged) == n_sent => break,
+            _ => {}
+        }
+    }
+    link.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_state_that_nobody_can_restore_ends_neither_an_actor_nor_the_run() {
+    let directory = tempfile::tempdir().unwrap();
+    let learner = Learner::start(directory.path(), Mode::Sync, 2, 1);
+    let events = Arc::clone(&learner.events);
+    let (link, inbox) = pretender(directory.path(), "rogue").await;
+    let honest = actor(directory.path(), "honest", 1);
+    tokio::time::timeout(PATIENCE, poison(link, inbox)).await.expect("in time");
+    let report = learner.report().await;
+    assert_eq!((report.end, report.n_updates), (RunEnd::Finished, N_UPDATES));
+    dismissed(honest).await;
+    let is_blamed = |event: &RunEvent| matches!(event, RunEvent::CutOff { actor, .. } if actor.as_str() == "rogue");
+    assert!(events.lock().unwrap().iter().any(is_blamed));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -166,7 +166,8 @@ pub(crate) fn ready_slot(
     let (run_seed, env_id) = (spec.seed, assignment.env_id);
     let recurrent_dim = spec.policy.recurrent_dim();
     if assignment.snapshot.is_empty() {
-        let seed = EpisodeSeed { run_seed, env_id, episode: 0 };
+        // After a snapshot was lost in the middle of a run, the first episodes are not played once more.
+        let seed = EpisodeSeed { run_seed, env_id, episode: assignment.iteration.0 };
         return Ok(EnvSlot::new(env, recurrent_dim, seed));
     }
     EnvSlot::restored(env, recurrent_dim, run_seed, env_id, &assignment.snapshot)

@@ -100,17 +100,38 @@ fn log(event: &RunEvent) {
             let actor = actor.as_ref().map_or("unknown", |actor| actor.as_str());
             tracing::warn!(actor, ?cause, "message refused: {reason}");
         }
-        RunEvent::CannotRestore { actor, n_envs } => {
-            tracing::warn!(%actor, n_envs, "the actor cannot go on from the snapshots of some environments");
-        }
         RunEvent::CutOff { actor, reason, .. } => {
             tracing::warn!(%actor, "actor cut off: {reason}");
         }
-        RunEvent::OtherProgram { actor, program } => {
-            tracing::warn!(%actor, program, "another build of the program: the run is not reproducible bit for bit");
+        RunEvent::OtherBuild { actor, build } => {
+            let who = actor.as_ref().map_or("this learner", |actor| actor.as_str());
+            let (program, cpu) = (&build.program, &build.cpu);
+            tracing::warn!(
+                who,
+                program,
+                cpu,
+                "another build of the program, or class of CPU, than before: the run is not reproducible bit for bit"
+            );
         }
-        RunEvent::OtherCpu { actor, cpu } => {
-            tracing::warn!(%actor, cpu, "another class of CPU: the run is not reproducible bit for bit");
+        RunEvent::WaitingForRollouts { actor, n_envs, waited } => {
+            let seconds = waited.as_secs();
+            tracing::warn!(
+                "waiting for rollouts of actor {actor} ({n_envs} environments) for {seconds} s"
+            );
+        }
+        RunEvent::Distrusted { actor, reason } => {
+            tracing::warn!(%actor, "the other actors take environments over from this one: {reason}");
+        }
+        RunEvent::TooManyActors { n_actors, n_envs } => {
+            tracing::warn!(
+                "{n_actors} actors for {n_envs} environments: some have nothing to do (see learner.n_envs)"
+            );
+        }
+        RunEvent::SnapshotRefused { actor, env_id } => {
+            tracing::warn!(%actor, %env_id, "the actor cannot restore the environment from its snapshot");
+        }
+        RunEvent::SnapshotLost { env_id } => {
+            tracing::warn!(%env_id, "nobody can restore the environment from its snapshot: its last rollout is made again, or a fresh episode begins");
         }
         RunEvent::CheckpointWritten { path, n_updates } => {
             tracing::debug!(n_updates, checkpoint = %path.display(), "checkpointed");

@@ -1,8 +1,9 @@
 //! Who steps which environment, and since which epoch.
 //!
 //! Environments move only when actors come, go or misbehave, as few as possible, and the result depends on
-//! nothing but the members and what they had: first everyone keeps their lowest environments up to a fair share,
-//! then what is free goes, in ascending order, to those with room. A first assignment is therefore contiguous.
+//! nothing but the members, what they had, and how much each may have: first everyone keeps their lowest environments
+//! up to a fair share, then what is free goes, in ascending order, to those with room. A first assignment is therefore
+//! contiguous. No environment waits because all members are limited: somebody has to step it.
 //!
 //! A rollout counts only if its epoch is not older than its sender's ownership ([`Ownership::since`]), so one
 //! that was under way when its environment moved cannot be mistaken for one that was made after it came back.
@@ -14,18 +15,18 @@ use leadtime_proto::{ActorId, EnvId, Epoch, Incarnation};
 /// Who steps an environment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ownership {
-    /// The actor.
+    /// The owning actor.
     pub actor: ActorId,
-    /// Its start.
+    /// The start of the actor that owns it.
     pub incarnation: Incarnation,
     /// The assignment that gave it the environment.
     pub since: Epoch,
 }
 
-/// What one actor must be told.
+/// A new set of environments for one actor, which it has to be told.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Change {
-    /// The actor.
+pub struct Reassignment {
+    /// The actor whose set it is.
     pub actor: ActorId,
     /// The assignment's number.
     pub epoch: Epoch,
@@ -46,6 +47,11 @@ impl Assigner {
     /// Starts with nobody, after the epochs that a checkpoint knows of.
     pub fn new(n_envs: usize, epoch: Epoch) -> Self {
         Self { epoch, owners: vec![None; n_envs] }
+    }
+
+    /// Returns how many environments there are.
+    pub fn n_envs(&self) -> usize {
+        self.owners.len()
     }
 
     /// Returns the newest epoch.
@@ -82,7 +88,7 @@ impl Assigner {
     }
 
     /// Gives an actor its own environments again, from their newest snapshots, under a new epoch.
-    pub fn renew(&mut self, actor: &ActorId) -> Option<Change> {
+    pub fn renew(&mut self, actor: &ActorId) -> Option<Reassignment> {
         let given = self.held(actor);
         if given.is_empty() {
             return None;
@@ -93,15 +99,49 @@ impl Assigner {
                 owner.since = epoch;
             }
         }
-        Some(Change { actor: actor.clone(), epoch, given, kept: Vec::new() })
+        Some(Reassignment { actor: actor.clone(), epoch, given, kept: Vec::new() })
     }
 
-    /// Shares the environments among the members and returns what has to be said to whom.
-    pub fn rebalance(&mut self, members: &BTreeMap<ActorId, Incarnation>) -> Vec<Change> {
-        if members.is_empty() {
-            return Vec::new();
+    /// Moves one environment to another actor and returns what has to be said to both.
+    pub fn hand_over(
+        &mut self,
+        env_id: EnvId,
+        to: &ActorId,
+        start: Incarnation,
+    ) -> Vec<Reassignment> {
+        let from = self.owner(env_id).map(|owner| owner.actor.clone());
+        let kept = self.held(to);
+        let mut changes = Vec::new();
+        let epoch = self.next_epoch();
+        let owner = Ownership { actor: to.clone(), incarnation: start, since: epoch };
+        self.owners[env_id.0 as usize] = Some(owner);
+        changes.push(Reassignment { actor: to.clone(), epoch, given: vec![env_id], kept });
+        if let Some(actor) = from {
+            let (epoch, kept) = (self.next_epoch(), self.held(&actor));
+            changes.push(Reassignment { actor, epoch, given: Vec::new(), kept });
         }
-        let quotas = self.quotas(members);
+        changes
+    }
+
+    /// Gives an actor one of its environments again, from its newest snapshot, under a new epoch.
+    pub fn give_again(&mut self, env_id: EnvId) -> Option<Reassignment> {
+        let epoch = self.next_epoch();
+        let owner = self.owners.get_mut(env_id.0 as usize)?.as_mut()?;
+        owner.since = epoch;
+        let actor = owner.actor.clone();
+        let mut kept = self.held(&actor);
+        kept.retain(|&kept| kept != env_id);
+        Some(Reassignment { actor, epoch, given: vec![env_id], kept })
+    }
+
+    /// Shares the environments among the members, each of whom should have at most `max_envs`, and returns what has
+    /// to be said to whom.
+    pub fn rebalance(
+        &mut self,
+        members: &BTreeMap<ActorId, Incarnation>,
+        max_envs: impl Fn(&ActorId) -> usize,
+    ) -> Vec<Reassignment> {
+        let quotas = self.quotas(members, max_envs);
         let mut dropped: BTreeMap<&ActorId, bool> = BTreeMap::new();
         for (actor, &quota) in &quotas {
             let held = self.held(actor);
@@ -124,19 +164,39 @@ impl Assigner {
                     Ownership { actor: actor.clone(), incarnation: members[actor], since: epoch };
                 self.owners[env_id.0 as usize] = Some(owner);
             }
-            changes.push(Change { actor: actor.clone(), epoch, given, kept });
+            changes.push(Reassignment { actor: actor.clone(), epoch, given, kept });
         }
         changes
     }
 
-    /// Fair shares that differ by at most one; the larger ones go to those who hold most.
-    fn quotas(&self, members: &BTreeMap<ActorId, Incarnation>) -> BTreeMap<ActorId, usize> {
-        let (share, extra) = (self.owners.len() / members.len(), self.owners.len() % members.len());
+    /// Fair shares, as equal as the limits allow; the larger ones go to those who hold most.
+    fn quotas(
+        &self,
+        members: &BTreeMap<ActorId, Incarnation>,
+        max_envs: impl Fn(&ActorId) -> usize,
+    ) -> BTreeMap<ActorId, usize> {
         let mut order: Vec<&ActorId> = members.keys().collect();
         order.sort_by_key(|actor| std::cmp::Reverse(self.held(actor).len()));
-        let quota =
-            |(rank, actor): (usize, &ActorId)| (actor.clone(), share + usize::from(rank < extra));
-        order.into_iter().enumerate().map(quota).collect()
+        let mut quotas: Vec<(&ActorId, usize, usize)> =
+            order.into_iter().map(|actor| (actor, max_envs(actor), 0)).collect();
+        let mut n_left = if quotas.is_empty() { 0 } else { self.owners.len() };
+        while n_left > 0 {
+            // Limits that leave environments over do not hold: first those of members that may have some.
+            let has_room = quotas.iter().any(|(_, limit, quota)| quota < limit);
+            let is_trusted = quotas.iter().any(|(_, limit, _)| *limit > 0);
+            for (_, limit, quota) in &mut quotas {
+                let takes = if has_room { *quota < *limit } else { *limit > 0 || !is_trusted };
+                let n_taken = usize::from(takes && n_left > 0);
+                *quota += n_taken;
+                n_left -= n_taken;
+            }
+        }
+        quotas.into_iter().map(|(actor, _, quota)| (actor.clone(), quota)).collect()
+    }
+
+    /// Returns how many environments each member has.
+    pub fn counts(&self, members: &BTreeMap<ActorId, Incarnation>) -> BTreeMap<ActorId, usize> {
+        members.keys().map(|actor| (actor.clone(), self.held(actor).len())).collect()
     }
 
     fn held(&self, actor: &ActorId) -> Vec<EnvId> {
@@ -175,10 +235,17 @@ mod tests {
             .collect()
     }
 
+    fn share(
+        assigner: &mut Assigner,
+        members: &BTreeMap<ActorId, Incarnation>,
+    ) -> Vec<Reassignment> {
+        assigner.rebalance(members, |_| usize::MAX)
+    }
+
     #[test]
     fn a_first_assignment_is_contiguous_and_balanced() {
         let mut assigner = Assigner::new(5, Epoch(0));
-        let changes = assigner.rebalance(&members(&["a", "b"]));
+        let changes = share(&mut assigner, &members(&["a", "b"]));
         assert_eq!(sets(&assigner, &["a", "b"]), [vec![0, 1, 2], vec![3, 4]]);
         assert_eq!(changes.len(), 2);
         assert!(changes.iter().all(|change| change.kept.is_empty()));
@@ -187,8 +254,8 @@ mod tests {
     #[test]
     fn a_joiner_gets_its_share_and_the_others_keep_theirs() {
         let mut assigner = Assigner::new(4, Epoch(0));
-        assigner.rebalance(&members(&["a"]));
-        let changes = assigner.rebalance(&members(&["a", "b"]));
+        share(&mut assigner, &members(&["a"]));
+        let changes = share(&mut assigner, &members(&["a", "b"]));
         assert_eq!(sets(&assigner, &["a", "b"]), [vec![0, 1], vec![2, 3]]);
         let (a, b) = (&changes[0], &changes[1]);
         assert_eq!((a.given.len(), a.kept.len()), (0, 2));
@@ -200,17 +267,17 @@ mod tests {
     #[test]
     fn who_is_not_touched_hears_nothing() {
         let mut assigner = Assigner::new(4, Epoch(0));
-        assigner.rebalance(&members(&["a", "b"]));
-        assert!(assigner.rebalance(&members(&["a", "b"])).is_empty());
+        share(&mut assigner, &members(&["a", "b"]));
+        assert!(share(&mut assigner, &members(&["a", "b"])).is_empty());
     }
 
     #[test]
     fn the_envs_of_one_who_left_go_to_the_others() {
         let mut assigner = Assigner::new(6, Epoch(0));
-        assigner.rebalance(&members(&["a", "b", "c"]));
+        share(&mut assigner, &members(&["a", "b", "c"]));
         assert_eq!(assigner.release(&id("b")), 2);
         assert!(assigner.has_orphans());
-        assigner.rebalance(&members(&["a", "c"]));
+        share(&mut assigner, &members(&["a", "c"]));
         assert_eq!(sets(&assigner, &["a", "c"]), [vec![0, 1, 2], vec![3, 4, 5]]);
         assert!(!assigner.has_orphans());
     }
@@ -218,17 +285,17 @@ mod tests {
     #[test]
     fn with_nobody_left_the_environments_wait() {
         let mut assigner = Assigner::new(2, Epoch(7));
-        assigner.rebalance(&members(&["a"]));
+        share(&mut assigner, &members(&["a"]));
         assigner.release(&id("a"));
-        assert!(assigner.rebalance(&members(&[])).is_empty());
+        assert!(share(&mut assigner, &members(&[])).is_empty());
         assert!(assigner.has_orphans());
-        assert_eq!(assigner.rebalance(&members(&["b"]))[0].epoch, Epoch(9));
+        assert_eq!(share(&mut assigner, &members(&["b"]))[0].epoch, Epoch(9));
     }
 
     #[test]
     fn renewing_moves_nothing_but_makes_older_rollouts_void() {
         let mut assigner = Assigner::new(2, Epoch(0));
-        assigner.rebalance(&members(&["a"]));
+        share(&mut assigner, &members(&["a"]));
         let change = assigner.renew(&id("a")).unwrap();
         assert_eq!(change.given, [EnvId(0), EnvId(1)]);
         assert_eq!(assigner.owner(EnvId(1)).unwrap().since, change.epoch);
@@ -238,8 +305,43 @@ mod tests {
     #[test]
     fn more_actors_than_environments_leave_some_idle() {
         let mut assigner = Assigner::new(1, Epoch(0));
-        let changes = assigner.rebalance(&members(&["a", "b", "c"]));
+        let changes = share(&mut assigner, &members(&["a", "b", "c"]));
         assert_eq!(changes.len(), 1);
         assert!(!assigner.has_orphans());
+    }
+
+    #[test]
+    fn limits_hold_as_long_as_somebody_else_can_take_what_they_leave_over() {
+        let mut assigner = Assigner::new(6, Epoch(0));
+        let limit = |limits: &[(&str, usize)]| {
+            let limits: BTreeMap<ActorId, usize> =
+                limits.iter().map(|&(name, limit)| (id(name), limit)).collect();
+            move |actor: &ActorId| limits.get(actor).copied().unwrap_or(usize::MAX)
+        };
+        let all = members(&["a", "b", "c"]);
+        for (limits, expected) in [
+            (&[("a", 1), ("b", 0)][..], [1, 0, 5]),
+            (&[("a", 2), ("b", 0), ("c", 2)], [3, 0, 3]),
+            (&[("a", 0), ("b", 0), ("c", 0)], [2, 2, 2]),
+        ] {
+            assigner.rebalance(&all, limit(limits));
+            assert_eq!(assigner.counts(&all).into_values().collect::<Vec<_>>(), expected);
+        }
+    }
+
+    #[test]
+    fn one_environment_moves_alone() {
+        let mut assigner = Assigner::new(4, Epoch(0));
+        share(&mut assigner, &members(&["a", "b"]));
+        let changes = assigner.hand_over(EnvId(0), &id("b"), Incarnation(1));
+        assert_eq!(sets(&assigner, &["a", "b"]), [vec![1], vec![0, 2, 3]]);
+        assert_eq!(
+            (&changes[0].given[..], &changes[0].kept[..]),
+            (&[EnvId(0)][..], &[EnvId(2), EnvId(3)][..])
+        );
+        assert_eq!((changes[1].actor.as_str(), &changes[1].kept[..]), ("a", &[EnvId(1)][..]));
+        let again = assigner.give_again(EnvId(0)).unwrap();
+        assert_eq!((again.actor.as_str(), again.kept.len()), ("b", 2));
+        assert_eq!(assigner.owner(EnvId(0)).unwrap().since, again.epoch);
     }
 }

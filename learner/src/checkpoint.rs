@@ -1,7 +1,7 @@
 //! Checkpoint files: whole or not there.
 //!
-//! A file is replaced in one step ([`write_atomically`]), so a crash leaves the old files or the new one. What a disk does to a file later is noticed by the digest,
-//! and the run falls back to the file before it, saying so.
+//! A file is replaced in one step ([`write_atomically`]), so a crash leaves the old files or the new one. What a disk
+//! does to a file later is noticed by the digest, and the run falls back to the file before it, saying so.
 //!
 //! ```text
 //! offset 0      4         8        16          48
@@ -9,8 +9,13 @@
 //!        LTCK   u32 le    u64 le   of payload
 //! ```
 //!
-//! The directory is locked as long as a [`CheckpointStore`] lives, so two learners cannot share a run.
+//! # Invariants
+//!
+//! * The newest [`KEPT`] whole files stay. Damaged ones do not count, and go when the run has passed them.
+//! * A file of a format that this release does not read is not damaged: it is refused, and nothing is removed.
+//! * The directory is locked as long as a [`CheckpointStore`] lives, so two learners cannot share a run.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -18,14 +23,14 @@ use std::path::{Path, PathBuf};
 use leadtime_ppo::{LearnerSettings, Mode};
 use leadtime_proto::codec::{self, CodecError};
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
+use tracing::warn;
 
-use crate::write_atomically;
+use crate::files::write_atomically;
 
-/// The version of what a checkpoint holds.
-pub const FORMAT_VERSION: u32 = 1;
+/// The version of what a checkpoint holds; all from 1 to this one are read.
+pub const FORMAT_VERSION: u32 = 2;
 /// How many checkpoints are kept.
 pub const KEPT: usize = 3;
 const MAGIC: [u8; 4] = *b"LTCK";
@@ -53,34 +58,47 @@ pub enum CheckpointError {
     /// The disk is full, the directory is not writable, or the like.
     #[error("cannot write {}: free some space or choose another run directory", path.display())]
     Write {
-        /// The file or directory.
+        /// The file or directory that was to be written.
         path: PathBuf,
-        /// What the system says.
+        /// What the operating system reports.
         source: io::Error,
     },
     /// A file or directory cannot be read.
     #[error("cannot read {}", path.display())]
     Read {
-        /// The file or directory.
+        /// The file or directory that was to be read.
         path: PathBuf,
-        /// What the system says.
+        /// What the operating system reports.
         source: io::Error,
     },
-    /// Another learner has the directory.
+    /// Another learner holds the directory's lock.
     #[error("{} is in use by another learner: stop it, or choose another run name", path.display())]
     InUse {
-        /// The directory.
+        /// The checkpoint directory of the run.
         path: PathBuf,
     },
-    /// No checkpoint is whole.
+    /// A release with another checkpoint format wrote the newest checkpoint.
     #[error(
-        "none of the {n_damaged} checkpoints in {} is whole: remove the directory to start again",
+        "{} has checkpoint format {found}, this release reads 1 to {FORMAT_VERSION}: resume the run with the release \
+         that wrote it, or start another run (--name; --fork takes this one's weights)",
+        path.display()
+    )]
+    OtherFormat {
+        /// The checkpoint of the other format.
+        path: PathBuf,
+        /// The format that the file states.
+        found: u32,
+    },
+    /// There are checkpoints, and each of them is damaged.
+    #[error(
+        "none of the {n_damaged} checkpoints in {} is whole: restore one from a backup, or start another run (--name; \
+         --fork takes this one's weights)",
         path.display()
     )]
     AllDamaged {
-        /// The directory.
+        /// The checkpoint directory of the run.
         path: PathBuf,
-        /// How many there are.
+        /// How many damaged checkpoints it holds.
         n_damaged: usize,
     },
     /// The state cannot be written in the project's encoding.
@@ -90,25 +108,19 @@ pub enum CheckpointError {
 
 /// What is wrong with one checkpoint file.
 #[derive(Debug, Error)]
-pub enum Damage {
-    /// It cannot be read at all.
+pub enum CheckpointDamage {
+    /// The operating system does not read it.
     #[error("it cannot be read")]
     Unreadable(#[source] io::Error),
-    /// It does not start like one.
+    /// It does not begin with the magic number.
     #[error("it is not a checkpoint")]
     Magic,
-    /// Another release wrote it.
-    #[error("it has format {found}, this release reads {FORMAT_VERSION}")]
-    Format {
-        /// As written.
-        found: u32,
-    },
     /// It is shorter or longer than it says.
     #[error("it is torn: {found} of {expected} bytes are there")]
     Torn {
-        /// Bytes there.
+        /// Length of the file, in bytes.
         found: u64,
-        /// Bytes that should be.
+        /// Length that its header states, in bytes.
         expected: u64,
     },
     /// Its content is not what was written.
@@ -124,16 +136,18 @@ pub enum Damage {
 pub struct Loaded<T> {
     /// What it holds.
     pub state: T,
-    /// Where it is.
+    /// The file that it was read from.
     pub path: PathBuf,
     /// Newer files that could not be used.
-    pub damaged: Vec<(PathBuf, Damage)>,
+    pub damaged: Vec<(PathBuf, CheckpointDamage)>,
 }
 
 /// The checkpoint directory of a run.
 #[derive(Debug)]
 pub struct CheckpointStore {
     directory: PathBuf,
+    /// Files that [`Self::newest`] found damaged.
+    damaged: BTreeSet<PathBuf>,
     _lock: File,
 }
 
@@ -154,7 +168,10 @@ impl CheckpointStore {
             .open(directory.join("lock"))
             .map_err(failed)?;
         match lock.try_lock() {
-            Ok(()) => Ok(Self { directory: directory.to_owned(), _lock: lock }),
+            Ok(()) => {
+                let (directory, damaged) = (directory.to_owned(), BTreeSet::new());
+                Ok(Self { directory, damaged, _lock: lock })
+            }
             Err(TryLockError::WouldBlock) => {
                 Err(CheckpointError::InUse { path: directory.to_owned() })
             }
@@ -162,13 +179,13 @@ impl CheckpointStore {
         }
     }
 
-    /// Writes the state after `n_updates` updates and removes the oldest files.
+    /// Writes the state after `n_updates` updates and removes what is no longer needed.
     ///
     /// # Errors
     ///
     /// [`CheckpointError::Write`], with the path; older checkpoints are then untouched.
     pub fn write<T: Serialize>(
-        &self,
+        &mut self,
         n_updates: u64,
         state: &T,
     ) -> Result<PathBuf, CheckpointError> {
@@ -183,44 +200,71 @@ impl CheckpointStore {
         bytes.extend_from_slice(&(payload.len() as u64).to_le_bytes());
         bytes.extend_from_slice(&Sha256::digest(&payload));
         bytes.extend_from_slice(&payload);
-        let path = self.write_file(&format!("{n_updates:012}.{EXTENSION}"), &bytes)?;
-        let mut files = self.files()?;
-        files.truncate(files.len().saturating_sub(KEPT));
-        for old in files {
-            fs::remove_file(&old).map_err(|source| CheckpointError::Write { path: old, source })?;
-        }
+        let path = self.directory.join(format!("{n_updates:012}.{EXTENSION}"));
+        // The directory may have been removed meanwhile; the run in memory is worth more than the reason.
+        fs::create_dir_all(&self.directory)
+            .and_then(|()| write_atomically(&path, &bytes))
+            .map_err(|source| CheckpointError::Write { path: path.clone(), source })?;
+        self.damaged.remove(&path);
+        self.clean_up(&path);
         Ok(path)
     }
 
-    /// Writes any other file of the directory in the same all-or-nothing way.
+    /// Removes whole files beyond the newest [`KEPT`], and damaged ones that the run has passed.
     ///
-    /// # Errors
-    ///
-    /// [`CheckpointError::Write`], with the path.
-    pub fn write_file(&self, name: &str, bytes: &[u8]) -> Result<PathBuf, CheckpointError> {
-        let path = self.directory.join(name);
-        match write_atomically(&path, bytes) {
-            Ok(()) => Ok(path),
-            Err(source) => Err(CheckpointError::Write { path, source }),
+    /// A file that cannot be removed, or is gone already, is no reason to end a run whose state has just been saved.
+    fn clean_up(&self, newest: &Path) {
+        let Ok(files) = self.files() else { return };
+        let (damaged, whole): (Vec<_>, Vec<_>) =
+            files.into_iter().partition(|path| self.damaged.contains(path));
+        let n_old = whole.len().saturating_sub(KEPT);
+        let passed = damaged.into_iter().filter(|path| path.as_path() < newest);
+        for path in whole.into_iter().take(n_old).chain(passed) {
+            if let Err(error) = fs::remove_file(&path)
+                && error.kind() != io::ErrorKind::NotFound
+            {
+                warn!(checkpoint = %path.display(), %error, "an old checkpoint cannot be removed");
+            }
         }
     }
 
-    /// Reads the newest whole checkpoint; `None` if there never was one.
+    /// Reads the newest whole checkpoint; `None` if there is no checkpoint at all. `decode` is given the format and
+    /// the payload.
     ///
     /// # Errors
     ///
+    /// [`CheckpointError::OtherFormat`] if a newer release wrote a checkpoint that is newer than all whole ones;
     /// [`CheckpointError::AllDamaged`] if there are some and none is whole.
-    pub fn newest<T: DeserializeOwned>(&self) -> Result<Option<Loaded<T>>, CheckpointError> {
+    pub fn newest<T>(
+        &mut self,
+        decode: impl Fn(u32, &[u8]) -> Result<T, CodecError>,
+    ) -> Result<Option<Loaded<T>>, CheckpointError> {
         let mut damaged = Vec::new();
+        let mut found = None;
         for path in self.files()?.into_iter().rev() {
+            // Older files are looked at, too: only whole ones count when old files are removed.
             match read(&path) {
-                Ok(state) => return Ok(Some(Loaded { state, path, damaged })),
-                Err(damage) => damaged.push((path, damage)),
+                Ok(CheckpointFile { format, .. }) if !(1..=FORMAT_VERSION).contains(&format) => {
+                    if found.is_none() {
+                        return Err(CheckpointError::OtherFormat { path, found: format });
+                    }
+                }
+                Ok(content) if found.is_none() => match decode(content.format, content.payload()) {
+                    Ok(state) => found = Some((state, path)),
+                    Err(error) => damaged.push((path, CheckpointDamage::Decode(error))),
+                },
+                Ok(_) => {}
+                Err(damage) if found.is_none() => damaged.push((path, damage)),
+                Err(_) => {
+                    self.damaged.insert(path);
+                }
             }
         }
-        match damaged.len() {
-            0 => Ok(None),
-            n_damaged => {
+        self.damaged.extend(damaged.iter().map(|(path, _)| path.clone()));
+        match (found, damaged.len()) {
+            (Some((state, path)), _) => Ok(Some(Loaded { state, path, damaged })),
+            (None, 0) => Ok(None),
+            (None, n_damaged) => {
                 Err(CheckpointError::AllDamaged { path: self.directory.clone(), n_damaged })
             }
         }
@@ -241,30 +285,34 @@ impl CheckpointStore {
     }
 }
 
-/// Reads one checkpoint file.
-///
-/// # Errors
-///
-/// [`Damage`]: what is wrong with it.
-pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, Damage> {
-    let bytes = fs::read(path).map_err(Damage::Unreadable)?;
-    let torn = |expected| Damage::Torn { found: bytes.len() as u64, expected };
+/// A checkpoint file that is as it was written, or was written in another format.
+struct CheckpointFile {
+    format: u32,
+    bytes: Vec<u8>,
+}
+
+impl CheckpointFile {
+    fn payload(&self) -> &[u8] {
+        &self.bytes[FRONT_BYTES..]
+    }
+}
+
+fn read(path: &Path) -> Result<CheckpointFile, CheckpointDamage> {
+    let bytes = fs::read(path).map_err(CheckpointDamage::Unreadable)?;
+    let torn = |expected| CheckpointDamage::Torn { found: bytes.len() as u64, expected };
     let (front, payload) = bytes.split_at_checked(FRONT_BYTES).ok_or(torn(FRONT_BYTES as u64))?;
     if front[0..4] != MAGIC {
-        return Err(Damage::Magic);
+        return Err(CheckpointDamage::Magic);
     }
     let format = u32::from_le_bytes(std::array::from_fn(|i| front[4 + i]));
-    if format != FORMAT_VERSION {
-        return Err(Damage::Format { found: format });
-    }
     let length = u64::from_le_bytes(std::array::from_fn(|i| front[8 + i]));
     if length != payload.len() as u64 {
         return Err(torn(length.saturating_add(FRONT_BYTES as u64)));
     }
     if front[16..48] != Sha256::digest(payload)[..] {
-        return Err(Damage::Digest);
+        return Err(CheckpointDamage::Digest);
     }
-    codec::decode(payload, MAX_PAYLOAD_BYTES).map_err(Damage::Decode)
+    Ok(CheckpointFile { format, bytes })
 }
 
 #[cfg(test)]
@@ -277,60 +325,117 @@ mod tests {
         (directory, store)
     }
 
-    fn newest(store: &CheckpointStore) -> Loaded<Vec<u64>> {
-        store.newest().unwrap().unwrap()
+    fn decode(_format: u32, payload: &[u8]) -> Result<Vec<u64>, CodecError> {
+        codec::decode(payload, MAX_PAYLOAD_BYTES)
+    }
+
+    fn newest(store: &mut CheckpointStore) -> Loaded<Vec<u64>> {
+        store.newest(decode).unwrap().unwrap()
+    }
+
+    fn write(store: &mut CheckpointStore, numbers: impl IntoIterator<Item = u64>) {
+        for n_updates in numbers {
+            store.write(n_updates, &vec![n_updates]).unwrap();
+        }
+    }
+
+    fn path(store: &CheckpointStore, n_updates: u64) -> PathBuf {
+        store.directory.join(format!("{n_updates:012}.checkpoint"))
     }
 
     #[test]
     fn the_newest_three_stay() {
-        let (_directory, store) = store();
-        assert!(store.newest::<Vec<u64>>().unwrap().is_none());
-        for n_updates in 8..13 {
-            store.write(n_updates, &vec![n_updates]).unwrap();
-        }
+        let (_directory, mut store) = store();
+        assert!(store.newest(decode).unwrap().is_none());
+        write(&mut store, 8..13);
         assert_eq!(store.files().unwrap().len(), KEPT);
-        assert_eq!(newest(&store).state, [12]);
+        assert_eq!(newest(&mut store).state, [12]);
     }
 
     #[test]
     fn a_torn_or_changed_checkpoint_gives_way_to_the_one_before() {
-        let (_directory, store) = store();
-        store.write(1, &vec![1_u64]).unwrap();
+        let (_directory, mut store) = store();
+        write(&mut store, [1]);
         let path = store.write(2, &vec![2_u64, 3, 4]).unwrap();
         let whole = fs::read(&path).unwrap();
         let mut changed = whole.clone();
         *changed.last_mut().unwrap() ^= 1;
-        let mut newer = whole.clone();
-        newer[4] = 9;
         let mut foreign = whole.clone();
         foreign[0] = 0;
-        for bytes in [&whole[..whole.len() - 1], &whole[..20], &[], &changed, &newer, &foreign] {
+        for bytes in [&whole[..whole.len() - 1], &whole[..20], &[], &changed, &foreign] {
             fs::write(&path, bytes).unwrap();
-            let loaded = newest(&store);
+            let loaded = newest(&mut store);
             assert_eq!(loaded.state, [1]);
             assert_eq!(loaded.damaged[0].0, path);
         }
         fs::write(&path, &changed).unwrap();
-        assert!(matches!(newest(&store).damaged[0].1, Damage::Digest));
+        assert!(matches!(newest(&mut store).damaged[0].1, CheckpointDamage::Digest));
         fs::write(&path, &whole).unwrap();
-        assert!(newest(&store).damaged.is_empty());
+        assert!(newest(&mut store).damaged.is_empty());
+    }
+
+    #[test]
+    fn damaged_checkpoints_take_no_place_of_whole_ones() {
+        let (_directory, mut store) = store();
+        write(&mut store, [1, 9, 10]);
+        for n_updates in [9, 10] {
+            fs::write(path(&store, n_updates), b"torn").unwrap();
+        }
+        assert_eq!(newest(&mut store).state, [1]);
+        write(&mut store, [2, 3]);
+        let kept = |store: &CheckpointStore| store.files().unwrap();
+        assert_eq!(kept(&store), [1, 2, 3, 9, 10].map(|n| path(&store, n)));
+        write(&mut store, [9]);
+        assert_eq!(kept(&store), [2, 3, 9, 10].map(|n| path(&store, n)), "9 is whole again");
+        write(&mut store, [11]);
+        assert_eq!(kept(&store), [3, 9, 11].map(|n| path(&store, n)));
+        fs::write(path(&store, 9), b"torn").unwrap();
+        assert!(newest(&mut store).damaged.is_empty(), "an older one is no news");
+        write(&mut store, [12]);
+        assert_eq!(kept(&store), [3, 11, 12].map(|n| path(&store, n)));
+    }
+
+    #[test]
+    fn a_vanished_checkpoint_or_directory_does_not_keep_a_new_one_from_being_written() {
+        let (_directory, mut store) = store();
+        write(&mut store, 1..4);
+        // Neither can be removed as a file: the one is gone, the other has become a directory.
+        fs::remove_file(path(&store, 1)).unwrap();
+        fs::create_dir(path(&store, 0)).unwrap();
+        write(&mut store, 4..6);
+        fs::remove_dir_all(&store.directory).unwrap();
+        write(&mut store, [6]);
+        assert_eq!(newest(&mut store).state, [6]);
+    }
+
+    #[test]
+    fn a_checkpoint_of_another_release_is_refused_and_not_passed_over() {
+        let (_directory, mut store) = store();
+        write(&mut store, [1, 2]);
+        let mut other = fs::read(path(&store, 2)).unwrap();
+        other[4] = 9;
+        fs::write(path(&store, 2), &other).unwrap();
+        let error = store.newest(decode).unwrap_err().to_string();
+        assert!(error.contains("format 9, this release reads 1 to 2"), "{error}");
+        write(&mut store, [3]);
+        assert_eq!(newest(&mut store).state, [3], "one that is older is of no concern");
     }
 
     #[test]
     fn a_run_whose_checkpoints_are_all_damaged_does_not_begin_anew() {
-        let (_directory, store) = store();
+        let (_directory, mut store) = store();
         let path = store.write(1, &vec![1_u64]).unwrap();
         fs::write(path, b"LTCK").unwrap();
-        let error = store.newest::<Vec<u64>>().unwrap_err();
+        let error = store.newest(decode).unwrap_err();
         assert!(matches!(error, CheckpointError::AllDamaged { n_damaged: 1, .. }));
     }
 
     #[test]
     fn a_crash_while_writing_leaves_a_file_that_nobody_reads() {
-        let (_directory, store) = store();
-        store.write(1, &vec![1_u64]).unwrap();
+        let (_directory, mut store) = store();
+        write(&mut store, [1]);
         fs::write(store.directory.join("000000000002.checkpoint.partial"), b"half").unwrap();
-        assert_eq!(newest(&store).state, [1]);
+        assert_eq!(newest(&mut store).state, [1]);
     }
 
     #[test]

@@ -9,6 +9,8 @@ use leadtime_ppo::LearnerSettings;
 use leadtime_proto::message::{Announcement, Welcome};
 use leadtime_proto::{Incarnation, RunName, RunSpec, Sequence};
 
+use crate::builds::{Build, Builds};
+
 /// How often the state of a run goes to the disk; whichever comes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CheckpointInterval {
@@ -35,10 +37,8 @@ pub struct LearnerConfig {
     pub actors_min: usize,
     /// Where to be reached.
     pub listen: ListenSettings,
-    /// The fingerprint of the learner's build of the program.
-    pub program: String,
-    /// The learner's CPU fingerprint.
-    pub cpu: String,
+    /// What this learner computes with.
+    pub build: Build,
     /// The directory of the run's checkpoints.
     pub checkpoints: PathBuf,
     /// How often to write one.
@@ -63,5 +63,10 @@ impl LearnerConfig {
     /// Returns the environment steps of one update.
     pub(crate) fn steps_per_update(&self) -> u64 {
         self.settings.n_envs as u64 * self.settings.n_steps as u64
+    }
+
+    /// Tells whether the same seed would give the same bits, if these are all who computed the run.
+    pub(crate) fn is_reproducible(&self, builds: &Builds) -> bool {
+        builds.is_uniform() && self.settings.schedule().is_deterministic()
     }
 }

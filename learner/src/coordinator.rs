@@ -1,7 +1,7 @@
 //! The learner's decisions, without network, clock or threads: what to do about each thing that happens.
 //!
 //! ```text
-//! hello, token, rollout, refusal  ->  Coordinator  ->  Effect (say this, credit that, tell the log)
+//! hello, token, rollout, refusal  ->  Coordinator  ->  Effect (send this, credit that, report)
 //!                                         |
 //!                        rollouts that are ready -> the trainer -> trained()
 //! ```
@@ -17,25 +17,27 @@
 //! * After a refused rollout its sender gets its environments anew, from their newest snapshots: the refused
 //!   one will not come again, so without that its environment would wait for ever.
 
-mod terms;
-
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 use leadtime_proto::message::{Assignment, Control, Credit, EnvAssignment, Hello};
 use leadtime_proto::{
     ActorId, CheckedRollout, EnvId, Epoch, Header, Incarnation, PolicyVersion, Refusal,
-    RefusalCause, Rollout, Sequence, limits, receive,
+    RefusalCause, Rollout, RunSpec, Sequence, limits, receive,
 };
 
-use crate::assign::{Assigner, Change};
+use crate::assign::{Assigner, Reassignment};
 use crate::books::{Books, SenderKey};
-use crate::collect::{Batch, Collector};
+use crate::builds::{Build, Builds};
 use crate::report::RunEvent;
+use crate::rollout_queue::{Recovery, RolloutQueue};
 use crate::roster::Roster;
+use crate::stragglers::{Lateness, Stragglers};
 
-use terms::Stage;
-pub use terms::{Effect, HelloRefusal, Start, Terms};
-
+/// How often [`Coordinator::tick`] is to be called.
+pub const TICK: Duration = Duration::from_millis(500);
+const BEHIND: &str = "it is far behind the others";
+const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not";
 /// The most bytes of snapshots in one assignment; more environments go into a second one.
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
 /// A count of rollouts that no actor reaches: a hello beyond it is nonsense.
@@ -47,21 +49,100 @@ const MAX_LOST: u64 = 1 << 20;
 /// The most starts of actors that may say so without being in the checkpoint: those that came after it.
 const MAX_LOSERS: usize = 1_024;
 
+/// What a run agreed on, as far as decisions depend on it.
+#[derive(Clone, Debug)]
+pub struct CoordinatorSettings {
+    /// This start of the learner.
+    pub learner: Incarnation,
+    /// What is computed, and how: rollouts must fit it.
+    pub spec: RunSpec,
+    /// The most rollouts an actor may have unacknowledged.
+    pub window: u32,
+    /// Actors that must be there before a run starts.
+    pub actors_min: usize,
+}
+
+/// Where a coordinator starts: the beginning, or a checkpoint.
+#[derive(Clone, Debug)]
+pub struct CoordinatorStart {
+    /// Where every environment stands.
+    pub places: Vec<EnvAssignment>,
+    /// The newest assignment so far.
+    pub epoch: Epoch,
+    /// The policy's version.
+    pub version: PolicyVersion,
+    /// The books so far.
+    pub books: Books,
+    /// Who has computed the run so far, this learner included.
+    pub builds: Builds,
+}
+
+/// What has to be done about something that happened.
+#[derive(Clone, Debug)]
+pub enum Effect {
+    /// Send an actor a control message; those for one actor keep their order.
+    Control {
+        /// The start of the actor that it is for.
+        to: SenderKey,
+        /// The message itself.
+        control: Control,
+    },
+    /// Acknowledge and permit.
+    Credit {
+        /// The actor whose rollouts it is about.
+        to: ActorId,
+        /// How far they have arrived, and how many more may come.
+        credit: Credit,
+    },
+    /// Report something to the sink.
+    Event(RunEvent),
+}
+
+/// Why a hello is answered with a refusal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum HelloRefusal {
+    /// The actor was cut off.
+    #[error(
+        "this actor was cut off because it kept sending messages that were refused: restart it"
+    )]
+    CutOff,
+    /// Another incarnation is connected; reported as `HelloReply::Taken`.
+    #[error("an actor of this name is already here")]
+    Taken,
+    /// Its counts contradict each other, or what this learner knows.
+    #[error("its counts of published and unacknowledged rollouts make no sense")]
+    Nonsense,
+    /// The run is ending: there is nothing left to do.
+    #[error("the run is ending: nothing is left to do")]
+    Closing,
+}
+
+/// How far a run is, as far as moving environments is concerned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum RunStage {
+    /// Too few actors so far.
+    Gathering,
+    /// Environments are moved when they have to be.
+    Running,
+    /// Actors are leaving, and nothing is moved any more.
+    Closing,
+}
+
 /// The state behind a learner's decisions.
 #[derive(Debug)]
 pub struct Coordinator {
-    terms: Terms,
+    settings: CoordinatorSettings,
     version: PolicyVersion,
     roster: Roster,
     assigner: Assigner,
-    collector: Collector,
+    queue: RolloutQueue,
+    stragglers: Stragglers,
     books: Books,
+    builds: Builds,
     in_training: u64,
-    stage: Stage,
+    stage: RunStage,
     rebalance_due: bool,
-    same_program: bool,
-    same_cpu: bool,
-    /// Starts of actors that told of lost rollouts and were not in the checkpoint.
+    /// Starts of actors that reported lost rollouts and were not in the checkpoint.
     n_losers: usize,
     credit_due: BTreeSet<ActorId>,
     effects: Vec<Effect>,
@@ -69,32 +150,36 @@ pub struct Coordinator {
 
 impl Coordinator {
     /// Starts with nobody.
-    pub fn new(terms: Terms, start: Start) -> Self {
+    pub fn new(settings: CoordinatorSettings, start: CoordinatorStart) -> Self {
+        let n_envs = start.places.len();
         Self {
-            assigner: Assigner::new(start.places.len(), start.epoch),
-            collector: Collector::new(terms.spec.schedule, start.places),
-            terms,
+            assigner: Assigner::new(n_envs, start.epoch),
+            queue: RolloutQueue::new(settings.spec.schedule, start.places),
+            stragglers: Stragglers::new(n_envs, settings.spec.schedule.is_deterministic()),
+            settings,
             version: start.version,
             roster: Roster::default(),
             books: start.books,
+            builds: start.builds,
             in_training: 0,
-            stage: Stage::Gathering,
+            stage: RunStage::Gathering,
             rebalance_due: false,
-            same_program: true,
-            same_cpu: true,
             n_losers: 0,
             credit_due: BTreeSet::new(),
             effects: Vec::new(),
         }
     }
 
-    /// Hears an actor's hello and returns the sequence from which its rollouts count.
+    /// Takes in an actor's hello and returns the sequence from which its rollouts count.
     ///
     /// # Errors
     ///
-    /// [`HelloRefusal`], to be told to the actor.
+    /// [`HelloRefusal`] if the actor may not take part; the sentence is for its user.
     pub fn hello(&mut self, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let key = (hello.actor.clone(), hello.incarnation);
+        if self.stage == RunStage::Closing {
+            return Err(HelloRefusal::Closing); // Whoever is welcomed now would never be dismissed.
+        }
         if self.roster.sender(&key).is_some_and(|sender| sender.cut_off) {
             return Err(HelloRefusal::CutOff);
         }
@@ -102,19 +187,10 @@ impl Coordinator {
             return Err(HelloRefusal::Taken);
         }
         let acknowledged = self.acknowledged(&key, hello)?;
-        self.roster.greet(&key, hello.published);
-        let n_steps = u64::from(self.terms.spec.n_steps);
+        let build = Build { program: hello.program.clone(), cpu: hello.cpu.clone() };
+        self.roster.greet(&key, hello.published, build);
+        let n_steps = u64::from(self.settings.spec.n_steps);
         self.books.roll_back_through(&key, acknowledged, n_steps);
-        if hello.program != self.terms.program {
-            self.same_program = false;
-            let (actor, program) = (hello.actor.clone(), hello.program.clone());
-            self.effects.push(Effect::Event(RunEvent::OtherProgram { actor, program }));
-        }
-        if hello.cpu != self.terms.cpu {
-            self.same_cpu = false;
-            let (actor, cpu) = (hello.actor.clone(), hello.cpu.clone());
-            self.effects.push(Effect::Event(RunEvent::OtherCpu { actor, cpu }));
-        }
         self.admit(&key);
         self.credit_due.insert(hello.actor.clone());
         let (heard, window) = (self.books.sequence(&key), u64::from(self.window()));
@@ -126,7 +202,7 @@ impl Coordinator {
 
     /// Returns what a learner of this run has acknowledged to an actor, if that can be true.
     ///
-    /// More than this learner has heard is what one before it took with it when it was killed: an actor tells of
+    /// More than this learner has heard is what one before it took with it when it was killed: an actor reports
     /// that once, in its first hello.
     fn acknowledged(&mut self, key: &SenderKey, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
@@ -170,9 +246,10 @@ impl Coordinator {
         }
     }
 
-    /// Gives up an actor that does not answer.
+    /// Gives up an actor that does not answer; if it comes back, it has to wait for environments.
     pub fn give_up(&mut self, key: &SenderKey) {
         if self.roster.expel(key) {
+            self.stragglers.fail(&key.0, 0);
             self.lose(&key.0);
             self.rebalance_if_orphaned();
         }
@@ -196,17 +273,11 @@ impl Coordinator {
         counts: impl IntoIterator<Item = ((Option<ActorId>, RefusalCause), u64)>,
     ) {
         for ((actor, cause), n) in counts {
-            self.note_first(actor, &Refusal::new(cause, "no room in the queue, or its sender was cut off: such messages are only counted"));
+            let text =
+                "no room in the queue, or its sender was cut off: such messages are only counted";
+            self.note_first(actor, &Refusal::new(cause, text));
             self.books.refuse_without_event(cause, n);
         }
-    }
-
-    /// Hears which environments an actor cannot restore under an assignment.
-    ///
-    /// Until they are given anew they stand still.
-    pub fn cannot_restore(&mut self, key: &SenderKey, envs: &[EnvId]) {
-        let (actor, n_envs) = (key.0.clone(), envs.len());
-        self.effects.push(Effect::Event(RunEvent::CannotRestore { actor, n_envs }));
     }
 
     /// Takes in a rollout message.
@@ -245,11 +316,14 @@ impl Coordinator {
     }
 
     /// Takes the rollouts of the next update, if they are all there.
-    pub fn next_batch(&mut self) -> Option<Batch> {
-        let n_stale = self.collector.drop_stale(self.version);
+    pub fn next_batch(&mut self) -> Option<Vec<CheckedRollout>> {
+        let n_stale = self.queue.drop_stale(self.version);
         self.books.dropped_stale += n_stale;
-        let batch = self.collector.take_batch(self.version);
-        self.in_training = batch.as_ref().map_or(0, |batch| batch.rollouts.len() as u64);
+        let batch = self.queue.take_batch(self.version);
+        if let Some(batch) = &batch {
+            self.in_training = batch.len() as u64;
+            self.stragglers.updating();
+        }
         if n_stale > 0 || batch.is_some() {
             self.credit_everyone();
         }
@@ -260,8 +334,9 @@ impl Coordinator {
     pub fn trained(&mut self, version: PolicyVersion) {
         self.books.trained += self.in_training;
         self.in_training = 0;
+        self.queue.commit();
         self.version = version;
-        if self.rebalance_due && self.stage == Stage::Running {
+        if self.rebalance_due && self.stage == RunStage::Running {
             self.rebalance();
         }
     }
@@ -271,17 +346,102 @@ impl Coordinator {
         self.books.unused_at_end = self.n_pending();
     }
 
+    /// Notes that a [`TICK`] has passed: credit is repeated in case it was lost, and who is late is noticed.
+    pub fn tick(&mut self) {
+        self.credit_everyone();
+        let lacking = self.lacking();
+        let n_envs = |actor: &ActorId| lacking.get(actor).copied().unwrap_or_default();
+        let mut is_due = false;
+        for finding in self.stragglers.tick(&lacking) {
+            match finding {
+                Lateness::Waiting { actor, n_ticks } => {
+                    let n_envs = n_envs(&actor);
+                    let event =
+                        RunEvent::WaitingForRollouts { actor, n_envs, waited: n_ticks * TICK };
+                    self.effects.push(Effect::Event(event));
+                }
+                Lateness::Behind { actor } => {
+                    is_due = true;
+                    self.effects
+                        .push(Effect::Event(RunEvent::Distrusted { actor, reason: BEHIND }));
+                }
+                // No hurry: it gets its share when the update is done, as one who joins does.
+                Lateness::Trusted => self.rebalance_due = true,
+            }
+        }
+        // At once, not after the update: it is this actor that the update waits for.
+        if is_due && self.stage == RunStage::Running {
+            self.rebalance();
+        }
+    }
+
+    /// Counts, per member, the environments that keep the next update from beginning.
+    fn lacking(&self) -> BTreeMap<ActorId, usize> {
+        let mut lacking = BTreeMap::new();
+        if self.stage == RunStage::Running && self.in_training == 0 {
+            for owner in self.queue.lacking().filter_map(|env_id| self.assigner.owner(env_id)) {
+                *lacking.entry(owner.actor.clone()).or_default() += 1;
+            }
+        }
+        lacking
+    }
+
+    /// Notes that an actor cannot restore an environment's snapshot.
+    ///
+    /// The fault may be its own (another build, say), so the environment goes to one actor after the other. If none
+    /// can restore it the snapshot is given up, and whoever sent it is cut off.
+    pub fn cannot_restore(&mut self, key: &SenderKey, epoch: Epoch, env_id: EnvId) {
+        let is_owner = self.assigner.owner(env_id).is_some_and(|owner| {
+            (&owner.actor, owner.incarnation) == (&key.0, key.1) && epoch >= owner.since
+        });
+        if !is_owner || self.stage == RunStage::Closing {
+            return; // About an assignment that is over.
+        }
+        let actor = key.0.clone();
+        self.effects.push(Effect::Event(RunEvent::SnapshotRefused { actor, env_id }));
+        let doubters = self.queue.doubt(env_id, &key.0);
+        let counts = self.assigner.counts(self.roster.members());
+        let may_try =
+            |other: &ActorId| !doubters.contains(other) && self.stragglers.max_envs(other) > 0;
+        let others = counts.iter().filter(|(other, _)| may_try(other));
+        if let Some((other, _)) = others.min_by_key(|(_, n_held)| **n_held) {
+            let start = self.roster.members()[other];
+            let moved = self.assigner.hand_over(env_id, other, start);
+            return self.assign_all(moved);
+        }
+        let author = match self.queue.recover(env_id) {
+            Recovery::Redo { author } => {
+                self.books.refuse(RefusalCause::Snapshot, true);
+                self.books.steps_redone += u64::from(self.settings.spec.n_steps);
+                Some(author)
+            }
+            Recovery::FreshEpisode { author } => {
+                self.books.refuse(RefusalCause::Snapshot, false);
+                author
+            }
+        };
+        self.effects.push(Effect::Event(RunEvent::SnapshotLost { env_id }));
+        let again = self.assigner.give_again(env_id);
+        self.assign_all(again.into_iter().collect());
+        // Who reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
+        if let Some(author) = author.filter(|author| author != key) {
+            let reason = format!(
+                "nobody can restore the state that it sent of environment {env_id}: run the learner's build"
+            );
+            self.cut_off(&author, reason);
+        }
+    }
+
     /// Tells every actor to leave; environments move no more.
     pub fn stop_everyone(&mut self, reason: &str) {
-        self.stage = Stage::Closing;
+        self.stage = RunStage::Closing;
         for (actor, &incarnation) in self.roster.members() {
             let control = Control::Stop { reason: reason.to_owned(), cut_off: false };
             self.effects.push(Effect::Control { to: (actor.clone(), incarnation), control });
         }
     }
 
-    /// Makes every actor's credit due, as once a second in case one was lost.
-    pub fn credit_everyone(&mut self) {
+    fn credit_everyone(&mut self) {
         self.credit_due.extend(self.roster.members().keys().cloned());
     }
 
@@ -307,12 +467,12 @@ impl Coordinator {
 
     /// Returns where environments go on after a resume.
     pub fn places(&self) -> Vec<EnvAssignment> {
-        self.collector.consumed()
+        self.queue.consumed()
     }
 
     /// Returns how many rollouts have been accepted and not yet trained on.
     pub fn n_pending(&self) -> u64 {
-        self.collector.len() as u64 + self.in_training
+        self.queue.len() as u64 + self.in_training
     }
 
     /// Returns the actors that are here.
@@ -328,25 +488,25 @@ impl Coordinator {
     /// Returns how many actors there have to be for the run to go on, if there are fewer.
     pub fn n_actors_needed(&self) -> Option<usize> {
         let n_needed = match self.stage {
-            Stage::Gathering => self.terms.actors_min,
-            Stage::Running => 1,
-            Stage::Closing => 0,
+            RunStage::Gathering => self.settings.actors_min,
+            RunStage::Running => 1,
+            RunStage::Closing => 0,
         };
         (self.n_actors() < n_needed).then_some(n_needed)
     }
 
-    /// Tells whether everyone so far ran the learner's build on the learner's class of CPU.
-    pub fn is_uniform(&self) -> bool {
-        self.same_program && self.same_cpu
+    /// Returns who has computed the run so far.
+    pub fn builds(&self) -> &Builds {
+        &self.builds
     }
 
     fn read(&self, header: &Header, payload: &[u8]) -> Result<CheckedRollout, Refusal> {
-        let spec = &self.terms.spec;
+        let spec = &self.settings.spec;
         let rollout: Rollout = receive::open(header, payload, receive::ROLLOUT)?;
-        let recurrent_dim = spec.policy.recurrent_dim();
-        let rollout = rollout.check(&spec.env, spec.n_steps as usize, recurrent_dim)?;
+        let rollout =
+            rollout.check(&spec.env, spec.n_steps as usize, spec.policy.recurrent_dim())?;
         let env_id = rollout.env_id;
-        if self.collector.expected(env_id).is_none() {
+        if self.queue.expected(env_id).is_none() {
             let text = format!("the run has no environment {env_id}");
             return Err(Refusal::new(RefusalCause::Assignment, text));
         }
@@ -364,14 +524,14 @@ impl Coordinator {
 
     fn supersede(&mut self) {
         self.books.superseded += 1;
-        self.books.steps_redone += u64::from(self.terms.spec.n_steps);
+        self.books.steps_redone += u64::from(self.settings.spec.n_steps);
     }
 
     fn place(&mut self, key: &SenderKey, epoch: Epoch, rollout: CheckedRollout) {
         let owned = self.assigner.owner(rollout.env_id).is_some_and(|owner| {
             owner.actor == key.0 && owner.incarnation == key.1 && epoch >= owner.since
         });
-        let expected = self.collector.expected(rollout.env_id).unwrap_or_default();
+        let expected = self.queue.expected(rollout.env_id).unwrap_or_default();
         if !owned || rollout.iteration < expected {
             self.supersede();
         } else if rollout.iteration > expected {
@@ -379,7 +539,14 @@ impl Coordinator {
             let text = format!("it is rollout {found} of its environment where {expected} is next");
             self.refuse(key, Refusal::new(RefusalCause::Assignment, text), true);
         } else {
-            self.collector.accept(rollout);
+            self.stragglers.delivered(&key.0);
+            let doubters = self.queue.accept(key.clone(), rollout);
+            for actor in doubters.into_iter().filter(|doubter| *doubter != key.0) {
+                self.stragglers.fail(&actor, 0);
+                self.rebalance_due = true;
+                let event = RunEvent::Distrusted { actor, reason: WRONG_DOUBT };
+                self.effects.push(Effect::Event(event));
+            }
         }
     }
 
@@ -387,18 +554,20 @@ impl Coordinator {
         let Refusal { cause, text, .. } = refusal;
         self.books.refuse(cause, sequenced);
         let Some(sender) = self.roster.sender(key) else { return };
-        let verdict = sender.refuse(cause);
-        if verdict.first {
+        let outcome = sender.refuse(cause);
+        if outcome.first {
             let (actor, reason) = (Some(key.0.clone()), text.to_string());
             self.effects.push(Effect::Event(RunEvent::Refused { actor, cause, reason }));
         }
-        if verdict.cut_off {
-            self.cut_off(key, text.into_owned());
+        if outcome.cut_off {
+            let reason =
+                format!("the learner refused too many of its messages; the last one: {text}");
+            self.cut_off(key, reason);
         } else if sequenced
             && self.roster.members().get(&key.0) == Some(&key.1)
             && let Some(change) = self.assigner.renew(&key.0)
         {
-            self.tell(change);
+            self.assign(change);
         }
     }
 
@@ -416,23 +585,32 @@ impl Coordinator {
     }
 
     fn cut_off(&mut self, key: &SenderKey, reason: String) {
-        let control = Control::Stop {
-            reason: format!("the learner refused too many messages; the last one: {reason}"),
-            cut_off: true,
-        };
-        self.effects.push(Effect::Control { to: key.clone(), control });
+        if let Some(sender) = self.roster.sender(key) {
+            sender.cut_off = true;
+        }
+        self.stragglers.fail(&key.0, 0);
+        if self.roster.members().get(&key.0) == Some(&key.1) {
+            let control = Control::Stop { reason: reason.clone(), cut_off: true };
+            self.effects.push(Effect::Control { to: key.clone(), control });
+        }
         let (actor, incarnation) = key.clone();
         self.effects.push(Effect::Event(RunEvent::CutOff { actor, incarnation, reason }));
         self.give_up(key);
     }
 
-    /// Makes an actor a member if it may be one.
+    /// Makes an actor a member if it may be one. Only then does its build count: a hello alone computes nothing.
     fn admit(&mut self, key: &SenderKey) {
-        if !self.roster.admit(key) {
-            return;
+        let Some(build) = self.roster.admit(key) else { return };
+        if self.builds.note(&build) {
+            let actor = Some(key.0.clone());
+            self.effects.push(Effect::Event(RunEvent::OtherBuild { actor, build }));
         }
         let (actor, n_actors) = (key.0.clone(), self.n_actors());
         self.effects.push(Effect::Event(RunEvent::ActorJoined { actor, n_actors }));
+        let n_envs = self.assigner.n_envs();
+        if n_actors == n_envs + 1 {
+            self.effects.push(Effect::Event(RunEvent::TooManyActors { n_actors, n_envs }));
+        }
         self.credit_due.insert(key.0.clone());
         self.rebalance_due = true;
         self.rebalance_if_orphaned();
@@ -440,32 +618,37 @@ impl Coordinator {
 
     fn lose(&mut self, actor: &ActorId) {
         let n_envs = self.assigner.release(actor);
-        if self.stage != Stage::Closing {
-            self.books.steps_redone += n_envs as u64 * u64::from(self.terms.spec.n_steps);
+        if self.stage != RunStage::Closing {
+            self.books.steps_redone += n_envs as u64 * u64::from(self.settings.spec.n_steps);
         }
         let (actor, n_actors) = (actor.clone(), self.n_actors());
         self.effects.push(Effect::Event(RunEvent::ActorLeft { actor, n_actors, n_envs }));
     }
 
     fn rebalance_if_orphaned(&mut self) {
-        if self.stage == Stage::Gathering && self.n_actors() >= self.terms.actors_min {
-            self.stage = Stage::Running;
+        if self.stage == RunStage::Gathering && self.n_actors() >= self.settings.actors_min {
+            self.stage = RunStage::Running;
         }
-        if self.stage == Stage::Running && self.assigner.has_orphans() {
+        if self.stage == RunStage::Running && self.assigner.has_orphans() {
             self.rebalance();
         }
     }
 
     fn rebalance(&mut self) {
         self.rebalance_due = false;
-        for change in self.assigner.rebalance(self.roster.members()) {
-            self.tell(change);
-        }
+        let limit = |actor: &ActorId| self.stragglers.max_envs(actor);
+        let changes = self.assigner.rebalance(self.roster.members(), limit);
+        self.assign_all(changes);
     }
 
-    /// Says an assignment, in as many parts as its snapshots need; every part is an epoch of its own.
-    fn tell(&mut self, change: Change) {
-        let Change { actor, mut epoch, given, mut kept } = change;
+    fn assign_all(&mut self, changes: Vec<Reassignment>) {
+        changes.into_iter().for_each(|change| self.assign(change));
+        self.stragglers.assigned(&self.assigner.counts(self.roster.members()));
+    }
+
+    /// Sends an assignment, in as many parts as its snapshots need; every part is an epoch of its own.
+    fn assign(&mut self, change: Reassignment) {
+        let Reassignment { actor, mut epoch, given, mut kept } = change;
         let Some(&incarnation) = self.roster.members().get(&actor) else { return };
         let (n_given, n_kept) = (given.len(), kept.len());
         self.effects.push(Effect::Event(RunEvent::Assigned {
@@ -488,7 +671,7 @@ impl Coordinator {
     fn parts(&self, given: &[EnvId]) -> Vec<Vec<EnvAssignment>> {
         let mut parts = vec![Vec::new()];
         let mut n_bytes = 0;
-        for env in given.iter().map(|&env_id| self.collector.newest(env_id)) {
+        for env in given.iter().map(|&env_id| self.queue.newest(env_id)) {
             n_bytes += env.snapshot.len();
             if n_bytes > ASSIGNMENT_BYTES {
                 n_bytes = env.snapshot.len();
@@ -504,9 +687,9 @@ impl Coordinator {
     /// Returns how many rollouts each actor may have on their way: in `async` its share of what may still wait, so
     /// that little grows stale on the way; at least one, unless nothing more may wait.
     fn room(&self) -> u32 {
-        let Some(room) = self.collector.room() else { return self.terms.window };
+        let Some(room) = self.queue.room() else { return self.settings.window };
         let share = room.div_euclid(self.n_actors().max(1)).max(room.min(1));
-        u32::try_from(share).unwrap_or(u32::MAX).min(self.terms.window)
+        u32::try_from(share).unwrap_or(u32::MAX).min(self.settings.window)
     }
 
     fn credit(&mut self, actor: &ActorId) -> Option<Credit> {
@@ -516,7 +699,12 @@ impl Coordinator {
         let room = u64::from(self.room());
         let sender = self.roster.sender(&key)?;
         sender.limit = sender.limit.max(Sequence(acknowledged.0 + room));
-        Some(Credit { incarnation, learner: self.terms.learner, acknowledged, limit: sender.limit })
+        Some(Credit {
+            incarnation,
+            learner: self.settings.learner,
+            acknowledged,
+            limit: sender.limit,
+        })
     }
 }
 

@@ -11,7 +11,7 @@ pub const WINDOW: usize = 100;
 const SUCCESS: &str = "success";
 
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-struct Episode {
+struct FinishedEpisode {
     total_reward: f64,
     length: u32,
     success: Option<f32>,
@@ -20,9 +20,9 @@ struct Episode {
 /// Means over the last episodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeMeans {
-    /// Episodes finished since the run began.
+    /// EpisodeWindow finished since the run began.
     pub n_finished: u64,
-    /// Episodes that the means are over, at most [`WINDOW`].
+    /// EpisodeWindow that the means are over, at most [`WINDOW`].
     pub n_averaged: u64,
     /// Mean undiscounted return; `None` before the first episode.
     pub episode_return: Option<f64>,
@@ -34,12 +34,12 @@ pub struct EpisodeMeans {
 
 /// The last training episodes, in the order in which they were trained on.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Episodes {
+pub struct EpisodeWindow {
     n_finished: u64,
-    last: VecDeque<Episode>,
+    last: VecDeque<FinishedEpisode>,
 }
 
-impl Episodes {
+impl EpisodeWindow {
     /// Adds the episodes that ended in an update's rollouts, in their order.
     pub fn extend<'a>(
         &mut self,
@@ -56,7 +56,7 @@ impl Episodes {
         if self.last.len() == WINDOW {
             self.last.pop_front();
         }
-        self.last.push_back(Episode {
+        self.last.push_back(FinishedEpisode {
             total_reward: summary.episode_return,
             length: summary.length,
             success: success.and_then(|index| summary.metrics.get(index).copied()),
@@ -66,7 +66,7 @@ impl Episodes {
 
     /// Computes the means.
     pub fn means(&self) -> EpisodeMeans {
-        let mean = |value: fn(&Episode) -> Option<f64>| {
+        let mean = |value: fn(&FinishedEpisode) -> Option<f64>| {
             let values: Option<Vec<f64>> = self.last.iter().map(value).collect();
             let values = values.filter(|values| !values.is_empty())?;
             Some(values.iter().sum::<f64>() / values.len() as f64)
@@ -106,7 +106,7 @@ mod tests {
 
     #[test]
     fn only_the_last_hundred_episodes_count() {
-        let mut episodes = Episodes::default();
+        let mut episodes = EpisodeWindow::default();
         episodes.extend(&spec(&["success"]), &[ended(1000.0, 1.0)]);
         assert_eq!(episodes.score(), None);
         let (bad, good) = (vec![ended(1.0, 0.0); 50], vec![ended(3.0, 1.0); 50]);
@@ -121,8 +121,8 @@ mod tests {
     }
 
     #[test]
-    fn a_task_without_success_is_judged_by_its_return() {
-        let mut episodes = Episodes::default();
+    fn a_task_without_success_is_scored_by_its_return() {
+        let mut episodes = EpisodeWindow::default();
         episodes.extend(&spec(&["speed"]), &vec![ended(5.0, 1.0); 100]);
         assert_eq!(episodes.means().success, None);
         assert_eq!(episodes.score(), Some(5.0));

@@ -1,9 +1,9 @@
 //! Runs the learning: carries rollouts to the trainer ([`leadtime_ppo`]) and its policies to the actors.
 //!
 //! ```text
-//! run        the loop                        coordinator  every decision, pure  orders, training  what it waits for
-//! assign     who steps which environment     collect      rollouts that wait    roster            who is here
-//! books      where every rollout went        checkpoint, resume  the disk       episodes, report  what it reports
+//! run      the loop                     coordinator    every decision, pure     control_outbox, training  it waits for
+//! assign   who steps which environment  rollout_queue  rollouts that wait       roster, stragglers        who is here, or late
+//! books    where every rollout went     checkpoint, resume  the disk            episodes, report, builds  what it reports
 //! ```
 //!
 //! # What it does not know
@@ -17,21 +17,24 @@
 
 pub mod assign;
 pub mod books;
+pub mod builds;
 pub mod checkpoint;
-pub mod collect;
 pub mod config;
+mod control_outbox;
 pub mod coordinator;
 pub mod episodes;
 pub mod error;
 mod files;
-mod orders;
 pub mod report;
 mod resume;
+pub mod rollout_queue;
 pub mod roster;
 pub mod run;
+mod stragglers;
 mod training;
 
 pub use books::{Books, Imbalance};
+pub use builds::{Build, Builds};
 pub use config::{CheckpointInterval, LearnerConfig};
 pub use episodes::EpisodeMeans;
 pub use error::Error;
@@ -39,4 +42,4 @@ pub use files::write_atomically;
 pub use report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
-pub use run::{BEST_POLICY, run};
+pub use run::run;

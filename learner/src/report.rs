@@ -1,4 +1,4 @@
-//! What a run tells while it goes on and when it ends.
+//! What a run reports while it goes on and when it ends.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -6,10 +6,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use leadtime_ppo::UpdateReport;
-use leadtime_proto::{ActorId, Epoch, Incarnation, PolicyVersion, RefusalCause};
+use leadtime_proto::{ActorId, EnvId, Epoch, Incarnation, PolicyVersion, RefusalCause};
 
 use crate::books::{Books, Imbalance};
-use crate::checkpoint::Damage;
+use crate::builds::{Build, Builds};
+use crate::checkpoint::CheckpointDamage;
 use crate::episodes::EpisodeMeans;
 
 /// Where the learner's time went between two updates.
@@ -51,51 +52,87 @@ pub struct UpdateProgress {
 pub enum RunEvent {
     /// The learner can be reached.
     Listening {
-        /// Where.
+        /// The addresses, with the port that was taken.
         locators: Vec<String>,
     },
     /// The run goes on from a checkpoint.
     Resumed {
-        /// Which.
+        /// The checkpoint's file.
         path: PathBuf,
         /// Updates done.
         n_updates: u64,
     },
     /// A checkpoint could not be used; an older one was.
     CheckpointDamaged {
-        /// Which.
+        /// The damaged file.
         path: PathBuf,
         /// What is wrong with it.
-        damage: Arc<Damage>,
+        damage: Arc<CheckpointDamage>,
     },
-    /// An actor is in.
+    /// An actor takes part from now on.
     ActorJoined {
-        /// Which.
+        /// The new member.
         actor: ActorId,
         /// How many there are now.
         n_actors: usize,
     },
     /// An actor is gone: killed, cut off from the network, or at its end.
     ActorLeft {
-        /// Which.
+        /// The former member.
         actor: ActorId,
         /// How many there are now.
         n_actors: usize,
         /// How many environments it had.
         n_envs: usize,
     },
-    /// Nothing can be trained, because actors are missing; told again while that lasts.
+    /// Nothing can be trained, because actors are missing; reported again while that lasts.
     WaitingForActors {
         /// How many there are.
         n_actors: usize,
         /// How many there have to be.
         n_needed: usize,
     },
+    /// Nothing can be trained, because this actor's rollouts are missing; reported again while that lasts.
+    WaitingForRollouts {
+        /// The actor that the run waits for.
+        actor: ActorId,
+        /// How many of its environments lack a rollout.
+        n_envs: usize,
+        /// For how long the run has been waiting.
+        waited: Duration,
+    },
+    /// An actor gives some or all of its environments to the others, and has to wait before it gets more.
+    Distrusted {
+        /// The actor that gives environments back.
+        actor: ActorId,
+        /// Half a sentence: what it did.
+        reason: &'static str,
+    },
+    /// There are more actors than environments, so some have nothing to do.
+    TooManyActors {
+        /// Actors connected.
+        n_actors: usize,
+        /// Environments of the run.
+        n_envs: usize,
+    },
+    /// An actor cannot restore an environment from its snapshot; another one tries.
+    SnapshotRefused {
+        /// The actor that cannot.
+        actor: ActorId,
+        /// The environment.
+        env_id: EnvId,
+    },
+    /// Nobody can restore an environment from its snapshot: its last rollout is made again if it still waited, or it
+    /// begins a fresh episode.
+    SnapshotLost {
+        /// The environment.
+        env_id: EnvId,
+    },
     /// Environments moved.
     Assigned {
-        /// To whom.
+        /// The actor that steps them from now on.
         actor: ActorId,
-        /// Under which assignment.
+        /// The number of the assignment.
         epoch: Epoch,
         /// How many environments it was given.
         n_given: usize,
@@ -104,48 +141,34 @@ pub enum RunEvent {
     },
     /// The first refused message of a cause from an actor; the following ones are only counted.
     Refused {
-        /// From whom, if that is known.
+        /// The sender, if that is known.
         actor: Option<ActorId>,
         /// What it is counted by.
         cause: RefusalCause,
-        /// In words.
+        /// The refusal as a sentence.
         reason: String,
-    },
-    /// An actor cannot go on from the snapshots of some environments that it was given.
-    CannotRestore {
-        /// The actor.
-        actor: ActorId,
-        /// How many environments.
-        n_envs: usize,
     },
     /// An actor was cut off.
     CutOff {
-        /// Which.
+        /// The actor that is not listened to any more.
         actor: ActorId,
-        /// Its start.
+        /// The start of the actor that this is about.
         incarnation: Incarnation,
-        /// Why.
+        /// The sentence that it is sent.
         reason: String,
     },
-    /// An actor runs another build of the program than the learner: it may compute other numbers.
-    OtherProgram {
-        /// Which.
-        actor: ActorId,
-        /// Its fingerprint.
-        program: String,
-    },
-    /// An actor runs on another class of CPU than the learner: results may differ in the last bits.
-    OtherCpu {
-        /// Which.
-        actor: ActorId,
-        /// Its fingerprint.
-        cpu: String,
+    /// Another build of the program, or class of CPU, takes part than those before: it may compute other numbers.
+    OtherBuild {
+        /// The actor that runs it; `None`: this learner.
+        actor: Option<ActorId>,
+        /// What it computes with.
+        build: Build,
     },
     /// A checkpoint is on the disk.
     CheckpointWritten {
-        /// Where.
+        /// The new file.
         path: PathBuf,
-        /// Updates it holds.
+        /// Updates that it holds.
         n_updates: u64,
     },
     /// The run is asked to end.
@@ -163,15 +186,15 @@ pub struct RatedPolicy {
     pub weights: Arc<[u8]>,
 }
 
-/// Takes in what a run tells; called from the run's loop, so it must be quick.
+/// Takes in what a run reports; called from the run's loop, so it must be quick.
 pub trait ProgressSink: Send {
-    /// Is told about every update.
+    /// Takes in an update.
     fn on_update(&mut self, progress: &UpdateProgress);
 
-    /// Is told about everything else.
+    /// Takes in anything else that happens.
     fn on_event(&mut self, event: &RunEvent);
 
-    /// Is handed the newest and the best policy whenever a checkpoint is written.
+    /// Takes in the newest and the best policy, whenever a checkpoint is written.
     fn on_policies(&mut self, last: &RatedPolicy, best: Option<&RatedPolicy>);
 }
 
@@ -212,6 +235,6 @@ pub struct RunReport {
     /// Whether the same seed would give the same bits: a deterministic schedule, one build of the
     /// program, one class of CPU.
     pub reproducible: bool,
-    /// Whether the state at the end is on the disk; if not, a resume goes on from an older checkpoint.
-    pub checkpointed: bool,
+    /// Everyone who computed the run, over all resumes.
+    pub builds: Builds,
 }

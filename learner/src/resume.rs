@@ -1,21 +1,22 @@
 //! What a checkpoint holds, and how a run begins: anew, or where it was.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use leadtime_policy::Parameters;
 use leadtime_ppo::{Trainer, TrainerState};
+use leadtime_proto::codec::{self, CodecError};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{Epoch, PolicyVersion};
 use serde::{Deserialize, Serialize};
 
 use crate::books::Books;
-use crate::checkpoint::{CheckpointStore, Loaded};
-use crate::collect::Collector;
-use crate::coordinator::Start;
-use crate::episodes::Episodes;
+use crate::builds::Builds;
+use crate::checkpoint::{CheckpointStore, Loaded, MAX_PAYLOAD_BYTES};
+use crate::coordinator::CoordinatorStart;
+use crate::episodes::EpisodeWindow;
 use crate::report::{RatedPolicy, RunEvent};
+use crate::rollout_queue::RolloutQueue;
 use crate::training::encode;
 use crate::{Error, LearnerConfig};
 
@@ -42,9 +43,9 @@ impl From<SavedPolicy> for RatedPolicy {
     }
 }
 
-/// Everything a run needs to go on bit for bit.
+/// Everything a run needs to go on bit for bit; `B` is what it keeps of the builds that computed it.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Checkpoint {
+pub(crate) struct CheckpointLayout<B> {
     pub(crate) identity: [u8; 32],
     pub(crate) trainer: TrainerState,
     pub(crate) places: Vec<EnvAssignment>,
@@ -52,59 +53,97 @@ pub(crate) struct Checkpoint {
     /// Versions that the schedule still acts with, beside the trainer's own.
     pub(crate) older: Vec<SavedPolicy>,
     pub(crate) best: Option<SavedPolicy>,
-    pub(crate) episodes: Episodes,
+    pub(crate) episodes: EpisodeWindow,
     pub(crate) staleness: BTreeMap<u64, u64>,
     pub(crate) books: Books,
     /// Rollouts accepted and not trained on.
     pub(crate) waiting: u64,
-    /// Whether everyone so far ran one build of the program on one class of CPU.
-    pub(crate) uniform: bool,
+    pub(crate) builds: B,
 }
 
-/// How far a run had got when it began.
+/// A checkpoint of the present format.
+pub(crate) type Checkpoint = CheckpointLayout<Builds>;
+/// Format 1 knew whether there had been one build on one class of CPU so far, but not which.
+type CheckpointV1 = CheckpointLayout<bool>;
+
+/// Reads a checkpoint's payload, of this format or an older one.
+fn decode(format: u32, payload: &[u8]) -> Result<Checkpoint, CodecError> {
+    if format != 1 {
+        return codec::decode(payload, MAX_PAYLOAD_BYTES);
+    }
+    let old: CheckpointV1 = codec::decode(payload, MAX_PAYLOAD_BYTES)?;
+    Ok(Checkpoint {
+        identity: old.identity,
+        trainer: old.trainer,
+        places: old.places,
+        epoch: old.epoch,
+        older: old.older,
+        best: old.best,
+        episodes: old.episodes,
+        staleness: old.staleness,
+        books: old.books,
+        waiting: old.waiting,
+        builds: Builds::unknown(),
+    })
+}
+
+/// Where a run begins: its first update, or the one after its newest checkpoint.
 #[derive(Debug)]
-pub(crate) struct Standing {
+pub(crate) struct ResumePoint {
     pub(crate) trainer: Trainer,
-    pub(crate) start: Start,
+    pub(crate) start: CoordinatorStart,
     pub(crate) offered: BTreeMap<PolicyVersion, Arc<[u8]>>,
     pub(crate) best: Option<RatedPolicy>,
-    pub(crate) episodes: Episodes,
+    pub(crate) episodes: EpisodeWindow,
     pub(crate) staleness: BTreeMap<u64, u64>,
-    /// Whether everyone so far ran one build of the program on one class of CPU.
-    pub(crate) uniform: bool,
+    /// What the sink is to hear first.
     pub(crate) events: Vec<RunEvent>,
 }
 
 /// Begins a run: from its newest whole checkpoint, or from the beginning if there never was one.
-pub(crate) fn begin(config: &LearnerConfig, store: &CheckpointStore) -> Result<Standing, Error> {
-    let (policy, settings) = (&config.spec.policy, &config.settings);
+///
+/// # Errors
+///
+/// [`Error::ConfigurationChanged`], or if the store, the trainer or the weights of a fork cannot be used.
+pub(crate) fn begin(
+    config: &LearnerConfig,
+    store: &mut CheckpointStore,
+) -> Result<ResumePoint, Error> {
+    let (spec, settings) = (&config.spec, &config.settings);
     let trainer = match &config.initial {
-        None => Trainer::new(policy, settings, config.spec.seed)?,
+        None => Trainer::new(&spec.policy, settings, spec.seed)?,
         Some(weights) => {
-            let parameters = Parameters::from_safetensors(weights, policy)?;
-            Trainer::from_parameters(policy, settings, config.spec.seed, parameters)?
+            let parameters = Parameters::from_safetensors(weights, &spec.policy)?;
+            Trainer::from_parameters(&spec.policy, settings, spec.seed, parameters)?
         }
     };
-    match store.newest::<Checkpoint>()? {
-        None => anew(config, trainer),
-        Some(loaded) => resumed(config, trainer, loaded),
+    let mut point = match store.newest(decode)? {
+        None => anew(config, trainer)?,
+        Some(loaded) => resumed(config, trainer, loaded)?,
+    };
+    if point.start.version.0 >= settings.n_updates() {
+        return Ok(point); // Nothing is left for this build to compute.
     }
+    if point.start.builds.note(&config.build) {
+        point.events.push(RunEvent::OtherBuild { actor: None, build: config.build.clone() });
+    }
+    Ok(point)
 }
 
-fn anew(config: &LearnerConfig, trainer: Trainer) -> Result<Standing, Error> {
-    Ok(Standing {
-        start: Start {
-            places: Collector::beginning(config.settings.n_envs),
+fn anew(config: &LearnerConfig, trainer: Trainer) -> Result<ResumePoint, Error> {
+    Ok(ResumePoint {
+        start: CoordinatorStart {
+            places: RolloutQueue::beginning(config.settings.n_envs),
             epoch: Epoch(0),
             version: trainer.version(),
             books: Books::default(),
+            builds: Builds::default(),
         },
         offered: BTreeMap::from([(trainer.version(), encode(&trainer)?)]),
         trainer,
         best: None,
-        episodes: Episodes::default(),
+        episodes: EpisodeWindow::default(),
         staleness: BTreeMap::new(),
-        uniform: true,
         events: Vec::new(),
     })
 }
@@ -113,7 +152,7 @@ fn resumed(
     config: &LearnerConfig,
     mut trainer: Trainer,
     loaded: Loaded<Checkpoint>,
-) -> Result<Standing, Error> {
+) -> Result<ResumePoint, Error> {
     let Loaded { state, path, damaged } = loaded;
     if state.identity != config.identity {
         return Err(Error::ConfigurationChanged { path });
@@ -123,34 +162,28 @@ fn resumed(
     let mut offered: BTreeMap<PolicyVersion, Arc<[u8]>> =
         older.map(|policy| (policy.version, policy.weights)).collect();
     offered.insert(trainer.version(), encode(&trainer)?);
+    let n_updates = trainer.version().0;
     let mut books = state.books;
-    if trainer.version().0 < config.settings.n_updates() {
+    if n_updates < config.settings.n_updates() {
         books.resume(state.waiting, config.settings.n_steps as u64);
     }
-    Ok(Standing {
-        start: Start {
+    let damaged = damaged
+        .into_iter()
+        .map(|(path, damage)| RunEvent::CheckpointDamaged { path, damage: Arc::new(damage) });
+    let events = damaged.chain([RunEvent::Resumed { path, n_updates }]).collect();
+    Ok(ResumePoint {
+        start: CoordinatorStart {
             places: state.places,
             epoch: state.epoch,
             version: trainer.version(),
             books,
+            builds: state.builds,
         },
         offered,
         best: state.best.map(RatedPolicy::from),
         episodes: state.episodes,
         staleness: state.staleness,
-        uniform: state.uniform,
-        events: events(damaged, path, trainer.version().0),
+        events,
         trainer,
     })
-}
-
-fn events(
-    damaged: Vec<(PathBuf, crate::checkpoint::Damage)>,
-    path: PathBuf,
-    n_updates: u64,
-) -> Vec<RunEvent> {
-    let damaged = damaged
-        .into_iter()
-        .map(|(path, damage)| RunEvent::CheckpointDamaged { path, damage: Arc::new(damage) });
-    damaged.chain([RunEvent::Resumed { path, n_updates }]).collect()
 }

@@ -5,7 +5,7 @@
 //!
 //! # Invariants
 //!
-//! * A member is never put aside by another start of the same name: two actors with one name would do that to each
+//! * A connected actor is never displaced by another process with the same name: two of them would do that to each
 //!   other for ever.
 //! * Hellos alone use up no memory: of senders that are no members a limited number is known, the last ones.
 
@@ -15,20 +15,23 @@ use leadtime_proto::limits::REFUSALS_BEFORE_CUT_OFF;
 use leadtime_proto::{ActorId, Incarnation, RefusalCause, Sequence};
 
 use crate::books::SenderKey;
+use crate::builds::Build;
 
 /// The most senders that are known at once, members apart.
 const MAX_SENDERS: usize = 1_024;
 
 /// One start of an actor, as far as this start of the learner knows it.
 #[derive(Clone, Debug, Default)]
-pub struct Sender {
-    /// Rollouts up to this one were made before this learner started, and belong to a timeline that is gone.
+pub struct SenderState {
+    /// Rollouts up to this one were produced before the learner restarted: superseded.
     pub made_before: Sequence,
     /// The highest sequence it may publish.
     pub limit: Sequence,
     /// It sent too many refused messages.
     pub cut_off: bool,
-    /// The how-manieth new sender it was.
+    /// What it computes with.
+    build: Build,
+    /// Position in the order of first hellos.
     number: u64,
     n_refused: u64,
     causes: BTreeSet<RefusalCause>,
@@ -36,27 +39,27 @@ pub struct Sender {
 
 /// What a refusal means for its sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Verdict {
+pub struct RefusalOutcome {
     /// It is the first of its cause: worth a line in the log.
     pub first: bool,
     /// It was one too many.
     pub cut_off: bool,
 }
 
-impl Sender {
+impl SenderState {
     /// Counts a refusal against the sender.
-    pub fn refuse(&mut self, cause: RefusalCause) -> Verdict {
+    pub fn refuse(&mut self, cause: RefusalCause) -> RefusalOutcome {
         self.n_refused += 1;
         let cut_off = !self.cut_off && self.n_refused >= REFUSALS_BEFORE_CUT_OFF;
         self.cut_off |= cut_off;
-        Verdict { first: self.causes.insert(cause), cut_off }
+        RefusalOutcome { first: self.causes.insert(cause), cut_off }
     }
 }
 
 /// Everyone a learner knows.
 #[derive(Clone, Debug, Default)]
 pub struct Roster {
-    senders: BTreeMap<SenderKey, Sender>,
+    senders: BTreeMap<SenderKey, SenderState>,
     members: BTreeMap<ActorId, Incarnation>,
     /// Tokens seen; a member is a known sender with a token.
     present: BTreeSet<SenderKey>,
@@ -65,19 +68,20 @@ pub struct Roster {
 
 impl Roster {
     /// Returns a sender that has said hello to this start of the learner.
-    pub fn sender(&mut self, key: &SenderKey) -> Option<&mut Sender> {
+    pub fn sender(&mut self, key: &SenderKey) -> Option<&mut SenderState> {
         self.senders.get_mut(key)
     }
 
     /// Notes a hello; `published` is how far the actor had got when it first spoke to this learner.
-    pub fn greet(&mut self, key: &SenderKey, published: Sequence) {
+    pub fn greet(&mut self, key: &SenderKey, published: Sequence, build: Build) {
         if self.senders.contains_key(key) {
             return;
         }
         self.n_greeted += 1;
         let number = self.n_greeted;
-        self.senders
-            .insert(key.clone(), Sender { made_before: published, number, ..Sender::default() });
+        let sender =
+            SenderState { made_before: published, build, number, ..SenderState::default() };
+        self.senders.insert(key.clone(), sender);
         self.forget_one(key);
     }
 
@@ -105,15 +109,15 @@ impl Roster {
         self.present.insert(key.clone());
     }
 
-    /// Makes a sender a member if it may be one and is not yet.
-    pub fn admit(&mut self, key: &SenderKey) -> bool {
-        let welcome = self.senders.get(key).is_some_and(|sender| !sender.cut_off);
+    /// Makes a sender a member if it may be one and is not yet. Returns what it computes with if it is one now.
+    pub fn admit(&mut self, key: &SenderKey) -> Option<Build> {
+        let sender = self.senders.get(key).filter(|sender| !sender.cut_off)?;
         let is_new = self.members.get(&key.0) != Some(&key.1);
-        let admitted = welcome && is_new && !self.is_taken(key) && self.present.contains(key);
-        if admitted {
+        let admitted = is_new && !self.is_taken(key) && self.present.contains(key);
+        admitted.then(|| {
             self.members.insert(key.0.clone(), key.1);
-        }
-        admitted
+            sender.build.clone()
+        })
     }
 
     /// Notes that a token is gone. Returns whether a member was lost by it.
@@ -149,28 +153,28 @@ mod tests {
     fn a_member_has_said_hello_and_is_alive() {
         let mut roster = Roster::default();
         roster.appear(&key(1));
-        assert!(!roster.admit(&key(1)), "alive, but it has not said hello");
-        roster.greet(&key(1), Sequence(0));
-        assert!(roster.admit(&key(1)));
-        assert!(!roster.admit(&key(1)), "it is one already");
+        assert!(roster.admit(&key(1)).is_none(), "alive, but it has not said hello");
+        roster.greet(&key(1), Sequence(0), Build::default());
+        assert!(roster.admit(&key(1)).is_some());
+        assert!(roster.admit(&key(1)).is_none(), "it is one already");
         assert!(roster.vanish(&key(1)));
         assert!(roster.members().is_empty());
         roster.appear(&key(1));
-        assert!(roster.admit(&key(1)), "back from a network cut: known already");
+        assert!(roster.admit(&key(1)).is_some(), "back from a network cut: known already");
     }
 
     #[test]
     fn of_two_starts_the_first_stays_until_it_is_gone() {
         let mut roster = Roster::default();
         for start in [1, 2] {
-            roster.greet(&key(start), Sequence(0));
+            roster.greet(&key(start), Sequence(0), Build::default());
             roster.appear(&key(start));
         }
-        assert!(roster.admit(&key(1)));
+        assert!(roster.admit(&key(1)).is_some());
         assert!(roster.is_taken(&key(2)) && !roster.is_taken(&key(1)));
-        assert!(!roster.admit(&key(2)));
+        assert!(roster.admit(&key(2)).is_none());
         assert!(roster.vanish(&key(1)));
-        assert!(roster.admit(&key(2)));
+        assert!(roster.admit(&key(2)).is_some());
         assert!(!roster.vanish(&key(1)), "the end of the older start does not end the newer");
         assert_eq!(roster.members()[&key(2).0], Incarnation(2));
     }
@@ -178,13 +182,13 @@ mod tests {
     #[test]
     fn hellos_of_strangers_use_up_no_memory_and_push_out_no_member() {
         let mut roster = Roster::default();
-        roster.greet(&key(1), Sequence(0));
+        roster.greet(&key(1), Sequence(0), Build::default());
         roster.appear(&key(1));
-        assert!(roster.admit(&key(1)));
-        roster.greet(&key(2), Sequence(0));
+        assert!(roster.admit(&key(1)).is_some());
+        roster.greet(&key(2), Sequence(0), Build::default());
         roster.sender(&key(2)).unwrap().cut_off = true;
         for start in 3..3 * MAX_SENDERS as u64 {
-            roster.greet(&key(start), Sequence(0));
+            roster.greet(&key(start), Sequence(0), Build::default());
             assert!(roster.sender(&key(start)).is_some());
         }
         assert_eq!(roster.senders.len(), MAX_SENDERS + 1);
@@ -196,22 +200,22 @@ mod tests {
     #[test]
     fn too_many_refusals_end_a_membership_for_good() {
         let mut roster = Roster::default();
-        roster.greet(&key(1), Sequence(0));
+        roster.greet(&key(1), Sequence(0), Build::default());
         let sender = roster.sender(&key(1)).unwrap();
-        let verdicts: Vec<Verdict> =
+        let outcomes: Vec<RefusalOutcome> =
             (0..=REFUSALS_BEFORE_CUT_OFF).map(|_| sender.refuse(RefusalCause::NonFinite)).collect();
-        assert_eq!(verdicts.iter().filter(|verdict| verdict.first).count(), 1);
-        assert_eq!(verdicts.iter().position(|verdict| verdict.cut_off), Some(15));
-        assert_eq!(verdicts.iter().filter(|verdict| verdict.cut_off).count(), 1);
+        assert_eq!(outcomes.iter().filter(|outcome| outcome.first).count(), 1);
+        assert_eq!(outcomes.iter().position(|outcome| outcome.cut_off), Some(15));
+        assert_eq!(outcomes.iter().filter(|outcome| outcome.cut_off).count(), 1);
         roster.appear(&key(1));
-        assert!(!roster.admit(&key(1)));
+        assert!(roster.admit(&key(1)).is_none());
     }
 
     #[test]
     fn what_a_sender_had_published_at_its_first_hello_stays_noted() {
         let mut roster = Roster::default();
-        roster.greet(&key(1), Sequence(7));
-        roster.greet(&key(1), Sequence(9));
+        roster.greet(&key(1), Sequence(7), Build::default());
+        roster.greet(&key(1), Sequence(9), Build::default());
         assert_eq!(roster.sender(&key(1)).unwrap().made_before, Sequence(7));
     }
 }

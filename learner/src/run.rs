@@ -1,10 +1,10 @@
 //! A run from its first hello to its last checkpoint.
 //!
 //! ```text
-//! network events ──┐                      ┌─> credit, orders, weights
-//! trained updates ─┼─> one loop: Wake ────┼─> rollouts to the training thread
-//! silent actors ───┤   (Coordinator       ├─> checkpoints
-//! time, stop ──────┘    decides)          └─> the sink: progress, events
+//! network events ──┐                          ┌─> credit, control, weights
+//! trained updates ─┼─> one loop: LearnerWake ─┼─> rollouts to the training thread
+//! silent actors ───┤   (Coordinator decides)  ├─> checkpoints
+//! time, stop ──────┘                          └─> the sink: progress, events
 //! ```
 //!
 //! The loop never trains and never waits for an actor, so it answers within milliseconds whatever happens.
@@ -13,16 +13,15 @@
 //! # Shutdown
 //!
 //! When all updates are done, or when asked to stop: actors are told, the update under way is waited for (for a
-//! limited time), the state goes to the disk, the books are closed. All of it takes less than five seconds; an
-//! update that takes longer is lost and made again after a resume, with the same bits.
-
-mod ending;
+//! limited time), the state goes to the disk, the books are closed. All of it takes less than five seconds. An
+//! update that takes longer is made again after a resume, with the same bits: the state before it is what is saved.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use leadtime_link::{LearnerEvent, LearnerLink};
+use leadtime_policy::Parameters;
 use leadtime_ppo::TrainerState;
 use leadtime_proto::PolicyVersion;
 use tokio::time::{Interval, MissedTickBehavior, interval};
@@ -30,34 +29,32 @@ use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
 use crate::checkpoint::CheckpointStore;
-use crate::coordinator::{Coordinator, Effect, HelloRefusal, Terms};
-use crate::episodes::Episodes;
-use crate::orders::{OrderFailure, Orders};
+use crate::control_outbox::{ControlFailure, ControlOutbox};
+use crate::coordinator::{Coordinator, CoordinatorSettings, Effect, HelloRefusal, TICK};
+use crate::episodes::EpisodeWindow;
 use crate::report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
-use crate::resume::{self, Checkpoint, SavedPolicy, Standing};
-use crate::training::{Job, Outcome, Training, Updated};
+use crate::resume::{self, Checkpoint, ResumePoint, SavedPolicy};
+use crate::training::{TrainingThread, Updated};
 use crate::{Error, LearnerConfig};
 
-/// How often credit is repeated and actors that are gone are forgotten.
-const TICK: Duration = Duration::from_millis(500);
 /// How many events of the network are taken before anything else is looked at.
 const EVENTS_AT_ONCE: usize = 256;
 /// Pause between two reports that actors are missing.
 const WAITING_EVERY: Duration = Duration::from_secs(30);
-/// The best policy's file beside the checkpoints.
-pub const BEST_POLICY: &str = "best.safetensors";
+/// How long the end of a run waits for actors to leave and for the update under way.
+const FAREWELL: Duration = Duration::from_millis(2_500);
 
 /// Everything that can wake a learner.
 #[derive(Debug)]
-enum Wake {
+enum LearnerWake {
     /// Something came from the network.
     Network(LearnerEvent),
-    /// The training thread is done with its job.
-    Trained(Outcome),
-    /// An order failed.
-    Order(OrderFailure),
+    /// The training thread is done with an update, or failed.
+    Trained(Box<Result<Updated, Error>>),
+    /// A control message failed.
+    Control(ControlFailure),
     /// Time has passed.
     Tick,
     /// The run is asked to end.
@@ -77,13 +74,13 @@ pub async fn run(
     mut sink: Box<dyn ProgressSink>,
     stop: CancellationToken,
 ) -> Result<RunReport, Error> {
-    let store = CheckpointStore::open(&config.checkpoints)?;
-    let mut standing = resume::begin(&config, &store)?;
-    for event in standing.events.drain(..) {
+    let mut store = CheckpointStore::open(&config.checkpoints)?;
+    let mut point = resume::begin(&config, &mut store)?;
+    for event in point.events.drain(..) {
         sink.on_event(&event);
     }
-    if standing.start.version.0 >= config.settings.n_updates() {
-        return ending::already_finished(&config, standing);
+    if point.start.version.0 >= config.settings.n_updates() {
+        return already_finished(&config, point);
     }
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
@@ -91,7 +88,7 @@ pub async fn run(
         LearnerLink::open(&config.run, &config.spec.task.domain, config.incarnation, &listen)
             .await?;
     sink.on_event(&RunEvent::Listening { locators: link.locators() });
-    let mut run = Run::new(config, store, sink, standing, link)?;
+    let mut run = RunLoop::new(config, store, sink, point, link)?;
     let result = run.live(&events, &stop).await;
     if let Err(error) = &result {
         run.coordinator.stop_everyone(&format!("the learner ended: {error}"));
@@ -104,38 +101,39 @@ pub async fn run(
     result
 }
 
-struct Run {
+struct RunLoop {
     config: LearnerConfig,
     store: CheckpointStore,
     sink: Box<dyn ProgressSink>,
     link: Arc<LearnerLink>,
-    orders: Orders,
+    outbox: ControlOutbox,
     coordinator: Coordinator,
-    training: Training,
+    training: TrainingThread,
     is_training: bool,
+    /// The trainer's state after the last finished update.
+    state: TrainerState,
     n_updates: u64,
     version: PolicyVersion,
     best: Option<RatedPolicy>,
-    episodes: Episodes,
+    episodes: EpisodeWindow,
     staleness: BTreeMap<u64, u64>,
-    uniform_before: bool,
     last_update: Instant,
     last_checkpoint: (Instant, u64),
     wait: Duration,
     idle_since: Instant,
-    /// When it was last told that actors are missing; `None` while there are enough.
-    told_waiting: Option<Instant>,
+    /// When it was last reported that actors are missing; `None` while there are enough.
+    warned_waiting_at: Option<Instant>,
 }
 
-impl Run {
+impl RunLoop {
     fn new(
         config: LearnerConfig,
         store: CheckpointStore,
         sink: Box<dyn ProgressSink>,
-        standing: Standing,
+        point: ResumePoint,
         link: LearnerLink,
     ) -> Result<Self, Error> {
-        let Standing { trainer, start, offered, best, episodes, staleness, uniform, .. } = standing;
+        let ResumePoint { trainer, start, offered, best, episodes, staleness, .. } = point;
         let (version, n_updates) = (trainer.version(), trainer.version().0);
         for (version, weights) in offered {
             link.offer_weights(version, weights)?;
@@ -143,9 +141,10 @@ impl Run {
         let link = Arc::new(link);
         let now = Instant::now();
         Ok(Self {
-            coordinator: Coordinator::new(terms(&config), start),
-            orders: Orders::new(Arc::clone(&link)),
-            training: Training::start(trainer)?,
+            coordinator: Coordinator::new(coordinator_settings(&config), start),
+            outbox: ControlOutbox::new(Arc::clone(&link)),
+            state: trainer.state()?,
+            training: TrainingThread::start(trainer)?,
             is_training: false,
             config,
             store,
@@ -156,12 +155,11 @@ impl Run {
             best,
             episodes,
             staleness,
-            uniform_before: uniform,
             last_update: now,
             last_checkpoint: (now, n_updates),
             wait: Duration::ZERO,
             idle_since: now,
-            told_waiting: None,
+            warned_waiting_at: None,
         })
     }
 
@@ -174,7 +172,7 @@ impl Run {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             match self.next_wake(events, &mut ticks, stop).await? {
-                Wake::Stop => return self.end(events, RunEnd::Stopped).await,
+                LearnerWake::Stop => return self.end(events, RunEnd::Stopped).await,
                 wake => self.handle(wake, events)?,
             }
             if self.n_updates >= self.config.settings.n_updates() {
@@ -193,33 +191,39 @@ impl Run {
         events: &flume::Receiver<LearnerEvent>,
         ticks: &mut Interval,
         stop: &CancellationToken,
-    ) -> Result<Wake, Error> {
+    ) -> Result<LearnerWake, Error> {
         Ok(tokio::select! {
             biased;
-            () = stop.cancelled() => Wake::Stop,
-            // Before what strangers can flood, or credit would never be repeated.
-            _ = ticks.tick() => Wake::Tick,
-            outcome = self.training.outcome(), if self.is_training => Wake::Trained(outcome),
-            failure = self.orders.failure() => Wake::Order(failure),
-            event = events.recv_async() => Wake::Network(event.map_err(|_closed| Error::LinkGone)?),
+            () = stop.cancelled() => LearnerWake::Stop,
+            updated = self.training.updated(), if self.is_training => {
+                LearnerWake::Trained(Box::new(updated))
+            }
+            failure = self.outbox.failure() => LearnerWake::Control(failure),
+            wake = tick_or_event(ticks, events) => wake?,
         })
     }
 
-    fn handle(&mut self, wake: Wake, events: &flume::Receiver<LearnerEvent>) -> Result<(), Error> {
+    fn handle(
+        &mut self,
+        wake: LearnerWake,
+        events: &flume::Receiver<LearnerEvent>,
+    ) -> Result<(), Error> {
         match wake {
-            Wake::Network(event) => {
+            LearnerWake::Network(event) => {
                 self.network(event);
                 for event in events.try_iter().take(EVENTS_AT_ONCE) {
                     self.network(event);
                 }
             }
-            Wake::Trained(outcome) => self.trained(outcome)?,
-            Wake::Order(OrderFailure::Silent(key)) => self.coordinator.give_up(&key),
-            Wake::Order(OrderFailure::CannotRestore(key, envs)) => {
-                self.coordinator.cannot_restore(&key, &envs);
+            LearnerWake::Trained(updated) => self.trained((*updated)?)?,
+            LearnerWake::Control(ControlFailure::Silent(key)) => self.coordinator.give_up(&key),
+            LearnerWake::Control(ControlFailure::CannotRestore(key, epoch, envs)) => {
+                for env_id in envs {
+                    self.coordinator.cannot_restore(&key, epoch, env_id);
+                }
             }
-            Wake::Tick => self.tick()?,
-            Wake::Stop => {}
+            LearnerWake::Tick => self.tick()?,
+            LearnerWake::Stop => {}
         }
         Ok(())
     }
@@ -256,10 +260,10 @@ impl Run {
     fn tick(&mut self) -> Result<(), Error> {
         self.link.health()?;
         self.coordinator.refused_without_event(self.link.take_uncounted());
-        self.coordinator.credit_everyone();
-        self.tell_waiting();
+        self.coordinator.tick();
+        self.report_waiting();
         let members = self.coordinator.members();
-        self.orders.retain(|(actor, incarnation)| members.get(actor) == Some(incarnation));
+        self.outbox.retain(|(actor, incarnation)| members.get(actor) == Some(incarnation));
         let metrics = format!(
             "{{\"version\":{},\"n_actors\":{},\"n_queued\":{}}}",
             self.version,
@@ -272,14 +276,14 @@ impl Run {
         Ok(())
     }
 
-    /// Says that actors are missing, at once and then every [`WAITING_EVERY`].
-    fn tell_waiting(&mut self) {
+    /// Reports that actors are missing, at once and then every [`WAITING_EVERY`].
+    fn report_waiting(&mut self) {
         let Some(n_needed) = self.coordinator.n_actors_needed() else {
-            self.told_waiting = None;
+            self.warned_waiting_at = None;
             return;
         };
-        if self.told_waiting.is_none_or(|at| at.elapsed() >= WAITING_EVERY) {
-            self.told_waiting = Some(Instant::now());
+        if self.warned_waiting_at.is_none_or(|at| at.elapsed() >= WAITING_EVERY) {
+            self.warned_waiting_at = Some(Instant::now());
             let n_actors = self.coordinator.n_actors();
             self.sink.on_event(&RunEvent::WaitingForActors { n_actors, n_needed });
         }
@@ -291,26 +295,15 @@ impl Run {
             return Ok(());
         }
         let Some(batch) = self.coordinator.next_batch() else { return Ok(()) };
-        let (since, n_then) = self.last_checkpoint;
-        let interval = self.config.checkpoint_interval;
-        let next = self.n_updates + 1;
-        let want_state = next == self.config.settings.n_updates()
-            || next - n_then >= interval.updates
-            || since.elapsed() >= interval.time;
-        self.training.begin(Job::Update { rollouts: batch.rollouts, want_state })?;
+        self.training.begin(batch)?;
         self.is_training = true;
         self.wait = self.idle_since.elapsed();
         Ok(())
     }
 
-    fn trained(&mut self, outcome: Outcome) -> Result<(), Error> {
+    fn trained(&mut self, updated: Updated) -> Result<(), Error> {
         self.is_training = false;
         self.idle_since = Instant::now();
-        let updated = match outcome {
-            Outcome::Failed(error) => return Err(error),
-            Outcome::State(_) => return Ok(()),
-            Outcome::Updated(updated) => *updated,
-        };
         self.version = updated.version;
         self.n_updates += 1;
         self.coordinator.trained(updated.version);
@@ -322,11 +315,14 @@ impl Run {
             *self.staleness.entry(staleness).or_default() += n_rollouts;
         }
         self.rate(&updated.weights);
-        self.tell_progress(&updated);
-        match updated.state {
-            Some(state) => self.checkpoint(*state),
-            None => Ok(()),
-        }
+        self.report_progress(&updated);
+        self.state = updated.state;
+        let (since, n_then) = self.last_checkpoint;
+        let interval = self.config.checkpoint_interval;
+        let is_due = self.n_updates >= self.config.settings.n_updates()
+            || self.n_updates - n_then >= interval.updates
+            || since.elapsed() >= interval.time;
+        if is_due { self.checkpoint() } else { Ok(()) }
     }
 
     /// Keeps the policy if it is the best so far.
@@ -339,7 +335,7 @@ impl Run {
         }
     }
 
-    fn tell_progress(&mut self, updated: &Updated) {
+    fn report_progress(&mut self, updated: &Updated) {
         let n_steps = self.config.steps_per_update();
         let elapsed = std::mem::replace(&mut self.last_update, Instant::now()).elapsed();
         self.sink.on_update(&UpdateProgress {
@@ -367,7 +363,7 @@ impl Run {
                     self.sink.on_event(&event);
                 }
                 Effect::Control { to, control } => {
-                    if !self.orders.give(&to, control) {
+                    if !self.outbox.send(&to, control) {
                         self.coordinator.give_up(&to);
                     }
                 }
@@ -390,7 +386,8 @@ impl Run {
         RatedPolicy { version, score: self.episodes.score(), weights }
     }
 
-    fn checkpoint(&mut self, trainer: TrainerState) -> Result<(), Error> {
+    /// Writes the state after the last finished update; one that is under way is not in it.
+    fn checkpoint(&mut self) -> Result<(), Error> {
         let mut older = self.link.weights_since(self.oldest_needed());
         older.pop(); // The trainer's own.
         let older = older.into_iter().map(|(version, weights)| {
@@ -398,7 +395,7 @@ impl Run {
         });
         let checkpoint = Checkpoint {
             identity: self.config.identity,
-            trainer,
+            trainer: self.state.clone(),
             places: self.coordinator.places(),
             epoch: self.coordinator.epoch(),
             older: older.collect(),
@@ -407,34 +404,126 @@ impl Run {
             staleness: self.staleness.clone(),
             books: self.coordinator.books().clone(),
             waiting: self.coordinator.n_pending(),
-            uniform: self.is_uniform(),
+            builds: self.coordinator.builds().clone(),
         };
-        let (store, best, n_updates) = (&self.store, &self.best, self.n_updates);
-        let path = tokio::task::block_in_place(|| {
-            let path = store.write(n_updates, &checkpoint)?;
-            if let Some(best) = best {
-                store.write_file(BEST_POLICY, &best.weights)?;
-            }
-            Ok::<_, Error>(path)
-        })?;
+        let (store, n_updates) = (&mut self.store, self.n_updates);
+        let path = tokio::task::block_in_place(|| store.write(n_updates, &checkpoint))?;
         self.last_checkpoint = (Instant::now(), n_updates);
         self.sink.on_policies(&self.last(), self.best.as_ref());
         self.sink.on_event(&RunEvent::CheckpointWritten { path, n_updates });
         Ok(())
     }
 
-    fn is_uniform(&self) -> bool {
-        self.uniform_before && self.coordinator.is_uniform()
+    async fn end(
+        &mut self,
+        events: &flume::Receiver<LearnerEvent>,
+        end: RunEnd,
+    ) -> Result<RunReport, Error> {
+        self.sink.on_event(&RunEvent::Stopping);
+        let reason = match end {
+            RunEnd::Stopped => "the learner was asked to stop",
+            RunEnd::Finished | RunEnd::AlreadyFinished => "the run is finished",
+        };
+        self.coordinator.stop_everyone(reason);
+        self.act();
+        self.farewell(events).await?;
+        self.coordinator.close();
+        self.checkpoint()?;
+        let last = self.last();
+        let parameters = Parameters::from_safetensors(&last.weights, &self.config.spec.policy)?;
+        let (books, builds) = (self.coordinator.books().clone(), self.coordinator.builds().clone());
+        Ok(RunReport {
+            end,
+            n_updates: self.n_updates,
+            n_steps: self.n_updates * self.config.steps_per_update(),
+            digest: parameters.digest()?,
+            last,
+            best: self.best.clone(),
+            episodes: self.episodes.means(),
+            staleness: self.staleness.clone(),
+            balance: books.check(),
+            books,
+            reproducible: self.config.is_reproducible(&builds),
+            builds,
+        })
+    }
+
+    /// Goes on listening until the actors have left and the update under way is done, or time is up.
+    async fn farewell(&mut self, events: &flume::Receiver<LearnerEvent>) -> Result<(), Error> {
+        let never = CancellationToken::new();
+        let mut ticks = interval(TICK);
+        let deadline = tokio::time::Instant::now() + FAREWELL;
+        while self.coordinator.n_actors() > 0 || self.is_training {
+            let wake = self.next_wake(events, &mut ticks, &never);
+            match tokio::time::timeout_at(deadline, wake).await {
+                Ok(wake) => self.handle(wake?, events)?,
+                Err(_) => break,
+            }
+            self.act();
+        }
+        Ok(())
     }
 }
 
-fn terms(config: &LearnerConfig) -> Terms {
-    Terms {
+/// Waits for time to pass or something from the network.
+async fn tick_or_event(
+    ticks: &mut Interval,
+    events: &flume::Receiver<LearnerEvent>,
+) -> Result<LearnerWake, Error> {
+    Ok(tokio::select! {
+        // The network may always have something to say; time passes all the same.
+        biased;
+        _ = ticks.tick() => LearnerWake::Tick,
+        event = events.recv_async() => LearnerWake::Network(event.map_err(|_closed| Error::LinkGone)?),
+    })
+}
+
+/// Reports on a run that had all its updates before this start.
+fn already_finished(config: &LearnerConfig, point: ResumePoint) -> Result<RunReport, Error> {
+    let version = point.trainer.version();
+    let score = point.episodes.score();
+    let last = RatedPolicy { version, score, weights: Arc::clone(&point.offered[&version]) };
+    let (books, builds) = (point.start.books, point.start.builds);
+    Ok(RunReport {
+        end: RunEnd::AlreadyFinished,
+        n_updates: version.0,
+        n_steps: version.0 * config.steps_per_update(),
+        digest: point.trainer.parameters().digest()?,
+        last,
+        best: point.best,
+        episodes: point.episodes.means(),
+        staleness: point.staleness,
+        balance: books.check(),
+        books,
+        reproducible: config.is_reproducible(&builds),
+        builds,
+    })
+}
+
+fn coordinator_settings(config: &LearnerConfig) -> CoordinatorSettings {
+    CoordinatorSettings {
         learner: config.incarnation,
         spec: config.spec.clone(),
         window: config.window,
         actors_min: config.actors_min,
-        program: config.program.clone(),
-        cpu: config.cpu.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::{ActorId, Incarnation};
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_flood_from_the_network_does_not_stop_the_clock() {
+        let (flood, events) = flume::bounded(100);
+        let (actor, incarnation) = (ActorId::new("a").unwrap(), Incarnation(1));
+        while flood.try_send(LearnerEvent::Joined { actor: actor.clone(), incarnation }).is_ok() {}
+        let mut ticks = interval(TICK);
+        let wake = tick_or_event(&mut ticks, &events).await.unwrap();
+        assert!(matches!(wake, LearnerWake::Tick), "{wake:?}");
+        let wake = tick_or_event(&mut ticks, &events).await.unwrap();
+        assert!(matches!(wake, LearnerWake::Network(_)), "{wake:?}");
     }
 }

@@ -1,7 +1,7 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
 use anyhow::Context as _;
-use leadtime_learner::{Books, LearnerConfig, RunEnd, RunReport};
+use leadtime_learner::{Books, Build, LearnerConfig, RunEnd, RunReport};
 use leadtime_link::{Endpoint, ListenSettings};
 use leadtime_proto::RunSpec;
 use leadtime_runs::RunState;
@@ -106,8 +106,7 @@ fn learner_config(
         window: config.window,
         actors_min: config.run.actors_min as usize,
         listen,
-        program: build.program,
-        cpu: build.cpu,
+        build: Build { program: build.program, cpu: build.cpu },
         checkpoints: run_dir.checkpoints(),
         checkpoint_interval: config.run.checkpoints,
         initial: run_dir.initial(config)?,
@@ -160,11 +159,6 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
         return run_dir.finish(result).blame(ExitCode::WrongInput);
     }
     tracing::info!("stopped after {n_updates} updates: the same command resumes the run");
-    if !report.checkpointed {
-        tracing::warn!(
-            "the last state is not on the disk: the run will resume from an older checkpoint"
-        );
-    }
     let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);
     if asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
 }

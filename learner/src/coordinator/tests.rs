@@ -5,6 +5,8 @@ use leadtime_proto::{
     ActionSpec, EnvSpec, Iteration, PolicySpec, RunSpec, Schedule, TaskSpec, codec,
 };
 
+use crate::stragglers::BACK_OFF;
+
 use super::*;
 
 const WINDOW: u32 = 4;
@@ -23,21 +25,22 @@ fn spec(schedule: Schedule) -> RunSpec {
 }
 
 fn coordinator(n_envs: usize, schedule: Schedule) -> Coordinator {
-    let terms = Terms {
+    let settings = CoordinatorSettings {
         learner: Incarnation(99),
         spec: spec(schedule),
         window: WINDOW,
         actors_min: 1,
-        program: "test".to_owned(),
-        cpu: "cpu".to_owned(),
     };
-    let start = Start {
-        places: Collector::beginning(n_envs),
+    let mut builds = Builds::default();
+    builds.note(&Build { program: "test".to_owned(), cpu: "cpu".to_owned() });
+    let start = CoordinatorStart {
+        places: RolloutQueue::beginning(n_envs),
         epoch: Epoch(0),
         version: PolicyVersion(0),
         books: Books::default(),
+        builds,
     };
-    Coordinator::new(terms, start)
+    Coordinator::new(settings, start)
 }
 
 fn actor(name: &str) -> ActorId {
@@ -123,7 +126,7 @@ fn one_actor_feeds_one_update() {
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
     assert!(c.next_batch().is_none());
     send(&mut c, "a", 2, 1, &rollout(1, 0, 0));
-    assert_eq!(c.next_batch().unwrap().rollouts.len(), 2);
+    assert_eq!(c.next_batch().unwrap().len(), 2);
     c.trained(PolicyVersion(1));
     assert_eq!(credits(&mut c), [(2, 2 + u64::from(WINDOW))]);
     assert_eq!(close_balanced(&mut c).trained, 2);
@@ -159,7 +162,7 @@ fn who_leaves_is_replaced_from_the_newest_snapshot_and_heard_no_more() {
     assert_eq!(places, [(1, 1), (0, 0)]);
     send(&mut c, "a", 2, 1, &rollout(1, 0, 0));
     send(&mut c, "b", 1, 2, &rollout(1, 0, 0));
-    assert_eq!(c.next_batch().unwrap().rollouts.len(), 2);
+    assert_eq!(c.next_batch().unwrap().len(), 2);
     c.trained(PolicyVersion(1));
     let books = close_balanced(&mut c);
     assert_eq!((books.trained, books.superseded), (2, 1));
@@ -308,7 +311,7 @@ fn a_rogue_is_told_why_and_cut_off_and_the_others_go_on() {
     for env in 0..2 {
         send(&mut c, "good", u64::from(env) + 1, 100, &rollout(env, 0, 0));
     }
-    assert_eq!(c.next_batch().unwrap().rollouts.len(), 2);
+    assert_eq!(c.next_batch().unwrap().len(), 2);
     let books = close_balanced(&mut c);
     assert_eq!(books.refused, limits::REFUSALS_BEFORE_CUT_OFF);
 }
@@ -355,7 +358,7 @@ fn a_full_queue_gives_no_more_credit_until_it_is_used() {
 #[test]
 fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credit() {
     let mut c = coordinator(4, Schedule::Async { staleness_max: 8 });
-    (c.terms.window, c.terms.actors_min) = (64, 2);
+    (c.settings.window, c.settings.actors_min) = (64, 2);
     let mut actors = [("a", [0, 1]), ("b", [2, 3])].map(|(name, envs)| (name, envs, 0_u64, 0_u64));
     for (name, ..) in actors {
         join(&mut c, name);
@@ -371,11 +374,11 @@ fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credi
             while *made < *limit {
                 let env = envs[(*made % 2) as usize];
                 *made += 1;
-                let next = c.collector.expected(EnvId(env)).unwrap();
+                let next = c.queue.expected(EnvId(env)).unwrap();
                 send(&mut c, name, *made, 100, &rollout(env, next.0, version));
             }
         }
-        assert_eq!(c.next_batch().unwrap().rollouts.len(), 4);
+        assert_eq!(c.next_batch().unwrap().len(), 4);
         c.trained(PolicyVersion(version + 1));
     }
     let books = close_balanced(&mut c);
@@ -429,7 +432,7 @@ fn an_assignment_with_large_snapshots_comes_in_parts() {
     let big = vec![0; ASSIGNMENT_BYTES / 2];
     let place =
         |id| EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: big.clone() };
-    c.collector = Collector::new(Schedule::Lag(0), (0..3).map(place).collect());
+    c.queue = RolloutQueue::new(Schedule::Lag(0), (0..3).map(place).collect());
     join(&mut c, "a");
     let told = assignments(&mut c);
     let shape: Vec<(u64, usize, usize)> =
@@ -440,7 +443,7 @@ fn an_assignment_with_large_snapshots_comes_in_parts() {
 #[test]
 fn missing_actors_are_counted_before_the_run_and_in_it() {
     let mut c = coordinator(1, Schedule::Lag(0));
-    c.terms.actors_min = 2;
+    c.settings.actors_min = 2;
     assert_eq!(c.n_actors_needed(), Some(2));
     join(&mut c, "a");
     assert_eq!(c.n_actors_needed(), Some(2));
@@ -454,22 +457,188 @@ fn missing_actors_are_counted_before_the_run_and_in_it() {
     assert_eq!(c.n_actors_needed(), None);
 }
 
-#[test]
-fn another_class_of_cpu_is_noticed() {
-    let mut c = coordinator(1, Schedule::Lag(0));
-    c.hello(&Hello { cpu: "other".to_owned(), ..hello("a", 0, 1) }).unwrap();
-    assert!(!c.is_uniform());
+fn events(coordinator: &mut Coordinator) -> Vec<RunEvent> {
+    let effects = coordinator.take_effects().into_iter();
+    let event = |effect| match effect {
+        Effect::Event(event) => Some(event),
+        _ => None,
+    };
+    effects.filter_map(event).collect()
 }
 
 #[test]
-fn another_build_of_the_program_is_noticed() {
+fn another_build_or_class_of_cpu_counts_from_the_admission_on() {
     let mut c = coordinator(1, Schedule::Lag(0));
-    c.hello(&hello("a", 0, 1)).unwrap();
-    assert!(c.is_uniform());
-    c.hello(&Hello { program: "other".to_owned(), ..hello("b", 0, 1) }).unwrap();
-    assert!(!c.is_uniform());
-    let told = c.take_effects();
-    assert!(
-        told.iter().any(|effect| matches!(effect, Effect::Event(RunEvent::OtherProgram { .. })))
-    );
+    let other = Hello { program: "b".to_owned(), cpu: "other".to_owned(), ..hello("b", 0, 1) };
+    for i in 0..500 {
+        let stranger = Hello { actor: actor(&format!("s{i}")), ..other.clone() };
+        c.hello(&stranger).unwrap();
+    }
+    join(&mut c, "a");
+    assert!(c.builds().is_uniform(), "nobody else is a member");
+    assert!(events(&mut c).iter().all(|event| !matches!(event, RunEvent::OtherBuild { .. })));
+    c.hello(&other).unwrap();
+    for _ in 0..3 {
+        c.joined(actor("b"), Incarnation(1));
+        c.left(actor("b"), Incarnation(1));
+    }
+    assert!(!c.builds().is_uniform());
+    let told = events(&mut c);
+    let is_other = |event: &&RunEvent| matches!(event, RunEvent::OtherBuild { .. });
+    assert_eq!(told.iter().filter(is_other).count(), 1, "once");
+}
+
+#[test]
+fn nobody_is_welcome_to_a_run_that_ends() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    c.stop_everyone("done");
+    assert_eq!(c.hello(&hello("a", 0, 1)), Err(HelloRefusal::Closing));
+    c.joined(actor("a"), Incarnation(1));
+    assert_eq!(c.n_actors(), 0);
+}
+
+#[test]
+fn more_actors_than_environments_are_reported_once() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    ["a", "b", "c"].iter().for_each(|name| join(&mut c, name));
+    let is_report = |event: &&RunEvent| matches!(event, RunEvent::TooManyActors { .. });
+    assert_eq!(events(&mut c).iter().filter(is_report).count(), 1);
+}
+
+#[test]
+fn a_mute_member_is_named_and_loses_its_environments_to_the_others() {
+    let mut c = coordinator(2, Schedule::Lag(0));
+    c.settings.actors_min = 2;
+    join(&mut c, "honest");
+    join(&mut c, "mute");
+    c.take_effects();
+    send(&mut c, "honest", 1, 1, &rollout(0, 0, 0));
+    (0..100).for_each(|_| c.tick());
+    let effects = c.take_effects();
+    let named = |effect: &Effect| {
+        matches!(effect, Effect::Event(RunEvent::WaitingForRollouts { actor, n_envs: 1, .. })
+            if actor.as_str() == "mute")
+    };
+    assert!(effects.iter().any(named));
+    let assigned: Vec<(&str, usize, usize)> = effects
+        .iter()
+        .filter_map(|effect| match effect {
+            Effect::Control { to, control: Control::Assign(assignment) } => {
+                Some((to.0.as_str(), assignment.envs.len(), assignment.keep.len()))
+            }
+            _ => None,
+        })
+        .collect();
+    assert_eq!(assigned[..2], [("honest", 1, 1), ("mute", 0, 0)]);
+    send(&mut c, "mute", 1, 2, &rollout(1, 0, 0));
+    assert_eq!(c.books().superseded, 1, "it wakes up too late");
+    send(&mut c, "honest", 2, 100, &rollout(1, 0, 0));
+    assert_eq!(c.next_batch().unwrap().len(), 2);
+    c.trained(PolicyVersion(1));
+    close_balanced(&mut c);
+}
+
+#[test]
+fn an_actor_that_took_no_control_messages_waits_until_it_gets_environments_again() {
+    let mut c = coordinator(2, Schedule::Lag(0));
+    join(&mut c, "a");
+    join(&mut c, "ghost");
+    for n_failures in 1..4 {
+        c.rebalance();
+        c.give_up(&(actor("ghost"), Incarnation(1)));
+        c.joined(actor("ghost"), Incarnation(1));
+        c.rebalance();
+        let held = |c: &Coordinator| c.assigner.counts(c.roster.members())[&actor("ghost")];
+        let n_ticks = (0..).find(|_| {
+            c.tick();
+            c.rebalance_due && {
+                c.rebalance();
+                held(&c) > 0
+            }
+        });
+        assert_eq!(n_ticks.map(|n| n + 1), Some(BACK_OFF << (n_failures - 1)));
+    }
+    c.left(actor("a"), Incarnation(1));
+    assert!(!c.assigner.has_orphans(), "with nobody else there it has to do");
+}
+
+/// Says that `name` cannot restore an environment that it was just given.
+fn cannot_restore(coordinator: &mut Coordinator, name: &str, env_id: u32) {
+    coordinator.cannot_restore(&(actor(name), Incarnation(1)), Epoch(100), EnvId(env_id));
+}
+
+#[test]
+fn a_snapshot_that_nobody_restores_is_given_up_and_its_sender_cut_off() {
+    let mut c = coordinator(3, Schedule::Lag(0));
+    c.settings.actors_min = 3;
+    ["a", "b", "rogue"].iter().for_each(|name| join(&mut c, name));
+    send(&mut c, "rogue", 1, 100, &rollout(2, 0, 0));
+    c.left(actor("rogue"), Incarnation(1));
+    c.take_effects();
+    cannot_restore(&mut c, "a", 2);
+    let (to, assignment) = assignments(&mut c).remove(0);
+    assert_eq!((to, assignment.envs[0].snapshot.len()), (actor("b"), 1), "b is to try it");
+    cannot_restore(&mut c, "b", 2);
+    let effects = c.take_effects();
+    let again = effects.iter().find_map(|effect| match effect {
+        Effect::Control { to, control: Control::Assign(assignment) } => Some((to, assignment)),
+        _ => None,
+    });
+    let (to, assignment) = again.unwrap();
+    assert_eq!((&to.0, assignment.envs[0].iteration), (&actor("b"), Iteration(0)), "made again");
+    let cut = |effect: &Effect| matches!(effect, Effect::Event(RunEvent::CutOff { actor, .. }) if actor.as_str() == "rogue");
+    assert!(effects.iter().any(cut));
+    assert_eq!(c.hello(&hello("rogue", 1, 2)), Err(HelloRefusal::CutOff));
+    cannot_restore(&mut c, "a", 2);
+    assert!(c.take_effects().is_empty(), "it does not have the environment any more");
+    for (sequence, (name, env)) in [(1, ("a", 0)), (1, ("b", 1)), (2, ("b", 2))] {
+        send(&mut c, name, sequence, 100, &rollout(env, 0, 0));
+    }
+    assert_eq!(c.next_batch().unwrap().len(), 3);
+    c.trained(PolicyVersion(1));
+    let books = close_balanced(&mut c);
+    assert_eq!((books.refused, books.refusals[&RefusalCause::Snapshot]), (1, 1));
+}
+
+#[test]
+fn a_snapshot_of_a_checkpoint_that_the_only_actor_cannot_restore_becomes_a_fresh_episode() {
+    let mut c = coordinator(1, Schedule::Lag(0));
+    let place = EnvAssignment { env_id: EnvId(0), iteration: Iteration(0), snapshot: vec![1] };
+    c.queue = RolloutQueue::new(Schedule::Lag(0), vec![place]);
+    join(&mut c, "a");
+    c.take_effects();
+    cannot_restore(&mut c, "a", 0);
+    let (_, assignment) = assignments(&mut c).remove(0);
+    assert_eq!(assignment.envs[0].snapshot, Vec::<u8>::new());
+    assert_eq!(c.places()[0].snapshot, Vec::<u8>::new(), "the next checkpoint is whole");
+    assert_eq!(c.n_actors(), 1);
+    assert_eq!(close_balanced(&mut c).refusals[&RefusalCause::Snapshot], 1);
+}
+
+#[test]
+fn who_cannot_restore_what_another_actor_can_is_the_one_at_fault() {
+    let mut c = coordinator(2, Schedule::Lag(0));
+    c.settings.actors_min = 2;
+    ["good", "stale"].iter().for_each(|name| join(&mut c, name));
+    cannot_restore(&mut c, "stale", 1);
+    c.take_effects();
+    send(&mut c, "good", 1, 100, &rollout(1, 0, 0));
+    let wary = |event: &RunEvent| matches!(event, RunEvent::Distrusted { actor, .. } if actor.as_str() == "stale");
+    assert!(events(&mut c).iter().any(wary));
+    assert_eq!((c.n_actors(), c.books().refusals.len()), (2, 0));
+}
+
+#[test]
+fn a_checkpoint_during_an_update_holds_what_was_before_it() {
+    let mut c = coordinator(1, Schedule::Lag(1));
+    join(&mut c, "a");
+    for iteration in 0..2 {
+        send(&mut c, "a", iteration + 1, 1, &rollout(0, iteration, 0));
+    }
+    c.next_batch().unwrap();
+    c.trained(PolicyVersion(1));
+    c.next_batch().unwrap();
+    assert_eq!((c.places()[0].iteration, c.n_pending()), (Iteration(1), 1));
+    c.trained(PolicyVersion(2));
+    assert_eq!((c.places()[0].iteration, c.n_pending()), (Iteration(2), 0));
 }

@@ -1,0 +1,84 @@
+//! Who computes a run: the builds of the program and the classes of CPU that have taken part.
+//!
+//! Equal seeds give equal bits only within one build and one class of CPU. So a run is reproducible only if there
+//! was one of each from its first update on, however often it was interrupted: the sets are part of the checkpoint.
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+
+/// The most fingerprints of a kind that are listed: actors send them, so their number needs a limit. A run with more
+/// than one is not reproducible in any case.
+const MAX_LISTED: usize = 64;
+/// Stands for the builds and CPUs of a checkpoint that does not list them.
+const UNKNOWN: &str = "unknown (an earlier release)";
+
+/// What computes: a build of the program on a class of CPU.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Build {
+    /// Fingerprint of the program's build.
+    pub program: String,
+    /// Fingerprint of the class of CPU.
+    pub cpu: String,
+}
+
+/// The builds and classes of CPU behind a run, its learners' and its actors'.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Builds {
+    /// Fingerprints of the builds of the program.
+    pub programs: BTreeSet<String>,
+    /// Fingerprints of the classes of CPU.
+    pub cpus: BTreeSet<String>,
+}
+
+impl Builds {
+    /// Returns what is known of a run that kept no list: not enough to call it reproducible.
+    pub(crate) fn unknown() -> Self {
+        let set = || BTreeSet::from([UNKNOWN.to_owned()]);
+        Self { programs: set(), cpus: set() }
+    }
+
+    /// Notes who takes part from now on. Returns whether that is another build or CPU than those before.
+    pub(crate) fn note(&mut self, build: &Build) -> bool {
+        // Both are noted, whether or not the first is news.
+        note(&mut self.programs, &build.program) | note(&mut self.cpus, &build.cpu)
+    }
+
+    /// Tells whether one build on one class of CPU computed everything.
+    pub fn is_uniform(&self) -> bool {
+        self.programs.len() <= 1 && self.cpus.len() <= 1
+    }
+}
+
+/// Notes a fingerprint. Returns whether it is another one than those before.
+fn note(known: &mut BTreeSet<String>, fingerprint: &str) -> bool {
+    let differs = !known.is_empty() && !known.contains(fingerprint);
+    known.len() < MAX_LISTED && known.insert(fingerprint.to_owned()) && differs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn build(program: &str, cpu: &str) -> Build {
+        Build { program: program.to_owned(), cpu: cpu.to_owned() }
+    }
+
+    #[test]
+    fn another_build_is_noticed_once_and_remembered() {
+        let mut builds = Builds::default();
+        let mut note = |program, cpu| builds.note(&build(program, cpu));
+        assert!(!note("a", "x") && !note("a", "x"));
+        assert!(note("b", "x") && !note("b", "x") && note("b", "y"));
+        assert!(!builds.is_uniform() && Builds::default().is_uniform());
+        assert!(Builds::unknown().note(&build("a", "x")), "never the one that kept no list");
+    }
+
+    #[test]
+    fn strangers_fill_neither_the_list_nor_the_log() {
+        let mut builds = Builds::default();
+        let mut note = |i: usize| builds.note(&build(&i.to_string(), "x"));
+        assert_eq!((0..10 * MAX_LISTED).filter(|&i| note(i)).count(), MAX_LISTED - 1);
+        assert_eq!(builds.programs.len(), MAX_LISTED);
+    }
+}

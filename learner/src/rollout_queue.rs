@@ -1,0 +1,362 @@
+//! Rollouts that wait for their update, and where every environment stands.
+//!
+//! Each environment has three cursors, each a rollout boundary with the state there:
+//!
+//! ```text
+//! env 0   r₀ r₁ ┃ r₂ │ r₃      ┃ consumed   updates up to here are done: checkpoints hold it, a resume goes on there
+//! env 1   r₀ r₁ ┃ r₂ │         │ training   the update under way ends here
+//!                              end  newest  rollouts have arrived up to here: a move to another actor goes on there
+//! ```
+//!
+//! # Invariants
+//!
+//! * Rollouts of one environment are taken in the order of their iterations, without gaps.
+//! * `consumed` moves when an update is done, not when it begins: so a checkpoint can be written while the next
+//!   update is under way, and matches the trainer's state before it.
+//! * A deterministic schedule bounds the queue by itself (an actor cannot act ahead of the weights); `async`
+//!   is bounded by [`RolloutQueue::room`], which is all that the learner gives credit for.
+
+use std::collections::{BTreeSet, VecDeque};
+
+use leadtime_proto::message::EnvAssignment;
+use leadtime_proto::{
+    ActorId, CheckedRollout, EnvId, Iteration, PolicyVersion, Schedule, Staleness,
+};
+
+use crate::books::SenderKey;
+
+/// How many updates' worth of rollouts `async` lets wait.
+const QUEUED_UPDATES: usize = 2;
+
+/// A rollout boundary of one environment.
+#[derive(Clone, Debug)]
+struct Cursor {
+    /// The iteration that comes next.
+    iteration: Iteration,
+    /// The state there; empty: a fresh episode begins.
+    snapshot: Vec<u8>,
+    /// Who sent the snapshot; `None` for one from a checkpoint.
+    author: Option<SenderKey>,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    arrival: u64,
+    author: SenderKey,
+    rollout: CheckedRollout,
+}
+
+#[derive(Debug)]
+struct EnvQueue {
+    consumed: Cursor,
+    training: Option<Cursor>,
+    waiting: VecDeque<Waiting>,
+    /// The actors that could not restore the newest snapshot.
+    doubters: BTreeSet<ActorId>,
+}
+
+impl EnvQueue {
+    /// Returns the boundary before the first waiting rollout.
+    fn taken(&mut self) -> &mut Cursor {
+        self.training.as_mut().unwrap_or(&mut self.consumed)
+    }
+
+    fn expected(&self) -> Iteration {
+        let taken = self.training.as_ref().unwrap_or(&self.consumed);
+        Iteration(taken.iteration.0 + self.waiting.len() as u64)
+    }
+
+    fn take(&mut self) -> Option<CheckedRollout> {
+        let Waiting { author, mut rollout, .. } = self.waiting.pop_front()?;
+        self.training = Some(Cursor {
+            iteration: rollout.iteration.next(),
+            snapshot: rollout.take_snapshot(),
+            author: Some(author),
+        });
+        Some(rollout)
+    }
+
+    fn commit(&mut self) {
+        if let Some(cursor) = self.training.take() {
+            self.consumed = cursor;
+        }
+    }
+}
+
+/// What becomes of an environment whose newest snapshot cannot be restored.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Recovery {
+    /// The rollout that ended there was still waiting: it is dropped and made again.
+    Redo {
+        /// Who sent it.
+        author: SenderKey,
+    },
+    /// It is trained, or under way: the environment begins a fresh episode.
+    FreshEpisode {
+        /// Who sent it; `None` if it comes from a checkpoint.
+        author: Option<SenderKey>,
+    },
+}
+
+/// The queue between arrival and training.
+#[derive(Debug)]
+pub struct RolloutQueue {
+    schedule: Schedule,
+    envs: Vec<EnvQueue>,
+    n_arrived: u64,
+}
+
+impl RolloutQueue {
+    /// Starts from where the environments stand: a checkpoint's places, or the beginning.
+    pub fn new(schedule: Schedule, places: Vec<EnvAssignment>) -> Self {
+        let queue = |place: EnvAssignment| EnvQueue {
+            consumed: Cursor { iteration: place.iteration, snapshot: place.snapshot, author: None },
+            training: None,
+            waiting: VecDeque::new(),
+            doubters: BTreeSet::new(),
+        };
+        Self { schedule, envs: places.into_iter().map(queue).collect(), n_arrived: 0 }
+    }
+
+    /// Returns the places of `n_envs` environments that have not begun.
+    pub fn beginning(n_envs: usize) -> Vec<EnvAssignment> {
+        let place =
+            |id| EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: Vec::new() };
+        (0_u32..).take(n_envs).map(place).collect()
+    }
+
+    /// Returns the iteration that an environment's next rollout must have; `None` if there is no such environment.
+    pub fn expected(&self, env_id: EnvId) -> Option<Iteration> {
+        self.envs.get(env_id.0 as usize).map(EnvQueue::expected)
+    }
+
+    /// Puts a rollout into the queue. Returns the actors that had failed to restore the snapshot that it began with.
+    ///
+    /// # Panics
+    ///
+    /// If it is not the environment's expected one: the caller checks.
+    pub fn accept(&mut self, author: SenderKey, rollout: CheckedRollout) -> BTreeSet<ActorId> {
+        let env = &mut self.envs[rollout.env_id.0 as usize];
+        assert_eq!(rollout.iteration, env.expected(), "rollouts are accepted in order");
+        env.waiting.push_back(Waiting { arrival: self.n_arrived, author, rollout });
+        self.n_arrived += 1;
+        std::mem::take(&mut env.doubters)
+    }
+
+    /// Returns how many rollouts wait.
+    pub fn len(&self) -> usize {
+        self.envs.iter().map(|env| env.waiting.len()).sum()
+    }
+
+    /// Tells whether nothing waits.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Returns how many more rollouts may come; `None` where the schedule sees to it.
+    pub fn room(&self) -> Option<usize> {
+        let all = QUEUED_UPDATES * self.envs.len();
+        (!self.schedule.is_deterministic()).then(|| all.saturating_sub(self.len()))
+    }
+
+    /// Lists the environments of which no rollout waits: a deterministic schedule's next update lacks theirs.
+    pub fn lacking(&self) -> impl Iterator<Item = EnvId> {
+        let lacking = (0_u32..).zip(&self.envs).filter(|(_, env)| env.waiting.is_empty());
+        lacking.map(|(id, _)| EnvId(id))
+    }
+
+    /// Returns where an environment goes on when it moves: after its newest rollout.
+    pub fn newest(&self, env_id: EnvId) -> EnvAssignment {
+        let env = &self.envs[env_id.0 as usize];
+        let taken = env.training.as_ref().unwrap_or(&env.consumed);
+        let last = env.waiting.back().map(|waiting| &waiting.rollout.snapshot);
+        let snapshot = last.unwrap_or(&taken.snapshot).clone();
+        EnvAssignment { env_id, iteration: env.expected(), snapshot }
+    }
+
+    /// Returns where every environment goes on after a resume: after its last consumed rollout.
+    pub fn consumed(&self) -> Vec<EnvAssignment> {
+        let place = |(id, env): (u32, &EnvQueue)| EnvAssignment {
+            env_id: EnvId(id),
+            iteration: env.consumed.iteration,
+            snapshot: env.consumed.snapshot.clone(),
+        };
+        (0_u32..).zip(&self.envs).map(place).collect()
+    }
+
+    /// Notes that an actor cannot restore an environment's newest snapshot. Returns everyone of whom that is known.
+    pub fn doubt(&mut self, env_id: EnvId, actor: &ActorId) -> &BTreeSet<ActorId> {
+        let doubters = &mut self.envs[env_id.0 as usize].doubters;
+        doubters.insert(actor.clone());
+        doubters
+    }
+
+    /// Gives up an environment's newest snapshot.
+    pub fn recover(&mut self, env_id: EnvId) -> Recovery {
+        let env = &mut self.envs[env_id.0 as usize];
+        env.doubters.clear();
+        if let Some(Waiting { author, .. }) = env.waiting.pop_back() {
+            return Recovery::Redo { author };
+        }
+        let cursor = env.taken();
+        cursor.snapshot.clear();
+        Recovery::FreshEpisode { author: cursor.author.take() }
+    }
+
+    /// Drops what is too stale for a learner at `version` and returns how many rollouts that was.
+    pub fn drop_stale(&mut self, version: PolicyVersion) -> u64 {
+        let Schedule::Async { staleness_max } = self.schedule else { return 0 };
+        let mut n_dropped = 0;
+        for env in &mut self.envs {
+            while env.waiting.front().is_some_and(|Waiting { rollout, .. }| {
+                Staleness::between(version, rollout.version) > Staleness(staleness_max)
+            }) {
+                env.take();
+                env.commit();
+                n_dropped += 1;
+            }
+        }
+        n_dropped
+    }
+
+    /// Takes the rollouts of the update that turns `version` into the next one, if they are all here, sorted by
+    /// environment and iteration.
+    pub fn take_batch(&mut self, version: PolicyVersion) -> Option<Vec<CheckedRollout>> {
+        let mut rollouts = if self.schedule.is_deterministic() {
+            let is_ready = |env: &EnvQueue| {
+                env.waiting.front().is_some_and(|first| first.rollout.iteration.0 == version.0)
+            };
+            if !self.envs.iter().all(is_ready) {
+                return None;
+            }
+            self.envs.iter_mut().filter_map(EnvQueue::take).collect()
+        } else {
+            self.take_first_arrived()?
+        };
+        rollouts.sort_by_key(|rollout| (rollout.env_id, rollout.iteration));
+        Some(rollouts)
+    }
+
+    fn take_first_arrived(&mut self) -> Option<Vec<CheckedRollout>> {
+        let n_wanted = self.envs.len();
+        if self.len() < n_wanted {
+            return None;
+        }
+        let earliest = |envs: &mut Vec<EnvQueue>| {
+            let waiting = envs.iter_mut().filter(|env| !env.waiting.is_empty());
+            waiting.min_by_key(|env| env.waiting[0].arrival).and_then(EnvQueue::take)
+        };
+        (0..n_wanted).map(|_| earliest(&mut self.envs)).collect()
+    }
+
+    /// Notes that the batch taken last is trained.
+    pub fn commit(&mut self) {
+        self.envs.iter_mut().for_each(EnvQueue::commit);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use leadtime_proto::{ActionSpec, EnvSpec, Incarnation, Rollout};
+
+    /// Makes a rollout of no steps.
+    fn rollout(env_id: u32, iteration: u64, version: u64) -> CheckedRollout {
+        let rollout = Rollout {
+            env_id: EnvId(env_id),
+            iteration: Iteration(iteration),
+            version: PolicyVersion(version),
+            snapshot: vec![env_id as u8, iteration as u8],
+            ..Rollout::default()
+        };
+        let actions = ActionSpec::discrete("a", 2);
+        rollout.check(&EnvSpec { obs_dim: 0, actions, metrics: Vec::new() }, 0, 0).unwrap()
+    }
+
+    fn author(start: u64) -> SenderKey {
+        (ActorId::new("a").unwrap(), Incarnation(start))
+    }
+
+    fn ids(batch: Option<Vec<CheckedRollout>>) -> Vec<(u32, u64)> {
+        let rollouts = batch.unwrap_or_default();
+        rollouts.iter().map(|rollout| (rollout.env_id.0, rollout.iteration.0)).collect()
+    }
+
+    #[test]
+    fn an_update_takes_its_own_iteration_of_every_environment_in_their_order() {
+        let mut queue = RolloutQueue::new(Schedule::Lag(1), RolloutQueue::beginning(2));
+        queue.accept(author(1), rollout(1, 0, 0));
+        queue.accept(author(1), rollout(1, 1, 0));
+        assert!(queue.take_batch(PolicyVersion(0)).is_none(), "environment 0 is missing");
+        queue.accept(author(1), rollout(0, 0, 0));
+        assert_eq!(ids(queue.take_batch(PolicyVersion(0))), [(0, 0), (1, 0)]);
+        assert!(queue.take_batch(PolicyVersion(1)).is_none());
+        assert_eq!(queue.len(), 1);
+    }
+
+    #[test]
+    fn a_move_goes_on_after_the_newest_rollout_and_a_resume_after_the_consumed_one() {
+        let mut queue = RolloutQueue::new(Schedule::Lag(1), RolloutQueue::beginning(1));
+        assert_eq!(queue.newest(EnvId(0)).snapshot, Vec::<u8>::new());
+        queue.accept(author(1), rollout(0, 0, 0));
+        queue.accept(author(1), rollout(0, 1, 0));
+        queue.take_batch(PolicyVersion(0)).unwrap();
+        assert_eq!(queue.consumed()[0].iteration, Iteration(0), "the update is not done");
+        queue.commit();
+        let (moved, resumed) = (queue.newest(EnvId(0)), queue.consumed().remove(0));
+        assert_eq!((moved.iteration, moved.snapshot), (Iteration(2), vec![0, 1]));
+        assert_eq!((resumed.iteration, resumed.snapshot), (Iteration(1), vec![0, 0]));
+        assert_eq!(queue.expected(EnvId(0)), Some(Iteration(2)));
+        assert_eq!(queue.expected(EnvId(1)), None);
+    }
+
+    #[test]
+    fn async_takes_the_first_to_arrive_even_twice_from_one_environment() {
+        let schedule = Schedule::Async { staleness_max: 1 };
+        let mut queue = RolloutQueue::new(schedule, RolloutQueue::beginning(2));
+        queue.accept(author(1), rollout(1, 0, 0));
+        assert!(queue.take_batch(PolicyVersion(0)).is_none());
+        queue.accept(author(1), rollout(1, 1, 0));
+        queue.accept(author(1), rollout(0, 0, 0));
+        assert_eq!(ids(queue.take_batch(PolicyVersion(0))), [(1, 0), (1, 1)]);
+        assert_eq!(queue.len(), 1);
+    }
+
+    #[test]
+    fn async_drops_what_is_too_stale_and_is_full_at_twice_an_update() {
+        let schedule = Schedule::Async { staleness_max: 1 };
+        let mut queue = RolloutQueue::new(schedule, RolloutQueue::beginning(1));
+        queue.accept(author(1), rollout(0, 0, 0));
+        assert_eq!(queue.room(), Some(1));
+        queue.accept(author(1), rollout(0, 1, 2));
+        assert_eq!(queue.room(), Some(0));
+        assert_eq!(queue.drop_stale(PolicyVersion(1)), 0);
+        assert_eq!(queue.drop_stale(PolicyVersion(2)), 1);
+        assert_eq!(queue.consumed()[0].iteration, Iteration(1));
+        assert_eq!(ids(queue.take_batch(PolicyVersion(2))), [(0, 1)]);
+    }
+
+    #[test]
+    fn of_a_snapshot_that_is_given_up_the_rollout_is_dropped_or_a_fresh_episode_begins() {
+        let mut queue = RolloutQueue::new(Schedule::Lag(2), RolloutQueue::beginning(1));
+        for iteration in 0..2 {
+            queue.accept(author(iteration), rollout(0, iteration, 0));
+        }
+        let [a, b] = ["a", "b"].map(|name| ActorId::new(name).unwrap());
+        assert_eq!(queue.doubt(EnvId(0), &a).len(), 1);
+        assert_eq!(queue.doubt(EnvId(0), &b).len(), 2);
+        assert_eq!(queue.recover(EnvId(0)), Recovery::Redo { author: author(1) });
+        assert_eq!(queue.newest(EnvId(0)).snapshot, [0, 0]);
+        queue.doubt(EnvId(0), &a);
+        let doubters = queue.accept(author(1), rollout(0, 1, 0));
+        assert!(doubters.iter().eq([&a]), "who doubted what another actor goes on from");
+        for version in 0..2 {
+            queue.take_batch(PolicyVersion(version)).unwrap();
+            queue.commit();
+        }
+        let fresh = Recovery::FreshEpisode { author: Some(author(1)) };
+        assert_eq!(queue.recover(EnvId(0)), fresh);
+        assert_eq!(queue.consumed()[0].snapshot, Vec::<u8>::new());
+        assert_eq!(queue.newest(EnvId(0)).iteration, Iteration(2));
+    }
+}

@@ -1,0 +1,372 @@
+//! Members that the run waits for: who is reported, who gives environments back, and when it may have some again.
+//!
+//! Time is counted in ticks of the learner's loop, so time in which the learner itself stood still (a suspended
+//! machine, a loaded one) counts against nobody. Whoever is slow is slow beside the others: with one member, or with
+//! all of them late, waits are reported and nothing is taken away. Which member steps an environment changes no bit
+//! of the run, so a wrong guess here costs time and nothing else.
+//!
+//! # Invariants
+//!
+//! * Every failure of a name doubles the time until it is trusted again, up to [`MAX_BACK_OFF`]; trust comes back in
+//!   steps, one environment first, and a name that has all of it back is forgotten.
+
+use std::collections::BTreeMap;
+
+use leadtime_proto::ActorId;
+
+/// Ticks that the run waits for a member before that is reported.
+const REPORT_AFTER: u32 = 6;
+/// Ticks between two reports of one wait.
+const REPORT_EVERY: u32 = 60;
+/// Ticks that a member may be behind the others before it loses its environments.
+const TAKE_AFTER: u32 = 12;
+/// How many times as long as the others a member may take, where that is more.
+const PATIENCE: u32 = 3;
+/// What an update is assumed to take before the first one, in ticks.
+const FIRST_PERIOD: u32 = 10;
+/// Ticks, and updates, over which a member's speed is measured.
+const WINDOW: (u32, u32) = (40, 4);
+/// A member is too slow if the run waits for it alone in more than three of four ticks.
+const SLOW: (u32, u32) = (3, 4);
+/// Ticks until a member that failed for the first time is tried again.
+pub(crate) const BACK_OFF: u64 = 20;
+/// The longest time until a member is tried again, in ticks.
+const MAX_BACK_OFF: u64 = 1_200;
+/// The most names whose failures are remembered: whoever knocks chooses the names.
+const MAX_NAMES: usize = 1_024;
+
+/// What a tick finds out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Lateness {
+    /// The run has been waiting for an actor for this many ticks.
+    Waiting { actor: ActorId, n_ticks: u32 },
+    /// An actor is far behind the others: it may have fewer environments from now on.
+    Behind { actor: ActorId },
+    /// An actor may have more environments again.
+    Trusted,
+}
+
+/// What a member has been waited for.
+#[derive(Clone, Debug, Default)]
+struct Wait {
+    n_held: usize,
+    /// Ticks since it last delivered something, or was given something, in which the run waited for it.
+    n_waited: u32,
+    /// Those of them in which another member had done its part.
+    n_late: u32,
+    n_late_in_window: u32,
+    has_delivered: bool,
+}
+
+/// What a name that has failed may have.
+#[derive(Clone, Debug)]
+struct Probation {
+    n_failures: u32,
+    max_envs: usize,
+    raised_at: u64,
+}
+
+/// The members' lateness, and the failures of names.
+#[derive(Clone, Debug)]
+pub(crate) struct Stragglers {
+    is_deterministic: bool,
+    n_envs: usize,
+    now: u64,
+    waits: BTreeMap<ActorId, Wait>,
+    probations: BTreeMap<ActorId, Probation>,
+    /// Ticks since an update was last begun.
+    since_update: u32,
+    /// Ticks that the update before took, as far as that was not one member's fault.
+    period: u32,
+    window_ticks: u32,
+    window_updates: u32,
+}
+
+impl Stragglers {
+    pub(crate) fn new(n_envs: usize, is_deterministic: bool) -> Self {
+        Self {
+            is_deterministic,
+            n_envs,
+            now: 0,
+            waits: BTreeMap::new(),
+            probations: BTreeMap::new(),
+            since_update: 0,
+            period: FIRST_PERIOD,
+            window_ticks: 0,
+            window_updates: 0,
+        }
+    }
+
+    /// Notes how many environments each member has; those whose number changed start anew.
+    pub(crate) fn assigned(&mut self, held: &BTreeMap<ActorId, usize>) {
+        self.waits.retain(|actor, _| held.contains_key(actor));
+        for (actor, &n_held) in held {
+            let wait = self.waits.entry(actor.clone()).or_default();
+            if wait.n_held != n_held {
+                *wait = Wait { n_held, ..Wait::default() };
+            }
+        }
+        self.start_window();
+    }
+
+    /// Notes that a member delivered a rollout.
+    pub(crate) fn delivered(&mut self, actor: &ActorId) {
+        if let Some(wait) = self.waits.get_mut(actor) {
+            (wait.n_waited, wait.n_late, wait.has_delivered) = (0, 0, true);
+        }
+    }
+
+    /// Notes that an update begins.
+    pub(crate) fn updating(&mut self) {
+        let n_late = self.waits.values().map(|wait| wait.n_late).max().unwrap_or(0);
+        self.period = self.since_update.saturating_sub(n_late);
+        self.since_update = 0;
+        self.window_updates += 1;
+    }
+
+    /// Notes that an actor failed: it took no orders, delivered nothing, or was wrong about a snapshot.
+    pub(crate) fn fail(&mut self, actor: &ActorId, max_envs: usize) {
+        let known = self.probations.get(actor);
+        if known.is_some_and(|known| known.max_envs == 0) {
+            return; // The same failure, noticed a second time.
+        }
+        let n_failures = known.map_or(1, |known| known.n_failures + 1);
+        let raised_at = self.now + back_off(n_failures);
+        let probation = Probation { n_failures, max_envs, raised_at };
+        self.probations.insert(actor.clone(), probation);
+        if self.probations.len() > MAX_NAMES
+            && let Some(next) = self.probations.iter().min_by_key(|(_, known)| known.raised_at)
+        {
+            let name = next.0.clone();
+            self.probations.remove(&name);
+        }
+    }
+
+    /// Returns the most environments that an actor should have while others can take them.
+    pub(crate) fn max_envs(&self, actor: &ActorId) -> usize {
+        self.probations.get(actor).map_or(usize::MAX, |probation| probation.max_envs)
+    }
+
+    /// Takes in which members the next update lacks rollouts of, if the learner has nothing else to do.
+    pub(crate) fn tick(&mut self, lacking: &BTreeMap<ActorId, usize>) -> Vec<Lateness> {
+        self.now += 1;
+        self.since_update += 1;
+        self.window_ticks += 1;
+        let mut findings = self.waiting(lacking);
+        let behind = self.behind();
+        for (actor, max_envs) in &behind {
+            self.fail(actor, *max_envs);
+        }
+        findings.extend(behind.into_iter().map(|(actor, _)| Lateness::Behind { actor }));
+        if self.raise() {
+            findings.push(Lateness::Trusted);
+        }
+        findings
+    }
+
+    fn waiting(&mut self, lacking: &BTreeMap<ActorId, usize>) -> Vec<Lateness> {
+        // In `async` everyone lacks something most of the time: there, who delivers is in time.
+        let is_done = |actor: &ActorId, wait: &Wait| {
+            if self.is_deterministic { !lacking.contains_key(actor) } else { wait.has_delivered }
+        };
+        let is_in_time =
+            self.waits.iter().any(|(actor, wait)| wait.n_held > 0 && is_done(actor, wait));
+        let report_after = REPORT_AFTER.max(PATIENCE * self.period);
+        let mut findings = Vec::new();
+        for (actor, wait) in &mut self.waits {
+            wait.has_delivered = false;
+            if !lacking.contains_key(actor) {
+                continue;
+            }
+            wait.n_waited += 1;
+            let is_late = u32::from(is_in_time);
+            wait.n_late += is_late;
+            wait.n_late_in_window += is_late;
+            let overdue = wait.n_waited.checked_sub(report_after);
+            if overdue.is_some_and(|n_ticks| n_ticks.is_multiple_of(REPORT_EVERY)) {
+                let (actor, n_ticks) = (actor.clone(), wait.n_waited);
+                findings.push(Lateness::Waiting { actor, n_ticks });
+            }
+        }
+        findings
+    }
+
+    /// Lists who is far behind the others, with the number of environments that it may keep.
+    fn behind(&mut self) -> Vec<(ActorId, usize)> {
+        let mut behind = Vec::new();
+        for (actor, wait) in &self.waits {
+            let others = self.period.max(self.since_update.saturating_sub(wait.n_late));
+            if wait.n_late > TAKE_AFTER.max(PATIENCE * others) {
+                behind.push((actor.clone(), 0));
+            }
+        }
+        if self.window_ticks >= WINDOW.0 && self.window_updates >= WINDOW.1 {
+            let is_slow = |wait: &Wait| wait.n_late_in_window * SLOW.1 > self.window_ticks * SLOW.0;
+            let slow = self.waits.iter().filter(|(_, wait)| is_slow(wait));
+            behind.extend(slow.map(|(actor, wait)| (actor.clone(), wait.n_held / 2)));
+            self.start_window();
+        }
+        behind
+    }
+
+    fn start_window(&mut self) {
+        (self.window_ticks, self.window_updates) = (0, 0);
+        self.waits.values_mut().for_each(|wait| wait.n_late_in_window = 0);
+    }
+
+    /// Gives trust back where it is due. Returns whether anybody got some.
+    fn raise(&mut self) -> bool {
+        let (now, n_envs) = (self.now, self.n_envs);
+        let mut raised = false;
+        self.probations.retain(|_, probation| {
+            if probation.raised_at <= now {
+                raised = true;
+                probation.max_envs = (2 * probation.max_envs).max(1);
+                probation.raised_at = now + back_off(probation.n_failures);
+            }
+            probation.max_envs < n_envs
+        });
+        raised
+    }
+}
+
+fn back_off(n_failures: u32) -> u64 {
+    let doublings = n_failures.saturating_sub(1).min(16);
+    (BACK_OFF << doublings).min(MAX_BACK_OFF)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn id(name: &str) -> ActorId {
+        ActorId::new(name).unwrap()
+    }
+
+    fn counts(counts: &[(&str, usize)]) -> BTreeMap<ActorId, usize> {
+        counts.iter().map(|&(name, n)| (id(name), n)).collect()
+    }
+
+    fn stragglers(held: &[(&str, usize)]) -> Stragglers {
+        let mut stragglers = Stragglers::new(8, true);
+        stragglers.assigned(&counts(held));
+        stragglers.updating();
+        stragglers
+    }
+
+    /// Ticks until somebody is behind, at most `limit`.
+    fn ticks(
+        stragglers: &mut Stragglers,
+        limit: u32,
+        mut lacking: impl FnMut(u32, &mut Stragglers) -> BTreeMap<ActorId, usize>,
+    ) -> Option<(u32, ActorId)> {
+        (1..=limit).find_map(|tick| {
+            let lacking = lacking(tick, stragglers);
+            let findings = stragglers.tick(&lacking);
+            findings.into_iter().find_map(|finding| match finding {
+                Lateness::Behind { actor } => Some((tick, actor)),
+                _ => None,
+            })
+        })
+    }
+
+    #[test]
+    fn a_mute_member_is_reported_and_then_loses_everything() {
+        let mut s = stragglers(&[("a", 4), ("mute", 4)]);
+        let lacking = counts(&[("mute", 4)]);
+        for _ in 1..REPORT_AFTER {
+            assert_eq!(s.tick(&lacking), []);
+        }
+        let report = Lateness::Waiting { actor: id("mute"), n_ticks: REPORT_AFTER };
+        assert_eq!(s.tick(&lacking), [report]);
+        let found = ticks(&mut s, 100, |_, _| lacking.clone());
+        assert_eq!(found, Some((TAKE_AFTER + 1 - REPORT_AFTER, id("mute"))));
+        assert_eq!((s.max_envs(&id("mute")), s.max_envs(&id("a"))), (0, usize::MAX));
+    }
+
+    #[test]
+    fn who_is_alone_or_late_with_all_the_others_keeps_its_environments() {
+        for held in [&[("a", 8)][..], &[("a", 4), ("b", 4)]] {
+            let mut s = stragglers(held);
+            assert_eq!(ticks(&mut s, 1_000, |_, _| counts(held)), None);
+        }
+    }
+
+    #[test]
+    fn where_updates_take_long_a_member_may_be_late_by_as_much() {
+        let mut s = stragglers(&[("a", 4), ("b", 4)]);
+        let found = ticks(&mut s, 1_000, |tick, _| match tick {
+            0..100 => counts(&[("a", 4), ("b", 4)]),
+            _ => counts(&[("b", 4)]),
+        });
+        assert_eq!(found, Some((397, id("b"))), "a needed 99 ticks, b has not come after 4 * 99");
+    }
+
+    #[test]
+    fn a_slow_member_keeps_half_and_then_nothing_and_is_trusted_again_step_by_step() {
+        let mut s = stragglers(&[("a", 6), ("slow", 2)]);
+        // It needs four ticks where the others need none: never mute, always waited for.
+        let pace = |tick: u32, s: &mut Stragglers| {
+            if tick % 5 == 0 {
+                s.delivered(&id("slow"));
+                s.updating();
+                return BTreeMap::new();
+            }
+            counts(&[("slow", 1)])
+        };
+        assert_eq!(ticks(&mut s, 100, pace), Some((WINDOW.0, id("slow"))));
+        assert_eq!(s.max_envs(&id("slow")), 1);
+        s.assigned(&counts(&[("a", 7), ("slow", 1)]));
+        let found = ticks(&mut s, 100, pace);
+        assert_eq!((found.unwrap().1, s.max_envs(&id("slow"))), (id("slow"), 0));
+        s.assigned(&counts(&[("a", 8), ("slow", 0)]));
+        let mut trusted = Vec::new();
+        for tick in 0..1_000_u32 {
+            if s.tick(&BTreeMap::new()) == [Lateness::Trusted] {
+                trusted.push((tick, s.max_envs(&id("slow"))));
+            }
+        }
+        assert_eq!(trusted.iter().map(|(_, n)| *n).collect::<Vec<_>>(), [1, 2, 4, usize::MAX]);
+        assert!(trusted.windows(2).all(|two| two[1].0 - two[0].0 == 2 * BACK_OFF as u32));
+    }
+
+    #[test]
+    fn equal_members_that_take_turns_at_being_last_are_left_alone() {
+        let mut s = stragglers(&[("a", 4), ("b", 4)]);
+        let found = ticks(&mut s, 1_000, |tick, s| {
+            s.updating();
+            s.delivered(&id("a"));
+            s.delivered(&id("b"));
+            counts(&[(if tick % 2 == 0 { "a" } else { "b" }, 4)])
+        });
+        assert_eq!(found, None);
+    }
+
+    #[test]
+    fn in_async_only_who_delivers_nothing_at_all_is_behind() {
+        let mut s = Stragglers::new(8, false);
+        s.assigned(&counts(&[("a", 4), ("mute", 4)]));
+        s.updating();
+        let found = ticks(&mut s, 100, |_, s| {
+            s.delivered(&id("a"));
+            counts(&[("a", 2), ("mute", 4)])
+        });
+        assert_eq!(found, Some((TAKE_AFTER + 1, id("mute"))));
+    }
+
+    #[test]
+    fn a_name_that_fails_again_and_again_waits_longer_and_longer() {
+        let mut s = stragglers(&[("a", 8)]);
+        let mut waited = Vec::new();
+        for _ in 0..10 {
+            s.fail(&id("ghost"), 0);
+            s.fail(&id("ghost"), 0);
+            let until = (1..).find(|_| s.tick(&BTreeMap::new()) == [Lateness::Trusted]);
+            waited.push(until.unwrap());
+        }
+        assert_eq!(waited[..3], [BACK_OFF, 2 * BACK_OFF, 4 * BACK_OFF]);
+        assert_eq!(waited.last(), Some(&MAX_BACK_OFF));
+        (0..2 * MAX_NAMES).for_each(|i| s.fail(&id(&format!("g{i}")), 0));
+        assert_eq!(s.probations.len(), MAX_NAMES);
+    }
+}

@@ -1,0 +1,733 @@
+//! A learner's and its actors' decisions, driven together in virtual time through a network that loses, delays,
+//! repeats and reorders messages, while processes die and come back, fall silent, or send states that nobody can
+//! restore.
+//!
+//! Environments are hash chains, so that a rollout shows everything that went into it: whatever happened on the way,
+//! a deterministic schedule trains on the same numbers as a loop without processes.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant};
+
+use leadtime_actor::{Actor, ActorInput, ActorOutput, ActorSettings, EncodedRollout};
+use leadtime_learner::builds::Builds;
+use leadtime_learner::coordinator::{
+    Coordinator, CoordinatorSettings, CoordinatorStart, Effect, TICK,
+};
+use leadtime_learner::rollout_queue::RolloutQueue;
+use leadtime_learner::{Books, RunEvent};
+use leadtime_link::{ConnectSettings, Error as LinkError};
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::{Announcement, Control, ControlReply, EnvAssignment, Hello, Welcome};
+use leadtime_proto::{
+    ActionSpec, ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, Iteration, PolicySpec,
+    PolicyVersion, Rollout, RunName, RunSpec, Schedule, TaskSpec, codec,
+};
+
+/// How many different runs are tried.
+const N_RUNS: u64 = 200;
+/// Until when things go wrong, and until when the run may recover, in milliseconds.
+const CALM_FROM: u64 = 40_000;
+const END: u64 = 400_000;
+/// What the drivers of the real ones allow for an answer to an order (twice), a hello and a pull, in milliseconds.
+const ORDER_TIMEOUT: u64 = 3_000;
+const HELLO_TIMEOUT: u64 = 2_000;
+const PULL_TIMEOUT: u64 = 5_000;
+/// Updates between checkpoints.
+const CHECKPOINT_EVERY: u64 = 5;
+
+/// splitmix64.
+fn mix(x: u64) -> u64 {
+    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+type Model = Actor<PolicyVersion, u64, Vec<Chain>>;
+type Input = ActorInput<PolicyVersion, u64, Vec<Chain>>;
+type Output = ActorOutput<PolicyVersion, u64, Vec<Chain>>;
+
+/// An environment whose state is a hash over everything that ever acted in it.
+#[derive(Clone, Debug)]
+struct Chain {
+    env_id: EnvId,
+    iteration: Iteration,
+    state: u64,
+}
+
+impl Chain {
+    fn restore(given: &EnvAssignment) -> Option<Self> {
+        let (env_id, iteration) = (given.env_id, given.iteration);
+        let state = match given.snapshot.as_slice() {
+            [] => mix(u64::from(env_id.0) << 32 | iteration.0),
+            bytes => u64::from_le_bytes(bytes.try_into().ok()?),
+        };
+        Some(Self { env_id, iteration, state })
+    }
+
+    fn rollout(&mut self, version: PolicyVersion) -> Rollout {
+        self.state = mix(self.state ^ mix(version.0));
+        let rollout = Rollout {
+            env_id: self.env_id,
+            iteration: self.iteration,
+            version,
+            n_steps: 1,
+            observations: vec![(self.state % (1 << 24)) as f32],
+            next_observation: vec![0.0],
+            masks: vec![u64::MAX],
+            actions: vec![0],
+            log_probs: vec![0.0],
+            values: vec![0.0],
+            rewards: vec![0.0],
+            snapshot: self.state.to_le_bytes().to_vec(),
+            ..Rollout::default()
+        };
+        self.iteration = self.iteration.next();
+        rollout
+    }
+}
+
+/// What an update trained on: environment, iteration and observation of every rollout.
+type Trained = Vec<(u32, u64, u32)>;
+
+fn seen(rollout: &Rollout) -> (u32, u64, u32) {
+    (rollout.env_id.0, rollout.iteration.0, rollout.observations[0].to_bits())
+}
+
+fn spec(schedule: Schedule) -> RunSpec {
+    let actions = ActionSpec::discrete("a", 2);
+    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+    RunSpec {
+        seed: 1,
+        task: TaskSpec { domain: "chain".to_owned(), settings: "{}".to_owned() },
+        policy: PolicySpec::dense(&env, &[1]),
+        env,
+        n_steps: 1,
+        schedule,
+    }
+}
+
+type ActorKey = (ActorId, Incarnation);
+
+struct LearnerModel {
+    coordinator: Coordinator,
+    incarnation: Incarnation,
+    version: PolicyVersion,
+    is_training: bool,
+    /// Messages for each actor; the number of the first one's sending, if it is under way.
+    orders: BTreeMap<ActorKey, (VecDeque<Control>, Option<u64>)>,
+}
+
+/// One start of an actor process.
+struct ActorModel {
+    incarnation: Incarnation,
+    /// `None` until it is welcomed for the first time.
+    actor: Option<Model>,
+    chains: BTreeMap<EnvId, Chain>,
+    epoch: Epoch,
+    /// What came from the network while it waited for a welcome.
+    backlog: Vec<Input>,
+    /// The number of the hello that is not answered yet.
+    hello: u64,
+    /// Until when it does not look at its orders.
+    deaf_until: u64,
+    /// It takes part in everything but the work.
+    is_mute: bool,
+    /// Its snapshots are rubbish.
+    is_poisonous: bool,
+}
+
+type Arrival = Box<dyn FnOnce(&mut World)>;
+
+struct World {
+    dice: u64,
+    zero: Instant,
+    now: u64,
+    spec: RunSpec,
+    events: BTreeMap<(u64, u64), Arrival>,
+    n_numbers: u64,
+    learner: Option<LearnerModel>,
+    /// The newest checkpoint, with the rollouts that waited then.
+    saved: (CoordinatorStart, u64),
+    actors: Vec<Option<ActorModel>>,
+    trained: Vec<Trained>,
+    n_lost_snapshots: u64,
+}
+
+impl World {
+    fn new(seed: u64) -> Self {
+        let mut world = Self {
+            dice: seed,
+            zero: Instant::now(),
+            now: 0,
+            spec: spec(Schedule::Async { staleness_max: 8 }),
+            events: BTreeMap::new(),
+            n_numbers: 0,
+            learner: None,
+            saved: (
+                CoordinatorStart {
+                    places: Vec::new(),
+                    epoch: Epoch(0),
+                    version: PolicyVersion(0),
+                    books: Books::default(),
+                    builds: Builds::default(),
+                },
+                0,
+            ),
+            actors: Vec::new(),
+            trained: Vec::new(),
+            n_lost_snapshots: 0,
+        };
+        if let Some(lag) = world.dice(5).checked_sub(1) {
+            world.spec.schedule = Schedule::Lag(lag);
+        }
+        world.saved.0.places = RolloutQueue::beginning(1 + world.dice(6) as usize);
+        world.actors = (0..=world.dice(4)).map(|_| None).collect();
+        world.at(0, Self::start_learner);
+        (0..world.actors.len()).for_each(|i| world.at(1, move |w| w.start_actor(i)));
+        world.at(500, Self::chaos);
+        world.at(CALM_FROM, Self::calm);
+        world
+    }
+
+    fn run(mut self) -> Self {
+        while let Some(((at, _), event)) = self.events.pop_first() {
+            if at > END {
+                break;
+            }
+            self.now = at;
+            event(&mut self);
+        }
+        self
+    }
+
+    fn dice(&mut self, n: u64) -> u64 {
+        self.dice = mix(self.dice);
+        self.dice % n
+    }
+
+    fn is_calm(&self) -> bool {
+        self.now >= CALM_FROM
+    }
+
+    fn number(&mut self) -> u64 {
+        self.n_numbers += 1;
+        self.n_numbers
+    }
+
+    fn at(&mut self, in_ms: u64, event: impl FnOnce(&mut Self) + 'static) {
+        let number = self.number();
+        self.events.insert((self.now + in_ms, number), Box::new(event));
+    }
+
+    /// Sends something through the network, which may lose, delay, repeat and reorder it until it is calm.
+    fn send(&mut self, arrival: impl FnOnce(&mut Self) + Clone + 'static) {
+        if self.is_calm() {
+            return self.at(10, arrival);
+        }
+        let (soon, late) = (1 + self.dice(20), 1 + self.dice(9_000));
+        match self.dice(30) {
+            0 => {}
+            1 => self.at(late, arrival),
+            2 => {
+                self.at(soon, arrival.clone());
+                self.at(late / 8, arrival);
+            }
+            _ => self.at(soon, arrival),
+        }
+    }
+
+    // The learner's side.
+
+    /// Lets the learner do something, and carries out what it decides, as the run's loop does.
+    fn learn(&mut self, incarnation: Option<Incarnation>, event: impl FnOnce(&mut LearnerModel)) {
+        let Some(learner) = &mut self.learner else { return };
+        if incarnation.is_some_and(|incarnation| incarnation != learner.incarnation) {
+            return;
+        }
+        event(learner);
+        if !learner.is_training
+            && let Some(batch) = learner.coordinator.next_batch()
+        {
+            learner.is_training = true;
+            let incarnation = Some(learner.incarnation);
+            self.trained.truncate(learner.version.0 as usize);
+            self.trained.push(batch.iter().map(|rollout| seen(rollout)).collect());
+            let took = 10 + self.dice(200);
+            self.at(took, move |w| w.end_update(incarnation));
+        }
+        for effect in self.learner.as_mut().unwrap().coordinator.take_effects() {
+            match effect {
+                Effect::Control { to, control } => {
+                    let orders = &mut self.learner.as_mut().unwrap().orders;
+                    orders.entry(to.clone()).or_default().0.push_back(control);
+                    self.next_order(&to);
+                }
+                Effect::Credit { to, credit } => {
+                    let to = (to, credit.incarnation);
+                    self.send(move |w| w.arrive(&to, ActorInput::Credit(credit)));
+                }
+                Effect::Event(event) => {
+                    let is_lost = matches!(event, RunEvent::SnapshotLost { .. });
+                    self.n_lost_snapshots += u64::from(is_lost);
+                }
+            }
+        }
+    }
+
+    fn start_learner(&mut self) {
+        if self.learner.is_some() {
+            return;
+        }
+        let incarnation = Incarnation(self.number());
+        let (mut start, waiting) = self.saved.clone();
+        start.books.resume(waiting, 1);
+        let settings = CoordinatorSettings {
+            learner: incarnation,
+            spec: self.spec.clone(),
+            window: 16,
+            actors_min: 1,
+        };
+        self.learner = Some(LearnerModel {
+            version: start.version,
+            coordinator: Coordinator::new(settings, start),
+            incarnation,
+            is_training: false,
+            orders: BTreeMap::new(),
+        });
+        self.tick_learner(incarnation);
+        self.keys().iter().for_each(|actor| self.connect(actor));
+    }
+
+    fn tick_learner(&mut self, incarnation: Incarnation) {
+        if self.learner.as_ref().is_none_or(|learner| learner.incarnation != incarnation) {
+            return;
+        }
+        self.learn(None, |learner| {
+            learner.coordinator.tick();
+            let members = learner.coordinator.members();
+            learner.orders.retain(|(actor, start), _| members.get(actor) == Some(start));
+        });
+        self.announce();
+        self.at(TICK.as_millis() as u64, move |w| w.tick_learner(incarnation));
+    }
+
+    fn end_update(&mut self, incarnation: Option<Incarnation>) {
+        let mut saved = None;
+        self.learn(incarnation, |learner| {
+            let coordinator = &mut learner.coordinator;
+            learner.version = PolicyVersion(learner.version.0 + 1);
+            learner.is_training = false;
+            coordinator.trained(learner.version);
+            if learner.version.0.is_multiple_of(CHECKPOINT_EVERY) {
+                let start = CoordinatorStart {
+                    places: coordinator.places(),
+                    epoch: coordinator.epoch(),
+                    version: learner.version,
+                    books: coordinator.books().clone(),
+                    builds: Builds::default(),
+                };
+                saved = Some((start, coordinator.n_pending()));
+            }
+        });
+        if let Some(saved) = saved {
+            self.saved = saved;
+        }
+        self.announce();
+    }
+
+    fn next_order(&mut self, to: &ActorKey) {
+        let orders = &self.learner.as_ref().unwrap().orders;
+        if let Some((queue, None)) = orders.get(to)
+            && !queue.is_empty()
+        {
+            self.send_order(to, 1);
+        }
+    }
+
+    fn send_order(&mut self, to: &ActorKey, attempt: u32) {
+        let number = self.number();
+        let learner = self.learner.as_mut().unwrap();
+        let incarnation = learner.incarnation;
+        let (queue, under_way) = learner.orders.get_mut(to).unwrap();
+        *under_way = Some(number);
+        let (control, key) = (queue[0].clone(), to.clone());
+        self.send(move |w| {
+            let deaf_until = w.alive(&key).map_or(0, |actor| actor.deaf_until);
+            let order = ActorInput::Order { control, reply: number };
+            w.at(deaf_until.saturating_sub(w.now), move |w| w.arrive(&key, order));
+        });
+        let key = to.clone();
+        self.at(ORDER_TIMEOUT, move |w| {
+            let Some(learner) = &mut w.learner else { return };
+            let is_waiting = learner.orders.get(&key).is_some_and(|(_, n)| *n == Some(number));
+            if is_waiting && attempt == 1 {
+                w.send_order(&key, 2);
+            } else if is_waiting {
+                learner.orders.remove(&key);
+                w.learn(Some(incarnation), |learner| learner.coordinator.give_up(&key));
+            }
+        });
+    }
+
+    fn reply(&mut self, from: &ActorKey, number: u64, reply: ControlReply) {
+        self.learn(None, |learner| {
+            let Some((queue, under_way)) = learner.orders.get_mut(from) else { return };
+            if *under_way == Some(number) {
+                *under_way = None;
+                queue.pop_front();
+                if let ControlReply::CannotRestore { epoch, envs } = reply {
+                    let coordinator = &mut learner.coordinator;
+                    envs.iter().for_each(|env| coordinator.cannot_restore(from, epoch, *env));
+                }
+            }
+        });
+        if self.learner.is_some() {
+            self.next_order(from);
+        }
+    }
+
+    fn hello(&mut self, from: ActorKey, number: u64, hello: &Hello) {
+        let Some(weights) = self.announcement() else { return };
+        let mut answer = None;
+        self.learn(None, |learner| {
+            let heard = learner.coordinator.hello(hello);
+            answer = Some(heard.map(|resend_from| (resend_from, learner.coordinator.window())));
+        });
+        let (run, spec) = (RunName::new("r").unwrap(), self.spec.clone());
+        self.send(move |w| {
+            let answer = match answer.unwrap() {
+                Ok((resend_from, window)) => {
+                    Ok(Box::new(Welcome { run, spec, window, weights, resend_from }))
+                }
+                Err(unwelcome) => {
+                    let (actor, reason) = (from.0.clone(), unwelcome.to_string());
+                    Err(LinkError::Refused { run, actor, reason })
+                }
+            };
+            w.answered(&from, number, answer);
+        });
+    }
+
+    fn oldest_kept(&self) -> PolicyVersion {
+        let version = self.learner.as_ref().map_or(PolicyVersion(0), |learner| learner.version);
+        self.spec.schedule.oldest_needed(version)
+    }
+
+    fn announcement(&self) -> Option<Announcement> {
+        let learner = self.learner.as_ref()?;
+        let versions = self.oldest_kept().0..=learner.version.0;
+        let versions = versions.map(|version| (PolicyVersion(version), [version as u8; 32]));
+        Some(Announcement { learner: learner.incarnation, versions: versions.collect() })
+    }
+
+    fn announce(&mut self) {
+        let Some(news) = self.announcement() else { return };
+        for actor in self.keys() {
+            let news = news.clone();
+            self.send(move |w| w.arrive(&actor, ActorInput::Announcement(news)));
+        }
+    }
+
+    // The actors' side.
+
+    fn keys(&self) -> Vec<ActorKey> {
+        let actors = self.actors.iter().enumerate();
+        let key = |(index, actor): (usize, &Option<ActorModel>)| {
+            let incarnation = actor.as_ref()?.incarnation;
+            Some((ActorId::new(&format!("a{index}")).unwrap(), incarnation))
+        };
+        actors.filter_map(key).collect()
+    }
+
+    /// Returns an actor if this start of it is still there.
+    fn alive(&mut self, key: &ActorKey) -> Option<&mut ActorModel> {
+        let index: usize = key.0.as_str()[1..].parse().unwrap();
+        self.actors[index].as_mut().filter(|actor| actor.incarnation == key.1)
+    }
+
+    fn settings(key: &ActorKey) -> ActorSettings {
+        ActorSettings {
+            actor: key.0.clone(),
+            incarnation: key.1,
+            run: None,
+            connect: ConnectSettings::new(Vec::new()),
+            reconnect_timeout: Duration::from_hours(24),
+            program: "test".to_owned(),
+            cpu: "cpu".to_owned(),
+        }
+    }
+
+    fn start_actor(&mut self, index: usize) {
+        let incarnation = Incarnation(self.number());
+        let (mute, poisonous) = (self.dice(6) == 0, self.dice(8) == 0);
+        self.actors[index] = Some(ActorModel {
+            incarnation,
+            actor: None,
+            chains: BTreeMap::new(),
+            epoch: Epoch(0),
+            backlog: Vec::new(),
+            hello: 0,
+            deaf_until: 0,
+            is_mute: mute && !self.is_calm(),
+            is_poisonous: poisonous && !self.is_calm(),
+        });
+        let key = (ActorId::new(&format!("a{index}")).unwrap(), incarnation);
+        self.say_hello(&key, Model::first_hello(&Self::settings(&key)));
+        self.connect(&key);
+        self.tick_actor(key);
+    }
+
+    fn tick_actor(&mut self, key: ActorKey) {
+        if self.alive(&key).is_some() {
+            self.act(&key, ActorInput::Tick);
+            self.at(1_000, move |w| w.tick_actor(key));
+        }
+    }
+
+    /// Learner and actor see each other's tokens, sooner or later.
+    fn connect(&mut self, actor: &ActorKey) {
+        let Some(learner) = self.learner.as_ref().map(|learner| learner.incarnation) else {
+            return;
+        };
+        let (soon, later) = (1 + self.dice(300), 1 + self.dice(300));
+        let (key, to) = (actor.clone(), actor.clone());
+        self.at(soon, move |w| {
+            w.learn(Some(learner), |learner| learner.coordinator.joined(key.0, key.1));
+        });
+        self.at(later, move |w| w.arrive(&to, ActorInput::LearnerJoined(learner)));
+    }
+
+    fn say_hello(&mut self, key: &ActorKey, hello: Hello) {
+        let number = self.number();
+        self.alive(key).unwrap().hello = number;
+        let (from, to) = (key.clone(), key.clone());
+        self.send(move |w| w.hello(from, number, &hello));
+        self.at(HELLO_TIMEOUT, move |w| {
+            let (key, timeout) = ("hello".to_owned(), Duration::ZERO);
+            w.answered(&to, number, Err(LinkError::NoAnswer { key, timeout }));
+        });
+    }
+
+    fn answered(&mut self, key: &ActorKey, number: u64, answer: Result<Box<Welcome>, LinkError>) {
+        let now = self.zero + Duration::from_millis(self.now);
+        let Some(model) = self.alive(key).filter(|model| model.hello == number) else { return };
+        model.hello = 0;
+        let is_known = model.actor.is_some();
+        match answer {
+            Ok(welcome) if is_known => self.act(key, ActorInput::Welcomed(welcome)),
+            Ok(welcome) => {
+                model.actor = Some(Actor::new(Self::settings(key), *welcome, now).unwrap());
+                self.act(key, ActorInput::Tick);
+            }
+            Err(error) if is_known => self.act(key, ActorInput::NotWelcomed(Box::new(error))),
+            Err(LinkError::Refused { .. }) => self.end_actor(key),
+            Err(_) => self.say_hello(key, Model::first_hello(&Self::settings(key))),
+        }
+    }
+
+    /// Takes something from the network to an actor; while it says hello, that waits.
+    fn arrive(&mut self, key: &ActorKey, input: Input) {
+        let Some(model) = self.alive(key) else { return };
+        if model.actor.as_ref().is_none_or(Actor::is_greeting) {
+            model.backlog.push(input);
+        } else {
+            self.act(key, input);
+        }
+    }
+
+    /// Lets an actor decide, and does what it wants.
+    fn act(&mut self, key: &ActorKey, input: Input) {
+        let (zero, now) = (self.zero, self.now);
+        let at = zero + Duration::from_millis(now);
+        let Some(model) = self.alive(key) else { return };
+        let Some(actor) = &mut model.actor else { return };
+        let mut outputs = actor.handle(at, input);
+        if !actor.is_greeting() {
+            for input in std::mem::take(&mut model.backlog) {
+                outputs.extend(actor.handle(at, input));
+            }
+        }
+        if let Some(due) = actor.wakes_at() {
+            let due = (due - zero).as_millis() as u64 + 1;
+            let key = key.clone();
+            self.at(due.saturating_sub(now).max(1), move |w| w.act(&key, ActorInput::Tick));
+        }
+        outputs.into_iter().for_each(|output| self.carry_out(key, output));
+    }
+
+    fn carry_out(&mut self, key: &ActorKey, output: Output) {
+        let (oldest_kept, is_learner_there) = (self.oldest_kept(), self.learner.is_some());
+        let (mut took, loses_pull) = (1 + self.dice(10), self.dice(20) == 0 && !self.is_calm());
+        let collecting = 100 + self.dice(900);
+        let Some(model) = self.alive(key) else { return };
+        let from = key.clone();
+        let input = match output {
+            ActorOutput::Hello(hello) => return self.say_hello(key, hello),
+            ActorOutput::Reply(number, reply) => {
+                return self.send(move |w| w.reply(&from, number, reply));
+            }
+            ActorOutput::End(_) => return self.end_actor(key),
+            ActorOutput::Restore(assignment) => {
+                let restored =
+                    assignment.envs.iter().map(|given| Chain::restore(given).ok_or(given.env_id));
+                let (envs, failed): (Vec<_>, Vec<_>) = restored.partition(Result::is_ok);
+                ActorInput::Restored {
+                    envs: envs.into_iter().flatten().collect(),
+                    failed: failed.into_iter().filter_map(Result::err).collect(),
+                }
+            }
+            ActorOutput::Adopt { epoch, keep, envs } => {
+                model.epoch = epoch;
+                model.chains.retain(|env_id, _| keep.contains(env_id));
+                model.chains.extend(envs.into_iter().map(|chain| (chain.env_id, chain)));
+                let next = model.chains.values().map(|chain| chain.iteration).min();
+                ActorInput::Collected { rollouts: Vec::new(), next }
+            }
+            ActorOutput::Collect { .. } if model.is_mute => return,
+            ActorOutput::Collect { version, .. } => {
+                took = collecting;
+                model.collect(version)
+            }
+            ActorOutput::Publish(EncodedRollout { header, payload }) => {
+                self.send(move |w| {
+                    w.learn(None, |l| l.coordinator.rollout(from.0, &header, &payload));
+                });
+                ActorInput::Published
+            }
+            ActorOutput::Pull { version, .. } if loses_pull || !is_learner_there => {
+                took = PULL_TIMEOUT;
+                ActorInput::PullFailed { version, not_kept: false }
+            }
+            ActorOutput::Pull { version, .. } if version < oldest_kept => {
+                ActorInput::PullFailed { version, not_kept: true }
+            }
+            ActorOutput::Pull { version, .. } => ActorInput::Pulled { version, weights: version },
+        };
+        let key = key.clone();
+        self.at(took, move |w| w.act(&key, input));
+    }
+
+    // What goes wrong.
+
+    fn chaos(&mut self) {
+        if self.is_calm() {
+            return;
+        }
+        let n_alive = self.keys().len() as u64;
+        let what = self.dice(7);
+        let which = self.dice(n_alive.max(1)) as usize;
+        match self.keys().get(which) {
+            _ if what == 0 => self.end_learner(),
+            Some(key) if what == 1 => self.end_actor(key),
+            Some(key) if what == 2 => self.cut(key),
+            Some(key) if what == 3 => {
+                let deaf_until = self.now + 10_000;
+                self.alive(key).unwrap().deaf_until = deaf_until;
+            }
+            _ => {}
+        }
+        let pause = self.dice(6_000);
+        self.at(pause, Self::chaos);
+    }
+
+    /// An actor process is gone; another one starts in its place.
+    fn end_actor(&mut self, key: &ActorKey) {
+        let index: usize = key.0.as_str()[1..].parse().unwrap();
+        self.actors[index] = None;
+        let (noticed, pause, key) = (self.dice(2_000), self.dice(5_000), key.clone());
+        self.at(noticed, move |w| w.learn(None, |l| l.coordinator.left(key.0, key.1)));
+        self.at(pause, move |w| w.start_actor(index));
+    }
+
+    fn end_learner(&mut self) {
+        let Some(learner) = self.learner.take() else { return };
+        for key in self.keys() {
+            let noticed = self.dice(2_000);
+            let input = ActorInput::LearnerLeft(learner.incarnation);
+            self.at(noticed, move |w| w.arrive(&key, input));
+        }
+        let pause = self.dice(5_000);
+        self.at(pause, Self::start_learner);
+    }
+
+    /// The connection between the learner and an actor is lost for a while.
+    fn cut(&mut self, key: &ActorKey) {
+        let Some(learner) = self.learner.as_ref().map(|learner| learner.incarnation) else {
+            return;
+        };
+        let (from, to) = (key.clone(), key.clone());
+        self.learn(None, |learner| learner.coordinator.left(from.0, from.1));
+        self.arrive(&to, ActorInput::LearnerLeft(learner));
+        let back = self.dice(4_000);
+        self.at(back, move |w| {
+            if w.alive(&to).is_some() {
+                w.connect(&to);
+            }
+        });
+    }
+
+    /// From now on nothing goes wrong any more; whoever cannot or will not work is replaced.
+    fn calm(&mut self) {
+        for key in self.keys() {
+            if self.alive(&key).is_some_and(|actor| actor.is_mute || actor.is_poisonous) {
+                self.end_actor(&key);
+            }
+        }
+    }
+}
+
+impl ActorModel {
+    /// Collects one rollout of every environment that is at the lowest iteration, as a worker does.
+    fn collect(&mut self, version: PolicyVersion) -> Input {
+        let lowest = self.chains.values().map(|chain| chain.iteration).min();
+        let chains = self.chains.values_mut().filter(|chain| Some(chain.iteration) == lowest);
+        let encode = |chain: &mut Chain| {
+            let mut rollout = chain.rollout(version);
+            if self.is_poisonous {
+                rollout.snapshot = vec![1];
+            }
+            let payload = codec::encode(&rollout).unwrap();
+            let plain = Header::plain(Schema::Rollout, self.incarnation, &payload);
+            let header = Header { epoch: self.epoch, version, ..plain };
+            EncodedRollout { header, payload: payload.into() }
+        };
+        let rollouts = chains.map(encode).collect();
+        let next = self.chains.values().map(|chain| chain.iteration).min();
+        ActorInput::Collected { rollouts, next }
+    }
+}
+
+/// What a loop without processes trains on.
+fn reference(schedule: Schedule, n_envs: usize, n_updates: usize) -> Vec<Trained> {
+    let places = RolloutQueue::beginning(n_envs);
+    let mut chains: Vec<Chain> = places.iter().filter_map(Chain::restore).collect();
+    let update = |iteration| {
+        let version = schedule.behavior_version(Iteration(iteration)).unwrap();
+        chains.iter_mut().map(|chain| seen(&chain.rollout(version))).collect()
+    };
+    (0..n_updates as u64).map(update).collect()
+}
+
+#[test]
+fn whatever_goes_wrong_the_run_goes_on_with_the_same_rollouts_and_balanced_books() {
+    for seed in 0..N_RUNS {
+        let mut world = World::new(seed).run();
+        let (schedule, n_updates) = (world.spec.schedule, world.trained.len());
+        // Each rollout takes at most a second, and the longest time until somebody is trusted again is shorter.
+        assert!(n_updates as u64 > (END - CALM_FROM) / 4_000, "seed {seed}: {n_updates} updates");
+        let actors = world.keys();
+        let coordinator = &mut world.learner.as_mut().unwrap().coordinator;
+        let members = coordinator.members().iter().map(|(name, &start)| (name.clone(), start));
+        assert!(members.eq(actors), "seed {seed}: every actor is back");
+        coordinator.close();
+        coordinator.books().check().unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+        if schedule.is_deterministic() && world.n_lost_snapshots == 0 {
+            let n_envs = world.saved.0.places.len();
+            let expected = reference(schedule, n_envs, n_updates);
+            assert_eq!(world.trained, expected, "seed {seed}");
+        }
+    }
+}
