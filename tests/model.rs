@@ -26,7 +26,7 @@ use leadtime_proto::{
 };
 
 /// How many different runs are tried.
-const N_RUNS: u64 = 200;
+const N_RUNS: u64 = 60;
 /// Until when things go wrong, and until when the run may recover, in milliseconds.
 const CALM_FROM: u64 = 40_000;
 const END: u64 = 400_000;

@@ -17,7 +17,7 @@ use leadtime_numerics::Pcg64;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::replay::{Section, mark};
+use crate::section::{Section, mark};
 
 /// The compared components of an observation; the leg flags are all zero before the first contact.
 pub const COMPONENTS: [&str; 6] = ["x", "y", "vx", "vy", "angle", "angular_velocity"];

@@ -9,6 +9,8 @@
 pub mod highway;
 pub mod lander;
 mod replay;
+mod section;
 pub mod steakhouse;
 
-pub use replay::{Original, Replay, ReplayError, Section};
+pub use replay::{Original, Replay, ReplayError};
+pub use section::Section;

@@ -3,6 +3,7 @@
 use serde_json::Value;
 use thiserror::Error;
 
+use crate::section::Section;
 use crate::{highway, lander, steakhouse};
 
 /// A public original of one of our worlds.
@@ -27,19 +28,6 @@ pub struct Replay {
     pub report: Value,
     /// The report as tables.
     pub sections: Vec<Section>,
-}
-
-/// One table of a report.
-#[derive(Clone, Debug, Default)]
-pub struct Section {
-    /// What was compared.
-    pub title: String,
-    /// Titles of the columns.
-    pub head: Vec<&'static str>,
-    /// The rows.
-    pub rows: Vec<Vec<String>>,
-    /// What the rows have no room for.
-    pub notes: Vec<String>,
 }
 
 /// Why a text cannot be replayed.
@@ -77,9 +65,4 @@ impl Original {
             Self::Steakhouse => replay!(steakhouse),
         }
     }
-}
-
-/// Marks what is beyond its bound.
-pub(crate) fn mark(passed: bool) -> String {
-    if passed { String::new() } else { "beyond the bound".to_owned() }
 }

@@ -79,10 +79,7 @@ async fn carry_out(
     stop: CancellationToken,
 ) -> Result<(), Error> {
     let log = training.log();
-    let what = Launch {
-        stderr_log: Some(log.clone()),
-        ..Launch::new(Naming::Resume, n_actors)
-    };
+    let what = Launch { stderr_log: Some(log.clone()), ..Launch::new(Naming::Resume, n_actors) };
     let code = match launch(&training.config, &what, &stop).await?.ended {
         Ended::Learner(Some(0)) => return Ok(()),
         Ended::Stopped => return Err(Error::Interrupted),

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::trace::VehicleRow;
 use super::{OBSERVATION_BOUND, STATE_BOUND};
-use crate::replay::{Section, mark};
+use crate::section::{Section, mark};
 
 /// The largest differences of a scenario.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]

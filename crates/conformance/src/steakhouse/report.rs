@@ -7,7 +7,7 @@ use leadtime_steakhouse::world::LayoutError;
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::replay::Section;
+use crate::section::Section;
 
 /// Why a text cannot be replayed.
 #[derive(Debug, Error)]
