@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use flate2::read::MultiGzDecoder;
 use leadtime_conformance::{Original, Replay};
-use leadtime_eval::measure::Table;
+use leadtime_table::Table;
 
 use crate::cli::{ConformanceArgs, ConformanceWorld};
 use crate::exit::{Blame as _, ExitCode, Failure};
