@@ -47,12 +47,12 @@ const SETTINGS: &str = include_str!("corridor.toml");
 /// `[world]`
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
-struct CorridorWorld {
+struct World {
     /// Reward for reaching the goal; slipping costs the same.
     goal_reward: f64,
 }
 
-impl Default for CorridorWorld {
+impl Default for World {
     fn default() -> Self {
         Self { goal_reward: 1.0 }
     }
@@ -62,20 +62,20 @@ impl Default for CorridorWorld {
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Settings {
-    world: CorridorWorld,
+    world: World,
     human: HumanSettings,
     notifier: NotifierSettings,
 }
 
 fn build(settings: &str) -> Result<Box<dyn Environment>, TaskError> {
     let settings: Settings = read("corridor", settings)?;
-    let corridor = Corridor { world: settings.world, state: CorridorState::default() };
+    let corridor = Corridor { world: settings.world, state: State::default() };
     Ok(Box::new(NotifierEnv::new(corridor, &settings.human, &settings.notifier)?))
 }
 
 /// Everything the future depends on.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
-struct CorridorState {
+struct State {
     cell: i32,
     /// 0: left, 1: right.
     lane: usize,
@@ -86,8 +86,8 @@ struct CorridorState {
 
 #[derive(Debug)]
 struct Corridor {
-    world: CorridorWorld,
-    state: CorridorState,
+    world: World,
+    state: State,
 }
 
 impl Corridor {
@@ -108,13 +108,13 @@ impl Domain for Corridor {
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {
-        let mut rng = seed.stream(Purpose::CorridorWorld);
+        let mut rng = seed.stream(Purpose::World);
         let mut wet_floor = |n: usize| {
             let cell = 10 * (n as i32 + 1) + rng.below(4) as i32;
             (cell, rng.below(2))
         };
         let wet = (0..N_WET).map(&mut wet_floor).collect();
-        self.state = CorridorState { cell: 0, lane: rng.below(2), wet, slipped: false };
+        self.state = State { cell: 0, lane: rng.below(2), wet, slipped: false };
     }
 
     fn observe(&self, out: &mut [f32]) {
