@@ -13,7 +13,7 @@ use leadtime_learner::{
     Build, CheckpointInterval, LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent,
     RunReport, UpdateProgress,
 };
-use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings};
+use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, Events, ListenSettings};
 use leadtime_policy::{Parameters, Policy};
 use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::header::Schema;
@@ -400,7 +400,7 @@ async fn a_run_that_another_build_goes_on_with_is_not_called_reproducible() {
 }
 
 /// An actor that takes part in everything but the work.
-async fn pretender(directory: &Path, name: &str) -> (ActorLink, flume::Receiver<ActorEvent>) {
+async fn pretender(directory: &Path, name: &str) -> (ActorLink, Events<ActorEvent>) {
     let (actor, incarnation) = (ActorId::new(name).unwrap(), Incarnation(1));
     let settings = ConnectSettings::new(vec![endpoint(directory)]);
     let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
@@ -423,7 +423,7 @@ async fn a_member_that_delivers_nothing_loses_its_environments_and_changes_no_bi
     let events = Arc::clone(&learner.events);
     let (_link, inbox) = pretender(directory.path(), "mute").await;
     let follower = tokio::spawn(async move {
-        while let Ok(event) = inbox.recv_async().await {
+        while let Some(event) = inbox.recv().await {
             if let ActorEvent::Control { reply, .. } = event {
                 reply.reply(&ControlReply::Followed { epoch: Epoch(0) }).unwrap();
             }
@@ -443,19 +443,19 @@ async fn a_member_that_delivers_nothing_loses_its_environments_and_changes_no_bi
 }
 
 /// Sends one rollout of every environment that it is given, sound but for the state at the end, and leaves.
-async fn poison(link: ActorLink, inbox: flume::Receiver<ActorEvent>) {
+async fn poison(link: ActorLink, inbox: Events<ActorEvent>) {
     let spec = run_spec(Mode::Sync);
     let trainer = Trainer::new(&spec.policy, &settings(Mode::Sync), spec.seed).unwrap();
     let mut policy = Policy::new(&spec.policy, trainer.parameters()).unwrap();
     let mut n_sent = None;
-    while let Ok(event) = inbox.recv_async().await {
+    while let Some(event) = inbox.recv().await {
         match event {
             ActorEvent::Control { control: Control::Assign(assignment), reply } => {
                 let epoch = assignment.epoch;
                 reply.reply(&ControlReply::Followed { epoch }).unwrap();
                 let mut worker = Worker::new(spec.clone());
                 for given in &assignment.envs {
-                    let env = Registry::builtin().build(&spec.task).unwrap();
+                    let env = leadtime_worlds::builtin().build(&spec.task).unwrap();
                     worker.insert(env, given).unwrap();
                 }
                 for (rollout, number) in
