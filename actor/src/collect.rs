@@ -1,4 +1,4 @@
-//! What the collecting and the restoring thread do: make environments ready, step them, encode what comes of it.
+//! What the collecting and the restoring thread do: build environments, step them, encode the rollouts.
 //!
 //! Environments are restored beside the collecting thread, not by it: an order is answered with what could not be
 //! restored, and a rollout may take longer than an order may wait for its answer.
@@ -31,7 +31,7 @@ pub(crate) struct EnvBuilder {
 #[derive(Debug, Default)]
 pub(crate) struct RestoredEnvs {
     restored: Vec<(Iteration, EnvSlot)>,
-    /// Those that start from the beginning, which cannot fail and may be many: built by whoever steps them.
+    /// Those that start from the beginning. Building them cannot fail, and the collecting thread does it.
     fresh: Vec<EnvAssignment>,
 }
 

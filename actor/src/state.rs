@@ -12,7 +12,7 @@
 //!
 //! * At most one job is with the collecting thread, one assignment with the restoring one, one pull and one hello under
 //!   way; everything else waits here. What was begun under an earlier learner is let go when it is done.
-//! * An order is answered when it is known what comes of it, and answered alike however often it is given.
+//! * An order is answered once its outcome is known, and every repetition gets the same answer.
 //!
 //! # Driving it
 //!
@@ -85,21 +85,21 @@ pub enum ActorInput<W, R, E> {
     },
     /// A rollout is with the network, or failed to get there: a missing acknowledgement brings it back.
     Published,
-    /// Weights have arrived.
+    /// A pull has succeeded.
     Pulled {
-        /// Their version.
+        /// The version that was asked for.
         version: PolicyVersion,
-        /// The weights.
+        /// The weights, already checked against the announced digest.
         weights: W,
     },
-    /// Weights will not arrive.
+    /// A pull has failed.
     PullFailed {
-        /// Their version.
+        /// The version that was asked for.
         version: PolicyVersion,
         /// The learner does not keep them (any more).
         not_kept: bool,
     },
-    /// Time has passed.
+    /// The regular clock tick: time-outs and retries are looked at.
     Tick,
 }
 
@@ -118,23 +118,23 @@ pub enum ActorOutput<W, R, E> {
         epoch: Epoch,
         /// Environments that stay as they are; the others are let go.
         keep: Vec<EnvId>,
-        /// Environments that come.
+        /// Environments that join the ones that stay, ready to be stepped.
         envs: E,
     },
     /// Have the collecting thread collect the lowest iteration; [`ActorInput::Collected`] follows.
     Collect {
-        /// The version that acts.
+        /// The behaviour version.
         version: PolicyVersion,
-        /// Its weights.
+        /// The weights of the behaviour version.
         weights: W,
     },
     /// Send a rollout; [`ActorInput::Published`] follows.
     Publish(EncodedRollout),
     /// Pull weights; [`ActorInput::Pulled`] or [`ActorInput::PullFailed`] follows.
     Pull {
-        /// The version.
+        /// The version that is needed next.
         version: PolicyVersion,
-        /// The digest that they must have.
+        /// The digest that its bytes must have.
         sha256: [u8; 32],
     },
     /// Leave; nothing follows.
@@ -310,7 +310,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         self.outbox.is_waiting()
     }
 
-    /// Returns the run.
+    /// Returns the name of the run that the actor works for.
     pub fn run(&self) -> &RunName {
         &self.welcome.run
     }

@@ -178,7 +178,7 @@ impl Coordinator {
     pub fn hello(&mut self, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let key = (hello.actor.clone(), hello.incarnation);
         if self.stage == RunStage::Closing {
-            return Err(HelloRefusal::Closing); // Whoever is welcomed now would never be dismissed.
+            return Err(HelloRefusal::Closing); // An actor welcomed now would never be dismissed.
         }
         if self.roster.sender(&key).is_some_and(|sender| sender.cut_off) {
             return Err(HelloRefusal::CutOff);

@@ -1,6 +1,6 @@
 //! Playing many whole episodes, several at a time.
 //!
-//! Episode i is the same whoever plays beside it: its world, listener and action draws come from streams named by
+//! Episode i does not depend on the episodes played beside it: its world, listener and action draws come from streams named by
 //! (seed, i). So neither the number of slots nor that of threads changes a result, and two players meet the same worlds.
 
 use std::fmt;

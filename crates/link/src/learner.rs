@@ -73,7 +73,7 @@ impl LearnerLink {
         declare_intake(&session, run, &domain, &intake)?;
         declare_pulls(&session, Key::Weights(run, &domain), answers.clone(), &store)?;
         declare_hello(&session, run, incarnation, &intake, answers)?;
-        // Last of all: whoever sees it may rely on everything else.
+        // Declared last: a peer that sees the token may rely on everything else.
         let alive = Key::Alive(run, &Member::Learner, incarnation);
         let token = session.liveliness().declare_token(keys::expr(alive)).wait();
         let is_dead = Arc::new(AtomicBool::new(false));
@@ -113,7 +113,7 @@ impl LearnerLink {
         if self.is_dead.load(Ordering::Relaxed) { Err(Error::Dead) } else { Ok(()) }
     }
 
-    /// Offers a version of the weights: announced at once and every second, pulled by whoever wants it.
+    /// Offers a version of the weights: announced at once and every second, pulled by the actors that need it.
     ///
     /// # Errors
     ///
@@ -210,7 +210,7 @@ impl LearnerLink {
     /// Returns the refused messages since the last call that were no [`LearnerEvent::Refused`]: those for which there
     /// was no room, those of senders that were cut off, and events of presence that did not fit.
     ///
-    /// They are no evidence against anyone: whoever overflows may be honest and only late to be heard. The caller
+    /// They are no evidence against a sender: an honest one overflows when the learner is slow to read. The caller
     /// counts them in its books.
     pub fn take_uncounted(&self) -> RefusalCounts {
         self.intake.take_uncounted()

@@ -1,7 +1,7 @@
 //! Leadtime's network: the only crate that names zenoh.
 //!
 //! What this crate does not know: environments, policies, optimisers, files. It carries the messages of
-//! `leadtime-proto` between a learner, its actors and whoever watches, and says who is there.
+//! `leadtime-proto` between a learner, its actors and observers, and reports who is present.
 //!
 //! ```text
 //!                 ┌───────────────── ctl/hello ── ctl/actor/{id} ── credit/{id} ─────────────────┐
@@ -15,7 +15,7 @@
 //! * **Callbacks never block.** What arrives goes into a bounded queue by `try_send`; what does not fit is refused and
 //!   counted. A sender within its share always fits, so a stalled consumer costs nobody else anything.
 //! * **A name in a key proves nothing.** Who sent a message is what a readable header says; what has none is nobody's.
-//! * **Weights are what was announced.** Whoever answers a pull, only bytes with the announced digest are taken.
+//! * **Weights are what was announced.** A pull accepts only bytes with the announced digest, from any peer.
 //! * Nothing relies on the network's congestion control as flow control; the credit window does that.
 //! * Topology is a star, dialled one way: actors and observers are clients of the learner or of a router.
 //! * Every wait has a limit and every error names the address, key, actor or run it is about.

@@ -46,7 +46,7 @@ pub struct ListenSettings {
     /// The most actors whose rollouts wait in the event queue at once. Default: 256.
     pub max_actors: usize,
     /// The most bytes of rollouts that wait in the event queue: one half is shared out among `max_actors` senders, the
-    /// other half is taken by whoever needs more. Default: 256 MiB.
+    /// other half is shared by the senders that need more. Default: 256 MiB.
     pub max_queued_bytes: usize,
 }
 

@@ -1,7 +1,7 @@
 //! The weights that a learner offers: which versions are kept, and what is announced of them.
 //!
 //! A small announcement goes to everyone for every version and once a second; the weights themselves are pulled by
-//! whoever wants them, at its own pace, late joiners included.
+//! any process that wants them, at its own pace, late joiners included.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};

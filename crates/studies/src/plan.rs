@@ -49,7 +49,7 @@ pub(crate) struct PlannedPart {
     pub(crate) maps: Vec<PlannedMap>,
 }
 
-/// How policies are evaluated, whoever they are.
+/// How every policy is evaluated.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Protocol {
     pub(crate) policy: WhichPolicy,

@@ -60,7 +60,7 @@ fn failure(error: Error) -> Failure {
         Error::Task(_) | Error::Play(_) | Error::Eval(_) => ExitCode::Failed,
         _ => ExitCode::WrongInput,
     };
-    // Whoever interrupts a command knows why it ended.
+    // The user who interrupted the command needs no explanation.
     let error = (code != ExitCode::Interrupted).then(|| error.into());
     Failure { code, error }
 }
