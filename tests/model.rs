@@ -380,7 +380,7 @@ impl World {
                 queue.pop_front();
                 if let ControlReply::CannotRestore { epoch, envs } = reply {
                     let coordinator = &mut learner.coordinator;
-                    envs.iter().for_each(|env| coordinator.cannot_restore(from, epoch, *env));
+                    coordinator.cannot_restore(from, epoch, &envs);
                 }
             }
         });

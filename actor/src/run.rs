@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use leadtime_link::{ActorEvent, ActorLink, ControlResponder, Events};
 use leadtime_policy::Parameters;
 use leadtime_proto::message::{Assignment, Hello, Welcome};
-use leadtime_proto::{EnvId, PolicyVersion};
+use leadtime_proto::{EnvId, PolicySpec, PolicyVersion};
 use leadtime_sims::Registry;
 use tokio::sync::mpsc;
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep_until, timeout_at};
@@ -120,7 +120,7 @@ async fn live(
 struct Process {
     actor: LiveActor,
     link: Arc<ActorLink>,
-    policy: Arc<leadtime_proto::PolicySpec>,
+    policy: PolicySpec,
     collector: JobThread<CollectJob, Result<Collected, Error>>,
     restorer: JobThread<Assignment, Result<(RestoredEnvs, Vec<EnvId>), Error>>,
     publisher: JobThread<EncodedRollout, leadtime_link::Result<Duration>>,
@@ -150,7 +150,7 @@ impl Process {
         Ok(Self {
             actor,
             link,
-            policy: Arc::new(spec.policy),
+            policy: spec.policy,
             collector: JobThread::start("actor-collect", 1, move |job| worker.work(job))?,
             restorer: JobThread::start("actor-restore", 1, move |a| builder.restore(a))?,
             publisher: JobThread::start("actor-publish", PUBLISHING, publish)?,
@@ -171,10 +171,9 @@ impl Process {
             let wake = self.next_wake(events, &mut ticks, stop).await?;
             let Some(input) = self.input(wake)? else { return Ok(ActorEnd::Cancelled) };
             for output in self.actor.handle(Instant::now(), input) {
-                if let ActorOutput::End(end) = output {
-                    return end;
+                if let Some(end) = self.carry_out(output)? {
+                    return Ok(end);
                 }
-                self.carry_out(output)?;
             }
         }
     }
@@ -249,7 +248,8 @@ impl Process {
         }))
     }
 
-    fn carry_out(&mut self, output: LiveOutput) -> Result<(), Error> {
+    /// Does what is to be done; returns how the actor ended if that is to leave.
+    fn carry_out(&mut self, output: LiveOutput) -> Result<Option<ActorEnd>, Error> {
         match output {
             ActorOutput::Hello(hello) => self.greet(hello),
             ActorOutput::Reply(responder, answer) => {
@@ -272,9 +272,9 @@ impl Process {
                     drop(done.send(ActorWake::Pulled(version, pulled)).await);
                 });
             }
-            ActorOutput::End(_) => {}
+            ActorOutput::End(end) => return end.map(Some),
         }
-        Ok(())
+        Ok(None)
     }
 
     fn greet(&self, hello: Hello) {

@@ -353,13 +353,14 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             }
         };
         // An order that is given again, because its answer was late or lost, is followed once and answered alike.
-        if let Some(waiting) = self.orders.iter_mut().find(|(order, _)| *order == assignment) {
+        let (generation, epoch) = (self.generation, assignment.epoch);
+        if let Some(waiting) = self.orders.iter_mut().find(|(order, _)| order.epoch == epoch) {
             waiting.1 = reply;
         } else if let Some(restoring) =
-            self.restoring.as_mut().filter(|r| r.epoch == assignment.epoch)
+            self.restoring.as_mut().filter(|r| (r.generation, r.epoch) == (generation, epoch))
         {
             restoring.replies.push(reply);
-        } else if assignment.epoch > self.newest_epoch() {
+        } else if epoch > self.newest_epoch() {
             self.orders.push_back((assignment, reply));
         } else {
             self.answer(reply);

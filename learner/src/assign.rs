@@ -102,36 +102,31 @@ impl Assigner {
         Some(Reassignment { actor: actor.clone(), epoch, given, kept: Vec::new() })
     }
 
-    /// Moves one environment to another actor and returns what has to be said to both.
-    pub fn hand_over(
-        &mut self,
-        env_id: EnvId,
-        to: &ActorId,
-        start: Incarnation,
-    ) -> Vec<Reassignment> {
-        let from = self.owner(env_id).map(|owner| owner.actor.clone());
-        let kept = self.held(to);
+    /// Gives environments to the actors beside them, from their newest snapshots, and returns what has to be said to each
+    /// actor that gets or loses some, by name.
+    pub fn hand_over(&mut self, moves: Vec<(EnvId, ActorId, Incarnation)>) -> Vec<Reassignment> {
+        let mut concerned: BTreeMap<ActorId, Vec<EnvId>> = BTreeMap::new();
+        for (env_id, actor, incarnation) in moves {
+            if let Some(from) = self.owner(env_id) {
+                concerned.entry(from.actor.clone()).or_default();
+            }
+            concerned.entry(actor.clone()).or_default().push(env_id);
+            let since = self.epoch;
+            self.owners[env_id.0 as usize] = Some(Ownership { actor, incarnation, since });
+        }
         let mut changes = Vec::new();
-        let epoch = self.next_epoch();
-        let owner = Ownership { actor: to.clone(), incarnation: start, since: epoch };
-        self.owners[env_id.0 as usize] = Some(owner);
-        changes.push(Reassignment { actor: to.clone(), epoch, given: vec![env_id], kept });
-        if let Some(actor) = from {
-            let (epoch, kept) = (self.next_epoch(), self.held(&actor));
-            changes.push(Reassignment { actor, epoch, given: Vec::new(), kept });
+        for (actor, given) in concerned {
+            let epoch = self.next_epoch();
+            let mut kept = self.held(&actor);
+            kept.retain(|env_id| !given.contains(env_id));
+            for env_id in &given {
+                if let Some(owner) = &mut self.owners[env_id.0 as usize] {
+                    owner.since = epoch;
+                }
+            }
+            changes.push(Reassignment { actor, epoch, given, kept });
         }
         changes
-    }
-
-    /// Gives an actor one of its environments again, from its newest snapshot, under a new epoch.
-    pub fn give_again(&mut self, env_id: EnvId) -> Option<Reassignment> {
-        let epoch = self.next_epoch();
-        let owner = self.owners.get_mut(env_id.0 as usize)?.as_mut()?;
-        owner.since = epoch;
-        let actor = owner.actor.clone();
-        let mut kept = self.held(&actor);
-        kept.retain(|&kept| kept != env_id);
-        Some(Reassignment { actor, epoch, given: vec![env_id], kept })
     }
 
     /// Shares the environments among the members, each of whom should have at most `max_envs`, and returns what has
@@ -330,18 +325,21 @@ mod tests {
     }
 
     #[test]
-    fn one_environment_moves_alone() {
+    fn environments_move_without_the_others() {
         let mut assigner = Assigner::new(4, Epoch(0));
         share(&mut assigner, &members(&["a", "b"]));
-        let changes = assigner.hand_over(EnvId(0), &id("b"), Incarnation(1));
+        let moved = |env_id: u32, to: &str| (EnvId(env_id), id(to), Incarnation(1));
+        let changes = assigner.hand_over(vec![moved(0, "b"), moved(2, "b")]);
         assert_eq!(sets(&assigner, &["a", "b"]), [vec![1], vec![0, 2, 3]]);
-        assert_eq!(
-            (&changes[0].given[..], &changes[0].kept[..]),
-            (&[EnvId(0)][..], &[EnvId(2), EnvId(3)][..])
-        );
-        assert_eq!((changes[1].actor.as_str(), &changes[1].kept[..]), ("a", &[EnvId(1)][..]));
-        let again = assigner.give_again(EnvId(0)).unwrap();
-        assert_eq!((again.actor.as_str(), again.kept.len()), ("b", 2));
-        assert_eq!(assigner.owner(EnvId(0)).unwrap().since, again.epoch);
+        let said = |change: &Reassignment| {
+            let ids = |envs: &[EnvId]| envs.iter().map(|env_id| env_id.0).collect::<Vec<_>>();
+            (change.actor.to_string(), ids(&change.given), ids(&change.kept))
+        };
+        let said: Vec<_> = changes.iter().map(said).collect();
+        assert_eq!(said, [("a".into(), vec![], vec![1]), ("b".into(), vec![0, 2], vec![3])]);
+        for env_id in [0, 2] {
+            assert_eq!(assigner.owner(EnvId(env_id)).unwrap().since, changes[1].epoch);
+        }
+        assert!(assigner.owner(EnvId(3)).unwrap().since < changes[0].epoch);
     }
 }

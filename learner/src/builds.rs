@@ -10,8 +10,6 @@ use serde::{Deserialize, Serialize};
 /// The most fingerprints of a kind that are listed: actors send them, so their number needs a limit. A run with more
 /// than one is not reproducible in any case.
 const MAX_LISTED: usize = 64;
-/// Stands for the builds and CPUs of a checkpoint that does not list them.
-const UNKNOWN: &str = "unknown (an earlier release)";
 
 /// What computes: a build of the program on a class of CPU.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -32,12 +30,6 @@ pub struct Builds {
 }
 
 impl Builds {
-    /// Returns what is known of a run that kept no list: not enough to call it reproducible.
-    pub(crate) fn unknown() -> Self {
-        let set = || BTreeSet::from([UNKNOWN.to_owned()]);
-        Self { programs: set(), cpus: set() }
-    }
-
     /// Notes who takes part from now on. Returns whether that is another build or CPU than those before.
     pub(crate) fn note(&mut self, build: &Build) -> bool {
         // Both are noted, whether or not the first is news.
@@ -71,7 +63,6 @@ mod tests {
         assert!(!note("a", "x") && !note("a", "x"));
         assert!(note("b", "x") && !note("b", "x") && note("b", "y"));
         assert!(!builds.is_uniform() && Builds::default().is_uniform());
-        assert!(Builds::unknown().note(&build("a", "x")), "never the one that kept no list");
     }
 
     #[test]

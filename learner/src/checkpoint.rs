@@ -23,13 +23,14 @@ use std::path::{Path, PathBuf};
 use leadtime_ppo::{LearnerSettings, Mode};
 use leadtime_proto::codec::{self, CodecError};
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use tracing::warn;
 
 use crate::files::write_atomically;
 
-/// The version of what a checkpoint holds; all from 1 to this one are read.
+/// The version of what a checkpoint holds; no other one is read.
 pub const FORMAT_VERSION: u32 = 2;
 /// How many checkpoints are kept.
 pub const KEPT: usize = 3;
@@ -79,7 +80,7 @@ pub enum CheckpointError {
     },
     /// A release with another checkpoint format wrote the newest checkpoint.
     #[error(
-        "{} has checkpoint format {found}, this release reads 1 to {FORMAT_VERSION}: resume the run with the release \
+        "{} has checkpoint format {found}, this release reads format {FORMAT_VERSION}: resume the run with the release \
          that wrote it, or start another run (--name; --fork takes this one's weights)",
         path.display()
     )]
@@ -228,31 +229,29 @@ impl CheckpointStore {
         }
     }
 
-    /// Reads the newest whole checkpoint; `None` if there is no checkpoint at all. `decode` is given the format and
-    /// the payload.
+    /// Reads the newest whole checkpoint; `None` if there is no checkpoint at all.
     ///
     /// # Errors
     ///
-    /// [`CheckpointError::OtherFormat`] if a newer release wrote a checkpoint that is newer than all whole ones;
+    /// [`CheckpointError::OtherFormat`] if another release wrote a checkpoint that is newer than all whole ones;
     /// [`CheckpointError::AllDamaged`] if there are some and none is whole.
-    pub fn newest<T>(
-        &mut self,
-        decode: impl Fn(u32, &[u8]) -> Result<T, CodecError>,
-    ) -> Result<Option<Loaded<T>>, CheckpointError> {
+    pub fn newest<T: DeserializeOwned>(&mut self) -> Result<Option<Loaded<T>>, CheckpointError> {
         let mut damaged = Vec::new();
         let mut found = None;
         for path in self.files()?.into_iter().rev() {
             // Older files are looked at, too: only whole ones count when old files are removed.
             match read(&path) {
-                Ok(CheckpointFile { format, .. }) if !(1..=FORMAT_VERSION).contains(&format) => {
+                Ok(CheckpointFile { format, .. }) if format != FORMAT_VERSION => {
                     if found.is_none() {
                         return Err(CheckpointError::OtherFormat { path, found: format });
                     }
                 }
-                Ok(content) if found.is_none() => match decode(content.format, content.payload()) {
-                    Ok(state) => found = Some((state, path)),
-                    Err(error) => damaged.push((path, CheckpointDamage::Decode(error))),
-                },
+                Ok(content) if found.is_none() => {
+                    match codec::decode(content.payload(), MAX_PAYLOAD_BYTES) {
+                        Ok(state) => found = Some((state, path)),
+                        Err(error) => damaged.push((path, CheckpointDamage::Decode(error))),
+                    }
+                }
                 Ok(_) => {}
                 Err(damage) if found.is_none() => damaged.push((path, damage)),
                 Err(_) => {
@@ -325,12 +324,8 @@ mod tests {
         (directory, store)
     }
 
-    fn decode(_format: u32, payload: &[u8]) -> Result<Vec<u64>, CodecError> {
-        codec::decode(payload, MAX_PAYLOAD_BYTES)
-    }
-
     fn newest(store: &mut CheckpointStore) -> Loaded<Vec<u64>> {
-        store.newest(decode).unwrap().unwrap()
+        store.newest().unwrap().unwrap()
     }
 
     fn write(store: &mut CheckpointStore, numbers: impl IntoIterator<Item = u64>) {
@@ -346,7 +341,7 @@ mod tests {
     #[test]
     fn the_newest_three_stay() {
         let (_directory, mut store) = store();
-        assert!(store.newest(decode).unwrap().is_none());
+        assert!(store.newest::<Vec<u64>>().unwrap().is_none());
         write(&mut store, 8..13);
         assert_eq!(store.files().unwrap().len(), KEPT);
         assert_eq!(newest(&mut store).state, [12]);
@@ -415,8 +410,8 @@ mod tests {
         let mut other = fs::read(path(&store, 2)).unwrap();
         other[4] = 9;
         fs::write(path(&store, 2), &other).unwrap();
-        let error = store.newest(decode).unwrap_err().to_string();
-        assert!(error.contains("format 9, this release reads 1 to 2"), "{error}");
+        let error = store.newest::<Vec<u64>>().unwrap_err().to_string();
+        assert!(error.contains("format 9, this release reads format 2"), "{error}");
         write(&mut store, [3]);
         assert_eq!(newest(&mut store).state, [3], "one that is older is of no concern");
     }
@@ -426,7 +421,7 @@ mod tests {
         let (_directory, mut store) = store();
         let path = store.write(1, &vec![1_u64]).unwrap();
         fs::write(path, b"LTCK").unwrap();
-        let error = store.newest(decode).unwrap_err();
+        let error = store.newest::<Vec<u64>>().unwrap_err();
         assert!(matches!(error, CheckpointError::AllDamaged { n_damaged: 1, .. }));
     }
 

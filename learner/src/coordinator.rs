@@ -350,12 +350,11 @@ impl Coordinator {
     pub fn tick(&mut self) {
         self.credit_everyone();
         let lacking = self.lacking();
-        let n_envs = |actor: &ActorId| lacking.get(actor).copied().unwrap_or_default();
         let mut is_due = false;
         for finding in self.stragglers.tick(&lacking) {
             match finding {
                 Lateness::Waiting { actor, n_ticks } => {
-                    let n_envs = n_envs(&actor);
+                    let n_envs = lacking.get(&actor).copied().unwrap_or_default();
                     let event =
                         RunEvent::WaitingForRollouts { actor, n_envs, waited: n_ticks * TICK };
                     self.effects.push(Effect::Event(event));
@@ -386,30 +385,51 @@ impl Coordinator {
         lacking
     }
 
-    /// Notes that an actor cannot restore an environment's snapshot.
+    /// Notes that an actor cannot restore the snapshots of some environments.
     ///
-    /// The fault may be its own (another build, say), so the environment goes to one actor after the other. If none
-    /// can restore it the snapshot is given up, and whoever sent it is cut off.
-    pub fn cannot_restore(&mut self, key: &SenderKey, epoch: Epoch, env_id: EnvId) {
-        let is_owner = self.assigner.owner(env_id).is_some_and(|owner| {
-            (&owner.actor, owner.incarnation) == (&key.0, key.1) && epoch >= owner.since
-        });
-        if !is_owner || self.stage == RunStage::Closing {
-            return; // About an assignment that is over.
+    /// The fault may be its own (another build, say), so an environment goes to one actor after the other. If none can
+    /// restore it the snapshot is given up, and whoever sent it is cut off.
+    pub fn cannot_restore(&mut self, key: &SenderKey, epoch: Epoch, envs: &[EnvId]) {
+        let mut counts = self.assigner.counts(self.roster.members());
+        let (mut moves, mut authors) = (Vec::new(), BTreeMap::new());
+        for &env_id in envs {
+            let is_owner = self.assigner.owner(env_id).is_some_and(|owner| {
+                (&owner.actor, owner.incarnation) == (&key.0, key.1) && epoch >= owner.since
+            });
+            if !is_owner || self.stage == RunStage::Closing {
+                continue; // About an assignment that is over.
+            }
+            let actor = key.0.clone();
+            self.effects.push(Effect::Event(RunEvent::SnapshotRefused { actor, env_id }));
+            let doubters = self.queue.doubt(env_id, &key.0);
+            let may_try =
+                |other: &ActorId| !doubters.contains(other) && self.stragglers.max_envs(other) > 0;
+            let others = counts.iter_mut().filter(|(other, _)| may_try(other));
+            if let Some((other, n_held)) = others.min_by_key(|(_, n_held)| **n_held) {
+                *n_held += 1;
+                moves.push((env_id, other.clone(), self.roster.members()[other]));
+                continue;
+            }
+            moves.push((env_id, key.0.clone(), key.1));
+            // Who reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
+            if let Some(author) = self.give_up_snapshot(env_id).filter(|author| author != key) {
+                authors.insert(author, env_id);
+            }
         }
-        let actor = key.0.clone();
-        self.effects.push(Effect::Event(RunEvent::SnapshotRefused { actor, env_id }));
-        let doubters = self.queue.doubt(env_id, &key.0);
-        let counts = self.assigner.counts(self.roster.members());
-        let may_try =
-            |other: &ActorId| !doubters.contains(other) && self.stragglers.max_envs(other) > 0;
-        let others = counts.iter().filter(|(other, _)| may_try(other));
-        if let Some((other, _)) = others.min_by_key(|(_, n_held)| **n_held) {
-            let start = self.roster.members()[other];
-            let moved = self.assigner.hand_over(env_id, other, start);
-            return self.assign_all(moved);
+        let changes = self.assigner.hand_over(moves);
+        self.assign_all(changes);
+        for (author, env_id) in authors {
+            let reason = format!(
+                "nobody can restore the state that it sent of environment {env_id}: run the learner's build"
+            );
+            self.cut_off(&author, reason);
         }
-        let author = match self.queue.recover(env_id) {
+    }
+
+    /// Goes back to the snapshot before, or to a fresh episode, and returns who sent the one that is given up.
+    fn give_up_snapshot(&mut self, env_id: EnvId) -> Option<SenderKey> {
+        self.effects.push(Effect::Event(RunEvent::SnapshotLost { env_id }));
+        match self.queue.recover(env_id) {
             Recovery::Redo { author } => {
                 self.books.refuse(RefusalCause::Snapshot, true);
                 self.books.steps_redone += u64::from(self.settings.spec.n_steps);
@@ -419,16 +439,6 @@ impl Coordinator {
                 self.books.refuse(RefusalCause::Snapshot, false);
                 author
             }
-        };
-        self.effects.push(Effect::Event(RunEvent::SnapshotLost { env_id }));
-        let again = self.assigner.give_again(env_id);
-        self.assign_all(again.into_iter().collect());
-        // Who reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
-        if let Some(author) = author.filter(|author| author != key) {
-            let reason = format!(
-                "nobody can restore the state that it sent of environment {env_id}: run the learner's build"
-            );
-            self.cut_off(&author, reason);
         }
     }
 

@@ -20,9 +20,9 @@ struct FinishedEpisode {
 /// Means over the last episodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeMeans {
-    /// EpisodeWindow finished since the run began.
+    /// Episodes finished since the run began.
     pub n_finished: u64,
-    /// EpisodeWindow that the means are over, at most [`WINDOW`].
+    /// Episodes that the means are over, at most [`WINDOW`].
     pub n_averaged: u64,
     /// Mean undiscounted return; `None` before the first episode.
     pub episode_return: Option<f64>,

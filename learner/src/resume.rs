@@ -5,14 +5,13 @@ use std::sync::Arc;
 
 use leadtime_policy::Parameters;
 use leadtime_ppo::{Trainer, TrainerState};
-use leadtime_proto::codec::{self, CodecError};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{Epoch, PolicyVersion};
 use serde::{Deserialize, Serialize};
 
 use crate::books::Books;
 use crate::builds::Builds;
-use crate::checkpoint::{CheckpointStore, Loaded, MAX_PAYLOAD_BYTES};
+use crate::checkpoint::{CheckpointStore, Loaded};
 use crate::coordinator::CoordinatorStart;
 use crate::episodes::EpisodeWindow;
 use crate::report::{RatedPolicy, RunEvent};
@@ -43,9 +42,9 @@ impl From<SavedPolicy> for RatedPolicy {
     }
 }
 
-/// Everything a run needs to go on bit for bit; `B` is what it keeps of the builds that computed it.
+/// Everything a run needs to go on bit for bit.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct CheckpointLayout<B> {
+pub(crate) struct Checkpoint {
     pub(crate) identity: [u8; 32],
     pub(crate) trainer: TrainerState,
     pub(crate) places: Vec<EnvAssignment>,
@@ -58,33 +57,7 @@ pub(crate) struct CheckpointLayout<B> {
     pub(crate) books: Books,
     /// Rollouts accepted and not trained on.
     pub(crate) waiting: u64,
-    pub(crate) builds: B,
-}
-
-/// A checkpoint of the present format.
-pub(crate) type Checkpoint = CheckpointLayout<Builds>;
-/// Format 1 knew whether there had been one build on one class of CPU so far, but not which.
-type CheckpointV1 = CheckpointLayout<bool>;
-
-/// Reads a checkpoint's payload, of this format or an older one.
-fn decode(format: u32, payload: &[u8]) -> Result<Checkpoint, CodecError> {
-    if format != 1 {
-        return codec::decode(payload, MAX_PAYLOAD_BYTES);
-    }
-    let old: CheckpointV1 = codec::decode(payload, MAX_PAYLOAD_BYTES)?;
-    Ok(Checkpoint {
-        identity: old.identity,
-        trainer: old.trainer,
-        places: old.places,
-        epoch: old.epoch,
-        older: old.older,
-        best: old.best,
-        episodes: old.episodes,
-        staleness: old.staleness,
-        books: old.books,
-        waiting: old.waiting,
-        builds: Builds::unknown(),
-    })
+    pub(crate) builds: Builds,
 }
 
 /// Where a run begins: its first update, or the one after its newest checkpoint.
@@ -117,7 +90,7 @@ pub(crate) fn begin(
             Trainer::from_parameters(&spec.policy, settings, spec.seed, parameters)?
         }
     };
-    let mut point = match store.newest(decode)? {
+    let mut point = match store.newest()? {
         None => anew(config, trainer)?,
         Some(loaded) => resumed(config, trainer, loaded)?,
     };

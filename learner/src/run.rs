@@ -218,9 +218,7 @@ impl RunLoop {
             LearnerWake::Trained(updated) => self.trained((*updated)?)?,
             LearnerWake::Control(ControlFailure::Silent(key)) => self.coordinator.give_up(&key),
             LearnerWake::Control(ControlFailure::CannotRestore(key, epoch, envs)) => {
-                for env_id in envs {
-                    self.coordinator.cannot_restore(&key, epoch, env_id);
-                }
+                self.coordinator.cannot_restore(&key, epoch, &envs);
             }
             LearnerWake::Tick => self.tick()?,
             LearnerWake::Stop => {}

@@ -76,6 +76,8 @@ pub(crate) struct Stragglers {
     probations: BTreeMap<ActorId, Probation>,
     /// Ticks since an update was last begun.
     since_update: u32,
+    /// Those of them in which some members had done their part and others had not.
+    n_stalled: u32,
     /// Ticks that the update before took, as far as that was not one member's fault.
     period: u32,
     window_ticks: u32,
@@ -91,6 +93,7 @@ impl Stragglers {
             waits: BTreeMap::new(),
             probations: BTreeMap::new(),
             since_update: 0,
+            n_stalled: 0,
             period: FIRST_PERIOD,
             window_ticks: 0,
             window_updates: 0,
@@ -119,16 +122,18 @@ impl Stragglers {
     /// Notes that an update begins.
     pub(crate) fn updating(&mut self) {
         let n_late = self.waits.values().map(|wait| wait.n_late).max().unwrap_or(0);
+        let n_late = if self.is_deterministic { self.n_stalled } else { n_late };
         self.period = self.since_update.saturating_sub(n_late);
-        self.since_update = 0;
+        (self.since_update, self.n_stalled) = (0, 0);
         self.window_updates += 1;
     }
 
-    /// Notes that an actor failed: it took no orders, delivered nothing, or was wrong about a snapshot.
-    pub(crate) fn fail(&mut self, actor: &ActorId, max_envs: usize) {
+    /// Notes that an actor failed: it took no orders, delivered nothing, or was wrong about a snapshot. Returns whether
+    /// that is news, and not the same failure noticed a second time.
+    pub(crate) fn fail(&mut self, actor: &ActorId, max_envs: usize) -> bool {
         let known = self.probations.get(actor);
         if known.is_some_and(|known| known.max_envs == 0) {
-            return; // The same failure, noticed a second time.
+            return false;
         }
         let n_failures = known.map_or(1, |known| known.n_failures + 1);
         let raised_at = self.now + back_off(n_failures);
@@ -140,6 +145,7 @@ impl Stragglers {
             let name = next.0.clone();
             self.probations.remove(&name);
         }
+        true
     }
 
     /// Returns the most environments that an actor should have while others can take them.
@@ -153,11 +159,11 @@ impl Stragglers {
         self.since_update += 1;
         self.window_ticks += 1;
         let mut findings = self.waiting(lacking);
-        let behind = self.behind();
-        for (actor, max_envs) in &behind {
-            self.fail(actor, *max_envs);
+        for (actor, max_envs) in self.behind() {
+            if self.fail(&actor, max_envs) {
+                findings.push(Lateness::Behind { actor });
+            }
         }
-        findings.extend(behind.into_iter().map(|(actor, _)| Lateness::Behind { actor }));
         if self.raise() {
             findings.push(Lateness::Trusted);
         }
@@ -171,6 +177,7 @@ impl Stragglers {
         };
         let is_in_time =
             self.waits.iter().any(|(actor, wait)| wait.n_held > 0 && is_done(actor, wait));
+        self.n_stalled += u32::from(is_in_time && !lacking.is_empty());
         let report_after = REPORT_AFTER.max(PATIENCE * self.period);
         let mut findings = Vec::new();
         for (actor, wait) in &mut self.waits {
@@ -366,7 +373,9 @@ mod tests {
         }
         assert_eq!(waited[..3], [BACK_OFF, 2 * BACK_OFF, 4 * BACK_OFF]);
         assert_eq!(waited.last(), Some(&MAX_BACK_OFF));
-        (0..2 * MAX_NAMES).for_each(|i| s.fail(&id(&format!("g{i}")), 0));
+        for i in 0..2 * MAX_NAMES {
+            s.fail(&id(&format!("g{i}")), 0);
+        }
         assert_eq!(s.probations.len(), MAX_NAMES);
     }
 }

@@ -5,6 +5,8 @@
 
 /// The most characters of quoted text that a message holds.
 const QUOTED: usize = 120;
+/// The most characters of a sentence that is taken from a peer.
+const SENTENCE: usize = 1_000;
 /// The most characters of one printed line.
 const LINE: usize = 500;
 /// The most lines of one printed message.
@@ -22,6 +24,11 @@ const LINES: usize = 50;
 /// ```
 pub fn quoted(text: &str) -> String {
     cut(text, QUOTED)
+}
+
+/// Returns a peer's sentence as a message can repeat it: on one line, without control characters, of limited length.
+pub fn sentence(text: &str) -> String {
+    cut(text, SENTENCE)
 }
 
 /// Returns a whole message as a terminal can print it: its lines stay lines, each is escaped and cut.
@@ -67,5 +74,12 @@ mod tests {
         assert_eq!(escaped("\u{202e}x"), "\\u{202e}x");
         let long = printable(&["x".repeat(10_000), "y\n".repeat(1_000)].join("\n"));
         assert!(long.len() < 1_000 && long.ends_with("y\n…"), "{long}");
+    }
+
+    #[test]
+    fn a_peers_sentence_cannot_move_the_cursor_or_fill_the_screen() {
+        assert_eq!(sentence("a\u{1b}[2Jb\n"), "a\\u{1b}[2Jb\\n");
+        let long = sentence(&"x".repeat(5_000));
+        assert_eq!(long.trim_end_matches('…').len(), SENTENCE);
     }
 }

@@ -12,9 +12,9 @@ use leadtime_proto::message::{
 };
 use leadtime_proto::receive::{self, CONTROL, Expected, HELLO, HELLO_REPLY, ROLLOUT};
 use leadtime_proto::{
-    ActionSpec, ActorId, EnvId, EnvSpec, EpisodeEnd, EpisodeSummary, Epoch, HeadCredit, Header,
-    Incarnation, Iteration, PolicySpec, PolicyVersion, Refusal, RefusalCause, Rollout, RunName,
-    RunSpec, Schedule, Sequence, TaskSpec, codec,
+    ActionSpec, ActorId, EnvId, EnvSpec, EpisodeEnd, EpisodeSummary, Epoch, Header, Incarnation,
+    Iteration, PolicySpec, PolicyVersion, Refusal, RefusalCause, Rollout, RunName, RunSpec,
+    Schedule, Sequence, TaskSpec, codec,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;

@@ -130,6 +130,11 @@ pub trait Domain: Send {
     /// Writes the domain's own metrics of the episode so far.
     fn metrics(&self, out: &mut [f32]);
 
+    /// As [`Environment::snapshot_margin`](crate::Environment::snapshot_margin).
+    fn snapshot_margin(&self) -> usize {
+        256
+    }
+
     /// Appends everything the future depends on.
     fn snapshot(&self, out: &mut Vec<u8>);
 

@@ -95,7 +95,7 @@ pub struct Insight {
 }
 
 /// The layout of every environment's snapshots; a change to any of them adds 1.
-pub const SNAPSHOT_SCHEMA: u32 = 1;
+const SNAPSHOT_SCHEMA: u32 = 1;
 /// How a snapshot begins; what was written before there was a schema does not.
 const SNAPSHOT_MARK: [u8; 4] = *b"ltS\xf5";
 /// Bytes before the state: the mark, the schema, the task.
@@ -123,9 +123,6 @@ pub enum SnapshotError {
         what: &'static str,
     },
 }
-
-/// How much a snapshot may grow beyond twice its size at the start, in bytes.
-const SNAPSHOT_MARGIN: usize = 8 << 10;
 
 /// A task that a policy can learn.
 pub trait Environment: Send {
@@ -175,16 +172,20 @@ pub trait Environment: Send {
         self.write_state(out);
     }
 
+    /// Returns how much a snapshot may grow beyond twice its size at the start of an episode, in bytes.
+    fn snapshot_margin(&self) -> usize {
+        256
+    }
+
     /// Returns an upper bound on the size of a snapshot, in bytes; starts an episode to measure one.
     ///
-    /// Worlds remember more than at the start of an episode: a lander that touches the ground some four kilobytes of contacts.
     fn max_snapshot_bytes(&mut self) -> usize {
         let mut observation = vec![0.0; self.spec().obs_dim];
         let seed = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
         self.reset(seed, &mut observation);
         let mut snapshot = Vec::new();
         self.snapshot(&mut snapshot);
-        2 * snapshot.len() + SNAPSHOT_MARGIN
+        2 * snapshot.len() + self.snapshot_margin()
     }
 
     /// Continues from a snapshot, bit for bit, and writes the observation at that point.

@@ -127,9 +127,9 @@ fn wrong_requests_are_one_sentence() {
     let place = Place::new();
     let broken =
         place.write("broken.toml", &STUDY.replace("profile = \"lander\"", "profile = \"sub\""));
-    let misspelt = place.write("misspelt.toml", &STUDY.replace("[\"success\",", "[\"sucess\","));
+    let misspelt = place.write("misspelt.toml", &STUDY.replace("[\"success\",", "[\"succeeded\","));
     for (args, told) in [
-        (vec!["compare", &misspelt], "there is no measure `sucess`; known: success"),
+        (vec!["compare", &misspelt], "there is no measure `succeeded`; known: success"),
         (vec!["compare", "table9"], "there is no study `table9`"),
         (vec!["compare", "table1", "--row", "silent"], "there is no row `silent`"),
         (vec!["compare", "table1", "--row", "convey", "--set", "human.x=1"], "--set human.x"),

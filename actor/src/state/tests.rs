@@ -187,6 +187,8 @@ fn who_gets_no_credit_asks_again_but_less_and_less_often() {
 #[test]
 fn environments_that_went_on_elsewhere_are_let_go_and_others_asked_for() {
     let mut bench = Bench::new(5..=9);
+    bench.give(ActorInput::Tick);
+    bench.pulled(9);
     // The order was followed too late: the learner has given this actor up, and its weights are gone.
     let told = bench.follow(1, 1, 4);
     let Some(ActorOutput::Pull { version, .. }) = told.last() else { panic!("{told:?}") };

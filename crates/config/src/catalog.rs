@@ -53,9 +53,8 @@ impl Catalog {
         self.texts.keys().map(String::as_str)
     }
 
-    /// Returns a configuration as it is written, to be read like a person's file; without a name the default one.
-    pub fn file(&self, name: Option<&str>) -> Option<Layer> {
-        let name = name.unwrap_or(DEFAULT);
+    /// Returns a configuration as it is written, to be read like a person's file.
+    pub fn file(&self, name: &str) -> Option<Layer> {
         let text = if name == GENERAL { GENERAL_TEXT } else { self.texts.get(name)? };
         Some(Layer::text(format!("built-in configuration `{name}`"), text))
     }
@@ -103,7 +102,7 @@ impl Catalog {
         let mut layers: Vec<Layer> = Vec::new();
         let mut next = Some(name.to_owned());
         while let Some(name) = next {
-            let Some(layer) = self.file(Some(&name)) else {
+            let Some(layer) = self.file(&name) else {
                 let (name, known) = (quoted(&name), self.names().collect::<Vec<_>>().join(", "));
                 return Err(ConfigError(format!("`{key}` is \"{name}\"; allowed: {known}")));
             };

@@ -10,8 +10,7 @@ use leadtime_policy::parameters;
 use leadtime_ppo::LearnerSettings;
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
-use leadtime_sims::{Environment, notifier};
-use leadtime_sims::{Registry, TaskError};
+use leadtime_sims::{Environment, Registry, TaskError, notifier};
 use toml::Table;
 use toml::de::{DeTable, DeValue};
 
@@ -104,7 +103,8 @@ impl Config {
         catalog: &Catalog,
         registry: &Registry,
     ) -> Result<Self, ConfigError> {
-        let default = || catalog.file(None).unwrap_or_else(|| Layer::text("", ""));
+        // A file that names no base and no domain is about the default domain.
+        let default = || Layer::text("", "");
         let mut layers = catalog.with_bases(&source.file.clone().unwrap_or_else(default))?;
         layers.extend(source.set.iter().map(Layer::set));
         if let Some(seed) = source.seed {
@@ -303,7 +303,6 @@ fn check_policy(
     let (initiate, length) = (policy.initiate_bias, policy.length_bias);
     within("policy.initiate_bias", initiate, -MAX_BIAS, MAX_BIAS)?;
     within("policy.length_bias", length, -MAX_BIAS, MAX_BIAS)?;
-    env.actions.check().map_err(ConfigError::of)?;
     Ok(PolicySpec {
         obs_dim: env.obs_dim,
         encoder,

@@ -7,7 +7,6 @@
 //! The result is one table whose values remember their place: the [`Layer`] and the bytes in it. It is read into typed
 //! structs once, and an error still shows the line of the file, or names the option, that it is about.
 
-use std::mem::ManuallyDrop;
 use std::ops::Range;
 
 use serde::de::DeserializeOwned;
@@ -17,12 +16,11 @@ use toml::{Spanned, Table};
 use leadtime_proto::text::{escaped, printable, quoted};
 
 use crate::error::{ConfigError, ensure};
+use crate::nesting;
 use crate::overrides::Override;
 
 /// Positions of the i-th layer begin at i times this, so that one number says layer and byte.
 const STRIDE: usize = 1 << 40;
-/// How deep tables and lists may be nested; no setting needs more than five levels.
-const MAX_DEPTH: usize = 32;
 /// The one table inside a section that is a section itself: `[evaluation.world]`.
 const SUBSECTION: &str = "world";
 /// The key that names what a file starts from.
@@ -74,10 +72,9 @@ impl Layer {
     ///
     /// # Errors
     ///
-    /// [`ConfigError`] if it is not TOML.
+    /// [`ConfigError`] if it is not TOML, or nested too deeply.
     pub(crate) fn parse(&self) -> Result<DeTable<'_>, ConfigError> {
-        let table = DeTable::parse(&self.text);
-        Ok(table.map_err(|error| self.refuse(error.span(), error.message()))?.into_inner())
+        nesting::table(&self.text).map_err(|(span, message)| self.refuse(span, &message))
     }
 
     /// Describes an error in this text: for a file with its line and a caret.
@@ -139,7 +136,7 @@ impl<'a> Layers<'a> {
             }
             let layer: &'a Layer = layer;
             merged.layers.push(layer);
-            let placed = placed_table(layer.parse()?, "", i * STRIDE, 0);
+            let placed = placed_table(layer.parse()?, "", i * STRIDE);
             let laid = placed.and_then(|table| overlay(&mut merged.table, table, true));
             laid.map_err(|(span, message)| merged.refuse(Some(span), &message))?;
         }
@@ -247,16 +244,11 @@ fn is_other_choice(below: &DeTable<'_>, above: &DeTable<'_>) -> bool {
 }
 
 /// Moves every position of a table by the layer's, and checks what no type would.
-fn placed_table<'a>(
-    table: DeTable<'a>,
-    path: &str,
-    by: usize,
-    depth: usize,
-) -> Result<DeTable<'a>, Refused> {
+fn placed_table<'a>(table: DeTable<'a>, path: &str, by: usize) -> Result<DeTable<'a>, Refused> {
     let entries = table.into_iter().map(|(key, value)| {
         let (span, name) = (key.span(), key.into_inner());
         let path = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
-        let value = placed(value, &path, by, depth + 1)?;
+        let value = placed(value, &path, by)?;
         Ok((Spanned::new(span.start + by..span.end + by, name), value))
     });
     entries.collect()
@@ -266,24 +258,15 @@ fn placed<'a>(
     value: Spanned<DeValue<'a>>,
     path: &str,
     by: usize,
-    depth: usize,
 ) -> Result<Spanned<DeValue<'a>>, Refused> {
     let span = value.span().start + by..value.span().end + by;
     let refuse = |given: &str, allowed: &str| {
         Err((span.clone(), format!("`{}` is {given}; allowed: {allowed}", quoted(path))))
     };
-    if depth > MAX_DEPTH {
-        // Dropping it would recurse as deep as it is.
-        let _kept = ManuallyDrop::new(value);
-        return refuse("nested too deeply", &format!("at most {MAX_DEPTH} levels"));
-    }
     let inner = match value.into_inner() {
-        DeValue::Table(table) => DeValue::Table(placed_table(table, path, by, depth)?),
+        DeValue::Table(table) => DeValue::Table(placed_table(table, path, by)?),
         DeValue::Array(values) => DeValue::Array(
-            values
-                .into_iter()
-                .map(|value| placed(value, path, by, depth + 1))
-                .collect::<Result<_, _>>()?,
+            values.into_iter().map(|value| placed(value, path, by)).collect::<Result<_, _>>()?,
         ),
         // JSON, in which actors get their task, has neither.
         DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => {

@@ -24,6 +24,7 @@ mod edit;
 mod error;
 pub mod identity;
 mod layers;
+mod nesting;
 mod overrides;
 mod sections;
 mod written;

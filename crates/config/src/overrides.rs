@@ -6,6 +6,8 @@ use leadtime_proto::text::quoted;
 use toml::Value;
 use toml::de::DeValue;
 
+use crate::nesting;
+
 /// The most parts of a key.
 const MAX_PARTS: usize = 16;
 
@@ -26,8 +28,8 @@ impl Override {
     ///
     /// # Errors
     ///
-    /// If there is no `=` or no key in front of it, if the key has too many parts, or if a whole number is beyond what
-    /// TOML can hold.
+    /// If there is no `=` or no key in front of it, if the key has too many parts, if the value is nested too deeply, or
+    /// if a whole number is beyond what TOML can hold.
     pub fn parse(text: &str) -> Result<Self, String> {
         let shown = quoted(text);
         let (key, value) = text
@@ -42,6 +44,7 @@ impl Override {
             return Err(format!("`{}` is not a key: write section.key=value", quoted(key)));
         }
         let value = value.trim();
+        nesting::check_value(value).map_err(|error| format!("`{}` is {error}", quoted(key)))?;
         let value = match (value.parse(), DeValue::parse(value)) {
             (Ok(value), _) => value,
             (Err(_), Err(_)) => Value::String(value.to_owned()),
@@ -139,6 +142,9 @@ mod tests {
     fn a_key_of_sixty_thousand_parts_is_refused_in_one_line() {
         let error = Override::parse(&format!("{}=1", vec!["a"; 60_000].join("."))).unwrap_err();
         assert_eq!(error, "the key has 60000 parts; allowed: at most 16");
+        let deep = format!("a={{{}=1}}", vec!["a"; 60_000].join("."));
+        let error = Override::parse(&deep).unwrap_err();
+        assert_eq!(error, "`a` is nested too deeply; allowed: at most 32 levels");
         let error = Override::parse(&"a".repeat(1_000_000)).unwrap_err();
         assert!(error.len() < 250, "{error}");
     }

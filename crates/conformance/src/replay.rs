@@ -1,6 +1,5 @@
 //! What every world's replay comes to: a report, and the same as tables.
 
-use serde_json::Value;
 use thiserror::Error;
 
 use crate::section::Section;
@@ -24,8 +23,8 @@ pub struct Replay {
     pub source: String,
     /// Whether everything is within its bounds.
     pub passed: bool,
-    /// The whole report.
-    pub report: Value,
+    /// The whole report, as JSON.
+    pub json: String,
     /// The report as tables.
     pub sections: Vec<Section>,
 }
@@ -53,7 +52,7 @@ impl Original {
                 let report = $world::replay(text)?;
                 Ok(Replay {
                     passed: report.passed,
-                    report: serde_json::to_value(&report).unwrap_or_default(),
+                    json: serde_json::to_string(&report).unwrap_or_default(),
                     sections: report.sections(),
                     source: report.source,
                 })

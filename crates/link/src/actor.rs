@@ -25,8 +25,8 @@ use zenoh::query::{Query, Queryable};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
-use crate::answer::{Answers, PendingReply};
-use crate::ask::{Inquiry, InquiryEnd, ask, plain};
+use crate::answer::{Answers, PendingReply, unload};
+use crate::ask::{Inquiry, InquiryEnd, ask};
 use crate::event::ActorEvent;
 use crate::keys::{self, INCARNATION, Key, Keys, Member};
 use crate::latest::{Events, Latest};
@@ -341,7 +341,7 @@ impl ActorLink {
     fn answered(&self, run: RunName, reply: HelloReply) -> Result<Welcome> {
         match reply {
             HelloReply::Refused { reason } => {
-                let reason = plain(reason.as_bytes());
+                let reason = leadtime_proto::text::sentence(&reason);
                 Err(Error::Refused { run, actor: self.actor.clone(), reason })
             }
             HelloReply::Taken => Err(Error::Taken { actor: self.actor.clone() }),
@@ -407,14 +407,16 @@ fn on_order(
     events: &EventQueue<ActorEvent>,
     answers: &Answers,
     incarnation: Incarnation,
-    query: Query,
+    mut query: Query,
 ) {
     let say_no = |query, reason| answers.give(PendingReply::Refusal(query, reason));
     let meant_for = query.parameters().get(INCARNATION).and_then(|text| text.parse().ok());
     if meant_for != Some(incarnation.0) {
         return say_no(query, "another start of this actor is meant".to_owned());
     }
-    match wire::unseal(query.attachment(), query.payload(), CONTROL) {
+    let order = wire::unseal(query.attachment(), query.payload(), CONTROL);
+    unload(&mut query);
+    match order {
         Ok((_, control)) => {
             let reply = ControlResponder::new(query, answers.clone(), incarnation);
             // An order that does not fit ends without an answer; the learner gives it again.

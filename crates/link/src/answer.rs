@@ -33,6 +33,12 @@ pub(crate) enum PendingReply {
     Nothing(Query),
 }
 
+/// Lets go of what a question brought with it, once that is read: it waits for its answer without it.
+pub(crate) fn unload(query: &mut Query) {
+    drop(query.payload_mut().map(std::mem::take));
+    drop(query.attachment_mut().map(std::mem::take));
+}
+
 /// Where owed answers are handed over, without waiting.
 #[derive(Clone, Debug)]
 pub(crate) struct Answers(flume::Sender<PendingReply>);

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use leadtime_proto::Header;
+use leadtime_proto::{Header, text};
 use zenoh::Wait as _;
 use zenoh::bytes::Encoding;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
@@ -14,8 +14,6 @@ use crate::{Error, Result};
 
 /// Most answers to one question that are looked at.
 const MAX_ANSWERS: usize = 64;
-/// Longest sentence that is taken from a peer.
-const MAX_REASON_CHARS: usize = 1_000;
 /// How long a pull of weights may take.
 pub(crate) const PULL_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long after our own limit the network may clean up.
@@ -76,18 +74,13 @@ pub(crate) async fn ask<T>(
                     Err(error) => fallback = InquiryEnd::Unusable(error),
                 },
                 Err(error) => {
-                    fallback = InquiryEnd::Rejected(plain(&error.payload().to_bytes()));
+                    let reason = error.payload().to_bytes();
+                    let reason = text::sentence(&String::from_utf8_lossy(&reason));
+                    fallback = InquiryEnd::Rejected(reason);
                 }
             },
         }
     }
-}
-
-/// Makes a peer's sentence one that can be shown: of limited length, and without characters that move a terminal's cursor.
-pub(crate) fn plain(bytes: &[u8]) -> String {
-    let text = String::from_utf8_lossy(bytes);
-    let shown = text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c });
-    shown.take(MAX_REASON_CHARS).collect()
 }
 
 fn send(session: &Session, question: Inquiry, sender: flume::Sender<Reply>) -> Result<()> {
@@ -109,15 +102,4 @@ fn send(session: &Session, question: Inquiry, sender: flume::Sender<Reply>) -> R
         })
         .wait()
         .map_err(Error::network("ask", &selector))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::plain;
-
-    #[test]
-    fn a_peers_sentence_cannot_move_the_cursor_or_fill_the_screen() {
-        assert_eq!(plain(b"a\x1b[2Jb\n"), "a\u{fffd}[2Jb\u{fffd}");
-        assert_eq!(plain(&[b'x'; 5_000]).len(), super::MAX_REASON_CHARS);
-    }
 }

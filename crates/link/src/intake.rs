@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn who_uses_up_the_pool_takes_nothing_of_anothers_share() {
+    fn using_up_the_pool_takes_no_reserved_share() {
         // A share is 25 bytes, the pool 100.
         let (intake, _events) = intake(64, 4);
         let first = intake.permit(Some(&actor("a")), 60).unwrap();

@@ -5,7 +5,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use leadtime_proto::header::Schema;
-use leadtime_proto::limits::MAX_HELLO_BYTES;
 use leadtime_proto::message::{Announcement, Control, ControlReply, Credit, Hello};
 use leadtime_proto::receive::{CONTROL_REPLY, HELLO};
 use leadtime_proto::{ActorId, DomainName, Incarnation, PolicyVersion, RefusalCause, RunName};
@@ -18,7 +17,7 @@ use zenoh::query::Query;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
-use crate::answer::{Answers, PendingReply};
+use crate::answer::{Answers, PendingReply, unload};
 use crate::ask::{Inquiry, InquiryEnd, ask};
 use crate::event::LearnerEvent;
 use crate::intake::{RefusalCounts, RolloutIntake, malformed_key};
@@ -322,11 +321,9 @@ fn declare_pulls(
     session
         .declare_queryable(keys::expr(key))
         .complete(true)
-        .callback(move |query| {
-            // A pull has no body; one that has is not kept waiting with it.
-            if query.payload().is_none_or(zenoh::bytes::ZBytes::is_empty) {
-                answers.give(PendingReply::Weights(query, Arc::clone(&store)));
-            }
+        .callback(move |mut query: Query| {
+            unload(&mut query);
+            answers.give(PendingReply::Weights(query, Arc::clone(&store)));
         })
         .background()
         .wait()
@@ -351,16 +348,12 @@ fn declare_hello(
         .map_err(Error::network("declare", &key.to_string()))
 }
 
-fn on_hello(intake: &RolloutIntake, answers: &Answers, incarnation: Incarnation, query: Query) {
-    let (attachment, payload) = (query.attachment(), query.payload());
-    let is_huge = payload.is_some_and(|payload| payload.len() > MAX_HELLO_BYTES);
-    let hello = wire::unseal::<Hello>(attachment, payload, HELLO);
+fn on_hello(intake: &RolloutIntake, answers: &Answers, incarnation: Incarnation, mut query: Query) {
+    let hello = wire::unseal::<Hello>(query.attachment(), query.payload(), HELLO);
+    unload(&mut query);
     match hello.and_then(|(_, hello)| hello.check().map(|()| hello)) {
         Err(refusal) => {
-            // An answer waits with its question, body and all, so there is none to a huge one.
-            if !is_huge {
-                answers.give(PendingReply::Refusal(query, refusal.to_string()));
-            }
+            answers.give(PendingReply::Refusal(query, refusal.to_string()));
             intake.refuse(None, refusal);
         }
         Ok(hello) => {

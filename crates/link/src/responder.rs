@@ -2,9 +2,9 @@
 //!
 //! Giving one never waits. Dropping a responder ends the question without an answer; the asker tries again or gives up.
 
+use leadtime_proto::Incarnation;
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{ControlReply, HelloReply, Welcome};
-use leadtime_proto::{Header, Incarnation};
 use serde::Serialize;
 use zenoh::query::Query;
 
@@ -21,7 +21,7 @@ struct Responder {
 
 impl Responder {
     fn reply<T: Serialize>(mut self, schema: Schema, message: &T) -> Result<()> {
-        let (header, payload): (Header, _) = wire::seal(schema, self.incarnation, message)?;
+        let (header, payload) = wire::seal(schema, self.incarnation, message)?;
         if let Some(query) = self.query.take() {
             self.answers.give(PendingReply::Message(query, header, payload.into()));
         }

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
     let catalog = Catalog::built_in();
     let source = ConfigSource {
-        file: catalog.file(Some("cartpole")),
+        file: catalog.file("cartpole"),
         set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
         seed: None,
         runs: Some(runs.to_owned()),

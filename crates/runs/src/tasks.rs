@@ -78,7 +78,7 @@ impl Tasks {
     }
 
     fn read(&self, file: &Path) -> Result<Layer, ConfigureError> {
-        let built_in = file.to_str().and_then(|name| self.catalog.file(Some(name)));
+        let built_in = file.to_str().and_then(|name| self.catalog.file(name));
         match (fs::read_to_string(file), built_in) {
             (Ok(text), _) => Ok(Layer::text(format!("configuration {}", file.display()), text)),
             (Err(_), Some(built_in)) => Ok(built_in),

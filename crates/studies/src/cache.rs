@@ -52,7 +52,7 @@ impl EvalKey {
 /// The evaluations that this build of the program made.
 #[derive(Clone, Debug)]
 pub struct EvalCache {
-    /// ProgramBuild and class of processor.
+    /// The build of the program, and the class of processor that it ran on.
     program: String,
     n_taken: usize,
     n_made: usize,
@@ -75,9 +75,11 @@ impl EvalCache {
     pub(crate) fn take(&mut self, path: &Path) -> Option<Evaluation> {
         let bytes = fs::read(path).ok()?;
         let (expected, content) = bytes.split_at_checked(DIGEST_BYTES)?;
-        let intact = Sha256::digest(content).as_slice() == expected;
+        if Sha256::digest(content).as_slice() != expected {
+            return None;
+        }
         let cached: CachedEvaluation<Evaluation> =
-            codec::decode(content, limits::MAX_MESSAGE_BYTES).ok().filter(|_| intact)?;
+            codec::decode(content, limits::MAX_MESSAGE_BYTES).ok()?;
         let evaluation = (cached.program == self.program).then_some(cached.evaluation)?;
         self.n_taken += 1;
         Some(evaluation)

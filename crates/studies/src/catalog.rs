@@ -62,7 +62,7 @@ pub fn find(name: &str) -> Result<Vec<NamedStudy>, Error> {
     })?;
     let text = fs::read_to_string(path).map_err(Error::file("reading", path))?;
     let place = format!("study {}", path.display());
-    let study = Study::parse(&text).at(&place)?;
+    let study = Study::parse(&place, &text)?;
     let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
     check_name(stem).at(&place)?;
     Ok(vec![NamedStudy { name: stem.to_owned(), study }])
@@ -81,7 +81,7 @@ fn check_name(name: &str) -> Result<(), Error> {
 
 fn built_in(name: &str) -> Result<NamedStudy, Error> {
     let text = BUILT_IN.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| *text);
-    let study = Study::parse(text).at(format_args!("study {name}"))?;
+    let study = Study::parse(&format!("study {name}"), text)?;
     Ok(NamedStudy { name: name.to_owned(), study })
 }
 
@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn the_search_is_a_sound_study_too() {
-        Study::parse(include_str!("../studies/search.toml")).unwrap();
+        Study::parse("search", include_str!("../studies/search.toml")).unwrap();
     }
 
     #[test]

@@ -96,10 +96,16 @@ impl<'a> Evaluator<'a> {
         row: &PlannedRow,
         sampled: &mut Sampled,
     ) -> Result<Vec<ConditionResult>, Error> {
+        let (which, n_seeds) = (planned.protocol.policy, planned.seeds.len());
+        let candidates = choices(row).iter().map(|&choice| {
+            Ok((choice, EvalCandidate::of(self.tasks, row, which, choice, n_seeds)?))
+        });
+        let candidates = candidates.collect::<Result<Vec<_>, Error>>()?;
         let mut results = Vec::new();
         for condition in &row.conditions {
-            for &choice in choices(row) {
-                let by_seed = self.condition(planned, row, condition, choice)?;
+            for (choice, candidates) in &candidates {
+                let choice = *choice;
+                let by_seed = self.condition(planned, candidates, condition, choice)?;
                 results.push(ConditionResult {
                     evaluations: condition.names.clone(),
                     title: condition.titles.join(" = "),
@@ -119,17 +125,13 @@ impl<'a> Evaluator<'a> {
     fn condition(
         &mut self,
         planned: &PlannedPart,
-        row: &PlannedRow,
+        candidates: &[EvalCandidate],
         condition: &PlannedCondition,
         choice: Choice,
     ) -> Result<BySeed, Error> {
         let (seeds, protocol) = (&planned.seeds, &planned.protocol);
-        let candidates = EvalCandidate::of(self.tasks, row, protocol.policy, choice, seeds.len())?;
         let mut by_seed = Vec::new();
         for (candidate, seed) in candidates.iter().zip(seeds) {
-            if self.shutdown.is_cancelled() {
-                return Err(Error::Interrupted);
-            }
             let protocol = Protocol { seed: protocol.seed + seed, ..*protocol };
             let detail = Detail::of(choice);
             by_seed.push(self.evaluation(candidate, &condition.config, protocol, detail)?);
@@ -156,8 +158,17 @@ impl<'a> Evaluator<'a> {
         let make = || self.tasks.registry.build(task);
         let n_threads = available_parallelism().map_or(1, usize::from);
         let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_threads);
-        let (mut evaluation, said) =
-            evaluate_with(&make, &candidate.player, &settings, |_| SpeechLog::default())?;
+        let shutdown = self.shutdown;
+        let stop = || shutdown.is_cancelled();
+        let settings = settings.stopped_by(&stop);
+        let log = |_| SpeechLog::default();
+        let (mut evaluation, said) = evaluate_with(&make, &candidate.player, &settings, log)
+            .map_err(|error| match error {
+                leadtime_eval::Error::Play(leadtime_episodes::Error::Interrupted) => {
+                    Error::Interrupted
+                }
+                other => other.into(),
+            })?;
         if detail != Detail::Measures {
             let unaided = self.unaided(config, protocol)?;
             evaluation = with_lead_times(evaluation, unaided);

@@ -9,7 +9,7 @@
 //!   write     <study>.md, <study>.json, figures, and the index
 //! ```
 //!
-//! What this crate does not know: the command line, how to print (an [`StudyObserver`] is told what goes on), exit codes, and
+//! What this crate does not know: the command line, how to print (a [`StudyObserver`] is told what goes on), exit codes, and
 //! any domain by name.
 //!
 //! # Where to start

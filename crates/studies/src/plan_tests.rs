@@ -215,7 +215,7 @@ fn a_misspelt_measure_is_refused_before_anything_is_trained() {
         .unwrap();
     let difference = "differences = [{ of = \"prompt\", minus = \"real_one\", on = \"real\", measure = \"mean\" }]";
     for (from, to, place) in [
-        (columns, "columns = [\"sucess\"]", "`columns`: there is no measure `sucess`"),
+        (columns, "columns = [\"succeeded\"]", "`columns`: there is no measure `succeeded`"),
         (columns, &format!("{columns}\n{difference}"), "`differences`: there is no measure `mean`"),
         (
             "title = \"Real\"",

@@ -1,8 +1,7 @@
 //! Where a study's numbers are from.
 
 use leadtime_eval::report::Fact;
-use leadtime_runs::RunRecord;
-use leadtime_runs::{ProgramBuild, clock, journal};
+use leadtime_runs::{ProgramBuild, RunRecord, clock, journal};
 
 use crate::error::Error;
 use crate::plan::{PlannedPart, PlannedTraining, StudyPlan};

@@ -8,6 +8,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
+use leadtime_config::Layer;
+
 use crate::error::{Error, Placed as _, ensure};
 
 /// A question, and the tables that answer it.
@@ -174,16 +176,20 @@ pub(crate) struct Published {
 }
 
 impl Study {
-    /// Reads a study and checks that it is consistent in itself.
-    pub(crate) fn parse(text: &str) -> Result<Self, Error> {
-        let study: Self = toml::from_str(text)
-            .map_err(|error| Error::Refused(error.to_string().trim_end().to_owned()))?;
-        ensure(!study.parts.is_empty(), || "a study needs at least one of `parts`")?;
-        distinct(study.parts.iter().map(|part| &part.name)).at("`parts`")?;
-        for part in &study.parts {
+    /// Reads a study and checks that it is consistent in itself; `place` names it in errors.
+    pub(crate) fn parse(place: &str, text: &str) -> Result<Self, Error> {
+        let study: Self = leadtime_config::read([Layer::text(place, text)])?;
+        study.check().at(place)?;
+        Ok(study)
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        ensure(!self.parts.is_empty(), || "a study needs at least one of `parts`")?;
+        distinct(self.parts.iter().map(|part| &part.name)).at("`parts`")?;
+        for part in &self.parts {
             part.check().at(format_args!("part `{}`", part.name))?;
         }
-        Ok(study)
+        Ok(())
     }
 }
 

@@ -26,12 +26,12 @@ paper_on.long = { return = [1.0] }
 
 fn refused(from: &str, to: &str) -> String {
     assert!(SMALL.contains(from), "{from}");
-    sentence(Study::parse(&SMALL.replacen(from, to, 1)))
+    sentence(Study::parse("study", &SMALL.replacen(from, to, 1)))
 }
 
 #[test]
 fn a_study_reads_as_it_is_written() {
-    let study = Study::parse(SMALL).unwrap();
+    let study = Study::parse("study", SMALL).unwrap();
     let part = &study.parts[0];
     assert_eq!((study.policy, part.layout), (WhichPolicy::Last, Layout::Lines));
     let [a, b] = &part.rows[..] else { panic!("two rows") };
@@ -76,6 +76,6 @@ fn an_inconsistent_study_is_refused_with_one_sentence() {
         let text = refused(from, to);
         assert!(text.contains(reason), "{reason}: {text}");
     }
-    let text = sentence(Study::parse("title = \"t\"\nlead = \"l\"\nparts = []"));
+    let text = sentence(Study::parse("study", "title = \"t\"\nlead = \"l\"\nparts = []"));
     assert!(text.contains("at least one of `parts`"), "{text}");
 }

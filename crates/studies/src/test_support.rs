@@ -31,7 +31,7 @@ pub(crate) fn request(runs: &Path) -> StudyRequest {
 
 /// Reads a study.
 pub(crate) fn study(name: &str, text: &str) -> NamedStudy {
-    NamedStudy { name: name.to_owned(), study: Study::parse(text).unwrap() }
+    NamedStudy { name: name.to_owned(), study: Study::parse(name, text).unwrap() }
 }
 
 /// Writes the chain of an error as the program prints it.

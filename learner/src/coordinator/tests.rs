@@ -564,7 +564,7 @@ fn an_actor_that_took_no_control_messages_waits_until_it_gets_environments_again
 
 /// Says that `name` cannot restore an environment that it was just given.
 fn cannot_restore(coordinator: &mut Coordinator, name: &str, env_id: u32) {
-    coordinator.cannot_restore(&(actor(name), Incarnation(1)), Epoch(100), EnvId(env_id));
+    coordinator.cannot_restore(&(actor(name), Incarnation(1)), Epoch(100), &[EnvId(env_id)]);
 }
 
 #[test]

@@ -294,6 +294,10 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         self.domain.metrics(domain);
     }
 
+    fn snapshot_margin(&self) -> usize {
+        self.domain.snapshot_margin()
+    }
+
     fn write_state(&self, out: &mut Vec<u8>) {
         let mut domain = Vec::new();
         self.domain.snapshot(&mut domain);

@@ -69,9 +69,9 @@ pub fn replay(text: &str) -> Result<HighwayReport, HighwayReplayError> {
         }
     }
     for (name, episodes, lookup) in [
-        ("e_merge", &traces.e_merge, Lookup::LaneSegment),
-        ("e2_merge_slow", &traces.e2_merge_slow, Lookup::LaneSegment),
-        ("e3_merge_lanes", &traces.e3_merge_lanes, Lookup::LaneSegment),
+        ("e_merge", &traces.e_merge, Lookup::Segment),
+        ("e2_merge_slow", &traces.e2_merge_slow, Lookup::Segment),
+        ("e3_merge_lanes", &traces.e3_merge_lanes, Lookup::Segment),
         ("e4_merge_v1", &traces.e4_merge_v1, Lookup::Numbers),
     ] {
         if let Some(episodes) = episodes {
@@ -164,7 +164,7 @@ fn replay_scene(
     scene: &RecordedScene,
     dt: f64,
 ) -> Result<ScenarioReport, HighwayReplayError> {
-    let road = road(name, &scene.lanes, Lookup::LaneSegment)?;
+    let road = road(name, &scene.lanes, Lookup::Segment)?;
     let mut traffic = Traffic::new(road, Blindness::Never);
     for vehicle in &scene.vehicles {
         let vehicle = start(name, &traffic, vehicle)?;
@@ -311,7 +311,7 @@ fn compare_idm(cases: &[IdmCase]) -> Result<ScenarioReport, HighwayReplayError> 
     };
     let settings = RoadSettings { lanes: vec![lane], ramps: Vec::new(), obstacles: Vec::new() };
     let error = |source| HighwayReplayError::Road { scenario: "unit_idm", source };
-    let road = Arc::new(settings.build(Lookup::LaneSegment).map_err(error)?);
+    let road = Arc::new(settings.build(Lookup::Segment).map_err(error)?);
     for case in cases {
         let mut traffic = Traffic::new(Arc::clone(&road), Blindness::Never);
         let car = |x, speed| Vehicle::new(&road.network, [x, 0.0], 0.0, speed);

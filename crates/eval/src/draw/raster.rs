@@ -125,7 +125,7 @@ mod tests {
     fn picture(text: &str) -> String {
         let mut canvas = Canvas::new("t", 60.0, 30.0);
         canvas.text([5.0, 20.0], text, TextStyle::new(16.0, Ink::Text));
-        canvas.finish("t")
+        canvas.finish("t").text
     }
 
     fn dark_pixels(pixels: &Pixels) -> usize {
@@ -148,7 +148,7 @@ mod tests {
         let with = |style: TextStyle| {
             let mut canvas = Canvas::new("t", 60.0, 30.0);
             canvas.text([5.0, 20.0], "shift", style);
-            dark_pixels(&rasterizer.pixels(&canvas.finish("t"), 2.0).unwrap())
+            dark_pixels(&rasterizer.pixels(&canvas.finish("t").text, 2.0).unwrap())
         };
         let style = TextStyle::new(16.0, Ink::Text);
         assert!(with(style.bold()) > with(style) + 20);

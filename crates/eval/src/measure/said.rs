@@ -18,7 +18,7 @@ pub(super) const COLUMNS: [&str; 4] =
 ///
 /// # Shapes
 ///
-/// `said`: per episode, what [`SpeechLog`] observed.
+/// `said`: per episode, what [`SpeechLog`](super::SpeechLog) observed.
 pub fn with_said(
     evaluation: Evaluation,
     unaided: &Evaluation,

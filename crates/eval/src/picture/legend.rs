@@ -1,4 +1,4 @@
-//! The legend of a picture: a mark of each mark and its meaning, in as many lines as that needs.
+//! The legend of a picture: each mark and its meaning, in as many lines as that needs.
 
 use super::marker;
 use crate::draw::{Area, Canvas, Ink, Paint, TextStyle, Weight, text_width, wrapped};

@@ -138,7 +138,7 @@ impl WorldView {
         });
     }
 
-    /// Draws the trajectory, coloured by what the person was activity; `scenes` may be the first part of an episode.
+    /// Draws the trajectory, coloured by what the person did; `scenes` may be the first part of an episode.
     pub(super) fn draw_path(&self, canvas: &mut Canvas, scenes: &[Scene], timeline: &Timeline) {
         let steps = &timeline.activities[..scenes.len().saturating_sub(1)];
         canvas.clipped(self.area, |canvas| {

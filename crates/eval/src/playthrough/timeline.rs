@@ -8,7 +8,7 @@ use leadtime_sims::Scene;
 
 use crate::measure::Utterance;
 
-/// What the person was activity in a step.
+/// What the person did in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activity {
     /// Acting by their own plan, and no message is running.

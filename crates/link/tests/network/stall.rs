@@ -76,8 +76,9 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
     assert_eq!(n_taken, (PER_ACTOR, PER_ACTOR));
 }
 
-/// Says hello again and again from a session that never reads the answers; they end with the returned sender.
-async fn ask_without_reading(site: &Site, n: usize) -> (zenoh::Session, flume::Sender<()>) {
+/// Says hello again and again from a session that never reads the answers; they end with the returned sender, which
+/// comes first because closing the session waits for them.
+async fn ask_without_reading(site: &Site, n: usize) -> (flume::Sender<()>, zenoh::Session) {
     let session = site.raw("client").await;
     let (stall, stalled) = flume::bounded::<()>(0);
     let payload = codec::encode(&hello("deaf", ACTOR)).unwrap();
@@ -87,7 +88,7 @@ async fn ask_without_reading(site: &Site, n: usize) -> (zenoh::Session, flume::S
         let asked = session.get(key).payload(payload.clone()).attachment(header);
         asked.callback(move |_| drop(stalled.recv())).await.unwrap();
     }
-    (session, stall)
+    (stall, session)
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -3,7 +3,7 @@
 //! ```text
 //! none        observation ─────────────────────────────────────────────────────────► features
 //! lstm        observation, state of the step before ─► gates ─► state ─────────────► features = its hidden half
-//! attention   history of entities ─► per frame: attention of the ego ([`crate::attention`]) ─► features
+//! attention   history of entities ─► per frame: attention of the ego (file `attention`) ─► features
 //! ```
 
 mod fast;

@@ -1,6 +1,7 @@
 //! Sentences as vectors of small integers, so that what is computed from a log is the same on every machine.
 
 use super::error::BackendError;
+use super::plan::hexadecimal;
 
 /// A direction, rounded to 255 steps per component. Shape `[dim]`.
 ///
@@ -32,13 +33,8 @@ impl Embedding {
 
     /// Writes the vector as hexadecimal, two digits per component.
     pub fn to_hex(&self) -> String {
-        const DIGITS: [char; 16] =
-            ['0', '1', '2', '3', '4', '5', '6', '7', '8', '9', 'a', 'b', 'c', 'd', 'e', 'f'];
-        let byte = |x: &i8| {
-            let byte = x.to_ne_bytes()[0];
-            [DIGITS[usize::from(byte >> 4)], DIGITS[usize::from(byte & 15)]]
-        };
-        self.0.iter().flat_map(byte).collect()
+        let bytes: Vec<u8> = self.0.iter().map(|x| x.to_ne_bytes()[0]).collect();
+        hexadecimal(&bytes)
     }
 
     /// Reads what [`Embedding::to_hex`] wrote.

@@ -15,6 +15,7 @@ use tokenizers::Tokenizer;
 use super::backend::Embedder;
 use super::embedding::Embedding;
 use super::error::BackendError;
+use super::plan::hexadecimal;
 
 /// Hash of `model.safetensors`.
 const WEIGHTS: &str = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db";
@@ -95,7 +96,7 @@ fn local(error: impl std::fmt::Display) -> BackendError {
 fn read(path: &Path, expected: &str) -> Result<Vec<u8>, BackendError> {
     let bytes =
         std::fs::read(path).map_err(|error| local(format!("{}: {error}", path.display())))?;
-    let found: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+    let found = hexadecimal(&Sha256::digest(&bytes));
     if found != expected {
         let (path, expected) = (path.to_owned(), expected.to_owned());
         return Err(BackendError::WrongHash { path, found, expected });

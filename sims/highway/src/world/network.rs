@@ -24,7 +24,7 @@ const TOUCH: f64 = 0.1;
 #[serde(rename_all = "snake_case")]
 pub enum Lookup {
     /// On the one segment: highway-env's `merge-v0`. Blind beyond its end.
-    LaneSegment,
+    Segment,
     /// One segment ahead and behind, matched by lane numbers: highway-env's `merge-v1`.
     Numbers,
     /// Two segments ahead and one behind, matched by where lanes touch.
@@ -237,7 +237,7 @@ impl RoadNetwork {
     fn find_view(&self, lane: LaneId, lookup: Lookup) -> Vec<LaneSegment> {
         let mut view = vec![(lane, 0.0)];
         match lookup {
-            Lookup::LaneSegment => {}
+            Lookup::Segment => {}
             Lookup::Numbers => self.view_by_numbers(lane, &mut view),
             Lookup::Geometry => self.view_by_geometry(lane, &mut view),
         }
@@ -297,7 +297,7 @@ mod tests {
 
     #[test]
     fn lanes_are_numbered_by_their_nodes_first_mention() {
-        let network = network(Lookup::LaneSegment);
+        let network = network(Lookup::Segment);
         let names: Vec<String> =
             (0..network.lanes().len()).map(|lane| network.name(lane)).collect();
         let expected =
@@ -321,7 +321,7 @@ mod tests {
 
     #[test]
     fn a_ramp_leads_into_the_parallel_lane_and_that_to_the_nearest() {
-        let network = network(Lookup::LaneSegment);
+        let network = network(Lookup::Segment);
         assert_eq!(network.next(7, [149.0, 14.5]), 8);
         assert_eq!(network.next(8, [229.0, 8.0]), 4);
         assert_eq!(network.next(4, [309.0, 8.0]), 6);
@@ -331,7 +331,7 @@ mod tests {
 
     #[test]
     fn the_closest_lane_does_not_depend_on_the_hint() {
-        let network = network(Lookup::LaneSegment);
+        let network = network(Lookup::Segment);
         for (point, lane) in
             [([229.9, 2.0], 0), ([230.0, 2.1], 1), ([231.0, 6.1], 4), ([190.0, 9.0], 8)]
         {
@@ -345,7 +345,7 @@ mod tests {
     fn lookups_differ_in_what_lies_beyond_a_segment() {
         let beyond = [250.0, 4.0];
         let seen = |lookup| network(lookup).seen_along(1, beyond);
-        assert_eq!(seen(Lookup::LaneSegment), None);
+        assert_eq!(seen(Lookup::Segment), None);
         assert_eq!(seen(Lookup::Numbers), Some(250.0));
         assert_eq!(seen(Lookup::Geometry), Some(250.0));
         // By numbers, a car from the ramp looks ahead on the left lane of the carriageway.

@@ -156,7 +156,7 @@ mod tests {
     use crate::world::{Blindness, Lookup, RoadSettings};
 
     fn observe(places: &[[f64; 2]], settings: &ObservationSettings) -> Vec<f32> {
-        let road = RoadSettings::merge().build(Lookup::LaneSegment).unwrap();
+        let road = RoadSettings::merge().build(Lookup::Segment).unwrap();
         let mut traffic = Traffic::new(Arc::new(road), Blindness::Never);
         for &place in places {
             let vehicle = Vehicle::new(traffic.network(), place, 0.0, 20.0);

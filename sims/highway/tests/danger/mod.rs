@@ -13,7 +13,7 @@ const SLOW_DOWN: usize = 0;
 
 /// How episodes ended.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Safety {
+pub(crate) struct Safety {
     pub n_episodes: u32,
     pub n_crashed: u32,
     pub n_arrived: u32,
@@ -23,13 +23,13 @@ pub struct Safety {
 }
 
 impl Safety {
-    pub fn crash_rate(&self) -> f64 {
+    pub(crate) fn crash_rate(&self) -> f64 {
         f64::from(self.n_crashed) / f64::from(self.n_episodes)
     }
 }
 
 /// Drives one episode per seed to its arrival, slowing down from so many metres before each merge, if at all.
-pub fn measure(
+pub(crate) fn measure(
     settings: &HighwayWorldSettings,
     slow_down_from: Option<f64>,
     seeds: std::ops::Range<u64>,

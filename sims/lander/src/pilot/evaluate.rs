@@ -7,9 +7,7 @@ use serde::Serialize;
 
 use super::heuristic::heuristic;
 use super::network::{Pilot, engines_off};
-use crate::world::Engine;
-use crate::world::PhysicsSettings;
-use crate::world::{Lander, LanderOutcome};
+use crate::world::{Engine, Lander, LanderOutcome, PhysicsSettings};
 
 /// The original's time limit, in frames.
 pub const MAX_FRAMES: u32 = 1000;

@@ -15,10 +15,10 @@ use serde::{Deserialize, Serialize};
 
 use super::evaluate::Flyer;
 use super::network::{Pilot, engines_off};
-use crate::world::Engine;
-use crate::world::{Lander, LanderOutcome, LanderSnapshot};
-use crate::world::{Physics, PhysicsSettings, check_impulse, check_powers};
-use crate::world::{VIEW, caption};
+use crate::world::{
+    Engine, Lander, LanderOutcome, LanderSnapshot, Physics, PhysicsSettings, SNAPSHOT_MARGIN, VIEW,
+    caption, check_impulse, check_powers,
+};
 
 /// Settings of the pilot's training task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -172,6 +172,10 @@ impl Environment for PilotTask {
         for (slot, value) in out.iter_mut().zip(values) {
             *slot = f32::from(u8::from(value));
         }
+    }
+
+    fn snapshot_margin(&self) -> usize {
+        SNAPSHOT_MARGIN
     }
 
     fn write_state(&self, out: &mut Vec<u8>) {

@@ -13,7 +13,7 @@ use super::safe_path::direct;
 use super::settings::{EntryPenalty, LanderWorldSettings, NearPenalty, PilotKind, ReactionKind};
 use super::zone::Zone;
 use crate::pilot::{Pilot, engines_off, heuristic};
-use crate::world::{Engine, Lander, LanderOutcome, LanderSnapshot, VIEW, caption};
+use crate::world::{Engine, Lander, LanderOutcome, LanderSnapshot, SNAPSHOT_MARGIN, VIEW, caption};
 
 /// The outcome of a scene in which the lander has been in a danger zone, however it went on.
 pub const ENTERED: &str = "entered a danger zone";
@@ -292,6 +292,10 @@ impl Domain for LanderDomain {
         }
         let (from, steps) = (progress.entered_at as f32, progress.zone_steps as f32);
         amounts.copy_from_slice(&[from, steps, progress.fuel as f32]);
+    }
+
+    fn snapshot_margin(&self) -> usize {
+        SNAPSHOT_MARGIN
     }
 
     fn snapshot(&self, out: &mut Vec<u8>) {

@@ -75,6 +75,10 @@ struct LanderEpisode {
     observation: [f32; 8],
 }
 
+/// How much a snapshot may grow beyond twice its size in the air, in bytes: contacts with the ground take some four
+/// kilobytes.
+pub(crate) const SNAPSHOT_MARGIN: usize = 8 << 10;
+
 /// A lander world in the middle of an episode, ready to be stored or sent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LanderSnapshot {
@@ -100,7 +104,7 @@ pub struct LanderSnapshot {
 ///     observation = frame.observation;
 ///     frame.outcome
 /// });
-/// assert_eq!(outcome, Some(leadtime_lander::world::Outcome::Landed));
+/// assert_eq!(outcome, Some(leadtime_lander::world::LanderOutcome::Landed));
 /// ```
 pub struct Lander {
     settings: PhysicsSettings,

@@ -41,6 +41,7 @@ mod touch;
 
 pub use draw::{VIEW, caption};
 pub use engines::{Engine, NoSuchEngine};
+pub(crate) use lander::SNAPSHOT_MARGIN;
 pub use lander::{Frame, Lander, LanderOutcome, LanderSnapshot};
 pub use settings::{Physics, PhysicsSettings};
 pub(crate) use settings::{check_impulse, check_powers};

@@ -37,7 +37,7 @@ const REFERENCE_EPISODES: u32 = 2;
 const DIRECTION_WORDS: (u32, u32) = (2, 5);
 
 /// The scripted notifier that informs at the start, in as few words as disclose, and says nothing more.
-pub(super) const INFORM_AT_START: &str = "inform_at_start";
+const INFORM_AT_START: &str = "inform_at_start";
 
 /// What the cook did in the last step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

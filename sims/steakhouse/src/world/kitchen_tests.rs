@@ -1,10 +1,9 @@
 use leadtime_numerics::Pcg64;
 
 use super::*;
-use crate::world::{Content, StationPhase};
 use crate::world::{
-    Cook, Direction, GridPlace, Item, LAYOUTS, Pose, StartFamily, Subtask, interactions_left,
-    is_misled, is_redundant, kitchen, random_pose,
+    Content, Cook, Direction, GridPlace, Item, LAYOUTS, Pose, StartFamily, StationPhase, Subtask,
+    interactions_left, is_misled, is_redundant, kitchen, random_pose,
 };
 
 const GRILL_1: usize = 0;
