@@ -437,7 +437,7 @@ impl World {
         let actors = self.actors.iter().enumerate();
         let key = |(index, actor): (usize, &Option<ActorModel>)| {
             let incarnation = actor.as_ref()?.incarnation;
-            Some((ActorId::new(&format!("a{index}")).unwrap(), incarnation))
+            Some((ActorId::new(format!("a{index}")).unwrap(), incarnation))
         };
         actors.filter_map(key).collect()
     }
@@ -474,7 +474,7 @@ impl World {
             is_mute: mute && !self.is_calm(),
             is_poisonous: poisonous && !self.is_calm(),
         });
-        let key = (ActorId::new(&format!("a{index}")).unwrap(), incarnation);
+        let key = (ActorId::new(format!("a{index}")).unwrap(), incarnation);
         self.say_hello(&key, Model::first_hello(&Self::settings(&key)));
         self.connect(&key);
         self.tick_actor(key);
@@ -555,7 +555,9 @@ impl World {
             let key = key.clone();
             self.at(due.saturating_sub(now).max(1), move |w| w.act(&key, ActorInput::Tick));
         }
-        outputs.into_iter().for_each(|output| self.carry_out(key, output));
+        for output in outputs {
+            self.carry_out(key, output);
+        }
     }
 
     fn carry_out(&mut self, key: &ActorKey, output: Output) {

@@ -49,7 +49,7 @@ enum ActorWake {
     /// Something came from the network.
     Network(ActorEvent),
     /// A hello was answered, or not.
-    Greeted(leadtime_link::Result<Welcome>),
+    Greeted(Result<Box<Welcome>, Box<leadtime_link::Error>>),
     /// The collecting thread is done with its job.
     Collected(Result<Collected, Error>),
     /// The restoring thread is.
@@ -211,8 +211,8 @@ impl Process {
     fn input(&mut self, wake: ActorWake) -> Result<Option<LiveInput>, Error> {
         Ok(Some(match wake {
             ActorWake::Network(event) => from_network(event),
-            ActorWake::Greeted(Ok(welcome)) => ActorInput::Welcomed(Box::new(welcome)),
-            ActorWake::Greeted(Err(error)) => ActorInput::NotWelcomed(Box::new(error)),
+            ActorWake::Greeted(Ok(welcome)) => ActorInput::Welcomed(welcome),
+            ActorWake::Greeted(Err(error)) => ActorInput::NotWelcomed(error),
             ActorWake::Collected(collected) => {
                 let collected = collected?;
                 self.metrics.add(&collected, self.n_steps);
@@ -282,7 +282,7 @@ impl Process {
         let run = self.actor.run().clone();
         tokio::spawn(async move {
             let answer = link.hello(Some(&run), &hello, HELLO_TIMEOUT).await;
-            drop(done.send(ActorWake::Greeted(answer)).await);
+            drop(done.send(ActorWake::Greeted(answer.map(Box::new).map_err(Box::new))).await);
         });
     }
 

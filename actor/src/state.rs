@@ -403,7 +403,9 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             );
         }
         (self.epoch, self.unrestored) = (epoch, failed);
-        replies.into_iter().for_each(|reply| self.answer(reply));
+        for reply in replies {
+            self.answer(reply);
+        }
         self.adoptions.push_back(Adoption { epoch, keep, envs });
     }
 
@@ -425,7 +427,9 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         if !self.outbox.is_waiting() {
             self.last_progress = now;
         }
-        rollouts.into_iter().for_each(|rollout| self.outbox.push(rollout));
+        for rollout in rollouts {
+            self.outbox.push(rollout);
+        }
     }
 
     fn look_at_the_time(&mut self, now: Instant) {

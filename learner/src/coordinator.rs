@@ -263,7 +263,7 @@ impl Coordinator {
         let key = actor.clone().zip(refusal.sender);
         match key.filter(|key| self.roster.members().get(&key.0) == Some(&key.1)) {
             Some(key) => self.refuse(&key, refusal, false),
-            None => self.refuse_stranger(actor, refusal),
+            None => self.refuse_stranger(actor, &refusal),
         }
     }
 
@@ -286,7 +286,7 @@ impl Coordinator {
         let heard = self.books.sequence(&key);
         let Some(sender) = self.roster.sender(&key) else {
             let text = "it never said hello to this learner";
-            return self.refuse_stranger(Some(key.0), Refusal::new(RefusalCause::Stranger, text));
+            return self.refuse_stranger(Some(key.0), &Refusal::new(RefusalCause::Stranger, text));
         };
         if sender.cut_off {
             return;
@@ -581,8 +581,8 @@ impl Coordinator {
         }
     }
 
-    fn refuse_stranger(&mut self, actor: Option<ActorId>, refusal: Refusal) {
-        self.note_first(actor, &refusal);
+    fn refuse_stranger(&mut self, actor: Option<ActorId>, refusal: &Refusal) {
+        self.note_first(actor, refusal);
         self.books.refuse(refusal.cause, false);
     }
 
@@ -652,7 +652,9 @@ impl Coordinator {
     }
 
     fn assign_all(&mut self, changes: Vec<Reassignment>) {
-        changes.into_iter().for_each(|change| self.assign(change));
+        for change in changes {
+            self.assign(change);
+        }
         self.stragglers.assigned(&self.assigner.counts(self.roster.members()));
     }
 

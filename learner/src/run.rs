@@ -510,6 +510,7 @@ fn coordinator_settings(config: &LearnerConfig) -> CoordinatorSettings {
 #[cfg(test)]
 mod tests {
     use leadtime_proto::{ActorId, Incarnation};
+    use tokio::time::interval_at;
 
     use super::*;
 
@@ -518,7 +519,9 @@ mod tests {
         let (flood, events) = flume::bounded(100);
         let (actor, incarnation) = (ActorId::new("a").unwrap(), Incarnation(1));
         while flood.try_send(LearnerEvent::Joined { actor: actor.clone(), incarnation }).is_ok() {}
-        let mut ticks = interval(TICK);
+        // A tick is due, and the next one is not.
+        let mut ticks = interval_at(Instant::now().checked_sub(TICK).unwrap().into(), TICK);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let wake = tick_or_event(&mut ticks, &events).await.unwrap();
         assert!(matches!(wake, LearnerWake::Tick), "{wake:?}");
         let wake = tick_or_event(&mut ticks, &events).await.unwrap();

@@ -314,7 +314,7 @@ mod tests {
         let mut s = stragglers(&[("a", 6), ("slow", 2)]);
         // It needs four ticks where the others need none: never mute, always waited for.
         let pace = |tick: u32, s: &mut Stragglers| {
-            if tick % 5 == 0 {
+            if tick.is_multiple_of(5) {
                 s.delivered(&id("slow"));
                 s.updating();
                 return BTreeMap::new();
@@ -368,7 +368,8 @@ mod tests {
         for _ in 0..10 {
             s.fail(&id("ghost"), 0);
             s.fail(&id("ghost"), 0);
-            let until = (1..).find(|_| s.tick(&BTreeMap::new()) == [Lateness::Trusted]);
+            let until =
+                (1..=2 * MAX_BACK_OFF).find(|_| s.tick(&BTreeMap::new()) == [Lateness::Trusted]);
             waited.push(until.unwrap());
         }
         assert_eq!(waited[..3], [BACK_OFF, 2 * BACK_OFF, 4 * BACK_OFF]);

@@ -125,7 +125,7 @@ pub fn open<T: DeserializeOwned>(
 /// let payload = codec::encode(&ControlReply::Followed { epoch: Epoch(3) })?;
 /// let header = Header::plain(CONTROL_REPLY.schema, Incarnation(1), &payload).to_bytes();
 ///
-/// let (_, reply) = receive::receive(Some(&header), &payload, CONTROL_REPLY).unwrap();
+/// let (_, reply) = receive::receive::<ControlReply>(Some(&header), &payload, CONTROL_REPLY).unwrap();
 /// assert_eq!(reply, ControlReply::Followed { epoch: Epoch(3) });
 ///
 /// let refusal = receive::receive::<ControlReply>(None, &payload, CONTROL_REPLY).unwrap_err();

@@ -1,6 +1,6 @@
 //! Killing processes changes nothing: the same seed gives the same weights, and the books balance.
 //!
-//! Every test compares the digest of the final weights with that of one undisturbed run, made once.
+//! Most tests compare the digest of the final weights with that of one undisturbed run, made once.
 
 use std::io::Write as _;
 use std::sync::OnceLock;
@@ -28,6 +28,8 @@ const RUN: &[&str] = &[
     "--set",
     "run.checkpoint_every=4",
 ];
+/// Makes a run so long that it ends by a signal only.
+const LONG: &[&str] = &["--set", "learner.total_steps=1000000000"];
 
 fn learner(place: &Place, extra: &[&str]) -> Running {
     let endpoint = place.endpoint("learner");
@@ -161,26 +163,30 @@ fn a_run_that_another_build_resumes_is_not_called_reproducible() {
 #[test]
 fn a_closed_terminal_leaves_a_checkpoint_and_does_not_end_what_was_to_outlive_it() {
     let place = Place::new();
-    let first = learner(&place, &[]);
+    let first = learner(&place, LONG);
     let helper = actor(&place, "a");
     wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
     signal("HUP", first.id());
-    first.finish(5 * SECOND).with_code(130);
+    first.finish(PATIENCE).with_code(130);
     helper.finish(PATIENCE);
+    let n_updates = updates(&place.run("r"));
     let endpoint = place.endpoint("learner");
     let mut shell = std::process::Command::new("sh");
     shell.current_dir(place.path()).args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]);
     shell.args([env!("CARGO_BIN_EXE_leadtime"), "learner", "--name", "r", "--listen", &endpoint]);
     let second = place.start_with({
-        shell.args(RUN);
+        shell.args(RUN).args(LONG);
         shell
     });
     wait_until("it listens", PATIENCE, || second.stderr().contains("listening"));
     signal("HUP", second.id());
     let helper = actor(&place, "b");
-    second.finish(PATIENCE).with_code(0).saying(&["resumed"]);
-    helper.finish(PATIENCE).with_code(0);
-    assert_eq!(digest(&place), undisturbed());
+    wait_until("it goes on", PATIENCE, || updates(&place.run("r")) > n_updates + 2);
+    signal("INT", second.id());
+    second.finish(PATIENCE).with_code(130).saying(&["resumed", &format!("n_updates={n_updates}")]);
+    helper.finish(PATIENCE);
+    let journal = journal(&place.run("r"));
+    assert!(journal.iter().copied().eq(1..=journal.len() as u64), "every update is there once");
 }
 
 #[test]
@@ -200,15 +206,19 @@ fn training_twice_as_long_through_a_resume_equals_training_straight() {
 #[test]
 fn an_interrupted_learner_leaves_a_checkpoint_within_five_seconds() {
     let place = Place::new();
-    let first = learner(&place, &[]);
+    let first = learner(&place, LONG);
     let helper = actor(&place, "a");
     wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 6);
     signal("TERM", first.id());
     first.finish(5 * SECOND).with_code(130);
     helper.finish(PATIENCE);
     assert!(result(&place.run("r")).is_null(), "an interrupted run is unfinished");
-    let (second, helper) = (learner(&place, &[]), actor(&place, "b"));
-    second.finish(PATIENCE).with_code(0).saying(&["resumed"]);
-    helper.finish(PATIENCE).with_code(0);
-    assert_eq!(digest(&place), undisturbed());
+    let total = format!("learner.total_steps={}", 256 * (updates(&place.run("r")) + 10));
+    let straight = Place::new();
+    for place in [&place, &straight] {
+        let (second, helper) = (learner(place, &["--set", &total]), actor(place, "b"));
+        second.finish(PATIENCE).with_code(0);
+        helper.finish(PATIENCE).with_code(0);
+    }
+    assert_eq!(digest(&place), digest(&straight));
 }

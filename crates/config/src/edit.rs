@@ -26,7 +26,9 @@ pub(crate) fn edited(below: &str, above: &str) -> String {
             added.for_each(|block| text += &(block.comment + &block.lines));
         }
     }
-    above.into_iter().for_each(|block| text += &(block.comment + &block.lines));
+    for block in above {
+        text += &(block.comment + &block.lines);
+    }
     text
 }
 
@@ -52,7 +54,7 @@ fn blocks(text: &str) -> (String, Vec<Block>) {
             _ => {}
         }
         is_open = trimmed.ends_with('[');
-        next.key = trimmed.split(" =").next().unwrap_or_default().to_owned();
+        trimmed.split(" =").next().unwrap_or_default().clone_into(&mut next.key);
         if trimmed.starts_with('[') {
             next.section = std::mem::take(&mut next.key);
         }

@@ -43,11 +43,11 @@ pub(crate) fn ensure(
 /// # Errors
 ///
 /// [`ConfigError`] unless the value is in range.
-pub(crate) fn within<T: PartialOrd + Display>(
+pub(crate) fn within<T: Copy + PartialOrd + Display>(
     key: &str,
     value: T,
     low: T,
     high: T,
 ) -> Result<(), ConfigError> {
-    ensure(low <= value && value <= high, key, &value, format_args!("{low} to {high}"))
+    ensure(low <= value && value <= high, key, value, format_args!("{low} to {high}"))
 }

@@ -16,7 +16,7 @@ use toml::{Spanned, Table};
 use leadtime_proto::text::{escaped, printable, quoted};
 
 use crate::error::{ConfigError, ensure};
-use crate::nesting;
+use crate::nesting::{self, Refused};
 use crate::overrides::Override;
 
 /// Positions of the i-th layer begin at i times this, so that one number says layer and byte.
@@ -116,9 +116,6 @@ pub(crate) struct Layers<'a> {
     table: DeTable<'a>,
 }
 
-/// A refused value: where it stands and why.
-type Refused = (Range<usize>, String);
-
 impl<'a> Layers<'a> {
     /// Lays every layer over those before it: sections are merged key by key, everything else is replaced.
     ///
@@ -138,7 +135,7 @@ impl<'a> Layers<'a> {
             merged.layers.push(layer);
             let placed = placed_table(layer.parse()?, "", i * STRIDE);
             let laid = placed.and_then(|table| overlay(&mut merged.table, table, true));
-            laid.map_err(|(span, message)| merged.refuse(Some(span), &message))?;
+            laid.map_err(|(span, message)| merged.refuse(span, &message))?;
         }
         merged.table.remove(BASE);
         Ok(merged)
@@ -170,7 +167,7 @@ impl<'a> Layers<'a> {
         over: DeTable<'a>,
     ) -> Result<(), ConfigError> {
         let laid = overlay(base, over, false);
-        laid.map_err(|(span, message)| self.refuse(Some(span), &message))
+        laid.map_err(|(span, message)| self.refuse(span, &message))
     }
 
     /// Reads a part of the result into its type.
@@ -229,7 +226,10 @@ fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Resu
                 let keys: Vec<String> = below.keys().map(ToString::to_string).collect();
                 let kind = above.type_str();
                 let keys = keys.join(", ");
-                return Err((span, format!("`{name}` is a section, not {kind}; its keys: {keys}")));
+                return Err((
+                    Some(span),
+                    format!("`{name}` is a section, not {kind}; its keys: {keys}"),
+                ));
             }
             (_, above) => {
                 base.insert(key, Spanned::new(span, above));
@@ -261,7 +261,7 @@ fn placed<'a>(
 ) -> Result<Spanned<DeValue<'a>>, Refused> {
     let span = value.span().start + by..value.span().end + by;
     let refuse = |given: &str, allowed: &str| {
-        Err((span.clone(), format!("`{}` is {given}; allowed: {allowed}", quoted(path))))
+        Err((Some(span.clone()), format!("`{}` is {given}; allowed: {allowed}", quoted(path))))
     };
     let inner = match value.into_inner() {
         DeValue::Table(table) => DeValue::Table(placed_table(table, path, by)?),

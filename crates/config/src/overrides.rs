@@ -139,10 +139,10 @@ mod tests {
     }
 
     #[test]
-    fn a_key_of_sixty_thousand_parts_is_refused_in_one_line() {
+    fn what_is_too_deep_or_long_is_refused_in_one_line() {
         let error = Override::parse(&format!("{}=1", vec!["a"; 60_000].join("."))).unwrap_err();
         assert_eq!(error, "the key has 60000 parts; allowed: at most 16");
-        let deep = format!("a={{{}=1}}", vec!["a"; 60_000].join("."));
+        let deep = format!("a={}{}", "[".repeat(40), "]".repeat(40));
         let error = Override::parse(&deep).unwrap_err();
         assert_eq!(error, "`a` is nested too deeply; allowed: at most 32 levels");
         let error = Override::parse(&"a".repeat(1_000_000)).unwrap_err();

@@ -9,11 +9,11 @@
 //! ```
 //!
 //! An actor drives [`Lockstep`] itself, because it stops at rollout boundaries; everybody else plays whole episodes with
-//! [`play`]. Both take observers as type parameters, so that a hook which is not wanted costs nothing in the hot loop.
+//! [`play()`]. Both take observers as type parameters, so that a hook which is not wanted costs nothing in the hot loop.
 //!
 //! # Where to start
 //!
-//! [`Observer`], [`Lockstep`]; [`play`] and [`EpisodeObserver`].
+//! [`Observer`], [`Lockstep`]; [`play()`] and [`EpisodeObserver`].
 
 mod error;
 mod lockstep;

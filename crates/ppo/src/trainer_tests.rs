@@ -291,7 +291,7 @@ fn whatever_the_learning_rate_divergence_is_found_before_an_actor_sends_it() {
     for (spec, n_epochs) in [(&plain, 4), (&plain, 1), (&attentive, 4)] {
         for exponent in [-3, 4, 7, 8, 9, 10, 11, 20, 30, 39, 300] {
             let n_minibatches = n_epochs;
-            let settings = LearnerSettings { n_epochs, n_minibatches, ..settings(Mode::Sync) };
+            let settings = LearnerSettings { n_minibatches, n_epochs, ..settings(Mode::Sync) };
             let mut trainer = Trainer::new(spec, &settings, 1).unwrap();
             // Most of these rates are refused where settings are checked; finding a divergence depends on no such limit.
             trainer.settings.learning_rate = 10.0_f64.powi(exponent);

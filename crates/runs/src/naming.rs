@@ -77,10 +77,9 @@ impl Reservation {
 
 impl Drop for Reservation {
     fn drop(&mut self) {
-        let is_lock = |entry: fs::DirEntry| entry.file_name() == SUPERVISOR_LOCK;
-        let entries = fs::read_dir(&self.path).into_iter().flatten().filter_map(Result::ok);
+        let mut entries = fs::read_dir(&self.path).into_iter().flatten().filter_map(Result::ok);
         // Nothing was begun in it.
-        if entries.map(is_lock).all(|is_lock| is_lock) {
+        if entries.all(|entry| entry.file_name() == SUPERVISOR_LOCK) {
             drop(fs::remove_dir_all(&self.path));
         }
     }

@@ -91,7 +91,9 @@ mod tests {
         let make = |name: &str, files: &[&str]| {
             let directory = base.path().join(name);
             fs::create_dir(&directory).unwrap();
-            files.iter().for_each(|file| fs::write(directory.join(file), "").unwrap());
+            for file in files {
+                fs::write(directory.join(file), "").unwrap();
+            }
             directory
         };
         let abandoned = make("leadtime-abandoned", &[OWNER, "config.toml"]);

@@ -191,7 +191,7 @@ struct ChildHandle {
     args: Vec<OsString>,
     output: ChildOutput,
     process: Option<ChildProcess>,
-    gone: Option<Option<i32>>,
+    health: ChildHealth,
     n_restarts: u32,
     /// When it is to be started; `None` while it runs.
     start_at: Option<Instant>,
@@ -210,7 +210,7 @@ impl ChildHandle {
             args: args.to_vec(),
             output,
             process: None,
-            gone: None,
+            health: ChildHealth::Alive,
             n_restarts: 0,
             start_at: Some(now),
             started: now,
@@ -228,8 +228,8 @@ impl ChildHandle {
 
     /// Notices the child's end, and starts it when it is time.
     fn poll(&mut self, run: &Path) -> ChildHealth {
-        if let Some(code) = self.gone {
-            return ChildHealth::Gone(code);
+        if let ChildHealth::Gone(_) = self.health {
+            return self.health;
         }
         if let Some(at) = self.start_at {
             if Instant::now() >= at
@@ -273,8 +273,8 @@ impl ChildHandle {
         } else if self.role == ChildRole::Actor && code != Some(0) {
             tracing::error!("{} ended and is not restarted ({how})", self.name);
         }
-        self.gone = Some(code);
-        ChildHealth::Gone(code)
+        self.health = ChildHealth::Gone(code);
+        self.health
     }
 
     /// Tells whether its last life shows that it works.
@@ -377,7 +377,7 @@ mod tests {
         let mut learner = ChildHandle::new("learner", ChildRole::Learner, &["600".into()], output);
         learner.program = || Ok("sleep".into());
         let mut gone = actor();
-        gone.gone = Some(None);
+        gone.health = ChildHealth::Gone(None);
         let mut actors = [gone];
         let stop = CancellationToken::new();
         assert_eq!(watch(&plan, &mut learner, &mut actors, &stop).await, Ended::NoActorLeft);

@@ -153,7 +153,7 @@ mod tests {
         table.push(["a name of some length", "1", "x"]);
         table.push(["−", "12.5", "finished"]);
         table.push(["short"]);
-        let expected = "                          a  state\n───────────────────────────────────────\n\
+        let expected = "                          a  state\n─────────────────────────────────────\n\
                         a name of some length     1  x\n−                      12.5  finished\nshort\n";
         assert_eq!(table.text(), expected);
     }

@@ -27,7 +27,9 @@ impl NotifierLoop {
         };
         let mut envs: Vec<_> = (0..N_ENVS as u32).map(build).collect();
         let mut observation = vec![0.0; envs[0].0.spec().obs_dim];
-        envs.iter_mut().for_each(|(env, seed)| env.reset(*seed, &mut observation));
+        for (env, seed) in &mut envs {
+            env.reset(*seed, &mut observation);
+        }
         Self { envs, observation, generator: Pcg64::seed_from_u64(1) }
     }
 

@@ -106,7 +106,7 @@ pub struct TaxonomyBuildArgs {
     /// Directory of prompt templates; those that it lacks are the built-in ones.
     #[arg(long, value_name = "DIR")]
     pub prompts: Option<PathBuf>,
-    /// Compare sentences by the MiniLM embedder in this directory (only if built with the feature `minilm`), instead of
+    /// Compare sentences by the `MiniLM` embedder in this directory (only if built with the feature `minilm`), instead of
     /// by the words they share.
     #[arg(long, value_name = "DIR", conflicts_with = "replay")]
     pub embedder: Option<PathBuf>,

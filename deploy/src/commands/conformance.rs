@@ -20,9 +20,9 @@ const MAX_BYTES: u64 = 1 << 30;
 pub(super) fn run(args: &ConformanceArgs) -> Result<(), Failure> {
     let replay = replay(args).blame(ExitCode::WrongInput)?;
     if args.json {
-        output::line(&replay.json)
+        output::line(&replay.json);
     } else {
-        print(&replay)
+        print(&replay);
     }
     if replay.passed { Ok(()) } else { Err(Failure::silent(ExitCode::Failed)) }
 }

@@ -1,8 +1,9 @@
 //! `leadtime pilot eval`: a pilot flies without zones and messages, on Gymnasium's seeds.
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow};
 use leadtime_lander::pilot::{Flyer, Pilot, PilotEvaluation, evaluate};
 use leadtime_lander::world::PhysicsSettings;
+use leadtime_runs::policy_file::what_it_is;
 use leadtime_table::Table;
 use serde_json::json;
 
@@ -29,7 +30,8 @@ pub(super) fn run(args: &PilotEvalArgs) -> Result<(), Failure> {
 fn read(file: &str) -> anyhow::Result<Pilot> {
     let bytes = std::fs::read(file)
         .with_context(|| format!("pilot `{file}` is neither heuristic, embedded nor a file"))?;
-    Pilot::from_safetensors(&bytes).with_context(|| format!("{file} is not a pilot"))
+    Pilot::from_safetensors(&bytes)
+        .map_err(|error| anyhow!("{file} is not a pilot: {}", what_it_is(&bytes, &error)))
 }
 
 fn print(args: &PilotEvalArgs, evaluation: &PilotEvaluation) {

@@ -19,4 +19,4 @@ pub use lead::with_lead_times;
 pub use leadtime_episodes::{Choice, MakeEnvironment, PlaySettings, Player, episode_seed};
 pub use said::with_said;
 pub use summary::{Measure, Summary, known_measures, measure_names, title};
-pub use utterance::{SpeechLog, Utterance};
+pub use utterance::{LoggedMessage, SpeechLog};

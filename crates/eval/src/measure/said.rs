@@ -5,7 +5,7 @@
 
 use super::evaluation::Evaluation;
 use super::lead;
-use super::utterance::Utterance;
+use super::utterance::LoggedMessage;
 
 /// Names of the columns, in the order of [`row`].
 pub(super) const COLUMNS: [&str; 4] =
@@ -22,7 +22,7 @@ pub(super) const COLUMNS: [&str; 4] =
 pub fn with_said(
     evaluation: Evaluation,
     unaided: &Evaluation,
-    said: &[Vec<Utterance>],
+    said: &[Vec<LoggedMessage>],
 ) -> Evaluation {
     let hazards = lead::hazards(unaided).filter(|_| lead::is_known(&unaided.metrics));
     let Some(hazards) = hazards else { return evaluation };
@@ -36,8 +36,8 @@ pub fn with_said(
 }
 
 /// Computes the columns of one episode; NaN where one is undefined.
-fn row(utterances: &[Utterance], n_steps: usize, hazard: usize) -> [f32; 4] {
-    let mean = |of: &[Utterance]| {
+fn row(utterances: &[LoggedMessage], n_steps: usize, hazard: usize) -> [f32; 4] {
+    let mean = |of: &[LoggedMessage]| {
         let sum: usize = of.iter().map(|utterance| utterance.conveyance).sum();
         sum as f32 / of.len() as f32
     };
@@ -75,7 +75,7 @@ mod tests {
         for (index, heard) in (0..).zip(&heard) {
             let played = Playthrough::record(&lander, &player, 3, index).unwrap();
             let moments: Vec<_> = played.scenes.iter().map(|scene| scene.listener.speech).collect();
-            assert_eq!(*heard, Utterance::all(&moments));
+            assert_eq!(*heard, LoggedMessage::all(&moments));
         }
         let n_metrics = evaluation.metrics.len();
         let evaluation = with_said(evaluation, &unaided, &heard);
@@ -84,8 +84,8 @@ mod tests {
         assert!(with_said(lost.clone(), &lost, &heard).metrics.len() == 1, "nobody listens");
     }
 
-    fn said(start: usize, conveyance: usize) -> Utterance {
-        Utterance { topic: 0, start, comprehension: 2, conveyance, end: start + conveyance }
+    fn said(start: usize, conveyance: usize) -> LoggedMessage {
+        LoggedMessage { topic: 0, start, comprehension: 2, conveyance, end: start + conveyance }
     }
 
     #[test]

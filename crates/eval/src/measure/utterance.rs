@@ -7,7 +7,7 @@ use leadtime_sims::{End, Speech, StepOutcome};
 ///
 /// Moment 0 is the start of the episode, moment i the one after its i-th step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Utterance {
+pub struct LoggedMessage {
     /// Topic id.
     pub topic: usize,
     /// Moment at which it was started.
@@ -20,7 +20,7 @@ pub struct Utterance {
     pub end: usize,
 }
 
-impl Utterance {
+impl LoggedMessage {
     /// Returns the moment at which it has been understood; `None` if it was cut off before.
     pub fn understood(&self) -> Option<usize> {
         Some(self.start + self.comprehension).filter(|understood| *understood <= self.end)
@@ -72,9 +72,9 @@ impl Observer for SpeechLog {
 }
 
 impl EpisodeObserver for SpeechLog {
-    type Output = Vec<Utterance>;
+    type Output = Vec<LoggedMessage>;
 
     fn finish(self, _slot: &EnvSlot, _end: End) -> Self::Output {
-        Utterance::all(&self.moments)
+        LoggedMessage::all(&self.moments)
     }
 }

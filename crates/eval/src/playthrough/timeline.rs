@@ -6,7 +6,7 @@
 
 use leadtime_sims::Scene;
 
-use crate::measure::Utterance;
+use crate::measure::LoggedMessage;
 
 /// What the person did in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +53,7 @@ pub struct Timeline {
     /// What the person was doing in each step.
     pub activities: Vec<Activity>,
     /// The messages, in the order in which they were started.
-    pub utterances: Vec<Utterance>,
+    pub utterances: Vec<LoggedMessage>,
     /// When a comprehended message waited for the reaction delay.
     pub waits: Vec<Span>,
     /// When the person reacted.
@@ -74,7 +74,7 @@ impl Timeline {
         let speech: Vec<_> = scenes.iter().map(|scene| scene.listener.speech).collect();
         Self {
             activities,
-            utterances: Utterance::all(&speech),
+            utterances: LoggedMessage::all(&speech),
             waits: waits(pending),
             reactions: spans(reacting),
         }
@@ -129,7 +129,8 @@ mod tests {
     fn a_message_is_heard_then_waited_for_then_followed() {
         // Said at 3 with k = 2, l = 3; comprehended at 5; two steps of delay; followed for three steps.
         let timeline = Timeline::new(&synthetic::scenes(14, &[(3, 1, 2, 3)]));
-        let expected = Utterance { topic: 1, start: 3, comprehension: 2, conveyance: 3, end: 6 };
+        let expected =
+            LoggedMessage { topic: 1, start: 3, comprehension: 2, conveyance: 3, end: 6 };
         assert_eq!(timeline.utterances, [expected]);
         assert_eq!(timeline.waits, [Span { topic: 1, start: 5, end: 7 }]);
         assert_eq!(timeline.reactions, [Span { topic: 1, start: 7, end: 10 }]);

@@ -15,7 +15,7 @@ use leadtime_taxonomy::Pace;
 
 use super::timeline::{Activity, topic_name};
 use super::voice::Spoken;
-use crate::measure::Utterance;
+use crate::measure::LoggedMessage;
 
 /// One moment in which something happens; empty text where nothing does.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -105,7 +105,7 @@ impl Spoken {
     }
 
     /// Returns the `n`-th word of a message as it is written, with a dash where it is cut off.
-    fn word(&self, said: usize, utterance: &Utterance, n: usize) -> String {
+    fn word(&self, said: usize, utterance: &LoggedMessage, n: usize) -> String {
         let conveyance = utterance.conveyance;
         let word = match self.sentences.get(said) {
             Some(sentence) => {

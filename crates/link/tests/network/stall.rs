@@ -86,7 +86,7 @@ async fn ask_without_reading(site: &Site, n: usize) -> (flume::Sender<()>, zenoh
     for _ in 0..n {
         let (stalled, key) = (stalled.clone(), Key::Hello(&run("one")).to_string());
         let asked = session.get(key).payload(payload.clone()).attachment(header);
-        asked.callback(move |_| drop(stalled.recv())).await.unwrap();
+        asked.callback(move |_| _ = stalled.recv()).await.unwrap();
     }
     (stall, session)
 }

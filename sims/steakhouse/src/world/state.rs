@@ -5,7 +5,7 @@
 //!
 //! # Source
 //!
-//! The rules are those of FOV-aware-planner's steakhouse; [`conformance`](super::conformance) replays its recorded
+//! The rules are those of FOV-aware-planner's steakhouse; `leadtime conformance` replays its recorded
 //! states. What is ours: stations in [`Unavailable`](super::Content::Unavailable) use, and the end of a list of orders
 //! at its last one.
 
