@@ -163,14 +163,19 @@ fn a_run_that_another_build_resumes_is_not_called_reproducible() {
 #[test]
 fn a_closed_terminal_leaves_a_checkpoint_and_does_not_end_what_was_to_outlive_it() {
     let place = Place::new();
-    let first = learner(&place, LONG);
+    let endpoint = place.endpoint("learner");
+    let args = [&["learner", "--name", "r", "--listen", &endpoint], RUN, LONG].concat();
+    // Tests that are themselves run by `nohup` hand on that the signal is ignored.
+    let mut as_in_a_terminal = std::process::Command::new("env");
+    as_in_a_terminal.current_dir(place.path()).arg("--default-signal=HUP");
+    as_in_a_terminal.arg(env!("CARGO_BIN_EXE_leadtime")).args(args);
+    let first = place.start_with(as_in_a_terminal);
     let helper = actor(&place, "a");
     wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
     signal("HUP", first.id());
     first.finish(PATIENCE).with_code(130);
     helper.finish(PATIENCE);
     let n_updates = updates(&place.run("r"));
-    let endpoint = place.endpoint("learner");
     let mut shell = std::process::Command::new("sh");
     shell.current_dir(place.path()).args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]);
     shell.args([env!("CARGO_BIN_EXE_leadtime"), "learner", "--name", "r", "--listen", &endpoint]);
@@ -206,17 +211,18 @@ fn training_twice_as_long_through_a_resume_equals_training_straight() {
 #[test]
 fn an_interrupted_learner_leaves_a_checkpoint_within_five_seconds() {
     let place = Place::new();
-    let first = learner(&place, LONG);
+    // Four times as long as the others, so that it is under way when the signal comes.
+    let total = ["--set", "learner.total_steps=40960"];
+    let first = learner(&place, &total);
     let helper = actor(&place, "a");
     wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 6);
     signal("TERM", first.id());
     first.finish(5 * SECOND).with_code(130);
     helper.finish(PATIENCE);
     assert!(result(&place.run("r")).is_null(), "an interrupted run is unfinished");
-    let total = format!("learner.total_steps={}", 256 * (updates(&place.run("r")) + 10));
     let straight = Place::new();
     for place in [&place, &straight] {
-        let (second, helper) = (learner(place, &["--set", &total]), actor(place, "b"));
+        let (second, helper) = (learner(place, &total), actor(place, "b"));
         second.finish(PATIENCE).with_code(0);
         helper.finish(PATIENCE).with_code(0);
     }
