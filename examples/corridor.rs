@@ -21,12 +21,11 @@ use leadtime::Program;
 use leadtime_numerics::Purpose;
 use leadtime_sims::TaskError;
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
-use leadtime_sims::human::HumanSettings;
-use leadtime_sims::notifier::{NotifierEnv, NotifierSettings};
+use leadtime_sims::notifier::{NotifierWorld, TaskSettings};
 use leadtime_sims::registry::read;
 use leadtime_sims::{
-    Advance, Domain, End, Environment, EpisodeSeed, Gauge, Listener, Message, ReactionStatus,
-    ReactionStep, Scene, Shape, SnapshotError, Tone, View,
+    Advance, Domain, End, Environment, EpisodeSeed, Gauge, Message, ReactionStatus, ReactionStep,
+    Scene, SettingError, Shape, SnapshotError, Tone, View,
 };
 use serde::{Deserialize, Serialize};
 
@@ -58,19 +57,17 @@ impl Default for World {
     }
 }
 
-/// The sections of the configuration, as they reach the builder.
-#[derive(Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct Settings {
-    world: World,
-    human: HumanSettings,
-    notifier: NotifierSettings,
+impl NotifierWorld for World {
+    type Task = Corridor;
+
+    fn domain(&self) -> Result<Corridor, SettingError> {
+        Ok(Corridor { world: self.clone(), state: State::default() })
+    }
 }
 
+/// Reads the sections of the configuration, and joins walker, listener and notifier.
 fn build(settings: &str) -> Result<Box<dyn Environment>, TaskError> {
-    let settings: Settings = read("corridor", settings)?;
-    let corridor = Corridor { world: settings.world, state: State::default() };
-    Ok(Box::new(NotifierEnv::new(corridor, &settings.human, &settings.notifier)?))
+    Ok(Box::new(read::<TaskSettings<World>>("corridor", settings)?.build()?))
 }
 
 /// Everything the future depends on.
@@ -188,8 +185,7 @@ impl Domain for Corridor {
             position: [f64::from(self.state.cell) + 0.5, y(self.state.lane) + 0.5],
             gauge: Gauge { label: "cell", value: f64::from(self.state.cell) },
             outcome: if self.state.slipped { "slipped".to_owned() } else { String::new() },
-            others: Vec::new(),
-            listener: Listener::default(),
+            ..Scene::default()
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::fmt;
+use std::ops::RangeInclusive;
 
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize as _, Deserializer, Serialize};
@@ -31,11 +32,23 @@ pub fn require(
     given: impl fmt::Display,
     allowed: impl Into<Cow<'static, str>>,
 ) -> Result<(), SettingError> {
-    if holds {
-        Ok(())
-    } else {
-        Err(SettingError { key, given: given.to_string(), allowed: allowed.into() })
-    }
+    let error = || SettingError { key, given: given.to_string(), allowed: allowed.into() };
+    holds.then_some(()).ok_or_else(error)
+}
+
+/// Returns an error about `key` unless the value lies in the range, which is named with its unit; a NaN lies in none.
+///
+/// # Errors
+///
+/// [`SettingError`] with the value as given.
+pub fn require_within<T: PartialOrd + fmt::Display>(
+    key: &'static str,
+    given: T,
+    range: RangeInclusive<T>,
+    unit: &str,
+) -> Result<(), SettingError> {
+    let allowed = format!("{} to {} {unit}", range.start(), range.end());
+    require(range.contains(&given), key, given, allowed.trim_end().to_owned())
 }
 
 /// Reads a table whose missing entries are those of `defaults` (a domain's own), and not those of its type.

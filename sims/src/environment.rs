@@ -103,6 +103,7 @@ const SNAPSHOT_TAG: usize = 16;
 
 /// Why a snapshot cannot be restored.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum SnapshotError {
     /// It was written by a release with other layouts, or by none at all.
     #[error(
@@ -118,10 +119,7 @@ pub enum SnapshotError {
     Codec(#[from] leadtime_proto::codec::CodecError),
     /// The snapshot is of another world, or of other settings.
     #[error("snapshot does not fit this environment: {what}")]
-    Mismatch {
-        /// The part of the snapshot that does not fit.
-        what: &'static str,
-    },
+    Mismatch { what: &'static str },
 }
 
 /// A task that a policy can learn.
@@ -134,11 +132,7 @@ pub trait Environment: Send {
         None
     }
 
-    /// Starts an episode and writes its first observation.
-    ///
-    /// # Shapes
-    ///
-    /// `observation`: `[obs_dim]`.
+    /// Starts an episode and writes its first observation. Shape `[obs_dim]`.
     fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]);
 
     /// Returns the choices that are offered in the coming step.
@@ -146,11 +140,7 @@ pub trait Environment: Send {
         Mask::ALL
     }
 
-    /// Takes one step and writes the observation after it (the final one, if the episode ended).
-    ///
-    /// # Shapes
-    ///
-    /// `action`: one choice per head; `observation`: `[obs_dim]`.
+    /// Takes one step (one choice per head) and writes the observation after it: the final one, if the episode ended.
     fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome;
 
     /// Writes the metrics of the episode so far, in the order of [`EnvSpec::metrics`].
@@ -178,7 +168,6 @@ pub trait Environment: Send {
     }
 
     /// Returns an upper bound on the size of a snapshot, in bytes; starts an episode to measure one.
-    ///
     fn max_snapshot_bytes(&mut self) -> usize {
         let mut observation = vec![0.0; self.spec().obs_dim];
         let seed = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
@@ -195,8 +184,8 @@ pub trait Environment: Send {
     /// [`SnapshotError`] if the bytes are no snapshot of such an environment in this release; it must then be reset.
     fn restore(&mut self, snapshot: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
         let own = snapshot_tag(self.spec());
-        let (tag, state) =
-            snapshot.split_at_checked(SNAPSHOT_TAG).ok_or(SnapshotError::OtherRelease)?;
+        let parts = snapshot.split_at_checked(SNAPSHOT_TAG);
+        let (tag, state) = parts.ok_or(SnapshotError::OtherRelease)?;
         // The encoding says nothing about what it encodes, so bytes of another layout may well decode into a state.
         if tag[..8] != own[..8] {
             return Err(SnapshotError::OtherRelease);

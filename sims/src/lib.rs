@@ -8,9 +8,7 @@
 //! Domain (lander, highway, ...) + human      --notifier-->  Environment  <--  pilot task, classic control
 //! ```
 //!
-//! # Where to start
-//!
-//! [`environment::Environment`] is what actors and evaluation see; [`domain::Domain`] is what a new world
+//! Where to start: [`environment::Environment`] is what actors and evaluation see; [`domain::Domain`] is what a new world
 //! implements to become a notifier problem; [`registry::DomainEntry`] is how it becomes known by name.
 
 pub mod check;

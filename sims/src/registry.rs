@@ -17,7 +17,7 @@ use crate::error::TaskError;
 use crate::notifier::{NotifierWorld, TaskSettings};
 
 /// Makes an environment from settings, given as JSON text.
-pub type Builder = Arc<dyn Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync>;
+type Builder = Arc<dyn Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync>;
 
 /// The settings of a task that has nothing but a world.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,20 +44,17 @@ impl fmt::Debug for DomainEntry {
 }
 
 impl DomainEntry {
-    /// Describes a task whose builder reads its settings itself, as JSON text.
-    pub fn new<F>(name: &str, builder: F) -> Self
-    where
-        F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
-    {
-        Self { name: name.to_owned(), builder: Arc::new(builder), evaluation: "", has_map: false }
+    fn new(name: &str, builder: Builder) -> Self {
+        Self { name: name.to_owned(), builder, evaluation: "", has_map: false }
     }
 
     /// Describes the notifier task of a world.
     pub fn notifier<W: NotifierWorld>(name: &'static str) -> Self {
-        Self::new(name, move |settings| {
+        let build = move |settings: &str| {
             let settings: TaskSettings<W> = read(name, settings)?;
-            Ok(Box::new(settings.build()?))
-        })
+            Ok(Box::new(settings.build()?) as Box<dyn Environment>)
+        };
+        Self::new(name, Arc::new(build))
     }
 
     /// Describes a task without people, which has nothing but a world.
@@ -66,10 +63,11 @@ impl DomainEntry {
         W: Default + DeserializeOwned + 'static,
         E: Environment + 'static,
     {
-        Self::new(name, move |settings| {
+        let build = move |settings: &str| {
             let settings: WorldOnly<W> = read(name, settings)?;
-            Ok(Box::new(make(&settings.world)?))
-        })
+            Ok(Box::new(make(&settings.world)?) as Box<dyn Environment>)
+        };
+        Self::new(name, Arc::new(build))
     }
 
     /// Sets what differs of `[world]` while a policy is evaluated, as TOML: `max_steps = 7`.
@@ -86,15 +84,9 @@ impl DomainEntry {
 }
 
 /// The tasks that a process can build.
-#[derive(Clone, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Registry {
     entries: BTreeMap<String, DomainEntry>,
-}
-
-impl fmt::Debug for Registry {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_list().entries(self.entries.keys()).finish()
-    }
 }
 
 impl Registry {
@@ -124,7 +116,7 @@ impl Registry {
     where
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
     {
-        self.with_domain(DomainEntry::new(name, builder))
+        self.with_domain(DomainEntry::new(name, Arc::new(builder)))
     }
 
     /// Lists the names of the tasks, in alphabetical order.

@@ -57,7 +57,7 @@ pub enum Shape {
 }
 
 /// The part of the world to show.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct View {
     /// Lower left corner.
     pub min: [f64; 2],
@@ -94,7 +94,7 @@ pub struct Listener {
 }
 
 /// One number of where or how the person is, such as height or speed; plotted over the steps of an episode.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Gauge {
     /// What it is, with its unit if it has one; the same in every moment of a task.
     pub label: &'static str,
@@ -103,7 +103,7 @@ pub struct Gauge {
 }
 
 /// A moment to draw.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
     /// What to show of the world.
     pub view: View,

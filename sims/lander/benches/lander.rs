@@ -38,26 +38,17 @@ fn frames_per_second(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("lander");
     group.throughput(Throughput::Elements(u64::from(FRAMES))).sample_size(30);
     for (name, physics) in [("two gears", Physics::Hybrid), ("contact world", Physics::Rapier)] {
-        let mut world = LanderLoop::new(physics);
+        let mut bench = |pilot: &str, engine: &mut dyn FnMut(&Lander) -> Engine| {
+            let mut world = LanderLoop::new(physics);
+            group.bench_function(format!("{name}, {pilot}"), |bencher| {
+                bencher.iter(|| (0..FRAMES).for_each(|_| world.step(engine(&world.lander))));
+            });
+        };
         let mut rng = Pcg64::seed_from_u64(7);
-        group.bench_function(format!("{name}, random actions"), |bencher| {
-            bencher.iter(|| {
-                (0..FRAMES).for_each(|_| world.step(Engine::ALL[(rng.next_u64() >> 62) as usize]));
-            });
-        });
-        let mut world = LanderLoop::new(physics);
-        group.bench_function(format!("{name}, heuristic pilot"), |bencher| {
-            bencher.iter(|| {
-                (0..FRAMES).for_each(|_| world.step(heuristic(world.lander.observation())));
-            });
-        });
-        let mut world = LanderLoop::new(physics);
-        let flyer = Flyer::Network { pilot: Pilot::embedded(), rests: true };
-        group.bench_function(format!("{name}, embedded pilot"), |bencher| {
-            bencher.iter(|| {
-                (0..FRAMES).for_each(|_| world.step(flyer.engine(world.lander.observation())));
-            });
-        });
+        bench("random actions", &mut |_| Engine::ALL[(rng.next_u64() >> 62) as usize]);
+        bench("heuristic pilot", &mut |lander| heuristic(lander.observation()));
+        let embedded = Flyer::Network { pilot: Pilot::embedded(), rests: true };
+        bench("embedded pilot", &mut |lander| embedded.engine(lander.observation()));
     }
     group.finish();
 }

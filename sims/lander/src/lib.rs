@@ -6,9 +6,7 @@
 //! | [`pilot`] | the scripted and the trained pilot, how well they fly, and the task that the latter is trained on |
 //! | [`task`] | danger zones, what a topic asks of the pilot, rewards: the [`Domain`](leadtime_sims::Domain) |
 //!
-//! # Where to start
-//!
-//! [`entries()`] is what the rest of the program knows; [`task::LanderDomain`] the notifier task.
+//! Where to start: [`entries()`] is what the rest of the program knows; [`task::LanderDomain`] the notifier task.
 
 mod entries;
 pub mod pilot;

@@ -1,10 +1,11 @@
 //! The lander world as a whole: how episodes end, snapshots, determinism, wind, and the agreement of the two integrators.
 
-use leadtime_lander::pilot::{Flyer, fly, heuristic};
+use leadtime_lander::pilot::{Flyer, evaluate, fly, heuristic};
 use leadtime_lander::world::{
     Engine, Frame, Lander, LanderOutcome, LanderSnapshot, Physics, PhysicsSettings,
 };
 use leadtime_numerics::Pcg64;
+use leadtime_proto::codec;
 use leadtime_sims::SnapshotError;
 
 fn lander(physics: Physics, wind: bool) -> Lander {
@@ -22,15 +23,9 @@ fn fly_until(lander: &mut Lander, holds: impl Fn(&Lander) -> bool) {
         if holds(lander) {
             return;
         }
-        lander.step(heuristic(lander.observation()));
+        frames(lander, 1);
     }
     panic!("1000 frames were not enough");
-}
-
-fn through_the_codec(snapshot: &LanderSnapshot) -> LanderSnapshot {
-    let bytes = leadtime_proto::codec::encode(snapshot).expect("plain data");
-    assert!(bytes.len() < 16_384, "a snapshot of {} bytes", bytes.len());
-    leadtime_proto::codec::decode(&bytes, 1 << 20).expect("it was encoded")
 }
 
 /// Goes on from a snapshot in another, used world and in the same one: 60 frames must agree bit for bit.
@@ -40,7 +35,10 @@ fn assert_continues(lander: &mut Lander, physics: Physics) {
     let mut other = self::lander(physics, false);
     other.reset(Pcg64::seed_from_u64(99));
     frames(&mut other, 200);
-    other.restore(&through_the_codec(&snapshot)).expect("the snapshot fits");
+    let bytes = codec::encode(&snapshot).expect("plain data");
+    assert!(bytes.len() < 16_384, "a snapshot of {} bytes", bytes.len());
+    let moved = codec::decode(&bytes, 1 << 20).expect("it was encoded");
+    other.restore(&moved).expect("the snapshot fits");
     assert_eq!(frames(&mut other, 60), expected);
     lander.restore(&snapshot).expect("the snapshot fits");
     assert_eq!(frames(lander, 60), expected);
@@ -68,17 +66,16 @@ fn a_snapshot_that_does_not_fit_is_refused() {
     let error = flying.restore(&lander(Physics::Rapier, false).snapshot()).unwrap_err();
     assert!(matches!(error, SnapshotError::Mismatch { what: "lander physics" }), "{error}");
     let mut contact = lander(Physics::Rapier, false);
-    let bytes = leadtime_proto::codec::encode(&contact.snapshot()).unwrap();
+    let bytes = codec::encode(&contact.snapshot()).unwrap();
     // The engine's state comes last; a cut in it leaves no snapshot at all, a flipped byte may leave a broken one.
     let cut = &bytes[..bytes.len() - 10];
-    assert!(leadtime_proto::codec::decode::<LanderSnapshot>(cut, 1 << 20).is_err());
+    assert!(codec::decode::<LanderSnapshot>(cut, 1 << 20).is_err());
     let before = contact.snapshot();
     for at in (0..bytes.len()).step_by(97) {
         let mut flipped = bytes.clone();
         flipped[at] ^= 0x40;
-        if let Ok(snapshot) = leadtime_proto::codec::decode(&flipped, 1 << 20) {
-            let restored: Result<(), SnapshotError> = contact.restore(&snapshot);
-            if restored.is_err() {
+        if let Ok(snapshot) = codec::decode(&flipped, 1 << 20) {
+            if contact.restore(&snapshot).is_err() {
                 assert_eq!(contact.snapshot(), before, "a refused snapshot changes nothing");
             }
             contact.restore(&before).unwrap();
@@ -95,10 +92,8 @@ fn an_episode_depends_on_its_seed_and_not_on_history() {
         }
         let mut fresh = lander(physics, false);
         for seed in [3, 7, 20] {
-            assert_eq!(
-                fly(&mut used, Flyer::Heuristic, seed),
-                fly(&mut fresh, Flyer::Heuristic, seed)
-            );
+            let [again, anew] = [&mut used, &mut fresh].map(|l| fly(l, Flyer::Heuristic, seed));
+            assert_eq!(again, anew);
             assert_eq!(used.snapshot(), fresh.snapshot());
         }
         let other = fly(&mut fresh, Flyer::Heuristic, 4);
@@ -114,7 +109,7 @@ fn the_seed_draws_what_the_original_draws() {
     let heights = lander.terrain();
     assert!((heights[1] - 0.33 * (4.246_411_2 + 1.798_578_1 + 0.273_156_8)).abs() < 1e-6);
     // First observations as recorded from Gymnasium, with and without wind.
-    lander.set_wind(false);
+    lander.set_start(false, 1000.0);
     let calm = lander.reset(Pcg64::seed_from_u64(0));
     let recorded =
         [0.005_706_1, 1.399_033_7, 0.577_965_3, -0.528_299_7, -0.006_605_3, -0.130_917_7];
@@ -174,16 +169,15 @@ fn falling_crashes_drifting_leaves_and_the_heuristic_lands() {
         let last = (0..300).map(|_| lander.step(Engine::Idle)).find(|f| f.outcome.is_some());
         let last = last.expect("a falling lander meets the ground");
         assert_eq!((last.outcome, last.reward), (Some(LanderOutcome::Crashed), -100.0));
-        lander.set_start_impulse(3000.0);
+        lander.set_start(false, 3000.0);
         // Some seeds throw the lander far to one side; with its engine on it leaves before it falls.
-        let outcomes: Vec<_> = (0..20)
-            .filter_map(|seed| {
-                lander.reset(Pcg64::seed_from_u64(seed));
-                (0..300).find_map(|_| lander.step(Engine::Main).outcome)
-            })
-            .collect();
-        assert!(outcomes.contains(&LanderOutcome::Out), "{outcomes:?}");
-        lander.set_start_impulse(1000.0);
+        let leaves = |seed| {
+            lander.reset(Pcg64::seed_from_u64(seed));
+            let outcome = (0..300).find_map(|_| lander.step(Engine::Main).outcome);
+            outcome == Some(LanderOutcome::Out)
+        };
+        assert!((0..20).any(leaves));
+        lander.set_start(false, 1000.0);
         let flown = fly(&mut lander, Flyer::Heuristic, 1);
         assert_eq!(flown.outcome, Some(LanderOutcome::Landed));
         assert!(flown.total > 200.0, "{flown:?}");
@@ -194,13 +188,15 @@ fn falling_crashes_drifting_leaves_and_the_heuristic_lands() {
 #[test]
 fn the_heuristic_scores_as_in_the_original() {
     // Gymnasium, seeds 0..1000: return 243.4 ± 2.9, 93 % landed; of 60 episodes the standard error is 12 and 3.3 %.
-    let settings = PhysicsSettings::default();
-    let calm = leadtime_lander::pilot::evaluate(Flyer::Heuristic, &settings, 0..60);
+    let fly = |wind| {
+        let settings = PhysicsSettings { wind, ..PhysicsSettings::default() };
+        evaluate(Flyer::Heuristic, &settings, 0..60)
+    };
+    let calm = fly(false);
     assert!((calm.mean_return - 243.4).abs() < 25.0, "{calm:?}");
     assert!(calm.landed > 0.86, "{calm:?}");
     // With wind: 92.2 ± 5.2, 47 % landed; of 60 episodes 21 and 6.5 %.
-    let settings = PhysicsSettings { wind: true, ..settings };
-    let windy = leadtime_lander::pilot::evaluate(Flyer::Heuristic, &settings, 0..60);
+    let windy = fly(true);
     assert!((windy.mean_return - 92.2).abs() < 45.0, "{windy:?}");
     assert!((windy.landed - 0.471).abs() < 0.15, "{windy:?}");
 }

@@ -13,7 +13,7 @@ use leadtime_numerics::Purpose;
 use leadtime_proto::{ActionSpec, EnvSpec};
 use serde::{Deserialize, Serialize};
 
-use crate::check::{SettingError, require};
+use crate::check::{SettingError, require, require_within};
 use crate::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
@@ -33,21 +33,6 @@ pub struct CueRecallSettings {
 impl Default for CueRecallSettings {
     fn default() -> Self {
         Self { n_cues: 2, delay_min: 2, delay_max: 6 }
-    }
-}
-
-impl CueRecallSettings {
-    /// Checks ranges.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] naming the first impossible setting.
-    pub fn check(&self) -> Result<(), SettingError> {
-        let fits = (2..=16).contains(&self.n_cues);
-        require(fits, "world.n_cues", self.n_cues, "2 to 16 cues")?;
-        let fits = self.delay_min <= self.delay_max && self.delay_max <= 1000;
-        let given = format_args!("{} (with delay_min {})", self.delay_max, self.delay_min);
-        require(fits, "world.delay_max", given, "delay_min to 1000 steps")
     }
 }
 
@@ -73,16 +58,16 @@ pub struct CueRecall {
 }
 
 impl CueRecall {
-    /// Creates the task.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] if a setting is out of range.
-    pub fn new(settings: &CueRecallSettings) -> Result<Self, SettingError> {
-        settings.check()?;
+    /// Creates the task; the error names a setting that is out of range.
+    pub(super) fn new(settings: &CueRecallSettings) -> Result<Self, SettingError> {
+        let &CueRecallSettings { n_cues, delay_min, delay_max } = settings;
+        require_within("world.n_cues", n_cues, 2..=16, "cues")?;
+        let fits = delay_min <= delay_max && delay_max <= 1000;
+        let given = format_args!("{delay_max} (with delay_min {delay_min})");
+        require(fits, "world.delay_max", given, "delay_min to 1000 steps")?;
         let spec = EnvSpec {
-            obs_dim: settings.n_cues + 1,
-            actions: ActionSpec::discrete("recall", settings.n_cues),
+            obs_dim: n_cues + 1,
+            actions: ActionSpec::discrete("recall", n_cues),
             metrics: vec!["success".to_owned()],
         };
         Ok(Self { spec, settings: settings.clone(), state: CueRecallState::default() })
@@ -105,9 +90,9 @@ impl Environment for CueRecall {
 
     fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
         let mut generator = seed.stream(Purpose::World);
-        let cue = generator.below(self.settings.n_cues) as u8;
-        let (low, high) = (self.settings.delay_min, self.settings.delay_max);
-        let delay = generator.integers(i64::from(low), i64::from(high) + 1) as u32;
+        let CueRecallSettings { n_cues, delay_min, delay_max } = self.settings;
+        let cue = generator.below(n_cues) as u8;
+        let delay = generator.integers(delay_min.into(), i64::from(delay_max) + 1) as u32;
         self.state = CueRecallState { cue, delay, n_steps: 0, recalled: false };
         self.observe(observation);
     }
@@ -117,11 +102,8 @@ impl Environment for CueRecall {
         self.state.recalled = asked && action[0] == self.state.cue;
         self.state.n_steps += 1;
         self.observe(observation);
-        let reward = match (asked, self.state.recalled) {
-            (false, _) => 0.0,
-            (true, false) => -1.0,
-            (true, true) => 1.0,
-        };
+        let answer = if self.state.recalled { 1.0 } else { -1.0 };
+        let reward = if asked { answer } else { 0.0 };
         StepOutcome { reward, end: asked.then_some(End::Terminated) }
     }
 
@@ -154,8 +136,8 @@ mod tests {
 
     use super::*;
 
-    /// Plays an episode with a fixed answer, or with the cue itself; returns (cue, return, length).
-    fn play(task: &mut CueRecall, episode: u64, answer: Option<u8>) -> (u8, f32, u32) {
+    /// Plays an episode with a fixed answer, or with the cue itself; returns the return.
+    fn play(task: &mut CueRecall, episode: u64, answer: Option<u8>) -> f32 {
         let mut observation = vec![0.0; task.spec.obs_dim];
         task.reset(EpisodeSeed { run_seed: 1, env_id: EnvId(0), episode }, &mut observation);
         let cue = observation.iter().position(|&x| x == 1.0).unwrap() as u8;
@@ -164,7 +146,7 @@ mod tests {
             let outcome = task.step(&[answer.unwrap_or(cue)], &mut observation);
             total += outcome.reward;
             if outcome.end.is_some() {
-                return (cue, total, task.state.n_steps);
+                return total;
             }
         }
     }
@@ -172,9 +154,9 @@ mod tests {
     #[test]
     fn remembering_wins_and_a_fixed_answer_is_chance() {
         let mut task = CueRecall::new(&CueRecallSettings::default()).unwrap();
-        let remembered: f32 = (0..100).map(|e| play(&mut task, e, None).1).sum();
+        let remembered: f32 = (0..100).map(|e| play(&mut task, e, None)).sum();
         assert_eq!(remembered, 100.0);
-        let fixed: f32 = (0..100).map(|e| play(&mut task, e, Some(0)).1).sum();
+        let fixed: f32 = (0..100).map(|e| play(&mut task, e, Some(0))).sum();
         assert!(fixed.abs() < 40.0, "{fixed}");
     }
 

@@ -16,10 +16,7 @@ pub(super) struct DelaySource {
 impl DelaySource {
     /// Draws what is drawn once per episode.
     pub(super) fn new(setting: ReactionDelay, mut generator: Pcg64) -> Self {
-        let of_episode = match setting {
-            ReactionDelay::Person { mean, spread, .. } => mean + spread * generator.normal(),
-            other => draw(other, &mut generator),
-        };
+        let of_episode = draw(setting, &mut generator);
         Self { generator, of_episode }
     }
 
@@ -56,7 +53,7 @@ fn draw(setting: ReactionDelay, generator: &mut Pcg64) -> f64 {
         ReactionDelay::Uniform { low, high, .. } => {
             generator.integers(i64::from(low), i64::from(high) + 1) as f64
         }
-        ReactionDelay::Person { mean, .. } => mean,
+        ReactionDelay::Person { mean, spread, .. } => mean + spread * generator.normal(),
     }
 }
 
@@ -71,16 +68,11 @@ mod tests {
 
     #[test]
     fn a_delay_drawn_per_episode_stays() {
-        let setting =
-            ReactionDelay::Normal { mean: 2.0, deviation: 1.0, drawn: DelayDraw::PerEpisode };
-        let means: Vec<u32> = (0..50)
-            .map(|seed| {
-                let drawn = delays(setting, seed);
-                assert!(drawn.iter().all(|&delay| delay == drawn[0]));
-                drawn[0]
-            })
-            .collect();
-        assert!(means.iter().any(|&delay| delay != means[0]));
+        let drawn = DelayDraw::PerEpisode;
+        let setting = ReactionDelay::Normal { mean: 2.0, deviation: 1.0, drawn };
+        let episodes: Vec<_> = (0..50).map(|seed| delays(setting, seed)).collect();
+        assert!(episodes.iter().flat_map(|delays| delays.windows(2)).all(|two| two[0] == two[1]));
+        assert!(episodes.iter().any(|delays| delays != &episodes[0]));
     }
 
     #[test]

@@ -147,13 +147,11 @@ impl HumanState {
                 && message.comprehension <= message.conveyance
                 && message.conveyance <= MAX_WORDS
         };
+        let mut pending = self.pending.iter();
         self.pending.len() <= MAX_PENDING
             && self.now <= MAX_TIME
             && self.tally.is_plausible()
-            && self
-                .pending
-                .iter()
-                .all(|pending| known(pending.message) && pending.due <= 2 * MAX_TIME)
+            && pending.all(|pending| known(pending.message) && pending.due <= 2 * MAX_TIME)
             && self.speech.is_none_or(|speech| known(speech.message) && speech.heard <= MAX_WORDS)
             && self.running.is_none_or(|running| known(running.message) && running.steps_left > 0)
     }
@@ -172,24 +170,18 @@ pub struct Human {
 
 impl Human {
     /// Creates a listener who has heard nothing; [`Human::reset`] gives it an episode's generator.
-    pub fn new(settings: &HumanSettings) -> Self {
-        let delay = DelaySource::new(settings.reaction_delay, Pcg64::seed_from_u64(0));
+    ///
+    /// The `informative` topics ask for no action: they only inform, when they are heard to their end.
+    pub(crate) fn new(settings: &HumanSettings, informative: Vec<usize>) -> Self {
         let state = HumanState {
             now: 0,
             speech: None,
             pending: VecDeque::with_capacity(MAX_PENDING),
             running: None,
-            delay,
+            delay: DelaySource::new(settings.reaction_delay, Pcg64::seed_from_u64(0)),
             tally: Tally::default(),
         };
-        let informative = Vec::new();
         Self { settings: settings.clone(), informative, state, reaction_over: false }
-    }
-
-    /// Names the topics that ask for no action: they only inform, when they are heard to their end.
-    pub fn with_informative(mut self, topics: Vec<usize>) -> Self {
-        self.informative = topics;
-        self
     }
 
     fn only_informs(&self, message: Message) -> bool {
@@ -242,9 +234,8 @@ impl Human {
     /// Returns the message that the coming step acts upon unless something new is said, and for how many steps more.
     pub fn upcoming(&self) -> Option<(Message, u32)> {
         let due = self.state.pending.front().filter(|pending| pending.due <= self.state.now);
-        let starting = due
-            .map(|pending| (pending.message, self.settings.reaction_steps(pending.message)))
-            .filter(|(_, steps)| *steps > 0);
+        let steps = |due: &Pending| (due.message, self.settings.reaction_steps(due.message));
+        let starting = due.map(steps).filter(|(_, steps)| *steps > 0);
         starting.or(self.state.running.map(|running| (running.message, running.steps_left)))
     }
 
@@ -269,21 +260,18 @@ impl Human {
 
     /// Begins a step: a reaction whose time has come starts, and replaces one that runs (rows D).
     pub fn begin_step(&mut self) {
-        let Some(pending) = self.state.pending.front().copied() else { return };
-        if pending.due > self.state.now {
-            return;
-        }
-        self.state.pending.pop_front();
-        let steps_left = self.settings.reaction_steps(pending.message);
+        let now = self.state.now;
+        let due = self.state.pending.pop_front_if(|pending| pending.due <= now);
+        let Some(Pending { message, .. }) = due else { return };
+        let steps_left = self.settings.reaction_steps(message);
         // Row D4: it asks for nothing, so what runs goes on.
         if steps_left == 0 {
             self.state.tally.unheeded += 1;
             return;
         }
         self.end_running();
-        let message = pending.message;
-        self.state.running =
-            Some(RunningReaction { message, steps_left, begun: false, followed: false });
+        let (begun, followed) = (false, false);
+        self.state.running = Some(RunningReaction { message, steps_left, begun, followed });
     }
 
     /// Applies the notifier's speech act, as far as the settings let it (rows I and S).
@@ -301,14 +289,14 @@ impl Human {
     fn initiate(&mut self, message: Message) -> Initiation {
         if self.settings.repeat == Repeat::Continue && self.is_under_way(message.topic) {
             self.state.tally.continued += 1;
-            return Initiation::Continued;
-        }
-        if !self.may_start() {
+            Initiation::Continued
+        } else if self.may_start() {
+            self.start(message);
+            Initiation::Started
+        } else {
             self.state.tally.ignored += 1;
-            return Initiation::Blocked;
+            Initiation::Blocked
         }
-        self.start(message);
-        Initiation::Started
     }
 
     fn is_under_way(&self, topic: usize) -> bool {

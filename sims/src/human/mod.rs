@@ -14,9 +14,7 @@
 //! reaction                           ├─────────────────────────────┤
 //! ```
 //!
-//! # Where to start
-//!
-//! [`machine`] holds the transition table; [`HumanSettings`] every choice that bends it.
+//! Where to start: [`machine`] holds the transition table; [`HumanSettings`] every choice that bends it.
 //!
 //! # Source
 //!

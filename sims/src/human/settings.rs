@@ -1,18 +1,17 @@
 //! Every choice that bends the model of the listener.
 //!
-//! `Default` is what serves real use. [`HumanSettings::paper`] follows the letter of the source where it speaks,
-//! and its most likely reading where it does not; [`HumanSettings::delay_free`] is the listener who understands
-//! and acts at once.
+//! `Default` is what serves real use. With [`FollowThroughEnd::Inclusive`] and [`Interrupt::Replace`] it follows the
+//! letter of the source where that speaks, and its most likely reading where it does not.
 
 use std::fmt;
 use std::marker::PhantomData;
 
-use serde::de::value::{MapAccessDeserializer, StrDeserializer};
+use serde::de::value::{MapAccessDeserializer, MapDeserializer, StrDeserializer};
 use serde::de::{self, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::Message;
-use crate::check::{SettingError, require};
+use crate::check::{SettingError, require, require_within};
 
 /// The longest reaction delay, in steps; draws beyond it are cut.
 pub(super) const MAX_REACTION_DELAY: u32 = 60;
@@ -216,26 +215,10 @@ pub struct HumanSettings {
     pub can_stop: bool,
 }
 
-impl From<u32> for ReactionDelay {
-    fn from(steps: u32) -> Self {
-        Self::Fixed(steps)
-    }
-}
-
-impl From<u32> for FollowThrough {
-    fn from(steps: u32) -> Self {
-        Self::Fixed(steps)
-    }
-}
-
 /// Reads a choice by its name, as a table with one key, or as a bare number of steps.
-fn read_or_fixed<'de, T, D>(deserializer: D) -> Result<T, D::Error>
-where
-    T: Deserialize<'de> + From<u32>,
-    D: Deserializer<'de>,
-{
+fn read_or_fixed<'de, T: Deserialize<'de>, D: Deserializer<'de>>(given: D) -> Result<T, D::Error> {
     struct Steps<T>(PhantomData<T>);
-    impl<'de, T: Deserialize<'de> + From<u32>> Visitor<'de> for Steps<T> {
+    impl<'de, T: Deserialize<'de>> Visitor<'de> for Steps<T> {
         type Value = T;
 
         fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -244,12 +227,14 @@ where
 
         fn visit_u64<E: de::Error>(self, steps: u64) -> Result<T, E> {
             let wrong = |_| E::invalid_value(Unexpected::Unsigned(steps), &self);
-            u32::try_from(steps).map(T::from).map_err(wrong)
+            let fixed = ("fixed", u32::try_from(steps).map_err(wrong)?);
+            self.visit_map(MapDeserializer::new(std::iter::once(fixed)))
         }
 
         fn visit_i64<E: de::Error>(self, steps: i64) -> Result<T, E> {
             let wrong = |_| E::invalid_value(Unexpected::Signed(steps), &self);
-            u32::try_from(steps).map(T::from).map_err(wrong)
+            let steps = u32::try_from(steps).map_err(wrong)?;
+            self.visit_u64(steps.into())
         }
 
         fn visit_str<E: de::Error>(self, name: &str) -> Result<T, E> {
@@ -264,7 +249,7 @@ where
             }
         }
     }
-    deserializer.deserialize_any(Steps(PhantomData))
+    given.deserialize_any(Steps(PhantomData))
 }
 
 impl Default for HumanSettings {
@@ -292,15 +277,6 @@ impl Default for HumanSettings {
 }
 
 impl HumanSettings {
-    /// Returns the profile closest to the letter of the source.
-    pub fn paper() -> Self {
-        Self {
-            follow_through_end: FollowThroughEnd::Inclusive,
-            interrupt: Interrupt::Replace,
-            ..Self::default()
-        }
-    }
-
     /// Returns the listener who understands and reacts in the very step in which a message starts.
     pub fn delay_free() -> Self {
         Self {
@@ -310,47 +286,42 @@ impl HumanSettings {
         }
     }
 
-    /// Checks ranges.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] naming the first impossible setting.
-    pub fn check(&self) -> Result<(), SettingError> {
+    /// Checks ranges; the error names the first impossible setting.
+    pub(crate) fn check(&self) -> Result<(), SettingError> {
         self.check_delay()?;
         require(self.words_from <= 1, "human.words_from", self.words_from, "0 or 1")?;
-        let weights = [
-            ("human.informativeness_weight", self.informativeness_weight),
-            ("human.reason_weight", self.reason_weight),
-        ];
-        for (key, weight) in weights {
-            require((0.0..=1e6).contains(&weight), key, weight, "0 to 1000000")?;
-        }
+        let weight = self.informativeness_weight;
+        require_within("human.informativeness_weight", weight, 0.0..=1e6, "")?;
+        require_within("human.reason_weight", self.reason_weight, 0.0..=1e6, "")?;
         let words = self.reason_from_words;
         require(words >= 1, "human.reason_from_words", words, "at least 1")?;
-        if let FollowThrough::Fixed(steps) = self.follow_through {
-            require((1..=1000).contains(&steps), "human.follow_through", steps, "1 to 1000 steps")?;
+        match self.follow_through {
+            FollowThrough::Fixed(steps) => {
+                require_within("human.follow_through", steps, 1..=1000, "steps")
+            }
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     fn check_delay(&self) -> Result<(), SettingError> {
         const KEY: &str = "human.reaction_delay";
-        const STEPS: &str = "0 to 60 steps";
-        let max = f64::from(MAX_REACTION_DELAY);
+        let possible = 0.0..=f64::from(MAX_REACTION_DELAY);
         match self.reaction_delay {
-            ReactionDelay::Fixed(steps) => require(steps <= MAX_REACTION_DELAY, KEY, steps, STEPS),
+            ReactionDelay::Fixed(steps) => {
+                require_within(KEY, steps, 0..=MAX_REACTION_DELAY, "steps")
+            }
             ReactionDelay::Normal { mean, deviation, .. } => {
-                require((0.0..=max).contains(&mean), KEY, mean, STEPS)?;
-                let spread = (0.0..=max).contains(&deviation);
-                require(spread, KEY, deviation, "a standard deviation of 0 to 60 steps")
+                require_within(KEY, mean, possible.clone(), "steps")?;
+                let allowed = "a standard deviation of 0 to 60 steps";
+                require(possible.contains(&deviation), KEY, deviation, allowed)
             }
             ReactionDelay::Uniform { low, high, .. } => {
                 let fits = low <= high && high <= MAX_REACTION_DELAY;
                 require(fits, KEY, format_args!("{low}..={high}"), "0 <= low <= high <= 60")
             }
             ReactionDelay::Person { mean, spread, drift } => {
-                require((0.0..=max).contains(&mean), KEY, mean, STEPS)?;
-                require((0.0..=max).contains(&spread), KEY, spread, "a spread of 0 to 60 steps")?;
+                require_within(KEY, mean, possible.clone(), "steps")?;
+                require(possible.contains(&spread), KEY, spread, "a spread of 0 to 60 steps")?;
                 let fits = (-1.0..=1.0).contains(&drift);
                 require(fits, KEY, drift, "a drift of -1 to 1 steps per step")
             }
@@ -358,7 +329,7 @@ impl HumanSettings {
     }
 
     /// Computes the steps after which a message is understood (0: in the step in which it starts).
-    pub fn effective_comprehension(&self, message: Message) -> u32 {
+    pub(super) fn effective_comprehension(&self, message: Message) -> u32 {
         match self.comprehension {
             Comprehension::Words => (message.comprehension + self.words_from).saturating_sub(1),
             Comprehension::Immediate => 0,
@@ -366,7 +337,7 @@ impl HumanSettings {
     }
 
     /// Computes how informative a message is: I = α · (l or l - k) + β · (1 if it states a reason).
-    pub fn informativeness_of(&self, message: Message) -> f64 {
+    pub(super) fn informativeness_of(&self, message: Message) -> f64 {
         let counted = match self.informativeness {
             Informativeness::Length => message.conveyance,
             Informativeness::Tail => message.conveyance - message.comprehension,
@@ -376,17 +347,14 @@ impl HumanSettings {
     }
 
     /// Computes how many steps the reaction to a message lasts, both conventions of its end included.
-    pub fn reaction_steps(&self, message: Message) -> u32 {
+    pub(super) fn reaction_steps(&self, message: Message) -> u32 {
         let informativeness = self.informativeness_of(message);
         let steps = match self.follow_through {
             FollowThrough::Length => libm::round(informativeness) as u32,
             FollowThrough::TwiceLengthMinusTwo => libm::round(2.0 * informativeness - 2.0) as u32,
             FollowThrough::Fixed(steps) => steps,
         };
-        match self.follow_through_end {
-            FollowThroughEnd::Exclusive => steps,
-            FollowThroughEnd::Inclusive => steps + 1,
-        }
+        steps + u32::from(self.follow_through_end == FollowThroughEnd::Inclusive)
     }
 }
 
@@ -437,10 +405,8 @@ mod tests {
         delay(ReactionDelay::Person { mean: 2.0, spread: 0.5, drift: 2.0 });
         let error = HumanSettings { words_from: 2, ..HumanSettings::default() }.check();
         assert_eq!(error.unwrap_err().key, "human.words_from");
-        for good in [HumanSettings::default(), HumanSettings::paper(), HumanSettings::delay_free()]
-        {
-            good.check().unwrap();
-        }
+        HumanSettings::default().check().unwrap();
+        HumanSettings::delay_free().check().unwrap();
     }
 
     #[test]

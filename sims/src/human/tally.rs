@@ -40,22 +40,9 @@ pub struct Tally {
 impl Tally {
     /// Tells whether an episode could have come to these numbers, with room to count on.
     pub(super) fn is_plausible(&self) -> bool {
-        let &Self {
-            started,
-            ignored,
-            continued,
-            preempted,
-            comprehended,
-            delivered,
-            overwritten,
-            followed,
-            unheeded,
-            sum_k,
-            sum_l,
-            long,
-        } = self;
-        let initiations = [started, ignored, continued, sum_k, sum_l, long];
-        let fates = [preempted, comprehended, delivered, overwritten, followed, unheeded];
-        initiations.iter().chain(&fates).all(|&count| count <= MAX_COUNT)
+        let said = [self.started, self.ignored, self.continued, self.sum_k, self.sum_l, self.long];
+        let heard = [self.preempted, self.comprehended, self.delivered];
+        let done = [self.overwritten, self.followed, self.unheeded];
+        said.iter().chain(&heard).chain(&done).all(|&count| count <= MAX_COUNT)
     }
 }

@@ -63,14 +63,12 @@ impl Actions {
         known_topics: &[&str],
         can_stop: bool,
     ) -> Result<Self, SettingError> {
-        settings.check(known_topics)?;
-        Ok(Self {
-            notification: settings.notification,
-            words: settings.words.clone(),
-            topic_ids: settings.topic_ids(known_topics)?,
-            cells: settings.said(known_topics)?,
-            can_stop,
-        })
+        settings.check()?;
+        let topic_ids = settings.topic_ids(known_topics)?;
+        let table = |cells: &Vec<_>| CellTable::new(cells, known_topics, &topic_ids);
+        let cells = settings.cells.as_ref().map(table).transpose()?;
+        let words = settings.words.clone();
+        Ok(Self { notification: settings.notification, words, topic_ids, cells, can_stop })
     }
 
     /// Describes the heads, the gate on starting, and the rule k <= l.
@@ -148,12 +146,10 @@ impl Actions {
         Mask(!(start | stop))
     }
 
-    /// Returns the length of an encoded action.
     pub(super) fn encoded_dim(&self) -> usize {
         1 + self.topic_ids.len() + 2 * self.words.len() + usize::from(self.can_stop)
     }
 
-    /// Returns how many topics there are to choose from.
     pub(super) fn n_topics(&self) -> usize {
         self.topic_ids.len()
     }
@@ -182,6 +178,7 @@ impl Actions {
 
 #[cfg(test)]
 mod tests {
+    use super::NotificationType::{CompleteUtterance, IncrementallyActionable, TopicOnly};
     use super::*;
 
     const TOPICS: &[&str] = &["up", "down", "wait"];
@@ -197,39 +194,38 @@ mod tests {
 
     #[test]
     fn a_type_restricts_the_heads() {
-        let names = |notification| -> Vec<String> {
+        for (notification, expected) in [
+            (TopicOnly, &["initiate", "topic"][..]),
+            (CompleteUtterance, &["initiate", "topic", "l"]),
+            (IncrementallyActionable, &["initiate", "topic", "k", "l"]),
+        ] {
             let spec = actions(notification, false).spec();
             spec.check().unwrap();
-            spec.heads.iter().map(|head| head.name.clone()).collect()
-        };
-        assert_eq!(names(NotificationType::TopicOnly), ["initiate", "topic"]);
-        assert_eq!(names(NotificationType::CompleteUtterance), ["initiate", "topic", "l"]);
-        let all = names(NotificationType::IncrementallyActionable);
-        assert_eq!(all, ["initiate", "topic", "k", "l"]);
+            let names: Vec<&str> = spec.heads.iter().map(|head| head.name.as_str()).collect();
+            assert_eq!(names, expected);
+        }
     }
 
     #[test]
     fn ten_of_the_sixteen_pairs_are_possible() {
-        let actions = actions(NotificationType::IncrementallyActionable, false);
+        let actions = actions(IncrementallyActionable, false);
         let spec = actions.spec();
         let pairs = (0..4).flat_map(|k| (0..4).map(move |l| [1, 0, k, l]));
         let possible: Vec<[u8; 4]> = pairs.filter(|a| spec.allows(Mask::ALL, a)).collect();
         assert_eq!(possible.len(), 10);
         for action in possible {
-            let SpeechAct::Start(message) = actions.speech_act(&action) else {
-                panic!("{action:?}")
-            };
-            assert!(message.comprehension <= message.conveyance);
+            let act = actions.speech_act(&action);
+            assert!(matches!(act, SpeechAct::Start(said) if said.comprehension <= said.conveyance));
         }
     }
 
     #[test]
     fn actions_and_messages_correspond() {
-        let topic_only = actions(NotificationType::TopicOnly, false);
+        let topic_only = actions(TopicOnly, false);
         assert_eq!(topic_only.speech_act(&[1, 2]), SpeechAct::Start(message(2, 2, 2)));
-        let complete = actions(NotificationType::CompleteUtterance, false);
+        let complete = actions(CompleteUtterance, false);
         assert_eq!(complete.speech_act(&[1, 1, 3]), SpeechAct::Start(message(1, 5, 5)));
-        let full = actions(NotificationType::IncrementallyActionable, true);
+        let full = actions(IncrementallyActionable, true);
         assert_eq!(full.speech_act(&[1, 0, 1, 3]), SpeechAct::Start(message(0, 3, 5)));
         assert_eq!(full.speech_act(&[0, 0, 1, 3]), SpeechAct::Continue);
         assert_eq!(full.speech_act(&[2, 0, 1, 3]), SpeechAct::Stop);
@@ -258,21 +254,18 @@ mod tests {
 
     #[test]
     fn masks_withhold_start_and_stop() {
-        let actions = actions(NotificationType::IncrementallyActionable, true);
+        let actions = actions(IncrementallyActionable, true);
         let spec = actions.spec();
-        let allowed = |start, stop| {
+        for (start, stop) in [(true, true), (false, true), (true, false), (false, false)] {
             let mask = actions.mask(Offered { start, stop });
-            [0, 1, 2].map(|choice| spec.allows(mask, &[choice, 0, 0, 0]))
-        };
-        assert_eq!(allowed(true, true), [true, true, true]);
-        assert_eq!(allowed(false, true), [true, false, true]);
-        assert_eq!(allowed(true, false), [true, true, false]);
-        assert!(spec.allows(actions.mask(Offered { start: false, stop: false }), &[0, 2, 1, 3]));
+            let offered = [0, 1, 2].map(|choice| spec.allows(mask, &[choice, 2, 1, 3]));
+            assert_eq!(offered, [true, start, stop]);
+        }
     }
 
     #[test]
     fn what_was_done_is_encoded_one_hot() {
-        let actions = actions(NotificationType::IncrementallyActionable, true);
+        let actions = actions(IncrementallyActionable, true);
         let mut out = [7.0; 13];
         assert_eq!(actions.encoded_dim(), out.len());
         actions.encode(Some(message(1, 2, 4)), false, &mut out);

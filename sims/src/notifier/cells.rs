@@ -33,21 +33,14 @@ impl CellTable {
         known: &[&str],
         spoken: &[usize],
     ) -> Result<Self, SettingError> {
-        let error = |given: String| {
-            SettingError {
-            key: "notifier.cells",
-            given,
-            allowed: format!(
-                "[topic, k, l] with 1 <= k <= l <= {MAX_WORDS}, at least one for each topic that may be spoken of; \
-                 topics: {}",
-                known.join(", ")
-            )
-            .into(),
-        }
-        };
+        let topics = known.join(", ");
+        let allowed = format!(
+            "[topic, k, l] with 1 <= k <= l <= {MAX_WORDS}, at least one for each topic that may be spoken of; \
+             topics: {topics}"
+        );
+        let error = |given| SettingError { key: "notifier.cells", given, allowed: allowed.into() };
         let mut by_topic = vec![Vec::new(); known.len()];
-        for cell in cells {
-            let (name, k, l) = cell;
+        for (name, k, l) in cells {
             let fits = 1 <= *k && k <= l && *l <= MAX_WORDS;
             match known.iter().position(|topic| topic == name).filter(|_| fits) {
                 Some(id) => by_topic[id].push((*k, *l)),
@@ -77,10 +70,8 @@ impl CellTable {
             LATE * late + EARLY * early + LENGTH * l.abs_diff(asked_l)
         };
         // Cells come in rising order, and the first of the least is taken.
-        let nearest = self
-            .by_topic
-            .get(message.topic)
-            .and_then(|cells| cells.iter().min_by_key(|cell| lost(cell)));
+        let cells = self.by_topic.get(message.topic).into_iter().flatten();
+        let nearest = cells.min_by_key(|cell| lost(cell));
         let (comprehension, conveyance) = nearest.copied().unwrap_or((asked_k, asked_l));
         Message { comprehension, conveyance, ..message }
     }
@@ -100,16 +91,14 @@ mod tests {
     fn an_empty_cell_becomes_the_nearest_of_its_topic() {
         let list = cells(&[("up", 4, 4), ("up", 2, 2), ("up", 3, 5), ("down", 2, 2)]);
         let cells = CellTable::new(&list, TOPICS, &[0, 1]).unwrap();
-        let said = |topic, comprehension, conveyance| {
-            let said = cells.nearest(Message { topic, comprehension, conveyance });
-            assert_eq!(said.topic, topic);
-            (said.comprehension, said.conveyance)
-        };
-        assert_eq!(said(0, 3, 5), (3, 5));
-        assert_eq!(said(0, 3, 3), (3, 5));
-        assert_eq!(said(0, 2, 5), (2, 2));
-        assert_eq!(said(0, 5, 5), (4, 4));
-        assert_eq!(said(1, 5, 5), (2, 2));
+        let message =
+            |topic, comprehension, conveyance| Message { topic, comprehension, conveyance };
+        let said = |topic, k, l| cells.nearest(message(topic, k, l));
+        assert_eq!(said(0, 3, 5), message(0, 3, 5));
+        assert_eq!(said(0, 3, 3), message(0, 3, 5));
+        assert_eq!(said(0, 2, 5), message(0, 2, 2));
+        assert_eq!(said(0, 5, 5), message(0, 4, 4));
+        assert_eq!(said(1, 5, 5), message(1, 2, 2));
     }
 
     #[test]
@@ -117,15 +106,12 @@ mod tests {
         let refused = |list: &[(&str, u32, u32)]| {
             CellTable::new(&cells(list), TOPICS, &[0, 1]).unwrap_err().to_string()
         };
-        assert!(
-            refused(&[("up", 2, 2)])
-                .starts_with("`notifier.cells` is a table without `down`; allowed:")
-        );
+        let text = refused(&[("up", 2, 2)]);
+        assert!(text.starts_with("`notifier.cells` is a table without `down`; allowed:"), "{text}");
         for (topic, k, l) in [("left", 2, 2), ("up", 3, 2), ("up", 0, 2), ("up", 2, 1001)] {
             let text = refused(&[("up", 2, 2), ("down", 2, 2), (topic, k, l)]);
-            let given =
-                format!("`notifier.cells` is a table with [\"{topic}\", {k}, {l}]; allowed");
-            assert!(text.starts_with(&given), "{text}");
+            let given = format!("is a table with [\"{topic}\", {k}, {l}]; allowed");
+            assert!(text.contains(&given), "{text}");
         }
         CellTable::new(&cells(&[("up", 2, 2)]), TOPICS, &[0]).unwrap();
     }

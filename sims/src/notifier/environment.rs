@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::actions::{Actions, Offered};
 use super::history::History;
 use super::settings::NotifierSettings;
+use crate::Domain;
 use crate::environment::{
     EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome, read_snapshot,
     write_snapshot,
@@ -14,7 +15,6 @@ use crate::environment::{
 use crate::error::TaskError;
 use crate::human::{BlockedInitiation, Human, HumanSettings, HumanState, Initiation, SpeechAct};
 use crate::scene::{Listener, Scene, Speech};
-use crate::{Domain, Message};
 
 /// The notifier's own metrics; `success` first, and the domain's follow.
 const METRICS: [&str; 17] = [
@@ -97,18 +97,15 @@ impl<D: Domain> NotifierEnv<D> {
         let actions = Actions::new(notifier, domain.topics(), human.can_stop)?;
         let history = History::new(notifier.history, domain.obs_dim(), actions.encoded_dim());
         let status_dim = if notifier.observe_utterance { 1 + actions.n_topics() } else { 0 };
+        let obs_dim = history.row().len() + status_dim;
         let metrics = METRICS.iter().chain(domain.metric_names()).map(|&name| name.to_owned());
-        let spec = EnvSpec {
-            obs_dim: history.row().len() + status_dim,
-            actions: actions.spec(),
-            metrics: metrics.collect(),
-        };
+        let spec = EnvSpec { obs_dim, actions: actions.spec(), metrics: metrics.collect() };
         spec.actions.check()?;
-        let informative =
-            (0..domain.topics().len()).filter(|&topic| !domain.asks_for_action(topic));
+        let informs = |topic: &usize| !domain.asks_for_action(*topic);
+        let informative = (0..domain.topics().len()).filter(informs).collect();
         Ok(Self {
             spec,
-            human: Human::new(human).with_informative(informative.collect()),
+            human: Human::new(human, informative),
             domain,
             actions,
             history,
@@ -142,7 +139,11 @@ impl<D: Domain> NotifierEnv<D> {
         self.report_reaction_over();
         let initiation = self.human.apply(act);
         self.report_reaction_over();
-        if let (SpeechAct::Start(message), Initiation::Started) = (act, initiation) {
+        let started = match (act, initiation) {
+            (SpeechAct::Start(message), Initiation::Started) => Some(message),
+            _ => None,
+        };
+        if let Some(message) = started {
             self.domain.started(message);
         }
         let reaction = self.human.reaction();
@@ -152,15 +153,19 @@ impl<D: Domain> NotifierEnv<D> {
         self.reaction_began = self.human.tally().followed > n_followed;
         self.report_reaction_over();
         self.hear_word();
-        let (n_steps, started) = (self.last.n_steps + 1, initiation == Initiation::Started);
-        let is_first = started && self.last.first_start == 0;
+        let n_steps = self.last.n_steps + 1;
+        let is_first = started.is_some() && self.last.first_start == 0;
         self.last = StepMemory {
             n_steps,
             first_start: if is_first { n_steps } else { self.last.first_start },
-            started,
+            started: started.is_some(),
             reacting: reaction.map(|reaction| reaction.topic),
         };
-        self.remember(act, initiation);
+        // What the world looks like now, and what was really started or stopped.
+        let (domain, actions) = (&self.domain, &self.actions);
+        let encode =
+            |out: &mut [f32]| actions.encode(started, initiation == Initiation::Stopped, out);
+        self.history.push(|out| domain.observe(out), encode);
         self.write_observation(observation);
         let reward = advance.reward + reaction_reward - self.cost(initiation);
         (StepOutcome { reward: reward as f32, end: advance.end }, initiation)
@@ -175,43 +180,28 @@ impl<D: Domain> NotifierEnv<D> {
     fn hear_word(&mut self) {
         let delivered = self.human.hear_word();
         self.report_reaction_over();
-        if let Some(message) = delivered
-            && self.domain.deliver(message).cancels_reaction
-        {
+        if delivered.is_some_and(|message| self.domain.deliver(message).cancels_reaction) {
             self.human.cancel_reaction();
             self.report_reaction_over();
         }
     }
 
     fn cost(&self, initiation: Initiation) -> f64 {
+        let charges_blocked = self.blocked == BlockedInitiation::IgnoreCharged;
         match initiation {
             Initiation::Started => self.initiation_cost,
-            Initiation::Blocked if self.blocked == BlockedInitiation::IgnoreCharged => {
-                self.initiation_cost
-            }
+            Initiation::Blocked if charges_blocked => self.initiation_cost,
             _ => 0.0,
         }
-    }
-
-    /// Adds the step to the history: what the world looks like now, and what was really started or stopped.
-    fn remember(&mut self, act: SpeechAct, initiation: Initiation) {
-        let started = match (act, initiation) {
-            (SpeechAct::Start(message), Initiation::Started) => Some(message),
-            _ => None,
-        };
-        let stopped = initiation == Initiation::Stopped;
-        let (domain, actions) = (&self.domain, &self.actions);
-        self.history.push(|out| domain.observe(out), |out| actions.encode(started, stopped, out));
     }
 
     fn write_observation(&self, observation: &mut [f32]) {
         let (row, status) = observation.split_at_mut(self.history.row().len());
         row.copy_from_slice(self.history.row());
-        if !self.observe_utterance {
-            return;
-        }
         status.fill(0.0);
-        if let Some((message, heard)) = self.human.speech() {
+        if self.observe_utterance
+            && let Some((message, heard)) = self.human.speech()
+        {
             status[0] = heard as f32 / message.conveyance as f32;
             self.actions.encode_topic(message.topic, &mut status[1..]);
         }
@@ -225,11 +215,6 @@ impl<D: Domain> NotifierEnv<D> {
             heard,
             started: self.last.started,
         })
-    }
-
-    /// Returns what a scripted notifier starts now, if the listener lets it.
-    fn script(&self, name: &str) -> Option<Message> {
-        self.human.may_start().then(|| self.domain.script(name)).flatten()
     }
 }
 
@@ -270,7 +255,8 @@ impl<D: Domain> Environment for NotifierEnv<D> {
 
     fn metrics(&self, out: &mut [f32]) {
         let tally = self.human.tally();
-        let own = [
+        let (notifier, domain) = out.split_at_mut(METRICS.len());
+        notifier.copy_from_slice(&[
             f32::from(u8::from(self.domain.success())),
             tally.started as f32,
             share(tally.started, self.last.n_steps),
@@ -288,9 +274,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             share(tally.sum_k, tally.started),
             share(tally.sum_l, tally.started),
             self.last.first_start as f32,
-        ];
-        let (notifier, domain) = out.split_at_mut(METRICS.len());
-        notifier.copy_from_slice(&own);
+        ]);
         self.domain.metrics(domain);
     }
 
@@ -309,12 +293,12 @@ impl<D: Domain> Environment for NotifierEnv<D> {
     fn read_state(&mut self, state: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
         let snapshot: NotifierSnapshot = read_snapshot(state)?;
         let n_topics = self.domain.topics().len();
-        let known = snapshot.last.reacting.is_none_or(|topic| topic < n_topics);
+        let StepMemory { n_steps, first_start, reacting, .. } = snapshot.last;
+        let known = reacting.is_none_or(|topic| topic < n_topics);
         if !snapshot.human.fits(n_topics) || !known {
             return Err(SnapshotError::Mismatch { what: "topics or words" });
         }
         let finite = snapshot.history.iter().all(|value| value.is_finite());
-        let StepMemory { n_steps, first_start, .. } = snapshot.last;
         let counts_on = n_steps < MAX_STEPS && first_start <= n_steps;
         if !finite || !counts_on || !self.history.restore(&snapshot.history) {
             return Err(SnapshotError::Mismatch { what: "history" });
@@ -334,7 +318,9 @@ impl<D: Domain> Environment for NotifierEnv<D> {
     fn baseline_action(&self, name: &str, action: &mut [u8]) -> bool {
         let known = self.domain.scripts().contains(&name);
         if known {
-            self.actions.write(self.script(name), action);
+            // What a scripted notifier starts now, if the listener lets it.
+            let message = self.human.may_start().then(|| self.domain.script(name)).flatten();
+            self.actions.write(message, action);
         }
         known
     }

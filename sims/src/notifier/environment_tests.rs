@@ -2,14 +2,13 @@
 
 use leadtime_proto::EnvId;
 use proptest::prelude::*;
+use proptest::sample::select;
 
 use super::*;
 use crate::environment::End;
 use crate::human::{Interrupt, ReactionDelay, ReactionReward};
-use crate::notifier::NotificationType;
-use crate::scene::Gauge;
-use crate::scene::View;
-use crate::{Advance, Delivery, ReactionStatus, ReactionStep};
+use crate::notifier::NotificationType::{CompleteUtterance, IncrementallyActionable};
+use crate::{Advance, Delivery, Message, ReactionStatus, ReactionStep};
 
 const LIMIT: u32 = 40;
 /// Beyond this place there is a wall to the right.
@@ -79,15 +78,7 @@ impl Domain for Walker {
         Ok(())
     }
     fn scene(&self) -> Scene {
-        Scene {
-            view: View { min: [0.0, 0.0], max: [40.0, 1.0] },
-            shapes: Vec::new(),
-            position: [self.place as f64, 0.0],
-            gauge: Gauge { label: "place", value: self.place as f64 },
-            others: Vec::new(),
-            listener: Listener::default(),
-            outcome: String::new(),
-        }
+        Scene::default()
     }
 }
 
@@ -98,8 +89,19 @@ fn env(human: &HumanSettings, notifier: &NotifierSettings) -> NotifierEnv<Walker
     NotifierEnv::new(Walker::default(), human, notifier).unwrap()
 }
 
+/// A listener and a notifier as by default, but without a reaction delay.
+fn undelayed_env() -> NotifierEnv<Walker> {
+    let human = HumanSettings { reaction_delay: ReactionDelay::Fixed(0), ..Default::default() };
+    env(&human, &NotifierSettings::default())
+}
+
 fn default_env() -> NotifierEnv<Walker> {
     env(&HumanSettings::default(), &NotifierSettings::default())
+}
+
+/// One action, and then silence.
+fn only<const N: usize>(action: [u8; 4]) -> [[u8; 4]; N] {
+    std::array::from_fn(|t| if t == 0 { action } else { SILENT })
 }
 
 fn reset(env: &mut NotifierEnv<Walker>) -> Vec<f32> {
@@ -108,15 +110,21 @@ fn reset(env: &mut NotifierEnv<Walker>) -> Vec<f32> {
     observation
 }
 
-/// Plays actions from a reset; returns the places after each step and the rewards.
-fn play(env: &mut NotifierEnv<Walker>, actions: &[[u8; 4]]) -> (Vec<i64>, Vec<f32>) {
+/// Plays actions from a place; returns the places after each step and the rewards.
+fn play(env: &mut NotifierEnv<Walker>, from: i64, actions: &[[u8; 4]]) -> (Vec<i64>, Vec<f32>) {
     let mut observation = reset(env);
-    env.domain.place = 2;
+    env.domain.place = from;
     let mut step = |action: &[u8; 4]| {
         let outcome = env.step(action, &mut observation);
         (env.domain.place, outcome.reward)
     };
     actions.iter().map(&mut step).unzip()
+}
+
+fn snapshot(env: &NotifierEnv<Walker>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    env.snapshot(&mut bytes);
+    bytes
 }
 
 fn metric(env: &NotifierEnv<Walker>, name: &str) -> f32 {
@@ -128,64 +136,43 @@ fn metric(env: &NotifierEnv<Walker>, name: &str) -> f32 {
 #[test]
 fn a_message_changes_the_world_k_plus_delay_later_and_costs_once() {
     // "hold", k = 2, l = 3: comprehended at 2, acted upon in steps 4, 5 and 6.
-    let mut actions = [SILENT; 9];
-    actions[0] = [1, 1, 0, 1];
     let mut env = default_env();
-    let (places, rewards) = play(&mut env, &actions);
+    let (places, rewards) = play(&mut env, 2, &only::<9>([1, 1, 0, 1]));
     assert_eq!(places, [3, 4, 5, 6, 6, 6, 6, 7, 8]);
     assert_eq!(rewards, [2.0, 4.0, 5.0, 6.0, 6.0, 6.0, 6.0, 7.0, 8.0]);
     assert_eq!((metric(&env, "followed"), metric(&env, "reactions_over")), (1.0, 1.0));
     assert_eq!((metric(&env, "mean_k"), metric(&env, "mean_l")), (2.0, 3.0));
     assert_eq!(metric(&env, "notifications_per_step"), 1.0 / 9.0);
+    assert_eq!(metric(&env, "first_notification"), 1.0);
+    play(&mut env, 2, &[SILENT, SILENT]);
+    assert_eq!(metric(&env, "first_notification"), 0.0);
+    play(&mut env, 2, &[SILENT, SILENT, [1, 0, 0, 0], SILENT, SILENT, SILENT, [1, 0, 0, 0]]);
+    assert_eq!(metric(&env, "first_notification"), 3.0);
 }
 
 #[test]
-fn a_world_that_ends_a_reaction_gets_its_person_back() {
-    let human = HumanSettings { reaction_delay: ReactionDelay::Fixed(0), ..Default::default() };
-    let mut env = env(&human, &NotifierSettings::default());
-    let mut actions = [SILENT; 9];
-    actions[0] = [1, 0, 0, 2];
+fn a_world_that_ends_a_reaction_gets_its_person_back_and_so_does_a_delivery_that_discloses() {
+    let (mut env, actions) = (undelayed_env(), only::<9>([1, 0, 0, 2]));
     // "back" from 4 for four steps, but the wall at 0 is met only if it takes longer: 4, then 3, 2, 1, 0.
-    assert_eq!(play(&mut env, &actions).0, [3, 4, 3, 2, 1, 0, 1, 2, 3]);
-    reset(&mut env);
-    env.domain.place = 0;
-    let mut observation = vec![0.0; env.spec().obs_dim];
-    let places: Vec<i64> = actions
-        .iter()
-        .map(|action| {
-            env.step(action, &mut observation);
-            env.domain.place
-        })
-        .collect();
+    assert_eq!(play(&mut env, 2, &actions).0, [3, 4, 3, 2, 1, 0, 1, 2, 3]);
     // 1, 2, then back to 0 in two steps; the third is blocked, which ends the reaction.
-    assert_eq!(places, [1, 2, 1, 0, 0, 1, 2, 3, 4]);
-}
-
-#[test]
-fn a_delivery_that_discloses_cancels_the_reaction() {
-    let human = HumanSettings { reaction_delay: ReactionDelay::Fixed(0), ..Default::default() };
-    let mut env = env(&human, &NotifierSettings::default());
-    let mut actions = [SILENT; 8];
-    actions[0] = [1, 1, 0, 3];
+    assert_eq!(play(&mut env, 0, &actions).0, [1, 2, 1, 0, 0, 1, 2, 3, 4]);
     // "hold", k = 2, l = 5 would hold in steps 2..=6; the fifth word, at time 5, cancels what is left.
-    assert_eq!(play(&mut env, &actions).0, [3, 4, 4, 4, 4, 5, 6, 7]);
+    assert_eq!(play(&mut env, 2, &only::<8>([1, 1, 0, 3])).0, [3, 4, 4, 4, 4, 5, 6, 7]);
     assert_eq!(metric(&env, "delivered_to_walker"), 1.0);
 }
 
 #[test]
 fn ignored_initiations_are_free_or_charged_as_set() {
-    for (blocked_initiation, cost) in
-        [(BlockedInitiation::IgnoreFree, 0.0), (BlockedInitiation::IgnoreCharged, 1.5)]
-    {
+    let rules = [(BlockedInitiation::IgnoreFree, 0.0), (BlockedInitiation::IgnoreCharged, 1.5)];
+    for (blocked_initiation, cost) in rules {
         let human = HumanSettings { blocked_initiation, ..Default::default() };
         let notifier = NotifierSettings { initiation_cost: 1.5, ..Default::default() };
         let mut env = env(&human, &notifier);
-        let (_, rewards) = play(&mut env, &[[1, 1, 2, 2], [1, 0, 0, 0], SILENT]);
+        let (_, rewards) = play(&mut env, 2, &[[1, 1, 2, 2], [1, 0, 0, 0], SILENT]);
         assert_eq!(rewards, [1.5, 4.0 - cost, 5.0]);
-        assert_eq!(
-            (metric(&env, "notifications"), metric(&env, "ignored_initiations")),
-            (1.0, 1.0)
-        );
+        assert_eq!(metric(&env, "notifications"), 1.0);
+        assert_eq!(metric(&env, "ignored_initiations"), 1.0);
     }
 }
 
@@ -193,21 +180,16 @@ fn ignored_initiations_are_free_or_charged_as_set() {
 fn the_reaction_reward_joins_the_domains() {
     let human = HumanSettings { reaction_reward: ReactionReward::Once, ..Default::default() };
     let mut env = env(&human, &NotifierSettings::default());
-    let mut actions = [SILENT; 8];
-    actions[0] = [1, 1, 0, 2];
     // "hold" of four words: R_react = 4 - 2 in step 4, where the walker stands at 6.
-    let (_, rewards) = play(&mut env, &actions);
+    let (_, rewards) = play(&mut env, 2, &only::<8>([1, 1, 0, 2]));
     assert_eq!(rewards, [2.0, 4.0, 5.0, 6.0, 8.0, 6.0, 6.0, 6.0]);
 }
 
 #[test]
 fn a_blocked_start_is_masked_where_masks_are_asked_for() {
-    let human = HumanSettings {
-        blocked_initiation: BlockedInitiation::Mask,
-        interrupt: Interrupt::Finish,
-        can_stop: true,
-        ..Default::default()
-    };
+    let (blocked_initiation, interrupt) = (BlockedInitiation::Mask, Interrupt::Finish);
+    let human =
+        HumanSettings { blocked_initiation, interrupt, can_stop: true, ..Default::default() };
     let mut env = env(&human, &NotifierSettings::default());
     let mut observation = reset(&mut env);
     let offered = |env: &NotifierEnv<Walker>| {
@@ -228,14 +210,8 @@ fn the_observation_is_the_history_and_the_own_utterance() {
     let mut observation = reset(&mut env);
     let start = env.domain.place as f32;
     let none = [0.0_f32; 11];
-    let expect = |pairs: [(f32, [f32; 11]); 2], status: [f32; 3]| -> Vec<f32> {
-        let mut row = Vec::new();
-        for (place, action) in pairs {
-            row.push(place);
-            row.extend(action);
-        }
-        row.extend(status);
-        row
+    let expect = |[(first, then), (second, last)]: [(f32, [f32; 11]); 2], status: [f32; 3]| {
+        [&[first][..], &then, &[second], &last, &status].concat()
     };
     assert_eq!(observation, expect([(start, none), (start, none)], [0.0; 3]));
     env.step(&[1, 1, 0, 2], &mut observation);
@@ -266,7 +242,7 @@ fn topics_can_be_restricted() {
     let notifier = NotifierSettings { topics, ..Default::default() };
     let mut env = env(&HumanSettings::delay_free(), &notifier);
     assert_eq!(env.spec().actions.heads[1].n_choices, 1);
-    assert_eq!(play(&mut env, &[[1, 0, 0, 0], SILENT, SILENT]).0, [2, 2, 3]);
+    assert_eq!(play(&mut env, 2, &only::<3>([1, 0, 0, 0])).0, [2, 2, 3]);
 }
 
 #[test]
@@ -288,18 +264,9 @@ fn baselines_speak_or_keep_silent() {
 }
 
 #[test]
-fn the_first_start_is_remembered_as_its_step() {
-    let mut env = default_env();
-    play(&mut env, &[SILENT, SILENT]);
-    assert_eq!(metric(&env, "first_notification"), 0.0);
-    play(&mut env, &[SILENT, SILENT, [1, 0, 0, 0], SILENT, SILENT, SILENT, [1, 0, 0, 0]]);
-    assert_eq!(metric(&env, "first_notification"), 3.0);
-}
-
-#[test]
 fn a_scene_shows_speech_and_reaction() {
     let mut env = default_env();
-    play(&mut env, &[[1, 1, 0, 3], SILENT, SILENT]);
+    play(&mut env, 2, &only::<3>([1, 1, 0, 3]));
     let listener = env.scene().unwrap().listener;
     assert_eq!(listener.speech.map(|speech| (speech.topic, speech.heard)), Some((1, 3)));
     assert_eq!((listener.pending, listener.reacting), (Some(1), None));
@@ -309,8 +276,7 @@ fn a_scene_shows_speech_and_reaction() {
 fn a_foreign_snapshot_is_refused() {
     let mut env = default_env();
     let mut observation = reset(&mut env);
-    let mut bytes = Vec::new();
-    env.snapshot(&mut bytes);
+    let bytes = snapshot(&env);
     let longer = NotifierSettings { history: 5, ..Default::default() };
     let mut other = self::env(&HumanSettings::default(), &longer);
     let mut wide = vec![0.0; other.spec().obs_dim];
@@ -319,48 +285,36 @@ fn a_foreign_snapshot_is_refused() {
     assert!(matches!(env.restore(cut, &mut observation), Err(SnapshotError::Codec(_))));
 }
 
-fn any_action() -> impl Strategy<Value = [u8; 4]> {
-    (0_u8..2, 0_u8..2, 0_u8..4, 0_u8..4).prop_map(|(i, c, k, l)| [i, c, k, l.max(k)])
-}
-
 proptest! {
     #[test]
     fn a_restored_episode_goes_on_bit_for_bit(
-        actions in prop::collection::vec(any_action(), 2..LIMIT as usize),
+        choices in prop::collection::vec((0_u8..2, 0_u8..2, 0_u8..4, 0_u8..4), 2..LIMIT as usize),
         cut in 0.0..1.0_f64,
-        complete in any::<bool>(),
+        notification in select(vec![CompleteUtterance, IncrementallyActionable]),
     ) {
         let drawn = crate::human::DelayDraw::PerNotification;
         let reaction_delay = ReactionDelay::Uniform { low: 0, high: 4, drawn };
         let human = HumanSettings { reaction_delay, ..Default::default() };
-        let notification = if complete {
-            NotificationType::CompleteUtterance
-        } else {
-            NotificationType::IncrementallyActionable
-        };
         let notifier = NotifierSettings { notification, ..Default::default() };
         let (mut straight, mut resumed) = (env(&human, &notifier), env(&human, &notifier));
         let mut expected = reset(&mut straight);
         let mut observation = reset(&mut resumed);
-        let cut = (cut * actions.len() as f64) as usize;
+        let cut = (cut * choices.len() as f64) as usize;
         let n_heads = straight.spec().actions.heads.len();
-        for (t, action) in actions.iter().enumerate() {
+        for (t, (initiate, topic, k, l)) in choices.into_iter().enumerate() {
+            let action = &[initiate, topic, k, l.max(k)][..n_heads];
             if t == cut {
-                let mut bytes = Vec::new();
-                resumed.snapshot(&mut bytes);
+                let bytes = snapshot(&resumed);
                 resumed = env(&human, &notifier);
                 observation.fill(f32::NAN);
                 resumed.restore(&bytes, &mut observation).unwrap();
                 prop_assert_eq!(&observation, &expected);
             }
-            let outcome = straight.step(&action[..n_heads], &mut expected);
-            prop_assert_eq!(resumed.step(&action[..n_heads], &mut observation), outcome);
+            let outcome = straight.step(action, &mut expected);
+            prop_assert_eq!(resumed.step(action, &mut observation), outcome);
             prop_assert_eq!(&observation, &expected);
         }
-        let (mut a, mut b) = (Vec::new(), Vec::new());
-        straight.snapshot(&mut a);
-        resumed.snapshot(&mut b);
-        prop_assert_eq!(a, b);
+        prop_assert_eq!(snapshot(&straight), snapshot(&resumed));
     }
 }
 
@@ -370,8 +324,7 @@ fn an_insight_tells_the_delay_and_when_a_reaction_begins() {
     let mut observation = reset(&mut env);
     env.domain.place = 2;
     // "hold", k = 2, l = 3: comprehended at 2, acted upon in steps 4, 5 and 6.
-    let mut actions = [SILENT; 9];
-    actions[0] = [1, 1, 0, 1];
+    let actions = only::<9>([1, 1, 0, 1]);
     let mut begun = Vec::new();
     for (t, action) in actions.iter().enumerate() {
         env.step(action, &mut observation);

@@ -18,7 +18,6 @@ impl History {
         Self { pairs: vec![0.0; n_pairs * pair_dim], obs_dim, pair_dim }
     }
 
-    /// Returns n.
     pub(super) fn n_pairs(&self) -> usize {
         self.pairs.len() / self.pair_dim
     }
@@ -46,7 +45,6 @@ impl History {
         encode_action(action);
     }
 
-    /// Returns all pairs in one row.
     pub(super) fn row(&self) -> &[f32] {
         &self.pairs
     }
@@ -58,21 +56,5 @@ impl History {
             self.pairs.copy_from_slice(row);
         }
         fits
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_newest_pair_comes_last() {
-        let mut history = History::new(2, 1, 1);
-        history.begin(|out| out[0] = 5.0);
-        assert_eq!(history.row(), [5.0, 0.0, 5.0, 0.0]);
-        history.push(|out| out[0] = 6.0, |out| out[0] = 1.0);
-        assert_eq!(history.row(), [5.0, 0.0, 6.0, 1.0]);
-        history.push(|out| out[0] = 7.0, |out| out[0] = 0.0);
-        assert_eq!(history.row(), [6.0, 1.0, 7.0, 0.0]);
     }
 }

@@ -9,9 +9,7 @@
 //! One step is one word. Its order is that of [`human::machine`](crate::human::machine): a due reaction starts, the
 //! notifier acts, the human acts, the world advances, a word is heard; then reward, observation and metrics.
 //!
-//! # Where to start
-//!
-//! [`NotifierEnv`] is the environment; [`NotifierSettings`] what can be chosen about it; [`TaskSettings`] a whole task.
+//! Where to start: [`NotifierEnv`] is the environment; [`NotifierSettings`] what can be chosen about it; [`TaskSettings`] a whole task.
 
 mod actions;
 mod cells;

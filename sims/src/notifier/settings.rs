@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::cells::{CellTable, SayableCell};
-use crate::check::{SettingError, require};
+use super::cells::SayableCell;
+use crate::check::{SettingError, require, require_within};
 use crate::human::machine::MAX_WORDS;
 
 /// Which parts of a message the policy chooses.
@@ -28,7 +28,8 @@ pub struct NotifierSettings {
     pub words: Vec<u32>,
     /// The topics that may be spoken of, by name, in this order. Default: all of the domain's.
     pub topics: Option<Vec<String>>,
-    /// The k and l that can be said on each topic; another choice becomes the nearest of its topic ([`CellTable`]).
+    /// The k and l that can be said on each topic; another choice becomes the nearest of its topic
+    /// ([`CellTable`](super::CellTable)).
     /// Default: all.
     pub cells: Option<Vec<SayableCell>>,
     /// How many (observation, action) pairs the policy sees (1..=64). Default 4.
@@ -54,63 +55,32 @@ impl Default for NotifierSettings {
 }
 
 impl NotifierSettings {
-    /// Checks ranges, and the topics against those of the domain.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] naming the first impossible setting.
-    pub fn check(&self, known_topics: &[&str]) -> Result<(), SettingError> {
+    /// Checks ranges; the error names the first impossible setting.
+    pub(super) fn check(&self) -> Result<(), SettingError> {
         let increasing = self.words.is_sorted_by(|a, b| a < b);
         let in_range = self.words.iter().all(|words| (1..=MAX_WORDS).contains(words));
         let fits = !self.words.is_empty() && increasing && in_range;
-        let given = format_args!("{:?}", self.words);
-        require(
-            fits,
-            "notifier.words",
-            given,
-            "increasing numbers of words, 1 to 1000, at least one",
-        )?;
-        let fits = (1..=64).contains(&self.history);
-        require(fits, "notifier.history", self.history, "1 to 64 pairs")?;
-        let cost = self.initiation_cost;
-        require((0.0..=1e6).contains(&cost), "notifier.initiation_cost", cost, "0 to 1000000")?;
-        self.said(known_topics).map(drop)
-    }
-
-    /// Returns which k and l can be said, if not all.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] if the table is impossible, or lacks a topic that may be spoken of.
-    pub fn said(&self, known: &[&str]) -> Result<Option<CellTable>, SettingError> {
-        let spoken = self.topic_ids(known)?;
-        self.cells.as_ref().map(|cells| CellTable::new(cells, known, &spoken)).transpose()
+        let allowed = "increasing numbers of words, 1 to 1000, at least one";
+        require(fits, "notifier.words", format_args!("{:?}", self.words), allowed)?;
+        require_within("notifier.history", self.history, 1..=64, "pairs")?;
+        require_within("notifier.initiation_cost", self.initiation_cost, 0.0..=1e6, "")
     }
 
     /// Returns the domain's ids of the topics that may be spoken of.
     ///
-    /// # Errors
-    ///
-    /// [`SettingError`] if the list is empty, names one twice, or one that the domain does not know.
-    pub fn topic_ids(&self, known: &[&str]) -> Result<Vec<usize>, SettingError> {
-        let error = |given: String| SettingError {
-            key: "notifier.topics",
-            given,
-            allowed: format!("at least one of {}, none twice", known.join(", ")).into(),
-        };
-        let Some(names) = &self.topics else {
-            let all: Vec<usize> = (0..known.len()).collect();
-            return if all.is_empty() { Err(error("[]".to_owned())) } else { Ok(all) };
-        };
+    /// The error says that the list is empty, names one twice, or one that the domain does not know.
+    pub(super) fn topic_ids(&self, known: &[&str]) -> Result<Vec<usize>, SettingError> {
+        let all = || known.iter().map(|&name| name.to_owned()).collect();
+        let names = self.topics.clone().unwrap_or_else(all);
         let mut ids = Vec::with_capacity(names.len());
-        for name in names {
+        for name in &names {
             let id = known.iter().position(|topic| topic == name);
-            match id.filter(|id| !ids.contains(id)) {
-                Some(id) => ids.push(id),
-                None => return Err(error(format!("{names:?}"))),
-            }
+            ids.extend(id.filter(|id| !ids.contains(id)));
         }
-        if ids.is_empty() { Err(error("[]".to_owned())) } else { Ok(ids) }
+        let fits = !ids.is_empty() && ids.len() == names.len();
+        let allowed = format!("at least one of {}, none twice", known.join(", "));
+        require(fits, "notifier.topics", format_args!("{names:?}"), allowed)?;
+        Ok(ids)
     }
 }
 
@@ -123,40 +93,37 @@ mod tests {
     fn refused(change: impl FnOnce(&mut NotifierSettings)) -> String {
         let mut settings = NotifierSettings::default();
         change(&mut settings);
-        settings.check(TOPICS).unwrap_err().to_string()
+        settings.check().unwrap_err().to_string()
+    }
+
+    fn topic_ids(names: &[&str]) -> Result<Vec<usize>, String> {
+        let topics = Some(names.iter().map(|&name| name.to_owned()).collect());
+        let settings = NotifierSettings { topics, ..NotifierSettings::default() };
+        settings.topic_ids(TOPICS).map_err(|error| error.to_string())
     }
 
     #[test]
     fn impossible_settings_are_named() {
-        let words = "allowed: increasing numbers of words, 1 to 1000, at least one";
-        assert_eq!(refused(|s| s.words = vec![]), format!("`notifier.words` is []; {words}"));
-        assert_eq!(
-            refused(|s| s.words = vec![3, 2]),
-            format!("`notifier.words` is [3, 2]; {words}")
+        let allowed = "allowed: increasing numbers of words, 1 to 1000, at least one";
+        for words in [vec![], vec![3, 2], vec![0, 2]] {
+            let text = format!("`notifier.words` is {words:?}; {allowed}");
+            assert_eq!(refused(|s| s.words = words), text);
+        }
+        assert!(
+            refused(|s| s.history = 0).contains("`notifier.history` is 0; allowed: 1 to 64 pairs")
         );
-        assert_eq!(
-            refused(|s| s.words = vec![0, 2]),
-            format!("`notifier.words` is [0, 2]; {words}")
-        );
-        let topics = "allowed: at least one of up, down, none twice";
-        assert_eq!(
-            refused(|s| s.topics = Some(vec![])),
-            format!("`notifier.topics` is []; {topics}")
-        );
-        let given = refused(|s| s.topics = Some(vec!["left".to_owned()]));
-        assert_eq!(given, format!("`notifier.topics` is [\"left\"]; {topics}"));
-        let given = refused(|s| s.topics = Some(vec!["up".to_owned(), "up".to_owned()]));
-        assert!(given.contains(topics), "{given}");
-        assert!(refused(|s| s.history = 0).contains("notifier.history"));
         assert!(refused(|s| s.initiation_cost = f64::NAN).contains("notifier.initiation_cost"));
-        assert!(refused(|s| s.initiation_cost = 1e38).contains("allowed: 0 to 1000000"));
-        NotifierSettings::default().check(TOPICS).unwrap();
+        assert!(refused(|s| s.initiation_cost = 1e38).ends_with("; allowed: 0 to 1000000"));
+        NotifierSettings::default().check().unwrap();
     }
 
     #[test]
-    fn topics_can_be_picked_and_reordered() {
-        let topics = Some(vec!["down".to_owned(), "up".to_owned()]);
-        let settings = NotifierSettings { topics, ..NotifierSettings::default() };
-        assert_eq!(settings.topic_ids(TOPICS).unwrap(), [1, 0]);
+    fn topics_can_be_picked_and_reordered_but_not_invented() {
+        assert_eq!(topic_ids(&["down", "up"]), Ok(vec![1, 0]));
+        let allowed = "allowed: at least one of up, down, none twice";
+        for names in [&[][..], &["left"], &["up", "up"]] {
+            let text = format!("`notifier.topics` is {names:?}; {allowed}");
+            assert_eq!(topic_ids(names), Err(text));
+        }
     }
 }

@@ -84,104 +84,59 @@ pub fn fly(lander: &mut Lander, flyer: Flyer<'_>, seed: u64) -> Flown {
 }
 
 /// Flies the episodes of a half-open range of Gymnasium's seeds.
-///
-/// # Example
-///
-/// ```
-/// use leadtime_lander::pilot::{Flyer, evaluate};
-/// use leadtime_lander::world::PhysicsSettings;
-///
-/// let evaluation = evaluate(Flyer::Heuristic, &PhysicsSettings::default(), 0..5);
-/// assert_eq!(evaluation.n_episodes, 5);
-/// assert!(evaluation.mean_return > 150.0);
-/// ```
 pub fn evaluate(
     flyer: Flyer<'_>,
     settings: &PhysicsSettings,
     seeds: Range<u64>,
 ) -> PilotEvaluation {
     let mut lander = Lander::new(settings);
-    let mut tally = PilotTally::default();
-    seeds.for_each(|seed| tally.add(&fly(&mut lander, flyer, seed)));
-    tally.evaluation()
+    sum_up(seeds.map(|seed| fly(&mut lander, flyer, seed)))
 }
 
-/// Sums up flown episodes one by one, in memory that does not grow with them.
-///
-/// # Source
+/// Sums up flown episodes one by one; all zero if there are none.
 ///
 /// The variance is accumulated as in Welford, *Technometrics* 4 (1962).
-#[derive(Clone, Copy, Debug, Default)]
-pub struct PilotTally {
-    n_episodes: u64,
-    total: f64,
-    /// The mean return so far, as the variance needs it.
-    mean: f64,
-    /// Sum of squared deviations from the mean return.
-    squares: f64,
-    frames: u64,
-    landed: u64,
-    crashed: u64,
-    out: u64,
-    timed_out: u64,
-}
-
-impl PilotTally {
-    /// Counts one episode.
-    pub fn add(&mut self, flown: &Flown) {
-        self.n_episodes += 1;
-        self.total += flown.total;
-        let deviation = flown.total - self.mean;
-        self.mean += deviation / self.n_episodes as f64;
-        self.squares += deviation * (flown.total - self.mean);
-        self.frames += u64::from(flown.frames);
+fn sum_up(episodes: impl Iterator<Item = Flown>) -> PilotEvaluation {
+    let mut sums = PilotEvaluation::default();
+    let (mut mean, mut squares) = (0.0, 0.0);
+    for flown in episodes {
+        sums.n_episodes += 1;
+        let deviation = flown.total - mean;
+        mean += deviation / sums.n_episodes as f64;
+        squares += deviation * (flown.total - mean);
+        sums.mean_return += flown.total;
+        sums.mean_frames += f64::from(flown.frames);
         *match flown.outcome {
-            Some(LanderOutcome::Landed) => &mut self.landed,
-            Some(LanderOutcome::Crashed) => &mut self.crashed,
-            Some(LanderOutcome::Out) => &mut self.out,
-            None => &mut self.timed_out,
-        } += 1;
+            Some(LanderOutcome::Landed) => &mut sums.landed,
+            Some(LanderOutcome::Crashed) => &mut sums.crashed,
+            Some(LanderOutcome::Out) => &mut sums.out,
+            None => &mut sums.timed_out,
+        } += 1.0;
     }
-
-    /// Returns what the episodes came to; all zero if there were none.
-    pub fn evaluation(&self) -> PilotEvaluation {
-        if self.n_episodes == 0 {
-            return PilotEvaluation::default();
-        }
-        let n = self.n_episodes as f64;
-        let variance = self.squares / (n - 1.0).max(1.0);
-        let share = |count: u64| count as f64 / n;
-        PilotEvaluation {
-            n_episodes: self.n_episodes,
-            mean_return: self.total / n,
-            standard_error: (variance / n).sqrt(),
-            mean_frames: share(self.frames),
-            landed: share(self.landed),
-            crashed: share(self.crashed),
-            out: share(self.out),
-            timed_out: share(self.timed_out),
-        }
+    let n = sums.n_episodes.max(1) as f64;
+    PilotEvaluation {
+        n_episodes: sums.n_episodes,
+        mean_return: sums.mean_return / n,
+        standard_error: (squares / (n - 1.0).max(1.0) / n).sqrt(),
+        mean_frames: sums.mean_frames / n,
+        landed: sums.landed / n,
+        crashed: sums.crashed / n,
+        out: sums.out / n,
+        timed_out: sums.timed_out / n,
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::LanderOutcome::{Crashed, Landed};
     use super::*;
 
     #[test]
     fn the_summary_is_that_of_a_small_sample() {
-        let flown = |total, outcome| Flown { total, frames: 10, outcome };
-        let mut tally = PilotTally::default();
-        assert_eq!(tally.evaluation(), PilotEvaluation::default());
-        for (total, outcome) in [
-            (1.0, Some(LanderOutcome::Landed)),
-            (2.0, Some(LanderOutcome::Crashed)),
-            (3.0, None),
-            (6.0, Some(LanderOutcome::Landed)),
-        ] {
-            tally.add(&flown(total, outcome));
-        }
-        let evaluation = tally.evaluation();
+        assert_eq!(sum_up(std::iter::empty()), PilotEvaluation::default());
+        let flown = |(total, outcome)| Flown { total, frames: 10, outcome };
+        let sample = [(1.0, Some(Landed)), (2.0, Some(Crashed)), (3.0, None), (6.0, Some(Landed))];
+        let evaluation = sum_up(sample.into_iter().map(flown));
         assert_eq!((evaluation.mean_return, evaluation.landed), (3.0, 0.5));
         // Sample variance 14/3, over 4 episodes.
         assert!((evaluation.standard_error - (14.0_f64 / 12.0).sqrt()).abs() < 1e-12);

@@ -19,6 +19,11 @@ pub fn heuristic(observation: &[f32; 8]) -> Engine {
     } else {
         ((wanted_angle - angle) * 0.5 - spin, (wanted_height - y) * 0.5 - vy * 0.5)
     };
+    strongest(turn, climb)
+}
+
+/// Chooses the engine for the larger of two wishes: to turn (left is positive), and to climb.
+pub(crate) fn strongest(turn: f64, climb: f64) -> Engine {
     if climb > turn.abs() && climb > 0.05 {
         Engine::Main
     } else if turn < -0.05 {

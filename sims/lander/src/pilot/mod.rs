@@ -5,7 +5,8 @@ mod heuristic;
 mod network;
 mod training;
 
-pub use evaluate::{Flown, Flyer, MAX_FRAMES, PilotEvaluation, PilotTally, evaluate, fly};
+pub use evaluate::{Flown, Flyer, MAX_FRAMES, PilotEvaluation, evaluate, fly};
 pub use heuristic::heuristic;
+pub(crate) use heuristic::strongest;
 pub use network::{Pilot, PilotError, engines_off};
 pub use training::{PilotTask, PilotTaskSettings};

@@ -4,7 +4,6 @@
 //! trained on the `pilot` task is a pilot as it stands; the critic in it is ignored, and an observation normaliser
 //! is applied. The file's metadata say where the weights come from.
 
-use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use leadtime_numerics::{Activation, Dense, DenseError};
@@ -27,20 +26,13 @@ static EMBEDDED: LazyLock<Pilot> = LazyLock::new(|| {
 
 /// Why a file is no pilot.
 #[derive(Debug, Error)]
-#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum PilotError {
     /// The bytes are no safetensors file.
     #[error("pilot weights cannot be read")]
     Format(#[from] SafeTensorError),
-    /// A tensor is missing.
-    #[error("pilot weights have no tensor `{name}`")]
-    Missing { name: &'static str },
-    /// A tensor has the wrong shape, or holds something else than 32-bit (a normaliser: or 64-bit) floats.
-    #[error("tensor `{name}` is {dtype:?} {shape:?}, expected F32 {expected:?}")]
-    Shape { name: &'static str, dtype: Dtype, shape: Vec<usize>, expected: Vec<usize> },
-    /// A number is NaN or infinite, or a variance is negative.
-    #[error("tensor `{name}` holds a number that cannot be used")]
-    BadNumber { name: &'static str },
+    /// A tensor is missing, has the wrong shape or type, or holds a number that cannot be used.
+    #[error("{0}")]
+    Tensor(String),
     /// The layers do not fit together.
     #[error("pilot weights do not form layers")]
     Layer(#[from] DenseError),
@@ -52,13 +44,12 @@ pub struct Pilot {
     hidden: [Dense; 2],
     head: Dense,
     normalizer: Option<Normalizer>,
-    provenance: BTreeMap<String, String>,
 }
 
 #[derive(Clone, Debug)]
 struct Normalizer {
-    mean: [f32; N_INPUTS],
-    scale: [f32; N_INPUTS],
+    mean: Vec<f32>,
+    scale: Vec<f32>,
 }
 
 impl Pilot {
@@ -79,22 +70,14 @@ impl Pilot {
     /// [`PilotError`] naming the tensor that is missing, misshapen or not finite.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Self, PilotError> {
         let tensors = SafeTensors::deserialize(bytes)?;
-        let (_, metadata) = SafeTensors::read_metadata(bytes)?;
-        let provenance = metadata.metadata().iter().flatten();
         Ok(Self {
             hidden: [
-                layer(&tensors, ["actor.0.weight", "actor.0.bias"], [WIDTH, N_INPUTS])?,
-                layer(&tensors, ["actor.1.weight", "actor.1.bias"], [WIDTH, WIDTH])?,
+                layer(&tensors, "actor.0", [WIDTH, N_INPUTS])?,
+                layer(&tensors, "actor.1", [WIDTH, WIDTH])?,
             ],
-            head: layer(&tensors, ["actor.head.weight", "actor.head.bias"], [N_ENGINES, WIDTH])?,
+            head: layer(&tensors, "actor.head", [N_ENGINES, WIDTH])?,
             normalizer: normalizer(&tensors)?,
-            provenance: provenance.map(|(key, value)| (key.clone(), value.clone())).collect(),
         })
-    }
-
-    /// Returns what the file says about where the weights come from.
-    pub fn provenance(&self) -> &BTreeMap<String, String> {
-        &self.provenance
     }
 
     /// Chooses the engine with the largest logit; the first one, if several are.
@@ -107,21 +90,17 @@ impl Pilot {
 
     /// Computes the four logits.
     pub fn logits(&self, observation: &[f32; N_INPUTS]) -> [f32; N_ENGINES] {
-        let input = self.normalizer.as_ref().map_or(*observation, |n| n.apply(observation));
+        let mut input = *observation;
+        if let Some(Normalizer { mean, scale }) = &self.normalizer {
+            for ((x, mean), scale) in input.iter_mut().zip(mean).zip(scale) {
+                *x = ((*x - mean) * scale).clamp(-NORMALIZED_MAX, NORMALIZED_MAX);
+            }
+        }
         let (mut first, mut second, mut logits) = ([0.0; WIDTH], [0.0; WIDTH], [0.0; N_ENGINES]);
         self.hidden[0].forward(&input, &mut first, Activation::Tanh);
         self.hidden[1].forward(&first, &mut second, Activation::Tanh);
         self.head.forward(&second, &mut logits, Activation::Linear);
         logits
-    }
-}
-
-impl Normalizer {
-    fn apply(&self, observation: &[f32; N_INPUTS]) -> [f32; N_INPUTS] {
-        std::array::from_fn(|i| {
-            let normalized = (observation[i] - self.mean[i]) * self.scale[i];
-            normalized.clamp(-NORMALIZED_MAX, NORMALIZED_MAX)
-        })
     }
 }
 
@@ -136,61 +115,58 @@ pub fn engines_off(observation: &[f32; N_INPUTS]) -> bool {
 
 fn layer(
     tensors: &SafeTensors<'_>,
-    [weight, bias]: [&'static str; 2],
+    name: &str,
     [n_out, n_in]: [usize; 2],
 ) -> Result<Dense, PilotError> {
-    let weights = numbers(tensors, weight, &[n_out, n_in])?.map(|x| x as f32);
-    let biases = numbers(tensors, bias, &[n_out])?.map(|x| x as f32);
-    Ok(Dense::new(&weights.collect::<Vec<_>>(), &biases.collect::<Vec<_>>())?)
+    let weights = numbers(tensors, &format!("{name}.weight"), &[n_out, n_in])?;
+    let biases = numbers(tensors, &format!("{name}.bias"), &[n_out])?;
+    Ok(Dense::new(&single(&weights), &single(&biases))?)
+}
+
+fn single(numbers: &[f64]) -> Vec<f32> {
+    numbers.iter().map(|&x| x as f32).collect()
 }
 
 fn normalizer(tensors: &SafeTensors<'_>) -> Result<Option<Normalizer>, PilotError> {
     if tensors.tensor("normalizer.mean").is_err() {
         return Ok(None);
     }
-    let mut normalizer = Normalizer { mean: [0.0; N_INPUTS], scale: [0.0; N_INPUTS] };
-    let mean = numbers(tensors, "normalizer.mean", &[N_INPUTS])?;
-    for (slot, mean) in normalizer.mean.iter_mut().zip(mean) {
-        *slot = mean as f32;
+    let mean = single(&numbers(tensors, "normalizer.mean", &[N_INPUTS])?);
+    let variance = numbers(tensors, "normalizer.variance", &[N_INPUTS])?;
+    if variance.iter().any(|&variance| variance < 0.0) {
+        return Err(unusable("normalizer.variance"));
     }
-    let name = "normalizer.variance";
-    for (slot, variance) in normalizer.scale.iter_mut().zip(numbers(tensors, name, &[N_INPUTS])?) {
-        if variance < 0.0 {
-            return Err(PilotError::BadNumber { name });
-        }
-        *slot = (1.0 / (variance + VARIANCE_FLOOR).sqrt()) as f32;
-    }
-    Ok(Some(normalizer))
+    let scale = variance.iter().map(|x| (1.0 / (x + VARIANCE_FLOOR).sqrt()) as f32).collect();
+    Ok(Some(Normalizer { mean, scale }))
+}
+
+fn unusable(name: &str) -> PilotError {
+    PilotError::Tensor(format!("tensor `{name}` holds a number that cannot be used"))
 }
 
 /// Reads a tensor of a known shape; single-precision numbers pass through double precision unchanged.
 fn numbers(
     tensors: &SafeTensors<'_>,
-    name: &'static str,
+    name: &str,
     expected: &[usize],
-) -> Result<std::vec::IntoIter<f64>, PilotError> {
-    let missing = |_cause| PilotError::Missing { name };
+) -> Result<Vec<f64>, PilotError> {
+    let missing = |_cause| PilotError::Tensor(format!("pilot weights have no tensor `{name}`"));
     let tensor = tensors.tensor(name).map_err(missing)?;
-    let data = tensor.data();
-    let right_shape = tensor.shape() == expected;
-    let numbers: Vec<f64> = match tensor.dtype() {
-        Dtype::F32 if right_shape => data
-            .chunks_exact(4)
-            .map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])))
-            .collect(),
-        Dtype::F64 if right_shape => data
-            .chunks_exact(8)
-            .map(|b| f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]))
-            .collect(),
-        dtype => {
-            let (shape, expected) = (tensor.shape().to_vec(), expected.to_vec());
-            return Err(PilotError::Shape { name, dtype, shape, expected });
+    let (dtype, shape, data) = (tensor.dtype(), tensor.shape(), tensor.data());
+    let numbers: Vec<f64> = match dtype {
+        Dtype::F32 if shape == expected => {
+            data.as_chunks().0.iter().map(|&bytes| f64::from(f32::from_le_bytes(bytes))).collect()
+        }
+        Dtype::F64 if shape == expected => {
+            data.as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes)).collect()
+        }
+        _ => {
+            let found =
+                format!("tensor `{name}` is {dtype:?} {shape:?}, expected F32 {expected:?}");
+            return Err(PilotError::Tensor(found));
         }
     };
-    if numbers.iter().any(|number| !number.is_finite()) {
-        return Err(PilotError::BadNumber { name });
-    }
-    Ok(numbers.into_iter())
+    if numbers.iter().all(|number| number.is_finite()) { Ok(numbers) } else { Err(unusable(name)) }
 }
 
 #[cfg(test)]

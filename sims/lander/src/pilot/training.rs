@@ -6,18 +6,18 @@
 
 use leadtime_numerics::Purpose;
 use leadtime_proto::{ActionSpec, EnvSpec};
-use leadtime_sims::check::{SettingError, require};
+use leadtime_sims::check::{SettingError, require_within};
 use leadtime_sims::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
-use leadtime_sims::scene::{Gauge, Listener, Scene};
+use leadtime_sims::scene::{Gauge, Scene};
 use serde::{Deserialize, Serialize};
 
 use super::evaluate::Flyer;
 use super::network::{Pilot, engines_off};
 use crate::world::{
-    Engine, Lander, LanderOutcome, LanderSnapshot, Physics, PhysicsSettings, SNAPSHOT_MARGIN, VIEW,
-    caption, check_impulse, check_powers,
+    Engine, Lander, LanderOutcome, LanderSnapshot, Physics, PhysicsSettings, SNAPSHOT_MARGIN,
+    START_IMPULSES, VIEW, caption,
 };
 
 /// Settings of the pilot's training task.
@@ -61,25 +61,6 @@ impl Default for PilotTaskSettings {
     }
 }
 
-impl PilotTaskSettings {
-    /// Checks every range.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] naming the first setting outside its range.
-    pub fn check(&self) -> Result<(), SettingError> {
-        let share = |key, value: f64| require((0.0..=1.0).contains(&value), key, value, "0 to 1");
-        share("world.wind_share", self.wind_share)?;
-        share("world.wide_start_share", self.wide_start_share)?;
-        check_powers(self.wind_power, self.turbulence_power)?;
-        check_impulse("world.start_impulse", self.start_impulse)?;
-        check_impulse("world.wide_start_impulse", self.wide_start_impulse)?;
-        let frames = self.max_frames;
-        let possible = (1..=100_000).contains(&frames);
-        require(possible, "world.max_frames", frames, "1 to 100000 frames")
-    }
-}
-
 /// The pilot's training task.
 #[derive(Debug)]
 pub struct PilotTask {
@@ -104,21 +85,24 @@ impl PilotTask {
     ///
     /// [`SettingError`] if a setting is outside its range.
     pub fn new(settings: &PilotTaskSettings) -> Result<Self, SettingError> {
-        settings.check()?;
+        require_within("world.wind_share", settings.wind_share, 0.0..=1.0, "")?;
+        require_within("world.wide_start_share", settings.wide_start_share, 0.0..=1.0, "")?;
         let world = PhysicsSettings {
             physics: settings.physics,
             wind_power: settings.wind_power,
             turbulence_power: settings.turbulence_power,
-            ..PhysicsSettings::default()
+            start_impulse: settings.start_impulse,
+            wind: false,
         };
-        let metrics = ["success", "crashed", "out", "timed_out"];
+        world.check()?;
+        let impulse = settings.wide_start_impulse;
+        require_within("world.wide_start_impulse", impulse, START_IMPULSES, "N")?;
+        require_within("world.max_frames", settings.max_frames, 1..=100_000, "frames")?;
+        let actions = ActionSpec::discrete("engine", Engine::ALL.len());
+        let metrics = ["success", "crashed", "out", "timed_out"].map(str::to_owned).to_vec();
         Ok(Self {
             settings: settings.clone(),
-            spec: EnvSpec {
-                obs_dim: 8,
-                actions: ActionSpec::discrete("engine", Engine::ALL.len()),
-                metrics: metrics.map(str::to_owned).to_vec(),
-            },
+            spec: EnvSpec { obs_dim: 8, actions, metrics },
             lander: Lander::new(&world),
             frames: 0,
             outcome: None,
@@ -141,8 +125,7 @@ impl Environment for PilotTask {
         let wide = variant.unit() < self.settings.wide_start_share;
         let settings = &self.settings;
         let impulse = if wide { settings.wide_start_impulse } else { settings.start_impulse };
-        self.lander.set_wind(windy);
-        self.lander.set_start_impulse(impulse);
+        self.lander.set_start(windy, impulse);
         observation.copy_from_slice(&self.lander.reset(seed.stream(Purpose::World)));
         (self.frames, self.outcome) = (0, None);
     }
@@ -163,15 +146,9 @@ impl Environment for PilotTask {
 
     fn metrics(&self, out: &mut [f32]) {
         let ended = |outcome| self.outcome == Some(outcome);
-        let values = [
-            ended(LanderOutcome::Landed),
-            ended(LanderOutcome::Crashed),
-            ended(LanderOutcome::Out),
-            self.timed_out(),
-        ];
-        for (slot, value) in out.iter_mut().zip(values) {
-            *slot = f32::from(u8::from(value));
-        }
+        let (landed, crashed) = (ended(LanderOutcome::Landed), ended(LanderOutcome::Crashed));
+        let ways = [landed, crashed, ended(LanderOutcome::Out), self.timed_out()];
+        out.copy_from_slice(&ways.map(|way| f32::from(u8::from(way))));
     }
 
     fn snapshot_margin(&self) -> usize {
@@ -212,9 +189,8 @@ impl Environment for PilotTask {
             shapes: self.lander.shapes(),
             position: [f64::from(x), f64::from(y)],
             gauge: Gauge { label: "height", value: f64::from(y) },
-            others: Vec::new(),
-            listener: Listener::default(),
             outcome: caption(self.outcome).to_owned(),
+            ..Scene::default()
         })
     }
 }

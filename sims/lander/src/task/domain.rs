@@ -1,18 +1,19 @@
 //! The lander with danger zones, as a domain.
 
 use leadtime_numerics::Purpose;
+use leadtime_sims::ReactionStatus::{Followed, Refused};
 use leadtime_sims::check::SettingError;
 use leadtime_sims::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_snapshot};
 use leadtime_sims::notifier::{NotifierWorld, TaskSettings};
-use leadtime_sims::scene::{Gauge, Listener, Scene, Shape, Tone};
-use leadtime_sims::{Advance, Domain, Message, ReactionStatus, ReactionStep};
+use leadtime_sims::scene::{Gauge, Scene, Shape, Tone};
+use leadtime_sims::{Advance, Domain, Message, ReactionStep};
 use serde::{Deserialize, Serialize};
 
 use super::maneuver::{TOPICS, listens, maneuver, raw};
 use super::safe_path::direct;
 use super::settings::{EntryPenalty, LanderWorldSettings, NearPenalty, PilotKind, ReactionKind};
 use super::zone::Zone;
-use crate::pilot::{Pilot, engines_off, heuristic};
+use crate::pilot::{Flyer, Pilot, engines_off};
 use crate::world::{Engine, Lander, LanderOutcome, LanderSnapshot, SNAPSHOT_MARGIN, VIEW, caption};
 
 /// The outcome of a scene in which the lander has been in a danger zone, however it went on.
@@ -20,13 +21,6 @@ pub const ENTERED: &str = "entered a danger zone";
 
 /// Half the pad's width.
 const PAD: f64 = 0.2;
-
-/// Who has the controls while no reaction runs.
-#[derive(Clone, Debug)]
-enum Hands {
-    Embedded(&'static Pilot),
-    Heuristic,
-}
 
 /// What happened in an episode so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -64,41 +58,33 @@ struct LanderTaskSnapshot {
 #[derive(Debug)]
 pub struct LanderDomain {
     settings: LanderWorldSettings,
-    hands: Hands,
+    /// Who has the controls while no reaction runs.
+    flyer: Flyer<'static>,
     lander: Lander,
     zones: Vec<Zone>,
     progress: LanderProgress,
 }
 
 impl LanderDomain {
-    /// Creates the task.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] if a setting is out of range.
-    pub fn new(settings: &LanderWorldSettings) -> Result<Self, SettingError> {
+    /// Creates the task; the error names a setting that is out of range.
+    pub(crate) fn new(settings: &LanderWorldSettings) -> Result<Self, SettingError> {
         settings.check()?;
-        let hands = match settings.pilot {
-            PilotKind::Embedded => Hands::Embedded(Pilot::embedded()),
-            PilotKind::Heuristic => Hands::Heuristic,
+        let flyer = match settings.pilot {
+            PilotKind::Embedded => Flyer::Network { pilot: Pilot::embedded(), rests: false },
+            PilotKind::Heuristic => Flyer::Heuristic,
         };
         Ok(Self {
             lander: Lander::new(&settings.lander()),
-            hands,
+            flyer,
             zones: settings.zones.clone(),
             progress: LanderProgress::default(),
             settings: settings.clone(),
         })
     }
 
-    /// Returns the zones of this episode.
-    pub fn zones(&self) -> &[Zone] {
-        &self.zones
-    }
-
     fn place(&self) -> [f64; 2] {
-        let observation = self.lander.observation();
-        [f64::from(observation[0]), f64::from(observation[1])]
+        let [x, y, ..] = self.lander.observation().map(f64::from);
+        [x, y]
     }
 
     /// Chooses the pilot's engine for one frame, and tells whether it follows the reaction.
@@ -116,11 +102,7 @@ impl LanderDomain {
         if self.settings.engines_off && engines_off(observation) {
             return (Engine::Idle, false);
         }
-        let engine = match &self.hands {
-            Hands::Embedded(pilot) => pilot.engine(observation),
-            Hands::Heuristic => heuristic(observation),
-        };
-        (engine, false)
+        (self.flyer.engine(observation), false)
     }
 
     /// Flies the frames of one step, fewer if the episode ends.
@@ -145,8 +127,12 @@ impl LanderDomain {
         frames
     }
 
+    fn is_on_pad(&self) -> bool {
+        self.place()[0].abs() <= PAD
+    }
+
     fn counts_as_landed(&self) -> bool {
-        let there = !self.settings.on_pad || self.place()[0].abs() <= PAD;
+        let there = !self.settings.on_pad || self.is_on_pad();
         self.progress.outcome == Some(LanderOutcome::Landed) && there
     }
 
@@ -240,13 +226,9 @@ impl Domain for LanderDomain {
         self.progress.zone_steps += u32::from(frames.inside);
         self.progress.fuel += frames.fuel;
         let (ending, end) = self.finish(frames.inside);
-        let status =
-            if frames.followed { ReactionStatus::Followed } else { ReactionStatus::Refused };
-        Advance {
-            reward: ending - frames.fuel - zone_cost,
-            reaction: reaction.map(|_| status),
-            end,
-        }
+        let status = if frames.followed { Followed } else { Refused };
+        let reward = ending - frames.fuel - zone_cost;
+        Advance { reward, reaction: reaction.map(|_| status), end }
     }
 
     fn heuristic(&self) -> Option<Message> {
@@ -277,21 +259,18 @@ impl Domain for LanderDomain {
     fn metrics(&self, out: &mut [f32]) {
         let progress = &self.progress;
         let ended = |outcome| progress.outcome == Some(outcome);
-        let on_pad = ended(LanderOutcome::Landed) && self.place()[0].abs() <= PAD;
-        let flags = [
-            progress.entered,
-            ended(LanderOutcome::Landed),
-            on_pad,
-            ended(LanderOutcome::Crashed),
-            ended(LanderOutcome::Out),
-            progress.timed_out,
-        ];
-        let (yes_or_no, amounts) = out.split_at_mut(flags.len());
-        for (out, flag) in yes_or_no.iter_mut().zip(flags) {
-            *out = f32::from(u8::from(flag));
-        }
-        let (from, steps) = (progress.entered_at as f32, progress.zone_steps as f32);
-        amounts.copy_from_slice(&[from, steps, progress.fuel as f32]);
+        let flag = |holds: bool| f32::from(u8::from(holds));
+        out.copy_from_slice(&[
+            flag(progress.entered),
+            flag(ended(LanderOutcome::Landed)),
+            flag(ended(LanderOutcome::Landed) && self.is_on_pad()),
+            flag(ended(LanderOutcome::Crashed)),
+            flag(ended(LanderOutcome::Out)),
+            flag(progress.timed_out),
+            progress.entered_at as f32,
+            progress.zone_steps as f32,
+            progress.fuel as f32,
+        ]);
     }
 
     fn snapshot_margin(&self) -> usize {
@@ -299,11 +278,8 @@ impl Domain for LanderDomain {
     }
 
     fn snapshot(&self, out: &mut Vec<u8>) {
-        let lander = self.lander.snapshot();
-        write_snapshot(
-            &LanderTaskSnapshot { zones: self.zones.clone(), progress: self.progress, lander },
-            out,
-        );
+        let (zones, lander) = (self.zones.clone(), self.lander.snapshot());
+        write_snapshot(&LanderTaskSnapshot { zones, progress: self.progress, lander }, out);
     }
 
     fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
@@ -340,9 +316,8 @@ impl Domain for LanderDomain {
             shapes: zones.chain(self.lander.shapes()).collect(),
             position: self.place(),
             gauge: Gauge { label: "height", value: self.place()[1] },
-            others: Vec::new(),
-            listener: Listener::default(),
             outcome: outcome.to_owned(),
+            ..Scene::default()
         }
     }
 }

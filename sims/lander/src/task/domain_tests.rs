@@ -21,13 +21,14 @@ fn settings(change: impl FnOnce(&mut LanderWorldSettings)) -> LanderWorldSetting
     settings
 }
 
-fn seed(episode: u64) -> EpisodeSeed {
-    EpisodeSeed { run_seed: 11, env_id: EnvId(2), episode }
+/// The same without a cost of fuel.
+fn free(change: impl FnOnce(&mut LanderWorldSettings)) -> LanderWorldSettings {
+    LanderWorldSettings { main_fuel: 0.0, side_fuel: 0.0, ..settings(change) }
 }
 
 fn start(settings: &LanderWorldSettings, episode: u64) -> LanderDomain {
     let mut task = LanderDomain::new(settings).unwrap();
-    task.reset(seed(episode));
+    task.reset(EpisodeSeed { run_seed: 11, env_id: EnvId(2), episode });
     task
 }
 
@@ -77,11 +78,10 @@ fn entering_a_zone_ends_the_episode_or_costs_per_step_or_once() {
     assert_eq!(task.scene().outcome, "entered a danger zone");
 
     for (entry_charged, second) in [(EntryPenalty::PerStep, -20.0), (EntryPenalty::Once, 0.0)] {
-        let settings = settings(|s| {
+        let settings = free(|s| {
             s.zones = vec![SKY];
             s.zone_ends_episode = false;
             s.entry_charged = entry_charged;
-            (s.main_fuel, s.side_fuel) = (0.0, 0.0);
         });
         let mut task = start(&settings, 0);
         assert_eq!((task.advance(None).reward, task.advance(None).reward), (-20.0, second));
@@ -91,19 +91,13 @@ fn entering_a_zone_ends_the_episode_or_costs_per_step_or_once() {
 
 #[test]
 fn a_landing_after_a_zone_is_no_success() {
-    let settings = settings(|s| {
-        s.zones = vec![SKY];
-        s.zone_ends_episode = false;
+    let settings = settings(|s| (s.zones, s.zone_ends_episode) = (vec![SKY], false));
+    let landed = (0..20).find_map(|episode| {
+        let mut task = start(&settings, episode);
+        fly(&mut task, None);
+        (metric(&task, "landed_on_pad") == 1.0).then_some(task)
     });
-    let task = (0..20)
-        .map(|episode| {
-            let mut task = start(&settings, episode);
-            fly(&mut task, None);
-            task
-        })
-        .find(|task| metric(task, "landed_on_pad") == 1.0)
-        .unwrap();
-    assert!(!task.success());
+    assert!(!landed.unwrap().success());
 }
 
 #[test]
@@ -111,33 +105,26 @@ fn being_near_costs_by_depth_by_side_or_by_distance() {
     let cost = |near_penalty| {
         // A narrow pillar to the right of the start, reaching far up and down.
         let pillar = Zone { x0: 0.1, x1: 0.14, y0: -5.0, y1: 5.0 };
-        let settings = settings(|s| {
-            s.zones = vec![pillar];
-            s.near_penalty = near_penalty;
-            (s.main_fuel, s.side_fuel, s.start_impulse) = (0.0, 0.0, 0.0);
-        });
-        let mut task = start(&settings, 0);
+        let settings = LanderWorldSettings { near_penalty, zones: vec![pillar], ..free(|_| {}) };
+        let mut task = start(&LanderWorldSettings { start_impulse: 0.0, ..settings }, 0);
         let reward = task.advance(None).reward;
         (reward, 0.1 - task.place()[0])
     };
-    let (off, _) = cost(NearPenalty::Off);
-    assert_eq!(off, 0.0);
-    let (depth, distance) = cost(NearPenalty::Depth);
-    assert!((0.0..0.16).contains(&distance), "{distance}");
-    assert!((depth + 10.0 * (0.2 - distance)).abs() < 1e-9, "{depth}");
-    let (sides, _) = cost(NearPenalty::Sides);
-    assert!((sides + 10.0 * (0.4 - distance - (distance + 0.04))).abs() < 1e-9, "{sides}");
-    let (literal, _) = cost(NearPenalty::Literal);
-    assert!((literal + 10.0 * distance).abs() < 1e-9, "{literal}");
+    let (off, distance) = cost(NearPenalty::Off);
+    assert!(off == 0.0 && (0.0..0.16).contains(&distance), "{off} {distance}");
+    for (near_penalty, expected) in [
+        (NearPenalty::Depth, 0.2 - distance),
+        (NearPenalty::Sides, 0.4 - distance - (distance + 0.04)),
+        (NearPenalty::Literal, distance),
+    ] {
+        let (reward, _) = cost(near_penalty);
+        assert!((reward + 10.0 * expected).abs() < 1e-9, "{near_penalty:?}: {reward}");
+    }
 }
 
 #[test]
 fn running_out_of_time_is_a_costly_end() {
-    let settings = settings(|s| {
-        s.max_steps = 3;
-        (s.main_fuel, s.side_fuel) = (0.0, 0.0);
-    });
-    let mut task = start(&settings, 0);
+    let mut task = start(&free(|s| s.max_steps = 3), 0);
     let (last, total) = fly(&mut task, None);
     assert_eq!((last.end, total), (Some(End::Terminated), -300.0));
     assert_eq!((metric(&task, "timed_out"), task.progress.n_steps), (1.0, 3));
@@ -145,8 +132,7 @@ fn running_out_of_time_is_a_costly_end() {
 
 #[test]
 fn shifting_left_for_ever_leaves_the_view_and_costs_as_a_crash() {
-    let settings = settings(|s| (s.main_fuel, s.side_fuel) = (0.0, 0.0));
-    let mut task = start(&settings, 0);
+    let mut task = start(&free(|_| {}), 0);
     let (_, total) = fly(&mut task, Some(ReactionStep { topic: SHIFT_LEFT, first: true }));
     assert_eq!((metric(&task, "out"), total), (1.0, -300.0));
     assert!(task.place()[0] <= -1.0);
@@ -156,12 +142,12 @@ fn shifting_left_for_ever_leaves_the_view_and_costs_as_a_crash() {
 fn near_the_ground_the_pilot_does_not_listen() {
     let mut task = start(&settings(|_| {}), 0);
     let descend = Some(ReactionStep { topic: DESCEND, first: false });
-    assert_eq!(task.advance(descend).reaction, Some(ReactionStatus::Followed));
+    assert_eq!(task.advance(descend).reaction, Some(Followed));
     assert_eq!(task.advance(None).reaction, None);
     let refused = loop {
         let before = *task.lander.observation();
         let advance = task.advance(descend);
-        if advance.reaction == Some(ReactionStatus::Refused) {
+        if advance.reaction == Some(Refused) {
             break before;
         }
         assert_eq!(advance.end, None);
@@ -171,20 +157,18 @@ fn near_the_ground_the_pilot_does_not_listen() {
 
 #[test]
 fn zones_that_move_are_observed_and_stay_in_reach() {
-    let settings = settings(|s| {
-        s.zones = crate::task::DEFAULT_ZONES.to_vec();
-        s.zone_jitter = [0.1, 0.05];
-    });
+    let settings =
+        LanderWorldSettings { zone_jitter: [0.1, 0.05], ..LanderWorldSettings::default() };
     let mut first_sides = Vec::new();
     for episode in 0..5 {
         let task = start(&settings, episode);
         let mut observation = vec![f32::NAN; task.obs_dim()];
         task.observe(&mut observation);
         assert_eq!(observation.len(), 8 + 12);
-        for (zone, original) in task.zones().iter().zip(&settings.zones) {
+        for (zone, original) in task.zones.iter().zip(&settings.zones) {
             assert!((zone.x0 - original.x0).abs() <= 0.1 && (zone.y1 - original.y1).abs() <= 0.05);
         }
-        assert_eq!(observation[8], task.zones()[0].x0 as f32);
+        assert_eq!(observation[8], task.zones[0].x0 as f32);
         first_sides.push(observation[8]);
     }
     assert!(first_sides.iter().any(|&side| side != first_sides[0]));
@@ -201,17 +185,13 @@ fn the_scripted_notifier_speaks_near_zones_only() {
 #[test]
 fn a_scene_shows_zones_ground_and_lander() {
     let task = start(&LanderWorldSettings::default(), 0);
-    let tones: Vec<Tone> = task
-        .scene()
-        .shapes
-        .iter()
-        .filter_map(|shape| match shape {
-            Shape::Rectangle { tone, .. } | Shape::Polygon { tone, .. } => Some(*tone),
-            _ => None,
-        })
-        .collect();
-    assert_eq!(tones.iter().filter(|tone| **tone == Tone::Danger).count(), 3);
-    assert!(tones.contains(&Tone::Ground) && tones.contains(&Tone::Own));
+    let shapes = task.scene().shapes;
+    let is = |wanted, shape: &Shape| match shape {
+        Shape::Rectangle { tone, .. } | Shape::Polygon { tone, .. } => *tone == wanted,
+        _ => false,
+    };
+    let count = |wanted| shapes.iter().filter(|shape| is(wanted, shape)).count();
+    assert_eq!([Tone::Danger, Tone::Ground, Tone::Own].map(count), [3, 1, 3]);
 }
 
 #[test]

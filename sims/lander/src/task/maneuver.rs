@@ -11,6 +11,7 @@
 //!
 //! a = clip((y - 0.05) / 0.3, 0.2, 1). Angle target: clip(1.2 (vx - target), ±0.35 a).
 
+use crate::pilot::strongest;
 use crate::world::Engine;
 
 /// Names of the topics, by id.
@@ -41,16 +42,7 @@ pub(super) fn maneuver(topic: usize, observation: &[f32; 8]) -> Engine {
     let limit = 0.35 * gentleness;
     let target_angle = (1.2 * (vx - target_vx)).clamp(-limit, limit);
     let turn = 0.5 * (target_angle - angle) - spin;
-    let climb = 0.5 * (target_vy - vy);
-    if climb > turn.abs() && climb > 0.05 {
-        Engine::Main
-    } else if turn > 0.05 {
-        Engine::Left
-    } else if turn < -0.05 {
-        Engine::Right
-    } else {
-        Engine::Idle
-    }
+    strongest(turn, 0.5 * (target_vy - vy))
 }
 
 /// Chooses the engine that stands for a topic when it is simply held.
@@ -84,10 +76,11 @@ mod tests {
     #[test]
     fn each_topic_moves_the_lander_its_way() {
         // The tilt swings around its target, and so does the speed: not yet settled after two seconds.
-        let [left, vx, vy] = fly(SHIFT_LEFT);
-        assert!(left < -0.2 && (-0.8..-0.3).contains(&vx) && vy.abs() < 0.3, "{left} {vx} {vy}");
-        let [right, vx, vy] = fly(SHIFT_RIGHT);
-        assert!(right > 0.2 && (0.3..0.8).contains(&vx) && vy.abs() < 0.3, "{right} {vx} {vy}");
+        for (topic, side) in [(SHIFT_LEFT, -1.0), (SHIFT_RIGHT, 1.0)] {
+            let [dx, vx, vy] = fly(topic);
+            let moved = side * dx > 0.2 && (0.3..0.8).contains(&(side * vx)) && vy.abs() < 0.3;
+            assert!(moved, "{topic}: {dx} {vx} {vy}");
+        }
         let [drift, _, vy] = fly(ASCEND);
         assert!(drift.abs() < 0.15 && vy > 0.1, "{drift} {vy}");
         let [drift, _, vy] = fly(DESCEND);

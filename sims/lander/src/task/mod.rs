@@ -12,9 +12,7 @@
 //! A topic asks for a direction. The pilot follows it with a small tilt-and-hover controller (`maneuver`), or by
 //! holding one engine (`raw`); near the ground and on it they do not listen.
 //!
-//! # Where to start
-//!
-//! [`LanderDomain`] is the domain; [`LanderWorldSettings`] what can be chosen about it; `maneuver` how a topic is followed.
+//! Where to start: [`LanderDomain`] is the domain; [`LanderWorldSettings`] what can be chosen about it; `maneuver` how a topic is followed.
 //!
 //! # Source
 //!

@@ -1,6 +1,6 @@
 //! What can be chosen about the lander, its zones and what is paid.
 
-use leadtime_sims::check::{SettingError, require};
+use leadtime_sims::check::{SettingError, require, require_within};
 use serde::{Deserialize, Serialize};
 
 use super::zone::{DEFAULT_ZONES, Zone};
@@ -147,19 +147,13 @@ impl Default for LanderWorldSettings {
 }
 
 impl LanderWorldSettings {
-    /// Checks ranges.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] naming the first impossible setting.
-    pub fn check(&self) -> Result<(), SettingError> {
+    /// Checks ranges; the error names the first impossible setting.
+    pub(super) fn check(&self) -> Result<(), SettingError> {
         self.lander().check()?;
-        let frames = self.frames_per_step;
-        require((1..=100).contains(&frames), "world.frames_per_step", frames, "1 to 100 frames")?;
-        let steps = self.max_steps;
-        require((1..=100_000).contains(&steps), "world.max_steps", steps, "1 to 100000 steps")?;
+        require_within("world.frames_per_step", self.frames_per_step, 1..=100, "frames")?;
+        require_within("world.max_steps", self.max_steps, 1..=100_000, "steps")?;
         self.check_zones()?;
-        let amounts = [
+        for (key, amount) in [
             ("world.zone_end_penalty", self.zone_end_penalty),
             ("world.entry_penalty", self.entry_penalty),
             ("world.near_weight", self.near_weight),
@@ -168,16 +162,11 @@ impl LanderWorldSettings {
             ("world.landing_reward", self.landing_reward),
             ("world.crash_penalty", self.crash_penalty),
             ("world.timeout_penalty", self.timeout_penalty),
-        ];
-        for (key, amount) in amounts {
-            require((0.0..=1e6).contains(&amount), key, amount, "0 to 1000000")?;
-        }
-        for (key, distance) in [
-            ("world.near_distance", self.near_distance),
-            ("world.heuristic_distance", self.heuristic_distance),
         ] {
-            require((0.0..=2.0).contains(&distance), key, distance, "0 to 2")?;
+            require_within(key, amount, 0.0..=1e6, "")?;
         }
+        require_within("world.near_distance", self.near_distance, 0.0..=2.0, "")?;
+        require_within("world.heuristic_distance", self.heuristic_distance, 0.0..=2.0, "")?;
         let finite = self.safe_path.iter().flatten().all(|place| place.is_finite());
         let path = format_args!("{:?}", self.safe_path);
         require(finite, "world.safe_path", path, "points [x, y]")
@@ -196,20 +185,17 @@ impl LanderWorldSettings {
         require(fits, "world.zone_jitter", given, "[x, y] of 0 to 1")
     }
 
-    /// Tells whether zones differ between episodes.
-    pub fn has_jitter(&self) -> bool {
+    pub(super) fn has_jitter(&self) -> bool {
         self.zone_jitter != [0.0, 0.0]
     }
 
-    /// Returns the lander's part.
-    pub fn lander(&self) -> PhysicsSettings {
+    pub(super) fn lander(&self) -> PhysicsSettings {
         PhysicsSettings {
             physics: self.physics,
             wind: self.wind,
             wind_power: self.wind_power,
             turbulence_power: self.turbulence_power,
             start_impulse: self.start_impulse,
-            ..PhysicsSettings::default()
         }
     }
 }
@@ -229,12 +215,18 @@ mod tests {
             refused(|s| s.zones[1].x0 = 0.3),
             "`world.zones` is { x0 = 0.3, x1 = 0.3, y0 = 0.5, y1 = 0.65 }; allowed: x0 < x1 and y0 < y1"
         );
-        assert!(refused(|s| s.frames_per_step = 0).contains("world.frames_per_step"));
+        let allowed = "`world.frames_per_step` is 0; allowed: 1 to 100 frames";
+        assert_eq!(refused(|s| s.frames_per_step = 0), allowed);
         assert!(refused(|s| s.max_steps = 0).contains("world.max_steps"));
         assert!(refused(|s| s.landing_reward = f64::NAN).contains("world.landing_reward"));
-        assert!(refused(|s| s.near_distance = -1.0).contains("world.near_distance"));
+        assert_eq!(
+            refused(|s| s.near_distance = -1.0),
+            "`world.near_distance` is -1; allowed: 0 to 2"
+        );
         assert!(refused(|s| s.zone_jitter = [2.0, 0.0]).contains("world.zone_jitter"));
-        assert!(refused(|s| s.wind_power = 99.0).contains("world.wind_power"));
+        assert!(refused(|s| s.wind_power = f64::NAN).contains("world.wind_power"));
+        let start = "`world.start_impulse` is -1; allowed: 0 to 3000 N";
+        assert_eq!(refused(|s| s.start_impulse = -1.0), start);
         LanderWorldSettings::default().check().unwrap();
     }
 }

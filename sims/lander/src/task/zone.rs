@@ -49,7 +49,6 @@ impl Zone {
         [side(x0, x0, y0, y1), side(x1, x1, y0, y1), side(x0, x1, y0, y0), side(x0, x1, y1, y1)]
     }
 
-    /// Returns it moved.
     pub(super) fn moved(&self, dx: f64, dy: f64) -> Self {
         Self { x0: self.x0 + dx, x1: self.x1 + dx, y0: self.y0 + dy, y1: self.y1 + dy }
     }
@@ -67,10 +66,7 @@ mod tests {
         assert_eq!(ZONE.distance([1.0, 1.5]), 0.5);
         assert_eq!(ZONE.distance([-3.0, 5.0]), 5.0);
         assert_eq!(ZONE.side_distances([0.5, 0.25]), [0.5, 1.5, 0.25, 0.75]);
-    }
-
-    #[test]
-    fn the_border_is_inside() {
+        // The border is inside.
         assert!(ZONE.contains([0.0, 1.0]) && !ZONE.contains([0.0, 1.001]));
     }
 

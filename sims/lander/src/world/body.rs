@@ -4,22 +4,29 @@ use serde::{Deserialize, Serialize};
 
 use super::constants::{HULL_COM, HULL_CORNERS, LEG_CORNERS, Vec2};
 
-/// Pose and velocity of one body, taken at its centre of mass.
+/// Pose (as cosine and sine of its angle) and velocity of one body, taken at its centre of mass.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Body {
-    /// Centre of mass.
     pub(super) center: Vec2,
-    /// Cosine of the body's angle.
     pub(super) cos: f64,
-    /// Sine of the body's angle.
     pub(super) sin: f64,
-    /// Velocity of the centre of mass.
     pub(super) velocity: Vec2,
-    /// Angular velocity.
     pub(super) spin: f64,
 }
 
 impl Body {
+    /// Places a body that does not move.
+    pub(super) fn at_rest(center: Vec2, cos: f64, sin: f64) -> Self {
+        Self { center, cos, sin, velocity: Vec2::zeros(), spin: 0.0 }
+    }
+
+    /// Returns the angle from another body's to this one's, in (-pi, pi].
+    pub(super) fn angle_from(&self, other: &Self) -> f64 {
+        let sin = self.sin * other.cos - self.cos * other.sin;
+        let cos = self.cos * other.cos + self.sin * other.sin;
+        libm::atan2(sin, cos)
+    }
+
     /// Turns a vector of the body's frame into the world's.
     pub(super) fn turn(&self, v: Vec2) -> Vec2 {
         rotate(self.cos, self.sin, v)
@@ -64,7 +71,6 @@ pub(super) struct Outline {
 }
 
 impl Outline {
-    /// Returns the corners.
     pub(super) fn corners(&self) -> &[Vec2] {
         &self.corners[..self.len]
     }
@@ -94,8 +100,7 @@ mod tests {
     #[test]
     fn outward_normals_point_away_from_the_centre() {
         let (sin, cos) = libm::sincos(0.7);
-        let body =
-            Body { center: Vec2::new(3.0, 4.0), cos, sin, velocity: Vec2::zeros(), spin: 0.0 };
+        let body = Body::at_rest(Vec2::new(3.0, 4.0), cos, sin);
         for is_hull in [true, false] {
             for (start, normal) in body.outline(is_hull).edges() {
                 assert!((start - body.center).dot(&normal) > 0.0);

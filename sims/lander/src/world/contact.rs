@@ -14,15 +14,11 @@
 //! A world is entered by cloning one template that has already been stepped once, so what happened before the
 //! entry leaves no trace in it.
 
-use leadtime_proto::codec::{self, CodecError};
+use leadtime_proto::codec;
 use leadtime_proto::limits::MAX_SNAPSHOT_BYTES;
+use leadtime_sims::environment::SnapshotError;
 use rapier2d::dynamics::SoftBodySet;
-use rapier2d::prelude::{
-    BroadPhaseBvh, CCDSolver, ColliderHandle, ColliderSet, ImpulseJointSet, IntegrationParameters,
-    IslandManager, JointAxis, Multibody, MultibodyJointHandle, MultibodyJointSet, NarrowPhase,
-    PhysicsPipeline, Pose, RigidBody, RigidBodyHandle, RigidBodySet, Rotation, SharedShape,
-    SpringCoefficients, Vector,
-};
+use rapier2d::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::body::{Body, spin_velocity};
@@ -42,7 +38,7 @@ const LEG_SETTLE: f64 = 0.04;
 pub(super) const MOTOR_GAIN: f32 = 1.0e4;
 
 /// Everything of the physics engine that the future depends on.
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Default, Serialize, Deserialize)]
 pub(super) struct Sets {
     pub(super) islands: IslandManager,
     pub(super) broad_phase: BroadPhaseBvh,
@@ -62,18 +58,9 @@ pub(super) struct Names {
     pub(super) multibody: MultibodyJointHandle,
 }
 
-/// How carefully contacts are solved in a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Effort {
-    /// Nothing is near the ground.
-    Far,
-    /// Contacts are possible.
-    Near,
-}
-
 /// A rapier2d world with one lander in it.
 pub(super) struct ContactWorld {
-    sets: Sets,
+    pub(super) sets: Sets,
     names: Names,
     pipeline: PhysicsPipeline,
     soft_bodies: SoftBodySet,
@@ -88,84 +75,73 @@ impl ContactWorld {
             names,
             pipeline: PhysicsPipeline::new(),
             soft_bodies: SoftBodySet::new(),
-            parameters: parameters(),
+            parameters: IntegrationParameters {
+                dt: DT as f32,
+                min_ccd_dt: DT as f32 / 100.0,
+                num_solver_iterations: 1,
+                max_ccd_substeps: 1,
+                contact_recycling: false,
+                warmstart_joints: true,
+                friction_in_bias_pass: true,
+                static_contact_softness: SpringCoefficients::new(60.0, 10.0),
+                normalized_prediction_distance: 0.002,
+                ..IntegrationParameters::default()
+            },
         }
     }
 
-    /// Gives the state back; the template is made by stepping a world once.
-    pub(super) fn into_sets(self) -> Sets {
-        self.sets
-    }
-
-    /// Reads a world back, with fresh working memory.
-    ///
-    /// # Errors
-    ///
-    /// [`CodecError`] if the bytes are no such state; `None` if the lander is missing from it.
-    pub(super) fn decode(bytes: &[u8], names: Names) -> Result<Option<Self>, CodecError> {
+    /// Reads a world back, with fresh working memory; an error if the bytes are no such state, or lack the lander.
+    pub(super) fn decode(bytes: &[u8], names: Names) -> Result<Self, SnapshotError> {
         let sets: Sets = codec::decode(bytes, MAX_SNAPSHOT_BYTES)?;
+        let multibody = sets.multibody_joints.get(names.multibody);
         let complete = names.bodies.iter().all(|&body| sets.bodies.contains(body))
             && sets.colliders.contains(names.ground)
-            && sets
-                .multibody_joints
-                .get(names.multibody)
-                .is_some_and(|(multibody, _)| multibody.num_links() == 3 && multibody.ndofs() == 5);
-        Ok(complete.then(|| Self::around(sets, names)))
+            && multibody.is_some_and(|(lander, _)| lander.num_links() == 3 && lander.ndofs() == 5);
+        let missing = SnapshotError::Mismatch { what: "lander bodies" };
+        complete.then(|| Self::around(sets, names)).ok_or(missing)
     }
 
-    /// Writes the state that the future depends on.
     pub(super) fn encode(&self) -> Vec<u8> {
         codec::encode(&self.sets).expect("the engine's sets are plain data")
     }
 
     /// Starts afresh, from the template's sets, with a lander taken over from free flight.
-    pub(super) fn enter(
-        &mut self,
-        template: &Sets,
-        flight: &Flight,
-        bodies: &[Body; 3],
-        terrain: &Terrain,
-    ) {
+    pub(super) fn enter(&mut self, template: &Sets, flight: &Flight, terrain: &Terrain) {
         self.sets.clone_from(template);
         let ground = &mut self.sets.colliders[self.names.ground];
         ground.set_shape(ground_shape(&terrain.heights));
-        self.place(flight, bodies);
+        self.place(flight);
     }
 
     /// Sets poses and velocities; the multibody's coordinates by displacement, its only way in.
-    pub(super) fn place(&mut self, flight: &Flight, bodies: &[Body; 3]) {
-        for (&handle, body) in self.names.bodies.iter().zip(bodies) {
+    pub(super) fn place(&mut self, flight: &Flight) {
+        let bodies = flight.bodies();
+        for (&handle, body) in self.names.bodies.iter().zip(&bodies) {
             let rigid_body = &mut self.sets.bodies[handle];
             rigid_body.set_position(pose(body), false);
             rigid_body.set_linvel(vector(body.velocity), false);
             rigid_body.set_angvel(body.spin as f32, false);
         }
-        let hull = &bodies[HULL];
-        let handles = self.names.bodies;
+        let Body { velocity, spin, .. } = bodies[HULL];
+        let (angles, rates) = (flight.leg_angles, flight.leg_rates);
         let multibody = self.multibody_mut();
         multibody.damping_mut().fill(0.0);
-        for id in 0..multibody.num_links() {
-            let link = multibody.link_mut(id).expect("ids below the number of links");
-            let (first, angle) = (link.assembly_id(), link.joint().coords()[2]);
-            let leg = handles[1..].iter().position(|&leg| leg == link.rigid_body_handle());
-            if let Some(k) = leg {
-                link.joint.apply_displacement(&[flight.leg_angles[k] as f32 - angle]);
-                multibody.generalized_velocity_mut()[first] = flight.leg_rates[k] as f32;
-            } else {
-                link.joint.apply_displacement(&[0.0, 0.0, flight.angle as f32 - angle]);
-                let mut velocity = multibody.generalized_velocity_mut();
-                velocity[first] = hull.velocity.x as f32;
-                velocity[first + 1] = hull.velocity.y as f32;
-                velocity[first + 2] = hull.spin as f32;
-            }
+        // Its links are the hull and the legs in their order, and so are its five coordinates.
+        let speeds = [velocity.x, velocity.y, spin, rates[0], rates[1]].map(|speed| speed as f32);
+        multibody.generalized_velocity_mut().copy_from_slice(&speeds);
+        for (link, angle) in multibody.links_mut().zip([flight.angle, angles[0], angles[1]]) {
+            let turn = angle as f32 - link.joint().coords()[2];
+            // A leg's hinge has no other freedom.
+            let first = if link.is_root() { 0 } else { 2 };
+            link.joint.apply_displacement(&[0.0, 0.0, turn][first..]);
         }
     }
 
-    /// Advances by one frame.
-    pub(super) fn step(&mut self, load: &Load, effort: Effort) {
+    /// Advances by one frame; `near`: contacts with the ground are possible.
+    pub(super) fn step(&mut self, load: &Load, near: bool) {
         push(&mut self.sets.bodies[self.names.bodies[HULL]], load);
         self.drive_legs();
-        let iterations = if effort == Effort::Near { NEAR_ITERATIONS } else { FAR_ITERATIONS };
+        let iterations = if near { NEAR_ITERATIONS } else { FAR_ITERATIONS };
         self.parameters.num_internal_pgs_iterations = iterations.0;
         self.parameters.num_internal_stabilization_iterations = iterations.1;
         let sets = &mut self.sets;
@@ -188,20 +164,13 @@ impl ContactWorld {
 
     /// Sets the motors' speeds: full speed towards the stop, gently to rest at it.
     fn drive_legs(&mut self) {
-        let handles = self.names.bodies;
-        for link in self.multibody_mut().links_mut() {
-            let Some(k) = handles[1..].iter().position(|&leg| leg == link.rigid_body_handle())
-            else {
-                continue;
-            };
-            let sign = LEG_SIGN[k];
+        for (link, sign) in self.multibody_mut().links_mut().skip(1).zip(LEG_SIGN) {
             let above_park = -sign * f64::from(link.joint().coords()[2]) - LEG_PARK;
             let speed = sign * (above_park / LEG_SETTLE).min(LEG_SPEED);
             link.joint.data.set_motor_velocity(JointAxis::AngX, speed as f32, MOTOR_GAIN);
         }
     }
 
-    /// Reads hull and legs.
     pub(super) fn bodies(&self) -> [Body; 3] {
         let (multibody, _) =
             self.sets.multibody_joints.get(self.names.multibody).expect("the lander is there");
@@ -209,18 +178,14 @@ impl ContactWorld {
         let mut bodies = self.names.bodies.map(|handle| {
             let pose = self.sets.bodies[handle].position();
             let center = Vec2::new(f64::from(pose.translation.x), f64::from(pose.translation.y));
-            let (cos, sin) = (f64::from(pose.rotation.re), f64::from(pose.rotation.im));
-            Body { center, cos, sin, velocity: Vec2::zeros(), spin: 0.0 }
+            Body::at_rest(center, f64::from(pose.rotation.re), f64::from(pose.rotation.im))
         });
         bodies[HULL].velocity = Vec2::new(f64::from(speeds[0]), f64::from(speeds[1]));
         bodies[HULL].spin = f64::from(speeds[2]);
         let hull = bodies[HULL];
         let to_hinge = hull.turn(Vec2::new(0.0, -HULL_COM));
-        for link in multibody.links() {
-            let handle = link.rigid_body_handle();
-            let leg = (1..3).find(|&i| handle == self.names.bodies[i]);
-            let Some(leg) = leg.map(|i| &mut bodies[i]) else { continue };
-            leg.spin = hull.spin + f64::from(speeds[link.assembly_id()]);
+        for (k, leg) in bodies[1..].iter_mut().enumerate() {
+            leg.spin = hull.spin + f64::from(speeds[3 + k]);
             let from_hinge = leg.center - hull.center - to_hinge;
             leg.velocity = hull.velocity
                 + spin_velocity(hull.spin, to_hinge)
@@ -232,22 +197,6 @@ impl ContactWorld {
     fn multibody_mut(&mut self) -> &mut Multibody {
         let handle = self.names.multibody;
         self.sets.multibody_joints.get_mut_internal(handle).expect("the lander is there").0
-    }
-}
-
-/// Returns the engine's settings that never change.
-fn parameters() -> IntegrationParameters {
-    IntegrationParameters {
-        dt: DT as f32,
-        min_ccd_dt: DT as f32 / 100.0,
-        num_solver_iterations: 1,
-        max_ccd_substeps: 1,
-        contact_recycling: false,
-        warmstart_joints: true,
-        friction_in_bias_pass: true,
-        static_contact_softness: SpringCoefficients::new(60.0, 10.0),
-        normalized_prediction_distance: 0.002,
-        ..IntegrationParameters::default()
     }
 }
 
@@ -269,7 +218,7 @@ fn push(hull: &mut RigidBody, load: &Load) {
     }
 }
 
-fn vector(v: Vec2) -> Vector {
+pub(super) fn vector(v: Vec2) -> Vector {
     Vector::new(v.x as f32, v.y as f32)
 }
 

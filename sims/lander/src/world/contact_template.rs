@@ -2,19 +2,14 @@
 
 use std::sync::LazyLock;
 
-use rapier2d::prelude::{
-    BroadPhaseBvh, CCDSolver, CoefficientCombineRule, ColliderBuilder, ColliderHandle, ColliderSet,
-    Group, ImpulseJointSet, InteractionGroups, InteractionTestMode, IslandManager, MassProperties,
-    MotorModel, MultibodyJointHandle, MultibodyJointSet, NarrowPhase, RevoluteJointBuilder,
-    RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SharedShape, Vector,
-};
+use rapier2d::prelude::*;
 
 use super::body::Body;
 use super::constants::{
     FRICTION, HULL, HULL_COM, HULL_CORNERS, INERTIA, LEG_ANCHOR, LEG_FRICTION, LEG_HALF, LEG_SIGN,
     LEG_SPEED, LEG_TORQUE, LEG_UPPER, MASS, Vec2,
 };
-use super::contact::{ContactWorld, Effort, MOTOR_GAIN, Names, Sets, ground_shape};
+use super::contact::{ContactWorld, MOTOR_GAIN, Names, Sets, ground_shape, vector};
 use super::engines::Load;
 use super::flight::Flight;
 use super::start;
@@ -39,35 +34,19 @@ pub(super) struct Template {
 /// Kept for the life of the process; it is the same in every process.
 pub(super) static TEMPLATE: LazyLock<Template> = LazyLock::new(build);
 
-impl Template {
-    /// Makes a world; it must be [entered](ContactWorld::enter) before it is stepped.
-    pub(super) fn world(&self) -> ContactWorld {
-        ContactWorld::around(self.sets.clone(), self.names)
-    }
-}
-
 /// Builds the template: a lander in mid-air over flat ground, stepped once so that everything is registered.
 fn build() -> Template {
     let (bodies, angle) = start::after_hidden_frame(Vec2::zeros(), 0.0);
     let (sets, names) = assemble(&bodies);
     let mut world = ContactWorld::around(sets, names);
     let flight = Flight::take_over(&bodies, angle);
-    world.place(&flight, &flight.bodies());
-    world.step(&Load::default(), Effort::Far);
-    Template { sets: world.into_sets(), names }
+    world.place(&flight);
+    world.step(&Load::default(), false);
+    Template { sets: world.sets, names }
 }
 
 fn assemble(poses: &[Body; 3]) -> (Sets, Names) {
-    let mut sets = Sets {
-        islands: IslandManager::new(),
-        broad_phase: BroadPhaseBvh::new(),
-        narrow_phase: NarrowPhase::new(),
-        bodies: RigidBodySet::new(),
-        colliders: ColliderSet::new(),
-        impulse_joints: ImpulseJointSet::new(),
-        multibody_joints: MultibodyJointSet::new(),
-        ccd: CCDSolver::new(),
-    };
+    let mut sets = Sets::default();
     let ground = insert_ground(&mut sets);
     let bodies = std::array::from_fn(|i| insert_body(&mut sets, i, &poses[i]));
     let [first, _] = std::array::from_fn(|k| insert_leg_joint(&mut sets, &bodies, k));
@@ -96,11 +75,11 @@ fn insert_body(sets: &mut Sets, i: usize, at: &Body) -> RigidBodyHandle {
     let body = RigidBodyBuilder::dynamic()
         .additional_mass_properties(mass)
         .can_sleep(false)
-        .translation(Vector::new(at.center.x as f32, at.center.y as f32))
+        .translation(vector(at.center))
         .rotation(libm::atan2(at.sin, at.cos) as f32);
     let handle = sets.bodies.insert(body);
     let (shape, friction) = if i == HULL {
-        let corners = HULL_CORNERS.map(|[x, y]| Vector::new(x as f32, y as f32)).to_vec();
+        let corners = HULL_CORNERS.map(|corner| vector(corner.into())).to_vec();
         let hull = SharedShape::convex_polyline_unmodified(corners).expect("the hull is convex");
         (hull, FRICTION)
     } else {

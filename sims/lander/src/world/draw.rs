@@ -2,7 +2,7 @@
 
 use leadtime_sims::scene::{Shape, Tone, View};
 
-use super::constants::{HALF_WORLD, HEIGHT, PAD_X, REST_Y};
+use super::constants::{HALF_WORLD, HEIGHT, HULL, PAD_X, REST_Y};
 use super::lander::{Lander, LanderOutcome};
 
 /// The part of the world that the original shows, in the units of observed positions.
@@ -19,17 +19,14 @@ impl Lander {
     pub fn shapes(&self) -> Vec<Shape> {
         let ground = self.terrain_outline();
         let (pad_y, bottom) = (ground[5][1], VIEW.min[1]);
-        let mut soil = ground.clone();
-        soil.extend([[VIEW.max[0], bottom], [VIEW.min[0], bottom]]);
+        let soil = [&ground[..], &[[VIEW.max[0], bottom], [VIEW.min[0], bottom]]].concat();
         let pad = vec![[-PAD, pad_y], [PAD, pad_y]];
         let mut shapes = vec![
             Shape::Polygon { points: soil, tone: Tone::Ground },
             Shape::Line { points: pad, tone: Tone::Goal },
         ];
-        let [right, left] = self.leg_outlines();
-        for points in [right, left, self.hull_outline()] {
-            shapes.push(Shape::Polygon { points, tone: Tone::Own });
-        }
+        let body = |i| Shape::Polygon { points: self.outline(i), tone: Tone::Own };
+        shapes.extend([1, 2, HULL].map(body));
         shapes
     }
 }

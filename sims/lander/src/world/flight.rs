@@ -63,15 +63,12 @@ impl Stance {
             let (sin, cos) = libm::sincos(angle);
             (cos, sin)
         });
-        let arms: [Vec2; 2] = std::array::from_fn(|k| {
+        let arms = [0, 1].map(|k| {
             let anchor = Vec2::new(LEG_SIGN[k] * LEG_ANCHOR[0], LEG_ANCHOR[1]);
             -rotate(turns[k].0, turns[k].1, anchor)
         });
         let hinge = Vec2::new(0.0, -HULL_COM);
-        let mut center = Vec2::zeros();
-        for k in 0..2 {
-            center += (hinge + arms[k]) * (MASS[k + 1] / TOTAL_MASS);
-        }
+        let center: Vec2 = (0..2).map(|k| (hinge + arms[k]) * (MASS[k + 1] / TOTAL_MASS)).sum();
         let mut inertia = INERTIA[HULL] + MASS[HULL] * center.norm_squared();
         let mut coupling = [0.0; 2];
         for k in 0..2 {
@@ -80,11 +77,6 @@ impl Stance {
             coupling[k] = INERTIA[k + 1] + MASS[k + 1] * from_center.dot(&arms[k]);
         }
         Self { turns, arms, center, inertia, coupling }
-    }
-
-    /// Returns each leg's centre, hull frame.
-    fn leg_center(&self, k: usize) -> Vec2 {
-        Vec2::new(0.0, -HULL_COM) + self.arms[k]
     }
 
     /// Returns the hull's spin that an angular momentum means while the legs turn at given rates.
@@ -103,14 +95,13 @@ impl Flight {
             (0..3).map(|i| value(&bodies[i]) * (MASS[i] / TOTAL_MASS)).sum::<Vec2>()
         };
         let (center, velocity) = (weighted(|body| body.center), weighted(|body| body.velocity));
-        let angular_momentum = (0..3)
-            .map(|i| {
-                let moment = cross(bodies[i].center - center, bodies[i].velocity - velocity);
-                MASS[i] * moment + INERTIA[i] * bodies[i].spin
-            })
-            .sum();
+        let momentum = |i: usize| {
+            let moment = cross(bodies[i].center - center, bodies[i].velocity - velocity);
+            MASS[i] * moment + INERTIA[i] * bodies[i].spin
+        };
+        let angular_momentum = (0..3).map(momentum).sum();
         let hull = &bodies[HULL];
-        let leg_angles = [1, 2].map(|i| relative_angle(&bodies[i], hull));
+        let leg_angles = [1, 2].map(|i| bodies[i].angle_from(hull));
         let leg_rates = [1, 2].map(|i| bodies[i].spin - hull.spin);
         let stance = Stance::of(leg_angles);
         let spin = stance.spin(angular_momentum, leg_rates);
@@ -156,13 +147,11 @@ impl Flight {
         0.5 * orbital * self.spin * (self.spin * DT).powi(2)
     }
 
-    /// Computes hull and legs.
     pub(super) fn bodies(&self) -> [Body; 3] {
         let (sin, cos) = libm::sincos(self.angle);
         let world = |v: Vec2| rotate(cos, sin, v);
         let center = world(self.stance.center);
-        let swing: [Vec2; 2] =
-            std::array::from_fn(|k| spin_velocity(self.leg_rates[k], world(self.stance.arms[k])));
+        let swing = [0, 1].map(|k| spin_velocity(self.leg_rates[k], world(self.stance.arms[k])));
         let legs_share = (swing[0] * MASS[1] + swing[1] * MASS[2]) / TOTAL_MASS;
         let hull = Body {
             center: self.center - center,
@@ -172,7 +161,7 @@ impl Flight {
             spin: self.spin,
         };
         let leg = |k: usize| {
-            let offset = world(self.stance.leg_center(k));
+            let offset = world(Vec2::new(0.0, -HULL_COM) + self.stance.arms[k]);
             let (leg_cos, leg_sin) = self.stance.turns[k];
             Body {
                 center: hull.center + offset,
@@ -186,13 +175,6 @@ impl Flight {
     }
 }
 
-/// Returns the angle from one body to another, in (-pi, pi].
-fn relative_angle(body: &Body, to: &Body) -> f64 {
-    let sin = body.sin * to.cos - body.cos * to.sin;
-    let cos = body.cos * to.cos + body.sin * to.sin;
-    libm::atan2(sin, cos)
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::engines::{Gust, Push};
@@ -204,11 +186,15 @@ mod tests {
         Flight::take_over(&bodies, angle)
     }
 
+    fn coast(flight: &mut Flight, n_frames: usize) {
+        (0..n_frames).for_each(|_| flight.step(&flight.bodies()[HULL], &Load::default()));
+    }
+
     #[test]
     fn taking_over_ones_own_bodies_changes_nothing() {
         let mut flight = start();
         for _ in 0..30 {
-            flight.step(&flight.bodies()[HULL], &Load::default());
+            coast(&mut flight, 1);
             let again = Flight::take_over(&flight.bodies(), flight.angle);
             assert!((again.center - flight.center).norm() < 1e-9);
             assert!((again.velocity - flight.velocity).norm() < 1e-9);
@@ -222,9 +208,7 @@ mod tests {
     fn without_a_load_the_lander_falls_and_loses_only_what_its_joints_lose() {
         let mut flight = start();
         let (momentum, fall) = (flight.angular_momentum, flight.velocity.y);
-        for _ in 0..50 {
-            flight.step(&flight.bodies()[HULL], &Load::default());
-        }
+        coast(&mut flight, 50);
         let kept = flight.angular_momentum / momentum;
         assert!((0.9999..1.0).contains(&kept), "{kept}");
         assert!((flight.velocity.y - (fall - GRAVITY)).abs() < 1e-9);
@@ -233,9 +217,7 @@ mod tests {
     #[test]
     fn legs_come_to_rest_at_their_lower_stops() {
         let mut flight = start();
-        for _ in 0..100 {
-            flight.step(&flight.bodies()[HULL], &Load::default());
-        }
+        coast(&mut flight, 100);
         for (angle, sign) in flight.leg_angles.iter().zip(LEG_SIGN) {
             assert!((0.343..=0.351).contains(&(-sign * angle)), "{angle}");
         }

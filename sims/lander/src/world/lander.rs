@@ -15,9 +15,9 @@ use serde::{Deserialize, Serialize};
 
 use super::body::Body;
 use super::constants::{HULL, Vec2};
-use super::contact::{ContactWorld, Effort};
-use super::contact_template::TEMPLATE;
-use super::engines::{Dispersion, Engine, Gust, Load, WindClock};
+use super::contact::ContactWorld;
+use super::contact_template::{TEMPLATE, Template};
+use super::engines::{Engine, Load, WindClock, draw_dispersion};
 use super::flight::Flight;
 use super::observe;
 use super::settings::{Physics, PhysicsSettings};
@@ -130,18 +130,10 @@ impl Lander {
         Self { settings: settings.clone(), episode, contact }
     }
 
-    /// Turns wind and turbulence on or off, from the next episode.
-    pub fn set_wind(&mut self, on: bool) {
-        self.settings.wind = on;
-    }
-
-    /// Sets the largest start force, from the next episode.
-    ///
-    /// # Units
-    ///
-    /// Newtons, acting for one frame in each direction.
-    pub fn set_start_impulse(&mut self, newtons: f64) {
-        self.settings.start_impulse = newtons;
+    /// Sets, from the next episode, whether the wind blows, and the largest start force (in newtons, acting for one
+    /// frame in each direction).
+    pub fn set_start(&mut self, wind: bool, impulse: f64) {
+        (self.settings.wind, self.settings.start_impulse) = (wind, impulse);
     }
 
     /// Starts an episode and returns its first observation.
@@ -170,8 +162,8 @@ impl Lander {
             Integrator::Contact { clear_frames } if self.settings.physics == Physics::Hybrid => {
                 *clear_frames = if clear { *clear_frames + 1 } else { 0 };
                 if *clear_frames > CLEAR_FRAMES {
-                    episode.integrator =
-                        Integrator::Flight(Flight::take_over(&episode.bodies, episode.angle));
+                    let flight = Flight::take_over(&episode.bodies, episode.angle);
+                    episode.integrator = Integrator::Flight(flight);
                 }
             }
             Integrator::Flight(_) | Integrator::Contact { .. } => {}
@@ -186,11 +178,6 @@ impl Lander {
     /// Returns the hull's origin in metres; the world is 20 wide and the pad lies at (10, 3.3).
     pub fn position(&self) -> [f64; 2] {
         self.episode.bodies[HULL].origin().into()
-    }
-
-    /// Returns the velocity of the hull's centre of mass, in metres per second.
-    pub fn velocity(&self) -> [f64; 2] {
-        self.episode.bodies[HULL].velocity.into()
     }
 
     /// Returns the hull's angle in radians, unwrapped; positive is counter-clockwise.
@@ -209,22 +196,13 @@ impl Lander {
     }
 
     /// Returns the ground as a line, in the units of observed positions.
-    pub fn terrain_outline(&self) -> Vec<[f64; 2]> {
+    pub(super) fn terrain_outline(&self) -> Vec<[f64; 2]> {
         let point = |i| observe::to_observation_units(self.episode.terrain.point(i)).into();
         (0..N_POINTS).map(point).collect()
     }
 
-    /// Returns the hull's corners, in the units of observed positions.
-    pub fn hull_outline(&self) -> Vec<[f64; 2]> {
-        self.outline(HULL)
-    }
-
-    /// Returns both legs' corners, in the units of observed positions.
-    pub fn leg_outlines(&self) -> [Vec<[f64; 2]>; 2] {
-        [self.outline(1), self.outline(2)]
-    }
-
-    fn outline(&self, i: usize) -> Vec<[f64; 2]> {
+    /// Returns a body's corners, in the units of observed positions.
+    pub(super) fn outline(&self, i: usize) -> Vec<[f64; 2]> {
         let outline = self.episode.bodies[i].outline(i == HULL);
         outline.corners().iter().map(|&c| observe::to_observation_units(c).into()).collect()
     }
@@ -256,14 +234,12 @@ impl Lander {
         if snapshot.physics != self.settings.physics {
             return Err(SnapshotError::Mismatch { what: "lander physics" });
         }
-        let in_contact = matches!(snapshot.episode.integrator, Integrator::Contact { .. });
-        match (&snapshot.contact, in_contact) {
-            (Some(bytes), true) => {
+        match (&snapshot.contact, snapshot.episode.integrator) {
+            (Some(bytes), Integrator::Contact { .. }) => {
                 let world = ContactWorld::decode(bytes, TEMPLATE.names)?;
-                let world = world.ok_or(SnapshotError::Mismatch { what: "lander bodies" })?;
                 self.contact = Some(Box::new(world));
             }
-            (None, false) => {}
+            (None, Integrator::Flight(_)) => {}
             _ => return Err(SnapshotError::Mismatch { what: "lander integrator" }),
         }
         self.episode = snapshot.episode.clone();
@@ -281,15 +257,11 @@ impl LanderEpisode {
         let reach = settings.start_impulse;
         let mut force = Vec2::new(rng.uniform(-reach, reach), rng.uniform(-reach, reach));
         let mut wind = settings.wind.then(|| WindClock::draw(&mut rng));
-        let still = Gust { force: 0.0, torque: 0.0 };
-        let gust = wind
-            .as_mut()
-            .map_or(still, |clock| clock.blow(settings.wind_power, settings.turbulence_power));
+        let gust = wind.as_mut().map(|clock| clock.blow(settings)).unwrap_or_default();
         force.x += gust.force;
-        Dispersion::draw(&mut rng);
+        draw_dispersion(&mut rng);
         let (bodies, angle) = start::after_hidden_frame(force, gust.torque);
-        let (touch, sleep) = (Touch::default(), Sleep::default());
-        let state = observe::state(&bodies, angle, touch.legs);
+        let state = observe::state(&bodies, angle, [false; 2]);
         let mut episode = Self {
             rng,
             terrain,
@@ -297,8 +269,8 @@ impl LanderEpisode {
             integrator: Integrator::Flight(Flight::take_over(&bodies, angle)),
             bodies,
             angle,
-            touch,
-            sleep,
+            touch: Touch::default(),
+            sleep: Sleep::default(),
             shaping: observe::shaping(&state),
             observation: state.map(|value| value as f32),
         };
@@ -311,18 +283,17 @@ impl LanderEpisode {
     /// Hands the lander over to the contact world.
     fn enter_contact(&mut self, contact: &mut Option<Box<ContactWorld>>) {
         let Integrator::Flight(flight) = &self.integrator else { return };
-        let world = contact.get_or_insert_with(|| Box::new(TEMPLATE.world()));
-        world.enter(&TEMPLATE.sets, flight, &flight.bodies(), &self.terrain);
+        let Template { sets, names } = &*TEMPLATE;
+        let world = || Box::new(ContactWorld::around(sets.clone(), *names));
+        contact.get_or_insert_with(world).enter(sets, flight, &self.terrain);
         self.integrator = Integrator::Contact { clear_frames: 0 };
     }
 
     /// Gathers what pushes the lander in the coming frame; draws the frame's random numbers.
     fn load(&mut self, settings: &PhysicsSettings, engine: Engine) -> Load {
         let flying = self.touch.legs == [false; 2];
-        let wind = self.wind.as_mut().filter(|_| flying);
-        let wind = wind.map(|clock| clock.blow(settings.wind_power, settings.turbulence_power));
-        let drawn = Dispersion::draw(&mut self.rng);
-        let dispersion = if settings.dispersion { drawn } else { Dispersion::NONE };
+        let wind = self.wind.as_mut().filter(|_| flying).map(|clock| clock.blow(settings));
+        let dispersion = draw_dispersion(&mut self.rng);
         Load { engine: engine.push(&self.bodies[HULL], dispersion), wind }
     }
 
@@ -335,10 +306,9 @@ impl LanderEpisode {
                 self.angle = flight.angle;
             }
             (Integrator::Contact { .. }, Some(world)) => {
-                let effort = if self.touch.near { Effort::Near } else { Effort::Far };
-                world.step(load, effort);
+                world.step(load, self.touch.near);
                 let before = std::mem::replace(&mut self.bodies, world.bodies())[HULL];
-                self.angle += turned(&before, &self.bodies[HULL]);
+                self.angle += self.bodies[HULL].angle_from(&before);
             }
             (Integrator::Contact { .. }, None) => unreachable!("the contact world has its world"),
         }
@@ -353,27 +323,15 @@ impl LanderEpisode {
         let difference = shaping - self.shaping - engine.fuel();
         self.shaping = shaping;
         self.observation = state.map(|value| value as f32);
-        let outcome = if asleep {
-            Some(LanderOutcome::Landed)
+        let (outcome, reward) = if asleep {
+            (Some(LanderOutcome::Landed), 100.0)
         } else if self.touch.hull {
-            Some(LanderOutcome::Crashed)
+            (Some(LanderOutcome::Crashed), -100.0)
         } else if state[0].abs() >= 1.0 {
-            Some(LanderOutcome::Out)
+            (Some(LanderOutcome::Out), -100.0)
         } else {
-            None
-        };
-        let reward = match outcome {
-            None => difference,
-            Some(LanderOutcome::Landed) => 100.0,
-            Some(LanderOutcome::Crashed | LanderOutcome::Out) => -100.0,
+            (None, difference)
         };
         Frame { observation: self.observation, reward, outcome }
     }
-}
-
-/// Returns the angle from one pose to the next.
-fn turned(before: &Body, after: &Body) -> f64 {
-    let sin = after.sin * before.cos - after.cos * before.sin;
-    let cos = after.cos * before.cos + after.sin * before.sin;
-    libm::atan2(sin, cos)
 }

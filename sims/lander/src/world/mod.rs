@@ -11,18 +11,7 @@
 //!
 //! What this module does not know: pilots, zones, notifications, people.
 //!
-//! | file | what |
-//! |---|---|
-//! | `constants`, `settings` | numbers of the original; what can be set |
-//! | `terrain`, `start`, `engines` | the ground, the state after the hidden first frame, what pushes |
-//! | `flight`, `contact` (`contact_template`) | the two integrators |
-//! | `touch`, `sleep`, `observe` | leg flags and nearness, coming to rest, observation and reward |
-//! | `lander` | one frame from beginning to end; snapshot and restore |
-//! | `draw` | the world as a picture's ingredients |
-//!
-//! # Where to start
-//!
-//! [`Lander::step`].
+//! Where to start: [`Lander::step`]: one frame from beginning to end.
 
 mod body;
 mod constants;
@@ -43,5 +32,5 @@ pub use draw::{VIEW, caption};
 pub use engines::{Engine, NoSuchEngine};
 pub(crate) use lander::SNAPSHOT_MARGIN;
 pub use lander::{Frame, Lander, LanderOutcome, LanderSnapshot};
+pub(crate) use settings::START_IMPULSES;
 pub use settings::{Physics, PhysicsSettings};
-pub(crate) use settings::{check_impulse, check_powers};

@@ -3,16 +3,11 @@
 use super::body::Body;
 use super::constants::{FPS, HALF_WORLD, HULL, PAD_X, REST_Y, Vec2};
 
-/// x, y, vx, vy, angle, angular velocity, right and left leg flag, in double precision.
-pub(super) type RawObservation = [f64; 8];
-
-/// Computes the eight observed values.
-///
-/// # Units
+/// Computes x, y, vx, vy, angle, angular velocity, right and left leg flag, in double precision.
 ///
 /// Position in half worlds from the standing hull on the pad; velocity in half worlds per second, over 50 frames
 /// times the frame rate as the original scales it; angle in radians, unwrapped; angular velocity times 0.4.
-pub(super) fn state(bodies: &[Body; 3], angle: f64, legs: [bool; 2]) -> RawObservation {
+pub(super) fn state(bodies: &[Body; 3], angle: f64, legs: [bool; 2]) -> [f64; 8] {
     let hull = &bodies[HULL];
     let position = to_observation_units(hull.origin());
     [
@@ -33,7 +28,7 @@ pub(super) fn to_observation_units(point: Vec2) -> Vec2 {
 }
 
 /// Computes the shaping potential: nearer, slower, more upright and standing is better.
-pub(super) fn shaping(s: &RawObservation) -> f64 {
+pub(super) fn shaping(s: &[f64; 8]) -> f64 {
     let norm = |a: f64, b: f64| (a * a + b * b).sqrt();
     -100.0 * norm(s[0], s[1]) - 100.0 * norm(s[2], s[3]) - 100.0 * s[4].abs()
         + 10.0 * s[6]

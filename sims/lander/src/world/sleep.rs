@@ -33,13 +33,8 @@ mod tests {
 
     #[test]
     fn half_a_second_of_stillness_is_sleep_and_one_twitch_starts_over() {
-        let still = Body {
-            center: Vec2::zeros(),
-            cos: 1.0,
-            sin: 0.0,
-            velocity: Vec2::new(0.009, 0.0),
-            spin: 0.03,
-        };
+        let resting = Body::at_rest(Vec2::zeros(), 1.0, 0.0);
+        let still = Body { velocity: Vec2::new(0.009, 0.0), spin: 0.03, ..resting };
         let twitching = Body { spin: 0.04, ..still };
         let mut sleep = Sleep::default();
         let frames = (1..100).find(|_| sleep.update(&[still; 3])).unwrap();

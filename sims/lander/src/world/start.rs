@@ -44,8 +44,6 @@ const MAP: [[[f64; 4]; 6]; 3] = [
 
 /// Computes hull and legs after the hidden frame, and the hull's angle.
 ///
-/// # Units
-///
 /// `force`: newtons on the hull's centre of mass, wind included; `torque`: newton metres.
 pub(super) fn after_hidden_frame(force: Vec2, torque: f64) -> ([Body; 3], f64) {
     let input = Vector4::new(1.0, force.x / 1000.0, force.y / 1000.0, torque);

@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 
 use super::constants::{HEIGHT, Vec2};
 
-/// How many heights there are.
 pub(super) const N_POINTS: usize = 11;
 /// Distance between them along x.
 pub(super) const SPACING: f64 = 2.0;
@@ -26,10 +25,7 @@ impl Terrain {
     /// The smoothing's weight is 0.33, not a third, so the pad lies at 3.30 and not at 3.33; and the point before
     /// the first one is the twelfth height, by Python's negative index.
     pub(super) fn draw(rng: &mut Pcg64) -> Self {
-        let mut raw = [0.0; N_POINTS + 1];
-        for height in &mut raw {
-            *height = rng.uniform(0.0, HEIGHT / 2.0);
-        }
+        let mut raw: [f64; N_POINTS + 1] = std::array::from_fn(|_| rng.uniform(0.0, HEIGHT / 2.0));
         raw[3..=7].fill(HEIGHT / 4.0);
         Self::new(std::array::from_fn(|i| {
             let before = if i == 0 { raw[N_POINTS] } else { raw[i - 1] };
@@ -37,12 +33,10 @@ impl Terrain {
         }))
     }
 
-    /// Makes a ground of given heights.
     pub(super) fn new(heights: [f64; N_POINTS]) -> Self {
         Self { heights, top: heights.iter().fold(0.0, |top, &height| height.max(top)) }
     }
 
-    /// Returns a point of the ground.
     pub(super) fn point(&self, i: usize) -> Vec2 {
         Vec2::new(SPACING * i as f64, self.heights[i])
     }
@@ -66,19 +60,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_pad_is_level_at_three_point_three() {
+    fn the_pad_is_level_and_the_first_height_wraps_round_to_the_twelfth_draw() {
         let terrain = Terrain::draw(&mut Pcg64::seed_from_u64(0));
-        for height in &terrain.heights[4..=6] {
-            assert!((height - 3.3).abs() < 1e-12);
-        }
-    }
-
-    #[test]
-    fn the_first_height_wraps_round_to_the_twelfth_draw() {
+        assert!(terrain.heights[4..=6].iter().all(|height| (height - 3.3).abs() < 1e-12));
         // The draws of seed 0 as recorded from the original: see the conformance traces.
         let (first, second, twelfth) =
             (4.246_411_248_809_696, 1.798_578_091_759_155_1, 0.018_256_667_800_987_3);
-        let terrain = Terrain::draw(&mut Pcg64::seed_from_u64(0));
         assert!((terrain.heights[0] - 0.33 * (first + second + twelfth)).abs() < 1e-9);
     }
 

@@ -58,7 +58,6 @@ impl Touch {
         }
     }
 
-    /// Tells whether anything touches the ground.
     pub(super) fn any(&self) -> bool {
         self.edges != [0; 3]
     }
@@ -66,70 +65,52 @@ impl Touch {
 
 /// Returns the signed clearance of a polygon over the ground: over its own corners and the ground's.
 fn clearance(outline: &Outline, terrain: &Terrain) -> f64 {
-    let over_corners = outline
-        .corners()
-        .iter()
-        .map(|&corner| terrain.above_edge(Terrain::edge_at(corner.x), corner))
-        .fold(f64::INFINITY, f64::min);
+    let corners = outline.corners().iter();
+    let over_corners =
+        corners.map(|&corner| terrain.above_edge(Terrain::edge_at(corner.x), corner));
     let (left, right, _) = outline.extent();
     let first = (left / SPACING).ceil().max(0.0) as usize;
     let last = (right / SPACING).floor().min((N_POINTS - 1) as f64);
-    let mut clearance = over_corners;
     // At most one corner of the ground fits under a shape; none if `last` lies before `first`.
-    let mut i = first;
-    while i as f64 <= last {
-        clearance = clearance.min(outside(outline, terrain.point(i)));
-        i += 1;
-    }
-    clearance
+    let under = (first..N_POINTS).take_while(|&i| i as f64 <= last);
+    let over_ground = under.map(|i| outside(outline, terrain.point(i)));
+    over_corners.chain(over_ground).fold(f64::INFINITY, f64::min)
 }
 
 /// Returns the signed distance of a point to the nearest side of a polygon, positive outside.
 fn outside(outline: &Outline, point: Vec2) -> f64 {
-    outline
-        .edges()
-        .map(|(start, normal)| (point - start).dot(&normal))
-        .fold(f64::NEG_INFINITY, f64::max)
+    let sides = outline.edges().map(|(start, normal)| (point - start).dot(&normal));
+    sides.fold(f64::NEG_INFINITY, f64::max)
 }
 
 fn touched_edges(outline: &Outline, terrain: &Terrain) -> u16 {
     let (left, right, bottom) = outline.extent();
     let (first, last) = (Terrain::edge_at(left - TOUCH_GAP), Terrain::edge_at(right + TOUCH_GAP));
-    (first..=last)
-        .filter(|&edge| {
-            let top = terrain.heights[edge].max(terrain.heights[edge + 1]);
-            bottom - TOUCH_GAP < top && separation(outline, terrain, edge) <= TOUCH_GAP
-        })
-        .fold(0, |bits, edge| bits | 1 << edge)
+    let touches = |&edge: &usize| {
+        let top = terrain.heights[edge].max(terrain.heights[edge + 1]);
+        bottom - TOUCH_GAP < top && separation(outline, terrain, edge) <= TOUCH_GAP
+    };
+    (first..=last).filter(touches).fold(0, |bits, edge| bits | 1 << edge)
 }
 
 /// Computes the largest separation of a polygon and a terrain edge over the normals of both.
 fn separation(outline: &Outline, terrain: &Terrain, edge: usize) -> f64 {
     let (from, to) = (terrain.point(edge), terrain.point(edge + 1));
-    let over_edge = outline
-        .corners()
-        .iter()
-        .map(|&corner| terrain.above_edge(edge, corner))
-        .fold(f64::INFINITY, f64::min);
-    outline
-        .edges()
+    let corners = outline.corners().iter();
+    let over_edge = corners.map(|&corner| terrain.above_edge(edge, corner));
+    let sides = outline.edges();
+    sides
         .map(|(start, normal)| (from - start).dot(&normal).min((to - start).dot(&normal)))
-        .fold(over_edge, f64::max)
+        .fold(over_edge.fold(f64::INFINITY, f64::min), f64::max)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::constants::LEG_HALF;
     use super::*;
 
     fn leg_at(x: f64, y: f64) -> [Body; 3] {
-        let body = |x, y| Body {
-            center: Vec2::new(x, y),
-            cos: 1.0,
-            sin: 0.0,
-            velocity: Vec2::zeros(),
-            spin: 0.0,
-        };
-        [body(10.0, 2.85), body(x, y), body(10.0, 9.0)]
+        [[10.0, 2.85], [x, y], [10.0, 9.0]].map(|center| Body::at_rest(center.into(), 1.0, 0.0))
     }
 
     fn flat() -> Terrain {
@@ -138,7 +119,7 @@ mod tests {
 
     #[test]
     fn a_leg_touches_within_the_skin_and_not_above_it() {
-        let half = super::super::constants::LEG_HALF[1];
+        let half = LEG_HALF[1];
         let mut touch = Touch::default();
         touch.update(&leg_at(9.0, 2.0 + half + 0.019), &flat());
         assert_eq!((touch.legs, touch.hull), ([true, false], false));
@@ -149,7 +130,7 @@ mod tests {
 
     #[test]
     fn leaving_one_of_two_edges_clears_the_flag_although_the_leg_stands() {
-        let y = 2.0 + super::super::constants::LEG_HALF[1] + 0.01;
+        let y = 2.0 + LEG_HALF[1] + 0.01;
         let mut touch = Touch::default();
         touch.update(&leg_at(8.0, y), &flat());
         assert!(touch.legs[0], "touching the edges on both sides of x = 8");
