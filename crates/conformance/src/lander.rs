@@ -15,39 +15,20 @@ use leadtime_lander::world::{
 };
 use leadtime_numerics::Pcg64;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
+use crate::error::ReplayError;
 use crate::section::{Section, mark};
 
 /// The compared components of an observation; the leg flags are all zero before the first contact.
-pub const COMPONENTS: [&str; 6] = ["x", "y", "vx", "vy", "angle", "angular_velocity"];
+const COMPONENTS: [&str; 6] = ["x", "y", "vx", "vy", "angle", "angular_velocity"];
 /// The most frames of an episode that are compared.
-pub const MAX_FRAMES: usize = 100;
+const MAX_FRAMES: usize = 100;
 /// Largest error per component without wind.
-pub const CALM_BOUNDS: [f64; 6] = [6e-4, 3e-4, 4e-3, 1e-3, 4e-3, 1.2e-2];
+const CALM_BOUNDS: [f64; 6] = [6e-4, 3e-4, 4e-3, 1e-3, 4e-3, 1.2e-2];
 /// Largest error per component with wind.
-pub const WIND_BOUNDS: [f64; 6] = [1.6e-3, 3e-4, 6e-3, 1e-3, 4e-3, 1.2e-2];
+const WIND_BOUNDS: [f64; 6] = [1.6e-3, 3e-4, 6e-3, 1e-3, 4e-3, 1.2e-2];
 /// Largest error of any component of a first observation.
-pub const RESET_BOUND: f64 = 1e-4;
-
-/// Why a text cannot be replayed.
-#[derive(Debug, Error)]
-#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
-pub enum LanderReplayError {
-    /// It is not a set of recorded episodes.
-    #[error("traces cannot be read")]
-    Format(#[from] serde_json::Error),
-    /// A recorded action is no engine.
-    #[error("episode {episode} of the traces has an impossible action")]
-    Action {
-        episode: usize,
-        #[source]
-        source: NoSuchEngine,
-    },
-    /// There is nothing to compare.
-    #[error("the traces hold no frame to compare")]
-    Empty,
-}
+const RESET_BOUND: f64 = 1e-4;
 
 #[derive(Deserialize)]
 struct LanderTraces {
@@ -113,7 +94,7 @@ pub struct WindComparison {
 pub struct LanderReport {
     /// What recorded the traces.
     pub source: String,
-    /// What [`RESET_BOUND`] was.
+    /// What a reset error may be.
     pub reset_bound: f64,
     /// Without wind, then with; only what the traces hold.
     pub comparisons: Vec<WindComparison>,
@@ -128,53 +109,37 @@ impl LanderReport {
                 comparison;
             let wind = if *wind { "with wind" } else { "without wind" };
             let row = |name: &str, maximum: f64, median: String, bound: f64| {
-                let numbers = [format!("{maximum:.2e}"), median, format!("{bound:.2e}")];
-                [name.to_owned()]
-                    .into_iter()
-                    .chain(numbers)
-                    .chain([mark(maximum <= bound)])
-                    .collect()
+                let [largest, allowed] = [maximum, bound].map(|error| format!("{error:.2e}"));
+                vec![name.to_owned(), largest, median, allowed, mark(maximum <= bound)]
             };
-            let reset = row("reset", *reset_error, "-".to_owned(), self.reset_bound);
-            let errors = components.iter().map(|error| {
+            let mut rows = vec![row("reset", *reset_error, "-".to_owned(), self.reset_bound)];
+            rows.extend(components.iter().map(|error| {
                 row(error.name, error.maximum, format!("{:.2e}", error.median), error.bound)
-            });
-            Section {
-                title: format!(
-                    "{wind}: {n_episodes} episodes, {n_frames} frames before first contact"
-                ),
-                head: vec!["component", "maximum", "median", "bound", ""],
-                rows: [reset].into_iter().chain(errors).collect(),
-                notes: Vec::new(),
-            }
+            }));
+            let title =
+                format!("{wind}: {n_episodes} episodes, {n_frames} frames before first contact");
+            let head = vec!["component", "maximum", "median", "bound", ""];
+            Section { title, head, rows, notes: Vec::new() }
         };
         self.comparisons.iter().map(section).collect()
     }
 }
 
-/// Replays recorded episodes with the default physics.
+/// Replays recorded episodes.
 ///
 /// # Errors
 ///
-/// [`LanderReplayError`] if the text is no set of traces, or holds nothing to compare.
-pub fn replay(json: &str) -> Result<LanderReport, LanderReplayError> {
-    replay_with(json, Physics::default())
-}
-
-/// Replays recorded episodes with a given physics.
-///
-/// # Errors
-///
-/// As [`replay`].
-pub fn replay_with(json: &str, physics: Physics) -> Result<LanderReport, LanderReplayError> {
-    let traces: LanderTraces = serde_json::from_str(json)?;
+/// [`ReplayError`] if the text is no set of traces, or holds nothing to compare.
+pub fn replay(json: &str, physics: Physics) -> Result<LanderReport, ReplayError> {
+    let traces: LanderTraces = serde_json::from_str(json)
+        .map_err(|source| ReplayError::Format { what: "traces", source })?;
     let mut comparisons = Vec::new();
     for wind in [false, true] {
         let mut errors = Vec::new();
         for (episode, trace) in traces.episodes.iter().enumerate() {
             if trace.wind == wind {
                 let error = compare(trace, physics);
-                errors.push(error.map_err(|source| LanderReplayError::Action { episode, source })?);
+                errors.push(error.map_err(|source| ReplayError::Action { episode, source })?);
             }
         }
         if !errors.is_empty() {
@@ -182,7 +147,7 @@ pub fn replay_with(json: &str, physics: Physics) -> Result<LanderReport, LanderR
         }
     }
     if comparisons.iter().all(|comparison| comparison.n_frames == 0) {
-        return Err(LanderReplayError::Empty);
+        return Err(ReplayError::Empty { what: "traces hold no frame" });
     }
     let passed = comparisons.iter().all(|comparison| comparison.passed);
     Ok(LanderReport { source: traces.source, reset_bound: RESET_BOUND, comparisons, passed })

@@ -6,11 +6,13 @@
 //!
 //! [`Original::replay`] takes a text of traces; [`Replay`] is what came out.
 
+mod error;
 pub mod highway;
 pub mod lander;
 mod replay;
 mod section;
 pub mod steakhouse;
 
-pub use replay::{Original, Replay, ReplayError};
+pub use error::ReplayError;
+pub use replay::{Original, Replay};
 pub use section::Section;

@@ -15,35 +15,19 @@ use leadtime_sims::{Domain as _, EpisodeSeed, ReactionStep};
 const DECISIONS: u64 = 2_000;
 const FRAMES: u64 = 5 * DECISIONS;
 
-struct HighwayLoop {
-    task: HighwayDomain,
-    episode: u64,
-    observation: Vec<f32>,
-}
-
-impl HighwayLoop {
-    fn new() -> Self {
-        let settings = HighwayWorldSettings { absorb_until: 0, ..HighwayWorldSettings::default() };
-        let task = HighwayDomain::new(&settings).expect("the default world can be built");
-        let observation = vec![0.0; task.obs_dim()];
-        let mut this = Self { task, episode: 0, observation };
-        this.reset();
-        this
-    }
-
-    fn reset(&mut self) {
-        let episode = self.episode;
-        self.task.reset(EpisodeSeed { run_seed: 1, env_id: EnvId(0), episode });
-        self.episode += 1;
-    }
-
-    fn run(&mut self, reaction: Option<ReactionStep>) {
-        for _ in 0..DECISIONS {
-            let advance = self.task.advance(reaction);
-            self.task.observe(&mut self.observation);
-            if advance.end.is_some() {
-                self.reset();
-            }
+/// Drives on, and starts the next episode where one ends.
+fn drive(
+    task: &mut HighwayDomain,
+    observation: &mut [f32],
+    seed: &mut EpisodeSeed,
+    reaction: Option<ReactionStep>,
+) {
+    for _ in 0..DECISIONS {
+        let advance = task.advance(reaction);
+        task.observe(observation);
+        if advance.end.is_some() {
+            seed.episode += 1;
+            task.reset(*seed);
         }
     }
 }
@@ -55,7 +39,7 @@ fn traffic() -> Traffic {
     for i in 0..8 {
         let place = [40.0 * f64::from(i), 4.0 * f64::from(i % 2)];
         let vehicle = Vehicle::new(traffic.network(), place, 0.0, 28.0).with_idm(28.0);
-        traffic.push(vehicle);
+        traffic.vehicles.push(vehicle);
     }
     traffic
 }
@@ -65,8 +49,14 @@ fn frames_per_second(criterion: &mut Criterion) {
     group.throughput(Throughput::Elements(FRAMES)).sample_size(20);
     let slow_down = Some(ReactionStep { topic: 0, first: false });
     for (name, reaction) in [("unaided", None), ("slowing down", slow_down)] {
-        let mut work = HighwayLoop::new();
-        group.bench_function(name, |bencher| bencher.iter(|| work.run(reaction)));
+        let settings = HighwayWorldSettings { absorb_until: 0, ..HighwayWorldSettings::default() };
+        let mut task = HighwayDomain::new(&settings).expect("the default world can be built");
+        let mut observation = vec![0.0; task.obs_dim()];
+        let mut seed = EpisodeSeed { run_seed: 1, env_id: EnvId(0), episode: 0 };
+        task.reset(seed);
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| drive(&mut task, &mut observation, &mut seed, reaction));
+        });
     }
     let start = traffic();
     group.bench_function("frames only, eight cars", |bencher| {

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use leadtime_numerics::Pcg64;
 use leadtime_proto::EnvId;
-use leadtime_sims::{Domain as _, Environment as _, EpisodeSeed, NotifierEnv};
+use leadtime_sims::{Domain as _, Environment as _, EpisodeSeed};
 use leadtime_steakhouse::task::{SteakhouseDomain, SteakhouseTaskSettings};
 use leadtime_steakhouse::world::{
     FieldOfView, Floorplan, Kitchen, KitchenStart, StartFamily, Ties, WorkTimes, kitchen,
@@ -23,47 +23,33 @@ fn seed(episode: u64) -> EpisodeSeed {
     EpisodeSeed { run_seed: 1, env_id: EnvId(0), episode }
 }
 
-/// A kitchen that starts over whenever the dish is served.
-struct KitchenLoop {
-    kitchen: Kitchen,
-    start: KitchenStart,
-    generator: Pcg64,
-}
-
-impl KitchenLoop {
-    fn new() -> Self {
-        let grid = kitchen("ring").expect("it is built in");
-        let start = KitchenStart::new(&grid).expect("it has a start");
-        let plan = Arc::new(Floorplan::new(grid, FieldOfView::Block));
-        let kitchen = Kitchen::new(plan, WorkTimes::default(), 1);
-        let mut this = Self { kitchen, start, generator: Pcg64::seed_from_u64(1) };
-        this.begin();
-        this
-    }
-
-    fn begin(&mut self) {
-        let grid = Arc::clone(&self.kitchen.plan().grid);
-        let contents = &mut self.start.contents;
-        StartFamily::Random.fill(&grid, WorkTimes::default(), &mut self.generator, contents);
-        self.start.pose = random_pose(&grid, &mut self.generator);
-        self.kitchen.begin(&self.start, false);
-    }
-
-    fn step(&mut self) {
-        let action = self.kitchen.decide(Ties::Random(&mut self.generator));
-        self.kitchen.step(action, true);
-        if self.kitchen.world().is_done() || self.kitchen.n_steps() >= MAX_STEPS {
-            self.begin();
-        }
-    }
+/// Opens a kitchen; with it comes how an episode of it starts.
+fn open() -> (Kitchen, KitchenStart) {
+    let grid = kitchen("ring").expect("it is built in");
+    let start = KitchenStart::new(&grid).expect("it has a start");
+    let plan = Arc::new(Floorplan::new(grid, FieldOfView::Block));
+    (Kitchen::new(plan, WorkTimes::default(), 1), start)
 }
 
 fn steps_per_second(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("steakhouse");
     group.throughput(Throughput::Elements(u64::from(STEPS))).sample_size(20);
-    let mut work = KitchenLoop::new();
+    let (mut kitchen, mut start) = open();
+    let mut generator = Pcg64::seed_from_u64(1);
     group.bench_function("world and cook", |bencher| {
-        bencher.iter(|| (0..STEPS).for_each(|_| work.step()));
+        bencher.iter(|| {
+            for _ in 0..STEPS {
+                if kitchen.n_steps % MAX_STEPS == 0 || kitchen.world.is_done() {
+                    let grid = &kitchen.plan.grid;
+                    let times = WorkTimes::default();
+                    StartFamily::Random.fill(grid, times, &mut generator, &mut start.contents);
+                    start.pose = random_pose(grid, &mut generator);
+                    kitchen.begin(&start, false);
+                }
+                let action = kitchen.decide(Ties::Random(&mut generator));
+                kitchen.step(action, true);
+            }
+        });
     });
 
     let settings = SteakhouseTaskSettings::default();
@@ -83,9 +69,7 @@ fn steps_per_second(criterion: &mut Criterion) {
         });
     });
 
-    let task = SteakhouseDomain::new(&settings.world).expect("the defaults are possible");
-    let mut env = NotifierEnv::new(task, &settings.human, &settings.notifier)
-        .expect("the defaults are possible");
+    let mut env = settings.build().expect("the defaults are possible");
     let mut observation = vec![0.0; env.spec().obs_dim];
     let mut generator = Pcg64::seed_from_u64(7);
     env.reset(seed(episode), &mut observation);

@@ -9,8 +9,7 @@
 //!
 //! [`entry()`] is what the rest of the program knows; [`task::SteakhouseDomain`] the notifier task.
 
-mod entry;
 pub mod task;
 pub mod world;
 
-pub use entry::entry;
+pub use task::entry;

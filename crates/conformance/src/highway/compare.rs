@@ -4,8 +4,12 @@ use leadtime_highway::world::{Driver, Vehicle};
 use serde::Serialize;
 
 use super::trace::VehicleRow;
-use super::{OBSERVATION_BOUND, STATE_BOUND};
 use crate::section::{Section, mark};
+
+/// What any recorded state may differ by: the traces are rounded to nine decimals.
+const STATE_BOUND: f64 = 1e-8;
+/// What any observed number may differ by: observations have single precision.
+const OBSERVATION_BOUND: f64 = 1e-6;
 
 /// The largest differences of a scenario.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -27,7 +31,7 @@ pub struct Errors {
 }
 
 /// What was found of one scenario.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ScenarioReport {
     /// Its key in the traces.
     pub name: &'static str,
@@ -61,17 +65,22 @@ pub struct HighwayReport {
 }
 
 impl HighwayReport {
+    pub(super) fn new(source: String, scenarios: Vec<ScenarioReport>) -> Self {
+        let passed = scenarios.iter().all(|scenario| scenario.passed);
+        let (state_bound, observation_bound) = (STATE_BOUND, OBSERVATION_BOUND);
+        Self { source, state_bound, observation_bound, scenarios, passed }
+    }
+
     pub(crate) fn sections(&self) -> Vec<Section> {
         let row = |scenario: &ScenarioReport| {
             let ScenarioReport { name, n_states, n_decisions, n_mismatches, passed, .. } = scenario;
             let Errors { position, heading, speed, command, observation, reward, .. } =
                 scenario.errors;
             let errors = [position, heading, speed, command, observation, reward];
-            [(*name).to_owned(), n_states.to_string(), n_decisions.to_string()]
-                .into_iter()
-                .chain(errors.map(|error| format!("{error:.1e}")))
-                .chain([n_mismatches.to_string(), mark(*passed)])
-                .collect()
+            let mut row = vec![(*name).to_owned(), n_states.to_string(), n_decisions.to_string()];
+            row.extend(errors.map(|error| format!("{error:.1e}")));
+            row.extend([n_mismatches.to_string(), mark(*passed)]);
+            row
         };
         let (state, observation) = (self.state_bound, self.observation_bound);
         vec![Section {
@@ -97,15 +106,7 @@ impl HighwayReport {
 
 impl ScenarioReport {
     pub(super) fn new(name: &'static str) -> Self {
-        Self {
-            name,
-            n_episodes: 0,
-            n_states: 0,
-            n_decisions: 0,
-            errors: Errors::default(),
-            n_mismatches: 0,
-            passed: false,
-        }
+        Self { name, ..Self::default() }
     }
 
     /// Sets `passed` by what was found.
@@ -130,34 +131,22 @@ impl ScenarioReport {
     }
 
     fn compare_state(&mut self, vehicle: &Vehicle, state: &VehicleRow) {
-        let &VehicleRow(
-            x,
-            y,
-            heading,
-            speed,
-            lane,
-            target_lane,
-            acceleration,
-            steering,
-            timer,
-            crashed,
-        ) = state;
         self.n_states += 1;
         let errors = &mut self.errors;
-        grow(&mut errors.position, vehicle.position[0], Some(x));
-        grow(&mut errors.position, vehicle.position[1], Some(y));
-        grow(&mut errors.heading, vehicle.heading, Some(heading));
-        grow(&mut errors.speed, vehicle.speed, Some(speed));
-        grow(&mut errors.command, vehicle.acceleration, acceleration);
-        grow(&mut errors.command, vehicle.steering, steering);
+        grow(&mut errors.position, vehicle.position[0], Some(state.x));
+        grow(&mut errors.position, vehicle.position[1], Some(state.y));
+        grow(&mut errors.heading, vehicle.heading, Some(state.heading));
+        grow(&mut errors.speed, vehicle.speed, Some(state.speed));
+        grow(&mut errors.command, vehicle.acceleration, state.acceleration);
+        grow(&mut errors.command, vehicle.steering, state.steering);
         if let Driver::Idm(idm) = vehicle.driver {
-            grow(&mut errors.timer, idm.timer, timer);
+            grow(&mut errors.timer, idm.timer, state.timer);
         }
-        self.expect(&(vehicle.lane as i64), &lane);
+        self.expect(&(vehicle.lane as i64), &state.lane);
         if vehicle.driver != Driver::Nobody {
-            self.expect(&(vehicle.target_lane as i64), &target_lane);
+            self.expect(&(vehicle.target_lane as i64), &state.target_lane);
         }
-        self.expect(&u8::from(vehicle.crashed), &crashed);
+        self.expect(&u8::from(vehicle.crashed), &state.crashed);
     }
 
     pub(super) fn compare_observation(&mut self, found: &[f32], recorded: &[Vec<f64>]) {

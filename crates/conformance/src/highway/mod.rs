@@ -15,9 +15,4 @@ mod replay;
 mod trace;
 
 pub use compare::{Errors, HighwayReport, ScenarioReport};
-pub use replay::{HighwayReplayError, replay};
-
-/// What any recorded state may differ by: the traces are rounded to nine decimals.
-pub const STATE_BOUND: f64 = 1e-8;
-/// What any observed number may differ by: observations have single precision.
-pub const OBSERVATION_BOUND: f64 = 1e-6;
+pub use replay::replay;

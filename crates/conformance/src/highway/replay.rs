@@ -4,19 +4,17 @@ use std::sync::Arc;
 
 use leadtime_highway::world::constants::{LENGTH, WIDTH};
 use leadtime_highway::world::{
-    Blindness, Driver, DriverCommand, Footprint, Lookup, ObservationSettings, RewardSettings, Road,
-    RoadSettings, Side, SpeedGrid, Traffic, Vehicle, contact,
+    Blindness, Driver, DriverCommand, Footprint, LaneSettings, Lookup, ObservationSettings,
+    RewardSettings, Road, RoadSettings, Side, SpeedGrid, Traffic, Vehicle, contact,
 };
-use leadtime_sims::check::SettingError;
 use serde_json::Value;
-use thiserror::Error;
 
 use super::compare::{HighwayReport, ScenarioReport, grow};
 use super::trace::{
     CollisionCase, HighwayTraces, IdmCase, LaneRow, MergeEpisode, MergeEpisodes, RecordedScene,
     VehicleStart,
 };
-use super::{OBSERVATION_BOUND, STATE_BOUND};
+use crate::error::ReplayError;
 
 /// Frames per decision of the recorded merge episodes.
 const FRAMES: usize = 15;
@@ -25,35 +23,14 @@ const GOAL: f64 = 370.0;
 const OBSERVATION: ObservationSettings =
     ObservationSettings { rows: 5, headings: false, see_behind: false };
 
-/// Why a text cannot be replayed.
-#[derive(Debug, Error)]
-#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
-pub enum HighwayReplayError {
-    /// It is not a set of recorded scenes.
-    #[error("traces cannot be read")]
-    Format(#[from] serde_json::Error),
-    /// A recorded road is malformed.
-    #[error("the road of scenario `{scenario}` is impossible")]
-    Road {
-        scenario: &'static str,
-        #[source]
-        source: SettingError,
-    },
-    /// A recorded action or class of vehicle that does not exist.
-    #[error("scenario `{scenario}` has the unknown {what} `{given}`")]
-    Unknown { scenario: &'static str, what: &'static str, given: String },
-    /// There is nothing to compare.
-    #[error("the traces hold no scenario to compare")]
-    Empty,
-}
-
 /// Replays recorded scenes.
 ///
 /// # Errors
 ///
-/// [`HighwayReplayError`] if the text is no set of traces, or holds nothing to compare.
-pub fn replay(text: &str) -> Result<HighwayReport, HighwayReplayError> {
-    let traces: HighwayTraces = serde_json::from_str(text)?;
+/// [`ReplayError`] if the text is no set of traces, or holds nothing to compare.
+pub fn replay(text: &str) -> Result<HighwayReport, ReplayError> {
+    let traces: HighwayTraces = serde_json::from_str(text)
+        .map_err(|source| ReplayError::Format { what: "traces", source })?;
     let dt = traces.meta.dt;
     let mut scenarios = Vec::new();
     for (name, scene) in [
@@ -85,34 +62,38 @@ pub fn replay(text: &str) -> Result<HighwayReport, HighwayReplayError> {
         scenarios.push(compare_idm(&traces.unit_idm)?);
     }
     if scenarios.iter().all(|scenario| scenario.n_states == 0) {
-        return Err(HighwayReplayError::Empty);
+        return Err(ReplayError::Empty { what: "traces hold no scenario" });
     }
-    Ok(HighwayReport {
-        source: format!("highway-env {}", traces.meta.highway_env),
-        state_bound: STATE_BOUND,
-        observation_bound: OBSERVATION_BOUND,
-        passed: scenarios.iter().all(|scenario| scenario.passed),
-        scenarios,
-    })
+    Ok(HighwayReport::new(format!("highway-env {}", traces.meta.highway_env), scenarios))
 }
 
 fn road(
     scenario: &'static str,
     lanes: &[LaneRow],
     lookup: Lookup,
-) -> Result<Arc<Road>, HighwayReplayError> {
+) -> Result<Arc<Road>, ReplayError> {
     let lanes = lanes.iter().map(LaneRow::settings).collect();
-    let settings = RoadSettings { lanes, ramps: Vec::new(), obstacles: Vec::new() };
-    let road =
-        settings.build(lookup).map_err(|source| HighwayReplayError::Road { scenario, source })?;
-    Ok(Arc::new(road))
+    build(scenario, &RoadSettings { lanes, ramps: Vec::new(), obstacles: Vec::new() }, lookup)
+}
+
+fn build(
+    scenario: &'static str,
+    settings: &RoadSettings,
+    lookup: Lookup,
+) -> Result<Arc<Road>, ReplayError> {
+    let road = settings.build(lookup);
+    road.map(Arc::new).map_err(|source| ReplayError::Road { scenario, source })
+}
+
+fn unknown(scenario: &'static str, what: &'static str, given: &str) -> ReplayError {
+    ReplayError::Unknown { scenario, what, given: given.to_owned() }
 }
 
 fn start(
     scenario: &'static str,
     traffic: &Traffic,
     start: &VehicleStart,
-) -> Result<Vehicle, HighwayReplayError> {
+) -> Result<Vehicle, ReplayError> {
     let network = traffic.network();
     let vehicle = Vehicle::new(network, [start.x, start.y], start.heading, start.speed);
     let target_speed = start.target_speed.unwrap_or(0.0);
@@ -127,48 +108,29 @@ fn start(
             }
             Ok(vehicle)
         }
-        class => {
-            Err(HighwayReplayError::Unknown { scenario, what: "vehicle", given: class.to_owned() })
-        }
+        class => Err(unknown(scenario, "vehicle", class)),
     }
 }
 
-fn named_command(scenario: &'static str, name: &str) -> Result<DriverCommand, HighwayReplayError> {
-    match name {
-        "LANE_LEFT" => Ok(DriverCommand::Change(Side::Left)),
-        "LANE_RIGHT" => Ok(DriverCommand::Change(Side::Right)),
-        "IDLE" => Ok(DriverCommand::Idle),
-        "FASTER" => Ok(DriverCommand::Faster),
-        "SLOWER" => Ok(DriverCommand::Slower),
-        _ => Err(HighwayReplayError::Unknown { scenario, what: "action", given: name.to_owned() }),
-    }
-}
-
-fn numbered_command(
-    scenario: &'static str,
-    action: u8,
-) -> Result<DriverCommand, HighwayReplayError> {
-    let names = ["LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER"];
-    let given = || action.to_string();
-    let name = names.get(usize::from(action));
-    let name = name.ok_or_else(|| HighwayReplayError::Unknown {
-        scenario,
-        what: "action",
-        given: given(),
-    })?;
-    named_command(scenario, name)
-}
+/// The commands in the order of their numbers, and how they are called.
+const COMMANDS: [(&str, DriverCommand); 5] = [
+    ("LANE_LEFT", DriverCommand::Change(Side::Left)),
+    ("IDLE", DriverCommand::Idle),
+    ("LANE_RIGHT", DriverCommand::Change(Side::Right)),
+    ("FASTER", DriverCommand::Faster),
+    ("SLOWER", DriverCommand::Slower),
+];
 
 fn replay_scene(
     name: &'static str,
     scene: &RecordedScene,
     dt: f64,
-) -> Result<ScenarioReport, HighwayReplayError> {
+) -> Result<ScenarioReport, ReplayError> {
     let road = road(name, &scene.lanes, Lookup::Segment)?;
     let mut traffic = Traffic::new(road, Blindness::Never);
     for vehicle in &scene.vehicles {
         let vehicle = start(name, &traffic, vehicle)?;
-        traffic.push(vehicle);
+        traffic.vehicles.push(vehicle);
     }
     let grid = match scene.target_speeds[..] {
         [lowest, .., highest] => {
@@ -179,21 +141,23 @@ fn replay_scene(
     let mut report = ScenarioReport::new(name);
     report.n_episodes = 1;
     for (frame, states) in scene.states.iter().enumerate() {
-        report.compare_states(traffic.vehicles(), states);
+        report.compare_states(&traffic.vehicles, states);
         if frame + 1 == scene.states.len() {
             break;
         }
         for &(from, acceleration) in &scene.leader_acceleration_from_step {
-            if from == frame && traffic.vehicles().len() > 1 {
-                traffic.vehicle_mut(1).acceleration = acceleration;
+            if from == frame && traffic.vehicles.len() > 1 {
+                traffic.vehicles[1].acceleration = acceleration;
             }
         }
         if let Some(action) = scene.actions.get(&frame) {
-            traffic.command(0, named_command(name, action)?, &grid);
+            let named = COMMANDS.iter().find(|(command, _)| command == action);
+            let (_, command) = named.ok_or_else(|| unknown(name, "action", action))?;
+            traffic.command(0, *command, &grid);
         }
         for &(at, place, target_speed) in &scene.speed_index {
             if at == frame {
-                let wanted = traffic.vehicles()[0].target_speed;
+                let wanted = traffic.vehicles[0].target_speed;
                 report.expect(&grid.index(wanted), &place);
                 grow(&mut report.errors.speed, wanted, Some(target_speed));
             }
@@ -208,37 +172,29 @@ fn replay_episodes(
     episodes: &MergeEpisodes,
     lookup: Lookup,
     dt: f64,
-) -> Result<ScenarioReport, HighwayReplayError> {
+) -> Result<ScenarioReport, ReplayError> {
     let recorded = road(name, &episodes.lanes, lookup)?;
-    let error = |source| HighwayReplayError::Road { scenario: name, source };
-    let road = Arc::new(RoadSettings::merge().build(lookup).map_err(error)?);
+    let road = build(name, &RoadSettings::merge(), lookup)?;
     let mut report = ScenarioReport::new(name);
     // Our own road is driven; the recorded one must be the same.
     report.expect(&road.network, &recorded.network);
     for episode in &episodes.episodes {
-        replay_episode(
-            episode,
-            Traffic::new(Arc::clone(&road), Blindness::Never),
-            dt,
-            &mut report,
-        )?;
+        let traffic = Traffic::new(Arc::clone(&road), Blindness::Never);
+        replay_episode(episode, traffic, dt, &mut report)?;
     }
     Ok(report.evaluated())
 }
 
 /// Places the cars of a merge episode.
 fn populate(traffic: &mut Traffic, draws: &[(usize, f64, f64); 3]) {
-    let car = |traffic: &Traffic, place, speed| Vehicle::new(traffic.network(), place, 0.0, speed);
-    let ego = car(traffic, [30.0, 4.0], 30.0).with_controller(30.0);
-    traffic.push(ego);
-    for ((x, speed), (lane, dx, dv)) in [(90.0, 29.0), (70.0, 31.0), (5.0, 31.5)].iter().zip(draws)
-    {
-        let place = [x + dx, 4.0 * *lane as f64];
-        let vehicle = car(traffic, place, speed + dv).with_idm(0.0);
-        traffic.push(vehicle);
-    }
-    let merging = car(traffic, [110.0, 14.5], 20.0).with_idm(30.0);
-    traffic.push(merging);
+    let Traffic { road, vehicles, .. } = traffic;
+    let car = |place, speed| Vehicle::new(&road.network, place, 0.0, speed);
+    vehicles.push(car([30.0, 4.0], 30.0).with_controller(30.0));
+    let means = [(90.0, 29.0), (70.0, 31.0), (5.0, 31.5)];
+    vehicles.extend(means.iter().zip(draws).map(|((x, speed), &(lane, dx, dv))| {
+        car([x + dx, 4.0 * lane as f64], speed + dv).with_idm(0.0)
+    }));
+    vehicles.push(car([110.0, 14.5], 20.0).with_idm(30.0));
 }
 
 fn replay_episode(
@@ -246,27 +202,29 @@ fn replay_episode(
     mut traffic: Traffic,
     dt: f64,
     report: &mut ScenarioReport,
-) -> Result<(), HighwayReplayError> {
+) -> Result<(), ReplayError> {
     populate(&mut traffic, &episode.draws);
     let mut states = episode.states.iter();
     let mut observation = vec![0.0; OBSERVATION.dim()];
     let rewards = RewardSettings::stock();
     if let Some(states) = states.next() {
-        report.compare_states(traffic.vehicles(), states);
+        report.compare_states(&traffic.vehicles, states);
     }
     report.n_episodes += 1;
     for decision in &episode.policy {
         if let Some(action) = decision.action {
-            let command = numbered_command(report.name, action)?;
+            let numbered = COMMANDS.get(usize::from(action));
+            let error = || unknown(report.name, "action", &action.to_string());
+            let &(_, command) = numbered.ok_or_else(error)?;
             traffic.command(0, command, &SpeedGrid::STOCK);
             for states in states.by_ref().take(FRAMES) {
                 traffic.step(dt);
-                report.compare_states(traffic.vehicles(), states);
+                report.compare_states(&traffic.vehicles, states);
             }
             let changes = matches!(command, DriverCommand::Change(_));
             let terms = traffic.terms(0, changes, &rewards);
             grow(&mut report.errors.reward, rewards.reward(&terms), Some(decision.reward));
-            let ego = &traffic.vehicles()[0];
+            let ego = &traffic.vehicles[0];
             let ended = ego.crashed || ego.position[0] > GOAL;
             report.expect(&(ended, false), &(decision.terminated, decision.truncated));
         }
@@ -297,27 +255,18 @@ fn compare_collisions(cases: &[CollisionCase]) -> ScenarioReport {
     report.evaluated()
 }
 
-fn compare_idm(cases: &[IdmCase]) -> Result<ScenarioReport, HighwayReplayError> {
+fn compare_idm(cases: &[IdmCase]) -> Result<ScenarioReport, ReplayError> {
     let mut report = ScenarioReport::new("unit_idm");
-    let lane = leadtime_highway::world::LaneSettings {
-        from: "0".to_owned(),
-        to: "1".to_owned(),
-        start: [0.0, 0.0],
-        end: [2000.0, 0.0],
-        width: 4.0,
-        speed_limit: 30.0,
-        forbidden: false,
-        wave: None,
-    };
-    let settings = RoadSettings { lanes: vec![lane], ramps: Vec::new(), obstacles: Vec::new() };
-    let error = |source| HighwayReplayError::Road { scenario: "unit_idm", source };
-    let road = Arc::new(settings.build(Lookup::Segment).map_err(error)?);
+    let lane = LaneSettings::new(["0", "1"], [0.0, 0.0], [2000.0, 0.0]);
+    let lanes = vec![LaneSettings { speed_limit: 30.0, ..lane }];
+    let settings = RoadSettings { lanes, ramps: Vec::new(), obstacles: Vec::new() };
+    let road = build("unit_idm", &settings, Lookup::Segment)?;
     for case in cases {
         let mut traffic = Traffic::new(Arc::clone(&road), Blindness::Never);
         let car = |x, speed| Vehicle::new(&road.network, [x, 0.0], 0.0, speed);
-        traffic.push(car(100.0, case.speed).with_idm(case.target_speed));
+        traffic.vehicles.push(car(100.0, case.speed).with_idm(case.target_speed));
         let front = case.gap.zip(case.front_speed).map(|(gap, speed)| {
-            traffic.push(car(100.0 + gap, speed));
+            traffic.vehicles.push(car(100.0 + gap, speed));
             1
         });
         // Relative to what they are: a gap of a millimetre makes millions.

@@ -93,26 +93,15 @@ impl LaneRow {
     /// Returns the lane; a wave's rounded numbers are taken for the fractions of π that they stand for.
     pub(super) fn settings(&self) -> LaneSettings {
         use std::f64::consts::{FRAC_PI_2, PI};
-        let exact =
-            |value: f64, meant: f64| if (value - meant).abs() < 1e-8 { meant } else { value };
-        let wave = match (self.amplitude, self.pulsation, self.phase) {
-            (Some(amplitude), Some(pulsation), Some(phase)) => Some(Wave {
-                amplitude,
-                pulsation: exact(pulsation, 2.0 * PI / 160.0),
-                phase: exact(phase, FRAC_PI_2),
-            }),
-            _ => None,
-        };
-        LaneSettings {
-            from: self.from.clone(),
-            to: self.to.clone(),
-            start: self.start,
-            end: self.end,
-            width: self.width,
-            speed_limit: self.speed_limit,
-            forbidden: self.forbidden,
-            wave,
-        }
+        let exact = |x: f64, meant: f64| if (x - meant).abs() < 1e-8 { meant } else { x };
+        let swing = self.amplitude.zip(self.pulsation).zip(self.phase);
+        let wave = swing.map(|((amplitude, pulsation), phase)| {
+            let (pulsation, phase) = (exact(pulsation, 2.0 * PI / 160.0), exact(phase, FRAC_PI_2));
+            Wave { amplitude, pulsation, phase }
+        });
+        let &Self { width, speed_limit, forbidden, .. } = self;
+        let lane = LaneSettings::new([&self.from, &self.to], self.start, self.end);
+        LaneSettings { width, speed_limit, forbidden, wave, ..lane }
     }
 }
 
@@ -129,20 +118,20 @@ pub(super) struct VehicleStart {
     pub(super) enable_lane_change: Option<bool>,
 }
 
-/// A row: x, y, heading, speed, lane, target lane, acceleration, steering, timer, crashed.
+/// A row, recorded as a list in this order.
 #[derive(Debug, Deserialize)]
-pub(super) struct VehicleRow(
-    pub(super) f64,
-    pub(super) f64,
-    pub(super) f64,
-    pub(super) f64,
-    pub(super) i64,
-    pub(super) i64,
-    pub(super) Option<f64>,
-    pub(super) Option<f64>,
-    pub(super) Option<f64>,
-    pub(super) u8,
-);
+pub(super) struct VehicleRow {
+    pub(super) x: f64,
+    pub(super) y: f64,
+    pub(super) heading: f64,
+    pub(super) speed: f64,
+    pub(super) lane: i64,
+    pub(super) target_lane: i64,
+    pub(super) acceleration: Option<f64>,
+    pub(super) steering: Option<f64>,
+    pub(super) timer: Option<f64>,
+    pub(super) crashed: u8,
+}
 
 /// Two rectangles, each (x, y, heading, speed).
 #[derive(Debug, Deserialize)]

@@ -8,12 +8,13 @@ use leadtime_sims::human::{Initiation, ReactionDelay, SpeechAct};
 use leadtime_sims::{Domain as _, Environment as _, EpisodeSeed, Message, NotifierEnv};
 use leadtime_steakhouse::task::{LastStep, SteakhouseDomain, SteakhouseTaskSettings, golden};
 use leadtime_steakhouse::world::{
-    Action, Content, KitchenStart, Pose, Slot, Station, Subtask, interactions_left, kitchen,
+    Action, Content, Grid, KitchenStart, Pose, Subtask, WorkTimes, interactions_left,
 };
 use serde::Deserialize;
 
 use super::public::{direction_name, item_name, read_direction};
-use super::report::{RecordingReport, SteakhouseReplayError};
+use super::report::RecordingReport;
+use crate::error::ReplayError;
 
 /// The recordings' names of the topics, by id.
 const TOPICS: [&str; 5] = ["UP", "DOWN", "LEFT", "RIGHT", "INFO"];
@@ -102,11 +103,11 @@ fn digits(values: &[f32]) -> Vec<Digits> {
 }
 
 impl CookEpisode {
-    fn impossible(&self, what: &'static str) -> SteakhouseReplayError {
-        SteakhouseReplayError::Impossible { run: self.name.clone(), what }
+    fn impossible(&self, what: &'static str) -> ReplayError {
+        ReplayError::Impossible { run: self.name.clone(), what }
     }
 
-    pub(super) fn replay(&self) -> Result<RecordingReport, SteakhouseReplayError> {
+    pub(super) fn replay(&self) -> Result<RecordingReport, ReplayError> {
         let mut run = self.begin()?;
         let mut comparison = RecordingReport::new(&self.name);
         self.compare_start(&run, &mut comparison);
@@ -130,13 +131,11 @@ impl CookEpisode {
         Ok(comparison)
     }
 
-    fn begin(&self) -> Result<CookRun, SteakhouseReplayError> {
-        let refused =
-            |source: TaskError| SteakhouseReplayError::Settings { run: self.name.clone(), source };
+    fn begin(&self) -> Result<CookRun, ReplayError> {
+        let refused = |source: TaskError| ReplayError::Settings { run: self.name.clone(), source };
         let settings = self.settings()?;
-        let start = self.start(&settings)?;
-        let domain =
-            SteakhouseDomain::new(&settings.world).map_err(|error| refused(error.into()))?;
+        let domain = SteakhouseDomain::new(&settings.world).map_err(|it| refused(it.into()))?;
+        let start = self.start(&domain.kitchen.plan.grid, settings.world.times())?;
         let domain = domain.with_start(start);
         let mut env =
             NotifierEnv::new(domain, &settings.human, &settings.notifier).map_err(refused)?;
@@ -146,7 +145,7 @@ impl CookEpisode {
         Ok(CookRun { env, observation, since: MAX_SINCE, follow_through: self.start.d_f })
     }
 
-    fn settings(&self) -> Result<SteakhouseTaskSettings, SteakhouseReplayError> {
+    fn settings(&self) -> Result<SteakhouseTaskSettings, ReplayError> {
         let mut settings = golden();
         let limit = |character| {
             let limit = self.start.limits.get(character).copied();
@@ -166,57 +165,43 @@ impl CookEpisode {
         Ok(settings)
     }
 
-    fn start(
-        &self,
-        settings: &SteakhouseTaskSettings,
-    ) -> Result<KitchenStart, SteakhouseReplayError> {
-        let refused = |source| SteakhouseReplayError::Settings { run: self.name.clone(), source };
-        let grid = kitchen(&settings.world.layout).map_err(|error| refused(error.into()))?;
+    fn start(&self, grid: &Grid, times: WorkTimes) -> Result<KitchenStart, ReplayError> {
         let [x, y] = self.start.pos;
         let place = grid.place(x, y).filter(|&place| grid.is_floor(place));
         let facing = read_direction(&self.start.ori);
         let (place, facing) = place.zip(facing).ok_or_else(|| self.impossible("start pose"))?;
-        let times = settings.world.times();
-        let possible = |(counter, slot): (&Option<u8>, &Slot)| {
-            counter.is_none_or(|counter| counter <= times.limit(slot.station))
-        };
-        let counters = &self.start.content;
-        let fits =
-            counters.len() == grid.slots().len() && counters.iter().zip(grid.slots()).all(possible);
-        if !fits {
+        let read = |counter: &Option<u8>| counter.map_or(Content::Empty, Content::Work);
+        let contents: Vec<Content> = self.start.content.iter().map(read).collect();
+        if !grid.can_hold(&contents, times) {
             return Err(self.impossible("station state"));
         }
-        let contents = self.start.content.iter().map(|counter| read_content(*counter)).collect();
         Ok(KitchenStart { pose: Pose { place, facing }, contents, release_at: None })
     }
 
-    fn order(&self, time: u32) -> Result<SpeechAct, SteakhouseReplayError> {
-        let Some((name, comprehension, conveyance)) = self.messages.get(&time) else {
+    fn order(&self, time: u32) -> Result<SpeechAct, ReplayError> {
+        let Some(&(ref name, comprehension, conveyance)) = self.messages.get(&time) else {
             return Ok(SpeechAct::Continue);
         };
         let topic = TOPICS.iter().position(|topic| topic == name);
-        let topic = topic.filter(|_| (1..=*conveyance).contains(comprehension));
+        let topic = topic.filter(|_| (1..=conveyance).contains(&comprehension));
         let topic = topic.ok_or_else(|| self.impossible("message"))?;
-        let (comprehension, conveyance) = (*comprehension, *conveyance);
         Ok(SpeechAct::Start(Message { topic, comprehension, conveyance }))
     }
 
     fn compare_start(&self, run: &CookRun, comparison: &mut RecordingReport) {
         let (domain, theirs) = (run.env.domain(), &self.start);
-        let grid = domain.kitchen().world().grid();
-        let stations: Vec<(String, [usize; 2])> = grid
-            .slots()
-            .iter()
-            .map(|slot| (station_name(slot.station).to_owned(), grid.position(slot.place)))
-            .collect();
-        let at = "start";
-        comparison.check(format_args!("stations at {at}"), &stations, &theirs.stations);
-        comparison.check(format_args!("T_ref at {at}"), &domain.reference_steps(), &theirs.t_ref);
-        comparison.check(format_args!("deadline at {at}"), &domain.deadline(), &theirs.deadline);
-        comparison.check(format_args!("belief at {at}"), &run.belief(), &theirs.belief);
-        comparison.check(format_args!("awareness at {at}"), &run.aware(), &theirs.aware);
-        let ours = digits(&run.observe());
-        comparison.check(format_args!("observation at {at}"), &ours, &digits(&theirs.obs));
+        let grid = domain.kitchen.world.grid();
+        let slots = grid.slots.iter();
+        let stations: Vec<(String, [usize; 2])> =
+            slots.map(|at| (at.station.name().to_owned(), grid.position(at.place))).collect();
+        let (reference, deadline) = (domain.reference_steps(), domain.deadline());
+        comparison.check(format_args!("stations at start"), &stations, &theirs.stations);
+        comparison.check(format_args!("T_ref at start"), &reference, &theirs.t_ref);
+        comparison.check(format_args!("deadline at start"), &deadline, &theirs.deadline);
+        comparison.check(format_args!("belief at start"), &run.belief(), &theirs.belief);
+        comparison.check(format_args!("awareness at start"), &run.aware(), &theirs.aware);
+        let (ours, theirs) = (digits(&run.observe()), digits(&theirs.obs));
+        comparison.check(format_args!("observation at start"), &ours, &theirs);
     }
 
     fn compare_total(&self, run: &CookRun, comparison: &mut RecordingReport) {
@@ -251,19 +236,18 @@ struct CookRun {
 
 impl CookRun {
     fn aware(&self) -> Vec<u8> {
-        let kitchen = self.env.domain().kitchen();
-        let is_aware = |slot| kitchen.mind().belief.is_aware(slot, kitchen.world());
-        (0..kitchen.world().contents().len()).map(|slot| u8::from(is_aware(slot))).collect()
+        let kitchen = &self.env.domain().kitchen;
+        let is_aware = |slot| kitchen.mind.belief.is_aware(slot, &kitchen.world);
+        (0..kitchen.world.contents().len()).map(|slot| u8::from(is_aware(slot))).collect()
     }
 
     fn belief(&self) -> Vec<Option<u8>> {
-        counters(self.env.domain().kitchen().mind().belief.contents())
+        counters(&self.env.domain().kitchen.mind.belief.contents)
     }
 
     /// The reaction of the coming step, and how many of its steps are left.
     fn reaction(&self) -> Option<(String, u32)> {
-        let (message, steps) = self.env.human().upcoming()?;
-        Some((TOPICS[message.topic].to_owned(), steps))
+        self.env.human().upcoming().map(|(it, steps)| (TOPICS[it.topic].to_owned(), steps))
     }
 
     /// Returns the recorded episodes' observation: the domain's, then what is said and done.
@@ -293,11 +277,11 @@ fn compare_step(
     started: Option<Message>,
     comparison: &mut RecordingReport,
 ) {
-    let world = run.env.domain().kitchen().world();
+    let world = &run.env.domain().kitchen.world;
     let (cook, at) = (world.cook(), step.t);
     let said = started.map(|m| (m.topic, m.comprehension, m.conveyance));
     comparison.check(format_args!("message of step {at}"), &said, &step.said);
-    if let Some(LastStep { action, subtask, redundant }) = run.env.domain().last_step() {
+    if let Some(LastStep { action, subtask, redundant }) = run.env.domain().last_step {
         let subtask = subtask.map_or("override", subtask_name);
         comparison.check(format_args!("subtask of step {at}"), &subtask, &step.subtask.as_str());
         let action = action_name(action);
@@ -322,20 +306,8 @@ fn compare_step(
     comparison.check(format_args!("observation of step {at}"), &ours, &theirs);
 }
 
-fn read_content(counter: Option<u8>) -> Content {
-    counter.map_or(Content::Empty, Content::Work)
-}
-
 fn counters(contents: &[Content]) -> Vec<Option<u8>> {
     contents.iter().map(|content| content.work()).collect()
-}
-
-fn station_name(station: Station) -> &'static str {
-    match station {
-        Station::Grill => "grill",
-        Station::Board => "board",
-        Station::Sink => "sink",
-    }
 }
 
 fn action_name(action: Action) -> &'static str {

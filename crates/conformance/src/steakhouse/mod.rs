@@ -13,4 +13,4 @@ mod replay;
 mod report;
 
 pub use replay::replay;
-pub use report::{RecordingReport, SteakhouseReplayError, SteakhouseReport};
+pub use report::{RecordingReport, SteakhouseReport};

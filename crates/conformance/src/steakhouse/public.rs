@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use leadtime_steakhouse::world::{
     Action, ActionOutcome, Content, Direction, Event, FieldOfView, Grid, GridPlace, Item,
-    KitchenWorld, Order, OrdersEnd, Pose, Station, Tile, WorkTimes, WorldState, start_pose,
+    KitchenWorld, Order, OrdersEnd, Pose, Station, WorkTimes, WorldState, start_pose,
 };
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::report::{RecordingReport, SteakhouseReplayError};
+use super::report::RecordingReport;
+use crate::error::ReplayError;
 
 #[derive(Deserialize)]
 pub(super) struct PublicRecordings {
@@ -24,7 +25,7 @@ pub(super) struct PublicRecordings {
 }
 
 impl PublicRecordings {
-    pub(super) fn replay(&self) -> Result<Vec<RecordingReport>, SteakhouseReplayError> {
+    pub(super) fn replay(&self) -> Result<Vec<RecordingReport>, ReplayError> {
         let runs = self.traces.iter().chain(&self.source_cook);
         let mut comparisons = runs.map(KitchenTrace::replay).collect::<Result<Vec<_>, _>>()?;
         if let Some(matrix) = &self.interact_matrix {
@@ -92,11 +93,11 @@ struct KitchenStep {
 }
 
 impl KitchenTrace {
-    fn impossible(&self, what: &'static str) -> SteakhouseReplayError {
-        SteakhouseReplayError::Impossible { run: self.name.clone(), what }
+    fn impossible(&self, what: &'static str) -> ReplayError {
+        ReplayError::Impossible { run: self.name.clone(), what }
     }
 
-    fn replay(&self) -> Result<RecordingReport, SteakhouseReplayError> {
+    fn replay(&self) -> Result<RecordingReport, ReplayError> {
         let times = WorkTimes { cook: self.cook_time, chop: self.chop_time, wash: self.wash_time };
         let grid = read_grid(&self.name, &self.grid)?;
         let state = read_state(&grid, &self.start).ok_or_else(|| self.impossible("start"))?;
@@ -107,18 +108,14 @@ impl KitchenTrace {
         // The horizon is no rule of the world; the one run that meets it is as long as its horizon.
         let horizon = if self.name == "horizon" { self.steps.len() } else { usize::MAX };
         for (t, step) in self.steps.iter().enumerate() {
-            let actions: Option<Vec<Action>> =
-                step.actions.iter().map(|a| read_action(a)).collect();
+            let actions: Option<Vec<_>> = step.actions.iter().map(|a| read_action(a)).collect();
             let actions = actions.filter(|actions| actions.len() == n_cooks);
             let outcomes = world.step(&actions.ok_or_else(|| self.impossible("action"))?);
             let rewards: Vec<u32> = outcomes.iter().map(|outcome| outcome.reward).collect();
             let events = event_names(outcomes);
             comparison.check(format_args!("reward of step {t}"), &rewards, &step.sparse);
-            comparison.check(
-                format_args!("shaped reward of step {t}"),
-                &vec![0; n_cooks],
-                &step.shaped,
-            );
+            let none = vec![0; n_cooks];
+            comparison.check(format_args!("shaped reward of step {t}"), &none, &step.shaped);
             comparison.check(format_args!("events of step {t}"), &events, &step.events);
             let done = world.is_done() || t + 1 >= horizon;
             comparison.check(format_args!("end of step {t}"), &done, &step.done);
@@ -135,10 +132,9 @@ impl KitchenTrace {
     }
 }
 
-fn read_grid(run: &str, rows: &[String]) -> Result<Arc<Grid>, SteakhouseReplayError> {
-    let grid = Grid::parse(&rows.join("\n"));
-    grid.map(Arc::new)
-        .map_err(|source| SteakhouseReplayError::Layout { run: run.to_owned(), source })
+fn read_grid(run: &str, rows: &[String]) -> Result<Arc<Grid>, ReplayError> {
+    let grid = Grid::parse(&rows.join("\n")).map(Arc::new);
+    grid.map_err(|source| ReplayError::Layout { run: run.to_owned(), source })
 }
 
 fn read_action(name: &str) -> Option<Action> {
@@ -154,23 +150,11 @@ pub(super) fn read_direction(name: &str) -> Option<Direction> {
 }
 
 pub(super) fn direction_name(direction: Direction) -> &'static str {
-    match direction {
-        Direction::North => "N",
-        Direction::South => "S",
-        Direction::East => "E",
-        Direction::West => "W",
-    }
+    ["N", "S", "E", "W"][direction as usize]
 }
 
 pub(super) fn item_name(item: Item) -> &'static str {
-    match item {
-        Item::Onion => "onion",
-        Item::Meat => "meat",
-        Item::Plate => "plate",
-        Item::CleanPlate => "hot_plate",
-        Item::Steak => "steak",
-        Item::Dish => "dish",
-    }
+    ["onion", "meat", "plate", "hot_plate", "steak", "dish"][item as usize]
 }
 
 fn read_item(thing: &Thing) -> Option<Item> {
@@ -229,14 +213,14 @@ fn plain(item: Item, times: WorkTimes) -> Thing {
 /// Describes what is on a tile, in the recordings' words.
 fn thing_at(world: &KitchenWorld, place: GridPlace) -> Option<Thing> {
     let grid = world.grid();
-    let (Some(slot), Tile::Station(station)) = (grid.slot_at(place), grid.tile(place)) else {
-        return world.lying(place).map(|item| plain(item, world.times()));
+    let Some(slot) = grid.slot_at(place) else {
+        return world.lying(place).map(|item| plain(item, world.times));
     };
-    let counter = world.contents()[slot].work()?;
-    let (name, cook, progress) = match station {
-        Station::Grill => ("steak", Some(counter), None),
-        Station::Board => ("garnish", None, Some(counter)),
-        Station::Sink => ("hot_plate", None, Some(counter)),
+    let counter = Some(world.contents()[slot].work()?);
+    let (name, cook, progress) = match grid.slots[slot].station {
+        Station::Grill => ("steak", counter, None),
+        Station::Board => ("garnish", None, counter),
+        Station::Sink => ("hot_plate", None, counter),
     };
     Some(Thing { name: name.to_owned(), cook, progress })
 }
@@ -247,7 +231,7 @@ fn describe(world: &KitchenWorld) -> KitchenRow {
     let players = world.state().cooks.iter().map(|cook| RecordedCook {
         pos: position(cook.pose.place),
         ori: direction_name(cook.pose.facing).to_owned(),
-        held: cook.held.map(|item| plain(item, world.times())),
+        held: cook.held.map(|item| plain(item, world.times)),
     });
     let object = |place| thing_at(world, place).map(|thing| Object { pos: position(place), thing });
     KitchenRow {
@@ -299,16 +283,15 @@ struct MatrixRow {
 }
 
 impl Matrix {
-    fn replay(&self) -> Result<RecordingReport, SteakhouseReplayError> {
+    fn replay(&self) -> Result<RecordingReport, ReplayError> {
         let times = WorkTimes { cook: self.cook_time, chop: self.chop_time, wash: self.wash_time };
         let grid = read_grid("interact_matrix", &self.grid)?;
         let mut comparison = RecordingReport::new("interact_matrix");
         for (number, row) in self.rows.iter().enumerate() {
-            let state =
-                self.start(&grid, row).ok_or_else(|| SteakhouseReplayError::Impossible {
-                    run: format!("interact_matrix, row {number}"),
-                    what: "situation",
-                })?;
+            let state = self.start(&grid, row).ok_or_else(|| ReplayError::Impossible {
+                run: format!("interact_matrix, row {number}"),
+                what: "situation",
+            })?;
             let place = grid.ahead(state.cooks[0].pose);
             let mut world = KitchenWorld::new(Arc::clone(&grid), times, OrdersEnd::OneLeft, state);
             let outcomes = world.step(&[Action::Interact, Action::Stay]);
@@ -336,11 +319,9 @@ impl Matrix {
             "floor" | "other_cook" => grid.is_floor(grid.ahead(*pose)),
             tile => character(grid.ahead(*pose)).map(String::from).as_deref() == Some(tile),
         };
-        let all = grid.floor().iter();
-        let mut poses = all.flat_map(|&place| Direction::ALL.map(|facing| Pose { place, facing }));
-        let pose = poses.find(fits)?;
+        let pose = grid.poses().find(fits)?;
         let ahead = grid.ahead(pose);
-        let mut free = grid.floor().iter().filter(|&&place| place != pose.place && place != ahead);
+        let mut free = grid.floor.iter().filter(|&&place| place != pose.place && place != ahead);
         let other = if row.tile == "other_cook" { ahead } else { *free.next()? };
         let orders = Some(vec![Order::Steak; 3]);
         let mut state = WorldState::new(grid, &[pose, start_pose(other)], orders);

@@ -2,8 +2,9 @@
 
 use serde::Deserialize;
 
-use super::report::{SteakhouseReplayError, SteakhouseReport};
+use super::report::SteakhouseReport;
 use super::{golden, public};
+use crate::error::ReplayError;
 
 #[derive(Deserialize)]
 struct Recordings {
@@ -25,15 +26,16 @@ struct Origin {
 ///
 /// # Errors
 ///
-/// [`SteakhouseReplayError`] if the text is of no known format, or holds nothing to compare.
-pub fn replay(json: &str) -> Result<SteakhouseReport, SteakhouseReplayError> {
-    let recordings: Recordings = serde_json::from_str(json)?;
+/// [`ReplayError`] if the text is of no known format, or holds nothing to compare.
+pub fn replay(json: &str) -> Result<SteakhouseReport, ReplayError> {
+    let recordings: Recordings = serde_json::from_str(json)
+        .map_err(|source| ReplayError::Format { what: "recordings", source })?;
     let mut comparisons = recordings.public.replay()?;
     for episode in &recordings.episodes {
         comparisons.push(episode.replay()?);
     }
     if comparisons.iter().all(|comparison| comparison.n_compared == 0) {
-        return Err(SteakhouseReplayError::Empty);
+        return Err(ReplayError::Empty { what: "recordings hold nothing" });
     }
     let passed = comparisons.iter().all(|comparison| comparison.n_differences == 0);
     let Origin { repository, commit } = recordings.source;

@@ -1,37 +1,13 @@
-//! What a replay found, or why there is nothing to find.
+//! What a replay found.
 
 use std::fmt;
 
-use leadtime_sims::TaskError;
-use leadtime_steakhouse::world::LayoutError;
 use serde::Serialize;
-use thiserror::Error;
 
 use crate::section::Section;
 
-/// Why a text cannot be replayed.
-#[derive(Debug, Error)]
-#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
-pub enum SteakhouseReplayError {
-    /// It is of no known format.
-    #[error("recordings cannot be read")]
-    Format(#[from] serde_json::Error),
-    /// A recorded kitchen has no legal layout.
-    #[error("the kitchen of `{run}` is impossible: {source}")]
-    Layout { run: String, source: LayoutError },
-    /// A recorded value is impossible.
-    #[error("`{run}` holds an impossible {what}")]
-    Impossible { run: String, what: &'static str },
-    /// Recorded settings are impossible.
-    #[error("the settings of `{run}` are impossible: {source}")]
-    Settings { run: String, source: TaskError },
-    /// There is nothing to compare.
-    #[error("the recordings hold nothing to compare")]
-    Empty,
-}
-
 /// One recording and what became of it here.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RecordingReport {
     /// Its name.
     pub name: String,
@@ -74,8 +50,7 @@ impl SteakhouseReport {
 
 impl RecordingReport {
     pub(super) fn new(name: &str) -> Self {
-        let name = name.to_owned();
-        Self { name, n_compared: 0, n_differences: 0, first_difference: None }
+        Self { name: name.to_owned(), ..Self::default() }
     }
 
     /// Compares one value; `at` says where it stands.

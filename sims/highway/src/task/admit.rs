@@ -19,32 +19,27 @@ pub(super) fn populate(
     settings: &HighwayWorldSettings,
     generator: &mut Pcg64,
 ) {
-    let n_lanes = start_lanes(traffic.road()).count();
+    let n_lanes = start_lanes(&traffic.road).count();
     let ego = &settings.ego;
     let rank = ego.lane.map_or_else(|| generator.below(n_lanes), |lane| lane as usize);
     let vehicle = start(traffic, rank, ego.x, ego.speed).with_idm(ego.desired_speed);
-    traffic.push(vehicle.with_role(CarRole::Ego));
+    traffic.vehicles.push(vehicle.with_role(CarRole::Ego));
     let TrafficSettings { cars, position_spread, speed_spread } = &settings.traffic;
     for car in cars {
         let rank = generator.below(n_lanes);
         let x = car.x + generator.uniform(-position_spread, *position_spread);
         let speed = car.speed + generator.uniform(-speed_spread, *speed_spread);
         let vehicle = start(traffic, rank, x, speed).with_idm(speed);
-        traffic.push(vehicle);
+        traffic.vehicles.push(vehicle);
     }
 }
 
 fn start(traffic: &Traffic, rank: usize, s: f64, speed: f64) -> Vehicle {
     let network = traffic.network();
-    let mut lanes = start_lanes(traffic.road());
+    let mut lanes = start_lanes(&traffic.road);
     let lane = lanes.find(|&lane| network.rank(lane) as usize == rank).unwrap_or(0);
     let lane = network.lane(lane);
     Vehicle::new(network, lane.position(s, 0.0), lane.heading(s), speed)
-}
-
-/// Tells whether the car of a ramp appears now.
-pub(super) fn is_due(traffic: &Traffic, ramp: &Ramp, settings: &MergingSettings) -> bool {
-    traffic.vehicles()[0].position[0] > ramp.merge_x - settings.distance
 }
 
 /// Creates the car of a ramp: it would arrive at the merge with the ego, less its lead.
@@ -55,19 +50,19 @@ pub(super) fn merging_car(
     generator: &mut Pcg64,
 ) -> Vehicle {
     let lead = generator.uniform(settings.lead[0], settings.lead[1]);
-    let ego_speed = traffic.vehicles()[0].speed.max(SLOWEST_EGO);
+    let ego_speed = traffic.vehicles[0].speed.max(SLOWEST_EGO);
     let together = (settings.speed * settings.distance / ego_speed).min(FARTHEST);
     let mut distance = (together - lead).clamp(settings.range[0], settings.range[1]);
     let network = traffic.network();
     let mut place = ([ramp.merge_x - distance, 0.0], 0.0);
     for &lane in ramp.lanes[..ramp.lanes.len() - 1].iter().rev() {
         let lane = network.lane(lane);
-        let s = lane.length() - distance;
+        let s = lane.length - distance;
         place = (lane.position(s, 0.0), lane.heading(s));
         if s >= 0.0 {
             break;
         }
-        distance -= lane.length();
+        distance -= lane.length;
     }
     let vehicle = Vehicle::new(network, place.0, place.1, settings.speed);
     vehicle.with_idm(settings.desired_speed).with_role(CarRole::Merging)

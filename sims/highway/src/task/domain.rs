@@ -8,10 +8,12 @@ use leadtime_sims::environment::{End, EpisodeSeed, SnapshotError, read_snapshot,
 use leadtime_sims::human::{FollowThrough, HumanSettings};
 use leadtime_sims::notifier::{NotifierSettings, NotifierWorld, TaskSettings};
 use leadtime_sims::scene::Scene;
-use leadtime_sims::{Advance, Domain, Entities, Message, ReactionStatus, ReactionStep};
+use leadtime_sims::{
+    Advance, Domain, DomainEntry, Entities, Message, ReactionStatus, ReactionStep,
+};
 use serde::{Deserialize, Serialize};
 
-use super::admit::{is_due, merging_car, populate};
+use super::admit::{merging_car, populate};
 use super::heuristic::advise;
 use super::picture::picture;
 use super::progress::{DriveOutcome, DriveProgress};
@@ -38,7 +40,8 @@ struct HighwaySnapshot {
 #[derive(Debug)]
 pub struct HighwayDomain {
     settings: HighwayWorldSettings,
-    traffic: Traffic,
+    /// The cars and their road; the ego is car 0.
+    pub traffic: Traffic,
     /// Lanes abreast where the ego starts: the unit of observed y.
     n_lanes: usize,
     /// Ramps whose car has appeared.
@@ -58,7 +61,8 @@ impl HighwayDomain {
         let n_lanes = start_lanes(&road).count();
         let n_vehicles = 1 + settings.traffic.cars.len() + road.ramps.len();
         let mut traffic = Traffic::new(road, settings.merging.blindness);
-        traffic.reserve(n_vehicles);
+        // Adding cars allocates nothing.
+        traffic.vehicles.reserve(n_vehicles);
         let mut generator = Pcg64::seed_from_u64(0);
         populate(&mut traffic, settings, &mut generator);
         Ok(Self {
@@ -69,11 +73,6 @@ impl HighwayDomain {
             generator,
             progress: DriveProgress::default(),
         })
-    }
-
-    /// Returns the cars and their road; the ego is car 0.
-    pub fn traffic(&self) -> &Traffic {
-        &self.traffic
     }
 
     /// Returns the number of the merge at which the ego crashed, if it did.
@@ -87,28 +86,27 @@ impl HighwayDomain {
     }
 
     fn ego(&self) -> &Vehicle {
-        &self.traffic.vehicles()[EGO]
+        &self.traffic.vehicles[EGO]
     }
 
     /// Lets the next merging car appear, if its time has come.
     fn admit(&mut self) {
-        let Some(ramp) = self.traffic.road().ramps.get(self.n_admitted) else { return };
+        let Some(ramp) = self.traffic.road.ramps.get(self.n_admitted) else { return };
         let merging = &self.settings.merging;
-        if is_due(&self.traffic, ramp, merging) {
+        if self.ego().position[0] > ramp.merge_x - merging.distance {
             let car = merging_car(&self.traffic, ramp, merging, &mut self.generator);
-            self.traffic.push(car);
+            self.traffic.vehicles.push(car);
             self.n_admitted += 1;
         }
     }
 
     fn run_frames(&mut self) {
-        let dt = self.settings.dt();
+        let dt = 1.0 / f64::from(self.settings.frame_rate);
         for _ in 0..self.settings.frames_per_step {
             self.admit();
             let before = self.ego().speed;
             self.traffic.step(dt);
-            let ego = &self.traffic.vehicles()[EGO];
-            self.progress.record_frame(before, ego, dt);
+            self.progress.record_frame(before, &self.traffic.vehicles[EGO], dt);
         }
     }
 
@@ -128,7 +126,7 @@ impl HighwayDomain {
         let progress = &mut self.progress;
         if crashed {
             progress.outcome = Some(DriveOutcome::Crashed);
-            let ramps = self.traffic.road().ramps.iter();
+            let ramps = self.traffic.road.ramps.iter();
             let met = ramps.filter(|ramp| x > ramp.merge_x - self.settings.merging.distance);
             progress.crash_ramp = met.count().checked_sub(1);
             return Some(End::Terminated);
@@ -144,25 +142,15 @@ impl HighwayDomain {
         None
     }
 
-    /// Waits at the goal: nothing moves any more.
-    fn wait(&self, reaction: Option<ReactionStep>) -> Advance {
-        let over = self.progress.n_steps >= self.settings.absorb_until;
-        Advance {
-            reward: ARRIVED_REWARD,
-            reaction: reaction.map(|_| ReactionStatus::Refused),
-            end: over.then_some(End::Terminated),
-        }
-    }
-
     fn fits(&self, snapshot: &HighwaySnapshot) -> bool {
-        let road = self.traffic.road();
+        let road = &self.traffic.road;
         let n_vehicles = 1 + self.settings.traffic.cars.len() + snapshot.n_admitted;
-        let one_ego =
-            |(i, vehicle): (usize, &Vehicle)| (vehicle.role == CarRole::Ego) == (i == EGO);
+        let possible = |(i, vehicle): (usize, &Vehicle)| {
+            (vehicle.role == CarRole::Ego) == (i == EGO) && vehicle.is_proper(&road.network)
+        };
         snapshot.n_admitted <= road.ramps.len()
             && snapshot.vehicles.len() == n_vehicles
-            && snapshot.vehicles.iter().all(|vehicle| vehicle.is_proper(&road.network))
-            && snapshot.vehicles.iter().enumerate().all(one_ego)
+            && snapshot.vehicles.iter().enumerate().all(possible)
     }
 }
 
@@ -182,10 +170,10 @@ impl Domain for HighwayDomain {
 
     fn reset(&mut self, seed: EpisodeSeed) {
         self.generator = seed.stream(Purpose::World);
-        self.traffic.clear();
+        self.traffic.vehicles.clear();
         populate(&mut self.traffic, &self.settings, &mut self.generator);
         self.n_admitted = 0;
-        self.progress = DriveProgress::begin(self.traffic.vehicles());
+        self.progress = DriveProgress::begin(&self.traffic.vehicles);
     }
 
     fn observe(&self, out: &mut [f32]) {
@@ -195,7 +183,11 @@ impl Domain for HighwayDomain {
     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
         self.progress.n_steps += 1;
         if self.has_arrived() {
-            return self.wait(reaction);
+            // Nothing moves any more.
+            let reaction = reaction.map(|_| ReactionStatus::Refused);
+            let is_over = self.progress.n_steps >= self.settings.absorb_until;
+            let end = is_over.then_some(End::Terminated);
+            return Advance { reward: ARRIVED_REWARD, reaction, end };
         }
         let Self { traffic, settings, progress, .. } = self;
         let status = react(traffic, reaction, &settings.ego, &mut progress.refused);
@@ -207,10 +199,8 @@ impl Domain for HighwayDomain {
     }
 
     fn heuristic(&self) -> Option<Message> {
-        if self.has_arrived() {
-            return None;
-        }
-        advise(&self.traffic, &self.settings.heuristic)
+        let drives = !self.has_arrived();
+        drives.then(|| advise(&self.traffic, &self.settings.heuristic)).flatten()
     }
 
     fn success(&self) -> bool {
@@ -238,8 +228,8 @@ impl Domain for HighwayDomain {
     fn metrics(&self, out: &mut [f32]) {
         let progress = &self.progress;
         let flags = [DriveOutcome::Crashed, DriveOutcome::Arrived, DriveOutcome::OutOfTime];
-        let counts = [progress.overtaken(&self.traffic), progress.n_refused];
-        let amounts = [progress.mean_speed(), progress.hardest_braking(), progress.jerk()];
+        let counts = [progress.overtaken(&self.traffic.vehicles), progress.n_refused];
+        let amounts = [progress.mean_speed(), progress.hardest_braking, progress.jerk()];
         let flags = flags.into_iter().map(|outcome| f64::from(u8::from(progress.is(outcome))));
         let values = flags.chain(counts.map(f64::from)).chain(amounts).chain(progress.pieces);
         for (out, value) in out.iter_mut().zip(values) {
@@ -249,7 +239,7 @@ impl Domain for HighwayDomain {
 
     fn snapshot(&self, out: &mut Vec<u8>) {
         let snapshot = HighwaySnapshot {
-            vehicles: self.traffic.vehicles().to_vec(),
+            vehicles: self.traffic.vehicles.clone(),
             n_admitted: self.n_admitted,
             generator: self.generator.clone(),
             progress: self.progress,
@@ -262,14 +252,15 @@ impl Domain for HighwayDomain {
         if !self.fits(&snapshot) {
             return Err(SnapshotError::Mismatch { what: "cars" });
         }
-        let n_ramps = self.traffic.road().ramps.len();
+        let n_ramps = self.traffic.road.ramps.len();
         if !snapshot.progress.is_plausible(self.settings.max_steps, n_ramps) {
             return Err(SnapshotError::Mismatch { what: "progress" });
         }
-        self.traffic.clear();
-        for mut vehicle in snapshot.vehicles {
+        let vehicles = &mut self.traffic.vehicles;
+        vehicles.clear();
+        vehicles.extend(snapshot.vehicles);
+        for vehicle in vehicles {
             vehicle.face(vehicle.heading);
-            self.traffic.push(vehicle);
         }
         self.n_admitted = snapshot.n_admitted;
         self.generator = snapshot.generator;
@@ -308,6 +299,12 @@ impl NotifierWorld for HighwayWorldSettings {
     fn domain(&self) -> Result<HighwayDomain, SettingError> {
         HighwayDomain::new(self)
     }
+}
+
+/// Describes the notifier task `highway`.
+pub fn entry() -> DomainEntry {
+    // A policy is evaluated to the arrival: what is counted per step is counted while driving.
+    DomainEntry::notifier::<HighwayWorldSettings>("highway").evaluated_with("absorb_until = 0")
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use leadtime_sims::human::HumanSettings;
 use leadtime_sims::notifier::{NotifierEnv, NotifierSettings};
 
 use super::*;
-use crate::task::HighwayTaskSettings;
+use crate::task::UnsafeChanges;
 use crate::task::reaction::{MERGE_LEFT, MERGE_RIGHT, SLOW_DOWN, SPEED_UP};
 use crate::world::{Driver, RoadSettings, Side};
 
@@ -31,6 +31,14 @@ fn start(settings: &HighwayWorldSettings, episode: u64) -> HighwayDomain {
     let mut task = HighwayDomain::new(settings).unwrap();
     task.reset(seed(episode));
     task
+}
+
+/// Starts on the right lane of an empty road.
+fn on_the_right(change: impl FnOnce(&mut HighwayWorldSettings)) -> HighwayDomain {
+    let mut settings = settings(empty);
+    settings.ego.lane = Some(1);
+    change(&mut settings);
+    start(&settings, 0)
 }
 
 /// Drives to the end of the episode; returns the last step, the return and the number of steps.
@@ -60,7 +68,7 @@ fn an_episode_starts_as_drawn() {
     let mut lanes = [0; 2];
     for episode in 0..40 {
         let task = start(&HighwayWorldSettings::default(), episode);
-        let [ego, cars @ ..] = task.traffic.vehicles() else { panic!("there is an ego") };
+        let [ego, cars @ ..] = &task.traffic.vehicles[..] else { panic!("there is an ego") };
         assert_eq!((ego.position[0], ego.speed, ego.target_speed), (30.0, 30.0, 30.0));
         lanes[usize::from(ego.position[1] == 4.0)] += 1;
         assert_eq!(cars.len(), 3);
@@ -78,20 +86,20 @@ fn an_episode_starts_as_drawn() {
 fn a_merging_car_appears_when_the_ego_comes_near() {
     let mut task = start(&settings(|s| s.traffic.cars.clear()), 0);
     // The ego starts exactly 200 m before the first merge, and has moved on after a frame.
-    assert_eq!(task.traffic.vehicles().len(), 1);
+    assert_eq!(task.traffic.vehicles.len(), 1);
     task.advance(None);
-    let car = task.traffic.vehicles()[1];
+    let car = task.traffic.vehicles[1];
     assert_eq!((car.role, car.target_speed), (CarRole::Merging, 30.0));
     // 20 m/s * 200 m / 30 m/s before the merge, less a lead of at most 30 m; after at most 5 frames.
     assert!((230.0 - 133.4..230.0 - 103.3 + 20.0 / 3.0).contains(&car.position[0]), "{car:?}");
     assert_eq!(car.position[1], 14.5);
     for (n_cars, side, merge_x) in [(2, Side::Left, 540.0), (3, Side::Right, 850.0)] {
         // Slowly, or the ego might meet a car before the next one comes.
-        while task.traffic.vehicles().len() == n_cars {
+        while task.traffic.vehicles.len() == n_cars {
             assert_eq!(react(&mut task, SLOW_DOWN, false), Some(ReactionStatus::Followed));
             assert!(!task.ego().crashed);
         }
-        let (ego, car) = (task.ego().position[0], task.traffic.vehicles()[n_cars].position);
+        let (ego, car) = (task.ego().position[0], task.traffic.vehicles[n_cars].position);
         assert!((merge_x - 200.0..merge_x - 200.0 + 13.0).contains(&ego), "{ego}");
         assert_eq!(car[1] < 0.0, side == Side::Left);
     }
@@ -107,9 +115,9 @@ fn merging_cars_and_the_ego_do_not_see_each_other_until_they_settle() {
         task.traffic.sees(0, 1)
     });
     if settled.is_some() {
-        let car = task.traffic.vehicles()[1];
+        let car = task.traffic.vehicles[1];
         let lane = task.traffic.network().lane(car.lane);
-        assert!(!lane.is_forbidden() && lane.local(car.position)[1].abs() < 0.5);
+        assert!(!lane.forbidden && lane.local(car.position)[1].abs() < 0.5);
     }
 }
 
@@ -134,15 +142,14 @@ fn speeds_climb_the_grid_from_the_actual_speed() {
 
 #[test]
 fn a_lane_change_acts_once_and_mobil_rests_meanwhile() {
-    let mut task = start(&settings(|s| (empty(s), s.ego.lane = Some(1)).1), 0);
+    let mut task = on_the_right(|_| {});
     let can_think = |task: &HighwayDomain| match task.ego().driver {
         Driver::Idm(idm) => idm.changes_lanes,
         _ => panic!("the ego has a driver"),
     };
-    let first = task.advance(Some(ReactionStep { topic: MERGE_LEFT, first: true }));
-    let second = task.advance(Some(ReactionStep { topic: MERGE_LEFT, first: false }));
-    assert_eq!(first.reaction, Some(ReactionStatus::Followed));
-    assert_eq!(second.reaction, Some(ReactionStatus::Followed));
+    let step = |first| Some(ReactionStep { topic: MERGE_LEFT, first });
+    let (first, second) = (task.advance(step(true)), task.advance(step(false)));
+    assert_eq!([first, second].map(|step| step.reaction), [Some(ReactionStatus::Followed); 2]);
     // -0.05 / 1.8 in the first step only; at 30 m/s both are otherwise alike.
     assert!((second.reward - first.reward).abs() > 0.02, "{first:?} {second:?}");
     assert_eq!(task.ego().target_lane, 0);
@@ -155,13 +162,10 @@ fn a_lane_change_acts_once_and_mobil_rests_meanwhile() {
 
 #[test]
 fn an_impossible_lane_change_is_refused_and_charged() {
-    let mut task = start(&settings(|s| (empty(s), s.ego.lane = Some(1)).1), 0);
-    let step = Some(ReactionStep { topic: MERGE_RIGHT, first: true });
-    let refused = task.advance(step);
-    let later = task.advance(Some(ReactionStep { topic: MERGE_RIGHT, first: false }));
-    for advance in [refused, later] {
-        assert_eq!(advance.reaction, Some(ReactionStatus::Refused));
-    }
+    let mut task = on_the_right(|_| {});
+    let step = |first| Some(ReactionStep { topic: MERGE_RIGHT, first });
+    let (refused, later) = (task.advance(step(true)), task.advance(step(false)));
+    assert_eq!([refused, later].map(|step| step.reaction), [Some(ReactionStatus::Refused); 2]);
     assert!((later.reward - refused.reward - 0.05 / 1.8).abs() < 1e-9);
     assert_eq!((task.ego().target_lane, metric(&task, "refused_changes")), (1, 1.0));
     // Towards a ramp as well.
@@ -176,24 +180,19 @@ fn an_impossible_lane_change_is_refused_and_charged() {
 #[test]
 fn an_unsafe_lane_change_is_executed_or_refused() {
     let with = |unsafe_changes| {
-        let settings = settings(|s| {
-            empty(s);
-            s.ego.lane = Some(1);
-            s.ego.unsafe_changes = unsafe_changes;
-        });
-        let mut task = start(&settings, 0);
+        let mut task = on_the_right(|s| s.ego.unsafe_changes = unsafe_changes);
         // Somebody fast, close behind on the left.
         let car = Vehicle::new(task.traffic.network(), [22.0, 0.0], 0.0, 38.0).with_idm(38.0);
-        task.traffic.push(car);
+        task.traffic.vehicles.push(car);
         react(&mut task, MERGE_LEFT, true)
     };
-    assert_eq!(with(super::super::UnsafeChanges::Execute), Some(ReactionStatus::Followed));
-    assert_eq!(with(super::super::UnsafeChanges::Refuse), Some(ReactionStatus::Refused));
+    assert_eq!(with(UnsafeChanges::Execute), Some(ReactionStatus::Followed));
+    assert_eq!(with(UnsafeChanges::Refuse), Some(ReactionStatus::Refused));
 }
 
 #[test]
 fn an_undisturbed_drive_arrives_and_waits_until_its_time_is_over() {
-    let mut task = start(&settings(|s| (empty(s), s.ego.lane = Some(1)).1), 0);
+    let mut task = on_the_right(|_| {});
     let (last, total, n_steps) = drive(&mut task);
     assert_eq!((last.end, n_steps, task.success()), (Some(End::Terminated), 200, true));
     // 960 m at 30 m/s are 32 s or 96 steps at (0.1 + 0.2 * 15 / 23 + 1.5) / 1.8, then 1 per step; the last step of
@@ -264,24 +263,16 @@ fn a_scene_shows_road_cars_and_ego() {
         task.advance(None);
     }
     let scene = task.scene();
-    let tones: Vec<Tone> = scene
-        .shapes
-        .iter()
-        .filter_map(|shape| match shape {
-            Shape::Rectangle { tone, .. } | Shape::Polygon { tone, .. } => Some(*tone),
-            _ => None,
-        })
-        .collect();
-    assert_eq!(tones.last(), Some(&Tone::Own));
-    for tone in [Tone::Ground, Tone::Danger, Tone::Other] {
-        assert!(tones.contains(&tone), "{tone:?}");
-    }
+    let polygon = |wanted| {
+        let is_it =
+            move |shape: &Shape| matches!(shape, Shape::Polygon { tone, .. } if *tone == wanted);
+        scene.shapes.iter().position(is_it)
+    };
+    assert_eq!(polygon(Tone::Own), Some(scene.shapes.len() - 1));
+    assert!(polygon(Tone::Ground) < polygon(Tone::Other));
     // What is on the right of the road is below in the picture.
-    let obstacle = scene.shapes.iter().find_map(|shape| match shape {
-        Shape::Rectangle { min, .. } => Some(*min),
-        _ => None,
-    });
-    assert_eq!(obstacle, Some([309.0, -9.0]));
+    let (min, max) = ([309.0, -9.0], [311.0, -7.0]);
+    assert!(scene.shapes.contains(&Shape::Rectangle { min, max, tone: Tone::Danger }));
 }
 
 #[test]
@@ -306,21 +297,17 @@ fn broken_snapshots_are_refused() {
     }
 }
 
-fn notifier_env() -> NotifierEnv<HighwayDomain> {
-    let task = HighwayDomain::new(&HighwayWorldSettings::default()).unwrap();
-    NotifierEnv::new(task, &HumanSettings::default(), &NotifierSettings::default()).unwrap()
-}
-
 #[test]
 fn the_notifiers_observation_is_a_history_of_entities() {
-    let env = notifier_env();
+    let task = HighwayDomain::new(&HighwayWorldSettings::default()).unwrap();
+    let mut env =
+        NotifierEnv::new(task, &HumanSettings::default(), &NotifierSettings::default()).unwrap();
     let history = env.entity_history().unwrap();
     let attention = history.attention(64, 2);
     assert_eq!((attention.n_frames, attention.n_entities, attention.n_features), (4, 10, 7));
     // Initiate 1, topics 4, k 4, l 4; behind the frames: words spoken and topic of the own utterance.
     assert_eq!((attention.action_dim, env.spec().obs_dim), (13, 4 * (70 + 13) + 5));
     attention.check(env.spec().obs_dim).unwrap();
-    let mut env = env;
     let mut observation = vec![0.0; env.spec().obs_dim];
     env.reset(seed(0), &mut observation);
     for frame in observation.chunks_exact(attention.frame_dim()).take(4) {
@@ -330,10 +317,9 @@ fn the_notifiers_observation_is_a_history_of_entities() {
 
 #[test]
 fn an_unknown_topic_is_named() {
-    let HighwayTaskSettings { world, human, mut notifier } = HighwayTaskSettings::default();
-    notifier.topics = Some(vec!["overtake".to_owned()]);
-    let refused = NotifierEnv::new(HighwayDomain::new(&world).unwrap(), &human, &notifier);
+    let mut settings = HighwayTaskSettings::default();
+    settings.notifier.topics = Some(vec!["overtake".to_owned()]);
     let expected = "`notifier.topics` is [\"overtake\"]; allowed: at least one of slow_down, speed_up, \
                     merge_left, merge_right, none twice";
-    assert_eq!(refused.unwrap_err().to_string(), expected);
+    assert_eq!(settings.build().unwrap_err().to_string(), expected);
 }

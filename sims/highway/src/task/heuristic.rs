@@ -19,9 +19,9 @@ const FREE: f64 = 25.0;
 
 /// Returns the message that the scripted notifier would start now.
 pub(super) fn advise(traffic: &Traffic, settings: &HeuristicSettings) -> Option<Message> {
-    let ego = &traffic.vehicles()[EGO];
-    let ramp = traffic.road().ramps.iter().find(|ramp| ego.position[0] < ramp.end_x)?;
-    let cars = traffic.vehicles().iter().filter(|car| car.role == CarRole::Merging);
+    let ego = &traffic.vehicles[EGO];
+    let ramp = traffic.road.ramps.iter().find(|ramp| ego.position[0] < ramp.end_x)?;
+    let cars = traffic.vehicles.iter().filter(|car| car.role == CarRole::Merging);
     let mut cars = cars.filter(|car| car.position[0] < ramp.end_x);
     let conflict = cars.any(|car| meet(ego, car, ramp, settings));
     if !conflict || !is_beside(traffic, ego, ramp) {
@@ -57,8 +57,8 @@ fn is_beside(traffic: &Traffic, ego: &Vehicle, ramp: &Ramp) -> bool {
 fn is_free(traffic: &Traffic, side: Side) -> bool {
     let Some(lane) = traffic.lane_for_change(EGO, side) else { return false };
     let network = traffic.network();
-    let ego = network.lane(lane).along(traffic.vehicles()[EGO].position);
-    let mut others = traffic.vehicles()[EGO + 1..].iter();
-    !others
-        .any(|car| network.seen_along(lane, car.position).is_some_and(|s| (s - ego).abs() < FREE))
+    let ego = network.lane(lane).along(traffic.vehicles[EGO].position);
+    let near = |s: f64| (s - ego).abs() < FREE;
+    let mut others = traffic.vehicles[EGO + 1..].iter();
+    !others.any(|car| network.seen_along(lane, car.position).is_some_and(near))
 }

@@ -26,7 +26,7 @@ mod progress;
 mod reaction;
 mod settings;
 
-pub use domain::{HighwayDomain, HighwayTaskSettings};
+pub use domain::{HighwayDomain, HighwayTaskSettings, entry};
 pub use settings::{
     CarSettings, EgoSettings, HeuristicSettings, HighwayWorldSettings, MergingSettings,
     TrafficSettings, UnsafeChanges,

@@ -5,8 +5,8 @@
 use leadtime_sims::scene::{Gauge, Listener, Scene, Shape, Tone, View};
 
 use super::reaction::EGO;
-use crate::world::constants::{LENGTH, OBSTACLE, WIDTH};
-use crate::world::{Lane, Traffic, Vehicle};
+use crate::world::constants::OBSTACLE;
+use crate::world::{Footprint, Lane, Traffic};
 
 /// How much road is shown behind and ahead of the ego, in metres.
 const STRETCH: [f64; 2] = [60.0, 140.0];
@@ -17,33 +17,30 @@ const GRAIN: f64 = 5.0;
 
 /// Describes the road around the ego.
 pub(super) fn picture(traffic: &Traffic, goal: f64, outcome: &str) -> Scene {
-    let [x, y] = traffic.vehicles()[EGO].position;
+    let [x, y] = traffic.vehicles[EGO].position;
     let view = View { min: [x - STRETCH[0], -SIDES[0]], max: [x + STRETCH[1], SIDES[1]] };
-    let mut shapes = Vec::new();
-    for lane in traffic.network().lanes() {
-        shapes.push(surface(lane));
-    }
-    for lane in traffic.network().lanes() {
-        shapes.extend([-0.5, 0.5].map(|side| edge(lane, side)));
-    }
+    let lanes = traffic.network().lanes();
+    let mut shapes: Vec<Shape> = lanes.iter().map(surface).collect();
+    shapes.extend(lanes.iter().flat_map(|lane| [-0.5, 0.5].map(|side| edge(lane, side))));
     let finish = vec![[goal, view.min[1]], [goal, view.max[1]]];
     shapes.push(Shape::Line { points: finish, tone: Tone::Goal });
-    for &[x, y] in &traffic.road().obstacles {
+    for &[x, y] in &traffic.road.obstacles {
         let half = OBSTACLE / 2.0;
         let (min, max) = ([x - half, -y - half], [x + half, -y + half]);
         shapes.push(Shape::Rectangle { min, max, tone: Tone::Danger });
     }
     // The ego comes last, on top.
-    for (i, vehicle) in traffic.vehicles().iter().enumerate().rev() {
+    for (i, vehicle) in traffic.vehicles.iter().enumerate().rev() {
         let tone = if i == EGO { Tone::Own } else { Tone::Other };
-        shapes.push(Shape::Polygon { points: outline(vehicle), tone });
+        let points = Footprint::of(vehicle).corners().map(|[x, y]| [x, -y]).to_vec();
+        shapes.push(Shape::Polygon { points, tone });
     }
-    let others = traffic.vehicles()[EGO + 1..].iter().map(|other| other.position);
+    let others = traffic.vehicles[EGO + 1..].iter().map(|other| other.position);
     Scene {
         view,
         shapes,
         position: [x, -y],
-        gauge: Gauge { label: "speed (m/s)", value: traffic.vehicles()[EGO].speed },
+        gauge: Gauge { label: "speed (m/s)", value: traffic.vehicles[EGO].speed },
         others: others.map(|[x, y]| [x, -y]).collect(),
         listener: Listener::default(),
         outcome: outcome.to_owned(),
@@ -52,9 +49,9 @@ pub(super) fn picture(traffic: &Traffic, goal: f64, outcome: &str) -> Scene {
 
 /// Returns the points of a line along a lane, `share` of its width to the right of its centre.
 fn points(lane: &Lane, share: f64) -> Vec<[f64; 2]> {
-    let n_points = (lane.length() / GRAIN).ceil().max(1.0) as usize;
-    let places = (0..=n_points).map(|i| lane.length() * i as f64 / n_points as f64);
-    places.map(|s| lane.position(s, share * lane.width())).map(|[x, y]| [x, -y]).collect()
+    let n_points = (lane.length / GRAIN).ceil().max(1.0) as usize;
+    let places = (0..=n_points).map(|i| lane.length * i as f64 / n_points as f64);
+    places.map(|s| lane.position(s, share * lane.width)).map(|[x, y]| [x, -y]).collect()
 }
 
 fn surface(lane: &Lane) -> Shape {
@@ -65,12 +62,4 @@ fn surface(lane: &Lane) -> Shape {
 
 fn edge(lane: &Lane, share: f64) -> Shape {
     Shape::Line { points: points(lane, share), tone: Tone::Hint }
-}
-
-fn outline(vehicle: &Vehicle) -> Vec<[f64; 2]> {
-    let ([x, y], [cosine, sine]) = (vehicle.position, vehicle.direction());
-    let [length, width] = [LENGTH / 2.0, WIDTH / 2.0];
-    [[-length, -width], [-length, width], [length, width], [length, -width]]
-        .map(|[s, r]| [x + cosine * s - sine * r, -(y + sine * s + cosine * r)])
-        .to_vec()
 }

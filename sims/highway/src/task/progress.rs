@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::world::{Traffic, Vehicle};
+use crate::world::Vehicle;
 
 /// How an episode stands once it is decided.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,7 +29,8 @@ pub(super) struct DriveProgress {
     ahead: u64,
     n_frames: u32,
     speed_sum: f64,
-    hardest_braking: f64,
+    /// In m/s².
+    pub(super) hardest_braking: f64,
     jerk_square_sum: f64,
     n_jerks: u32,
     acceleration: Option<f64>,
@@ -41,11 +42,9 @@ impl DriveProgress {
     /// Begins with the cars at their start.
     pub(super) fn begin(vehicles: &[Vehicle]) -> Self {
         let [ego, traffic @ ..] = vehicles else { return Self::default() };
-        let ahead = traffic
-            .iter()
-            .enumerate()
-            .fold(0, |ahead, (i, car)| ahead | u64::from(car.position[0] > ego.position[0]) << i);
-        Self { ahead, ..Self::default() }
+        let is_ahead = |car: &Vehicle| u64::from(car.position[0] > ego.position[0]);
+        let bits = traffic.iter().enumerate().map(|(i, car)| is_ahead(car) << i);
+        Self { ahead: bits.fold(0, |ahead, bit| ahead | bit), ..Self::default() }
     }
 
     /// Takes in a frame of `dt` seconds in which the ego went from one speed to another.
@@ -70,26 +69,20 @@ impl DriveProgress {
         self.speed_sum / f64::from(self.n_frames.max(1))
     }
 
-    /// Returns the hardest braking, in m/s².
-    pub(super) fn hardest_braking(&self) -> f64 {
-        self.hardest_braking
-    }
-
     /// Returns the root mean square of the jerk, in m/s³.
     pub(super) fn jerk(&self) -> f64 {
         libm::sqrt(self.jerk_square_sum / f64::from(self.n_jerks.max(1)))
     }
 
     /// Counts the cars that the ego has overtaken.
-    pub(super) fn overtaken(&self, traffic: &Traffic) -> u32 {
-        let [ego, cars @ ..] = traffic.vehicles() else { return 0 };
+    pub(super) fn overtaken(&self, vehicles: &[Vehicle]) -> u32 {
+        let [ego, cars @ ..] = vehicles else { return 0 };
         let passed = |(i, car): &(usize, &Vehicle)| {
             *i < 64 && self.ahead >> i & 1 == 1 && car.position[0] < ego.position[0]
         };
         cars.iter().enumerate().filter(passed).count() as u32
     }
 
-    /// Tells whether the episode stands like this.
     pub(super) fn is(&self, outcome: DriveOutcome) -> bool {
         self.outcome == Some(outcome)
     }

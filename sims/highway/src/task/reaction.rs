@@ -33,7 +33,7 @@ pub(super) fn react(
     let topic = reaction.map(|reaction| reaction.topic);
     let at_speed = matches!(topic, Some(SLOW_DOWN | SPEED_UP));
     let changes_lanes = reaction.is_none() && settings.changes_lanes;
-    let ego = traffic.vehicle_mut(EGO);
+    let ego = &mut traffic.vehicles[EGO];
     if let Driver::Idm(idm) = &mut ego.driver {
         (idm.changes_lanes, idm.holds_speed) = (changes_lanes, at_speed);
     }

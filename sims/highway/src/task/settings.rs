@@ -190,11 +190,7 @@ impl Default for HighwayWorldSettings {
 
 impl HighwayWorldSettings {
     /// Checks ranges and the road, and returns the road.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] naming the first impossible setting.
-    pub fn build(&self) -> Result<Road, SettingError> {
+    pub(super) fn build(&self) -> Result<Road, SettingError> {
         let road = self.road.build(self.lookup)?;
         self.check_time()?;
         self.check_ego(&road)?;
@@ -203,30 +199,26 @@ impl HighwayWorldSettings {
         self.observation.check()?;
         self.reward.check()?;
         let HeuristicSettings { earliest, gap_behind, gap_ahead } = self.heuristic;
-        let fits = (0.0..=60.0).contains(&earliest);
-        require(fits, "world.heuristic.earliest", earliest, "0 to 60 s")?;
-        for (key, gap) in
-            [("world.heuristic.gap_behind", gap_behind), ("world.heuristic.gap_ahead", gap_ahead)]
-        {
-            require((0.0..=200.0).contains(&gap), key, gap, "0 to 200 m")?;
+        for (key, value, highest, allowed) in [
+            ("world.heuristic.earliest", earliest, 60.0, "0 to 60 s"),
+            ("world.heuristic.gap_behind", gap_behind, 200.0, "0 to 200 m"),
+            ("world.heuristic.gap_ahead", gap_ahead, 200.0, "0 to 200 m"),
+        ] {
+            require((0.0..=highest).contains(&value), key, value, allowed)?;
         }
         Ok(road)
     }
 
-    /// Returns the duration of a frame, in seconds.
-    pub fn dt(&self) -> f64 {
-        1.0 / f64::from(self.frame_rate)
-    }
-
     fn check_time(&self) -> Result<(), SettingError> {
-        let rate = self.frame_rate;
-        require((1..=240).contains(&rate), "world.frame_rate", rate, "1 to 240 frames per second")?;
-        let frames = self.frames_per_step;
-        require((1..=100).contains(&frames), "world.frames_per_step", frames, "1 to 100 frames")?;
-        let steps = self.max_steps;
-        require((1..=100_000).contains(&steps), "world.max_steps", steps, "1 to 100000 steps")?;
+        for (key, given, highest, allowed) in [
+            ("world.frame_rate", self.frame_rate, 240, "1 to 240 frames per second"),
+            ("world.frames_per_step", self.frames_per_step, 100, "1 to 100 frames"),
+            ("world.max_steps", self.max_steps, 100_000, "1 to 100000 steps"),
+        ] {
+            require((1..=highest).contains(&given), key, given, allowed)?;
+        }
         let until = self.absorb_until;
-        require(until <= steps, "world.absorb_until", until, "at most `world.max_steps`")
+        require(until <= self.max_steps, "world.absorb_until", until, "at most `world.max_steps`")
     }
 
     fn check_ego(&self, road: &Road) -> Result<(), SettingError> {
@@ -243,26 +235,22 @@ impl HighwayWorldSettings {
             (0.0..highest).contains(&lowest) && highest <= 40.0 && (2..=64).contains(&n_speeds);
         let given = format_args!("{n_speeds} from {lowest} to {highest}");
         require(fits, "world.ego.speed_grid", given, "2 to 64 speeds, rising, 0 to 40 m/s")?;
-        require(
-            self.goal > x,
-            "world.goal",
-            self.goal,
-            format!("beyond the ego's start at {x} m"),
-        )?;
+        let allowed = format!("beyond the ego's start at {x} m");
+        require(self.goal > x, "world.goal", self.goal, allowed)?;
         start_lanes(road).try_for_each(|lane| self.check_way(road, lane))
     }
 
     /// Follows the road from a lane on which cars start; it must lead to the goal.
     fn check_way(&self, road: &Road, start: usize) -> Result<(), SettingError> {
         let network = &road.network;
-        let end = |lane: usize| network.lane(lane).position(network.lane(lane).length(), 0.0);
         let mut lane = start;
         // No way is longer than there are lanes, unless it goes round in a circle.
         for _ in network.lanes() {
-            if end(lane)[0] >= self.goal {
+            let end = network.lane(lane).end();
+            if end[0] >= self.goal {
                 return Ok(());
             }
-            let next = network.next(lane, end(lane));
+            let next = network.next(lane, end);
             if next == lane {
                 break;
             }
@@ -288,9 +276,9 @@ impl HighwayWorldSettings {
             let earlier = cars[..i].iter().map(|other| (other.x, 2.0 * spread));
             for (x, reach) in earlier.chain([(self.ego.x, *spread)]) {
                 let given = format_args!("cars at {} m and {x} m", car.x);
-                let apart = (car.x - x).abs() >= LENGTH + reach;
-                let allowed =
-                    format!("cars {} m apart or more, so that none overlap", LENGTH + reach);
+                let least = LENGTH + reach;
+                let apart = (car.x - x).abs() >= least;
+                let allowed = format!("cars {least} m apart or more, so that none overlap");
                 require(apart, "world.traffic.cars", given, allowed)?;
             }
         }
@@ -308,16 +296,15 @@ impl HighwayWorldSettings {
         require(fits, "world.merging.lead", given, "two rising distances of -1000 to 1000 m")?;
         for ramp in &road.ramps {
             let before = &ramp.lanes[..ramp.lanes.len() - 1];
-            let length: f64 = before.iter().map(|&lane| road.network.lane(lane).length()).sum();
+            let length: f64 = before.iter().map(|&lane| road.network.lane(lane).length).sum();
             let fits = 0.0 <= range[0] && range[0] <= range[1] && range[1] <= length;
             let given = format_args!("{range:?}");
             let allowed =
                 format!("two rising distances of 0 to {length} m, the length of the ramp");
             require(fits, "world.merging.range", given, allowed)?;
         }
-        let in_order = road.ramps.is_sorted_by(|a, b| a.merge_x < b.merge_x);
-        let given =
-            format_args!("{:?}", road.ramps.iter().map(|ramp| ramp.merge_x).collect::<Vec<_>>());
+        let merges: Vec<f64> = road.ramps.iter().map(|ramp| ramp.merge_x).collect();
+        let (in_order, given) = (merges.is_sorted_by(|a, b| a < b), format_args!("{merges:?}"));
         require(in_order, "world.road.ramps", given, "ramps in the order of their merges")
     }
 }
@@ -326,7 +313,7 @@ impl HighwayWorldSettings {
 pub(super) fn start_lanes(road: &Road) -> impl Iterator<Item = usize> + '_ {
     let network = &road.network;
     let on_first = move |lane: &usize| network.same_road(0, *lane);
-    (0..network.lanes().len()).filter(on_first).filter(|&lane| !network.lane(lane).is_forbidden())
+    (0..network.lanes().len()).filter(on_first).filter(|&lane| !network.lane(lane).forbidden)
 }
 
 fn check_speed(key: &'static str, speed: f64) -> Result<(), SettingError> {
@@ -334,7 +321,7 @@ fn check_speed(key: &'static str, speed: f64) -> Result<(), SettingError> {
 }
 
 fn check_place(key: &'static str, x: f64, spread: f64, road: &Road) -> Result<(), SettingError> {
-    let length = road.network.lane(0).length();
+    let length = road.network.lane(0).length;
     let fits = x - spread >= 0.0 && x + spread <= length;
     let allowed = format!("{spread} to {} m, on the first road", length - spread);
     require(fits, key, format_args!("{x} m"), allowed)

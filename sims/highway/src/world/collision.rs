@@ -44,7 +44,7 @@ impl Footprint {
         Self { position, direction: [1.0, 0.0], size: [OBSTACLE; 2], speed: 0.0 }
     }
 
-    fn corners(&self) -> [[f64; 2]; 4] {
+    pub(crate) fn corners(&self) -> [[f64; 2]; 4] {
         let ([x, y], [cosine, sine]) = (self.position, self.direction);
         let [length, width] = [self.size[0] / 2.0, self.size[1] / 2.0];
         [[-length, -width], [-length, width], [length, width], [length, -width]]
@@ -71,8 +71,7 @@ pub fn contact(a: &Footprint, b: &Footprint, dt: f64) -> Contact {
     let (corners_a, corners_b) = (a.corners(), b.corners());
     let (velocity_a, velocity_b) = (a.velocity(), b.velocity());
     let moved = [(velocity_a[0] - velocity_b[0]) * dt, (velocity_a[1] - velocity_b[1]) * dt];
-    let between =
-        [mean(&corners_a, 0) - mean(&corners_b, 0), mean(&corners_a, 1) - mean(&corners_b, 1)];
+    let between = [0, 1].map(|axis| mean(&corners_a, axis) - mean(&corners_b, axis));
     let (mut touches, mut will_touch) = (true, true);
     let (mut smallest, mut translation) = (f64::INFINITY, [0.0; 2]);
     for corners in [&corners_a, &corners_b] {
@@ -113,12 +112,10 @@ fn normal(p: [f64; 2], q: [f64; 2]) -> [f64; 2] {
 
 /// Projects corners on an axis: `[least, greatest]`.
 fn interval(corners: &[[f64; 2]; 4], axis: [f64; 2]) -> [f64; 2] {
-    corners
-        .iter()
-        .map(|&corner| dot(corner, axis))
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], place| {
-            [low.min(place), high.max(place)]
-        })
+    let places = corners.map(|corner| dot(corner, axis));
+    let low = places.into_iter().fold(f64::INFINITY, f64::min);
+    let high = places.into_iter().fold(f64::NEG_INFINITY, f64::max);
+    [low, high]
 }
 
 /// Returns the gap between two intervals; negative where they overlap.
@@ -131,12 +128,9 @@ impl Traffic {
     pub(super) fn collide(&mut self, dt: f64) {
         let n_vehicles = self.vehicles.len();
         for i in 0..n_vehicles {
+            let body = Footprint::of(&self.vehicles[i]);
             for j in i + 1..n_vehicles {
-                let contact = contact(
-                    &Footprint::of(&self.vehicles[i]),
-                    &Footprint::of(&self.vehicles[j]),
-                    dt,
-                );
+                let contact = contact(&body, &Footprint::of(&self.vehicles[j]), dt);
                 if let Some([x, y]) = contact.translation {
                     self.vehicles[i].impact = Some([x / 2.0, y / 2.0]);
                     self.vehicles[j].impact = Some([-x / 2.0, -y / 2.0]);
@@ -145,7 +139,6 @@ impl Traffic {
                 self.vehicles[j].crashed |= contact.touches;
             }
             for &obstacle in &self.road.obstacles {
-                let body = Footprint::of(&self.vehicles[i]);
                 let contact = contact(&body, &Footprint::obstacle(obstacle), dt);
                 if contact.translation.is_some() {
                     self.vehicles[i].impact = contact.translation;

@@ -48,18 +48,15 @@ impl SpeedGrid {
         place.round_ties_even().clamp(0.0, self.last()) as u32
     }
 
-    /// Returns the speed at a place.
-    pub fn speed(&self, index: u32) -> f64 {
+    fn speed(&self, index: u32) -> f64 {
         self.lowest + f64::from(index) * (self.highest - self.lowest) / self.last()
     }
 
-    /// Returns the speed next below the nearest one.
-    pub fn below(&self, speed: f64) -> f64 {
+    fn below(&self, speed: f64) -> f64 {
         self.speed(self.index(speed).saturating_sub(1))
     }
 
-    /// Returns the speed next above the nearest one.
-    pub fn above(&self, speed: f64) -> f64 {
+    fn above(&self, speed: f64) -> f64 {
         self.speed((self.index(speed) + 1).min(self.n_speeds - 1))
     }
 
@@ -84,24 +81,17 @@ impl Traffic {
     /// No look at other traffic is taken.
     pub fn command(&mut self, me: usize, command: DriverCommand, grid: &SpeedGrid) -> bool {
         self.follow_road(me);
+        let speed = self.vehicles[me].speed;
         match command {
-            DriverCommand::Idle => true,
-            DriverCommand::Faster => {
-                self.vehicles[me].target_speed = grid.above(self.vehicles[me].speed);
-                true
-            }
-            DriverCommand::Slower => {
-                self.vehicles[me].target_speed = grid.below(self.vehicles[me].speed);
-                true
-            }
+            DriverCommand::Idle => {}
+            DriverCommand::Faster => self.vehicles[me].target_speed = grid.above(speed),
+            DriverCommand::Slower => self.vehicles[me].target_speed = grid.below(speed),
             DriverCommand::Change(side) => {
-                let beside = self.lane_for_change(me, side);
-                if let Some(lane) = beside {
-                    self.vehicles[me].target_lane = lane;
-                }
-                beside.is_some()
+                let Some(lane) = self.lane_for_change(me, side) else { return false };
+                self.vehicles[me].target_lane = lane;
             }
         }
+        true
     }
 
     /// Returns the lane on a side of a car's target lane, if the car could steer for it.

@@ -16,7 +16,7 @@ use super::constants::{
 use super::control::not_zero;
 use super::network::LaneId;
 use super::traffic::Traffic;
-use super::vehicle::{Driver, Idm, Vehicle};
+use super::vehicle::{Driver, Idm};
 
 /// Slower than this nobody thinks of changing lanes, in m/s.
 const SLOWEST_CHANGE: f64 = 1.0;
@@ -29,7 +29,7 @@ impl Traffic {
     pub fn acceleration(&self, who: Option<usize>, front: Option<usize>) -> f64 {
         let Some(who) = who.filter(|&who| who < self.vehicles.len()) else { return 0.0 };
         let vehicle = &self.vehicles[who];
-        let limit = self.network().lane(vehicle.lane).speed_limit();
+        let limit = self.network().lane(vehicle.lane).speed_limit;
         let wanted = not_zero(vehicle.target_speed.clamp(0.0, limit)).abs();
         let ratio = vehicle.speed.max(0.0) / wanted;
         let free = COMFORT_ACCELERATION * (1.0 - (ratio * ratio) * (ratio * ratio));
@@ -43,7 +43,7 @@ impl Traffic {
     pub fn desired_gap(&self, who: usize, front: usize) -> f64 {
         let vehicle = &self.vehicles[who];
         let [vx, vy] = vehicle.velocity();
-        let [fx, fy] = self.vehicles.get(front).map_or([0.0; 2], Vehicle::velocity);
+        let [fx, fy] = self.velocity_of(front);
         let [cosine, sine] = vehicle.direction();
         let closing = (vx - fx) * cosine + (vy - fy) * sine;
         let braking = 2.0 * libm::sqrt(COMFORT_ACCELERATION * COMFORT_BRAKING);

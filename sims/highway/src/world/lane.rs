@@ -53,22 +53,34 @@ fn default_speed_limit() -> f64 {
     20.0
 }
 
+impl LaneSettings {
+    /// Lays a lane with the defaults between two nodes.
+    pub fn new([from, to]: [&str; 2], start: [f64; 2], end: [f64; 2]) -> Self {
+        let (width, speed_limit) = (default_width(), default_speed_limit());
+        let (from, to) = (from.to_owned(), to.to_owned());
+        Self { from, to, start, end, width, speed_limit, forbidden: false, wave: None }
+    }
+}
+
 /// A lane whose length and direction are known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lane {
     start: [f64; 2],
     direction: [f64; 2],
     heading: f64,
-    length: f64,
-    width: f64,
-    speed_limit: f64,
-    forbidden: bool,
+    /// Length of the base line, in metres.
+    pub length: f64,
+    /// In metres.
+    pub width: f64,
+    /// What IDM drivers keep to, in m/s.
+    pub speed_limit: f64,
+    /// Whether nobody may change into it.
+    pub forbidden: bool,
     wave: Option<Wave>,
 }
 
 impl Lane {
-    /// Computes length and direction.
-    pub fn new(settings: &LaneSettings) -> Self {
+    pub(super) fn new(settings: &LaneSettings) -> Self {
         let [dx, dy] = [settings.end[0] - settings.start[0], settings.end[1] - settings.start[1]];
         let length = libm::sqrt(dx * dx + dy * dy);
         Self {
@@ -81,26 +93,6 @@ impl Lane {
             forbidden: settings.forbidden,
             wave: settings.wave,
         }
-    }
-
-    /// Returns the length of the base line.
-    pub fn length(&self) -> f64 {
-        self.length
-    }
-
-    /// Returns the width.
-    pub fn width(&self) -> f64 {
-        self.width
-    }
-
-    /// Returns what IDM drivers keep to, in m/s.
-    pub fn speed_limit(&self) -> f64 {
-        self.speed_limit
-    }
-
-    /// Tells whether nobody may change into it.
-    pub fn is_forbidden(&self) -> bool {
-        self.forbidden
     }
 
     /// Returns s of a point: how far along the base line it lies.
@@ -118,6 +110,11 @@ impl Lane {
     pub fn position(&self, s: f64, r: f64) -> [f64; 2] {
         let ([dx, dy], r) = (self.direction, r + self.offset(s));
         [self.start[0] + s * dx - r * dy, self.start[1] + s * dy + r * dx]
+    }
+
+    /// Returns where the centre line ends.
+    pub fn end(&self) -> [f64; 2] {
+        self.position(self.length, 0.0)
     }
 
     /// Returns the heading of the centre line at s.
@@ -189,10 +186,7 @@ mod tests {
     use super::*;
 
     fn lane(end: [f64; 2], wave: Option<Wave>) -> Lane {
-        let (from, to) = ("a".to_owned(), "b".to_owned());
-        let start = [10.0, 5.0];
-        let (width, speed_limit, forbidden) = (4.0, 20.0, false);
-        Lane::new(&LaneSettings { from, to, start, end, width, speed_limit, forbidden, wave })
+        Lane::new(&LaneSettings { wave, ..LaneSettings::new(["a", "b"], [10.0, 5.0], end) })
     }
 
     #[test]

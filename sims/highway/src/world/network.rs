@@ -9,6 +9,9 @@
 //! much: the original's two ways (for comparison) and one that follows the geometry, which alone is right beside
 //! ramps on the left.
 
+use std::collections::BTreeSet;
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use super::lane::{Lane, LaneSettings};
@@ -31,19 +34,21 @@ pub enum Lookup {
     Geometry,
 }
 
+/// The lanes between two nodes, which are numbers here.
 #[derive(Clone, Debug, PartialEq)]
 struct ParallelLanes {
     from: usize,
     to: usize,
-    lanes: Vec<LaneId>,
+    lanes: Range<LaneId>,
 }
 
 /// A segment in a driver's view: the lane, and what to add to s on it.
 type LaneSegment = (LaneId, f64);
 
 /// The lanes of a world.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct RoadNetwork {
+    /// Names of the nodes, in the order of the alphabet.
     nodes: Vec<String>,
     roads: Vec<ParallelLanes>,
     lanes: Vec<Lane>,
@@ -54,57 +59,28 @@ pub struct RoadNetwork {
     views: Vec<Vec<LaneSegment>>,
 }
 
-/// Start node, end node and lanes of a road as it is written.
-type WrittenNetwork<'a> = (usize, usize, Vec<&'a LaneSettings>);
-
-/// Numbers nodes in the order of their mention, and gathers lanes into roads, in the order of lane numbers.
-fn gather_roads<'a>(
-    settings: &'a [LaneSettings],
-    nodes: &mut Vec<String>,
-) -> Vec<WrittenNetwork<'a>> {
-    let mut starts: Vec<usize> = Vec::new();
-    let mut written: Vec<WrittenNetwork<'a>> = Vec::new();
-    for lane in settings {
-        let [from, to] = [&lane.from, &lane.to].map(|name| number(name, nodes));
-        if !starts.contains(&from) {
-            starts.push(from);
-        }
-        match written.iter_mut().find(|road| (road.0, road.1) == (from, to)) {
-            Some(road) => road.2.push(lane),
-            None => written.push((from, to, vec![lane])),
-        }
-    }
-    // A stable sort: roads from one node stay in the order of their first mention.
-    written.sort_by_key(|road| starts.iter().position(|&start| start == road.0));
-    written
-}
-
-fn number(name: &str, nodes: &mut Vec<String>) -> usize {
-    nodes.iter().position(|node| node == name).unwrap_or_else(|| {
-        nodes.push(name.to_owned());
-        nodes.len() - 1
-    })
+fn ends(lane: &LaneSettings) -> [&str; 2] {
+    [&lane.from, &lane.to]
 }
 
 impl RoadNetwork {
     /// Arranges lanes; they must have a length.
     pub fn new(settings: &[LaneSettings], lookup: Lookup) -> Self {
-        let mut nodes = Vec::new();
-        let written = gather_roads(settings, &mut nodes);
-        let mut this = Self {
-            nodes,
-            roads: Vec::new(),
-            lanes: Vec::new(),
-            road_of: Vec::new(),
-            sides: Vec::new(),
-            ranks: Vec::new(),
-            views: Vec::new(),
-        };
-        for (from, to, lanes) in written {
+        let nodes: BTreeSet<&str> = settings.iter().flat_map(ends).collect();
+        let nodes = nodes.into_iter().map(str::to_owned).collect();
+        let mut this = Self { nodes, ..Self::default() };
+        let mut written: Vec<&LaneSettings> = settings.iter().collect();
+        written.sort_by_cached_key(|lane| {
+            let start = settings.iter().position(|other| other.from == lane.from);
+            (start, settings.iter().position(|other| ends(other) == ends(lane)))
+        });
+        for lanes in written.chunk_by(|a, b| ends(a) == ends(b)) {
+            let number = |name| this.nodes.partition_point(|node| node.as_str() < name);
+            let [from, to] = ends(lanes[0]).map(number);
             let first = this.lanes.len();
             this.road_of.extend(lanes.iter().map(|_| this.roads.len()));
-            this.lanes.extend(lanes.into_iter().map(Lane::new));
-            this.roads.push(ParallelLanes { from, to, lanes: (first..this.lanes.len()).collect() });
+            this.lanes.extend(lanes.iter().map(|lane| Lane::new(lane)));
+            this.roads.push(ParallelLanes { from, to, lanes: first..this.lanes.len() });
         }
         this.sides = (0..this.lanes.len()).map(|lane| this.find_sides(lane)).collect();
         this.ranks = (0..this.lanes.len()).map(|lane| this.find_rank(lane)).collect();
@@ -130,10 +106,10 @@ impl RoadNetwork {
     }
 
     /// Returns the lanes between two nodes, in the order in which they were written.
-    pub fn between(&self, from: &str, to: &str) -> &[LaneId] {
-        let is_it =
-            |road: &&ParallelLanes| self.nodes[road.from] == from && self.nodes[road.to] == to;
-        self.roads.iter().find(is_it).map_or(&[], |road| &road.lanes)
+    pub fn between(&self, from: &str, to: &str) -> Range<LaneId> {
+        let mut roads = self.roads.iter();
+        let road = roads.find(|road| [&self.nodes[road.from], &self.nodes[road.to]] == [from, to]);
+        road.map_or(0..0, |road| road.lanes.clone())
     }
 
     /// Returns how many lanes lie side by side with a lane, itself included.
@@ -192,10 +168,9 @@ impl RoadNetwork {
         let road = &self.roads[self.road_of[lane]];
         let (mut best, mut nearest) = (lane, f64::INFINITY);
         for next in self.roads.iter().filter(|next| next.from == road.to) {
-            let same = next.lanes.len() == road.lanes.len();
-            let range =
-                if same { self.place(lane)..=self.place(lane) } else { 0..=next.lanes.len() - 1 };
-            for &candidate in &next.lanes[range] {
+            let same = next.lanes.start + self.place(lane);
+            let is_as_wide = next.lanes.len() == road.lanes.len();
+            for candidate in if is_as_wide { same..same + 1 } else { next.lanes.clone() } {
                 let distance = self.lanes[candidate].distance(centre);
                 if distance < nearest {
                     (best, nearest) = (candidate, distance);
@@ -207,13 +182,13 @@ impl RoadNetwork {
 
     /// Returns a lane's place among those beside it, as written.
     fn place(&self, lane: LaneId) -> usize {
-        lane - self.roads[self.road_of[lane]].lanes[0]
+        lane - self.roads[self.road_of[lane]].lanes.start
     }
 
     fn find_sides(&self, lane: LaneId) -> [Option<LaneId>; 2] {
         let mut sides = [None; 2];
         let mut reach = [f64::INFINITY; 2];
-        for &other in &self.roads[self.road_of[lane]].lanes {
+        for other in self.roads[self.road_of[lane]].lanes.clone() {
             let across = self.lanes[lane].local(self.lanes[other].position(0.0, 0.0))[1];
             let side = usize::from(across > 0.0);
             if other != lane && across.abs() < reach[side] {
@@ -228,59 +203,48 @@ impl RoadNetwork {
         // At most as many as lie abreast, so that odd geometry cannot go round in a circle.
         for _ in 0..self.n_abreast(lane) {
             let Some(left) = self.sides[at][0] else { break };
-            rank += u32::from(!self.lanes[left].is_forbidden());
+            rank += u32::from(!self.lanes[left].forbidden);
             at = left;
         }
         rank
     }
 
     fn find_view(&self, lane: LaneId, lookup: Lookup) -> Vec<LaneSegment> {
-        let mut view = vec![(lane, 0.0)];
+        let (mut view, mut before) = (vec![(lane, 0.0)], Vec::new());
         match lookup {
             Lookup::Segment => {}
-            Lookup::Numbers => self.view_by_numbers(lane, &mut view),
-            Lookup::Geometry => self.view_by_geometry(lane, &mut view),
+            Lookup::Numbers => {
+                let (road, place) = (&self.roads[self.road_of[lane]], self.place(lane));
+                let matching = |other: &ParallelLanes| {
+                    other.lanes.start + if place < other.lanes.len() { place } else { 0 }
+                };
+                let next = self.roads.iter().filter(|next| next.from == road.to).map(matching);
+                view.extend(next.map(|next| (next, self.lanes[lane].length)));
+                let previous = self.roads.iter().filter(|previous| previous.to == road.from);
+                before.extend(previous.map(matching));
+            }
+            Lookup::Geometry => {
+                let all = 0..self.lanes.len();
+                let mut ahead = view.clone();
+                for _hop in 0..2 {
+                    let next = ahead.iter().flat_map(|&(at, offset)| {
+                        let beyond = offset + self.lanes[at].length;
+                        let followers = all.clone().filter(move |&next| self.follows(next, at));
+                        followers.map(move |follower| (follower, beyond))
+                    });
+                    ahead = next.collect();
+                    view.extend(&ahead);
+                }
+                before.extend(all.filter(|&previous| self.follows(lane, previous)));
+            }
         }
+        view.extend(before.into_iter().map(|previous| (previous, -self.lanes[previous].length)));
         view
-    }
-
-    fn view_by_numbers(&self, lane: LaneId, view: &mut Vec<LaneSegment>) {
-        let road = &self.roads[self.road_of[lane]];
-        let place = self.place(lane);
-        let matching =
-            |road: &ParallelLanes| road.lanes.get(place).copied().unwrap_or(road.lanes[0]);
-        for next in self.roads.iter().filter(|next| next.from == road.to) {
-            view.push((matching(next), self.lanes[lane].length()));
-        }
-        for previous in self.roads.iter().filter(|previous| previous.to == road.from) {
-            let previous = matching(previous);
-            view.push((previous, -self.lanes[previous].length()));
-        }
-    }
-
-    fn view_by_geometry(&self, lane: LaneId, view: &mut Vec<LaneSegment>) {
-        let mut ahead = vec![(lane, 0.0)];
-        for _hop in 0..2 {
-            let next = ahead.iter().flat_map(|&(at, offset)| {
-                let beyond = offset + self.lanes[at].length();
-                self.following(at).map(move |follower| (follower, beyond))
-            });
-            ahead = next.collect();
-            view.extend(&ahead);
-        }
-        for previous in (0..self.lanes.len()).filter(|&previous| self.follows(lane, previous)) {
-            view.push((previous, -self.lanes[previous].length()));
-        }
-    }
-
-    fn following(&self, lane: LaneId) -> impl Iterator<Item = LaneId> + '_ {
-        (0..self.lanes.len()).filter(move |&next| self.follows(next, lane))
     }
 
     /// Tells whether lane `b` begins where lane `a` ends.
     fn follows(&self, b: LaneId, a: LaneId) -> bool {
-        let end = self.lanes[a].position(self.lanes[a].length(), 0.0);
-        let start = self.lanes[b].position(0.0, 0.0);
+        let (end, start) = (self.lanes[a].end(), self.lanes[b].position(0.0, 0.0));
         let [dx, dy] = [end[0] - start[0], end[1] - start[1]];
         a != b && libm::sqrt(dx * dx + dy * dy) < TOUCH
     }
@@ -303,19 +267,19 @@ mod tests {
         let expected =
             ["a→b 0", "a→b 1", "b→c 0", "b→c 1", "b→c 2", "c→d 0", "c→d 1", "j→k 0", "k→b 0"];
         assert_eq!(names, expected);
-        assert_eq!(network.between("b", "c"), [2, 3, 4]);
-        assert_eq!(network.between("c", "b"), [0; 0]);
+        assert_eq!((network.between("b", "c"), network.between("c", "b")), (2..5, 0..0));
     }
 
     #[test]
     fn neighbours_are_found_across_the_road() {
         let network = RoadNetwork::new(&RoadSettings::three_merges().lanes, Lookup::Geometry);
-        let [left, right, ramp] = network.between("m3", "m4")[..] else { panic!("three lanes") };
+        let lanes: Vec<LaneId> = network.between("m3", "m4").collect();
+        let [left, right, ramp] = lanes[..] else { panic!("three lanes") };
         assert_eq!(network.sides(left), [Some(ramp), Some(right)]);
         assert_eq!(network.sides(right), [Some(left), None]);
         assert_eq!(network.sides(ramp), [None, Some(left)]);
         assert_eq!([left, right, ramp].map(|lane| network.rank(lane)), [0, 1, 0]);
-        let ramp = network.between("m1", "m2")[2];
+        let ramp = network.between("m1", "m2").end - 1;
         assert_eq!((network.sides(ramp)[1], network.rank(ramp)), (None, 2));
     }
 

@@ -46,12 +46,7 @@ impl Default for ObservationSettings {
 }
 
 impl ObservationSettings {
-    /// Checks ranges.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] naming the first impossible setting.
-    pub fn check(&self) -> Result<(), SettingError> {
+    pub(crate) fn check(&self) -> Result<(), SettingError> {
         let fits = (1..=MAX_ROWS).contains(&self.rows);
         require(fits, "world.observation.rows", self.rows, "1 to 32 rows")
     }
@@ -103,15 +98,16 @@ impl Traffic {
         out.fill(0.0);
         let nearest = self.nearest(me, settings);
         let own = &self.vehicles[me];
-        let place = |body: usize| (self.place_of(body), self.velocity_of(body));
-        let origin = (own.position, own.velocity());
         let units = [RANGE, 4.0 * n_lanes as f64, SPEED_RANGE, SPEED_RANGE];
         let bodies = nearest.bodies[..nearest.n_bodies].iter().map(|&(_, body)| body);
         let rows = out.chunks_exact_mut(settings.n_columns());
+        let mut origin = ([0.0; 2], [0.0; 2]);
         for (row, body) in rows.zip(std::iter::once(me).chain(bodies)) {
-            let ([x, y], [vx, vy]) = place(body);
-            let ([x0, y0], [vx0, vy0]) = if body == me { ([0.0; 2], [0.0; 2]) } else { origin };
+            let ([x, y], [vx, vy]) = (self.place_of(body), self.velocity_of(body));
+            let ([x0, y0], [vx0, vy0]) = origin;
             let values = [x - x0, y - y0, vx - vx0, vy - vy0];
+            // The first row is the own car's.
+            origin = (own.position, own.velocity());
             row[0] = 1.0;
             for (out, (value, unit)) in row[1..5].iter_mut().zip(values.into_iter().zip(units)) {
                 *out = (value / unit).clamp(-1.0, 1.0) as f32;
@@ -123,7 +119,6 @@ impl Traffic {
         }
     }
 
-    /// Returns the velocity of a body.
     pub(super) fn velocity_of(&self, body: usize) -> [f64; 2] {
         self.vehicles.get(body).map_or([0.0; 2], Vehicle::velocity)
     }
@@ -159,8 +154,7 @@ mod tests {
         let road = RoadSettings::merge().build(Lookup::Segment).unwrap();
         let mut traffic = Traffic::new(Arc::new(road), Blindness::Never);
         for &place in places {
-            let vehicle = Vehicle::new(traffic.network(), place, 0.0, 20.0);
-            traffic.push(vehicle);
+            traffic.vehicles.push(Vehicle::new(&traffic.road.network, place, 0.0, 20.0));
         }
         let mut out = vec![f32::NAN; settings.dim()];
         traffic.observe(0, 2, settings, &mut out);
@@ -169,16 +163,16 @@ mod tests {
 
     #[test]
     fn the_nearest_are_listed_nearest_first() {
+        let cars = [[100.0, 4.0], [140.0, 0.0], [80.0, 0.0], [95.0, 4.0]];
         let settings = ObservationSettings { rows: 4, headings: false, see_behind: false };
-        let seen = observe(&[[100.0, 4.0], [140.0, 0.0], [80.0, 0.0], [95.0, 4.0]], &settings);
+        let seen = observe(&cars, &settings);
         assert_eq!(seen[..5], [1.0, 0.5, 0.5, 0.25, 0.0]);
         // 5 m behind is seen, 20 m behind is not; the obstacle is out of range.
         assert_eq!(seen[5..10], [1.0, -0.025, 0.0, 0.0, 0.0]);
         assert_eq!(seen[10..15], [1.0, 0.2, -0.5, 0.0, 0.0]);
         assert_eq!(seen[15..], [0.0; 5]);
         let behind = ObservationSettings { see_behind: true, rows: 3, ..settings };
-        let seen = observe(&[[100.0, 4.0], [140.0, 0.0], [80.0, 0.0], [95.0, 4.0]], &behind);
-        assert_eq!(seen[10..], [1.0, -0.1, -0.5, 0.0, 0.0]);
+        assert_eq!(observe(&cars, &behind)[10..], [1.0, -0.1, -0.5, 0.0, 0.0]);
     }
 
     #[test]

@@ -48,7 +48,7 @@ impl Default for RewardSettings {
 }
 
 /// The terms of a reward, before they are weighted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct RewardTerms {
     /// 1 after a crash of the ego.
     pub collision: f64,
@@ -68,32 +68,19 @@ impl RewardSettings {
         Self { speed_range: [20.0, 30.0], merging_range: f64::MAX, ..Self::default() }
     }
 
-    /// Checks ranges.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingError`] naming the first impossible setting.
-    pub fn check(&self) -> Result<(), SettingError> {
-        for (key, weight) in [
-            ("world.reward.collision", self.collision),
-            ("world.reward.merging", self.merging),
-            ("world.reward.lane_change", self.lane_change),
+    pub(crate) fn check(&self) -> Result<(), SettingError> {
+        for (key, weight, possible, allowed) in [
+            ("world.reward.collision", self.collision, -100.0..=0.0, "-100 to 0"),
+            ("world.reward.merging", self.merging, -100.0..=0.0, "-100 to 0"),
+            ("world.reward.lane_change", self.lane_change, -100.0..=0.0, "-100 to 0"),
+            ("world.reward.right_lane", self.right_lane, 0.0..=100.0, "0 to 100"),
+            ("world.reward.high_speed", self.high_speed, 0.0..=100.0, "0 to 100"),
         ] {
-            require((-100.0..=0.0).contains(&weight), key, weight, "-100 to 0")?;
+            require(possible.contains(&weight), key, weight, allowed)?;
         }
-        for (key, weight) in [
-            ("world.reward.right_lane", self.right_lane),
-            ("world.reward.high_speed", self.high_speed),
-        ] {
-            require((0.0..=100.0).contains(&weight), key, weight, "0 to 100")?;
-        }
-        let sum = self.right_lane + self.high_speed;
-        require(
-            sum > 0.0,
-            "world.reward.high_speed",
-            self.high_speed,
-            "above 0, or a `right_lane` above 0",
-        )?;
+        let (fits, speed) = (self.right_lane + self.high_speed > 0.0, self.high_speed);
+        let allowed = "above 0, or a `right_lane` above 0";
+        require(fits, "world.reward.high_speed", speed, allowed)?;
         let [low, high] = self.speed_range;
         let fits = -40.0 <= low && low < high && high <= 80.0;
         let given = format_args!("[{low}, {high}]");
@@ -103,7 +90,7 @@ impl RewardSettings {
     }
 
     /// Weighs the terms: `[collision, right lane, speed, merging, lane change]`, in units of reward.
-    pub fn pieces(&self, terms: &RewardTerms) -> [f64; 5] {
+    pub(crate) fn pieces(&self, terms: &RewardTerms) -> [f64; 5] {
         let span = self.span();
         [
             self.collision * terms.collision,
@@ -133,8 +120,7 @@ impl Traffic {
         let [low, high] = settings.speed_range;
         let merging = self.vehicles.iter().filter(|vehicle| {
             let there = self.road.ramps.iter().any(|ramp| ramp.parallel() == vehicle.lane);
-            let [dx, dy] =
-                [vehicle.position[0] - own.position[0], vehicle.position[1] - own.position[1]];
+            let [dx, dy] = [0, 1].map(|axis| vehicle.position[axis] - own.position[axis]);
             let distance = libm::sqrt(dx * dx + dy * dy);
             there && vehicle.driver != Driver::Nobody && distance <= settings.merging_range
         });
@@ -182,10 +168,8 @@ mod tests {
             change(&mut settings);
             settings.check().unwrap_err().to_string()
         };
-        assert_eq!(
-            refused(|s| s.collision = 1.0),
-            "`world.reward.collision` is 1; allowed: -100 to 0"
-        );
+        let text = refused(|s| s.collision = 1.0);
+        assert_eq!(text, "`world.reward.collision` is 1; allowed: -100 to 0");
         assert!(refused(|s| s.merging = f64::NAN).contains("world.reward.merging"));
         assert!(refused(|s| s.speed_range = [20.0, 20.0]).contains("[20, 20]"));
         assert!(refused(|s| (s.right_lane, s.high_speed) = (0.0, 0.0)).contains("above 0"));

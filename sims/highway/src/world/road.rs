@@ -84,8 +84,8 @@ pub struct Road {
 const RAMP: [f64; 3] = [150.0, 80.0, 80.0];
 /// Half the way that a converging lane swings across.
 const SWING: f64 = 3.25;
-/// Speed limits of the three-merge road: carriageway and parallel lanes, and ramps.
-const LIMITS: [f64; 2] = [40.0, 20.0];
+/// Speed limit of the three-merge road's carriageway and parallel lanes.
+const LIMIT: f64 = 40.0;
 
 impl RoadSettings {
     /// Returns the original's merge: 230 m, 80 m beside a ramp from the right, 150 m; 20 m/s everywhere.
@@ -94,15 +94,14 @@ impl RoadSettings {
     ///
     /// highway-env 1.12.1, `envs/merge_env.py`.
     pub fn merge() -> Self {
-        let mut lanes = Vec::new();
+        let mut this = Self { lanes: Vec::new(), ramps: Vec::new(), obstacles: Vec::new() };
         for y in [0.0, 4.0] {
-            lanes.push(straight(["a", "b"], [0.0, 230.0], y));
-            lanes.push(straight(["b", "c"], [230.0, 310.0], y));
-            lanes.push(straight(["c", "d"], [310.0, 460.0], y));
+            this.lanes.push(straight(["a", "b"], [0.0, 230.0], y));
+            this.lanes.push(straight(["b", "c"], [230.0, 310.0], y));
+            this.lanes.push(straight(["c", "d"], [310.0, 460.0], y));
         }
-        let obstacle = push_ramp(&mut lanes, ["j", "k", "b", "c"], 230.0, Side::Right, 20.0);
-        let ramps = vec![ramp(["j", "k", "b", "c"])];
-        Self { lanes, ramps, obstacles: vec![obstacle] }
+        this.push_ramp(["j", "k", "b", "c"], 230.0, Side::Right, 20.0);
+        this
     }
 
     /// Returns the road with merges from the right at 230 m, from the left at 540 m and from the right at 850 m.
@@ -121,33 +120,11 @@ impl RoadSettings {
             this.push_carriageway(node + 1, [merge_x, beyond]);
             let names = [format!("j{i}"), format!("k{i}"), m(node + 1), m(node + 2)];
             let names = names.each_ref().map(String::as_str);
-            let obstacle = push_ramp(&mut this.lanes, names, merge_x, side, LIMITS[0]);
-            this.obstacles.push(obstacle);
-            this.ramps.push(ramp(names));
+            this.push_ramp(names, merge_x, side, LIMIT);
             (x, node) = (beyond, node + 2);
         }
         this.push_carriageway(node, [x, x + 150.0]);
-        for lane in &mut this.lanes {
-            if lane.from.starts_with(['j', 'k']) {
-                lane.speed_limit = LIMITS[1];
-            }
-        }
         this
-    }
-
-    /// Returns the road as seen in a mirror along y = 0: what was on the left is on the right.
-    pub fn mirrored(&self) -> Self {
-        let mut mirrored = self.clone();
-        for lane in &mut mirrored.lanes {
-            (lane.start[1], lane.end[1]) = (-lane.start[1], -lane.end[1]);
-            if let Some(wave) = &mut lane.wave {
-                wave.amplitude = -wave.amplitude;
-            }
-        }
-        for obstacle in &mut mirrored.obstacles {
-            obstacle[1] = -obstacle[1];
-        }
-        mirrored
     }
 
     /// Checks lanes, their connections and ramps, and arranges them.
@@ -173,10 +150,33 @@ impl RoadSettings {
 
     fn push_carriageway(&mut self, node: usize, ends: [f64; 2]) {
         for y in [0.0, 4.0] {
-            let mut lane = straight([&m(node), &m(node + 1)], ends, y);
-            lane.speed_limit = LIMITS[0];
-            self.lanes.push(lane);
+            let lane = straight([&m(node), &m(node + 1)], ends, y);
+            self.lanes.push(LaneSettings { speed_limit: LIMIT, ..lane });
         }
+    }
+
+    /// Adds a ramp, its three lanes and the obstacle at its end.
+    fn push_ramp(&mut self, nodes: [&str; 4], merge_x: f64, side: Side, parallel_limit: f64) {
+        let [approach, converging, parallel] = RAMP;
+        // The parallel lane is the carriageway's neighbour; the approach lies twice the swing further out.
+        let (y, outwards) = match side {
+            Side::Right => (8.0, 1.0),
+            Side::Left => (-4.0, -1.0),
+        };
+        let converges_from = merge_x - converging;
+        let from = converges_from - approach;
+        let far = y + outwards * 2.0 * SWING;
+        let mut own = [
+            straight([nodes[0], nodes[1]], [from, converges_from], far),
+            straight([nodes[1], nodes[2]], [converges_from, merge_x], y + outwards * SWING),
+            straight([nodes[2], nodes[3]], [merge_x, merge_x + parallel], y),
+        ];
+        let (pulsation, phase) = (PI / converging, outwards * FRAC_PI_2);
+        own[1].wave = Some(Wave { amplitude: SWING, pulsation, phase });
+        own[2].speed_limit = parallel_limit;
+        self.lanes.extend(own.map(|lane| LaneSettings { forbidden: true, ..lane }));
+        self.ramps.push(RampSettings { nodes: nodes.map(str::to_owned).to_vec() });
+        self.obstacles.push([merge_x + parallel, y]);
     }
 }
 
@@ -194,9 +194,9 @@ impl RampSettings {
         let mut lanes = Vec::with_capacity(stretches.len());
         for (i, stretch) in stretches.iter().enumerate() {
             let is_last = i + 1 == stretches.len();
-            let mut fit = network.between(&stretch[0], &stretch[1]).iter().copied();
+            let mut fit = network.between(&stretch[0], &stretch[1]);
             let lane = if is_last {
-                fit.find(|&lane| network.lane(lane).is_forbidden())
+                fit.find(|&lane| network.lane(lane).forbidden)
             } else {
                 fit.next().filter(|_| fit.next().is_none())
             };
@@ -211,7 +211,7 @@ impl RampSettings {
             _ => return Err(error("a last lane at one edge of the carriageway".to_owned())),
         };
         let lane = network.lane(parallel);
-        let (merge_x, end_x) = (lane.position(0.0, 0.0)[0], lane.position(lane.length(), 0.0)[0]);
+        let (merge_x, end_x) = (lane.position(0.0, 0.0)[0], lane.end()[0]);
         Ok(Ramp { lanes, merge_x, end_x, side })
     }
 }
@@ -221,53 +221,8 @@ fn m(node: usize) -> String {
     format!("m{node}")
 }
 
-fn ramp(nodes: [&str; 4]) -> RampSettings {
-    RampSettings { nodes: nodes.map(str::to_owned).to_vec() }
-}
-
-fn straight([from, to]: [&str; 2], [x0, x1]: [f64; 2], y: f64) -> LaneSettings {
-    LaneSettings {
-        from: from.to_owned(),
-        to: to.to_owned(),
-        start: [x0, y],
-        end: [x1, y],
-        width: 4.0,
-        speed_limit: 20.0,
-        forbidden: false,
-        wave: None,
-    }
-}
-
-/// Adds the three lanes of a ramp, and returns where its obstacle stands.
-fn push_ramp(
-    lanes: &mut Vec<LaneSettings>,
-    nodes: [&str; 4],
-    merge_x: f64,
-    side: Side,
-    parallel_limit: f64,
-) -> [f64; 2] {
-    let [approach, converging, parallel] = RAMP;
-    // The parallel lane is the carriageway's neighbour; the approach lies twice the swing further out.
-    let (y, outwards) = match side {
-        Side::Right => (8.0, 1.0),
-        Side::Left => (-4.0, -1.0),
-    };
-    let converges_from = merge_x - converging;
-    let from = converges_from - approach;
-    let far = y + outwards * 2.0 * SWING;
-    let mut own = [
-        straight([nodes[0], nodes[1]], [from, converges_from], far),
-        straight([nodes[1], nodes[2]], [converges_from, merge_x], y + outwards * SWING),
-        straight([nodes[2], nodes[3]], [merge_x, merge_x + parallel], y),
-    ];
-    let (pulsation, phase) = (PI / converging, outwards * FRAC_PI_2);
-    own[1].wave = Some(Wave { amplitude: SWING, pulsation, phase });
-    own[2].speed_limit = parallel_limit;
-    for mut lane in own {
-        lane.forbidden = true;
-        lanes.push(lane);
-    }
-    [merge_x + parallel, y]
+fn straight(nodes: [&str; 2], [x0, x1]: [f64; 2], y: f64) -> LaneSettings {
+    LaneSettings::new(nodes, [x0, y], [x1, y])
 }
 
 fn check_lane(lane: &LaneSettings) -> Result<(), SettingError> {
@@ -295,14 +250,14 @@ fn check_lane(lane: &LaneSettings) -> Result<(), SettingError> {
 /// Checks that no lane ends in the void: where its end node leads on, a lane goes on beside its end.
 fn check_connections(network: &RoadNetwork) -> Result<(), SettingError> {
     for (id, lane) in network.lanes().iter().enumerate() {
-        let end = lane.position(lane.length(), 0.0);
+        let end = lane.end();
         let next = network.next(id, end);
         let gap = network.lane(next).distance(end);
         // Where lanes are lost, as at the end of a ramp, the next one lies one lane to the side.
         let given =
             format_args!("{}, which ends {gap} m from {}", network.name(id), network.name(next));
         let allowed = "lanes that touch, or lie side by side, where they share a node";
-        require(gap <= 1.5 * lane.width(), "world.road.lanes", given, allowed)?;
+        require(gap <= 1.5 * lane.width, "world.road.lanes", given, allowed)?;
     }
     Ok(())
 }
@@ -330,11 +285,10 @@ mod tests {
             let [approach, converging, parallel] = ramp.lanes[..] else { panic!("three lanes") };
             let lane = |id| road.network.lane(id);
             assert_eq!(lane(approach).position(0.0, 0.0), [merge_x - 230.0, y]);
-            let joint = lane(approach).position(150.0, 0.0);
-            assert!(lane(converging).distance(joint) < 1e-9);
-            let joint = lane(converging).position(80.0, 0.0);
-            assert!(lane(parallel).distance(joint) < 1e-9);
-            assert_eq!((lane(approach).speed_limit(), lane(parallel).speed_limit()), (20.0, 40.0));
+            assert_eq!((lane(approach).length, lane(converging).length), (150.0, 80.0));
+            assert!(lane(converging).distance(lane(approach).end()) < 1e-9);
+            assert!(lane(parallel).distance(lane(converging).end()) < 1e-9);
+            assert_eq!((lane(approach).speed_limit, lane(parallel).speed_limit), (20.0, 40.0));
         }
         assert_eq!(road.network.name(road.network.lanes().len() - 1), "m6→m7 1");
     }
@@ -344,7 +298,7 @@ mod tests {
         let text = r#"{"lanes": [{"from": "a", "to": "b", "start": [0, 0], "end": [500, 0]}]}"#;
         let road: RoadSettings = serde_json::from_str(text).unwrap();
         let road = road.build(Lookup::Geometry).unwrap();
-        assert_eq!((road.network.lane(0).width(), road.network.lane(0).speed_limit()), (4.0, 20.0));
+        assert_eq!((road.network.lane(0).width, road.network.lane(0).speed_limit), (4.0, 20.0));
         let endless = r#"{"lanes": [{"from": "a", "to": "b", "start": [0, 0]}]}"#;
         let error = serde_json::from_str::<RoadSettings>(endless).unwrap_err().to_string();
         assert!(error.starts_with("missing field `end`"), "{error}");
@@ -353,12 +307,8 @@ mod tests {
     #[test]
     fn impossible_roads_are_named() {
         let text = refused(|road| road.lanes[2].end = road.lanes[2].start);
-        assert!(
-            text.starts_with("`world.road.lanes` is m1→m2 from [230, 0] to [230, 0]"),
-            "{text}"
-        );
-        let text = refused(|road| road.lanes[2].end[0] = f64::NAN);
-        assert!(text.contains("m1→m2"), "{text}");
+        assert!(text.starts_with("`world.road.lanes` is m1→m2 from [230, 0] to [230, 0]"));
+        assert!(refused(|road| road.lanes[2].end[0] = f64::NAN).contains("m1→m2"));
         let text = refused(|road| road.lanes[0].end[0] = 200.0);
         let expected = "`world.road.lanes` is m0→m1 0, which ends 30 m from m1→m2 0; \
                         allowed: lanes that touch, or lie side by side, where they share a node";
@@ -373,13 +323,5 @@ mod tests {
         assert!(refused(|road| road.ramps[0].nodes.truncate(2)).contains("at least three nodes"));
         let text = refused(|road| road.ramps[0].nodes[3] = "m3".to_owned());
         assert!(text.contains("a forbidden lane from `m1` to `m3`"), "{text}");
-    }
-
-    #[test]
-    fn a_mirror_swaps_the_sides() {
-        let road = RoadSettings::three_merges().mirrored().build(Lookup::Geometry).unwrap();
-        let sides: Vec<Side> = road.ramps.iter().map(|ramp| ramp.side).collect();
-        assert_eq!(sides, [Side::Left, Side::Right, Side::Left]);
-        assert_eq!(RoadSettings::merge().mirrored().mirrored(), RoadSettings::merge());
     }
 }

@@ -35,8 +35,10 @@ const SETTLED: f64 = 0.5;
 /// A road with cars on it.
 #[derive(Clone, Debug)]
 pub struct Traffic {
-    pub(super) road: Arc<Road>,
-    pub(super) vehicles: Vec<Vehicle>,
+    /// The road.
+    pub road: Arc<Road>,
+    /// The cars, in the order in which they came.
+    pub vehicles: Vec<Vehicle>,
     blindness: Blindness,
 }
 
@@ -46,39 +48,9 @@ impl Traffic {
         Self { road, vehicles: Vec::new(), blindness }
     }
 
-    /// Returns the road.
-    pub fn road(&self) -> &Road {
-        &self.road
-    }
-
     /// Returns the lanes.
     pub fn network(&self) -> &RoadNetwork {
         &self.road.network
-    }
-
-    /// Returns the cars, in the order in which they came.
-    pub fn vehicles(&self) -> &[Vehicle] {
-        &self.vehicles
-    }
-
-    /// Returns one car for changes.
-    pub fn vehicle_mut(&mut self, vehicle: usize) -> &mut Vehicle {
-        &mut self.vehicles[vehicle]
-    }
-
-    /// Takes all cars off the road; the place for as many stays reserved.
-    pub fn clear(&mut self) {
-        self.vehicles.clear();
-    }
-
-    /// Makes room for as many cars, so that adding them allocates nothing.
-    pub fn reserve(&mut self, n_vehicles: usize) {
-        self.vehicles.reserve(n_vehicles);
-    }
-
-    /// Adds a car.
-    pub fn push(&mut self, vehicle: Vehicle) {
-        self.vehicles.push(vehicle);
     }
 
     /// Advances the world by one frame of `dt` seconds.
@@ -92,8 +64,7 @@ impl Traffic {
         self.settle();
     }
 
-    /// Lets every driver decide in turn.
-    pub fn decide(&mut self) {
+    fn decide(&mut self) {
         for me in 0..self.vehicles.len() {
             match self.vehicles[me].driver {
                 Driver::Nobody => {}
@@ -133,7 +104,6 @@ impl Traffic {
         [ahead, behind]
     }
 
-    /// Returns where a body is.
     pub(super) fn place_of(&self, body: usize) -> [f64; 2] {
         let n_vehicles = self.vehicles.len();
         match self.vehicles.get(body) {
@@ -150,20 +120,16 @@ impl Traffic {
 
     /// Lets merging cars that have arrived be seen.
     fn settle(&mut self) {
-        let network = &self.road.network;
-        for vehicle in &mut self.vehicles {
-            if vehicle.role != CarRole::Merging {
-                continue;
-            }
-            let lane = network.lane(vehicle.lane);
+        for vehicle in self.vehicles.iter_mut().filter(|car| car.role == CarRole::Merging) {
+            let lane = self.road.network.lane(vehicle.lane);
             let arrived = match self.blindness {
                 Blindness::Never => true,
                 Blindness::Always => false,
-                Blindness::UntilOnCarriageway => !lane.is_forbidden(),
+                Blindness::UntilOnCarriageway => !lane.forbidden,
                 Blindness::UntilSettled => {
                     let bound = vehicle.lane == vehicle.target_lane;
                     let centred = lane.local(vehicle.position)[1].abs() < SETTLED;
-                    bound && centred && !lane.is_forbidden()
+                    bound && centred && !lane.forbidden
                 }
             };
             if arrived {

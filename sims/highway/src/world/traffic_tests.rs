@@ -5,7 +5,7 @@ use std::sync::Arc;
 use proptest::prelude::*;
 
 use super::*;
-use crate::world::{Lookup, RoadSettings};
+use crate::world::{Lookup, RoadSettings, Wave};
 
 const DT: f64 = 1.0 / 15.0;
 
@@ -19,6 +19,16 @@ fn starts() -> impl Strategy<Value = Vec<CarStart>> {
         let place = |(i, (lane, x, speed, wanted))| (lane, 30.0 * i as f64 + x, speed, wanted);
         cars.into_iter().enumerate().map(place).collect()
     })
+}
+
+/// Returns a road as seen in a mirror along y = 0: what was on the left is on the right.
+fn mirrored(mut road: RoadSettings) -> RoadSettings {
+    for lane in &mut road.lanes {
+        (lane.start[1], lane.end[1]) = (-lane.start[1], -lane.end[1]);
+        lane.wave = lane.wave.map(|wave| Wave { amplitude: -wave.amplitude, ..wave });
+    }
+    road.obstacles.iter_mut().for_each(|obstacle| obstacle[1] = -obstacle[1]);
+    road
 }
 
 fn traffic(road: &RoadSettings, starts: &[CarStart], sign: f64) -> Traffic {
@@ -36,9 +46,9 @@ fn traffic(road: &RoadSettings, starts: &[CarStart], sign: f64) -> Traffic {
             // The usual start of a timer depends on y.
             idm.timer = (0.37 * x).rem_euclid(1.0);
         }
-        traffic.push(vehicle);
+        traffic.vehicles.push(vehicle);
     }
-    traffic.vehicle_mut(0).role = CarRole::Ego;
+    traffic.vehicles[0].role = CarRole::Ego;
     traffic
 }
 
@@ -49,14 +59,14 @@ proptest! {
         let mut traffic = traffic(&RoadSettings::three_merges(), &starts, 1.0);
         for frame in 0..600 {
             traffic.step(DT);
-            for vehicle in traffic.vehicles() {
+            for vehicle in &traffic.vehicles {
                 prop_assert!(vehicle.is_proper(traffic.network()));
                 let lane = traffic.network().lane(vehicle.lane);
                 let [s, r] = lane.local(vehicle.position);
                 // A wreck may be pushed aside; everybody else is on a lane, or has driven off the end of the last.
                 let beyond = vehicle.position[0] > 1080.0;
                 prop_assert!(
-                    vehicle.crashed || (r.abs() <= 2.5 && (beyond || s <= lane.length() + 1.0)),
+                    vehicle.crashed || (r.abs() <= 2.5 && (beyond || s <= lane.length + 1.0)),
                     "frame {}: {:?} at {} {} of {}", frame, vehicle, s, r,
                     traffic.network().name(vehicle.lane)
                 );
@@ -68,11 +78,11 @@ proptest! {
     fn a_mirrored_road_gives_the_mirrored_drive(starts in starts()) {
         let road = RoadSettings::three_merges();
         let mut plain = traffic(&road, &starts, 1.0);
-        let mut mirrored = traffic(&road.mirrored(), &starts, -1.0);
+        let mut mirrored = traffic(&mirrored(road), &starts, -1.0);
         for frame in 0..450 {
             plain.step(DT);
             mirrored.step(DT);
-            for (a, b) in plain.vehicles().iter().zip(mirrored.vehicles()) {
+            for (a, b) in plain.vehicles.iter().zip(&mirrored.vehicles) {
                 let [x, y] = [a.position[0] - b.position[0], a.position[1] + b.position[1]];
                 let same = x.abs() < 1e-6
                     && y.abs() < 1e-6
@@ -93,7 +103,7 @@ fn a_car_on_the_ramp_merges_before_the_obstacle() {
         traffic.step(DT);
     }
     // From the right and from the left alike.
-    for (car, y) in traffic.vehicles()[1..].iter().zip([4.0, 0.0]) {
+    for (car, y) in traffic.vehicles[1..].iter().zip([4.0, 0.0]) {
         assert!(!car.crashed && (car.position[1] - y).abs() < 0.1, "{car:?}");
         assert_eq!(car.role, CarRole::Traffic);
     }
@@ -107,16 +117,13 @@ fn blindness_ends_as_set() {
         let mut traffic = Traffic::new(Arc::clone(&road), blindness);
         for (place, role) in [([0.0, 0.0], CarRole::Ego), (place, CarRole::Merging)] {
             let vehicle = Vehicle::new(traffic.network(), place, 0.0, 20.0).with_idm(20.0);
-            traffic.push(vehicle.with_role(role));
+            traffic.vehicles.push(vehicle.with_role(role));
         }
         traffic.settle();
         traffic.sees(0, 1) && traffic.sees(1, 0)
     };
     let (ramp, edge, middle) = ([250.0, 8.0], [250.0, 5.0], [250.0, 4.2]);
-    assert_eq!(
-        [ramp, edge, middle].map(|place| settles(UntilSettled, place)),
-        [false, false, true]
-    );
+    assert_eq!([ramp, edge, middle].map(|at| settles(UntilSettled, at)), [false, false, true]);
     assert_eq!([ramp, edge, middle].map(|at| settles(UntilOnCarriageway, at)), [false, true, true]);
     assert_eq!([ramp, middle].map(|place| settles(Always, place)), [false, false]);
     assert!(settles(Never, ramp));

@@ -134,7 +134,7 @@ impl Vehicle {
     }
 
     /// Tells whether all its numbers are finite and its lanes exist.
-    pub fn is_proper(&self, network: &RoadNetwork) -> bool {
+    pub(crate) fn is_proper(&self, network: &RoadNetwork) -> bool {
         let Self { position, heading, speed, acceleration, steering, target_speed, .. } = *self;
         let numbers = [heading, speed, acceleration, steering, target_speed];
         let timer = if let Driver::Idm(idm) = self.driver { idm.timer } else { 0.0 };
@@ -146,7 +146,7 @@ impl Vehicle {
     }
 
     /// Moves on by `dt` seconds; its command is cut to what a crashed or too fast car can do.
-    pub fn integrate(&mut self, network: &RoadNetwork, dt: f64) {
+    pub(super) fn integrate(&mut self, network: &RoadNetwork, dt: f64) {
         if let Driver::Idm(idm) = &mut self.driver {
             idm.timer += dt;
         }

@@ -36,20 +36,20 @@ pub(crate) fn measure(
 ) -> Safety {
     let settings = HighwayWorldSettings { absorb_until: 0, ..settings.clone() };
     let mut task = HighwayDomain::new(&settings).expect("the settings are possible");
-    let crashes = vec![0; task.traffic().road().ramps.len()];
+    let crashes = vec![0; task.traffic.road.ramps.len()];
     let mut found = Safety { crashes, ..Safety::default() };
     for episode in seeds {
         task.reset(EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode });
         loop {
             found.n_steps += 1;
-            let reaction = slow_down_from.and_then(|from| slow_down(from, task.traffic()));
+            let reaction = slow_down_from.and_then(|from| slow_down(from, &task.traffic));
             if task.advance(reaction).end.is_some() {
                 break;
             }
         }
         found.n_episodes += 1;
         found.n_arrived += u32::from(task.has_arrived());
-        found.n_crashed += u32::from(task.traffic().vehicles()[EGO].crashed);
+        found.n_crashed += u32::from(task.traffic.vehicles[EGO].crashed);
         if let Some(ramp) = task.crash_ramp() {
             found.crashes[ramp] += 1;
         }
@@ -59,10 +59,10 @@ pub(crate) fn measure(
 
 /// Slows down until the merge's end while the merging car is beside or ahead and has not settled.
 fn slow_down(from: f64, traffic: &Traffic) -> Option<ReactionStep> {
-    let x = traffic.vehicles()[EGO].position[0];
-    let mut ramps = traffic.road().ramps.iter();
+    let x = traffic.vehicles[EGO].position[0];
+    let mut ramps = traffic.road.ramps.iter();
     let at_merge = ramps.any(|ramp| ramp.merge_x - from < x && x < ramp.end_x);
-    let mut cars = traffic.vehicles().iter().filter(|car| car.role == CarRole::Merging);
+    let mut cars = traffic.vehicles.iter().filter(|car| car.role == CarRole::Merging);
     let slows = at_merge && cars.any(|car| car.position[0] > x - PASSED);
     // A reaction to a speed acts in every step, so it does not matter which is the first.
     slows.then_some(ReactionStep { topic: SLOW_DOWN, first: false })

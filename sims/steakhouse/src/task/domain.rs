@@ -10,7 +10,9 @@ use leadtime_sims::human::{
 };
 use leadtime_sims::notifier::{NotifierSettings, NotifierWorld, TaskSettings};
 use leadtime_sims::scene::Scene;
-use leadtime_sims::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};
+use leadtime_sims::{
+    Advance, Delivery, Domain, DomainEntry, Message, ReactionStatus, ReactionStep,
+};
 use serde::{Deserialize, Serialize};
 
 use super::draw;
@@ -81,7 +83,8 @@ struct SteakhouseSnapshot {
 #[derive(Debug)]
 pub struct SteakhouseDomain {
     settings: SteakhouseWorldSettings,
-    kitchen: Kitchen,
+    /// The kitchen and its cook.
+    pub kitchen: Kitchen,
     /// Where the reference run takes place.
     reference: Kitchen,
     /// Every episode starts like this, if it is given.
@@ -89,7 +92,8 @@ pub struct SteakhouseDomain {
     start: KitchenStart,
     generator: Pcg64,
     progress: CookProgress,
-    last: Option<LastStep>,
+    /// What the cook did in the last step of the episode.
+    pub last_step: Option<LastStep>,
 }
 
 impl SteakhouseDomain {
@@ -122,7 +126,7 @@ impl SteakhouseDomain {
             start,
             generator: Pcg64::seed_from_u64(0),
             progress: CookProgress::default(),
-            last: None,
+            last_step: None,
         })
     }
 
@@ -130,16 +134,6 @@ impl SteakhouseDomain {
     pub fn with_start(mut self, start: KitchenStart) -> Self {
         self.given = Some(start);
         self
-    }
-
-    /// Returns the kitchen and its cook.
-    pub fn kitchen(&self) -> &Kitchen {
-        &self.kitchen
-    }
-
-    /// Returns what the cook did in the last step of the episode.
-    pub fn last_step(&self) -> Option<LastStep> {
-        self.last
     }
 
     /// Returns the steps to delivery of a cook who knows everything, from this episode's start.
@@ -154,7 +148,7 @@ impl SteakhouseDomain {
 
     /// Tells whether the dish was served.
     pub fn is_delivered(&self) -> bool {
-        self.kitchen.world().is_done()
+        self.kitchen.world.is_done()
     }
 
     fn draw_start(&mut self, generator: &mut Pcg64) {
@@ -162,7 +156,7 @@ impl SteakhouseDomain {
             self.start.clone_from(start);
             return;
         }
-        let grid = &self.kitchen.plan().grid;
+        let grid = &self.kitchen.plan.grid;
         let families = &self.settings.start_families;
         let family = families[generator.below(families.len())];
         family.fill(grid, self.settings.times(), generator, &mut self.start.contents);
@@ -184,13 +178,13 @@ impl SteakhouseDomain {
             TieRule::First => Ties::First,
         };
         let action = self.kitchen.decide(ties);
-        let subtask = self.kitchen.mind().subtask().unwrap_or(Subtask::Wait);
+        let subtask = self.kitchen.mind.subtask.unwrap_or(Subtask::Wait);
         LastStep { action, subtask: Some(subtask), redundant: self.is_in_vain(subtask) }
     }
 
     fn is_in_vain(&self, subtask: Subtask) -> bool {
-        let world = self.kitchen.world();
-        is_redundant(world, subtask) || is_misled(world, self.kitchen.mind())
+        let world = &self.kitchen.world;
+        is_redundant(world, subtask) || is_misled(world, &self.kitchen.mind)
     }
 
     /// Counts what the step was good for.
@@ -201,19 +195,11 @@ impl SteakhouseDomain {
         let fetches = step.subtask.is_some_and(Subtask::fetches);
         progress.pointless_pickups += u32::from(step.redundant && fetches && fetched);
         progress.ineffective_actions += u32::from(step.action != Action::Stay && !changed);
-        self.last = Some(step);
+        self.last_step = Some(step);
     }
 
-    fn finish(&self) -> (f64, Option<End>) {
-        if self.is_delivered() {
-            let in_time = self.kitchen.n_steps() <= self.deadline();
-            let reward =
-                if in_time { self.settings.delivery_reward } else { self.settings.late_reward };
-            return (reward, Some(End::Terminated));
-        }
-        // Running out of time is a failure of the task and not a limit on our patience: a true end.
-        let is_over = self.kitchen.n_steps() >= self.settings.max_steps;
-        (0.0, is_over.then_some(End::Terminated))
+    fn is_over(&self) -> bool {
+        self.is_delivered() || self.kitchen.n_steps >= self.settings.max_steps
     }
 
     fn discloses(&self, message: Message) -> bool {
@@ -241,7 +227,7 @@ impl Domain for SteakhouseDomain {
     }
 
     fn obs_dim(&self) -> usize {
-        let n_slots = self.kitchen.world().contents().len().max(MIN_SLOTS);
+        let n_slots = self.kitchen.world.contents().len().max(MIN_SLOTS);
         BODY_DIM + n_slots * SLOT_DIM + CLOCK_DIM
     }
 
@@ -252,24 +238,24 @@ impl Domain for SteakhouseDomain {
         let reference_steps = self.reference.reference_steps(&self.start, longest);
         self.kitchen.begin(&self.start, self.settings.aware);
         self.progress = CookProgress { reference_steps, ..CookProgress::default() };
-        self.last = None;
+        self.last_step = None;
     }
 
     fn observe(&self, out: &mut [f32]) {
-        let world = self.kitchen.world();
+        let world = &self.kitchen.world;
         let (grid, cook) = (world.grid(), world.cook());
         let (body, rest) = out.split_at_mut(BODY_DIM);
         let (slots, clock) = rest.split_at_mut(rest.len() - CLOCK_DIM);
         body.fill(0.0);
         let [x, y] = grid.position(cook.pose.place);
-        body[0] = x as f32 / (grid.width() - 1) as f32;
+        body[0] = x as f32 / (grid.width - 1) as f32;
         body[1] = y as f32 / (grid.height() - 1) as f32;
         body[2 + cook.pose.facing as usize] = 1.0;
         body[6 + cook.held.map_or(0, |item| 1 + item as usize)] = 1.0;
         slots.fill(0.0);
-        for (slot, out) in slots.chunks_exact_mut(SLOT_DIM).enumerate().take(grid.slots().len()) {
+        for (slot, out) in slots.chunks_exact_mut(SLOT_DIM).enumerate().take(grid.slots.len()) {
             let content = world.contents()[slot];
-            let limit = world.times().limit(grid.slots()[slot].station);
+            let limit = world.times.limit(grid.slots[slot].station);
             let phase = match content.phase(limit) {
                 StationPhase::Empty => 0,
                 StationPhase::Busy | StationPhase::Unavailable => 1,
@@ -277,35 +263,40 @@ impl Domain for SteakhouseDomain {
             };
             out[phase] = 1.0;
             out[3] = f32::from(content.work().unwrap_or(0)) / f32::from(limit);
-            out[4] = f32::from(u8::from(self.kitchen.mind().belief.is_aware(slot, world)));
+            out[4] = f32::from(u8::from(self.kitchen.mind.belief.is_aware(slot, world)));
         }
-        let (now, longest) = (self.kitchen.n_steps(), self.settings.max_steps as f32);
+        let (now, longest) = (self.kitchen.n_steps, self.settings.max_steps as f32);
         clock[0] = now as f32 / longest;
         clock[1] = (self.deadline().saturating_sub(now) as f32 / longest).min(1.0);
     }
 
     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
         let asked = reaction.and_then(|reaction| direction(reaction.topic));
-        let before = interactions_left(self.kitchen.world());
-        let place = self.kitchen.world().cook().pose.place;
+        let before = interactions_left(&self.kitchen.world);
+        let place = self.kitchen.world.cook().pose.place;
         let step = self.choose(asked);
         let outcome = self.kitchen.step(step.action, asked.is_none());
         self.count(step, outcome.changed);
-        let is_blocked = asked.is_some() && self.kitchen.world().cook().pose.place == place;
+        let is_blocked = asked.is_some() && self.kitchen.world.cook().pose.place == place;
         self.progress.blocked_moves += u32::from(is_blocked);
         let status = match (asked, is_blocked) {
             (None, _) => ReactionStatus::Refused,
             (Some(_), true) => ReactionStatus::Ended,
             (Some(_), false) => ReactionStatus::Followed,
         };
-        let (ending, end) = self.finish();
-        let done = f64::from(before) - f64::from(interactions_left(self.kitchen.world()));
+        let ending = match (self.is_delivered(), self.success()) {
+            (true, true) => self.settings.delivery_reward,
+            (true, false) => self.settings.late_reward,
+            (false, _) => 0.0,
+        };
+        let done = f64::from(before) - f64::from(interactions_left(&self.kitchen.world));
         let settings = &self.settings;
         let in_vain = if step.redundant { settings.redundant_cost } else { 0.0 };
         Advance {
             reward: ending + settings.progress_reward * done - settings.step_cost - in_vain,
             reaction: reaction.map(|_| status),
-            end,
+            // Running out of time is a failure of the task and not a limit on our patience: a true end.
+            end: self.is_over().then_some(End::Terminated),
         }
     }
 
@@ -314,7 +305,7 @@ impl Domain for SteakhouseDomain {
     }
 
     fn started(&mut self, message: Message) {
-        self.progress.quiet_until = self.kitchen.n_steps() + message.conveyance;
+        self.progress.quiet_until = self.kitchen.n_steps + message.conveyance;
     }
 
     fn deliver(&mut self, message: Message) -> Delivery {
@@ -327,8 +318,8 @@ impl Domain for SteakhouseDomain {
     }
 
     fn heuristic(&self) -> Option<Message> {
-        let (world, mind) = (self.kitchen.world(), self.kitchen.mind());
-        let now = self.kitchen.n_steps();
+        let (world, mind) = (&self.kitchen.world, &self.kitchen.mind);
+        let now = self.kitchen.n_steps;
         if now < self.progress.quiet_until || mind.belief.is_aware_of_all(world) {
             return None;
         }
@@ -350,14 +341,14 @@ impl Domain for SteakhouseDomain {
 
     fn script(&self, name: &str) -> Option<Message> {
         match name {
-            INFORM_AT_START => (self.kitchen.n_steps() == 0).then(|| self.inform()),
+            INFORM_AT_START => (self.kitchen.n_steps == 0).then(|| self.inform()),
             "heuristic" => self.heuristic(),
             _ => None,
         }
     }
 
     fn success(&self) -> bool {
-        self.is_delivered() && self.kitchen.n_steps() <= self.deadline()
+        self.is_delivered() && self.kitchen.n_steps <= self.deadline()
     }
 
     fn metric_names(&self) -> &'static [&'static str] {
@@ -374,29 +365,18 @@ impl Domain for SteakhouseDomain {
     }
 
     fn metrics(&self, out: &mut [f32]) {
-        let progress = &self.progress;
         let delivered = self.is_delivered();
-        let n_steps = self.kitchen.n_steps();
-        let steps = if delivered { n_steps } else { self.settings.max_steps };
-        let excess = f64::from(steps) - f64::from(progress.reference_steps);
-        out.copy_from_slice(&[
-            f32::from(u8::from(delivered)),
-            steps as f32,
-            excess as f32,
-            progress.redundant_steps as f32,
-            progress.pointless_pickups as f32,
-            progress.ineffective_actions as f32,
-            progress.blocked_moves as f32,
-            progress.disclosures as f32,
-        ]);
+        let steps = if delivered { self.kitchen.n_steps } else { self.settings.max_steps };
+        let excess = f64::from(steps) - f64::from(self.progress.reference_steps);
+        let (outcome, counts) = out.split_at_mut(3);
+        outcome.copy_from_slice(&[f32::from(u8::from(delivered)), steps as f32, excess as f32]);
+        counts.copy_from_slice(&self.progress.counts().map(|count| count as f32));
     }
 
     fn snapshot(&self, out: &mut Vec<u8>) {
         let (generator, progress) = (self.generator.clone(), self.progress);
-        write_snapshot(
-            &SteakhouseSnapshot { kitchen: self.kitchen.state(), generator, progress },
-            out,
-        );
+        let kitchen = self.kitchen.state();
+        write_snapshot(&SteakhouseSnapshot { kitchen, generator, progress }, out);
     }
 
     fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
@@ -404,20 +384,19 @@ impl Domain for SteakhouseDomain {
         if !progress.fits(&self.settings) {
             return Err(SnapshotError::Mismatch { what: "progress" });
         }
-        if kitchen.n_steps() > self.settings.max_steps || !self.kitchen.restore(kitchen) {
+        if kitchen.n_steps > self.settings.max_steps || !self.kitchen.restore(kitchen) {
             return Err(SnapshotError::Mismatch { what: "kitchen" });
         }
-        (self.generator, self.progress, self.last) = (generator, progress, None);
+        (self.generator, self.progress, self.last_step) = (generator, progress, None);
         Ok(())
     }
 
     fn scene(&self) -> Scene {
-        let is_over = self.kitchen.n_steps() >= self.settings.max_steps;
-        let outcome = match (self.is_delivered(), self.success()) {
-            (true, true) => "delivered in time",
-            (true, false) => "delivered late",
-            (false, _) if is_over => "out of time",
-            (false, _) => "",
+        let outcome = match (self.is_over(), self.is_delivered(), self.success()) {
+            (_, true, true) => "delivered in time",
+            (_, true, false) => "delivered late",
+            (true, false, _) => "out of time",
+            (false, ..) => "",
         };
         draw::scene(&self.kitchen, self.settings.field_of_view, outcome)
     }
@@ -426,20 +405,20 @@ impl Domain for SteakhouseDomain {
 impl CookProgress {
     /// Tells whether an episode could have come to these numbers, with room to count on.
     fn fits(&self, settings: &SteakhouseWorldSettings) -> bool {
-        let &Self {
-            reference_steps,
-            redundant_steps,
-            pointless_pickups,
-            ineffective_actions,
-            blocked_moves,
-            disclosures,
-            quiet_until,
-        } = self;
-        let per_step =
-            [redundant_steps, pointless_pickups, ineffective_actions, blocked_moves, disclosures];
-        per_step.iter().all(|&count| count <= settings.max_steps)
-            && reference_steps <= settings.max_steps * REFERENCE_EPISODES
-            && quiet_until <= 1 << 30
+        self.counts().iter().all(|&count| count <= settings.max_steps)
+            && self.reference_steps <= settings.max_steps * REFERENCE_EPISODES
+            && self.quiet_until <= 1 << 30
+    }
+
+    /// Returns what grows by at most one per step, in the order of the metrics.
+    fn counts(&self) -> [u32; 5] {
+        [
+            self.redundant_steps,
+            self.pointless_pickups,
+            self.ineffective_actions,
+            self.blocked_moves,
+            self.disclosures,
+        ]
     }
 }
 
@@ -464,25 +443,22 @@ impl NotifierWorld for SteakhouseWorldSettings {
     }
 }
 
+/// Describes the notifier task `steakhouse`.
+pub fn entry() -> DomainEntry {
+    DomainEntry::notifier::<SteakhouseWorldSettings>("steakhouse")
+}
+
 /// Returns the settings of the recorded episodes: a listener who reacts at once and whom nothing interrupts, three
 /// words of `inform`, ties by the first, the start tile.
 pub fn golden() -> SteakhouseTaskSettings {
-    let defaults = SteakhouseTaskSettings::default();
-    TaskSettings {
-        world: SteakhouseWorldSettings {
-            random_pose: false,
-            ties: TieRule::First,
-            inform_discloses_from: 3,
-            ..defaults.world
-        },
-        human: HumanSettings {
-            reaction_delay: ReactionDelay::Fixed(0),
-            interrupt: Interrupt::Finish,
-            blocked_initiation: BlockedInitiation::Mask,
-            ..defaults.human
-        },
-        notifier: defaults.notifier,
-    }
+    let mut settings = SteakhouseTaskSettings::default();
+    settings.world.random_pose = false;
+    settings.world.ties = TieRule::First;
+    settings.world.inform_discloses_from = 3;
+    settings.human.reaction_delay = ReactionDelay::Fixed(0);
+    settings.human.interrupt = Interrupt::Finish;
+    settings.human.blocked_initiation = BlockedInitiation::Mask;
+    settings
 }
 
 /// Returns the settings of the paper's demonstration: those of the recorded episodes, with half-done work at every

@@ -2,9 +2,7 @@
 
 use leadtime_sims::scene::{Gauge, Listener, Scene, Shape, Tone, View};
 
-use crate::world::{
-    Content, Direction, FieldOfView, Grid, GridPlace, Item, Kitchen, Station, Subtask, Tile,
-};
+use crate::world::{Content, FieldOfView, Grid, GridPlace, Item, Kitchen, Subtask, Tile};
 
 /// How far a drawn square stays off its tile's edges.
 const MARGIN: f64 = 0.04;
@@ -18,7 +16,7 @@ const SIDES: f64 = 0.25;
 
 /// Describes the kitchen, back to front: tiles, what the cook sees, true and believed states, the cook.
 pub(super) fn scene(kitchen: &Kitchen, field_of_view: FieldOfView, outcome: &str) -> Scene {
-    let world = kitchen.world();
+    let world = &kitchen.world;
     let (grid, cook) = (world.grid(), world.cook());
     let mut shapes: Vec<Shape> = grid
         .places()
@@ -34,9 +32,9 @@ pub(super) fn scene(kitchen: &Kitchen, field_of_view: FieldOfView, outcome: &str
         let [x, y] = position;
         shapes.push(Shape::Label { at: [x, y - 0.42], text: item_name(item).to_owned() });
     }
-    let plan = format!("plan: {}", plan_name(kitchen.mind().leaning(world)));
-    shapes.push(Shape::Label { at: [grid.width() as f64 / 2.0, -0.5 * PLAN_HEIGHT], text: plan });
-    let (min, max) = ([-SIDES, -PLAN_HEIGHT], [grid.width() as f64 + SIDES, grid.height() as f64]);
+    let plan = format!("plan: {}", plan_name(kitchen.mind.leaning(world)));
+    shapes.push(Shape::Label { at: [grid.width as f64 / 2.0, -0.5 * PLAN_HEIGHT], text: plan });
+    let (min, max) = ([-SIDES, -PLAN_HEIGHT], [grid.width as f64 + SIDES, grid.height() as f64]);
     Scene {
         view: View { min, max },
         shapes,
@@ -62,9 +60,9 @@ fn square(grid: &Grid, place: GridPlace, tone: Tone) -> Shape {
 
 /// Stations that the cook is wrong about stand out.
 fn tone(kitchen: &Kitchen, place: GridPlace) -> Tone {
-    let world = kitchen.world();
+    let world = &kitchen.world;
     match (world.grid().tile(place), world.grid().slot_at(place)) {
-        (_, Some(slot)) if !kitchen.mind().belief.is_aware(slot, world) => Tone::Mistaken,
+        (_, Some(slot)) if !kitchen.mind.belief.is_aware(slot, world) => Tone::Mistaken,
         (Tile::Window, _) => Tone::Goal,
         (Tile::Supply(_) | Tile::Station(_), _) => Tone::Other,
         (Tile::Floor | Tile::Counter, _) => Tone::Ground,
@@ -73,7 +71,7 @@ fn tone(kitchen: &Kitchen, place: GridPlace) -> Tone {
 
 /// Names what a tile is or holds; of a station, also what the cook believes, where that differs.
 fn labels(kitchen: &Kitchen, place: GridPlace) -> Vec<Shape> {
-    let world = kitchen.world();
+    let world = &kitchen.world;
     let [x, y] = center(world.grid(), place);
     let label = |y, text: &str| Shape::Label { at: [x, y], text: text.to_owned() };
     match world.grid().tile(place) {
@@ -81,14 +79,15 @@ fn labels(kitchen: &Kitchen, place: GridPlace) -> Vec<Shape> {
         Tile::Counter => {
             world.lying(place).into_iter().map(|item| label(y, item_name(item))).collect()
         }
-        Tile::Supply(item) => vec![label(y, supply_name(item))],
+        Tile::Supply(Item::Onion) => vec![label(y, "onions")],
+        Tile::Supply(Item::Plate) => vec![label(y, "plates")],
+        Tile::Supply(item) => vec![label(y, item_name(item))],
         Tile::Window => vec![label(y, "window")],
         Tile::Station(station) => {
             let slot = world.grid().slot_at(place).unwrap_or_default();
-            let limit = world.times().limit(station);
-            let (truth, belief) = (world.contents()[slot], kitchen.mind().belief.contents()[slot]);
-            let mut labels =
-                vec![label(y + 0.25, station_name(station)), label(y, &state(truth, limit))];
+            let limit = world.times.limit(station);
+            let (truth, belief) = (world.contents()[slot], kitchen.mind.belief.contents[slot]);
+            let mut labels = vec![label(y + 0.25, station.name()), label(y, &state(truth, limit))];
             if truth != belief {
                 labels.push(label(y - 0.25, &format!("thinks {}", state(belief, limit))));
             }
@@ -126,32 +125,12 @@ fn plan_name(subtask: Subtask) -> &'static str {
     }
 }
 
-fn station_name(station: Station) -> &'static str {
-    match station {
-        Station::Grill => "grill",
-        Station::Board => "board",
-        Station::Sink => "sink",
-    }
-}
-
-fn supply_name(item: Item) -> &'static str {
-    match item {
-        Item::Onion => "onions",
-        Item::Plate => "plates",
-        other => item_name(other),
-    }
-}
-
 /// Returns the cook as an arrow head in the direction of view.
 fn body(grid: &Grid, kitchen: &Kitchen) -> Vec<[f64; 2]> {
-    let pose = kitchen.world().cook().pose;
+    let pose = kitchen.world.cook().pose;
     let [x, y] = center(grid, pose.place);
-    let (ahead_x, ahead_y) = match pose.facing {
-        Direction::North => (0.0, COOK),
-        Direction::South => (0.0, -COOK),
-        Direction::East => (COOK, 0.0),
-        Direction::West => (-COOK, 0.0),
-    };
+    let (dx, dy) = pose.facing.offset();
+    let (ahead_x, ahead_y) = (COOK * f64::from(dx), COOK * f64::from(-dy));
     vec![
         [x + ahead_x, y + ahead_y],
         [x - ahead_x - ahead_y, y - ahead_y + ahead_x],
@@ -161,12 +140,5 @@ fn body(grid: &Grid, kitchen: &Kitchen) -> Vec<[f64; 2]> {
 
 /// Names an item for pictures.
 fn item_name(item: Item) -> &'static str {
-    match item {
-        Item::Onion => "onion",
-        Item::Meat => "meat",
-        Item::Plate => "plate",
-        Item::CleanPlate => "clean plate",
-        Item::Steak => "steak",
-        Item::Dish => "dish",
-    }
+    ["onion", "meat", "plate", "clean plate", "steak", "dish"][item as usize]
 }

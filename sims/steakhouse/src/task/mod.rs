@@ -17,6 +17,8 @@ mod draw;
 mod settings;
 mod topics;
 
-pub use domain::{LastStep, SteakhouseDomain, SteakhouseTaskSettings, demonstration, golden};
+pub use domain::{
+    LastStep, SteakhouseDomain, SteakhouseTaskSettings, demonstration, entry, golden,
+};
 pub use settings::{SteakhouseWorldSettings, TieRule};
-pub use topics::{DEMONSTRATION, DOWN, INFORM, LEFT, RIGHT, TOPICS, UP};
+pub use topics::DEMONSTRATION;

@@ -5,41 +5,26 @@ use leadtime_sims::Message;
 use crate::world::{Action, Direction};
 
 /// The topics, by id. Directions are those of the grid, whichever way the cook looks.
-pub const TOPICS: &[&str] = &["move_up", "move_down", "move_left", "move_right", "inform"];
-/// Go north.
-pub const UP: usize = 0;
-/// Go south.
-pub const DOWN: usize = 1;
-/// Go west.
-pub const LEFT: usize = 2;
-/// Go east.
-pub const RIGHT: usize = 3;
-/// Only tells what the stations hold.
-pub const INFORM: usize = 4;
+pub(super) const TOPICS: &[&str] = &["move_up", "move_down", "move_left", "move_right", "inform"];
+/// Where the first of them ask the cook to go.
+const DIRECTIONS: [Direction; 4] =
+    [Direction::North, Direction::South, Direction::West, Direction::East];
+/// The id of `move_down`.
+pub(super) const DOWN: usize = 1;
+/// The id of `inform`, which only tells what the stations hold.
+pub(super) const INFORM: usize = 4;
 
 /// The message of the paper's demonstration: "Go down, all stations occupied".
 pub const DEMONSTRATION: Message = Message { topic: DOWN, comprehension: 2, conveyance: 5 };
 
 /// Returns the direction that a topic asks for, if any.
 pub(super) fn direction(topic: usize) -> Option<Direction> {
-    match topic {
-        UP => Some(Direction::North),
-        DOWN => Some(Direction::South),
-        LEFT => Some(Direction::West),
-        RIGHT => Some(Direction::East),
-        _ => None,
-    }
+    DIRECTIONS.get(topic).copied()
 }
 
 /// Returns the topic that asks for an action; other actions than going can only be brought about by informing.
 pub(super) fn topic(action: Action) -> usize {
-    match action {
-        Action::Go(Direction::North) => UP,
-        Action::Go(Direction::South) => DOWN,
-        Action::Go(Direction::West) => LEFT,
-        Action::Go(Direction::East) => RIGHT,
-        Action::Stay | Action::Interact => INFORM,
-    }
+    DIRECTIONS.iter().position(|&way| action == Action::Go(way)).unwrap_or(INFORM)
 }
 
 #[cfg(test)]
@@ -48,12 +33,16 @@ mod tests {
 
     #[test]
     fn a_topic_asks_for_what_it_is_called() {
-        use Direction::{East, North, South, West};
-        let directions: Vec<_> = (0..TOPICS.len()).map(direction).collect();
-        assert_eq!(directions, [Some(North), Some(South), Some(West), Some(East), None]);
-        for id in UP..=RIGHT {
-            assert_eq!(direction(id).map(|way| topic(Action::Go(way))), Some(id));
+        for (name, way) in [
+            ("move_up", Direction::North),
+            ("move_down", Direction::South),
+            ("move_left", Direction::West),
+            ("move_right", Direction::East),
+        ] {
+            let id = topic(Action::Go(way));
+            assert_eq!((TOPICS[id], direction(id)), (name, Some(way)));
         }
-        assert_eq!(topic(Action::Interact), INFORM);
+        assert_eq!((topic(Action::Interact), direction(INFORM)), (INFORM, None));
+        assert_eq!((TOPICS[INFORM], TOPICS[DOWN]), ("inform", "move_down"));
     }
 }

@@ -11,44 +11,34 @@ use super::state::KitchenWorld;
 /// A cook's knowledge of the stations, by slot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Belief {
-    contents: Vec<Content>,
+    /// What stations are believed to hold.
+    pub contents: Vec<Content>,
     /// For how many steps in a row each station has been in view.
     in_view: Vec<u8>,
 }
 
 impl Belief {
     /// Believes every station empty.
-    pub fn new(n_stations: usize) -> Self {
+    pub(super) fn new(n_stations: usize) -> Self {
         Self { contents: vec![Content::Empty; n_stations], in_view: vec![0; n_stations] }
     }
 
-    /// Forgets everything.
-    pub fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         self.contents.fill(Content::Empty);
         self.in_view.fill(0);
     }
 
-    /// Returns what stations are believed to hold.
-    pub fn contents(&self) -> &[Content] {
-        &self.contents
-    }
-
-    /// Learns the true state of every station.
-    pub fn learn(&mut self, truth: &[Content]) {
-        self.contents.copy_from_slice(truth);
-    }
-
     /// Lets the steaks cook that are believed to be on a grill.
-    pub fn tick(&mut self, world: &KitchenWorld) {
-        for (content, slot) in self.contents.iter_mut().zip(world.grid().slots()) {
+    pub(super) fn tick(&mut self, world: &KitchenWorld) {
+        for (content, slot) in self.contents.iter_mut().zip(&world.grid().slots) {
             if slot.station == Station::Grill {
-                content.tick(world.times().cook);
+                content.tick(world.times.cook);
             }
         }
     }
 
     /// Looks at the stations in view: those that were seen `see_delay` times in a row are known as they are.
-    pub fn look(&mut self, visible: u16, truth: &[Content], see_delay: u8) {
+    pub(super) fn look(&mut self, visible: u16, truth: &[Content], see_delay: u8) {
         for (slot, in_view) in self.in_view.iter_mut().enumerate() {
             *in_view = if visible >> slot & 1 == 1 { in_view.saturating_add(1) } else { 0 };
             if *in_view >= see_delay {
@@ -69,13 +59,8 @@ impl Belief {
 
     /// Tells whether it could be a belief about such a kitchen.
     pub(super) fn fits(&self, world: &KitchenWorld) -> bool {
-        let slots = world.grid().slots();
-        let possible = |(content, slot): (&Content, &super::grid::Slot)| {
-            content.work().is_none_or(|counter| counter <= world.times().limit(slot.station))
-        };
-        self.contents.len() == slots.len()
-            && self.in_view.len() == slots.len()
-            && self.contents.iter().zip(slots).all(possible)
+        world.grid().can_hold(&self.contents, world.times)
+            && self.in_view.len() == self.contents.len()
     }
 }
 
@@ -88,14 +73,14 @@ mod tests {
         let truth = [Content::Work(1), Content::Unavailable];
         let mut belief = Belief::new(2);
         belief.look(0b11, &truth, 2);
-        assert_eq!(belief.contents(), [Content::Empty; 2]);
+        assert_eq!(belief.contents, [Content::Empty; 2]);
         belief.look(0b10, &truth, 2);
-        assert_eq!(belief.contents(), [Content::Empty, Content::Unavailable]);
+        assert_eq!(belief.contents, [Content::Empty, Content::Unavailable]);
         // Out of view for a step: the count starts again.
         belief.look(0b01, &truth, 2);
-        assert_eq!(belief.contents()[0], Content::Empty);
+        assert_eq!(belief.contents[0], Content::Empty);
         belief.look(0b01, &truth, 2);
-        assert_eq!(belief.contents(), truth);
+        assert_eq!(belief.contents, truth);
         belief.clear();
         assert_eq!(belief, Belief::new(2));
     }

@@ -12,14 +12,30 @@
 //! Reading refuses what no kitchen is; [`Grid::check_kitchen`] refuses what no dish can come out of.
 
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
-use super::kinds::{Direction, Item, Station, Tile};
-use super::layout_error::LayoutError;
+use super::kinds::{Content, Direction, Item, Station, Tile, WorkTimes};
 
 /// The most rows, and the most columns.
-pub const MAX_SIDE: usize = 32;
+const MAX_SIDE: usize = 32;
 /// The most grills, boards and sinks together.
-pub const MAX_STATIONS: usize = 16;
+const MAX_STATIONS: usize = 16;
+/// What is allowed of starts.
+const STARTS: &str = "starts numbered from 1 without a gap, each once";
+
+/// Why rows of characters are no kitchen. Rows and columns count from 1.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{given}")]
+pub struct LayoutError {
+    /// What is wrong, and where.
+    pub given: String,
+    /// What would do instead.
+    pub allowed: &'static str,
+}
+
+fn refused<T>(given: String, allowed: &'static str) -> Result<T, LayoutError> {
+    Err(LayoutError { given, allowed })
+}
 
 /// A tile of a grid: its index, row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -53,17 +69,24 @@ pub struct Slot {
 /// The tiles of a kitchen. Lists of places run row by row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Grid {
-    width: usize,
+    /// Number of columns.
+    pub width: usize,
     tiles: Vec<Tile>,
-    starts: Vec<GridPlace>,
-    slots: Vec<Slot>,
+    /// The start of the person who is talked to: the highest number. In the public layouts the lower one is a robot's,
+    /// which is not there.
+    pub person_start: Option<GridPlace>,
+    /// The stations: grills, then boards, then sinks.
+    pub slots: Vec<Slot>,
     /// By tile: which slot it is.
     slot_at: Vec<Option<u8>>,
     /// By supplied item.
     supplies: [Vec<GridPlace>; 3],
-    counters: Vec<GridPlace>,
-    windows: Vec<GridPlace>,
-    floor: Vec<GridPlace>,
+    /// The counters, walls included.
+    pub counters: Vec<GridPlace>,
+    /// The serving windows.
+    pub windows: Vec<GridPlace>,
+    /// The tiles on which a cook can stand.
+    pub floor: Vec<GridPlace>,
 }
 
 impl Grid {
@@ -78,45 +101,47 @@ impl Grid {
         let width = rows.first().map_or(0, Vec::len);
         let fits = |side: usize| (3..=MAX_SIDE).contains(&side);
         if !fits(rows.len()) || !fits(width) {
-            return Err(LayoutError::Size { rows: rows.len(), columns: width });
+            let given = format!("there are {} rows and {width} columns", rows.len());
+            return refused(given, "3 to 32 rows and columns");
         }
         let mut tiles = Vec::with_capacity(rows.len() * width);
         let mut starts = [None; 9];
         for (y, row) in rows.iter().enumerate() {
             if row.len() != width {
-                let columns = row.len();
-                return Err(LayoutError::Ragged { row: y + 1, columns, expected: width });
+                let given =
+                    format!("row {} has {} columns and row 1 has {width}", y + 1, row.len());
+                return refused(given, "rows of one length");
             }
             for (x, &character) in row.iter().enumerate() {
-                let (row, column) = (y + 1, x + 1);
-                let (tile, number) = read_tile(character).ok_or(LayoutError::Character {
-                    row,
-                    column,
-                    character,
-                })?;
+                let at = format!("row {}, column {}", y + 1, x + 1);
+                let Some((tile, number)) = read_tile(character) else {
+                    let allowed = "space, X, O, M, D, P, B, W, S and 1 to 9";
+                    return refused(format!("{at} is `{character}`"), allowed);
+                };
                 let is_border = y == 0 || y + 1 == rows.len() || x == 0 || x + 1 == width;
                 if is_border && tile == Tile::Floor {
-                    return Err(LayoutError::OpenBorder { row, column });
+                    let given = format!("{at} on the border is floor");
+                    return refused(given, "a border without floor");
                 }
                 if let Some(number) = number
                     && starts[number - 1].replace(GridPlace(tiles.len() as u16)).is_some()
                 {
-                    return Err(LayoutError::RepeatedStart { row, column, number });
+                    return refused(format!("{at} is a second start `{number}`"), STARTS);
                 }
                 tiles.push(tile);
             }
         }
-        let n_starts = 9 - starts.iter().rev().take_while(|start| start.is_none()).count();
+        let n_starts = starts.iter().flatten().count();
         if let Some(gap) = starts[..n_starts].iter().position(Option::is_none) {
-            return Err(LayoutError::StartGap { number: gap + 1 });
+            return refused(format!("there is no start `{}`, and a higher one", gap + 1), STARTS);
         }
-        Self::of_tiles(width, tiles, starts.into_iter().flatten().collect())
+        Self::of_tiles(width, tiles, starts[..n_starts].last().copied().flatten())
     }
 
     fn of_tiles(
         width: usize,
         tiles: Vec<Tile>,
-        starts: Vec<GridPlace>,
+        person_start: Option<GridPlace>,
     ) -> Result<Self, LayoutError> {
         let places = |wanted: Tile| -> Vec<GridPlace> {
             let found = (0..tiles.len()).filter(|&index| tiles[index] == wanted);
@@ -130,7 +155,8 @@ impl Grid {
             })
             .collect();
         if slots.len() > MAX_STATIONS {
-            return Err(LayoutError::Stations { n_stations: slots.len() });
+            let given = format!("there are {} grills, boards and sinks", slots.len());
+            return refused(given, "at most 16 of them");
         }
         let mut slot_at = vec![None; tiles.len()];
         for (slot, at) in slots.iter().enumerate() {
@@ -138,7 +164,7 @@ impl Grid {
         }
         Ok(Self {
             width,
-            starts,
+            person_start,
             slots,
             slot_at,
             supplies: [Item::Onion, Item::Meat, Item::Plate].map(|item| places(Tile::Supply(item))),
@@ -155,23 +181,20 @@ impl Grid {
     ///
     /// [`LayoutError`] naming what is missing, or what cannot be reached.
     pub fn check_kitchen(&self) -> Result<(), LayoutError> {
-        let start = self.person_start().ok_or(LayoutError::NoStart)?;
-        for needed in NEEDED {
-            if !self.tiles.contains(&needed) {
-                return Err(LayoutError::Missing { what: name(needed) });
-            }
+        let Some(start) = self.person_start else {
+            return refused("no tile is a start".to_owned(), "a start tile `1`");
+        };
+        if let Some(&needed) = NEEDED.iter().find(|needed| !self.tiles.contains(needed)) {
+            let allowed = "at least one each of O, M, D, P, B, W and S";
+            return refused(format!("there is no {}", name(needed)), allowed);
         }
         let reached = self.reached_from(start);
-        for place in self.places() {
-            let tile = self.tile(place);
-            let matters = tile != Tile::Counter;
-            if matters && !reached[place.index()] {
-                let [x, y] = self.position(place);
-                let what = name(tile);
-                return Err(LayoutError::Unreachable { row: y + 1, column: x + 1, what });
-            }
-        }
-        Ok(())
+        let is_lost = |at: &GridPlace| self.tile(*at) != Tile::Counter && !reached[at.index()];
+        let Some(lost) = self.places().find(is_lost) else { return Ok(()) };
+        let ([x, y], what) = (self.position(lost), name(self.tile(lost)));
+        let at = format!("row {}, column {}", y + 1, x + 1);
+        let given = format!("{at}, a {what}, cannot be reached from the start");
+        refused(given, "floor beside it that is joined to the start")
     }
 
     /// Marks the floor that a cook can get to, and whatever that floor borders on.
@@ -180,8 +203,8 @@ impl Grid {
         let mut open = vec![start];
         reached[start.index()] = true;
         while let Some(place) = open.pop() {
-            for direction in Direction::ALL {
-                let next = self.ahead(Pose { place, facing: direction });
+            for facing in Direction::ALL {
+                let next = self.ahead(Pose { place, facing });
                 let is_new = !std::mem::replace(&mut reached[next.index()], true);
                 if is_new && self.tile(next) == Tile::Floor {
                     open.push(next);
@@ -189,11 +212,6 @@ impl Grid {
             }
         }
         reached
-    }
-
-    /// Returns the number of columns.
-    pub fn width(&self) -> usize {
-        self.width
     }
 
     /// Returns the number of rows.
@@ -235,20 +253,23 @@ impl Grid {
         GridPlace((i32::from(pose.place.0) + dx + dy * self.width as i32) as u16)
     }
 
-    /// Lists the start tiles, by the cooks' numbers.
-    pub fn starts(&self) -> &[GridPlace] {
-        &self.starts
+    /// Lists all poses in which a cook can be.
+    pub fn poses(&self) -> impl Iterator<Item = Pose> + '_ {
+        let turned = |&place: &GridPlace| Direction::ALL.map(|facing| Pose { place, facing });
+        self.floor.iter().flat_map(turned)
     }
 
-    /// Returns the start of the person who is talked to: the highest number. In the public layouts the lower one is
-    /// a robot's, which is not there.
-    pub fn person_start(&self) -> Option<GridPlace> {
-        self.starts.last().copied()
+    /// Returns the tile in front of a cook, if it is floor.
+    pub(super) fn free_ahead(&self, pose: Pose) -> Option<GridPlace> {
+        Some(self.ahead(pose)).filter(|&ahead| self.tile(ahead) == Tile::Floor)
     }
 
-    /// Lists the stations: grills, then boards, then sinks.
-    pub fn slots(&self) -> &[Slot] {
-        &self.slots
+    /// Tells whether its stations could hold this.
+    pub fn can_hold(&self, contents: &[Content], times: WorkTimes) -> bool {
+        let possible = |(content, slot): (&Content, &Slot)| {
+            content.work().is_none_or(|counter| counter <= times.limit(slot.station))
+        };
+        contents.len() == self.slots.len() && contents.iter().zip(&self.slots).all(possible)
     }
 
     /// Tells which slot a tile is.
@@ -264,21 +285,6 @@ impl Grid {
             Item::Plate => &self.supplies[2],
             Item::CleanPlate | Item::Steak | Item::Dish => &[],
         }
-    }
-
-    /// Lists the counters, walls included.
-    pub fn counters(&self) -> &[GridPlace] {
-        &self.counters
-    }
-
-    /// Lists the serving windows.
-    pub fn windows(&self) -> &[GridPlace] {
-        &self.windows
-    }
-
-    /// Lists the tiles on which a cook can stand.
-    pub fn floor(&self) -> &[GridPlace] {
-        &self.floor
     }
 }
 
@@ -334,23 +340,20 @@ mod tests {
     fn refused(text: &str) -> String {
         let found = Grid::parse(text).and_then(|grid| grid.check_kitchen());
         let error = found.expect_err("the layout is refused");
-        format!("{error}; {}", error.allowed())
+        format!("{error}; {}", error.allowed)
     }
 
     #[test]
     fn a_kitchen_is_read_row_by_row() {
-        let grid = Grid::parse("\nXPBWPX\nO 1  S\nXM2DXX\n\n").unwrap_err();
-        assert_eq!(grid, LayoutError::OpenBorder { row: 3, column: 3 });
-        let grid =
-            Grid::parse("\nXPBWPX\nO 1 2S\nXM DXX\n".replace("M D", "MXD").as_str()).unwrap();
+        let grid = Grid::parse("\nXPBWPX\nO 1 2S\nXMXDXX\n\n").unwrap();
         grid.check_kitchen().unwrap();
-        assert_eq!((grid.width(), grid.height()), (6, 3));
+        assert_eq!((grid.width, grid.height()), (6, 3));
         let stations: Vec<_> =
-            grid.slots().iter().map(|slot| (slot.station, grid.position(slot.place))).collect();
+            grid.slots.iter().map(|slot| (slot.station, grid.position(slot.place))).collect();
         let (grill, board, sink) = (Station::Grill, Station::Board, Station::Sink);
         assert_eq!(stations, [(grill, [1, 0]), (grill, [4, 0]), (board, [2, 0]), (sink, [3, 0])]);
         assert_eq!(grid.slot_at(grid.place(4, 0).unwrap()), Some(1));
-        assert_eq!(grid.person_start(), grid.place(4, 1));
+        assert_eq!(grid.person_start, grid.place(4, 1));
         let pose = Pose { place: grid.place(1, 1).unwrap(), facing: Direction::West };
         assert_eq!(grid.tile(grid.ahead(pose)), Tile::Supply(Item::Onion));
         assert_eq!((grid.place(6, 0), grid.place(0, -1)), (None, None));
@@ -360,44 +363,26 @@ mod tests {
     fn what_is_no_kitchen_is_named_by_row_and_column() {
         let with = |from: &str, to: &str| refused(&SMALL.replacen(from, to, 1));
         assert_eq!(refused(""), "there are 0 rows and 0 columns; 3 to 32 rows and columns");
-        assert_eq!(
-            with("O 1 S", "O 1S"),
-            "row 2 has 4 columns and row 1 has 5; rows of one length"
-        );
-        assert_eq!(
-            with("O 1 S", "O 1QS"),
-            "row 2, column 4 is `Q`; space, X, O, M, D, P, B, W, S and 1 to 9"
-        );
-        assert_eq!(
-            with("O 1 S", "O 1  "),
-            "row 2, column 5 on the border is floor; a border without floor"
-        );
         let starts = "starts numbered from 1 without a gap, each once";
-        assert_eq!(
-            with("O 1 S", "O 11S"),
-            format!("row 2, column 4 is a second start `1`; {starts}")
-        );
-        assert_eq!(
-            with("O 1 S", "O 3 S"),
-            format!("there is no start `1`, and a higher one; {starts}")
-        );
-        assert_eq!(with("1", " "), "no tile is a start; a start tile `1`");
+        for (row, expected) in [
+            ("O 1S", "row 2 has 4 columns and row 1 has 5; rows of one length"),
+            ("O 1QS", "row 2, column 4 is `Q`; space, X, O, M, D, P, B, W, S and 1 to 9"),
+            ("O 1  ", "row 2, column 5 on the border is floor; a border without floor"),
+            ("O 1 2", "row 2, column 5 on the border is floor; a border without floor"),
+            ("O 11S", &format!("row 2, column 4 is a second start `1`; {starts}")),
+            ("O 3 S", &format!("there is no start `1`, and a higher one; {starts}")),
+            ("O   S", "no tile is a start; a start tile `1`"),
+        ] {
+            assert_eq!(with("O 1 S", row), expected);
+        }
     }
 
     #[test]
     fn a_kitchen_without_a_way_to_a_dish_is_refused() {
-        for (character, what) in [
-            ("O", "onion supply (O)"),
-            ("M", "meat supply (M)"),
-            ("D", "plate supply (D)"),
-            ("P", "grill (P)"),
-            ("B", "chopping board (B)"),
-            ("W", "sink (W)"),
-            ("S", "serving window (S)"),
-        ] {
+        for character in ["O", "M", "D", "P", "B", "W", "S"] {
             let text = refused(&SMALL.replace(character, "X"));
-            let needed = "at least one each of O, M, D, P, B, W and S";
-            assert_eq!(text, format!("there is no {what}; {needed}"));
+            let end = format!(" ({character}); at least one each of O, M, D, P, B, W and S");
+            assert!(text.starts_with("there is no ") && text.ends_with(&end), "{text}");
         }
         let walled = "XPBWXXX\nO 1 X S\nXMDXXXX";
         assert_eq!(

@@ -19,9 +19,11 @@
 //! Everything else changes nothing; so does a station in somebody else's use.
 
 use super::grid::GridPlace;
-use super::kinds::{Content, Item, Station, Tile};
-use super::outcome::{ActionOutcome, DELIVERY_REWARD, Event};
+use super::kinds::{ActionOutcome, Content, Event, Item, Station, Tile};
 use super::state::{KitchenWorld, Order};
+
+/// What the original pays for a dish that was ordered.
+const DELIVERY_REWARD: u32 = 20;
 
 impl KitchenWorld {
     /// Lets a cook use the tile in front.
@@ -59,7 +61,7 @@ impl KitchenWorld {
 
     fn picked_up(&self, item: Item) -> ActionOutcome {
         let mut outcome = ActionOutcome::logged(Event::Pickup(item));
-        let mut grills = self.grid().slots().iter().zip(&self.state.contents);
+        let mut grills = self.grid().slots.iter().zip(&self.state.contents);
         let room = |(slot, content): (&super::grid::Slot, &Content)| {
             slot.station == Station::Grill && *content == Content::Empty
         };
@@ -70,38 +72,29 @@ impl KitchenWorld {
     }
 
     fn use_station(&mut self, cook: usize, station: Station, slot: usize) -> ActionOutcome {
+        use ActionOutcome as Did;
         use Content::{Empty, Work};
-        let limit = self.times().limit(station);
+        use Event::{Chopping, Cooking, Washing};
+        let take = |item| (Empty, Some(item), Did::logged(Event::Pickup(item)));
+        let limit = self.times.limit(station);
         let held = self.state.cooks[cook].held;
         let content = self.state.contents[slot];
         let (content, held, outcome) = match (station, content, held) {
-            (Station::Grill, Empty, Some(Item::Meat)) => {
-                (Work(0), None, ActionOutcome::logged(Event::Cooking))
-            }
+            (Station::Grill, Empty, Some(Item::Meat)) => (Work(0), None, Did::logged(Cooking)),
             (Station::Grill, Work(n), Some(Item::Meat)) if n < limit => {
-                (Work(n + 1), held, ActionOutcome::logged(Event::Cooking))
+                (Work(n + 1), held, Did::logged(Cooking))
             }
-            (Station::Grill, Work(n), Some(Item::CleanPlate)) if n >= limit => {
-                (Empty, Some(Item::Steak), ActionOutcome::logged(Event::Pickup(Item::Steak)))
-            }
-            (Station::Board, Empty, Some(Item::Onion)) => {
-                (Work(0), None, ActionOutcome::logged(Event::Chopping))
-            }
+            (Station::Grill, Work(n), Some(Item::CleanPlate)) if n >= limit => take(Item::Steak),
+            (Station::Board, Empty, Some(Item::Onion)) => (Work(0), None, Did::logged(Chopping)),
             (Station::Board, Work(n), None) if n < limit => {
-                (Work(n + 1), None, ActionOutcome::logged(Event::Chopping))
+                (Work(n + 1), None, Did::logged(Chopping))
             }
-            (Station::Board, Work(n), Some(Item::Steak)) if n >= limit => {
-                (Empty, Some(Item::Dish), ActionOutcome::logged(Event::Pickup(Item::Dish)))
-            }
-            (Station::Sink, Empty, Some(Item::Plate)) => (Work(0), None, ActionOutcome::SILENT),
+            (Station::Board, Work(n), Some(Item::Steak)) if n >= limit => take(Item::Dish),
+            (Station::Sink, Empty, Some(Item::Plate)) => (Work(0), None, Did::SILENT),
             (Station::Sink, Work(n), None) if n < limit => {
-                (Work(n + 1), None, ActionOutcome::logged(Event::Washing))
+                (Work(n + 1), None, Did::logged(Washing))
             }
-            (Station::Sink, Work(_), None) => (
-                Empty,
-                Some(Item::CleanPlate),
-                ActionOutcome::logged(Event::Pickup(Item::CleanPlate)),
-            ),
+            (Station::Sink, Work(_), None) => take(Item::CleanPlate),
             _ => return ActionOutcome::NOTHING,
         };
         self.state.contents[slot] = content;

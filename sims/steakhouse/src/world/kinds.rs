@@ -1,4 +1,4 @@
-//! What a kitchen knows: directions, actions, things to carry, tiles, and how far a station's work has come.
+//! What a kitchen knows: directions, actions and what came of them, things to carry, tiles, a station's work.
 
 use serde::{Deserialize, Serialize};
 
@@ -78,6 +78,11 @@ pub enum Station {
 impl Station {
     /// All of them, in the order of station slots.
     pub const ALL: [Self; 3] = [Self::Grill, Self::Board, Self::Sink];
+
+    /// Names it, in pictures and recordings.
+    pub fn name(self) -> &'static str {
+        ["grill", "board", "sink"][self as usize]
+    }
 }
 
 /// What a tile is.
@@ -174,6 +179,43 @@ impl Content {
         {
             *counter += 1;
         }
+    }
+}
+
+/// What the original logs about an interaction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// Something was taken; where two items change places, the one that was put down.
+    Pickup(Item),
+    /// An onion was taken while there was an empty grill.
+    UsefulOnionPickup,
+    /// Meat was put on the grill, or held over it.
+    Cooking,
+    /// An onion was put on the board, or chopped.
+    Chopping,
+    /// A plate was washed.
+    Washing,
+    /// A dish was served, wanted or not.
+    Delivery,
+}
+
+/// What came of a cook's action.
+#[derive(Clone, Copy, Debug)]
+pub struct ActionOutcome {
+    /// Whether the action changed anything: pose, hand or the tile in front.
+    pub changed: bool,
+    /// What the original logs, at most two things.
+    pub events: [Option<Event>; 2],
+    /// What the original pays.
+    pub reward: u32,
+}
+
+impl ActionOutcome {
+    pub(super) const NOTHING: Self = Self { changed: false, events: [None; 2], reward: 0 };
+    pub(super) const SILENT: Self = Self { changed: true, ..Self::NOTHING };
+
+    pub(super) const fn logged(event: Event) -> Self {
+        Self { events: [Some(event), None], ..Self::SILENT }
     }
 }
 

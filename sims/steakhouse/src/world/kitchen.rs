@@ -5,9 +5,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::grid::Grid;
-use super::kinds::{Action, WorkTimes};
+use super::kinds::{Action, ActionOutcome, WorkTimes};
 use super::mind::{Mind, Ties};
-use super::outcome::ActionOutcome;
 use super::paths::Paths;
 use super::sight::{FieldOfView, Sight};
 use super::start::KitchenStart;
@@ -37,30 +36,23 @@ impl Floorplan {
 pub struct KitchenState {
     world: WorldState,
     mind: Mind,
-    n_steps: u32,
+    /// Steps since the start.
+    pub n_steps: u32,
     release_at: Option<u32>,
-}
-
-impl KitchenState {
-    /// Returns the steps since the start.
-    pub fn n_steps(&self) -> u32 {
-        self.n_steps
-    }
-
-    /// Tells whether its world has at most the one order of an episode.
-    fn has_one_order(&self) -> bool {
-        self.world.orders.as_ref().is_some_and(|orders| orders.len() <= 1)
-    }
 }
 
 /// A kitchen with one cook in it, and one order.
 #[derive(Clone, Debug)]
 pub struct Kitchen {
-    plan: Arc<Floorplan>,
+    /// The floor plan, with its ways and views.
+    pub plan: Arc<Floorplan>,
     see_delay: u8,
-    world: KitchenWorld,
-    mind: Mind,
-    n_steps: u32,
+    /// The world.
+    pub world: KitchenWorld,
+    /// The cook's mind.
+    pub mind: Mind,
+    /// Steps since the start.
+    pub n_steps: u32,
     release_at: Option<u32>,
 }
 
@@ -68,11 +60,10 @@ impl Kitchen {
     /// Opens a kitchen whose cook knows a station after `see_delay` steps in view.
     pub fn new(plan: Arc<Floorplan>, times: WorkTimes, see_delay: u8) -> Self {
         let grid = Arc::clone(&plan.grid);
-        let pose = start_pose(grid.floor()[0]);
+        let pose = start_pose(grid.floor[0]);
         let state = WorldState::new(&grid, &[pose], Some(vec![Order::Steak]));
-        let n_stations = grid.slots().len();
+        let mind = Mind::new(grid.slots.len());
         let world = KitchenWorld::new(grid, times, OrdersEnd::AllServed, state);
-        let mind = Mind::new(n_stations);
         Self { plan, see_delay, world, mind, n_steps: 0, release_at: None }
     }
 
@@ -85,26 +76,6 @@ impl Kitchen {
         }
         (self.n_steps, self.release_at) = (0, start.release_at);
         self.look();
-    }
-
-    /// Returns the floor plan, with its ways and views.
-    pub fn plan(&self) -> &Floorplan {
-        &self.plan
-    }
-
-    /// Returns the world.
-    pub fn world(&self) -> &KitchenWorld {
-        &self.world
-    }
-
-    /// Returns the cook's mind.
-    pub fn mind(&self) -> &Mind {
-        &self.mind
-    }
-
-    /// Returns the steps since the start.
-    pub fn n_steps(&self) -> u32 {
-        self.n_steps
     }
 
     /// Lets the cook choose the coming step's action by their own plan.
@@ -170,7 +141,8 @@ impl Kitchen {
 
     /// Continues from a state, bit for bit; `false`, and nothing changes, if it is of another kitchen.
     pub fn restore(&mut self, state: KitchenState) -> bool {
-        let possible = state.has_one_order() && state.mind.fits(&self.world);
+        let has_one_order = state.world.orders.as_ref().is_some_and(|orders| orders.len() <= 1);
+        let possible = has_one_order && state.mind.fits(&self.world);
         let fits = possible && self.world.restore(state.world);
         if fits {
             self.mind = state.mind;

@@ -1,9 +1,8 @@
 //! The kitchens that are part of the program: three public ones, and three of our own with two of every station.
 
-use leadtime_sims::check::SettingError;
+use leadtime_sims::check::{SettingError, require};
 
 use super::grid::Grid;
-use super::layout_error::LayoutError;
 
 /// Names and rows of the built-in kitchens. The public ones are those of FOV-aware-planner, with the starts of both
 /// cooks. In `ring` no station can be seen from a supply, and its island makes "up or down" a real choice; both
@@ -25,31 +24,18 @@ pub const LAYOUTS: [(&str, &str); 6] = [
 ///
 /// [`SettingError`] about `world.layout`, naming row and column where it can.
 pub fn kitchen(layout: &str) -> Result<Grid, SettingError> {
+    const KEY: &str = "world.layout";
     let built_in = LAYOUTS.iter().find(|(name, _)| *name == layout).map(|(_, rows)| *rows);
-    let rows = match built_in {
-        Some(rows) => rows,
-        None if layout.trim().contains('\n') => layout,
-        None => return Err(unknown(layout)),
-    };
-    let checked = Grid::parse(rows).and_then(|grid| grid.check_kitchen().map(|()| grid));
-    checked.map_err(|error| refused(&error))
-}
-
-fn unknown(layout: &str) -> SettingError {
-    let names: Vec<&str> = LAYOUTS.iter().map(|(name, _)| *name).collect();
-    SettingError {
-        key: "world.layout",
-        given: format!("{layout:?}"),
-        allowed: format!("{}, or the rows of a kitchen", names.join(", ")).into(),
-    }
-}
-
-fn refused(error: &LayoutError) -> SettingError {
-    SettingError {
-        key: "world.layout",
-        given: format!("a kitchen in which {error}"),
-        allowed: error.allowed().into(),
-    }
+    let names = LAYOUTS.map(|(name, _)| name).join(", ");
+    let is_known = built_in.is_some() || layout.trim().contains('\n');
+    let allowed = format!("{names}, or the rows of a kitchen");
+    require(is_known, KEY, format_args!("{layout:?}"), allowed)?;
+    let grid = Grid::parse(built_in.unwrap_or(layout));
+    let checked = grid.and_then(|grid| grid.check_kitchen().map(|()| grid));
+    checked.map_err(|error| {
+        let given = format!("a kitchen in which {error}");
+        SettingError { key: KEY, given, allowed: error.allowed.into() }
+    })
 }
 
 #[cfg(test)]
@@ -62,9 +48,9 @@ mod tests {
             kitchen(name).unwrap();
         }
         let ring = kitchen("ring").unwrap();
-        assert_eq!((ring.width(), ring.height(), ring.floor().len()), (9, 7, 26));
+        assert_eq!((ring.width, ring.height(), ring.floor.len()), (9, 7, 26));
         let mid = kitchen("steak_mid_2").unwrap();
-        assert_eq!(mid.person_start(), mid.place(3, 3));
+        assert_eq!(mid.person_start, mid.place(3, 3));
     }
 
     #[test]

@@ -37,52 +37,47 @@ impl Ties<'_> {
 pub struct Mind {
     /// What the cook believes of the stations.
     pub belief: Belief,
-    subtask: Option<Subtask>,
-    goal: Option<GridPlace>,
+    /// What the cook intends, if anything.
+    pub subtask: Option<Subtask>,
+    /// Where the cook intends to do it.
+    pub goal: Option<GridPlace>,
     last_done: Option<Subtask>,
 }
 
 impl Mind {
     /// Believes every station empty, and intends nothing.
-    pub fn new(n_stations: usize) -> Self {
+    pub(super) fn new(n_stations: usize) -> Self {
         Self { belief: Belief::new(n_stations), subtask: None, goal: None, last_done: None }
     }
 
-    /// Forgets everything.
-    pub fn clear(&mut self) {
+    pub(super) fn clear(&mut self) {
         self.belief.clear();
         self.replan();
         self.last_done = None;
     }
 
-    /// Returns what the cook intends, if anything.
-    pub fn subtask(&self) -> Option<Subtask> {
-        self.subtask
-    }
-
-    /// Returns where the cook intends to do it.
-    pub fn goal(&self) -> Option<GridPlace> {
-        self.goal
-    }
-
     /// Returns the subtask that the cook is at, or would choose first.
     pub fn leaning(&self, world: &KitchenWorld) -> Subtask {
-        let options = self.options(world);
-        let kept = self.subtask.filter(|&subtask| options.contains(subtask));
-        kept.unwrap_or(options.pair().0)
+        let options = options(world, &self.belief, self.last_done);
+        self.kept(options).unwrap_or(options.first)
     }
 
-    fn options(&self, world: &KitchenWorld) -> Options {
-        options(world, &self.belief, self.last_done)
+    /// Returns what the cook intends, if it is still possible.
+    fn kept(&self, options: Options) -> Option<Subtask> {
+        let mut possible = [Some(options.first), options.second].into_iter().flatten();
+        possible.find(|&subtask| self.subtask == Some(subtask))
     }
 
     /// Chooses the action of the coming step.
-    pub fn decide(&mut self, world: &KitchenWorld, paths: &Paths, mut ties: Ties<'_>) -> Action {
-        let options = self.options(world);
-        let subtask = match self.subtask.filter(|&subtask| options.contains(subtask)) {
-            Some(subtask) => subtask,
-            None => self.choose_subtask(options, &mut ties),
-        };
+    pub(super) fn decide(
+        &mut self,
+        world: &KitchenWorld,
+        paths: &Paths,
+        mut ties: Ties<'_>,
+    ) -> Action {
+        let options = options(world, &self.belief, self.last_done);
+        let kept = self.kept(options);
+        let subtask = kept.unwrap_or_else(|| self.choose_subtask(options, &mut ties));
         let is_target =
             |goal: &GridPlace| targets(world, &self.belief, subtask).any(|t| t == *goal);
         self.goal = self.goal.filter(is_target);
@@ -92,16 +87,16 @@ impl Mind {
         let Some(goal) = self.goal else { return Action::Stay };
         let route = paths.route(world.cook().pose, goal);
         let action = route.map_or(Action::Stay, |route| route.first);
-        let waits = subtask == Subtask::PlateSteak
-            && self.believed_phase(world, goal) == StationPhase::Busy;
+        let is_busy = |slot| world.phase(slot, self.belief.contents[slot]) == StationPhase::Busy;
+        let waits =
+            subtask == Subtask::PlateSteak && world.grid().slot_at(goal).is_some_and(is_busy);
         if waits && action == Action::Interact { Action::Stay } else { action }
     }
 
     fn choose_subtask(&mut self, options: Options, ties: &mut Ties<'_>) -> Subtask {
-        let (first, second) = options.pair();
-        let subtask = match second {
+        let subtask = match options.second {
             Some(second) if ties.choose(2) == 1 => second,
-            _ => first,
+            _ => options.first,
         };
         (self.subtask, self.goal) = (Some(subtask), None);
         subtask
@@ -135,13 +130,8 @@ impl Mind {
         equals.nth(chosen)
     }
 
-    fn believed_phase(&self, world: &KitchenWorld, place: GridPlace) -> StationPhase {
-        let slot = world.grid().slot_at(place);
-        slot.map_or(StationPhase::Empty, |slot| world.phase(slot, self.belief.contents()[slot]))
-    }
-
     /// Records whether the chosen action changed anything.
-    pub fn acted(&mut self, action: Action, changed: bool) {
+    pub(super) fn acted(&mut self, action: Action, changed: bool) {
         if action != Action::Interact || !changed {
             return;
         }
@@ -151,26 +141,25 @@ impl Mind {
         }
     }
 
-    /// Drops what was intended.
-    pub fn replan(&mut self) {
+    pub(super) fn replan(&mut self) {
         (self.subtask, self.goal) = (None, None);
     }
 
     /// Learns the true state of every station, and drops what was intended.
-    pub fn learn(&mut self, truth: &[Content]) {
-        self.belief.learn(truth);
+    pub(super) fn learn(&mut self, truth: &[Content]) {
+        self.belief.contents.copy_from_slice(truth);
         self.replan();
     }
 
     /// Returns the action that a cook who knows everything would choose in this one's place.
-    pub fn informed_action(&self, world: &KitchenWorld, paths: &Paths) -> Action {
+    pub(super) fn informed_action(&self, world: &KitchenWorld, paths: &Paths) -> Action {
         let mut informed = self.clone();
         informed.learn(world.contents());
         informed.decide(world, paths, Ties::First)
     }
 
     /// Tells whether it could be the mind of a cook in such a kitchen.
-    pub(crate) fn fits(&self, world: &KitchenWorld) -> bool {
+    pub(super) fn fits(&self, world: &KitchenWorld) -> bool {
         let known = |goal: GridPlace| goal.index() < world.state().lying.len();
         self.belief.fits(world)
             && self.goal.is_none_or(|goal| known(goal) && !world.grid().is_floor(goal))

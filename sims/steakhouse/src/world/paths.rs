@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 
 use super::grid::{Grid, GridPlace, Pose};
-use super::kinds::{Action, Direction, Tile};
+use super::kinds::{Action, Direction};
 
 /// The way to a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,24 +33,16 @@ impl Paths {
     /// Computes all ways.
     pub fn new(grid: &Grid) -> Self {
         let (mut n_floor, mut n_targets) = (0, 0);
-        let number = grid
-            .places()
-            .map(|place| {
-                let count =
-                    if grid.tile(place) == Tile::Floor { &mut n_floor } else { &mut n_targets };
-                *count += 1;
-                *count - 1
-            })
-            .collect();
+        let number = grid.places().map(|place| {
+            let count = if grid.is_floor(place) { &mut n_floor } else { &mut n_targets };
+            *count += 1;
+            *count - 1
+        });
+        let number = number.collect();
         let n_targets = usize::from(n_targets);
         let n_routes = usize::from(n_floor) * 4 * n_targets;
         let mut paths = Self { number, n_targets, routes: vec![None; n_routes] };
-        let mut search = Search::new(usize::from(n_floor) * 4);
-        for &place in grid.floor() {
-            for facing in Direction::ALL {
-                paths.search(grid, Pose { place, facing }, &mut search);
-            }
-        }
+        grid.poses().for_each(|pose| paths.search(grid, pose));
         paths
     }
 
@@ -64,19 +56,20 @@ impl Paths {
         usize::from(self.number[pose.place.index()]) * 4 + pose.facing as usize
     }
 
-    fn search(&mut self, grid: &Grid, start: Pose, search: &mut Search) {
-        search.begin();
-        search.reach(self.pose_index(start), start, Route { cost: 0, first: Action::Interact });
-        self.note(grid, start, start, Route { cost: 0, first: Action::Interact });
-        while let Some((pose, so_far)) = search.open.pop_front() {
-            for direction in Direction::ALL {
-                let turned = Pose { place: pose.place, facing: direction };
-                let ahead = grid.ahead(turned);
-                let is_floor = grid.tile(ahead) == Tile::Floor;
-                let next = Pose { place: if is_floor { ahead } else { pose.place }, ..turned };
-                let first = if so_far.cost == 0 { Action::Go(direction) } else { so_far.first };
+    fn search(&mut self, grid: &Grid, start: Pose) {
+        let stay = Route { cost: 0, first: Action::Interact };
+        let mut is_reached = vec![false; grid.floor.len() * 4];
+        is_reached[self.pose_index(start)] = true;
+        self.note(grid, start, start, stay);
+        let mut open = VecDeque::from([(start, stay)]);
+        while let Some((pose, so_far)) = open.pop_front() {
+            for facing in Direction::ALL {
+                let place = grid.free_ahead(Pose { facing, ..pose }).unwrap_or(pose.place);
+                let next = Pose { place, facing };
+                let first = if so_far.cost == 0 { Action::Go(facing) } else { so_far.first };
                 let route = Route { cost: so_far.cost + 1, first };
-                if search.reach(self.pose_index(next), next, route) {
+                if !std::mem::replace(&mut is_reached[self.pose_index(next)], true) {
+                    open.push_back((next, route));
                     self.note(grid, start, next, route);
                 }
             }
@@ -86,7 +79,7 @@ impl Paths {
     /// Notes the way to what a newly reached pose faces, unless there was one before.
     fn note(&mut self, grid: &Grid, start: Pose, reached: Pose, route: Route) {
         let faced = grid.ahead(reached);
-        if grid.tile(faced) == Tile::Floor {
+        if grid.is_floor(faced) {
             return;
         }
         let target = usize::from(self.number[faced.index()]);
@@ -95,55 +88,23 @@ impl Paths {
     }
 }
 
-/// The working memory of one search after the other.
-struct Search {
-    /// By pose: the last search that reached it.
-    reached_by: Vec<u32>,
-    n_searches: u32,
-    open: VecDeque<(Pose, Route)>,
-}
-
-impl Search {
-    fn new(n_poses: usize) -> Self {
-        Self { reached_by: vec![0; n_poses], n_searches: 0, open: VecDeque::with_capacity(n_poses) }
-    }
-
-    fn begin(&mut self) {
-        self.n_searches += 1;
-        self.open.clear();
-    }
-
-    /// Marks a pose; `false` if this search was there before.
-    fn reach(&mut self, index: usize, pose: Pose, route: Route) -> bool {
-        let is_new = self.reached_by[index] != self.n_searches;
-        if is_new {
-            self.reached_by[index] = self.n_searches;
-            self.open.push_back((pose, route));
-        }
-        is_new
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::world::layouts::kitchen;
 
-    fn costs(grid: &Grid, from: Pose) -> Vec<u16> {
+    fn costs(grid: &Grid, from: Pose) -> [u16; 10] {
         let paths = Paths::new(grid);
-        let targets =
-            [(8, 1), (8, 3), (8, 5), (2, 0), (4, 0), (0, 1), (0, 3), (0, 5), (2, 6), (6, 6)];
-        let cost = |(x, y)| paths.route(from, grid.place(x, y).unwrap()).unwrap().cost;
-        targets.into_iter().map(cost).collect()
+        [(8, 1), (8, 3), (8, 5), (2, 0), (4, 0), (0, 1), (0, 3), (0, 5), (2, 6), (6, 6)]
+            .map(|(x, y)| paths.route(from, grid.place(x, y).unwrap()).unwrap().cost)
     }
 
     #[test]
     fn distances_in_the_ring_are_those_counted_by_hand() {
         let ring = kitchen("ring").unwrap();
         let pose = |x, y, facing| Pose { place: ring.place(x, y).unwrap(), facing };
-        let start = pose(6, 3, Direction::South);
+        let (start, meat) = (pose(6, 3, Direction::South), pose(7, 1, Direction::East));
         assert_eq!(costs(&ring, start), [3, 1, 3, 7, 5, 7, 9, 7, 7, 2]);
-        let meat = pose(7, 1, Direction::East);
         assert_eq!(costs(&ring, meat), [0, 3, 5, 6, 4, 6, 8, 10, 9, 5]);
         let sink = pose(1, 5, Direction::West);
         assert_eq!(costs(&ring, sink), [10, 8, 6, 5, 8, 5, 3, 0, 2, 6]);
@@ -153,20 +114,16 @@ mod tests {
     fn the_first_action_steps_turns_or_interacts() {
         let ring = kitchen("ring").unwrap();
         let paths = Paths::new(&ring);
-        let first = |x, y, facing, to: (i32, i32)| {
+        let first = |x, y, facing, [to_x, to_y]: [i32; 2]| {
             let from = Pose { place: ring.place(x, y).unwrap(), facing };
-            paths.route(from, ring.place(to.0, to.1).unwrap()).unwrap().first
+            paths.route(from, ring.place(to_x, to_y).unwrap()).map(|route| route.first)
         };
-        assert_eq!(first(7, 1, Direction::East, (8, 1)), Action::Interact);
-        assert_eq!(first(7, 1, Direction::South, (8, 1)), Action::Go(Direction::East));
+        let go = |direction| Some(Action::Go(direction));
+        assert_eq!(first(7, 1, Direction::East, [8, 1]), Some(Action::Interact));
+        assert_eq!(first(7, 1, Direction::South, [8, 1]), go(Direction::East));
         // North before west: the meat is fetched along the east wall.
-        assert_eq!(first(6, 3, Direction::South, (8, 1)), Action::Go(Direction::North));
-    }
-
-    #[test]
-    fn what_no_floor_borders_on_has_no_way() {
-        let ring = kitchen("ring").unwrap();
-        let from = Pose { place: ring.place(6, 3).unwrap(), facing: Direction::South };
-        assert_eq!(Paths::new(&ring).route(from, ring.place(0, 0).unwrap()), None);
+        assert_eq!(first(6, 3, Direction::South, [8, 1]), go(Direction::North));
+        // No floor borders on a corner.
+        assert_eq!(first(6, 3, Direction::South, [0, 0]), None);
     }
 }

@@ -20,7 +20,7 @@ pub fn interactions_left(world: &KitchenWorld) -> u32 {
     if world.is_lying(Item::Dish) {
         return 2;
     }
-    let times = world.times();
+    let times = world.times;
     let garnish = match most_advanced(world, Station::Board) {
         Some(counter) => u32::from(times.chop - counter),
         None => u32::from(times.chop) + if held(Item::Onion) { 1 } else { 2 },
@@ -41,7 +41,7 @@ pub fn interactions_left(world: &KitchenWorld) -> u32 {
 
 /// Counts the interactions until a clean plate is in hand.
 fn plate_left(world: &KitchenWorld) -> u32 {
-    let (held, washes) = (world.cook().held, u32::from(world.times().wash));
+    let (held, washes) = (world.cook().held, u32::from(world.times.wash));
     if held == Some(Item::CleanPlate) {
         return 0;
     }
@@ -56,7 +56,7 @@ fn plate_left(world: &KitchenWorld) -> u32 {
 }
 
 fn most_advanced(world: &KitchenWorld, station: Station) -> Option<u8> {
-    let slots = world.grid().slots().iter().zip(world.contents());
+    let slots = world.grid().slots.iter().zip(world.contents());
     slots.filter(|(slot, _)| slot.station == station).filter_map(|(_, held)| held.work()).max()
 }
 
@@ -68,6 +68,6 @@ pub fn is_redundant(world: &KitchenWorld, subtask: Subtask) -> bool {
 
 /// Tells whether a cook is on the way to a station in somebody else's use, without knowing.
 pub fn is_misled(world: &KitchenWorld, mind: &Mind) -> bool {
-    let slot = mind.goal().and_then(|goal| world.grid().slot_at(goal));
+    let slot = mind.goal.and_then(|goal| world.grid().slot_at(goal));
     slot.is_some_and(|slot| world.contents()[slot] == Content::Unavailable)
 }

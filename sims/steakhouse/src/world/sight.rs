@@ -31,7 +31,7 @@ pub enum FieldOfView {
 
 impl FieldOfView {
     /// Tells whether a tile is seen that lies so far ahead and to the side of the cook.
-    pub fn sees(self, forward: i32, lateral: i32) -> bool {
+    fn sees(self, forward: i32, lateral: i32) -> bool {
         match self {
             Self::Block => (1..=DEPTH).contains(&forward) && lateral.abs() <= REACH,
             Self::Cone(degrees) => {
@@ -55,13 +55,8 @@ impl FieldOfView {
 
     /// Tells whether a tile is seen that lies so many columns to the right and rows below.
     pub fn sees_offset(self, facing: Direction, dx: i32, dy: i32) -> bool {
-        let (forward, lateral) = match facing {
-            Direction::North => (-dy, dx),
-            Direction::South => (dy, -dx),
-            Direction::East => (dx, dy),
-            Direction::West => (-dx, -dy),
-        };
-        self.sees(forward, lateral)
+        let (east, south) = facing.offset();
+        self.sees(dx * east + dy * south, dy * east - dx * south)
     }
 }
 
@@ -75,14 +70,14 @@ pub struct Sight {
 impl Sight {
     /// Looks around in every pose.
     pub fn new(grid: &Grid, field_of_view: FieldOfView) -> Self {
-        let poses =
-            grid.places().flat_map(|place| Direction::ALL.map(|facing| Pose { place, facing }));
-        let mask = |pose: Pose| {
-            let seen = field_of_view.visible(grid, pose).filter_map(|place| grid.slot_at(place));
-            seen.fold(0, |mask, slot| mask | 1 << slot)
-        };
-        let masks = poses.map(|pose| if grid.is_floor(pose.place) { mask(pose) } else { 0 });
-        Self { masks: masks.collect() }
+        let mut masks = vec![0; 4 * grid.width * grid.height()];
+        for pose in grid.poses() {
+            let seen = field_of_view.visible(grid, pose);
+            let slots = seen.filter_map(|place| grid.slot_at(place));
+            let mask = slots.fold(0, |mask, slot| mask | 1 << slot);
+            masks[pose.place.index() * 4 + pose.facing as usize] = mask;
+        }
+        Self { masks }
     }
 
     /// Returns a bit per station slot that is seen.

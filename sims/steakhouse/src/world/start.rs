@@ -36,22 +36,9 @@ pub enum StartFamily {
 }
 
 impl StartFamily {
-    /// All of them.
-    pub const ALL: [Self; 9] = [
-        Self::Empty,
-        Self::Grills,
-        Self::Boards,
-        Self::Sinks,
-        Self::FirstOfEach,
-        Self::AllPartial,
-        Self::AllReady,
-        Self::Random,
-        Self::Unavailable,
-    ];
-
     /// Tells whether a kitchen has enough stations for it.
     pub fn is_possible(self, grid: &Grid) -> bool {
-        let count = |station| grid.slots().iter().filter(|slot| slot.station == station).count();
+        let count = |station| grid.slots.iter().filter(|slot| slot.station == station).count();
         self != Self::Unavailable || Station::ALL.into_iter().any(|station| count(station) > 1)
     }
 
@@ -67,67 +54,51 @@ impl StartFamily {
         generator: &mut Pcg64,
         contents: &mut [Content],
     ) {
-        match self {
-            Self::Random => return fill_random(grid, times, generator, contents),
-            Self::Unavailable => return fill_unavailable(grid, generator, contents),
-            _ => {}
-        }
-        let slots = grid.slots();
-        for (slot, content) in contents.iter_mut().enumerate() {
-            let station = slots[slot].station;
-            let is_first = slot == 0 || slots[slot - 1].station != station;
-            let half = Content::Work(times.limit(station) / 2);
-            let occupied = match self {
-                Self::Grills => station == Station::Grill,
-                Self::Boards => station == Station::Board,
-                Self::Sinks => station == Station::Sink,
-                Self::FirstOfEach => is_first,
-                Self::AllPartial | Self::AllReady => true,
-                Self::Empty | Self::Random | Self::Unavailable => false,
+        loop {
+            for (slot, at) in grid.slots.iter().enumerate() {
+                let is_first = slot == 0 || grid.slots[slot - 1].station != at.station;
+                contents[slot] = self.draw(at.station, is_first, times, generator);
+            }
+            let is_free = |station| {
+                let mut slots = grid.slots.iter().zip(contents.iter());
+                slots.any(|(slot, content)| slot.station == station && *content == Content::Empty)
             };
-            *content = match (occupied, self) {
-                (false, _) => Content::Empty,
-                (true, Self::AllReady) => Content::Work(times.limit(station)),
-                (true, _) => half,
+            let fits = match self {
+                Self::Random => contents.iter().any(|content| *content != Content::Empty),
+                Self::Unavailable => {
+                    Station::ALL.into_iter().all(is_free)
+                        && contents.contains(&Content::Unavailable)
+                }
+                _ => true,
             };
+            if fits {
+                return;
+            }
         }
     }
-}
 
-fn is_heads(generator: &mut Pcg64) -> bool {
-    generator.unit() < 0.5
-}
-
-fn fill_random(grid: &Grid, times: WorkTimes, generator: &mut Pcg64, contents: &mut [Content]) {
-    loop {
-        for (content, slot) in contents.iter_mut().zip(grid.slots()) {
-            let limit = i64::from(times.limit(slot.station));
-            *content = if is_heads(generator) {
-                Content::Work(generator.integers(0, limit + 1) as u8)
-            } else {
-                Content::Empty
-            };
-        }
-        if contents.iter().any(|content| *content != Content::Empty) {
-            return;
-        }
-    }
-}
-
-fn fill_unavailable(grid: &Grid, generator: &mut Pcg64, contents: &mut [Content]) {
-    loop {
-        for content in contents.iter_mut() {
-            let taken = is_heads(generator);
-            *content = if taken { Content::Unavailable } else { Content::Empty };
-        }
-        let is_free = |station| {
-            let mut slots = grid.slots().iter().zip(contents.iter());
-            slots.any(|(slot, content)| slot.station == station && *content == Content::Empty)
+    fn draw(
+        self,
+        station: Station,
+        is_first: bool,
+        times: WorkTimes,
+        generator: &mut Pcg64,
+    ) -> Content {
+        let limit = times.limit(station);
+        let (occupied, content) = match self {
+            Self::Grills => (station == Station::Grill, Content::Work(limit / 2)),
+            Self::Boards => (station == Station::Board, Content::Work(limit / 2)),
+            Self::Sinks => (station == Station::Sink, Content::Work(limit / 2)),
+            Self::FirstOfEach => (is_first, Content::Work(limit / 2)),
+            Self::AllPartial => (true, Content::Work(limit / 2)),
+            Self::AllReady => (true, Content::Work(limit)),
+            Self::Unavailable => (generator.unit() < 0.5, Content::Unavailable),
+            Self::Random if generator.unit() < 0.5 => {
+                (true, Content::Work(generator.integers(0, i64::from(limit) + 1) as u8))
+            }
+            Self::Empty | Self::Random => (false, Content::Empty),
         };
-        let works = Station::ALL.into_iter().all(is_free);
-        if works && contents.contains(&Content::Unavailable) {
-            return;
-        }
+        if occupied { content } else { Content::Empty }
     }
 }
 
@@ -145,15 +116,15 @@ pub struct KitchenStart {
 impl KitchenStart {
     /// Returns the cook on the person's start tile of an empty kitchen; `None` if there is no such tile.
     pub fn new(grid: &Grid) -> Option<Self> {
-        let pose = start_pose(grid.person_start()?);
-        let contents = vec![Content::Empty; grid.slots().len()];
+        let pose = start_pose(grid.person_start?);
+        let contents = vec![Content::Empty; grid.slots.len()];
         Some(Self { pose, contents, release_at: None })
     }
 }
 
 /// Draws a pose uniformly over floor and directions.
 pub fn random_pose(grid: &Grid, generator: &mut Pcg64) -> Pose {
-    let place = grid.floor()[generator.below(grid.floor().len())];
+    let place = grid.floor[generator.below(grid.floor.len())];
     Pose { place, facing: Direction::ALL[generator.below(4)] }
 }
 

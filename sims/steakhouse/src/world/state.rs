@@ -14,8 +14,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::grid::{Grid, GridPlace, Pose};
-use super::kinds::{Action, Content, Direction, Item, Station, StationPhase, Tile, WorkTimes};
-use super::outcome::ActionOutcome;
+use super::kinds::{
+    Action, ActionOutcome, Content, Direction, Item, Station, StationPhase, Tile, WorkTimes,
+};
 
 /// A cook's body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,8 +63,8 @@ impl WorldState {
     pub fn new(grid: &Grid, poses: &[Pose], orders: Option<Vec<Order>>) -> Self {
         Self {
             cooks: poses.iter().map(|&pose| Cook { pose, held: None }).collect(),
-            contents: vec![Content::Empty; grid.slots().len()],
-            lying: vec![None; grid.width() * grid.height()],
+            contents: vec![Content::Empty; grid.slots.len()],
+            lying: vec![None; grid.width * grid.height()],
             orders,
         }
     }
@@ -72,16 +73,12 @@ impl WorldState {
     ///
     /// States come back from other processes, so nothing about them is taken on trust.
     pub(super) fn fits(&self, grid: &Grid, times: WorkTimes) -> bool {
-        let n_tiles = grid.width() * grid.height();
-        let possible = |(content, slot): (&Content, &super::grid::Slot)| {
-            content.work().is_none_or(|counter| counter <= times.limit(slot.station))
-        };
+        let n_tiles = grid.width * grid.height();
         let on_counter = |place: GridPlace| {
             grid.tile(place) == Tile::Counter || self.lying[place.index()].is_none()
         };
         self.cooks.iter().all(|cook| grid.is_floor(cook.pose.place))
-            && self.contents.len() == grid.slots().len()
-            && self.contents.iter().zip(grid.slots()).all(possible)
+            && grid.can_hold(&self.contents, times)
             && self.lying.len() == n_tiles
             && grid.places().all(on_counter)
     }
@@ -91,7 +88,8 @@ impl WorldState {
 #[derive(Clone, Debug)]
 pub struct KitchenWorld {
     grid: Arc<Grid>,
-    times: WorkTimes,
+    /// How long work takes.
+    pub times: WorkTimes,
     orders_end: OrdersEnd,
     pub(super) state: WorldState,
     /// How many of each item lie on counters.
@@ -116,7 +114,7 @@ impl KitchenWorld {
             orders_end,
             state,
             n_lying: [0; 6],
-            outcomes: vec![ActionOutcome::default(); n_cooks],
+            outcomes: vec![ActionOutcome::NOTHING; n_cooks],
             intended: Vec::with_capacity(n_cooks),
         };
         world.count_lying();
@@ -131,7 +129,7 @@ impl KitchenWorld {
     }
 
     /// Empties the kitchen, and puts its one cook, empty-handed, and its stations' contents in place.
-    pub fn begin(&mut self, pose: Pose, contents: &[Content]) {
+    pub(super) fn begin(&mut self, pose: Pose, contents: &[Content]) {
         self.state.cooks[0] = Cook { pose, held: None };
         self.state.contents.copy_from_slice(contents);
         self.state.lying.fill(None);
@@ -139,11 +137,11 @@ impl KitchenWorld {
         let orders = self.state.orders.get_or_insert_default();
         orders.clear();
         orders.push(Order::Steak);
-        self.outcomes.fill(ActionOutcome::default());
+        self.outcomes.fill(ActionOutcome::NOTHING);
     }
 
     /// Continues from a state of the same kitchen; `false` if it cannot be one, and nothing changes.
-    pub fn restore(&mut self, state: WorldState) -> bool {
+    pub(super) fn restore(&mut self, state: WorldState) -> bool {
         let fits = state.fits(&self.grid, self.times) && state.cooks.len() == self.outcomes.len();
         if fits {
             self.state = state;
@@ -155,11 +153,6 @@ impl KitchenWorld {
     /// Returns the floor plan.
     pub fn grid(&self) -> &Grid {
         &self.grid
-    }
-
-    /// Returns how long work takes.
-    pub fn times(&self) -> WorkTimes {
-        self.times
     }
 
     /// Returns everything that changes.
@@ -179,7 +172,7 @@ impl KitchenWorld {
 
     /// Tells how far the work at a station is, if it held this.
     pub fn phase(&self, slot: usize, content: Content) -> StationPhase {
-        content.phase(self.times.limit(self.grid.slots()[slot].station))
+        content.phase(self.times.limit(self.grid.slots[slot].station))
     }
 
     /// Tells what lies on a tile.
@@ -219,15 +212,12 @@ impl KitchenWorld {
     ///
     /// `actions`: one per cook.
     pub fn step(&mut self, actions: &[Action]) -> &[ActionOutcome] {
-        for (cook, action) in actions.iter().enumerate() {
-            let outcome = match action {
-                Action::Interact => self.interact(cook),
-                Action::Go(_) | Action::Stay => ActionOutcome::default(),
-            };
-            self.outcomes[cook] = outcome;
+        self.outcomes.fill(ActionOutcome::NOTHING);
+        for (cook, _) in actions.iter().enumerate().filter(|(_, a)| **a == Action::Interact) {
+            self.outcomes[cook] = self.interact(cook);
         }
         self.go(actions);
-        for (content, slot) in self.state.contents.iter_mut().zip(self.grid.slots()) {
+        for (content, slot) in self.state.contents.iter_mut().zip(&self.grid.slots) {
             if slot.station == Station::Grill {
                 content.tick(self.times.cook);
             }
@@ -238,17 +228,14 @@ impl KitchenWorld {
     /// Turns the cooks, and moves all of them unless two would collide.
     fn go(&mut self, actions: &[Action]) {
         self.intended.clear();
-        for (cook, action) in self.state.cooks.iter_mut().zip(actions) {
-            let mut intended = cook.pose.place;
-            if let Action::Go(direction) = *action {
-                let turned = Pose { facing: direction, ..cook.pose };
-                let ahead = self.grid.ahead(turned);
-                if self.grid.tile(ahead) == Tile::Floor {
-                    intended = ahead;
-                }
+        let grid = &self.grid;
+        self.intended.extend(self.state.cooks.iter().zip(actions).map(|(cook, action)| {
+            let Pose { place, .. } = cook.pose;
+            match *action {
+                Action::Go(facing) => grid.free_ahead(Pose { place, facing }).unwrap_or(place),
+                Action::Stay | Action::Interact => place,
             }
-            self.intended.push(intended);
-        }
+        }));
         let moves = !self.collide();
         let cooks = self.state.cooks.iter_mut().zip(&self.intended);
         for ((cook, &intended), (action, outcome)) in
@@ -265,20 +252,17 @@ impl KitchenWorld {
     /// Tells whether two cooks would be on one tile, or change places.
     fn collide(&self) -> bool {
         let cooks = &self.state.cooks;
-        let pairs = (0..cooks.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
-        pairs.into_iter().any(|(a, b)| {
+        let mut pairs = (0..cooks.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
+        pairs.any(|(a, b)| {
             let (to_a, to_b) = (self.intended[a], self.intended[b]);
             to_a == to_b || (to_a == cooks[b].pose.place && to_b == cooks[a].pose.place)
         })
     }
 
     /// Frees every station that somebody else used.
-    pub fn release(&mut self) {
-        for content in &mut self.state.contents {
-            if *content == Content::Unavailable {
-                *content = Content::Empty;
-            }
-        }
+    pub(super) fn release(&mut self) {
+        let contents = self.state.contents.iter_mut();
+        contents.filter(|it| **it == Content::Unavailable).for_each(|it| *it = Content::Empty);
     }
 }
 

@@ -66,7 +66,7 @@ pub enum Subtask {
 
 impl Subtask {
     /// Returns the station whose use makes it pointless: it brings what such a station already has.
-    pub fn supplied_station(self) -> Option<Station> {
+    pub(super) fn supplied_station(self) -> Option<Station> {
         match self {
             Self::FetchMeat | Self::PlaceMeat => Some(Station::Grill),
             Self::FetchOnion | Self::PlaceOnion => Some(Station::Board),
@@ -76,7 +76,7 @@ impl Subtask {
     }
 
     /// Tells whether it fetches something from a supply.
-    pub fn fetches(self) -> bool {
+    pub(crate) fn fetches(self) -> bool {
         matches!(self, Self::FetchMeat | Self::FetchOnion | Self::FetchPlate)
     }
 
@@ -87,10 +87,10 @@ impl Subtask {
 }
 
 /// The subtasks of the winning tier: one or two.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Options {
-    first: Subtask,
-    second: Option<Subtask>,
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Options {
+    pub(super) first: Subtask,
+    pub(super) second: Option<Subtask>,
 }
 
 impl Options {
@@ -99,21 +99,10 @@ impl Options {
     }
 
     fn of([first, second]: [Option<Subtask>; 2]) -> Option<Self> {
-        match (first, second) {
-            (Some(first), second) => Some(Self { first, second }),
-            (None, Some(second)) => Some(Self::one(second)),
-            (None, None) => None,
+        match first {
+            Some(first) => Some(Self { first, second }),
+            None => second.map(Self::one),
         }
-    }
-
-    /// Returns the first, and the second if there is one.
-    pub fn pair(self) -> (Subtask, Option<Subtask>) {
-        (self.first, self.second)
-    }
-
-    /// Tells whether a subtask is among them.
-    pub fn contains(self, subtask: Subtask) -> bool {
-        self.first == subtask || self.second == Some(subtask)
     }
 }
 
@@ -123,14 +112,14 @@ const EMPTY: u8 = 1 << StationPhase::Empty as u8;
 const IN_USE: u8 = BUSY | READY;
 
 /// The phases that occur, believed or true: a set of [`StationPhase`] per kind of station.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Phases([u8; 3]);
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Phases([u8; 3]);
 
 impl Phases {
     /// Collects the phases of stations that hold this.
-    pub fn of(world: &KitchenWorld, contents: &[Content]) -> Self {
+    pub(super) fn of(world: &KitchenWorld, contents: &[Content]) -> Self {
         let mut phases = Self::default();
-        for (slot, (at, &content)) in world.grid().slots().iter().zip(contents).enumerate() {
+        for (slot, (at, &content)) in world.grid().slots.iter().zip(contents).enumerate() {
             phases.0[at.station as usize] |= 1 << world.phase(slot, content) as u8;
         }
         phases
@@ -141,7 +130,7 @@ impl Phases {
     }
 
     /// Tells whether a station of that kind holds work that the cook could go on with.
-    pub fn in_use(self, station: Station) -> bool {
+    pub(super) fn in_use(self, station: Station) -> bool {
         self.any(station, IN_USE)
     }
 }
@@ -152,7 +141,7 @@ pub(super) fn options(
     belief: &Belief,
     last_done: Option<Subtask>,
 ) -> Options {
-    let phases = Phases::of(world, belief.contents());
+    let phases = Phases::of(world, &belief.contents);
     match world.cook().held {
         Some(item) => Options::one(with_full_hands(item, phases)),
         None => with_empty_hands(world, phases, last_done),
@@ -207,14 +196,6 @@ fn with_empty_hands(world: &KitchenWorld, phases: Phases, last_done: Option<Subt
     Options::one(if takes_plate { Subtask::TakeCleanPlate } else { Subtask::Wait })
 }
 
-/// What counters a subtask can be done at.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Counters {
-    None,
-    Free,
-    With(Item),
-}
-
 /// Lists where a subtask can be done, by what the cook believes: stations, then supplies or windows, then counters.
 pub(super) fn targets<'a>(
     world: &'a KitchenWorld,
@@ -222,45 +203,41 @@ pub(super) fn targets<'a>(
     subtask: Subtask,
 ) -> impl Iterator<Item = GridPlace> + 'a {
     let grid = world.grid();
-    let (stations, fixed, counters): (_, &[GridPlace], _) = match subtask {
-        Subtask::TakeDish => (None, &[], Counters::With(Item::Dish)),
-        Subtask::TakePlatedSteak => (None, &[], Counters::With(Item::Steak)),
-        Subtask::Chop => (Some((Station::Board, BUSY)), &[], Counters::None),
-        Subtask::Wash => (Some((Station::Sink, BUSY)), &[], Counters::None),
-        Subtask::FetchMeat => (None, grid.supplies(Item::Meat), Counters::With(Item::Meat)),
-        Subtask::FetchOnion => (None, grid.supplies(Item::Onion), Counters::With(Item::Onion)),
-        Subtask::FetchPlate => (None, grid.supplies(Item::Plate), Counters::With(Item::Plate)),
+    // The last is what lies on the counters in question, which may be nothing.
+    let (stations, fixed, lies): (_, &[GridPlace], _) = match subtask {
+        Subtask::TakeDish => (None, &[], Some(Some(Item::Dish))),
+        Subtask::TakePlatedSteak => (None, &[], Some(Some(Item::Steak))),
+        Subtask::Chop => (Some((Station::Board, BUSY)), &[], None),
+        Subtask::Wash => (Some((Station::Sink, BUSY)), &[], None),
+        Subtask::FetchMeat => (None, grid.supplies(Item::Meat), Some(Some(Item::Meat))),
+        Subtask::FetchOnion => (None, grid.supplies(Item::Onion), Some(Some(Item::Onion))),
+        Subtask::FetchPlate => (None, grid.supplies(Item::Plate), Some(Some(Item::Plate))),
         Subtask::TakeCleanPlate => {
-            (Some((Station::Sink, READY)), &[], Counters::With(Item::CleanPlate))
+            (Some((Station::Sink, READY)), &[], Some(Some(Item::CleanPlate)))
         }
-        Subtask::PlaceMeat => (Some((Station::Grill, EMPTY)), &[], Counters::None),
-        Subtask::PlaceOnion => (Some((Station::Board, EMPTY)), &[], Counters::None),
-        Subtask::PlacePlate => (Some((Station::Sink, EMPTY)), &[], Counters::None),
+        Subtask::PlaceMeat => (Some((Station::Grill, EMPTY)), &[], None),
+        Subtask::PlaceOnion => (Some((Station::Board, EMPTY)), &[], None),
+        Subtask::PlacePlate => (Some((Station::Sink, EMPTY)), &[], None),
         Subtask::PlateSteak => {
-            let ready = Phases::of(world, belief.contents()).any(Station::Grill, READY);
-            (Some((Station::Grill, if ready { READY } else { BUSY })), &[], Counters::None)
+            let ready = Phases::of(world, &belief.contents).any(Station::Grill, READY);
+            (Some((Station::Grill, if ready { READY } else { BUSY })), &[], None)
         }
-        Subtask::Garnish => (Some((Station::Board, READY)), &[], Counters::None),
-        Subtask::Serve => (None, grid.windows(), Counters::None),
-        Subtask::Discard => (None, &[], Counters::Free),
-        Subtask::Wait => (None, &[], Counters::None),
+        Subtask::Garnish => (Some((Station::Board, READY)), &[], None),
+        Subtask::Serve => (None, &grid.windows, None),
+        Subtask::Discard => (None, &[], Some(None)),
+        Subtask::Wait => (None, &[], None),
     };
     let stations = stations.into_iter().flat_map(move |(station, phases)| {
-        let slots = grid.slots().iter().zip(belief.contents()).enumerate();
+        let slots = grid.slots.iter().zip(&belief.contents).enumerate();
         slots.filter_map(move |(slot, (at, &content))| {
             let fits = at.station == station && phases >> world.phase(slot, content) as u8 & 1 == 1;
             fits.then_some(at.place)
         })
     });
-    let searched: &[GridPlace] = match counters {
-        Counters::With(item) if world.is_lying(item) => grid.counters(),
-        Counters::Free => grid.counters(),
-        Counters::None | Counters::With(_) => &[],
+    let searched: &[GridPlace] = match lies {
+        Some(item) if item.is_none_or(|item| world.is_lying(item)) => &grid.counters,
+        _ => &[],
     };
-    let on_counters = searched.iter().copied().filter(move |&place| match counters {
-        Counters::None => false,
-        Counters::Free => world.lying(place).is_none(),
-        Counters::With(item) => world.lying(place) == Some(item),
-    });
-    stations.chain(fixed.iter().copied()).chain(on_counters)
+    let on_counters = searched.iter().filter(move |&&place| lies == Some(world.lying(place)));
+    stations.chain(fixed.iter().chain(on_counters).copied())
 }
