@@ -217,12 +217,8 @@ impl Lockstep {
         let n = self.gather(slots.iter().map(S::borrow));
         self.logits.resize(n * policy.n_choices(), 0.0);
         self.values.resize(n, 0.0);
-        policy.evaluate(
-            &self.observations,
-            &mut self.recurrent,
-            &mut self.logits,
-            &mut self.values,
-        );
+        let Self { observations, recurrent, logits, values, .. } = self;
+        policy.evaluate(observations, recurrent, logits, values);
     }
 
     /// Fills the inputs of an inference and returns the number of rows.

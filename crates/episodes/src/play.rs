@@ -48,15 +48,8 @@ impl fmt::Debug for PlaySettings<'_> {
 impl<'a> PlaySettings<'a> {
     /// Plans the first `n_episodes` of a seed on one thread.
     pub fn new(n_episodes: u64, seed: u64) -> Self {
-        Self {
-            first: 0,
-            n_episodes,
-            seed,
-            n_slots: 16,
-            n_threads: 1,
-            max_steps: 100_000,
-            stop: None,
-        }
+        let (n_slots, n_threads, max_steps) = (16, 1, 100_000);
+        Self { first: 0, n_episodes, seed, n_slots, n_threads, max_steps, stop: None }
     }
 
     /// Spreads the work over threads.
@@ -67,10 +60,6 @@ impl<'a> PlaySettings<'a> {
     /// Ends the playing early once the function returns true.
     pub fn stopped_by(self, stop: &'a (dyn Fn() -> bool + Sync)) -> Self {
         Self { stop: Some(stop), ..self }
-    }
-
-    fn is_stopped(&self) -> bool {
-        self.stop.is_some_and(|stop| stop())
     }
 }
 
@@ -197,7 +186,7 @@ impl<'a, O: EpisodeObserver> Shift<'a, O> {
             self.indices.push(index);
         }
         while !self.slots.is_empty() {
-            if self.settings.is_stopped() {
+            if self.settings.stop.is_some_and(|stop| stop()) {
                 return Err(Error::Interrupted);
             }
             self.lockstep.act(&mut self.player.decider(), &mut self.slots, &mut self.observers);
@@ -238,9 +227,10 @@ impl<'a, O: EpisodeObserver> Shift<'a, O> {
     }
 
     fn check_lengths(&self) -> Result<(), Error> {
-        let most = self.settings.max_steps;
-        let endless = self.slots.iter().position(|slot| u64::from(slot.n_steps()) >= most);
-        endless
-            .map_or(Ok(()), |row| Err(Error::Endless { index: self.indices[row], n_steps: most }))
+        let n_steps = self.settings.max_steps;
+        match self.slots.iter().position(|slot| u64::from(slot.n_steps()) >= n_steps) {
+            Some(row) => Err(Error::Endless { index: self.indices[row], n_steps }),
+            None => Ok(()),
+        }
     }
 }

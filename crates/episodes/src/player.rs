@@ -1,7 +1,7 @@
 //! Who decides: a policy or one of the task's scripts.
 
 use leadtime_policy::{ActionDistribution, Parameters, Policy};
-use leadtime_proto::{EnvSpec, PolicySpec};
+use leadtime_proto::PolicySpec;
 use leadtime_sims::Environment;
 use serde::{Deserialize, Serialize};
 
@@ -44,7 +44,7 @@ pub struct Player {
 #[derive(Clone, Debug)]
 enum Kind {
     Policy { policy: Box<Policy>, distribution: ActionDistribution, choice: Choice },
-    Script { script: String },
+    Script(String),
 }
 
 impl Player {
@@ -76,8 +76,7 @@ impl Player {
 
     /// Makes a player of one of the task's scripts ([`Environment::baselines`]).
     pub fn baseline(script: &str) -> Self {
-        let kind = Kind::Script { script: script.to_owned() };
-        Self { name: script.to_owned(), kind }
+        Self { name: script.to_owned(), kind: Kind::Script(script.to_owned()) }
     }
 
     /// Gives the player another name.
@@ -98,30 +97,34 @@ impl Player {
     /// script.
     pub fn check(&self, environment: &dyn Environment) -> Result<(), Error> {
         match &self.kind {
-            Kind::Policy { policy, .. } => check_shape(policy, environment.spec()),
-            Kind::Script { script } => {
-                let known = environment.baselines();
-                if known.contains(&script.as_str()) {
-                    return Ok(());
-                }
-                Err(Error::UnknownBaseline { name: script.clone(), known })
+            Kind::Policy { policy, .. } => {
+                let task = environment.spec();
+                let found = [policy.obs_dim(), policy.n_choices()];
+                let expected = [task.obs_dim, task.actions.n_choices()];
+                if found == expected { Ok(()) } else { Err(Error::PolicyShape { found, expected }) }
+            }
+            Kind::Script(name) => {
+                let (name, known) = (name.clone(), environment.baselines());
+                let is_known = known.contains(&name.as_str());
+                if is_known { Ok(()) } else { Err(Error::UnknownBaseline { name, known }) }
             }
         }
     }
 
     /// Returns the width of what the policy's heads see; 0 for a script.
     pub fn hidden_dim(&self) -> usize {
-        match &self.kind {
-            Kind::Policy { policy, .. } => policy.hidden_dim(),
-            Kind::Script { .. } => 0,
-        }
+        self.network().map_or(0, Policy::hidden_dim)
     }
 
     /// Returns the width of the state carried from step to step; 0 for a script.
     pub fn recurrent_dim(&self) -> usize {
+        self.network().map_or(0, Policy::recurrent_dim)
+    }
+
+    fn network(&self) -> Option<&Policy> {
         match &self.kind {
-            Kind::Policy { policy, .. } => policy.recurrent_dim(),
-            Kind::Script { .. } => 0,
+            Kind::Policy { policy, .. } => Some(policy),
+            Kind::Script(_) => None,
         }
     }
 
@@ -131,13 +134,7 @@ impl Player {
             Kind::Policy { policy, distribution, choice } => {
                 Decider::Policy { policy, distribution, choice: *choice }
             }
-            Kind::Script { script } => Decider::Script(script),
+            Kind::Script(script) => Decider::Script(script),
         }
     }
-}
-
-fn check_shape(policy: &Policy, task: &EnvSpec) -> Result<(), Error> {
-    let found = [policy.obs_dim(), policy.n_choices()];
-    let expected = [task.obs_dim, task.actions.n_choices()];
-    if found == expected { Ok(()) } else { Err(Error::PolicyShape { found, expected }) }
 }

@@ -6,15 +6,12 @@ use crate::kernel::{Activation, Panels};
 
 /// Why numbers do not make a layer.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum DenseError {
-    /// The weights are not one row per output.
-    #[error("{n_weights} weights cannot be shared out among {n_out} outputs")]
-    Shape {
-        /// How many weights there are.
-        n_weights: usize,
-        /// How many biases, so outputs, there are.
-        n_out: usize,
-    },
+#[error("{n_weights} weights cannot be shared out among {n_out} outputs")]
+pub struct DenseError {
+    /// How many weights there are; they should be one row per output.
+    pub n_weights: usize,
+    /// How many biases, so outputs, there are.
+    pub n_out: usize,
 }
 
 /// One fully connected layer, `y = activation(W x + b)`.
@@ -47,11 +44,11 @@ impl Dense {
     ///
     /// # Errors
     ///
-    /// [`DenseError::Shape`] if the weights do not form rows.
+    /// [`DenseError`] if the weights do not form rows.
     pub fn new(weight: &[f32], bias: &[f32]) -> Result<Self, DenseError> {
         let n_out = bias.len();
         if n_out == 0 || !weight.len().is_multiple_of(n_out) {
-            return Err(DenseError::Shape { n_weights: weight.len(), n_out });
+            return Err(DenseError { n_weights: weight.len(), n_out });
         }
         let weights = Panels::from_columns(weight, n_out, weight.len() / n_out);
         Ok(Self { weights, bias: bias.to_vec() })
@@ -118,6 +115,6 @@ mod tests {
     #[test]
     fn ragged_weights_are_refused() {
         let error = Dense::new(&[0.0; 5], &[0.0; 2]).unwrap_err();
-        assert_eq!(error, DenseError::Shape { n_weights: 5, n_out: 2 });
+        assert_eq!(error, DenseError { n_weights: 5, n_out: 2 });
     }
 }

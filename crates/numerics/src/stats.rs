@@ -110,36 +110,28 @@ impl Bootstrap {
     /// assert!(interval.low < 0.75 && interval.high <= 1.0);
     /// ```
     pub fn mean(&self, values: &[f64], index: u64) -> Option<Interval> {
-        if values.is_empty() {
-            return None;
-        }
-        let mut rng = self.open(index);
-        let resampled = self.repeat(|| resampled_mean(values, &mut rng));
-        Some(self.interval(mean(values), resampled))
+        (!values.is_empty()).then(|| {
+            let draws = self.resample(&mut self.open(index), |rng| resampled_mean(values, rng));
+            self.interval(mean(values), draws)
+        })
     }
 
     /// Computes the interval of `mean(a) - mean(b)` of two independent samples; `None` if one is empty.
     pub fn difference(&self, a: &[f64], b: &[f64], index: u64) -> Option<Interval> {
-        if a.is_empty() || b.is_empty() {
-            return None;
-        }
-        let mut rng = self.open(index);
-        let first = self.repeat(|| resampled_mean(a, &mut rng));
-        let second = self.repeat(|| resampled_mean(b, &mut rng));
-        let resampled = first.iter().zip(&second).map(|(x, y)| x - y).collect();
-        Some(self.interval(mean(a) - mean(b), resampled))
+        (!a.is_empty() && !b.is_empty()).then(|| {
+            let draws = [a, b].map(|values| move |rng: &mut Pcg64| resampled_mean(values, rng));
+            self.difference_of(mean(a) - mean(b), draws, index)
+        })
     }
 
     /// Computes the interval of the mean of group means (training seeds x episodes): groups are resampled
     /// first, then the members of every drawn group. Groups without members are left out; `None` if none is left.
     pub fn hierarchical_mean(&self, groups: &[&[f64]], index: u64) -> Option<Interval> {
-        let groups = filled(groups);
-        if groups.is_empty() {
-            return None;
-        }
-        let mut rng = self.open(index);
-        let resampled = self.repeat(|| resampled_group_mean(&groups, &mut rng));
-        Some(self.interval(mean_of_means(&groups), resampled))
+        let groups = &filled(groups);
+        (!groups.is_empty()).then(|| {
+            let draw = |rng: &mut Pcg64| resampled_group_mean(groups, rng);
+            self.interval(mean_of_means(groups), self.resample(&mut self.open(index), draw))
+        })
     }
 
     /// Computes the interval of the difference of two hierarchical means; `None` if one has no data.
@@ -149,23 +141,32 @@ impl Bootstrap {
         b: &[&[f64]],
         index: u64,
     ) -> Option<Interval> {
-        let (a, b) = (filled(a), filled(b));
-        if a.is_empty() || b.is_empty() {
-            return None;
-        }
+        let (a, b) = (&filled(a), &filled(b));
+        (!a.is_empty() && !b.is_empty()).then(|| {
+            let draws =
+                [a, b].map(|groups| move |rng: &mut Pcg64| resampled_group_mean(groups, rng));
+            self.difference_of(mean_of_means(a) - mean_of_means(b), draws, index)
+        })
+    }
+
+    /// Draws all of the first statistic, then all of the second.
+    fn difference_of(
+        &self,
+        estimate: f64,
+        statistics: [impl FnMut(&mut Pcg64) -> f64; 2],
+        index: u64,
+    ) -> Interval {
         let mut rng = self.open(index);
-        let first = self.repeat(|| resampled_group_mean(&a, &mut rng));
-        let second = self.repeat(|| resampled_group_mean(&b, &mut rng));
-        let resampled = first.iter().zip(&second).map(|(x, y)| x - y).collect();
-        Some(self.interval(mean_of_means(&a) - mean_of_means(&b), resampled))
+        let [first, second] = statistics.map(|statistic| self.resample(&mut rng, statistic));
+        self.interval(estimate, first.iter().zip(&second).map(|(x, y)| x - y).collect())
     }
 
     fn open(&self, index: u64) -> Pcg64 {
         stream(self.seed, Purpose::Bootstrap, 0, index)
     }
 
-    fn repeat(&self, statistic: impl FnMut() -> f64) -> Vec<f64> {
-        std::iter::repeat_with(statistic).take(self.n_resamples.max(1)).collect()
+    fn resample(&self, rng: &mut Pcg64, mut statistic: impl FnMut(&mut Pcg64) -> f64) -> Vec<f64> {
+        (0..self.n_resamples.max(1)).map(|_| statistic(rng)).collect()
     }
 
     fn interval(&self, estimate: f64, mut resampled: Vec<f64>) -> Interval {
@@ -289,9 +290,7 @@ mod tests {
     #[test]
     fn a_group_without_members_is_left_out() {
         let padded: [&[f64]; 4] = [GROUPS[0], GROUPS[1], &[], GROUPS[2]];
-        assert_eq!(
-            BOOTSTRAP.hierarchical_mean(&padded, 3),
-            BOOTSTRAP.hierarchical_mean(&GROUPS, 3)
-        );
+        let unpadded = BOOTSTRAP.hierarchical_mean(&GROUPS, 3);
+        assert_eq!(BOOTSTRAP.hierarchical_mean(&padded, 3), unpadded);
     }
 }

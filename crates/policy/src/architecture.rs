@@ -34,16 +34,6 @@ pub enum Branch {
     Critic,
 }
 
-impl Branch {
-    /// Returns the prefix of the branch's tensor names.
-    pub fn prefix(self) -> &'static str {
-        match self {
-            Self::Actor => "actor",
-            Self::Critic => "critic",
-        }
-    }
-}
-
 /// One fully connected layer of an architecture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
@@ -96,13 +86,9 @@ pub struct LstmLayers {
 impl LstmLayers {
     /// Lists names and shapes, for observations of `n_in` numbers.
     pub fn new(n_in: usize, projection: usize, state: usize) -> Self {
-        let layer = |name: &str, n_in, n_out, gain, activation| Layer {
-            name: format!("encoder.{name}"),
-            n_in,
-            n_out,
-            gain,
-            activation,
-            biased: true,
+        let layer = |name: &str, n_in, n_out, gain, activation| {
+            let name = format!("encoder.{name}");
+            Layer { name, n_in, n_out, gain, activation, biased: true }
         };
         let gates = |name, n_in| layer(name, n_in, N_GATES * state, 1.0, Activation::Linear);
         let gain = std::f64::consts::SQRT_2;
@@ -113,10 +99,6 @@ impl LstmLayers {
             state: gates("state", state),
             projection: has_first.then_some(first),
         }
-    }
-
-    fn into_list(self) -> Vec<Layer> {
-        self.projection.into_iter().chain([self.input, self.state]).collect()
     }
 }
 
@@ -147,38 +129,27 @@ impl AttentionLayers {
     pub fn new(attention: &EgoAttention) -> Self {
         let &EgoAttention { n_features, width: n_out, .. } = attention;
         let gain = std::f64::consts::SQRT_2;
-        let layer = |name: &str, n_in, activation, biased| Layer {
-            name: format!("encoder.{name}"),
-            n_in,
-            n_out,
-            gain,
-            activation,
-            biased,
+        let layer = |name: &str, n_in, activation, biased| {
+            let name = format!("encoder.{name}");
+            Layer { name, n_in, n_out, gain, activation, biased }
         };
         let embedding = |who: &str| {
             let part = |i, n_in| layer(&format!("{who}.{i}"), n_in, Activation::Relu, true);
             [part(0, n_features), part(1, n_out)]
         };
-        let map = |name| layer(name, n_out, Activation::Linear, false);
-        Self {
-            ego: embedding("ego"),
-            others: embedding("others"),
-            key: map("key"),
-            value: map("value"),
-            query: map("query"),
-            combine: map("combine"),
-        }
-    }
-
-    fn into_list(self) -> Vec<Layer> {
-        let Self { ego, others, key, value, query, combine } = self;
-        ego.into_iter().chain(others).chain([key, value, query, combine]).collect()
+        let (ego, others) = (embedding("ego"), embedding("others"));
+        let [key, value, query, combine] = ["key", "value", "query", "combine"]
+            .map(|name| layer(name, n_out, Activation::Linear, false));
+        Self { ego, others, key, value, query, combine }
     }
 }
 
 /// Lists the layers of one branch, input first.
 pub fn layers(spec: &PolicySpec, branch: Branch) -> Vec<Layer> {
-    let prefix = branch.prefix();
+    let (prefix, n_last, last_gain) = match branch {
+        Branch::Actor => ("actor", spec.actions.n_choices(), 0.01),
+        Branch::Critic => ("critic", 1, 1.0),
+    };
     let mut n_in = feature_dim(spec);
     let mut layers = Vec::with_capacity(spec.hidden.len() + 1);
     for (i, &n_out) in spec.hidden.iter().enumerate() {
@@ -187,11 +158,8 @@ pub fn layers(spec: &PolicySpec, branch: Branch) -> Vec<Layer> {
         layers.push(Layer { name, n_in, n_out, gain, activation, biased: true });
         n_in = n_out;
     }
-    let (n_out, gain) = match branch {
-        Branch::Actor => (spec.actions.n_choices(), 0.01),
-        Branch::Critic => (1, 1.0),
-    };
     let (name, activation) = (format!("{prefix}.head"), Activation::Linear);
+    let (n_out, gain) = (n_last, last_gain);
     layers.push(Layer { name, n_in, n_out, gain, activation, biased: true });
     layers
 }
@@ -201,16 +169,18 @@ fn encoder_layers(spec: &PolicySpec) -> Vec<Layer> {
     match &spec.encoder {
         Encoder::Identity => Vec::new(),
         &Encoder::Lstm { projection, state } => {
-            LstmLayers::new(spec.obs_dim, projection, state).into_list()
+            let layers = LstmLayers::new(spec.obs_dim, projection, state);
+            layers.projection.into_iter().chain([layers.input, layers.state]).collect()
         }
-        Encoder::EgoAttention(attention) => AttentionLayers::new(attention).into_list(),
+        Encoder::EgoAttention(attention) => {
+            let layers = AttentionLayers::new(attention);
+            let AttentionLayers { ego, others, key, value, query, combine } = layers;
+            ego.into_iter().chain(others).chain([key, value, query, combine]).collect()
+        }
     }
 }
 
 /// Lists all layers: the actor's, the critic's, then the encoder's. The order numbers the streams of initialisation.
-pub fn all_layers(spec: &PolicySpec) -> Vec<Layer> {
-    let mut all = layers(spec, Branch::Actor);
-    all.extend(layers(spec, Branch::Critic));
-    all.extend(encoder_layers(spec));
-    all
+pub(crate) fn all_layers(spec: &PolicySpec) -> Vec<Layer> {
+    [layers(spec, Branch::Actor), layers(spec, Branch::Critic), encoder_layers(spec)].concat()
 }

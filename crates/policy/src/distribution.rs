@@ -32,6 +32,10 @@ struct HeadLayout {
 }
 
 /// The distribution over actions that logits, mask and the rules between heads make.
+///
+/// # Shapes
+///
+/// Everywhere `logits`: `[C]`, choices over all heads; `action`: `[H]`, a choice per head.
 #[derive(Clone, Debug)]
 pub struct ActionDistribution {
     heads: Vec<HeadLayout>,
@@ -106,10 +110,6 @@ impl ActionDistribution {
     }
 
     /// Draws an action (one draw per head) and returns its log-probability.
-    ///
-    /// # Shapes
-    ///
-    /// `logits`: `[C]`; `action`: `[H]`.
     pub fn sample(
         &self,
         logits: &[f32],
@@ -130,10 +130,6 @@ impl ActionDistribution {
     }
 
     /// Takes the likeliest choice of each head in turn (the first among equals) and returns the log-probability.
-    ///
-    /// # Shapes
-    ///
-    /// `logits`: `[C]`; `action`: `[H]`.
     pub fn greedy(&self, logits: &[f32], mask: Mask, action: &mut [u8]) -> f32 {
         self.choose(logits, mask, action, |weights, allowed| {
             let better =
@@ -143,32 +139,22 @@ impl ActionDistribution {
     }
 
     /// Returns the log-probability of an action over the heads that count, in nats.
-    ///
-    /// # Shapes
-    ///
-    /// `logits`: `[C]`; `action`: `[H]`.
     pub fn log_prob(&self, logits: &[f32], mask: Mask, action: &[u8]) -> f32 {
-        let mut terms = ActionTerms::default();
-        self.terms(logits, mask, action, &mut terms);
-        terms.log_prob
+        self.fresh_terms(logits, mask, action).log_prob
     }
 
     /// Returns the entropy of the heads that count, each given the action's earlier choices, in nats.
-    ///
-    /// # Shapes
-    ///
-    /// `logits`: `[C]`; `action`: `[H]`.
     pub fn entropy(&self, logits: &[f32], mask: Mask, action: &[u8]) -> f32 {
+        self.fresh_terms(logits, mask, action).entropy
+    }
+
+    fn fresh_terms(&self, logits: &[f32], mask: Mask, action: &[u8]) -> ActionTerms {
         let mut terms = ActionTerms::default();
         self.terms(logits, mask, action, &mut terms);
-        terms.entropy
+        terms
     }
 
     /// Computes log-probability and entropy of an action and keeps what their gradients need.
-    ///
-    /// # Shapes
-    ///
-    /// `logits`: `[C]`; `action`: `[H]`.
     #[inline]
     pub fn terms(&self, logits: &[f32], mask: Mask, action: &[u8], terms: &mut ActionTerms) {
         // Loops over all choices at once, padded to whole vectors: heads of two to five are too short for any.

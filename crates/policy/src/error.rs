@@ -12,57 +12,37 @@ pub enum Error {
     /// The bytes are no safetensors file.
     #[error("parameters cannot be read as safetensors")]
     Read(#[source] safetensors::SafeTensorError),
-    /// The tensors cannot be written.
-    #[error("parameters cannot be written as safetensors")]
-    Write(#[source] safetensors::SafeTensorError),
-    /// A tensor that the architecture needs is not there.
-    #[error("parameters hold no tensor `{name}`")]
-    Missing {
-        /// The tensor's name, as `actor.0.weight`.
-        name: String,
-    },
-    /// A tensor that the architecture does not know.
-    #[error("parameters hold a tensor `{name}` that this architecture does not know")]
-    Unknown {
-        /// The tensor's name, as `actor.0.weight`.
-        name: String,
-    },
-    /// A tensor of the wrong shape.
-    #[error("tensor `{name}` has shape {found:?}, the architecture needs {expected:?}")]
-    Shape {
-        /// The tensor's name, as `actor.0.weight`.
-        name: String,
-        /// The shape that it has.
-        found: Vec<usize>,
-        /// The shape it must have.
-        expected: Vec<usize>,
-    },
-    /// A tensor of another number type.
-    #[error("tensor `{name}` has numbers of type {found:?}")]
-    Type {
-        /// The tensor's name, as `actor.0.weight`.
-        name: String,
-        /// The number type that it has; `F32` is needed, and `F64` for statistics.
-        found: safetensors::Dtype,
-    },
-    /// A NaN or an infinity.
-    #[error("tensor `{name}` holds a value that is not finite")]
-    NonFinite {
-        /// The tensor's name, as `actor.0.weight`.
-        name: String,
-    },
-    /// As many initial biases as logits are needed, or none.
-    #[error("`logit_bias` has {found} entries, the heads have {expected} choices")]
-    LogitBias {
-        /// How many the specification gives.
-        found: usize,
-        /// How many there are, one per choice.
-        expected: usize,
-    },
+    /// Tensors that are not those of the architecture: missing, unknown, misshapen, of another type or not finite.
+    #[error("{0}")]
+    Misfit(String),
     /// The heads or the encoder are impossible.
     #[error("impossible architecture")]
     Spec(#[from] leadtime_proto::spec::SpecError),
     /// A layer's numbers do not fit together.
     #[error("a layer's weights do not fit its biases")]
     Layer(#[from] DenseError),
+}
+
+/// Says that a tensor which the architecture needs is not there.
+pub(crate) fn missing(name: &str) -> Error {
+    Error::Misfit(format!("parameters hold no tensor `{name}`"))
+}
+
+/// Says that the architecture does not know a tensor.
+pub(crate) fn unknown(name: &str) -> Error {
+    Error::Misfit(format!("parameters hold a tensor `{name}` that this architecture does not know"))
+}
+
+/// Makes sure that a tensor has the shape that the architecture needs.
+pub(crate) fn check_shape(name: &str, found: &[usize], expected: &[usize]) -> Result<(), Error> {
+    if found == expected {
+        return Ok(());
+    }
+    let says = format!("tensor `{name}` has shape {found:?}, the architecture needs {expected:?}");
+    Err(Error::Misfit(says))
+}
+
+/// Says that a tensor holds a NaN or an infinity.
+pub(crate) fn non_finite(name: &str) -> Error {
+    Error::Misfit(format!("tensor `{name}` holds a value that is not finite"))
 }

@@ -9,6 +9,7 @@ use leadtime_proto::PolicySpec;
 use safetensors::{Dtype, SafeTensors};
 use serde_json::{Value, json};
 
+use crate::error::{check_shape, missing, unknown};
 use crate::parameters::{normalizer_tensors, shapes};
 use crate::{Error, ObservationNormalizer, Parameters};
 
@@ -25,8 +26,8 @@ impl Parameters {
         let mut put = |name: &str, dtype: &str, shape: &[usize], bytes: &[u8]| {
             let start = data.len();
             data.extend_from_slice(bytes);
-            let entry: Value =
-                json!({"dtype": dtype, "shape": shape, "data_offsets": [start, data.len()]});
+            let place = [start, data.len()];
+            let entry = json!({"dtype": dtype, "shape": shape, "data_offsets": place});
             header.insert(name.to_owned(), entry);
         };
         if let Some(normalizer) = self.normalizer() {
@@ -63,15 +64,9 @@ impl Parameters {
                 statistics.insert(name.to_owned(), read_f64(name, view.dtype(), view.data())?);
                 continue;
             }
-            let name = name.to_owned();
-            let Some(expected) = expected.remove(&name) else {
-                return Err(Error::Unknown { name });
-            };
-            if view.shape() != expected {
-                return Err(Error::Shape { name, found: view.shape().to_vec(), expected });
-            }
-            let numbers = read_f32(&name, view.dtype(), view.data())?;
-            values.insert(name, numbers);
+            let expected = expected.remove(name).ok_or_else(|| unknown(name))?;
+            check_shape(name, view.shape(), &expected)?;
+            values.insert(name.to_owned(), read_f32(name, view.dtype(), view.data())?);
         }
         Self::from_values(spec, values, read_normalizer(statistics)?)
     }
@@ -94,24 +89,18 @@ fn read_normalizer(
     if tensors.is_empty() {
         return Ok(None);
     }
-    let mut take =
-        |name: &str| tensors.remove(name).ok_or_else(|| Error::Missing { name: name.to_owned() });
+    let mut take = |name: &str| tensors.remove(name).ok_or_else(|| missing(name));
     let count = take("normalizer.count")?;
     let (mean, variance) = (take("normalizer.mean")?, take("normalizer.variance")?);
-    if let Some(name) = tensors.into_keys().next() {
-        return Err(Error::Unknown { name });
+    if let Some(name) = tensors.keys().next() {
+        return Err(unknown(name));
     }
-    let &[count] = count.as_slice() else {
-        let name = "normalizer.count".to_owned();
-        return Err(Error::Shape { name, found: vec![count.len()], expected: vec![1] });
-    };
-    Ok(Some(ObservationNormalizer { mean, variance, count }))
+    check_shape("normalizer.count", &[count.len()], &[1])?;
+    Ok(Some(ObservationNormalizer { mean, variance, count: count[0] }))
 }
 
 fn read_f32(name: &str, dtype: Dtype, data: &[u8]) -> Result<Vec<f32>, Error> {
-    if dtype != Dtype::F32 {
-        return Err(Error::Type { name: name.to_owned(), found: dtype });
-    }
+    check_type(name, dtype, Dtype::F32)?;
     let (numbers, _) = data.as_chunks::<4>();
     Ok(numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect())
 }
@@ -120,11 +109,16 @@ fn read_f64(name: &str, dtype: Dtype, data: &[u8]) -> Result<Vec<f64>, Error> {
     if dtype == Dtype::F32 {
         return Ok(read_f32(name, dtype, data)?.into_iter().map(f64::from).collect());
     }
-    if dtype != Dtype::F64 {
-        return Err(Error::Type { name: name.to_owned(), found: dtype });
-    }
+    check_type(name, dtype, Dtype::F64)?;
     let (numbers, _) = data.as_chunks::<8>();
     Ok(numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect())
+}
+
+fn check_type(name: &str, found: Dtype, expected: Dtype) -> Result<(), Error> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(Error::Misfit(format!("tensor `{name}` has numbers of type {found:?}")))
 }
 
 #[cfg(test)]
@@ -138,8 +132,7 @@ mod tests {
 
     #[test]
     fn parameters_survive_a_file_bit_for_bit() {
-        let mut spec = notifier(5);
-        spec.normalize_observations = true;
+        let spec = PolicySpec { normalize_observations: true, ..notifier(5) };
         let parameters = Parameters::initialize(&spec, 3).unwrap();
         let bytes = parameters.to_safetensors(&metadata()).unwrap();
         let back = Parameters::from_safetensors(&bytes, &spec).unwrap();
@@ -153,15 +146,15 @@ mod tests {
     fn another_architectures_parameters_are_refused_by_name() {
         let bytes =
             Parameters::initialize(&notifier(5), 3).unwrap().to_safetensors(&metadata()).unwrap();
-        let read = |spec| Parameters::from_safetensors(&bytes, &spec).unwrap_err();
-        assert!(matches!(read(notifier(6)), Error::Shape { name, .. } if name == "actor.0.weight"
-            || name == "critic.0.weight"));
-        let mut deeper = notifier(5);
-        deeper.hidden.push(64);
-        assert!(matches!(read(deeper), Error::Missing { name } if name == "actor.2.bias"));
-        let mut normalized = notifier(5);
-        normalized.normalize_observations = true;
-        assert!(matches!(read(normalized), Error::Missing { name } if name == "normalizer.mean"));
+        let read = |spec| Parameters::from_safetensors(&bytes, &spec).unwrap_err().to_string();
+        let error = read(notifier(6));
+        // Of the actor or the critic, whichever the file's index lists first.
+        let says = ".0.weight` has shape [64, 5], the architecture needs [64, 6]";
+        assert!(error.ends_with(says), "{error}");
+        let deeper = PolicySpec { hidden: vec![64; 3], ..notifier(5) };
+        assert_eq!(read(deeper), "parameters hold no tensor `actor.2.bias`");
+        let normalized = PolicySpec { normalize_observations: true, ..notifier(5) };
+        assert_eq!(read(normalized), "parameters hold no tensor `normalizer.mean`");
     }
 
     #[test]
@@ -176,6 +169,9 @@ mod tests {
         let last = bytes.len() - 4;
         bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
         let error = Parameters::from_safetensors(&bytes, &spec).unwrap_err();
-        assert!(matches!(error, Error::NonFinite { name } if name == "critic.head.weight"));
+        assert_eq!(
+            error.to_string(),
+            "tensor `critic.head.weight` holds a value that is not finite"
+        );
     }
 }

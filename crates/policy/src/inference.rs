@@ -38,12 +38,12 @@ impl LayerStack {
         self.layers.last().map_or(0, |(head, _)| head.n_in())
     }
 
-    /// Runs one block; `scratch` holds two activations of it.
+    /// Runs one block.
     fn forward(&self, features: &[f32], n: usize, scratch: &mut [f32], out: &mut [f32]) {
         run(&self.layers, features, n, scratch, out);
     }
 
-    /// Runs one block up to what the last layer sees; `scratch` holds two activations of it.
+    /// Runs one block up to what the last layer sees.
     fn hidden(&self, features: &[f32], n: usize, scratch: &mut [f32], out: &mut [f32]) {
         match self.layers.split_last() {
             Some((_, below)) if !below.is_empty() => run(below, features, n, scratch, out),
@@ -142,8 +142,7 @@ impl Policy {
         values: &mut [f32],
     ) {
         let n = values.len();
-        assert_eq!(observations.len(), n * self.obs_dim, "`observations` must be [N, D]");
-        assert_eq!(recurrent.len(), n * self.recurrent_dim, "`recurrent` must be [N, S]");
+        self.check_inputs(observations, recurrent, n);
         assert_eq!(logits.len(), n * self.n_choices, "`logits` must be [N, C]");
         let blocks = observations.chunks(BLOCK * self.obs_dim);
         let outputs = logits.chunks_mut(BLOCK * self.n_choices).zip(values.chunks_mut(BLOCK));
@@ -158,6 +157,11 @@ impl Policy {
             self.encoder.write_states(states);
             first += n;
         }
+    }
+
+    fn check_inputs(&self, observations: &[f32], recurrent: &[f32], n: usize) {
+        assert_eq!(observations.len(), n * self.obs_dim, "`observations` must be [N, D]");
+        assert_eq!(recurrent.len(), n * self.recurrent_dim, "`recurrent` must be [N, S]");
     }
 
     /// Returns the width of what the actor's heads see.
@@ -177,13 +181,11 @@ impl Policy {
     /// If the shapes do not hold.
     pub fn hidden(&mut self, observations: &[f32], recurrent: &[f32], out: &mut [f32]) {
         let (n, width) = (observations.len() / self.obs_dim, self.hidden_dim());
-        assert_eq!(observations.len(), n * self.obs_dim, "`observations` must be [N, D]");
-        assert_eq!(recurrent.len(), n * self.recurrent_dim, "`recurrent` must be [N, S]");
+        self.check_inputs(observations, recurrent, n);
         assert_eq!(out.len(), n * width, "`out` must be [N, hidden_dim]");
         let mut first = 0;
-        for (raw, out) in
-            observations.chunks(BLOCK * self.obs_dim).zip(out.chunks_mut(BLOCK * width))
-        {
+        let blocks = observations.chunks(BLOCK * self.obs_dim);
+        for (raw, out) in blocks.zip(out.chunks_mut(BLOCK * width)) {
             let n = out.len() / width;
             let states = &recurrent[first * self.recurrent_dim..][..n * self.recurrent_dim];
             let input = prepare(self.normalizer.as_ref(), raw, &mut self.features);
@@ -204,11 +206,10 @@ impl Policy {
     /// If the shapes do not hold.
     pub fn values_only(&mut self, observations: &[f32], recurrent: &[f32], values: &mut [f32]) {
         let n = values.len();
-        assert_eq!(observations.len(), n * self.obs_dim, "`observations` must be [N, D]");
-        assert_eq!(recurrent.len(), n * self.recurrent_dim, "`recurrent` must be [N, S]");
+        self.check_inputs(observations, recurrent, n);
         let mut first = 0;
-        for (raw, values) in observations.chunks(BLOCK * self.obs_dim).zip(values.chunks_mut(BLOCK))
-        {
+        let blocks = observations.chunks(BLOCK * self.obs_dim);
+        for (raw, values) in blocks.zip(values.chunks_mut(BLOCK)) {
             let n = values.len();
             let states = &recurrent[first * self.recurrent_dim..][..n * self.recurrent_dim];
             let input = prepare(self.normalizer.as_ref(), raw, &mut self.features);
@@ -233,11 +234,12 @@ fn prepare<'a>(
 
 #[cfg(test)]
 mod tests {
-    use candle_core::{Device, Tensor};
+    use candle_core::{DType, Device, Tensor};
     use leadtime_numerics::Pcg64;
     use leadtime_proto::{EgoAttention, Encoder};
 
     use super::*;
+    use crate::architecture::LstmLayers;
     use crate::tests::notifier;
 
     fn observations(n: usize, dim: usize) -> Vec<f32> {
@@ -267,34 +269,58 @@ mod tests {
 
     /// A notifier on a highway: frames of 5 entities and an action, and a status of 3.
     fn attentive() -> PolicySpec {
-        let attention = EgoAttention {
-            n_frames: 3,
-            n_entities: 5,
-            n_features: 4,
-            action_dim: 2,
-            width: 32,
-            n_heads: 2,
-        };
+        let (n_frames, n_entities, n_features, action_dim, width, n_heads) = (3, 5, 4, 2, 32, 2);
+        let attention =
+            EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads };
         PolicySpec { encoder: Encoder::EgoAttention(attention), ..notifier(3 * 22 + 3) }
     }
 
-    #[test]
-    fn fast_inference_agrees_with_the_plain_forward_pass() {
-        for spec in [notifier(60), attentive()] {
-            agrees_with_the_plain_forward_pass(&spec);
-        }
+    /// A layer in the engine's own operations.
+    fn apply(parameters: &Parameters, x: &Tensor, layer: &Layer) -> Tensor {
+        let tensor = |name: String| &parameters.tensors()[&name];
+        let product = x.matmul(&tensor(layer.weight()).t().unwrap()).unwrap();
+        let sum = product.broadcast_add(tensor(layer.bias())).unwrap();
+        if layer.activation == Activation::Tanh { sum.tanh().unwrap() } else { sum }
     }
 
-    fn agrees_with_the_plain_forward_pass(spec: &PolicySpec) {
+    /// The hidden states of an LSTM over the steps of an episode.
+    fn encode(
+        parameters: &Parameters,
+        layers: &LstmLayers,
+        x: &Tensor,
+    ) -> candle_core::Result<Tensor> {
+        let before = layers.projection.iter().chain([&layers.input]);
+        let from_input = before.fold(x.clone(), |x, layer| apply(parameters, &x, layer));
+        let (width, sigmoid) = (layers.state.n_in, |x: Tensor| ((x * 0.5)?.tanh()? + 1.0)? * 0.5);
+        let mut hidden = Tensor::zeros((1, width), DType::F32, &Device::Cpu)?;
+        let mut cell = hidden.clone();
+        let mut features = Vec::new();
+        for step in 0..x.dim(0)? {
+            let from_state = apply(parameters, &hidden, &layers.state);
+            let gates = (from_input.narrow(0, step, 1)? + from_state)?;
+            let gate = |i: usize| gates.narrow(1, i * width, width);
+            let candidate = gate(2)?.tanh()?;
+            cell = ((sigmoid(gate(1)?)? * cell)? + (sigmoid(gate(0)?)? * candidate)?)?;
+            hidden = (sigmoid(gate(3)?)? * cell.tanh()?)?;
+            features.push(hidden.clone());
+        }
+        Tensor::cat(&features, 0)
+    }
+
+    /// Asserts that logits and values of an episode's observations are those of the engine's own operations.
+    fn assert_plain(spec: &PolicySpec, raw: &[f32], logits: &[f32], values: &[f32]) {
         let parameters = parameters(spec);
-        let raw = observations(100, spec.obs_dim);
-        let (mut logits, mut values) = (vec![0.0; 1400], vec![0.0; 100]);
-        let mut policy = Policy::new(spec, &parameters).unwrap();
-        policy.evaluate(&raw, &mut [], &mut logits, &mut values);
-        let features = Tensor::from_slice(&raw, (100, spec.obs_dim), &Device::Cpu).unwrap();
-        let (plain_logits, plain_values) = parameters.forward(spec, &features).unwrap();
-        let flat = |tensor: Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        for (fast, plain) in [(&logits, flat(plain_logits)), (&values, flat(plain_values))] {
+        let shape = (values.len(), spec.obs_dim);
+        let mut features = Tensor::from_slice(raw, shape, &Device::Cpu).unwrap();
+        if let Encoder::Lstm { projection, state } = spec.encoder {
+            let layers = LstmLayers::new(spec.obs_dim, projection, state);
+            features = encode(&parameters, &layers, &features).unwrap();
+        }
+        for (fast, branch) in [(logits, Branch::Actor), (values, Branch::Critic)] {
+            let plain = layers(spec, branch)
+                .iter()
+                .fold(features.clone(), |x, layer| apply(&parameters, &x, layer));
+            let plain = plain.flatten_all().unwrap().to_vec1::<f32>().unwrap();
             for (i, (a, b)) in fast.iter().zip(&plain).enumerate() {
                 // Sums of 64 terms of order one in another order, and a tanh within 4e-7.
                 assert!((a - b).abs() < 2e-5, "{i}: {a} {b}");
@@ -303,12 +329,21 @@ mod tests {
     }
 
     #[test]
+    fn fast_inference_agrees_with_the_plain_forward_pass() {
+        let spec = notifier(60);
+        let raw = observations(100, 60);
+        let (mut logits, mut values) = (vec![0.0; 1400], vec![0.0; 100]);
+        let mut policy = Policy::new(&spec, &parameters(&spec)).unwrap();
+        policy.evaluate(&raw, &mut [], &mut logits, &mut values);
+        assert_plain(&spec, &raw, &logits, &values);
+    }
+
+    #[test]
     fn a_recurrent_policy_is_the_plain_one_step_by_step() {
         for (projection, hidden) in [(32, vec![]), (0, vec![24])] {
             let spec = recurrent(projection, hidden);
-            let parameters = parameters(&spec);
             let raw = observations(9, 60);
-            let mut policy = Policy::new(&spec, &parameters).unwrap();
+            let mut policy = Policy::new(&spec, &parameters(&spec)).unwrap();
             let mut state = vec![0.0; spec.recurrent_dim()];
             let (mut logits, mut values) = (vec![0.0; 9 * 14], vec![0.0; 9]);
             for (i, observation) in raw.chunks_exact(60).enumerate() {
@@ -318,14 +353,7 @@ mod tests {
                 policy.evaluate(observation, &mut state, logits, &mut values[i..=i]);
                 assert_eq!(ahead[0], values[i], "reading the value moved the state");
             }
-            let features = Tensor::from_slice(&raw, (9, 60), &Device::Cpu).unwrap();
-            let (plain_logits, plain_values) = parameters.forward(&spec, &features).unwrap();
-            let flat = |tensor: Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-            for (fast, plain) in [(&logits, flat(plain_logits)), (&values, flat(plain_values))] {
-                for (i, (a, b)) in fast.iter().zip(&plain).enumerate() {
-                    assert!((a - b).abs() < 2e-5, "{i}: {a} {b}");
-                }
-            }
+            assert_plain(&spec, &raw, &logits, &values);
         }
     }
 
@@ -350,50 +378,32 @@ mod tests {
     }
 
     #[test]
-    fn a_recurrent_row_has_the_same_bits_in_every_batch() {
-        let spec = recurrent(32, vec![]);
-        let mut policy = Policy::new(&spec, &parameters(&spec)).unwrap();
-        let (n, dim) = (65, spec.recurrent_dim());
-        let (raw, before) = (observations(n, 60), observations(n, dim));
-        let mut together = before.clone();
-        let (mut logits, mut values) = (vec![0.0; n * 14], vec![0.0; n]);
-        policy.evaluate(&raw, &mut together, &mut logits, &mut values);
-        for i in 0..n {
-            let mut alone = before[i * dim..(i + 1) * dim].to_vec();
-            let (mut own_logits, mut own_value) = (vec![0.0; 14], [0.0]);
-            let observation = &raw[i * 60..(i + 1) * 60];
-            policy.evaluate(observation, &mut alone, &mut own_logits, &mut own_value);
-            assert_eq!(alone, together[i * dim..(i + 1) * dim], "state of row {i}");
-            assert_eq!(own_logits, logits[i * 14..(i + 1) * 14], "logits of row {i}");
-            assert_eq!(own_value[0], values[i], "value of row {i}");
-        }
-    }
-
-    #[test]
-    fn an_observation_has_the_same_bits_in_every_batch() {
-        for mut spec in [notifier(60), attentive()] {
-            spec.normalize_observations = true;
-            has_the_same_bits_in_every_batch(&spec);
-        }
-    }
-
-    fn has_the_same_bits_in_every_batch(spec: &PolicySpec) {
-        let obs_dim = spec.obs_dim;
-        let mut policy = Policy::new(spec, &parameters(spec)).unwrap();
-        let raw = observations(65, obs_dim);
-        let (mut alone, mut alone_values) = (vec![0.0; 65 * 14], vec![0.0; 65]);
-        for (i, observation) in raw.chunks_exact(obs_dim).enumerate() {
-            let logits = &mut alone[i * 14..(i + 1) * 14];
-            policy.evaluate(observation, &mut [], logits, &mut alone_values[i..=i]);
-        }
-        for batch in 1..=65 {
-            let first = 65 - batch;
-            let (mut logits, mut values) = (vec![0.0; batch * 14], vec![0.0; batch]);
-            policy.evaluate(&raw[first * obs_dim..], &mut [], &mut logits, &mut values);
-            assert_eq!(logits, alone[first * 14..], "batch {batch}");
-            assert_eq!(values, alone_values[first..], "batch {batch}");
-            policy.values_only(&raw[first * obs_dim..], &[], &mut values);
-            assert_eq!(values, alone_values[first..], "values of batch {batch}");
+    fn a_row_has_the_same_bits_in_every_batch() {
+        for spec in [notifier(60), attentive(), recurrent(32, vec![])] {
+            let normalize_observations = spec.recurrent_dim() == 0;
+            let spec = PolicySpec { normalize_observations, ..spec };
+            let (n, obs_dim, dim) = (65, spec.obs_dim, spec.recurrent_dim());
+            let mut policy = Policy::new(&spec, &parameters(&spec)).unwrap();
+            let (raw, before) = (observations(n, obs_dim), observations(n, dim));
+            let (mut alone, mut alone_values) = (vec![0.0; n * 14], vec![0.0; n]);
+            let mut alone_states = before.clone();
+            for (i, observation) in raw.chunks_exact(obs_dim).enumerate() {
+                let state = &mut alone_states[i * dim..(i + 1) * dim];
+                let logits = &mut alone[i * 14..(i + 1) * 14];
+                policy.evaluate(observation, state, logits, &mut alone_values[i..=i]);
+            }
+            for batch in 1..=n {
+                let first = n - batch;
+                let (mut logits, mut values) = (vec![0.0; batch * 14], vec![0.0; batch]);
+                let (raw, before) = (&raw[first * obs_dim..], &before[first * dim..]);
+                let mut states = before.to_vec();
+                policy.evaluate(raw, &mut states, &mut logits, &mut values);
+                assert_eq!(states, alone_states[first * dim..], "states of batch {batch}");
+                assert_eq!(logits, alone[first * 14..], "batch {batch}");
+                assert_eq!(values, alone_values[first..], "batch {batch}");
+                policy.values_only(raw, before, &mut values);
+                assert_eq!(values, alone_values[first..], "values of batch {batch}");
+            }
         }
     }
 }

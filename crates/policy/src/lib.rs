@@ -21,7 +21,7 @@
 pub mod architecture;
 pub mod attention;
 pub mod distribution;
-pub mod encoder;
+mod encoder;
 pub mod error;
 pub mod file;
 pub mod inference;

@@ -24,17 +24,9 @@ const SPEC: EgoAttention = EgoAttention {
     n_heads: 2,
 };
 
-/// Layer numbers of the closed form.
-const NUMBERS: [(&str, usize); 8] = [
-    ("encoder.ego.0", 1),
-    ("encoder.ego.1", 2),
-    ("encoder.others.0", 3),
-    ("encoder.others.1", 4),
-    ("encoder.key", 5),
-    ("encoder.value", 6),
-    ("encoder.query", 7),
-    ("encoder.combine", 8),
-];
+/// Layers of the closed form, numbered from 1.
+const LAYERS: [&str; 8] =
+    ["ego.0", "ego.1", "others.0", "others.1", "key", "value", "query", "combine"];
 
 fn h(n: usize, i: usize, j: usize) -> f64 {
     let sum = 31 * i * i + 17 * j * j + 13 * i * j + 57 * i + 101 * j + 211 * n;
@@ -57,9 +49,8 @@ fn policy(n_frames: usize, action_dim: usize) -> PolicySpec {
 fn parameters(spec: &PolicySpec) -> Parameters {
     let mut values = BTreeMap::new();
     for (name, shape) in shapes(spec) {
-        let layer = name.rsplit_once('.').expect("a layer and its part").0;
-        let number = NUMBERS.iter().find(|(known, _)| *known == layer).map(|(_, number)| *number);
-        let numbers: Vec<f32> = match (number, &shape[..]) {
+        let number = LAYERS.iter().position(|layer| name.starts_with(&format!("encoder.{layer}.")));
+        let numbers: Vec<f32> = match (number.map(|n| n + 1), &shape[..]) {
             (None, shape) => vec![0.0; shape.iter().product()],
             (Some(n), &[n_out, n_in]) => {
                 let gain = if n == 7 { 40.0 } else { 3.5 } / (n_in as f64).sqrt();
@@ -106,7 +97,8 @@ fn the_encoding_is_that_of_the_reference() {
 
 #[test]
 fn every_frame_of_a_history_is_encoded_alike_and_actions_are_passed_on() {
-    let (spec, vector) = (policy(3, 2), vector());
+    let (mut spec, vector) = (policy(3, 2), vector());
+    spec.obs_dim += 1;
     let Encoder::EgoAttention(attention) = &spec.encoder else { panic!("it is attention") };
     let mut encoder = AttentionEncoder::new(attention, spec.obs_dim, &parameters(&spec)).unwrap();
     let mut observation = Vec::new();
@@ -114,8 +106,10 @@ fn every_frame_of_a_history_is_encoded_alike_and_actions_are_passed_on() {
         observation.extend(numbers(&vector["input"]));
         observation.extend(action);
     }
+    observation.push(6.0);
     let mut features = vec![f32::NAN; encoder.feature_dim()];
     encoder.encode(&observation, &mut features);
+    assert_eq!(features.pop(), Some(6.0), "what follows the frames");
     for (frame, action) in features.chunks_exact(66).zip([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]) {
         assert_close(&frame[..64], &numbers(&vector["output"]), 1e-6);
         assert_eq!(frame[64..], action);
@@ -127,10 +121,8 @@ fn what_does_not_fit_is_refused() {
     let spec = policy(1, 0);
     let error = AttentionEncoder::new(&SPEC, 24, &parameters(&spec)).unwrap_err();
     assert_eq!(error.to_string(), "impossible architecture");
-    let odd = PolicySpec {
-        encoder: Encoder::EgoAttention(EgoAttention { n_heads: 3, ..SPEC }),
-        ..policy(1, 0)
-    };
+    let encoder = Encoder::EgoAttention(EgoAttention { n_heads: 3, ..SPEC });
+    let odd = PolicySpec { encoder, ..policy(1, 0) };
     assert!(Parameters::initialize(&odd, 1).is_err());
     assert_eq!(Attention { width: 64, n_heads: 2 }.head_width(), 32);
 }

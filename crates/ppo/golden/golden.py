@@ -7,15 +7,13 @@ import pathlib
 import numpy as np
 
 HERE = pathlib.Path(__file__).parent
-ATTRIBUTE = '#[expect(clippy::unreadable_literal, reason = "as golden.py wrote them")]\n'
 rng = np.random.default_rng(2018)
 
 
 def rust(name, values, kind="f32"):
     values = np.asarray(values)
     text = ", ".join(number(v) if kind == "f32" else str(int(v)) for v in values.ravel())
-    lint = ATTRIBUTE if kind == "f32" else ""
-    return f"{lint}pub(super) const {name}: [{kind}; {values.size}] = [{text}];\n"
+    return f"const {name}: [{kind}; {values.size}] = [{text}];\n"
 
 
 def number(value):
@@ -41,7 +39,7 @@ def gae():
         delta = rewards[t] + np.float32(0.99) * following * next_non_terminal - values[t]
         advantages[t] = last = delta + np.float32(0.99) * np.float32(0.95) * next_non_terminal * last
     text = rust("REWARDS", rewards) + rust("VALUES", values) + rust("ADVANTAGES", advantages)
-    write("gae", text + f"{ATTRIBUTE}pub(super) const NEXT_VALUE: f32 = {number(next_value)};\n")
+    write("gae", text + f"const NEXT_VALUE: f32 = {number(next_value)};\n")
 
 
 def vtrace():
@@ -71,7 +69,7 @@ def vtrace():
     pg = rho * (rewards + gamma * targets_after - values)
     text = rust("REWARDS", rewards) + rust("VALUES", values) + rust("LOG_RHOS", log_rhos)
     text += rust("VALUE_TARGETS", targets) + rust("PG_ADVANTAGES", pg)
-    write("vtrace", text + f"{ATTRIBUTE}pub(super) const NEXT_VALUE: f32 = {number(next_value)};\n")
+    write("vtrace", text + f"const NEXT_VALUE: f32 = {number(next_value)};\n")
 
 
 def loss():

@@ -20,25 +20,25 @@ const EPSILON: f64 = 1e-5;
 
 /// First and second moment of one tensor's gradient.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Moments {
+pub(crate) struct Moments {
     /// Running mean of the gradient.
-    pub first: Vec<f32>,
+    pub(crate) first: Vec<f32>,
     /// Running mean of its square.
-    pub second: Vec<f32>,
+    pub(crate) second: Vec<f32>,
 }
 
 /// The optimiser: its state, and the step that changes it.
 #[derive(Clone, Debug)]
-pub struct Adam {
+pub(crate) struct Adam {
     /// Moments by tensor name.
-    pub moments: BTreeMap<String, Moments>,
+    pub(crate) moments: BTreeMap<String, Moments>,
     /// β₁ and β₂ to the power of the steps taken.
-    pub powers: [f64; 2],
+    pub(crate) powers: [f64; 2],
 }
 
 impl Adam {
     /// Starts with zero moments.
-    pub fn new(vars: &BTreeMap<String, Var>) -> Self {
+    pub(crate) fn new(vars: &BTreeMap<String, Var>) -> Self {
         let zero = |var: &Var| {
             let n = var.elem_count();
             Moments { first: vec![0.0; n], second: vec![0.0; n] }
@@ -49,18 +49,8 @@ impl Adam {
 
     /// Takes one step along gradients, each multiplied by `scale` first.
     ///
-    /// # Shapes
-    ///
-    /// A gradient has the shape of its parameter.
-    ///
-    /// # Errors
-    ///
-    /// If a gradient's shape is not its parameter's, or a tensor is not plain 32-bit CPU memory.
-    ///
-    /// # Panics
-    ///
-    /// If a parameter has no moments.
-    pub fn step(
+    /// A gradient has the shape of its parameter. Every parameter must have its moments.
+    pub(crate) fn step(
         &mut self,
         vars: &BTreeMap<String, Var>,
         gradients: &BTreeMap<String, Tensor>,
@@ -69,29 +59,23 @@ impl Adam {
     ) -> candle_core::Result<()> {
         self.powers[0] *= BETA1;
         self.powers[1] *= BETA2;
-        let factors = Factors {
-            scale: scale as f32,
-            step: (learning_rate / (1.0 - self.powers[0])) as f32,
-            root: (1.0 / (1.0 - self.powers[1]).sqrt()) as f32,
-        };
+        let scale = scale as f32;
+        let step = (learning_rate / (1.0 - self.powers[0])) as f32;
+        let root = (1.0 / (1.0 - self.powers[1]).sqrt()) as f32;
         for (name, gradient) in gradients {
             let moments = self.moments.get_mut(name).expect("every parameter has its moments");
-            vars[name]
-                .inplace_op2(gradient, &AdamStep { factors, moments: RefCell::new(moments) })?;
+            let moments = RefCell::new(moments);
+            vars[name].inplace_op2(gradient, &AdamStep { scale, step, root, moments })?;
         }
         Ok(())
     }
 }
 
-#[derive(Clone, Copy)]
-struct Factors {
+/// One tensor's step, and the factors of gradient, step and root.
+struct AdamStep<'a> {
     scale: f32,
     step: f32,
     root: f32,
-}
-
-struct AdamStep<'a> {
-    factors: Factors,
     moments: RefCell<&'a mut Moments>,
 }
 
@@ -114,38 +98,37 @@ impl InplaceOp2 for AdamStep<'_> {
             candle_core::bail!("{}: parameters must be contiguous 32-bit numbers", self.name())
         };
         let mut moments = self.moments.borrow_mut();
-        update(self.factors, &mut parameter[start..end], gradient, &mut moments);
+        self.update(&mut parameter[start..end], gradient, &mut moments);
         Ok(())
     }
 }
 
-fn update(factors: Factors, parameter: &mut [f32], gradient: &[f32], moments: &mut Moments) {
-    let (keep1, keep2) = (BETA1 as f32, BETA2 as f32);
-    let (take1, take2) = ((1.0 - BETA1) as f32, (1.0 - BETA2) as f32);
-    let epsilon = EPSILON as f32;
-    let Moments { first, second } = moments;
-    pulp::Arch::new().dispatch(
-        #[inline(always)]
-        || {
-            let moments = first.iter_mut().zip(second.iter_mut());
-            for ((p, &g), (m, v)) in parameter.iter_mut().zip(gradient).zip(moments) {
-                let g = g * factors.scale;
-                *m = *m * keep1 + g * take1;
-                *v = *v * keep2 + g * g * take2;
-                *p -= factors.step * *m / (v.sqrt() * factors.root + epsilon);
-            }
-        },
-    );
+impl AdamStep<'_> {
+    fn update(&self, parameter: &mut [f32], gradient: &[f32], moments: &mut Moments) {
+        let &Self { scale, step, root, .. } = self;
+        let (keep1, keep2) = (BETA1 as f32, BETA2 as f32);
+        let (take1, take2) = ((1.0 - BETA1) as f32, (1.0 - BETA2) as f32);
+        let epsilon = EPSILON as f32;
+        let Moments { first, second } = moments;
+        pulp::Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                let moments = first.iter_mut().zip(second.iter_mut());
+                for ((p, &g), (m, v)) in parameter.iter_mut().zip(gradient).zip(moments) {
+                    let g = g * scale;
+                    *m = *m * keep1 + g * take1;
+                    *v = *v * keep2 + g * g * take2;
+                    *p -= step * *m / (v.sqrt() * root + epsilon);
+                }
+            },
+        );
+    }
 }
 
 /// Computes the L2 norm over all gradients, in the order of names.
 ///
 /// Squares are summed in eight interleaved 64-bit chains per tensor: one order, whatever the machine.
-///
-/// # Errors
-///
-/// If a tensor is not plain 32-bit CPU memory.
-pub fn global_norm(gradients: &BTreeMap<String, Tensor>) -> candle_core::Result<f64> {
+pub(crate) fn global_norm(gradients: &BTreeMap<String, Tensor>) -> candle_core::Result<f64> {
     let mut total = 0.0;
     for gradient in gradients.values() {
         total += with_floats(gradient, |values| {
@@ -165,31 +148,20 @@ pub fn global_norm(gradients: &BTreeMap<String, Tensor>) -> candle_core::Result<
 
 /// Returns the factor that shortens a gradient of this norm to at most `longest`.
 ///
-/// # Example
-///
-/// ```
-/// use leadtime_ppo::adam::clip_factor;
-///
-/// assert_eq!(clip_factor(0.25, 0.5), 1.0);
-/// assert!((clip_factor(2.0, 0.5) - 0.25).abs() < 1e-6);
-/// ```
-///
 /// # Source
 ///
 /// `torch.nn.utils.clip_grad_norm_`.
-pub fn clip_factor(norm: f64, longest: f64) -> f64 {
+pub(crate) fn clip_factor(norm: f64, longest: f64) -> f64 {
     (longest / (norm + 1e-6)).min(1.0)
 }
 
 #[cfg(test)]
+#[expect(clippy::unreadable_literal, reason = "golden numbers are as the script writes them")]
 mod tests {
     use candle_core::Device;
 
     use super::*;
-    mod golden {
-        include!("../golden/adam.rs");
-    }
-    use golden::{BIAS, BIAS_AFTER, GRADIENTS, WEIGHT, WEIGHT_AFTER};
+    include!("../golden/adam.rs");
 
     #[test]
     fn five_clipped_steps_equal_pytorchs() {
@@ -222,5 +194,6 @@ mod tests {
         let gradients = BTreeMap::from([("a".to_owned(), ones(19)), ("b".to_owned(), ones(6))]);
         assert_eq!(global_norm(&gradients).unwrap(), 5.0);
         assert_eq!(clip_factor(0.4, 0.5), 1.0);
+        assert!((clip_factor(2.0, 0.5) - 0.25).abs() < 1e-6);
     }
 }

@@ -131,11 +131,9 @@ impl AttentionOp {
     /// Computes all gradients.
     fn backward(&self, queries: &[f32], egos: &[f32], others: &[f32], g: &[f32]) -> Gradients {
         let Attention { width, n_heads } = self.attention;
-        let mut found = Gradients {
-            queries: vec![0.0; queries.len()],
-            egos: vec![0.0; egos.len()],
-            others: vec![0.0; others.len()],
-        };
+        let zeros = |like: &[f32]| vec![0.0; like.len()];
+        let mut found =
+            Gradients { queries: zeros(queries), egos: zeros(egos), others: zeros(others) };
         let (mut shares, mut d_scores) = (Vec::new(), Vec::new());
         let mut d_others = found.others.as_mut_slice();
         for (m, row) in self.rows(queries, egos, others).enumerate() {
@@ -189,19 +187,18 @@ fn add_scaled(sums: &mut [f32], values: &[f32], factor: f32) {
 #[cfg(test)]
 mod tests {
     use candle_core::{Device, Var};
-    use leadtime_numerics::Pcg64;
 
     use super::*;
-    use crate::test_support::close;
+    use crate::test_support::{close, same_function};
 
     const ATTENTION: Attention = Attention { width: 4, n_heads: 2 };
     const M: usize = 5;
     const N: usize = 4;
 
+    /// Draws a variable from -2 to 2.
     fn draw(shape: (usize, usize), seed: u64) -> Var {
-        let mut generator = Pcg64::seed_from_u64(seed);
-        let draws = (0..shape.0 * shape.1).map(|_| generator.uniform(-2.0, 2.0) as f32);
-        Var::from_tensor(&Tensor::from_vec(draws.collect(), shape, &Device::Cpu).unwrap()).unwrap()
+        Var::from_tensor(&(crate::test_support::draw(shape, seed).as_tensor() * 2.0).unwrap())
+            .unwrap()
     }
 
     /// Attention to all of N entities per ego, of the engine's own operations; `presence`: `[M, N]`.
@@ -221,7 +218,6 @@ mod tests {
     #[test]
     fn the_fused_attention_has_the_values_and_gradients_of_the_plain_one() {
         let (queries, egos, others) = (draw((M, 8), 1), draw((M, 4), 2), draw((M * (N - 1), 4), 3));
-        let target = draw((M, 8), 4);
         // The last frame's ego is absent, and so are some others.
         let presence: Vec<f32> =
             (0..M * N).map(|i| f32::from(u8::from(i % 3 != 2 && i != (M - 1) * N))).collect();
@@ -238,13 +234,7 @@ mod tests {
         let present = others.index_select(&kept, 0).unwrap();
         let fused = queries.apply_op3(&egos, &present, op).unwrap();
         let plain = plain(&queries, &egos, &others, &presence);
-        close(&fused, &plain, 1e-5);
-        let gradients =
-            |y: &Tensor| (y * target.as_tensor()).unwrap().sum_all().unwrap().backward();
-        let (of_fused, of_plain) = (gradients(&fused).unwrap(), gradients(&plain).unwrap());
-        for var in [&queries, &egos, &others] {
-            close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap(), 1e-5);
-        }
+        same_function(&fused, &plain, [&queries, &egos, &others], 1e-5);
     }
 
     #[test]
@@ -255,11 +245,8 @@ mod tests {
         let taken = queries.apply_op3(&egos, &others, op).unwrap();
         close(&taken, &Tensor::cat(&[egos.as_tensor(), &egos], 1).unwrap(), 1e-6);
         let gradients = taken.sum_all().unwrap().backward().unwrap();
-        close(
-            gradients.get(&egos).unwrap(),
-            &egos.ones_like().unwrap().affine(2.0, 0.0).unwrap(),
-            1e-6,
-        );
+        let twos = egos.ones_like().unwrap().affine(2.0, 0.0).unwrap();
+        close(gradients.get(&egos).unwrap(), &twos, 1e-6);
     }
 
     #[test]

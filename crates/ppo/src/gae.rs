@@ -4,11 +4,11 @@
 
 /// Where an episode ends inside a rollout.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cut {
+pub(crate) struct Cut {
     /// The episode's last step.
-    pub step: usize,
+    pub(crate) step: usize,
     /// The value that stands for what would have come: 0 at a true end.
-    pub bootstrap: f32,
+    pub(crate) bootstrap: f32,
 }
 
 /// Consecutive steps of one environment, over which advantages are computed.
@@ -17,15 +17,15 @@ pub struct Cut {
 ///
 /// T steps; `rewards` and `values`: `[T]`.
 #[derive(Clone, Copy, Debug)]
-pub struct TrajectorySegment<'a> {
+pub(crate) struct TrajectorySegment<'a> {
     /// Rewards as the critic sees them (scaled, normalised).
-    pub rewards: &'a [f32],
+    pub(crate) rewards: &'a [f32],
     /// Values of the observations acted on.
-    pub values: &'a [f32],
+    pub(crate) values: &'a [f32],
     /// Value of the observation after the last step.
-    pub next_value: f32,
+    pub(crate) next_value: f32,
     /// Episode ends in the order of their steps.
-    pub cuts: &'a [Cut],
+    pub(crate) cuts: &'a [Cut],
 }
 
 impl TrajectorySegment<'_> {
@@ -56,29 +56,16 @@ impl TrajectorySegment<'_> {
 ///
 /// `gamma` and `lambda` are factors per step, 0 to 1; rewards, values and advantages share one unit.
 ///
-/// # Panics
-///
-/// If the lengths differ.
-///
-/// # Example
-///
-/// ```
-/// use leadtime_ppo::gae::{Cut, TrajectorySegment, gae};
-///
-/// // The episode ends for good at the first step; the second step starts another one, which goes on.
-/// let cuts = [Cut { step: 0, bootstrap: 0.0 }];
-/// let (rewards, values) = ([1.0, 1.0], [0.5, 0.0]);
-/// let segment = TrajectorySegment { rewards: &rewards, values: &values, next_value: 4.0, cuts: &cuts };
-/// let mut advantages = [0.0; 2];
-/// gae(&segment, 0.5, 0.95, &mut advantages);
-/// assert_eq!(advantages, [0.5, 3.0]);
-/// ```
-///
 /// # Source
 ///
 /// Schulman et al., *High-dimensional continuous control using generalized advantage estimation*, ICLR 2016,
 /// equation 16.
-pub fn gae(segment: &TrajectorySegment<'_>, gamma: f32, lambda: f32, advantages: &mut [f32]) {
+pub(crate) fn gae(
+    segment: &TrajectorySegment<'_>,
+    gamma: f32,
+    lambda: f32,
+    advantages: &mut [f32],
+) {
     assert_eq!(segment.rewards.len(), segment.values.len(), "`values` must be [T]");
     assert_eq!(segment.rewards.len(), advantages.len(), "`advantages` must be [T]");
     let mut later = 0.0;
@@ -90,23 +77,17 @@ pub fn gae(segment: &TrajectorySegment<'_>, gamma: f32, lambda: f32, advantages:
 }
 
 #[cfg(test)]
+#[expect(clippy::unreadable_literal, reason = "golden numbers are as the script writes them")]
 mod tests {
     use super::*;
-    mod golden {
-        include!("../golden/gae.rs");
-    }
-    use golden::{ADVANTAGES, NEXT_VALUE, REWARDS, VALUES};
+    include!("../golden/gae.rs");
 
     #[test]
     fn advantages_equal_cleanrls() {
         // crates/ppo/golden/golden.py, `gae`: CleanRL's loop (ppo.py) in numpy, float32. Dones after steps 2 and 5.
         let cuts = [Cut { step: 2, bootstrap: 0.0 }, Cut { step: 5, bootstrap: 0.0 }];
-        let segment = TrajectorySegment {
-            rewards: &REWARDS,
-            values: &VALUES,
-            next_value: NEXT_VALUE,
-            cuts: &cuts,
-        };
+        let (rewards, values, next_value) = (&REWARDS, &VALUES, NEXT_VALUE);
+        let segment = TrajectorySegment { rewards, values, next_value, cuts: &cuts };
         let mut advantages = [f32::NAN; 8];
         gae(&segment, 0.99, 0.95, &mut advantages);
         for (i, (a, b)) in advantages.iter().zip(&ADVANTAGES).enumerate() {
@@ -118,12 +99,8 @@ mod tests {
     fn a_time_limit_bootstraps_and_a_true_end_does_not() {
         let run = |bootstrap| {
             let cuts = [Cut { step: 0, bootstrap }];
-            let segment = TrajectorySegment {
-                rewards: &[1.0, 1.0],
-                values: &[0.0, 0.0],
-                next_value: 8.0,
-                cuts: &cuts,
-            };
+            let (rewards, values) = (&[1.0, 1.0], &[0.0, 0.0]);
+            let segment = TrajectorySegment { rewards, values, next_value: 8.0, cuts: &cuts };
             let mut advantages = [0.0; 2];
             gae(&segment, 0.5, 1.0, &mut advantages);
             advantages

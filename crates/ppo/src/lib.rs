@@ -18,25 +18,25 @@
 //!
 //! [`Trainer::update`].
 
-pub mod adam;
+mod adam;
 mod attention_op;
 mod batch;
 mod dense_op;
 mod encoder;
 pub mod error;
-pub mod gae;
+mod gae;
 mod loss;
 mod lstm_op;
-pub mod minibatch;
+mod minibatch;
 mod network;
-pub mod rewards;
+mod rewards;
 pub mod settings;
 pub mod state;
 mod storage;
 #[cfg(test)]
 mod test_support;
 pub mod trainer;
-pub mod vtrace;
+mod vtrace;
 
 pub use error::TrainError;
 pub use settings::{LearnerSettings, Mode, SettingsError, Truncation};

@@ -118,6 +118,18 @@ impl LossReport {
         self.approx_kl += other.approx_kl;
         self.clip_fraction += other.clip_fraction;
     }
+
+    pub(crate) fn divided(&self, n: f64) -> Self {
+        Self {
+            total: self.total / n,
+            policy_loss: self.policy_loss / n,
+            value_loss: self.value_loss / n,
+            entropy: self.entropy / n,
+            old_approx_kl: self.old_approx_kl / n,
+            approx_kl: self.approx_kl / n,
+            clip_fraction: self.clip_fraction / n,
+        }
+    }
 }
 
 /// What the forward pass leaves for the backward pass and for the report.
@@ -211,18 +223,10 @@ impl LossSettings {
     }
 
     fn means(&self, sums: LossReport, n: f64) -> LossReport {
-        let (policy_loss, value_loss) = (sums.policy_loss / n, sums.value_loss / n);
-        let entropy = sums.entropy / n;
-        LossReport {
-            total: policy_loss + f64::from(self.value_coef) * value_loss
-                - f64::from(self.entropy_coef) * entropy,
-            policy_loss,
-            value_loss,
-            entropy,
-            old_approx_kl: sums.old_approx_kl / n,
-            approx_kl: sums.approx_kl / n,
-            clip_fraction: sums.clip_fraction / n,
-        }
+        let mut means = sums.divided(n);
+        means.total = means.policy_loss + f64::from(self.value_coef) * means.value_loss
+            - f64::from(self.entropy_coef) * means.entropy;
+        means
     }
 }
 
@@ -281,5 +285,6 @@ impl CustomOp2 for LossOp {
 }
 
 #[cfg(test)]
+#[expect(clippy::unreadable_literal, reason = "golden numbers are as the script writes them")]
 #[path = "loss_tests.rs"]
 mod tests;

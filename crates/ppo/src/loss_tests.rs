@@ -5,13 +5,7 @@ use leadtime_numerics::Pcg64;
 use leadtime_proto::{ActionSpec, Conditional, Gate, Head, HeadCredit};
 
 use super::*;
-mod golden {
-    include!("../golden/loss.rs");
-}
-use golden::{
-    ACTIONS, ADVANTAGES, EXPECTED, LOGIT_GRADIENT, LOGITS, OLD_LOG_PROBS, OLD_VALUES, RETURNS,
-    VALUE_GRADIENT, VALUES,
-};
+include!("../golden/loss.rs");
 
 fn var(values: &[f32], shape: impl Into<Shape>) -> Var {
     let shape: Shape = shape.into();
@@ -20,6 +14,18 @@ fn var(values: &[f32], shape: impl Into<Shape>) -> Var {
 
 fn settings(value_clip: bool) -> LossSettings {
     LossSettings { clip: 0.2, value_clip, entropy_coef: 0.01, value_coef: 0.5 }
+}
+
+/// Some of the golden samples.
+fn golden_samples(rows: Range<usize>) -> Samples {
+    Samples {
+        masks: vec![u64::MAX; rows.len()],
+        actions: ACTIONS[rows.clone()].to_vec(),
+        log_probs: OLD_LOG_PROBS[rows.clone()].to_vec(),
+        advantages: ADVANTAGES[rows.clone()].to_vec(),
+        returns: RETURNS[rows.clone()].to_vec(),
+        values: OLD_VALUES[rows].to_vec(),
+    }
 }
 
 /// The loss of a minibatch in one piece, advantages normalised.
@@ -37,15 +43,7 @@ fn whole(
 fn loss_gradients_and_diagnostics_equal_cleanrls() {
     // crates/ppo/golden/golden.py, `loss`: the lines of CleanRL's ppo.py under PyTorch's autograd.
     let distribution = ActionDistribution::new(&ActionSpec::discrete("a", 5), HeadCredit::All);
-    let samples = Samples {
-        masks: vec![u64::MAX; 9],
-        actions: ACTIONS.to_vec(),
-        log_probs: OLD_LOG_PROBS.to_vec(),
-        advantages: ADVANTAGES.to_vec(),
-        returns: RETURNS.to_vec(),
-        values: OLD_VALUES.to_vec(),
-    };
-    let loss = whole(Arc::new(distribution), settings(true), samples);
+    let loss = whole(Arc::new(distribution), settings(true), golden_samples(0..9));
     let (logits, values) = (var(&LOGITS, (9, 5)), var(&VALUES, (9, 1)));
     let total = logits.apply_op2(&values, LossOp(Arc::clone(&loss))).unwrap();
     let gradients = total.backward().unwrap();
@@ -57,16 +55,9 @@ fn loss_gradients_and_diagnostics_equal_cleanrls() {
     };
     check(&logits, &LOGIT_GRADIENT);
     check(&values, &VALUE_GRADIENT);
-    let report = loss.report();
-    let found = [
-        report.total,
-        report.policy_loss,
-        report.value_loss,
-        report.entropy,
-        report.old_approx_kl,
-        report.approx_kl,
-        report.clip_fraction,
-    ];
+    let LossReport { total, policy_loss, value_loss, entropy, .. } = loss.report();
+    let LossReport { old_approx_kl, approx_kl, clip_fraction, .. } = loss.report();
+    let found = [total, policy_loss, value_loss, entropy, old_approx_kl, approx_kl, clip_fraction];
     for (i, (a, b)) in found.iter().zip(EXPECTED).enumerate() {
         assert!((a - f64::from(b)).abs() < 2e-6, "{i}: {a} {b}");
     }
@@ -171,19 +162,11 @@ fn the_parts_of_a_minibatch_add_up_to_it() {
     let distribution = ActionDistribution::new(&ActionSpec::discrete("a", 5), HeadCredit::All);
     let distribution = Arc::new(distribution);
     let scale = AdvantageScale::of(ADVANTAGES.iter().copied());
-    let rows = |rows: Range<usize>| Samples {
-        masks: vec![u64::MAX; rows.len()],
-        actions: ACTIONS[rows.clone()].to_vec(),
-        log_probs: OLD_LOG_PROBS[rows.clone()].to_vec(),
-        advantages: ADVANTAGES[rows.clone()].to_vec(),
-        returns: RETURNS[rows.clone()].to_vec(),
-        values: OLD_VALUES[rows].to_vec(),
-    };
-    let all = whole(Arc::clone(&distribution), settings(true), rows(0..9));
+    let all = whole(Arc::clone(&distribution), settings(true), golden_samples(0..9));
     let all = all.compute(&LOGITS, &VALUES);
     let (mut report, mut d_logits) = (LossReport::default(), Vec::new());
     for part in [0..4, 4..9] {
-        let mut samples = rows(part.clone());
+        let mut samples = golden_samples(part.clone());
         scale.apply(&mut samples.advantages);
         let loss = PpoLoss::new(Arc::clone(&distribution), settings(true), samples, 9);
         let found = loss.compute(&LOGITS[part.start * 5..part.end * 5], &VALUES[part]);

@@ -230,21 +230,15 @@ impl CustomOp3 for LstmOp {
 #[cfg(test)]
 mod tests {
     use candle_core::{Device, Var};
-    use leadtime_numerics::Pcg64;
 
     use super::*;
-    use crate::test_support::close;
+    use crate::test_support::{draw, same_function};
 
     const WIDTH: usize = 5;
     const STEPS: usize = 4;
 
-    fn draw(n: usize, seed: u64) -> Vec<f32> {
-        let mut generator = Pcg64::seed_from_u64(seed);
-        (0..n).map(|_| generator.uniform(-1.0, 1.0) as f32).collect()
-    }
-
-    fn var(values: Vec<f32>, shape: &[usize]) -> Var {
-        Var::from_tensor(&Tensor::from_vec(values, shape, &Device::Cpu).unwrap()).unwrap()
+    fn weight_and_bias() -> (Var, Var) {
+        (draw((4 * WIDTH, WIDTH), 2), draw(4 * WIDTH, 3))
     }
 
     /// Three sequences; the second starts with an episode, the third has one starting at its third step.
@@ -252,7 +246,8 @@ mod tests {
         let mut resets = vec![false; 3 * STEPS];
         resets[STEPS] = true;
         resets[2 * STEPS + 2] = true;
-        Sequences { n_steps: STEPS, states: draw(3 * 2 * WIDTH, 7), resets }
+        let states = draw(3 * 2 * WIDTH, 7).to_vec1().unwrap();
+        Sequences { n_steps: STEPS, states, resets }
     }
 
     /// The layer spelled out in the engine's own operations. Returns h `[M, H]`.
@@ -287,27 +282,18 @@ mod tests {
 
     #[test]
     fn sequences_and_their_gradients_are_the_engines_own() {
-        let from_input = var(draw(3 * STEPS * 4 * WIDTH, 1), &[3 * STEPS, 4 * WIDTH]);
-        let weight = var(draw(4 * WIDTH * WIDTH, 2), &[4 * WIDTH, WIDTH]);
-        let bias = var(draw(4 * WIDTH, 3), &[4 * WIDTH]);
-        let target = var(draw(3 * STEPS * WIDTH, 4), &[3 * STEPS, WIDTH]);
+        let from_input = draw((3 * STEPS, 4 * WIDTH), 1);
+        let (weight, bias) = weight_and_bias();
         let op = LstmOp::new(Arc::new(sequences()), WIDTH);
         let fused = from_input.apply_op3(&weight, &bias, op).unwrap();
         let plain = plain(&from_input, &weight, &bias);
-        let gradients =
-            |h: &Tensor| (h * target.as_tensor()).unwrap().sum_all().unwrap().backward().unwrap();
-        let (of_fused, of_plain) = (gradients(&fused), gradients(&plain));
-        close(&fused, &plain, 1e-5);
-        for var in [&from_input, &weight, &bias] {
-            close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap(), 1e-5);
-        }
+        same_function(&fused, &plain, [&from_input, &weight, &bias], 1e-5);
     }
 
     #[test]
     fn what_does_not_fit_is_refused() {
-        let from_input = var(draw(4 * WIDTH * 3, 1), &[3, 4 * WIDTH]);
-        let weight = var(draw(4 * WIDTH * WIDTH, 2), &[4 * WIDTH, WIDTH]);
-        let bias = var(draw(4 * WIDTH, 3), &[4 * WIDTH]);
+        let from_input = draw((3, 4 * WIDTH), 1);
+        let (weight, bias) = weight_and_bias();
         let op = LstmOp::new(Arc::new(sequences()), WIDTH);
         let error = from_input.apply_op3(&weight, &bias, op).unwrap_err().to_string();
         assert!(error.contains("3 samples of 20 gates do not fit 5 units"), "{error}");

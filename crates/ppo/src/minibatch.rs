@@ -1,14 +1,12 @@
 //! Cutting an update's samples into shuffled minibatches.
 
-use std::ops::Range;
-
 use leadtime_numerics::{Pcg64, Purpose, stream};
 
 /// The order in which one update visits its samples: reshuffled every epoch, every sample once per epoch.
 ///
 /// Samples move in *units*: single steps, or whole sequences where the policy is recurrent.
 #[derive(Clone, Debug)]
-pub struct Minibatches {
+pub(crate) struct Minibatches {
     units: Vec<usize>,
     unit_len: usize,
     n_parts: usize,
@@ -16,12 +14,8 @@ pub struct Minibatches {
 }
 
 impl Minibatches {
-    /// Prepares the order of one update.
-    ///
-    /// # Panics
-    ///
-    /// If samples do not fill whole units, or there are fewer units than minibatches.
-    pub fn new(
+    /// Prepares the order of one update; samples must fill whole units, and units all minibatches.
+    pub(crate) fn new(
         n_samples: usize,
         unit_len: usize,
         n_parts: usize,
@@ -36,22 +30,17 @@ impl Minibatches {
     }
 
     /// Shuffles for the next epoch.
-    pub fn shuffle(&mut self) {
+    pub(crate) fn shuffle(&mut self) {
         self.generator.shuffle(&mut self.units);
     }
 
     /// Writes the sample indices of one minibatch. Sizes differ by at most one unit.
-    pub fn indices(&self, minibatch: usize, out: &mut Vec<usize>) {
-        let Range { start, end } = self.range(minibatch);
+    pub(crate) fn indices(&self, minibatch: usize, out: &mut Vec<usize>) {
+        let bound = |i: usize| i * self.units.len() / self.n_parts;
         out.clear();
-        for unit in &self.units[start..end] {
+        for unit in &self.units[bound(minibatch)..bound(minibatch + 1)] {
             out.extend(unit * self.unit_len..(unit + 1) * self.unit_len);
         }
-    }
-
-    fn range(&self, minibatch: usize) -> Range<usize> {
-        let bound = |i: usize| i * self.units.len() / self.n_parts;
-        bound(minibatch)..bound(minibatch + 1)
     }
 }
 

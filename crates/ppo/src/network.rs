@@ -9,8 +9,7 @@ use leadtime_policy::{ObservationNormalizer, Parameters};
 use leadtime_proto::PolicySpec;
 
 use crate::TrainError;
-use crate::dense_op::DenseOp;
-use crate::encoder::EncoderGraph;
+use crate::encoder::{EncoderGraph, dense};
 use crate::lstm_op::Sequences;
 
 /// The variables that learn, by tensor name.
@@ -20,15 +19,11 @@ pub(crate) struct ActorCritic {
     encoder: EncoderGraph,
     actor: Vec<Layer>,
     critic: Vec<Layer>,
-    vars: BTreeMap<String, Var>,
+    pub(crate) vars: BTreeMap<String, Var>,
 }
 
 impl ActorCritic {
-    /// Copies parameters into variables.
-    ///
-    /// # Errors
-    ///
-    /// [`TrainError::Policy`] if the specification is impossible, or the parameters are those of another one.
+    /// Copies parameters into variables; an error if they are those of another specification.
     pub(crate) fn new(spec: &PolicySpec, parameters: &Parameters) -> Result<Self, TrainError> {
         parameters.check(spec)?;
         let mut vars = BTreeMap::new();
@@ -38,10 +33,6 @@ impl ActorCritic {
         let (actor, critic) = (layers(spec, Branch::Actor), layers(spec, Branch::Critic));
         let encoder = EncoderGraph::new(spec)?;
         Ok(Self { spec: spec.clone(), encoder, actor, critic, vars })
-    }
-
-    pub(crate) fn vars(&self) -> &BTreeMap<String, Var> {
-        &self.vars
     }
 
     /// Copies the variables' present numbers out, with the given statistics.
@@ -64,24 +55,14 @@ impl ActorCritic {
         observations: &Tensor,
         sequences: &Arc<Sequences>,
     ) -> candle_core::Result<(Tensor, Tensor)> {
-        let features = self.encode(observations, sequences)?;
+        let features = self.encoder.forward(&self.vars, observations, sequences)?;
         let learns = self.encoder.learns();
         let run = |layers: &[Layer]| {
             layers.iter().enumerate().try_fold(features.clone(), |x, (i, layer)| {
-                let op = DenseOp { activation: layer.activation, input_gradient: learns || i > 0 };
-                x.apply_op3(&self.vars[&layer.weight()], &self.vars[&layer.bias()], op)
+                dense(&self.vars, &x, layer, learns || i > 0)
             })
         };
         Ok((run(&self.actor)?, run(&self.critic)?))
-    }
-
-    /// Builds the graph from observations to the features that actor and critic share.
-    fn encode(
-        &self,
-        observations: &Tensor,
-        sequences: &Arc<Sequences>,
-    ) -> candle_core::Result<Tensor> {
-        self.encoder.forward(&self.vars, observations, sequences)
     }
 
     /// Collects the gradients of all variables in the order of names.

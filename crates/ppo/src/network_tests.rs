@@ -1,26 +1,13 @@
-//! Ego attention in the learner: the reference's numbers, an actor's bits, and gradients through the whole history.
-
-use std::io::Read as _;
+//! Ego attention in the learner: the bits of an actor, which has the reference's numbers, and gradients through the
+//! whole history.
 
 use candle_core::{DType, Device};
-use flate2::read::GzDecoder;
 use leadtime_numerics::Pcg64;
 use leadtime_policy::Policy;
 use leadtime_policy::attention::AttentionEncoder;
-use leadtime_policy::parameters::shapes;
 use leadtime_proto::{ActionSpec, EgoAttention, Encoder, HeadCredit};
-use serde_json::Value;
 
 use super::*;
-
-const REFERENCE: EgoAttention = EgoAttention {
-    n_frames: 1,
-    n_entities: 5,
-    n_features: 5,
-    action_dim: 0,
-    width: 64,
-    n_heads: 2,
-};
 
 const SMALL: EgoAttention =
     EgoAttention { n_frames: 3, n_entities: 4, n_features: 3, action_dim: 2, width: 8, n_heads: 2 };
@@ -41,54 +28,9 @@ fn flat(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
-/// The closed form of the reference's weights; see `crates/policy/tests/ego_attention.rs`.
-fn reference_weights(spec: &PolicySpec) -> Parameters {
-    let layers = ["ego.0", "ego.1", "others.0", "others.1", "key", "value", "query", "combine"];
-    let h = |n: usize, i: usize, j: usize| {
-        let sum = 31 * i * i + 17 * j * j + 13 * i * j + 57 * i + 101 * j + 211 * n;
-        (sum % 1009) as f64 / 1009.0 - 0.5
-    };
-    let numbers = |(name, shape): (String, Vec<usize>)| {
-        let n = layers.iter().position(|layer| name.starts_with(&format!("encoder.{layer}.")));
-        let numbers: Vec<f32> = match (n.map(|n| n + 1), &shape[..]) {
-            (None, shape) => vec![0.0; shape.iter().product()],
-            (Some(n), &[n_out, n_in]) => {
-                let gain = if n == 7 { 40.0 } else { 3.5 } / (n_in as f64).sqrt();
-                let row = |i| (0..n_in).map(move |j| (gain * h(n, i, j)) as f32);
-                (0..n_out).flat_map(row).collect()
-            }
-            (Some(n), shape) => (0..shape[0]).map(|i| (0.4 * h(n, i, 500)) as f32).collect(),
-        };
-        (name, numbers)
-    };
-    Parameters::from_values(spec, shapes(spec).into_iter().map(numbers).collect(), None).unwrap()
-}
-
-fn vector() -> Value {
-    let packed = include_bytes!("../../../tests/data/highway_traces.json.gz");
-    let mut text = String::new();
-    GzDecoder::new(packed.as_slice()).read_to_string(&mut text).unwrap();
-    serde_json::from_str::<Value>(&text).unwrap()["unit_attention"].clone()
-}
-
-fn numbers(value: &Value) -> Vec<f32> {
-    match value {
-        Value::Array(values) => values.iter().flat_map(numbers).collect(),
-        number => vec![number.as_f64().unwrap() as f32],
-    }
-}
-
-#[test]
-fn the_encoding_is_that_of_the_reference() {
-    let (spec, vector) = (policy(REFERENCE, 0), vector());
-    let network = ActorCritic::new(&spec, &reference_weights(&spec)).unwrap();
-    let input = Tensor::from_vec(numbers(&vector["input"]), (1, 25), &Device::Cpu).unwrap();
-    let found = flat(&network.encode(&input, &Arc::default()).unwrap());
-    let expected = numbers(&vector["output"]);
-    assert_eq!(found.len(), expected.len());
-    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
-        assert!((found - expected).abs() < 1e-6, "{i}: {found} {expected}");
-    }
+/// What actor and critic see.
+fn encode(network: &ActorCritic, observations: &Tensor) -> Tensor {
+    network.encoder.forward(&network.vars, observations, &Arc::default()).unwrap()
 }
 
 /// Observations of which one entity in five is absent.
@@ -121,7 +63,7 @@ fn learner_and_actor_compute_the_same_bits() {
         let mut encoder = AttentionEncoder::new(attention, spec.obs_dim, &parameters).unwrap();
         let mut features = vec![f32::NAN; 70 * encoder.feature_dim()];
         encoder.encode(&raw, &mut features);
-        assert_eq!(flat(&network.encode(&input, &Arc::default()).unwrap()), features);
+        assert_eq!(flat(&encode(&network, &input)), features);
         let (logits, values) = network.forward(&input, &Arc::default()).unwrap();
         let mut acting = Policy::new(&spec, &parameters).unwrap();
         let (mut acted, mut valued) = (vec![0.0; 140], vec![0.0; 70]);
@@ -140,16 +82,12 @@ fn gradients_go_through_every_frame_and_are_those_of_small_steps() {
         // A loss that looks at the encoding of one frame only.
         let loss = |network: &ActorCritic| {
             let start = frame * (SMALL.width + SMALL.action_dim);
-            let encoded = network
-                .encode(&input, &Arc::default())
-                .unwrap()
-                .narrow(1, start, SMALL.width)
-                .unwrap();
+            let encoded = encode(network, &input).narrow(1, start, SMALL.width).unwrap();
             (encoded.sqr().unwrap().to_dtype(DType::F64).unwrap()).sum_all().unwrap()
         };
         let network = ActorCritic::new(&spec, &parameters).unwrap();
         let gradients = network.gradients(&loss(&network)).unwrap();
-        for name in network.vars().keys().filter(|name| name.starts_with("encoder.")) {
+        for name in network.vars.keys().filter(|name| name.starts_with("encoder.")) {
             let gradient = flat(&gradients[name]);
             let steepest = (0..gradient.len())
                 .max_by(|&a, &b| gradient[a].abs().total_cmp(&gradient[b].abs()))

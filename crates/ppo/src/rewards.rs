@@ -16,7 +16,7 @@ const EPSILON: f64 = 1e-8;
 ///
 /// Gymnasium's `NormalizeReward`, per environment id instead of per slot of a vector.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ReturnNormalizer {
+pub(crate) struct ReturnNormalizer {
     mean: f64,
     variance: f64,
     count: f64,
@@ -35,7 +35,7 @@ impl ReturnNormalizer {
     /// # Shapes
     ///
     /// `rewards`: `[T]`, the rollout's, scaled.
-    pub fn update(&mut self, rollout: &Rollout, rewards: &[f32], gamma: f64) {
+    pub(crate) fn update(&mut self, rollout: &Rollout, rewards: &[f32], gamma: f64) {
         let so_far = self.returns.entry(rollout.env_id).or_default();
         let mut ends = rollout.ends.iter().map(|end| end.step as usize).peekable();
         let mut returns = Vec::with_capacity(rewards.len());
@@ -68,7 +68,7 @@ impl ReturnNormalizer {
     /// # Shapes
     ///
     /// `rewards`: `[T]`.
-    pub fn apply(&self, rewards: &mut [f32]) {
+    pub(crate) fn apply(&self, rewards: &mut [f32]) {
         let scale = (1.0 / (self.variance + EPSILON).sqrt()) as f32;
         for reward in rewards {
             *reward = (*reward * scale).clamp(-CLIP, CLIP);
@@ -83,20 +83,14 @@ mod tests {
     use super::*;
 
     fn rollout(env_id: u32, ends: &[u32]) -> Rollout {
-        let summary =
-            EpisodeSummary { episode: 0, episode_return: 0.0, length: 1, metrics: Vec::new() };
-        let end = |&step: &u32| EpisodeEnd {
-            step,
-            truncated: false,
-            final_observation: Vec::new(),
-            final_value: 0.0,
-            summary: summary.clone(),
+        let end = |&step: &u32| {
+            let summary =
+                EpisodeSummary { episode: 0, episode_return: 0.0, length: 1, metrics: Vec::new() };
+            let (truncated, final_observation, final_value) = (false, Vec::new(), 0.0);
+            EpisodeEnd { step, truncated, final_observation, final_value, summary }
         };
-        Rollout {
-            env_id: EnvId(env_id),
-            ends: ends.iter().map(end).collect(),
-            ..Rollout::default()
-        }
+        let (env_id, ends) = (EnvId(env_id), ends.iter().map(end).collect());
+        Rollout { env_id, ends, ..Rollout::default() }
     }
 
     #[test]

@@ -134,6 +134,8 @@ impl LearnerSettings {
         let positive = |x: f64| x > 0.0 && x <= 1e6;
         let not_negative = |x: f64| (0.0..=1e6).contains(&x);
         let n_samples = self.n_envs.saturating_mul(self.n_steps);
+        let minibatches_fit = (1..=n_samples).contains(&self.n_minibatches);
+        let lag_fits = (1..=limits::MAX_LAG).contains(&self.lag);
         let rules: [(bool, &'static str, &'static str); 16] = [
             ((1..=limits::MAX_ENVS).contains(&self.n_envs), "n_envs", "from 1 to 65536"),
             ((1..=limits::MAX_ROLLOUT_STEPS).contains(&self.n_steps), "n_steps", "from 1 to 65536"),
@@ -141,11 +143,7 @@ impl LearnerSettings {
             (positive(self.learning_rate), "learning_rate", ABOVE_0),
             (unit(self.gamma), "gamma", "from 0 to 1"),
             (unit(self.gae_lambda), "gae_lambda", "from 0 to 1"),
-            (
-                (1..=n_samples).contains(&self.n_minibatches),
-                "n_minibatches",
-                "from 1 to n_envs * n_steps",
-            ),
+            (minibatches_fit, "n_minibatches", "from 1 to n_envs * n_steps"),
             (self.n_epochs > 0, "n_epochs", "at least 1"),
             (positive(self.clip), "clip", ABOVE_0),
             (not_negative(self.entropy_coef), "entropy_coef", "from 0 to 1000000"),
@@ -153,11 +151,7 @@ impl LearnerSettings {
             (positive(self.max_grad_norm), "max_grad_norm", ABOVE_0),
             (self.target_kl.is_none_or(positive), "target_kl", ABOVE_0),
             (positive(self.reward_scale), "reward_scale", ABOVE_0),
-            (
-                self.mode != Mode::Lag || (1..=limits::MAX_LAG).contains(&self.lag),
-                "lag",
-                "from 1 to 64",
-            ),
+            (self.mode != Mode::Lag || lag_fits, "lag", "from 1 to 64"),
             (self.staleness_max <= 10_000, "staleness_max", "at most 10000"),
         ];
         match rules.into_iter().find(|(holds, _, _)| !holds) {
@@ -205,16 +199,15 @@ mod tests {
 
     #[test]
     fn an_impossible_setting_is_named() {
-        let settings = LearnerSettings { n_minibatches: 513, ..LearnerSettings::default() };
-        assert_eq!(
-            settings.check().unwrap_err().to_string(),
-            "`learner.n_minibatches` must be from 1 to n_envs * n_steps"
-        );
-        assert_eq!(LearnerSettings::default().check(), Ok(()));
-        let settings = LearnerSettings { gamma: f64::NAN, ..LearnerSettings::default() };
-        assert_eq!(settings.check().unwrap_err().key, "gamma");
-        let settings = LearnerSettings { reward_scale: 1e38, ..LearnerSettings::default() };
-        assert_eq!(settings.check().unwrap_err().key, "reward_scale");
+        let good = LearnerSettings::default();
+        assert_eq!(good.check(), Ok(()));
+        let error = LearnerSettings { n_minibatches: 513, ..good.clone() }.check().unwrap_err();
+        let says = "`learner.n_minibatches` must be from 1 to n_envs * n_steps";
+        assert_eq!(error.to_string(), says);
+        let error = LearnerSettings { gamma: f64::NAN, ..good.clone() }.check().unwrap_err();
+        assert_eq!(error.key, "gamma");
+        let error = LearnerSettings { reward_scale: 1e38, ..good }.check().unwrap_err();
+        assert_eq!(error.key, "reward_scale");
     }
 
     #[test]

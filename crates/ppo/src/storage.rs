@@ -2,11 +2,7 @@
 
 use candle_core::{CpuStorage, Layout, Result, Storage, Tensor};
 
-/// Returns the numbers of a contiguous 32-bit tensor.
-///
-/// # Errors
-///
-/// If it is something else.
+/// Returns the numbers of a contiguous 32-bit tensor; an error if it is something else.
 pub(crate) fn floats<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     match layout.contiguous_offsets() {
         Some((start, end)) => Ok(&storage.as_slice::<f32>()?[start..end]),
@@ -14,11 +10,7 @@ pub(crate) fn floats<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a
     }
 }
 
-/// Runs `read` on the numbers of a contiguous 32-bit tensor on the CPU.
-///
-/// # Errors
-///
-/// If it is something else.
+/// Runs `read` on the numbers of a contiguous 32-bit tensor on the CPU; an error if it is something else.
 pub(crate) fn with_floats<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> T) -> Result<T> {
     let (storage, layout) = tensor.storage_and_layout();
     match &*storage {

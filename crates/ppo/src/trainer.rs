@@ -125,7 +125,7 @@ impl Trainer {
             run_seed,
             distribution: Arc::new(ActionDistribution::new(&policy.actions, policy.head_credit)),
             version: PolicyVersion(0),
-            adam: Adam::new(network.vars()),
+            adam: Adam::new(&network.vars),
             network,
             observations: parameters.normalizer().cloned(),
             parameters,
@@ -247,7 +247,9 @@ impl Trainer {
                 order.indices(minibatch, &mut indices);
                 let (report, norm) = self.step(batch, &indices, learning_rate)?;
                 if !norm.is_finite() {
-                    return Err(TrainError::DivergedGradient { minibatch: totals.all.n, norm });
+                    let minibatch = totals.all.n;
+                    let says = format!("gradient norm of minibatch {minibatch} is {norm}");
+                    return Err(TrainError::Diverged(says));
                 }
                 totals.all.add(&report);
                 totals.last_epoch.add(&report);
@@ -283,7 +285,7 @@ impl Trainer {
         let norm = global_norm(&gradients)?;
         if norm.is_finite() {
             let scale = clip_factor(norm, self.settings.max_grad_norm);
-            self.adam.step(self.network.vars(), &gradients, learning_rate, scale)?;
+            self.adam.step(&self.network.vars, &gradients, learning_rate, scale)?;
         }
         Ok((report, norm))
     }
@@ -330,7 +332,10 @@ impl Trainer {
                 largest = largest.max(size.into());
             }
         }
-        if largest > LARGEST_SUM { Err(TrainError::DivergedOutputs { largest }) } else { Ok(()) }
+        if largest > LARGEST_SUM {
+            return Err(TrainError::Diverged(format!("the policy's outputs reach {largest:e}")));
+        }
+        Ok(())
     }
 
     fn is_recurrent(&self) -> bool {
@@ -341,13 +346,16 @@ impl Trainer {
 /// Refuses an order that depends on who arrived first.
 fn check_order(rollouts: &[CheckedRollout]) -> Result<(), TrainError> {
     if rollouts.is_empty() {
-        return Err(TrainError::NoRollouts);
+        return Err(TrainError::Rollouts("an update needs at least one rollout".to_owned()));
     }
     let sorted = |pair: &[CheckedRollout]| {
         (pair[0].env_id, pair[0].iteration) < (pair[1].env_id, pair[1].iteration)
     };
     match rollouts.windows(2).position(|pair| !sorted(pair)) {
-        Some(i) => Err(TrainError::Unsorted { index: i + 1 }),
+        Some(i) => Err(TrainError::Rollouts(format!(
+            "rollouts are not sorted by environment id and iteration at index {}",
+            i + 1
+        ))),
         None => Ok(()),
     }
 }
@@ -355,11 +363,12 @@ fn check_order(rollouts: &[CheckedRollout]) -> Result<(), TrainError> {
 /// Finds weights with which actors would make numbers that no rollout may hold: the run has diverged, and its actors
 /// are not to blame for what they would send.
 fn check_weights(network: &ActorCritic) -> Result<(), TrainError> {
-    for (name, var) in network.vars() {
+    for (name, var) in &network.vars {
         let sum =
             with_floats(var, |values| values.iter().map(|&x| f64::from(x).abs()).sum::<f64>())?;
         if sum.is_nan() || sum > LARGEST_SUM {
-            return Err(TrainError::DivergedWeights { name: name.clone(), sum });
+            let says = format!("magnitudes of tensor `{name}` sum up to {sum:e}");
+            return Err(TrainError::Diverged(says));
         }
     }
     Ok(())
@@ -394,16 +403,7 @@ impl Mean {
     }
 
     fn mean(&self) -> LossReport {
-        let n = self.n.max(1) as f64;
-        LossReport {
-            total: self.sum.total / n,
-            policy_loss: self.sum.policy_loss / n,
-            value_loss: self.sum.value_loss / n,
-            entropy: self.sum.entropy / n,
-            old_approx_kl: self.sum.old_approx_kl / n,
-            approx_kl: self.sum.approx_kl / n,
-            clip_fraction: self.sum.clip_fraction / n,
-        }
+        self.sum.divided(self.n.max(1) as f64)
     }
 }
 

@@ -121,12 +121,8 @@ fn collect_one(
             returns.push(f64::from(reward));
             let final_observation = walk.observe().to_vec();
             let final_value = if truncated { evaluate(&final_observation).1 } else { 0.0 };
-            let summary = EpisodeSummary {
-                episode: 0,
-                episode_return: f64::from(reward),
-                length: walk.steps,
-                metrics: Vec::new(),
-            };
+            let (episode_return, length, metrics) = (reward.into(), walk.steps, Vec::new());
+            let summary = EpisodeSummary { episode: 0, episode_return, length, metrics };
             let end = EpisodeEnd { step, truncated, final_observation, final_value, summary };
             rollout.ends.push(end);
             walk = start();
@@ -214,11 +210,12 @@ fn the_seed_reaches_the_weights() {
 #[test]
 fn an_update_needs_sorted_rollouts() {
     let mut trainer = trainer(Mode::Sync, 1);
-    let (rollouts, _) = collect(&trainer, 0);
-    assert!(matches!(trainer.update(&[]), Err(TrainError::NoRollouts)));
-    let mut unsorted = rollouts;
-    unsorted.swap(1, 2);
-    assert!(matches!(trainer.update(&unsorted), Err(TrainError::Unsorted { index: 2 })));
+    let (mut rollouts, _) = collect(&trainer, 0);
+    let error = trainer.update(&[]).unwrap_err().to_string();
+    assert_eq!(error, "an update needs at least one rollout");
+    rollouts.swap(1, 2);
+    let error = trainer.update(&rollouts).unwrap_err().to_string();
+    assert!(error.ends_with("not sorted by environment id and iteration at index 2"), "{error}");
     assert_eq!(trainer.version(), PolicyVersion(0));
 }
 
@@ -274,20 +271,11 @@ fn the_most_absurd_numbers_that_are_let_in_do_not_end_a_run() {
 /// others the weights overflow at once.
 #[test]
 fn whatever_the_learning_rate_divergence_is_found_before_an_actor_sends_it() {
-    let attention = EgoAttention {
-        n_frames: 1,
-        n_entities: 3,
-        n_features: 2,
-        action_dim: 0,
-        width: 4,
-        n_heads: 1,
-    };
+    let (n_frames, n_entities, n_features, action_dim, width, n_heads) = (1, 3, 2, 0, 4, 1);
+    let attention = EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads };
+    let encoder = Encoder::EgoAttention(attention);
     let plain = specs().0;
-    let attentive = PolicySpec {
-        encoder: Encoder::EgoAttention(attention),
-        hidden: Vec::new(),
-        ..plain.clone()
-    };
+    let attentive = PolicySpec { encoder, hidden: Vec::new(), ..plain.clone() };
     for (spec, n_epochs) in [(&plain, 4), (&plain, 1), (&attentive, 4)] {
         for exponent in [-3, 4, 7, 8, 9, 10, 11, 20, 30, 39, 300] {
             let n_minibatches = n_epochs;

@@ -6,12 +6,12 @@ use crate::gae::TrajectorySegment;
 
 /// Value targets and advantages of one segment. Both `[T]`.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct VTrace {
+pub(crate) struct VTrace {
     /// Targets of the critic.
-    pub value_targets: Vec<f32>,
+    pub(crate) value_targets: Vec<f32>,
     /// Advantages, *without* the factor ρ of the policy gradient: PPO's ratio against the behaviour policy takes
     /// that factor's place, and both together would count it twice.
-    pub advantages: Vec<f32>,
+    pub(crate) advantages: Vec<f32>,
 }
 
 /// Computes V-trace targets with ρ and c truncated at 1, for values of the policy that is about to learn.
@@ -28,27 +28,10 @@ pub struct VTrace {
 ///
 /// `log_rhos` in nats; `gamma` is a factor per step, 0 to 1.
 ///
-/// # Panics
-///
-/// If the lengths differ.
-///
-/// # Example
-///
-/// ```
-/// use leadtime_ppo::gae::TrajectorySegment;
-/// use leadtime_ppo::vtrace::vtrace;
-///
-/// // The policy would act half as often as the one that acted: half of the error counts.
-/// let segment = TrajectorySegment { rewards: &[1.0], values: &[0.0], next_value: 2.0, cuts: &[] };
-/// let found = vtrace(&segment, &[0.5_f32.ln()], 0.5);
-/// assert_eq!(found.advantages, [2.0]);
-/// assert!((found.value_targets[0] - 1.0).abs() < 1e-6);
-/// ```
-///
 /// # Source
 ///
 /// Espeholt et al., *IMPALA*, ICML 2018 (arXiv:1802.01561), equation 1 and section 4.2.
-pub fn vtrace(segment: &TrajectorySegment<'_>, log_rhos: &[f32], gamma: f32) -> VTrace {
+pub(crate) fn vtrace(segment: &TrajectorySegment<'_>, log_rhos: &[f32], gamma: f32) -> VTrace {
     let n = segment.rewards.len();
     assert_eq!(segment.values.len(), n, "`values` must be [T]");
     assert_eq!(log_rhos.len(), n, "`log_rhos` must be [T]");
@@ -68,24 +51,18 @@ pub fn vtrace(segment: &TrajectorySegment<'_>, log_rhos: &[f32], gamma: f32) -> 
 }
 
 #[cfg(test)]
+#[expect(clippy::unreadable_literal, reason = "golden numbers are as the script writes them")]
 mod tests {
     use super::*;
     use crate::gae::{Cut, gae};
-    mod golden {
-        include!("../golden/vtrace.rs");
-    }
-    use golden::{LOG_RHOS, NEXT_VALUE, PG_ADVANTAGES, REWARDS, VALUE_TARGETS, VALUES};
+    include!("../golden/vtrace.rs");
 
     #[test]
     fn targets_equal_the_defining_sum() {
         // crates/ppo/golden/golden.py, `vtrace`: the sum of Espeholt et al., equation 1, written out in numpy, float64.
         let cuts = [Cut { step: 2, bootstrap: 0.0 }, Cut { step: 4, bootstrap: 1.5 }];
-        let segment = TrajectorySegment {
-            rewards: &REWARDS,
-            values: &VALUES,
-            next_value: NEXT_VALUE,
-            cuts: &cuts,
-        };
+        let (rewards, values, next_value) = (&REWARDS, &VALUES, NEXT_VALUE);
+        let segment = TrajectorySegment { rewards, values, next_value, cuts: &cuts };
         let out = vtrace(&segment, &LOG_RHOS, 0.97);
         for i in 0..7 {
             let (target, advantage) = (out.value_targets[i], out.advantages[i]);

@@ -1,71 +1,28 @@
 //! What a readable database may still lack: cells without sentences, or with too few to take turns.
 
-use std::fmt;
+use thiserror::Error;
 
 use crate::database::Taxonomy;
-use crate::utterance::Cell;
 
-/// Something that a person should know before they use a database.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Finding {
-    /// No sentence: retrieval falls back to another cell.
-    EmptyCell {
-        /// The topic.
-        topic: String,
-        /// The cell.
-        cell: Cell,
-    },
-    /// Fewer sentences than wanted.
-    ThinCell {
-        /// The topic.
-        topic: String,
-        /// The cell.
-        cell: Cell,
-        /// Sentences there.
-        found: usize,
-        /// Sentences wanted.
-        wanted: usize,
-    },
-    /// The rating and the structure disagree by more than a word.
-    FarFromStructure {
-        /// The topic.
-        topic: String,
-        /// The sentence.
-        text: String,
-        /// k as rated.
-        rated: u32,
-        /// Place of the directive's last word.
-        structural: u32,
-    },
-}
-
-impl fmt::Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::EmptyCell { topic, cell } => {
-                write!(f, "topic `{topic}` has nothing at (k, l) = {cell}")
-            }
-            Self::ThinCell { topic, cell, found, wanted } => {
-                write!(f, "topic `{topic}` has {found} of {wanted} utterances at (k, l) = {cell}")
-            }
-            Self::FarFromStructure { topic, text, rated, structural } => write!(
-                f,
-                "topic `{topic}`, \"{text}\": understood at word {rated}, its directive ends with word {structural}"
-            ),
-        }
-    }
+/// Something that a person should know before they use a database: an empty cell, a thin one, or a sentence whose
+/// rating and structure disagree by more than a word.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("topic `{topic}`{says}")]
+pub struct Finding {
+    topic: String,
+    says: String,
 }
 
 /// Lists what a database lacks; `wanted` is the number of sentences that every feasible cell should have.
 pub fn check(taxonomy: &Taxonomy, wanted: usize) -> Vec<Finding> {
     let mut findings = Vec::new();
     for topic in taxonomy.topics() {
-        let name = || topic.name().to_owned();
+        let mut find = |says| findings.push(Finding { topic: topic.name().to_owned(), says });
         for cell in taxonomy.feasible() {
             match topic.cell(cell).len() {
-                0 => findings.push(Finding::EmptyCell { topic: name(), cell }),
-                found if found < wanted => {
-                    findings.push(Finding::ThinCell { topic: name(), cell, found, wanted });
+                0 => find(format!(" has nothing at (k, l) = {cell}")),
+                n if n < wanted => {
+                    find(format!(" has {n} of {wanted} utterances at (k, l) = {cell}"));
                 }
                 _ => {}
             }
@@ -74,8 +31,10 @@ pub fn check(taxonomy: &Taxonomy, wanted: usize) -> Vec<Finding> {
             let rated = utterance.cell.comprehension;
             let structural = utterance.structural_comprehension().unwrap_or(rated);
             if rated.abs_diff(structural) > 1 {
-                let text = utterance.text.clone();
-                findings.push(Finding::FarFromStructure { topic: name(), text, rated, structural });
+                let text = &utterance.text;
+                find(format!(
+                    ", \"{text}\": understood at word {rated}, its directive ends with word {structural}"
+                ));
             }
         }
     }

@@ -4,11 +4,10 @@
 //! spans lie within it and hold exactly one directive, no other sentence has the same words. What cannot be proven
 //! (that it reads well) is for a person and the coverage report.
 
-use std::collections::BTreeMap;
-use std::fmt;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use crate::error::{Defect, TaxonomyError};
+use crate::error::TaxonomyError;
 use crate::raw::{self, RawDatabase, RawUtterance, SCHEMA};
 use crate::utterance::{Cell, Fidelity, SpanKind, Utterance};
 use crate::words;
@@ -27,14 +26,10 @@ pub struct DatabaseHeader {
     pub generator: String,
     /// Who rated how they are understood.
     pub rater: String,
-    /// What chose the representatives.
-    pub embedder: String,
     /// Comprehension from which on a listener acts, in percent.
     pub theta: u8,
     /// Least and greatest number of words.
     pub words: [u32; 2],
-    /// Hash of the configuration it was made with.
-    pub config: String,
 }
 
 /// The sentences of one topic, ordered by k, l, rank and text.
@@ -110,45 +105,33 @@ impl Taxonomy {
     /// # Ok::<(), leadtime_taxonomy::TaxonomyError>(())
     /// ```
     pub fn from_toml(text: &str) -> Result<Self, TaxonomyError> {
-        let raw = raw::read(text)?;
+        let raw: RawDatabase = raw::read(text, "utterance database").map_err(TaxonomyError)?;
         check_header(&raw)?;
         let mut seen = BTreeMap::new();
         let mut topics: Vec<Vec<Utterance>> = raw.topics.iter().map(|_| Vec::new()).collect();
         for (index, utterance) in raw.utterance.iter().enumerate() {
-            let fail = |defect| TaxonomyError::Utterance {
-                index,
-                topic: utterance.topic.clone(),
-                text: utterance.text.clone(),
-                defect,
+            let RawUtterance { topic, text, .. } = utterance;
+            let fail = |defect: String| {
+                let n = index + 1;
+                TaxonomyError(format!("utterance {n} of topic `{topic}`, \"{text}\": {defect}"))
             };
-            let topic = raw.topics.iter().position(|topic| *topic == utterance.topic);
-            let topic = topic.ok_or_else(|| fail(Defect::UnknownTopic))?;
-            let key = words::normalised(&utterance.text);
-            if let Some(other) = seen.insert(key, utterance.topic.clone()) {
-                return Err(fail(Defect::Duplicate { other }));
+            let topic_idx = raw.topics.iter().position(|name| name == topic);
+            let topic_idx =
+                topic_idx.ok_or_else(|| fail("its topic is not in `topics`".to_owned()))?;
+            if let Some(other) = seen.insert(words::normalised(text), topic.clone()) {
+                return Err(fail(format!("the same words stand under topic `{other}` already")));
             }
-            topics[topic].push(checked(utterance, &raw).map_err(fail)?);
+            topics[topic_idx].push(checked(utterance, &raw).map_err(fail)?);
         }
-        let topics: Vec<Topic> = raw
-            .topics
-            .iter()
-            .cloned()
-            .zip(topics)
-            .map(|(name, list)| Topic::new(name, list))
-            .collect();
-        if let Some(empty) = topics.iter().find(|topic| topic.utterances.is_empty()) {
-            return Err(TaxonomyError::EmptyTopic { topic: empty.name.clone() });
+        let topics = raw.topics.into_iter().zip(topics);
+        let topics: Vec<Topic> = topics.map(|(name, list)| Topic::new(name, list)).collect();
+        if let Some(Topic { name, .. }) = topics.iter().find(|topic| topic.utterances.is_empty()) {
+            return Err(TaxonomyError(format!(
+                "topic `{name}` has no utterance; every topic of the header needs at least one"
+            )));
         }
-        let header = DatabaseHeader {
-            domain: raw.domain,
-            fidelity: raw.fidelity,
-            generator: raw.generator,
-            rater: raw.rater,
-            embedder: raw.embedder,
-            theta: raw.theta,
-            words: raw.words,
-            config: raw.config,
-        };
+        let RawDatabase { domain, fidelity, generator, rater, theta, words, .. } = raw;
+        let header = DatabaseHeader { domain, fidelity, generator, rater, theta, words };
         Ok(Self { header, topics })
     }
 
@@ -172,112 +155,104 @@ impl Taxonomy {
     ///
     /// # Errors
     ///
-    /// [`TaxonomyError::OtherTopics`] with both lists.
+    /// [`TaxonomyError`] with both lists.
     pub fn expect_topics(&self, expected: &[&str]) -> Result<(), TaxonomyError> {
         if self.topics.iter().map(Topic::name).eq(expected.iter().copied()) {
             return Ok(());
         }
-        let found = self.topics.iter().map(|topic| topic.name.clone()).collect();
-        let expected = expected.iter().map(|&topic| topic.to_owned()).collect();
-        Err(TaxonomyError::OtherTopics { found, expected })
-    }
-}
-
-fn require(
-    holds: bool,
-    key: &'static str,
-    given: impl fmt::Display,
-    allowed: &'static str,
-) -> Result<(), TaxonomyError> {
-    if holds {
-        Ok(())
-    } else {
-        Err(TaxonomyError::Header { key, given: given.to_string(), allowed })
+        let found: Vec<&str> = self.topics.iter().map(Topic::name).collect();
+        let (found, expected) = (found.join(", "), expected.join(", "));
+        Err(TaxonomyError(format!("the database speaks of [{found}], the domain of [{expected}]")))
     }
 }
 
 fn check_header(raw: &RawDatabase) -> Result<(), TaxonomyError> {
-    require(raw.schema == SCHEMA, "schema", raw.schema, "1")?;
-    require(!raw.domain.is_empty(), "domain", "empty", "the name of a domain")?;
-    require((1..=100).contains(&raw.theta), "theta", raw.theta, "1 to 100 percent")?;
+    let refuse = |key, given: String, allowed| {
+        Err(TaxonomyError(format!("`{key}` is {given}; allowed: {allowed}")))
+    };
     let [from, to] = raw.words;
-    let fits = 1 <= from && from <= to && to <= MAX_WORDS;
-    require(fits, "words", format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
-    let mut names: Vec<&str> = raw.topics.iter().map(String::as_str).collect();
-    names.sort_unstable();
-    names.dedup();
-    let distinct = !names.is_empty() && names.len() == raw.topics.len();
-    require(distinct, "topics", format!("{:?}", raw.topics), "at least one name, each once")
+    let names: BTreeSet<&String> = raw.topics.iter().collect();
+    if raw.schema != SCHEMA {
+        refuse("schema", raw.schema.to_string(), "1")
+    } else if raw.domain.is_empty() {
+        refuse("domain", "empty".to_owned(), "the name of a domain")
+    } else if !(1..=100).contains(&raw.theta) {
+        refuse("theta", raw.theta.to_string(), "1 to 100 percent")
+    } else if !(1 <= from && from <= to && to <= MAX_WORDS) {
+        refuse("words", format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")
+    } else if names.is_empty() || names.len() < raw.topics.len() {
+        refuse("topics", format!("{:?}", raw.topics), "at least one name, each once")
+    } else {
+        Ok(())
+    }
 }
 
-/// Checks one sentence on its own.
-fn checked(raw: &RawUtterance, database: &RawDatabase) -> Result<Utterance, Defect> {
+/// Checks one sentence on its own; an error says what is wrong with it.
+fn checked(raw: &RawUtterance, database: &RawDatabase) -> Result<Utterance, String> {
     let cell = Cell::new(raw.comprehension, raw.conveyance);
     let [from, to] = database.words;
     if cell.comprehension < from || cell.comprehension > cell.conveyance || cell.conveyance > to {
-        return Err(Defect::Infeasible { cell, from, to });
+        return Err(format!("its (k, l) is {cell}; allowed: {from} <= k <= l <= {to}"));
     }
-    let counted = words::count(&raw.text);
-    if counted != cell.conveyance {
-        return Err(Defect::WordCount { counted, stated: cell.conveyance });
+    let (counted, stated) = (words::count(&raw.text), cell.conveyance);
+    if counted != stated {
+        return Err(format!("it has {counted} words; `conveyance` says {stated}"));
     }
     check_curve(raw, database.theta, from)?;
     check_spans(raw)?;
-    check_word_ends(raw)?;
-    Ok(Utterance {
-        text: raw.text.clone(),
-        cell,
-        spans: raw.spans.clone(),
-        curve: raw.curve.clone(),
-        clamped: raw.clamped,
-        word_end_ms: raw.word_end_ms.clone(),
-        medoid: raw.medoid,
-        source: raw.source.clone(),
-    })
+    if !raw.word_end_ms.is_empty() {
+        check_list("word_end_ms", &raw.word_end_ms, stated)?;
+        check_rise("word_end_ms", &raw.word_end_ms, |a, b| b <= a)?;
+    }
+    let RawUtterance { text, spans, curve, clamped, word_end_ms, medoid, source, .. } = raw.clone();
+    Ok(Utterance { text, cell, spans, curve, clamped, word_end_ms, medoid, source })
 }
 
-fn check_curve(raw: &RawUtterance, theta: u8, from: u32) -> Result<(), Defect> {
-    if raw.curve.len() != raw.conveyance as usize {
-        let (given, allowed) = (raw.curve.len(), raw.conveyance);
-        return Err(Defect::Length { list: "curve", given, allowed });
+fn check_list<T>(list: &str, values: &[T], allowed: u32) -> Result<(), String> {
+    if values.len() == allowed as usize {
+        return Ok(());
     }
-    if let Some(&given) = raw.curve.iter().find(|&&percent| percent > 100) {
-        return Err(Defect::Percent { given });
+    let given = values.len();
+    Err(format!("its `{list}` has {given} values; allowed: {allowed}, one per word"))
+}
+
+fn check_rise<T>(list: &str, values: &[T], falls: impl Fn(&T, &T) -> bool) -> Result<(), String> {
+    match values.windows(2).position(|pair| falls(&pair[0], &pair[1])) {
+        Some(i) => {
+            Err(format!("its `{list}` falls at word {}; allowed: values in rising order", i + 2))
+        }
+        None => Ok(()),
     }
-    if let Some(i) = raw.curve.windows(2).position(|pair| pair[1] < pair[0]) {
-        return Err(Defect::Falls { list: "curve", word: i + 2 });
+}
+
+fn check_curve(raw: &RawUtterance, theta: u8, from: u32) -> Result<(), String> {
+    check_list("curve", &raw.curve, raw.conveyance)?;
+    if let Some(given) = raw.curve.iter().find(|&&percent| percent > 100) {
+        return Err(format!("its curve reaches {given}; allowed: 0 to 100 percent"));
     }
+    check_rise("curve", &raw.curve, |a, b| b < a)?;
     let crossing = raw.curve.iter().position(|&percent| percent >= theta).map(|i| i as u32 + 1);
     let stated = raw.comprehension;
-    let holds = match crossing {
-        Some(word) if raw.clamped => word < from && stated == from,
-        Some(word) => word == stated,
-        None => false,
+    let at = match crossing {
+        Some(word) if raw.clamped && word < from && stated == from => return Ok(()),
+        Some(word) if !raw.clamped && word == stated => return Ok(()),
+        Some(word) => format!("word {word}"),
+        None => "no word".to_owned(),
     };
-    if holds { Ok(()) } else { Err(Defect::Crossing { theta, crossing, stated }) }
+    Err(format!("its curve reaches {theta} percent at {at}; `comprehension` says word {stated}"))
 }
 
-fn check_spans(raw: &RawUtterance) -> Result<(), Defect> {
-    let mut end = 0;
+fn check_spans(raw: &RawUtterance) -> Result<(), String> {
+    let (mut end, words) = (0, raw.conveyance);
     for span in &raw.spans {
-        if span.from < end || span.to <= span.from || span.to > raw.conveyance {
-            return Err(Defect::Spans { words: raw.conveyance });
+        if span.from < end || span.to <= span.from || span.to > words {
+            return Err(format!("its spans overlap, are empty or reach past word {words}"));
         }
         end = span.to;
     }
-    let given = raw.spans.iter().filter(|span| span.part == SpanKind::What).count();
-    if given == 1 { Ok(()) } else { Err(Defect::Directives { given }) }
-}
-
-fn check_word_ends(raw: &RawUtterance) -> Result<(), Defect> {
-    let ends = &raw.word_end_ms;
-    if !ends.is_empty() && ends.len() != raw.conveyance as usize {
-        let (given, allowed) = (ends.len(), raw.conveyance);
-        return Err(Defect::Length { list: "word_end_ms", given, allowed });
-    }
-    match ends.windows(2).position(|pair| pair[1] <= pair[0]) {
-        Some(i) => Err(Defect::Falls { list: "word_end_ms", word: i + 2 }),
-        None => Ok(()),
+    match raw.spans.iter().filter(|span| span.part == SpanKind::What).count() {
+        1 => Ok(()),
+        given => Err(format!("it has {given} `what` spans; allowed: 1")),
     }
 }
 

@@ -37,7 +37,7 @@ pub mod words;
 
 pub use check::{Finding, check};
 pub use database::{DatabaseHeader, Taxonomy, Topic};
-pub use error::{Defect, TaxonomyError};
+pub use error::TaxonomyError;
 pub use retrieve::{Loss, Request, Retrieved};
 pub use rotation::Rotation;
 pub use shipped::shipped;

@@ -1,15 +1,15 @@
 //! The file as written: keys, types, nothing checked but the form.
 
-use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
-use crate::error::TaxonomyError;
 use crate::utterance::{Fidelity, WordSpan};
 
 /// The schema that this crate reads and writes.
 pub(crate) const SCHEMA: u32 = 1;
 
 /// A whole file.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawDatabase {
     pub(crate) schema: u32,
@@ -27,7 +27,7 @@ pub(crate) struct RawDatabase {
 }
 
 /// One sentence.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawUtterance {
     pub(crate) topic: String,
@@ -36,9 +36,9 @@ pub(crate) struct RawUtterance {
     pub(crate) text: String,
     pub(crate) spans: Vec<WordSpan>,
     pub(crate) curve: Vec<u8>,
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(crate) clamped: bool,
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) word_end_ms: Vec<u32>,
     #[serde(default)]
     pub(crate) medoid: u32,
@@ -46,16 +46,11 @@ pub(crate) struct RawUtterance {
     pub(crate) source: String,
 }
 
-/// Reads the form of a file.
-pub(crate) fn read(text: &str) -> Result<RawDatabase, TaxonomyError> {
-    toml::from_str(text).map_err(|error| TaxonomyError::Form {
-        line: line_of(text, &error),
-        message: error.message().replace('\n', ", "),
+/// Reads a file of some form; what is wrong with it is said with the line and with `what` it is.
+pub(crate) fn read<T: DeserializeOwned>(text: &str, what: &str) -> Result<T, String> {
+    toml::from_str(text).map_err(|error: toml::de::Error| {
+        let at = error.span().map_or(0, |span| span.start);
+        let line = 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
+        format!("line {line} of the {what}: {}", error.message().replace('\n', ", "))
     })
-}
-
-/// Finds the line, from 1, that a reader complains about.
-pub(crate) fn line_of(text: &str, error: &toml::de::Error) -> usize {
-    let at = error.span().map_or(0, |span| span.start);
-    1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count()
 }

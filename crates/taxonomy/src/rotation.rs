@@ -1,7 +1,6 @@
 //! Who takes turns: so that a person does not hear the same sentence again and again.
 
 use leadtime_numerics::Pcg64;
-use serde::{Deserialize, Serialize};
 
 use crate::database::Taxonomy;
 use crate::retrieve::Retrieved;
@@ -10,7 +9,7 @@ use crate::utterance::Utterance;
 /// Goes through the sentences of each cell in turn, from a start that a seeded generator draws.
 ///
 /// Every sentence of a cell is said once before any is said again.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rotation {
     /// Per topic and filled cell, how many sentences were passed.
     passed: Vec<Vec<u32>>,

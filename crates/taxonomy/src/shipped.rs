@@ -24,11 +24,11 @@ pub fn text(domain: &str) -> Option<&'static str> {
 ///
 /// # Errors
 ///
-/// [`TaxonomyError::NotShipped`] if there is none.
+/// [`TaxonomyError`] if there is none.
 pub fn shipped(domain: &str) -> Result<Taxonomy, TaxonomyError> {
-    let missing = || TaxonomyError::NotShipped {
-        domain: domain.to_owned(),
-        known: domains().collect::<Vec<_>>().join(", "),
+    let missing = || {
+        let known = domains().collect::<Vec<_>>().join(", ");
+        TaxonomyError(format!("there are no shipped utterances for `{domain}`; shipped: {known}"))
     };
     Taxonomy::from_toml(text(domain).ok_or_else(missing)?)
 }

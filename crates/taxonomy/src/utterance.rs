@@ -58,13 +58,6 @@ pub struct WordSpan {
     pub to: u32,
 }
 
-impl WordSpan {
-    /// Returns the number of words.
-    pub fn n_words(self) -> u32 {
-        self.to.saturating_sub(self.from)
-    }
-}
-
 impl From<(SpanKind, u32, u32)> for WordSpan {
     fn from((part, from, to): (SpanKind, u32, u32)) -> Self {
         Self { part, from, to }
@@ -144,7 +137,7 @@ impl Utterance {
     pub fn words_of_reason(&self) -> u32 {
         let Some(what) = self.what() else { return 0 };
         let leads = |span: &&WordSpan| span.part == SpanKind::Why && span.to <= what.from;
-        self.spans.iter().filter(leads).map(|span| span.n_words()).sum()
+        self.spans.iter().filter(leads).map(|span| span.to.saturating_sub(span.from)).sum()
     }
 }
 
@@ -153,17 +146,10 @@ mod tests {
     use super::*;
 
     fn utterance(text: &str, spans: &[(SpanKind, u32, u32)]) -> Utterance {
-        let l = crate::words::count(text);
-        Utterance {
-            text: text.to_owned(),
-            cell: Cell::new(l, l),
-            spans: spans.iter().map(|span| WordSpan::from(*span)).collect(),
-            curve: vec![100; l as usize],
-            clamped: false,
-            word_end_ms: Vec::new(),
-            medoid: 0,
-            source: "test".to_owned(),
-        }
+        let (l, text, source) = (crate::words::count(text), text.to_owned(), "test".to_owned());
+        let spans = spans.iter().map(|span| WordSpan::from(*span)).collect();
+        let (curve, word_end_ms, cell) = (vec![100; l as usize], Vec::new(), Cell::new(l, l));
+        Utterance { text, cell, spans, curve, clamped: false, word_end_ms, medoid: 0, source }
     }
 
     #[test]

@@ -14,7 +14,7 @@ use leadtime_numerics::{Activation, Dense};
 use leadtime_proto::EgoAttention;
 
 use super::folded::FoldedAttention;
-use super::presence::{FrameShape, PresentEntities};
+use super::presence::PresentEntities;
 use super::shares::Attention;
 use crate::architecture::AttentionLayers;
 use crate::{Error, Parameters};
@@ -27,7 +27,6 @@ const FRAMES: usize = 8;
 pub struct AttentionEncoder {
     spec: EgoAttention,
     attention: Attention,
-    shape: FrameShape,
     obs_dim: usize,
     ego: [Dense; 2],
     others: [Dense; 2],
@@ -64,10 +63,9 @@ impl AttentionEncoder {
         parameters: &Parameters,
     ) -> Result<Self, Error> {
         spec.check(obs_dim)?;
-        let &EgoAttention { n_entities, n_features, width, n_heads, .. } = spec;
+        let &EgoAttention { n_entities, width, n_heads, .. } = spec;
         let layers = AttentionLayers::new(spec);
         let attention = Attention { width, n_heads };
-        let shape = FrameShape { n_entities, n_features, frame_dim: spec.frame_dim() };
         let pair = |[first, second]: &[_; 2]| -> Result<_, Error> {
             Ok([parameters.dense(first)?, parameters.dense(second)?])
         };
@@ -75,13 +73,12 @@ impl AttentionEncoder {
         Ok(Self {
             spec: *spec,
             attention,
-            shape,
             obs_dim,
             ego: pair(&layers.ego)?,
             others: pair(&layers.others)?,
             folded: FoldedAttention::new(attention, &layers, parameters)?,
             scratch: Scratch {
-                present: PresentEntities::with_capacity(FRAMES, &shape),
+                present: PresentEntities::with_capacity(FRAMES, spec),
                 first: zeros(n_entities * width),
                 egos: zeros(width),
                 others: zeros((n_entities - 1) * width),
@@ -109,11 +106,8 @@ impl AttentionEncoder {
     /// If the shapes do not hold.
     pub fn encode(&mut self, observations: &[f32], features: &mut [f32]) {
         let (obs_dim, feature_dim) = (self.obs_dim, self.feature_dim());
-        assert_eq!(
-            observations.len() * feature_dim,
-            features.len() * obs_dim,
-            "as many observations as features"
-        );
+        let fits = observations.len() * feature_dim == features.len() * obs_dim;
+        assert!(fits, "as many observations as features");
         let (frame_dim, out_dim) = (self.spec.frame_dim(), self.spec.width + self.spec.action_dim);
         let n_frames = self.spec.n_frames;
         let rows = observations.chunks_exact(obs_dim).zip(features.chunks_exact_mut(feature_dim));
@@ -130,11 +124,11 @@ impl AttentionEncoder {
 
     /// Encodes up to [`FRAMES`] frames.
     fn encode_frames(&mut self, frames: &[f32], out: &mut [f32]) {
-        let &EgoAttention { action_dim, width, .. } = &self.spec;
-        self.scratch.present.list(frames, &self.shape);
+        let EgoAttention { n_entities, n_features, action_dim, width, .. } = self.spec;
+        self.scratch.present.list(frames, &self.spec);
         self.embed();
         let n = self.scratch.present.frames.len();
-        let wide = self.spec.n_heads * width;
+        let (wide, frame_dim) = (self.spec.n_heads * width, self.spec.frame_dim());
         let Scratch { present, egos, others, queries, taken, combined, shares, .. } =
             &mut self.scratch;
         let egos = &egos[..n * width];
@@ -156,7 +150,7 @@ impl AttentionEncoder {
             for (out, (taken, ego)) in encoded.iter_mut().zip(sums) {
                 *out = (taken + ego) * 0.5;
             }
-            let own = m * self.shape.frame_dim + self.shape.n_entities * self.shape.n_features;
+            let own = m * frame_dim + n_entities * n_features;
             action.copy_from_slice(&frames[own..][..action_dim]);
         }
     }

@@ -17,10 +17,6 @@ pub(super) struct FoldedAttention {
 
 impl FoldedAttention {
     /// Multiplies the maps out.
-    ///
-    /// # Errors
-    ///
-    /// [`Error`] if the parameters are not those of this architecture.
     pub(super) fn new(
         attention: Attention,
         layers: &AttentionLayers,

@@ -14,5 +14,5 @@ mod presence;
 mod shares;
 
 pub use encoder::AttentionEncoder;
-pub use presence::{FramePresence, FrameShape, PresentEntities};
+pub use presence::{FramePresence, PresentEntities};
 pub use shares::{Attention, dot};

@@ -7,6 +7,8 @@
 //! frames  [M, N F + ...]  ─►  egos [M, F]    others [P, F], frame by frame    presence [M]
 //! ```
 
+use leadtime_proto::EgoAttention;
+
 /// Least presence of a present entity.
 const PRESENT: f32 = 0.5;
 
@@ -33,17 +35,6 @@ impl FramePresence {
     }
 }
 
-/// Shape of a frame: N entities of F numbers, then whatever else.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FrameShape {
-    /// Entities, N, the ego included and first.
-    pub n_entities: usize,
-    /// Numbers per entity, F; the first is the presence.
-    pub n_features: usize,
-    /// Numbers per frame, at least N F.
-    pub frame_dim: usize,
-}
-
 /// The present entities of a batch of frames. Refilled in place, so that acting does not allocate.
 #[derive(Clone, Debug, Default)]
 pub struct PresentEntities {
@@ -57,13 +48,10 @@ pub struct PresentEntities {
 
 impl PresentEntities {
     /// Makes room for `n_frames` frames.
-    pub fn with_capacity(n_frames: usize, shape: &FrameShape) -> Self {
-        let entity = |n| Vec::with_capacity(n_frames * n * shape.n_features);
-        Self {
-            egos: entity(1),
-            others: entity(shape.n_entities - 1),
-            frames: Vec::with_capacity(n_frames),
-        }
+    pub(super) fn with_capacity(n_frames: usize, spec: &EgoAttention) -> Self {
+        let entities = |n| Vec::with_capacity(n_frames * n * spec.n_features);
+        let (egos, others) = (entities(1), entities(spec.n_entities - 1));
+        Self { egos, others, frames: Vec::with_capacity(n_frames) }
     }
 
     /// Replaces the list by the entities of these frames.
@@ -71,24 +59,22 @@ impl PresentEntities {
     /// # Shapes
     ///
     /// `frames`: `[M, frame_dim]`.
-    pub fn list(&mut self, frames: &[f32], shape: &FrameShape) {
+    pub fn list(&mut self, frames: &[f32], spec: &EgoAttention) {
+        let &EgoAttention { n_entities, n_features, .. } = spec;
         self.egos.clear();
         self.others.clear();
         self.frames.clear();
         let is_present = |entity: &&[f32]| entity[0] >= PRESENT;
-        for frame in frames.chunks_exact(shape.frame_dim) {
-            let entities =
-                frame[..shape.n_entities * shape.n_features].chunks_exact(shape.n_features);
-            let anybody = entities.clone().any(|entity| is_present(&entity));
-            let (ego, others) = frame.split_at(shape.n_features);
+        for frame in frames.chunks_exact(spec.frame_dim()) {
+            let (ego, others) = frame[..n_entities * n_features].split_at(n_features);
+            let others = others.chunks_exact(n_features);
+            let anybody = is_present(&ego) || others.clone().any(|other| is_present(&other));
             self.egos.extend_from_slice(ego);
             let before = self.others.len();
-            let others =
-                others[..(shape.n_entities - 1) * shape.n_features].chunks_exact(shape.n_features);
             for other in others.filter(|other| is_present(other) || !anybody) {
                 self.others.extend_from_slice(other);
             }
-            let n_others = (self.others.len() - before) / shape.n_features;
+            let n_others = (self.others.len() - before) / n_features;
             self.frames.push(FramePresence { n_others, ego: is_present(&ego), others: anybody });
         }
     }
@@ -105,22 +91,22 @@ mod tests {
 
     #[test]
     fn absent_entities_are_left_out_unless_all_are_absent() {
-        let shape = FrameShape { n_entities: 3, n_features: 2, frame_dim: 7 };
+        let (n_entities, n_features, action_dim) = (3, 2, 1);
+        let (n_frames, width, n_heads) = (1, 4, 1);
+        let spec = EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads };
         let frames = [
             [1.0, 10.0, 0.0, 11.0, 1.0, 12.0, 99.0],
             [0.0, 20.0, 1.0, 21.0, 0.4, 22.0, 99.0],
             [0.0, 30.0, 0.0, 31.0, 0.0, 32.0, 99.0],
         ];
-        let mut present = PresentEntities::with_capacity(3, &shape);
-        present.list(frames.as_flattened(), &shape);
-        present.list(frames.as_flattened(), &shape);
+        let mut present = PresentEntities::with_capacity(3, &spec);
+        present.list(frames.as_flattened(), &spec);
+        present.list(frames.as_flattened(), &spec);
         assert_eq!(present.egos, [1.0, 10.0, 0.0, 20.0, 0.0, 30.0]);
         assert_eq!(present.others, [1.0, 12.0, 1.0, 21.0, 0.0, 31.0, 0.0, 32.0]);
         let frame = |n_others, ego, others| FramePresence { n_others, ego, others };
-        assert_eq!(
-            present.frames,
-            [frame(1, true, true), frame(1, false, true), frame(2, false, false)]
-        );
+        let expected = [frame(1, true, true), frame(1, false, true), frame(2, false, false)];
+        assert_eq!(present.frames, expected);
         assert_eq!(present.n_others(), 4);
     }
 }

@@ -72,11 +72,8 @@ impl Attention {
         assert_eq!(queries.len(), self.n_heads * self.width, "`queries` must be [H, W]");
         assert_eq!(ego.len(), self.width, "`ego` must be [W]");
         assert_eq!(others.len(), presence.n_others * self.width, "`others` must be [n, W]");
-        assert_eq!(
-            shares.len(),
-            self.n_heads * presence.n_entities(),
-            "`shares` must be [H, 1 + n]"
-        );
+        let n_shares = self.n_heads * presence.n_entities();
+        assert_eq!(shares.len(), n_shares, "`shares` must be [H, 1 + n]");
         let scale = self.scale();
         let heads = queries.chunks_exact(self.width);
         for (query, shares) in heads.zip(shares.chunks_exact_mut(presence.n_entities())) {
@@ -149,8 +146,11 @@ mod tests {
         let attention = Attention { width: 2, n_heads: 2 };
         let (queries, ego, others) = ([1.0, 0.0, 0.0, 1.0], [1.0, 0.0], [0.0, 2.0]);
         let mut shares = [f32::NAN; 4];
-        let presence = FramePresence { n_others: 1, ego: true, others: true };
-        attention.shares(&queries, &ego, &others, presence, &mut shares);
+        let share = |ego_there, others_there, shares: &mut [f32]| {
+            let presence = FramePresence { n_others: 1, ego: ego_there, others: others_there };
+            attention.shares(&queries, &ego, &others, presence, shares);
+        };
+        share(true, true, &mut shares);
         let e = 1.0_f32.exp();
         let expected = [e / (e + 1.0), 1.0 / (e + 1.0), 1.0 / (1.0 + e * e), e * e / (1.0 + e * e)];
         for (share, expected) in shares.iter().zip(expected) {
@@ -160,12 +160,10 @@ mod tests {
         attention.gather(&shares, &ego, &others, &mut out);
         assert_eq!(out, [shares[0], 2.0 * shares[1], shares[2], 2.0 * shares[3]]);
         // The ego is absent: all attention goes to the other.
-        let presence = FramePresence { n_others: 1, ego: false, others: true };
-        attention.shares(&queries, &ego, &others, presence, &mut shares);
+        share(false, true, &mut shares);
         assert_eq!(shares, [0.0, 1.0, 0.0, 1.0]);
         // Everyone is absent: all count alike.
-        let presence = FramePresence { n_others: 1, ego: false, others: false };
-        attention.shares(&queries, &ego, &others, presence, &mut shares);
+        share(false, false, &mut shares);
         assert_eq!(shares, [0.5; 4]);
     }
 

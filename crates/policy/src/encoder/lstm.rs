@@ -14,7 +14,7 @@ use crate::{Error, Parameters};
 
 /// An LSTM with fixed weights and room for a block of rows.
 #[derive(Clone, Debug)]
-pub struct LstmEncoder {
+pub(crate) struct LstmEncoder {
     width: usize,
     projection: Option<Dense>,
     input: Dense,
@@ -28,11 +28,11 @@ pub struct LstmEncoder {
 
 impl LstmEncoder {
     /// Packs an LSTM's parameters, with room for `block` rows at a time.
-    ///
-    /// # Errors
-    ///
-    /// [`Error`] if the parameters are not those of this architecture.
-    pub fn new(layers: &LstmLayers, parameters: &Parameters, block: usize) -> Result<Self, Error> {
+    pub(super) fn new(
+        layers: &LstmLayers,
+        parameters: &Parameters,
+        block: usize,
+    ) -> Result<Self, Error> {
         let width = layers.state.n_in;
         let projection = layers.projection.as_ref().map_or(0, |layer| layer.n_out);
         let pack = |layer| parameters.dense(layer);
@@ -54,7 +54,7 @@ impl LstmEncoder {
     /// # Shapes
     ///
     /// `x`: `[n, D]`; `recurrent`: `[n, 2 H]`. Returns `[n, H]`.
-    pub fn encode<'a>(&'a mut self, x: &'a [f32], recurrent: &[f32], n: usize) -> &'a [f32] {
+    pub(super) fn encode<'a>(&'a mut self, x: &'a [f32], recurrent: &[f32], n: usize) -> &'a [f32] {
         let width = self.width;
         let (hidden, cell) = (&mut self.hidden[..n * width], &mut self.cell[..n * width]);
         for (row, state) in recurrent.chunks_exact(2 * width).enumerate() {
@@ -80,7 +80,7 @@ impl LstmEncoder {
     }
 
     /// Writes the states after the rows that were encoded last. Shape `[n, 2 H]`.
-    pub fn write_states(&self, recurrent: &mut [f32]) {
+    pub(super) fn write_states(&self, recurrent: &mut [f32]) {
         let width = self.width;
         for (row, state) in recurrent.chunks_exact_mut(2 * width).enumerate() {
             let place = row * width..(row + 1) * width;

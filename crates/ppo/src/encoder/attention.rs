@@ -7,9 +7,10 @@ use std::sync::Arc;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use leadtime_numerics::kernel::Activation;
 use leadtime_policy::architecture::{AttentionLayers, Layer};
-use leadtime_policy::attention::{Attention, FrameShape, PresentEntities};
+use leadtime_policy::attention::{Attention, PresentEntities};
 use leadtime_proto::EgoAttention;
 
+use super::dense;
 use crate::attention_op::AttentionOp;
 use crate::dense_op::DenseOp;
 use crate::storage::with_floats;
@@ -40,14 +41,13 @@ impl AttentionGraph {
         let m = observations.dim(0)?;
         let (n, frame_dim) = (m * n_frames, self.spec.frame_dim());
         let frames = observations.narrow(1, 0, n_frames * frame_dim)?.reshape((n, frame_dim))?;
-        let shape = FrameShape { n_entities, n_features, frame_dim };
         let mut present = PresentEntities::default();
-        with_floats(&frames, |frames| present.list(frames, &shape))?;
+        with_floats(&frames, |frames| present.list(frames, &self.spec))?;
         let n_others = present.n_others();
         let PresentEntities { egos, others, frames: presence } = present;
         let rows = |rows, n| Tensor::from_vec(rows, (n, n_features), &Device::Cpu);
-        let egos = Self::embed(vars, &rows(egos, n)?, &self.layers.ego)?;
-        let others = Self::embed(vars, &rows(others, n_others)?, &self.layers.others)?;
+        let egos = embed(vars, &rows(egos, n)?, &self.layers.ego)?;
+        let others = embed(vars, &rows(others, n_others)?, &self.layers.others)?;
         let attention = Attention { width, n_heads };
         let queries = self.map(&egos, &self.query_map(vars, attention)?)?;
         let op = AttentionOp { attention, presence: Arc::new(presence) };
@@ -87,25 +87,11 @@ impl AttentionGraph {
         let op = DenseOp { activation: Activation::Linear, input_gradient: true };
         x.apply_op3(weight, &self.no_bias.narrow(0, 0, weight.dim(0)?)?, op)
     }
+}
 
-    fn embed(
-        vars: &BTreeMap<String, Var>,
-        entities: &Tensor,
-        layers: &[Layer; 2],
-    ) -> Result<Tensor> {
-        let hidden = Self::layer(vars, entities, &layers[0], false)?;
-        Self::layer(vars, &hidden, &layers[1], true)
-    }
-
-    fn layer(
-        vars: &BTreeMap<String, Var>,
-        x: &Tensor,
-        layer: &Layer,
-        input_gradient: bool,
-    ) -> Result<Tensor> {
-        let op = DenseOp { activation: layer.activation, input_gradient };
-        x.apply_op3(&vars[&layer.weight()], &vars[&layer.bias()], op)
-    }
+/// Embeds entities `[n, F]`: two layers, the first of which sees what does not learn.
+fn embed(vars: &BTreeMap<String, Var>, entities: &Tensor, layers: &[Layer; 2]) -> Result<Tensor> {
+    dense(vars, &dense(vars, entities, &layers[0], false)?, &layers[1], true)
 }
 
 /// Puts what follows column `from` of `source` behind the columns of `x`.

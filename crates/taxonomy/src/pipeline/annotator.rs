@@ -17,20 +17,18 @@
 
 use std::collections::BTreeMap;
 
-use super::backend::{Call, CallStage, Finish, Input, Model, Reply};
+use super::backend::{Call, CallStage, Input, Model, Reply};
 use super::error::BackendError;
+use super::reply::joined;
 use crate::utterance::{Cell, Fidelity};
 use crate::words;
-
-/// Who wrote the annotations that come with the crate.
-pub const AUTHORED: &str = "annotator (a language model writing by hand, no sampled run)";
 
 /// A sentence with its rating.
 type RatedText = (String, Vec<u8>);
 
 /// Answers from annotations.
 #[derive(Clone, Debug)]
-pub struct Annotator {
+pub(super) struct Annotator {
     summary: String,
     /// By topic and cell, in the order of the file.
     sentences: BTreeMap<(String, Cell), Vec<RatedText>>,
@@ -39,20 +37,15 @@ pub struct Annotator {
 }
 
 impl Annotator {
-    /// Reads annotations.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError::Annotations`] naming the line.
-    pub fn parse(text: &str) -> Result<Self, BackendError> {
+    /// Reads annotations; an error names the line.
+    pub(super) fn parse(text: &str) -> Result<Self, BackendError> {
         let mut annotator =
             Self { summary: String::new(), sentences: BTreeMap::new(), controls: BTreeMap::new() };
         let mut section: Option<(String, Option<Cell>)> = None;
         let mut pending: Option<String> = None;
         for (i, line) in text.lines().enumerate() {
-            let wrong = |message: &str| BackendError::Annotations {
-                line: i + 1,
-                message: message.to_owned(),
+            let wrong = |what: &str| {
+                BackendError::Local(format!("line {} of the annotations: {what}", i + 1))
             };
             if let Some(heading) = line.strip_prefix("# ") {
                 section = match heading.trim() {
@@ -69,7 +62,12 @@ impl Annotator {
                         pending.take().ok_or_else(|| wrong("there is no instruction"))?;
                     let curve = percentages(numbers, &sentence)
                         .ok_or_else(|| wrong("one percentage from 0 to 100 per word is needed"))?;
-                    annotator.add(topic.clone(), *cell, (sentence, curve));
+                    let topic = topic.clone();
+                    let list = match cell {
+                        Some(cell) => annotator.sentences.entry((topic, *cell)).or_default(),
+                        None => annotator.controls.entry(topic).or_default(),
+                    };
+                    list.push((sentence, curve));
                 } else if !line.trim().is_empty() && !line.starts_with("Words:") {
                     return Err(wrong("neither Instruction, Words nor Comprehension"));
                 }
@@ -82,20 +80,9 @@ impl Annotator {
         Ok(Self { summary, ..annotator })
     }
 
-    fn add(&mut self, topic: String, cell: Option<Cell>, rated: RatedText) {
-        match cell {
-            Some(cell) => self.sentences.entry((topic, cell)).or_default().push(rated),
-            None => self.controls.entry(topic).or_default().push(rated),
-        }
-    }
-
     fn generate(&self, topic: &str, cell: Cell, n: usize, round: u32) -> Reply {
-        let key = (topic.to_owned(), cell);
-        let all = self.sentences.get(&key).map(Vec::as_slice).unwrap_or_default();
-        let rest = all.iter().skip(n * round as usize).take(n);
-        let lines: Vec<&str> = rest.map(|(text, _)| text.as_str()).collect();
-        let finish = if lines.is_empty() { Finish::Exhausted } else { Finish::Stop };
-        Reply { text: lines.join("\n"), finish, tokens: None }
+        let all = self.sentences.get(&(topic.to_owned(), cell)).into_iter().flatten();
+        Reply::page(all.map(|(text, _)| text.as_str()), n, round)
     }
 
     fn rate(&self, topic: &str, text: &str, n_words: Option<usize>) -> Option<Reply> {
@@ -108,11 +95,9 @@ impl Annotator {
             return Some(Reply::complete(percent.unwrap_or_default().to_string()));
         }
         let spoken: Vec<&str> = text.split_whitespace().collect();
-        let numbers: Vec<String> = curve.iter().map(u8::to_string).collect();
+        let (spoken, numbers) = (spoken.join(" | "), joined(curve));
         Some(Reply::complete(format!(
-            "Instruction: {text}\nWords: {}\nComprehension after each word: {}",
-            spoken.join(" | "),
-            numbers.join(", ")
+            "Instruction: {text}\nWords: {spoken}\nComprehension after each word: {numbers}"
         )))
     }
 }
@@ -137,7 +122,7 @@ fn percentages(numbers: &str, sentence: &str) -> Option<Vec<u8>> {
 
 impl Model for Annotator {
     fn id(&self) -> &'static str {
-        AUTHORED
+        "annotator (a language model writing by hand, no sampled run)"
     }
 
     fn fidelity(&self) -> Fidelity {
@@ -145,27 +130,24 @@ impl Model for Annotator {
     }
 
     fn complete(&mut self, call: &Call) -> Result<Reply, BackendError> {
-        match &call.input {
-            Input::Domain => Ok(Reply::complete(self.summary.clone())),
+        let found = match &call.input {
+            Input::Domain => Some(Reply::complete(self.summary.clone())),
             Input::Sentences { topic, cell, n, round } => {
-                Ok(self.generate(topic, *cell, *n, *round))
+                Some(self.generate(topic, *cell, *n, *round))
             }
-            Input::Sentence { topic, text, words } => match self.rate(topic, text, *words) {
-                Some(reply) => Ok(reply),
-                // Controls are welcome and not owed.
-                None if call.stage == CallStage::Control => {
-                    Ok(Reply { finish: Finish::Exhausted, ..Reply::complete("") })
-                }
-                None => Err(BackendError::NotAnnotated { what: call.what() }),
-            },
-            Input::Text { .. } => Err(BackendError::NotAnnotated { what: call.what() }),
-        }
+            Input::Sentence { topic, text, words } => self.rate(topic, text, *words),
+            Input::Text { .. } => None,
+        };
+        // Controls are welcome and not owed.
+        let found = found.or_else(|| (call.stage == CallStage::Control).then(Reply::exhausted));
+        found.ok_or_else(|| BackendError::Local(format!("the annotations lack {}", call.what())))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::Finish;
 
     const TEXT: &str = "# summary\nThe zone is near.\n\n# ascend 2 4\nInstruction: Go up, zone ahead.\n\
         Words: Go | up, | zone | ahead.\nComprehension after each word: 20, 90, 92, 95\n";

@@ -1,5 +1,7 @@
 //! Who can be asked: what a call is, what a reply is, what a model and an embedder must do.
 
+use std::fmt::Debug;
+
 use serde::{Deserialize, Serialize};
 
 use super::embedding::Embedding;
@@ -87,13 +89,13 @@ pub struct Call {
 
 impl Call {
     /// Computes the call's key: a hash of everything that the reply can depend on.
-    pub fn key(&self, model: &str) -> String {
+    pub(super) fn key(&self, model: &str) -> String {
         // Field order is fixed by the type, so equal calls are equal text.
         hash(serde_json::to_string(&(model, self)).unwrap_or_default().as_bytes())
     }
 
     /// Says in words which call this is.
-    pub fn what(&self) -> String {
+    pub(super) fn what(&self) -> String {
         match &self.input {
             Input::Domain => "the summary of the domain".to_owned(),
             Input::Sentences { topic, cell, round, .. } => {
@@ -139,10 +141,21 @@ impl Reply {
     pub fn complete(text: impl Into<String>) -> Self {
         Self { text: text.into(), finish: Finish::Stop, tokens: None }
     }
+
+    /// Tells that there is nothing more to be had.
+    pub(super) fn exhausted() -> Self {
+        Self { finish: Finish::Exhausted, ..Self::complete("") }
+    }
+
+    /// Takes the lines of a round, `n` each, from a list that may end.
+    pub(super) fn page<'a>(lines: impl Iterator<Item = &'a str>, n: usize, round: u32) -> Self {
+        let page: Vec<&str> = lines.skip(n * round as usize).take(n).collect();
+        if page.is_empty() { Self::exhausted() } else { Self::complete(page.join("\n")) }
+    }
 }
 
 /// Writes or rates sentences.
-pub trait Model {
+pub trait Model: Debug {
     /// Names it, so that two with the same name answer alike: model, weights, server.
     fn id(&self) -> &str;
 
@@ -158,7 +171,7 @@ pub trait Model {
 }
 
 /// Turns sentences into vectors.
-pub trait Embedder {
+pub trait Embedder: Debug {
     /// Names it: model, weights, pooling.
     fn id(&self) -> &str;
 
@@ -171,12 +184,10 @@ pub trait Embedder {
 }
 
 /// Stands for whoever made a log: it has their name, and asks nobody.
-#[derive(Clone, Debug)]
-pub struct LoggedBackend {
-    /// The name.
-    pub id: String,
-    /// What may be claimed of what it made.
-    pub fidelity: Fidelity,
+#[derive(Debug)]
+pub(super) struct LoggedBackend {
+    pub(super) id: String,
+    pub(super) fidelity: Fidelity,
 }
 
 impl Model for LoggedBackend {
@@ -189,7 +200,7 @@ impl Model for LoggedBackend {
     }
 
     fn complete(&mut self, _call: &Call) -> Result<Reply, BackendError> {
-        Err(BackendError::Replay)
+        Err(BackendError::Local("a replay asks nobody".to_owned()))
     }
 }
 
@@ -199,6 +210,6 @@ impl Embedder for LoggedBackend {
     }
 
     fn embed(&mut self, _text: &str) -> Result<Embedding, BackendError> {
-        Err(BackendError::Replay)
+        Err(BackendError::Local("a replay asks nobody".to_owned()))
     }
 }

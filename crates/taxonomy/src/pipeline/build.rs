@@ -39,34 +39,24 @@ pub struct Built {
 
 /// Makes a database.
 ///
-/// # Errors
-///
-/// [`PipelineError`] if a backend cannot answer, answers nonsense, or a budget is spent: the log keeps what was paid,
-/// and the next run goes on from there.
-pub fn build(
+/// If a backend cannot answer, answers nonsense, or a budget is spent, the log keeps what was paid, and the next run
+/// goes on from there.
+pub(super) fn build(
     plan: &DatabasePlan,
     prompts: &Prompts,
     caller: &mut Caller<'_>,
 ) -> Result<Built, PipelineError> {
-    let writer = PromptWriter::new(plan, prompts);
+    let writer = PromptWriter { plan, prompts };
     let summary = caller.ask(&writer.summarise()?)?.1.text;
     let mut progress = propose(plan, &writer, &summary, caller)?;
     let kept = choose(plan, &mut progress.candidates, caller)?;
-    let text = export::database(plan, &caller.header(), &kept);
+    let text = export::database(plan, &caller.header, &kept);
     let taxonomy = Taxonomy::from_toml(&text);
-    let controls =
-        controls::controls(&Rating::new(plan, &writer, CallStage::Control), caller, &kept)?;
-    let mut coverage = Coverage::new(plan, &progress.candidates, &progress.rounds);
-    coverage.replies.clone_from(caller.replies());
-    let calls = caller.calls();
-    Ok(Built { text, taxonomy, candidates: progress.candidates, coverage, controls, calls })
-}
-
-/// Who decides about a proposal.
-struct Judges<'a> {
-    plan: &'a DatabasePlan,
-    rules: Rules,
-    rating: Rating<'a>,
+    let rating = Rating { writer: &writer, stage: CallStage::Control };
+    let controls = controls::controls(&rating, caller, &kept)?;
+    let BuildProgress { candidates, rounds, .. } = progress;
+    let coverage = Coverage::new(&candidates, &rounds, &caller.replies);
+    Ok(Built { text, taxonomy, candidates, coverage, controls, calls: caller.calls })
 }
 
 /// Asks for sentences and rates them until every cell has enough, or was asked often enough.
@@ -76,11 +66,8 @@ fn propose(
     summary: &str,
     caller: &mut Caller<'_>,
 ) -> Result<BuildProgress, PipelineError> {
-    let judges = Judges {
-        plan,
-        rules: Rules::new(plan),
-        rating: Rating::new(plan, writer, CallStage::Rate),
-    };
+    let rules = Rules::new(plan);
+    let rating = Rating { writer, stage: CallStage::Rate };
     let mut progress = BuildProgress::new(plan);
     while let Some((topic, cell, round)) = progress.next(plan) {
         let there = progress.texts(topic);
@@ -94,7 +81,8 @@ fn propose(
         caller.judge(CallStage::Generate, !whole.is_empty())?;
         for text in whole {
             let mut candidate = Candidate::new(topic, cell, text, &source);
-            candidate.reason = examine(&judges, &mut progress, caller, &mut candidate)?.err();
+            candidate.reason =
+                examine(&rules, &rating, &mut progress, caller, &mut candidate)?.err();
             progress.add(candidate);
         }
         if let Some(text) = cut {
@@ -108,12 +96,13 @@ fn propose(
 
 /// Applies the rules to a proposal, has it rated, and finds where it lands.
 fn examine(
-    judges: &Judges<'_>,
+    rules: &Rules,
+    rating: &Rating<'_>,
     progress: &mut BuildProgress,
     caller: &mut Caller<'_>,
     candidate: &mut Candidate,
 ) -> Result<Result<(), Reason>, PipelineError> {
-    let structure = match judges.rules.check(&candidate.text, candidate.topic) {
+    let structure = match rules.check(&candidate.text, candidate.topic) {
         Ok(structure) => structure,
         Err(reason) => return Ok(Err(reason)),
     };
@@ -121,11 +110,11 @@ fn examine(
     if let Some(reason) = progress.repeated(candidate) {
         return Ok(Err(reason));
     }
-    let Some(rated) = judges.rating.words(caller, candidate.topic, &candidate.text)? else {
+    let Some(rated) = rating.words(caller, candidate.topic, &candidate.text)? else {
         return Ok(Err(Reason::Malformed));
     };
     candidate.rated = rated;
-    let DatabasePlan { settings, words, .. } = judges.plan;
+    let DatabasePlan { settings, words, .. } = rating.writer.plan;
     let heard = match listen(&candidate.rated, settings.theta, words[0], settings.max_drop) {
         Ok(heard) => heard,
         Err(reason) => return Ok(Err(reason)),
@@ -133,7 +122,7 @@ fn examine(
     candidate.landed = Some(Cell::new(heard.comprehension, heard.curve.len() as u32));
     candidate.curve = heard.curve;
     candidate.clamped = heard.clamped;
-    judges.rating.margin(caller, candidate)
+    rating.margin(caller, candidate)
 }
 
 impl Built {

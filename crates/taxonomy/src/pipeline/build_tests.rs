@@ -3,8 +3,11 @@
 use std::path::Path;
 
 use super::*;
+use crate::pipeline::caller::{Backends, CallMode};
 use crate::pipeline::error::BackendError;
 use crate::pipeline::job::{self, Backend, BuildJob};
+use crate::pipeline::lexical::Lexical;
+use crate::pipeline::log::CallLog;
 use crate::pipeline::{Call, Input, Model, PipelineError, RateForm, Reply};
 use crate::shipped;
 use crate::utterance::Fidelity;
@@ -117,34 +120,15 @@ fn a_changed_plan_cannot_be_replayed() {
     assert!(error.to_string().starts_with(says), "{error}");
 }
 
-/// Answers with whatever it is given, in turn.
-struct Scripted(Vec<&'static str>, usize);
-
-impl Model for Scripted {
-    fn id(&self) -> &'static str {
-        "scripted"
-    }
-
-    fn fidelity(&self) -> Fidelity {
-        Fidelity::Local
-    }
-
-    fn complete(&mut self, _: &Call) -> Result<Reply, BackendError> {
-        let text = self.0[self.1 % self.0.len()];
-        self.1 += 1;
-        Ok(Reply::complete(text))
-    }
-}
-
 #[test]
 fn a_rater_that_talks_nonsense_is_given_up() {
     let directory = tempfile::tempdir().unwrap();
     let plan = job::plan("highway").unwrap();
     let mut job = job(&directory.path().join("calls.jsonl"), Backend::Grammar);
-    job.rater = Some(Box::new(Scripted(vec!["what", "no"], 0)));
+    job.rater = Some(Box::new(Opinionated { replies: Vec::new(), rate: |_, _| "no".to_owned() }));
     let error = job::run(&plan, job).unwrap_err().to_string();
     let says =
-        "of the last 50 replies of scripted are malformed: its template or the model is wrong";
+        "of the last 50 replies of opinionated are malformed: its template or the model is wrong";
     assert!(error.ends_with(says), "{error}");
 }
 
@@ -153,17 +137,9 @@ fn the_same_words_for_two_topics_go_to_neither() {
     let mut plan = job::plan("highway").unwrap();
     let mut progress = BuildProgress::new(&plan);
     let candidate = |topic: usize| Candidate {
-        topic,
-        requested: Cell::new(2, 2),
-        text: "Slow down.".to_owned(),
         spans: vec![crate::WordSpan { part: crate::SpanKind::What, from: 0, to: 2 }],
-        rated: vec![50, 90],
-        curve: vec![50, 90],
         landed: Some(Cell::new(2, 2)),
-        clamped: false,
-        reason: None,
-        medoid: None,
-        source: String::new(),
+        ..Candidate::new(topic, Cell::new(2, 2), "Slow down.".to_owned(), "")
     };
     progress.add(candidate(0));
     assert_eq!(progress.repeated(&candidate(0)), Some(Reason::Duplicate));
@@ -192,9 +168,10 @@ fn one_call_per_word_gives_what_one_call_per_sentence_gives_if_nothing_leaks() {
 }
 
 /// Writes one list, and rates by a rule.
+#[derive(Debug)]
 struct Opinionated {
     replies: Vec<Reply>,
-    rate: fn(&str, Option<usize>) -> u8,
+    rate: fn(&str, Option<usize>) -> String,
 }
 
 impl Model for Opinionated {
@@ -209,15 +186,15 @@ impl Model for Opinionated {
     fn complete(&mut self, call: &Call) -> Result<Reply, BackendError> {
         Ok(match &call.input {
             Input::Domain => Reply::complete("All matters."),
-            Input::Sentence { topic, words, .. } => {
-                Reply::complete((self.rate)(topic, *words).to_string())
-            }
-            _ if self.replies.is_empty() => {
-                Reply { finish: Finish::Exhausted, ..Reply::complete("") }
-            }
+            Input::Sentence { topic, words, .. } => Reply::complete((self.rate)(topic, *words)),
+            _ if self.replies.is_empty() => Reply::exhausted(),
             _ => self.replies.remove(0),
         })
     }
+}
+
+fn percent(holds: bool, high: u8, low: u8) -> String {
+    if holds { high.to_string() } else { low.to_string() }
 }
 
 /// Lets it write for the highway, and returns what came of it.
@@ -229,17 +206,13 @@ fn built(model: Opinionated, change: fn(&mut DatabasePlan)) -> (DatabasePlan, Bu
     change(&mut plan);
     let log = directory.path().join("calls.jsonl");
     let prompts = Prompts::default();
-    let backends = crate::pipeline::caller::Backends {
-        generator: Box::new(model),
-        rater: None,
-        embedder: Box::new(crate::pipeline::lexical::Lexical),
-    };
-    let mut open = crate::pipeline::log::CallLog::open(&log).unwrap();
-    let mode = crate::pipeline::CallMode::Live { max_calls: None };
+    let backends =
+        Backends { generator: Box::new(model), rater: None, embedder: Box::new(Lexical) };
+    let mut open = CallLog::open(&log).unwrap();
+    let mode = CallMode::Live { max_calls: None };
     let mut caller = Caller::new(backends, &mut open, mode, "highway").unwrap();
     let made = build(&plan, &prompts, &mut caller).unwrap();
-    let header = caller.header();
-    drop(caller);
+    let header = caller.header;
     // Whatever was asked is in the log, so nobody is needed to make it again.
     let text = std::fs::read_to_string(&log).unwrap();
     let again = job::replay(&plan, &prompts, &log, &text).unwrap().0;
@@ -255,7 +228,7 @@ fn reasons(built: &Built) -> Vec<(&str, Option<Reason>)> {
 fn what_was_cut_off_and_what_cannot_be_read_is_counted() {
     let cut = Reply { finish: Finish::Length, ..Reply::complete("Slow down now.\nSlow do") };
     let replies = vec![cut, Reply::complete("Here you are:")];
-    let model = Opinionated { replies, rate: |_, words| if words >= Some(2) { 90 } else { 10 } };
+    let model = Opinionated { replies, rate: |_, words| percent(words >= Some(2), 90, 10) };
     let (plan, built, header) = built(model, |_| {});
     let expected = [("Slow down now.", None), ("Slow do", Some(Reason::Truncated))];
     assert_eq!(reasons(&built), expected);
@@ -269,14 +242,13 @@ fn what_was_cut_off_and_what_cannot_be_read_is_counted() {
 
 #[test]
 fn a_sentence_that_asks_for_another_action_as_clearly_is_turned_down() {
-    let replies = || vec![Reply::complete("Slow down now.")];
     let turned_down = |rate| {
-        let model = Opinionated { replies: replies(), rate };
+        let model = Opinionated { replies: vec![Reply::complete("Slow down now.")], rate };
         reasons(&built(model, |plan| plan.settings.min_margin = 10).1)[0].1
     };
-    assert_eq!(turned_down(|topic, _| if topic == "slow_down" { 90 } else { 80 }), None);
-    let close = turned_down(|topic, _| if topic == "slow_down" { 90 } else { 81 });
+    assert_eq!(turned_down(|topic, _| percent(topic == "slow_down", 90, 80)), None);
+    let close = turned_down(|topic, _| percent(topic == "slow_down", 90, 81));
     assert_eq!(close, Some(Reason::LowMargin));
-    let other = turned_down(|topic, _| if topic == "merge_left" { 95 } else { 90 });
+    let other = turned_down(|topic, _| percent(topic == "merge_left", 95, 90));
     assert_eq!(other, Some(Reason::WrongAction));
 }

@@ -4,39 +4,27 @@ use std::collections::{BTreeMap, VecDeque};
 
 use super::backend::{Call, CallStage, Embedder, Input, Model, Reply, Sampling};
 use super::embedding::Embedding;
-use super::error::PipelineError;
+use super::error::{BackendError, PipelineError};
 use super::log::{CallLog, LogHeader};
-use crate::utterance::Fidelity;
 
 /// Replies over which nonsense is counted.
-pub const WINDOW: usize = 50;
+const WINDOW: usize = 50;
 
 /// Whether anybody may be asked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CallMode {
-    /// Whatever the log lacks is asked for, up to this many calls.
-    Live {
-        /// Calls after which the run stops; none: no limit.
-        max_calls: Option<u64>,
-    },
+#[derive(Clone, Copy, Debug)]
+pub(super) enum CallMode {
+    /// Whatever the log lacks is asked for, up to this many calls; none: no limit.
+    Live { max_calls: Option<u64> },
     /// Whatever the log lacks is an error.
     Replay,
 }
 
-/// Who is asked.
-pub struct Backends {
-    /// Writes.
-    pub generator: Box<dyn Model>,
-    /// Rates; the writer if none is given.
-    pub rater: Option<Box<dyn Model>>,
-    /// Embeds.
-    pub embedder: Box<dyn Embedder>,
-}
-
-impl std::fmt::Debug for Backends {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Backends").field("generator", &self.generator.id()).finish_non_exhaustive()
-    }
+/// Who is asked; the writer also rates if no rater is given.
+#[derive(Debug)]
+pub(super) struct Backends {
+    pub(super) generator: Box<dyn Model>,
+    pub(super) rater: Option<Box<dyn Model>>,
+    pub(super) embedder: Box<dyn Embedder>,
 }
 
 impl Backends {
@@ -49,13 +37,12 @@ impl Backends {
     }
 
     /// Describes a run for its log. What may be claimed is what the weaker of writer and rater allows.
-    pub fn header(&self, domain: &str) -> LogHeader {
+    fn header(&self, domain: &str) -> LogHeader {
         let rater = self.rater.as_ref().unwrap_or(&self.generator);
-        let fidelity: Fidelity = self.generator.fidelity().max(rater.fidelity());
         LogHeader {
             schema: 1,
             domain: domain.to_owned(),
-            fidelity,
+            fidelity: self.generator.fidelity().max(rater.fidelity()),
             generator: self.generator.id().to_owned(),
             rater: rater.id().to_owned(),
             embedder: self.embedder.id().to_owned(),
@@ -65,95 +52,73 @@ impl Backends {
 
 /// Asks on behalf of the stages.
 #[derive(Debug)]
-pub struct Caller<'a> {
+pub(super) struct Caller<'a> {
     backends: Backends,
     log: &'a mut CallLog,
     mode: CallMode,
+    /// Who is asked, as the log says it.
+    pub(super) header: LogHeader,
     /// Calls made in this run, replies from the log not counted.
-    calls: u64,
-    /// Of the last replies, which were useless.
+    pub(super) calls: u64,
+    /// Of the last replies, which were of use.
     recent: VecDeque<bool>,
-    /// Per stage, replies that could be read and those that could not.
-    replies: BTreeMap<CallStage, [usize; 2]>,
+    /// Per stage, replies that could be read and those that could not; those from the log included.
+    pub(super) replies: BTreeMap<CallStage, [usize; 2]>,
 }
 
 impl<'a> Caller<'a> {
-    /// Begins or goes on with a run.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError::OtherLog`] if the log is another run's.
-    pub fn new(
+    /// Begins or goes on with a run; an error if the log is another run's.
+    pub(super) fn new(
         backends: Backends,
         log: &'a mut CallLog,
         mode: CallMode,
         domain: &str,
     ) -> Result<Self, PipelineError> {
-        log.claim(&backends.header(domain))?;
+        let header = backends.header(domain);
+        log.claim(&header)?;
         let recent = VecDeque::with_capacity(WINDOW);
-        Ok(Self { backends, log, mode, calls: 0, recent, replies: BTreeMap::new() })
-    }
-
-    /// Returns who is asked, as the log says it.
-    pub fn header(&self) -> LogHeader {
-        let domain = self.log.header().map(|header| header.domain.clone()).unwrap_or_default();
-        self.backends.header(&domain)
-    }
-
-    /// Returns the number of calls made so far; what the log answered is not counted.
-    pub fn calls(&self) -> u64 {
-        self.calls
-    }
-
-    /// Returns per stage how many replies could be read, and how many could not; those from the log included.
-    pub fn replies(&self) -> &BTreeMap<CallStage, [usize; 2]> {
-        &self.replies
+        Ok(Self { backends, log, mode, header, calls: 0, recent, replies: BTreeMap::new() })
     }
 
     /// Asks the writer or the rater, as the stage says; also returns the call's key.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if there is no answer.
-    pub fn ask(&mut self, call: &Call) -> Result<(String, Reply), PipelineError> {
+    pub(super) fn ask(&mut self, call: &Call) -> Result<(String, Reply), PipelineError> {
         let id = self.backends.of(call.stage).id().to_owned();
-        let key = call.key(&id);
+        self.logged(&id, call, |backends| backends.of(call.stage).complete(call))
+    }
+
+    /// Asks the embedder.
+    pub(super) fn embed(&mut self, text: &str) -> Result<Embedding, PipelineError> {
+        let (system, prompt) = (String::new(), text.to_owned());
+        let sampling = Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 0 };
+        let input = Input::Text { text: text.to_owned() };
+        let call = Call { stage: CallStage::Embed, system, prompt, sampling, seed: 0, input };
+        let id = self.backends.embedder.id().to_owned();
+        let (_, reply) = self.logged(&id, &call, |backends| {
+            Ok(Reply::complete(backends.embedder.embed(text)?.to_hex()))
+        })?;
+        Ok(Embedding::from_hex(&reply.text)?)
+    }
+
+    /// Takes a reply from the log, or asks and adds it.
+    fn logged(
+        &mut self,
+        id: &str,
+        call: &Call,
+        answer: impl FnOnce(&mut Backends) -> Result<Reply, BackendError>,
+    ) -> Result<(String, Reply), PipelineError> {
+        let key = call.key(id);
         if let Some(reply) = self.log.reply(&key) {
             return Ok((key, reply.clone()));
         }
         self.spend(call)?;
-        let reply = self.backends.of(call.stage).complete(call)?;
+        let reply = answer(&mut self.backends)?;
         self.log.add(key.clone(), call, reply.clone())?;
         Ok((key, reply))
     }
 
-    /// Asks the embedder.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if there is no answer.
-    pub fn embed(&mut self, text: &str) -> Result<Embedding, PipelineError> {
-        let call = Call {
-            stage: CallStage::Embed,
-            system: String::new(),
-            prompt: text.to_owned(),
-            sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 0 },
-            seed: 0,
-            input: Input::Text { text: text.to_owned() },
-        };
-        let key = call.key(self.backends.embedder.id());
-        if let Some(reply) = self.log.reply(&key) {
-            return Ok(Embedding::from_hex(&reply.text)?);
-        }
-        self.spend(&call)?;
-        let embedding = self.backends.embedder.embed(text)?;
-        self.log.add(key, &call, Reply::complete(embedding.to_hex()))?;
-        Ok(embedding)
-    }
-
     fn spend(&mut self, call: &Call) -> Result<(), PipelineError> {
         match self.mode {
-            CallMode::Replay => return Err(PipelineError::NotInLog { what: call.what() }),
+            CallMode::Replay => return Err(not_in_log(&call.what())),
             CallMode::Live { max_calls: Some(most) } if self.calls >= most => {
                 return Err(PipelineError::BudgetSpent { calls: self.calls });
             }
@@ -163,12 +128,8 @@ impl<'a> Caller<'a> {
         Ok(())
     }
 
-    /// Is told whether a reply could be read.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError::Malformed`] once more than half of the last [`WINDOW`] replies could not.
-    pub fn judge(&mut self, stage: CallStage, useful: bool) -> Result<(), PipelineError> {
+    /// Is told whether a reply could be read; an error once more than half of the last [`WINDOW`] could not.
+    pub(super) fn judge(&mut self, stage: CallStage, useful: bool) -> Result<(), PipelineError> {
         self.replies.entry(stage).or_default()[usize::from(!useful)] += 1;
         if self.recent.len() == WINDOW {
             self.recent.pop_front();
@@ -178,7 +139,16 @@ impl<'a> Caller<'a> {
         if self.recent.len() < WINDOW || 2 * malformed <= WINDOW {
             return Ok(());
         }
-        let model = self.backends.of(stage).id().to_owned();
-        Err(PipelineError::Malformed { malformed, window: WINDOW, model })
+        let model = self.backends.of(stage).id();
+        Err(PipelineError::Unusable(format!(
+            "{malformed} of the last {WINDOW} replies of {model} are malformed: its template or the model is wrong"
+        )))
     }
+}
+
+/// Says that the log does not hold what is needed, and that nobody may be asked.
+pub(super) fn not_in_log(what: &str) -> PipelineError {
+    PipelineError::Unusable(format!(
+        "the call log lacks the reply to {what}; the plan, a prompt or the log has changed"
+    ))
 }

@@ -52,30 +52,10 @@ pub enum Reason {
     NearDuplicate,
 }
 
+/// Writes it as files spell it.
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Malformed => "malformed",
-            Self::Truncated => "truncated",
-            Self::Empty => "empty",
-            Self::WordCount => "word_count",
-            Self::Digit => "digit",
-            Self::Charset => "charset",
-            Self::Question => "question",
-            Self::Negation => "negation",
-            Self::Profanity => "profanity",
-            Self::Repetition => "repetition",
-            Self::NoDirective => "no_directive",
-            Self::TwoDirectives => "two_directives",
-            Self::WrongAction => "wrong_action",
-            Self::HumanReject => "human_reject",
-            Self::Duplicate => "duplicate",
-            Self::AmbiguousTopic => "ambiguous_topic",
-            Self::NonMonotone => "non_monotone",
-            Self::NeverUnderstood => "never_understood",
-            Self::LowMargin => "low_margin",
-            Self::NearDuplicate => "near_duplicate",
-        })
+        self.serialize(f)
     }
 }
 
@@ -108,7 +88,7 @@ pub struct Candidate {
 
 impl Candidate {
     /// Begins with a text as it was proposed for a topic and a cell by the call `source`.
-    pub fn new(topic: usize, requested: Cell, text: String, source: &str) -> Self {
+    pub(super) fn new(topic: usize, requested: Cell, text: String, source: &str) -> Self {
         Self {
             topic,
             requested,
@@ -125,7 +105,7 @@ impl Candidate {
     }
 
     /// Tells whether it passed rules and rating.
-    pub fn is_accepted(&self) -> bool {
+    pub(super) fn is_accepted(&self) -> bool {
         self.reason.is_none() && self.landed.is_some()
     }
 }

@@ -13,6 +13,7 @@ use super::candidate::Candidate;
 use super::error::PipelineError;
 use super::plan::{DatabasePlan, hash};
 use super::rating::Rating;
+use super::reply::joined;
 use crate::words;
 
 /// Shuffles until the order is another one, at most this often: some sentences say one word twice.
@@ -48,21 +49,18 @@ pub(super) fn controls(
     caller: &mut Caller<'_>,
     kept: &[Candidate],
 ) -> Result<Vec<RaterControl>, PipelineError> {
-    let plan = rating.plan;
+    let plan = rating.writer.plan;
     let n_wanted = plan.settings.controls;
+    let n_topics = if n_wanted > 0 { plan.topic.len() } else { 0 };
     let mut found = Vec::new();
-    for topic in 0..plan.topic.len() {
-        if n_wanted == 0 {
-            break;
-        }
-        let silence = rating.after(caller, topic, "", 0)?;
+    for topic in 0..n_topics {
+        let silence = rating.after(caller, topic, "", 0, 0)?;
         let mut shuffled = Vec::new();
         for candidate in chosen(kept, topic, n_wanted) {
             let text = shuffle(plan, candidate);
-            let said = candidate.text.clone();
-            let rated = candidate.rated.clone();
-            let others = rating.words(caller, topic, &text)?;
-            shuffled.push(Shuffled { said, rated, text, text_rated: others });
+            let text_rated = rating.words(caller, topic, &text)?;
+            let (said, rated) = (candidate.text.clone(), candidate.rated.clone());
+            shuffled.push(Shuffled { said, rated, text, text_rated });
         }
         found.push(RaterControl { topic, silence, shuffled });
     }
@@ -104,7 +102,6 @@ pub(super) fn report(plan: &DatabasePlan, controls: &[RaterControl]) -> String {
     let percent = |percent: Option<u8>| {
         percent.map_or_else(|| "not rated".to_owned(), |percent| format!("{percent} %"))
     };
-    let list = |rated: &[u8]| rated.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
     let mut out = String::from(
         "\n## Does the rater listen?\n\nPercent before the first word, and after each word of sentences in another \
          order.\n\n",
@@ -114,8 +111,8 @@ pub(super) fn report(plan: &DatabasePlan, controls: &[RaterControl]) -> String {
         let id = &plan.topic[control.topic].id;
         let silence = percent(control.silence);
         for Shuffled { said, rated, text, text_rated } in &control.shuffled {
-            let other = text_rated.as_deref().map_or_else(|| "not rated".to_owned(), list);
-            let (said, text) = (format!("{said} [{}]", list(rated)), format!("{text} [{other}]"));
+            let other = text_rated.as_deref().map_or_else(|| "not rated".to_owned(), joined);
+            let (said, text) = (format!("{said} [{}]", joined(rated)), format!("{text} [{other}]"));
             table.push([id, &silence, &said, &text]);
         }
     }
@@ -126,15 +123,13 @@ pub(super) fn report(plan: &DatabasePlan, controls: &[RaterControl]) -> String {
         .filter_map(|pair| Some((last(&pair.rated), last(pair.text_rated.as_deref()?))))
         .collect();
     if !both.is_empty() {
-        let n = both.len() as f64;
-        let (said, other): (f64, f64) =
-            both.iter().fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
+        let mean =
+            |of: fn(&(f64, f64)) -> f64| both.iter().map(of).sum::<f64>() / both.len() as f64;
+        let (said, other) = (mean(|pair| pair.0), mean(|pair| pair.1));
         // Writing to a string cannot fail.
         let _written = writeln!(
             out,
-            "\nAfter the last word, on average: {:.0} % as it is said, {:.0} % in another order.",
-            said / n,
-            other / n
+            "\nAfter the last word, on average: {said:.0} % as it is said, {other:.0} % in another order."
         );
     }
     out

@@ -1,6 +1,6 @@
 //! The coverage report: what a person reads before they trust a database.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 use leadtime_table::Table;
@@ -11,6 +11,7 @@ use super::controls::{self, RaterControl};
 use super::curve::listen;
 use super::log::LogHeader;
 use super::plan::DatabasePlan;
+use super::reply::joined;
 use crate::utterance::{Cell, SpanKind};
 
 /// Thresholds that the sweep tries, in percent.
@@ -50,27 +51,20 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// Counts.
-    pub fn new(
-        plan: &DatabasePlan,
+    pub(super) fn new(
         candidates: &[Candidate],
         rounds: &BTreeMap<(usize, Cell), u32>,
+        replies: &BTreeMap<CallStage, [usize; 2]>,
     ) -> Self {
-        let [from, to] = plan.words;
+        let of = |rounds| Counts { rounds, ..Counts::default() };
         let mut coverage = Self {
-            cells: BTreeMap::new(),
+            cells: rounds.iter().map(|(key, rounds)| (*key, of(*rounds))).collect(),
             reasons: BTreeMap::new(),
             on_target: 0,
             accepted: 0,
             proposed: candidates.len(),
-            replies: BTreeMap::new(),
+            replies: replies.clone(),
         };
-        for topic in 0..plan.topic.len() {
-            for cell in Cell::feasible(from, to) {
-                let rounds = rounds.get(&(topic, cell)).copied().unwrap_or_default();
-                coverage.cells.insert((topic, cell), Counts { rounds, ..Counts::default() });
-            }
-        }
         for candidate in candidates {
             let requested = coverage.cells.entry((candidate.topic, candidate.requested));
             requested.or_default().proposed += 1;
@@ -88,26 +82,23 @@ impl Coverage {
     }
 
     /// Writes the report, as Markdown.
-    pub fn report(
+    pub(super) fn report(
         &self,
         plan: &DatabasePlan,
         header: &LogHeader,
         candidates: &[Candidate],
         controls: &[RaterControl],
     ) -> String {
+        let LogHeader { fidelity, generator, rater, embedder, .. } = header;
+        let Self { proposed, accepted, on_target, .. } = self;
         let mut out = format!(
-            "# Words of the domain `{}`\n\nFidelity: **{}**. Written by {}; rated by {}; compared by {}; theta {} %.\n\n\
-             Proposed {}, accepted {} ({:.0} %), of these {} where they were asked for.\n",
+            "# Words of the domain `{}`\n\nFidelity: **{}**. Written by {generator}; rated by {rater}; compared by \
+             {embedder}; theta {} %.\n\nProposed {proposed}, accepted {accepted} ({:.0} %), of these {on_target} where \
+             they were asked for.\n",
             plan.domain,
-            header.fidelity.name(),
-            header.generator,
-            header.rater,
-            header.embedder,
+            fidelity.name(),
             plan.settings.theta,
-            self.proposed,
-            self.accepted,
-            percent(self.accepted, self.proposed),
-            self.on_target
+            percent(*accepted, *proposed),
         );
         self.unreadable(&mut out);
         self.grids(&mut out, plan);
@@ -127,11 +118,11 @@ impl Coverage {
             (CallStage::Rate, "ratings"),
             (CallStage::Control, "ratings of controls"),
         ];
-        let said = names.iter().filter_map(|(stage, name)| {
+        let said = |(stage, name): &(CallStage, &str)| {
             let [good, bad] = self.replies.get(stage)?;
             Some(format!("{bad} of {} {name}", good + bad))
-        });
-        let said: Vec<String> = said.collect();
+        };
+        let said: Vec<String> = names.iter().filter_map(said).collect();
         line(out, &format!("\nReplies that could not be read: {}.", said.join(", ")));
     }
 
@@ -189,15 +180,12 @@ fn landed(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     let mut table = Table::new(std::iter::once("(k, l)".to_owned()).chain(columns));
     for requested in &cells {
         let of_row = || candidates.iter().filter(|candidate| candidate.requested == *requested);
-        let count = |landed: &Cell| {
-            let there = |candidate: &&Candidate| {
-                candidate.is_accepted() && candidate.landed == Some(*landed)
-            };
-            match of_row().filter(there).count() {
+        let accepted = || of_row().filter(|candidate| candidate.is_accepted());
+        let count =
+            |cell: &Cell| match accepted().filter(|found| found.landed == Some(*cell)).count() {
                 0 => "·".to_owned(),
                 n => n.to_string(),
-            }
-        };
+            };
         let refused = of_row().filter(|candidate| candidate.reason.is_some()).count();
         let row = cells.iter().map(count).chain([refused.to_string()]);
         table.push(std::iter::once(requested.to_string()).chain(row));
@@ -215,33 +203,26 @@ fn sweep(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     );
     let mut table = Table::new(["theta", "understood", "clamped", "mean k", "cells filled"]);
     for theta in THETAS {
-        let mut filled: BTreeMap<(usize, Cell), usize> = BTreeMap::new();
+        let mut filled: BTreeSet<(usize, Cell)> = BTreeSet::new();
         let (mut sum, mut clamped, mut n) = (0, 0, 0_u32);
-        for candidate in candidates.iter().filter(|candidate| depends_on_theta(candidate)) {
+        // Nothing but the threshold can turn these down.
+        let depend = |candidate: &&Candidate| {
+            candidate.is_accepted() || candidate.reason == Some(Reason::NeverUnderstood)
+        };
+        for candidate in candidates.iter().filter(depend) {
             if let Ok(heard) = listen(&candidate.rated, theta, from, settings.max_drop) {
                 let cell = Cell::new(heard.comprehension, heard.curve.len() as u32);
-                *filled.entry((candidate.topic, cell)).or_default() += 1;
+                filled.insert((candidate.topic, cell));
                 sum += heard.comprehension;
                 clamped += usize::from(heard.clamped);
                 n += 1;
             }
         }
-        let mean = f64::from(sum) / f64::from(n.max(1));
-        let filled = filled.len();
-        table.push([
-            theta.to_string(),
-            n.to_string(),
-            clamped.to_string(),
-            format!("{mean:.2}"),
-            format!("{filled} of {feasible}"),
-        ]);
+        let mean = format!("{:.2}", f64::from(sum) / f64::from(n.max(1)));
+        let filled = format!("{} of {feasible}", filled.len());
+        table.push([theta.to_string(), n.to_string(), clamped.to_string(), mean, filled]);
     }
     out.push_str(&table.markdown());
-}
-
-/// Tells whether nothing but the threshold can turn a sentence down.
-fn depends_on_theta(candidate: &Candidate) -> bool {
-    candidate.is_accepted() || candidate.reason == Some(Reason::NeverUnderstood)
 }
 
 fn agreement(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
@@ -249,24 +230,25 @@ fn agreement(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
     let head = ["topic", "same", "within a word", "earlier", "later", "clamped", "with a reason"];
     let mut table = Table::new(head);
     for (i, topic) in plan.topic.iter().enumerate() {
-        let (mut same, mut within, mut earlier, mut later) = (0, 0, 0, 0);
-        let (mut clamped, mut reason, mut n) = (0, 0, 0);
-        let of_topic = |c: &&Candidate| c.topic == i && c.is_accepted();
-        for candidate in candidates.iter().filter(of_topic) {
-            let what = candidate.spans.iter().find(|span| span.part == SpanKind::What);
-            let (Some(cell), Some(what)) = (candidate.landed, what) else { continue };
-            let (rated, structural) = (cell.comprehension, what.to);
-            n += 1;
-            same += usize::from(rated == structural);
-            within += usize::from(rated.abs_diff(structural) <= 1);
-            earlier += usize::from(rated < structural);
-            later += usize::from(rated > structural);
-            clamped += usize::from(candidate.clamped);
-            reason += usize::from(candidate.spans.iter().any(|span| span.part == SpanKind::Why));
-        }
-        let share = |part| format!("{:.0} %", percent(part, n));
-        let counts = [earlier, later, clamped].map(|n| n.to_string());
-        let cells = [share(same), share(within)].into_iter().chain(counts).chain([share(reason)]);
+        // Rated k, place of the directive's last word, clamped, with a reason.
+        let facts = |candidate: &Candidate| {
+            let Candidate { topic, landed, spans, clamped, .. } = candidate;
+            let what = spans.iter().find(|span| span.part == SpanKind::What)?;
+            let rated = landed.filter(|_| *topic == i && candidate.is_accepted())?.comprehension;
+            let has_reason = spans.iter().any(|span| span.part == SpanKind::Why);
+            Some((rated, what.to, *clamped, has_reason))
+        };
+        let rows: Vec<(u32, u32, bool, bool)> = candidates.iter().filter_map(facts).collect();
+        let count = |holds: fn(&&(u32, u32, bool, bool)) -> bool| rows.iter().filter(holds).count();
+        let share = |part| format!("{:.0} %", percent(part, rows.len()));
+        let cells = [
+            share(count(|(rated, structural, ..)| rated == structural)),
+            share(count(|(rated, structural, ..)| rated.abs_diff(*structural) <= 1)),
+            count(|(rated, structural, ..)| rated < structural).to_string(),
+            count(|(rated, structural, ..)| rated > structural).to_string(),
+            count(|(_, _, clamped, _)| *clamped).to_string(),
+            share(count(|(.., has_reason)| *has_reason)),
+        ];
         table.push(std::iter::once(topic.id.clone()).chain(cells));
     }
     out.push_str(&table.markdown());
@@ -284,22 +266,19 @@ fn to_read(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
         best.sort_by_key(|candidate| candidate.landed);
         for candidate in best {
             let cell = candidate.landed.map(|cell| cell.to_string()).unwrap_or_default();
-            let curve: Vec<String> = candidate.rated.iter().map(u8::to_string).collect();
-            line(out, &format!("* {cell} {} [{}]", candidate.text, curve.join(", ")));
+            line(out, &format!("* {cell} {} [{}]", candidate.text, joined(&candidate.rated)));
         }
     }
-    let refused: Vec<&Candidate> =
-        candidates.iter().filter(|candidate| candidate.reason.is_some()).collect();
+    let refused: Vec<(Reason, &Candidate)> =
+        candidates.iter().filter_map(|candidate| Some((candidate.reason?, candidate))).collect();
     if refused.is_empty() {
         return;
     }
     line(out, "\n### Turned down\n");
     // Evenly spread over the run, so that no stage hides the others.
-    let step = refused.len().div_ceil(SHOWN);
-    for candidate in refused.iter().step_by(step) {
-        let (reason, topic) = (candidate.reason, &plan.topic[candidate.topic].id);
-        let reason = reason.map(|reason| reason.to_string()).unwrap_or_default();
-        line(out, &format!("* `{reason}`, {topic} {}: {}", candidate.requested, candidate.text));
+    for (reason, candidate) in refused.iter().step_by(refused.len().div_ceil(SHOWN)) {
+        let Candidate { topic, requested, text, .. } = candidate;
+        line(out, &format!("* `{reason}`, {} {requested}: {text}", plan.topic[*topic].id));
     }
 }
 

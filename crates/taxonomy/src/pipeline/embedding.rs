@@ -19,7 +19,7 @@ impl Embedding {
     }
 
     /// Computes the cosine of the angle between two vectors; 0 if one of them is zero or they differ in length.
-    pub fn cosine(&self, other: &Self) -> f64 {
+    pub(super) fn cosine(&self, other: &Self) -> f64 {
         if self.0.len() != other.0.len() {
             return 0.0;
         }
@@ -32,20 +32,15 @@ impl Embedding {
     }
 
     /// Writes the vector as hexadecimal, two digits per component.
-    pub fn to_hex(&self) -> String {
+    pub(super) fn to_hex(&self) -> String {
         let bytes: Vec<u8> = self.0.iter().map(|x| x.to_ne_bytes()[0]).collect();
         hexadecimal(&bytes)
     }
 
     /// Reads what [`Embedding::to_hex`] wrote.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError::Local`] if it is no such text.
-    pub fn from_hex(text: &str) -> Result<Self, BackendError> {
-        let wrong = || BackendError::Local {
-            message: "an embedding in the log is no hexadecimal".to_owned(),
-        };
+    pub(super) fn from_hex(text: &str) -> Result<Self, BackendError> {
+        let says = "the embedder cannot be used: an embedding in the log is no hexadecimal";
+        let wrong = || BackendError::Local(says.to_owned());
         if !text.is_ascii() || !text.len().is_multiple_of(2) {
             return Err(wrong());
         }

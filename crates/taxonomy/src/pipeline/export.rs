@@ -8,7 +8,8 @@ use super::candidate::Candidate;
 use super::log::LogHeader;
 use super::plan::DatabasePlan;
 use crate::database::Taxonomy;
-use crate::utterance::{Fidelity, SpanKind, Utterance};
+use crate::raw::{RawDatabase, RawUtterance, SCHEMA};
+use crate::utterance::{Fidelity, Utterance};
 
 /// Says at the head of a file what may be claimed of it.
 fn claim(fidelity: Fidelity) -> &'static str {
@@ -31,76 +32,49 @@ fn claim(fidelity: Fidelity) -> &'static str {
 }
 
 /// Writes the file of the chosen sentences.
-pub fn database(plan: &DatabasePlan, header: &LogHeader, kept: &[Candidate]) -> String {
-    let topics: Vec<String> = plan.topic.iter().map(|topic| quote(&topic.id)).collect();
-    let mut out = format!(
+pub(super) fn database(plan: &DatabasePlan, header: &LogHeader, kept: &[Candidate]) -> String {
+    let LogHeader { fidelity, generator, rater, embedder, .. } = header.clone();
+    let raw = RawDatabase {
+        schema: SCHEMA,
+        domain: plan.domain.clone(),
+        fidelity,
+        generator,
+        rater,
+        embedder,
+        theta: plan.settings.theta,
+        words: plan.words,
+        topics: plan.topic.iter().map(|topic| topic.id.clone()).collect(),
+        config: plan.hash(),
+        utterance: kept.iter().filter_map(|candidate| utterance(plan, candidate)).collect(),
+    };
+    format!(
         "# What is said in the domain `{}`, by topic, comprehension time k and conveyance time l, in words.\n# {}\n\
-         # Made by `leadtime taxonomy build`; made again, byte for byte, from its call log.\n\n",
+         # Made by `leadtime taxonomy build`; made again, byte for byte, from its call log.\n\n{}",
         plan.domain,
-        claim(header.fidelity)
-    );
-    let lines = [
-        ("schema", "1".to_owned()),
-        ("domain", quote(&plan.domain)),
-        ("fidelity", quote(header.fidelity.name())),
-        ("generator", quote(&header.generator)),
-        ("rater", quote(&header.rater)),
-        ("embedder", quote(&header.embedder)),
-        ("theta", plan.settings.theta.to_string()),
-        ("words", format!("[{}, {}]", plan.words[0], plan.words[1])),
-        ("topics", format!("[{}]", topics.join(", "))),
-        ("config", quote(&plan.hash())),
-    ];
-    for (key, value) in lines {
-        push(&mut out, &format!("{key} = {value}\n"));
-    }
-    for candidate in kept {
-        sentence(&mut out, plan, candidate);
-    }
-    out
+        claim(fidelity),
+        // Text, numbers and lists can always be written.
+        toml::to_string(&raw).unwrap_or_default()
+    )
 }
 
-fn sentence(out: &mut String, plan: &DatabasePlan, candidate: &Candidate) {
-    let Some(cell) = candidate.landed else { return };
-    let spans: Vec<String> = candidate
-        .spans
-        .iter()
-        .map(|span| format!("[{}, {}, {}]", quote(part(span.part)), span.from, span.to))
-        .collect();
-    let curve: Vec<String> = candidate.curve.iter().map(u8::to_string).collect();
-    push(out, "\n[[utterance]]\n");
-    push(out, &format!("topic = {}\n", quote(&plan.topic[candidate.topic].id)));
-    push(out, &format!("comprehension = {}\n", cell.comprehension));
-    push(out, &format!("conveyance = {}\n", cell.conveyance));
-    push(out, &format!("text = {}\n", quote(&candidate.text)));
-    push(out, &format!("spans = [{}]\n", spans.join(", ")));
-    push(out, &format!("curve = [{}]\n", curve.join(", ")));
-    if candidate.clamped {
-        push(out, "clamped = true\n");
-    }
-    push(out, &format!("medoid = {}\n", candidate.medoid.unwrap_or_default()));
-    push(out, &format!("source = {}\n", quote(&candidate.source)));
-}
-
-fn push(out: &mut String, text: &str) {
-    out.push_str(text);
-}
-
-fn part(part: SpanKind) -> &'static str {
-    match part {
-        SpanKind::What => "what",
-        SpanKind::How => "how",
-        SpanKind::Why => "why",
-    }
-}
-
-/// Writes a TOML string.
-fn quote(text: &str) -> String {
-    toml::Value::String(text.to_owned()).to_string()
+fn utterance(plan: &DatabasePlan, candidate: &Candidate) -> Option<RawUtterance> {
+    let cell = candidate.landed?;
+    Some(RawUtterance {
+        topic: plan.topic[candidate.topic].id.clone(),
+        comprehension: cell.comprehension,
+        conveyance: cell.conveyance,
+        text: candidate.text.clone(),
+        spans: candidate.spans.clone(),
+        curve: candidate.curve.clone(),
+        clamped: candidate.clamped,
+        word_end_ms: Vec::new(),
+        medoid: candidate.medoid.unwrap_or_default(),
+        source: candidate.source.clone(),
+    })
 }
 
 /// Writes a database as a table, one sentence per line.
-pub fn csv(taxonomy: &Taxonomy) -> String {
+pub(super) fn csv(taxonomy: &Taxonomy) -> String {
     let mut out =
         String::from("topic,comprehension,conveyance,text,reason_words,curve,medoid,source\n");
     for topic in taxonomy.topics() {
@@ -125,7 +99,7 @@ pub fn csv(taxonomy: &Taxonomy) -> String {
 }
 
 /// Writes a database as JSON.
-pub fn json(taxonomy: &Taxonomy) -> String {
+pub(super) fn json(taxonomy: &Taxonomy) -> String {
     let header = taxonomy.header();
     let topics: Vec<serde_json::Value> = taxonomy
         .topics()

@@ -2,9 +2,10 @@
 
 use leadtime_numerics::Pcg64;
 
-use super::backend::{Call, Finish, Input, Model, Reply};
+use super::backend::{Call, Input, Model, Reply};
 use super::error::BackendError;
 use super::plan::{DatabasePlan, hash};
+use super::reply::joined;
 use super::structure::Lexicon;
 use crate::utterance::{Cell, Fidelity, SpanKind};
 use crate::words;
@@ -27,14 +28,14 @@ const UNDERSTOOD: u8 = 95;
 
 /// Answers from the phrase lists of a plan.
 #[derive(Clone, Debug)]
-pub struct Grammar {
+pub(super) struct Grammar {
     plan: DatabasePlan,
     lexicon: Lexicon,
 }
 
 impl Grammar {
     /// Takes a plan's phrases.
-    pub fn new(plan: &DatabasePlan) -> Self {
+    pub(super) fn new(plan: &DatabasePlan) -> Self {
         Self { plan: plan.clone(), lexicon: Lexicon::new(plan) }
     }
 
@@ -68,10 +69,8 @@ impl Grammar {
         let spoken = words::words(text);
         let topic = self.plan.topic_idx(topic);
         let structure = self.lexicon.analyse(&spoken).ok();
-        let what =
-            structure.filter(|structure| Some(structure.topic) == topic).and_then(|structure| {
-                structure.spans.into_iter().find(|span| span.part == SpanKind::What)
-            });
+        let spans = structure.filter(|found| Some(found.topic) == topic).map(|found| found.spans);
+        let what = spans.unwrap_or_default().into_iter().find(|span| span.part == SpanKind::What);
         let end = what.map_or(usize::MAX, |what| what.to as usize);
         let percent = |i: usize| {
             if i + 1 >= end { UNDERSTOOD } else { 10 + (40 * i / spoken.len()) as u8 }
@@ -80,8 +79,8 @@ impl Grammar {
             let heard = n.checked_sub(1).map_or(0, percent);
             return Reply::complete(heard.to_string());
         }
-        let numbers: Vec<String> = (0..spoken.len()).map(|i| percent(i).to_string()).collect();
-        Reply::complete(format!("Comprehension after each word: {}", numbers.join(", ")))
+        let numbers: Vec<u8> = (0..spoken.len()).map(percent).collect();
+        Reply::complete(format!("Comprehension after each word: {}", joined(&numbers)))
     }
 }
 
@@ -98,14 +97,9 @@ fn sentence(order: &[SpanKind], phrases: [&str; 3], cell: Cell) -> Option<String
         }
         // A reason is set off, wherever it stands.
         let comma = i > 0 && (part == SpanKind::Why || order[i - 1] == SpanKind::Why);
-        text.push_str(if comma {
-            ", "
-        } else if i > 0 {
-            " "
-        } else {
-            ""
-        });
-        text.push_str(phrase(part));
+        let set_off = if comma { "," } else { "" };
+        let space = if i > 0 { " " } else { "" };
+        text.extend([set_off, space, phrase(part)]);
     }
     if (comprehension, n_words) != (cell.comprehension, cell.conveyance) {
         return None;
@@ -129,10 +123,7 @@ impl Model for Grammar {
             Input::Domain => Reply::complete(self.plan.missing.trim()),
             Input::Sentences { topic, cell, n, round } => {
                 let all = self.sentences(topic, *cell);
-                let some: Vec<String> =
-                    all.into_iter().skip(n * *round as usize).take(*n).collect();
-                let finish = if some.is_empty() { Finish::Exhausted } else { Finish::Stop };
-                Reply { text: some.join("\n"), finish, tokens: None }
+                Reply::page(all.iter().map(String::as_str), *n, *round)
             }
             Input::Sentence { topic, text, words } => self.rate(topic, text, *words),
             Input::Text { text } => Reply::complete(text.clone()),
@@ -155,11 +146,9 @@ mod tests {
                 for cell in Cell::feasible(2, 5) {
                     let list = grammar.sentences(&topic.id, cell);
                     assert!(list.len() >= 3, "{domain} {} {cell}: {list:?}", topic.id);
-                    let rated = joint_rating(
-                        &grammar.rate(&topic.id, &list[0], None),
-                        cell.conveyance as usize,
-                    );
-                    let crossing = rated.unwrap().iter().position(|p| *p >= 70).unwrap() as u32 + 1;
+                    let rating = grammar.rate(&topic.id, &list[0], None);
+                    let rated = joint_rating(&rating, cell.conveyance as usize).unwrap();
+                    let crossing = rated.iter().position(|p| *p >= 70).unwrap() as u32 + 1;
                     assert_eq!(crossing, cell.comprehension, "{}", list[0]);
                 }
             }

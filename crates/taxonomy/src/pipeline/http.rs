@@ -11,7 +11,7 @@ use std::time::Duration;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::backend::{Call, Finish, Model, Reply};
+use super::backend::{Call, Finish, Model, Reply, Sampling};
 use super::error::{BackendError, PipelineError};
 use crate::utterance::Fidelity;
 
@@ -89,25 +89,13 @@ struct Usage {
     completion_tokens: u64,
 }
 
-/// What one try came to.
-enum Attempt {
-    Reply(Reply),
-    /// Worth another try.
-    Again(String),
-    Refused(u16, String),
-}
-
 impl Http {
     /// Prepares a client; nothing is sent yet.
     ///
     /// # Errors
     ///
-    /// [`PipelineError::Plan`] if the address is no web address or the patience impossible.
+    /// [`PipelineError::Unusable`] if the address is no web address or the patience impossible.
     pub fn new(settings: HttpSettings) -> Result<Self, PipelineError> {
-        let refuse = |key: &str, given: String, allowed: &str| {
-            let (key, allowed) = (key.to_owned(), allowed.to_owned());
-            Err(PipelineError::Plan { key, given, allowed })
-        };
         let tls = cfg!(feature = "https");
         let schemes: &[&str] = if tls { &["http://", "https://"] } else { &["http://"] };
         if !schemes.iter().any(|scheme| settings.url.starts_with(scheme)) {
@@ -116,10 +104,10 @@ impl Http {
             } else {
                 "http://HOST:PORT/v1 (https:// if built with the feature `https`)"
             };
-            return refuse("url", settings.url, allowed);
+            return Err(PipelineError::plan("url", settings.url, allowed));
         }
         if !(1..=10).contains(&settings.tries) {
-            return refuse("tries", settings.tries.to_string(), "1 to 10");
+            return Err(PipelineError::plan("tries", settings.tries, "1 to 10"));
         }
         let config = ureq::Agent::config_builder()
             .timeout_global(Some(settings.timeout))
@@ -130,58 +118,48 @@ impl Http {
     }
 
     fn body(&self, call: &Call) -> String {
+        let Sampling { temperature, top_p, max_tokens } = call.sampling;
         let messages = json!([
             {"role": "system", "content": call.system},
             {"role": "user", "content": call.prompt},
         ]);
         json!({
-            "model": self.settings.model,
-            "messages": messages,
-            "temperature": call.sampling.temperature,
-            "top_p": call.sampling.top_p,
-            "max_tokens": call.sampling.max_tokens,
-            "seed": call.seed,
-            "stream": false,
+            "model": self.settings.model, "messages": messages, "temperature": temperature, "top_p": top_p,
+            "max_tokens": max_tokens, "seed": call.seed, "stream": false,
         })
         .to_string()
     }
 
-    fn attempt(&self, body: &str) -> Attempt {
+    /// Tries once; an error says why another try is worth it.
+    fn attempt(&self, body: &str) -> Result<Result<Reply, BackendError>, String> {
         let url = format!("{}/chat/completions", self.settings.url);
         let mut request = self.agent.post(&url).header("content-type", "application/json");
         if let Some(key) = &self.settings.api_key {
             request = request.header("authorization", &format!("Bearer {key}"));
         }
-        let mut response = match request.send(body) {
-            Ok(response) => response,
-            Err(error) => return Attempt::Again(error.to_string()),
-        };
+        let mut response = request.send(body).map_err(|error| error.to_string())?;
         let status = response.status().as_u16();
-        let text = match response.body_mut().with_config().limit(MAX_ANSWER).read_to_string() {
-            Ok(text) => text,
-            Err(error) => return Attempt::Again(error.to_string()),
-        };
+        let text = response.body_mut().with_config().limit(MAX_ANSWER).read_to_string();
+        let text = text.map_err(|error| error.to_string())?;
         match status {
-            200..=299 => read(&text),
-            408 | 429 | 500..=599 => Attempt::Again(format!("status {status}")),
+            200..=299 => read(&text).map(Ok),
+            408 | 429 | 500..=599 => Err(format!("status {status}")),
             _ => {
                 let line = text.split_whitespace().collect::<Vec<_>>().join(" ");
-                Attempt::Refused(status, line.chars().take(SHOWN).collect())
+                let (url, message) =
+                    (self.settings.url.clone(), line.chars().take(SHOWN).collect());
+                Ok(Err(BackendError::Refused { url, status, message }))
             }
         }
     }
 }
 
-fn read(text: &str) -> Attempt {
-    let answer: ChatAnswer = match serde_json::from_str(text) {
-        Ok(answer) => answer,
-        Err(error) => return Attempt::Again(format!("an answer that cannot be read: {error}")),
-    };
-    let Some(choice) = answer.choices.into_iter().next() else {
-        return Attempt::Again("an answer without choices".to_owned());
-    };
+fn read(text: &str) -> Result<Reply, String> {
+    let answer: ChatAnswer = serde_json::from_str(text)
+        .map_err(|error| format!("an answer that cannot be read: {error}"))?;
+    let choice = answer.choices.into_iter().next().ok_or("an answer without choices")?;
     let cut = choice.finish_reason.as_deref() == Some("length");
-    Attempt::Reply(Reply {
+    Ok(Reply {
         text: choice.message.content.unwrap_or_default(),
         finish: if cut { Finish::Length } else { Finish::Stop },
         tokens: answer.usage.map(|usage| (usage.prompt_tokens, usage.completion_tokens)),
@@ -206,11 +184,8 @@ impl Model for Http {
                 std::thread::sleep(self.settings.backoff.saturating_mul(1 << (attempt - 1)));
             }
             match self.attempt(&body) {
-                Attempt::Reply(reply) => return Ok(reply),
-                Attempt::Refused(status, message) => {
-                    return Err(BackendError::Refused { url, status, message });
-                }
-                Attempt::Again(why) => message = why,
+                Ok(answer) => return answer,
+                Err(why) => message = why,
             }
         }
         Err(BackendError::Unreachable { url, tries, message })

@@ -1,5 +1,6 @@
 //! The whole pipeline over HTTP, against a server that answers well most of the time and badly in every known way.
 
+use std::collections::BTreeSet;
 use std::net::TcpListener;
 use std::path::Path;
 
@@ -29,14 +30,15 @@ fn impatient(url: &str) -> HttpSettings {
 }
 
 fn job(log: &Path, url: &str, max_calls: Option<u64>) -> BuildJob {
-    BuildJob {
-        backend: Backend::Http(impatient(url)),
-        log: log.to_owned(),
-        prompts: None,
-        embedder: None,
-        rater: None,
-        max_calls,
-    }
+    let (backend, log) = (Backend::Http(impatient(url)), log.to_owned());
+    BuildJob { backend, log, prompts: None, embedder: None, rater: None, max_calls }
+}
+
+/// What ends a run of the small plan against an address.
+fn stopped(url: &str) -> String {
+    let directory = tempfile::tempdir().unwrap();
+    let job = job(&directory.path().join("calls.jsonl"), url, None);
+    job::run(&small_plan(), job).unwrap_err().to_string()
 }
 
 #[test]
@@ -60,18 +62,14 @@ fn a_run_survives_a_server_that_misbehaves_and_pays_for_nothing_twice() {
         }
     };
     let seen = server.seen();
-    let mut distinct = seen.answered.clone();
-    distinct.sort_unstable();
-    distinct.dedup();
+    let distinct: BTreeSet<&String> = seen.answered.iter().collect();
     assert_eq!(distinct.len(), seen.answered.len(), "a call was paid twice");
     assert!(seen.requests > seen.answered.len() + 5);
     assert_eq!(seen.authorization.as_deref(), Some("authorization: Bearer secret"));
     assert!(!std::fs::read_to_string(&log).unwrap().contains("secret"));
-    assert_eq!(
-        built.taxonomy.as_ref().unwrap().header().generator,
-        format!("test-model at {}", server.url)
-    );
-    assert!(built.taxonomy.as_ref().unwrap().topics()[0].cells().count() == 10);
+    let taxonomy = built.taxonomy.unwrap();
+    assert_eq!(taxonomy.header().generator, format!("test-model at {}", server.url));
+    assert_eq!(taxonomy.topics()[0].cells().count(), 10);
     drop(seen);
     // What the log holds makes the same file without the server.
     let replay = BuildJob { backend: Backend::Replay, ..job(&log, "http://nobody", None) };
@@ -80,26 +78,16 @@ fn a_run_survives_a_server_that_misbehaves_and_pays_for_nothing_twice() {
 
 #[test]
 fn a_model_that_talks_nonsense_is_given_up_with_one_sentence() {
-    let plan = small_plan();
-    let server = Server::start(&plan, &[Manner::Nonsense]);
-    let directory = tempfile::tempdir().unwrap();
-    let job = job(&directory.path().join("calls.jsonl"), &server.url, None);
-    let error = job::run(&plan, job).unwrap_err().to_string();
-    let says = format!(
-        "50 of the last 50 replies of test-model at {} are malformed: its template or the model is wrong",
-        server.url
-    );
-    assert_eq!(error, says);
+    let url = Server::start(&small_plan(), &[Manner::Nonsense]).url;
+    let says = "are malformed: its template or the model is wrong";
+    assert_eq!(stopped(&url), format!("50 of the last 50 replies of test-model at {url} {says}"));
 }
 
 #[test]
 fn a_server_that_refuses_is_not_asked_again() {
-    let plan = small_plan();
-    let server = Server::start(&plan, &[Manner::Refusing]);
-    let directory = tempfile::tempdir().unwrap();
-    let job = job(&directory.path().join("calls.jsonl"), &server.url, None);
-    let error = job::run(&plan, job).unwrap_err().to_string();
-    assert_eq!(error, format!("the server at {} refuses with status 401: no key", server.url));
+    let server = Server::start(&small_plan(), &[Manner::Refusing]);
+    let says = format!("the server at {} refuses with status 401: no key", server.url);
+    assert_eq!(stopped(&server.url), says);
     assert_eq!(server.seen().requests, 1);
 }
 
@@ -109,9 +97,7 @@ fn nobody_there_is_said_in_one_sentence() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/v1", listener.local_addr().unwrap());
     drop(listener);
-    let directory = tempfile::tempdir().unwrap();
-    let job = job(&directory.path().join("calls.jsonl"), &url, None);
-    let error = job::run(&small_plan(), job).unwrap_err().to_string();
+    let error = stopped(&url);
     let says = format!("the server at {url} cannot be reached after 5 tries: ");
     assert!(error.starts_with(&says) && !error.contains('\n'), "{error}");
 }

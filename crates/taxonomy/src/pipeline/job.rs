@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::annotator::Annotator;
 use super::backend::{CallStage, Embedder, LoggedBackend, Model};
 use super::build::{Built, build};
-use super::caller::{Backends, CallMode, Caller};
+use super::caller::{Backends, CallMode, Caller, not_in_log};
 use super::error::PipelineError;
 use super::export;
 use super::grammar::Grammar;
@@ -15,8 +15,8 @@ use super::log::{CallLog, LogHeader};
 use super::plan::DatabasePlan;
 use super::prompts::{PromptWriter, Prompts};
 use super::rating::Rating;
-use crate::check::{Finding, check};
 use crate::database::Taxonomy;
+use crate::utterance::Fidelity;
 
 /// What comes with the crate for one domain: its plan, and the annotations and call log of its database.
 #[derive(Clone, Copy, Debug)]
@@ -41,18 +41,16 @@ macro_rules! source {
 const SOURCES: [ShippedSource; 3] = [source!("highway"), source!("lander"), source!("steakhouse")];
 
 fn source(domain: &str) -> Result<&'static ShippedSource, PipelineError> {
-    SOURCES.iter().find(|source| source.domain == domain).ok_or_else(|| PipelineError::Plan {
-        key: "domain".to_owned(),
-        given: domain.to_owned(),
-        allowed: "highway, lander or steakhouse, or the path of a plan".to_owned(),
-    })
+    let allowed = "highway, lander or steakhouse, or the path of a plan";
+    let found = SOURCES.iter().find(|source| source.domain == domain);
+    found.ok_or_else(|| PipelineError::plan("domain", domain, allowed))
 }
 
 /// Reads a plan that comes with the crate.
 ///
 /// # Errors
 ///
-/// [`PipelineError::Plan`] if there is none for the domain.
+/// [`PipelineError::Unusable`] if there is none for the domain.
 pub fn plan(domain: &str) -> Result<DatabasePlan, PipelineError> {
     DatabasePlan::from_toml(source(domain)?.plan)
 }
@@ -66,8 +64,11 @@ pub fn plan_or_file(name_or_path: &str) -> Result<DatabasePlan, PipelineError> {
     if SOURCES.iter().any(|source| source.domain == name_or_path) {
         return plan(name_or_path);
     }
-    let path = Path::new(name_or_path);
-    DatabasePlan::from_toml(&std::fs::read_to_string(path).map_err(PipelineError::file(path))?)
+    DatabasePlan::from_toml(&read(Path::new(name_or_path))?)
+}
+
+fn read(path: &Path) -> Result<String, PipelineError> {
+    std::fs::read_to_string(path).map_err(PipelineError::file(path))
 }
 
 /// Who writes and rates.
@@ -100,18 +101,6 @@ pub struct BuildJob {
     pub max_calls: Option<u64>,
 }
 
-impl std::fmt::Debug for dyn Embedder {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.id())
-    }
-}
-
-impl std::fmt::Debug for dyn Model {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.id())
-    }
-}
-
 /// Makes a database from a plan.
 ///
 /// # Errors
@@ -123,51 +112,39 @@ pub fn run(plan: &DatabasePlan, job: BuildJob) -> Result<(Built, LogHeader), Pip
         None => Prompts::default(),
     };
     if matches!(job.backend, Backend::Replay) {
-        let text = std::fs::read_to_string(&job.log).map_err(PipelineError::file(&job.log))?;
-        return replay(plan, &prompts, &job.log, &text);
+        return replay(plan, &prompts, &job.log, &read(&job.log)?);
     }
-    PromptWriter::new(plan, &prompts).check()?;
+    PromptWriter { plan, prompts: &prompts }.check()?;
     let generator = generator(plan, &job.backend)?;
     let embedder = job.embedder.unwrap_or_else(|| Box::new(Lexical));
     let backends = Backends { generator, rater: job.rater, embedder };
     let mut log = CallLog::open(&job.log)?;
     let mode = CallMode::Live { max_calls: job.max_calls };
     let mut caller = Caller::new(backends, &mut log, mode, &plan.domain)?;
-    let header = caller.header();
-    Ok((build(plan, &prompts, &mut caller)?, header))
+    let built = build(plan, &prompts, &mut caller)?;
+    Ok((built, caller.header))
 }
 
 fn generator(plan: &DatabasePlan, backend: &Backend) -> Result<Box<dyn Model>, PipelineError> {
     Ok(match backend {
-        Backend::Authored(Some(path)) => {
-            let text = std::fs::read_to_string(path).map_err(PipelineError::file(path))?;
-            Box::new(Annotator::parse(&text)?)
-        }
+        Backend::Authored(Some(path)) => Box::new(Annotator::parse(&read(path)?)?),
         Backend::Authored(None) => Box::new(Annotator::parse(source(&plan.domain)?.annotations)?),
         Backend::Grammar => Box::new(Grammar::new(plan)),
         Backend::Http(settings) => Box::new(Http::new(settings.clone())?),
-        Backend::Replay => Box::new(LoggedBackend {
-            id: String::new(),
-            fidelity: crate::utterance::Fidelity::Local,
-        }),
+        Backend::Replay => Box::new(LoggedBackend { id: String::new(), fidelity: Fidelity::Local }),
     })
 }
 
 /// Makes the database of a finished log again, without asking anybody.
-///
-/// # Errors
-///
-/// [`PipelineError::NotInLog`] if the plan, a prompt or the log has changed since.
-pub fn replay(
+pub(super) fn replay(
     plan: &DatabasePlan,
     prompts: &Prompts,
     path: &Path,
     log: &str,
 ) -> Result<(Built, LogHeader), PipelineError> {
-    let mut log = CallLog::finished(path, log)?;
-    let header = log.header().cloned().ok_or_else(|| PipelineError::NotInLog {
-        what: "who was asked: the log is empty".to_owned(),
-    })?;
+    let mut log = CallLog::read(path, log, None)?;
+    let header = log.header.clone();
+    let header = header.ok_or_else(|| not_in_log("who was asked: the log is empty"))?;
     let absent = |id: &str| LoggedBackend { id: id.to_owned(), fidelity: header.fidelity };
     let backends = Backends {
         generator: Box::new(absent(&header.generator)),
@@ -182,7 +159,7 @@ pub fn replay(
 ///
 /// # Errors
 ///
-/// As [`replay`].
+/// [`PipelineError`] if there is none for the domain.
 pub fn replay_shipped(domain: &str) -> Result<(Built, LogHeader), PipelineError> {
     let path = PathBuf::from(format!("crates/taxonomy/data/{domain}/calls.jsonl"));
     replay(&plan(domain)?, &Prompts::default(), &path, source(domain)?.log)
@@ -200,33 +177,18 @@ pub fn rate_texts(
     topic: &str,
     texts: &[String],
 ) -> Result<Vec<Option<Vec<u8>>>, PipelineError> {
-    let known = || plan.topic.iter().map(|topic| topic.id.as_str()).collect::<Vec<_>>().join(", ");
-    let topic = plan.topic_idx(topic).ok_or_else(|| PipelineError::Plan {
-        key: "topic".to_owned(),
-        given: topic.to_owned(),
-        allowed: known(),
+    let topic = plan.topic_idx(topic).ok_or_else(|| {
+        let known: Vec<&str> = plan.topic.iter().map(|topic| topic.id.as_str()).collect();
+        PipelineError::plan("topic", topic, &known.join(", "))
     })?;
-    let prompts = Prompts::default();
-    let writer = PromptWriter::new(plan, &prompts);
+    let writer = PromptWriter { plan, prompts: &Prompts::default() };
     let generator = generator(plan, backend)?;
     let backends = Backends { generator, rater: None, embedder: Box::new(Lexical) };
     let mut log = CallLog::open(log)?;
     let mode = CallMode::Live { max_calls: None };
     let mut caller = Caller::new(backends, &mut log, mode, &plan.domain)?;
-    let rating = Rating::new(plan, &writer, CallStage::Rate);
+    let rating = Rating { writer: &writer, stage: CallStage::Rate };
     texts.iter().map(|text| rating.words(&mut caller, topic, text)).collect()
-}
-
-/// Reads a database and lists what it lacks.
-///
-/// # Errors
-///
-/// [`PipelineError`] if it cannot be read or is wrong.
-pub fn validate(path: &Path, wanted: usize) -> Result<(Taxonomy, Vec<Finding>), PipelineError> {
-    let text = std::fs::read_to_string(path).map_err(PipelineError::file(path))?;
-    let taxonomy = Taxonomy::from_toml(&text)?;
-    let findings = check(&taxonomy, wanted);
-    Ok((taxonomy, findings))
 }
 
 /// A form for other tools.
@@ -264,21 +226,5 @@ mod tests {
         let says =
             "`topic` of the plan is stop; allowed: slow_down, speed_up, merge_left, merge_right";
         assert_eq!(error, says);
-    }
-
-    #[test]
-    fn files_are_validated_by_name() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("taxonomy.toml");
-        let error = validate(&path, 3).unwrap_err().to_string();
-        assert!(error.starts_with(&path.display().to_string()), "{error}");
-        std::fs::write(&path, crate::shipped::text("lander").unwrap()).unwrap();
-        let (taxonomy, findings) = validate(&path, 3).unwrap();
-        assert_eq!(taxonomy.header().domain, "lander");
-        assert!(findings.is_empty());
-        assert!(!validate(&path, 100).unwrap().1.is_empty());
-        std::fs::write(&path, "schema = ").unwrap();
-        let error = validate(&path, 3).unwrap_err().to_string();
-        assert!(error.contains("line 1 of the utterance database"), "{error}");
     }
 }

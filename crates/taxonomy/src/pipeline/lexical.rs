@@ -14,8 +14,8 @@ const DIM: usize = 128;
 const WORD: f32 = 2.0;
 
 /// Embeds by words and letter trigrams.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Lexical;
+#[derive(Debug)]
+pub(super) struct Lexical;
 
 impl Embedder for Lexical {
     fn id(&self) -> &'static str {

@@ -4,6 +4,7 @@
 //! writes leaves a torn last line, which is cut off at the next start; any other damage is refused.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -32,10 +33,10 @@ pub struct LogHeader {
     pub embedder: String,
 }
 
-impl LogHeader {
-    fn describe(&self) -> String {
+impl fmt::Display for LogHeader {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { domain, generator, rater, embedder, .. } = self;
-        format!("{domain} with {generator}, {rater} and {embedder}")
+        write!(f, "{domain} with {generator}, {rater} and {embedder}")
     }
 }
 
@@ -52,24 +53,20 @@ struct LogLine {
 
 /// Replies by key, and the file they are kept in.
 #[derive(Debug)]
-pub struct CallLog {
+pub(super) struct CallLog {
     path: PathBuf,
     /// None: read only.
     file: Option<File>,
-    header: Option<LogHeader>,
+    /// Who was asked, if the log has begun.
+    pub(super) header: Option<LogHeader>,
     replies: BTreeMap<String, Reply>,
 }
 
 impl CallLog {
-    /// Opens a log to go on with, or begins one.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if the file cannot be opened or is damaged before its last line.
-    pub fn open(path: &Path) -> Result<Self, PipelineError> {
-        let wrong = |error| PipelineError::file(path)(error);
-        let mut options = OpenOptions::new();
-        let file = options.append(true).create(true).open(path).map_err(wrong)?;
+    /// Opens a log to go on with, or begins one; an error if it is damaged before its last line.
+    pub(super) fn open(path: &Path) -> Result<Self, PipelineError> {
+        let file = OpenOptions::new().append(true).create(true).open(path);
+        let file = file.map_err(PipelineError::file(path))?;
         let text = std::fs::read(path).map_err(PipelineError::file(path))?;
         let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
         if whole < text.len() {
@@ -78,22 +75,16 @@ impl CallLog {
         Self::read(path, &String::from_utf8_lossy(&text[..whole]), Some(file))
     }
 
-    /// Reads a finished log, which nothing is added to.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if a line is damaged.
-    pub fn finished(path: &Path, text: &str) -> Result<Self, PipelineError> {
-        Self::read(path, text, None)
-    }
-
-    fn read(path: &Path, text: &str, file: Option<File>) -> Result<Self, PipelineError> {
+    /// Reads the text of a log; nothing is added to it without a file.
+    pub(super) fn read(path: &Path, text: &str, file: Option<File>) -> Result<Self, PipelineError> {
         let mut log = Self { path: path.to_owned(), file, header: None, replies: BTreeMap::new() };
         for (i, line) in text.lines().enumerate() {
-            let damaged = |error: serde_json::Error| PipelineError::DamagedLog {
-                path: path.to_owned(),
-                line: i + 1,
-                message: error.to_string(),
+            let damaged = |error: serde_json::Error| {
+                PipelineError::Unusable(format!(
+                    "line {} of the call log {} is damaged: {error}; only a torn last line is forgiven",
+                    i + 1,
+                    path.display()
+                ))
             };
             if i == 0 {
                 log.header = Some(serde_json::from_str(line).map_err(damaged)?);
@@ -105,24 +96,14 @@ impl CallLog {
         Ok(log)
     }
 
-    /// Returns who was asked, if the log has begun.
-    pub fn header(&self) -> Option<&LogHeader> {
-        self.header.as_ref()
-    }
-
     /// Makes sure that the log is this run's; a new one becomes it.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError::OtherLog`] if others were asked.
-    pub fn claim(&mut self, header: &LogHeader) -> Result<(), PipelineError> {
+    pub(super) fn claim(&mut self, header: &LogHeader) -> Result<(), PipelineError> {
         match &self.header {
             Some(found) if found == header => Ok(()),
-            Some(found) => Err(PipelineError::OtherLog {
-                path: self.path.clone(),
-                found: found.describe(),
-                expected: header.describe(),
-            }),
+            Some(found) => Err(PipelineError::Unusable(format!(
+                "the call log {} was made for {found}, not for {header}; give another log",
+                self.path.display()
+            ))),
             None => {
                 self.header = Some(header.clone());
                 self.write(header)
@@ -131,26 +112,17 @@ impl CallLog {
     }
 
     /// Looks a reply up.
-    pub fn reply(&self, key: &str) -> Option<&Reply> {
+    pub(super) fn reply(&self, key: &str) -> Option<&Reply> {
         self.replies.get(key)
     }
 
-    /// Returns the number of replies.
-    pub fn len(&self) -> usize {
-        self.replies.len()
-    }
-
-    /// Tells whether nobody was asked yet.
-    pub fn is_empty(&self) -> bool {
-        self.replies.is_empty()
-    }
-
     /// Adds a call and its reply, through to the file.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError::File`] if the file cannot be written.
-    pub fn add(&mut self, key: String, call: &Call, reply: Reply) -> Result<(), PipelineError> {
+    pub(super) fn add(
+        &mut self,
+        key: String,
+        call: &Call,
+        reply: Reply,
+    ) -> Result<(), PipelineError> {
         let (stage, input, seed) = (call.stage, call.input.clone(), call.seed);
         let record = LogLine { key, stage, input, seed, reply };
         self.write(&record)?;
@@ -160,15 +132,12 @@ impl CallLog {
 
     fn write(&mut self, line: &impl Serialize) -> Result<(), PipelineError> {
         let Some(file) = &mut self.file else { return Ok(()) };
-        let write = || {
-            let mut text = serde_json::to_string(line)?;
-            text.push('\n');
-            // One write per line: a kill can tear the last line only.
-            file.write_all(text.as_bytes())?;
-            file.flush()
-        };
-        let mut write = write;
-        write().map_err(PipelineError::file(&self.path))
+        // One write per line: a kill can tear the last line only.
+        let written = serde_json::to_string(line)
+            .map_err(std::io::Error::from)
+            .and_then(|text| file.write_all(format!("{text}\n").as_bytes()))
+            .and_then(|()| file.flush());
+        written.map_err(PipelineError::file(&self.path))
     }
 }
 

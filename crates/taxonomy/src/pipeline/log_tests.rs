@@ -4,25 +4,15 @@ use super::*;
 use crate::pipeline::backend::Sampling;
 
 fn header(generator: &str) -> LogHeader {
-    LogHeader {
-        schema: 1,
-        domain: "lander".to_owned(),
-        fidelity: Fidelity::Local,
-        generator: generator.to_owned(),
-        rater: "rater".to_owned(),
-        embedder: "embedder".to_owned(),
-    }
+    let [domain, generator, rater, embedder] =
+        ["lander", generator, "rater", "embedder"].map(str::to_owned);
+    LogHeader { schema: 1, domain, fidelity: Fidelity::Local, generator, rater, embedder }
 }
 
 fn call(prompt: &str) -> Call {
-    Call {
-        stage: CallStage::Summarise,
-        system: String::new(),
-        prompt: prompt.to_owned(),
-        sampling: Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 16 },
-        seed: 1,
-        input: Input::Domain,
-    }
+    let (stage, input, prompt) = (CallStage::Summarise, Input::Domain, prompt.to_owned());
+    let sampling = Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 16 };
+    Call { stage, system: String::new(), prompt, sampling, seed: 1, input }
 }
 
 fn fill(path: &Path) -> Vec<String> {
@@ -45,7 +35,7 @@ fn a_torn_last_line_is_forgotten_and_the_rest_kept() {
     for cut in [last + 1, whole.len() - 1] {
         std::fs::write(&path, &whole[..cut]).unwrap();
         let mut log = CallLog::open(&path).unwrap();
-        assert_eq!(log.len(), 1);
+        assert_eq!(log.replies.len(), 1);
         assert_eq!(log.reply(&keys[0]).unwrap().text, "a\nreply");
         assert!(log.reply(&keys[1]).is_none());
         log.add(keys[1].clone(), &call("b"), Reply::complete("b\nreply")).unwrap();

@@ -13,14 +13,14 @@ const MAX_CHOICES: u64 = 50_000;
 
 /// Distances between `n` things. Shape `[n, n]`, symmetric, zero on the diagonal.
 #[derive(Clone, Debug)]
-pub struct Distances {
+pub(super) struct Distances {
     n: usize,
     values: Vec<f64>,
 }
 
 impl Distances {
     /// Measures every pair.
-    pub fn new(n: usize, distance: impl Fn(usize, usize) -> f64) -> Self {
+    pub(super) fn new(n: usize, distance: impl Fn(usize, usize) -> f64) -> Self {
         let mut values = vec![0.0; n * n];
         for a in 0..n {
             for b in 0..a {
@@ -37,12 +37,12 @@ impl Distances {
     }
 
     /// Computes the sum of everybody's distances to the nearest of `medoids`.
-    pub fn cost(&self, medoids: &[usize]) -> f64 {
+    pub(super) fn cost(&self, medoids: &[usize]) -> f64 {
         (0..self.n).map(|i| self.nearest(i, medoids).1).sum()
     }
 
     /// Finds the nearest of `medoids`: its place in the list, and the distance.
-    pub fn nearest(&self, i: usize, medoids: &[usize]) -> (usize, f64) {
+    pub(super) fn nearest(&self, i: usize, medoids: &[usize]) -> (usize, f64) {
         let mut best = (0, f64::INFINITY);
         for (place, &medoid) in medoids.iter().enumerate() {
             let d = self.between(i, medoid);
@@ -55,7 +55,7 @@ impl Distances {
 }
 
 /// Chooses `k` of `n` so that the others are near one of them; in rising order. All if there are no more than `k`.
-pub fn medoids(distances: &Distances, k: usize) -> Vec<usize> {
+pub(super) fn medoids(distances: &Distances, k: usize) -> Vec<usize> {
     if k >= distances.n {
         return (0..distances.n).collect();
     }
@@ -66,30 +66,21 @@ pub fn medoids(distances: &Distances, k: usize) -> Vec<usize> {
 }
 
 /// Chooses as [`medoids`], by BUILD and SWAP alone.
-pub fn pam(distances: &Distances, k: usize) -> Vec<usize> {
+fn pam(distances: &Distances, k: usize) -> Vec<usize> {
     let mut chosen = build(distances, k.min(distances.n));
     let mut cost = distances.cost(&chosen);
     loop {
-        let mut best: Option<(f64, usize, usize)> = None;
+        let mut best: Option<(f64, Vec<usize>)> = None;
         for place in 0..chosen.len() {
-            for candidate in 0..distances.n {
-                if chosen.contains(&candidate) {
-                    continue;
-                }
-                let kept = std::mem::replace(&mut chosen[place], candidate);
-                let swapped = distances.cost(&chosen);
-                chosen[place] = kept;
-                if best.is_none_or(|(least, ..)| swapped < least) {
-                    best = Some((swapped, place, candidate));
-                }
+            for candidate in (0..distances.n).filter(|i| !chosen.contains(i)) {
+                let mut swapped = chosen.clone();
+                swapped[place] = candidate;
+                keep_less(&mut best, distances.cost(&swapped), swapped);
             }
         }
         match best {
             // Rounding must not make two equal choices swap for ever.
-            Some((swapped, place, candidate)) if swapped < cost - 1e-12 => {
-                chosen[place] = candidate;
-                cost = swapped;
-            }
+            Some((less, swapped)) if less < cost - 1e-12 => (cost, chosen) = (less, swapped),
             _ => break,
         }
     }
@@ -100,19 +91,22 @@ pub fn pam(distances: &Distances, k: usize) -> Vec<usize> {
 fn build(distances: &Distances, k: usize) -> Vec<usize> {
     let mut chosen: Vec<usize> = Vec::with_capacity(k);
     while chosen.len() < k {
-        let mut best: Option<(f64, usize)> = None;
+        let mut best = None;
         for candidate in (0..distances.n).filter(|i| !chosen.contains(i)) {
-            let mut with = chosen.clone();
-            with.push(candidate);
-            let cost = distances.cost(&with);
-            if best.is_none_or(|(least, _)| cost < least) {
-                best = Some((cost, candidate));
-            }
+            let with = [&chosen[..], &[candidate]].concat();
+            keep_less(&mut best, distances.cost(&with), with);
         }
-        let Some((_, candidate)) = best else { break };
-        chosen.push(candidate);
+        let Some((_, with)) = best else { break };
+        chosen = with;
     }
     chosen
+}
+
+/// Keeps what costs less; of equals, what came first.
+fn keep_less<T>(best: &mut Option<(f64, T)>, cost: f64, found: T) {
+    if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+        *best = Some((cost, found));
+    }
 }
 
 /// Counts the ways to choose `k` of `n`, up to a little more than [`MAX_CHOICES`].

@@ -40,7 +40,7 @@ impl MiniLm {
     ///
     /// # Errors
     ///
-    /// [`BackendError::WrongHash`] if a file is another one, [`BackendError::Local`] if it cannot be read.
+    /// [`BackendError::Local`] if a file cannot be read, or is another one.
     pub fn load(directory: &Path) -> Result<Self, BackendError> {
         let weights = read(&directory.join("model.safetensors"), WEIGHTS)?;
         let tokenizer = read(&directory.join("tokenizer.json"), TOKENIZER)?;
@@ -57,11 +57,7 @@ impl MiniLm {
     }
 
     /// Computes a sentence's vector of length 1. Shape `[384]`.
-    ///
-    /// # Errors
-    ///
-    /// [`BackendError::Local`] if the model fails.
-    pub fn vector(&self, text: &str) -> Result<Vec<f32>, BackendError> {
+    fn vector(&self, text: &str) -> Result<Vec<f32>, BackendError> {
         let tokens = self.tokenizer.encode(text, true).map_err(local)?;
         let ids = Tensor::new(tokens.get_ids(), &Device::Cpu).and_then(|ids| ids.unsqueeze(0));
         let ids = ids.map_err(local)?;
@@ -85,21 +81,19 @@ impl Embedder for MiniLm {
 
 /// Reports the first line of what the tensor library or the tokenizer says.
 fn local(error: impl std::fmt::Display) -> BackendError {
-    BackendError::Local { message: error.to_string().lines().next().unwrap_or_default().to_owned() }
+    let error = error.to_string();
+    let line = error.lines().next().unwrap_or_default();
+    BackendError::Local(format!("the embedder cannot be used: {line}"))
 }
 
 /// Reads a file whose sha256 is known; `expected` in hexadecimal.
-///
-/// # Errors
-///
-/// [`BackendError::WrongHash`] if it is another file, [`BackendError::Local`] if it cannot be read.
 fn read(path: &Path, expected: &str) -> Result<Vec<u8>, BackendError> {
     let bytes =
         std::fs::read(path).map_err(|error| local(format!("{}: {error}", path.display())))?;
     let found = hexadecimal(&Sha256::digest(&bytes));
     if found != expected {
-        let (path, expected) = (path.to_owned(), expected.to_owned());
-        return Err(BackendError::WrongHash { path, found, expected });
+        let path = path.display();
+        return Err(BackendError::Local(format!("{path} has sha256 {found}; expected {expected}")));
     }
     Ok(bytes)
 }

@@ -1,13 +1,14 @@
 //! What a database is to be made of: the domain, its topics, the phrases that say them, and the settings of a run.
 
-use std::fmt;
+use std::fmt::Display;
+use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::error::PipelineError;
 use crate::database::MAX_WORDS;
-use crate::raw::line_of;
+use crate::raw;
 use crate::words;
 
 /// How a sentence is rated.
@@ -164,10 +165,7 @@ impl DatabasePlan {
     ///
     /// [`PipelineError`] naming the line or the key, what was given and what is allowed.
     pub fn from_toml(text: &str) -> Result<Self, PipelineError> {
-        let plan: Self = toml::from_str(text).map_err(|error| PipelineError::PlanForm {
-            line: line_of(text, &error),
-            message: error.message().replace('\n', ", "),
-        })?;
+        let plan: Self = raw::read(text, "plan").map_err(PipelineError::Unusable)?;
         plan.check()?;
         Ok(plan)
     }
@@ -176,7 +174,7 @@ impl DatabasePlan {
     ///
     /// # Errors
     ///
-    /// [`PipelineError::Plan`] naming the first impossible key.
+    /// [`PipelineError::Unusable`] naming the first impossible key.
     pub fn check(&self) -> Result<(), PipelineError> {
         let [from, to] = self.words;
         let fits = 1 <= from && from <= to && to <= MAX_WORDS;
@@ -195,12 +193,12 @@ impl DatabasePlan {
     }
 
     /// Returns a topic's place.
-    pub fn topic_idx(&self, id: &str) -> Option<usize> {
+    pub(super) fn topic_idx(&self, id: &str) -> Option<usize> {
         self.topic.iter().position(|topic| topic.id == id)
     }
 
     /// Computes a hash of everything in the plan, in hexadecimal.
-    pub fn hash(&self) -> String {
+    pub(super) fn hash(&self) -> String {
         // A plan holds only text, numbers and lists, which can always be written.
         hash(serde_json::to_string(self).unwrap_or_default().as_bytes())
     }
@@ -208,46 +206,41 @@ impl DatabasePlan {
 
 impl PlanSettings {
     fn check(&self) -> Result<(), PipelineError> {
-        let within = |holds, key: &str, given: f64, allowed| {
+        let refuse_unless = |holds, key: &str, given: f64, allowed: &str| {
             require(holds, &format!("settings.{key}"), given, allowed)
         };
-        let theta = self.theta;
-        within((1..=100).contains(&theta), "theta", theta.into(), "1 to 100 percent")?;
-        within((1..=200).contains(&self.target), "target", self.target as f64, "1 to 200")?;
-        within((1..=20).contains(&self.keep), "keep", self.keep as f64, "1 to 20")?;
-        within((1..=50).contains(&self.batch), "batch", self.batch as f64, "1 to 50")?;
-        let attempts = self.attempts_per_cell;
-        within((1..=1000).contains(&attempts), "attempts_per_cell", attempts.into(), "1 to 1000")?;
-        let most = self.max_iterations;
-        within((1..=100_000).contains(&most), "max_iterations", most.into(), "1 to 100000")?;
-        within((1..=10).contains(&self.tries), "tries", self.tries.into(), "1 to 10")?;
+        let within = |key: &str, given: f64, range: RangeInclusive<f64>, allowed: &str| {
+            refuse_unless(range.contains(&given), key, given, allowed)
+        };
+        let share = |key: &str, given: f64| {
+            refuse_unless(given > 0.0 && given <= 1.0, key, given, "above 0 and at most 1")
+        };
+        within("theta", self.theta.into(), 1.0..=100.0, "1 to 100 percent")?;
+        within("target", self.target as f64, 1.0..=200.0, "1 to 200")?;
+        within("keep", self.keep as f64, 1.0..=20.0, "1 to 20")?;
+        within("batch", self.batch as f64, 1.0..=50.0, "1 to 50")?;
+        within("attempts_per_cell", self.attempts_per_cell.into(), 1.0..=1000.0, "1 to 1000")?;
+        within("max_iterations", self.max_iterations.into(), 1.0..=100_000.0, "1 to 100000")?;
+        within("tries", self.tries.into(), 1.0..=10.0, "1 to 10")?;
         let odd = (1..=9).contains(&self.repeats) && self.repeats % 2 == 1;
-        within(odd, "repeats", self.repeats.into(), "an odd number from 1 to 9")?;
-        within(self.max_drop <= 100, "max_drop", self.max_drop.into(), "0 to 100 percent")?;
-        within(self.min_margin <= 100, "min_margin", self.min_margin.into(), "0 to 100 percent")?;
-        within(self.controls <= 10, "controls", self.controls as f64, "0 to 10")?;
-        let near = self.near_duplicate;
-        within(near > 0.0 && near <= 1.0, "near_duplicate", near, "above 0 and at most 1")?;
-        let temperature = self.temperature;
-        within((0.0..=2.0).contains(&temperature), "temperature", temperature, "0 to 2")?;
-        let top_p = self.top_p;
-        within(top_p > 0.0 && top_p <= 1.0, "top_p", top_p, "above 0 and at most 1")?;
-        let tokens = self.max_tokens;
-        within((16..=4096).contains(&tokens), "max_tokens", tokens.into(), "16 to 4096 tokens")
+        refuse_unless(odd, "repeats", self.repeats.into(), "an odd number from 1 to 9")?;
+        within("max_drop", self.max_drop.into(), 0.0..=100.0, "0 to 100 percent")?;
+        within("min_margin", self.min_margin.into(), 0.0..=100.0, "0 to 100 percent")?;
+        within("controls", self.controls as f64, 0.0..=10.0, "0 to 10")?;
+        share("near_duplicate", self.near_duplicate)?;
+        within("temperature", self.temperature, 0.0..=2.0, "0 to 2")?;
+        share("top_p", self.top_p)?;
+        within("max_tokens", self.max_tokens.into(), 16.0..=4096.0, "16 to 4096 tokens")
     }
 }
 
 fn require(
     holds: bool,
     key: &str,
-    given: impl fmt::Display,
+    given: impl Display,
     allowed: &str,
 ) -> Result<(), PipelineError> {
-    if holds {
-        return Ok(());
-    }
-    let (key, allowed) = (key.to_owned(), allowed.to_owned());
-    Err(PipelineError::Plan { key, given: given.to_string(), allowed })
+    if holds { Ok(()) } else { Err(PipelineError::plan(key, given, allowed)) }
 }
 
 /// Computes a hash in hexadecimal, shortened to 128 bits: enough to tell apart whatever a run can hold.

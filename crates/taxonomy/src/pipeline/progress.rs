@@ -68,10 +68,7 @@ impl BuildProgress {
         if first.topic == candidate.topic {
             return Some(Reason::Duplicate);
         }
-        if first.is_accepted()
-            && let Some(cell) = first.landed
-            && let Some(accepted) = self.accepted.get_mut(&(first.topic, cell))
-        {
+        if let Some(accepted) = accepted(&mut self.accepted, first) {
             *accepted = accepted.saturating_sub(1);
         }
         first.reason = Some(Reason::AmbiguousTopic);
@@ -79,10 +76,7 @@ impl BuildProgress {
     }
 
     pub(super) fn add(&mut self, candidate: Candidate) {
-        if candidate.is_accepted()
-            && let Some(cell) = candidate.landed
-            && let Some(accepted) = self.accepted.get_mut(&(candidate.topic, cell))
-        {
+        if let Some(accepted) = accepted(&mut self.accepted, &candidate) {
             *accepted += 1;
         }
         let place = self.candidates.len();
@@ -91,4 +85,13 @@ impl BuildProgress {
         }
         self.candidates.push(candidate);
     }
+}
+
+/// Returns where an accepted sentence is counted.
+fn accepted<'a>(
+    counts: &'a mut BTreeMap<(usize, Cell), usize>,
+    candidate: &Candidate,
+) -> Option<&'a mut usize> {
+    let cell = candidate.landed.filter(|_| candidate.is_accepted())?;
+    counts.get_mut(&(candidate.topic, cell))
 }

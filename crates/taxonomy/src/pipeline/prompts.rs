@@ -6,7 +6,8 @@ use std::path::Path;
 
 use super::backend::{Call, CallStage, Input, Sampling};
 use super::error::PipelineError;
-use super::plan::{DatabasePlan, TopicPlan, hash};
+use super::plan::{DatabasePlan, RatedSentence, TopicPlan, hash};
+use super::reply::joined;
 use super::template::{Variables, render};
 use crate::utterance::Cell;
 use crate::words;
@@ -14,72 +15,53 @@ use crate::words;
 /// Sentences of a cell that a prompt shows as already there.
 const MAX_AVOID: usize = 5;
 
-/// The prompt templates.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Prompts {
-    system: String,
-    summarise: String,
-    generate: String,
-    rate_joint: String,
-    rate_prefix: String,
-}
+/// The built-in templates, by name.
+const BUILT_IN: [(&str, &str); 5] = [
+    ("system", include_str!("../../prompts/system.txt").trim_ascii()),
+    ("summarise", include_str!("../../prompts/summarise.txt")),
+    ("generate", include_str!("../../prompts/generate.txt")),
+    ("rate_joint", include_str!("../../prompts/rate_joint.txt")),
+    ("rate_prefix", include_str!("../../prompts/rate_prefix.txt")),
+];
+
+/// The prompt templates, by name.
+#[derive(Debug)]
+pub(super) struct Prompts(BTreeMap<&'static str, String>);
 
 impl Default for Prompts {
     fn default() -> Self {
-        Self {
-            system: include_str!("../../prompts/system.txt").trim().to_owned(),
-            summarise: include_str!("../../prompts/summarise.txt").to_owned(),
-            generate: include_str!("../../prompts/generate.txt").to_owned(),
-            rate_joint: include_str!("../../prompts/rate_joint.txt").to_owned(),
-            rate_prefix: include_str!("../../prompts/rate_prefix.txt").to_owned(),
-        }
+        Self(BUILT_IN.iter().map(|(name, template)| (*name, (*template).to_owned())).collect())
     }
 }
 
 impl Prompts {
     /// Reads templates from a directory; those that it lacks are the built-in ones.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError::File`] if one is there and cannot be read.
-    pub fn from_directory(directory: &Path) -> Result<Self, PipelineError> {
+    pub(super) fn from_directory(directory: &Path) -> Result<Self, PipelineError> {
         let mut prompts = Self::default();
-        let files = [
-            ("system.txt", &mut prompts.system),
-            ("summarise.txt", &mut prompts.summarise),
-            ("generate.txt", &mut prompts.generate),
-            ("rate_joint.txt", &mut prompts.rate_joint),
-            ("rate_prefix.txt", &mut prompts.rate_prefix),
-        ];
-        for (name, template) in files {
-            let path = directory.join(name);
+        for (name, template) in &mut prompts.0 {
+            let path = directory.join(name).with_extension("txt");
             if path.exists() {
                 *template = std::fs::read_to_string(&path).map_err(PipelineError::file(&path))?;
             }
         }
         Ok(prompts)
     }
-}
 
-/// Writes the calls of a run.
-#[derive(Clone, Debug)]
-pub struct PromptWriter<'a> {
-    plan: &'a DatabasePlan,
-    prompts: &'a Prompts,
-}
-
-impl<'a> PromptWriter<'a> {
-    /// Puts a plan and its prompts together.
-    pub fn new(plan: &'a DatabasePlan, prompts: &'a Prompts) -> Self {
-        Self { plan, prompts }
+    fn render(&self, name: &str, variables: &Variables) -> Result<String, PipelineError> {
+        render(name, &self.0[name], variables)
     }
+}
 
+/// Writes the calls of a run; an error says what is wrong with a template.
+#[derive(Debug)]
+pub(super) struct PromptWriter<'a> {
+    pub(super) plan: &'a DatabasePlan,
+    pub(super) prompts: &'a Prompts,
+}
+
+impl PromptWriter<'_> {
     /// Fills every template once, so that a wrong one is told before anybody is asked.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] naming the template and what is wrong with it.
-    pub fn check(&self) -> Result<(), PipelineError> {
+    pub(super) fn check(&self) -> Result<(), PipelineError> {
         self.summarise()?;
         for topic in &self.plan.topic {
             self.generate("", topic, Cell::new(1, 1), 0, &[])?;
@@ -90,24 +72,16 @@ impl<'a> PromptWriter<'a> {
     }
 
     /// Asks what in the domain matters.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if the template is wrong.
-    pub fn summarise(&self) -> Result<Call, PipelineError> {
+    pub(super) fn summarise(&self) -> Result<Call, PipelineError> {
         let mut variables = self.common();
         variables.insert("world", self.plan.world.trim().to_owned());
         variables.insert("missing", self.plan.missing.trim().to_owned());
-        let prompt = render("summarise", &self.prompts.summarise, &variables)?;
+        let prompt = self.prompts.render("summarise", &variables)?;
         self.call(CallStage::Summarise, prompt, 0.0, 0, Input::Domain)
     }
 
     /// Asks for sentences.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if the template is wrong.
-    pub fn generate(
+    pub(super) fn generate(
         &self,
         summary: &str,
         topic: &TopicPlan,
@@ -116,63 +90,50 @@ impl<'a> PromptWriter<'a> {
         accepted: &[String],
     ) -> Result<Call, PipelineError> {
         let settings = &self.plan.settings;
-        let mut variables = self.common();
-        let recent = accepted.len().saturating_sub(MAX_AVOID);
-        variables.insert("summary", summary.trim().to_owned());
-        variables.insert("topic", topic.id.clone());
-        variables.insert("action", topic.action.clone());
-        variables.insert("n", settings.batch.to_string());
-        variables.insert("k", cell.comprehension.to_string());
-        variables.insert("l", cell.conveyance.to_string());
-        variables.insert("order", order(cell).to_owned());
-        variables.insert("examples", self.plan.examples.join("\n"));
-        let avoid =
-            if accepted.is_empty() { "(none)".to_owned() } else { accepted[recent..].join("\n") };
-        variables.insert("avoid", avoid);
-        let prompt = render("generate", &self.prompts.generate, &variables)?;
+        let recent = &accepted[accepted.len().saturating_sub(MAX_AVOID)..];
+        let avoid = if recent.is_empty() { "(none)".to_owned() } else { recent.join("\n") };
+        let mut variables = self.about(topic);
+        variables.extend([
+            ("summary", summary.trim().to_owned()),
+            ("n", settings.batch.to_string()),
+            ("k", cell.comprehension.to_string()),
+            ("l", cell.conveyance.to_string()),
+            ("order", order(cell).to_owned()),
+            ("examples", self.plan.examples.join("\n")),
+            ("avoid", avoid),
+        ]);
+        let prompt = self.prompts.render("generate", &variables)?;
         let seed = derive(settings.seed, &(&self.plan.domain, "generate", &topic.id, cell, round));
         let input = Input::Sentences { topic: topic.id.clone(), cell, n: settings.batch, round };
         self.call(CallStage::Generate, prompt, settings.temperature, seed, input)
     }
 
     /// Asks for one percentage per word of a sentence.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if the template is wrong.
-    pub fn rate_joint(
+    pub(super) fn rate_joint(
         &self,
         topic: &TopicPlan,
         text: &str,
         attempt: u32,
     ) -> Result<Call, PipelineError> {
-        let mut variables = self.common();
-        variables.insert("topic", topic.id.clone());
-        variables.insert("action", topic.action.clone());
+        let mut variables = self.about(topic);
         variables.insert("text", text.to_owned());
         variables.insert("rated", rated(topic));
-        let prompt = render("rate_joint", &self.prompts.rate_joint, &variables)?;
+        let prompt = self.prompts.render("rate_joint", &variables)?;
         self.rating(topic, text, None, prompt, attempt)
     }
 
     /// Asks for the percentage after the first words of a sentence, the others hidden.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if the template is wrong.
-    pub fn rate_prefix(
+    pub(super) fn rate_prefix(
         &self,
         topic: &TopicPlan,
         text: &str,
         n_words: usize,
         attempt: u32,
     ) -> Result<Call, PipelineError> {
-        let mut variables = self.common();
-        variables.insert("topic", topic.id.clone());
-        variables.insert("action", topic.action.clone());
+        let mut variables = self.about(topic);
         variables.insert("prefix", words::prefix(text, n_words));
         variables.insert("rated_prefixes", rated_prefixes(topic));
-        let prompt = render("rate_prefix", &self.prompts.rate_prefix, &variables)?;
+        let prompt = self.prompts.render("rate_prefix", &variables)?;
         self.rating(topic, text, Some(n_words), prompt, attempt)
     }
 
@@ -204,7 +165,7 @@ impl<'a> PromptWriter<'a> {
         let settings = &self.plan.settings;
         let (top_p, max_tokens) = (settings.top_p, settings.max_tokens);
         let sampling = Sampling { temperature, top_p, max_tokens };
-        let system = render("system", &self.prompts.system, &self.common())?;
+        let system = self.prompts.render("system", &self.common())?;
         Ok(Call { stage, system, prompt, sampling, seed, input })
     }
 
@@ -212,6 +173,13 @@ impl<'a> PromptWriter<'a> {
         let actions: Vec<String> =
             self.plan.topic.iter().map(|topic| format!("- {}", topic.action)).collect();
         BTreeMap::from([("role", self.plan.role.clone()), ("actions", actions.join("\n"))])
+    }
+
+    fn about(&self, topic: &TopicPlan) -> Variables {
+        let mut variables = self.common();
+        variables.insert("topic", topic.id.clone());
+        variables.insert("action", topic.action.clone());
+        variables
     }
 }
 
@@ -227,20 +195,14 @@ fn order(cell: Cell) -> &'static str {
 }
 
 fn rated(topic: &TopicPlan) -> String {
-    let mut out = String::from("Two ratings as they should look:");
-    for rated in &topic.rated {
+    let example = |rated: &RatedSentence| {
         let words: Vec<&str> = rated.text.split_whitespace().collect();
-        let curve: Vec<String> = rated.curve.iter().map(u8::to_string).collect();
-        // Writing to a string cannot fail.
-        let _written = write!(
-            out,
-            "\nInstruction: {}\nWords: {}\nComprehension after each word: {}\n",
-            rated.text,
-            words.join(" | "),
-            curve.join(", ")
-        );
-    }
-    out.trim_end().to_owned()
+        let (words, curve) = (words.join(" | "), joined(&rated.curve));
+        let text = &rated.text;
+        format!("\nInstruction: {text}\nWords: {words}\nComprehension after each word: {curve}\n")
+    };
+    let examples: String = topic.rated.iter().map(example).collect();
+    format!("Two ratings as they should look:{}", examples.trim_end())
 }
 
 fn rated_prefixes(topic: &TopicPlan) -> String {
@@ -270,7 +232,7 @@ mod tests {
     fn every_built_in_prompt_can_be_filled() {
         let plan = job::plan("highway").unwrap();
         let prompts = Prompts::default();
-        let writer = PromptWriter::new(&plan, &prompts);
+        let writer = PromptWriter { plan: &plan, prompts: &prompts };
         let topic = &plan.topic[0];
         let accepted: Vec<String> = (0..7).map(|i| format!("sentence {i}")).collect();
         let call = writer.generate("SUMMARY", topic, Cell::new(2, 4), 3, &accepted).unwrap();
@@ -290,7 +252,7 @@ mod tests {
     fn a_prefix_call_does_not_see_later_words() {
         let plan = job::plan("highway").unwrap();
         let prompts = Prompts::default();
-        let writer = PromptWriter::new(&plan, &prompts);
+        let writer = PromptWriter { plan: &plan, prompts: &prompts };
         let call = writer.rate_prefix(&plan.topic[0], "Zebra slow down.", 1, 0).unwrap();
         assert!(call.prompt.contains("Heard so far: \"Zebra\"\n"));
         assert!(!call.prompt.contains("Zebra slow"));
@@ -302,7 +264,7 @@ mod tests {
         std::fs::write(directory.path().join("generate.txt"), "Say {{topik}}").unwrap();
         let prompts = Prompts::from_directory(directory.path()).unwrap();
         let plan = job::plan("highway").unwrap();
-        let writer = PromptWriter::new(&plan, &prompts);
+        let writer = PromptWriter { plan: &plan, prompts: &prompts };
         let error = writer.generate("", &plan.topic[0], Cell::new(2, 2), 0, &[]).unwrap_err();
         let says =
             "prompt template `generate` has the unknown variable `topik`; known: action, actions";

@@ -9,46 +9,35 @@ use super::prompts::PromptWriter;
 use super::reply;
 use crate::words;
 
-/// Asks the rater, in the form that the plan chooses.
-#[derive(Clone, Debug)]
-pub struct Rating<'a> {
-    /// What is rated.
-    pub(super) plan: &'a DatabasePlan,
-    writer: &'a PromptWriter<'a>,
+/// Asks the rater, in the form that the plan chooses. An error is that there are no replies.
+#[derive(Debug)]
+pub(super) struct Rating<'a> {
+    /// What is asked.
+    pub(super) writer: &'a PromptWriter<'a>,
     /// [`CallStage::Rate`] or [`CallStage::Control`].
-    stage: CallStage,
+    pub(super) stage: CallStage,
 }
 
-impl<'a> Rating<'a> {
-    /// Asks on behalf of a stage.
-    pub fn new(plan: &'a DatabasePlan, writer: &'a PromptWriter<'a>, stage: CallStage) -> Self {
-        Self { plan, writer, stage }
-    }
-
+impl Rating<'_> {
     /// Has a sentence rated after each word; none if no reply can be read. Shape `[l]`.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if there are no replies.
-    pub fn words(
+    pub(super) fn words(
         &self,
         caller: &mut Caller<'_>,
         topic: usize,
         text: &str,
     ) -> Result<Option<Vec<u8>>, PipelineError> {
+        let DatabasePlan { settings, topic: topics, .. } = self.writer.plan;
         let n_words = words::count(text) as usize;
-        let tries = self.plan.settings.tries;
         let mut ratings: Vec<Vec<u8>> = Vec::new();
-        for repeat in 0..self.plan.settings.repeats {
-            let attempts = repeat * tries..(repeat + 1) * tries;
-            let rating = match self.plan.settings.rate {
+        for repeat in 0..settings.repeats {
+            let rating = match settings.rate {
                 RateForm::Joint => {
-                    let of = &self.plan.topic[topic];
-                    let ask = |attempt| self.writer.rate_joint(of, text, attempt);
-                    let read = |reply: &Reply| reply::joint_rating(reply, n_words);
-                    self.readable(caller, attempts, ask, read)?
+                    let ask = |attempt| self.writer.rate_joint(&topics[topic], text, attempt);
+                    self.readable(caller, repeat, ask, |reply| reply::joint_rating(reply, n_words))?
                 }
-                RateForm::Prefix => self.word_by_word(caller, topic, text, &attempts)?,
+                RateForm::Prefix => (1..=n_words)
+                    .map(|n| self.after(caller, topic, text, n, repeat))
+                    .collect::<Result<_, _>>()?,
             };
             let Some(rating) = rating else { return Ok(None) };
             ratings.push(rating);
@@ -56,69 +45,34 @@ impl<'a> Rating<'a> {
         Ok(Some((0..n_words).map(|word| median(&ratings, word)).collect()))
     }
 
-    fn word_by_word(
-        &self,
-        caller: &mut Caller<'_>,
-        topic: usize,
-        text: &str,
-        attempts: &std::ops::Range<u32>,
-    ) -> Result<Option<Vec<u8>>, PipelineError> {
-        let n_words = words::count(text) as usize;
-        let mut curve = Vec::with_capacity(n_words);
-        for n in 1..=n_words {
-            match self.prefix(caller, topic, text, n, attempts.clone())? {
-                Some(percent) => curve.push(percent),
-                None => return Ok(None),
-            }
-        }
-        Ok(Some(curve))
-    }
-
     /// Has the first `n` words rated, 0 for silence; none if no reply can be read.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if there are no replies.
-    pub fn after(
+    pub(super) fn after(
         &self,
         caller: &mut Caller<'_>,
         topic: usize,
         text: &str,
         n: usize,
+        repeat: u32,
     ) -> Result<Option<u8>, PipelineError> {
-        self.prefix(caller, topic, text, n, 0..self.plan.settings.tries)
-    }
-
-    fn prefix(
-        &self,
-        caller: &mut Caller<'_>,
-        topic: usize,
-        text: &str,
-        n: usize,
-        attempts: std::ops::Range<u32>,
-    ) -> Result<Option<u8>, PipelineError> {
-        let of = &self.plan.topic[topic];
-        let ask = |attempt| self.writer.rate_prefix(of, text, n, attempt);
-        self.readable(caller, attempts, ask, reply::percentage)
+        let topic = &self.writer.plan.topic[topic];
+        let ask = |attempt| self.writer.rate_prefix(topic, text, n, attempt);
+        self.readable(caller, repeat, ask, reply::percentage)
     }
 
     /// Turns a sentence down if another action is as clear, or nearly, at the word where its own is understood.
-    ///
-    /// # Errors
-    ///
-    /// [`PipelineError`] if there are no replies.
-    pub fn margin(
+    pub(super) fn margin(
         &self,
         caller: &mut Caller<'_>,
         candidate: &Candidate,
     ) -> Result<Result<(), Reason>, PipelineError> {
-        let least = i16::from(self.plan.settings.min_margin);
+        let plan = self.writer.plan;
+        let least = i16::from(plan.settings.min_margin);
         let Some(cell) = candidate.landed.filter(|_| least > 0) else { return Ok(Ok(())) };
         let n = cell.comprehension as usize;
         let own = candidate.curve.get(n - 1).copied().unwrap_or_default();
         let mut most = 0;
-        for other in (0..self.plan.topic.len()).filter(|other| *other != candidate.topic) {
-            let Some(percent) = self.after(caller, other, &candidate.text, n)? else {
+        for other in (0..plan.topic.len()).filter(|other| *other != candidate.topic) {
+            let Some(percent) = self.after(caller, other, &candidate.text, n, 0)? else {
                 return Ok(Err(Reason::Malformed));
             };
             most = most.max(percent);
@@ -134,11 +88,12 @@ impl<'a> Rating<'a> {
     fn readable<T>(
         &self,
         caller: &mut Caller<'_>,
-        attempts: std::ops::Range<u32>,
+        repeat: u32,
         ask: impl Fn(u32) -> Result<Call, PipelineError>,
         read: impl Fn(&Reply) -> Option<T>,
     ) -> Result<Option<T>, PipelineError> {
-        for attempt in attempts {
+        let tries = self.writer.plan.settings.tries;
+        for attempt in repeat * tries..(repeat + 1) * tries {
             let call = Call { stage: self.stage, ..ask(attempt)? };
             let reply = caller.ask(&call)?.1;
             if reply.finish == Finish::Exhausted {

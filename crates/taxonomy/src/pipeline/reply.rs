@@ -4,18 +4,18 @@ use super::backend::{Finish, Reply};
 
 /// What a generation reply proposes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Proposals {
+pub(super) struct Proposals {
     /// Sentences that are there as a whole.
-    pub whole: Vec<String>,
+    pub(super) whole: Vec<String>,
     /// What stood there when the reply ran into its limit.
-    pub cut: Option<String>,
+    pub(super) cut: Option<String>,
 }
 
 /// Reads the sentences of a generation reply; none if there are none.
 ///
 /// A JSON list of strings is taken as it is, whatever stands around it; otherwise every line is a sentence, less
 /// numbering, bullets and quotes. Of a reply that ran into its limit the last sentence is not trusted.
-pub fn sentences(reply: &Reply) -> Proposals {
+pub(super) fn sentences(reply: &Reply) -> Proposals {
     let text = body(&reply.text);
     let is_cut = reply.finish == Finish::Length;
     if let Some(found) = json_list(&text, is_cut) {
@@ -58,7 +58,7 @@ fn json_list(text: &str, is_cut: bool) -> Option<Proposals> {
 /// ```
 ///
 /// None if the numbers are not one per word, or not within 0 to 100: they are asked for again, never clipped.
-pub fn joint_rating(reply: &Reply, n_words: usize) -> Option<Vec<u8>> {
+pub(super) fn joint_rating(reply: &Reply, n_words: usize) -> Option<Vec<u8>> {
     if reply.finish == Finish::Length {
         return None;
     }
@@ -71,11 +71,16 @@ pub fn joint_rating(reply: &Reply, n_words: usize) -> Option<Vec<u8>> {
 }
 
 /// Reads a rating of one prefix: the one number of the reply.
-pub fn percentage(reply: &Reply) -> Option<u8> {
+pub(super) fn percentage(reply: &Reply) -> Option<u8> {
     let text = body(&reply.text);
     let mut numbers = text.split(|c: char| !c.is_ascii_digit()).filter(|part| !part.is_empty());
     let number = numbers.next()?.parse::<u8>().ok()?;
     (numbers.next().is_none() && number <= 100 && !text.contains('-')).then_some(number)
+}
+
+/// Writes a rating as replies and reports show it.
+pub(super) fn joined(rating: &[u8]) -> String {
+    rating.iter().map(u8::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// Drops what a model thinks aloud and the fences it puts around its answer.
@@ -121,11 +126,8 @@ mod tests {
             "Go up.; Climb now!",
         ] {
             let found = sentences(&reply(text));
-            assert_eq!(
-                (found.whole, found.cut),
-                (wanted.map(str::to_owned).into(), None),
-                "{text}"
-            );
+            assert_eq!(found.whole, wanted, "{text}");
+            assert_eq!(found.cut, None, "{text}");
         }
         assert_eq!(sentences(&reply("  \n")), Proposals::default());
         // Brackets that are no list are part of a line.
@@ -136,10 +138,8 @@ mod tests {
     fn what_was_cut_off_is_kept_apart() {
         for text in ["Go up.\nClimb no", "Go up.; Climb no", "[\"Go up.\", \"Climb no"] {
             let found = sentences(&Reply { finish: Finish::Length, ..reply(text) });
-            assert_eq!(
-                (&found.whole[..], found.cut.as_deref()),
-                (&["Go up.".to_owned()][..], Some("Climb no"))
-            );
+            assert_eq!(found.whole, ["Go up."], "{text}");
+            assert_eq!(found.cut.as_deref(), Some("Climb no"), "{text}");
         }
         let cut = Reply { finish: Finish::Length, ..reply("Go up.\n") };
         assert_eq!(sentences(&cut).cut, None);

@@ -16,7 +16,7 @@ const RUDE: [&str; 10] =
 
 /// The rules of one domain.
 #[derive(Clone, Debug)]
-pub struct Rules {
+pub(super) struct Rules {
     lexicon: Lexicon,
     words: [u32; 2],
     rejected: BTreeSet<String>,
@@ -24,7 +24,7 @@ pub struct Rules {
 
 impl Rules {
     /// Collects a plan's rules.
-    pub fn new(plan: &DatabasePlan) -> Self {
+    pub(super) fn new(plan: &DatabasePlan) -> Self {
         Self {
             lexicon: Lexicon::new(plan),
             words: plan.words,
@@ -32,51 +32,33 @@ impl Rules {
         }
     }
 
-    /// Checks a sentence that was proposed for a topic, and takes it apart.
-    ///
-    /// # Errors
-    ///
-    /// The first [`Reason`] to turn it down.
-    pub fn check(&self, text: &str, topic: usize) -> Result<Structure, Reason> {
+    /// Checks a sentence that was proposed for a topic, and takes it apart; or tells the first reason to turn it down.
+    pub(super) fn check(&self, text: &str, topic: usize) -> Result<Structure, Reason> {
         check_characters(text)?;
         let words = words::words(text);
         let [from, to] = self.words;
-        if words.is_empty() {
-            return Err(Reason::Empty);
-        }
-        if !(from..=to).contains(&(words.len() as u32)) {
-            return Err(Reason::WordCount);
-        }
         let has = |list: &[&str]| words.iter().any(|word| list.contains(&word.as_str()));
-        if has(&NEGATIONS) {
-            return Err(Reason::Negation);
-        }
-        if has(&RUDE) {
-            return Err(Reason::Profanity);
-        }
-        if words.windows(2).any(|pair| pair[0] == pair[1]) {
-            return Err(Reason::Repetition);
-        }
+        refuse_if(words.is_empty(), Reason::Empty)?;
+        refuse_if(!(from..=to).contains(&(words.len() as u32)), Reason::WordCount)?;
+        refuse_if(has(&NEGATIONS), Reason::Negation)?;
+        refuse_if(has(&RUDE), Reason::Profanity)?;
+        refuse_if(words.windows(2).any(|pair| pair[0] == pair[1]), Reason::Repetition)?;
         let structure = self.lexicon.analyse(&words)?;
-        if structure.topic != topic {
-            return Err(Reason::WrongAction);
-        }
-        if self.rejected.contains(&words.join(" ")) {
-            return Err(Reason::HumanReject);
-        }
+        refuse_if(structure.topic != topic, Reason::WrongAction)?;
+        refuse_if(self.rejected.contains(&words.join(" ")), Reason::HumanReject)?;
         Ok(structure)
     }
 }
 
 fn check_characters(text: &str) -> Result<(), Reason> {
-    if text.contains('?') {
-        return Err(Reason::Question);
-    }
-    if text.chars().any(|c| c.is_ascii_digit()) {
-        return Err(Reason::Digit);
-    }
+    refuse_if(text.contains('?'), Reason::Question)?;
+    refuse_if(text.chars().any(|c| c.is_ascii_digit()), Reason::Digit)?;
     let fits = |c: char| c.is_ascii_alphabetic() || " '-,.!;:".contains(c);
-    if text.chars().all(fits) { Ok(()) } else { Err(Reason::Charset) }
+    refuse_if(!text.chars().all(fits), Reason::Charset)
+}
+
+fn refuse_if(broken: bool, reason: Reason) -> Result<(), Reason> {
+    if broken { Err(reason) } else { Ok(()) }
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ struct Phrases {
 
 /// Knows how the topics of a domain are said.
 #[derive(Clone, Debug)]
-pub struct Lexicon {
+pub(super) struct Lexicon {
     topics: Vec<Phrases>,
     how: Vec<Vec<String>>,
     fillers: Vec<String>,
@@ -22,16 +22,16 @@ pub struct Lexicon {
 
 /// A sentence taken apart.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Structure {
+pub(super) struct Structure {
     /// Index of the topic that its directive belongs to.
-    pub topic: usize,
+    pub(super) topic: usize,
     /// What, How, Why, in order.
-    pub spans: Vec<WordSpan>,
+    pub(super) spans: Vec<WordSpan>,
 }
 
 impl Lexicon {
     /// Collects a plan's phrases.
-    pub fn new(plan: &DatabasePlan) -> Self {
+    pub(super) fn new(plan: &DatabasePlan) -> Self {
         let split = |phrases: &[String], also: &[String]| {
             phrases.iter().chain(also).map(|phrase| words::words(phrase)).collect()
         };
@@ -49,11 +49,7 @@ impl Lexicon {
     /// Takes a sentence apart.
     ///
     /// Facts are looked for only where nothing tells what to do: "Board full, go right." tells to go right.
-    ///
-    /// # Errors
-    ///
-    /// [`Reason::NoDirective`] or [`Reason::TwoDirectives`].
-    pub fn analyse(&self, words: &[String]) -> Result<Structure, Reason> {
+    pub(super) fn analyse(&self, words: &[String]) -> Result<Structure, Reason> {
         let mut directives = self.find(words, false);
         if directives.is_empty() {
             // Further facts of a sentence support the first.
@@ -79,8 +75,7 @@ impl Lexicon {
                 .max_by_key(|(n, i)| (*n, std::cmp::Reverse(*i)));
             match longest {
                 Some((n, topic)) => {
-                    let (start, end) = (from as u32, (from + n) as u32);
-                    found.push((topic, WordSpan { part: SpanKind::What, from: start, to: end }));
+                    found.push((topic, span(SpanKind::What, from, from + n)));
                     from += n;
                 }
                 None => from += 1,
@@ -96,15 +91,8 @@ impl Lexicon {
         while from < words.len() {
             let how = longest(&self.how, &words[from..])
                 .filter(|n| from >= what.to as usize || from + n <= what.from as usize);
-            let next = if from == what.from as usize {
-                Some(what)
-            } else {
-                how.map(|n| WordSpan {
-                    part: SpanKind::How,
-                    from: from as u32,
-                    to: (from + n) as u32,
-                })
-            };
+            let how = how.map(|n| span(SpanKind::How, from, from + n));
+            let next = if from == what.from as usize { Some(what) } else { how };
             if let Some(span) = next {
                 spans.extend(self.reason(words, reason.take()));
                 spans.push(span);
@@ -128,8 +116,12 @@ impl Lexicon {
         while from < to && filler(to - 1) {
             to -= 1;
         }
-        (from < to).then_some(WordSpan { part: SpanKind::Why, from: from as u32, to: to as u32 })
+        (from < to).then_some(span(SpanKind::Why, from, to))
     }
+}
+
+fn span(part: SpanKind, from: usize, to: usize) -> WordSpan {
+    WordSpan { part, from: from as u32, to: to as u32 }
 }
 
 /// Returns the length of the longest phrase that `words` starts with.

@@ -5,15 +5,19 @@ use std::collections::BTreeMap;
 use super::error::PipelineError;
 
 /// What a prompt may ask for, by name.
-pub type Variables = BTreeMap<&'static str, String>;
+pub(super) type Variables = BTreeMap<&'static str, String>;
 
 /// Fills a template's holes. What is put in is not searched for holes again.
 ///
 /// # Errors
 ///
-/// [`PipelineError::UnknownVariable`] naming the variable and those that there are;
-/// [`PipelineError::OpenVariable`] naming the line.
-pub fn render(name: &str, template: &str, variables: &Variables) -> Result<String, PipelineError> {
+/// [`PipelineError::Unusable`] naming a variable that is none of those that there are, or the line of one that is
+/// never closed.
+pub(super) fn render(
+    name: &str,
+    template: &str,
+    variables: &Variables,
+) -> Result<String, PipelineError> {
     let mut out = String::with_capacity(template.len());
     let mut rest = template;
     while let Some(start) = rest.find("{{") {
@@ -21,15 +25,16 @@ pub fn render(name: &str, template: &str, variables: &Variables) -> Result<Strin
         let inside = &rest[start + 2..];
         let Some(end) = inside.find("}}") else {
             let line = 1 + template[..template.len() - inside.len()].matches('\n').count();
-            return Err(PipelineError::OpenVariable { template: name.to_owned(), line });
+            return Err(PipelineError::Unusable(format!(
+                "prompt template `{name}` opens a variable on line {line} and never closes it"
+            )));
         };
         let variable = inside[..end].trim();
         let Some(value) = variables.get(variable) else {
-            return Err(PipelineError::UnknownVariable {
-                template: name.to_owned(),
-                variable: variable.to_owned(),
-                known: variables.keys().copied().collect::<Vec<_>>().join(", "),
-            });
+            let known = variables.keys().copied().collect::<Vec<_>>().join(", ");
+            return Err(PipelineError::Unusable(format!(
+                "prompt template `{name}` has the unknown variable `{variable}`; known: {known}"
+            )));
         };
         out.push_str(value);
         rest = &inside[end + 2..];
@@ -42,25 +47,15 @@ pub fn render(name: &str, template: &str, variables: &Variables) -> Result<Strin
 mod tests {
     use super::*;
 
-    fn variables() -> Variables {
-        BTreeMap::from([("topic", "ascend".to_owned()), ("k", "{{l}}".to_owned())])
-    }
-
     #[test]
-    fn holes_are_filled_once() {
-        let text = render("generate", "Say {{topic}} by {{ k }}. {a} }}", &variables()).unwrap();
+    fn holes_are_filled_once_and_wrong_ones_are_named() {
+        let variables = BTreeMap::from([("topic", "ascend".to_owned()), ("k", "{{l}}".to_owned())]);
+        let fill = |template| render("generate", template, &variables);
+        let text = fill("Say {{topic}} by {{ k }}. {a} }}").unwrap();
         assert_eq!(text, "Say ascend by {{l}}. {a} }}");
-    }
-
-    #[test]
-    fn an_unknown_or_open_variable_is_named() {
-        let error = render("generate", "Say {{topik}}", &variables()).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "prompt template `generate` has the unknown variable `topik`; known: k, topic"
-        );
-        let error = render("generate", "one\ntwo {{topic", &variables()).unwrap_err();
+        let says = "prompt template `generate` has the unknown variable `topik`; known: k, topic";
+        assert_eq!(fill("Say {{topik}}").unwrap_err().to_string(), says);
         let says = "prompt template `generate` opens a variable on line 2 and never closes it";
-        assert_eq!(error.to_string(), says);
+        assert_eq!(fill("one\ntwo {{topic").unwrap_err().to_string(), says);
     }
 }

@@ -1,8 +1,17 @@
-//! Whichever encoder a policy has.
+//! The encoder in front of actor and critic, as actors run it: without a graph and without allocation.
+//!
+//! ```text
+//! none        observation ─────────────────────────────────────────────────────────► features
+//! lstm        observation, state of the step before ─► gates ─► state ─────────────► features = its hidden half
+//! attention   history of entities ─► per frame: attention of the ego (file `attention`) ─► features
+//! ```
 
 use leadtime_proto::{Encoder, PolicySpec};
 
-use super::LstmEncoder;
+mod lstm;
+
+use lstm::LstmEncoder;
+
 use crate::architecture::{LstmLayers, feature_dim};
 use crate::attention::AttentionEncoder;
 use crate::{Error, Parameters};
