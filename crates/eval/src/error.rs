@@ -12,38 +12,9 @@ pub enum Error {
     /// The environment cannot be made.
     #[error(transparent)]
     Task(#[from] TaskError),
-    /// The player is not a network.
-    #[error("`{name}` is a script, which has no features to read anything from")]
-    NoFeatures {
-        /// The player's name.
-        name: String,
-    },
-    /// The task has no listener, so there is no reaction delay.
-    #[error("this task has no listener, so there is no reaction delay to be known")]
-    NoListener,
-    /// The delay is drawn anew for every message.
-    #[error(
-        "the person draws another reaction delay for every message, so there is nothing to be known before it; ask \
-         for one that stays: drawn = \"per_episode\""
-    )]
-    DelayPerMessage,
-    /// The delay is always the same.
-    #[error(
-        "the person's reaction delay is {delay} in every episode, so there is nothing to be found out; let it vary, as \
-         with --set 'human.reaction_delay={{uniform={{low=0,high=5,drawn=\"per_episode\"}}}}'"
-    )]
-    DelayNeverVaries {
-        /// In steps.
-        delay: u32,
-    },
-    /// Too few episodes to learn from and to be evaluated on.
-    #[error("{found} episodes are too few for a probe; allowed: at least {least}")]
-    TooFewEpisodes {
-        /// As asked for.
-        found: u64,
-        /// What there must be.
-        least: u64,
-    },
+    /// There is no reaction delay to be known, or too little to learn it from; the sentence says why.
+    #[error("{0}")]
+    Probe(String),
     /// Data to which no line can be fitted.
     #[error(
         "no regression can be fitted to {n_rows} rows of {n_features} features, or they are not finite"
@@ -77,7 +48,4 @@ pub enum Error {
     /// The GIF encoder failed.
     #[error("the GIF file cannot be written")]
     Gif(#[from] gif::EncodingError),
-    /// An animation of nothing.
-    #[error("an animation needs at least one frame")]
-    NoFrames,
 }

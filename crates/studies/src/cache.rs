@@ -28,25 +28,14 @@ const NAME_DIGITS: usize = 32;
 /// Bytes of the digest in front of a file's content.
 const DIGEST_BYTES: usize = 32;
 
-/// Everything that decides an evaluation, the program excepted, as a digest.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct EvalKey(String);
-
-impl EvalKey {
-    /// Digests what was asked.
-    ///
-    /// # Panics
-    ///
-    /// If it has no JSON form, which plain data has.
-    pub(crate) fn new<T: Serialize>(asked: &T) -> Self {
-        let asked = serde_json::to_vec(asked).expect("what is asked is plain data");
-        Self(sha256(&asked).chars().take(NAME_DIGITS).collect())
-    }
-
-    /// Returns the name of its file.
-    pub(crate) fn file(&self) -> &str {
-        &self.0
-    }
+/// Names the file of an evaluation after everything that decides it, the program excepted.
+///
+/// # Panics
+///
+/// If what is asked has no JSON form, which plain data has.
+pub(crate) fn file_name<T: Serialize>(asked: &T) -> String {
+    let asked = serde_json::to_vec(asked).expect("what is asked is plain data");
+    sha256(&asked).chars().take(NAME_DIGITS).collect()
 }
 
 /// The evaluations that this build of the program made.
@@ -78,11 +67,11 @@ impl EvalCache {
         if Sha256::digest(content).as_slice() != expected {
             return None;
         }
-        let cached: CachedEvaluation<Evaluation> =
-            codec::decode(content, limits::MAX_MESSAGE_BYTES).ok()?;
-        let evaluation = (cached.program == self.program).then_some(cached.evaluation)?;
+        let cached = codec::decode(content, limits::MAX_MESSAGE_BYTES).ok();
+        let cached =
+            cached.filter(|cached: &CachedEvaluation<_>| cached.program == self.program)?;
         self.n_taken += 1;
-        Some(evaluation)
+        Some(cached.evaluation)
     }
 
     /// Keeps an evaluation; where that is impossible, it will be made again.
@@ -152,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_counts_as_none_whichever_byte_it_is() {
+    fn a_damaged_file_or_an_unwritable_one_counts_as_none() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.json");
         let mut cache = EvalCache::new(&build("one"));
@@ -166,14 +155,8 @@ mod tests {
         }
         fs::write(&path, &whole[..whole.len() / 2]).unwrap();
         assert_eq!(cache.take(&path), None);
-    }
-
-    #[test]
-    fn an_unwritable_directory_is_not_an_error() {
-        let dir = tempfile::tempdir().unwrap();
-        fs::write(dir.path().join("evaluations"), "a file").unwrap();
-        let mut cache = EvalCache::new(&build("one"));
-        cache.keep(&dir.path().join("evaluations/a.json"), &evaluation());
-        assert_eq!(cache.take(&dir.path().join("evaluations/a.json")), None);
+        // Where there is a file, there cannot be a directory; that is no error.
+        cache.keep(&path.join("b.json"), &evaluation());
+        assert_eq!(cache.take(&path.join("b.json")), None);
     }
 }

@@ -34,24 +34,6 @@ impl EvalCandidate {
         }
     }
 
-    fn policy(
-        tasks: &Tasks,
-        row: &PlannedRow,
-        training: &PlannedTraining,
-        which: WhichPolicy,
-        choice: Choice,
-    ) -> Result<Self, Error> {
-        let (runs, file) = (&training.config.run.directory, training.policy(which));
-        let loaded = LoadedPolicy::load(&tasks.registry, runs, &file, &[])?;
-        let networks = serde_json::to_string(&row.config.policy).unwrap_or_default();
-        let spec = &row.config.policy;
-        Ok(Self {
-            player: Player::policy(&row.row.title, spec, &loaded.parameters, choice)?,
-            identity: vec!["policy".to_owned(), loaded.sha256, networks, format!("{choice:?}")],
-            directory: training.directory().join(FOLDER),
-        })
-    }
-
     /// Returns a row's candidates of the first `n_seeds` training seeds.
     pub(crate) fn of(
         tasks: &Tasks,
@@ -64,17 +46,18 @@ impl EvalCandidate {
             let script = Self::script(&row.config.run.directory, script, &row.row.title);
             return Ok(vec![script; n_seeds]);
         }
-        let policy = |training| Self::policy(tasks, row, training, which, choice);
+        let spec = &row.config.policy;
+        let networks = serde_json::to_string(spec).unwrap_or_default();
+        let policy = |training: &PlannedTraining| {
+            let (runs, file) = (&training.config.run.directory, training.policy(which));
+            let loaded = LoadedPolicy::load(&tasks.registry, runs, &file, &[])?;
+            let identity = ["policy", &loaded.sha256, &networks, &format!("{choice:?}")];
+            Ok(Self {
+                player: Player::policy(&row.row.title, spec, &loaded.parameters, choice)?,
+                identity: identity.map(str::to_owned).to_vec(),
+                directory: training.directory().join(FOLDER),
+            })
+        };
         row.trainings.iter().take(n_seeds).map(policy).collect()
-    }
-
-    /// Returns a row's player of the first training seed, which samples its choices.
-    pub(crate) fn first_player(
-        tasks: &Tasks,
-        row: &PlannedRow,
-        which: WhichPolicy,
-    ) -> Result<Option<Player>, Error> {
-        let candidates = Self::of(tasks, row, which, Choice::Sample, 1)?;
-        Ok(candidates.into_iter().next().map(|first| first.player))
     }
 }

@@ -52,7 +52,7 @@ pub fn find(name: &str) -> Result<Vec<NamedStudy>, Error> {
         return names().map(built_in).collect();
     }
     if is_built_in(name) {
-        return Ok(vec![built_in(name)?]);
+        return built_in(name).map(|study| vec![study]);
     }
     let path = Path::new(name);
     let is_file = path.extension().is_some_and(|extension| extension == "toml");
@@ -91,31 +91,21 @@ mod tests {
     use crate::test_support::sentence;
 
     #[test]
-    fn every_study_that_comes_with_the_program_is_sound() {
+    fn every_study_that_comes_with_the_program_is_sound_and_the_search_too() {
         assert_eq!(find(ALL).unwrap().len(), BUILT_IN.len());
-    }
-
-    #[test]
-    fn the_search_is_a_sound_study_too() {
         Study::parse("search", include_str!("../studies/search.toml")).unwrap();
     }
 
     #[test]
-    fn a_file_cannot_take_the_name_of_a_built_in_study() {
-        for (name, reason) in [
-            ("table1", "built-in study"),
-            ("all", "built-in study"),
-            ("My Study", "cannot name a study"),
-            ("README", "cannot name a study"),
-        ] {
+    fn a_name_is_plain_and_not_that_of_another_study_and_a_known_one_is_found() {
+        let (taken, odd) = ("built-in study", "cannot name a study");
+        for (name, reason) in
+            [("table1", taken), ("all", taken), ("My Study", odd), ("README", odd)]
+        {
             let error = sentence(check_name(name));
             assert!(error.contains(reason) && error.contains(name), "{error}");
         }
         check_name("my-study_2").unwrap();
-    }
-
-    #[test]
-    fn an_unknown_study_is_refused_with_the_known_ones() {
         let error = sentence(find("table9"));
         assert!(error.contains("`table9`") && error.contains("table1, robustness"), "{error}");
     }

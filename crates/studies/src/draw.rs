@@ -1,21 +1,22 @@
 //! The figures of a part: learning curves over training seeds, curves over conditions, playthroughs of the same episode;
-//! maps and trajectories are drawn by [`trajectories`].
+//! for a domain with maps, the maps beside each other, and the trajectories with every notifier.
 
 use std::collections::BTreeMap;
 
+use leadtime_config::Config;
 use leadtime_eval::draw::{Rasterizer, Svg};
 use leadtime_eval::figure::{Band, BandPanel, bands, sheet};
-use leadtime_eval::measure::{Choice, title};
+use leadtime_eval::measure::{Choice, PlaySettings, Player, title};
+use leadtime_eval::picture::{self, TrajectoryPanel};
 use leadtime_eval::playthrough::{Playthrough, Spoken, Voice};
 use leadtime_numerics::stats::mean;
 use leadtime_runs::{Tasks, journal};
 
 use crate::candidate::EvalCandidate;
 use crate::error::Error;
-use crate::plan::{PlannedPart, PlannedRow, PlannedTraining};
+use crate::plan::{PlannedCondition, PlannedPart, PlannedRow, PlannedTraining, UNAIDED};
 use crate::result::{PartResult, StudyFigure};
-use crate::study::{Layout, StudyCondition};
-use crate::trajectories;
+use crate::study::{Layout, StudyCondition, StudyPart};
 
 /// Pixels per unit.
 const SCALE: f32 = 1.5;
@@ -25,6 +26,8 @@ const SHEET_SCALE: f32 = 1.0;
 const COLUMNS: usize = 2;
 /// Points of a learning curve.
 const POINTS: usize = 60;
+/// Trajectories per notifier; more hide each other.
+const N_TRAJECTORIES: u64 = 20;
 
 /// Draws a part's figures; `stem` begins their files' names.
 pub(crate) fn draw(
@@ -33,49 +36,199 @@ pub(crate) fn draw(
     part: &PartResult,
     stem: &str,
 ) -> Result<Vec<StudyFigure>, Error> {
-    let mut drawn = Vec::new();
-    drawn.extend(trajectories::maps(tasks, planned, stem)?);
-    drawn.extend(learning(planned, stem)?);
-    if part.layout == Layout::Grid {
-        drawn.push(over_conditions(planned, part, stem)?);
-    }
-    drawn.extend(trajectories::trajectories(tasks, planned, stem)?);
-    drawn.extend(playthroughs(tasks, planned, stem)?);
-    Ok(drawn)
+    let artist = Artist { tasks, planned, title: &planned.part.title, stem };
+    let figures = [
+        artist.maps()?,
+        artist.learning()?,
+        artist.over_conditions(part)?,
+        artist.trajectories()?,
+        artist.playthroughs()?,
+    ];
+    Ok(figures.into_iter().flatten().collect())
 }
 
-/// Draws training success and return of every trained row.
-fn learning(planned: &PlannedPart, stem: &str) -> Result<Option<StudyFigure>, Error> {
-    let trained: Vec<&PlannedRow> =
-        planned.rows.iter().filter(|row| !row.trainings.is_empty()).collect();
-    if trained.is_empty() {
-        return Ok(None);
+/// Draws the figures of one part; a figure for which there is nothing to draw is `None`.
+struct Artist<'a> {
+    tasks: &'a Tasks,
+    planned: &'a PlannedPart,
+    title: &'a str,
+    stem: &'a str,
+}
+
+impl Artist<'_> {
+    /// Makes a figure of a picture.
+    fn figure(
+        &self,
+        kind: &str,
+        caption: String,
+        svg: &Svg,
+        scale: f32,
+    ) -> Result<Option<StudyFigure>, Error> {
+        let png = Rasterizer::new().png(&svg.text, scale)?;
+        Ok(Some(StudyFigure { file: format!("{}-{kind}.png", self.stem), caption, png }))
     }
-    let panel = |metric: &str, label: &str, range| BandPanel {
-        label: label.to_owned(),
-        range,
-        bands: trained
-            .iter()
-            .map(|row| learning_band(row, metric, planned.label_of(row)))
-            .collect(),
-    };
-    let panels = [
-        panel("episodes/success", "success in training", Some([0.0, 1.0])),
-        panel("episodes/return", "return in training", None),
-    ];
-    let heading = format!("{}: learning", planned.part.title);
-    let svg = bands("learning", &heading, "environment steps", 7, &panels).text;
-    let n_seeds = trained.iter().map(|row| row.trainings.len()).max().unwrap_or(0);
-    let spread = match n_seeds {
-        1 => "one training seed".to_owned(),
-        n => format!("mean of {n} training seeds, band from the lowest to the highest"),
-    };
-    let caption = format!(
-        "{}: success and return of the last 100 training episodes, each notifier on the person it trains with; {spread}",
-        planned.part.title
-    );
-    let png = Rasterizer::new().png(&svg, SCALE)?;
-    Ok(Some(StudyFigure { file: format!("{stem}-learning.png"), caption, png }))
+
+    /// Draws training success and return of every trained row.
+    fn learning(&self) -> Result<Option<StudyFigure>, Error> {
+        let trained = || self.planned.rows.iter().filter(|row| !row.trainings.is_empty());
+        let Some(n_seeds) = trained().map(|row| row.trainings.len()).max() else { return Ok(None) };
+        let panel = |metric: &str, label: &str, range| {
+            let band = |row| learning_band(row, metric, self.planned.label_of(row));
+            BandPanel { label: label.to_owned(), range, bands: trained().map(band).collect() }
+        };
+        let panels = [
+            panel("episodes/success", "success in training", Some([0.0, 1.0])),
+            panel("episodes/return", "return in training", None),
+        ];
+        let heading = format!("{}: learning", self.title);
+        let svg = bands("learning", &heading, "environment steps", 7, &panels);
+        let spread = match n_seeds {
+            1 => "one training seed".to_owned(),
+            n => format!("mean of {n} training seeds, band from the lowest to the highest"),
+        };
+        let caption = format!(
+            "{}: success and return of the last 100 training episodes, each notifier on the person it trains with; \
+             {spread}",
+            self.title
+        );
+        self.figure("learning", caption, &svg, SCALE)
+    }
+
+    /// Draws every measure of a grid over the conditions under which policies were evaluated.
+    fn over_conditions(&self, part: &PartResult) -> Result<Option<StudyFigure>, Error> {
+        if part.layout != Layout::Grid {
+            return Ok(None);
+        }
+        let placed = |condition: &StudyCondition| Some((condition.at?, condition.name.clone()));
+        let StudyPart { evaluations, axis, .. } = &self.planned.part;
+        let mut conditions: Vec<(f64, String)> = evaluations.iter().filter_map(placed).collect();
+        conditions.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let panels = part.columns.iter().map(|measure| {
+            let lines = part.rows.chunk_by(|a, b| a.title == b.title).map(|rows| {
+                let mut band = Band { label: rows[0].title.clone(), ..Band::default() };
+                for &(x, ref condition) in &conditions {
+                    let result = rows.iter().find_map(|row| row.result(condition, Choice::Sample));
+                    let measured = result.and_then(|result| result.summary.get(measure)?.interval);
+                    band.points.extend(measured.map(|i| [x, i.estimate, i.low, i.high]));
+                    let published = rows.iter().find_map(|r| r.published(Some(condition), measure));
+                    band.published.extend(published.map(|published| [x, published.mean]));
+                }
+                band
+            });
+            let range = (measure == "success").then_some([0.0, 1.0]);
+            BandPanel { label: title(measure), range, bands: lines.collect() }
+        });
+        let panels: Vec<BandPanel> = panels.collect();
+        let mut bands_drawn = panels.iter().flat_map(|panel| &panel.bands);
+        let is_published = bands_drawn.any(|band| !band.published.is_empty());
+        let [also, dashed] =
+            if is_published { [", the paper's (dashed)", ", the paper's dashed"] } else { [""; 2] };
+        let heading = format!("{}: ours (solid, with interval){also}", self.title);
+        let svg = bands("people", &heading, axis, conditions.len().max(2), &panels);
+        let caption = format!("{}: ours as solid lines with 95 % intervals{dashed}", self.title);
+        self.figure("people", caption, &svg, SCALE)
+    }
+
+    /// Lists every row's condition of a name, with the player of its first training seed, which bears the row's title.
+    fn players(&self, condition: &str) -> Result<Vec<(&PlannedCondition, Player)>, Error> {
+        let mut players = Vec::new();
+        for row in &self.planned.rows {
+            let which = self.planned.protocol.policy;
+            let mut first = EvalCandidate::of(self.tasks, row, which, Choice::Sample, 1)?;
+            if let (Some(on), Some(first)) = (row.condition(condition), first.pop()) {
+                players.push((on, first.player));
+            }
+        }
+        Ok(players)
+    }
+
+    /// Returns a condition's title.
+    fn titled(&self, condition: &str) -> &str {
+        self.planned.part.condition(condition).map_or("", |condition| &condition.title)
+    }
+
+    /// Draws the first evaluation episode of the first training seed for every row, under the condition that the study
+    /// names.
+    fn playthroughs(&self) -> Result<Option<StudyFigure>, Error> {
+        let Some(condition) = &self.planned.part.pictured_on else { return Ok(None) };
+        let seed = self.planned.first_seed();
+        let mut episodes = Vec::new();
+        for (on, player) in self.players(condition)? {
+            let task = &on.config.evaluation.task;
+            let make = || self.tasks.registry.build(task);
+            let played = Playthrough::record(&make, &player, seed, 0)?;
+            let voice = Voice::shipped(on.config.domain.as_str(), &self.tasks.topics(task));
+            episodes.push(match voice {
+                Some(voice) => voice.speak(played)?,
+                None => played.into(),
+            });
+        }
+        let Some(n_steps) = episodes.iter().map(|spoken| spoken.played.n_steps()).max() else {
+            return Ok(None);
+        };
+        let draw =
+            |(i, spoken): (usize, &Spoken)| spoken.svg_over(&format!("{}-{i}", self.stem), n_steps);
+        let pictures: Vec<Svg> = episodes.iter().enumerate().map(draw).collect();
+        let caption = format!(
+            "{}: the same episode (the first one of seed {seed}, not chosen) with each notifier, on: {}",
+            self.title,
+            self.titled(condition)
+        );
+        let sheet = sheet(&caption, &pictures, COLUMNS);
+        self.figure("playthroughs", caption, &sheet, SHEET_SCALE)
+    }
+
+    /// Draws the part's maps with the unaided trajectory of the same episode on each.
+    fn maps(&self) -> Result<Option<StudyFigure>, Error> {
+        if self.planned.maps.is_empty() {
+            return Ok(None);
+        }
+        let (title, seed) = (self.title, self.planned.first_seed());
+        let panels = self.planned.maps.iter().map(|map| {
+            let trajectories = self.first(&map.config, &Player::baseline(UNAIDED), 1)?;
+            Ok(TrajectoryPanel { title: map.title.clone(), trajectories })
+        });
+        let panels = panels.collect::<Result<Vec<_>, Error>>()?;
+        let svg = picture::maps("maps", &format!("{title}: the maps"), &panels);
+        let caption = format!(
+            "{title}: the maps on one scale. Danger zones are dashed, the pad is green. The line is where the lander flies \
+             when nobody speaks (the same episode on every map: the first one of seed {seed}, not chosen), thick and \
+             orange inside a zone"
+        );
+        self.figure("maps", caption, &svg, SCALE)
+    }
+
+    /// Draws the first trajectories of every row's first training seed, under the condition that the study names.
+    fn trajectories(&self) -> Result<Option<StudyFigure>, Error> {
+        let Some(condition) = &self.planned.part.trajectories_on else { return Ok(None) };
+        let n = N_TRAJECTORIES.min(u64::from(self.planned.protocol.n_episodes));
+        let panels = self.players(condition)?.into_iter().map(|(on, player)| {
+            let trajectories = self.first(&on.config, &player, n)?;
+            Ok(TrajectoryPanel { title: player.name().to_owned(), trajectories })
+        });
+        let panels = panels.collect::<Result<Vec<_>, Error>>()?;
+        if panels.is_empty() {
+            return Ok(None);
+        }
+        let (title, seed, on) = (self.title, self.planned.first_seed(), self.titled(condition));
+        let heading = format!("{title}: the same {n} flights with each notifier");
+        let svg = picture::trajectories("trajectories", &heading, &panels);
+        let caption = format!(
+            "{title}: where the lander flies with each notifier, in the same {n} episodes (the first ones of seed {seed}, \
+             not chosen), on: {on}. Trained notifiers are those of the first training seed, and sample their choices. Blue \
+             flights land on the pad without having been in a danger zone (dashed), orange ones enter one, black dashed \
+             ones crash, land beside the pad, or end out of view or of time; each ends at its dot. The ground differs \
+             between episodes and is drawn faintly"
+        );
+        self.figure("trajectories", caption, &svg, SCALE)
+    }
+
+    /// Plays the first `n` episodes of the first seed.
+    fn first(&self, config: &Config, player: &Player, n: u64) -> Result<Vec<Playthrough>, Error> {
+        let make = || self.tasks.registry.build(&config.evaluation.task);
+        let settings = PlaySettings::new(n, self.planned.first_seed());
+        Ok(Playthrough::record_all(&make, player, &settings)?)
+    }
 }
 
 fn learning_band(row: &PlannedRow, metric: &str, label: String) -> Band {
@@ -97,10 +250,10 @@ fn learning_band(row: &PlannedRow, metric: &str, label: String) -> Band {
 
 fn curve(training: &PlannedTraining, metric: &str) -> Vec<(u64, f64)> {
     let lines = journal::read(&training.directory()).unwrap_or_default();
-    lines
-        .iter()
-        .filter_map(|l| Some((l.get("steps")?.as_u64()?, l.get(metric)?.as_f64()?)))
-        .collect()
+    let point = |line: &serde_json::Map<String, serde_json::Value>| {
+        Some((line.get("steps")?.as_u64()?, line.get(metric)?.as_f64()?))
+    };
+    lines.iter().filter_map(point).collect()
 }
 
 /// Keeps some `POINTS` points; which ones depends only on the number of updates, so seeds agree.
@@ -114,78 +267,4 @@ fn thinned(points: &[(u64, f64)]) -> Vec<(u64, f64)> {
         }
     }
     kept
-}
-
-/// Draws every measure of the main table over the conditions under which policies were evaluated.
-fn over_conditions(
-    planned: &PlannedPart,
-    part: &PartResult,
-    stem: &str,
-) -> Result<StudyFigure, Error> {
-    let placed = |condition: &StudyCondition| Some((condition.at?, condition.name.clone()));
-    let mut conditions: Vec<(f64, String)> =
-        planned.part.evaluations.iter().filter_map(placed).collect();
-    conditions.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let panels = part.columns.iter().map(|measure| {
-        let lines = part.rows.chunk_by(|a, b| a.title == b.title).map(|rows| {
-            let mut band = Band { label: rows[0].title.clone(), ..Band::default() };
-            for &(x, ref condition) in &conditions {
-                let result = rows.iter().find_map(|row| row.result(condition, Choice::Sample));
-                let measured = result.and_then(|result| result.summary.get(measure)?.interval);
-                band.points.extend(measured.map(|i| [x, i.estimate, i.low, i.high]));
-                let published = rows.iter().find_map(|row| row.published(Some(condition), measure));
-                band.published.extend(published.map(|published| [x, published.mean]));
-            }
-            band
-        });
-        let range = (measure == "success").then_some([0.0, 1.0]);
-        BandPanel { label: title(measure), range, bands: lines.collect() }
-    });
-    let panels: Vec<BandPanel> = panels.collect();
-    let mut bands_drawn = panels.iter().flat_map(|panel| &panel.bands);
-    let is_published = bands_drawn.any(|band| !band.published.is_empty());
-    let [also, dashed] =
-        if is_published { [", the paper's (dashed)", ", the paper's dashed"] } else { [""; 2] };
-    let heading = format!("{}: ours (solid, with interval){also}", part.title);
-    let (axis, n_ticks) = (&planned.part.axis, conditions.len().max(2));
-    let svg = bands("people", &heading, axis, n_ticks, &panels).text;
-    let png = Rasterizer::new().png(&svg, SCALE)?;
-    let caption = format!("{}: ours as solid lines with 95 % intervals{dashed}", part.title);
-    Ok(StudyFigure { file: format!("{stem}-people.png"), caption, png })
-}
-
-/// Draws the first evaluation episode of the first training seed for every row, under the condition that the study
-/// names.
-fn playthroughs(
-    tasks: &Tasks,
-    planned: &PlannedPart,
-    stem: &str,
-) -> Result<Option<StudyFigure>, Error> {
-    let Some(condition) = &planned.part.pictured_on else { return Ok(None) };
-    let seed = planned.first_seed();
-    let mut episodes = Vec::new();
-    for row in &planned.rows {
-        let player = EvalCandidate::first_player(tasks, row, planned.protocol.policy)?;
-        let (Some(on), Some(player)) = (row.condition(condition), player) else { continue };
-        let task = &on.config.evaluation.task;
-        let make = || tasks.registry.build(task);
-        let played = Playthrough::record(&make, &player, seed, 0)?;
-        let voice = Voice::shipped(on.config.domain.as_str(), &tasks.topics(task));
-        episodes.push(match voice {
-            Some(voice) => voice.speak(played)?,
-            None => played.into(),
-        });
-    }
-    let Some(n_steps) = episodes.iter().map(|spoken| spoken.played.n_steps()).max() else {
-        return Ok(None);
-    };
-    let draw = |(i, spoken): (usize, &Spoken)| spoken.svg_over(&format!("{stem}-{i}"), n_steps);
-    let pictures: Vec<Svg> = episodes.iter().enumerate().map(draw).collect();
-    let caption = format!(
-        "{}: the same episode (the first one of seed {seed}, not chosen) with each notifier, on: {}",
-        planned.part.title,
-        planned.part.condition(condition).map_or("", |condition| &condition.title)
-    );
-    let png = Rasterizer::new().png(&sheet(&caption, &pictures, COLUMNS).text, SHEET_SCALE)?;
-    Ok(Some(StudyFigure { file: format!("{stem}-playthroughs.png"), caption, png }))
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::thread::available_parallelism;
 
 use leadtime_config::Config;
+use leadtime_episodes::Error as PlayError;
 use leadtime_eval::measure::{
     Choice, Difference, Evaluation, PlaySettings, SpeechLog, Summary, evaluate_with,
     with_lead_times, with_said,
@@ -12,21 +13,16 @@ use leadtime_runs::Tasks;
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
-use crate::cache::{EvalCache, EvalKey};
+use crate::cache::{EvalCache, file_name};
 use crate::candidate::EvalCandidate;
 use crate::error::Error;
-use crate::plan::{
-    PlannedCondition, PlannedPart, PlannedRow, Protocol, UNAIDED, bootstrap, disambiguate,
-};
+use crate::plan::{PlannedPart, PlannedRow, Protocol, UNAIDED, bootstrap, disambiguate};
 use crate::provenance;
 use crate::result::{ConditionResult, PartResult, RowResult};
 use crate::study::StatedDifference;
 
-/// One evaluation per training seed.
-type BySeed = Vec<Evaluation>;
-
-/// Evaluations by row and condition.
-type Sampled = BTreeMap<(String, String), BySeed>;
+/// Evaluations by row and condition: one per training seed.
+type Sampled = BTreeMap<(String, String), Vec<Evaluation>>;
 
 /// Evaluates policies; remembers what the unaided listener did in the same episodes.
 #[derive(Debug)]
@@ -50,16 +46,6 @@ enum Detail {
     Course,
 }
 
-impl Detail {
-    /// Greedy choices are a check on the side, so they have no course.
-    fn of(choice: Choice) -> Self {
-        match choice {
-            Choice::Sample => Self::Course,
-            Choice::Greedy => Self::Lead,
-        }
-    }
-}
-
 impl<'a> Evaluator<'a> {
     /// Makes an evaluator that stops when `shutdown` is cancelled.
     pub(crate) fn new(tasks: &'a Tasks, shutdown: &'a CancellationToken, cache: EvalCache) -> Self {
@@ -68,12 +54,9 @@ impl<'a> Evaluator<'a> {
 
     /// Evaluates the rows of a part.
     pub(crate) fn part(&mut self, planned: &PlannedPart) -> Result<PartResult, Error> {
-        let mut rows = Vec::new();
         let mut sampled = Sampled::new();
-        for row in &planned.rows {
-            let results = self.row(planned, row, &mut sampled)?;
-            rows.push(row_result(planned, row, results)?);
-        }
+        let rows = planned.rows.iter().map(|row| self.row(planned, row, &mut sampled));
+        let rows = rows.collect::<Result<_, _>>()?;
         let stated = planned.part.differences.iter();
         let differences = stated.filter_map(|d| difference(planned, d, &sampled)).collect();
         let part = &planned.part;
@@ -95,17 +78,26 @@ impl<'a> Evaluator<'a> {
         planned: &PlannedPart,
         row: &PlannedRow,
         sampled: &mut Sampled,
-    ) -> Result<Vec<ConditionResult>, Error> {
+    ) -> Result<RowResult, Error> {
         let (which, n_seeds) = (planned.protocol.policy, planned.seeds.len());
-        let candidates = choices(row).iter().map(|&choice| {
+        // A script has no distribution to draw from, and so one way of choosing.
+        let both = [Choice::Sample, Choice::Greedy].into_iter();
+        let choices = both.take(if row.row.script.is_some() { 1 } else { 2 });
+        let candidates = choices.map(|choice| {
             Ok((choice, EvalCandidate::of(self.tasks, row, which, choice, n_seeds)?))
         });
         let candidates = candidates.collect::<Result<Vec<_>, Error>>()?;
         let mut results = Vec::new();
         for condition in &row.conditions {
-            for (choice, candidates) in &candidates {
-                let choice = *choice;
-                let by_seed = self.condition(planned, candidates, condition, choice)?;
+            for &(choice, ref candidates) in &candidates {
+                // Greedy choices are a check on the side, so they have no course.
+                let detail = if choice == Choice::Sample { Detail::Course } else { Detail::Lead };
+                let by_seed = candidates.iter().zip(&planned.seeds).map(|(candidate, seed)| {
+                    let seed = planned.protocol.seed + seed;
+                    let protocol = Protocol { seed, ..planned.protocol };
+                    self.evaluation(candidate, &condition.config, protocol, detail)
+                });
+                let by_seed = by_seed.collect::<Result<Vec<_>, _>>()?;
                 results.push(ConditionResult {
                     evaluations: condition.names.clone(),
                     title: condition.titles.join(" = "),
@@ -118,25 +110,15 @@ impl<'a> Evaluator<'a> {
                 }
             }
         }
-        Ok(results)
-    }
-
-    /// Evaluates a row under a condition: one evaluation per training seed.
-    fn condition(
-        &mut self,
-        planned: &PlannedPart,
-        candidates: &[EvalCandidate],
-        condition: &PlannedCondition,
-        choice: Choice,
-    ) -> Result<BySeed, Error> {
-        let (seeds, protocol) = (&planned.seeds, &planned.protocol);
-        let mut by_seed = Vec::new();
-        for (candidate, seed) in candidates.iter().zip(seeds) {
-            let protocol = Protocol { seed: protocol.seed + seed, ..*protocol };
-            let detail = Detail::of(choice);
-            by_seed.push(self.evaluation(candidate, &condition.config, protocol, detail)?);
-        }
-        Ok(by_seed)
+        Ok(RowResult {
+            name: row.row.name.clone(),
+            title: row.row.title.clone(),
+            notification: row.notification(),
+            settings: planned.profile.differences(&row.config),
+            published: row.row.published(),
+            results,
+            runs: row.trainings.iter().map(provenance::run).collect::<Result<_, _>>()?,
+        })
     }
 
     /// Takes an evaluation that was made before, or makes it.
@@ -149,26 +131,24 @@ impl<'a> Evaluator<'a> {
     ) -> Result<Evaluation, Error> {
         let Protocol { n_episodes, seed, .. } = protocol;
         let task = &config.evaluation.task;
-        let key = EvalKey::new(&(&candidate.identity, task, seed, n_episodes, detail));
-        let path = candidate.directory.join(key.file());
+        let asked = (&candidate.identity, task, seed, n_episodes, detail);
+        let path = candidate.directory.join(file_name(&asked));
         if let Some(evaluation) = self.cache.take(&path) {
             // Rows with other titles may share a run.
             return Ok(Evaluation { player: candidate.player.name().to_owned(), ..evaluation });
         }
         let make = || self.tasks.registry.build(task);
         let n_threads = available_parallelism().map_or(1, usize::from);
-        let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_threads);
-        let shutdown = self.shutdown;
+        let (shutdown, settings) = (self.shutdown, PlaySettings::new(u64::from(n_episodes), seed));
         let stop = || shutdown.is_cancelled();
-        let settings = settings.stopped_by(&stop);
+        let settings = settings.threads(n_threads).stopped_by(&stop);
         let log = |_| SpeechLog::default();
-        let (mut evaluation, said) = evaluate_with(&make, &candidate.player, &settings, log)
-            .map_err(|error| match error {
-                leadtime_eval::Error::Play(leadtime_episodes::Error::Interrupted) => {
-                    Error::Interrupted
-                }
-                other => other.into(),
-            })?;
+        let (mut evaluation, said) = match evaluate_with(&make, &candidate.player, &settings, log) {
+            Err(leadtime_eval::Error::Play(PlayError::Interrupted)) => {
+                return Err(Error::Interrupted);
+            }
+            played => played?,
+        };
         if detail != Detail::Measures {
             let unaided = self.unaided(config, protocol)?;
             evaluation = with_lead_times(evaluation, unaided);
@@ -191,12 +171,6 @@ impl<'a> Evaluator<'a> {
     }
 }
 
-/// Lists the ways of choosing; a script has no distribution to draw from.
-fn choices(row: &PlannedRow) -> &'static [Choice] {
-    let both = &[Choice::Sample, Choice::Greedy];
-    if row.row.script.is_some() { &both[..1] } else { both }
-}
-
 /// States a difference; `None` where a row was not asked for, or its task has no such measure.
 fn difference(
     planned: &PlannedPart,
@@ -209,22 +183,6 @@ fn difference(
     let [of, minus] = disambiguate([planned.row(of)?, planned.row(minus)?]);
     let minus = format!("{minus} (both on: {})", planned.part.condition(on)?.title);
     Difference::over_seeds((&of, a), (&minus, b), measure, &bootstrap())
-}
-
-fn row_result(
-    planned: &PlannedPart,
-    row: &PlannedRow,
-    results: Vec<ConditionResult>,
-) -> Result<RowResult, Error> {
-    Ok(RowResult {
-        name: row.row.name.clone(),
-        title: row.row.title.clone(),
-        notification: row.notification(),
-        settings: planned.profile.differences(&row.config),
-        published: row.row.published(),
-        results,
-        runs: row.trainings.iter().map(provenance::run).collect::<Result<_, _>>()?,
-    })
 }
 
 #[cfg(test)]

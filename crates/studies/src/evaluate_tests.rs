@@ -4,32 +4,11 @@ use std::path::{Path, PathBuf};
 use leadtime_config::Override;
 use leadtime_policy::Parameters;
 use leadtime_runs::policy_file::{self, LAST_POLICY};
-use leadtime_runs::{LoadedPolicy, ProgramBuild, RunRecord, RunResult};
+use leadtime_runs::{LoadedPolicy, ProgramBuild};
 
 use super::*;
 use crate::request::StudyRequest;
-use crate::test_support::{plan, request};
-
-const STUDY: &str = r#"
-title = "t"
-lead = "l"
-[[parts]]
-name = "piloting"
-title = "Piloting"
-profile = "lander"
-quick_steps = 4096
-columns = ["success"]
-evaluations = [
-    { name = "real", title = "real", set.human.reaction_delay = { fixed = 2 } },
-]
-[[parts.rows]]
-name = "script"
-title = "Script"
-script = "heuristic"
-[[parts.rows]]
-name = "trained"
-title = "Trained"
-"#;
+use crate::test_support::{STUDY, plan, record, request};
 
 /// Evaluates the study's part: what it found, and how many evaluations were made and taken for it.
 fn evaluated(request: &StudyRequest) -> (PartResult, String) {
@@ -46,21 +25,10 @@ fn evaluated(request: &StudyRequest) -> (PartResult, String) {
 
 /// Makes a finished run out of an untrained policy, unless there is one.
 fn finish(directory: &Path, config: &Config) {
-    if directory.exists() {
-        return;
+    if !directory.exists() {
+        record(directory, true);
+        put_policy(directory, config, config.seed);
     }
-    fs::create_dir_all(directory).unwrap();
-    put_policy(directory, config, config.seed);
-    let result = RunResult {
-        finished: String::new(),
-        updates: 1,
-        steps: 1,
-        weights_sha256: "0".to_owned(),
-        reproducible: true,
-        books: serde_json::Value::Null,
-    };
-    let begun = RunRecord::begin("a", "lander", 7, &ProgramBuild::default());
-    RunRecord { result: Some(result), ..begun }.write(directory).unwrap();
 }
 
 fn put_policy(directory: &Path, config: &Config, seed: u64) {
@@ -74,13 +42,16 @@ fn run_of(runs: &Path) -> PathBuf {
     { entries }.find(|path| path.join("run.json").exists()).unwrap()
 }
 
-/// Asks for two episodes of one training seed.
+/// Asks for two episodes of one training seed, of the script and of one trained row.
 fn two(runs: &Path) -> StudyRequest {
-    StudyRequest { seeds: Some(7..8), episodes: 2, ..request(runs) }
+    let rows = ["script", "real_one"].map(str::to_owned).to_vec();
+    StudyRequest { seeds: Some(7..8), episodes: 2, rows, ..request(runs) }
 }
 
 /// Two of the script (one is the unaided listener), and one per way of choosing.
 const ALL: &str = "made 4 evaluations, took 0 from the cache";
+/// Those of the trained row.
+const HALF: &str = "made 2 evaluations, took 2 from the cache";
 const NONE: &str = "made 0 evaluations, took 3 from the cache";
 
 #[test]
@@ -115,8 +86,7 @@ fn another_policy_seed_setting_or_number_of_episodes_is_evaluated() {
     let file = run.join(LAST_POLICY);
     let loaded = LoadedPolicy::load(&Tasks::new().registry, runs.path(), &file, &[]).unwrap();
     put_policy(&run, &loaded.config, 99);
-    let half = "made 2 evaluations, took 2 from the cache";
-    assert_eq!(evaluated(&two).1, half, "the script and the unaided listener stay");
+    assert_eq!(evaluated(&two).1, HALF, "the script and the unaided listener stay");
 }
 
 #[test]
@@ -131,7 +101,6 @@ fn a_damaged_evaluation_is_made_and_kept_again() {
         bytes[middle] ^= 1;
         fs::write(&path, bytes).unwrap();
     }
-    let half = "made 2 evaluations, took 2 from the cache";
-    assert_eq!(evaluated(&two), (first.clone(), half.to_owned()));
+    assert_eq!(evaluated(&two), (first.clone(), HALF.to_owned()));
     assert_eq!(evaluated(&two), (first, NONE.to_owned()));
 }

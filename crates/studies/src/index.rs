@@ -58,7 +58,7 @@ fn read(path: &Path) -> Result<Option<StudyResult>, Error> {
 /// Lists the other pages of the directory by their headings.
 fn others(results: &Path) -> Result<String, Error> {
     let Ok(entries) = fs::read_dir(results) else { return Ok(String::new()) };
-    let names = entries.filter_map(Result::ok).filter_map(|e| e.file_name().into_string().ok());
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
     let is_page = |name: &str| Path::new(name).extension().is_some_and(|end| end == "md");
     let is_study = |name: &str| catalog::names().any(|study| name == format!("{study}.md"));
     let mut names: Vec<String> =
@@ -69,8 +69,7 @@ fn others(results: &Path) -> Result<String, Error> {
         let path = results.join(&name);
         let text = fs::read_to_string(&path).map_err(Error::file("reading", &path))?;
         let heading = text.lines().find_map(|line| line.strip_prefix("# ")).unwrap_or(&name);
-        let line = format!("* [{heading}]({name})\n");
-        lines.push_str(&line);
+        lines.extend(["* [", heading, "](", &name, ")\n"]);
     }
     Ok(if lines.is_empty() { lines } else { format!("Elsewhere:\n\n{lines}\n") })
 }

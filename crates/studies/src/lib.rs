@@ -35,7 +35,6 @@ mod study;
 #[cfg(test)]
 mod test_support;
 mod train;
-mod trajectories;
 mod write;
 
 pub use cache::EvalCache;

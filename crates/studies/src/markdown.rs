@@ -1,6 +1,6 @@
 //! A study's results as a page of Markdown: tables, differences, pictures, provenance.
 
-use leadtime_eval::measure::{Choice, Measure, title, written};
+use leadtime_eval::measure::{Choice, Measure, names_in, title, written};
 use leadtime_eval::report::Fact;
 use leadtime_table::Table;
 
@@ -13,18 +13,22 @@ const NONE: &str = "\u{2013}";
 impl StudyResult {
     /// Writes the whole page.
     pub(crate) fn markdown(&self) -> String {
-        let mut page = format!("# {}\n\n{}\n\n", self.title, self.lead.trim());
-        page.push_str(&self.warned());
-        page.push_str(&self.reading());
+        let percent = 100.0 * self.bootstrap.confidence;
+        let reading = format!(
+            "Cells: mean ± standard deviation over training seeds [{percent:.0} % bootstrap interval over training \
+             seeds and episodes]. With one training seed there is no deviation, and the interval is over episodes \
+             alone.\n\n"
+        );
+        let mut page = self.heading() + &reading;
         for part in &self.parts {
             page.push_str(&part.summary("", self.bootstrap.confidence));
-            page.push_str(&part.details());
+            page.extend(part.rows.iter().map(details));
         }
         page.push_str("## Where these numbers are from\n\n");
-        page.push_str(&facts(&self.provenance));
-        for part in &self.parts {
-            page.push_str(&part.runs());
-        }
+        let facts = self.provenance.iter();
+        page.extend(facts.map(|Fact { name, value }| format!("* {name}: {value}\n")));
+        page.push('\n');
+        page.extend(self.parts.iter().map(PartResult::runs));
         page
     }
 
@@ -32,31 +36,19 @@ impl StudyResult {
     /// seen from the index: empty, or with a slash at the end.
     pub(crate) fn section(&self, folder: &str) -> String {
         let name = &self.study;
-        let mut text = format!("# {}\n\n{}\n\n", self.title, self.lead.trim());
-        text.push_str(&self.warned());
-        for part in &self.parts {
-            text.push_str(&part.summary(folder, self.bootstrap.confidence));
-        }
-        let elsewhere = format!(
+        let mut text = self.heading();
+        text.extend(self.parts.iter().map(|p| p.summary(folder, self.bootstrap.confidence)));
+        text + &format!(
             "All measures, greedy choices, runs and provenance: [{name}.md]({folder}{name}.md), as data: \
              [{name}.json]({folder}{name}.json).\n\n"
-        );
-        text.push_str(&elsewhere);
-        text
-    }
-
-    fn warned(&self) -> String {
-        let lines = self.warnings.iter().map(|warning| format!("> **{}**\n\n", plain(warning)));
-        lines.collect::<Vec<_>>().concat()
-    }
-
-    fn reading(&self) -> String {
-        let percent = 100.0 * self.bootstrap.confidence;
-        format!(
-            "Cells: mean ± standard deviation over training seeds [{percent:.0} % bootstrap interval over training \
-             seeds and episodes]. With one training seed there is no deviation, and the interval is over episodes \
-             alone.\n\n"
         )
+    }
+
+    /// Writes title, lead and warnings.
+    fn heading(&self) -> String {
+        let mut text = format!("# {}\n\n{}\n\n", self.title, self.lead.trim());
+        text.extend(self.warnings.iter().map(|text| format!("> **{}**\n\n", plain(text))));
+        text
     }
 }
 
@@ -66,27 +58,22 @@ impl PartResult {
         let mut text = format!("## {}\n\nProfile: {}.\n\n", self.title, self.profile);
         match self.layout {
             Layout::Lines => text.push_str(&self.lines()),
-            Layout::Grid => self.columns.iter().for_each(|m| text.push_str(&self.grid(m))),
+            Layout::Grid => text.extend(self.columns.iter().map(|measure| self.grid(measure))),
         }
-        for difference in &self.differences {
-            let sentence = format!("* {}\n", difference.sentence(confidence));
-            text.push_str(&sentence);
-        }
+        text.extend(self.differences.iter().map(|d| format!("* {}\n", d.sentence(confidence))));
         if !self.differences.is_empty() {
             text.push('\n');
         }
-        for FigureLink { file, caption } in &self.pictures {
-            let picture = format!("![{}]({folder}{file})\n\n*{caption}*\n\n", plain(caption));
-            text.push_str(&picture);
-        }
+        text.extend(self.pictures.iter().map(|FigureLink { file, caption }| {
+            format!("![{}]({folder}{file})\n\n*{caption}*\n\n", plain(caption))
+        }));
         text
     }
 
     /// Writes a line per policy and condition, what was published above what was measured.
     fn lines(&self) -> String {
-        let titles = self.columns.iter().map(|name| title(name));
-        let mut table =
-            Table::new(["notifier", "judged on"].map(str::to_owned).into_iter().chain(titles));
+        let head = ["notifier", "judged on"].map(str::to_owned).into_iter();
+        let mut table = Table::new(head.chain(self.columns.iter().map(|name| title(name))));
         for row in &self.rows {
             let mut name = format!("**{}**, {}", row.title, row.notification);
             if !row.published.is_empty() {
@@ -110,11 +97,11 @@ impl PartResult {
         let mut table = Table::new([title(measure), String::new()].into_iter().chain(titles));
         for rows in self.rows.chunk_by(|a, b| a.title == b.title) {
             let mut name = format!("**{}**, {}", rows[0].title, rows[0].notification);
-            let said = |condition: &str| {
+            let said = conditions.iter().map(|(condition, _)| {
                 rows.iter().find_map(|row| row.published(Some(condition), measure))
-            };
-            if conditions.iter().any(|(condition, _)| said(condition).is_some()) {
-                let cells = conditions.iter().map(|(condition, _)| published(said(condition)));
+            });
+            if said.clone().any(|said| said.is_some()) {
+                let cells = said.map(published);
                 table.push([name, "*the paper*".to_owned()].into_iter().chain(cells));
                 name = String::new();
             }
@@ -137,11 +124,6 @@ impl PartResult {
             }
         }
         conditions
-    }
-
-    /// Writes every measure of every policy, folded away.
-    fn details(&self) -> String {
-        self.rows.iter().map(details).collect()
     }
 
     fn runs(&self) -> String {
@@ -167,13 +149,13 @@ impl PartResult {
     }
 }
 
-/// Writes every measure of one policy: a line per measure, a column per condition and way of choosing.
+/// Writes every measure of one policy, folded away: a line per measure, a column per condition and way of choosing.
 fn details(row: &RowResult) -> String {
     let mut text = String::new();
     if !row.settings.is_empty() {
         let settings = row.settings.iter().map(|setting| format!("`{}`", plain(setting)));
-        let settings = settings.collect::<Vec<_>>().join(", ");
-        text = format!("Differs from the profile in {settings}.\n\n");
+        let settings: Vec<String> = settings.collect();
+        text = format!("Differs from the profile in {}.\n\n", settings.join(", "));
     }
     let heading = |result: &ConditionResult| match result.choice {
         Choice::Sample => result.title.clone(),
@@ -181,23 +163,12 @@ fn details(row: &RowResult) -> String {
     };
     let head = std::iter::once("measure".to_owned()).chain(row.results.iter().map(heading));
     let mut table = Table::new(head);
-    let mut names: Vec<&str> = Vec::new();
-    for measure in row.results.iter().flat_map(|result| &result.summary.measures) {
-        if !names.contains(&measure.name.as_str()) {
-            names.push(&measure.name);
-        }
-    }
-    for name in names {
+    for name in names_in(row.results.iter().map(|result| &result.summary)) {
         let cells = row.results.iter().map(|result| measured(result.summary.get(name)));
         table.push(std::iter::once(title(name)).chain(cells));
     }
     text.push_str(&table.markdown());
     folded(&format!("{}, {}: every measure", row.title, row.notification), &text)
-}
-
-fn facts(facts: &[Fact]) -> String {
-    let lines = facts.iter().map(|Fact { name, value }| format!("* {name}: {value}\n"));
-    lines.collect::<Vec<_>>().concat() + "\n"
 }
 
 /// Folds a text away under its summary.

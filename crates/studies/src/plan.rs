@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use leadtime_config::Config;
+use leadtime_config::{Config, Layer};
 use leadtime_eval::measure::known_measures;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::RunName;
@@ -118,8 +118,8 @@ impl StudyPlan {
     /// Lists the trainings, each once.
     pub(crate) fn trainings(&self) -> Vec<&PlannedTraining> {
         let mut all: Vec<&PlannedTraining> = Vec::new();
-        for training in self.parts.iter().flat_map(|part| &part.rows).flat_map(|row| &row.trainings)
-        {
+        let rows = self.parts.iter().flat_map(|part| &part.rows);
+        for training in rows.flat_map(|row| &row.trainings) {
             if !all.iter().any(|known| known.is_same(training)) {
                 all.push(training);
             }
@@ -179,11 +179,8 @@ impl PlannedPart {
             rows.push(planned.at(format_args!("row {}", row.name))?);
         }
         check_measures(part, &rows)?;
-        let protocol = Protocol {
-            policy: named.study.policy,
-            n_episodes: request.episodes,
-            seed: request.eval_seed,
-        };
+        let (policy, n_episodes, seed) = (named.study.policy, request.episodes, request.eval_seed);
+        let protocol = Protocol { policy, n_episodes, seed };
         let maps = plan_maps(tasks, part, &profile)?;
         Ok(Self { part: part.clone(), profile, seeds, protocol, rows, maps })
     }
@@ -218,11 +215,9 @@ fn check_measures(part: &StudyPart, rows: &[PlannedRow]) -> Result<(), Error> {
     part.columns.iter().try_for_each(|measure| check(measure)).at("`columns`")?;
     part.differences.iter().try_for_each(|stated| check(&stated.measure)).at("`differences`")?;
     for row in &part.rows {
-        let published = row.published();
-        published
-            .iter()
-            .try_for_each(|published| check(&published.measure))
-            .at(format_args!("row {}, `paper`", row.name))?;
+        let mut published = row.published().into_iter();
+        let checked = published.try_for_each(|published| check(&published.measure));
+        checked.at(format_args!("row {}, `paper`", row.name))?;
     }
     Ok(())
 }
@@ -264,22 +259,19 @@ impl PlannedRow {
             if row.script.is_some() && condition.set.is_empty() {
                 continue;
             }
-            let evaluated = profile::evaluation(tasks, &config, condition)
-                .at(format_args!("evaluation {}", condition.name))?;
-            let same =
-                |known: &&mut PlannedCondition| known.config.evaluation == evaluated.evaluation;
-            let (name, title) = (condition.name.clone(), condition.title.clone());
-            if let Some(known) = conditions.iter_mut().find(same) {
-                known.names.push(name);
-                known.titles.push(title);
-            } else {
-                let (names, titles) = (vec![name], vec![title]);
-                conditions.push(PlannedCondition { names, titles, config: evaluated });
+            let config = config.with([Layer::table("`set`", &condition.set)], &tasks.registry);
+            let config = config.at(format_args!("evaluation {}", condition.name))?;
+            let same = |known: &PlannedCondition| known.config.evaluation == config.evaluation;
+            let place = conditions.iter().position(same).unwrap_or(conditions.len());
+            if place == conditions.len() {
+                conditions.push(PlannedCondition { names: vec![], titles: vec![], config });
             }
+            conditions[place].names.push(condition.name.clone());
+            conditions[place].titles.push(condition.title.clone());
         }
         let hash = profile::hash(&config);
-        let seeds = seeds.iter().take(if row.script.is_none() { usize::MAX } else { 0 });
         let train = |&seed| PlannedTraining::new(tasks, stem, &config, &hash, seed);
+        let seeds = seeds.iter().filter(|_| row.script.is_none());
         let trainings = seeds.map(train).collect::<Result<_, Error>>()?;
         Ok(Self { row: row.clone(), config, trainings, conditions })
     }
@@ -294,8 +286,9 @@ impl PlannedRow {
         if self.row.script.is_some() {
             return "scripted".to_owned();
         }
-        let section = self.config.table.get("notifier");
-        let kind = section.and_then(|section| section.get("notification")).and_then(Value::as_str);
+        let kind =
+            self.config.table.get("notifier").and_then(|section| section.get("notification"));
+        let kind = kind.and_then(Value::as_str);
         kind.unwrap_or_default().replace('_', " ")
     }
 }
@@ -334,7 +327,8 @@ impl PlannedTraining {
             let stem: String = stem.chars().take(room).collect();
             format!("{}{suffix}", stem.trim_end_matches('-'))
         });
-        let config = profile::seeded(tasks, config, seed, &name)?;
+        let text = format!("seed = {seed}\nrun.name = \"{name}\"\n");
+        let config = config.with([Layer::text("--seeds", text)], &tasks.registry)?;
         let name = RunName::new(name).map_err(|error| Error::Refused(error.to_string()))?;
         Ok(Self { name, config, hash: hash.to_owned() })
     }
@@ -385,8 +379,7 @@ fn existing(runs: &Path, suffix: &str) -> Option<String> {
 
 /// Tells whether the run in a directory has reached its end.
 fn is_finished(directory: &Path) -> bool {
-    let record = RunRecord::read(directory);
-    record.is_ok_and(|record| record.result.is_some())
+    RunRecord::read(directory).is_ok_and(|record| record.result.is_some())
 }
 
 #[cfg(test)]

@@ -1,35 +1,13 @@
 use leadtime_config::Override;
-use leadtime_runs::{ProgramBuild, RunResult};
 
 use super::*;
-use crate::test_support::{plan, request, sentence, study};
+use crate::test_support::{STUDY, plan, record, request, sentence, study};
 use crate::{catalog, profile};
 
-const STUDY: &str = r#"
-title = "t"
-lead = "l"
-[[parts]]
-name = "piloting"
-title = "Piloting"
-profile = "lander"
-quick_steps = 4096
-columns = ["success"]
-evaluations = [
-    { name = "own", title = "own" },
-    { name = "real", title = "real", set.human.reaction_delay = { fixed = 2 } },
-]
-[[parts.rows]]
-name = "script"
-title = "Script"
-script = "heuristic"
-[[parts.rows]]
-name = "prompt"
-title = "Prompt"
-set.human.reaction_delay = { fixed = 0 }
-[[parts.rows]]
-name = "real_one"
-title = "Real"
-"#;
+/// Asks for the whole study, in a place without runs.
+fn whole() -> StudyRequest {
+    request(Path::new("nowhere"))
+}
 
 fn names(plan: &StudyPlan) -> Vec<String> {
     plan.trainings().iter().map(|training| training.name.to_string()).collect()
@@ -41,8 +19,7 @@ fn set(text: &str) -> Vec<Override> {
 
 #[test]
 fn a_training_per_row_and_seed_named_by_what_it_computes() {
-    let runs = tempfile::tempdir().unwrap();
-    let request = StudyRequest { seeds: Some(7..9), ..request(runs.path()) };
+    let request = StudyRequest { seeds: Some(7..9), ..whole() };
     let plan = plan(STUDY, &request).unwrap();
     let names = names(&plan);
     let stems: Vec<(&str, &str)> =
@@ -59,33 +36,26 @@ fn a_training_per_row_and_seed_named_by_what_it_computes() {
 
 #[test]
 fn a_part_has_seeds_of_its_own_unless_the_command_line_says() {
-    let runs = tempfile::tempdir().unwrap();
     let later = STUDY.replace("quick_steps", "first_seed = 301\nquick_steps");
-    let seeds =
-        |text: &str, request: &StudyRequest| plan(text, request).unwrap().parts[0].seeds.clone();
-    let whole = request(runs.path());
-    let quick = StudyRequest { quick: true, ..whole.clone() };
-    let chosen = StudyRequest { seeds: Some(7..9), ..whole.clone() };
-    assert_eq!(seeds(STUDY, &whole), [201, 202, 203, 204, 205]);
-    assert_eq!(seeds(&later, &whole), [301, 302, 303, 304, 305]);
-    assert_eq!(seeds(&later, &quick), [301]);
-    assert_eq!(seeds(&later, &chosen), [7, 8]);
+    let seeds = |text: &str, request| plan(text, &request).unwrap().parts.remove(0).seeds;
+    assert_eq!(seeds(STUDY, whole()), [201, 202, 203, 204, 205]);
+    assert_eq!(seeds(&later, whole()), [301, 302, 303, 304, 305]);
+    assert_eq!(seeds(&later, StudyRequest { quick: true, ..whole() }), [301]);
+    assert_eq!(seeds(&later, StudyRequest { seeds: Some(7..9), ..whole() }), [7, 8]);
 }
 
 #[test]
 fn what_a_training_computes_decides_its_hash_and_nothing_else_does() {
-    let runs = tempfile::tempdir().unwrap();
-    let hash = |request: &StudyRequest| plan(STUDY, request).unwrap().trainings()[0].hash.clone();
-    let whole = request(runs.path());
-    let before = hash(&whole);
+    let hash = |request| plan(STUDY, &request).unwrap().trainings()[0].hash.clone();
+    let before = hash(whole());
     let free = ["run.checkpoint_every=3", "evaluation.episodes=9"].map(set).concat();
-    assert_eq!(before, hash(&StudyRequest { set: free, ..whole.clone() }));
-    assert_eq!(before, hash(&StudyRequest { seeds: Some(1..2), ..whole.clone() }));
+    assert_eq!(before, hash(StudyRequest { set: free, ..whole() }));
+    assert_eq!(before, hash(StudyRequest { seeds: Some(1..2), ..whole() }));
     for change in ["learner.clip=0.1", "world.wind=true"] {
-        assert_ne!(before, hash(&StudyRequest { set: set(change), ..whole.clone() }), "{change}");
+        assert_ne!(before, hash(StudyRequest { set: set(change), ..whole() }), "{change}");
     }
-    assert_ne!(before, hash(&StudyRequest { steps: Some(9_000), ..whole.clone() }));
-    assert_ne!(before, hash(&StudyRequest { quick: true, ..whole }));
+    assert_ne!(before, hash(StudyRequest { steps: Some(9_000), ..whole() }));
+    assert_ne!(before, hash(StudyRequest { quick: true, ..whole() }));
 }
 
 #[test]
@@ -95,33 +65,21 @@ fn a_run_that_computes_the_same_is_taken_whatever_it_is_called() {
     let first = plan(STUDY, &request).unwrap();
     let training = first.trainings()[0].clone();
     let other = format!("elsewhere-{}-s7", training.hash);
-    let directory = runs.path().join(&other);
-    std::fs::create_dir_all(&directory).unwrap();
+    std::fs::create_dir_all(runs.path().join(&other)).unwrap();
     assert_eq!(names(&plan(STUDY, &request).unwrap()), names(&first));
-    RunRecord::begin(&other, "lander", 7, &ProgramBuild::default()).write(&directory).unwrap();
+    record(&runs.path().join(&other), false);
     let again = plan(STUDY, &request).unwrap();
     assert_eq!(names(&again)[0], other);
     assert!(!again.trainings()[0].is_finished(), "it was only begun");
     let later = format!("later-{}-s7", training.hash);
-    std::fs::create_dir_all(runs.path().join(&later)).unwrap();
-    let mut finished = RunRecord::begin(&later, "lander", 7, &ProgramBuild::default());
-    finished.result = Some(RunResult {
-        finished: String::new(),
-        updates: 1,
-        steps: 1,
-        weights_sha256: String::new(),
-        reproducible: true,
-        books: serde_json::Value::Null,
-    });
-    finished.write(&runs.path().join(&later)).unwrap();
+    record(&runs.path().join(&later), true);
     let again = plan(STUDY, &request).unwrap();
     assert_eq!(names(&again)[0], later, "a finished one is taken before one that was begun");
 }
 
 #[test]
 fn studies_share_what_they_have_in_common() {
-    let runs = tempfile::tempdir().unwrap();
-    let request = StudyRequest { seeds: Some(7..9), ..request(runs.path()) };
+    let request = StudyRequest { seeds: Some(7..9), ..whole() };
     let one = |name| StudyPlan::new(&Tasks::new(), study(name, STUDY), &request).unwrap();
     let mut plans = vec![one("first"), one("second")];
     let shared = share(&mut plans);
@@ -131,30 +89,20 @@ fn studies_share_what_they_have_in_common() {
 
 #[test]
 fn conditions_that_come_to_the_same_are_evaluated_once() {
-    let runs = tempfile::tempdir().unwrap();
-    let plan = plan(STUDY, &request(runs.path())).unwrap();
-    let names: Vec<Vec<Vec<String>>> = plan.parts[0]
-        .rows
-        .iter()
-        .map(|row| row.conditions.iter().map(|condition| condition.names.clone()).collect())
-        .collect();
-    let list = |names: &[&[&str]]| -> Vec<Vec<String>> {
-        names.iter().map(|n| n.iter().map(|&n| n.to_owned()).collect()).collect()
+    let plan = plan(STUDY, &whole()).unwrap();
+    let names = |row: &PlannedRow| {
+        row.conditions.iter().map(|condition| condition.names.join(" = ")).collect::<Vec<_>>()
     };
-    assert_eq!(names[0], list(&[&["real"]]), "a script was not trained");
-    assert_eq!(names[1], list(&[&["own"], &["real"]]));
-    assert_eq!(names[2], list(&[&["own", "real"]]));
+    let [script, prompt, real_one] = &plan.parts[0].rows[..] else { panic!("three rows") };
+    assert_eq!(names(script), ["real"], "a script was not trained");
+    assert_eq!(names(prompt), ["own", "real"]);
+    assert_eq!(names(real_one), ["own = real"]);
 }
 
 #[test]
 fn one_row_with_one_setting_changed() {
-    let runs = tempfile::tempdir().unwrap();
-    let request = StudyRequest {
-        rows: vec!["piloting/prompt".to_owned()],
-        set: set("human.reaction_delay.fixed=3"),
-        quick: true,
-        ..request(runs.path())
-    };
+    let (rows, set) = (vec!["piloting/prompt".to_owned()], set("human.reaction_delay.fixed=3"));
+    let request = StudyRequest { rows, set, quick: true, ..whole() };
     let plan = plan(STUDY, &request).unwrap();
     let [training] = plan.trainings()[..] else { panic!("one row, one seed") };
     let table = &training.config.table;
@@ -167,10 +115,9 @@ fn one_row_with_one_setting_changed() {
 
 #[test]
 fn only_a_domain_with_maps_has_maps_and_trajectories() {
-    let runs = tempfile::tempdir().unwrap();
     let with = |text: &str, more: &str| {
         let text = text.replace("quick_steps = 4096", &format!("quick_steps = 4096\n{more}"));
-        plan(&text, &request(runs.path()))
+        plan(&text, &whole())
     };
     let refused = |text: &str, more: &str| sentence(with(text, more));
     let maps = |profile: &str| format!("maps = [{{ profile = \"{profile}\", title = \"a\" }}]");
@@ -187,48 +134,38 @@ fn only_a_domain_with_maps_has_maps_and_trajectories() {
 
 #[test]
 fn a_rows_own_steps_are_above_the_parts_and_below_the_requests() {
-    let runs = tempfile::tempdir().unwrap();
     let text = STUDY
         .replace("quick_steps = 4096", "quick_steps = 4096\nsteps = 20480")
         .replace("name = \"real_one\"", "name = \"real_one\"\nset.learner.total_steps = 61440");
-    let steps = |request: &StudyRequest| -> Vec<u64> {
-        let rows = plan(&text, request).unwrap().parts.remove(0).rows;
+    let steps = |request| -> Vec<u64> {
+        let rows = plan(&text, &request).unwrap().parts.remove(0).rows;
         rows.iter().skip(1).map(|row| row.config.learner.total_steps).collect()
     };
-    let whole = request(runs.path());
-    assert_eq!(steps(&whole), [20_480, 61_440]);
-    assert_eq!(steps(&StudyRequest { quick: true, ..whole.clone() }), [4_096, 4_096]);
-    assert_eq!(steps(&StudyRequest { steps: Some(9_000), ..whole.clone() }), [9_000, 9_000]);
+    assert_eq!(steps(whole()), [20_480, 61_440]);
+    assert_eq!(steps(StudyRequest { quick: true, ..whole() }), [4_096, 4_096]);
+    assert_eq!(steps(StudyRequest { steps: Some(9_000), ..whole() }), [9_000, 9_000]);
     let set = set("learner.total_steps=8192");
-    assert_eq!(steps(&StudyRequest { set, ..whole }), [8_192, 8_192]);
+    assert_eq!(steps(StudyRequest { set, ..whole() }), [8_192, 8_192]);
 }
 
 #[test]
 fn a_misspelt_measure_is_refused_before_anything_is_trained() {
-    let runs = tempfile::tempdir().unwrap();
     let with = |from: &str, to: &str| {
         assert!(STUDY.contains(from), "{from}");
-        plan(&STUDY.replacen(from, to, 1), &request(runs.path()))
+        plan(&STUDY.replacen(from, to, 1), &whole())
     };
     let columns = "columns = [\"success\"]";
     with(columns, "columns = [\"mean_l\", \"lead_time\", \"first_l\", \"long_rate\", \"return\"]")
         .unwrap();
     let difference = "differences = [{ of = \"prompt\", minus = \"real_one\", on = \"real\", measure = \"mean\" }]";
-    for (from, to, place) in [
-        (columns, "columns = [\"succeeded\"]", "`columns`: there is no measure `succeeded`"),
-        (columns, &format!("{columns}\n{difference}"), "`differences`: there is no measure `mean`"),
-        (
-            "title = \"Real\"",
-            "title = \"Real\"\npaper = { wins = [1.0] }",
-            "`paper`: there is no measure `wins`",
-        ),
-        (
-            "title = \"Real\"",
-            "title = \"Real\"\npaper_on.real = { wins = [1.0] }",
-            "there is no measure `wins`",
-        ),
+    let title = "title = \"Real\"";
+    for (from, more, place) in [
+        (columns, difference, "`differences`: there is no measure `mean`"),
+        (title, "paper = { wins = [1.0] }", "`paper`: there is no measure `wins`"),
+        (title, "paper_on.real = { wins = [1.0] }", "there is no measure `wins`"),
+        ("success\"", ", \"succeeded\"", "`columns`: there is no measure `succeeded`"),
     ] {
-        let text = sentence(with(from, to));
+        let text = sentence(with(from, &format!("{from}\n{more}")));
         let known = text.contains("known: ") && text.contains("first_notification");
         assert!(text.contains(place) && known, "{text}");
     }
@@ -236,17 +173,15 @@ fn a_misspelt_measure_is_refused_before_anything_is_trained() {
 
 #[test]
 fn every_built_in_study_names_only_known_measures_and_settings() {
-    let runs = tempfile::tempdir().unwrap();
     for named in catalog::find("all").unwrap() {
-        StudyPlan::new(&Tasks::new(), named, &request(runs.path())).unwrap();
+        StudyPlan::new(&Tasks::new(), named, &whole()).unwrap();
     }
 }
 
 #[test]
 fn rows_of_the_same_title_are_labelled_with_their_notifications() {
-    let runs = tempfile::tempdir().unwrap();
     let more = "[[parts.rows]]\nname = \"topics\"\ntitle = \"Real\"\nset.notifier.notification = \"topic_only\"\n";
-    let plan = plan(&format!("{STUDY}{more}"), &request(runs.path())).unwrap();
+    let plan = plan(&format!("{STUDY}{more}"), &whole()).unwrap();
     let [script, _, real, topics] = &plan.parts[0].rows[..] else { panic!() };
     assert_eq!(disambiguate([script, real]), ["script", "real"]);
     let expected = ["real (incrementally actionable)", "real (topic only)"];
@@ -255,40 +190,32 @@ fn rows_of_the_same_title_are_labelled_with_their_notifications() {
 
 #[test]
 fn titles_become_words_of_a_sentence_and_symbols_stay() {
-    for (title, inside) in [
-        ("Convey & react", "convey & react"),
-        ("R = l - 2", "R = l - 2"),
-        ("N(2, 1.0)", "N(2, 1.0)"),
-        ("W/ convey", "W/ convey"),
-        ("", ""),
-    ] {
-        assert_eq!(inside_a_sentence(title), inside);
+    assert_eq!(inside_a_sentence("Convey & react"), "convey & react");
+    for title in ["R = l - 2", "N(2, 1.0)", "W/ convey", ""] {
+        assert_eq!(inside_a_sentence(title), title);
     }
 }
 
 #[test]
 fn an_unknown_name_is_refused_with_the_known_ones() {
-    let runs = tempfile::tempdir().unwrap();
-    let whole = request(runs.path());
     let check = |rows: &[&str], parts: &[&str]| {
         let [rows, parts] =
             [rows, parts].map(|names| names.iter().map(|&n| n.to_owned()).collect());
-        check_choice(&[study("t", STUDY)], &StudyRequest { rows, parts, ..whole.clone() })
+        check_choice(&[study("t", STUDY)], &StudyRequest { rows, parts, ..whole() })
     };
     assert!(check(&["prompt"], &["piloting"]).is_ok());
     let text = sentence(check(&["driving/prompt"], &[]));
     assert!(text.contains("`driving/prompt`") && text.contains("piloting/real_one"), "{text}");
     let text = sentence(check(&[], &["driving"]));
     assert!(text.contains("`driving`") && text.contains("known: piloting"), "{text}");
-    let refused =
-        |text: &str| sentence(plan(STUDY, &StudyRequest { set: set(text), ..whole.clone() }));
+    let refused = |text| sentence(plan(STUDY, &StudyRequest { set: set(text), ..whole() }));
     let text = refused("human.patience=2");
     assert!(text.contains("--set human.patience") && text.contains("`repeat`"), "{text}");
     let text = refused("seed=2");
     assert!(text.contains("--set seed") && text.contains("see --seeds"), "{text}");
     let profiles = |names: &[&str]| {
         let profiles = names.iter().map(PathBuf::from).collect();
-        let request = StudyRequest { profiles, ..whole.clone() };
+        let request = StudyRequest { profiles, ..whole() };
         profile::check_profiles(&Tasks::new(), &[study("t", STUDY)], &request)
     };
     profiles(&["paper_lander"]).unwrap();

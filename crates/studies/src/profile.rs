@@ -10,7 +10,7 @@ use leadtime_runs::digest::hex;
 use crate::catalog::NamedStudy;
 use crate::error::{Error, Placed as _, ensure};
 use crate::request::StudyRequest;
-use crate::study::{StudyCondition, StudyPart, StudyRow};
+use crate::study::{StudyPart, StudyRow};
 
 /// Keys that options set, and which ones.
 const OPTIONS: [(&str, &str); 3] =
@@ -85,26 +85,6 @@ impl Profile {
     }
 }
 
-/// Configures the evaluation of a row under a condition.
-pub(crate) fn evaluation(
-    tasks: &Tasks,
-    training: &Config,
-    condition: &StudyCondition,
-) -> Result<Config, Error> {
-    Ok(training.with([Layer::table("`set`", &condition.set)], &tasks.registry)?)
-}
-
-/// Gives a training its seed and its name.
-pub(crate) fn seeded(
-    tasks: &Tasks,
-    training: &Config,
-    seed: u64,
-    name: &str,
-) -> Result<Config, Error> {
-    let text = format!("seed = {seed}\nrun.name = \"{name}\"\n");
-    Ok(training.with([Layer::text("--seeds", text)], &tasks.registry)?)
-}
-
 /// Computes the first digits of the hash over everything that decides what a training computes, its seed excepted.
 pub(crate) fn hash(config: &Config) -> String {
     hex(&identity::of_training(&config.table)).chars().take(HASH_DIGITS).collect()
@@ -120,9 +100,9 @@ pub(crate) fn check_profiles(
     for file in &request.profiles {
         let domain = read(tasks, file).at("--profile")?.domain;
         let mut fits = false;
-        for part in studies.iter().flat_map(|named| &named.study.parts) {
-            fits |=
-                request.wants_part(part) && read(tasks, Path::new(&part.profile))?.domain == domain;
+        let parts = studies.iter().flat_map(|named| &named.study.parts);
+        for part in parts.filter(|part| request.wants_part(part)) {
+            fits |= read(tasks, Path::new(&part.profile))?.domain == domain;
         }
         let place = format!("--profile {}", file.display());
         ensure(fits, || {

@@ -57,8 +57,8 @@ pub(crate) struct TrainingWatch {
 impl TrainingWatch {
     /// Begins with these trainings, some of which may be finished.
     pub(crate) fn new(trainings: Vec<PlannedTraining>) -> Self {
-        let steps: Vec<[u64; 2]> = trainings.iter().map(PlannedTraining::steps).collect();
-        Self { trainings, pace: TrainingPace::new(&steps), started: Instant::now() }
+        let pace = TrainingPace::new(trainings.iter().map(|training| training.steps()[0]));
+        Self { trainings, pace, started: Instant::now() }
     }
 
     /// Counts the time as training from now on.
@@ -94,10 +94,9 @@ struct TrainingPace {
 }
 
 impl TrainingPace {
-    /// Begins where the trainings are: steps done, and in all.
-    fn new(steps: &[[u64; 2]]) -> Self {
-        let taken_up = steps.iter().map(|[done, _]| *done).collect();
-        Self { taken_up, spent: Duration::ZERO, since: None }
+    /// Begins where the trainings are: their steps so far.
+    fn new(done: impl IntoIterator<Item = u64>) -> Self {
+        Self { taken_up: done.into_iter().collect(), spent: Duration::ZERO, since: None }
     }
 
     fn resume(&mut self, now: Duration) {
@@ -141,7 +140,7 @@ mod tests {
 
     #[test]
     fn a_run_that_was_finished_before_does_not_shorten_the_time_left() {
-        let mut pace = TrainingPace::new(&[[4_000, 4_000], [0, 3_000], [0, 3_000]]);
+        let mut pace = TrainingPace::new([4_000, 0, 0]);
         pace.resume(minutes(5));
         let steps = [[4_000, 4_000], [2_000, 3_000], [0, 3_000]];
         let before = pace.progress(&[[4_000, 4_000], [0, 3_000], [0, 3_000]], 1, minutes(6));
@@ -154,7 +153,7 @@ mod tests {
 
     #[test]
     fn evaluation_between_trainings_does_not_count_as_training() {
-        let mut pace = TrainingPace::new(&[[0, 1_000], [0, 1_000]]);
+        let mut pace = TrainingPace::new([0, 0]);
         pace.resume(minutes(0));
         pace.pause(minutes(10));
         pace.pause(minutes(50));
@@ -167,7 +166,7 @@ mod tests {
 
     #[test]
     fn a_run_that_goes_on_from_a_checkpoint_counts_from_there() {
-        let mut pace = TrainingPace::new(&[[5_000, 8_000]]);
+        let mut pace = TrainingPace::new([5_000]);
         pace.resume(minutes(0));
         assert_eq!(pace.progress(&[[4_000, 8_000]], 0, minutes(1)).left, None);
         assert_eq!(pace.progress(&[[6_000, 8_000]], 0, minutes(10)).left, Some(minutes(10)));

@@ -45,12 +45,11 @@ pub(crate) fn run(training: &PlannedTraining) -> Result<TrainedRun, Error> {
 /// Adds up the time of every update: pauses of an interrupted run do not count.
 fn minutes(training: &PlannedTraining) -> f64 {
     let lines = journal::read(&training.directory()).unwrap_or_default();
-    let mut steps = 0.0;
-    let mut seconds = 0.0;
+    let (mut steps, mut seconds) = (0.0, 0.0);
     for line in lines {
-        let now = line.get("steps").and_then(serde_json::Value::as_f64).unwrap_or(steps);
-        let speed = line.get("system/steps_per_second").and_then(serde_json::Value::as_f64);
-        if let Some(speed) = speed.filter(|speed| *speed > 0.0) {
+        let number = |key: &str| line.get(key)?.as_f64();
+        let now = number("steps").unwrap_or(steps);
+        if let Some(speed) = number("system/steps_per_second").filter(|speed| *speed > 0.0) {
             seconds += (now - steps) / speed;
         }
         steps = now;
@@ -66,13 +65,13 @@ fn cut(digest: &str) -> String {
 fn seeds(parts: &[PlannedPart]) -> String {
     let list =
         |part: &PlannedPart| part.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
-    match parts {
-        [first, rest @ ..] if rest.iter().all(|part| part.seeds == first.seeds) => list(first),
-        _ => {
-            let by_part = parts.iter().map(|part| format!("{}: {}", part.part.name, list(part)));
-            by_part.collect::<Vec<_>>().join("; ")
-        }
+    if let [first, rest @ ..] = parts
+        && rest.iter().all(|part| part.seeds == first.seeds)
+    {
+        return list(first);
     }
+    let by_part = parts.iter().map(|part| format!("{}: {}", part.part.name, list(part)));
+    by_part.collect::<Vec<_>>().join("; ")
 }
 
 /// Lists where a study's numbers are from.
@@ -87,22 +86,19 @@ pub(crate) fn facts(plan: &StudyPlan, request: &StudyRequest, runs: &[TrainedRun
         WhichPolicy::Last => "the one at the end of training",
         WhichPolicy::Best => "the one with the best mean success over 100 training episodes",
     };
-    let mut facts = vec![
+    let evaluation = format!(
+        "{} episodes per training seed, under seed {} + training seed, the same for every notifier",
+        request.episodes, request.eval_seed
+    );
+    let facts = [
         Fact::new("command", format!("`{}`", request.command)),
         Fact::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
         Fact::new("training seeds", seeds(&plan.parts)),
-        Fact::new(
-            "evaluation",
-            format!(
-                "{} episodes per training seed, under seed {} + training seed, the same for every notifier",
-                request.episodes, request.eval_seed
-            ),
-        ),
+        Fact::new("evaluation", evaluation),
         Fact::new("judged policy", policy),
         Fact::new("training", format!("{} runs, {steps} steps, {minutes:.1} minutes", runs.len())),
     ];
-    facts.extend(program_facts(&request.build));
-    facts
+    facts.into_iter().chain(program_facts(&request.build)).collect()
 }
 
 /// Describes the program, the processor and the day: the last lines of where numbers are from.
@@ -117,26 +113,21 @@ pub fn program_facts(build: &ProgramBuild) -> [Fact; 3] {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
-    use crate::test_support::{plan, request};
+    use crate::test_support::{STUDY, plan, request};
 
     #[test]
     fn seeds_are_listed_by_part_where_parts_differ() {
-        let part = |name: &str, more: &str| {
-            format!(
-                "[[parts]]\nname = \"{name}\"\ntitle = \"t\"\nprofile = \"lander\"\nquick_steps = 4096\n{more}\n\
-                 columns = [\"success\"]\nevaluations = [{{ name = \"own\", title = \"own\" }}]\n\
-                 [[parts.rows]]\nname = \"r\"\ntitle = \"R\"\n"
-            )
+        let (head, part) = STUDY.split_at(STUDY.find("[[parts]]").unwrap());
+        let listed = |more: &str| {
+            let other = part.replace("name = \"piloting\"", &format!("name = \"two\"\n{more}"));
+            let plan = plan(&format!("{head}{part}{other}"), &request(Path::new("nowhere")));
+            seeds(&plan.unwrap().parts)
         };
-        let listed = |first: &str, second: &str| {
-            let parts = [part("one", first), part("two", second)].concat();
-            let runs = tempfile::tempdir().unwrap();
-            let text = format!("title = \"t\"\nlead = \"l\"\n{parts}");
-            seeds(&plan(&text, &request(runs.path())).unwrap().parts)
-        };
-        assert_eq!(listed("", ""), "201, 202, 203, 204, 205");
-        let expected = "one: 201, 202, 203, 204, 205; two: 301, 302, 303, 304, 305";
-        assert_eq!(listed("", "first_seed = 301"), expected);
+        assert_eq!(listed(""), "201, 202, 203, 204, 205");
+        let expected = "piloting: 201, 202, 203, 204, 205; two: 301, 302, 303, 304, 305";
+        assert_eq!(listed("first_seed = 301"), expected);
     }
 }

@@ -17,6 +17,7 @@ const N_SEEDS: u64 = 5;
 
 /// What is asked of a study.
 #[derive(Clone, Debug)]
+#[cfg_attr(test, derive(Default))]
 pub struct StudyRequest {
     /// One training seed and few steps.
     pub quick: bool,

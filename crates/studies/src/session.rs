@@ -130,10 +130,9 @@ fn warnings(plan: &StudyPlan, request: &StudyRequest) -> Vec<String> {
         warnings.push("Training seeds are those of the command line, not the study's.".to_owned());
     }
     if !request.has_the_tables_episodes() {
-        let [n, seed] = [u64::from(request.episodes), request.eval_seed];
-        warnings.push(format!(
-            "Judged over {n} episodes per training seed, from evaluation seed {seed} on."
-        ));
+        let (n, seed) = (request.episodes, request.eval_seed);
+        let over = format!("Judged over {n} episodes per training seed");
+        warnings.push(format!("{over}, from evaluation seed {seed} on."));
     }
     if plan.parts.iter().any(|planned| planned.profile.name != planned.part.profile) {
         warnings.push("The profile is that of the command line, not the study's.".to_owned());

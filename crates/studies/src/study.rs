@@ -211,30 +211,23 @@ impl StudyPart {
         for row in &self.rows {
             row.check(&known).at(format_args!("row `{}`", row.name))?;
         }
-        let pictured =
-            [("pictured_on", &self.pictured_on), ("trajectories_on", &self.trajectories_on)];
-        for (key, name) in pictured {
-            name.as_deref().map_or(Ok(()), &known).at(format_args!("`{key}`"))?;
-        }
+        self.pictured_on.as_deref().map_or(Ok(()), &known).at("`pictured_on`")?;
+        self.trajectories_on.as_deref().map_or(Ok(()), &known).at("`trajectories_on`")?;
         for StatedDifference { of, minus, on, .. } in &self.differences {
             known(on).at("`differences`")?;
             for name in [of, minus] {
                 let row = self.rows.iter().find(|row| row.name == *name);
-                ensure(row.is_some(), || format!("`differences`: there is no row `{name}`"))?;
-                let evaluated = row.is_some_and(|row| row.is_evaluated_on(on));
-                ensure(evaluated, || {
+                let missing = || Error::Refused(format!("`differences`: there is no row `{name}`"));
+                ensure(row.ok_or_else(missing)?.is_evaluated_on(on), || {
                     format!("`differences`: row `{name}` is not evaluated on `{on}`")
                 })?;
             }
         }
-        let unplaced = self.evaluations.iter().find(|condition| condition.at.is_none());
-        if let (Layout::Grid, Some(condition)) = (self.layout, unplaced) {
-            let name = &condition.name;
-            let sentence =
-                format!("`evaluations`: in a grid `{name}` needs `at`, its place on the axis");
-            return Err(Error::Refused(sentence));
-        }
-        Ok(())
+        self.evaluations.iter().try_for_each(|StudyCondition { name, at, .. }| {
+            ensure(self.layout != Layout::Grid || at.is_some(), || {
+                format!("`evaluations`: in a grid `{name}` needs `at`, its place on the axis")
+            })
+        })
     }
 }
 
@@ -261,18 +254,14 @@ impl StudyRow {
 
     /// Lists what was published about it.
     pub(crate) fn published(&self) -> Vec<Published> {
-        let published =
-            |evaluation: Option<&String>, (measure, numbers): (&String, &Vec<f64>)| Published {
-                evaluation: evaluation.cloned(),
-                measure: measure.clone(),
-                mean: numbers[0],
-                deviation: numbers.get(1).copied(),
-            };
-        let anywhere = self.paper.iter().map(|entry| published(None, entry));
-        let somewhere = self.paper_on.iter().flat_map(|(condition, figures)| {
-            figures.iter().map(move |entry| published(Some(condition), entry))
-        });
-        anywhere.chain(somewhere).collect()
+        let somewhere = self.paper_on.iter().map(|(condition, figures)| (Some(condition), figures));
+        let all = std::iter::once((None, &self.paper)).chain(somewhere);
+        let all = all.flat_map(|(on, figures)| figures.iter().map(move |figure| (on, figure)));
+        let published = |(on, (measure, numbers)): (Option<&String>, (&String, &Vec<f64>))| {
+            let (evaluation, measure) = (on.cloned(), measure.clone());
+            Published { evaluation, measure, mean: numbers[0], deviation: numbers.get(1).copied() }
+        };
+        all.map(published).collect()
     }
 }
 

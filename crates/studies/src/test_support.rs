@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use leadtime_runs::{ProgramBuild, Tasks};
+use leadtime_runs::{ProgramBuild, RunRecord, RunResult, Tasks};
 
 use crate::catalog::NamedStudy;
 use crate::error::Error;
@@ -13,20 +13,54 @@ use crate::study::Study;
 /// Asks for whole studies, as `leadtime compare` does without options.
 pub(crate) fn request(runs: &Path) -> StudyRequest {
     StudyRequest {
-        quick: false,
-        rows: Vec::new(),
-        parts: Vec::new(),
-        set: Vec::new(),
-        profiles: Vec::new(),
-        seeds: None,
-        steps: None,
         episodes: EPISODES,
         eval_seed: EVAL_SEED,
         runs: runs.to_owned(),
-        out: None,
         command: "leadtime compare t".to_owned(),
-        build: ProgramBuild::default(),
+        ..StudyRequest::default()
     }
+}
+
+/// A small study: what a row trains on and is evaluated on differs, and comes to the same for the last row.
+pub(crate) const STUDY: &str = r#"
+title = "t"
+lead = "l"
+[[parts]]
+name = "piloting"
+title = "Piloting"
+profile = "lander"
+quick_steps = 4096
+columns = ["success"]
+evaluations = [
+    { name = "own", title = "own" },
+    { name = "real", title = "real", set.human.reaction_delay = { fixed = 2 } },
+]
+[[parts.rows]]
+name = "script"
+title = "Script"
+script = "heuristic"
+[[parts.rows]]
+name = "prompt"
+title = "Prompt"
+set.human.reaction_delay = { fixed = 0 }
+[[parts.rows]]
+name = "real_one"
+title = "Real"
+"#;
+
+/// Writes the record of a run that was begun, or has ended.
+pub(crate) fn record(directory: &Path, is_finished: bool) {
+    std::fs::create_dir_all(directory).unwrap();
+    let mut record = RunRecord::begin("a", "lander", 7, &ProgramBuild::default());
+    record.result = is_finished.then(|| RunResult {
+        finished: String::new(),
+        updates: 1,
+        steps: 1,
+        weights_sha256: "0".to_owned(),
+        reproducible: true,
+        books: serde_json::Value::Null,
+    });
+    record.write(directory).unwrap();
 }
 
 /// Reads a study.

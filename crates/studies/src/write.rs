@@ -88,7 +88,7 @@ fn put(directory: &Path, file: &str, bytes: &[u8]) -> Result<PathBuf, Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_support::{request, sentence};
+    use crate::test_support::{STUDY, request, sentence, study};
     use leadtime_config::Override;
 
     fn destination(request: &StudyRequest) -> Destination {
@@ -117,11 +117,7 @@ mod tests {
             let out = Some(PathBuf::from("elsewhere"));
             assert_eq!(directory(&StudyRequest { out: out.clone(), ..changed }), out);
         }
-        let own = catalog::NamedStudy {
-            name: "own".to_owned(),
-            ..catalog::find("table1").unwrap().remove(0)
-        };
-        assert_eq!(Destination::new(&whole, &[own]).directory(), None);
+        assert_eq!(Destination::new(&whole, &[study("own", STUDY)]).directory(), None);
     }
 
     #[test]

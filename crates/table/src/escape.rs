@@ -8,7 +8,7 @@ pub fn escape(text: &str) -> Cow<'_, str> {
     if !text.contains(special) {
         return Cow::Borrowed(text);
     }
-    let mut out = String::with_capacity(text.len() + 16);
+    let mut out = String::new();
     for c in text.chars() {
         match c {
             '&' => out.push_str("&amp;"),

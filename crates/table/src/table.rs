@@ -47,21 +47,9 @@ impl TableCell {
     }
 }
 
-impl From<String> for TableCell {
-    fn from(text: String) -> Self {
-        Self { text, note: String::new() }
-    }
-}
-
-impl From<&str> for TableCell {
-    fn from(text: &str) -> Self {
-        Self::from(text.to_owned())
-    }
-}
-
-impl From<&String> for TableCell {
-    fn from(text: &String) -> Self {
-        Self::from(text.clone())
+impl<T: Into<String>> From<T> for TableCell {
+    fn from(text: T) -> Self {
+        Self::noted(text, "")
     }
 }
 
@@ -90,18 +78,13 @@ impl Table {
         let plain = |row: &Vec<TableCell>| row.iter().map(TableCell::plain).collect::<Vec<_>>();
         let head = plain(&self.head);
         let rows: Vec<Vec<String>> = self.rows.iter().map(plain).collect();
-        let width = |i: usize| {
-            let cells = std::iter::once(&head).chain(&rows).map(|row| row[i].chars().count());
-            cells.max().unwrap_or(0)
-        };
+        let all = || std::iter::once(&head).chain(&rows);
+        let width = |i: usize| all().map(|row| row[i].chars().count()).max().unwrap_or(0);
         let widths: Vec<usize> = (0..head.len()).map(width).collect();
         let line = |row: &Vec<String>| {
             let cells = row.iter().zip(&widths).enumerate().map(|(i, (cell, &width))| {
-                if self.left.contains(&i) {
-                    format!("{cell:<width$}")
-                } else {
-                    format!("{cell:>width$}")
-                }
+                let left = self.left.contains(&i);
+                if left { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
             });
             let text = cells.collect::<Vec<_>>().join("  ");
             format!("{}\n", text.trim_end())
@@ -126,10 +109,10 @@ impl Table {
     /// Writes the table as HTML of a class; every row is headed by its first cell.
     pub fn html(&self, class: &str) -> String {
         let heads = self.head.iter().map(|cell| format!("<th scope=\"col\">{}</th>", cell.html()));
-        let heads: String = heads.collect();
-        let has_head = self.head.iter().any(|cell| !cell.text.is_empty());
-        let head =
-            if has_head { format!("<thead><tr>{heads}</tr></thead>\n") } else { String::new() };
+        let mut head = format!("<thead><tr>{}</tr></thead>\n", heads.collect::<String>());
+        if self.head.iter().all(|cell| cell.text.is_empty()) {
+            head.clear();
+        }
         let row = |row: &Vec<TableCell>| {
             let cells = row.iter().enumerate().map(|(i, cell)| match i {
                 0 => format!("<th scope=\"row\">{}</th>", cell.html()),

@@ -1,6 +1,6 @@
 //! Axes: nice ticks, scales from data to pixels, and the frame of a chart.
 
-use super::canvas::{Anchor, Area, Canvas, Paint, TextStyle};
+use super::canvas::{Anchor, Area, Canvas, Paint, TextStyle, trimmed};
 use super::palette::Ink;
 
 const TICK_SIZE: f64 = 11.0;
@@ -8,7 +8,7 @@ const TICK_SIZE: f64 = 11.0;
 /// Returns round numbers that cover `low..high`, about `n` of them, in steps of 1, 2 or 5 times a power of ten.
 ///
 /// An empty or broken range gives a single tick.
-pub fn nice_ticks(low: f64, high: f64, n: usize) -> Vec<f64> {
+fn nice_ticks(low: f64, high: f64, n: usize) -> Vec<f64> {
     let width = high - low;
     if !width.is_finite() || width <= 0.0 {
         return vec![if low.is_finite() { low } else { 0.0 }];
@@ -35,11 +35,7 @@ pub fn compact(value: f64) -> String {
         a if a >= 0.1 || a == 0.0 => 2,
         _ => 3,
     };
-    let text = format!("{scaled:.digits$}");
-    let text =
-        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
-    let text = if text == "-0" { "0" } else { text };
-    format!("{}{suffix}", text.replace('-', "\u{2212}"))
+    format!("{}{suffix}", trimmed(&format!("{scaled:.digits$}")).replace('-', "\u{2212}"))
 }
 
 /// Maps data to pixels along one direction.
@@ -52,7 +48,7 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// Maps `low` to pixel `start` and `high` to pixel `end`; an empty range is widened.
+    /// Maps the lowest and highest value to two pixels; an empty range is widened.
     pub fn new(data: [f64; 2], pixels: [f64; 2]) -> Self {
         let [mut low, mut high] = data.map(|v| if v.is_finite() { v } else { 0.0 });
         if high - low < 1e-12 {
@@ -65,11 +61,6 @@ impl Scale {
     /// Returns the pixel of a value.
     pub fn at(&self, value: f64) -> f64 {
         self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
-    }
-
-    /// Returns the lowest and highest value.
-    pub fn range(&self) -> [f64; 2] {
-        [self.low, self.high]
     }
 }
 
@@ -99,8 +90,7 @@ impl Panel {
 
     /// Draws horizontal grid lines with their numbers, and the vertical axis' label.
     pub fn draw_y(&self, canvas: &mut Canvas, n_ticks: usize, label: &str) {
-        let [low, high] = self.y.range();
-        for tick in nice_ticks(low, high, n_ticks) {
+        for tick in nice_ticks(self.y.low, self.y.high, n_ticks) {
             let y = self.y.at(tick);
             let ends = [[self.area.x, y], [self.area.right(), y]];
             canvas.line(&ends, Paint::stroke(Ink::Grid, 1.0));
@@ -114,12 +104,11 @@ impl Panel {
 
     /// Draws the horizontal axis' line and ticks; numbers and label are for the lowest of several panels.
     pub fn draw_x(&self, canvas: &mut Canvas, n_ticks: usize, label: Option<&str>) {
-        let [low, high] = self.x.range();
         let bottom = self.area.bottom();
         let ends = [[self.area.x, bottom], [self.area.right(), bottom]];
         canvas.line(&ends, Paint::stroke(Ink::Axis, 1.0));
         let style = TextStyle::new(TICK_SIZE, Ink::Muted).anchored(Anchor::Middle);
-        for tick in nice_ticks(low, high, n_ticks) {
+        for tick in nice_ticks(self.x.low, self.x.high, n_ticks) {
             let x = self.x.at(tick);
             canvas.line(&[[x, bottom], [x, bottom + 4.0]], Paint::stroke(Ink::Axis, 1.0));
             if label.is_some() {
@@ -147,30 +136,16 @@ mod tests {
 
     #[test]
     fn numbers_are_written_short() {
-        let cases = [
-            (0.0, "0"),
-            (0.25, "0.25"),
-            (-120.0, "−120"),
-            (1500.0, "1500"),
-            (15_000.0, "15k"),
-            (2_500_000.0, "2.5M"),
-            (0.012, "0.012"),
-        ];
-        for (value, text) in cases {
-            assert_eq!(compact(value), text);
-        }
+        let values = [0.0, 0.25, -120.0, 1500.0, 15_000.0, 2_500_000.0, 0.012];
+        let texts = ["0", "0.25", "−120", "1500", "15k", "2.5M", "0.012"];
+        assert_eq!(values.map(compact), texts);
     }
 
     #[test]
-    fn a_panel_puts_low_values_at_the_bottom() {
+    fn a_panel_puts_low_values_at_the_bottom_and_widens_an_empty_range() {
         let panel = Panel::new(Area::new(10.0, 20.0, 100.0, 50.0), [0.0, 10.0], [-1.0, 1.0]);
         assert_eq!(panel.at([0.0, -1.0]), [10.0, 70.0]);
         assert_eq!(panel.at([10.0, 1.0]), [110.0, 20.0]);
-    }
-
-    #[test]
-    fn an_empty_range_is_widened() {
-        let scale = Scale::new([5.0, 5.0], [0.0, 100.0]);
-        assert_eq!(scale.at(5.0), 50.0);
+        assert_eq!(Scale::new([5.0, 5.0], [0.0, 100.0]).at(5.0), 50.0);
     }
 }

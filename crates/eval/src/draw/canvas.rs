@@ -11,13 +11,15 @@ use super::font::{FAMILY, Weight};
 use super::palette::Ink;
 
 /// Writes a coordinate with at most two decimals.
-pub fn number(value: f64) -> String {
-    if !value.is_finite() {
-        return "0".to_owned();
-    }
-    let text = format!("{value:.2}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+pub(crate) fn number(value: f64) -> String {
+    if value.is_finite() { trimmed(&format!("{value:.2}")).to_owned() } else { "0".to_owned() }
+}
+
+/// Drops the zeros at the end of a fraction, and the sign of a zero.
+pub(super) fn trimmed(text: &str) -> &str {
+    let fraction = text.contains('.');
+    let text = if fraction { text.trim_end_matches('0').trim_end_matches('.') } else { text };
+    if text == "-0" { "0" } else { text }
 }
 
 /// A rectangle on the canvas, in pixels; y grows downward.
@@ -34,7 +36,7 @@ pub struct Area {
 }
 
 impl Area {
-    /// Names a rectangle by its corner and size.
+    /// Names a rectangle by its upper left corner and its size.
     pub fn new(x: f64, y: f64, width: f64, height: f64) -> Self {
         Self { x, y, width, height }
     }
@@ -80,8 +82,7 @@ pub struct Paint {
 impl Paint {
     /// Fills, without an outline.
     pub fn fill(ink: Ink) -> Self {
-        let (fill, stroke) = (Some(ink), None);
-        Self { fill, stroke, width: 0.0, opacity: 1.0, fill_opacity: 1.0, dash: None }
+        Self { fill: Some(ink), stroke: None, ..Self::stroke(ink, 0.0) }
     }
 
     /// Outlines, without a filling; `width` in pixels.
@@ -147,10 +148,9 @@ fn attribute(out: &mut String, name: &str, value: &str) {
 }
 
 /// Which point of a text its position names.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// Its left end.
-    #[default]
     Start,
     /// Its middle.
     Middle,
@@ -230,27 +230,24 @@ impl Canvas {
 
     /// Draws a rectangle with corners rounded by `radius` pixels.
     pub fn rectangle(&mut self, area: Area, radius: f64, paint: Paint) {
-        let [x, y] = [area.x, area.y].map(number);
-        let [width, height] = [area.width.max(0.0), area.height.max(0.0)].map(number);
-        let rounding =
-            if radius > 0.0 { format!(" rx=\"{}\"", number(radius)) } else { String::new() };
-        let place = format!("x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"{rounding}");
+        let mut place = placed(area);
+        if radius > 0.0 {
+            attribute(&mut place, "rx", &number(radius));
+        }
         self.element("rect", &place, paint);
     }
 
     /// Draws a line through points; fewer than two are nothing.
     pub fn line(&mut self, points: &[[f64; 2]], paint: Paint) {
         if points.len() >= 2 {
-            let place = format!("points=\"{}\"", joined(points));
-            self.element("polyline", &place, paint);
+            self.element("polyline", &joined(points), paint);
         }
     }
 
     /// Draws a closed polygon; fewer than three corners are nothing.
     pub fn polygon(&mut self, points: &[[f64; 2]], paint: Paint) {
         if points.len() >= 3 {
-            let place = format!("points=\"{}\"", joined(points));
-            self.element("polygon", &place, paint);
+            self.element("polygon", &joined(points), paint);
         }
     }
 
@@ -301,13 +298,8 @@ impl Canvas {
     pub fn clipped(&mut self, area: Area, draw: impl FnOnce(&mut Self)) {
         self.n_clips += 1;
         let name = format!("{}-clip{}", self.id, self.n_clips);
-        let [x, y, width, height] =
-            [area.x, area.y, area.width.max(0.0), area.height.max(0.0)].map(number);
-        let opening = format!(
-            "<clipPath id=\"{name}\"><rect x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"/></clipPath>\n\
-             <g clip-path=\"url(#{name})\">\n"
-        );
-        self.body.push_str(&opening);
+        let clip = format!("<clipPath id=\"{name}\"><rect {}/></clipPath>\n", placed(area));
+        self.body.extend([&clip, "<g clip-path=\"url(#", &name, ")\">\n"]);
         draw(self);
         self.body.push_str("</g>\n");
     }
@@ -330,9 +322,16 @@ impl Canvas {
     }
 }
 
+/// Writes a rectangle's attributes.
+fn placed(area: Area) -> String {
+    let Area { x, y, width, height } = area;
+    let [x, y, width, height] = [x, y, width.max(0.0), height.max(0.0)].map(number);
+    format!("x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"")
+}
+
 fn joined(points: &[[f64; 2]]) -> String {
     let pairs = points.iter().map(|p| format!("{},{}", number(p[0]), number(p[1])));
-    pairs.collect::<Vec<_>>().join(" ")
+    format!("points=\"{}\"", pairs.collect::<Vec<_>>().join(" "))
 }
 
 #[cfg(test)]
@@ -341,10 +340,8 @@ mod tests {
 
     #[test]
     fn numbers_are_short_and_finite() {
-        let cases = [(1.0, "1"), (-0.001, "0"), (2.346, "2.35"), (10.0, "10"), (f64::NAN, "0")];
-        for (value, text) in cases {
-            assert_eq!(number(value), text);
-        }
+        let texts = [1.0, -0.001, 2.346, 10.0, f64::NAN].map(number);
+        assert_eq!(texts, ["1", "0", "2.35", "10", "0"]);
     }
 
     #[test]

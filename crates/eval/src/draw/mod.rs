@@ -2,8 +2,7 @@
 //!
 //! Why not a plotting crate: half of our pictures are worlds with paths and speech, which no such crate draws, so
 //! a canvas is needed anyway; on top of it the three charts of a report are a few hundred lines. `kuva` (MIT), the
-//! best candidate, would add some tens of thousands of lines to every build and its own look to half of the
-//! pictures. All charts live in [`crate::figure`] behind plain functions, so this can be revisited there.
+//! best candidate, would add tens of thousands of lines to every build, and its own look to half of the pictures.
 //!
 //! A picture is written for a light page with its colours as attributes, so that it is complete on its own and in
 //! PNG; the same elements carry classes (`f-text`, `s-grid`, ...), with which a page may recolour them for
@@ -16,9 +15,11 @@ mod palette;
 mod raster;
 mod wrap;
 
-pub use axis::{Panel, Scale, compact, nice_ticks};
-pub use canvas::{Anchor, Area, Canvas, Paint, Svg, TextStyle, number};
+pub use axis::{Panel, Scale, compact};
+pub(crate) use canvas::number;
+pub use canvas::{Anchor, Area, Canvas, Paint, Svg, TextStyle};
 pub use font::{FAMILY, Weight, text_width};
 pub use palette::Ink;
-pub use raster::{Pixels, Rasterizer, gif};
+pub use raster::Rasterizer;
+pub(crate) use raster::gif;
 pub use wrap::wrapped;

@@ -4,7 +4,7 @@
 //! distinguish; yellow is left out because it vanishes on white.
 
 /// A colour named by what it is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ink {
     /// Titles and labels.
     Text,
@@ -36,25 +36,25 @@ pub enum Ink {
     Sky,
 }
 
-impl Ink {
-    /// Lists every ink.
-    pub const ALL: [Self; 14] = [
-        Self::Text,
-        Self::Muted,
-        Self::Axis,
-        Self::Grid,
-        Self::Paper,
-        Self::Panel,
-        Self::Ground,
-        Self::Neutral,
-        Self::Blue,
-        Self::Orange,
-        Self::Green,
-        Self::Vermilion,
-        Self::Purple,
-        Self::Sky,
-    ];
+/// Every ink in order: its name in class attributes, its colour on a light page and on a dark one.
+const INKS: [(Ink, &str, &str, &str); 14] = [
+    (Ink::Text, "text", "#1f2430", "#e6e8ee"),
+    (Ink::Muted, "muted", "#5c6370", "#a3a9b6"),
+    (Ink::Axis, "axis", "#8b919c", "#767d8b"),
+    (Ink::Grid, "grid", "#e3e5e9", "#333946"),
+    (Ink::Paper, "paper", "#ffffff", "#171a21"),
+    (Ink::Panel, "panel", "#f7f8fa", "#1e222b"),
+    (Ink::Ground, "ground", "#c9c4bb", "#4d4a45"),
+    (Ink::Neutral, "neutral", "#6b7280", "#9aa1ae"),
+    (Ink::Blue, "blue", "#0072b2", "#4aa3df"),
+    (Ink::Orange, "orange", "#e69f00", "#f0b429"),
+    (Ink::Green, "green", "#009e73", "#2bbf95"),
+    (Ink::Vermilion, "vermilion", "#d55e00", "#f07f3c"),
+    (Ink::Purple, "purple", "#cc79a7", "#dd94bd"),
+    (Ink::Sky, "sky", "#56b4e9", "#7cc7f2"),
+];
 
+impl Ink {
     /// Lists inks that series of a chart take in turn.
     pub const SERIES: [Self; 8] = [
         Self::Blue,
@@ -74,71 +74,20 @@ impl Ink {
 
     /// Returns the colour on a light page.
     pub fn light(self) -> &'static str {
-        match self {
-            Self::Text => "#1f2430",
-            Self::Muted => "#5c6370",
-            Self::Axis => "#8b919c",
-            Self::Grid => "#e3e5e9",
-            Self::Paper => "#ffffff",
-            Self::Panel => "#f7f8fa",
-            Self::Ground => "#c9c4bb",
-            Self::Neutral => "#6b7280",
-            Self::Blue => "#0072b2",
-            Self::Orange => "#e69f00",
-            Self::Green => "#009e73",
-            Self::Vermilion => "#d55e00",
-            Self::Purple => "#cc79a7",
-            Self::Sky => "#56b4e9",
-        }
-    }
-
-    /// Returns the colour on a dark page.
-    pub fn dark(self) -> &'static str {
-        match self {
-            Self::Text => "#e6e8ee",
-            Self::Muted => "#a3a9b6",
-            Self::Axis => "#767d8b",
-            Self::Grid => "#333946",
-            Self::Paper => "#171a21",
-            Self::Panel => "#1e222b",
-            Self::Ground => "#4d4a45",
-            Self::Neutral => "#9aa1ae",
-            Self::Blue => "#4aa3df",
-            Self::Orange => "#f0b429",
-            Self::Green => "#2bbf95",
-            Self::Vermilion => "#f07f3c",
-            Self::Purple => "#dd94bd",
-            Self::Sky => "#7cc7f2",
-        }
+        INKS[self as usize].2
     }
 
     /// Returns the ink's name in class attributes.
     pub fn class(self) -> &'static str {
-        match self {
-            Self::Text => "text",
-            Self::Muted => "muted",
-            Self::Axis => "axis",
-            Self::Grid => "grid",
-            Self::Paper => "paper",
-            Self::Panel => "panel",
-            Self::Ground => "ground",
-            Self::Neutral => "neutral",
-            Self::Blue => "blue",
-            Self::Orange => "orange",
-            Self::Green => "green",
-            Self::Vermilion => "vermilion",
-            Self::Purple => "purple",
-            Self::Sky => "sky",
-        }
+        INKS[self as usize].1
     }
 
     /// Writes the rules that recolour every picture of a page for a dark page (to stand in a media query).
     pub fn dark_css() -> String {
-        let rules = Self::ALL.iter().map(|ink| {
-            let (class, color) = (ink.class(), ink.dark());
-            format!("svg .f-{class}{{fill:{color}}}svg .s-{class}{{stroke:{color}}}")
+        let rules = INKS.map(|(_, class, _, dark)| {
+            format!("svg .f-{class}{{fill:{dark}}}svg .s-{class}{{stroke:{dark}}}")
         });
-        rules.collect::<Vec<_>>().join("\n")
+        rules.join("\n")
     }
 }
 
@@ -148,11 +97,12 @@ mod tests {
 
     #[test]
     fn every_ink_has_its_own_class_and_colours() {
-        for pick in [Ink::class as fn(Ink) -> &'static str, Ink::light, Ink::dark] {
-            let mut seen: Vec<_> = Ink::ALL.into_iter().map(pick).collect();
-            seen.sort_unstable();
-            seen.dedup();
-            assert_eq!(seen.len(), Ink::ALL.len());
+        for (i, (ink, class, light, dark)) in INKS.into_iter().enumerate() {
+            assert_eq!(ink as usize, i, "{class}");
+            let same = |other: &&(Ink, &str, &str, &str)| {
+                other.1 == class || other.2 == light || other.3 == dark
+            };
+            assert_eq!(INKS.iter().filter(same).count(), 1, "{class}");
         }
     }
 }

@@ -1,6 +1,5 @@
 //! From SVG to pixels: PNG and animated GIF, with the embedded typeface and nothing of the machine's.
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
 use resvg::tiny_skia::{Pixmap, Transform};
@@ -16,17 +15,6 @@ const MAX_SIDE: u32 = 16_384;
 #[derive(Clone, Debug)]
 pub struct Rasterizer {
     fonts: Arc<usvg::fontdb::Database>,
-}
-
-/// A picture as RGBA, row by row.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Pixels {
-    /// Width in pixels.
-    pub width: u32,
-    /// Height in pixels.
-    pub height: u32,
-    /// Four bytes per pixel; pictures have opaque paper.
-    pub rgba: Vec<u8>,
 }
 
 impl Default for Rasterizer {
@@ -55,17 +43,8 @@ impl Rasterizer {
         self.pixmap(svg, scale)?.encode_png().map_err(|error| Error::Png(error.to_string()))
     }
 
-    /// Renders an SVG file as plain pixels, `scale` pixels per unit.
-    ///
-    /// # Errors
-    ///
-    /// As [`Rasterizer::png`].
-    pub fn pixels(&self, svg: &str, scale: f32) -> Result<Pixels, Error> {
-        let pixmap = self.pixmap(svg, scale)?;
-        Ok(Pixels { width: pixmap.width(), height: pixmap.height(), rgba: pixmap.take() })
-    }
-
-    fn pixmap(&self, svg: &str, scale: f32) -> Result<Pixmap, Error> {
+    /// Renders an SVG file as pixels; errors as [`Rasterizer::png`].
+    pub(crate) fn pixmap(&self, svg: &str, scale: f32) -> Result<Pixmap, Error> {
         let options = usvg::Options {
             fontdb: Arc::clone(&self.fonts),
             font_family: "Inter".to_owned(),
@@ -86,28 +65,29 @@ impl Rasterizer {
 
 /// Joins frames of one size into an animated GIF that repeats for ever.
 ///
-/// `delays` are in hundredths of a second, one per frame; a missing one is 10.
+/// A frame stays for `delay`, and the last one for `last`, in hundredths of a second.
 ///
 /// # Errors
 ///
-/// [`Error::NoFrames`] without frames, [`Error::PictureSize`] if a frame has another size than the first or is
+/// [`Error::NoScene`] without frames, [`Error::PictureSize`] if a frame has another size than the first or is
 /// wider or higher than a GIF can be, [`Error::Gif`] if the encoder fails.
-pub fn gif(frames: &[Pixels], delays: &[u16]) -> Result<Vec<u8>, Error> {
-    let first = frames.first().ok_or(Error::NoFrames)?;
-    let error = |p: &Pixels| Error::PictureSize { width: p.width as f32, height: p.height as f32 };
-    let (Ok(width), Ok(height)) = (u16::try_from(first.width), u16::try_from(first.height)) else {
+pub(crate) fn gif(frames: &[Pixmap], delay: u16, last: u16) -> Result<Vec<u8>, Error> {
+    let first = frames.first().ok_or(Error::NoScene)?;
+    let error =
+        |p: &Pixmap| Error::PictureSize { width: p.width() as f32, height: p.height() as f32 };
+    let (Ok(width), Ok(height)) = (first.width().try_into(), first.height().try_into()) else {
         return Err(error(first));
     };
     let mut file = Vec::new();
     let mut encoder = gif::Encoder::new(&mut file, width, height, &[])?;
     encoder.set_repeat(gif::Repeat::Infinite)?;
     for (i, frame) in frames.iter().enumerate() {
-        if (frame.width, frame.height) != (first.width, first.height) {
+        if (frame.width(), frame.height()) != (first.width(), first.height()) {
             return Err(error(frame));
         }
-        let mut rgba = Cow::Borrowed(frame.rgba.as_slice());
-        let mut coded = gif::Frame::from_rgba_speed(width, height, rgba.to_mut(), GIF_SPEED);
-        coded.delay = delays.get(i).copied().unwrap_or(10);
+        let mut rgba = frame.data().to_vec();
+        let mut coded = gif::Frame::from_rgba_speed(width, height, &mut rgba, GIF_SPEED);
+        coded.delay = if i + 1 == frames.len() { last } else { delay };
         encoder.write_frame(&coded)?;
     }
     drop(encoder);
@@ -122,36 +102,28 @@ mod tests {
     use super::*;
     use crate::draw::{Canvas, Ink, TextStyle};
 
-    fn picture(text: &str) -> String {
+    fn picture_in(text: &str, style: TextStyle) -> String {
         let mut canvas = Canvas::new("t", 60.0, 30.0);
-        canvas.text([5.0, 20.0], text, TextStyle::new(16.0, Ink::Text));
+        canvas.text([5.0, 20.0], text, style);
         canvas.finish("t").text
     }
 
-    fn dark_pixels(pixels: &Pixels) -> usize {
-        pixels.rgba.chunks_exact(4).filter(|p| p[0] < 128 && p[3] == 255).count()
+    fn picture(text: &str) -> String {
+        picture_in(text, TextStyle::new(16.0, Ink::Text))
     }
 
     #[test]
-    fn text_is_drawn_without_any_font_of_the_machine() {
-        let rasterizer = Rasterizer::new();
-        let empty = rasterizer.pixels(&picture(""), 2.0).unwrap();
-        let full = rasterizer.pixels(&picture("shift"), 2.0).unwrap();
-        assert_eq!((full.width, full.height, full.rgba.len()), (120, 60, 120 * 60 * 4));
-        assert_eq!(dark_pixels(&empty), 0);
-        assert!(dark_pixels(&full) > 100, "{}", dark_pixels(&full));
-    }
-
-    #[test]
-    fn the_bold_face_is_another_face() {
-        let rasterizer = Rasterizer::new();
-        let with = |style: TextStyle| {
-            let mut canvas = Canvas::new("t", 60.0, 30.0);
-            canvas.text([5.0, 20.0], "shift", style);
-            dark_pixels(&rasterizer.pixels(&canvas.finish("t").text, 2.0).unwrap())
+    fn text_is_drawn_in_two_faces_without_any_font_of_the_machine() {
+        let dark_pixels = |text: &str, style: TextStyle| {
+            let pixels = Rasterizer::new().pixmap(&picture_in(text, style), 2.0).unwrap();
+            assert_eq!((pixels.width(), pixels.height()), (120, 60));
+            pixels.data().chunks_exact(4).filter(|p| p[0] < 128 && p[3] == 255).count()
         };
         let style = TextStyle::new(16.0, Ink::Text);
-        assert!(with(style.bold()) > with(style) + 20);
+        assert_eq!(dark_pixels("", style), 0);
+        let regular = dark_pixels("shift", style);
+        assert!(regular > 100, "{regular}");
+        assert!(dark_pixels("shift", style.bold()) > regular + 20);
     }
 
     #[test]
@@ -166,22 +138,22 @@ mod tests {
         assert!(matches!(rasterizer.png("no svg", 1.0), Err(Error::Svg(_))));
         assert!(matches!(rasterizer.png(&picture(""), 0.0), Err(Error::PictureSize { .. })));
         assert!(matches!(rasterizer.png(&picture(""), 1e6), Err(Error::PictureSize { .. })));
-        assert!(matches!(gif(&[], &[]), Err(Error::NoFrames)));
+        assert!(matches!(gif(&[], 1, 1), Err(Error::NoScene)));
     }
 
     #[test]
     fn an_animation_holds_its_frames() {
         let rasterizer = Rasterizer::new();
-        let frames = ["a", "b", "c"].map(|t| rasterizer.pixels(&picture(t), 1.0).unwrap());
-        let file = gif(&frames, &[5, 6, 70]).unwrap();
+        let frames = ["a", "b", "c"].map(|t| rasterizer.pixmap(&picture(t), 1.0).unwrap());
+        let file = gif(&frames, 5, 70).unwrap();
         let mut reader = gif::DecodeOptions::new().read_info(file.as_slice()).unwrap();
         let mut delays = Vec::new();
         while let Some(frame) = reader.read_next_frame().unwrap() {
             assert_eq!((frame.width, frame.height), (60, 30));
             delays.push(frame.delay);
         }
-        assert_eq!(delays, [5, 6, 70]);
-        let small = Pixels { width: 1, height: 1, rgba: vec![0; 4] };
-        assert!(matches!(gif(&[frames[0].clone(), small], &[]), Err(Error::PictureSize { .. })));
+        assert_eq!(delays, [5, 5, 70]);
+        let small = Pixmap::new(1, 1).unwrap();
+        assert!(matches!(gif(&[frames[0].clone(), small], 1, 1), Err(Error::PictureSize { .. })));
     }
 }

@@ -54,12 +54,12 @@ impl Band {
 /// Draws panels above each other, with about `n_ticks` ticks on the axis that they share. `id` must be unique on the page.
 pub fn bands(id: &str, title: &str, x_label: &str, n_ticks: usize, panels: &[BandPanel]) -> Svg {
     let panels: Vec<BandPanel> = panels.iter().map(without_gaps).collect();
-    let lines = panels.iter().flat_map(|panel| &panel.bands);
-    let xs =
-        lines.flat_map(|b| b.points.iter().map(|p| p[0]).chain(b.published.iter().map(|p| p[0])));
-    let x_range = extent(xs).unwrap_or([0.0, 1.0]);
-    let legends: Vec<_> =
-        panels.iter().map(|panel| legend::lines(&labels(panel), PLOT_WIDTH)).collect();
+    let lines = || panels.iter().flat_map(|panel| &panel.bands);
+    let points = lines().flat_map(|band| &band.points).map(|p| p[0]);
+    let published = lines().flat_map(|band| &band.published).map(|p| p[0]);
+    let x_range = extent(points.chain(published)).unwrap_or([0.0, 1.0]);
+    let legend = |panel: &BandPanel| legend::lines(&labels(panel), PLOT_WIDTH);
+    let legends: Vec<_> = panels.iter().map(legend).collect();
     let room = legends.iter().map(|lines| legend::extra_height(lines)).fold(0.0, f64::max);
     let (above, gap) = (TOP + room, GAP + room);
     let n = panels.len().max(1) as f64;
@@ -71,8 +71,7 @@ pub fn bands(id: &str, title: &str, x_label: &str, n_ticks: usize, panels: &[Ban
         let area = Area::new(LEFT, top, PLOT_WIDTH, PANEL_HEIGHT);
         let frame = Panel::new(area, x_range, y_range(panel));
         frame.draw_y(&mut canvas, 4, &panel.label);
-        let last = i + 1 == panels.len();
-        frame.draw_x(&mut canvas, n_ticks, last.then_some(x_label));
+        frame.draw_x(&mut canvas, n_ticks, (i + 1 == panels.len()).then_some(x_label));
         canvas.clipped(frame.area, |canvas| draw(canvas, &frame, &panel.bands));
         legend::draw(&mut canvas, &frame, &labels(panel), &legends[i]);
     }
@@ -99,10 +98,8 @@ fn draw(canvas: &mut Canvas, frame: &Panel, bands: &[Band]) {
         }
         let mean: Vec<[f64; 2]> = band.points.iter().map(|p| frame.at([p[0], p[1]])).collect();
         canvas.line(&mean, Paint::stroke(ink, 2.2));
-        if mean.len() <= FEW {
-            for point in &mean {
-                canvas.circle(*point, 3.2, Paint::fill(ink));
-            }
+        for point in mean.iter().filter(|_| mean.len() <= FEW) {
+            canvas.circle(*point, 3.2, Paint::fill(ink));
         }
     }
 }
@@ -164,9 +161,8 @@ mod tests {
     #[test]
     fn a_long_series_becomes_means_between_its_extremes() {
         let series: Vec<[f64; 2]> = (0..9).map(|i| [f64::from(i), f64::from(i % 2)]).collect();
-        let expected =
-            [[1.0, 1.0 / 3.0, 0.0, 1.0], [4.0, 2.0 / 3.0, 0.0, 1.0], [7.0, 1.0 / 3.0, 0.0, 1.0]];
-        assert_eq!(Band::summary(&series, 4).points, expected);
+        let expected = [[1.0, 1.0 / 3.0], [4.0, 2.0 / 3.0], [7.0, 1.0 / 3.0]];
+        assert_eq!(Band::summary(&series, 4).points, expected.map(|[x, y]| [x, y, 0.0, 1.0]));
         assert_eq!(Band::summary(&[], 4), Band::default());
     }
 }

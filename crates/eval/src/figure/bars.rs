@@ -17,8 +17,8 @@ pub fn histogram(id: &str, title: &str, x_label: &str, counts: &BTreeMap<u64, u6
     let mut canvas = Canvas::new(id, WIDTH, top + height + 46.0);
     canvas.text([left, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
     let bars = binned(counts);
-    let total: u64 = counts.values().sum();
-    let share = |count: u64| count as f64 / total.max(1) as f64;
+    let total = counts.values().sum::<u64>().max(1);
+    let share = |count: u64| count as f64 / total as f64;
     let highest = bars.iter().map(|bar| share(bar.1)).fold(0.0, f64::max).max(1e-9);
     let area = Area::new(left, top, WIDTH - left - right, height);
     let frame = Panel::new(area, [0.0, bars.len().max(1) as f64], [0.0, highest * 1.15]);
@@ -39,9 +39,8 @@ pub fn histogram(id: &str, title: &str, x_label: &str, counts: &BTreeMap<u64, u6
             canvas.text([middle, y - 5.0], &value, TextStyle { ink: Ink::Text, ..style });
         }
     }
-    let middle = area.x + area.width / 2.0;
     let style = TextStyle::new(12.0, Ink::Muted).anchored(Anchor::Middle);
-    canvas.text([middle, base + 36.0], x_label, style);
+    canvas.text([area.x + area.width / 2.0, base + 36.0], x_label, style);
     canvas.finish(title)
 }
 
@@ -49,14 +48,12 @@ pub fn histogram(id: &str, title: &str, x_label: &str, counts: &BTreeMap<u64, u6
 fn binned(counts: &BTreeMap<u64, u64>) -> Vec<(String, u64)> {
     let Some((&highest, _)) = counts.last_key_value() else { return Vec::new() };
     let last = highest.min(MAX_BARS as u64 - 1);
-    let bar = |value: u64| {
-        if value < last || highest == last {
-            (value.to_string(), counts.get(&value).copied().unwrap_or(0))
-        } else {
-            (format!("{value}+"), counts.range(value..).map(|(_, count)| count).sum())
-        }
-    };
-    (0..=last).map(bar).collect()
+    let bar = |value: u64| (value.to_string(), counts.get(&value).copied().unwrap_or_default());
+    let mut bars: Vec<(String, u64)> = (0..=last).map(bar).collect();
+    if highest > last {
+        bars[last as usize] = (format!("{last}+"), counts.range(last..).map(|bin| bin.1).sum());
+    }
+    bars
 }
 
 /// What one process spent its time on.
@@ -71,12 +68,10 @@ pub struct ShareRow {
 /// Draws one stacked bar per process, each of full width. `id` must be unique on the page.
 pub fn shares(id: &str, title: &str, rows: &[ShareRow]) -> Svg {
     let names = part_names(rows);
-    let label_width =
-        rows.iter().map(|r| text_width(&r.label, 12.0, Weight::Regular)).fold(40.0, f64::max);
-    let (left, right, row_height) = (label_width.min(220.0) + 28.0, 70.0, 30.0);
+    let labels = rows.iter().map(|row| text_width(&row.label, 12.0, Weight::Regular));
+    let (left, right, row_height) = (labels.fold(40.0, f64::max).min(220.0) + 28.0, 70.0, 30.0);
     let entry_width = |name: &str| text_width(name, 11.5, Weight::Regular) + 36.0;
-    let widths = names.iter().map(|name| entry_width(name)).enumerate();
-    let legend = wrapped(widths, WIDTH - 32.0);
+    let legend = wrapped(names.iter().map(|name| entry_width(name)).enumerate(), WIDTH - 32.0);
     let top = 40.0 + 20.0 * legend.len() as f64;
     let mut canvas = Canvas::new(id, WIDTH, top + row_height * rows.len() as f64 + 14.0);
     canvas.text([16.0, 20.0], title, TextStyle::new(14.0, Ink::Text).bold());
@@ -103,11 +98,11 @@ fn draw_row(canvas: &mut Canvas, area: Area, row: &ShareRow, names: &[&str]) {
     let mut x = area.x;
     for (i, name) in names.iter().enumerate() {
         let spent: f64 = row.parts.iter().filter(|part| part.0 == *name).map(seconds).sum();
-        let width = if total > 0.0 { spent / total * area.width } else { 0.0 };
-        if width <= 0.0 {
+        if spent <= 0.0 {
             continue;
         }
-        let piece = Area::new(x, area.y, width, area.height);
+        let width = spent / total * area.width;
+        let piece = Area { x, width, ..area };
         canvas.rectangle(piece, 0.0, part_paint(i).outlined(Ink::Paper, 1.0));
         if width > 40.0 {
             let text = format!("{:.0} %", 100.0 * spent / total);
@@ -154,31 +149,32 @@ mod tests {
         assert!(binned(&BTreeMap::new()).is_empty());
     }
 
+    /// Draws what one process did.
+    fn one(parts: impl IntoIterator<Item = (String, f64)>) -> Svg {
+        let parts = parts.into_iter().collect();
+        shares("s", "t", &[ShareRow { label: "actor".to_owned(), parts }])
+    }
+
     #[test]
     fn bars_survive_nothing_and_time_that_is_no_number() {
         let rasterizer = Rasterizer::new();
         rasterizer.png(&histogram("h", "t", "x", &BTreeMap::new()).text, 1.0).unwrap();
         rasterizer.png(&shares("s", "t", &[]).text, 1.0).unwrap();
-        let parts = vec![("a <&>".to_owned(), f64::NAN), ("b".to_owned(), 0.0)];
-        let svg = shares("s", "t", &[ShareRow { label: "learner".to_owned(), parts }]).text;
+        let svg = one([("a <&>".to_owned(), f64::NAN), ("b".to_owned(), 0.0)]).text;
         assert!(svg.contains("a &lt;&amp;&gt;") && !svg.contains("NaN"));
         rasterizer.png(&svg, 1.0).unwrap();
     }
 
     #[test]
     fn many_parts_have_a_legend_of_several_lines_and_a_picture_that_holds_it() {
-        let height = |n: usize| {
-            let parts = (0..n).map(|i| (format!("part number {i}"), 1.0)).collect();
-            shares("s", "t", &[ShareRow { label: "actor".to_owned(), parts }]).height
-        };
+        let height = |n: usize| one((0..n).map(|i| (format!("part number {i}"), 1.0))).height;
         assert_eq!(height(2), height(5));
         assert_eq!(height(12), height(5) + 20.0, "six of twelve in each of two lines");
     }
 
     #[test]
     fn a_row_names_the_share_of_each_part() {
-        let parts = vec![("act".to_owned(), 30.0), ("wait".to_owned(), 10.0)];
-        let svg = shares("s", "t", &[ShareRow { label: "actor".to_owned(), parts }]).text;
+        let svg = one([("act".to_owned(), 30.0), ("wait".to_owned(), 10.0)]).text;
         assert!(svg.contains("75 %") && svg.contains("25 %") && svg.contains("40 s"));
     }
 }

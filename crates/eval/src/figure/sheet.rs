@@ -49,9 +49,9 @@ mod tests {
         let pictures: Vec<Svg> = inks.iter().map(|ink| picture(ink.class(), *ink)).collect();
         let sheet = sheet("t", &pictures, 2);
         assert_eq!([sheet.width, sheet.height], [216.0, 96.0]);
-        let pixels = Rasterizer::new().pixels(&sheet.text, 1.0).unwrap();
-        assert_eq!((pixels.width, pixels.height), (216, 96));
-        let at = |x: usize, y: usize| &pixels.rgba[(y * 216 + x) * 4..][..3];
+        let pixels = Rasterizer::new().pixmap(&sheet.text, 1.0).unwrap();
+        assert_eq!((pixels.width(), pixels.height()), (216, 96));
+        let at = |x: usize, y: usize| &pixels.data()[(y * 216 + x) * 4..][..3];
         assert_eq!(at(150, 20), [0, 0x9e, 0x73]);
         assert_eq!(at(50, 80), [0xe6, 0x9f, 0]);
         assert_eq!(at(150, 80), [255, 255, 255]);

@@ -48,9 +48,8 @@ impl Evaluation {
     /// `values`: one per episode; an episode without one has none.
     pub fn with_column(mut self, name: &str, values: &[f32]) -> Self {
         self.metrics.push(name.to_owned());
-        let values = values.iter().copied().chain(std::iter::repeat(f32::NAN));
-        for (episode, value) in self.episodes.iter_mut().zip(values) {
-            episode.metrics.push(value);
+        for (i, episode) in self.episodes.iter_mut().enumerate() {
+            episode.metrics.push(values.get(i).copied().unwrap_or(f32::NAN));
         }
         self
     }
@@ -58,9 +57,9 @@ impl Evaluation {
 
 #[cfg(test)]
 impl Evaluation {
-    /// Makes an evaluation of the given episodes, each with its steps and metrics, for tests.
-    pub(crate) fn of(metrics: &[&str], episodes: &[(u64, &[f32])]) -> Self {
-        let episode = |&(n_steps, metrics): &(u64, &[f32])| EpisodeResult {
+    /// Makes an evaluation of episodes, each with its steps and its values of the metrics, for tests.
+    pub(crate) fn of<const N: usize>(metrics: [&str; N], episodes: &[(u64, [f32; N])]) -> Self {
+        let episode = |&(n_steps, metrics): &(u64, [f32; N])| EpisodeResult {
             total_reward: 100.0 * f64::from(metrics[0]),
             n_steps,
             truncated: false,
@@ -69,7 +68,7 @@ impl Evaluation {
         Self {
             player: "p".to_owned(),
             seed: 1,
-            metrics: metrics.iter().map(|&name| name.to_owned()).collect(),
+            metrics: metrics.map(str::to_owned).to_vec(),
             episodes: episodes.iter().map(episode).collect(),
         }
     }
@@ -120,8 +119,8 @@ pub fn evaluate_with<O: EpisodeObserver>(
     let metrics = make()?.spec().metrics.clone();
     let both = play(make, player, settings, |index| (Measuring, observe(index)))?;
     let (episodes, observed) = both.into_iter().unzip();
-    let (player, seed) = (player.name().to_owned(), settings.seed);
-    Ok((Evaluation { player, seed, metrics, episodes }, observed))
+    let player = player.name().to_owned();
+    Ok((Evaluation { player, seed: settings.seed, metrics, episodes }, observed))
 }
 
 #[cfg(test)]

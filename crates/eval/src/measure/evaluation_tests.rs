@@ -1,6 +1,6 @@
 //! Evaluations are functions of task, player and seed, and of nothing else.
 
-use leadtime_episodes::Decision;
+use leadtime_episodes::{Decision, Error as Refusal};
 use leadtime_proto::{ActionSpec, Encoder, HeadCredit, PolicySpec};
 use leadtime_sims::classic::{CartPole, CartPoleSettings};
 use leadtime_sims::{Environment, TaskError};
@@ -50,6 +50,7 @@ fn the_seed_decides_and_fewer_episodes_are_a_prefix() {
     let short = play(&PlaySettings::new(5, 9));
     assert_eq!(long.episodes[..5], short.episodes);
     assert_ne!(play(&PlaySettings::new(12, 10)).episodes, long.episodes);
+    assert!(play(&PlaySettings::new(0, 0)).episodes.is_empty());
 }
 
 #[test]
@@ -71,41 +72,24 @@ fn a_playthrough_is_the_episode_that_was_evaluated() {
 }
 
 #[test]
-fn a_player_for_another_task_is_refused() {
-    let settings = PlaySettings::new(1, 0);
+fn what_cannot_be_played_is_refused() {
+    let refused = |player: &Player, settings: &PlaySettings<'_>| {
+        let error = evaluate(&cartpole, player, settings).unwrap_err();
+        let Error::Play(error) = error else { panic!("{error}") };
+        error
+    };
+    let one = PlaySettings::new(1, 0);
     let wide = Player::untrained(&policy_spec(9), 5, Choice::Sample).unwrap();
-    let error = evaluate(&cartpole, &wide, &settings).unwrap_err();
-    assert!(
-        matches!(
-            error,
-            Error::Play(leadtime_episodes::Error::PolicyShape { found: [9, 2], expected: [4, 2] })
-        ),
-        "{error}"
-    );
-    let script = Player::baseline("no such script");
-    let error = evaluate(&cartpole, &script, &settings).unwrap_err();
-    assert!(
-        matches!(error, Error::Play(leadtime_episodes::Error::UnknownBaseline { .. })),
-        "{error}"
-    );
-}
-
-#[test]
-fn an_episode_without_an_end_is_given_up() {
-    let settings = PlaySettings { max_steps: 3, ..PlaySettings::new(1, 0) };
-    let error = evaluate(&cartpole, &untrained(), &settings).unwrap_err();
-    assert!(
-        matches!(error, Error::Play(leadtime_episodes::Error::Endless { index: 0, n_steps: 3 })),
-        "{error}"
-    );
-}
-
-#[test]
-fn an_evaluation_can_be_stopped() {
+    let error = refused(&wide, &one);
+    assert!(matches!(error, Refusal::PolicyShape { found: [9, 2], expected: [4, 2] }), "{error}");
+    let error = refused(&Player::baseline("no such script"), &one);
+    assert!(matches!(error, Refusal::UnknownBaseline { .. }), "{error}");
+    let error = refused(&untrained(), &PlaySettings { max_steps: 3, ..one });
+    assert!(matches!(error, Refusal::Endless { index: 0, n_steps: 3 }), "{error}");
     for n_threads in [1, 2] {
-        let settings = PlaySettings::new(23, 9).threads(n_threads).stopped_by(&|| true);
-        let error = evaluate(&cartpole, &untrained(), &settings).unwrap_err();
-        assert!(matches!(error, Error::Play(leadtime_episodes::Error::Interrupted)), "{error}");
+        let stopped = PlaySettings::new(23, 9).threads(n_threads).stopped_by(&|| true);
+        let error = refused(&untrained(), &stopped);
+        assert!(matches!(error, Refusal::Interrupted), "{error}");
     }
     let settings = PlaySettings::new(4, 9);
     assert_eq!(play(&settings.stopped_by(&|| false)), play(&settings));
@@ -114,8 +98,8 @@ fn an_evaluation_can_be_stopped() {
 #[test]
 fn observers_watch_the_episodes_that_are_measured() {
     let settings = PlaySettings { n_slots: 3, ..PlaySettings::new(8, 9) };
-    let (evaluation, seen) =
-        evaluate_with(&cartpole, &untrained(), &settings, HookCount::new).unwrap();
+    let observe = |index| HookCount { index, ..HookCount::default() };
+    let (evaluation, seen) = evaluate_with(&cartpole, &untrained(), &settings, observe).unwrap();
     for (index, (episode, seen)) in (0..).zip(evaluation.episodes.iter().zip(seen)) {
         let expected = HookCount { index, n_resets: 1, n_actions: episode.n_steps, n_hidden: 1 };
         assert_eq!(seen, expected);
@@ -123,18 +107,12 @@ fn observers_watch_the_episodes_that_are_measured() {
 }
 
 /// Counts its hooks; wants the hidden features of the first step.
-#[derive(Debug, PartialEq)]
+#[derive(Debug, Default, PartialEq)]
 struct HookCount {
     index: u64,
     n_resets: u64,
     n_actions: u64,
     n_hidden: u64,
-}
-
-impl HookCount {
-    fn new(index: u64) -> Self {
-        Self { index, n_resets: 0, n_actions: 0, n_hidden: 0 }
-    }
 }
 
 impl Observer for HookCount {
@@ -160,9 +138,4 @@ impl EpisodeObserver for HookCount {
     fn finish(self, _slot: &EnvSlot, _end: End) -> Self {
         self
     }
-}
-
-#[test]
-fn no_episodes_are_an_empty_evaluation() {
-    assert!(play(&PlaySettings::new(0, 0)).episodes.is_empty());
 }

@@ -49,16 +49,10 @@ pub(super) fn hazards(unaided: &Evaluation) -> Option<Vec<f64>> {
     if let Some(steps) = unaided.column(DANGER) {
         return Some(steps);
     }
-    // A crash ends the episode.
     let crashed = unaided.column(CRASHED)?;
-    let steps = unaided.episodes.iter().map(|episode| episode.n_steps as f64);
-    Some(
-        crashed
-            .iter()
-            .zip(steps)
-            .map(|(crashed, n)| if *crashed > 0.5 { n } else { 0.0 })
-            .collect(),
-    )
+    // A crash ends the episode.
+    let step = |(crashed, n): (f64, u64)| if crashed > 0.5 { n as f64 } else { 0.0 };
+    Some(crashed.into_iter().zip(unaided.episodes.iter().map(|e| e.n_steps)).map(step).collect())
 }
 
 #[cfg(test)]
@@ -66,15 +60,13 @@ mod tests {
     use super::*;
 
     fn evaluation(metric: &str, rows: &[(u64, f32)]) -> Evaluation {
-        let rows: Vec<_> =
-            rows.iter().map(|(n, value)| (*n, std::slice::from_ref(value))).collect();
-        Evaluation::of(&[metric], &rows)
+        let rows: Vec<_> = rows.iter().map(|&(n, value)| (n, [value])).collect();
+        Evaluation::of([metric], &rows)
     }
 
     #[test]
     fn the_lead_is_from_the_first_message_to_what_would_have_happened() {
-        let player =
-            evaluation("first_notification", &[(90, 5.0), (90, 40.0), (90, 0.0), (90, 3.0)]);
+        let player = evaluation(FIRST, &[(90, 5.0), (90, 40.0), (90, 0.0), (90, 3.0)]);
         let zones = evaluation("danger_from", &[(80, 25.0), (80, 30.0), (80, 30.0), (80, 0.0)]);
         let leads = lead_times(&player, &zones).unwrap();
         assert_eq!(leads[..2], [20.0, -10.0]);

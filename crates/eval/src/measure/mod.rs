@@ -18,5 +18,5 @@ pub use evaluation::{EpisodeResult, Evaluation, evaluate, evaluate_with};
 pub use lead::with_lead_times;
 pub use leadtime_episodes::{Choice, MakeEnvironment, PlaySettings, Player, episode_seed};
 pub use said::with_said;
-pub use summary::{Measure, Summary, known_measures, measure_names, title};
+pub use summary::{Measure, Summary, known_measures, measure_names, names_in, title};
 pub use utterance::{LoggedMessage, SpeechLog};

@@ -89,13 +89,9 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_counted_before_and_after_the_hazard() {
+    fn messages_are_counted_before_and_after_the_hazard_and_what_is_undefined_is_no_number() {
         let utterances = [said(2, 2), said(8, 3), said(25, 5)];
         assert_eq!(row(&utterances, 60, 20), [2.0, 4.0, 0.1, 0.025]);
-    }
-
-    #[test]
-    fn an_undefined_value_is_not_a_number() {
         assert!(row(&[], 60, 20)[..2].iter().all(|value| value.is_nan()));
         assert_eq!(row(&[], 60, 20)[2..], [0.0, 0.0]);
         assert!(row(&[said(2, 2)], 60, 0)[2..].iter().all(|value| value.is_nan()));

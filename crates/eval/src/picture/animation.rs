@@ -4,7 +4,7 @@ use leadtime_sims::Scene;
 
 use super::marker;
 use super::world_view::WorldView;
-use crate::draw::{Area, Canvas, Ink, Paint, Pixels, Rasterizer, Svg, TextStyle, gif};
+use crate::draw::{Area, Canvas, Ink, Paint, Rasterizer, Svg, TextStyle, gif};
 use crate::error::Error;
 use crate::playthrough::{Activity, Spoken, topic_name};
 
@@ -21,7 +21,7 @@ impl Spoken {
     ///
     /// # Errors
     ///
-    /// As [`gif()`].
+    /// [`Error::PictureSize`] if a frame is higher than a GIF can be; as [`Rasterizer::png`].
     pub fn gif(
         &self,
         rasterizer: &Rasterizer,
@@ -29,14 +29,10 @@ impl Spoken {
         seconds: f64,
     ) -> Result<Vec<u8>, Error> {
         let moments = self.moments(max_frames);
-        let draw = |&i: &usize| rasterizer.pixels(&self.frame(i).text, 1.0);
-        let frames: Vec<Pixels> = moments.iter().map(draw).collect::<Result<_, _>>()?;
+        let draw = |&i: &usize| rasterizer.pixmap(&self.frame(i).text, 1.0);
+        let frames = moments.iter().map(draw).collect::<Result<Vec<_>, _>>()?;
         let delay = (100.0 * seconds / moments.len().max(1) as f64).round().clamp(2.0, 200.0);
-        let mut delays = vec![delay as u16; frames.len()];
-        if let Some(last) = delays.last_mut() {
-            *last = LAST_DELAY;
-        }
-        gif(&frames, &delays)
+        gif(&frames, delay as u16, LAST_DELAY)
     }
 
     /// Picks evenly spread scenes, the last one among them.
@@ -69,11 +65,8 @@ impl Spoken {
     fn draw_caption(&self, canvas: &mut Canvas, i: usize, scene: &Scene) {
         let timeline = &self.timeline;
         let activity = i.checked_sub(1).map_or(Activity::OwnPlan, |step| timeline.activities[step]);
-        canvas.rectangle(
-            Area::new(MARGIN, 12.0, 14.0, 14.0),
-            3.0,
-            Paint::fill(marker::ink(activity)),
-        );
+        let swatch = Area::new(MARGIN, 12.0, 14.0, 14.0);
+        canvas.rectangle(swatch, 3.0, Paint::fill(marker::ink(activity)));
         let ended = i == self.played.scenes.len() - 1;
         let sentence = timeline.spoken(i).and_then(|said| {
             let (sentence, utterance) = (self.sentences.get(said)?, &timeline.utterances[said]);
@@ -89,21 +82,18 @@ impl Spoken {
 /// Describes in one line what the person hears and does; `sentence` is what they have heard of it, if it is known.
 fn caption(scene: &Scene, activity: Activity, sentence: Option<&str>) -> String {
     let listener = &scene.listener;
-    let does = match (activity, listener.reacting.or(listener.pending)) {
-        (Activity::Following, Some(topic)) => {
-            format!("follows \u{201c}{}\u{201d}", topic_name(scene, topic))
-        }
-        _ => activity.label().to_owned(),
-    };
+    let followed = listener.reacting.or(listener.pending);
+    let followed = followed.filter(|_| activity == Activity::Following);
+    let does = followed.map_or_else(
+        || activity.label().to_owned(),
+        |topic| format!("follows \u{201c}{}\u{201d}", topic_name(scene, topic)),
+    );
     if let Some(words) = sentence {
         return format!("{does}   \u{b7}   \u{201c}{words}\u{201d}");
     }
     let Some(speech) = listener.speech else { return does };
-    let topic = topic_name(scene, speech.topic);
-    format!(
-        "{does}   \u{b7}   \u{201c}{topic}\u{201d}, word {} of {}",
-        speech.heard, speech.conveyance
-    )
+    let (topic, n) = (topic_name(scene, speech.topic), speech.heard);
+    format!("{does}   \u{b7}   \u{201c}{topic}\u{201d}, word {n} of {}", speech.conveyance)
 }
 
 #[cfg(test)]
@@ -117,11 +107,7 @@ mod tests {
         let moments = spoken.moments(12);
         assert!(moments.len() <= 12 && moments.last() == Some(&109), "{moments:?}");
         let file = spoken.gif(&Rasterizer::new(), 5, 1.0).unwrap();
-        let mut reader = gif::DecodeOptions::new().read_info(file.as_slice()).unwrap();
-        let mut n_frames = 0;
-        while reader.read_next_frame().unwrap().is_some() {
-            n_frames += 1;
-        }
-        assert_eq!(n_frames, spoken.moments(5).len());
+        let reader = gif::DecodeOptions::new().read_info(file.as_slice()).unwrap();
+        assert_eq!(reader.into_iter().map(Result::unwrap).count(), spoken.moments(5).len());
     }
 }

@@ -24,9 +24,8 @@ impl Spoken {
         let (scenes, activities) = (&self.played.scenes, &self.timeline.activities);
         let moments = moments.start..moments.end.min(scenes.len());
         let shown = Activity::ALL.into_iter().filter(|activity| activities.contains(activity));
-        let entries: Vec<LegendEntry> =
-            shown.map(LegendEntry::activity).chain(areas(scenes)).collect();
-        let legend = Legend::new(&entries, TILES.width - 2.0 * MARGIN);
+        let entries = shown.map(LegendEntry::activity).chain(areas(scenes));
+        let legend = Legend::new(entries, TILES.width - 2.0 * MARGIN);
         let style = TileStyle { top: TILES.top + legend.extra_height(), ..TILES };
         let tiles = Tiles::new(style, COLUMNS, scenes);
         let mut canvas = Canvas::new(id, TILES.width, tiles.bottom(moments.len()));
@@ -41,8 +40,8 @@ impl Spoken {
     fn draw_moment(&self, canvas: &mut Canvas, [x, y]: [f64; 2], width: f64, moment: usize) {
         let (scenes, timeline) = (&self.played.scenes, &self.timeline);
         let scene = &scenes[moment];
-        let world = WorldView::new([x, y + TILES.caption - 4.0], width, scenes);
-        let world = world.with_label_size(LABEL_SIZE);
+        let mut world = WorldView::new([x, y + TILES.caption - 4.0], width, scenes);
+        world.label_size = LABEL_SIZE;
         let bold = TextStyle::new(13.5, Ink::Text).bold();
         canvas.text([x, y + 13.0], &format!("t = {moment}"), bold);
         canvas.text([x + 58.0, y + 13.0], &self.heard(moment), bold);

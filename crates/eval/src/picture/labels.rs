@@ -23,41 +23,34 @@ const DIRECTIONS: [[f64; 2]; 8] = [
     [0.0, 1.0],
 ];
 
-/// The areas that labels must avoid.
+/// What labels must avoid.
 #[derive(Clone, Debug)]
 pub(super) struct Placer {
-    bounds: Area,
-    taken: Vec<Area>,
-    path: Vec<[f64; 2]>,
+    /// They stay inside.
+    pub(super) bounds: Area,
+    /// They never overlap these.
+    pub(super) taken: Vec<Area>,
+    /// They keep off these points where possible.
+    pub(super) path: Vec<[f64; 2]>,
 }
 
 impl Placer {
-    /// Keeps labels within `bounds` and, where possible, off the path.
-    pub(super) fn new(bounds: Area, path: Vec<[f64; 2]>) -> Self {
-        Self { bounds, taken: Vec::new(), path }
-    }
-
-    /// Marks an area as taken.
-    pub(super) fn block(&mut self, area: Area) {
-        self.taken.push(area);
-    }
-
     /// Finds the best free place for a text near `at`, and takes it; `None` if there is none.
     pub(super) fn place(&mut self, at: [f64; 2], text: &str) -> Option<Area> {
         let (width, height) = (text_width(text, SIZE, Weight::Regular), SIZE * 1.2);
         let mut best: Option<(f64, Area)> = None;
         for (reach, distance) in DISTANCES.into_iter().enumerate() {
             for (turn, [dx, dy]) in DIRECTIONS.into_iter().enumerate() {
-                let center = [
-                    at[0] + dx * (distance + width / 2.0 * dx.abs().ceil()),
-                    at[1] + dy * (distance + height / 2.0),
-                ];
-                let area =
-                    Area::new(center[0] - width / 2.0, center[1] - height / 2.0, width, height);
-                if !self.free(&grown(&area)) {
+                let x = at[0] + dx * (distance + width / 2.0 * dx.abs().ceil());
+                let y = at[1] + dy * (distance + height / 2.0);
+                let area = Area::new(x - width / 2.0, y - height / 2.0, width, height);
+                let [x, y] = [area.x - MARGIN, area.y - MARGIN];
+                let grown = Area::new(x, y, width + 2.0 * MARGIN, height + 2.0 * MARGIN);
+                let is_taken = self.taken.iter().any(|taken| taken.overlaps(&grown));
+                if is_taken || !self.bounds.encloses(&grown) {
                     continue;
                 }
-                let hits = self.path.iter().filter(|p| inside(&grown(&area), **p)).count();
+                let hits = self.path.iter().filter(|point| inside(&grown, **point)).count();
                 let cost = 4.0 * reach as f64 + 0.3 * turn as f64 + 2.0 * hits as f64;
                 if best.is_none_or(|(least, _)| cost < least) {
                     best = Some((cost, area));
@@ -68,19 +61,6 @@ impl Placer {
         self.taken.push(area);
         Some(area)
     }
-
-    fn free(&self, area: &Area) -> bool {
-        self.bounds.encloses(area) && !self.taken.iter().any(|taken| taken.overlaps(area))
-    }
-}
-
-fn grown(area: &Area) -> Area {
-    Area::new(
-        area.x - MARGIN,
-        area.y - MARGIN,
-        area.width + 2.0 * MARGIN,
-        area.height + 2.0 * MARGIN,
-    )
 }
 
 fn inside(area: &Area, point: [f64; 2]) -> bool {
@@ -94,7 +74,7 @@ mod tests {
     #[test]
     fn labels_never_overlap_and_stay_inside() {
         let bounds = Area::new(0.0, 0.0, 400.0, 300.0);
-        let mut placer = Placer::new(bounds, vec![[200.0, 150.0]]);
+        let mut placer = Placer { bounds, taken: Vec::new(), path: vec![[200.0, 150.0]] };
         let at = |i: usize| [190.0 + 3.0 * i as f64, 150.0 + 2.0 * i as f64];
         let placed: Vec<Area> = (0..30).filter_map(|i| placer.place(at(i), "shift left")).collect();
         assert!(placed.len() >= 8, "{}", placed.len());
@@ -108,7 +88,8 @@ mod tests {
     fn a_label_keeps_off_the_path_if_it_can() {
         let bounds = Area::new(0.0, 0.0, 400.0, 300.0);
         let path: Vec<[f64; 2]> = (0..100).map(|i| [150.0 + 2.0 * f64::from(i), 150.0]).collect();
-        let area = Placer::new(bounds, path.clone()).place([150.0, 150.0], "ascend").unwrap();
-        assert!(!path.iter().any(|p| inside(&area, *p)), "{area:?}");
+        let mut placer = Placer { bounds, taken: Vec::new(), path };
+        let area = placer.place([150.0, 150.0], "ascend").unwrap();
+        assert!(!placer.path.iter().any(|point| inside(&area, *point)), "{area:?}");
     }
 }

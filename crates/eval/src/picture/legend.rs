@@ -48,17 +48,13 @@ impl Mark {
 
     fn draw(self, canvas: &mut Canvas, [x, y]: [f64; 2]) {
         let at = |along: f64| [x + along, y - 4.0];
-        let mut stroke = |paint: Paint| canvas.line(&[at(0.0), at(STROKE)], paint);
+        if let Self::Stroke(paint) | Self::Dotted(paint, _) | Self::Ended(paint, _) = self {
+            canvas.line(&[at(0.0), at(STROKE)], paint);
+        }
         match self {
-            Self::Stroke(paint) => stroke(paint),
-            Self::Dotted(paint, ink) => {
-                stroke(paint);
-                canvas.circle(at(STROKE / 2.0), 2.6, Paint::fill(ink));
-            }
-            Self::Ended(paint, ink) => {
-                stroke(paint);
-                canvas.circle(at(STROKE), 3.0, Paint::fill(ink));
-            }
+            Self::Stroke(_) => {}
+            Self::Dotted(_, ink) => canvas.circle(at(STROKE / 2.0), 2.6, Paint::fill(ink)),
+            Self::Ended(_, ink) => canvas.circle(at(STROKE), 3.0, Paint::fill(ink)),
             Self::Start => marker::draw_marker(canvas, at(5.0)),
             Self::Swatch(paint) => canvas.rectangle(Area::new(x, y - 9.5, 14.0, 11.0), 1.0, paint),
         }
@@ -85,7 +81,8 @@ pub(super) struct Legend {
 
 impl Legend {
     /// Splits entries into lines that are no wider than `room`.
-    pub(super) fn new(entries: &[LegendEntry], room: f64) -> Self {
+    pub(super) fn new(entries: impl IntoIterator<Item = LegendEntry>, room: f64) -> Self {
+        let entries: Vec<LegendEntry> = entries.into_iter().collect();
         // The gap behind the last entry of a line may lie outside.
         let lines = wrapped(entries.iter().map(LegendEntry::width).enumerate(), room + GAP);
         let line = |places: Vec<usize>| places.into_iter().map(|i| entries[i]).collect();
@@ -119,10 +116,10 @@ mod tests {
     fn what_does_not_fit_goes_to_another_line_and_needs_its_height() {
         let entries = Activity::ALL.map(LegendEntry::activity);
         let whole: f64 = entries.iter().map(LegendEntry::width).sum::<f64>() - GAP;
-        assert_eq!(Legend::new(&entries, whole + 0.1).extra_height(), 0.0);
-        let broken = Legend::new(&entries, whole - 0.1);
+        assert_eq!(Legend::new(entries, whole + 0.1).extra_height(), 0.0);
+        let broken = Legend::new(entries, whole - 0.1);
         assert_eq!(broken.lines.iter().map(Vec::len).collect::<Vec<_>>(), [3, 1]);
         assert_eq!(broken.extra_height(), LINE);
-        assert_eq!(Legend::new(&[], whole).extra_height(), 0.0);
+        assert_eq!(Legend::new([], whole).extra_height(), 0.0);
     }
 }

@@ -20,4 +20,4 @@ mod trajectories;
 mod whole;
 mod world_view;
 
-pub use trajectories::{TrajectoryEnd, TrajectoryPanel, maps, trajectories};
+pub use trajectories::{TrajectoryPanel, maps, trajectories};

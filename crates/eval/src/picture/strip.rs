@@ -35,7 +35,7 @@ pub(super) fn draw(
     let rows_top = area.bottom() + ROW_GAP + 4.0;
     let row = |i: usize| {
         let y = rows_top + i as f64 * (ROW_HEIGHT + ROW_GAP);
-        Area::new(area.x, y, area.width, ROW_HEIGHT)
+        Area { y, height: ROW_HEIGHT, ..area }
     };
     for (i, name) in ["says", "waits", "follows"].into_iter().enumerate() {
         let row = row(i);
@@ -44,7 +44,7 @@ pub(super) fn draw(
         canvas.text([row.x - 8.0, row.y + 13.5], name, style);
     }
     draw_rows(canvas, &frame, row, spoken);
-    let bottom = Area::new(area.x, row(2).y, area.width, ROW_HEIGHT + 4.0);
+    let bottom = Area { height: ROW_HEIGHT + 4.0, ..row(2) };
     let axis = Panel::new(bottom, [0.0, n_steps], [0.0, 1.0]);
     axis.draw_x(canvas, 8, Some(&axis_label(&scenes[0], timeline)));
 }
@@ -52,9 +52,8 @@ pub(super) fn draw(
 /// Names the axis, and the topics whose initials stand in narrow bars.
 fn axis_label(scene: &Scene, timeline: &Timeline) -> String {
     let said = |topic: &usize| timeline.utterances.iter().any(|u| u.topic == *topic);
-    let topics = (0..scene.listener.topics.len()).filter(said);
-    let keys = topics.map(|topic| topic_name(scene, topic));
-    let keys: Vec<String> = keys.map(|name| format!("{} {name}", initials(&name))).collect();
+    let names = (0..scene.listener.topics.len()).filter(said).map(|topic| topic_name(scene, topic));
+    let keys: Vec<String> = names.map(|name| format!("{} {name}", initials(&name))).collect();
     if keys.is_empty() {
         return "step".to_owned();
     }
@@ -71,8 +70,8 @@ fn draw_curve(canvas: &mut Canvas, frame: &Panel, scenes: &[Scene], timeline: &T
     for run in timeline.activities.chunk_by(|a, b| a == b) {
         let end = start + run.len();
         let points: Vec<[f64; 2]> = (start..=end).map(at).collect();
-        canvas
-            .line(&points, Paint::stroke(marker::ink(run[0]), marker::stroke_width(run[0]) * 0.8));
+        let width = 0.8 * marker::stroke_width(run[0]);
+        canvas.line(&points, Paint::stroke(marker::ink(run[0]), width));
         start = end;
     }
     for utterance in &timeline.utterances {

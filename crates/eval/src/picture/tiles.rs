@@ -7,7 +7,7 @@ use super::world_view::WorldView;
 /// What a picture of tiles leaves to its maker: lengths in pixels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TileStyle {
-    /// Whole picture.
+    /// Of the whole picture.
     pub(super) width: f64,
     /// At its left and right.
     pub(super) margin: f64,

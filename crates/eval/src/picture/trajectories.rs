@@ -2,8 +2,6 @@
 //!
 //! Only for the lander: how a trajectory ended is read off its outcome (a zone, the pad).
 
-use std::ops::Range;
-
 use leadtime_lander::task::ENTERED;
 use leadtime_sims::{Scene, Shape, Tone};
 
@@ -32,7 +30,7 @@ pub struct TrajectoryPanel {
 
 /// How a trajectory ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TrajectoryEnd {
+enum TrajectoryEnd {
     /// On the pad, without having been in a zone.
     Safe,
     /// Anywhere, after having been in a zone.
@@ -43,10 +41,10 @@ pub enum TrajectoryEnd {
 
 impl TrajectoryEnd {
     /// Lists all, in the order of a legend.
-    pub const ALL: [Self; 3] = [Self::Safe, Self::Entered, Self::Lost];
+    const ALL: [Self; 3] = [Self::Safe, Self::Entered, Self::Lost];
 
     /// Reads how a trajectory ended.
-    pub fn of(trajectory: &Playthrough) -> Self {
+    fn of(trajectory: &Playthrough) -> Self {
         let entered = trajectory.scenes.last().is_some_and(|scene| scene.outcome == ENTERED);
         match (entered, trajectory.success) {
             (true, _) => Self::Entered,
@@ -55,42 +53,28 @@ impl TrajectoryEnd {
         }
     }
 
-    /// Returns the words of a legend.
-    pub fn label(self) -> &'static str {
+    /// Returns its words in a legend and in a count, and its colour.
+    fn style(self) -> (&'static str, &'static str, Ink) {
         match self {
-            Self::Safe => "landed on the pad, in no zone",
-            Self::Entered => "entered a zone",
-            Self::Lost => "crashed, off the pad, out of view or of time",
-        }
-    }
-
-    fn short(self) -> &'static str {
-        match self {
-            Self::Safe => "safe",
-            Self::Entered => "in a zone",
-            Self::Lost => "lost",
+            Self::Safe => ("landed on the pad, in no zone", "safe", Ink::Blue),
+            Self::Entered => ("entered a zone", "in a zone", Ink::Vermilion),
+            Self::Lost => ("crashed, off the pad, out of view or of time", "lost", Ink::Text),
         }
     }
 
     fn paint(self) -> Paint {
-        let paint = Paint::stroke(self.ink(), 1.6);
+        let paint = Paint::stroke(self.style().2, 1.6);
         if self == Self::Lost { paint.dashed(4.0, 3.0) } else { paint }
-    }
-
-    fn ink(self) -> Ink {
-        match self {
-            Self::Safe => Ink::Blue,
-            Self::Entered => Ink::Vermilion,
-            Self::Lost => Ink::Text,
-        }
     }
 }
 
 /// Draws a panel per notifier with all its trajectories, coloured by how they ended. `id` must be unique on the
 /// page.
 pub fn trajectories(id: &str, title: &str, panels: &[TrajectoryPanel]) -> Svg {
-    let entries = TrajectoryEnd::ALL
-        .map(|end| LegendEntry { mark: Mark::Ended(end.paint(), end.ink()), label: end.label() });
+    let entries = TrajectoryEnd::ALL.map(|end| {
+        let (label, _, ink) = end.style();
+        LegendEntry { mark: Mark::Ended(end.paint(), ink), label }
+    });
     let tiling = Tiling::new(panels, &entries);
     let mut canvas = tiling.begin(id, title);
     for (panel, world) in tiling.places() {
@@ -98,11 +82,9 @@ pub fn trajectories(id: &str, title: &str, panels: &[TrajectoryPanel]) -> Svg {
         world.draw_places(&mut canvas, &last);
         // Those that went wrong are few, and above the others.
         for end in TrajectoryEnd::ALL {
-            let trajectories =
-                panel.trajectories.iter().filter(|trajectory| TrajectoryEnd::of(trajectory) == end);
-            trajectories.for_each(|trajectory| {
+            for trajectory in ended(&panel.trajectories, end) {
                 draw_trajectory(&mut canvas, &world, &trajectory.scenes, end);
-            });
+            }
         }
         draw_caption(&mut canvas, &world, &panel.title, &counted(&panel.trajectories));
     }
@@ -143,10 +125,9 @@ impl<'a> Tiling<'a> {
     /// Places the panels under a legend of the trajectories' entries, and of what stands on the maps.
     fn new(panels: &'a [TrajectoryPanel], kinds: &[LegendEntry]) -> Self {
         let trajectories = panels.iter().flat_map(|panel| &panel.trajectories);
-        let seen: Vec<Scene> =
-            trajectories.filter_map(|trajectory| trajectory.scenes.last().cloned()).collect();
-        let entries: Vec<LegendEntry> = kinds.iter().copied().chain(areas(&seen)).collect();
-        let legend = Legend::new(&entries, TILES.width - 2.0 * MARGIN);
+        let seen: Vec<Scene> = trajectories.filter_map(|t| t.scenes.last().cloned()).collect();
+        let entries = kinds.iter().copied().chain(areas(&seen));
+        let legend = Legend::new(entries, TILES.width - 2.0 * MARGIN);
         let style = TileStyle { top: TILES.top + legend.extra_height(), ..TILES };
         let tiles = Tiles::new(style, panels.len().clamp(1, COLUMNS), &seen);
         Self { panels, seen, legend, tiles }
@@ -173,12 +154,15 @@ fn draw_caption(canvas: &mut Canvas, world: &WorldView, title: &str, line: &str)
     canvas.text([x, y - 8.0], line, TextStyle::new(11.5, Ink::Muted));
 }
 
+/// Returns the trajectories that ended in one way.
+fn ended(all: &[Playthrough], end: TrajectoryEnd) -> impl Iterator<Item = &Playthrough> {
+    all.iter().filter(move |trajectory| TrajectoryEnd::of(trajectory) == end)
+}
+
 /// Counts how trajectories ended: `13 safe, 6 in a zone, 1 lost`.
-fn counted(trajectories: &[Playthrough]) -> String {
-    let count =
-        |end: TrajectoryEnd| trajectories.iter().filter(|f| TrajectoryEnd::of(f) == end).count();
-    let parts = TrajectoryEnd::ALL.map(|end| format!("{} {}", count(end), end.short()));
-    parts.join(", ")
+fn counted(all: &[Playthrough]) -> String {
+    let part = |end: TrajectoryEnd| format!("{} {}", ended(all, end).count(), end.style().1);
+    TrajectoryEnd::ALL.map(part).join(", ")
 }
 
 fn draw_trajectory(canvas: &mut Canvas, world: &WorldView, scenes: &[Scene], end: TrajectoryEnd) {
@@ -186,21 +170,18 @@ fn draw_trajectory(canvas: &mut Canvas, world: &WorldView, scenes: &[Scene], end
     canvas.clipped(world.area, |canvas| {
         canvas.line(&path, end.paint().opacity(0.75));
         if let Some(&last) = path.last() {
-            canvas.circle(last, 3.0, Paint::fill(end.ink()));
+            canvas.circle(last, 3.0, Paint::fill(end.style().2));
         }
     });
 }
 
 fn draw_zoned(canvas: &mut Canvas, world: &WorldView, scenes: &[Scene]) {
-    let draw = |canvas: &mut Canvas, part: Range<usize>, paint: Paint| {
-        let path = scenes[part].iter().map(|scene| world.at(scene.position));
-        canvas.line(&path.collect::<Vec<_>>(), paint);
-    };
+    let path: Vec<[f64; 2]> = scenes.iter().map(|scene| world.at(scene.position)).collect();
     let mut start = 0;
     for run in scenes.chunk_by(|a, b| is_inside(a) == is_inside(b)) {
         let end = start + run.len();
         // With the first moment after it, so that no gap is left.
-        draw(canvas, start..(end + 1).min(scenes.len()), zoned(is_inside(&run[0])));
+        canvas.line(&path[start..path.len().min(end + 1)], zoned(is_inside(&run[0])));
         start = end;
     }
 }
@@ -228,33 +209,23 @@ mod tests {
     fn trajectory(outcome: &str, success: bool) -> Playthrough {
         let mut trajectory = synthetic::playthrough();
         trajectory.success = Some(success);
-        if let Some(last) = trajectory.scenes.last_mut() {
-            outcome.clone_into(&mut last.outcome);
-        }
+        outcome.clone_into(&mut trajectory.scenes.last_mut().unwrap().outcome);
         trajectory
     }
 
     fn panels(n: usize) -> Vec<TrajectoryPanel> {
-        let trajectories = vec![
-            trajectory("landed", true),
-            trajectory("landed", true),
-            trajectory(ENTERED, false),
-            trajectory("crashed", false),
-        ];
+        let ends = [("landed", true), ("landed", true), (ENTERED, false), ("crashed", false)];
+        let trajectories = ends.map(|(outcome, success)| trajectory(outcome, success)).to_vec();
         vec![TrajectoryPanel { title: "a <b>".to_owned(), trajectories }; n]
     }
 
     #[test]
     fn trajectories_are_counted_by_how_they_ended() {
-        let ends: Vec<TrajectoryEnd> =
-            panels(1)[0].trajectories.iter().map(TrajectoryEnd::of).collect();
-        let expected =
-            [TrajectoryEnd::Safe, TrajectoryEnd::Safe, TrajectoryEnd::Entered, TrajectoryEnd::Lost];
-        assert_eq!(ends, expected);
         let svg = trajectories("t", "t & t", &panels(5)).text;
         assert!(svg.contains("2 safe, 1 in a zone, 1 lost") && svg.contains("a &lt;b&gt;"));
-        let pixels = Rasterizer::new().pixels(&svg, 1.0).unwrap();
-        assert!(pixels.width == 900 && (500..700).contains(&pixels.height), "{}", pixels.height);
+        let pixels = Rasterizer::new().pixmap(&svg, 1.0).unwrap();
+        let [width, height] = [pixels.width(), pixels.height()];
+        assert!(width == 900 && (500..700).contains(&height), "{height}");
     }
 
     #[test]

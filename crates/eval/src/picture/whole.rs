@@ -24,7 +24,7 @@ impl Spoken {
         let (scenes, timeline) = (&self.played.scenes, &self.timeline);
         let width = WIDTH - 2.0 * MARGIN;
         let world = WorldView::new([MARGIN, TITLE_HEIGHT], width, scenes);
-        let legend = Legend::new(&self.entries(), width - 8.0);
+        let legend = Legend::new(self.entries(), width - 8.0);
         let legend_y = world.area.bottom() + 22.0;
         let strip_y = world.area.bottom() + LEGEND_HEIGHT + legend.extra_height();
         let mut canvas = Canvas::new(id, WIDTH, strip_y + strip::HEIGHT);
@@ -91,22 +91,14 @@ mod tests {
     use crate::draw::Rasterizer;
     use crate::playthrough::{Playthrough, Spoken, Voice, synthetic};
 
-    fn svg(played: Playthrough) -> String {
-        Spoken::from(played).svg("p").text
-    }
-
     #[test]
     fn a_playthrough_becomes_a_picture_with_everything_named() {
-        let svg = svg(synthetic::playthrough());
-        for text in [
-            "trained &amp; tested: landed &lt;safely&gt;, success",
-            "shift right \u{d7}3",
-            "ascend",
-        ] {
+        let svg = Spoken::from(synthetic::playthrough()).svg("p").text;
+        let title = "trained &amp; tested: landed &lt;safely&gt;, success";
+        for text in [title, "shift right \u{d7}3", "ascend"] {
             assert!(svg.contains(text), "{text}");
         }
-        let pixels = Rasterizer::new().pixels(&svg, 1.0).unwrap();
-        assert_eq!(pixels.width, 860);
+        assert_eq!(Rasterizer::new().pixmap(&svg, 1.0).unwrap().width(), 860);
     }
 
     #[test]
@@ -125,9 +117,8 @@ mod tests {
         let mut playthrough = synthetic::playthrough();
         let height = |p: &Playthrough| Spoken::from(p.clone()).svg("p").height;
         let before = height(&playthrough);
-        let unit = |tone| Shape::Rectangle { min: [0.0; 2], max: [0.1; 2], tone };
-        let seen = [Tone::Mistaken, Tone::Hint].map(unit);
-        playthrough.scenes[0].shapes.extend(seen);
+        let area = |tone| Shape::Rectangle { min: [0.0; 2], max: [0.1; 2], tone };
+        playthrough.scenes[0].shapes.extend([Tone::Mistaken, Tone::Hint].map(area));
         assert_eq!(height(&playthrough), before + 16.0);
     }
 
@@ -135,6 +126,6 @@ mod tests {
     fn an_episode_of_one_scene_can_be_drawn() {
         let mut playthrough = synthetic::playthrough();
         playthrough.scenes.truncate(1);
-        Rasterizer::new().png(&svg(playthrough), 1.0).unwrap();
+        Spoken::from(playthrough).png(&Rasterizer::new(), 1.0).unwrap();
     }
 }

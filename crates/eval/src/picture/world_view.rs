@@ -5,7 +5,7 @@ use leadtime_sims::{Scene, Shape, Tone, View};
 use super::labels::{self, Placer};
 use super::legend::{LegendEntry, Mark};
 use super::marker::{self, draw_marker};
-use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Scale, TextStyle};
+use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle};
 use crate::playthrough::{Sentence, Spoken, Timeline, topic_name};
 
 /// A world is drawn at most this much higher than wide ...
@@ -23,9 +23,9 @@ const GHOST_DISTANCE: f64 = 95.0;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WorldView {
     pub(super) area: Area,
-    x: Scale,
-    y: Scale,
-    label_size: f64,
+    frame: Panel,
+    /// Size of the world's own labels.
+    pub(super) label_size: f64,
 }
 
 impl WorldView {
@@ -36,18 +36,12 @@ impl WorldView {
         let ratio = if size[0] > 0.0 { size[1] / size[0] } else { MAX_RATIO };
         let area =
             Area::new(corner[0], corner[1], width, width * ratio.clamp(MIN_RATIO, MAX_RATIO));
-        let x = Scale::new([view.min[0], view.max[0]], [area.x, area.right()]);
-        let y = Scale::new([view.min[1], view.max[1]], [area.bottom(), area.y]);
-        Self { area, x, y, label_size: LABEL_SIZE }
-    }
-
-    /// Draws the world's own labels in another size.
-    pub(super) fn with_label_size(self, label_size: f64) -> Self {
-        Self { label_size, ..self }
+        let [x, y] = [0, 1].map(|d| [view.min[d], view.max[d]]);
+        Self { area, frame: Panel::new(area, x, y), label_size: LABEL_SIZE }
     }
 
     pub(super) fn at(&self, point: [f64; 2]) -> [f64; 2] {
-        [self.x.at(point[0]), self.y.at(point[1])]
+        self.frame.at(point)
     }
 
     fn all(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
@@ -56,23 +50,16 @@ impl WorldView {
 
     /// Draws the panel with everything in the scene but the person's body.
     pub(super) fn draw_place(&self, canvas: &mut Canvas, scene: &Scene) {
-        canvas.rectangle(self.area, 6.0, Paint::fill(Ink::Panel));
-        canvas.clipped(self.area, |canvas| {
-            for shape in scene.shapes.iter().filter(|shape| tone(shape) != Some(Tone::Own)) {
-                self.draw_shape(canvas, shape, 1.0);
-            }
-        });
+        self.draw_places(canvas, &[scene]);
     }
 
-    /// Draws the panel with the places of several episodes: what they share once, and what differs from one to the other
-    /// (the ground) as faint as they are many.
-    pub(super) fn draw_places(&self, canvas: &mut Canvas, scenes: &[&Scene]) {
+    /// Draws the same for several episodes: what they share once, and what differs from one to the other (the ground) as
+    /// faint as they are many.
+    pub(super) fn draw_places<'a>(&self, canvas: &mut Canvas, scenes: &[&'a Scene]) {
         canvas.rectangle(self.area, 6.0, Paint::fill(Ink::Panel));
-        let place = |scene: &&Scene| -> Vec<Shape> {
-            let shapes = scene.shapes.iter().filter(|shape| tone(shape) != Some(Tone::Own));
-            shapes.cloned().collect()
-        };
-        let places: Vec<Vec<Shape>> = scenes.iter().map(place).collect();
+        let is_place = |shape: &&Shape| tone(shape) != Some(Tone::Own);
+        let place = |scene: &&'a Scene| scene.shapes.iter().filter(is_place).collect();
+        let places: Vec<Vec<&Shape>> = scenes.iter().map(place).collect();
         let Some(first) = places.first() else { return };
         let faint = (1.6 / places.len() as f64).min(1.0);
         canvas.clipped(self.area, |canvas| {
@@ -90,10 +77,9 @@ impl WorldView {
 
     /// Draws the person's body, more or less visible.
     pub(super) fn draw_body(&self, canvas: &mut Canvas, scene: &Scene, opacity: f64) {
+        let body = scene.shapes.iter().filter(|shape| tone(shape) == Some(Tone::Own));
         canvas.clipped(self.area, |canvas| {
-            for shape in scene.shapes.iter().filter(|shape| tone(shape) == Some(Tone::Own)) {
-                self.draw_shape(canvas, shape, opacity);
-            }
+            body.for_each(|shape| self.draw_shape(canvas, shape, opacity));
         });
     }
 
@@ -112,18 +98,13 @@ impl WorldView {
             let [x, y] = self.at(scene.position);
             if last.is_none_or(|[x0, y0]| (x - x0).hypot(y - y0) >= GHOST_DISTANCE) {
                 self.draw_body(canvas, scene, 0.22);
-                self.draw_dots(canvas, &scene.others);
+                canvas.clipped(self.area, |canvas| {
+                    let dots = self.all(&scene.others).into_iter();
+                    dots.for_each(|dot| canvas.circle(dot, 2.6, Paint::fill(Ink::Muted)));
+                });
                 last = Some([x, y]);
             }
         }
-    }
-
-    fn draw_dots(&self, canvas: &mut Canvas, places: &[[f64; 2]]) {
-        canvas.clipped(self.area, |canvas| {
-            for &place in places {
-                canvas.circle(self.at(place), 2.6, Paint::fill(Ink::Muted));
-            }
-        });
     }
 
     /// Draws the trajectories of the others.
@@ -131,9 +112,9 @@ impl WorldView {
         let n_others = scenes.last().map_or(0, |scene| scene.others.len());
         canvas.clipped(self.area, |canvas| {
             for i in 0..n_others {
-                let path = scenes.iter().filter_map(|scene| scene.others.get(i));
-                let path: Vec<[f64; 2]> = path.map(|place| self.at(*place)).collect();
-                canvas.line(&path, Paint::stroke(Ink::Muted, 1.0).opacity(0.7));
+                let path = scenes.iter().filter_map(|scene| Some(self.at(*scene.others.get(i)?)));
+                let paint = Paint::stroke(Ink::Muted, 1.0).opacity(0.7);
+                canvas.line(&path.collect::<Vec<_>>(), paint);
             }
         });
     }
@@ -145,9 +126,8 @@ impl WorldView {
             let mut start = 0;
             for run in steps.chunk_by(|a, b| a == b) {
                 let end = start + run.len();
-                let points: Vec<[f64; 2]> =
-                    scenes[start..=end].iter().map(|scene| self.at(scene.position)).collect();
-                canvas.line(&points, marker::stroke(run[0]));
+                let points = scenes[start..=end].iter().map(|scene| self.at(scene.position));
+                canvas.line(&points.collect::<Vec<_>>(), marker::stroke(run[0]));
                 start = end;
             }
         });
@@ -165,22 +145,21 @@ impl WorldView {
     /// Labels the messages at their markers, as many as fit; repetitions share a label.
     pub(super) fn draw_labels(&self, canvas: &mut Canvas, spoken: &Spoken) {
         let (scenes, timeline) = (&spoken.played.scenes, &spoken.timeline);
-        let path = scenes.iter().map(|scene| self.at(scene.position)).collect();
-        let mut placer = Placer::new(self.area, path);
-        for utterance in &timeline.utterances {
+        let marks = timeline.utterances.iter().map(|utterance| {
             let [x, y] = self.at(scenes[utterance.start].position);
-            placer.block(Area::new(x - 5.0, y - 5.0, 10.0, 10.0));
-        }
-        for text in self.texts(scenes) {
-            placer.block(text);
-        }
+            Area::new(x - 5.0, y - 5.0, 10.0, 10.0)
+        });
+        let taken = marks.chain(self.texts(scenes)).collect();
+        let path = scenes.iter().map(|scene| self.at(scene.position)).collect();
+        let mut placer = Placer { bounds: self.area, taken, path };
         let mut first = 0;
         for run in timeline.utterances.chunk_by(|a, b| a.topic == b.topic) {
             let marker = self.at(scenes[run[0].start].position);
             // A sentence needs more room than the topic that it says.
             let sentence = spoken.sentences.get(first).map(|sentence| said(sentence, run.len()));
             first += run.len();
-            let named = named(&topic_name(&scenes[0], run[0].topic), run.len());
+            let topic = topic_name(&scenes[0], run[0].topic);
+            let named = if run.len() > 1 { format!("{topic} \u{d7}{}", run.len()) } else { topic };
             let mut texts = sentence.into_iter().chain([named]);
             let placed = texts.find_map(|text| Some((placer.place(marker, &text)?, text)));
             let Some((area, text)) = placed else { continue };
@@ -193,16 +172,13 @@ impl WorldView {
 
     /// Returns where the scene's own labels stand.
     fn texts(&self, scenes: &[Scene]) -> Vec<Area> {
-        let labels = scenes.last().into_iter().flat_map(|scene| &scene.shapes);
-        let area = |shape: &Shape| match shape {
-            Shape::Label { at, text } => {
-                let [x, y] = self.at(*at);
-                let width = 7.0 * text.chars().count() as f64;
-                Some(Area::new(x - width / 2.0, y - 8.0, width, 14.0))
-            }
-            _ => None,
+        let shapes = scenes.last().into_iter().flat_map(|scene| &scene.shapes);
+        let area = |shape: &Shape| {
+            let Shape::Label { at, text } = shape else { return None };
+            let ([x, y], width) = (self.at(*at), 7.0 * text.chars().count() as f64);
+            Some(Area::new(x - width / 2.0, y - 8.0, width, 14.0))
         };
-        labels.filter_map(area).collect()
+        shapes.filter_map(area).collect()
     }
 
     fn draw_shape(&self, canvas: &mut Canvas, shape: &Shape, opacity: f64) {
@@ -227,11 +203,6 @@ impl WorldView {
     }
 }
 
-/// Names the topic of a message and of those that repeat it.
-fn named(topic: &str, n: usize) -> String {
-    if n > 1 { format!("{topic} \u{d7}{n}") } else { topic.to_owned() }
-}
-
 /// Quotes a sentence, and counts those that repeat its topic in other words.
 fn said(sentence: &Sentence, n: usize) -> String {
     if n > 1 { format!("{sentence} and {} more", n - 1) } else { sentence.to_string() }
@@ -239,12 +210,12 @@ fn said(sentence: &Sentence, n: usize) -> String {
 
 /// Connects a label with its marker, unless it is right next to it.
 fn draw_leader(canvas: &mut Canvas, marker: [f64; 2], label: &Area) {
-    let nearest =
-        [marker[0].clamp(label.x, label.right()), marker[1].clamp(label.y, label.bottom())];
-    let gap = [nearest[0] - marker[0], nearest[1] - marker[1]];
-    let length = gap[0].hypot(gap[1]);
+    let [x, y] = marker;
+    let nearest = [x.clamp(label.x, label.right()), y.clamp(label.y, label.bottom())];
+    let [dx, dy] = [nearest[0] - x, nearest[1] - y];
+    let length = dx.hypot(dy);
     if length > 14.0 {
-        let from = [marker[0] + gap[0] / length * 6.0, marker[1] + gap[1] / length * 6.0];
+        let from = [x + dx / length * 6.0, y + dy / length * 6.0];
         canvas.line(&[from, nearest], Paint::stroke(Ink::Axis, 0.9));
     }
 }
@@ -270,10 +241,10 @@ fn has_area(scene: &Scene, wanted: Tone) -> bool {
 
 fn tone(shape: &Shape) -> Option<Tone> {
     match shape {
+        Shape::Label { .. } => None,
         Shape::Rectangle { tone, .. } | Shape::Line { tone, .. } | Shape::Polygon { tone, .. } => {
             Some(*tone)
         }
-        Shape::Label { .. } => None,
     }
 }
 
@@ -304,12 +275,10 @@ fn lined(tone: Tone) -> Paint {
 
 /// Returns the smallest view that holds every scene's.
 fn union(scenes: &[Scene]) -> View {
-    let mut view = scenes.first().map_or(View { min: [0.0; 2], max: [1.0; 2] }, |s| s.view);
-    for scene in scenes {
-        for d in 0..2 {
-            view.min[d] = view.min[d].min(scene.view.min[d]);
-            view.max[d] = view.max[d].max(scene.view.max[d]);
-        }
-    }
-    view
+    let views = scenes.iter().map(|scene| scene.view);
+    let both = |a: View, b: View| View {
+        min: [0, 1].map(|d: usize| a.min[d].min(b.min[d])),
+        max: [0, 1].map(|d: usize| a.max[d].max(b.max[d])),
+    };
+    views.reduce(both).unwrap_or(View { min: [0.0; 2], max: [1.0; 2] })
 }

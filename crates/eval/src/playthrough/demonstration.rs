@@ -14,8 +14,8 @@ use crate::error::Error;
 const TEXT: &str = "Go down, all stations occupied";
 
 impl Spoken {
-    /// Plays the paper's demonstration in the steakhouse: "Go down, all stations occupied", begun at t = 0. By t = 2 the cook has
-    /// acted on the first words; at t = 5 they know what the stations hold, and plan anew.
+    /// Plays the paper's demonstration in the steakhouse: "Go down, all stations occupied", begun at t = 0. By t = 2 the
+    /// cook has acted on the first words; at t = 5 they know what the stations hold, and plan anew.
     ///
     /// # Errors
     ///
@@ -30,26 +30,17 @@ impl Spoken {
         let seed = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
         env.reset(seed, &mut observation);
         let mut scenes: Vec<_> = env.scene().into_iter().collect();
-        let (mut act, mut total_reward) = (SpeechAct::Start(DEMONSTRATION), 0.0);
-        loop {
+        let (mut act, mut total_reward, mut end) = (SpeechAct::Start(DEMONSTRATION), 0.0, None);
+        while end.is_none() {
             let (outcome, _) = env.step_with(act, &mut observation);
-            act = SpeechAct::Continue;
+            (act, end) = (SpeechAct::Continue, outcome.end);
             total_reward += f64::from(outcome.reward);
             scenes.extend(env.scene());
-            if outcome.end.is_some() {
-                break;
-            }
         }
         let cell = Cell::new(DEMONSTRATION.comprehension, DEMONSTRATION.conveyance);
         let sentence = Sentence { text: TEXT.to_owned(), cell, fallback: false };
-        let played = Playthrough {
-            player: sentence.to_string(),
-            seed: 0,
-            index: 0,
-            scenes,
-            total_reward,
-            success: None,
-        };
+        let player = sentence.to_string();
+        let played = Playthrough { player, seed: 0, index: 0, scenes, total_reward, success: None };
         Ok(Self::new(played, vec![sentence]))
     }
 }

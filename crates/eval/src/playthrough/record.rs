@@ -39,8 +39,8 @@ impl Playthrough {
         seed: u64,
         index: u64,
     ) -> Result<Self, Error> {
-        let settings = PlaySettings { first: index, ..PlaySettings::new(1, seed) };
-        let settings = PlaySettings { max_steps: MAX_STEPS, ..settings };
+        let one = PlaySettings::new(1, seed);
+        let settings = PlaySettings { first: index, max_steps: MAX_STEPS, ..one };
         Self::record_all(make, player, &settings)?.pop().ok_or(Error::NoScene)
     }
 
@@ -54,21 +54,19 @@ impl Playthrough {
         player: &Player,
         settings: &PlaySettings<'_>,
     ) -> Result<Vec<Self>, Error> {
-        let recorded = play(make, player, settings, |index| {
-            let (name, seed) = (player.name().to_owned(), settings.seed);
-            SceneLog { player: name, seed, index, scenes: Vec::new() }
-        });
-        recorded?.into_iter().map(|played| played.ok_or(Error::NoScene)).collect()
+        let observe = |index| {
+            let (player, seed) = (player.name().to_owned(), settings.seed);
+            let (scenes, total_reward, success) = (Vec::new(), 0.0, None);
+            SceneLog(Self { player, seed, index, scenes, total_reward, success })
+        };
+        let recorded = play(make, player, settings, observe)?.into_iter();
+        recorded.map(|played| played.ok_or(Error::NoScene)).collect()
     }
 
     /// Returns the episode's title: who played, and how it ended.
     pub fn title(&self) -> String {
         let outcome = self.scenes.last().map_or("", |scene| scene.outcome.as_str());
-        let verdict = match self.success {
-            Some(true) => "success",
-            Some(false) => "no success",
-            None => "",
-        };
+        let verdict = self.success.map_or("", |is| if is { "success" } else { "no success" });
         let parts = [outcome, verdict].into_iter().filter(|part| !part.is_empty());
         let end = parts.collect::<Vec<_>>().join(", ");
         if end.is_empty() { self.player.clone() } else { format!("{}: {end}", self.player) }
@@ -80,21 +78,16 @@ impl Playthrough {
     }
 }
 
-/// Observes what there is to see in an episode.
-struct SceneLog {
-    player: String,
-    seed: u64,
-    index: u64,
-    scenes: Vec<Scene>,
-}
+/// An episode in the making.
+struct SceneLog(Playthrough);
 
 impl Observer for SceneLog {
     fn on_reset(&mut self, slot: &EnvSlot) {
-        self.scenes.extend(slot.env().scene());
+        self.0.scenes.extend(slot.env().scene());
     }
 
     fn on_step(&mut self, slot: &EnvSlot, _outcome: StepOutcome) {
-        self.scenes.extend(slot.env().scene());
+        self.0.scenes.extend(slot.env().scene());
     }
 }
 
@@ -102,17 +95,10 @@ impl EpisodeObserver for SceneLog {
     type Output = Option<Playthrough>;
 
     fn finish(self, slot: &EnvSlot, _end: End) -> Self::Output {
-        let Self { player, seed, index, scenes } = self;
-        let metrics = slot.metrics();
-        let names = slot.env().spec().metrics.iter();
-        let success = names.zip(metrics).find(|(name, _)| *name == "success");
-        (!scenes.is_empty()).then(|| Playthrough {
-            player,
-            seed,
-            index,
-            scenes,
-            total_reward: slot.episode_return(),
-            success: success.map(|(_, value)| value > 0.5),
-        })
+        let metrics = slot.env().spec().metrics.iter().zip(slot.metrics());
+        let success =
+            { metrics }.find(|(name, _)| *name == "success").map(|(_, value)| value > 0.5);
+        let played = Playthrough { total_reward: slot.episode_return(), success, ..self.0 };
+        (!played.scenes.is_empty()).then_some(played)
     }
 }

@@ -16,9 +16,7 @@ pub(crate) fn playthrough() -> Playthrough {
     let messages =
         [(6, 2, 2, 4), (18, 2, 2, 2), (24, 2, 3, 5), (44, 0, 2, 3), (46, 1, 5, 5), (70, 3, 2, 2)];
     let mut scenes = scenes(110, &messages);
-    if let Some(last) = scenes.last_mut() {
-        "landed <safely>".clone_into(&mut last.outcome);
-    }
+    "landed <safely>".clone_into(&mut scenes[109].outcome);
     let player = "trained & tested".to_owned();
     Playthrough { player, seed: 7, index: 3, scenes, total_reward: 215.4, success: Some(true) }
 }
@@ -43,18 +41,17 @@ fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene
         if understood > cut {
             continue;
         }
-        if (understood..=understood + DELAY).contains(&i) {
+        let reacts = understood + DELAY;
+        if (understood..=reacts).contains(&i) {
             listener.pending = Some(topic);
-        }
-        if (understood + DELAY + 1..=understood + DELAY + l).contains(&i) {
+        } else if (reacts + 1..=reacts + l).contains(&i) {
             listener.reacting = Some(topic);
         }
     }
     let t = i as f64 / (n.max(2) - 1) as f64;
     let at = [0.55 * (4.2 * t).sin() * (1.0 - t) + 0.02, 1.4 * (1.0 - t) * (1.0 - 0.25 * t)];
-    let view = View { min: [-1.0, -0.25], max: [1.0, 1.75] };
     Scene {
-        view,
+        view: View { min: [-1.0, -0.25], max: [1.0, 1.75] },
         shapes: shapes(at),
         position: at,
         gauge: Gauge { label: "height", value: at[1] },
@@ -66,26 +63,17 @@ fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene
 
 fn shapes(at: [f64; 2]) -> Vec<Shape> {
     let zone = |min, max| Shape::Rectangle { min, max, tone: Tone::Danger };
-    let label = |at, text: &str| Shape::Label { at, text: text.to_owned() };
-    let ground = vec![[-1.0, 0.15], [-0.5, 0.05], [-0.2, 0.0], [0.2, 0.0], [0.6, 0.2], [1.0, 0.1]];
-    let mut soil = ground;
-    soil.extend([[1.0, -0.25], [-1.0, -0.25]]);
-    let corner = |x: f64, y: f64| [at[0] + x, at[1] + y];
+    let ground = [[-1.0, 0.15], [-0.5, 0.05], [-0.2, 0.0], [0.2, 0.0], [0.6, 0.2], [1.0, 0.1]];
+    let soil = [&ground[..], &[[1.0, -0.25], [-1.0, -0.25]]].concat();
+    let body = [[-0.05, 0.0], [0.05, 0.0], [0.03, 0.08], [-0.03, 0.08]];
+    let body = body.map(|[x, y]| [at[0] + x, at[1] + y]).to_vec();
     vec![
         Shape::Polygon { points: soil, tone: Tone::Ground },
         Shape::Line { points: vec![[-0.2, 0.0], [0.2, 0.0]], tone: Tone::Goal },
         zone([-1.5, 0.95], [-0.4, 1.1]),
         zone([-0.3, 0.5], [0.3, 0.65]),
         zone([0.3, 0.4], [1.5, 0.65]),
-        label([-0.7, 1.02], "top-left"),
-        Shape::Polygon {
-            points: vec![
-                corner(-0.05, 0.0),
-                corner(0.05, 0.0),
-                corner(0.03, 0.08),
-                corner(-0.03, 0.08),
-            ],
-            tone: Tone::Own,
-        },
+        Shape::Label { at: [-0.7, 1.02], text: "top-left".to_owned() },
+        Shape::Polygon { points: body, tone: Tone::Own },
     ]
 }

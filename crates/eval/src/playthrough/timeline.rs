@@ -68,15 +68,18 @@ impl Timeline {
 
     /// Reads an episode's scenes.
     pub fn new(scenes: &[Scene]) -> Self {
-        let activities = scenes.windows(2).map(|pair| activity(&pair[0], &pair[1])).collect();
-        let reacting = scenes.iter().skip(1).map(|scene| scene.listener.reacting);
-        let pending = scenes.iter().map(|scene| scene.listener.pending);
         let speech: Vec<_> = scenes.iter().map(|scene| scene.listener.speech).collect();
+        // A message that is pending from scene `a` to scene `b` waits from the one to the other.
+        let mut waits = spans(scenes.iter().map(|scene| scene.listener.pending));
+        waits.retain_mut(|span| {
+            span.end -= 1;
+            span.start < span.end
+        });
         Self {
-            activities,
+            activities: scenes.windows(2).map(|pair| activity(&pair[0], &pair[1])).collect(),
             utterances: LoggedMessage::all(&speech),
-            waits: waits(pending),
-            reactions: spans(reacting),
+            waits,
+            reactions: spans(scenes.iter().skip(1).map(|scene| scene.listener.reacting)),
         }
     }
 }
@@ -101,12 +104,6 @@ fn activity(before: &Scene, after: &Scene) -> Activity {
     }
 }
 
-/// A message that is pending from scene `a` to scene `b` waits from the one to the other.
-fn waits(topics: impl Iterator<Item = Option<usize>>) -> Vec<Span> {
-    let last_scene = |span: Span| Span { end: span.end - 1, ..span };
-    spans(topics).into_iter().map(last_scene).filter(|span| span.start < span.end).collect()
-}
-
 /// Joins equal neighbours: item `i` lasts from scene `i` to `i + 1`.
 fn spans(topics: impl Iterator<Item = Option<usize>>) -> Vec<Span> {
     let mut all: Vec<Span> = Vec::new();
@@ -129,14 +126,12 @@ mod tests {
     fn a_message_is_heard_then_waited_for_then_followed() {
         // Said at 3 with k = 2, l = 3; comprehended at 5; two steps of delay; followed for three steps.
         let timeline = Timeline::new(&synthetic::scenes(14, &[(3, 1, 2, 3)]));
-        let expected =
-            LoggedMessage { topic: 1, start: 3, comprehension: 2, conveyance: 3, end: 6 };
-        assert_eq!(timeline.utterances, [expected]);
+        let said = LoggedMessage { topic: 1, start: 3, comprehension: 2, conveyance: 3, end: 6 };
+        assert_eq!(timeline.utterances, [said]);
         assert_eq!(timeline.waits, [Span { topic: 1, start: 5, end: 7 }]);
         assert_eq!(timeline.reactions, [Span { topic: 1, start: 7, end: 10 }]);
-        let letters: String =
-            timeline.activities.iter().map(|d| d.label().chars().next().unwrap()).collect();
-        assert_eq!(letters, "ooohhrrfffooo");
+        let letters = timeline.activities.iter().map(|activity| &activity.label()[..1]);
+        assert_eq!(letters.collect::<String>(), "ooohhrrfffooo");
     }
 
     #[test]
@@ -144,10 +139,6 @@ mod tests {
         let timeline = Timeline::new(&synthetic::scenes(20, &[(3, 1, 4, 5), (5, 0, 2, 2)]));
         let ends: Vec<_> = timeline.utterances.iter().map(|u| (u.start, u.end)).collect();
         assert_eq!(ends, [(3, 5), (5, 7)]);
-    }
-
-    #[test]
-    fn an_episode_of_one_scene_has_no_steps() {
         let timeline = Timeline::new(&synthetic::scenes(1, &[]));
         assert!(timeline.activities.is_empty() && timeline.utterances.is_empty());
     }

@@ -9,10 +9,9 @@
 //!   3.6 s                                        follows ascend
 //! ```
 
-use std::fmt::Write as _;
-
 use leadtime_taxonomy::Pace;
 
+use super::record::Playthrough;
 use super::timeline::{Activity, topic_name};
 use super::voice::Spoken;
 use crate::measure::LoggedMessage;
@@ -34,44 +33,35 @@ impl Spoken {
     /// Times are those of speech: a step is a word, whatever time the world takes it for.
     pub fn transcript(&self, pace: &Pace) -> String {
         let moments = self.moments_of_change();
-        let width = |text: fn(&Moment) -> &String, title: &str| {
-            moments
-                .iter()
-                .map(|moment| text(moment).chars().count())
-                .max()
-                .unwrap_or(0)
-                .max(title.len())
+        let widest = |text: fn(&Moment) -> &String, title: &str| {
+            let widths = moments.iter().map(|moment| text(moment).chars().count());
+            widths.fold(title.len(), usize::max)
         };
-        let (hears, understands) =
-            (width(|m| &m.hears, "hears"), width(|m| &m.understands, "understands"));
+        let hears = widest(|moment| &moment.hears, "hears");
+        let understands = widest(|moment| &moment.understands, "understands");
         let mut out = self.heading(pace);
-        let mut line = |time: &str, moment: [&str; 3]| {
-            let [first, second, third] = moment;
+        let mut line = |time: &str, [first, second, third]: [&str; 3]| {
             let line = format!("{time:>8}  {first:<hears$}  {second:<understands$}  {third}");
-            // Writing to a string cannot fail.
-            let _written = writeln!(out, "{}", line.trim_end());
+            out.extend([line.trim_end(), "\n"]);
         };
         line("time", ["hears", "understands", "does"]);
         for moment in &moments {
             let seconds = pace.startup_seconds + moment.step as f64 * pace.seconds_per_word;
-            let time = format!("{seconds:.1} s");
-            line(&time, [&moment.hears, &moment.understands, &moment.does]);
+            let Moment { hears, understands, does, .. } = moment;
+            line(&format!("{seconds:.1} s"), [hears, understands, does]);
         }
-        out.push_str(&self.stand_ins());
-        out
+        out + &self.stand_ins()
     }
 
     fn heading(&self, pace: &Pace) -> String {
-        let (played, said) = (&self.played, self.timeline.utterances.len());
+        let said = self.timeline.utterances.len();
+        let Playthrough { index, seed, total_reward, .. } = &self.played;
         format!(
-            "{} (episode {} of seed {})\nreturn {:.1}, {} steps of a word each, {} s; {} notification{}\n",
-            played.title(),
-            played.index,
-            played.seed,
-            played.total_reward,
-            played.n_steps(),
+            "{} (episode {index} of seed {seed})\nreturn {total_reward:.1}, {} steps of a word each, {} s; {said} \
+             notification{}\n",
+            self.played.title(),
+            self.played.n_steps(),
             pace.seconds_per_word,
-            said,
             if said == 1 { "" } else { "s" },
         )
     }
@@ -79,10 +69,8 @@ impl Spoken {
     /// Lists the moments in which a word is heard, something is understood, or the person begins to do another thing.
     fn moments_of_change(&self) -> Vec<Moment> {
         let timeline = &self.timeline;
-        let mut moments = Vec::new();
-        let mut did = String::new();
+        let (mut moments, mut did) = (Vec::new(), String::new());
         for step in 1..=self.played.n_steps() {
-            let does = self.does(step);
             let mut moment = Moment { step, ..Moment::default() };
             if let Some(said) = timeline.spoken(step) {
                 let utterance = &timeline.utterances[said];
@@ -93,6 +81,7 @@ impl Spoken {
                     moment.understands = format!("{topic}, word {k} of {l}");
                 }
             }
+            let does = self.does(step);
             if does != did {
                 moment.does.clone_from(&does);
                 did = does;
@@ -107,18 +96,14 @@ impl Spoken {
     /// Returns the `n`-th word of a message as it is written, with a dash where it is cut off.
     fn word(&self, said: usize, utterance: &LoggedMessage, n: usize) -> String {
         let conveyance = utterance.conveyance;
-        let word = match self.sentences.get(said) {
-            Some(sentence) => {
-                let before = sentence.so_far(n - 1, conveyance).len();
-                sentence.so_far(n, conveyance)[before..].trim().to_owned()
-            }
-            None => format!(
-                "[{} {n}/{conveyance}]",
-                topic_name(&self.played.scenes[0], utterance.topic)
-            ),
+        let word = if let Some(sentence) = self.sentences.get(said) {
+            let before = sentence.so_far(n - 1, conveyance).len();
+            sentence.so_far(n, conveyance)[before..].trim().to_owned()
+        } else {
+            let topic = topic_name(&self.played.scenes[0], utterance.topic);
+            format!("[{topic} {n}/{conveyance}]")
         };
-        let is_last = utterance.start + n == utterance.end;
-        if is_last && n < conveyance {
+        if utterance.start + n == utterance.end && n < conveyance {
             // Where the voice breaks off, no comma is heard.
             let heard = word.trim_end_matches([',', ';', ':']);
             return format!("{heard} \u{2013}");
@@ -140,19 +125,12 @@ impl Spoken {
 
     /// Lists which sentences stand for messages of another k or l.
     fn stand_ins(&self) -> String {
-        let mut out = String::new();
-        for (sentence, utterance) in self.sentences.iter().zip(&self.timeline.utterances) {
-            if sentence.fallback {
-                let (k, l) = (utterance.comprehension, utterance.conveyance);
-                let cell = sentence.cell;
-                // Writing to a string cannot fail.
-                let _written = writeln!(
-                    out,
-                    "{sentence} is understood and over at {cell}; the message was at ({k}, {l})"
-                );
-            }
-        }
-        out
+        let said = self.sentences.iter().zip(&self.timeline.utterances);
+        let lines = said.filter(|(sentence, _)| sentence.fallback).map(|(sentence, utterance)| {
+            let (k, l, cell) = (utterance.comprehension, utterance.conveyance, sentence.cell);
+            format!("{sentence} is understood and over at {cell}; the message was at ({k}, {l})\n")
+        });
+        lines.collect()
     }
 }
 
@@ -161,7 +139,7 @@ mod tests {
     use leadtime_taxonomy::Cell;
 
     use super::*;
-    use crate::playthrough::{Playthrough, Sentence, synthetic};
+    use crate::playthrough::{Sentence, synthetic};
 
     fn played() -> Playthrough {
         // Said at 2 with k = 2, l = 3: comprehended at 4, two steps of delay, followed from 7 to 9. The second one is
@@ -211,10 +189,6 @@ return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
         assert!(told.contains("[shift left 2/3]  shift left, word 2 of 3"), "{told}");
         assert!(told.contains("[ascend 3/5] \u{2013}"), "{told}");
         assert!(told.contains("[descend 1/2]"), "{told}");
-    }
-
-    #[test]
-    fn an_episode_of_one_scene_is_told_too() {
         let mut played = played();
         played.scenes.truncate(1);
         assert_eq!(Spoken::from(played).transcript(&Pace::default()).lines().count(), 3);

@@ -30,11 +30,10 @@ impl Sentence {
     /// A sentence of another length than the message's keeps its pace: both end together.
     pub fn so_far(&self, heard: usize, conveyance: usize) -> String {
         let l = self.cell.conveyance as usize;
-        let n = (heard * l).div_ceil(conveyance.max(1));
-        if n < l {
-            return words::prefix(&self.text, n);
+        match (heard * l).div_ceil(conveyance.max(1)) {
+            n if n < l => words::prefix(&self.text, n),
+            _ => self.text.split_whitespace().collect::<Vec<_>>().join(" "),
         }
-        self.text.split_whitespace().collect::<Vec<_>>().join(" ")
     }
 }
 
@@ -45,12 +44,9 @@ impl fmt::Display for Sentence {
     }
 }
 
-/// Speaks a domain's messages.
+/// Speaks a domain's messages, in the sentences of a database.
 #[derive(Clone, Debug)]
-pub struct Voice {
-    taxonomy: Taxonomy,
-    loss: Loss,
-}
+pub struct Voice(Taxonomy);
 
 impl Voice {
     /// Takes the sentences of a database.
@@ -60,7 +56,7 @@ impl Voice {
     /// [`Error::Words`] if it is not about these topics, in this order.
     pub fn new(taxonomy: Taxonomy, topics: &[&str]) -> Result<Self, Error> {
         taxonomy.expect_topics(topics)?;
-        Ok(Self { taxonomy, loss: Loss::default() })
+        Ok(Self(taxonomy))
     }
 
     /// Takes the sentences that come with the program; `None` if there are none for this domain and these topics.
@@ -75,12 +71,12 @@ impl Voice {
     /// [`Error::Words`] if the episode speaks of a topic that the database does not know.
     pub fn speak(&self, played: Playthrough) -> Result<Spoken, Error> {
         let mut generator = episode_seed(played.seed, played.index).stream(Purpose::Words);
-        let mut rotation = Rotation::new(&self.taxonomy, &mut generator);
+        let mut rotation = Rotation::new(&self.0, &mut generator);
         let mut spoken = Spoken::from(played);
         for utterance in &spoken.timeline.utterances {
             let (k, l) = (utterance.comprehension as u32, utterance.conveyance as u32);
             let request = Request { topic: utterance.topic, cell: Cell::new(k, l) };
-            let found = self.taxonomy.retrieve(request, &self.loss)?;
+            let found = self.0.retrieve(request, &Loss::default())?;
             let text = rotation.next(&found).map(|utterance| utterance.text.clone());
             let (text, cell, fallback) = (text.unwrap_or_default(), found.cell, found.fallback);
             spoken.sentences.push(Sentence { text, cell, fallback });
@@ -164,11 +160,6 @@ mod tests {
         assert!(Voice::shipped("lander", &["ascend"]).is_none());
     }
 
-    /// Lists the k and l of a cell, whichever crate's.
-    fn pair(cell: Cell) -> (u32, u32) {
-        (cell.comprehension, cell.conveyance)
-    }
-
     #[test]
     fn what_a_notifier_learns_with_is_what_a_voice_says() {
         // Every table of up to three cells of one topic, and every choice.
@@ -176,7 +167,7 @@ mod tests {
         let header = "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
                       embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = [\"a\"]\nconfig = \"\"\n";
         let entry = |cell: Cell| {
-            let (k, l) = pair(cell);
+            let Cell { comprehension: k, conveyance: l } = cell;
             let text: Vec<String> = (0..l).map(|i| format!("w{k}{l}{i}")).collect();
             let curve: Vec<u32> = (1..=l).map(|i| if i < k { 10 } else { 90 }).collect();
             format!(
@@ -186,19 +177,19 @@ mod tests {
             )
         };
         for bits in (1_u32..1 << all.len()).filter(|bits| bits.count_ones() <= 3) {
-            let filled: Vec<Cell> =
-                (0..all.len()).filter(|i| bits >> i & 1 == 1).map(|i| all[i]).collect();
-            let text: String = filled.iter().map(|cell| entry(*cell)).collect();
+            let filled = (0..all.len()).filter(|i| bits >> i & 1 == 1).map(|i| all[i]);
+            let text: String = filled.clone().map(entry).collect();
             let taxonomy = Taxonomy::from_toml(&format!("{header}{text}")).unwrap();
-            let table: Vec<_> =
-                filled.iter().map(|cell| ("a".to_owned(), pair(*cell).0, pair(*cell).1)).collect();
+            let row = |cell: Cell| ("a".to_owned(), cell.comprehension, cell.conveyance);
+            let table: Vec<_> = filled.map(row).collect();
             let cells = CellTable::new(&table, &["a"], &[0]).unwrap();
             for &cell in &all {
                 let request = Request { topic: 0, cell };
                 let said = taxonomy.retrieve(request, &Loss::default()).unwrap().cell;
-                let (comprehension, conveyance) = pair(cell);
+                let Cell { comprehension, conveyance } = cell;
                 let learned = cells.nearest(Message { topic: 0, comprehension, conveyance });
-                assert_eq!((learned.comprehension, learned.conveyance), pair(said), "{filled:?}");
+                let learned = Cell::new(learned.comprehension, learned.conveyance);
+                assert_eq!(learned, said, "{table:?}");
             }
         }
     }

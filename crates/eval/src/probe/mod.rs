@@ -1,8 +1,7 @@
 //! What a notifier knows of its listener: can the person's reaction delay be read off what goes on in the policy?
 //!
-//! The policy plays episodes in which the delay `d_r` varies and is never observed. At one step of every stage of an episode
-//! a probe notes what the policy's heads see (and its recurrent state), what the policy was given, and the delay. A
-//! linear regression learns to read the delay from the first half of the episodes, and is evaluated on the other half.
+//! The policy plays episodes in which the delay `d_r` varies and is never observed. At one step of every stage of an
+//! episode a probe notes what the policy's heads see (and its recurrent state), what the policy was given, and the delay.
 //!
 //! ```text
 //! episodes --record--> samples ──┬─ first half ─► readers: constants, regression on input, regression on features
@@ -23,10 +22,6 @@
 //!   input can be several times as wide as the features.
 //! * **Two constants.** One is the median over everything; the other sees the stage. People who react late are
 //!   rarer in late stages, so the second is the harder one to beat.
-//!
-//! # Where to start
-//!
-//! [`probe`], [`ProbeResult`].
 
 mod readers;
 mod record;

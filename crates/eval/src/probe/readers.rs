@@ -19,14 +19,9 @@ pub(super) enum Reader {
 
 impl Reader {
     /// Fits every reader to samples, weakest first.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::NoRegression`].
     pub(super) fn all(samples: &[&ProbeSample]) -> Result<Vec<Self>, Error> {
-        let in_stage = |stage: usize| {
-            median(samples.iter().filter(|s| s.stage == stage).map(|s| (s.delay, 1.0)))
-        };
+        let in_stage =
+            |stage| median(samples.iter().filter(|s| s.stage == stage).map(|s| (s.delay, 1.0)));
         Ok(vec![
             Self::Constant(median(samples.iter().map(|s| (s.delay, s.weight)))),
             Self::PerStage(std::array::from_fn(in_stage)),
@@ -45,20 +40,11 @@ impl Reader {
         }
     }
 
-    /// Returns the penalty of its regression, if it is one.
-    pub(super) fn penalty(&self) -> Option<f64> {
+    /// Returns its regression, if it is one.
+    pub(super) fn ridge(&self) -> Option<&Ridge> {
         match self {
-            Self::Input(ridge) | Self::Hidden(ridge) => Some(ridge.penalty()),
+            Self::Input(ridge) | Self::Hidden(ridge) => Some(ridge),
             _ => None,
-        }
-    }
-
-    /// Returns how many numbers it looks at.
-    pub(super) fn n_features(&self, sample: &ProbeSample) -> usize {
-        match self {
-            Self::Input(_) => sample.input.len(),
-            Self::Hidden(_) => sample.hidden.len(),
-            _ => 0,
         }
     }
 
@@ -78,14 +64,11 @@ fn regression<'a>(
     samples: &[&'a ProbeSample],
     features: fn(&'a ProbeSample) -> &'a [f32],
 ) -> Result<Ridge, Error> {
-    let case = |sample: &&'a ProbeSample| Case {
-        group: sample.episode,
-        features: features(sample),
-        target: f64::from(sample.delay),
-        weight: sample.weight,
+    let case = |&sample: &&'a ProbeSample| {
+        let (group, target) = (sample.episode, f64::from(sample.delay));
+        Case { group, features: features(sample), target, weight: sample.weight }
     };
-    let cases: Vec<Case<'_>> = samples.iter().map(case).collect();
-    Ridge::cross_validated(&cases)
+    Ridge::cross_validated(&samples.iter().map(case).collect::<Vec<_>>())
 }
 
 /// Returns the smallest delay that half of the weight does not exceed; 0 without any.
@@ -106,33 +89,23 @@ mod tests {
     use super::*;
 
     fn sample(episode: u64, stage: usize, delay: u32) -> ProbeSample {
-        let hidden = vec![delay as f32, 1.0];
-        let weight = 0.5;
-        ProbeSample {
-            episode,
-            stage,
-            delay,
-            weight,
-            hidden,
-            input: vec![0.0],
-            ..ProbeSample::default()
-        }
+        let (input, hidden) = (vec![0.0], vec![delay as f32, 1.0]);
+        let rest = ProbeSample { weight: 0.5, ..ProbeSample::default() };
+        ProbeSample { episode, stage, delay, input, hidden, ..rest }
     }
 
     #[test]
     fn each_reader_uses_what_it_is_named_after() {
-        let samples: Vec<ProbeSample> = (0..40)
-            .flat_map(|i| [sample(i, 0, (i % 5) as u32), sample(i, 1, (i % 2) as u32)])
-            .collect();
+        let both = |i| [sample(i, 0, (i % 5) as u32), sample(i, 1, (i % 2) as u32)];
+        let samples: Vec<ProbeSample> = (0..40).flat_map(both).collect();
         let readers = Reader::all(&samples.iter().collect::<Vec<_>>()).unwrap();
-        let told = readers.iter().map(|reader| reader.read(&sample(50, 0, 4)));
-        let told: Vec<f64> = told.collect();
+        let told: Vec<f64> = readers.iter().map(|reader| reader.read(&sample(50, 0, 4))).collect();
         assert_eq!(told[..2], [1.0, 2.0]);
         // An input that never changes predicts the mean: of 2 in stage 0 and of 1/2 in stage 1.
         assert!((told[2] - 1.25).abs() < 1e-9 && (told[3] - 4.0).abs() < 1e-3, "{told:?}");
         assert_eq!(readers[1].read(&sample(50, 1, 4)), 0.0);
-        let features: Vec<usize> = readers.iter().map(|r| r.n_features(&samples[0])).collect();
-        assert_eq!(features, [0, 0, 1, 2]);
+        let n_features = readers.iter().map(|reader| reader.ridge().map_or(0, Ridge::n_features));
+        assert_eq!(n_features.collect::<Vec<_>>(), [0, 0, 1, 2]);
     }
 
     #[test]

@@ -12,6 +12,10 @@ use crate::error::Error;
 /// Number of stages: 0, 1, ... reactions begun, and in the last one as many or more.
 pub(super) const N_STAGES: usize = 6;
 
+const NO_LISTENER: &str = "this task has no listener, so there is no reaction delay to be known";
+const DELAY_PER_MESSAGE: &str = "the person draws another reaction delay for every message, so there is nothing to be known before it; ask \
+     for one that stays: drawn = \"per_episode\"";
+
 /// One step of one stage of an episode.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ProbeSample {
@@ -37,7 +41,7 @@ pub(super) struct ProbeSample {
 ///
 /// # Errors
 ///
-/// [`Error::NoListener`] or [`Error::DelayPerMessage`] if there is no delay to be known; as [`play`].
+/// [`Error::Probe`] if there is no delay to be known; as [`play`].
 pub(super) fn record(
     make: &MakeEnvironment<'_>,
     player: &Player,
@@ -46,8 +50,8 @@ pub(super) fn record(
     let seed = |index| episode_seed(settings.seed, index);
     // Whether there is a delay to be known depends on the task alone, so one episode shows it.
     let first = EnvSlot::new(make()?, 0, seed(settings.first));
-    let insight = first.env().insight().ok_or(Error::NoListener)?;
-    insight.reaction_delay.ok_or(Error::DelayPerMessage)?;
+    let insight = first.env().insight().ok_or_else(|| Error::Probe(NO_LISTENER.to_owned()))?;
+    insight.reaction_delay.ok_or_else(|| Error::Probe(DELAY_PER_MESSAGE.to_owned()))?;
     let observe = |index| Stages::new(index, seed(index).stream(Purpose::Probe));
     Ok(play(make, player, settings, observe)?.into_iter().flatten().collect())
 }
@@ -85,9 +89,12 @@ impl Stages {
 
     /// Returns the samples of the stages that there were.
     fn weighted(self) -> Vec<ProbeSample> {
-        let samples: Vec<ProbeSample> = self.samples.into_iter().flatten().collect();
+        let mut samples: Vec<ProbeSample> = self.samples.into_iter().flatten().collect();
         let weight = 1.0 / samples.len() as f64;
-        samples.into_iter().map(|sample| ProbeSample { weight, ..sample }).collect()
+        for sample in &mut samples {
+            sample.weight = weight;
+        }
+        samples
     }
 }
 
@@ -98,11 +105,10 @@ impl Observer for Stages {
     }
 
     fn on_decision(&mut self, slot: &EnvSlot, decision: &Decision<'_>) {
-        let Some(sample) = self.chosen.and_then(|stage| self.samples[stage].as_mut()) else {
-            return;
-        };
-        sample.input = slot.observation().to_vec();
-        sample.hidden = [decision.hidden.unwrap_or_default(), slot.recurrent()].concat();
+        if let Some(sample) = self.chosen.and_then(|stage| self.samples[stage].as_mut()) {
+            sample.input = slot.observation().to_vec();
+            sample.hidden = [decision.hidden.unwrap_or_default(), slot.recurrent()].concat();
+        }
     }
 }
 

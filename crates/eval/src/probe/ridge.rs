@@ -42,15 +42,12 @@ pub(super) struct Ridge {
     scaling: Scaling,
     weights: DVector<f64>,
     intercept: f64,
-    penalty: f64,
+    pub(super) penalty: f64,
 }
 
 impl Ridge {
-    /// Fits with the penalty that predicts best across groups, and among equals the heaviest.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::NoRegression`] without data, or if a number is not finite.
+    /// Fits with the penalty that predicts best across groups, and among equals the heaviest; [`Error::NoRegression`]
+    /// without data, or if a number is not finite.
     pub(super) fn cross_validated(cases: &[Case<'_>]) -> Result<Self, Error> {
         let mut losses = [0.0; PENALTIES.len()];
         for fold in 0..N_FOLDS {
@@ -59,39 +56,29 @@ impl Ridge {
             let equations = Equations::new(&kept)?;
             for (loss, penalty) in losses.iter_mut().zip(PENALTIES) {
                 let ridge = equations.solve(penalty)?;
-                *loss += out.iter().map(|case| ridge.squared_error(case)).sum::<f64>();
+                let error = |case: &Case<'_>| ridge.predict(case.features) - case.target;
+                *loss += out.iter().map(|case| case.weight * error(case).powi(2)).sum::<f64>();
             }
         }
-        let mut best = 0;
-        for (i, loss) in losses.iter().enumerate() {
-            best = if *loss < losses[best] { i } else { best };
-        }
-        Self::with_penalty(cases, PENALTIES[best])
+        let better = |best, i| if losses[i] < losses[best] { i } else { best };
+        Self::with_penalty(cases, PENALTIES[(1..losses.len()).fold(0, better)])
     }
 
-    /// Fits with a given penalty.
-    ///
-    /// # Errors
-    ///
-    /// As [`Ridge::cross_validated`].
+    /// Fits with a given penalty; errors as [`Ridge::cross_validated`].
     pub(super) fn with_penalty(cases: &[Case<'_>], penalty: f64) -> Result<Self, Error> {
         let cases: Vec<&Case<'_>> = cases.iter().collect();
         Equations::new(&cases)?.solve(penalty)
     }
 
-    /// Returns the penalty.
-    pub(super) fn penalty(&self) -> f64 {
-        self.penalty
+    /// Returns how many numbers it looks at.
+    pub(super) fn n_features(&self) -> usize {
+        self.weights.len()
     }
 
     /// Predicts the target from features of the width that was fitted.
     pub(super) fn predict(&self, features: &[f32]) -> f64 {
         let scaled = self.scaling.apply(features);
         self.intercept + scaled.zip(&self.weights).map(|(x, w)| x * w).sum::<f64>()
-    }
-
-    fn squared_error(&self, case: &Case<'_>) -> f64 {
-        case.weight * (self.predict(case.features) - case.target).powi(2)
     }
 }
 
@@ -114,11 +101,8 @@ impl Scaling {
             let deviations = case.features.iter().zip(&means).map(|(&x, m)| f64::from(x) - m);
             variances.iter_mut().zip(deviations).for_each(|(v, d)| *v += share * d * d);
         }
-        let factor = |variance: f64| {
-            let deviation = variance.sqrt();
-            if deviation < LEAST_DEVIATION { 0.0 } else { 1.0 / deviation }
-        };
-        let factors = variances.into_iter().map(factor).collect();
+        let factor = |deviation| if deviation < LEAST_DEVIATION { 0.0 } else { 1.0 / deviation };
+        let factors = variances.into_iter().map(|variance| factor(variance.sqrt())).collect();
         Self { means, factors }
     }
 
@@ -144,8 +128,7 @@ impl Equations {
         let shares: Vec<f64> = cases.iter().map(|case| case.weight / total).collect();
         let scaling = Scaling::new(cases, &shares);
         let (n, width) = (cases.len(), scaling.means.len());
-        let finite = scaling.factors.iter().all(|factor| factor.is_finite());
-        if n == 0 || width == 0 || !finite {
+        if n == 0 || width == 0 || !scaling.factors.iter().all(|factor| factor.is_finite()) {
             return Err(Error::NoRegression { n_rows: n, n_features: width });
         }
         let intercept: f64 = cases.iter().zip(&shares).map(|(case, d)| d * case.target).sum();
@@ -153,10 +136,9 @@ impl Equations {
         let rows = cases.iter().zip(&shares).flat_map(|(case, share)| {
             scaling.apply(case.features).map(|value| share.sqrt() * value)
         });
-        let targets =
-            cases.iter().zip(&shares).map(|(case, d)| d.sqrt() * (case.target - intercept));
         let x = DMatrix::from_row_iterator(n, width, rows);
-        let y = DVector::from_iterator(n, targets);
+        let target = |(case, d): (&&Case<'_>, &f64)| d.sqrt() * (case.target - intercept);
+        let y = DVector::from_iterator(n, cases.iter().zip(&shares).map(target));
         let (gram, moments) = (x.tr_mul(&x), x.tr_mul(&y));
         Ok(Self { scaling, gram, moments, intercept })
     }
@@ -168,8 +150,8 @@ impl Equations {
             matrix[(i, i)] += penalty;
         }
         // A sum of squares and a positive diagonal: positive definite, whatever the data.
-        let solver = matrix.cholesky();
-        let solver = solver.ok_or(Error::NoRegression { n_rows: 0, n_features: width })?;
+        let refusal = Error::NoRegression { n_rows: 0, n_features: width };
+        let solver = matrix.cholesky().ok_or(refusal)?;
         let (scaling, weights) = (self.scaling.clone(), solver.solve(&self.moments));
         Ok(Ridge { scaling, weights, intercept: self.intercept, penalty })
     }
@@ -181,13 +163,13 @@ mod tests {
     use leadtime_numerics::Pcg64;
 
     fn cases<'a>(rows: &'a [Vec<f32>], target: impl Fn(&[f32]) -> f64) -> Vec<Case<'a>> {
-        let case = |(group, features): (usize, &'a Vec<f32>)| Case {
-            group: group as u64,
+        let case = |(group, features): (u64, &'a Vec<f32>)| Case {
+            group,
             features,
             target: target(features),
             weight: 1.0,
         };
-        rows.iter().enumerate().map(case).collect()
+        (0..).zip(rows).map(case).collect()
     }
 
     fn noise(n: usize, width: usize, seed: u64) -> Vec<Vec<f32>> {
@@ -223,8 +205,7 @@ mod tests {
     #[test]
     fn a_weight_counts_as_often_as_it_says() {
         let rows = noise(6, 2, 7);
-        let thrice: Vec<Vec<f32>> =
-            [&rows[..], &rows[..1], &rows[..1]].concat().iter().map(Vec::clone).collect();
+        let thrice = [&rows[..], &rows[..1], &rows[..1]].concat();
         let target = |x: &[f32]| f64::from(x[0] * x[1]);
         let mut weighted = cases(&rows, target);
         weighted[0].weight = 3.0;
@@ -237,13 +218,14 @@ mod tests {
     fn the_penalty_fits_the_data() {
         let rows = noise(200, 40, 1);
         let exact = Ridge::cross_validated(&cases(&rows, |x| f64::from(x[7]))).unwrap();
-        assert_eq!(exact.penalty(), 1e-5);
+        assert_eq!(exact.penalty, 1e-5);
         let mut rng = Pcg64::seed_from_u64(9);
-        let unrelated: Vec<f64> = (0..200).map(|_| rng.normal()).collect();
         let mut cases = cases(&rows, |_| 0.0);
-        cases.iter_mut().zip(&unrelated).for_each(|(case, y)| case.target = *y);
+        for case in &mut cases {
+            case.target = rng.normal();
+        }
         let nothing = Ridge::cross_validated(&cases).unwrap();
-        assert!(nothing.penalty() >= 10.0, "{}", nothing.penalty());
+        assert!(nothing.penalty >= 10.0, "{}", nothing.penalty);
         let spread = noise(50, 40, 3).iter().map(|x| nothing.predict(x).abs()).fold(0.0, f64::max);
         assert!(spread < 0.3, "{spread}");
     }
@@ -253,17 +235,14 @@ mod tests {
         // Features name one of 20 people and nothing else: what is learned of one is of no use for another.
         let people = noise(20, 30, 4);
         let targets: Vec<f64> = noise(20, 1, 5).iter().map(|row| f64::from(row[0])).collect();
-        let cases = |group: fn(usize) -> usize| -> Vec<Case<'_>> {
-            let case = |i: usize| Case {
-                group: group(i) as u64,
-                features: &people[i % 20],
-                target: targets[i % 20],
-                weight: 1.0,
+        let penalty = |group: fn(usize) -> usize| {
+            let case = |i: usize| {
+                let (group, features) = (group(i) as u64, &people[i % 20][..]);
+                Case { group, features, target: targets[i % 20], weight: 1.0 }
             };
-            (0..100).map(case).collect()
+            Ridge::cross_validated(&(0..100).map(case).collect::<Vec<_>>()).unwrap().penalty
         };
-        let apart = Ridge::cross_validated(&cases(|i| i % 20)).unwrap().penalty();
-        let split = Ridge::cross_validated(&cases(|i| i / 20)).unwrap().penalty();
+        let (apart, split) = (penalty(|i| i % 20), penalty(|i| i / 20));
         assert!(apart >= 1.0 && split <= 1e-4, "{apart}, {split}");
     }
 

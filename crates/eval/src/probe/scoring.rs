@@ -5,6 +5,7 @@ use leadtime_numerics::stats::{Bootstrap, mean};
 use super::readers::Reader;
 use super::record::{N_STAGES, ProbeSample, record};
 use super::result::{MIN_EPISODES, ProbeResult, ProbeStage, ReaderScore, Score};
+use super::ridge::Ridge;
 use crate::error::Error;
 use crate::measure::{Difference, MakeEnvironment, PlaySettings, Player};
 
@@ -14,32 +15,34 @@ use crate::measure::{Difference, MakeEnvironment, PlaySettings, Player};
 ///
 /// # Errors
 ///
-/// [`Error::TooFewEpisodes`]; [`Error::NoListener`], [`Error::DelayPerMessage`] or [`Error::DelayNeverVaries`] if there is
-/// nothing to be known; [`Error::NoFeatures`] for a script; as [`crate::measure::evaluate`].
+/// [`Error::Probe`] for too few episodes, for a script, and if there is no delay to be known: nobody listens, or it never
+/// varies, or does so with every message; as [`crate::measure::evaluate`].
 pub fn probe(
     make: &MakeEnvironment<'_>,
     player: &Player,
     settings: &PlaySettings<'_>,
     bootstrap: Bootstrap,
 ) -> Result<ProbeResult, Error> {
-    let least = 2 * MIN_EPISODES as u64;
-    if settings.n_episodes < least {
-        return Err(Error::TooFewEpisodes { found: settings.n_episodes, least });
+    let (n, least, name) = (settings.n_episodes, 2 * MIN_EPISODES as u64, player.name());
+    if n < least {
+        let text = format!("{n} episodes are too few for a probe; allowed: at least {least}");
+        return Err(Error::Probe(text));
     }
     player.check(make()?.as_ref())?;
     if player.hidden_dim() == 0 {
-        return Err(Error::NoFeatures { name: player.name().to_owned() });
+        let text = format!("`{name}` is a script, which has no features to read anything from");
+        return Err(Error::Probe(text));
     }
     let samples = record(make, player, settings)?;
-    let half = settings.n_episodes / 2;
+    let half = n / 2;
     let (seen, unseen): (Vec<&ProbeSample>, Vec<&ProbeSample>) =
         samples.iter().partition(|sample| sample.episode < half);
     let scorer = Scorer::new(&seen, unseen, bootstrap)?;
     Ok(ProbeResult {
-        player: player.name().to_owned(),
+        player: name.to_owned(),
         seed: settings.seed,
         n_learned_from: half,
-        n_evaluated_on: settings.n_episodes - half,
+        n_evaluated_on: n - half,
         bootstrap,
         readers: scorer.readers(),
         stages: (0..N_STAGES).map(|stage| scorer.stage(stage)).collect(),
@@ -69,17 +72,19 @@ impl<'a> Scorer<'a> {
         bootstrap: Bootstrap,
     ) -> Result<Self, Error> {
         let delays = by_episode(seen, |sample| f64::from(sample.delay));
-        if let Some(first) = seen.first()
-            && seen.iter().chain(&unseen).all(|sample| sample.delay == first.delay)
+        if let Some(&ProbeSample { delay, .. }) = seen.first().copied()
+            && seen.iter().chain(&unseen).all(|sample| sample.delay == delay)
         {
-            return Err(Error::DelayNeverVaries { delay: first.delay });
+            return Err(Error::Probe(format!(
+                "the person's reaction delay is {delay} in every episode, so there is nothing to be found out; let it \
+                 vary, as with --set 'human.reaction_delay={{uniform={{low=0,high=5,drawn=\"per_episode\"}}}}'"
+            )));
         }
         let count = |samples: &[&ProbeSample]| -> [usize; N_STAGES] {
             std::array::from_fn(|stage| samples.iter().filter(|s| s.stage == stage).count())
         };
         let (n_seen, n_unseen) = (count(seen), count(&unseen));
-        let is_common =
-            |stage: usize| n_seen[stage] >= MIN_EPISODES && n_unseen[stage] >= MIN_EPISODES;
+        let is_common = |stage: usize| n_seen[stage].min(n_unseen[stage]) >= MIN_EPISODES;
         let common = unseen.iter().copied().filter(|sample| is_common(sample.stage)).collect();
         let (readers, center) = (Reader::all(seen)?, mean(&delays));
         Ok(Self { readers, n_seen, unseen, common, center, bootstrap })
@@ -87,20 +92,15 @@ impl<'a> Scorer<'a> {
 
     /// Returns for every reader how much of the delay's variance it explains.
     pub(super) fn readers(&self) -> Vec<ReaderScore> {
-        let sum = |predicted: &dyn Fn(&ProbeSample) -> f64| -> f64 {
-            let square =
-                |sample: &ProbeSample| (predicted(sample) - f64::from(sample.delay)).powi(2);
-            by_episode(&self.common, square).iter().sum()
+        let sum = |reader: &Reader| -> f64 {
+            by_episode(&self.common, |sample| error(reader, sample).powi(2)).iter().sum()
         };
-        let spread = sum(&|_| self.center);
-        let score = |reader: &Reader| {
-            let errors = sum(&|sample| reader.read(sample));
-            ReaderScore {
-                name: reader.name().to_owned(),
-                n_features: self.common.first().map_or(0, |sample| reader.n_features(sample)),
-                penalty: reader.penalty(),
-                r_squared: (spread > 0.0).then(|| 1.0 - errors / spread),
-            }
+        let spread = sum(&Reader::Constant(self.center));
+        let score = |reader: &Reader| ReaderScore {
+            name: reader.name().to_owned(),
+            n_features: reader.ridge().map_or(0, Ridge::n_features),
+            penalty: reader.ridge().map(|ridge| ridge.penalty),
+            r_squared: (spread > 0.0).then(|| 1.0 - sum(reader) / spread),
         };
         self.readers.iter().map(score).collect()
     }
@@ -111,23 +111,14 @@ impl<'a> Scorer<'a> {
         let of = |samples: &[&'a ProbeSample]| -> Vec<&'a ProbeSample> {
             samples.iter().copied().filter(|sample| sample.stage == stage).collect()
         };
-        let scored = of(&self.common);
-        let scores = (0..self.readers.len()).filter_map(|i| {
-            // Every interval has its own stream of draws.
-            let index = 2 * (stage * self.readers.len() + i) as u64;
-            self.score(&self.readers[i], &scored, index)
-        });
-        let scores = scores.collect();
+        let scores = self.scores(&of(&self.common), stage);
         let name = format!("{stage}{and_more}");
         ProbeStage { scores, ..described(name, self.n_seen[stage], &of(&self.unseen)) }
     }
 
     /// Scores all stages together: every episode counts once, and its stages alike.
     pub(super) fn overall(&self) -> ProbeStage {
-        let index = |i: usize| 2 * (N_STAGES * self.readers.len() + i) as u64;
-        let scores = self.readers.iter().enumerate();
-        let scores = scores.filter_map(|(i, reader)| self.score(reader, &self.common, index(i)));
-        let scores = scores.collect();
+        let scores = self.scores(&self.common, N_STAGES);
         // In the first stage there is every episode.
         ProbeStage { scores, ..described("all".to_owned(), self.n_seen[0], &self.common) }
     }
@@ -150,14 +141,19 @@ impl<'a> Scorer<'a> {
         others.iter().enumerate().filter_map(compare).collect()
     }
 
-    fn score(&self, reader: &Reader, samples: &[&ProbeSample], index: u64) -> Option<Score> {
-        let errors = by_episode(samples, |sample| error(reader, sample));
-        let exact = by_episode(samples, |sample| {
-            let predicted = reader.read(sample).round();
-            f64::from(u8::from(predicted == f64::from(sample.delay)))
-        });
-        let error = self.bootstrap.mean(&errors, index)?;
-        Some(Score { error, exact: self.bootstrap.mean(&exact, index + 1)? })
+    /// Scores every reader; `place` is that of the samples among the stages, for every interval has its own draws.
+    fn scores(&self, samples: &[&ProbeSample], place: usize) -> Vec<Score> {
+        let score = |(i, reader): (usize, &Reader)| {
+            let index = 2 * (place * self.readers.len() + i) as u64;
+            let errors = by_episode(samples, |sample| error(reader, sample));
+            let exact = by_episode(samples, |sample| {
+                let is_exact = reader.read(sample).round() == f64::from(sample.delay);
+                f64::from(u8::from(is_exact))
+            });
+            let error = self.bootstrap.mean(&errors, index)?;
+            Some(Score { error, exact: self.bootstrap.mean(&exact, index + 1)? })
+        };
+        self.readers.iter().enumerate().filter_map(score).collect()
     }
 }
 

@@ -1,7 +1,7 @@
 //! A delay that the features hold is found; noise is not mistaken for it.
 
+use leadtime_sims::Environment;
 use leadtime_sims::classic::{CartPole, CartPoleSettings};
-use leadtime_sims::{Environment, TaskError};
 
 use super::super::synthetic::{Revealed, Synthetic, make, player};
 use super::*;
@@ -33,10 +33,8 @@ fn telling() -> Vec<ProbeSample> {
         let weight = 1.0 / 3.0;
         ProbeSample { episode, stage, delay, input, hidden, weight, n_steps: 9, comprehended: 1 }
     };
-    (0..120)
-        .flat_map(|episode| [0, 1, 2].map(|stage| (episode, stage)))
-        .map(|(episode, stage)| sample(episode, stage, (episode * 7 % 6) as u32))
-        .collect()
+    let delay = |episode: u64| (episode * 7 % 6) as u32;
+    (0..120).flat_map(|i| [0, 1, 2].map(|stage| sample(i, stage, delay(i)))).collect()
 }
 
 #[test]
@@ -70,10 +68,15 @@ fn a_policy_that_is_shown_the_delay_holds_it_from_then_on() {
     assert!(error(0, HIDDEN) > 1.2, "{}", error(0, HIDDEN));
     assert!(known.readers[HIDDEN].r_squared > Some(0.6), "{:?}", known.readers);
     assert_eq!(known.readers.iter().map(|r| r.n_features).collect::<Vec<_>>(), [0, 0, 8, 32 + 24]);
+    // The seed decides, and threads change nothing.
+    let make = make(Revealed::AfterTheFirstReaction);
+    let run = |settings| probe(&make, &player(), &settings, BOOTSTRAP).unwrap();
+    assert_eq!(run(settings().threads(3)), known);
+    assert_ne!(run(PlaySettings::new(300, 12)), known);
 }
 
 #[test]
-fn noise_is_no_better_than_a_constant() {
+fn noise_is_no_better_than_a_constant_and_rare_stages_are_not_scored() {
     let known = known(Revealed::Nothing);
     for reader in [INPUT, HIDDEN] {
         let score = &known.readers[reader];
@@ -81,11 +84,6 @@ fn noise_is_no_better_than_a_constant() {
         let error = &known.overall.scores[reader].error;
         assert!(error.high > known.overall.scores[CONSTANT].error.low, "{error:?}");
     }
-}
-
-#[test]
-fn stages_are_counted_and_rare_ones_not_scored() {
-    let known = known(Revealed::Nothing);
     let names: Vec<&str> = known.stages.iter().map(|stage| stage.name.as_str()).collect();
     assert_eq!(names, ["0", "1", "2", "3", "4", "5 or more"]);
     // One episode in nine ends with each further stage; the last one is of the steps after the fifth reaction.
@@ -100,39 +98,28 @@ fn stages_are_counted_and_rare_ones_not_scored() {
 }
 
 #[test]
-fn the_seed_decides_and_threads_change_nothing() {
-    let known = known(Revealed::AfterTheFirstReaction);
-    let run = |settings: PlaySettings<'_>| {
-        probe(&make(Revealed::AfterTheFirstReaction), &player(), &settings, BOOTSTRAP).unwrap()
-    };
-    assert_eq!(run(settings().threads(3)), known);
-    assert_ne!(run(PlaySettings::new(300, 12)), known);
-}
-
-#[test]
 fn what_cannot_be_known_is_said_in_one_sentence() {
     let refuse = |make: &MakeEnvironment<'_>, player: &Player, n_episodes| {
         let settings = PlaySettings::new(n_episodes, 11);
         probe(make, player, &settings, BOOTSTRAP).unwrap_err().to_string()
     };
-    let always = || -> Result<Box<dyn Environment>, TaskError> {
-        let mut world = Synthetic::new(Revealed::Nothing);
-        world.most = 0;
-        Ok(Box::new(world))
+    let of_world = |change: fn(&mut Synthetic)| {
+        let make = || {
+            let mut world = Synthetic::new(Revealed::Nothing);
+            change(&mut world);
+            Ok(Box::new(world) as Box<dyn Environment>)
+        };
+        refuse(&make, &player(), 40)
     };
-    let text = refuse(&always, &player(), 40);
+    let text = of_world(|world| world.most = 0);
     assert!(text.starts_with("the person's reaction delay is 0 in every episode"), "{text}");
     assert!(text.contains("{uniform={low=0,high=5,drawn=\"per_episode\"}}"), "{text}");
-    let fickle = || -> Result<Box<dyn Environment>, TaskError> {
-        let mut world = Synthetic::new(Revealed::Nothing);
-        world.fickle = true;
-        Ok(Box::new(world))
-    };
-    assert!(refuse(&fickle, &player(), 40).contains("for every message"));
+    assert!(of_world(|world| world.fickle = true).contains("for every message"));
     let text = refuse(&make(Revealed::Nothing), &player(), 39);
     assert_eq!(text, "39 episodes are too few for a probe; allowed: at least 40");
-    let pole = || -> Result<Box<dyn Environment>, TaskError> {
-        Ok(Box::new(CartPole::new(&CartPoleSettings::default())?))
+    let pole = || {
+        let pole = CartPole::new(&CartPoleSettings::default())?;
+        Ok(Box::new(pole) as Box<dyn Environment>)
     };
     let text = refuse(&pole, &player(), 40);
     assert!(text.starts_with("the policy takes 8 observations"), "{text}");

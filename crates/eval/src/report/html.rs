@@ -23,8 +23,7 @@ impl Report {
     /// assert!(page.starts_with("<!DOCTYPE html>") && page.contains("Success &lt;always&gt;."));
     /// ```
     pub fn html(&self) -> String {
-        let title = escape(&self.title);
-        let lead = escape(&self.lead);
+        let (title, lead) = (escape(&self.title), escape(&self.lead));
         let dark = format!("@media (prefers-color-scheme: dark) {{\n{}\n}}\n", Ink::dark_css());
         let body = [
             sections::verdicts(self),

@@ -2,7 +2,7 @@
 
 use leadtime_table::{Table, escape};
 
-use super::contents::{Book, Fact, Report};
+use super::contents::{Book, Fact, Report, Verdict};
 use crate::figure;
 
 fn section(id: &str, heading: &str, body: &str) -> String {
@@ -16,27 +16,28 @@ fn drawing(svg: &str, caption: &str) -> String {
     format!("<figure>\n{svg}<figcaption>{}</figcaption>\n</figure>\n", escape(caption))
 }
 
+fn list(attributes: &str, items: impl Iterator<Item = String>) -> String {
+    let items: String = items.collect();
+    if items.is_empty() { items } else { format!("<ul{attributes}>\n{items}</ul>\n") }
+}
+
 /// Writes a table that scrolls sideways where the screen is narrow.
 fn scrolled(table: &Table, class: &str) -> String {
     format!("<div class=\"scroll\">{}</div>\n", table.html(class))
 }
 
 pub(super) fn verdicts(report: &Report) -> String {
-    if report.verdicts.is_empty() {
-        return String::new();
-    }
-    let items = report.verdicts.iter().map(|verdict| {
-        let (class, word) = if verdict.holds { ("holds", "holds") } else { ("fails", "fails") };
-        format!("<li class=\"{class}\"><b>{word}</b> {}</li>\n", escape(&verdict.sentence))
+    let items = report.verdicts.iter().map(|Verdict { holds, sentence }| {
+        let word = if *holds { "holds" } else { "fails" };
+        format!("<li class=\"{word}\"><b>{word}</b> {}</li>\n", escape(sentence))
     });
-    format!("<ul class=\"verdicts\">\n{}</ul>\n", items.collect::<String>())
+    list(" class=\"verdicts\"", items)
 }
 
 pub(super) fn comparison(report: &Report) -> String {
     let Some(comparison) = &report.comparison else { return String::new() };
-    let reading = escape(&comparison.reading()).into_owned();
-    let intro =
-        format!("<p>{reading} A rate counts only the episodes in which it is defined.</p>\n");
+    let reading = comparison.reading() + " A rate counts only the episodes in which it is defined.";
+    let intro = format!("<p>{}</p>\n", escape(&reading));
     let differences = comparison.differences.iter().map(|difference| {
         let sentence = difference.sentence(comparison.bootstrap.confidence);
         format!("<p><strong>Difference.</strong> {}.</p>\n", escape(&sentence))
@@ -74,10 +75,8 @@ pub(super) fn system(report: &Report) -> String {
     }
     if !report.phases.is_empty() {
         let svg = figure::shares("phases", "What the time went into", &report.phases);
-        body.push_str(&drawing(
-            &svg.text,
-            "Share of each process' time; the total in seconds on the right.",
-        ));
+        let caption = "Share of each process' time; the total in seconds on the right.";
+        body.push_str(&drawing(&svg.text, caption));
     }
     body.push_str(&books(report));
     section("system", "Learner and actors", &body)
@@ -92,12 +91,11 @@ fn books(report: &Report) -> String {
         table.push([name, &count.to_string(), meaning]);
     }
     let balance = match report.books_balance {
-        Some(true) => {
-            "<p>The books balance: every rollout that was published is accounted for.</p>\n"
-        }
-        Some(false) => "<p><strong>The books do not balance.</strong></p>\n",
+        Some(true) => "The books balance: every rollout that was published is accounted for.",
+        Some(false) => "<strong>The books do not balance.</strong>",
         None => "",
     };
+    let balance = if balance.is_empty() { String::new() } else { format!("<p>{balance}</p>\n") };
     format!("<h3>Books</h3>\n{balance}{}", scrolled(&table, "accounts"))
 }
 
@@ -113,9 +111,6 @@ pub(super) fn provenance(report: &Report) -> String {
 }
 
 pub(super) fn notes(report: &Report) -> String {
-    if report.notes.is_empty() {
-        return String::new();
-    }
     let items = report.notes.iter().map(|note| format!("<li>{}</li>\n", escape(note)));
-    section("notes", "Notes", &format!("<ul>\n{}</ul>\n", items.collect::<String>()))
+    section("notes", "Notes", &list("", items))
 }
