@@ -48,7 +48,7 @@ impl EnvBuilder {
         if *env.spec() == self.spec.env {
             Ok(env)
         } else {
-            Err(Error::SpecMismatch { domain: self.spec.task.domain.clone() })
+            Err(Error::SpecMismatch(self.spec.task.domain.clone()))
         }
     }
 
@@ -185,27 +185,17 @@ impl CollectWorker {
             None => (Arc::clone(weights), Policy::new(&self.builder.spec.policy, weights)?),
         };
         let (_, policy) = self.policy.insert(packed);
-        let (epoch, incarnation) = (self.epoch, self.incarnation);
         let rollouts = self.worker.collect(policy, version, &mut self.timer);
-        let encoded: Result<Vec<EncodedRollout>, Error> =
-            rollouts.iter().map(|rollout| encode(rollout, epoch, incarnation)).collect();
+        let encode = |rollout: &Rollout| -> Result<EncodedRollout, Error> {
+            let payload = codec::encode(rollout)?;
+            let plain = Header::plain(Schema::Rollout, self.incarnation, &payload);
+            let header = Header { epoch: self.epoch, version, ..plain };
+            Ok(EncodedRollout { header, payload: payload.into() })
+        };
+        let encoded = rollouts.iter().map(encode).collect();
         self.timer.times.encode = self.timer.lap();
         encoded
     }
-}
-
-fn encode(
-    rollout: &Rollout,
-    epoch: Epoch,
-    incarnation: Incarnation,
-) -> Result<EncodedRollout, Error> {
-    let payload = codec::encode(rollout)?;
-    let header = Header {
-        epoch,
-        version: rollout.version,
-        ..Header::plain(Schema::Rollout, incarnation, &payload)
-    };
-    Ok(EncodedRollout { header, payload: payload.into() })
 }
 
 #[cfg(test)]
@@ -237,13 +227,10 @@ mod tests {
             let (envs, failed) = builder.restore(assignment).unwrap();
             let adopt = CollectJob::Adopt { epoch: Epoch(epoch), keep: Vec::new(), envs };
             worker.work(adopt).unwrap();
-            let collect =
-                CollectJob::Collect { version: PolicyVersion(0), weights: Arc::clone(&weights) };
-            let rollouts = worker.work(collect).unwrap().rollouts;
-            let decode = |encoded: &EncodedRollout| -> Rollout {
-                codec::decode(&encoded.payload, usize::MAX).unwrap()
-            };
-            (rollouts.iter().map(decode).collect::<Vec<_>>(), failed)
+            let (version, weights) = (PolicyVersion(0), Arc::clone(&weights));
+            let made = worker.work(CollectJob::Collect { version, weights }).unwrap().rollouts;
+            let made = made.iter().map(|one| codec::decode(&one.payload, usize::MAX).unwrap());
+            (made.collect::<Vec<Rollout>>(), failed)
         };
         let (made, failed) = follow(1, vec![given(0, 0, &[])]);
         assert_eq!((made.len(), failed), (1, Vec::new()));

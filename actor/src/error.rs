@@ -23,15 +23,12 @@ pub enum Error {
     /// What the learner says of the run contradicts itself.
     #[error("the learner describes a run that cannot be")]
     Spec(#[from] SpecError),
-    /// The task is another one here than in the learner.
+    /// The task of this domain is another one here than in the learner.
     #[error(
-        "domain `{domain}` has another observation, action space or metrics here than in the learner: \
+        "domain `{0}` has another observation, action space or metrics here than in the learner: \
          run the same release on both sides"
     )]
-    SpecMismatch {
-        /// The domain.
-        domain: String,
-    },
+    SpecMismatch(String),
     /// An environment's snapshot cannot be restored here.
     #[error("environment {env_id} cannot go on from its snapshot: run the same release everywhere")]
     Snapshot {
@@ -65,18 +62,12 @@ pub enum Error {
         source: leadtime_link::Error,
     },
     /// A learner of the same run name came back with another task.
-    #[error("run `{run}` has become another run: start this actor again")]
-    RunChanged {
-        /// The run.
-        run: RunName,
-    },
+    #[error("run `{0}` has become another run: start this actor again")]
+    RunChanged(RunName),
     /// A thread could not be started.
     #[error("a thread of the actor cannot be started")]
     Thread(#[source] std::io::Error),
     /// A thread of ours ended, which is a bug (or a domain that panicked).
-    #[error("the thread `{name}` ended unexpectedly")]
-    ThreadGone {
-        /// The thread.
-        name: &'static str,
-    },
+    #[error("the thread `{0}` ended unexpectedly")]
+    ThreadGone(&'static str),
 }

@@ -40,11 +40,11 @@ impl<J: Send + 'static, R: Send + 'static> JobThread<J, R> {
 
     /// Hands a job over.
     pub(crate) fn begin(&self, job: J) -> Result<(), Error> {
-        self.jobs.try_send(job).map_err(|_gone| Error::ThreadGone { name: self.name })
+        self.jobs.try_send(job).map_err(|_gone| Error::ThreadGone(self.name))
     }
 
     /// Waits for the next result.
     pub(crate) async fn result(&mut self) -> Result<R, Error> {
-        self.results.recv().await.ok_or(Error::ThreadGone { name: self.name })
+        self.results.recv().await.ok_or(Error::ThreadGone(self.name))
     }
 }

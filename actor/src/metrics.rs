@@ -26,13 +26,12 @@ impl Metrics {
     }
 
     /// Writes the report; times in seconds.
-    pub(crate) fn report<W: Clone, R, E: Default>(&self, actor: &Actor<W, R, E>) -> String {
-        let [_, _, acknowledged] = actor.sequences();
+    pub(crate) fn report<W, R, E>(&self, actor: &Actor<W, R, E>) -> String {
         let report = json!({
             "n_steps": self.n_steps,
-            "n_rollouts_acknowledged": acknowledged.0,
-            "iteration": actor.next_iteration().map(|iteration| iteration.0),
-            "n_reconnects": actor.n_reconnects(),
+            "n_rollouts_acknowledged": actor.outbox.acknowledged.0,
+            "iteration": actor.next.map(|iteration| iteration.0),
+            "n_reconnects": actor.n_reconnects,
             "infer_s": self.times.infer.as_secs_f64(),
             "simulate_s": self.times.simulate.as_secs_f64(),
             "encode_s": self.times.encode.as_secs_f64(),

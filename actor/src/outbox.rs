@@ -6,7 +6,7 @@
 //!                           ↑ at most up to the credit's limit
 //! ```
 //!
-//! A lost message is noticed by the missing acknowledgement; [`Outbox::rewind`] then sends everything that is
+//! A lost message is noticed by the missing acknowledgement; [`Outbox::resume`] then sends everything that is
 //! kept once more, in order, and the learner drops what it has.
 
 use std::collections::VecDeque;
@@ -27,9 +27,12 @@ pub struct EncodedRollout {
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
     entries: VecDeque<EncodedRollout>,
-    made: Sequence,
-    acknowledged: Sequence,
-    sent: Sequence,
+    /// The highest sequence given out.
+    pub(crate) made: Sequence,
+    /// The highest sequence acknowledged.
+    pub(crate) acknowledged: Sequence,
+    /// The highest sequence sent.
+    pub(crate) sent: Sequence,
     limit: Sequence,
 }
 
@@ -41,23 +44,19 @@ impl Outbox {
         self.entries.push_back(rollout);
     }
 
-    /// Returns the next rollout that may be sent, as often as it is asked before [`Self::mark_sent`].
-    pub(crate) fn next_to_send(&self) -> Option<&EncodedRollout> {
-        let next = self.sent.next();
-        let index = (next.0 - self.acknowledged.next().0) as usize;
-        self.entries.get(index).filter(|_| next <= self.limit)
-    }
-
-    /// Notes that the next rollout is on its way.
-    pub(crate) fn mark_sent(&mut self) {
+    /// Takes the next rollout that may be sent.
+    pub(crate) fn send_next(&mut self) -> Option<EncodedRollout> {
+        let index = (self.sent.0 - self.acknowledged.0) as usize;
+        let rollout = self.entries.get(index).filter(|_| self.sent < self.limit)?;
         self.sent = self.sent.next();
+        Some(rollout.clone())
     }
 
     /// Tells whether more may be made: under a deterministic schedule a window's worth may be kept, sent or not; in
     /// `async`, where it would grow stale here, only what may be sent.
     pub(crate) fn has_room(&self, schedule: Schedule, window: u32) -> bool {
         if schedule.is_deterministic() {
-            self.len() < window as usize
+            self.entries.len() < window as usize
         } else {
             self.made < self.limit
         }
@@ -84,11 +83,6 @@ impl Outbox {
         let acknowledged = Sequence(resend_from.0.saturating_sub(1));
         self.limit = Sequence(acknowledged.0 + u64::from(window));
         self.credit(acknowledged, self.limit);
-        self.rewind();
-    }
-
-    /// Sends everything unacknowledged once more.
-    pub(crate) fn rewind(&mut self) {
         self.sent = self.acknowledged;
     }
 
@@ -97,29 +91,9 @@ impl Outbox {
         self.entries.truncate((self.sent.0 - self.acknowledged.0) as usize);
     }
 
-    /// Returns how many rollouts are kept.
-    pub(crate) fn len(&self) -> usize {
-        self.entries.len()
-    }
-
     /// Tells whether something was sent and is not acknowledged.
     pub(crate) fn is_waiting(&self) -> bool {
         self.sent > self.acknowledged
-    }
-
-    /// Returns the highest sequence given out.
-    pub(crate) fn made(&self) -> Sequence {
-        self.made
-    }
-
-    /// Returns the highest sequence sent.
-    pub(crate) fn sent(&self) -> Sequence {
-        self.sent
-    }
-
-    /// Returns the highest sequence acknowledged.
-    pub(crate) fn acknowledged(&self) -> Sequence {
-        self.acknowledged
     }
 }
 
@@ -140,12 +114,8 @@ mod tests {
     }
 
     fn send_all(outbox: &mut Outbox) -> Vec<u64> {
-        let mut sent = Vec::new();
-        while let Some(rollout) = outbox.next_to_send() {
-            sent.push(rollout.header.sequence.0);
-            outbox.mark_sent();
-        }
-        sent
+        let sent = std::iter::from_fn(|| outbox.send_next());
+        sent.map(|rollout| rollout.header.sequence.0).collect()
     }
 
     #[test]
@@ -155,7 +125,9 @@ mod tests {
         assert!(outbox.credit(Sequence(1), Sequence(4)));
         assert_eq!(send_all(&mut outbox), [3, 4]);
         assert!(!outbox.credit(Sequence(1), Sequence(3)), "an old credit changes nothing");
-        assert_eq!(outbox.len(), 4);
+        assert!(!outbox.credit(Sequence(7), Sequence(9)), "nor one of what was never made");
+        assert_eq!(send_all(&mut outbox), [0; 0]);
+        assert_eq!(outbox.entries.len(), 4);
         assert!(outbox.is_waiting());
     }
 
@@ -170,28 +142,15 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_acknowledged_is_sent_again_in_order() {
+    fn a_learner_says_from_where_what_is_not_acknowledged_is_sent_again() {
         let mut outbox = outbox(4, 9);
         send_all(&mut outbox);
         outbox.credit(Sequence(1), Sequence(9));
-        outbox.rewind();
+        outbox.resume(Sequence(2), 9);
         assert_eq!(send_all(&mut outbox), [2, 3, 4]);
-    }
-
-    #[test]
-    fn a_new_learner_says_from_where() {
-        let mut outbox = outbox(4, 9);
-        send_all(&mut outbox);
         outbox.resume(Sequence(3), 1);
         assert_eq!(send_all(&mut outbox), [3]);
-        assert_eq!(outbox.acknowledged(), Sequence(2));
-    }
-
-    #[test]
-    fn an_acknowledgement_of_what_was_never_made_is_ignored() {
-        let mut outbox = outbox(1, 1);
-        assert!(!outbox.credit(Sequence(7), Sequence(9)));
-        assert_eq!(send_all(&mut outbox), [1]);
+        assert_eq!(outbox.acknowledged, Sequence(2));
     }
 
     #[test]
@@ -199,7 +158,7 @@ mod tests {
         let mut outbox = outbox(4, 2);
         send_all(&mut outbox);
         outbox.drop_unsent();
-        assert_eq!((outbox.len(), outbox.sent(), outbox.made()), (2, Sequence(2), Sequence(4)));
+        assert_eq!((outbox.entries.len(), outbox.sent, outbox.made), (2, Sequence(2), Sequence(4)));
         outbox.credit(Sequence(2), Sequence(2));
         assert!(!outbox.is_waiting());
     }

@@ -11,7 +11,6 @@
 //!
 //! The loop itself never waits for the network or for an environment.
 
-use std::future::pending;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -185,24 +184,19 @@ impl Process {
         stop: &CancellationToken,
     ) -> Result<ActorWake, Error> {
         let (alarm, listens) = (self.actor.wakes_at(), !self.actor.is_greeting());
-        let alarm = async {
-            match alarm {
-                Some(at) => sleep_until(at.into()).await,
-                None => pending().await,
-            }
-        };
+        let alarm_at = alarm.unwrap_or_else(Instant::now).into();
         Ok(tokio::select! {
             biased;
             () = stop.cancelled() => ActorWake::Stop,
             // Before what strangers can flood, or time-outs would never be looked at.
             _ = ticks.tick() => ActorWake::Tick,
-            () = alarm => ActorWake::Alarm,
+            () = sleep_until(alarm_at), if alarm.is_some() => ActorWake::Alarm,
             Some(done) = self.tasks.1.recv() => done,
             published = self.publisher.result() => ActorWake::Published(published?),
             collected = self.collector.result() => ActorWake::Collected(collected?),
             restored = self.restorer.result() => ActorWake::Restored(restored?),
             event = events.recv(), if listens => {
-                ActorWake::Network(event.ok_or(Error::ThreadGone { name: "network" })?)
+                ActorWake::Network(event.ok_or(Error::ThreadGone("network"))?)
             }
         })
     }
@@ -279,7 +273,7 @@ impl Process {
 
     fn greet(&self, hello: Hello) {
         let (link, done) = (Arc::clone(&self.link), self.tasks.0.clone());
-        let run = self.actor.run().clone();
+        let run = self.actor.welcome.run.clone();
         tokio::spawn(async move {
             let answer = link.hello(Some(&run), &hello, HELLO_TIMEOUT).await;
             drop(done.send(ActorWake::Greeted(answer.map(Box::new).map_err(Box::new))).await);
@@ -297,7 +291,7 @@ impl Process {
     async fn farewell(&mut self, events: &Events<ActorEvent>) {
         self.actor.begin_farewell();
         let deadline = tokio::time::Instant::now() + FAREWELL;
-        while self.actor.awaits_acknowledgement() {
+        while self.actor.outbox.is_waiting() {
             match timeout_at(deadline, events.recv()).await {
                 Ok(Some(ActorEvent::LearnerLeft(learner))) if learner == self.actor.learner() => {
                     break;
@@ -312,15 +306,15 @@ impl Process {
     }
 
     fn report(self, end: ActorEnd) -> ActorReport {
-        let [made, sent, acknowledged] = self.actor.sequences();
+        let Actor { welcome, outbox, n_reconnects, .. } = self.actor;
         ActorReport {
-            run: self.actor.run().clone(),
+            run: welcome.run,
             end,
             n_steps: self.metrics.n_steps,
-            made,
-            sent,
-            acknowledged,
-            n_reconnects: self.actor.n_reconnects(),
+            made: outbox.made,
+            sent: outbox.sent,
+            acknowledged: outbox.acknowledged,
+            n_reconnects,
         }
     }
 }

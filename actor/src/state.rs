@@ -28,7 +28,7 @@ use leadtime_proto::limits::MAX_WINDOW;
 use leadtime_proto::message::{
     Announcement, Assignment, Control, ControlReply, Credit, Hello, Welcome,
 };
-use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, Sequence};
+use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion};
 use tracing::{debug, info, warn};
 
 use crate::outbox::{EncodedRollout, Outbox};
@@ -174,8 +174,8 @@ struct Adoption<E> {
 #[derive(Debug)]
 pub struct Actor<W, R, E> {
     settings: ActorSettings,
-    welcome: Welcome,
-    outbox: Outbox,
+    pub(crate) welcome: Welcome,
+    pub(crate) outbox: Outbox,
     weights: WeightCache<W>,
     /// Counts learners: what was begun under an earlier one is of no use.
     generation: u64,
@@ -191,11 +191,13 @@ pub struct Actor<W, R, E> {
     /// The assignment that is followed, and what of it cannot be.
     epoch: Epoch,
     unrestored: Vec<EnvId>,
-    next: Option<Iteration>,
+    /// The iteration to be collected next.
+    pub(crate) next: Option<Iteration>,
     last_progress: Instant,
     last_credit: Instant,
     credit_timeout: Duration,
-    n_reconnects: u64,
+    /// How often hello was said again.
+    pub(crate) n_reconnects: u64,
     has_ended: bool,
     outputs: Vec<ActorOutput<W, R, E>>,
 }
@@ -300,39 +302,14 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     }
 
     /// Lets go of what was not sent, because the actor leaves. From now on nothing is begun.
-    pub fn begin_farewell(&mut self) {
+    pub(crate) fn begin_farewell(&mut self) {
         self.has_ended = true;
         self.outbox.drop_unsent();
     }
 
-    /// Tells whether something was sent and is not acknowledged.
-    pub fn awaits_acknowledgement(&self) -> bool {
-        self.outbox.is_waiting()
-    }
-
-    /// Returns the name of the run that the actor works for.
-    pub fn run(&self) -> &RunName {
-        &self.welcome.run
-    }
-
     /// Returns the learner that this actor works for.
-    pub fn learner(&self) -> Incarnation {
+    pub(crate) fn learner(&self) -> Incarnation {
         self.welcome.weights.learner
-    }
-
-    /// Returns the highest sequences made, sent and acknowledged.
-    pub fn sequences(&self) -> [Sequence; 3] {
-        [self.outbox.made(), self.outbox.sent(), self.outbox.acknowledged()]
-    }
-
-    /// Returns the iteration to be collected next.
-    pub fn next_iteration(&self) -> Option<Iteration> {
-        self.next
-    }
-
-    /// Returns how often hello was said again.
-    pub fn n_reconnects(&self) -> u64 {
-        self.n_reconnects
     }
 
     fn window(&self) -> u32 {
@@ -345,11 +322,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             Control::Stop { reason, cut_off } => {
                 self.answer(reply);
                 let run = self.welcome.run.clone();
-                return self.end(if cut_off {
-                    Err(Error::CutOff { run, reason })
-                } else {
-                    Ok(ActorEnd::Dismissed { reason })
-                });
+                let cut = Err(Error::CutOff { run, reason: reason.clone() });
+                return self.end(if cut_off { cut } else { Ok(ActorEnd::Dismissed { reason }) });
             }
         };
         // An order that is given again, because its answer was late or lost, is followed once and answered alike.
@@ -436,10 +410,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         if self.greeting.is_some() {
             return;
         }
-        let is_idle = self.next.is_none()
-            && self.adoptions.is_empty()
-            && self.restoring.is_none()
-            && self.orders.is_empty();
+        let expects_some = !self.adoptions.is_empty() || !self.orders.is_empty();
+        let is_idle = self.next.is_none() && !expects_some && self.restoring.is_none();
         let silence = now.saturating_duration_since(self.last_progress);
         if self.outbox.is_waiting() && silence > ACK_TIMEOUT {
             warn!(run = %self.welcome.run, "the learner does not acknowledge; asking again");
@@ -484,7 +456,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     fn welcomed(&mut self, now: Instant, welcome: Welcome) {
         self.greeting = None;
         if self.welcome.spec != welcome.spec {
-            return self.end(Err(Error::RunChanged { run: welcome.run }));
+            return self.end(Err(Error::RunChanged(welcome.run)));
         }
         if welcome.weights.learner == self.learner() {
             self.weights.announce(&welcome.weights);
@@ -555,10 +527,9 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     /// Hands rollouts to the publishing thread as far as credit and its queue allow.
     fn publish(&mut self) {
         while self.n_publishing < PUBLISHING
-            && let Some(rollout) = self.outbox.next_to_send()
+            && let Some(rollout) = self.outbox.send_next()
         {
-            self.outputs.push(ActorOutput::Publish(rollout.clone()));
-            self.outbox.mark_sent();
+            self.outputs.push(ActorOutput::Publish(rollout));
             self.n_publishing += 1;
         }
     }
@@ -604,8 +575,8 @@ fn compose_hello(settings: &ActorSettings, outbox: &Outbox) -> Hello {
         actor: settings.actor.clone(),
         incarnation: settings.incarnation,
         cpu: settings.cpu.clone(),
-        published: outbox.made(),
-        first_unacknowledged: outbox.acknowledged().next(),
+        published: outbox.made,
+        first_unacknowledged: outbox.acknowledged.next(),
     }
 }
 

@@ -71,13 +71,12 @@ impl<W: Clone> WeightCache<W> {
     /// announcement alone is no proof, because anyone can send one.
     pub(crate) fn wanted(&self, next: Option<Iteration>) -> Option<(PolicyVersion, [u8; 32])> {
         let required = self.required(next).filter(|version| !self.versions.contains_key(version));
-        let oldest = self.announced.first_key_value().map(|(&version, _)| version);
         if let Some(required) = required {
-            if let Some(sha256) = self.announced.get(&required) {
-                return Some((required, *sha256));
-            }
-            if oldest.is_some_and(|oldest| required < oldest) {
-                return Some((required, [0; 32]));
+            let oldest = self.announced.first_key_value();
+            let is_past = oldest.is_some_and(|(oldest, _)| required < *oldest);
+            let announced = self.announced.get(&required).copied();
+            if let Some(sha256) = announced.or(is_past.then_some([0; 32])) {
+                return Some((required, sha256));
             }
         }
         let newest_here = self.versions.last_key_value().map(|(version, _)| version);

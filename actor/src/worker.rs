@@ -139,7 +139,9 @@ impl Worker {
             }
             // The slots still show the final observations, which beginning another episode overwrites.
             for (row, value) in lockstep.final_values(policy, &slots) {
-                recorders[row].value_end(value);
+                if let Some(end) = recorders[row].rollout.ends.last_mut() {
+                    end.final_value = value;
+                }
             }
             watch.lap(Phase::Infer);
             lockstep.ended().iter().for_each(|&(row, _)| slots[row].begin_next());
@@ -176,15 +178,6 @@ pub(crate) fn ready_slot(
 /// Writes a slot's steps into a rollout.
 struct Recorder<'a> {
     rollout: &'a mut Rollout,
-}
-
-impl Recorder<'_> {
-    /// Notes the value of the final observation of the episode that ended last.
-    fn value_end(&mut self, value: f32) {
-        if let Some(end) = self.rollout.ends.last_mut() {
-            end.final_value = value;
-        }
-    }
 }
 
 impl Observer for Recorder<'_> {

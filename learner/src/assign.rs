@@ -12,126 +12,110 @@ use std::collections::BTreeMap;
 
 use leadtime_proto::{ActorId, EnvId, Epoch, Incarnation};
 
-/// Who steps an environment.
+use crate::books::SenderKey;
+
+/// Who steps an environment, and the assignment that gave it to this start of an actor.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Ownership {
-    /// The owning actor.
-    pub actor: ActorId,
-    /// The start of the actor that owns it.
-    pub incarnation: Incarnation,
-    /// The assignment that gave it the environment.
-    pub since: Epoch,
+pub(crate) struct Ownership {
+    pub(crate) key: SenderKey,
+    pub(crate) since: Epoch,
 }
 
 /// A new set of environments for one actor, which it has to be told.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Reassignment {
-    /// The actor whose set it is.
-    pub actor: ActorId,
-    /// The assignment's number.
-    pub epoch: Epoch,
-    /// Environments that it gets.
-    pub given: Vec<EnvId>,
+pub(crate) struct Reassignment {
+    pub(crate) actor: ActorId,
+    pub(crate) epoch: Epoch,
+    pub(crate) given: Vec<EnvId>,
     /// Environments that it goes on with undisturbed.
-    pub kept: Vec<EnvId>,
+    pub(crate) kept: Vec<EnvId>,
 }
 
 /// The present assignment.
 #[derive(Clone, Debug)]
-pub struct Assigner {
-    epoch: Epoch,
+pub(crate) struct Assigner {
+    /// The newest one.
+    pub(crate) epoch: Epoch,
     owners: Vec<Option<Ownership>>,
 }
 
 impl Assigner {
     /// Starts with nobody, after the epochs that a checkpoint knows of.
-    pub fn new(n_envs: usize, epoch: Epoch) -> Self {
+    pub(crate) fn new(n_envs: usize, epoch: Epoch) -> Self {
         Self { epoch, owners: vec![None; n_envs] }
     }
 
-    /// Returns how many environments there are.
-    pub fn n_envs(&self) -> usize {
+    pub(crate) fn n_envs(&self) -> usize {
         self.owners.len()
     }
 
-    /// Returns the newest epoch.
-    pub fn epoch(&self) -> Epoch {
-        self.epoch
-    }
-
     /// Opens the next epoch.
-    pub fn next_epoch(&mut self) -> Epoch {
+    pub(crate) fn next_epoch(&mut self) -> Epoch {
         self.epoch = self.epoch.next();
         self.epoch
     }
 
     /// Returns the owner of an environment; `None` also for one that the run does not have.
-    pub fn owner(&self, env_id: EnvId) -> Option<&Ownership> {
+    pub(crate) fn owner(&self, env_id: EnvId) -> Option<&Ownership> {
         self.owners.get(env_id.0 as usize)?.as_ref()
     }
 
+    /// Tells whether a start of an actor, following this assignment or a newer one, has an environment.
+    pub(crate) fn owns(&self, actor: &SenderKey, epoch: Epoch, env_id: EnvId) -> bool {
+        self.owner(env_id).is_some_and(|owner| owner.key == *actor && epoch >= owner.since)
+    }
+
     /// Tells whether an environment waits for an actor.
-    pub fn has_orphans(&self) -> bool {
+    pub(crate) fn has_orphans(&self) -> bool {
         self.owners.iter().any(Option::is_none)
     }
 
     /// Takes everything from an actor and returns how many environments that was.
-    pub fn release(&mut self, actor: &ActorId) -> usize {
-        let mut n_released = 0;
-        for slot in &mut self.owners {
-            if slot.as_ref().is_some_and(|owner| owner.actor == *actor) {
-                *slot = None;
-                n_released += 1;
-            }
+    pub(crate) fn release(&mut self, actor: &ActorId) -> usize {
+        let released = self.held(actor);
+        for env_id in &released {
+            self.owners[env_id.0 as usize] = None;
         }
-        n_released
+        released.len()
     }
 
     /// Gives an actor its own environments again, from their newest snapshots, under a new epoch.
-    pub fn renew(&mut self, actor: &ActorId) -> Option<Reassignment> {
+    pub(crate) fn renew(&mut self, actor: &ActorId) -> Option<Reassignment> {
         let given = self.held(actor);
-        if given.is_empty() {
-            return None;
+        (!given.is_empty()).then(|| self.change(actor.clone(), given))
+    }
+
+    /// Gives environments to the actors beside them, from their newest snapshots, and returns what has to be said to each
+    /// actor that gets or loses some, by name.
+    pub(crate) fn hand_over(&mut self, moves: Vec<(EnvId, SenderKey)>) -> Vec<Reassignment> {
+        let mut concerned: BTreeMap<ActorId, Vec<EnvId>> = BTreeMap::new();
+        for (env_id, key) in moves {
+            if let Some(from) = self.owner(env_id) {
+                concerned.entry(from.key.0.clone()).or_default();
+            }
+            concerned.entry(key.0.clone()).or_default().push(env_id);
+            self.owners[env_id.0 as usize] = Some(Ownership { key, since: self.epoch });
         }
+        let change = |(actor, given)| self.change(actor, given);
+        concerned.into_iter().map(change).collect()
+    }
+
+    /// Begins an epoch for an actor that was given these of its environments.
+    fn change(&mut self, actor: ActorId, given: Vec<EnvId>) -> Reassignment {
         let epoch = self.next_epoch();
+        let mut kept = self.held(&actor);
+        kept.retain(|env_id| !given.contains(env_id));
         for env_id in &given {
             if let Some(owner) = &mut self.owners[env_id.0 as usize] {
                 owner.since = epoch;
             }
         }
-        Some(Reassignment { actor: actor.clone(), epoch, given, kept: Vec::new() })
-    }
-
-    /// Gives environments to the actors beside them, from their newest snapshots, and returns what has to be said to each
-    /// actor that gets or loses some, by name.
-    pub fn hand_over(&mut self, moves: Vec<(EnvId, ActorId, Incarnation)>) -> Vec<Reassignment> {
-        let mut concerned: BTreeMap<ActorId, Vec<EnvId>> = BTreeMap::new();
-        for (env_id, actor, incarnation) in moves {
-            if let Some(from) = self.owner(env_id) {
-                concerned.entry(from.actor.clone()).or_default();
-            }
-            concerned.entry(actor.clone()).or_default().push(env_id);
-            let since = self.epoch;
-            self.owners[env_id.0 as usize] = Some(Ownership { actor, incarnation, since });
-        }
-        let mut changes = Vec::new();
-        for (actor, given) in concerned {
-            let epoch = self.next_epoch();
-            let mut kept = self.held(&actor);
-            kept.retain(|env_id| !given.contains(env_id));
-            for env_id in &given {
-                if let Some(owner) = &mut self.owners[env_id.0 as usize] {
-                    owner.since = epoch;
-                }
-            }
-            changes.push(Reassignment { actor, epoch, given, kept });
-        }
-        changes
+        Reassignment { actor, epoch, given, kept }
     }
 
     /// Shares the environments among the members, each of whom should have at most `max_envs`, and returns what has
     /// to be said to whom.
-    pub fn rebalance(
+    pub(crate) fn rebalance(
         &mut self,
         members: &BTreeMap<ActorId, Incarnation>,
         max_envs: impl Fn(&ActorId) -> usize,
@@ -147,19 +131,15 @@ impl Assigner {
         }
         let mut changes = Vec::new();
         for (actor, &quota) in &quotas {
-            let kept = self.held(actor);
-            let free = self.free();
-            let given: Vec<EnvId> = free.into_iter().take(quota - kept.len()).collect();
-            if given.is_empty() && !dropped[actor] {
-                continue;
-            }
-            let epoch = self.next_epoch();
+            let mut given = self.env_ids(|owner| owner.is_none());
+            given.truncate(quota - self.held(actor).len());
+            let owner = Ownership { key: (actor.clone(), members[actor]), since: self.epoch };
             for env_id in &given {
-                let owner =
-                    Ownership { actor: actor.clone(), incarnation: members[actor], since: epoch };
-                self.owners[env_id.0 as usize] = Some(owner);
+                self.owners[env_id.0 as usize] = Some(owner.clone());
             }
-            changes.push(Reassignment { actor: actor.clone(), epoch, given, kept });
+            if !given.is_empty() || dropped[actor] {
+                changes.push(self.change(actor.clone(), given));
+            }
         }
         changes
     }
@@ -190,24 +170,20 @@ impl Assigner {
     }
 
     /// Returns how many environments each member has.
-    pub fn counts(&self, members: &BTreeMap<ActorId, Incarnation>) -> BTreeMap<ActorId, usize> {
+    pub(crate) fn counts(
+        &self,
+        members: &BTreeMap<ActorId, Incarnation>,
+    ) -> BTreeMap<ActorId, usize> {
         members.keys().map(|actor| (actor.clone(), self.held(actor).len())).collect()
     }
 
     fn held(&self, actor: &ActorId) -> Vec<EnvId> {
-        self.env_ids(|owner| owner.is_some_and(|owner| owner.actor == *actor))
-    }
-
-    fn free(&self) -> Vec<EnvId> {
-        self.env_ids(|owner| owner.is_none())
+        self.env_ids(|owner| owner.is_some_and(|owner| owner.key.0 == *actor))
     }
 
     fn env_ids(&self, wanted: impl Fn(Option<&Ownership>) -> bool) -> Vec<EnvId> {
-        (0_u32..)
-            .zip(&self.owners)
-            .filter(|(_, owner)| wanted(owner.as_ref()))
-            .map(|(id, _)| EnvId(id))
-            .collect()
+        let owners = (0_u32..).zip(&self.owners);
+        owners.filter(|(_, owner)| wanted(owner.as_ref())).map(|(id, _)| EnvId(id)).collect()
     }
 }
 
@@ -224,55 +200,48 @@ mod tests {
     }
 
     fn sets(assigner: &Assigner, names: &[&str]) -> Vec<Vec<u32>> {
-        names
-            .iter()
-            .map(|name| assigner.held(&id(name)).iter().map(|env| env.0).collect())
-            .collect()
+        let set = |name: &&str| assigner.held(&id(name)).iter().map(|env| env.0).collect();
+        names.iter().map(set).collect()
     }
 
-    fn share(
-        assigner: &mut Assigner,
-        members: &BTreeMap<ActorId, Incarnation>,
-    ) -> Vec<Reassignment> {
-        assigner.rebalance(members, |_| usize::MAX)
+    /// Shares among members without limits.
+    fn share(assigner: &mut Assigner, names: &[&str]) -> Vec<Reassignment> {
+        assigner.rebalance(&members(names), |_| usize::MAX)
     }
 
     #[test]
     fn a_first_assignment_is_contiguous_and_balanced() {
         let mut assigner = Assigner::new(5, Epoch(0));
-        let changes = share(&mut assigner, &members(&["a", "b"]));
+        let changes = share(&mut assigner, &["a", "b"]);
         assert_eq!(sets(&assigner, &["a", "b"]), [vec![0, 1, 2], vec![3, 4]]);
         assert_eq!(changes.len(), 2);
         assert!(changes.iter().all(|change| change.kept.is_empty()));
+        let mut one = Assigner::new(1, Epoch(0));
+        assert_eq!(share(&mut one, &["a", "b", "c"]).len(), 1, "more actors than environments");
+        assert!(!one.has_orphans());
     }
 
     #[test]
     fn a_joiner_gets_its_share_and_the_others_keep_theirs() {
         let mut assigner = Assigner::new(4, Epoch(0));
-        share(&mut assigner, &members(&["a"]));
-        let changes = share(&mut assigner, &members(&["a", "b"]));
+        share(&mut assigner, &["a"]);
+        let changes = share(&mut assigner, &["a", "b"]);
         assert_eq!(sets(&assigner, &["a", "b"]), [vec![0, 1], vec![2, 3]]);
         let (a, b) = (&changes[0], &changes[1]);
         assert_eq!((a.given.len(), a.kept.len()), (0, 2));
         assert_eq!((b.given.len(), b.kept.len()), (2, 0));
         assert_eq!(assigner.owner(EnvId(0)).unwrap().since, Epoch(1), "kept: its ownership is old");
         assert_eq!(assigner.owner(EnvId(2)).unwrap().since, b.epoch);
-    }
-
-    #[test]
-    fn who_is_not_touched_hears_nothing() {
-        let mut assigner = Assigner::new(4, Epoch(0));
-        share(&mut assigner, &members(&["a", "b"]));
-        assert!(share(&mut assigner, &members(&["a", "b"])).is_empty());
+        assert!(share(&mut assigner, &["a", "b"]).is_empty(), "who is not touched hears nothing");
     }
 
     #[test]
     fn the_envs_of_one_who_left_go_to_the_others() {
         let mut assigner = Assigner::new(6, Epoch(0));
-        share(&mut assigner, &members(&["a", "b", "c"]));
+        share(&mut assigner, &["a", "b", "c"]);
         assert_eq!(assigner.release(&id("b")), 2);
         assert!(assigner.has_orphans());
-        share(&mut assigner, &members(&["a", "c"]));
+        share(&mut assigner, &["a", "c"]);
         assert_eq!(sets(&assigner, &["a", "c"]), [vec![0, 1, 2], vec![3, 4, 5]]);
         assert!(!assigner.has_orphans());
     }
@@ -280,29 +249,21 @@ mod tests {
     #[test]
     fn with_nobody_left_the_environments_wait() {
         let mut assigner = Assigner::new(2, Epoch(7));
-        share(&mut assigner, &members(&["a"]));
+        share(&mut assigner, &["a"]);
         assigner.release(&id("a"));
-        assert!(share(&mut assigner, &members(&[])).is_empty());
+        assert!(share(&mut assigner, &[]).is_empty());
         assert!(assigner.has_orphans());
-        assert_eq!(share(&mut assigner, &members(&["b"]))[0].epoch, Epoch(9));
+        assert_eq!(share(&mut assigner, &["b"])[0].epoch, Epoch(9));
     }
 
     #[test]
     fn renewing_moves_nothing_but_makes_older_rollouts_void() {
         let mut assigner = Assigner::new(2, Epoch(0));
-        share(&mut assigner, &members(&["a"]));
+        share(&mut assigner, &["a"]);
         let change = assigner.renew(&id("a")).unwrap();
         assert_eq!(change.given, [EnvId(0), EnvId(1)]);
         assert_eq!(assigner.owner(EnvId(1)).unwrap().since, change.epoch);
         assert!(assigner.renew(&id("b")).is_none());
-    }
-
-    #[test]
-    fn more_actors_than_environments_leave_some_idle() {
-        let mut assigner = Assigner::new(1, Epoch(0));
-        let changes = share(&mut assigner, &members(&["a", "b", "c"]));
-        assert_eq!(changes.len(), 1);
-        assert!(!assigner.has_orphans());
     }
 
     #[test]
@@ -327,8 +288,8 @@ mod tests {
     #[test]
     fn environments_move_without_the_others() {
         let mut assigner = Assigner::new(4, Epoch(0));
-        share(&mut assigner, &members(&["a", "b"]));
-        let moved = |env_id: u32, to: &str| (EnvId(env_id), id(to), Incarnation(1));
+        share(&mut assigner, &["a", "b"]);
+        let moved = |env_id: u32, to: &str| (EnvId(env_id), (id(to), Incarnation(1)));
         let changes = assigner.hand_over(vec![moved(0, "b"), moved(2, "b")]);
         assert_eq!(sets(&assigner, &["a", "b"]), [vec![1], vec![0, 2, 3]]);
         let said = |change: &Reassignment| {

@@ -52,24 +52,17 @@ fn note(known: &mut BTreeSet<String>, fingerprint: &str) -> bool {
 mod tests {
     use super::*;
 
-    fn build(program: &str, cpu: &str) -> Build {
-        Build { program: program.to_owned(), cpu: cpu.to_owned() }
-    }
-
     #[test]
-    fn another_build_is_noticed_once_and_remembered() {
+    fn another_build_is_noticed_once_and_strangers_fill_neither_the_list_nor_the_log() {
         let mut builds = Builds::default();
-        let mut note = |program, cpu| builds.note(&build(program, cpu));
+        let mut note = |program: &str, cpu: &str| {
+            builds.note(&Build { program: program.to_owned(), cpu: cpu.to_owned() })
+        };
         assert!(!note("a", "x") && !note("a", "x"));
         assert!(note("b", "x") && !note("b", "x") && note("b", "y"));
+        let n_noticed = (0..10 * MAX_LISTED).filter(|i| note(&i.to_string(), "x")).count();
+        assert_eq!(n_noticed, MAX_LISTED - 2);
         assert!(!builds.is_uniform() && Builds::default().is_uniform());
-    }
-
-    #[test]
-    fn strangers_fill_neither_the_list_nor_the_log() {
-        let mut builds = Builds::default();
-        let mut note = |i: usize| builds.note(&build(&i.to_string(), "x"));
-        assert_eq!((0..10 * MAX_LISTED).filter(|&i| note(i)).count(), MAX_LISTED - 1);
         assert_eq!(builds.programs.len(), MAX_LISTED);
     }
 }

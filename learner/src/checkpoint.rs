@@ -73,11 +73,8 @@ pub enum CheckpointError {
         source: io::Error,
     },
     /// Another learner holds the directory's lock.
-    #[error("{} is in use by another learner: stop it, or choose another run name", path.display())]
-    InUse {
-        /// The checkpoint directory of the run.
-        path: PathBuf,
-    },
+    #[error("{} is in use by another learner: stop it, or choose another run name", .0.display())]
+    InUse(PathBuf),
     /// A release with another checkpoint format wrote the newest checkpoint.
     #[error(
         "{} has checkpoint format {found}, this release reads format {FORMAT_VERSION}: resume the run with the release \
@@ -107,31 +104,6 @@ pub enum CheckpointError {
     Encode(#[source] CodecError),
 }
 
-/// What is wrong with one checkpoint file.
-#[derive(Debug, Error)]
-pub enum CheckpointDamage {
-    /// The operating system does not read it.
-    #[error("it cannot be read")]
-    Unreadable(#[source] io::Error),
-    /// It does not begin with the magic number.
-    #[error("it is not a checkpoint")]
-    Magic,
-    /// It is shorter or longer than it says.
-    #[error("it is torn: {found} of {expected} bytes are there")]
-    Torn {
-        /// Length of the file, in bytes.
-        found: u64,
-        /// Length that its header states, in bytes.
-        expected: u64,
-    },
-    /// Its content is not what was written.
-    #[error("its content has changed since it was written")]
-    Digest,
-    /// It is whole, but holds something else.
-    #[error("it cannot be decoded")]
-    Decode(#[source] CodecError),
-}
-
 /// A checkpoint that was found.
 #[derive(Debug)]
 pub struct Loaded<T> {
@@ -139,8 +111,8 @@ pub struct Loaded<T> {
     pub state: T,
     /// The file that it was read from.
     pub path: PathBuf,
-    /// Newer files that could not be used.
-    pub damaged: Vec<(PathBuf, CheckpointDamage)>,
+    /// Newer files that could not be used, and what is wrong with each.
+    pub damaged: Vec<(PathBuf, String)>,
 }
 
 /// The checkpoint directory of a run.
@@ -169,15 +141,13 @@ impl CheckpointStore {
             .open(directory.join("lock"))
             .map_err(failed)?;
         match lock.try_lock() {
-            Ok(()) => {
-                let (directory, damaged) = (directory.to_owned(), BTreeSet::new());
-                Ok(Self { directory, damaged, _lock: lock })
-            }
+            Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
-                Err(CheckpointError::InUse { path: directory.to_owned() })
+                return Err(CheckpointError::InUse(directory.to_owned()));
             }
-            Err(TryLockError::Error(source)) => Err(failed(source)),
+            Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
+        Ok(Self { directory: directory.to_owned(), damaged: BTreeSet::new(), _lock: lock })
     }
 
     /// Writes the state after `n_updates` updates and removes what is no longer needed.
@@ -241,18 +211,14 @@ impl CheckpointStore {
         for path in self.files()?.into_iter().rev() {
             // Older files are looked at, too: only whole ones count when old files are removed.
             match read(&path) {
-                Ok(CheckpointFile { format, .. }) if format != FORMAT_VERSION => {
-                    if found.is_none() {
-                        return Err(CheckpointError::OtherFormat { path, found: format });
-                    }
+                Ok(_) if found.is_some() => {}
+                Ok((format, _)) if format != FORMAT_VERSION => {
+                    return Err(CheckpointError::OtherFormat { path, found: format });
                 }
-                Ok(content) if found.is_none() => {
-                    match codec::decode(content.payload(), MAX_PAYLOAD_BYTES) {
-                        Ok(state) => found = Some((state, path)),
-                        Err(error) => damaged.push((path, CheckpointDamage::Decode(error))),
-                    }
-                }
-                Ok(_) => {}
+                Ok((_, bytes)) => match codec::decode(&bytes[FRONT_BYTES..], MAX_PAYLOAD_BYTES) {
+                    Ok(state) => found = Some((state, path)),
+                    Err(_) => damaged.push((path, "it cannot be decoded".to_owned())),
+                },
                 Err(damage) if found.is_none() => damaged.push((path, damage)),
                 Err(_) => {
                     self.damaged.insert(path);
@@ -272,36 +238,24 @@ impl CheckpointStore {
     /// Lists the checkpoints, oldest first.
     fn files(&self) -> Result<Vec<PathBuf>, CheckpointError> {
         let failed = |source| CheckpointError::Read { path: self.directory.clone(), source };
-        let mut files = Vec::new();
-        for entry in fs::read_dir(&self.directory).map_err(failed)? {
-            let path = entry.map_err(failed)?.path();
-            if path.extension().is_some_and(|extension| extension == EXTENSION) {
-                files.push(path);
-            }
-        }
+        let entries = fs::read_dir(&self.directory).map_err(failed)?;
+        let paths: io::Result<Vec<PathBuf>> = entries.map(|entry| Ok(entry?.path())).collect();
+        let mut files = paths.map_err(failed)?;
+        files.retain(|path| path.extension().is_some_and(|extension| extension == EXTENSION));
         files.sort();
         Ok(files)
     }
 }
 
-/// A checkpoint file that is as it was written, or was written in another format.
-struct CheckpointFile {
-    format: u32,
-    bytes: Vec<u8>,
-}
-
-impl CheckpointFile {
-    fn payload(&self) -> &[u8] {
-        &self.bytes[FRONT_BYTES..]
-    }
-}
-
-fn read(path: &Path) -> Result<CheckpointFile, CheckpointDamage> {
-    let bytes = fs::read(path).map_err(CheckpointDamage::Unreadable)?;
-    let torn = |expected| CheckpointDamage::Torn { found: bytes.len() as u64, expected };
-    let (front, payload) = bytes.split_at_checked(FRONT_BYTES).ok_or(torn(FRONT_BYTES as u64))?;
+/// Reads a file that is as it was written, in whatever format, or says what is wrong with it.
+fn read(path: &Path) -> Result<(u32, Vec<u8>), String> {
+    let bytes = fs::read(path).map_err(|_unshown| "it cannot be read")?;
+    let n_found = bytes.len();
+    let torn = |n_stated| format!("it is torn: {n_found} of {n_stated} bytes are there");
+    let (front, payload) =
+        bytes.split_at_checked(FRONT_BYTES).ok_or_else(|| torn(FRONT_BYTES as u64))?;
     if front[0..4] != MAGIC {
-        return Err(CheckpointDamage::Magic);
+        return Err("it is not a checkpoint".to_owned());
     }
     let format = u32::from_le_bytes(std::array::from_fn(|i| front[4 + i]));
     let length = u64::from_le_bytes(std::array::from_fn(|i| front[8 + i]));
@@ -309,9 +263,9 @@ fn read(path: &Path) -> Result<CheckpointFile, CheckpointDamage> {
         return Err(torn(length.saturating_add(FRONT_BYTES as u64)));
     }
     if front[16..48] != Sha256::digest(payload)[..] {
-        return Err(CheckpointDamage::Digest);
+        return Err("its content has changed since it was written".to_owned());
     }
-    Ok(CheckpointFile { format, bytes })
+    Ok((format, bytes))
 }
 
 #[cfg(test)]
@@ -344,6 +298,8 @@ mod tests {
         assert!(store.newest::<Vec<u64>>().unwrap().is_none());
         write(&mut store, 8..13);
         assert_eq!(store.files().unwrap().len(), KEPT);
+        // What a crash while writing leaves.
+        fs::write(store.directory.join("000000000013.checkpoint.partial"), b"half").unwrap();
         assert_eq!(newest(&mut store).state, [12]);
     }
 
@@ -364,9 +320,14 @@ mod tests {
             assert_eq!(loaded.damaged[0].0, path);
         }
         fs::write(&path, &changed).unwrap();
-        assert!(matches!(newest(&mut store).damaged[0].1, CheckpointDamage::Digest));
+        assert!(newest(&mut store).damaged[0].1.contains("content has changed"));
         fs::write(&path, &whole).unwrap();
         assert!(newest(&mut store).damaged.is_empty());
+        for n_updates in [1, 2] {
+            fs::write(self::path(&store, n_updates), b"LTCK").unwrap();
+        }
+        let error = store.newest::<Vec<u64>>().unwrap_err();
+        assert!(matches!(error, CheckpointError::AllDamaged { n_damaged: 2, .. }));
     }
 
     #[test]
@@ -417,37 +378,13 @@ mod tests {
     }
 
     #[test]
-    fn a_run_whose_checkpoints_are_all_damaged_does_not_begin_anew() {
-        let (_directory, mut store) = store();
-        let path = store.write(1, &vec![1_u64]).unwrap();
-        fs::write(path, b"LTCK").unwrap();
-        let error = store.newest::<Vec<u64>>().unwrap_err();
-        assert!(matches!(error, CheckpointError::AllDamaged { n_damaged: 1, .. }));
-    }
-
-    #[test]
-    fn a_crash_while_writing_leaves_a_file_that_nobody_reads() {
-        let (_directory, mut store) = store();
-        write(&mut store, [1]);
-        fs::write(store.directory.join("000000000002.checkpoint.partial"), b"half").unwrap();
-        assert_eq!(newest(&mut store).state, [1]);
-    }
-
-    #[test]
-    fn a_second_learner_is_kept_out_until_the_first_is_gone() {
+    fn a_second_learner_is_kept_out_until_the_first_is_gone_and_an_unwritable_place_is_named() {
         let (_directory, store) = store();
         let path = store.directory.clone();
-        assert!(matches!(CheckpointStore::open(&path), Err(CheckpointError::InUse { .. })));
+        assert!(matches!(CheckpointStore::open(&path), Err(CheckpointError::InUse(_))));
         drop(store);
         CheckpointStore::open(&path).unwrap();
-    }
-
-    #[test]
-    fn an_unwritable_place_is_named() {
-        let directory = tempfile::tempdir().unwrap();
-        let file = directory.path().join("file");
-        fs::write(&file, b"").unwrap();
-        let error = CheckpointStore::open(&file.join("run")).unwrap_err();
-        assert!(error.to_string().contains("file/run"), "{error}");
+        let error = CheckpointStore::open(&path.join("lock/run")).unwrap_err();
+        assert!(error.to_string().contains("lock/run"), "{error}");
     }
 }

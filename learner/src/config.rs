@@ -6,8 +6,7 @@ use std::time::Duration;
 
 use leadtime_link::ListenSettings;
 use leadtime_ppo::LearnerSettings;
-use leadtime_proto::message::{Announcement, Welcome};
-use leadtime_proto::{Incarnation, RunName, RunSpec, Sequence};
+use leadtime_proto::{Incarnation, RunName, RunSpec};
 
 use crate::builds::{Build, Builds};
 
@@ -50,16 +49,6 @@ pub struct LearnerConfig {
 }
 
 impl LearnerConfig {
-    /// Composes the answer to an actor's hello.
-    pub(crate) fn welcome(
-        &self,
-        weights: Announcement,
-        resend_from: Sequence,
-        window: u32,
-    ) -> Welcome {
-        Welcome { run: self.run.clone(), spec: self.spec.clone(), window, weights, resend_from }
-    }
-
     /// Returns the environment steps of one update.
     pub(crate) fn steps_per_update(&self) -> u64 {
         self.settings.n_envs as u64 * self.settings.n_steps as u64

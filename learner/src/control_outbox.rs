@@ -36,7 +36,8 @@ pub(crate) struct ControlOutbox {
     link: Arc<LearnerLink>,
     tasks: BTreeMap<SenderKey, mpsc::Sender<Control>>,
     failed: mpsc::Sender<ControlFailure>,
-    failures: mpsc::Receiver<ControlFailure>,
+    /// Control messages that failed.
+    pub(crate) failures: mpsc::Receiver<ControlFailure>,
 }
 
 impl ControlOutbox {
@@ -59,14 +60,6 @@ impl ControlOutbox {
     /// Drops the tasks of actors that are gone; what they hold is still sent if it can be.
     pub(crate) fn retain(&mut self, wanted: impl Fn(&SenderKey) -> bool) {
         self.tasks.retain(|key, task| wanted(key) && !task.is_closed());
-    }
-
-    /// Waits for the next control message that failed.
-    pub(crate) async fn failure(&mut self) -> ControlFailure {
-        match self.failures.recv().await {
-            Some(failure) => failure,
-            None => std::future::pending().await,
-        }
     }
 }
 

@@ -242,7 +242,6 @@ impl Coordinator {
         let key = (actor, incarnation);
         if self.roster.vanish(&key) {
             self.lose(&key.0);
-            self.rebalance_if_orphaned();
         }
     }
 
@@ -251,7 +250,6 @@ impl Coordinator {
         if self.roster.expel(key) {
             self.stragglers.fail(&key.0, 0);
             self.lose(&key.0);
-            self.rebalance_if_orphaned();
         }
     }
 
@@ -261,7 +259,7 @@ impl Coordinator {
     /// under anyone's key, so everything else is a stranger's.
     pub fn refused_by_link(&mut self, actor: Option<ActorId>, refusal: Refusal) {
         let key = actor.clone().zip(refusal.sender);
-        match key.filter(|key| self.roster.members().get(&key.0) == Some(&key.1)) {
+        match key.filter(|key| self.roster.is_member(key)) {
             Some(key) => self.refuse(&key, refusal, false),
             None => self.refuse_stranger(actor, &refusal),
         }
@@ -272,9 +270,9 @@ impl Coordinator {
         &mut self,
         counts: impl IntoIterator<Item = ((Option<ActorId>, RefusalCause), u64)>,
     ) {
+        let text =
+            "no room in the queue, or its sender was cut off: such messages are only counted";
         for ((actor, cause), n) in counts {
-            let text =
-                "no room in the queue, or its sender was cut off: such messages are only counted";
             self.note_first(actor, &Refusal::new(cause, text));
             self.books.refuse_without_event(cause, n);
         }
@@ -355,14 +353,12 @@ impl Coordinator {
             match finding {
                 Lateness::Waiting { actor, n_ticks } => {
                     let n_envs = lacking.get(&actor).copied().unwrap_or_default();
-                    let event =
-                        RunEvent::WaitingForRollouts { actor, n_envs, waited: n_ticks * TICK };
-                    self.effects.push(Effect::Event(event));
+                    let waited = n_ticks * TICK;
+                    self.tell(RunEvent::WaitingForRollouts { actor, n_envs, waited });
                 }
-                Lateness::Behind { actor } => {
+                Lateness::Behind(actor) => {
                     is_due = true;
-                    self.effects
-                        .push(Effect::Event(RunEvent::Distrusted { actor, reason: BEHIND }));
+                    self.tell(RunEvent::Distrusted { actor, reason: BEHIND });
                 }
                 // No hurry: it gets its share when the update is done, as one who joins does.
                 Lateness::Trusted => self.rebalance_due = true,
@@ -379,7 +375,7 @@ impl Coordinator {
         let mut lacking = BTreeMap::new();
         if self.stage == RunStage::Running && self.in_training == 0 {
             for owner in self.queue.lacking().filter_map(|env_id| self.assigner.owner(env_id)) {
-                *lacking.entry(owner.actor.clone()).or_default() += 1;
+                *lacking.entry(owner.key.0.clone()).or_default() += 1;
             }
         }
         lacking
@@ -393,24 +389,21 @@ impl Coordinator {
         let mut counts = self.assigner.counts(self.roster.members());
         let (mut moves, mut authors) = (Vec::new(), BTreeMap::new());
         for &env_id in envs {
-            let is_owner = self.assigner.owner(env_id).is_some_and(|owner| {
-                (&owner.actor, owner.incarnation) == (&key.0, key.1) && epoch >= owner.since
-            });
-            if !is_owner || self.stage == RunStage::Closing {
+            if !self.assigner.owns(key, epoch, env_id) || self.stage == RunStage::Closing {
                 continue; // About an assignment that is over.
             }
             let actor = key.0.clone();
-            self.effects.push(Effect::Event(RunEvent::SnapshotRefused { actor, env_id }));
+            self.tell(RunEvent::SnapshotRefused { actor, env_id });
             let doubters = self.queue.doubt(env_id, &key.0);
             let may_try =
                 |other: &ActorId| !doubters.contains(other) && self.stragglers.max_envs(other) > 0;
             let others = counts.iter_mut().filter(|(other, _)| may_try(other));
             if let Some((other, n_held)) = others.min_by_key(|(_, n_held)| **n_held) {
                 *n_held += 1;
-                moves.push((env_id, other.clone(), self.roster.members()[other]));
+                moves.push((env_id, (other.clone(), self.roster.members()[other])));
                 continue;
             }
-            moves.push((env_id, key.0.clone(), key.1));
+            moves.push((env_id, key.clone()));
             // Who reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
             if let Some(author) = self.give_up_snapshot(env_id).filter(|author| author != key) {
                 authors.insert(author, env_id);
@@ -428,14 +421,14 @@ impl Coordinator {
 
     /// Goes back to the snapshot before, or to a fresh episode, and returns who sent the one that is given up.
     fn give_up_snapshot(&mut self, env_id: EnvId) -> Option<SenderKey> {
-        self.effects.push(Effect::Event(RunEvent::SnapshotLost { env_id }));
+        self.tell(RunEvent::SnapshotLost { env_id });
         match self.queue.recover(env_id) {
-            Recovery::Redo { author } => {
+            Recovery::Redo(author) => {
                 self.books.refuse(RefusalCause::Snapshot, true);
                 self.books.steps_redone += u64::from(self.settings.spec.n_steps);
                 Some(author)
             }
-            Recovery::FreshEpisode { author } => {
+            Recovery::FreshEpisode(author) => {
                 self.books.refuse(RefusalCause::Snapshot, false);
                 author
             }
@@ -472,7 +465,7 @@ impl Coordinator {
 
     /// Returns the newest assignment's number.
     pub fn epoch(&self) -> Epoch {
-        self.assigner.epoch()
+        self.assigner.epoch
     }
 
     /// Returns where environments go on after a resume.
@@ -490,7 +483,7 @@ impl Coordinator {
         self.roster.members()
     }
 
-    /// Returns how many actors are here.
+    /// Counts them.
     pub fn n_actors(&self) -> usize {
         self.roster.members().len()
     }
@@ -510,6 +503,10 @@ impl Coordinator {
         &self.builds
     }
 
+    fn tell(&mut self, event: RunEvent) {
+        self.effects.push(Effect::Event(event));
+    }
+
     fn read(&self, header: &Header, payload: &[u8]) -> Result<CheckedRollout, Refusal> {
         let spec = &self.settings.spec;
         let rollout: Rollout = receive::open(header, payload, receive::ROLLOUT)?;
@@ -520,8 +517,7 @@ impl Coordinator {
             let text = format!("the run has no environment {env_id}");
             return Err(Refusal::new(RefusalCause::Assignment, text));
         }
-        let found = rollout.version;
-        let newest = self.version;
+        let (found, newest) = (rollout.version, self.version);
         let required = spec.schedule.behavior_version(rollout.iteration);
         let expected = required.unwrap_or(newest);
         let wrong = found > newest || (required.is_some() && found != expected);
@@ -538,9 +534,7 @@ impl Coordinator {
     }
 
     fn place(&mut self, key: &SenderKey, epoch: Epoch, rollout: CheckedRollout) {
-        let owned = self.assigner.owner(rollout.env_id).is_some_and(|owner| {
-            owner.actor == key.0 && owner.incarnation == key.1 && epoch >= owner.since
-        });
+        let owned = self.assigner.owns(key, epoch, rollout.env_id);
         let expected = self.queue.expected(rollout.env_id).unwrap_or_default();
         if !owned || rollout.iteration < expected {
             self.supersede();
@@ -554,8 +548,7 @@ impl Coordinator {
             for actor in doubters.into_iter().filter(|doubter| *doubter != key.0) {
                 self.stragglers.fail(&actor, 0);
                 self.rebalance_due = true;
-                let event = RunEvent::Distrusted { actor, reason: WRONG_DOUBT };
-                self.effects.push(Effect::Event(event));
+                self.tell(RunEvent::Distrusted { actor, reason: WRONG_DOUBT });
             }
         }
     }
@@ -567,14 +560,14 @@ impl Coordinator {
         let outcome = sender.refuse(cause);
         if outcome.first {
             let (actor, reason) = (Some(key.0.clone()), text.to_string());
-            self.effects.push(Effect::Event(RunEvent::Refused { actor, cause, reason }));
+            self.tell(RunEvent::Refused { actor, cause, reason });
         }
         if outcome.cut_off {
             let reason =
                 format!("the learner refused too many of its messages; the last one: {text}");
             self.cut_off(key, reason);
         } else if sequenced
-            && self.roster.members().get(&key.0) == Some(&key.1)
+            && self.roster.is_member(key)
             && let Some(change) = self.assigner.renew(&key.0)
         {
             self.assign(change);
@@ -590,7 +583,7 @@ impl Coordinator {
     fn note_first(&mut self, actor: Option<ActorId>, refusal: &Refusal) {
         if !self.books.refusals.contains_key(&refusal.cause) {
             let (cause, reason) = (refusal.cause, refusal.text.to_string());
-            self.effects.push(Effect::Event(RunEvent::Refused { actor, cause, reason }));
+            self.tell(RunEvent::Refused { actor, cause, reason });
         }
     }
 
@@ -599,12 +592,12 @@ impl Coordinator {
             sender.cut_off = true;
         }
         self.stragglers.fail(&key.0, 0);
-        if self.roster.members().get(&key.0) == Some(&key.1) {
+        if self.roster.is_member(key) {
             let control = Control::Stop { reason: reason.clone(), cut_off: true };
             self.effects.push(Effect::Control { to: key.clone(), control });
         }
         let (actor, incarnation) = key.clone();
-        self.effects.push(Effect::Event(RunEvent::CutOff { actor, incarnation, reason }));
+        self.tell(RunEvent::CutOff { actor, incarnation, reason });
         self.give_up(key);
     }
 
@@ -613,13 +606,13 @@ impl Coordinator {
         let Some(build) = self.roster.admit(key) else { return };
         if self.builds.note(&build) {
             let actor = Some(key.0.clone());
-            self.effects.push(Effect::Event(RunEvent::OtherBuild { actor, build }));
+            self.tell(RunEvent::OtherBuild { actor, build });
         }
         let (actor, n_actors) = (key.0.clone(), self.n_actors());
-        self.effects.push(Effect::Event(RunEvent::ActorJoined { actor, n_actors }));
+        self.tell(RunEvent::ActorJoined { actor, n_actors });
         let n_envs = self.assigner.n_envs();
         if n_actors == n_envs + 1 {
-            self.effects.push(Effect::Event(RunEvent::TooManyActors { n_actors, n_envs }));
+            self.tell(RunEvent::TooManyActors { n_actors, n_envs });
         }
         self.credit_due.insert(key.0.clone());
         self.rebalance_due = true;
@@ -632,7 +625,8 @@ impl Coordinator {
             self.books.steps_redone += n_envs as u64 * u64::from(self.settings.spec.n_steps);
         }
         let (actor, n_actors) = (actor.clone(), self.n_actors());
-        self.effects.push(Effect::Event(RunEvent::ActorLeft { actor, n_actors, n_envs }));
+        self.tell(RunEvent::ActorLeft { actor, n_actors, n_envs });
+        self.rebalance_if_orphaned();
     }
 
     fn rebalance_if_orphaned(&mut self) {
@@ -663,20 +657,15 @@ impl Coordinator {
         let Reassignment { actor, mut epoch, given, mut kept } = change;
         let Some(&incarnation) = self.roster.members().get(&actor) else { return };
         let (n_given, n_kept) = (given.len(), kept.len());
-        self.effects.push(Effect::Event(RunEvent::Assigned {
-            actor: actor.clone(),
-            epoch,
-            n_given,
-            n_kept,
-        }));
+        self.tell(RunEvent::Assigned { actor: actor.clone(), epoch, n_given, n_kept });
         for (index, envs) in self.parts(&given).into_iter().enumerate() {
             if index > 0 {
                 epoch = self.assigner.next_epoch();
             }
-            let ids: Vec<EnvId> = envs.iter().map(|env| env.env_id).collect();
-            let control = Control::Assign(Assignment { epoch, envs, keep: kept.clone() });
+            let keep = kept.clone();
+            kept.extend(envs.iter().map(|env| env.env_id));
+            let control = Control::Assign(Assignment { epoch, envs, keep });
             self.effects.push(Effect::Control { to: (actor.clone(), incarnation), control });
-            kept.extend(ids);
         }
     }
 
@@ -711,12 +700,8 @@ impl Coordinator {
         let room = u64::from(self.room());
         let sender = self.roster.sender(&key)?;
         sender.limit = sender.limit.max(Sequence(acknowledged.0 + room));
-        Some(Credit {
-            incarnation,
-            learner: self.settings.learner,
-            acknowledged,
-            limit: sender.limit,
-        })
+        let (learner, limit) = (self.settings.learner, sender.limit);
+        Some(Credit { incarnation, learner, acknowledged, limit })
     }
 }
 

@@ -48,20 +48,16 @@ impl EpisodeWindow {
     ) {
         let success = spec.metrics.iter().position(|name| name == SUCCESS);
         for summary in summaries {
-            self.push(summary, success);
+            if self.last.len() == WINDOW {
+                self.last.pop_front();
+            }
+            self.last.push_back(FinishedEpisode {
+                total_reward: summary.episode_return,
+                length: summary.length,
+                success: success.and_then(|index| summary.metrics.get(index).copied()),
+            });
+            self.n_finished += 1;
         }
-    }
-
-    fn push(&mut self, summary: &EpisodeSummary, success: Option<usize>) {
-        if self.last.len() == WINDOW {
-            self.last.pop_front();
-        }
-        self.last.push_back(FinishedEpisode {
-            total_reward: summary.episode_return,
-            length: summary.length,
-            success: success.and_then(|index| summary.metrics.get(index).copied()),
-        });
-        self.n_finished += 1;
     }
 
     /// Computes the means.
@@ -95,9 +91,9 @@ mod tests {
     use super::*;
     use leadtime_proto::ActionSpec;
 
-    fn spec(metrics: &[&str]) -> EnvSpec {
-        let metrics = metrics.iter().map(|&name| name.to_owned()).collect();
-        EnvSpec { obs_dim: 1, actions: ActionSpec::discrete("a", 2), metrics }
+    fn spec(metric: &str) -> EnvSpec {
+        let actions = ActionSpec::discrete("a", 2);
+        EnvSpec { obs_dim: 1, actions, metrics: vec![metric.to_owned()] }
     }
 
     fn ended(episode_return: f64, metric: f32) -> EpisodeSummary {
@@ -107,24 +103,21 @@ mod tests {
     #[test]
     fn only_the_last_hundred_episodes_count() {
         let mut episodes = EpisodeWindow::default();
-        episodes.extend(&spec(&["success"]), &[ended(1000.0, 1.0)]);
+        episodes.extend(&spec("success"), &[ended(1000.0, 1.0)]);
         assert_eq!(episodes.score(), None);
         let (bad, good) = (vec![ended(1.0, 0.0); 50], vec![ended(3.0, 1.0); 50]);
-        episodes.extend(&spec(&["success"]), bad.iter().chain(&good));
-        let means = episodes.means();
-        assert_eq!((means.n_finished, means.n_averaged), (101, 100));
-        assert_eq!(
-            (means.episode_return, means.success, means.length),
-            (Some(2.0), Some(0.5), Some(2.0))
-        );
+        episodes.extend(&spec("success"), bad.iter().chain(&good));
+        let [episode_return, success, length] = [2.0, 0.5, 2.0].map(Some);
+        let means =
+            EpisodeMeans { n_finished: 101, n_averaged: 100, episode_return, success, length };
+        assert_eq!(episodes.means(), means);
         assert_eq!(episodes.score(), Some(0.5));
     }
 
     #[test]
     fn a_task_without_success_is_scored_by_its_return() {
         let mut episodes = EpisodeWindow::default();
-        episodes.extend(&spec(&["speed"]), &vec![ended(5.0, 1.0); 100]);
-        assert_eq!(episodes.means().success, None);
-        assert_eq!(episodes.score(), Some(5.0));
+        episodes.extend(&spec("speed"), &vec![ended(5.0, 1.0); 100]);
+        assert_eq!((episodes.means().success, episodes.score()), (None, Some(5.0)));
     }
 }

@@ -22,15 +22,12 @@ pub enum Error {
     /// The policy's parameters cannot be written.
     #[error("policy cannot be offered")]
     Policy(#[from] leadtime_policy::Error),
-    /// The run was begun with another configuration.
+    /// The run of this checkpoint was begun with another configuration.
     #[error(
         "{} belongs to a run with another configuration: use that configuration, or another run name",
-        path.display()
+        .0.display()
     )]
-    ConfigurationChanged {
-        /// The checkpoint.
-        path: PathBuf,
-    },
+    ConfigurationChanged(PathBuf),
     /// The thread that trains could not be started.
     #[error("the training thread cannot be started")]
     Thread(#[source] std::io::Error),

@@ -15,7 +15,7 @@
 //!
 //! [`run()`] is the life of a learner process, [`coordinator::Coordinator`] its decisions.
 
-pub mod assign;
+mod assign;
 pub mod books;
 pub mod builds;
 pub mod checkpoint;
@@ -28,7 +28,7 @@ mod files;
 pub mod report;
 mod resume;
 pub mod rollout_queue;
-pub mod roster;
+mod roster;
 pub mod run;
 mod stragglers;
 mod training;

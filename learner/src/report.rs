@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use leadtime_ppo::UpdateReport;
 use leadtime_proto::{ActorId, EnvId, Epoch, Incarnation, PolicyVersion, RefusalCause};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::books::{Books, Imbalance};
 use crate::builds::{Build, Builds};
-use crate::checkpoint::CheckpointDamage;
 use crate::episodes::EpisodeMeans;
 
 /// Where the learner's time went between two updates.
@@ -67,7 +67,7 @@ pub enum RunEvent {
         /// The damaged file.
         path: PathBuf,
         /// What is wrong with it.
-        damage: Arc<CheckpointDamage>,
+        damage: String,
     },
     /// An actor takes part from now on.
     ActorJoined {
@@ -176,14 +176,23 @@ pub enum RunEvent {
 }
 
 /// A policy with what it achieved in training.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RatedPolicy {
     /// Its version.
     pub version: PolicyVersion,
     /// Mean success (or return) of the last training episodes, once there are enough.
     pub score: Option<f64>,
     /// Parameters as safetensors, without metadata.
+    #[serde(serialize_with = "write_bytes", deserialize_with = "read_bytes")]
     pub weights: Arc<[u8]>,
+}
+
+fn write_bytes<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_bytes(bytes)
+}
+
+fn read_bytes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Arc<[u8]>, D::Error> {
+    serde_bytes::deserialize(deserializer).map(|bytes: Vec<u8>| bytes.into())
 }
 
 /// Takes in what a run reports; called from the run's loop, so it must be quick.

@@ -19,27 +19,13 @@ use crate::rollout_queue::RolloutQueue;
 use crate::training::encode;
 use crate::{Error, LearnerConfig};
 
-/// A policy as a checkpoint keeps it.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct SavedPolicy {
-    version: PolicyVersion,
-    score: Option<f64>,
-    #[serde(with = "serde_bytes")]
-    weights: Vec<u8>,
-}
-
-impl From<&RatedPolicy> for SavedPolicy {
-    fn from(policy: &RatedPolicy) -> Self {
-        let RatedPolicy { version, score, weights } = policy;
-        Self { version: *version, score: *score, weights: weights.to_vec() }
-    }
-}
-
-impl From<SavedPolicy> for RatedPolicy {
-    fn from(saved: SavedPolicy) -> Self {
-        let SavedPolicy { version, score, weights } = saved;
-        Self { version, score, weights: weights.into() }
-    }
+/// How far a run has come, beside its weights and books.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct TrainingRecord {
+    pub(crate) best: Option<RatedPolicy>,
+    pub(crate) episodes: EpisodeWindow,
+    /// How many rollouts each staleness had.
+    pub(crate) staleness: BTreeMap<u64, u64>,
 }
 
 /// Everything a run needs to go on bit for bit.
@@ -50,10 +36,8 @@ pub(crate) struct Checkpoint {
     pub(crate) places: Vec<EnvAssignment>,
     pub(crate) epoch: Epoch,
     /// Versions that the schedule still acts with, beside the trainer's own.
-    pub(crate) older: Vec<SavedPolicy>,
-    pub(crate) best: Option<SavedPolicy>,
-    pub(crate) episodes: EpisodeWindow,
-    pub(crate) staleness: BTreeMap<u64, u64>,
+    pub(crate) older: Vec<RatedPolicy>,
+    pub(crate) record: TrainingRecord,
     pub(crate) books: Books,
     /// Rollouts accepted and not trained on.
     pub(crate) waiting: u64,
@@ -66,9 +50,7 @@ pub(crate) struct ResumePoint {
     pub(crate) trainer: Trainer,
     pub(crate) start: CoordinatorStart,
     pub(crate) offered: BTreeMap<PolicyVersion, Arc<[u8]>>,
-    pub(crate) best: Option<RatedPolicy>,
-    pub(crate) episodes: EpisodeWindow,
-    pub(crate) staleness: BTreeMap<u64, u64>,
+    pub(crate) record: TrainingRecord,
     /// What the sink is to hear first.
     pub(crate) events: Vec<RunEvent>,
 }
@@ -90,10 +72,23 @@ pub(crate) fn begin(
             Trainer::from_parameters(&spec.policy, settings, spec.seed, parameters)?
         }
     };
-    let mut point = match store.newest()? {
-        None => anew(config, trainer)?,
-        Some(loaded) => resumed(config, trainer, loaded)?,
+    let mut point = ResumePoint {
+        start: CoordinatorStart {
+            places: RolloutQueue::beginning(settings.n_envs),
+            epoch: Epoch(0),
+            version: trainer.version(),
+            books: Books::default(),
+            builds: Builds::default(),
+        },
+        offered: BTreeMap::new(),
+        trainer,
+        record: TrainingRecord::default(),
+        events: Vec::new(),
     };
+    if let Some(loaded) = store.newest()? {
+        point.resume(config, loaded)?;
+    }
+    point.offered.insert(point.start.version, encode(&point.trainer)?);
     if point.start.version.0 >= settings.n_updates() {
         return Ok(point); // Nothing is left for this build to compute.
     }
@@ -103,60 +98,28 @@ pub(crate) fn begin(
     Ok(point)
 }
 
-fn anew(config: &LearnerConfig, trainer: Trainer) -> Result<ResumePoint, Error> {
-    Ok(ResumePoint {
-        start: CoordinatorStart {
-            places: RolloutQueue::beginning(config.settings.n_envs),
-            epoch: Epoch(0),
-            version: trainer.version(),
-            books: Books::default(),
-            builds: Builds::default(),
-        },
-        offered: BTreeMap::from([(trainer.version(), encode(&trainer)?)]),
-        trainer,
-        best: None,
-        episodes: EpisodeWindow::default(),
-        staleness: BTreeMap::new(),
-        events: Vec::new(),
-    })
-}
-
-fn resumed(
-    config: &LearnerConfig,
-    mut trainer: Trainer,
-    loaded: Loaded<Checkpoint>,
-) -> Result<ResumePoint, Error> {
-    let Loaded { state, path, damaged } = loaded;
-    if state.identity != config.identity {
-        return Err(Error::ConfigurationChanged { path });
+impl ResumePoint {
+    /// Goes on from a checkpoint.
+    fn resume(&mut self, config: &LearnerConfig, loaded: Loaded<Checkpoint>) -> Result<(), Error> {
+        let Loaded { state, path, damaged } = loaded;
+        if state.identity != config.identity {
+            return Err(Error::ConfigurationChanged(path));
+        }
+        self.trainer.restore(state.trainer)?;
+        let version = self.trainer.version();
+        let (epoch, places, mut books) = (state.epoch, state.places, state.books);
+        if version.0 < config.settings.n_updates() {
+            books.resume(state.waiting, config.settings.n_steps as u64);
+        }
+        self.start = CoordinatorStart { places, epoch, version, books, builds: state.builds };
+        let older = state.older.into_iter();
+        self.offered = older.map(|policy| (policy.version, policy.weights)).collect();
+        self.record = state.record;
+        let damaged = damaged.into_iter();
+        self.events = damaged
+            .map(|(path, damage)| RunEvent::CheckpointDamaged { path, damage })
+            .chain([RunEvent::Resumed { path, n_updates: version.0 }])
+            .collect();
+        Ok(())
     }
-    trainer.restore(state.trainer)?;
-    let older = state.older.into_iter().map(RatedPolicy::from);
-    let mut offered: BTreeMap<PolicyVersion, Arc<[u8]>> =
-        older.map(|policy| (policy.version, policy.weights)).collect();
-    offered.insert(trainer.version(), encode(&trainer)?);
-    let n_updates = trainer.version().0;
-    let mut books = state.books;
-    if n_updates < config.settings.n_updates() {
-        books.resume(state.waiting, config.settings.n_steps as u64);
-    }
-    let damaged = damaged
-        .into_iter()
-        .map(|(path, damage)| RunEvent::CheckpointDamaged { path, damage: Arc::new(damage) });
-    let events = damaged.chain([RunEvent::Resumed { path, n_updates }]).collect();
-    Ok(ResumePoint {
-        start: CoordinatorStart {
-            places: state.places,
-            epoch: state.epoch,
-            version: trainer.version(),
-            books,
-            builds: state.builds,
-        },
-        offered,
-        best: state.best.map(RatedPolicy::from),
-        episodes: state.episodes,
-        staleness: state.staleness,
-        events,
-        trainer,
-    })
 }

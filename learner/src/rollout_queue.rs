@@ -29,7 +29,7 @@ use crate::books::SenderKey;
 const QUEUED_UPDATES: usize = 2;
 
 /// A rollout boundary of one environment.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Cursor {
     /// The iteration that comes next.
     iteration: Iteration,
@@ -46,7 +46,7 @@ struct Waiting {
     rollout: CheckedRollout,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct EnvQueue {
     consumed: Cursor,
     training: Option<Cursor>,
@@ -86,16 +86,11 @@ impl EnvQueue {
 /// What becomes of an environment whose newest snapshot cannot be restored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Recovery {
-    /// The rollout that ended there was still waiting: it is dropped and made again.
-    Redo {
-        /// Who sent it.
-        author: SenderKey,
-    },
-    /// It is trained, or under way: the environment begins a fresh episode.
-    FreshEpisode {
-        /// Who sent it; `None` if it comes from a checkpoint.
-        author: Option<SenderKey>,
-    },
+    /// The rollout that ended there was still waiting: it is dropped and made again. Who sent it.
+    Redo(SenderKey),
+    /// It is trained, or under way: the environment begins a fresh episode. Who sent the snapshot; `None` if it comes
+    /// from a checkpoint.
+    FreshEpisode(Option<SenderKey>),
 }
 
 /// The queue between arrival and training.
@@ -111,9 +106,7 @@ impl RolloutQueue {
     pub fn new(schedule: Schedule, places: Vec<EnvAssignment>) -> Self {
         let queue = |place: EnvAssignment| EnvQueue {
             consumed: Cursor { iteration: place.iteration, snapshot: place.snapshot, author: None },
-            training: None,
-            waiting: VecDeque::new(),
-            doubters: BTreeSet::new(),
+            ..EnvQueue::default()
         };
         Self { schedule, envs: places.into_iter().map(queue).collect(), n_arrived: 0 }
     }
@@ -196,11 +189,11 @@ impl RolloutQueue {
         let env = &mut self.envs[env_id.0 as usize];
         env.doubters.clear();
         if let Some(Waiting { author, .. }) = env.waiting.pop_back() {
-            return Recovery::Redo { author };
+            return Recovery::Redo(author);
         }
         let cursor = env.taken();
         cursor.snapshot.clear();
-        Recovery::FreshEpisode { author: cursor.author.take() }
+        Recovery::FreshEpisode(cursor.author.take())
     }
 
     /// Drops what is too stale for a learner at `version` and returns how many rollouts that was.
@@ -273,6 +266,14 @@ mod tests {
         rollout.check(&EnvSpec { obs_dim: 0, actions, metrics: Vec::new() }, 0, 0).unwrap()
     }
 
+    fn queue(schedule: Schedule, n_envs: usize, waiting: &[(u32, u64)]) -> RolloutQueue {
+        let mut queue = RolloutQueue::new(schedule, RolloutQueue::beginning(n_envs));
+        for &(env_id, iteration) in waiting {
+            queue.accept(author(iteration), rollout(env_id, iteration, 0));
+        }
+        queue
+    }
+
     fn author(start: u64) -> SenderKey {
         (ActorId::new("a").unwrap(), Incarnation(start))
     }
@@ -284,9 +285,7 @@ mod tests {
 
     #[test]
     fn an_update_takes_its_own_iteration_of_every_environment_in_their_order() {
-        let mut queue = RolloutQueue::new(Schedule::Lag(1), RolloutQueue::beginning(2));
-        queue.accept(author(1), rollout(1, 0, 0));
-        queue.accept(author(1), rollout(1, 1, 0));
+        let mut queue = queue(Schedule::Lag(1), 2, &[(1, 0), (1, 1)]);
         assert!(queue.take_batch(PolicyVersion(0)).is_none(), "environment 0 is missing");
         queue.accept(author(1), rollout(0, 0, 0));
         assert_eq!(ids(queue.take_batch(PolicyVersion(0))), [(0, 0), (1, 0)]);
@@ -296,10 +295,7 @@ mod tests {
 
     #[test]
     fn a_move_goes_on_after_the_newest_rollout_and_a_resume_after_the_consumed_one() {
-        let mut queue = RolloutQueue::new(Schedule::Lag(1), RolloutQueue::beginning(1));
-        assert_eq!(queue.newest(EnvId(0)).snapshot, Vec::<u8>::new());
-        queue.accept(author(1), rollout(0, 0, 0));
-        queue.accept(author(1), rollout(0, 1, 0));
+        let mut queue = queue(Schedule::Lag(1), 1, &[(0, 0), (0, 1)]);
         queue.take_batch(PolicyVersion(0)).unwrap();
         assert_eq!(queue.consumed()[0].iteration, Iteration(0), "the update is not done");
         queue.commit();
@@ -312,9 +308,7 @@ mod tests {
 
     #[test]
     fn async_takes_the_first_to_arrive_even_twice_from_one_environment() {
-        let schedule = Schedule::Async { staleness_max: 1 };
-        let mut queue = RolloutQueue::new(schedule, RolloutQueue::beginning(2));
-        queue.accept(author(1), rollout(1, 0, 0));
+        let mut queue = queue(Schedule::Async { staleness_max: 1 }, 2, &[(1, 0)]);
         assert!(queue.take_batch(PolicyVersion(0)).is_none());
         queue.accept(author(1), rollout(1, 1, 0));
         queue.accept(author(1), rollout(0, 0, 0));
@@ -324,9 +318,7 @@ mod tests {
 
     #[test]
     fn async_drops_what_is_too_stale_and_is_full_at_twice_an_update() {
-        let schedule = Schedule::Async { staleness_max: 1 };
-        let mut queue = RolloutQueue::new(schedule, RolloutQueue::beginning(1));
-        queue.accept(author(1), rollout(0, 0, 0));
+        let mut queue = queue(Schedule::Async { staleness_max: 1 }, 1, &[(0, 0)]);
         assert_eq!(queue.room(), Some(1));
         queue.accept(author(1), rollout(0, 1, 2));
         assert_eq!(queue.room(), Some(0));
@@ -338,14 +330,11 @@ mod tests {
 
     #[test]
     fn of_a_snapshot_that_is_given_up_the_rollout_is_dropped_or_a_fresh_episode_begins() {
-        let mut queue = RolloutQueue::new(Schedule::Lag(2), RolloutQueue::beginning(1));
-        for iteration in 0..2 {
-            queue.accept(author(iteration), rollout(0, iteration, 0));
-        }
+        let mut queue = queue(Schedule::Lag(2), 1, &[(0, 0), (0, 1)]);
         let [a, b] = ["a", "b"].map(|name| ActorId::new(name).unwrap());
         assert_eq!(queue.doubt(EnvId(0), &a).len(), 1);
         assert_eq!(queue.doubt(EnvId(0), &b).len(), 2);
-        assert_eq!(queue.recover(EnvId(0)), Recovery::Redo { author: author(1) });
+        assert_eq!(queue.recover(EnvId(0)), Recovery::Redo(author(1)));
         assert_eq!(queue.newest(EnvId(0)).snapshot, [0, 0]);
         queue.doubt(EnvId(0), &a);
         let doubters = queue.accept(author(1), rollout(0, 1, 0));
@@ -354,7 +343,7 @@ mod tests {
             queue.take_batch(PolicyVersion(version)).unwrap();
             queue.commit();
         }
-        let fresh = Recovery::FreshEpisode { author: Some(author(1)) };
+        let fresh = Recovery::FreshEpisode(Some(author(1)));
         assert_eq!(queue.recover(EnvId(0)), fresh);
         assert_eq!(queue.consumed()[0].snapshot, Vec::<u8>::new());
         assert_eq!(queue.newest(EnvId(0)).iteration, Iteration(2));

@@ -22,13 +22,13 @@ const MAX_SENDERS: usize = 1_024;
 
 /// One start of an actor, as far as this start of the learner knows it.
 #[derive(Clone, Debug, Default)]
-pub struct SenderState {
+pub(crate) struct SenderState {
     /// Rollouts up to this one were produced before the learner restarted: superseded.
-    pub made_before: Sequence,
+    pub(crate) made_before: Sequence,
     /// The highest sequence it may publish.
-    pub limit: Sequence,
+    pub(crate) limit: Sequence,
     /// It sent too many refused messages.
-    pub cut_off: bool,
+    pub(crate) cut_off: bool,
     /// What it computes with.
     build: Build,
     /// Position in the order of first hellos.
@@ -38,17 +38,17 @@ pub struct SenderState {
 }
 
 /// What a refusal means for its sender.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RefusalOutcome {
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RefusalOutcome {
     /// It is the first of its cause: worth a line in the log.
-    pub first: bool,
+    pub(crate) first: bool,
     /// It was one too many.
-    pub cut_off: bool,
+    pub(crate) cut_off: bool,
 }
 
 impl SenderState {
     /// Counts a refusal against the sender.
-    pub fn refuse(&mut self, cause: RefusalCause) -> RefusalOutcome {
+    pub(crate) fn refuse(&mut self, cause: RefusalCause) -> RefusalOutcome {
         self.n_refused += 1;
         let cut_off = !self.cut_off && self.n_refused >= REFUSALS_BEFORE_CUT_OFF;
         self.cut_off |= cut_off;
@@ -58,7 +58,7 @@ impl SenderState {
 
 /// Everyone a learner knows.
 #[derive(Clone, Debug, Default)]
-pub struct Roster {
+pub(crate) struct Roster {
     senders: BTreeMap<SenderKey, SenderState>,
     members: BTreeMap<ActorId, Incarnation>,
     /// Tokens seen; a member is a known sender with a token.
@@ -68,12 +68,12 @@ pub struct Roster {
 
 impl Roster {
     /// Returns a sender that has said hello to this start of the learner.
-    pub fn sender(&mut self, key: &SenderKey) -> Option<&mut SenderState> {
+    pub(crate) fn sender(&mut self, key: &SenderKey) -> Option<&mut SenderState> {
         self.senders.get_mut(key)
     }
 
     /// Notes a hello; `published` is how far the actor had got when it first spoke to this learner.
-    pub fn greet(&mut self, key: &SenderKey, published: Sequence, build: Build) {
+    pub(crate) fn greet(&mut self, key: &SenderKey, published: Sequence, build: Build) {
         if self.senders.contains_key(key) {
             return;
         }
@@ -91,7 +91,7 @@ impl Roster {
         if self.senders.len() <= MAX_SENDERS + self.members.len() {
             return;
         }
-        let is_guest = |key: &SenderKey| key != newest && self.members.get(&key.0) != Some(&key.1);
+        let is_guest = |key: &SenderKey| key != newest && !self.is_member(key);
         let guests = self.senders.iter().filter(|(key, _)| is_guest(key));
         let oldest = guests.min_by_key(|(_, sender)| (sender.cut_off, sender.number));
         if let Some(key) = oldest.map(|(key, _)| key.clone()) {
@@ -100,20 +100,19 @@ impl Roster {
     }
 
     /// Tells whether a member has this name in another start.
-    pub fn is_taken(&self, key: &SenderKey) -> bool {
+    pub(crate) fn is_taken(&self, key: &SenderKey) -> bool {
         self.members.get(&key.0).is_some_and(|&start| start != key.1)
     }
 
     /// Notes a token, as often as it is reported.
-    pub fn appear(&mut self, key: &SenderKey) {
+    pub(crate) fn appear(&mut self, key: &SenderKey) {
         self.present.insert(key.clone());
     }
 
     /// Makes a sender a member if it may be one and is not yet. Returns what it computes with if it is one now.
-    pub fn admit(&mut self, key: &SenderKey) -> Option<Build> {
+    pub(crate) fn admit(&mut self, key: &SenderKey) -> Option<Build> {
         let sender = self.senders.get(key).filter(|sender| !sender.cut_off)?;
-        let is_new = self.members.get(&key.0) != Some(&key.1);
-        let admitted = is_new && !self.is_taken(key) && self.present.contains(key);
+        let admitted = !self.members.contains_key(&key.0) && self.present.contains(key);
         admitted.then(|| {
             self.members.insert(key.0.clone(), key.1);
             sender.build.clone()
@@ -121,22 +120,27 @@ impl Roster {
     }
 
     /// Notes that a token is gone. Returns whether a member was lost by it.
-    pub fn vanish(&mut self, key: &SenderKey) -> bool {
+    pub(crate) fn vanish(&mut self, key: &SenderKey) -> bool {
         self.present.remove(key);
         self.expel(key)
     }
 
     /// Ends a membership. Returns whether there was one.
-    pub fn expel(&mut self, key: &SenderKey) -> bool {
-        let was_member = self.members.get(&key.0) == Some(&key.1);
+    pub(crate) fn expel(&mut self, key: &SenderKey) -> bool {
+        let was_member = self.is_member(key);
         if was_member {
             self.members.remove(&key.0);
         }
         was_member
     }
 
+    /// Tells whether this start of an actor is a member.
+    pub(crate) fn is_member(&self, key: &SenderKey) -> bool {
+        self.members.get(&key.0) == Some(&key.1)
+    }
+
     /// Returns the members.
-    pub fn members(&self) -> &BTreeMap<ActorId, Incarnation> {
+    pub(crate) fn members(&self) -> &BTreeMap<ActorId, Incarnation> {
         &self.members
     }
 }
@@ -149,25 +153,31 @@ mod tests {
         (ActorId::new("a").unwrap(), Incarnation(start))
     }
 
+    fn greet(roster: &mut Roster, start: u64) {
+        roster.greet(&key(start), Sequence(start), Build::default());
+    }
+
     #[test]
     fn a_member_has_said_hello_and_is_alive() {
         let mut roster = Roster::default();
         roster.appear(&key(1));
         assert!(roster.admit(&key(1)).is_none(), "alive, but it has not said hello");
-        roster.greet(&key(1), Sequence(0), Build::default());
+        greet(&mut roster, 1);
         assert!(roster.admit(&key(1)).is_some());
         assert!(roster.admit(&key(1)).is_none(), "it is one already");
         assert!(roster.vanish(&key(1)));
         assert!(roster.members().is_empty());
         roster.appear(&key(1));
         assert!(roster.admit(&key(1)).is_some(), "back from a network cut: known already");
+        roster.greet(&key(1), Sequence(9), Build::default());
+        assert_eq!(roster.sender(&key(1)).unwrap().made_before, Sequence(1), "its first hello's");
     }
 
     #[test]
     fn of_two_starts_the_first_stays_until_it_is_gone() {
         let mut roster = Roster::default();
         for start in [1, 2] {
-            roster.greet(&key(start), Sequence(0), Build::default());
+            greet(&mut roster, start);
             roster.appear(&key(start));
         }
         assert!(roster.admit(&key(1)).is_some());
@@ -182,13 +192,13 @@ mod tests {
     #[test]
     fn hellos_of_strangers_use_up_no_memory_and_push_out_no_member() {
         let mut roster = Roster::default();
-        roster.greet(&key(1), Sequence(0), Build::default());
+        greet(&mut roster, 1);
         roster.appear(&key(1));
         assert!(roster.admit(&key(1)).is_some());
-        roster.greet(&key(2), Sequence(0), Build::default());
+        greet(&mut roster, 2);
         roster.sender(&key(2)).unwrap().cut_off = true;
         for start in 3..3 * MAX_SENDERS as u64 {
-            roster.greet(&key(start), Sequence(0), Build::default());
+            greet(&mut roster, start);
             assert!(roster.sender(&key(start)).is_some());
         }
         assert_eq!(roster.senders.len(), MAX_SENDERS + 1);
@@ -200,22 +210,13 @@ mod tests {
     #[test]
     fn too_many_refusals_end_a_membership_for_good() {
         let mut roster = Roster::default();
-        roster.greet(&key(1), Sequence(0), Build::default());
+        greet(&mut roster, 1);
         let sender = roster.sender(&key(1)).unwrap();
-        let outcomes: Vec<RefusalOutcome> =
-            (0..=REFUSALS_BEFORE_CUT_OFF).map(|_| sender.refuse(RefusalCause::NonFinite)).collect();
-        assert_eq!(outcomes.iter().filter(|outcome| outcome.first).count(), 1);
-        assert_eq!(outcomes.iter().position(|outcome| outcome.cut_off), Some(15));
-        assert_eq!(outcomes.iter().filter(|outcome| outcome.cut_off).count(), 1);
+        for n in 0..=REFUSALS_BEFORE_CUT_OFF {
+            let RefusalOutcome { first, cut_off } = sender.refuse(RefusalCause::NonFinite);
+            assert_eq!((first, cut_off), (n == 0, n == 15));
+        }
         roster.appear(&key(1));
         assert!(roster.admit(&key(1)).is_none());
-    }
-
-    #[test]
-    fn what_a_sender_had_published_at_its_first_hello_stays_noted() {
-        let mut roster = Roster::default();
-        roster.greet(&key(1), Sequence(7), Build::default());
-        roster.greet(&key(1), Sequence(9), Build::default());
-        assert_eq!(roster.sender(&key(1)).unwrap().made_before, Sequence(7));
     }
 }

@@ -16,7 +16,6 @@
 //! limited time), the state goes to the disk, the books are closed. All of it takes less than five seconds. An
 //! update that takes longer is made again after a resume, with the same bits: the state before it is what is saved.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -24,18 +23,22 @@ use leadtime_link::{LearnerEvent, LearnerLink};
 use leadtime_policy::Parameters;
 use leadtime_ppo::TrainerState;
 use leadtime_proto::PolicyVersion;
+use leadtime_proto::message::{HelloReply, Welcome};
 use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
+use crate::books::Books;
+use crate::builds::Builds;
 use crate::checkpoint::CheckpointStore;
 use crate::control_outbox::{ControlFailure, ControlOutbox};
-use crate::coordinator::{Coordinator, CoordinatorSettings, Effect, HelloRefusal, TICK};
-use crate::episodes::EpisodeWindow;
+use crate::coordinator::{
+    Coordinator, CoordinatorSettings, CoordinatorStart, Effect, HelloRefusal, TICK,
+};
 use crate::report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
-use crate::resume::{self, Checkpoint, ResumePoint, SavedPolicy};
+use crate::resume::{self, Checkpoint, ResumePoint, TrainingRecord};
 use crate::training::{TrainingThread, Updated};
 use crate::{Error, LearnerConfig};
 
@@ -80,7 +83,10 @@ pub async fn run(
         sink.on_event(&event);
     }
     if point.start.version.0 >= config.settings.n_updates() {
-        return already_finished(&config, point);
+        let (version, score) = (point.start.version, point.record.episodes.score());
+        let last = RatedPolicy { version, score, weights: Arc::clone(&point.offered[&version]) };
+        let CoordinatorStart { books, builds, .. } = point.start;
+        return report(&config, RunEnd::AlreadyFinished, last, point.record, books, builds);
     }
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
@@ -112,11 +118,8 @@ struct RunLoop {
     is_training: bool,
     /// The trainer's state after the last finished update.
     state: TrainerState,
-    n_updates: u64,
     version: PolicyVersion,
-    best: Option<RatedPolicy>,
-    episodes: EpisodeWindow,
-    staleness: BTreeMap<u64, u64>,
+    record: TrainingRecord,
     last_update: Instant,
     last_checkpoint: (Instant, u64),
     wait: Duration,
@@ -133,15 +136,21 @@ impl RunLoop {
         point: ResumePoint,
         link: LearnerLink,
     ) -> Result<Self, Error> {
-        let ResumePoint { trainer, start, offered, best, episodes, staleness, .. } = point;
-        let (version, n_updates) = (trainer.version(), trainer.version().0);
+        let ResumePoint { trainer, start, offered, record, .. } = point;
+        let version = trainer.version();
         for (version, weights) in offered {
             link.offer_weights(version, weights)?;
         }
         let link = Arc::new(link);
         let now = Instant::now();
+        let settings = CoordinatorSettings {
+            learner: config.incarnation,
+            spec: config.spec.clone(),
+            window: config.window,
+            actors_min: config.actors_min,
+        };
         Ok(Self {
-            coordinator: Coordinator::new(coordinator_settings(&config), start),
+            coordinator: Coordinator::new(settings, start),
             outbox: ControlOutbox::new(Arc::clone(&link)),
             state: trainer.state()?,
             training: TrainingThread::start(trainer)?,
@@ -150,13 +159,10 @@ impl RunLoop {
             store,
             sink,
             link,
-            n_updates,
             version,
-            best,
-            episodes,
-            staleness,
+            record,
             last_update: now,
-            last_checkpoint: (now, n_updates),
+            last_checkpoint: (now, version.0),
             wait: Duration::ZERO,
             idle_since: now,
             warned_waiting_at: None,
@@ -175,7 +181,7 @@ impl RunLoop {
                 LearnerWake::Stop => return self.end(events, RunEnd::Stopped).await,
                 wake => self.handle(wake, events)?,
             }
-            if self.n_updates >= self.config.settings.n_updates() {
+            if self.version.0 >= self.config.settings.n_updates() {
                 return self.end(events, RunEnd::Finished).await;
             }
             if stop.is_cancelled() {
@@ -198,7 +204,7 @@ impl RunLoop {
             updated = self.training.updated(), if self.is_training => {
                 LearnerWake::Trained(Box::new(updated))
             }
-            failure = self.outbox.failure() => LearnerWake::Control(failure),
+            Some(failure) = self.outbox.failures.recv() => LearnerWake::Control(failure),
             wake = tick_or_event(ticks, events) => wake?,
         })
     }
@@ -229,26 +235,26 @@ impl RunLoop {
     fn network(&mut self, event: LearnerEvent) {
         match event {
             LearnerEvent::Hello { hello, reply } => {
-                let answered = match self.coordinator.hello(&hello) {
-                    Ok(resend_from) => {
-                        let window = self.coordinator.window();
-                        let weights = self.link.announcement();
-                        reply.welcome(self.config.welcome(weights, resend_from, window))
-                    }
-                    Err(HelloRefusal::Taken) => reply.taken(),
-                    Err(refusal) => reply.refuse(&refusal.to_string()),
+                let answer = match self.coordinator.hello(&hello) {
+                    Ok(resend_from) => HelloReply::Welcome(Box::new(Welcome {
+                        run: self.config.run.clone(),
+                        spec: self.config.spec.clone(),
+                        window: self.coordinator.window(),
+                        weights: self.link.announcement(),
+                        resend_from,
+                    })),
+                    Err(HelloRefusal::Taken) => HelloReply::Taken,
+                    Err(refusal) => HelloReply::Refused { reason: refusal.to_string() },
                 };
-                if let Err(error) = answered {
+                if let Err(error) = reply.reply(&answer) {
                     debug!(actor = %hello.actor, %error, "hello not answered; it will come again");
                 }
             }
             LearnerEvent::Rollout { actor, header, payload } => {
                 self.coordinator.rollout(actor, &header, &payload);
             }
-            LearnerEvent::Joined { actor, incarnation } => {
-                self.coordinator.joined(actor, incarnation);
-            }
-            LearnerEvent::Left { actor, incarnation } => self.coordinator.left(actor, incarnation),
+            LearnerEvent::Joined(actor, start) => self.coordinator.joined(actor, start),
+            LearnerEvent::Left(actor, start) => self.coordinator.left(actor, start),
             LearnerEvent::Refused { actor, refusal, .. } => {
                 self.coordinator.refused_by_link(actor, refusal);
             }
@@ -303,33 +309,32 @@ impl RunLoop {
         self.is_training = false;
         self.idle_since = Instant::now();
         self.version = updated.version;
-        self.n_updates += 1;
         self.coordinator.trained(updated.version);
         self.link.offer_weights(updated.version, Arc::clone(&updated.weights))?;
         self.link.retire_weights(self.oldest_needed());
         let ends = updated.rollouts.iter().flat_map(|rollout| &rollout.ends);
-        self.episodes.extend(&self.config.spec.env, ends.map(|end| &end.summary));
+        self.record.episodes.extend(&self.config.spec.env, ends.map(|end| &end.summary));
         for (&staleness, &n_rollouts) in &updated.report.staleness {
-            *self.staleness.entry(staleness).or_default() += n_rollouts;
+            *self.record.staleness.entry(staleness).or_default() += n_rollouts;
         }
         self.rate(&updated.weights);
         self.report_progress(&updated);
         self.state = updated.state;
         let (since, n_then) = self.last_checkpoint;
         let interval = self.config.checkpoint_interval;
-        let is_due = self.n_updates >= self.config.settings.n_updates()
-            || self.n_updates - n_then >= interval.updates
+        let is_due = self.version.0 >= self.config.settings.n_updates()
+            || self.version.0 - n_then >= interval.updates
             || since.elapsed() >= interval.time;
         if is_due { self.checkpoint() } else { Ok(()) }
     }
 
     /// Keeps the policy if it is the best so far.
     fn rate(&mut self, weights: &Arc<[u8]>) {
-        let Some(score) = self.episodes.score() else { return };
-        let best = self.best.as_ref().and_then(|best| best.score);
+        let Some(score) = self.record.episodes.score() else { return };
+        let best = self.record.best.as_ref().and_then(|best| best.score);
         if best.is_none_or(|best| score > best) {
             let (version, weights) = (self.version, Arc::clone(weights));
-            self.best = Some(RatedPolicy { version, score: Some(score), weights });
+            self.record.best = Some(RatedPolicy { version, score: Some(score), weights });
         }
     }
 
@@ -338,12 +343,12 @@ impl RunLoop {
         let elapsed = std::mem::replace(&mut self.last_update, Instant::now()).elapsed();
         self.sink.on_update(&UpdateProgress {
             update: updated.report.clone(),
-            n_updates: self.n_updates,
+            n_updates: self.version.0,
             n_updates_total: self.config.settings.n_updates(),
-            n_steps: self.n_updates * n_steps,
+            n_steps: self.version.0 * n_steps,
             steps_per_second: n_steps as f64 / elapsed.as_secs_f64().max(f64::EPSILON),
             phases: PhaseTimes { wait: self.wait, train: updated.took },
-            episodes: self.episodes.means(),
+            episodes: self.record.episodes.means(),
             n_actors: self.coordinator.n_actors(),
             n_queued: self.coordinator.n_pending() as usize,
             books: self.coordinator.books().clone(),
@@ -381,33 +386,30 @@ impl RunLoop {
     fn last(&self) -> RatedPolicy {
         let weights = self.link.weights_since(self.version).pop();
         let (version, weights) = weights.expect("the newest version is on offer");
-        RatedPolicy { version, score: self.episodes.score(), weights }
+        RatedPolicy { version, score: self.record.episodes.score(), weights }
     }
 
     /// Writes the state after the last finished update; one that is under way is not in it.
     fn checkpoint(&mut self) -> Result<(), Error> {
         let mut older = self.link.weights_since(self.oldest_needed());
         older.pop(); // The trainer's own.
-        let older = older.into_iter().map(|(version, weights)| {
-            SavedPolicy::from(&RatedPolicy { version, score: None, weights })
-        });
+        let older = older.into_iter();
+        let older = older.map(|(version, weights)| RatedPolicy { version, score: None, weights });
         let checkpoint = Checkpoint {
             identity: self.config.identity,
             trainer: self.state.clone(),
             places: self.coordinator.places(),
             epoch: self.coordinator.epoch(),
             older: older.collect(),
-            best: self.best.as_ref().map(SavedPolicy::from),
-            episodes: self.episodes.clone(),
-            staleness: self.staleness.clone(),
+            record: self.record.clone(),
             books: self.coordinator.books().clone(),
             waiting: self.coordinator.n_pending(),
             builds: self.coordinator.builds().clone(),
         };
-        let (store, n_updates) = (&mut self.store, self.n_updates);
+        let (store, n_updates) = (&mut self.store, self.version.0);
         let path = tokio::task::block_in_place(|| store.write(n_updates, &checkpoint))?;
         self.last_checkpoint = (Instant::now(), n_updates);
-        self.sink.on_policies(&self.last(), self.best.as_ref());
+        self.sink.on_policies(&self.last(), self.record.best.as_ref());
         self.sink.on_event(&RunEvent::CheckpointWritten { path, n_updates });
         Ok(())
     }
@@ -427,23 +429,8 @@ impl RunLoop {
         self.farewell(events).await?;
         self.coordinator.close();
         self.checkpoint()?;
-        let last = self.last();
-        let parameters = Parameters::from_safetensors(&last.weights, &self.config.spec.policy)?;
         let (books, builds) = (self.coordinator.books().clone(), self.coordinator.builds().clone());
-        Ok(RunReport {
-            end,
-            n_updates: self.n_updates,
-            n_steps: self.n_updates * self.config.steps_per_update(),
-            digest: parameters.digest()?,
-            last,
-            best: self.best.clone(),
-            episodes: self.episodes.means(),
-            staleness: self.staleness.clone(),
-            balance: books.check(),
-            books,
-            reproducible: self.config.is_reproducible(&builds),
-            builds,
-        })
+        report(&self.config, end, self.last(), self.record.clone(), books, builds)
     }
 
     /// Goes on listening until the actors have left and the update under way is done, or time is up.
@@ -476,35 +463,30 @@ async fn tick_or_event(
     })
 }
 
-/// Reports on a run that had all its updates before this start.
-fn already_finished(config: &LearnerConfig, point: ResumePoint) -> Result<RunReport, Error> {
-    let version = point.trainer.version();
-    let score = point.episodes.score();
-    let last = RatedPolicy { version, score, weights: Arc::clone(&point.offered[&version]) };
-    let (books, builds) = (point.start.books, point.start.builds);
+/// Reports how a run ended, with its newest policy.
+fn report(
+    config: &LearnerConfig,
+    end: RunEnd,
+    last: RatedPolicy,
+    record: TrainingRecord,
+    books: Books,
+    builds: Builds,
+) -> Result<RunReport, Error> {
+    let n_updates = last.version.0;
     Ok(RunReport {
-        end: RunEnd::AlreadyFinished,
-        n_updates: version.0,
-        n_steps: version.0 * config.steps_per_update(),
-        digest: point.trainer.parameters().digest()?,
+        end,
+        n_updates,
+        n_steps: n_updates * config.steps_per_update(),
+        digest: Parameters::from_safetensors(&last.weights, &config.spec.policy)?.digest()?,
         last,
-        best: point.best,
-        episodes: point.episodes.means(),
-        staleness: point.staleness,
+        best: record.best,
+        episodes: record.episodes.means(),
+        staleness: record.staleness,
         balance: books.check(),
         books,
         reproducible: config.is_reproducible(&builds),
         builds,
     })
-}
-
-fn coordinator_settings(config: &LearnerConfig) -> CoordinatorSettings {
-    CoordinatorSettings {
-        learner: config.incarnation,
-        spec: config.spec.clone(),
-        window: config.window,
-        actors_min: config.actors_min,
-    }
 }
 
 #[cfg(test)]
@@ -517,8 +499,8 @@ mod tests {
     #[tokio::test]
     async fn a_flood_from_the_network_does_not_stop_the_clock() {
         let (flood, events) = flume::bounded(100);
-        let (actor, incarnation) = (ActorId::new("a").unwrap(), Incarnation(1));
-        while flood.try_send(LearnerEvent::Joined { actor: actor.clone(), incarnation }).is_ok() {}
+        let actor = ActorId::new("a").unwrap();
+        while flood.try_send(LearnerEvent::Joined(actor.clone(), Incarnation(1))).is_ok() {}
         // A tick is due, and the next one is not.
         let mut ticks = interval_at(Instant::now().checked_sub(TICK).unwrap().into(), TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);

@@ -2,31 +2,14 @@
 //!
 //! Use as `#[serde(with = "packed")]` on a `Vec<f32>`, `Vec<u64>` or `Vec<u8>` field.
 
+use bytemuck::Pod;
 use serde::de::Error as _;
 use serde::{Deserializer, Serializer};
 
-/// A number that crosses the wire as its little-endian bytes.
-pub trait Packed: bytemuck::Pod {
-    /// Turns a number read as little-endian bytes into the machine's own order (and back).
-    #[must_use]
-    fn swap_to_little_endian(self) -> Self;
-}
-
-impl Packed for f32 {
-    fn swap_to_little_endian(self) -> Self {
-        Self::from_bits(self.to_bits().to_le())
-    }
-}
-
-impl Packed for u64 {
-    fn swap_to_little_endian(self) -> Self {
-        self.to_le()
-    }
-}
-
-impl Packed for u8 {
-    fn swap_to_little_endian(self) -> Self {
-        self
+/// Turns bytes of numbers from the machine's own order into little-endian ones, and back.
+fn swap<T>(bytes: &mut [u8]) {
+    if cfg!(target_endian = "big") {
+        bytes.chunks_exact_mut(size_of::<T>()).for_each(<[u8]>::reverse);
     }
 }
 
@@ -35,12 +18,14 @@ impl Packed for u8 {
 /// # Errors
 ///
 /// Whatever the serialiser reports.
-pub fn serialize<T: Packed, S: Serializer>(values: &[T], serializer: S) -> Result<S::Ok, S::Error> {
+pub fn serialize<T: Pod, S: Serializer>(values: &[T], serializer: S) -> Result<S::Ok, S::Error> {
+    let bytes = bytemuck::cast_slice(values);
     if cfg!(target_endian = "little") {
-        return serializer.serialize_bytes(bytemuck::cast_slice(values));
+        return serializer.serialize_bytes(bytes);
     }
-    let swapped: Vec<T> = values.iter().map(|value| value.swap_to_little_endian()).collect();
-    serializer.serialize_bytes(bytemuck::cast_slice(&swapped))
+    let mut bytes = bytes.to_vec();
+    swap::<T>(&mut bytes);
+    serializer.serialize_bytes(&bytes)
 }
 
 /// Reads a byte string back into numbers; any alignment will do.
@@ -48,18 +33,11 @@ pub fn serialize<T: Packed, S: Serializer>(values: &[T], serializer: S) -> Resul
 /// # Errors
 ///
 /// If the byte count is not a multiple of the number's size.
-pub fn deserialize<'de, T: Packed, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Vec<T>, D::Error> {
-    let bytes: Vec<u8> = serde_bytes::deserialize(deserializer)?;
+pub fn deserialize<'de, T: Pod, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
+    let mut bytes: Vec<u8> = serde_bytes::deserialize(deserializer)?;
     if !bytes.len().is_multiple_of(size_of::<T>()) {
         return Err(D::Error::custom("byte count is not a multiple of the element size"));
     }
-    let mut values: Vec<T> = bytemuck::allocation::pod_collect_to_vec(&bytes);
-    if cfg!(target_endian = "big") {
-        for value in &mut values {
-            *value = value.swap_to_little_endian();
-        }
-    }
-    Ok(values)
+    swap::<T>(&mut bytes);
+    Ok(bytemuck::allocation::pod_collect_to_vec(&bytes))
 }

@@ -6,7 +6,6 @@ use std::fmt;
 use thiserror::Error;
 
 use crate::Incarnation;
-use crate::rollout::InvalidRollout;
 
 /// A message that is not taken: how it is counted, in words, and whose it was.
 ///
@@ -102,20 +101,6 @@ causes! {
 impl fmt::Display for RefusalCause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
-    }
-}
-
-impl From<InvalidRollout> for Refusal {
-    fn from(invalid: InvalidRollout) -> Self {
-        let cause = match invalid {
-            InvalidRollout::Steps { .. } | InvalidRollout::Length { .. } => RefusalCause::Shape,
-            InvalidRollout::NonFinite { .. } => RefusalCause::NonFinite,
-            InvalidRollout::Magnitude { .. } => RefusalCause::Magnitude,
-            InvalidRollout::Action { .. } => RefusalCause::Action,
-            InvalidRollout::End { .. } => RefusalCause::EpisodeEnd,
-            InvalidRollout::Snapshot { .. } => RefusalCause::Snapshot,
-        };
-        Self::new(cause, invalid.to_string())
     }
 }
 

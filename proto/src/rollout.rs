@@ -8,10 +8,9 @@
 use std::ops::Deref;
 
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
-use crate::limits;
-use crate::{EnvId, EnvSpec, Iteration, Mask, PolicyVersion, packed};
+use crate::refusal::{Refusal, RefusalCause};
+use crate::{EnvId, EnvSpec, Iteration, Mask, PolicyVersion, limits, packed};
 
 /// What is told about an episode that ended inside a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -106,85 +105,21 @@ impl Rollout {
         let rest = observation + 4 * recurrent_dim + limits::MAX_SNAPSHOT_BYTES + FRAME_BYTES;
         n_steps * (step + end) + rest
     }
-}
 
-/// Why a decoded rollout cannot be used.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum InvalidRollout {
-    /// Another number of steps than the run uses.
-    #[error("rollout has {found} steps, the run uses {expected}")]
-    Steps {
-        /// As sent.
-        found: usize,
-        /// As agreed.
-        expected: usize,
-    },
-    /// A field of the wrong length.
-    #[error("`{field}` has length {found}, expected {expected}")]
-    Length {
-        /// The field.
-        field: &'static str,
-        /// As sent.
-        found: usize,
-        /// As the specification demands.
-        expected: usize,
-    },
-    /// A NaN or an infinity.
-    #[error("`{field}` holds a value that is not finite at index {index}")]
-    NonFinite {
-        /// The field.
-        field: &'static str,
-        /// The first offending index.
-        index: usize,
-    },
-    /// A number that no environment and no policy comes to.
-    #[error("`{field}` is {found} at index {index}; {lowest} to {highest} are possible")]
-    Magnitude {
-        /// The field.
-        field: &'static str,
-        /// The first offending index.
-        index: usize,
-        /// As sent.
-        found: f64,
-        /// The lowest number that is possible.
-        lowest: f64,
-        /// The highest one.
-        highest: f64,
-    },
-    /// A choice that could not have been sampled.
-    #[error("step {step} has an action that its mask does not allow")]
-    Action {
-        /// The step.
-        step: usize,
-    },
-    /// Episode ends out of range or out of order.
-    #[error("episode end {index} is out of range or out of order")]
-    End {
-        /// Index into the ends.
-        index: usize,
-    },
-    /// A snapshot over the limit, or none.
-    #[error("snapshot has {found} bytes; 1 to {limit} are possible", limit = limits::MAX_SNAPSHOT_BYTES)]
-    Snapshot {
-        /// As sent.
-        found: usize,
-    },
-}
-
-impl Rollout {
     /// Checks shapes, ranges, finiteness and magnitudes against what the run agreed on.
     ///
     /// # Errors
     ///
-    /// [`InvalidRollout`] names the first field that is wrong.
+    /// [`Refusal`] without a sender: it names the first field that is wrong.
     pub fn check(
         self,
         spec: &EnvSpec,
         n_steps: usize,
         recurrent_dim: usize,
-    ) -> Result<CheckedRollout, InvalidRollout> {
+    ) -> Result<CheckedRollout, Refusal> {
         if self.n_steps as usize != n_steps {
-            return Err(InvalidRollout::Steps { found: self.n_steps as usize, expected: n_steps });
+            let text = format!("rollout has {} steps, the run uses {n_steps}", self.n_steps);
+            return Err(Refusal::new(RefusalCause::Shape, text));
         }
         let n_heads = spec.actions.heads.len();
         length("observations", self.observations.len(), n_steps * spec.obs_dim)?;
@@ -196,7 +131,9 @@ impl Rollout {
         length("rewards", self.rewards.len(), n_steps)?;
         length("recurrent", self.recurrent.len(), recurrent_dim)?;
         if !(1..=limits::MAX_SNAPSHOT_BYTES).contains(&self.snapshot.len()) {
-            return Err(InvalidRollout::Snapshot { found: self.snapshot.len() });
+            let (found, limit) = (self.snapshot.len(), limits::MAX_SNAPSHOT_BYTES);
+            let text = format!("snapshot has {found} bytes; 1 to {limit} are possible");
+            return Err(Refusal::new(RefusalCause::Snapshot, text));
         }
         plausible("observations", &self.observations)?;
         plausible("next_observation", &self.next_observation)?;
@@ -205,28 +142,22 @@ impl Rollout {
         plausible("next_value", &[self.next_value])?;
         plausible("rewards", &self.rewards)?;
         plausible("recurrent", &self.recurrent)?;
-        self.check_actions(spec)?;
+        let mut steps = self.actions.chunks_exact(n_heads).zip(&self.masks);
+        if let Some(step) = steps.position(|(act, &mask)| !spec.actions.allows(Mask(mask), act)) {
+            let text = format!("step {step} has an action that its mask does not allow");
+            return Err(Refusal::new(RefusalCause::Action, text));
+        }
         self.check_ends(spec, n_steps)?;
         Ok(CheckedRollout(self))
     }
 
-    fn check_actions(&self, spec: &EnvSpec) -> Result<(), InvalidRollout> {
-        let n_heads = spec.actions.heads.len();
-        let steps = self.actions.chunks_exact(n_heads).zip(&self.masks).enumerate();
-        for (step, (action, &mask)) in steps {
-            if !spec.actions.allows(Mask(mask), action) {
-                return Err(InvalidRollout::Action { step });
-            }
-        }
-        Ok(())
-    }
-
-    fn check_ends(&self, spec: &EnvSpec, n_steps: usize) -> Result<(), InvalidRollout> {
+    fn check_ends(&self, spec: &EnvSpec, n_steps: usize) -> Result<(), Refusal> {
         let mut earliest = 0;
         for (index, end) in self.ends.iter().enumerate() {
             let step = end.step as usize;
             if step < earliest || step >= n_steps {
-                return Err(InvalidRollout::End { index });
+                let text = format!("episode end {index} is out of range or out of order");
+                return Err(Refusal::new(RefusalCause::EpisodeEnd, text));
             }
             earliest = step + 1;
             length("final_observation", end.final_observation.len(), spec.obs_dim)?;
@@ -259,28 +190,35 @@ impl Deref for CheckedRollout {
     }
 }
 
-fn length(field: &'static str, found: usize, expected: usize) -> Result<(), InvalidRollout> {
-    if found == expected { Ok(()) } else { Err(InvalidRollout::Length { field, found, expected }) }
+fn length(field: &str, found: usize, expected: usize) -> Result<(), Refusal> {
+    if found == expected {
+        return Ok(());
+    }
+    let text = format!("`{field}` has length {found}, expected {expected}");
+    Err(Refusal::new(RefusalCause::Shape, text))
 }
 
-fn plausible<T: Copy + Into<f64>>(field: &'static str, values: &[T]) -> Result<(), InvalidRollout> {
+fn plausible<T: Copy + Into<f64>>(field: &str, values: &[T]) -> Result<(), Refusal> {
     within(field, values, (-limits::MAX_MAGNITUDE, limits::MAX_MAGNITUDE))
 }
 
 /// Checks that every number is finite and in a closed range.
 fn within<T: Copy + Into<f64>>(
-    field: &'static str,
+    field: &str,
     values: &[T],
     (lowest, highest): (impl Into<f64>, impl Into<f64>),
-) -> Result<(), InvalidRollout> {
+) -> Result<(), Refusal> {
     let (lowest, highest) = (lowest.into(), highest.into());
     let outside = |&value: &T| !(lowest..=highest).contains(&value.into());
     let Some(index) = values.iter().position(outside) else { return Ok(()) };
     let found: f64 = values[index].into();
     Err(if found.is_finite() {
-        InvalidRollout::Magnitude { field, index, found, lowest, highest }
+        let range = format!("{lowest} to {highest} are possible");
+        let text = format!("`{field}` is {found} at index {index}; {range}");
+        Refusal::new(RefusalCause::Magnitude, text)
     } else {
-        InvalidRollout::NonFinite { field, index }
+        let text = format!("`{field}` holds a value that is not finite at index {index}");
+        Refusal::new(RefusalCause::NonFinite, text)
     })
 }
 
@@ -292,13 +230,7 @@ mod tests {
     fn rollout() -> Rollout {
         let summary =
             EpisodeSummary { episode: 0, episode_return: 0.0, length: 1, metrics: vec![0.0] };
-        let end = EpisodeEnd {
-            step: 0,
-            truncated: true,
-            final_observation: vec![0.0],
-            final_value: 0.0,
-            summary,
-        };
+        let (final_observation, final_value) = (vec![0.0], 0.0);
         Rollout {
             n_steps: 1,
             observations: vec![0.0],
@@ -308,19 +240,27 @@ mod tests {
             log_probs: vec![0.0],
             values: vec![0.0],
             rewards: vec![0.0],
-            ends: vec![end],
+            ends: vec![EpisodeEnd {
+                step: 0,
+                truncated: true,
+                final_observation,
+                final_value,
+                summary,
+            }],
             recurrent: vec![0.0],
             snapshot: vec![1],
             ..Rollout::default()
         }
     }
 
-    fn check(change: impl FnOnce(&mut Rollout)) -> Result<(), InvalidRollout> {
+    /// Checks a changed rollout, and returns why it is refused.
+    fn check(change: impl FnOnce(&mut Rollout)) -> Option<(RefusalCause, String)> {
         let actions = ActionSpec::discrete("a", 2);
         let spec = EnvSpec { obs_dim: 1, actions, metrics: vec!["success".to_owned()] };
         let mut rollout = rollout();
         change(&mut rollout);
-        rollout.check(&spec, 1, 1).map(drop)
+        let refusal = rollout.check(&spec, 1, 1).err()?;
+        Some((refusal.cause, refusal.text.into_owned()))
     }
 
     /// A field's name, and how to set a number of it.
@@ -342,34 +282,34 @@ mod tests {
         ];
         for (name, set) in fields {
             for at_most in [1e9, -1e9] {
-                assert_eq!(check(|r| set(r, at_most)), Ok(()), "{name}");
+                assert_eq!(check(|r| set(r, at_most)), None, "{name}");
             }
             for absurd in [1.1e9, -3e38] {
-                let found = check(|r| set(r, absurd));
-                assert!(
-                    matches!(found, Err(InvalidRollout::Magnitude { field, index: 0, .. }) if field == name),
-                    "{name}: {found:?}"
-                );
+                let (cause, text) = check(|r| set(r, absurd)).unwrap();
+                assert_eq!(cause, RefusalCause::Magnitude, "{text}");
+                let found = f64::from(absurd);
+                assert!(text.starts_with(&format!("`{name}` is {found} at index 0;")), "{text}");
             }
             for no_number in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-                let found = check(|r| set(r, no_number));
-                let expected = Err(InvalidRollout::NonFinite { field: name, index: 0 });
-                assert_eq!(found, expected);
+                let text = format!("`{name}` holds a value that is not finite at index 0");
+                assert_eq!(check(|r| set(r, no_number)), Some((RefusalCause::NonFinite, text)));
             }
         }
         let beyond_f32 = check(|r| r.ends[0].summary.episode_return = 1e300);
-        assert!(matches!(beyond_f32, Err(InvalidRollout::Magnitude { .. })), "{beyond_f32:?}");
+        assert_eq!(beyond_f32.unwrap().0, RefusalCause::Magnitude);
     }
 
     #[test]
     fn a_log_probability_is_that_of_a_sampled_action() {
         for possible in [-1e4, -40.0, 0.0, 1e-3] {
-            assert_eq!(check(|r| r.log_probs[0] = possible), Ok(()));
+            assert_eq!(check(|r| r.log_probs[0] = possible), None);
         }
-        let error = check(|r| r.log_probs[0] = 0.5).unwrap_err().to_string();
-        assert!(error.starts_with("`log_probs` is 0.5 at index 0; -10000 to 0.001"), "{error}");
-        assert!(check(|r| r.log_probs[0] = -1.1e4).is_err());
-        let nan = check(|r| r.log_probs[0] = f32::NAN);
-        assert_eq!(nan, Err(InvalidRollout::NonFinite { field: "log_probs", index: 0 }));
+        let (_, text) = check(|r| r.log_probs[0] = 0.5).unwrap();
+        assert!(text.starts_with("`log_probs` is 0.5 at index 0; -10000 to 0.001"), "{text}");
+        for (impossible, cause) in
+            [(-1.1e4, RefusalCause::Magnitude), (f32::NAN, RefusalCause::NonFinite)]
+        {
+            assert_eq!(check(|r| r.log_probs[0] = impossible).unwrap().0, cause);
+        }
     }
 }

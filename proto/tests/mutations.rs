@@ -13,8 +13,8 @@ use leadtime_proto::message::{
 use leadtime_proto::receive::{self, CONTROL, Expected, HELLO, HELLO_REPLY, ROLLOUT};
 use leadtime_proto::{
     ActionSpec, ActorId, EnvId, EnvSpec, EpisodeEnd, EpisodeSummary, Epoch, Header, Incarnation,
-    Iteration, PolicySpec, PolicyVersion, Refusal, RefusalCause, Rollout, RunName, RunSpec,
-    Schedule, Sequence, TaskSpec, codec,
+    Iteration, PolicySpec, PolicyVersion, RefusalCause, Rollout, RunName, RunSpec, Schedule,
+    Sequence, TaskSpec, codec,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -22,82 +22,57 @@ use proptest::test_runner::RngSeed;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// One way in which bytes are spoilt; positions are taken modulo the length.
+/// One way in which bytes are spoilt, and where: positions are taken modulo the length.
 #[derive(Clone, Debug)]
 enum Mutation {
-    Flip {
-        at: usize,
-        mask: u8,
-    },
-    Set {
-        at: usize,
-        value: u8,
-    },
-    Cut {
-        at: usize,
-    },
-    Insert {
-        at: usize,
-        bytes: Vec<u8>,
-    },
+    Flip(usize, u8),
+    Set(usize, u8),
+    Cut(usize),
+    Insert(usize, Vec<u8>),
     /// Writes a length in the encoding's own words.
-    Claim {
-        at: usize,
-        length: u64,
-    },
+    Claim(usize, u64),
 }
 
 fn damage() -> impl Strategy<Value = Mutation> {
     let at = any::<usize>();
     prop_oneof![
-        (at, 1..=u8::MAX).prop_map(|(at, mask)| Mutation::Flip { at, mask }),
+        (at, 1..=u8::MAX).prop_map(|(at, mask)| Mutation::Flip(at, mask)),
         (at, prop_oneof![Just(0), Just(1), 250..=255_u8])
-            .prop_map(|(at, value)| Mutation::Set { at, value }),
-        at.prop_map(|at| Mutation::Cut { at }),
-        (at, vec(any::<u8>(), 1..16)).prop_map(|(at, bytes)| Mutation::Insert { at, bytes }),
-        (at, 0..63_u32).prop_map(|(at, bits)| Mutation::Claim { at, length: 1 << bits }),
+            .prop_map(|(at, value)| Mutation::Set(at, value)),
+        at.prop_map(Mutation::Cut),
+        (at, vec(any::<u8>(), 1..16)).prop_map(|(at, bytes)| Mutation::Insert(at, bytes)),
+        (at, 0..63_u32).prop_map(|(at, bits)| Mutation::Claim(at, 1 << bits)),
     ]
 }
 
 fn spoil(mut bytes: Vec<u8>, damages: &[Mutation]) -> Vec<u8> {
     for damage in damages {
-        let n = bytes.len().max(1);
-        match damage {
-            Mutation::Flip { at, mask } => {
-                if let Some(byte) = bytes.get_mut(at % n) {
-                    *byte ^= mask;
-                }
+        let n = bytes.len();
+        // What is replaced, and by what.
+        let (at, n_replaced, new) = match damage {
+            Mutation::Flip(at, mask) => {
+                let at = at % n.max(1);
+                (at, 1, bytes.get(at).map(|byte| byte ^ mask).into_iter().collect())
             }
-            Mutation::Set { at, value } => {
-                if let Some(byte) = bytes.get_mut(at % n) {
-                    *byte = *value;
-                }
+            Mutation::Set(at, value) => (at % n.max(1), 1, vec![*value; n.min(1)]),
+            Mutation::Cut(at) => (at % n.max(1), n, Vec::new()),
+            Mutation::Insert(at, inserted) => (at % n.max(1), 0, inserted.clone()),
+            Mutation::Claim(at, length) => {
+                (at % n.max(1), 1, [&[253], length.to_le_bytes().as_slice()].concat())
             }
-            Mutation::Cut { at } => bytes.truncate(at % n),
-            Mutation::Insert { at, bytes: inserted } => {
-                let at = at % n;
-                drop(
-                    bytes
-                        .splice(at.min(bytes.len())..at.min(bytes.len()), inserted.iter().copied()),
-                );
-            }
-            Mutation::Claim { at, length } => {
-                let word = [&[253], length.to_le_bytes().as_slice()].concat();
-                let start = (at % n).min(bytes.len());
-                let end = (start + 1).min(bytes.len());
-                drop(bytes.splice(start..end, word));
-            }
-        }
+        };
+        drop(bytes.splice(at..n.min(at + n_replaced), new));
     }
     bytes
 }
 
 fn spec() -> EnvSpec {
-    EnvSpec {
-        obs_dim: 2,
-        actions: ActionSpec::discrete("choice", 3),
-        metrics: vec!["success".to_owned()],
-    }
+    let metrics = vec!["success".to_owned()];
+    EnvSpec { obs_dim: 2, actions: ActionSpec::discrete("choice", 3), metrics }
+}
+
+fn summary() -> EpisodeSummary {
+    EpisodeSummary { episode: 7, episode_return: 3.0, length: 11, metrics: vec![1.0] }
 }
 
 fn rollout() -> impl Strategy<Value = Rollout> {
@@ -119,12 +94,7 @@ fn rollout() -> impl Strategy<Value = Rollout> {
             truncated: true,
             final_observation: vec![0.0; 2],
             final_value: 1.0,
-            summary: EpisodeSummary {
-                episode: 7,
-                episode_return: 3.0,
-                length: 11,
-                metrics: vec![1.0],
-            },
+            summary: summary(),
         }],
         recurrent: Vec::new(),
         snapshot,
@@ -132,16 +102,10 @@ fn rollout() -> impl Strategy<Value = Rollout> {
 }
 
 fn control() -> Control {
-    let env = |id| EnvAssignment {
-        env_id: EnvId(id),
-        iteration: Iteration(2),
-        snapshot: vec![id as u8; 40],
-    };
-    Control::Assign(Assignment {
-        epoch: Epoch(3),
-        envs: (0..5).map(env).collect(),
-        keep: vec![EnvId(9)],
-    })
+    let iteration = Iteration(2);
+    let env = |id| EnvAssignment { env_id: EnvId(id), iteration, snapshot: vec![id as u8; 40] };
+    let envs = (0..5).map(env).collect();
+    Control::Assign(Assignment { epoch: Epoch(3), envs, keep: vec![EnvId(9)] })
 }
 
 fn hello() -> Hello {
@@ -237,10 +201,7 @@ proptest! {
         if let Some(got) = receive_spoilt(&rollout, &damages, ROLLOUT)? {
             match got.check(&spec(), rollout.n_steps as usize, 0) {
                 Ok(got) => prop_assert_eq!(got.observations.len(), rollout.observations.len()),
-                Err(invalid) => {
-                    let cause = Refusal::from(invalid).cause;
-                    prop_assert!(RefusalCause::ALL.contains(&cause));
-                }
+                Err(refusal) => prop_assert_eq!(refusal.sender, None),
             }
         }
     }
@@ -251,15 +212,11 @@ proptest! {
     }
 
     #[test]
-    fn a_spoilt_hello_is_refused_or_a_hello(damages in vec(damage(), 1..6)) {
+    fn a_spoilt_hello_or_welcome_is_refused_or_is_one(damages in vec(damage(), 1..6)) {
         if let Some(hello) = receive_spoilt(&hello(), &damages, HELLO)? {
             // Names become parts of keys and paths, so they are checked while they are decoded.
             prop_assert!(ActorId::new(hello.actor.as_str()).is_ok());
         }
-    }
-
-    #[test]
-    fn a_spoilt_welcome_is_refused_or_a_welcome(damages in vec(damage(), 1..6)) {
         if let Some(HelloReply::Welcome(welcome)) = receive_spoilt(&reply(), &damages, HELLO_REPLY)? {
             prop_assert!(RunName::new(welcome.run.as_str()).is_ok());
         }

@@ -22,18 +22,18 @@ use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{Query, Queryable};
-use zenoh::sample::{Sample, SampleKind};
+use zenoh::sample::SampleKind;
 use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
-use crate::ask::{Inquiry, InquiryEnd, ask};
+use crate::ask::{self, Inquiry, InquiryEnd, ask_for};
 use crate::event::ActorEvent;
-use crate::keys::{self, INCARNATION, Key, Keys, Member};
+use crate::keys::{INCARNATION, Key, Keys, Member};
 use crate::latest::{Events, Latest};
 use crate::lock::lock;
-use crate::pull::pull;
+use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, ControlResponder, Error, Result, discovery, publish, session, wire};
+use crate::{ConnectSettings, ControlResponder, Error, Result, session, wire};
 
 /// Threads that answer orders; there is one learner to answer.
 const N_ANSWERING: usize = 1;
@@ -92,7 +92,7 @@ impl ActorLink {
         let (events, latest, receiver) = Events::new(0);
         let link = Self {
             session,
-            endpoints: settings.described(),
+            endpoints: session::describe(&settings.endpoints),
             actor: actor.clone(),
             incarnation,
             events,
@@ -128,20 +128,15 @@ impl ActorLink {
             self.join(&run)?;
             let key = Key::Hello(&run).to_string();
             let (header, payload) = wire::seal(Schema::Hello, self.incarnation, hello)?;
-            let timeout_left = timeout.saturating_sub(started.elapsed());
             let question = Inquiry {
-                selector: key.clone(),
+                key: key.clone(),
+                parameters: String::new(),
                 header,
                 payload,
                 qos: wire::CONTROL,
-                timeout: timeout_left,
+                timeout: timeout.saturating_sub(started.elapsed()),
             };
-            let read = |sample: &Sample| {
-                wire::unseal(sample.attachment(), Some(sample.payload()), HELLO_REPLY)
-                    .map(|(_, reply)| reply)
-                    .map_err(|source| Error::BadAnswer { key: key.clone(), source })
-            };
-            match ask(&self.session, question, read).await? {
+            match ask_for(&self.session, question, HELLO_REPLY).await? {
                 // One that was killed is there for a moment longer.
                 InquiryEnd::Good(HelloReply::Taken)
                     if started.elapsed() < timeout.min(TAKEN_GRACE) =>
@@ -149,7 +144,6 @@ impl ActorLink {
                     tokio::time::sleep(RETRY.1).await;
                 }
                 InquiryEnd::Good(reply) => return self.answered(run, reply),
-                InquiryEnd::Unusable(error) => return Err(error),
                 InquiryEnd::Rejected(reason) => {
                     return Err(Error::Refused { run, actor: self.actor.clone(), reason });
                 }
@@ -173,7 +167,7 @@ impl ActorLink {
     pub async fn pull_weights(&self, version: PolicyVersion, sha256: [u8; 32]) -> Result<Vec<u8>> {
         let entered = self.entered()?;
         let (run, domain) = (&entered.run, &entered.domain);
-        pull(&self.session, run, domain, self.incarnation, version, sha256).await
+        ask::pull(&self.session, run, domain, self.incarnation, version, sha256).await
     }
 
     /// Publishes a rollout: waits for the network, so call it from a thread of its own, never from a task.
@@ -203,7 +197,7 @@ impl ActorLink {
     pub fn publish_metrics(&self, json: &[u8]) -> Result<()> {
         let entered = self.entered()?;
         let member = Member::Actor(self.actor.clone());
-        publish::metrics(&self.session, &entered.run, &member, self.incarnation, json)
+        pubsub::put_metrics(&self.session, &entered.run, &member, self.incarnation, json)
     }
 
     /// Checks that the connection has not been closed; to be asked now and then, because no event tells it.
@@ -225,8 +219,7 @@ impl ActorLink {
     }
 
     fn entered(&self) -> Result<Arc<Membership>> {
-        let entered = lock(&self.entered).clone();
-        entered.ok_or_else(|| Error::NotInARun { actor: self.actor.clone() })
+        lock(&self.entered).clone().ok_or_else(|| Error::NotInARun(self.actor.clone()))
     }
 
     /// Finds the run to say hello to.
@@ -238,7 +231,7 @@ impl ActorLink {
     ) -> Result<RunName> {
         let mut pause = RETRY.0;
         loop {
-            let mut runs = discovery::runs(&self.session).await?;
+            let mut runs = ask::runs(&self.session).await?;
             match wanted {
                 Some(run) if runs.contains(run) => return Ok(run.clone()),
                 None if runs.len() > 1 => {
@@ -274,68 +267,40 @@ impl ActorLink {
         // Leave another run before, so that its learner does not count on this actor.
         *joined = None;
         *lock(&self.entered) = None;
+        let (session, incarnation) = (&self.session, self.incarnation);
+        let (events, answers) = (self.events.clone(), self.answers.clone());
+        let orders = take_questions(session, Key::Control(run, &self.actor), move |query| {
+            on_order(&events, &answers, incarnation, query);
+        })?;
+        let latest = Arc::clone(&self.latest);
+        let credit = subscribe(session, Key::Credit(run, &self.actor), move |sample| {
+            match wire::unseal::<Credit>(sample.attachment(), Some(sample.payload()), CREDIT) {
+                Ok(credit) if credit.incarnation == incarnation => {
+                    latest.put(&format!("credit/{}", credit.learner), ActorEvent::Credit(credit));
+                }
+                // An earlier start of this actor may still be credited; that is not for us.
+                Ok(_) => {}
+                Err(refusal) => warn!(%refusal, "credit refused"),
+            }
+        })?;
+        let events = self.events.clone();
+        let learner = watch(session, Keys::LearnerOf(run), move |alive, kind| {
+            let Some(alive) = alive else { return };
+            let event = match kind {
+                SampleKind::Put => ActorEvent::LearnerJoined(alive.incarnation),
+                SampleKind::Delete => ActorEvent::LearnerLeft(alive.incarnation),
+            };
+            drop(events.offer(event, Class::Presence));
+        })?;
         let member = Member::Actor(self.actor.clone());
-        let alive = Key::Alive(run, &member, self.incarnation);
-        let orders = self.declare_orders(run)?;
-        let credit = self.declare_credit(run)?;
-        let learner = self.declare_learner(run)?;
-        let token = self.session.liveliness().declare_token(keys::expr(alive)).wait();
         *joined = Some(Joined {
             run: run.clone(),
             _orders: orders,
             _credit: credit,
             _learner: learner,
-            _alive: token.map_err(Error::network("declare", &alive.to_string()))?,
+            _alive: appear(session, Key::Alive(run, &member, incarnation))?,
         });
         Ok(())
-    }
-
-    fn declare_orders(&self, run: &RunName) -> Result<Queryable<()>> {
-        let key = Key::Control(run, &self.actor);
-        let (events, answers) = (self.events.clone(), self.answers.clone());
-        let incarnation = self.incarnation;
-        self.session
-            .declare_queryable(keys::expr(key))
-            .complete(true)
-            .callback(move |query| on_order(&events, &answers, incarnation, query))
-            .wait()
-            .map_err(Error::network("declare", &key.to_string()))
-    }
-
-    fn declare_credit(&self, run: &RunName) -> Result<Subscriber<()>> {
-        let key = Key::Credit(run, &self.actor);
-        let (latest, incarnation) = (Arc::clone(&self.latest), self.incarnation);
-        self.session
-            .declare_subscriber(keys::expr(key))
-            .callback(move |sample: Sample| {
-                let read = wire::unseal(sample.attachment(), Some(sample.payload()), CREDIT);
-                match read {
-                    Ok((_, credit)) => offer_credit(&latest, incarnation, credit),
-                    Err(refusal) => warn!(%refusal, "credit refused"),
-                }
-            })
-            .wait()
-            .map_err(Error::network("subscribe to", &key.to_string()))
-    }
-
-    fn declare_learner(&self, run: &RunName) -> Result<Subscriber<()>> {
-        let keys = Keys::LearnerOf(run);
-        let events = self.events.clone();
-        self.session
-            .liveliness()
-            .declare_subscriber(keys::expr(keys))
-            .history(true)
-            .callback(move |sample| {
-                if let Some(alive) = keys::parse_alive(sample.key_expr()) {
-                    let event = match sample.kind() {
-                        SampleKind::Put => ActorEvent::LearnerJoined(alive.incarnation),
-                        SampleKind::Delete => ActorEvent::LearnerLeft(alive.incarnation),
-                    };
-                    events.offer_or_drop(event, Class::Presence);
-                }
-            })
-            .wait()
-            .map_err(Error::network("subscribe to", &keys.to_string()))
     }
 
     fn answered(&self, run: RunName, reply: HelloReply) -> Result<Welcome> {
@@ -344,7 +309,7 @@ impl ActorLink {
                 let reason = leadtime_proto::text::sentence(&reason);
                 Err(Error::Refused { run, actor: self.actor.clone(), reason })
             }
-            HelloReply::Taken => Err(Error::Taken { actor: self.actor.clone() }),
+            HelloReply::Taken => Err(Error::Taken(self.actor.clone())),
             HelloReply::Welcome(welcome) => {
                 self.enter(run, DomainName::new(welcome.spec.task.domain.clone())?)?;
                 Ok(*welcome)
@@ -358,48 +323,22 @@ impl ActorLink {
         if entered.as_ref().is_some_and(|there| there.run == run && there.domain == domain) {
             return Ok(());
         }
-        let rollouts = Key::Rollouts(&run, &domain, &self.actor);
-        let publisher = self
-            .session
-            .declare_publisher(keys::expr(rollouts))
-            .priority(wire::BULK.priority)
-            .congestion_control(wire::BULK.congestion)
-            .express(wire::BULK.express)
-            .wait()
-            .map_err(Error::network("declare", &rollouts.to_string()))?;
-        let announcements = self.declare_announcements(Key::Announcement(&run, &domain))?;
-        *entered = Some(Arc::new(Membership {
-            run,
-            domain,
-            rollouts: publisher,
-            _announcements: announcements,
-        }));
-        Ok(())
-    }
-
-    fn declare_announcements(&self, key: Key<'_>) -> Result<Subscriber<()>> {
-        let latest = Arc::clone(&self.latest);
-        self.session
-            .declare_subscriber(keys::expr(key))
-            .callback(move |sample: Sample| {
-                let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
-                match wire::unseal::<Announcement>(attachment, payload, ANNOUNCEMENT) {
-                    Ok((_, news)) => {
-                        let key = format!("weights/{}", news.learner);
-                        latest.put(&key, ActorEvent::Announcement(news));
-                    }
-                    Err(refusal) => warn!(%refusal, "announcement refused"),
+        let key = Key::Rollouts(&run, &domain, &self.actor);
+        let rollouts = pubsub::publisher(&self.session, key, wire::BULK)?;
+        let (key, latest) = (Key::Announcement(&run, &domain), Arc::clone(&self.latest));
+        let announcements = subscribe(&self.session, key, move |sample| {
+            let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
+            match wire::unseal::<Announcement>(attachment, payload, ANNOUNCEMENT) {
+                Ok(news) => {
+                    let key = format!("weights/{}", news.learner);
+                    latest.put(&key, ActorEvent::Announcement(news));
                 }
-            })
-            .wait()
-            .map_err(Error::network("subscribe to", &key.to_string()))
-    }
-}
-
-fn offer_credit(latest: &Latest<ActorEvent>, incarnation: Incarnation, credit: Credit) {
-    // An earlier start of this actor may still be credited; that is not for us.
-    if credit.incarnation == incarnation {
-        latest.put(&format!("credit/{}", credit.learner), ActorEvent::Credit(credit));
+                Err(refusal) => warn!(%refusal, "announcement refused"),
+            }
+        })?;
+        *entered =
+            Some(Arc::new(Membership { run, domain, rollouts, _announcements: announcements }));
+        Ok(())
     }
 }
 
@@ -417,10 +356,10 @@ fn on_order(
     let order = wire::unseal(query.attachment(), query.payload(), CONTROL);
     unload(&mut query);
     match order {
-        Ok((_, control)) => {
-            let reply = ControlResponder::new(query, answers.clone(), incarnation);
+        Ok(control) => {
+            let reply = ControlResponder::new(query, answers, Schema::ControlReply, incarnation);
             // An order that does not fit ends without an answer; the learner gives it again.
-            events.offer_or_drop(ActorEvent::Control { control, reply }, Class::Request);
+            drop(events.offer(ActorEvent::Control { control, reply }, Class::Request));
         }
         Err(refusal) => {
             warn!(%refusal, "order refused");

@@ -4,10 +4,14 @@
 //! orders and pulls wait), and neither a callback nor a loop that serves everybody may. So whoever owes an answer hands
 //! it over here; even an answer that is never given, because ending a question sends a message, too.
 
+use std::marker::PhantomData;
 use std::sync::Arc;
 use std::thread;
 
-use leadtime_proto::Header;
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::{ControlReply, HelloReply};
+use leadtime_proto::{Header, Incarnation};
+use serde::Serialize;
 use tracing::debug;
 use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -15,7 +19,7 @@ use zenoh::query::Query;
 
 use crate::keys::VERSION;
 use crate::weights::WeightStore;
-use crate::{Error, Result};
+use crate::{Error, Result, wire};
 
 /// Most answers that are owed at once; an asker beyond it tries again.
 const MAX_PENDING: usize = 2_048;
@@ -90,4 +94,53 @@ fn send(query: &Query, header: &Header, payload: ZBytes) -> zenoh::Result<()> {
 
 fn refuse(query: &Query, reason: String) -> zenoh::Result<()> {
     query.reply_err(reason).encoding(Encoding::TEXT_PLAIN).wait()
+}
+
+/// A question and the way to its answer. Giving one never waits; dropping this ends the question without an answer, and
+/// the asker tries again or gives up.
+#[derive(Debug)]
+pub struct Responder<T> {
+    query: Option<Query>,
+    answers: Answers,
+    schema: Schema,
+    incarnation: Incarnation,
+    answer: PhantomData<fn(T)>,
+}
+
+/// The learner's answer to a hello.
+pub type HelloResponder = Responder<HelloReply>;
+/// An actor's answer to an order.
+pub type ControlResponder = Responder<ControlReply>;
+
+impl<T: Serialize> Responder<T> {
+    pub(crate) fn new(
+        query: Query,
+        answers: &Answers,
+        schema: Schema,
+        incarnation: Incarnation,
+    ) -> Self {
+        let (query, answers) = (Some(query), answers.clone());
+        Self { query, answers, schema, incarnation, answer: PhantomData }
+    }
+
+    /// Gives the answer.
+    ///
+    /// # Errors
+    ///
+    /// [`crate::Error::Codec`] if it cannot be encoded.
+    pub fn reply(mut self, answer: &T) -> Result<()> {
+        let (header, payload) = wire::seal(self.schema, self.incarnation, answer)?;
+        if let Some(query) = self.query.take() {
+            self.answers.give(PendingReply::Message(query, header, payload.into()));
+        }
+        Ok(())
+    }
+}
+
+impl<T> Drop for Responder<T> {
+    fn drop(&mut self) {
+        if let Some(query) = self.query.take() {
+            self.answers.give(PendingReply::Nothing(query));
+        }
+    }
 }

@@ -1,29 +1,41 @@
-//! Asking a question and waiting for the first usable answer, for a limited time that covers the sending, too.
+//! Asking a question and waiting for the first usable answer, for a limited time that covers the sending, too; and
+//! finding a run at an address by the presence of its learner, for which no learner is asked anything.
 
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use leadtime_proto::{Header, text};
+use leadtime_proto::header::Schema;
+use leadtime_proto::receive::{self, Expected, WEIGHTS};
+use leadtime_proto::{DomainName, Header, Incarnation, PolicyVersion, RunName, text};
+use serde::de::DeserializeOwned;
+use sha2::{Digest as _, Sha256};
 use zenoh::Wait as _;
 use zenoh::bytes::Encoding;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Sample;
 use zenoh::session::Session;
 
-use crate::wire::Qos;
+use crate::keys::{self, Key, Keys, VERSION};
+use crate::wire::{self, Qos};
 use crate::{Error, Result};
 
 /// Most answers to one question that are looked at.
 const MAX_ANSWERS: usize = 64;
 /// How long a pull of weights may take.
-pub(crate) const PULL_TIMEOUT: Duration = Duration::from_secs(10);
+const PULL_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long after our own limit the network may clean up.
 const NETWORK_SLACK: Duration = Duration::from_secs(1);
+
+/// Longest wait for one answer to "which learners are there?".
+const LOOK: Duration = Duration::from_secs(1);
+/// Most learners at one address that are looked at.
+const MAX_LEARNERS: usize = 1_024;
 
 /// A question.
 #[derive(Debug)]
 pub(crate) struct Inquiry {
-    /// Key and parameters.
-    pub(crate) selector: String,
+    pub(crate) key: String,
+    pub(crate) parameters: String,
     pub(crate) header: Header,
     pub(crate) payload: Vec<u8>,
     pub(crate) qos: Qos,
@@ -35,8 +47,6 @@ pub(crate) struct Inquiry {
 pub(crate) enum InquiryEnd<T> {
     /// The first usable answer.
     Good(T),
-    /// Only answers that are no use; what is wrong with the last one.
-    Unusable(Error),
     /// Only answers that say no; the last one's sentence.
     Rejected(String),
     /// Nobody was there to answer.
@@ -45,8 +55,63 @@ pub(crate) enum InquiryEnd<T> {
     TimedOut,
 }
 
-/// Asks everyone at the key, and reads answers until one can be used.
-pub(crate) async fn ask<T>(
+/// Asks everyone at the key for a message.
+pub(crate) async fn ask_for<T: DeserializeOwned>(
+    session: &Session,
+    question: Inquiry,
+    expected: Expected,
+) -> Result<InquiryEnd<T>> {
+    let key = question.key.clone();
+    let read = |sample: &Sample| {
+        wire::unseal(sample.attachment(), Some(sample.payload()), expected)
+            .map_err(|source| Error::BadAnswer { key: key.clone(), source })
+    };
+    ask(session, question, read).await
+}
+
+/// Pulls a version of the weights and returns its bytes.
+///
+/// Anyone in the network can answer, so every answer is looked at until one has the digest that the learner announced: a
+/// faster answer with something else in it keeps nobody from the learner's.
+pub(crate) async fn pull(
+    session: &Session,
+    run: &RunName,
+    domain: &DomainName,
+    incarnation: Incarnation,
+    version: PolicyVersion,
+    sha256: [u8; 32],
+) -> Result<Vec<u8>> {
+    let key = Key::Weights(run, domain).to_string();
+    let question = Inquiry {
+        key: key.clone(),
+        parameters: format!("{VERSION}={version}"),
+        header: Header::plain(Schema::Weights, incarnation, &[]),
+        payload: Vec::new(),
+        qos: wire::BULK,
+        timeout: PULL_TIMEOUT,
+    };
+    let read = |sample: &Sample| {
+        let bad = |source| Error::BadAnswer { key: key.clone(), source };
+        let header =
+            wire::inspect(sample.attachment(), Some(sample.payload()), WEIGHTS).map_err(bad)?;
+        let bytes = sample.payload().to_bytes();
+        receive::verify(&header, &bytes).map_err(bad)?;
+        if header.version != version || <[u8; 32]>::from(Sha256::digest(&bytes)) != sha256 {
+            return Err(Error::ForeignWeights(version));
+        }
+        Ok(bytes.into_owned())
+    };
+    match ask(session, question, read).await? {
+        InquiryEnd::Good(bytes) => Ok(bytes),
+        InquiryEnd::Rejected(reason) => Err(Error::NotKept { version, reason }),
+        InquiryEnd::Nobody | InquiryEnd::TimedOut => {
+            Err(Error::NoAnswer { key, timeout: PULL_TIMEOUT })
+        }
+    }
+}
+
+/// Asks everyone at the key, and reads answers until one can be used; else what is wrong with the last one counts.
+async fn ask<T>(
     session: &Session,
     question: Inquiry,
     mut read: impl FnMut(&Sample) -> Result<T>,
@@ -59,24 +124,26 @@ pub(crate) async fn ask<T>(
     let sending = tokio::task::spawn_blocking(move || send(&session, question, sender));
     match tokio::time::timeout_at(deadline, sending).await {
         Err(_) => return Ok(InquiryEnd::TimedOut),
-        Ok(sent) => sent.map_err(|_panicked| Error::Panicked { action: "ask a question" })??,
+        Ok(sent) => sent.map_err(|_panicked| Error::Panicked("ask a question"))??,
     }
-    let mut fallback = InquiryEnd::Nobody;
+    let mut fallback = Ok(InquiryEnd::Nobody);
     loop {
         match tokio::time::timeout_at(deadline, answers.recv_async()).await {
-            Err(_) if matches!(fallback, InquiryEnd::Nobody) => return Ok(InquiryEnd::TimedOut),
-            Err(_) | Ok(Err(flume::RecvError::Disconnected)) => return Ok(fallback),
+            Err(_) if matches!(fallback, Ok(InquiryEnd::Nobody)) => {
+                return Ok(InquiryEnd::TimedOut);
+            }
+            Err(_) | Ok(Err(flume::RecvError::Disconnected)) => return fallback,
             Ok(Ok(reply)) => match reply.into_result() {
                 Ok(sample) => match read(&sample) {
                     Ok(good) => return Ok(InquiryEnd::Good(good)),
                     // A plain no says more than an answer that is no use, which may be anybody's.
-                    Err(_) if matches!(fallback, InquiryEnd::Rejected(_)) => {}
-                    Err(error) => fallback = InquiryEnd::Unusable(error),
+                    Err(_) if matches!(fallback, Ok(InquiryEnd::Rejected(_))) => {}
+                    Err(error) => fallback = Err(error),
                 },
                 Err(error) => {
                     let reason = error.payload().to_bytes();
                     let reason = text::sentence(&String::from_utf8_lossy(&reason));
-                    fallback = InquiryEnd::Rejected(reason);
+                    fallback = Ok(InquiryEnd::Rejected(reason));
                 }
             },
         }
@@ -84,9 +151,9 @@ pub(crate) async fn ask<T>(
 }
 
 fn send(session: &Session, question: Inquiry, sender: flume::Sender<Reply>) -> Result<()> {
-    let Inquiry { selector, header, payload, qos, timeout } = question;
+    let Inquiry { key, parameters, header, payload, qos, timeout } = question;
     session
-        .get(&selector)
+        .get((keys::expr(&key), parameters))
         .payload(payload)
         .attachment(header.to_bytes())
         .encoding(Encoding::APPLICATION_OCTET_STREAM)
@@ -101,5 +168,32 @@ fn send(session: &Session, question: Inquiry, sender: flume::Sender<Reply>) -> R
             drop(sender.try_send(reply));
         })
         .wait()
-        .map_err(Error::network("ask", &selector))
+        .map_err(Error::network("ask", &key))
+}
+
+/// Lists the runs whose learner is there now.
+pub(crate) async fn runs(session: &Session) -> Result<BTreeSet<RunName>> {
+    let key = Keys::Learners.to_string();
+    let (sender, answers) = flume::bounded(MAX_LEARNERS);
+    session
+        .liveliness()
+        .get(keys::expr(Keys::Learners))
+        .timeout(LOOK)
+        .callback(move |reply| {
+            // More learners than anyone looks at are let go.
+            drop(sender.try_send(reply));
+        })
+        .wait()
+        .map_err(Error::network("look for learners on", &key))?;
+    let mut runs = BTreeSet::new();
+    // The network ends the answers at its own time-out; ours is for a network that does not.
+    let look = async {
+        while let Ok(reply) = answers.recv_async().await {
+            let alive = reply.into_result().ok().and_then(|s| keys::parse_alive(s.key_expr()));
+            runs.extend(alive.map(|alive| alive.run));
+        }
+    };
+    // Running out of time leaves the runs that were found.
+    drop(tokio::time::timeout(2 * LOOK, look).await);
+    Ok(runs)
 }

@@ -1,11 +1,12 @@
 //! Why nobody can be reached at an address. The network library only says that its time is over, so it is tried once
 //! more, by hand, with what the system says.
 
-use std::fmt;
 use std::io::ErrorKind;
 use std::net::{TcpStream, ToSocketAddrs as _};
 use std::os::unix::net::UnixStream;
 use std::time::Duration;
+
+use thiserror::Error;
 
 use crate::Endpoint;
 
@@ -15,71 +16,53 @@ const ATTEMPT: Duration = Duration::from_millis(800);
 const MAX_ADDRESSES: usize = 3;
 
 /// What is in the way.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub(crate) enum Obstacle {
-    /// The host's name has no address.
+    #[error("the host's name cannot be resolved: correct the address")]
     Unresolved,
-    /// The host is there, but no program listens.
+    #[error("the connection is refused: start a learner there, or correct the address")]
     Refused,
-    /// There is no such socket.
+    #[error("there is no such socket: start a learner there, or correct the path")]
     NoSocket,
-    /// The host does not answer at all.
+    #[error("the host does not answer: is it up, and does a firewall let this port through?")]
     Silent,
-    /// The system says something else.
+    /// What the system says.
+    #[error("{0}")]
     Other(String),
-    /// A program listens, but it does not behave as a learner does.
+    #[error(
+        "a program listens there, but it does not answer as a learner does: is it the right port?"
+    )]
     NoLearner,
-    /// A program listens, but no encrypted connection comes about.
+    #[error(
+        "a program listens there, but no encrypted connection comes about: the certificate there has to be signed by the \
+         authority in `root_ca_certificate_file`, be for this host's name, and not be expired; and the learner may ask \
+         for a certificate of ours"
+    )]
     NoTls,
-}
-
-impl fmt::Display for Obstacle {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Unresolved => "the host's name cannot be resolved: correct the address",
-            Self::Refused => "the connection is refused: start a learner there, or correct the address",
-            Self::NoSocket => "there is no such socket: start a learner there, or correct the path",
-            Self::Silent => "the host does not answer: is it up, and does a firewall let this port through?",
-            Self::Other(text) => text,
-            Self::NoLearner => {
-                "a program listens there, but it does not answer as a learner does: is it the right port?"
-            }
-            Self::NoTls => {
-                "a program listens there, but no encrypted connection comes about: the certificate there has to be \
-                 signed by the authority in `root_ca_certificate_file`, be for this host's name, and not be expired; \
-                 and the learner may ask for a certificate of ours"
-            }
-        })
-    }
 }
 
 /// Finds out why nobody can be reached; takes a few seconds at most.
 pub(crate) fn diagnose(endpoint: &Endpoint) -> Obstacle {
     let (protocol, address, _) = endpoint.parts();
     match protocol {
-        "unixsock-stream" => match UnixStream::connect(address) {
-            Ok(_) => Obstacle::NoLearner,
-            Err(error) => obstacle(&error),
-        },
-        _ => match tcp(address) {
-            Some(obstacle) => obstacle,
-            None if protocol == "tls" => Obstacle::NoTls,
-            None => Obstacle::NoLearner,
-        },
+        "unixsock-stream" => UnixStream::connect(address)
+            .map_or_else(|error| obstacle(&error), |_| Obstacle::NoLearner),
+        "tls" => tcp(address).unwrap_or(Obstacle::NoTls),
+        _ => tcp(address).unwrap_or(Obstacle::NoLearner),
     }
 }
 
 /// Tries to connect; `None` if that works.
 fn tcp(address: &str) -> Option<Obstacle> {
     let Ok(addresses) = address.to_socket_addrs() else { return Some(Obstacle::Unresolved) };
-    let mut last = Some(Obstacle::Unresolved);
+    let mut last = Obstacle::Unresolved;
     for address in addresses.take(MAX_ADDRESSES) {
         match TcpStream::connect_timeout(&address, ATTEMPT) {
             Ok(_) => return None,
-            Err(error) => last = Some(obstacle(&error)),
+            Err(error) => last = obstacle(&error),
         }
     }
-    last
+    Some(last)
 }
 
 fn obstacle(error: &std::io::Error) -> Obstacle {

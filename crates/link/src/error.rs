@@ -9,49 +9,12 @@ use leadtime_proto::ids::InvalidId;
 use leadtime_proto::{ActorId, PolicyVersion, Refusal, RunName};
 use thiserror::Error;
 
-/// Longest path of a Unix socket: the kernel's 107 less the lock file's `.lock`.
-pub(crate) const MAX_SOCKET_PATH: usize = 100;
-
 /// A result of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What is wrong with an address.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum EndpointProblem {
-    /// No known protocol in front.
-    #[error("it must start with `tcp/`, `tls/` or `unixsock-stream/`, as in `tcp/127.0.0.1:7447`")]
-    Protocol,
-    /// No host or no port.
-    #[error("after the protocol come a host and a port, as in `tcp/127.0.0.1:7447`")]
-    HostAndPort,
-    /// No path, or one that is too long for a socket.
-    #[error("the socket's path has {found} bytes; 1 to {MAX_SOCKET_PATH} are possible")]
-    Path {
-        /// Its length.
-        found: usize,
-    },
-    /// A quotation mark, a backslash or something invisible.
-    #[error("it holds a quotation mark, a backslash, a space or a control character")]
-    Character,
-    /// Wrong in some other way.
-    #[error("its syntax is wrong")]
-    Syntax,
-}
-
 /// The network library's own error: opaque, only to be shown.
-pub struct NetworkFault(zenoh::Error);
-
-impl NetworkFault {
-    pub(crate) fn new(source: zenoh::Error) -> Self {
-        Self(source)
-    }
-}
-
-impl fmt::Debug for NetworkFault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Debug::fmt(&self.0, f)
-    }
-}
+#[derive(Debug)]
+pub struct NetworkFault(pub(crate) zenoh::Error);
 
 impl fmt::Display for NetworkFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -73,25 +36,19 @@ pub enum Error {
         /// As given.
         endpoint: String,
         /// What is wrong with it.
-        problem: EndpointProblem,
+        problem: String,
     },
     /// No address at all.
     #[error("no address to listen on or to connect to")]
     NoEndpoint,
-    /// Someone else listens there.
+    /// Someone else listens at this address.
     #[error(
-        "address `{endpoint}` is in use: another learner listens there; choose another port or path, or stop it"
+        "address `{0}` is in use: another learner listens there; choose another port or path, or stop it"
     )]
-    AddressInUse {
-        /// The address.
-        endpoint: String,
-    },
-    /// Something else is where a socket is to be; listening there would remove it.
-    #[error("there is a file at {}, where the socket (or its lock) is to be: choose another path", path.display())]
-    NotASocket {
-        /// The path of the file.
-        path: PathBuf,
-    },
+    AddressInUse(String),
+    /// A file is where a socket is to be; listening there would remove it.
+    #[error("there is a file at {}, where the socket (or its lock) is to be: choose another path", .0.display())]
+    NotASocket(PathBuf),
     /// A file that the address names for TLS.
     #[error("`{setting}` of the address: cannot read {}", path.display())]
     TlsFile {
@@ -156,11 +113,8 @@ pub enum Error {
         reason: String,
     },
     /// An actor of the same name is there, alive.
-    #[error("`{actor}` is already here; choose another --id")]
-    Taken {
-        /// The name.
-        actor: ActorId,
-    },
+    #[error("`{0}` is already here; choose another --id")]
+    Taken(ActorId),
     /// Nobody acted on an order or answered a question in time.
     #[error("no answer on `{key}` within {timeout:?}")]
     NoAnswer {
@@ -194,14 +148,11 @@ pub enum Error {
         /// The learner's sentence.
         reason: String,
     },
-    /// Weights that are not the ones which the learner announced.
+    /// Weights that are not the ones which the learner announced as this version.
     #[error(
-        "what arrives as weights of version {version} is not what the learner announced: its SHA-256 differs"
+        "what arrives as weights of version {0} is not what the learner announced: its SHA-256 differs"
     )]
-    ForeignWeights {
-        /// The version that was asked for.
-        version: PolicyVersion,
-    },
+    ForeignWeights(PolicyVersion),
     /// A message that no receiver would take.
     #[error("message of {found} bytes for `{key}`, at most {limit} are possible")]
     TooLarge {
@@ -213,11 +164,8 @@ pub enum Error {
         limit: usize,
     },
     /// An actor that has not been welcomed to a run yet.
-    #[error("actor `{actor}` is in no run yet: it has to say hello first")]
-    NotInARun {
-        /// The actor.
-        actor: ActorId,
-    },
+    #[error("actor `{0}` is in no run yet: it has to say hello first")]
+    NotInARun(ActorId),
     /// A name that cannot be part of a key.
     #[error(transparent)]
     Name(#[from] InvalidId),
@@ -238,23 +186,17 @@ pub enum Error {
     /// A thread that serves the network could not be started.
     #[error("cannot start a thread for the network")]
     Thread(#[source] std::io::Error),
-    /// The network library failed in one of its own threads, or could not start one.
+    /// The network library failed to do this in one of its own threads, or could not start one.
     #[error(
-        "the network library failed to {action}; are there too few threads or memory for this process?"
+        "the network library failed to {0}; are there too few threads or memory for this process?"
     )]
-    Panicked {
-        /// What was being done.
-        action: &'static str,
-    },
+    Panicked(&'static str),
     /// The connection was closed, or what listened for actors has ended.
     #[error("the network connection of this process has ended")]
     Dead,
-    /// Closing took longer than it may.
-    #[error("closing the network connection took longer than {timeout:?}")]
-    Close {
-        /// The limit.
-        timeout: Duration,
-    },
+    /// Closing took longer than this limit.
+    #[error("closing the network connection took longer than {0:?}")]
+    Close(Duration),
 }
 
 impl Error {

@@ -1,10 +1,13 @@
-//! Everything that can wake a learner or an actor from the network.
+//! Everything that can wake a learner or an actor from the network, and the room that it takes in a learner's queue.
+
+use std::ops::Deref;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use leadtime_proto::message::{Announcement, Control, Credit, Hello};
 use leadtime_proto::{ActorId, Header, Incarnation, Refusal};
 
-use crate::permit::{Payload, QueuePermit};
-use crate::responder::{ControlResponder, HelloResponder};
+use crate::answer::{ControlResponder, HelloResponder};
 
 /// What happens to a learner.
 #[derive(Debug)]
@@ -26,20 +29,10 @@ pub enum LearnerEvent {
         /// The body, still encoded.
         payload: Payload,
     },
-    /// An actor is there (may be reported more than once).
-    Joined {
-        /// The actor's name.
-        actor: ActorId,
-        /// The start of it that is there.
-        incarnation: Incarnation,
-    },
-    /// An actor is gone: it left, died, or the connection to it is lost.
-    Left {
-        /// The actor's name.
-        actor: ActorId,
-        /// The start of it that is gone.
-        incarnation: Incarnation,
-    },
+    /// This start of an actor is there (may be reported more than once).
+    Joined(ActorId, Incarnation),
+    /// This start of an actor is gone: it left, died, or the connection to it is lost.
+    Left(ActorId, Incarnation),
     /// A message was refused; those for which there was no room are counted in
     /// [`crate::LearnerLink::take_uncounted`] instead.
     Refused {
@@ -70,4 +63,64 @@ pub enum ActorEvent {
     LearnerJoined(Incarnation),
     /// The learner is gone, or the connection to it is lost.
     LearnerLeft(Incarnation),
+}
+
+/// How much of the queue somebody uses.
+#[derive(Debug, Default)]
+pub(crate) struct QueueUsage {
+    pub(crate) n_messages: AtomicUsize,
+    pub(crate) n_bytes: AtomicUsize,
+}
+
+/// A place (and some bytes) in the event queue, given back when dropped.
+#[derive(Debug)]
+pub struct QueuePermit {
+    of_sender: Arc<QueueUsage>,
+    of_all: Arc<QueueUsage>,
+    n_bytes: usize,
+}
+
+impl QueuePermit {
+    /// Takes room for a message. The caller holds the lock under which all room is taken; giving back needs none.
+    pub(crate) fn take(
+        of_sender: &Arc<QueueUsage>,
+        of_all: &Arc<QueueUsage>,
+        n_bytes: usize,
+    ) -> Self {
+        for usage in [of_sender, of_all] {
+            usage.n_messages.fetch_add(1, Ordering::Relaxed);
+            usage.n_bytes.fetch_add(n_bytes, Ordering::Relaxed);
+        }
+        Self { of_sender: Arc::clone(of_sender), of_all: Arc::clone(of_all), n_bytes }
+    }
+}
+
+impl Drop for QueuePermit {
+    fn drop(&mut self) {
+        for usage in [&self.of_sender, &self.of_all] {
+            usage.n_messages.fetch_sub(1, Ordering::Relaxed);
+            usage.n_bytes.fetch_sub(self.n_bytes, Ordering::Relaxed);
+        }
+    }
+}
+
+/// The body of a rollout message: bytes that count against their sender's share until dropped.
+#[derive(Debug)]
+pub struct Payload {
+    bytes: Vec<u8>,
+    _permit: QueuePermit,
+}
+
+impl Payload {
+    pub(crate) fn new(bytes: Vec<u8>, permit: QueuePermit) -> Self {
+        Self { bytes, _permit: permit }
+    }
+}
+
+impl Deref for Payload {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.bytes
+    }
 }

@@ -24,10 +24,9 @@ use leadtime_proto::receive::ROLLOUT;
 use leadtime_proto::{ActorId, Incarnation, Refusal, RefusalCause};
 use zenoh::sample::Sample;
 
-use crate::event::LearnerEvent;
+use crate::event::{LearnerEvent, Payload, QueuePermit, QueueUsage};
 use crate::keys;
 use crate::lock::lock;
-use crate::permit::{Payload, QueuePermit, QueueUsage};
 use crate::queue::{Class, EventQueue};
 use crate::session::ListenSettings;
 use crate::wire;
@@ -49,7 +48,7 @@ struct SenderShare {
 /// What stands between the network's callback and the event queue.
 #[derive(Debug)]
 pub(crate) struct RolloutIntake {
-    events: EventQueue<LearnerEvent>,
+    pub(crate) events: EventQueue<LearnerEvent>,
     per_actor: usize,
     max_actors: usize,
     bytes_per_actor: usize,
@@ -98,14 +97,9 @@ impl RolloutIntake {
         // keeping a small rollout could keep much more than the bytes that its sender is billed for.
         let payload = Payload::new(sample.payload().to_bytes().into_owned(), permit);
         let event = LearnerEvent::Rollout { actor, header, payload };
-        if let Some(LearnerEvent::Rollout { actor, .. }) = self.offer(event, Class::Bulk) {
+        if let Some(LearnerEvent::Rollout { actor, .. }) = self.events.offer(event, Class::Bulk) {
             self.count(Some(actor), RefusalCause::Overflow);
         }
-    }
-
-    /// Offers an event that is no refusal; gives it back if there is no room.
-    pub(crate) fn offer(&self, event: LearnerEvent, class: Class) -> Option<LearnerEvent> {
-        self.events.offer(event, class).err().map(|overflow| overflow.0)
     }
 
     /// Reports a refusal as an event as long as its sender has room for one, and counts it otherwise.
@@ -113,17 +107,9 @@ impl RolloutIntake {
         // Who cannot be named has no share of its own: else a stranger could use up the share of any name.
         let of = actor.as_ref().filter(|_| refusal.sender.is_some());
         let cause = refusal.cause;
-        let told = match self.permit(of, 0) {
-            None => Err(actor),
-            Some(permit) => {
-                let event = LearnerEvent::Refused { actor, refusal, permit };
-                match self.offer(event, Class::Bulk) {
-                    Some(LearnerEvent::Refused { actor, .. }) => Err(actor),
-                    _ => Ok(()),
-                }
-            }
-        };
-        if let Err(actor) = told {
+        let Some(permit) = self.permit(of, 0) else { return self.count(actor, cause) };
+        let event = LearnerEvent::Refused { actor, refusal, permit };
+        if let Some(LearnerEvent::Refused { actor, .. }) = self.events.offer(event, Class::Bulk) {
             self.count(actor, cause);
         }
     }
@@ -211,32 +197,28 @@ mod tests {
     #[test]
     fn a_greedy_sender_leaves_the_others_their_places() {
         let (intake, _events) = intake(2, 4);
-        let greedy = [intake.permit(Some(&actor("g")), 1), intake.permit(Some(&actor("g")), 1)];
+        let permit = |id: &str| intake.permit(Some(&actor(id)), 1);
+        let greedy = [permit("g"), permit("g")];
         assert!(greedy.iter().all(Option::is_some));
-        assert!(intake.permit(Some(&actor("g")), 1).is_none());
-        assert!(intake.permit(Some(&actor("h")), 1).is_some());
+        assert!(permit("g").is_none() && permit("h").is_some());
         drop(greedy);
-        assert!(intake.permit(Some(&actor("g")), 1).is_some());
+        assert!(permit("g").is_some());
     }
 
     #[test]
     fn using_up_the_pool_takes_no_reserved_share() {
         // A share is 25 bytes, the pool 100.
         let (intake, _events) = intake(64, 4);
-        let first = intake.permit(Some(&actor("a")), 60).unwrap();
-        assert!(
-            intake.permit(Some(&actor("b")), 60).is_none(),
-            "neither in its share nor the pool"
-        );
-        let more = intake.permit(Some(&actor("a")), 40).unwrap();
-        assert!(intake.permit(Some(&actor("a")), 1).is_none(), "the greedy one is refused");
-        let held: Vec<QueuePermit> = ["b", "c", "d"]
-            .iter()
-            .flat_map(|id| (0..5).map(|_| intake.permit(Some(&actor(id)), 5).expect("its share")))
-            .collect();
-        assert!(intake.permit(Some(&actor("b")), 1).is_none());
+        let permit = |id: &str, n_bytes| intake.permit(Some(&actor(id)), n_bytes);
+        let first = permit("a", 60).unwrap();
+        assert!(permit("b", 60).is_none(), "neither in its share nor the pool");
+        let more = permit("a", 40).unwrap();
+        assert!(permit("a", 1).is_none(), "the greedy one is refused");
+        let share = |id| (0..5).map(move |_| permit(id, 5).expect("its share"));
+        let held: Vec<QueuePermit> = ["b", "c", "d"].into_iter().flat_map(share).collect();
+        assert!(permit("b", 1).is_none());
         drop((first, more, held));
-        assert!(intake.permit(Some(&actor("b")), 60).is_some());
+        assert!(permit("b", 60).is_some());
     }
 
     #[test]

@@ -140,51 +140,34 @@ pub struct Alive {
 
 /// Reads a key of presence, `None` if it is none of ours.
 pub fn parse_alive(key: &str) -> Option<Alive> {
-    let mut chunks = chunks(key)?;
-    let run = RunName::new(chunks.next()?).ok()?;
-    if chunks.next()? != "alive" {
-        return None;
-    }
-    let member = Member::parse(chunks.next()?, chunks.next()?)?;
-    let digits = chunks.next()?;
-    let start = u64::from_str_radix(digits, 16).ok()?;
-    let exact = digits.len() == 16 && chunks.next().is_none();
-    exact.then_some(Alive { run, member, incarnation: Incarnation(start) })
+    let [run, "alive", role, id, digits] = chunks(key)[..] else { return None };
+    let start = u64::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 16)?;
+    let (run, member) = (RunName::new(run).ok()?, Member::parse(role, id)?);
+    Some(Alive { run, member, incarnation: Incarnation(start) })
 }
 
 /// Reads the sender from a key of rollouts, `None` if it is none of ours.
 pub fn parse_rollouts(key: &str) -> Option<ActorId> {
-    let mut chunks = chunks(key)?.skip(1);
-    if chunks.next()? != "traj" {
-        return None;
-    }
-    let actor = ActorId::new(chunks.nth(1)?).ok()?;
-    chunks.next().is_none().then_some(actor)
+    let [_, "traj", _, actor] = chunks(key)[..] else { return None };
+    ActorId::new(actor).ok()
 }
 
 /// Reads the sender from a key of metrics, `None` if it is none of ours.
 pub fn parse_metrics(key: &str) -> Option<Member> {
-    let mut chunks = chunks(key)?.skip(1);
-    if chunks.next()? != "metrics" {
-        return None;
-    }
-    let member = Member::parse(chunks.next()?, chunks.next()?)?;
-    chunks.next().is_none().then_some(member)
+    let [_, "metrics", role, id] = chunks(key)[..] else { return None };
+    Member::parse(role, id)
 }
 
 /// Reads the domain from a key of announcements, `None` if it is none of ours.
 pub fn parse_announcement(key: &str) -> Option<DomainName> {
-    let mut chunks = chunks(key)?.skip(1);
-    if chunks.next()? != "weights" {
-        return None;
-    }
-    let domain = DomainName::new(chunks.next()?).ok()?;
-    chunks.next().is_none().then_some(domain)
+    let [_, "weights", domain] = chunks(key)[..] else { return None };
+    DomainName::new(domain).ok()
 }
 
 /// Splits what follows the root, the run's name first.
-fn chunks(key: &str) -> Option<std::str::Split<'_, char>> {
-    Some(key.strip_prefix(ROOT)?.strip_prefix('/')?.split('/'))
+fn chunks(key: &str) -> Vec<&str> {
+    let rest = key.strip_prefix(ROOT).and_then(|rest| rest.strip_prefix('/'));
+    rest.map_or_else(Vec::new, |rest| rest.split('/').collect())
 }
 
 /// Makes a key what the network takes; names are checked, so this cannot fail.
@@ -197,15 +180,15 @@ pub(crate) fn expr(key: impl fmt::Display) -> OwnedKeyExpr {
 mod tests {
     use super::*;
 
-    fn run() -> RunName {
-        RunName::new("lander-1").unwrap()
+    fn names() -> (RunName, DomainName, ActorId, Member) {
+        let actor = ActorId::new("a7").unwrap();
+        let domain = DomainName::new("cue_recall").unwrap();
+        (RunName::new("lander-1").unwrap(), domain, actor.clone(), Member::Actor(actor))
     }
 
     #[test]
-    fn keys_read_as_documented() {
-        let (run, actor) = (run(), ActorId::new("a7").unwrap());
-        let domain = DomainName::new("cue_recall").unwrap();
-        let member = Member::Actor(actor.clone());
+    fn keys_read_as_documented_and_can_be_read_back() {
+        let (run, domain, actor, member) = names();
         for (key, text) in [
             (Key::Alive(&run, &member, Incarnation(255)), "alive/actor/a7/00000000000000ff"),
             (
@@ -220,23 +203,17 @@ mod tests {
             (Key::Weights(&run, &domain), "weights/cue_recall/latest"),
             (Key::Metrics(&run, &member), "metrics/actor/a7"),
         ] {
-            assert_eq!(expr(key).as_str(), format!("leadtime/1/lander-1/{text}"));
+            let key = expr(key);
+            assert_eq!(key.as_str(), format!("leadtime/1/lander-1/{text}"));
+            let sender = text.starts_with("traj").then(|| actor.clone());
+            assert_eq!(parse_rollouts(&key), sender);
+            assert_eq!(parse_metrics(&key), text.starts_with("metrics").then(|| member.clone()));
+            let is_announcement = text == "weights/cue_recall";
+            assert_eq!(parse_announcement(&key), is_announcement.then(|| domain.clone()));
         }
-    }
-
-    #[test]
-    fn what_is_built_can_be_read_back() {
-        let (run, actor) = (run(), ActorId::new("a7").unwrap());
-        let domain = DomainName::new("lander").unwrap();
-        let member = Member::Actor(actor.clone());
         let incarnation = Incarnation(u64::MAX);
-        assert_eq!(
-            parse_alive(&Key::Alive(&run, &member, incarnation).to_string()),
-            Some(Alive { run: run.clone(), member: member.clone(), incarnation })
-        );
-        assert_eq!(parse_rollouts(&Key::Rollouts(&run, &domain, &actor).to_string()), Some(actor));
-        assert_eq!(parse_metrics(&Key::Metrics(&run, &member).to_string()), Some(member));
-        assert_eq!(parse_announcement(&Key::Announcement(&run, &domain).to_string()), Some(domain));
+        let alive = parse_alive(&Key::Alive(&run, &member, incarnation).to_string());
+        assert_eq!(alive, Some(Alive { run, member, incarnation }));
     }
 
     #[test]
@@ -258,9 +235,7 @@ mod tests {
 
     #[test]
     fn subscriptions_cover_their_keys() {
-        let (run, actor) = (run(), ActorId::new("a7").unwrap());
-        let domain = DomainName::new("lander").unwrap();
-        let member = Member::Actor(actor.clone());
+        let (run, domain, actor, member) = names();
         let alive = expr(Key::Alive(&run, &member, Incarnation(3)));
         assert!(expr(Keys::ActorsOf(&run)).includes(&alive));
         assert!(expr(Keys::MembersOf(&run)).includes(&alive));

@@ -77,7 +77,7 @@ mod tests {
     #[tokio::test]
     async fn the_newest_replaces_the_one_before_it_even_if_the_queue_is_full() {
         let (queue, latest, events) = Events::new(1);
-        while queue.offer(0, Class::Presence).is_ok() {}
+        while queue.offer(0, Class::Presence).is_none() {}
         for credit in 1..=3 {
             latest.put("credit", credit);
         }

@@ -10,19 +10,18 @@ use leadtime_proto::receive::{CONTROL_REPLY, HELLO};
 use leadtime_proto::{ActorId, DomainName, Incarnation, PolicyVersion, RefusalCause, RunName};
 use tokio::time::interval;
 use tracing::debug;
-use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
-use zenoh::pubsub::Publisher;
-use zenoh::query::Query;
-use zenoh::sample::{Sample, SampleKind};
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::query::{Query, Queryable};
+use zenoh::sample::SampleKind;
 use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
-use crate::ask::{Inquiry, InquiryEnd, ask};
+use crate::ask::{Inquiry, InquiryEnd, ask_for};
 use crate::event::LearnerEvent;
 use crate::intake::{RefusalCounts, RolloutIntake, malformed_key};
-use crate::keys::{self, INCARNATION, Key, Keys, Member};
-use crate::publish::{self, put};
+use crate::keys::{Alive, INCARNATION, Key, Keys, Member};
+use crate::pubsub::{appear, publisher, put, put_metrics, subscribe, take_questions, watch};
 use crate::queue::Class;
 use crate::weights::{self, WeightStore};
 use crate::{Error, HelloResponder, ListenSettings, Result, session, wire};
@@ -46,6 +45,8 @@ pub struct LearnerLink {
     announcer: Arc<Publisher<'static>>,
     is_dead: Arc<AtomicBool>,
     upkeep: tokio::task::JoinHandle<()>,
+    _taken: [Subscriber<()>; 2],
+    _answered: [Queryable<()>; 2],
     _alive: LivelinessToken,
 }
 
@@ -68,32 +69,48 @@ impl LearnerLink {
         let (intake, events) = RolloutIntake::new(settings);
         let (intake, store) = (Arc::new(intake), Arc::new(WeightStore::new(incarnation)));
         let answers = Answers::start(N_ANSWERING)?;
-        let announcer = Arc::new(declare_announcer(&session, Key::Announcement(run, &domain))?);
-        declare_intake(&session, run, &domain, &intake)?;
-        declare_pulls(&session, Key::Weights(run, &domain), answers.clone(), &store)?;
-        declare_hello(&session, run, incarnation, &intake, answers)?;
+        let announcer = publisher(&session, Key::Announcement(run, &domain), wire::NOTICE)?;
+        let announcer = Arc::new(announcer);
+        let taker = Arc::clone(&intake);
+        let rollouts = subscribe(&session, Keys::RolloutsOf(run, &domain), move |sample| {
+            taker.rollout(&sample);
+        })?;
+        let taker = Arc::clone(&intake);
+        let actors = watch(&session, Keys::ActorsOf(run), move |alive, kind| {
+            on_presence(&taker, alive, kind);
+        })?;
+        let (answerer, offered) = (answers.clone(), Arc::clone(&store));
+        let pulls = take_questions(&session, Key::Weights(run, &domain), move |mut query| {
+            unload(&mut query);
+            answerer.give(PendingReply::Weights(query, Arc::clone(&offered)));
+        })?;
+        let taker = Arc::clone(&intake);
+        let hellos = take_questions(&session, Key::Hello(run), move |query| {
+            on_hello(&taker, &answers, incarnation, query);
+        })?;
         // Declared last: a peer that sees the token may rely on everything else.
-        let alive = Key::Alive(run, &Member::Learner, incarnation);
-        let token = session.liveliness().declare_token(keys::expr(alive)).wait();
+        let alive = appear(&session, Key::Alive(run, &Member::Learner, incarnation))?;
         let is_dead = Arc::new(AtomicBool::new(false));
-        let upkeep = Upkeep {
-            session: session.clone(),
-            listens: !locators.is_empty(),
-            is_dead: Arc::clone(&is_dead),
-            announcer: Arc::clone(&announcer),
-            store: Arc::clone(&store),
-        };
+        let upkeep = upkeep(
+            session.clone(),
+            !locators.is_empty(),
+            Arc::clone(&is_dead),
+            Arc::clone(&announcer),
+            Arc::clone(&store),
+        );
         let link = Self {
-            _alive: token.map_err(Error::network("declare", &alive.to_string()))?,
-            locators: locators.iter().map(ToString::to_string).collect(),
-            upkeep: tokio::spawn(upkeep.run()),
-            run: run.clone(),
             session,
+            run: run.clone(),
             incarnation,
+            locators: locators.iter().map(ToString::to_string).collect(),
             intake,
             store,
             announcer,
             is_dead,
+            upkeep: tokio::spawn(upkeep),
+            _taken: [rollouts, actors],
+            _answered: [pulls, hellos],
+            _alive: alive,
         };
         Ok((link, events))
     }
@@ -165,22 +182,16 @@ impl LearnerLink {
         let started = Instant::now();
         loop {
             let (header, payload) = wire::seal(Schema::Control, self.incarnation, control)?;
-            let timeout_left = timeout.saturating_sub(started.elapsed());
             let question = Inquiry {
-                selector: format!("{key}?{INCARNATION}={}", incarnation.0),
+                key: key.clone(),
+                parameters: format!("{INCARNATION}={incarnation}"),
                 header,
                 payload,
                 qos: wire::CONTROL,
-                timeout: timeout_left,
+                timeout: timeout.saturating_sub(started.elapsed()),
             };
-            let read = |sample: &Sample| {
-                wire::unseal(sample.attachment(), Some(sample.payload()), CONTROL_REPLY)
-                    .map(|(_, reply)| reply)
-                    .map_err(|source| Error::BadAnswer { key: key.clone(), source })
-            };
-            match ask(&self.session, question, read).await? {
+            match ask_for(&self.session, question, CONTROL_REPLY).await? {
                 InquiryEnd::Good(reply) => return Ok(reply),
-                InquiryEnd::Unusable(error) => return Err(error),
                 InquiryEnd::Rejected(reason) => return Err(Error::Rejected { key, reason }),
                 InquiryEnd::Nobody if started.elapsed() < timeout.min(NOBODY_GRACE) => {
                     tokio::time::sleep(NOBODY_PAUSE).await;
@@ -203,7 +214,7 @@ impl LearnerLink {
     ///
     /// [`Error::Network`] if they cannot be sent.
     pub fn publish_metrics(&self, json: &[u8]) -> Result<()> {
-        publish::metrics(&self.session, &self.run, &Member::Learner, self.incarnation, json)
+        put_metrics(&self.session, &self.run, &Member::Learner, self.incarnation, json)
     }
 
     /// Returns the refused messages since the last call that were no [`LearnerEvent::Refused`]: those for which there
@@ -232,133 +243,55 @@ impl Drop for LearnerLink {
     }
 }
 
-/// What has to be done once a second for as long as a learner is there.
-struct Upkeep {
+/// Does what has to be done once a second for as long as a learner is there.
+async fn upkeep(
     session: Session,
     listens: bool,
     is_dead: Arc<AtomicBool>,
     announcer: Arc<Publisher<'static>>,
     store: Arc<WeightStore>,
-}
-
-impl Upkeep {
-    async fn run(self) {
-        let mut ticks = interval(weights::REPEAT);
-        loop {
-            ticks.tick().await;
-            // The library tells nobody that its listener ended; it only stops listing its address.
-            let is_deaf = self.listens && self.session.info().locators().await.is_empty();
-            if is_deaf || self.session.is_closed() {
-                self.is_dead.store(true, Ordering::Relaxed);
-            }
-            if self.store.announcement().versions.is_empty() {
-                continue;
-            }
-            if let Err(error) = weights::announce(&self.announcer, &self.store) {
-                debug!(%error, "announcement could not be repeated");
-            }
+) {
+    let mut ticks = interval(weights::REPEAT);
+    loop {
+        ticks.tick().await;
+        // The library tells nobody that its listener ended; it only stops listing its address.
+        let is_deaf = listens && session.info().locators().await.is_empty();
+        if is_deaf || session.is_closed() {
+            is_dead.store(true, Ordering::Relaxed);
+        }
+        if !store.announcement().versions.is_empty()
+            && let Err(error) = weights::announce(&announcer, &store)
+        {
+            debug!(%error, "announcement could not be repeated");
         }
     }
 }
 
-fn declare_announcer(session: &Session, key: Key<'_>) -> Result<Publisher<'static>> {
-    session
-        .declare_publisher(keys::expr(key))
-        .priority(wire::NOTICE.priority)
-        .congestion_control(wire::NOTICE.congestion)
-        .express(wire::NOTICE.express)
-        .wait()
-        .map_err(Error::network("declare", &key.to_string()))
-}
-
-fn declare_intake(
-    session: &Session,
-    run: &RunName,
-    domain: &DomainName,
-    intake: &Arc<RolloutIntake>,
-) -> Result<()> {
-    let (rollouts, actors) = (Keys::RolloutsOf(run, domain), Keys::ActorsOf(run));
-    let taker = Arc::clone(intake);
-    session
-        .declare_subscriber(keys::expr(rollouts))
-        .callback(move |sample| taker.rollout(&sample))
-        .background()
-        .wait()
-        .map_err(Error::network("subscribe to", &rollouts.to_string()))?;
-    let taker = Arc::clone(intake);
-    session
-        .liveliness()
-        .declare_subscriber(keys::expr(actors))
-        .history(true)
-        .callback(move |sample| on_presence(&taker, &sample))
-        .background()
-        .wait()
-        .map_err(Error::network("subscribe to", &actors.to_string()))
-}
-
-fn on_presence(intake: &RolloutIntake, sample: &Sample) {
-    let Some(alive) = keys::parse_alive(sample.key_expr()) else {
+fn on_presence(intake: &RolloutIntake, alive: Option<Alive>, kind: SampleKind) {
+    let Some(Alive { member, incarnation, .. }) = alive else {
         return intake.refuse(None, malformed_key());
     };
-    let Member::Actor(actor) = alive.member else { return };
-    let incarnation = alive.incarnation;
-    let event = match sample.kind() {
-        SampleKind::Put => LearnerEvent::Joined { actor, incarnation },
-        SampleKind::Delete => LearnerEvent::Left { actor, incarnation },
+    let Member::Actor(actor) = member else { return };
+    let event = match kind {
+        SampleKind::Put => LearnerEvent::Joined(actor, incarnation),
+        SampleKind::Delete => LearnerEvent::Left(actor, incarnation),
     };
-    if intake.offer(event, Class::Presence).is_some() {
+    if intake.events.offer(event, Class::Presence).is_some() {
         intake.count(None, RefusalCause::Overflow);
     }
-}
-
-fn declare_pulls(
-    session: &Session,
-    key: Key<'_>,
-    answers: Answers,
-    store: &Arc<WeightStore>,
-) -> Result<()> {
-    let store = Arc::clone(store);
-    session
-        .declare_queryable(keys::expr(key))
-        .complete(true)
-        .callback(move |mut query: Query| {
-            unload(&mut query);
-            answers.give(PendingReply::Weights(query, Arc::clone(&store)));
-        })
-        .background()
-        .wait()
-        .map_err(Error::network("declare", &key.to_string()))
-}
-
-fn declare_hello(
-    session: &Session,
-    run: &RunName,
-    incarnation: Incarnation,
-    intake: &Arc<RolloutIntake>,
-    answers: Answers,
-) -> Result<()> {
-    let key = Key::Hello(run);
-    let intake = Arc::clone(intake);
-    session
-        .declare_queryable(keys::expr(key))
-        .complete(true)
-        .callback(move |query| on_hello(&intake, &answers, incarnation, query))
-        .background()
-        .wait()
-        .map_err(Error::network("declare", &key.to_string()))
 }
 
 fn on_hello(intake: &RolloutIntake, answers: &Answers, incarnation: Incarnation, mut query: Query) {
     let hello = wire::unseal::<Hello>(query.attachment(), query.payload(), HELLO);
     unload(&mut query);
-    match hello.and_then(|(_, hello)| hello.check().map(|()| hello)) {
+    match hello.and_then(|hello| hello.check().map(|()| hello)) {
         Err(refusal) => {
             answers.give(PendingReply::Refusal(query, refusal.to_string()));
             intake.refuse(None, refusal);
         }
         Ok(hello) => {
-            let reply = HelloResponder::new(query, answers.clone(), incarnation);
-            if intake.offer(LearnerEvent::Hello { hello, reply }, Class::Request).is_some() {
+            let reply = HelloResponder::new(query, answers, Schema::HelloReply, incarnation);
+            if intake.events.offer(LearnerEvent::Hello { hello, reply }, Class::Request).is_some() {
                 intake.count(None, RefusalCause::Overflow);
             }
         }

@@ -1,21 +1,22 @@
 //! The observer's end: reads presence, metrics, announcements and weights, and touches nothing.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use leadtime_proto::message::Announcement;
 use leadtime_proto::receive::{self, ANNOUNCEMENT, METRICS};
 use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
 use tracing::warn;
-use zenoh::Wait as _;
+use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
 use crate::keys::{self, Keys, Member};
 use crate::latest::{Events, Latest};
-use crate::pull::pull;
+use crate::lock::lock;
+use crate::pubsub::{subscribe, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, Error, Result, discovery, session, wire};
+use crate::{ConnectSettings, Result, ask, session, wire};
 
 /// Places in the event queue for metrics.
 const N_BULK: usize = 4_096;
@@ -37,20 +38,10 @@ pub enum ObserverEvent {
         /// The versions that are kept, with their digests.
         announcement: Announcement,
     },
-    /// A member is there (may be told more than once).
-    Joined {
-        /// The member.
-        member: Member,
-        /// Its start.
-        incarnation: Incarnation,
-    },
-    /// A member is gone.
-    Left {
-        /// The member.
-        member: Member,
-        /// Its start.
-        incarnation: Incarnation,
-    },
+    /// This start of a member is there (may be told more than once).
+    Joined(Member, Incarnation),
+    /// This start of a member is gone.
+    Left(Member, Incarnation),
 }
 
 /// An observer's place on the network.
@@ -59,6 +50,7 @@ pub struct ObserverLink {
     session: Session,
     events: EventQueue<ObserverEvent>,
     latest: Arc<Latest<ObserverEvent>>,
+    followed: Mutex<Vec<Subscriber<()>>>,
 }
 
 impl ObserverLink {
@@ -70,7 +62,7 @@ impl ObserverLink {
     pub async fn open(settings: &ConnectSettings) -> Result<(Self, Events<ObserverEvent>)> {
         let session = session::connect(settings).await?;
         let (events, latest, receiver) = Events::new(N_BULK);
-        Ok((Self { session, events, latest }, receiver))
+        Ok((Self { session, events, latest, followed: Mutex::default() }, receiver))
     }
 
     /// Lists the runs that are there now.
@@ -79,7 +71,7 @@ impl ObserverLink {
     ///
     /// [`Error::Network`] if the network cannot be asked.
     pub async fn runs(&self) -> Result<BTreeSet<RunName>> {
-        discovery::runs(&self.session).await
+        ask::runs(&self.session).await
     }
 
     /// Follows a run from now on, whether it is there already or not.
@@ -88,20 +80,24 @@ impl ObserverLink {
     ///
     /// [`Error::Network`] if it cannot be subscribed to.
     pub fn follow(&self, run: &RunName) -> Result<()> {
+        let (events, latest) = (self.events.clone(), Arc::clone(&self.latest));
+        let metrics = subscribe(&self.session, Keys::MetricsOf(run), move |sample| {
+            on_metrics(&events, &sample);
+        })?;
+        let announcements = subscribe(&self.session, Keys::AnnouncementsOf(run), move |sample| {
+            on_announcement(&latest, &sample);
+        })?;
         let events = self.events.clone();
-        self.subscribe(Keys::MetricsOf(run), move |sample| on_metrics(&events, sample))?;
-        let latest = Arc::clone(&self.latest);
-        self.subscribe(Keys::AnnouncementsOf(run), move |sample| on_announcement(&latest, sample))?;
-        let members = Keys::MembersOf(run);
-        let events = self.events.clone();
-        self.session
-            .liveliness()
-            .declare_subscriber(keys::expr(members))
-            .history(true)
-            .callback(move |sample| on_presence(&events, &sample))
-            .background()
-            .wait()
-            .map_err(Error::network("subscribe to", &members.to_string()))
+        let members = watch(&self.session, Keys::MembersOf(run), move |alive, kind| {
+            let Some(keys::Alive { member, incarnation, .. }) = alive else { return };
+            let event = match kind {
+                SampleKind::Put => ObserverEvent::Joined(member, incarnation),
+                SampleKind::Delete => ObserverEvent::Left(member, incarnation),
+            };
+            drop(events.offer(event, Class::Presence));
+        })?;
+        lock(&self.followed).extend([metrics, announcements, members]);
+        Ok(())
     }
 
     /// Pulls a version of the weights that was announced.
@@ -116,7 +112,7 @@ impl ObserverLink {
         version: PolicyVersion,
         sha256: [u8; 32],
     ) -> Result<Vec<u8>> {
-        pull(&self.session, run, domain, Incarnation(0), version, sha256).await
+        ask::pull(&self.session, run, domain, Incarnation(0), version, sha256).await
     }
 
     /// Leaves the network, within a limited time.
@@ -126,19 +122,6 @@ impl ObserverLink {
     /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
         session::close(&self.session).await
-    }
-
-    fn subscribe(
-        &self,
-        keys: Keys<'_>,
-        take: impl Fn(&Sample) + Send + Sync + 'static,
-    ) -> Result<()> {
-        self.session
-            .declare_subscriber(keys::expr(keys))
-            .callback(move |sample| take(&sample))
-            .background()
-            .wait()
-            .map_err(Error::network("subscribe to", &keys.to_string()))
     }
 }
 
@@ -150,7 +133,7 @@ fn on_metrics(events: &EventQueue<ObserverEvent>, sample: &Sample) {
     match checked {
         Ok(()) => {
             let event = ObserverEvent::Metrics { member, json: json.into_owned() };
-            events.offer_or_drop(event, Class::Bulk);
+            drop(events.offer(event, Class::Bulk));
         }
         Err(refusal) => warn!(%refusal, "metrics refused"),
     }
@@ -159,20 +142,10 @@ fn on_metrics(events: &EventQueue<ObserverEvent>, sample: &Sample) {
 fn on_announcement(latest: &Latest<ObserverEvent>, sample: &Sample) {
     let Some(domain) = keys::parse_announcement(sample.key_expr()) else { return };
     match wire::unseal(sample.attachment(), Some(sample.payload()), ANNOUNCEMENT) {
-        Ok((_, announcement)) => {
+        Ok(announcement) => {
             let key = domain.to_string();
             latest.put(&key, ObserverEvent::Announcement { domain, announcement });
         }
         Err(refusal) => warn!(%refusal, "announcement refused"),
     }
-}
-
-fn on_presence(events: &EventQueue<ObserverEvent>, sample: &Sample) {
-    let Some(alive) = keys::parse_alive(sample.key_expr()) else { return };
-    let (member, incarnation) = (alive.member, alive.incarnation);
-    let event = match sample.kind() {
-        SampleKind::Put => ObserverEvent::Joined { member, incarnation },
-        SampleKind::Delete => ObserverEvent::Left { member, incarnation },
-    };
-    events.offer_or_drop(event, Class::Presence);
 }

@@ -22,10 +22,6 @@ pub(crate) enum Class {
     Presence,
 }
 
-/// The event did not fit; it is given back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Overflow<T>(pub T);
-
 /// The callbacks' end.
 #[derive(Debug)]
 pub(crate) struct EventQueue<T> {
@@ -47,23 +43,16 @@ impl<T> EventQueue<T> {
     }
 
     /// Puts an event into the queue without waiting, or gives it back.
-    pub(crate) fn offer(&self, event: T, class: Class) -> Result<(), Overflow<T>> {
+    pub(crate) fn offer(&self, event: T, class: Class) -> Option<T> {
         let limit = match class {
             Class::Bulk => self.n_bulk,
             Class::Request => self.n_bulk + REQUESTS,
             Class::Presence => self.n_bulk + REQUESTS + PRESENCE,
         };
         if self.sender.len() >= limit {
-            return Err(Overflow(event));
+            return Some(event);
         }
-        self.sender.try_send(event).map_err(|error| Overflow(error.into_inner()))
-    }
-
-    /// Puts an event into the queue, or lets go of it: for what is repeated or counted elsewhere.
-    pub(crate) fn offer_or_drop(&self, event: T, class: Class) {
-        if let Err(Overflow(event)) = self.offer(event, class) {
-            drop(event);
-        }
+        self.sender.try_send(event).err().map(flume::TrySendError::into_inner)
     }
 }
 
@@ -74,22 +63,12 @@ mod tests {
     #[test]
     fn a_flood_of_bulk_leaves_room_for_requests_and_presence() {
         let (queue, receiver) = EventQueue::new(2);
-        for i in 0..2 {
-            queue.offer(i, Class::Bulk).unwrap();
-        }
-        assert_eq!(queue.offer(2, Class::Bulk), Err(Overflow(2)));
-        queue.offer(3, Class::Request).unwrap();
-        queue.offer(4, Class::Presence).unwrap();
+        let fits = |event, class| queue.offer(event, class).is_none();
+        assert!(fits(0, Class::Bulk) && fits(1, Class::Bulk));
+        assert_eq!(queue.offer(2, Class::Bulk), Some(2), "given back, without waiting");
+        assert!(fits(3, Class::Request) && fits(4, Class::Presence));
         assert_eq!(receiver.drain().collect::<Vec<_>>(), [0, 1, 3, 4]);
-    }
-
-    #[test]
-    fn a_full_queue_gives_the_event_back_instead_of_waiting() {
-        let (queue, receiver) = EventQueue::new(1);
-        for i in 0..1 + REQUESTS + PRESENCE {
-            queue.offer(i, Class::Presence).unwrap();
-        }
-        assert_eq!(queue.offer(0, Class::Presence), Err(Overflow(0)));
-        assert_eq!(receiver.len(), 1 + REQUESTS + PRESENCE);
+        assert!((0..2 + REQUESTS + PRESENCE).all(|event| fits(event, Class::Presence)));
+        assert_eq!(queue.offer(7, Class::Presence), Some(7));
     }
 }

@@ -78,19 +78,12 @@ impl ConnectSettings {
     pub fn new(endpoints: Vec<Endpoint>) -> Self {
         Self { endpoints, timeout: Duration::from_secs(30) }
     }
-
-    /// Returns the addresses as a person reads them.
-    pub(crate) fn described(&self) -> String {
-        describe(&self.endpoints)
-    }
 }
 
-fn describe(endpoints: &[Endpoint]) -> String {
-    endpoints
-        .iter()
-        .map(|endpoint| format!("`{}`", endpoint.plain()))
-        .collect::<Vec<_>>()
-        .join(", ")
+/// Returns addresses as a person reads them.
+pub(crate) fn describe(endpoints: &[Endpoint]) -> String {
+    let quoted = endpoints.iter().map(|endpoint| format!("`{}`", endpoint.plain()));
+    quoted.collect::<Vec<_>>().join(", ")
 }
 
 /// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on.
@@ -115,9 +108,9 @@ pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
         let text = source.to_string();
         // The library has no codes, only words: the kernel's for a port, its own for a socket's lock file.
         if text.contains("in use") || text.contains("Unable to acquire lock") {
-            Error::AddressInUse { endpoint }
+            Error::AddressInUse(endpoint)
         } else {
-            Error::Listen { endpoint, source: NetworkFault::new(source) }
+            Error::Listen { endpoint, source: NetworkFault(source) }
         }
     })
 }
@@ -176,14 +169,14 @@ pub(crate) async fn close(session: &Session) -> Result<()> {
     match tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await {
         Ok(Ok(())) => Ok(()),
         Ok(Err(source)) => Err(Error::network("close", "session")(source)),
-        Err(_) => Err(Error::Close { timeout: CLOSE_TIMEOUT }),
+        Err(_) => Err(Error::Close(CLOSE_TIMEOUT)),
     }
 }
 
 /// Opening waits on its thread, so it gets one of its own. Where no thread can be made, the library panics.
 async fn open(config: Config) -> Result<zenoh::Result<Session>> {
     let opened = tokio::task::spawn_blocking(move || zenoh::open(config).wait()).await;
-    opened.map_err(|_panicked| Error::Panicked { action: "open a connection" })
+    opened.map_err(|_panicked| Error::Panicked("open a connection"))
 }
 
 fn max_message(bytes: usize) -> (&'static str, String) {

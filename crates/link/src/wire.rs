@@ -50,10 +50,10 @@ pub(crate) fn unseal<T: DeserializeOwned>(
     attachment: Option<&ZBytes>,
     payload: Option<&ZBytes>,
     expected: Expected,
-) -> Result<(Header, T), Refusal> {
+) -> Result<T, Refusal> {
     let header = inspect(attachment, payload, expected)?;
     let bytes = payload.map_or(Cow::Borrowed(&[][..]), ZBytes::to_bytes);
-    Ok((header, receive::open(&header, &bytes, expected)?))
+    receive::open(&header, &bytes, expected)
 }
 
 /// Checks size, header, protocol and schema; touches no payload byte.

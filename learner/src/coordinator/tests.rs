@@ -24,12 +24,13 @@ fn spec(schedule: Schedule) -> RunSpec {
     }
 }
 
-fn coordinator(n_envs: usize, schedule: Schedule) -> Coordinator {
+/// A run that begins when all of these actors are there, which they are.
+fn coordinator(n_envs: usize, schedule: Schedule, names: &[&str]) -> Coordinator {
     let settings = CoordinatorSettings {
         learner: Incarnation(99),
         spec: spec(schedule),
         window: WINDOW,
-        actors_min: 1,
+        actors_min: names.len().max(1),
     };
     let mut builds = Builds::default();
     builds.note(&Build { program: "test".to_owned(), cpu: "cpu".to_owned() });
@@ -40,7 +41,11 @@ fn coordinator(n_envs: usize, schedule: Schedule) -> Coordinator {
         books: Books::default(),
         builds,
     };
-    Coordinator::new(settings, start)
+    let mut c = Coordinator::new(settings, start);
+    for name in names {
+        join(&mut c, name);
+    }
+    c
 }
 
 fn actor(name: &str) -> ActorId {
@@ -93,22 +98,30 @@ fn send(coordinator: &mut Coordinator, name: &str, sequence: u64, epoch: u64, ro
     coordinator.rollout(actor(name), &header, &payload);
 }
 
+/// Takes what is to be done, as far as `pick` wants it.
+fn told<T>(coordinator: &mut Coordinator, pick: impl FnMut(Effect) -> Option<T>) -> Vec<T> {
+    coordinator.take_effects().into_iter().filter_map(pick).collect()
+}
+
 fn assignments(coordinator: &mut Coordinator) -> Vec<(ActorId, Assignment)> {
-    let effects = coordinator.take_effects().into_iter();
-    let assignment = |effect| match effect {
+    told(coordinator, |effect| match effect {
         Effect::Control { to, control: Control::Assign(assignment) } => Some((to.0, assignment)),
         _ => None,
-    };
-    effects.filter_map(assignment).collect()
+    })
 }
 
 fn credits(coordinator: &mut Coordinator) -> Vec<(u64, u64)> {
-    let effects = coordinator.take_effects().into_iter();
-    let credit = |effect| match effect {
+    told(coordinator, |effect| match effect {
         Effect::Credit { credit, .. } => Some((credit.acknowledged.0, credit.limit.0)),
         _ => None,
-    };
-    effects.filter_map(credit).collect()
+    })
+}
+
+fn events(coordinator: &mut Coordinator) -> Vec<RunEvent> {
+    told(coordinator, |effect| match effect {
+        Effect::Event(event) => Some(event),
+        _ => None,
+    })
 }
 
 fn close_balanced(coordinator: &mut Coordinator) -> Books {
@@ -119,10 +132,11 @@ fn close_balanced(coordinator: &mut Coordinator) -> Books {
 
 #[test]
 fn one_actor_feeds_one_update() {
-    let mut c = coordinator(2, Schedule::Lag(0));
-    join(&mut c, "a");
+    let mut c = coordinator(2, Schedule::Lag(0), &["a"]);
     let (_, assignment) = assignments(&mut c).remove(0);
     assert_eq!(assignment.envs.len(), 2);
+    join(&mut c, "a");
+    assert!(assignments(&mut c).is_empty(), "a token that is reported twice disturbs nobody");
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
     assert!(c.next_batch().is_none());
     send(&mut c, "a", 2, 1, &rollout(1, 0, 0));
@@ -134,8 +148,7 @@ fn one_actor_feeds_one_update() {
 
 #[test]
 fn duplicates_are_counted_and_gaps_wait_for_what_is_missing() {
-    let mut c = coordinator(1, Schedule::Lag(2));
-    join(&mut c, "a");
+    let mut c = coordinator(1, Schedule::Lag(2), &["a"]);
     c.take_effects();
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
@@ -149,8 +162,7 @@ fn duplicates_are_counted_and_gaps_wait_for_what_is_missing() {
 
 #[test]
 fn who_leaves_is_replaced_from_the_newest_snapshot_and_heard_no_more() {
-    let mut c = coordinator(2, Schedule::Lag(1));
-    join(&mut c, "a");
+    let mut c = coordinator(2, Schedule::Lag(1), &["a"]);
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
     join(&mut c, "b");
     assert_eq!(assignments(&mut c).len(), 1, "the joiner waits for the end of the update");
@@ -170,8 +182,7 @@ fn who_leaves_is_replaced_from_the_newest_snapshot_and_heard_no_more() {
 
 #[test]
 fn a_joiner_gets_its_share_when_an_update_is_done() {
-    let mut c = coordinator(2, Schedule::Lag(0));
-    join(&mut c, "a");
+    let mut c = coordinator(2, Schedule::Lag(0), &["a"]);
     c.take_effects();
     join(&mut c, "b");
     for env in 0..2 {
@@ -190,8 +201,7 @@ fn a_joiner_gets_its_share_when_an_update_is_done() {
 
 #[test]
 fn an_environment_that_came_back_ignores_what_was_under_way_before() {
-    let mut c = coordinator(1, Schedule::Lag(0));
-    join(&mut c, "a");
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     c.left(actor("a"), Incarnation(1));
     c.joined(actor("a"), Incarnation(1));
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
@@ -202,20 +212,9 @@ fn an_environment_that_came_back_ignores_what_was_under_way_before() {
 }
 
 #[test]
-fn a_token_that_is_reported_twice_disturbs_nobody() {
-    let mut c = coordinator(1, Schedule::Lag(0));
-    join(&mut c, "a");
-    c.take_effects();
-    c.joined(actor("a"), Incarnation(1));
-    c.hello(&hello("a", 0, 1)).unwrap();
-    assert!(assignments(&mut c).is_empty());
-}
-
-#[test]
 fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
     use RefusalCause as Cause;
-    let mut c = coordinator(1, Schedule::Lag(0));
-    join(&mut c, "a");
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     c.take_effects();
     let mut nan = rollout(0, 0, 0);
     nan.rewards[0] = f32::NAN;
@@ -227,9 +226,7 @@ fn every_broken_rule_has_its_own_count_and_the_environment_is_given_anew() {
         (rollout(9, 0, 0), Cause::Assignment),
         (rollout(0, 0, 1), Cause::Version),
     ];
-    let mut sequence = 0;
-    for (rollout, cause) in bad {
-        sequence += 1;
+    for (sequence, (rollout, cause)) in (1..).zip(bad) {
         send(&mut c, "a", sequence, 100, &rollout);
         assert_eq!(c.books().refusals.get(&cause), Some(&1), "{cause:?}");
         assert_eq!(assignments(&mut c).len(), 1, "given anew after {cause:?}");
@@ -260,8 +257,7 @@ fn by_link(cause: RefusalCause, start: Option<u64>) -> Refusal {
 #[test]
 fn only_what_carries_a_members_own_start_is_held_against_it() {
     use RefusalCause as Cause;
-    let mut c = coordinator(1, Schedule::Lag(0));
-    join(&mut c, "a");
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     for _ in 0..2 * limits::REFUSALS_BEFORE_CUT_OFF {
         c.refused_by_link(Some(actor("a")), by_link(Cause::Header, None));
         c.refused_by_link(Some(actor("a")), by_link(Cause::Oversize, Some(2)));
@@ -280,17 +276,14 @@ fn only_what_carries_a_members_own_start_is_held_against_it() {
 
 #[test]
 fn skipping_a_rollout_is_refused() {
-    let mut c = coordinator(1, Schedule::Async { staleness_max: 8 });
-    join(&mut c, "a");
+    let mut c = coordinator(1, Schedule::Async { staleness_max: 8 }, &["a"]);
     send(&mut c, "a", 1, 1, &rollout(0, 3, 0));
-    assert_eq!(c.books().refusals.get(&RefusalCause::Assignment), Some(&1));
-    close_balanced(&mut c);
+    assert_eq!(close_balanced(&mut c).refusals[&RefusalCause::Assignment], 1);
 }
 
 #[test]
 fn a_rogue_is_told_why_and_cut_off_and_the_others_go_on() {
-    let mut c = coordinator(2, Schedule::Lag(0));
-    join(&mut c, "good");
+    let mut c = coordinator(2, Schedule::Lag(0), &["good"]);
     join(&mut c, "rogue");
     let mut nan = rollout(0, 0, 0);
     nan.next_value = f32::INFINITY;
@@ -299,13 +292,10 @@ fn a_rogue_is_told_why_and_cut_off_and_the_others_go_on() {
         send(&mut c, "rogue", sequence, 100, &nan);
         told.extend(c.take_effects());
     }
-    let stops: Vec<&Effect> = told
-        .iter()
-        .filter(|effect| {
-            matches!(effect, Effect::Control { control: Control::Stop { cut_off: true, .. }, .. })
-        })
-        .collect();
-    assert_eq!(stops.len(), 1);
+    told.retain(|effect| {
+        matches!(effect, Effect::Control { control: Control::Stop { cut_off: true, .. }, .. })
+    });
+    assert_eq!(told.len(), 1);
     assert_eq!(c.n_actors(), 1);
     assert_eq!(c.hello(&hello("rogue", 20, 21)), Err(HelloRefusal::CutOff));
     for env in 0..2 {
@@ -318,7 +308,7 @@ fn a_rogue_is_told_why_and_cut_off_and_the_others_go_on() {
 
 #[test]
 fn a_resumed_learner_rolls_back_what_was_lost_and_supersedes_what_was_made_before() {
-    let mut c = coordinator(1, Schedule::Lag(0));
+    let mut c = coordinator(1, Schedule::Lag(0), &[]);
     assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)));
     c.joined(actor("a"), Incarnation(1));
     assert_eq!(c.books().rolled_back, 5);
@@ -331,17 +321,8 @@ fn a_resumed_learner_rolls_back_what_was_lost_and_supersedes_what_was_made_befor
 }
 
 #[test]
-fn a_hello_that_contradicts_itself_is_refused() {
-    let mut c = coordinator(1, Schedule::Lag(0));
-    for (published, first) in [(0, 0), (1, 3), (u64::MAX, 1)] {
-        assert_eq!(c.hello(&hello("a", published, first)), Err(HelloRefusal::Nonsense));
-    }
-}
-
-#[test]
 fn a_full_queue_gives_no_more_credit_until_it_is_used() {
-    let mut c = coordinator(1, Schedule::Async { staleness_max: 0 });
-    join(&mut c, "a");
+    let mut c = coordinator(1, Schedule::Async { staleness_max: 0 }, &["a"]);
     assert_eq!(credits(&mut c), [(0, 2)], "two updates' worth, not a window");
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
     assert_eq!(credits(&mut c), [(1, 2)]);
@@ -357,7 +338,7 @@ fn a_full_queue_gives_no_more_credit_until_it_is_used() {
 
 #[test]
 fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credit() {
-    let mut c = coordinator(4, Schedule::Async { staleness_max: 8 });
+    let mut c = coordinator(4, Schedule::Async { staleness_max: 8 }, &[]);
     (c.settings.window, c.settings.actors_min) = (64, 2);
     let mut actors = [("a", [0, 1]), ("b", [2, 3])].map(|(name, envs)| (name, envs, 0_u64, 0_u64));
     for (name, ..) in actors {
@@ -388,10 +369,12 @@ fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credi
 
 #[test]
 fn what_one_killed_learner_took_with_it_is_told_once_and_has_a_limit() {
-    let mut c = coordinator(1, Schedule::Lag(0));
+    let mut c = coordinator(1, Schedule::Lag(0), &[]);
     let (lost, kept) = (MAX_LOST + 1, MAX_UNACKNOWLEDGED + 1);
-    assert_eq!(c.hello(&hello("a", lost, lost + 1)), Err(HelloRefusal::Nonsense));
-    assert_eq!(c.hello(&hello("a", kept, 1)), Err(HelloRefusal::Nonsense));
+    // Two that are too much, and three that contradict themselves.
+    for (published, first) in [(lost, lost + 1), (kept, 1), (0, 0), (1, 3), (u64::MAX, 1)] {
+        assert_eq!(c.hello(&hello("a", published, first)), Err(HelloRefusal::Nonsense));
+    }
     assert_eq!(c.books().rolled_back, 0);
     assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)));
     assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)), "the answer may have been lost");
@@ -402,7 +385,7 @@ fn what_one_killed_learner_took_with_it_is_told_once_and_has_a_limit() {
 
 #[test]
 fn strangers_do_not_fill_the_books() {
-    let mut c = coordinator(1, Schedule::Lag(0));
+    let mut c = coordinator(1, Schedule::Lag(0), &[]);
     for i in 0..MAX_LOSERS {
         c.hello(&hello(&format!("s{i}"), 1, 2)).unwrap();
     }
@@ -413,8 +396,7 @@ fn strangers_do_not_fill_the_books() {
 
 #[test]
 fn a_name_is_taken_for_as_long_as_its_actor_is_there() {
-    let mut c = coordinator(1, Schedule::Lag(0));
-    join(&mut c, "a");
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     c.take_effects();
     let second = Hello { incarnation: Incarnation(2), ..hello("a", 0, 1) };
     c.joined(actor("a"), Incarnation(2));
@@ -428,11 +410,12 @@ fn a_name_is_taken_for_as_long_as_its_actor_is_there() {
 
 #[test]
 fn an_assignment_with_large_snapshots_comes_in_parts() {
-    let mut c = coordinator(3, Schedule::Lag(0));
-    let big = vec![0; ASSIGNMENT_BYTES / 2];
-    let place =
-        |id| EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: big.clone() };
-    c.queue = RolloutQueue::new(Schedule::Lag(0), (0..3).map(place).collect());
+    let mut c = coordinator(3, Schedule::Lag(0), &[]);
+    let mut places = RolloutQueue::beginning(3);
+    for place in &mut places {
+        place.snapshot = vec![0; ASSIGNMENT_BYTES / 2];
+    }
+    c.queue = RolloutQueue::new(Schedule::Lag(0), places);
     join(&mut c, "a");
     let told = assignments(&mut c);
     let shape: Vec<(u64, usize, usize)> =
@@ -442,7 +425,7 @@ fn an_assignment_with_large_snapshots_comes_in_parts() {
 
 #[test]
 fn missing_actors_are_counted_before_the_run_and_in_it() {
-    let mut c = coordinator(1, Schedule::Lag(0));
+    let mut c = coordinator(1, Schedule::Lag(0), &[]);
     c.settings.actors_min = 2;
     assert_eq!(c.n_actors_needed(), Some(2));
     join(&mut c, "a");
@@ -455,20 +438,14 @@ fn missing_actors_are_counted_before_the_run_and_in_it() {
     assert_eq!(c.n_actors_needed(), Some(1));
     c.stop_everyone("done");
     assert_eq!(c.n_actors_needed(), None);
-}
-
-fn events(coordinator: &mut Coordinator) -> Vec<RunEvent> {
-    let effects = coordinator.take_effects().into_iter();
-    let event = |effect| match effect {
-        Effect::Event(event) => Some(event),
-        _ => None,
-    };
-    effects.filter_map(event).collect()
+    assert_eq!(c.hello(&hello("c", 0, 1)), Err(HelloRefusal::Closing));
+    c.joined(actor("c"), Incarnation(1));
+    assert_eq!(c.n_actors(), 0, "nobody is welcome to a run that ends");
 }
 
 #[test]
 fn another_build_or_class_of_cpu_counts_from_the_admission_on() {
-    let mut c = coordinator(1, Schedule::Lag(0));
+    let mut c = coordinator(1, Schedule::Lag(0), &[]);
     let other = Hello { program: "b".to_owned(), cpu: "other".to_owned(), ..hello("b", 0, 1) };
     for i in 0..500 {
         let stranger = Hello { actor: actor(&format!("s{i}")), ..other.clone() };
@@ -489,30 +466,15 @@ fn another_build_or_class_of_cpu_counts_from_the_admission_on() {
 }
 
 #[test]
-fn nobody_is_welcome_to_a_run_that_ends() {
-    let mut c = coordinator(1, Schedule::Lag(0));
-    c.stop_everyone("done");
-    assert_eq!(c.hello(&hello("a", 0, 1)), Err(HelloRefusal::Closing));
-    c.joined(actor("a"), Incarnation(1));
-    assert_eq!(c.n_actors(), 0);
-}
-
-#[test]
 fn more_actors_than_environments_are_reported_once() {
-    let mut c = coordinator(1, Schedule::Lag(0));
-    for name in ["a", "b", "c"] {
-        join(&mut c, name);
-    }
+    let mut c = coordinator(1, Schedule::Lag(0), &["a", "b", "c"]);
     let is_report = |event: &&RunEvent| matches!(event, RunEvent::TooManyActors { .. });
     assert_eq!(events(&mut c).iter().filter(is_report).count(), 1);
 }
 
 #[test]
 fn a_mute_member_is_named_and_loses_its_environments_to_the_others() {
-    let mut c = coordinator(2, Schedule::Lag(0));
-    c.settings.actors_min = 2;
-    join(&mut c, "honest");
-    join(&mut c, "mute");
+    let mut c = coordinator(2, Schedule::Lag(0), &["honest", "mute"]);
     c.take_effects();
     send(&mut c, "honest", 1, 1, &rollout(0, 0, 0));
     (0..100).for_each(|_| c.tick());
@@ -522,15 +484,13 @@ fn a_mute_member_is_named_and_loses_its_environments_to_the_others() {
             if actor.as_str() == "mute")
     };
     assert!(effects.iter().any(named));
-    let assigned: Vec<(&str, usize, usize)> = effects
-        .iter()
-        .filter_map(|effect| match effect {
-            Effect::Control { to, control: Control::Assign(assignment) } => {
-                Some((to.0.as_str(), assignment.envs.len(), assignment.keep.len()))
-            }
-            _ => None,
-        })
-        .collect();
+    let assigned = effects.iter().filter_map(|effect| match effect {
+        Effect::Control { to, control: Control::Assign(assignment) } => {
+            Some((to.0.as_str(), assignment.envs.len(), assignment.keep.len()))
+        }
+        _ => None,
+    });
+    let assigned: Vec<_> = assigned.collect();
     assert_eq!(assigned[..2], [("honest", 1, 1), ("mute", 0, 0)]);
     send(&mut c, "mute", 1, 2, &rollout(1, 0, 0));
     assert_eq!(c.books().superseded, 1, "it wakes up too late");
@@ -542,8 +502,7 @@ fn a_mute_member_is_named_and_loses_its_environments_to_the_others() {
 
 #[test]
 fn an_actor_that_took_no_control_messages_waits_until_it_gets_environments_again() {
-    let mut c = coordinator(2, Schedule::Lag(0));
-    join(&mut c, "a");
+    let mut c = coordinator(2, Schedule::Lag(0), &["a"]);
     join(&mut c, "ghost");
     for n_failures in 1..4 {
         c.rebalance();
@@ -571,11 +530,7 @@ fn cannot_restore(coordinator: &mut Coordinator, name: &str, env_id: u32) {
 
 #[test]
 fn a_snapshot_that_nobody_restores_is_given_up_and_its_sender_cut_off() {
-    let mut c = coordinator(3, Schedule::Lag(0));
-    c.settings.actors_min = 3;
-    for name in ["a", "b", "rogue"] {
-        join(&mut c, name);
-    }
+    let mut c = coordinator(3, Schedule::Lag(0), &["a", "b", "rogue"]);
     send(&mut c, "rogue", 1, 100, &rollout(2, 0, 0));
     c.left(actor("rogue"), Incarnation(1));
     c.take_effects();
@@ -607,7 +562,7 @@ fn a_snapshot_that_nobody_restores_is_given_up_and_its_sender_cut_off() {
 
 #[test]
 fn a_snapshot_of_a_checkpoint_that_the_only_actor_cannot_restore_becomes_a_fresh_episode() {
-    let mut c = coordinator(1, Schedule::Lag(0));
+    let mut c = coordinator(1, Schedule::Lag(0), &[]);
     let place = EnvAssignment { env_id: EnvId(0), iteration: Iteration(0), snapshot: vec![1] };
     c.queue = RolloutQueue::new(Schedule::Lag(0), vec![place]);
     join(&mut c, "a");
@@ -622,11 +577,7 @@ fn a_snapshot_of_a_checkpoint_that_the_only_actor_cannot_restore_becomes_a_fresh
 
 #[test]
 fn who_cannot_restore_what_another_actor_can_is_the_one_at_fault() {
-    let mut c = coordinator(2, Schedule::Lag(0));
-    c.settings.actors_min = 2;
-    for name in ["good", "stale"] {
-        join(&mut c, name);
-    }
+    let mut c = coordinator(2, Schedule::Lag(0), &["good", "stale"]);
     cannot_restore(&mut c, "stale", 1);
     c.take_effects();
     send(&mut c, "good", 1, 100, &rollout(1, 0, 0));
@@ -637,8 +588,7 @@ fn who_cannot_restore_what_another_actor_can_is_the_one_at_fault() {
 
 #[test]
 fn a_checkpoint_during_an_update_holds_what_was_before_it() {
-    let mut c = coordinator(1, Schedule::Lag(1));
-    join(&mut c, "a");
+    let mut c = coordinator(1, Schedule::Lag(1), &["a"]);
     for iteration in 0..2 {
         send(&mut c, "a", iteration + 1, 1, &rollout(0, iteration, 0));
     }

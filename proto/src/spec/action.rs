@@ -1,9 +1,8 @@
-//! The factored, conditional action space: heads, gate, restrictions between heads.
+//! What an environment asks of a policy: its factored, conditional action space and which choices a step offers.
 
 use serde::{Deserialize, Serialize};
 
 use super::error::SpecError;
-use super::mask::{Mask, bits};
 use crate::limits;
 
 /// One categorical part of an action.
@@ -62,9 +61,8 @@ impl ActionSpec {
     pub fn offsets(&self) -> Vec<usize> {
         let mut next = 0;
         let starts = self.heads.iter().map(|head| {
-            let start = next;
             next += head.n_choices;
-            start
+            next - head.n_choices
         });
         starts.collect()
     }
@@ -83,7 +81,7 @@ impl ActionSpec {
             return Err(SpecError::Choices { head: head.name.clone(), n_choices: head.n_choices });
         }
         if self.n_choices() > limits::MAX_CHOICES {
-            return Err(SpecError::TotalChoices { n_choices: self.n_choices() });
+            return Err(SpecError::TotalChoices(self.n_choices()));
         }
         if let Some(gate) = self.gate
             && (gate.head != 0 || gate.choice >= self.heads[0].n_choices)
@@ -133,4 +131,34 @@ impl ActionSpec {
         });
         if offered & conditional == 0 { conditional } else { offered & conditional }
     }
+}
+
+/// The choices that an environment offers in one step: bit `offset(head) + choice`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Mask(pub u64);
+
+impl Mask {
+    /// Offers every choice.
+    pub const ALL: Self = Self(u64::MAX);
+
+    /// Returns the offered choices of the head that starts at `offset`, bit 0 for its first choice.
+    pub fn of_head(self, offset: usize, n_choices: usize) -> u64 {
+        (self.0 >> offset) & bits(n_choices)
+    }
+}
+
+/// Returns a word whose lowest `n` bits are set.
+fn bits(n: usize) -> u64 {
+    if n >= 64 { u64::MAX } else { (1 << n) - 1 }
+}
+
+/// What an environment asks of a policy and tells about itself.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EnvSpec {
+    /// Length of an observation vector.
+    pub obs_dim: usize,
+    /// The action space.
+    pub actions: ActionSpec,
+    /// Names of the metrics in an episode's summary, in order; `success` first where there is such a thing.
+    pub metrics: Vec<String>,
 }

@@ -21,12 +21,9 @@ pub enum SpecError {
         /// How many choices it has.
         n_choices: usize,
     },
-    /// Too many choices over all heads.
-    #[error("an action has {n_choices} choices in all; at most {max} fit a mask", max = limits::MAX_CHOICES)]
-    TotalChoices {
-        /// How many there are.
-        n_choices: usize,
-    },
+    /// So many choices over all heads.
+    #[error("an action has {0} choices in all; at most {max} fit a mask", max = limits::MAX_CHOICES)]
+    TotalChoices(usize),
     /// The gate is not a choice of the first head.
     #[error("gate on choice {choice} of head {head}; it must be a choice of head 0")]
     Gate {
@@ -59,10 +56,7 @@ pub enum SpecError {
     /// A policy for another observation or other actions than the environment's.
     #[error("the policy is for another observation or other actions than the environment's")]
     Policy,
-    /// A rollout without a step, or with too many.
-    #[error("a rollout has {n_steps} steps; 1 to {max} are possible", max = limits::MAX_ROLLOUT_STEPS)]
-    Steps {
-        /// How many it has.
-        n_steps: u32,
-    },
+    /// A rollout of so many steps: none, or too many.
+    #[error("a rollout has {0} steps; 1 to {max} are possible", max = limits::MAX_ROLLOUT_STEPS)]
+    Steps(u32),
 }

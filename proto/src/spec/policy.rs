@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::action::ActionSpec;
-use super::env::EnvSpec;
+use super::action::{ActionSpec, EnvSpec};
 use super::error::SpecError;
 
 /// How the input becomes the features that the actor's and the critic's stacks see.

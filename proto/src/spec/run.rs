@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::env::EnvSpec;
+use super::action::EnvSpec;
 use super::error::SpecError;
 use super::policy::PolicySpec;
 use crate::{Schedule, limits};
@@ -46,7 +46,7 @@ impl RunSpec {
             return Err(SpecError::Policy);
         }
         if !(1..=limits::MAX_ROLLOUT_STEPS).contains(&(self.n_steps as usize)) {
-            return Err(SpecError::Steps { n_steps: self.n_steps });
+            return Err(SpecError::Steps(self.n_steps));
         }
         Ok(())
     }

@@ -4,11 +4,10 @@ use std::error::Error as _;
 use std::time::{Duration, Instant};
 
 use leadtime_link::keys::Key;
-use leadtime_link::{
-    ActorLink, ConnectSettings, Endpoint, Error, LearnerEvent, LearnerLink, ListenSettings,
-};
-use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
-use leadtime_proto::{Header, RefusalCause, codec};
+use leadtime_link::{ActorLink, ConnectSettings, Endpoint, Error, LearnerLink, ListenSettings};
+use leadtime_proto::header::Schema;
+use leadtime_proto::message::HelloReply;
+use leadtime_proto::{Header, RefusalCause};
 
 use crate::support::*;
 
@@ -16,14 +15,6 @@ const SHORT: Duration = Duration::from_millis(300);
 
 fn to(endpoint: &Endpoint, timeout: Duration) -> ConnectSettings {
     ConnectSettings { timeout, ..ConnectSettings::new(vec![endpoint.clone()]) }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn an_actor_finds_the_only_run_and_is_welcome() {
-    let site = Site::new();
-    let (_learner, events) = site.learner().await;
-    let (actor, _actor_events) = site.actor("a").await;
-    assert_eq!(say_hello(&actor, "a", ACTOR, &events).await, welcome("one"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -42,7 +33,7 @@ async fn a_learner_on_port_zero_tells_the_port_it_got() {
 async fn an_actor_may_be_there_before_its_learner() {
     let site = Site::new();
     let (early, late) = tokio::join!(site.actor("a"), site.learner());
-    say_hello(&early.0, "a", ACTOR, &late.1).await;
+    assert_eq!(say_hello(&early.0, "a", ACTOR, &late.1).await, welcome("one"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -91,37 +82,30 @@ async fn an_address_without_a_learner_is_told_from_one_without_anybody() {
 async fn an_address_in_use_is_named() {
     let site = Site::new();
     let (_learner, _events) = site.learner().await;
-    let second = LearnerLink::open(&run("two"), DOMAIN, LEARNER, &site.listen()).await;
-    let error = second.map(drop).unwrap_err();
-    assert!(matches!(&error, Error::AddressInUse { .. }), "{error}: {:?}", error.source());
-
     let any = ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()]);
     let (first, _events) = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &any).await.unwrap();
-    let taken = ListenSettings::new(vec![first.locators()[0].parse().unwrap()]);
-    let second = LearnerLink::open(&run("two"), DOMAIN, LEARNER, &taken).await;
-    let error = second.map(drop).unwrap_err();
-    assert!(matches!(&error, Error::AddressInUse { .. }), "{error}: {:?}", error.source());
+    for taken in [site.endpoint.as_str(), &first.locators()[0]] {
+        let error = listen_error(taken).await;
+        assert!(matches!(&error, Error::AddressInUse { .. }), "{error}: {:?}", error.source());
+    }
+}
+
+/// Opens a learner where none can be.
+async fn listen_error(endpoint: &str) -> Error {
+    let settings = ListenSettings::new(vec![endpoint.parse().unwrap()]);
+    let opened = LearnerLink::open(&run("two"), DOMAIN, LEARNER, &settings).await;
+    opened.map(drop).unwrap_err()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_file_where_the_socket_is_to_be_is_not_removed() {
+async fn a_file_where_the_socket_is_to_be_is_not_removed_and_a_missing_directory_reported() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("policy.safetensors");
     std::fs::write(&path, b"precious").unwrap();
-    let there = format!("unixsock-stream/{}", path.display()).parse().unwrap();
-    let settings = ListenSettings::new(vec![there]);
-    let opened = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &settings).await;
-    let error = opened.map(drop).unwrap_err();
-    assert!(matches!(&error, Error::NotASocket { .. }), "{error}");
+    let there = format!("unixsock-stream/{}", path.display());
+    assert!(matches!(listen_error(&there).await, Error::NotASocket { .. }));
     assert_eq!(std::fs::read(&path).unwrap(), b"precious");
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_socket_that_cannot_be_made_is_reported() {
-    let missing = ListenSettings::new(vec!["unixsock-stream//no/such/dir/z".parse().unwrap()]);
-    let opened = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &missing).await;
-    let error = opened.map(drop).unwrap_err();
-    assert!(matches!(&error, Error::Listen { .. }), "{error}");
+    assert!(matches!(listen_error("unixsock-stream//no/such/dir/z").await, Error::Listen { .. }));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -129,15 +113,9 @@ async fn an_actor_that_is_not_wanted_is_told_why() {
     let site = Site::new();
     let (_learner, events) = site.learner().await;
     let (actor, _actor_events) = site.actor("a").await;
-    let refuse = async {
-        let reply = until(&events, |event| match event {
-            LearnerEvent::Hello { reply, .. } => Some(reply),
-            _ => None,
-        });
-        reply.await.refuse("name is taken").unwrap();
-    };
-    let said = hello("a", ACTOR);
-    let (answer, ()) = tokio::join!(actor.hello(None, &said, SOON), refuse);
+    let (said, no) =
+        (hello("a", ACTOR), HelloReply::Refused { reason: "name is taken".to_owned() });
+    let (answer, ()) = tokio::join!(actor.hello(None, &said, SOON), answer_next(&events, &no));
     let error = answer.unwrap_err();
     assert!(
         matches!(&error, Error::Refused { reason, .. } if reason == "name is taken"),
@@ -146,38 +124,6 @@ async fn an_actor_that_is_not_wanted_is_told_why() {
     let (header, payload) = rollout(1);
     let error = actor.publish_rollout(&header, payload).unwrap_err();
     assert!(matches!(error, Error::NotInARun { .. }), "{error}");
-}
-
-/// Where the header says which protocol it is.
-const PROTOCOL_AT: usize = 12;
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_learner_tells_an_actor_of_another_release() {
-    let site = Site::new();
-    let (learner, events) = site.learner().await;
-    let intruder = site.raw("client").await;
-    let payload = codec::encode(&hello("a", ACTOR)).unwrap();
-    let mut header = Header::plain(Schema::Hello, ACTOR, &payload).to_bytes();
-    header[PROTOCOL_AT] = 77;
-    let answers =
-        intruder.get(Key::Hello(&run("one")).to_string()).payload(payload).attachment(header);
-    let answer = answers.await.unwrap().recv_async().await.unwrap();
-    let sentence = answer.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
-    assert_eq!(
-        sentence,
-        format!(
-            "the message has protocol 77, its receiver speaks {PROTOCOL_VERSION}: \
-             run the same release on both sides"
-        )
-    );
-    let refusal = until(&events, |event| match event {
-        LearnerEvent::Refused { refusal, .. } => Some(refusal),
-        _ => None,
-    });
-    let refusal = refusal.await;
-    assert_eq!((refusal.cause, refusal.sender), (RefusalCause::Protocol, None));
-    assert_eq!(refusal.to_string(), sentence);
-    assert!(learner.take_uncounted().is_empty(), "it was an event");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -189,7 +135,7 @@ async fn an_actor_tells_of_a_learner_of_another_release() {
         .declare_queryable(&key)
         .callback(|query| {
             let mut header = Header::plain(Schema::HelloReply, LEARNER, b"").to_bytes();
-            header[PROTOCOL_AT] = 77;
+            header[12] = 77; // The protocol.
             let reply = query.reply(query.key_expr().clone(), Vec::new()).attachment(header);
             zenoh::Wait::wait(reply).unwrap();
         })

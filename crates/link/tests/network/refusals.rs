@@ -2,7 +2,7 @@
 
 use leadtime_link::keys::Key;
 use leadtime_link::{Error, LearnerEvent};
-use leadtime_proto::header::Schema;
+use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
 use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
 use leadtime_proto::receive::{self, ROLLOUT};
 use leadtime_proto::{ActorId, Header, PolicyVersion, Refusal, RefusalCause, Rollout};
@@ -79,21 +79,12 @@ async fn a_payload_that_is_not_the_headers_is_refused_when_opened() {
     ];
     for (header, payload, cause) in cases {
         actor.publish_rollout(&header, payload.into()).unwrap();
-        let opened = until(&events, |event| match event {
-            LearnerEvent::Rollout { header, payload, .. } => {
-                Some(receive::open::<Rollout>(&header, &payload, ROLLOUT))
-            }
-            _ => None,
-        });
-        assert_eq!(opened.await.unwrap_err().cause, cause);
+        let (_, header, payload) = next_rollout(&events).await;
+        let opened = receive::open::<Rollout>(&header, &payload, ROLLOUT);
+        assert_eq!(opened.unwrap_err().cause, cause);
     }
-}
 
-#[tokio::test(flavor = "multi_thread")]
-async fn what_the_network_would_drop_unsaid_is_not_even_sent() {
-    let site = Site::new();
-    let (_learner, events) = site.learner().await;
-    let (actor, _actor_events) = site.welcomed("a", &events).await;
+    // What the network would drop unsaid is not even sent.
     let payload = vec![0; 2 * MAX_ROLLOUT_BYTES + 1];
     let header = Header::plain(Schema::Rollout, ACTOR, &payload);
     let error = actor.publish_rollout(&header, payload.into()).unwrap_err();
@@ -114,24 +105,32 @@ async fn an_actor_that_is_cut_off_is_only_counted() {
         rogue.pull_weights(PolicyVersion(0), [0; 32]).await.unwrap_err();
     }
     honest.publish_rollout(&header, payload).unwrap();
-    let sender = until(&events, |event| match event {
-        LearnerEvent::Rollout { actor, .. } => Some(actor),
-        _ => None,
-    });
-    assert_eq!(sender.await, actor_id("honest"));
+    assert_eq!(next_rollout(&events).await.0, actor_id("honest"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hello_that_is_none_is_answered_and_counted() {
+async fn a_hello_that_is_none_or_of_another_release_is_answered_and_counted() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let intruder = site.raw("client").await;
-    let key = Key::Hello(&run("one")).to_string();
-    let header = Header::plain(Schema::Hello, ACTOR, b"garbage").to_bytes();
-    let answers = intruder.get(&key).payload(b"garbage").attachment(header).await.unwrap();
-    let answer = answers.recv_async().await.unwrap();
-    let sentence = answer.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
-    assert_eq!(sentence, "payload cannot be decoded");
-    assert_eq!(refused(&events).await.1.cause, RefusalCause::Malformed);
-    assert!(learner.take_uncounted().is_empty());
+    let good = Header::plain(Schema::Hello, ACTOR, b"garbage").to_bytes();
+    let mut foreign = good;
+    foreign[12] = 77;
+    let other_release = format!(
+        "the message has protocol 77, its receiver speaks {PROTOCOL_VERSION}: run the same release on both sides"
+    );
+    for (header, told, cause, sender) in [
+        (good, "payload cannot be decoded", RefusalCause::Malformed, Some(ACTOR)),
+        (foreign, other_release.as_str(), RefusalCause::Protocol, None),
+    ] {
+        let question = intruder.get(Key::Hello(&run("one")).to_string()).payload(b"garbage");
+        let answers = question.attachment(header).await.unwrap();
+        let answer = answers.recv_async().await.unwrap();
+        let sentence = answer.result().unwrap_err().payload().try_to_string().unwrap();
+        assert_eq!(sentence, told);
+        let (_, refusal) = refused(&events).await;
+        assert_eq!((refusal.cause, refusal.sender), (cause, sender));
+        assert_eq!(refusal.to_string(), told);
+    }
+    assert!(learner.take_uncounted().is_empty(), "each was an event");
 }

@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use leadtime_link::keys::Key;
-use leadtime_link::{ActorEvent, LearnerEvent, LearnerLink, ListenSettings};
+use leadtime_link::{LearnerLink, ListenSettings};
 use leadtime_proto::header::Schema;
-use leadtime_proto::message::{Control, ControlReply};
+use leadtime_proto::message::{Control, ControlReply, HelloReply};
 use leadtime_proto::{Epoch, Header, PolicyVersion, RefusalCause, codec};
 
 use crate::support::*;
@@ -35,16 +35,11 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
 
     // Pulls and orders go on, and so do the rollouts of those who keep to their window.
     assert_eq!(pull(&honest, &learner, 1).await.unwrap(), b"weights");
-    let obey = async {
-        let reply = until(&honest_events, |event| match event {
-            ActorEvent::Control { reply, .. } => Some(reply),
-            _ => None,
-        });
-        reply.await.reply(&ControlReply::Followed { epoch: Epoch(1) }).unwrap();
-    };
     let id = actor_id("honest");
     let order = Control::Stop { reason: "enough".to_owned(), cut_off: false };
-    let (followed, ()) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
+    let answer = ControlReply::Followed { epoch: Epoch(1) };
+    let obey = obey_next(&honest_events, &answer);
+    let (followed, _) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
     followed.unwrap();
     for sequence in 1..=PER_ACTOR as u64 {
         let (header, payload) = rollout(sequence);
@@ -66,12 +61,8 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
 
     let mut n_taken = (0, 0);
     while n_taken.1 < PER_ACTOR {
-        let event = tokio::time::timeout(Duration::from_secs(20), events.recv_async()).await;
-        match event.expect("the honest actor's rollouts are there").unwrap() {
-            LearnerEvent::Rollout { actor, .. } if actor == id => n_taken.1 += 1,
-            LearnerEvent::Rollout { .. } => n_taken.0 += 1,
-            _ => {}
-        }
+        let (sender, ..) = next_rollout(&events).await;
+        *(if sender == id { &mut n_taken.1 } else { &mut n_taken.0 }) += 1;
     }
     assert_eq!(n_taken, (PER_ACTOR, PER_ACTOR));
 }
@@ -100,13 +91,10 @@ async fn answering_one_that_does_not_read_holds_up_neither_the_learner_nor_its_a
     // Far more than the connection holds; each answer would wait for seconds.
     let mut large = welcome("one");
     large.spec.task.settings = "x".repeat(16_000);
+    let large = HelloReply::Welcome(Box::new(large));
     let started = std::time::Instant::now();
     for _ in 0..N {
-        let reply = until(&events, |event| match event {
-            LearnerEvent::Hello { reply, .. } => Some(reply),
-            _ => None,
-        });
-        reply.await.welcome(large.clone()).unwrap();
+        answer_next(&events, &large).await;
     }
     assert!(started.elapsed() < Duration::from_secs(4), "{:?}", started.elapsed());
     drop(deaf);

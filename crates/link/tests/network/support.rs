@@ -5,10 +5,10 @@ use std::time::Duration;
 use bytes::Bytes;
 use leadtime_link::{
     ActorEvent, ActorLink, ConnectSettings, Endpoint, Error, Events, LearnerEvent, LearnerLink,
-    ListenSettings, RefusalCounts,
+    ListenSettings, Payload, RefusalCounts,
 };
 use leadtime_proto::header::Schema;
-use leadtime_proto::message::{Announcement, Hello, Welcome};
+use leadtime_proto::message::{Announcement, Control, ControlReply, Hello, HelloReply, Welcome};
 use leadtime_proto::{
     ActionSpec, ActorId, DomainName, EnvId, EnvSpec, Header, Incarnation, Iteration, PolicySpec,
     PolicyVersion, RefusalCause, Rollout, RunName, RunSpec, Schedule, Sequence, TaskSpec, codec,
@@ -66,21 +66,17 @@ impl Site {
 
     /// A session outside the link: an intruder, or a foreign program.
     pub(crate) async fn raw(&self, mode: &str) -> zenoh::Session {
-        raw(mode, &self.endpoint).await
+        let place = if mode == "client" { "connect" } else { "listen" };
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("mode", format!("\"{mode}\"")),
+            ("scouting/multicast/enabled", "false".to_owned()),
+            (format!("{place}/endpoints").as_str(), format!("[\"{}\"]", self.endpoint)),
+        ] {
+            config.insert_json5(key, &value).unwrap();
+        }
+        zenoh::open(config).await.unwrap()
     }
-}
-
-async fn raw(mode: &str, endpoint: &Endpoint) -> zenoh::Session {
-    let place = if mode == "client" { "connect" } else { "listen" };
-    let mut config = zenoh::Config::default();
-    for (key, value) in [
-        ("mode", format!("\"{mode}\"")),
-        ("scouting/multicast/enabled", "false".to_owned()),
-        (format!("{place}/endpoints").as_str(), format!("[\"{endpoint}\"]")),
-    ] {
-        config.insert_json5(key, &value).unwrap();
-    }
-    zenoh::open(config).await.unwrap()
 }
 
 /// Says hello and has the learner welcome it.
@@ -97,11 +93,36 @@ pub(crate) async fn say_hello(
 
 /// Welcomes the next actor that says hello.
 pub(crate) async fn welcome_next(learner: &LearnerEvents) {
+    answer_next(learner, &HelloReply::Welcome(Box::new(welcome("one")))).await;
+}
+
+/// Answers the next hello.
+pub(crate) async fn answer_next(learner: &LearnerEvents, answer: &HelloReply) {
     let reply = until(learner, |event| match event {
         LearnerEvent::Hello { reply, .. } => Some(reply),
         _ => None,
     });
-    reply.await.welcome(welcome("one")).unwrap();
+    reply.await.reply(answer).unwrap();
+}
+
+/// Answers the next order, and returns it.
+pub(crate) async fn obey_next(actor: &ActorEvents, answer: &ControlReply) -> Control {
+    let order = until(actor, |event| match event {
+        ActorEvent::Control { control, reply } => Some((control, reply)),
+        _ => None,
+    });
+    let (control, reply) = order.await;
+    reply.reply(answer).unwrap();
+    control
+}
+
+/// Waits for the next rollout message.
+pub(crate) async fn next_rollout(learner: &LearnerEvents) -> (ActorId, Header, Payload) {
+    let message = until(learner, |event| match event {
+        LearnerEvent::Rollout { actor, header, payload } => Some((actor, header, payload)),
+        _ => None,
+    });
+    message.await
 }
 
 /// Where events come from.

@@ -23,18 +23,13 @@ async fn weights_are_announced_with_their_digest_and_pulled() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let (actor, actor_events) = site.welcomed("a", &events).await;
+    assert!(matches!(pull(&actor, &learner, 1).await.unwrap_err(), Error::NotKept { .. }));
     learner.offer_weights(PolicyVersion(1), b"first".as_slice().into()).unwrap();
     let news = announced(&actor_events, 1).await;
     assert_eq!(news, learner.announcement());
     assert_eq!(actor.pull_weights(PolicyVersion(1), news.versions[0].1).await.unwrap(), b"first");
-}
 
-#[tokio::test(flavor = "multi_thread")]
-async fn older_versions_can_be_pulled_until_they_are_retired() {
-    let site = Site::new();
-    let (learner, events) = site.learner().await;
-    let (actor, _actor_events) = site.welcomed("a", &events).await;
-    assert!(matches!(pull(&actor, &learner, 1).await.unwrap_err(), Error::NotKept { .. }));
+    // Older ones can be pulled until they are retired.
     for version in 1..=6 {
         learner.offer_weights(PolicyVersion(version), vec![version as u8; 70_000].into()).unwrap();
     }
@@ -43,16 +38,11 @@ async fn older_versions_can_be_pulled_until_they_are_retired() {
     let error = pull(&actor, &learner, 2).await.unwrap_err();
     assert!(error.to_string().contains("versions 3 to 6 are"), "{error}");
     assert_eq!(pull(&actor, &learner, 6).await.unwrap(), vec![6; 70_000]);
-}
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_late_joiner_hears_of_them_by_the_repetition_and_pulls() {
-    let site = Site::new();
-    let (learner, events) = site.learner().await;
-    learner.offer_weights(PolicyVersion(9), b"newest".as_slice().into()).unwrap();
-    let (actor, actor_events) = site.welcomed("late", &events).await;
-    announced(&actor_events, 9).await;
-    assert_eq!(pull(&actor, &learner, 9).await.unwrap(), b"newest");
+    // Who joins late hears of them by the repetition.
+    let (late, late_events) = site.welcomed("late", &events).await;
+    announced(&late_events, 6).await;
+    assert_eq!(pull(&late, &learner, 6).await.unwrap(), vec![6; 70_000]);
 }
 
 /// Answers every pull, faster than the learner or not, as an intruder would.
