@@ -13,7 +13,7 @@ use leadtime_learner::{
     Build, CheckpointInterval, LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent,
     RunReport, UpdateProgress,
 };
-use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, Events, ListenSettings};
+use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings};
 use leadtime_policy::{Parameters, Policy};
 use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::header::Schema;
@@ -33,10 +33,8 @@ const RUN_SEED: u64 = 11;
 const PATIENCE: Duration = Duration::from_mins(1);
 
 fn task() -> TaskSpec {
-    TaskSpec {
-        domain: "cartpole".to_owned(),
-        settings: r#"{"world": {"max_steps": 30}}"#.to_owned(),
-    }
+    let settings = r#"{"world": {"max_steps": 30}}"#.to_owned();
+    TaskSpec { domain: "cartpole".to_owned(), settings }
 }
 
 fn env_spec() -> EnvSpec {
@@ -77,9 +75,8 @@ fn reference(mode: Mode) -> [u8; 32] {
     let (settings, spec) = (settings(mode), run_spec(mode));
     let mut worker = Worker::new(spec.clone());
     let RunSpec { env, policy, .. } = spec;
-    for id in 0..N_ENVS as u32 {
-        let beginning =
-            EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: Vec::new() };
+    for env_id in (0..N_ENVS as u32).map(EnvId) {
+        let beginning = EnvAssignment { env_id, iteration: Iteration(0), snapshot: Vec::new() };
         worker.insert(leadtime_worlds::builtin().build(&task()).unwrap(), &beginning).unwrap();
     }
     let mut trainer = Trainer::new(&policy, &settings, RUN_SEED).unwrap();
@@ -100,7 +97,7 @@ fn reference(mode: Mode) -> [u8; 32] {
 /// Tells a test how far a run is, and remembers what happened.
 struct Witness {
     n_updates: watch::Sender<u64>,
-    events: Arc<Mutex<Vec<RunEvent>>>,
+    events: Events,
 }
 
 impl ProgressSink for Witness {
@@ -117,11 +114,20 @@ impl ProgressSink for Witness {
     }
 }
 
+/// What a run reported.
+type Events = Arc<Mutex<Vec<RunEvent>>>;
+
+#[track_caller]
+fn assert_reported(events: &Events, is_it: impl Fn(&RunEvent) -> bool) {
+    let events = events.lock().unwrap();
+    assert!(events.iter().any(is_it), "{events:?}");
+}
+
 /// A learner that runs beside the test.
 struct Learner {
     task: JoinHandle<Result<RunReport, leadtime_learner::Error>>,
     n_updates: watch::Receiver<u64>,
-    events: Arc<Mutex<Vec<RunEvent>>>,
+    events: Events,
     stop: CancellationToken,
 }
 
@@ -212,11 +218,8 @@ fn actor_of(directory: &Path, name: &str, incarnation: u64, program: &str) -> Ac
         program: program.to_owned(),
         cpu: "cpu".to_owned(),
     };
-    tokio::spawn(leadtime_actor::run(
-        settings,
-        leadtime_worlds::builtin(),
-        CancellationToken::new(),
-    ))
+    let run = leadtime_actor::run(settings, leadtime_worlds::builtin(), CancellationToken::new());
+    tokio::spawn(run)
 }
 
 async fn dismissed(actor: ActorTask) -> ActorReport {
@@ -273,11 +276,10 @@ async fn an_actor_that_is_lost_and_replaced_changes_nothing() {
         assert_eq!(report.digest, reference(mode), "{mode:?}");
         dismissed(stays).await;
         dismissed(comes).await;
-        let left = |event: &RunEvent| {
+        assert_reported(&events, |event| {
             matches!(event, RunEvent::ActorLeft { actor, n_envs, .. }
                 if actor.as_str() == "lost" && *n_envs > 0)
-        };
-        assert!(events.lock().unwrap().iter().any(left), "its loss was noticed");
+        });
     }
 }
 
@@ -326,13 +328,10 @@ async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back
     learner.stop.cancel();
     let stopped = learner.report().await;
     dismissed(first).await;
-    let mut files: Vec<_> = std::fs::read_dir(directory.path().join("checkpoints"))
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|extension| extension == "checkpoint"))
-        .collect();
-    files.sort();
-    std::fs::write(files.last().unwrap(), b"torn").unwrap();
+    let files = std::fs::read_dir(directory.path().join("checkpoints")).unwrap();
+    let files = files.map(|entry| entry.unwrap().path());
+    let newest = files.filter(|file| file.extension().is_some_and(|e| e == "checkpoint")).max();
+    std::fs::write(newest.unwrap(), b"torn").unwrap();
     let resumed = Learner::start(directory.path(), Mode::Lag, 1, 2);
     let events = Arc::clone(&resumed.events);
     let second = actor(directory.path(), "a", 2);
@@ -340,8 +339,7 @@ async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back
     dismissed(second).await;
     assert_eq!(report.digest, reference(Mode::Lag));
     assert!(stopped.n_updates > 6);
-    let is_damage = |event: &RunEvent| matches!(event, RunEvent::CheckpointDamaged { .. });
-    assert!(events.lock().unwrap().iter().any(is_damage), "the damage is told");
+    assert_reported(&events, |event| matches!(event, RunEvent::CheckpointDamaged { .. }));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -394,13 +392,12 @@ async fn a_run_that_another_build_goes_on_with_is_not_called_reproducible() {
     dismissed(second).await;
     assert!(!report.reproducible);
     assert!(report.builds.programs.iter().eq(["a", "b"]));
-    let is_warning = |event: &RunEvent| matches!(event, RunEvent::OtherBuild { actor: None, .. });
-    assert!(events.lock().unwrap().iter().any(is_warning));
+    assert_reported(&events, |event| matches!(event, RunEvent::OtherBuild { actor: None, .. }));
     assert!(!begin("a", 3).report().await.reproducible, "nor ever again");
 }
 
 /// An actor that takes part in everything but the work.
-async fn pretender(directory: &Path, name: &str) -> (ActorLink, Events<ActorEvent>) {
+async fn pretender(directory: &Path, name: &str) -> (ActorLink, leadtime_link::Events<ActorEvent>) {
     let (actor, incarnation) = (ActorId::new(name).unwrap(), Incarnation(1));
     let settings = ConnectSettings::new(vec![endpoint(directory)]);
     let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
@@ -435,15 +432,14 @@ async fn a_member_that_delivers_nothing_loses_its_environments_and_changes_no_bi
     assert!(report.reproducible);
     dismissed(honest).await;
     follower.abort();
-    let is_named = |event: &RunEvent| {
+    assert_reported(&events, |event| {
         matches!(event, RunEvent::WaitingForRollouts { actor, n_envs, .. }
             if actor.as_str() == "mute" && *n_envs > 0)
-    };
-    assert!(events.lock().unwrap().iter().any(is_named));
+    });
 }
 
 /// Sends one rollout of every environment that it is given, sound but for the state at the end, and leaves.
-async fn poison(link: ActorLink, inbox: Events<ActorEvent>) {
+async fn poison(link: ActorLink, inbox: leadtime_link::Events<ActorEvent>) {
     let spec = run_spec(Mode::Sync);
     let trainer = Trainer::new(&spec.policy, &settings(Mode::Sync), spec.seed).unwrap();
     let mut policy = Policy::new(&spec.policy, trainer.parameters()).unwrap();
@@ -458,9 +454,8 @@ async fn poison(link: ActorLink, inbox: Events<ActorEvent>) {
                     let env = leadtime_worlds::builtin().build(&spec.task).unwrap();
                     worker.insert(env, given).unwrap();
                 }
-                for (rollout, number) in
-                    worker.collect(&mut policy, PolicyVersion(0), &mut ()).iter().zip(1..)
-                {
+                let rollouts = worker.collect(&mut policy, PolicyVersion(0), &mut ());
+                for (rollout, number) in rollouts.iter().zip(1..) {
                     let rollout = Rollout { snapshot: vec![1], ..rollout.clone() };
                     let payload = codec::encode(&rollout).unwrap();
                     let plain = Header::plain(Schema::Rollout, Incarnation(1), &payload);
@@ -487,8 +482,10 @@ async fn a_state_that_nobody_can_restore_ends_neither_an_actor_nor_the_run() {
     let report = learner.report().await;
     assert_eq!((report.end, report.n_updates), (RunEnd::Finished, N_UPDATES));
     dismissed(honest).await;
-    let is_blamed = |event: &RunEvent| matches!(event, RunEvent::CutOff { actor, .. } if actor.as_str() == "rogue");
-    assert!(events.lock().unwrap().iter().any(is_blamed));
+    assert_reported(
+        &events,
+        |event| matches!(event, RunEvent::CutOff { actor, .. } if actor.as_str() == "rogue"),
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -27,20 +27,8 @@ const LAYERS: &[&[&str]] = &[
 ];
 
 /// Crates that are pure functions of their arguments: no clock, file, environment, thread or network.
-const PURE: &[&str] = &[
-    "crates/numerics",
-    "crates/table",
-    "proto",
-    "crates/policy",
-    "crates/ppo",
-    "sims",
-    "sims/lander",
-    "sims/highway",
-    "sims/steakhouse",
-    "crates/worlds",
-    "crates/conformance",
-    "crates/config",
-];
+const PURE: &str = "crates/numerics crates/table proto crates/policy crates/ppo sims sims/lander sims/highway \
+                    sims/steakhouse crates/worlds crates/conformance crates/config";
 
 /// Folders that hold our Rust sources.
 const FOLDERS: &[&str] =
@@ -51,13 +39,25 @@ fn root() -> PathBuf {
     deploy.parent().expect("deploy lies in the repository").to_owned()
 }
 
-fn metadata() -> Value {
-    let out = Command::new(env!("CARGO"))
-        .current_dir(root())
-        .args(["metadata", "--no-deps", "--offline", "--format-version=1"])
-        .output()
-        .expect("cargo runs");
-    serde_json::from_slice(&out.stdout).expect("cargo metadata prints JSON")
+/// Returns what cargo prints; it may not ask the network.
+fn cargo(args: &str) -> String {
+    let mut command = Command::new(env!("CARGO"));
+    let out = command.current_dir(root()).args(args.split(' ')).arg("--offline").output();
+    let out = out.expect("cargo runs");
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    String::from_utf8(out.stdout).expect("cargo prints text")
+}
+
+/// Returns the packages of the workspace, each with its name and the names of its dependencies.
+fn packages() -> Vec<(Value, String, Vec<String>)> {
+    let metadata: Value = serde_json::from_str(&cargo("metadata --no-deps --format-version=1"))
+        .expect("cargo metadata prints JSON");
+    let name = |of: &Value| of["name"].as_str().expect("name").to_owned();
+    let package = |package: &Value| {
+        let dependencies = package["dependencies"].as_array().expect("dependencies");
+        (package.clone(), name(package), dependencies.iter().map(name).collect())
+    };
+    metadata["packages"].as_array().expect("packages").iter().map(package).collect()
 }
 
 /// A source file, and what of it is neither comment nor test.
@@ -128,14 +128,11 @@ fn offenders(words: &[&str], allowed: &[&str]) -> Vec<String> {
 
 #[test]
 fn dependency_arrows_point_down() {
-    let metadata = metadata();
     let layer = |name: &str| LAYERS.iter().position(|names| names.contains(&name));
-    for package in metadata["packages"].as_array().expect("packages") {
-        let from = package["name"].as_str().expect("name");
-        let above = layer(from).unwrap_or_else(|| panic!("`{from}` has no layer"));
-        for dependency in package["dependencies"].as_array().expect("dependencies") {
-            let to = dependency["name"].as_str().expect("name");
-            let Some(below) = layer(to) else { continue };
+    for (_, from, dependencies) in packages() {
+        let above = layer(&from).unwrap_or_else(|| panic!("`{from}` has no layer"));
+        for to in dependencies {
+            let Some(below) = layer(&to) else { continue };
             assert!(below < above, "`{from}` (layer {above}) depends on `{to}` (layer {below})");
         }
     }
@@ -153,84 +150,46 @@ fn heavy_dependencies_belong_to_few_crates() {
         ("clap", &["leadtime"]),
         ("tracing-subscriber", &["leadtime"]),
     ];
-    let metadata = metadata();
+    let packages = packages();
     for (crate_name, owners) in rules {
-        for package in metadata["packages"].as_array().expect("packages") {
-            let name = package["name"].as_str().expect("name");
-            let dependencies = package["dependencies"].as_array().expect("dependencies");
-            let names_it = dependencies.iter().any(|dependency| dependency["name"] == *crate_name);
-            assert!(!names_it || owners.contains(&name), "`{name}` depends on `{crate_name}`");
+        for (_, name, dependencies) in &packages {
+            let names_it = dependencies.iter().any(|dependency| dependency == crate_name);
+            assert!(!names_it || owners.contains(&&**name), "`{name}` depends on `{crate_name}`");
         }
     }
 }
 
 #[test]
 fn the_program_brings_no_language_model_unless_asked() {
-    let out = Command::new(env!("CARGO"))
-        .current_dir(root())
-        .args(["tree", "--offline", "--locked", "--package=leadtime", "--edges=normal"])
-        .args(["--prefix=none", "--format={p}"])
-        .output()
-        .expect("cargo runs");
-    let tree = String::from_utf8(out.stdout).expect("package names are text");
-    assert!(tree.contains("leadtime-taxonomy"), "{}", String::from_utf8_lossy(&out.stderr));
+    let tree = cargo("tree --locked --package=leadtime --edges=normal --prefix=none --format={p}");
+    assert!(tree.contains("leadtime-taxonomy"), "{tree}");
     let found = tree.lines().any(|line| line.starts_with("candle-transformers "));
     assert!(!found, "the program depends on `candle-transformers`");
 }
 
 #[test]
-fn only_one_file_names_the_wire_encoding() {
-    assert_eq!(offenders(&["bincode"], &["proto/src/codec.rs", "tests/house.rs"]), [""; 0]);
-}
-
-#[test]
-fn only_link_names_the_network_library() {
-    let allowed = ["crates/link/", "tests/house.rs", "deploy/src/logging.rs"];
-    assert_eq!(offenders(&["zenoh::", "use zenoh"], &allowed), [""; 0]);
-}
-
-#[test]
-fn only_the_lander_names_the_physics_engine() {
-    assert_eq!(
-        offenders(&["rapier2d::", "use rapier2d"], &["sims/lander/", "tests/house.rs"]),
-        [""; 0]
-    );
-}
-
-#[test]
-fn only_policy_ppo_and_the_embedder_name_the_tensor_library() {
-    let allowed = [
-        "crates/policy/",
-        "crates/ppo/",
-        "crates/taxonomy/src/pipeline/minilm.rs",
-        "tests/house.rs",
+fn what_a_library_is_needed_for_is_known_in_one_place() {
+    let tensors = ["crates/policy/", "crates/ppo/", "crates/taxonomy/src/pipeline/minilm.rs"];
+    let rules: [(&[&str], &[&str]); 5] = [
+        (&["bincode"], &["proto/src/codec.rs"]),
+        (&["zenoh::", "use zenoh"], &["crates/link/", "deploy/src/logging.rs"]),
+        (&["rapier2d::", "use rapier2d"], &["sims/lander/"]),
+        (&["candle_core", "candle_nn"], &tensors),
+        (&["SystemTime", "Timestamp::now", "Zoned::now"], &["crates/runs/src/clock.rs"]),
     ];
-    assert_eq!(offenders(&["candle_core", "candle_nn"], &allowed), [""; 0]);
+    for (words, allowed) in rules {
+        let allowed = [allowed, &["tests/house.rs"]].concat();
+        assert_eq!(offenders(words, &allowed), [""; 0], "{words:?}");
+    }
 }
 
 #[test]
 fn pure_crates_touch_no_clock_file_environment_or_thread() {
-    let impure = [
-        "std::fs",
-        "std::env",
-        "std::net",
-        "std::thread",
-        "std::process",
-        "Instant",
-        "SystemTime",
-        "tokio",
-        "std::io::stdin",
-        "thread_rng",
-        "rand::rng",
-        "env::var",
-    ];
-    for folder in PURE {
-        for source in sources(&root().join(folder).join("src")) {
-            for word in impure {
-                let found = source.code.contains(word);
-                assert!(!found, "{} names `{word}`", source.path.display());
-            }
-        }
+    let impure = "std::fs std::env std::net std::thread std::process Instant SystemTime tokio std::io::stdin thread_rng \
+                  rand::rng env::var";
+    for source in PURE.split(' ').flat_map(|folder| sources(&root().join(folder).join("src"))) {
+        let found = impure.split(' ').find(|word| source.code.contains(word));
+        assert_eq!(found, None, "{} names it", source.path.display());
     }
 }
 
@@ -242,12 +201,6 @@ fn only_deploy_prints_exits_and_reads_the_environment() {
     let found: Vec<String> =
         offenders(&words, &allowed).into_iter().filter(|path| path.contains("/src/")).collect();
     assert_eq!(found, [""; 0]);
-}
-
-#[test]
-fn only_one_file_reads_the_wall_clock() {
-    let words = ["SystemTime", "Timestamp::now", "Zoned::now"];
-    assert_eq!(offenders(&words, &["crates/runs/src/clock.rs", "tests/house.rs"]), [""; 0]);
 }
 
 /// Lines that no file may exceed, tests included: nobody finds their way in more.
@@ -339,14 +292,12 @@ type Module = Vec<String>;
 /// Lists the folders of the workspace's crates, relative to its root.
 fn crate_folders() -> Vec<String> {
     let root = root();
-    let metadata = metadata();
-    let packages = metadata["packages"].as_array().expect("packages");
-    let folders = packages.iter().map(|package| {
+    let folder = |(package, ..): &(Value, _, _)| {
         let manifest = Path::new(package["manifest_path"].as_str().expect("path"));
         let folder = manifest.parent().expect("a manifest lies in a folder");
         folder.strip_prefix(&root).expect("inside").display().to_string()
-    });
-    folders.collect()
+    };
+    packages().iter().map(folder).collect()
 }
 
 /// Returns the module that a file holds: `a/b.rs` and `a/b/mod.rs` are `a::b`.
@@ -447,13 +398,10 @@ fn every_source_file_says_what_it_is_for() {
 #[test]
 fn crate_roots_hold_only_docs_modules_and_re_exports() {
     for source in all_sources() {
-        let name = source.path.file_name().and_then(|name| name.to_str());
-        let is_root = matches!(name, Some("lib.rs" | "mod.rs"));
-        let inside_src = source.path.components().any(|part| part.as_os_str() == "src");
-        if is_root && inside_src {
-            let has_function = source.code.lines().any(|line| line.trim_start().contains("fn "));
-            assert!(!has_function, "{} holds a function", source.path.display());
-        }
+        let is_root = source.path.ends_with("lib.rs") || source.path.ends_with("mod.rs");
+        let is_inside = source.path.iter().any(|part| part == "src");
+        let has_function = source.code.contains("fn ");
+        assert!(!(is_root && is_inside && has_function), "{}", source.path.display());
     }
 }
 
@@ -462,10 +410,8 @@ fn nothing_unfinished_is_left_in_the_sources() {
     let marks =
         [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("todo", "!("), concat!("#[", "ignore")];
     for source in all_sources() {
-        for mark in marks {
-            let found = source.text.contains(mark);
-            assert!(!found, "{} contains `{mark}`", source.path.display());
-        }
+        let found = marks.iter().find(|mark| source.text.contains(**mark));
+        assert_eq!(found, None, "{} contains it", source.path.display());
     }
 }
 
@@ -476,7 +422,5 @@ fn licences_are_permissive() {
     let lock = fs::read_to_string(root().join("Cargo.lock")).expect("Cargo.lock is there");
     let names: BTreeSet<&str> =
         lock.lines().filter_map(|line| line.strip_prefix("name = \"")?.strip_suffix('"')).collect();
-    for name in banned {
-        assert!(!names.contains(name), "`{name}` is banned");
-    }
+    assert_eq!(banned.into_iter().find(|name| names.contains(name)), None, "it is banned");
 }

@@ -58,13 +58,14 @@ struct Chain {
 }
 
 impl Chain {
-    fn restore(given: &EnvAssignment) -> Option<Self> {
+    /// Restores one; the error names an environment that cannot be restored.
+    fn restore(given: &EnvAssignment) -> Result<Self, EnvId> {
         let (env_id, iteration) = (given.env_id, given.iteration);
         let state = match given.snapshot.as_slice() {
-            [] => mix(u64::from(env_id.0) << 32 | iteration.0),
-            bytes => u64::from_le_bytes(bytes.try_into().ok()?),
+            [] => Ok(mix(u64::from(env_id.0) << 32 | iteration.0)),
+            bytes => bytes.try_into().map(u64::from_le_bytes),
         };
-        Some(Self { env_id, iteration, state })
+        state.map(|state| Self { env_id, iteration, state }).or(Err(env_id))
     }
 
     fn rollout(&mut self, version: PolicyVersion) -> Rollout {
@@ -96,7 +97,7 @@ fn seen(rollout: &Rollout) -> (u32, u64, u32) {
     (rollout.env_id.0, rollout.iteration.0, rollout.observations[0].to_bits())
 }
 
-fn spec(schedule: Schedule) -> RunSpec {
+fn spec() -> RunSpec {
     let actions = ActionSpec::discrete("a", 2);
     let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
     RunSpec {
@@ -105,11 +106,32 @@ fn spec(schedule: Schedule) -> RunSpec {
         policy: PolicySpec::dense(&env, &[1]),
         env,
         n_steps: 1,
-        schedule,
+        schedule: Schedule::Async { staleness_max: 8 },
     }
 }
 
+/// A start of an actor process.
 type ActorKey = (ActorId, Incarnation);
+
+fn actor_id(index: usize) -> ActorId {
+    ActorId::new(format!("a{index}")).unwrap()
+}
+
+fn index(key: &ActorKey) -> usize {
+    key.0.as_str()[1..].parse().unwrap()
+}
+
+fn settings(key: &ActorKey) -> ActorSettings {
+    ActorSettings {
+        actor: key.0.clone(),
+        incarnation: key.1,
+        run: None,
+        connect: ConnectSettings::new(Vec::new()),
+        reconnect_timeout: Duration::from_hours(24),
+        program: "test".to_owned(),
+        cpu: "cpu".to_owned(),
+    }
+}
 
 struct LearnerModel {
     coordinator: Coordinator,
@@ -121,6 +143,7 @@ struct LearnerModel {
 }
 
 /// One start of an actor process.
+#[derive(Default)]
 struct ActorModel {
     incarnation: Incarnation,
     /// `None` until it is welcomed for the first time.
@@ -158,24 +181,22 @@ struct World {
 
 impl World {
     fn new(seed: u64) -> Self {
+        let start = CoordinatorStart {
+            places: Vec::new(),
+            epoch: Epoch(0),
+            version: PolicyVersion(0),
+            books: Books::default(),
+            builds: Builds::default(),
+        };
         let mut world = Self {
             dice: seed,
             zero: Instant::now(),
             now: 0,
-            spec: spec(Schedule::Async { staleness_max: 8 }),
+            spec: spec(),
             events: BTreeMap::new(),
             n_numbers: 0,
             learner: None,
-            saved: (
-                CoordinatorStart {
-                    places: Vec::new(),
-                    epoch: Epoch(0),
-                    version: PolicyVersion(0),
-                    books: Books::default(),
-                    builds: Builds::default(),
-                },
-                0,
-            ),
+            saved: (start, 0),
             actors: Vec::new(),
             trained: Vec::new(),
             n_lost_snapshots: 0,
@@ -193,10 +214,9 @@ impl World {
     }
 
     fn run(mut self) -> Self {
-        while let Some(((at, _), event)) = self.events.pop_first() {
-            if at > END {
-                break;
-            }
+        while let Some(((at, _), event)) = self.events.pop_first()
+            && at <= END
+        {
             self.now = at;
             event(&mut self);
         }
@@ -241,18 +261,20 @@ impl World {
 
     // The learner's side.
 
+    /// Which start of the learner is there, if one is.
+    fn learner_start(&self) -> Option<Incarnation> {
+        self.learner.as_ref().map(|learner| learner.incarnation)
+    }
+
     /// Lets the learner do something, and carries out what it decides, as the run's loop does.
-    fn learn(&mut self, incarnation: Option<Incarnation>, event: impl FnOnce(&mut LearnerModel)) {
+    fn learn(&mut self, event: impl FnOnce(&mut LearnerModel)) {
         let Some(learner) = &mut self.learner else { return };
-        if incarnation.is_some_and(|incarnation| incarnation != learner.incarnation) {
-            return;
-        }
         event(learner);
         if !learner.is_training
             && let Some(batch) = learner.coordinator.next_batch()
         {
             learner.is_training = true;
-            let incarnation = Some(learner.incarnation);
+            let incarnation = learner.incarnation;
             self.trained.truncate(learner.version.0 as usize);
             self.trained.push(batch.iter().map(|rollout| seen(rollout)).collect());
             let took = 10 + self.dice(200);
@@ -269,10 +291,8 @@ impl World {
                     let to = (to, credit.incarnation);
                     self.send(move |w| w.arrive(&to, ActorInput::Credit(credit)));
                 }
-                Effect::Event(event) => {
-                    let is_lost = matches!(event, RunEvent::SnapshotLost { .. });
-                    self.n_lost_snapshots += u64::from(is_lost);
-                }
+                Effect::Event(RunEvent::SnapshotLost { .. }) => self.n_lost_snapshots += 1,
+                Effect::Event(_) => {}
             }
         }
     }
@@ -284,12 +304,8 @@ impl World {
         let incarnation = Incarnation(self.number());
         let (mut start, waiting) = self.saved.clone();
         start.books.resume(waiting, 1);
-        let settings = CoordinatorSettings {
-            learner: incarnation,
-            spec: self.spec.clone(),
-            window: 16,
-            actors_min: 1,
-        };
+        let (learner, spec) = (incarnation, self.spec.clone());
+        let settings = CoordinatorSettings { learner, spec, window: 16, actors_min: 1 };
         self.learner = Some(LearnerModel {
             version: start.version,
             coordinator: Coordinator::new(settings, start),
@@ -302,10 +318,10 @@ impl World {
     }
 
     fn tick_learner(&mut self, incarnation: Incarnation) {
-        if self.learner.as_ref().is_none_or(|learner| learner.incarnation != incarnation) {
+        if self.learner_start() != Some(incarnation) {
             return;
         }
-        self.learn(None, |learner| {
+        self.learn(|learner| {
             learner.coordinator.tick();
             let members = learner.coordinator.members();
             learner.orders.retain(|(actor, start), _| members.get(actor) == Some(start));
@@ -314,44 +330,43 @@ impl World {
         self.at(TICK.as_millis() as u64, move |w| w.tick_learner(incarnation));
     }
 
-    fn end_update(&mut self, incarnation: Option<Incarnation>) {
+    fn end_update(&mut self, incarnation: Incarnation) {
+        if self.learner_start() != Some(incarnation) {
+            return;
+        }
         let mut saved = None;
-        self.learn(incarnation, |learner| {
+        self.learn(|learner| {
             let coordinator = &mut learner.coordinator;
             learner.version = PolicyVersion(learner.version.0 + 1);
             learner.is_training = false;
             coordinator.trained(learner.version);
-            if learner.version.0.is_multiple_of(CHECKPOINT_EVERY) {
-                let start = CoordinatorStart {
-                    places: coordinator.places(),
-                    epoch: coordinator.epoch(),
-                    version: learner.version,
-                    books: coordinator.books().clone(),
-                    builds: Builds::default(),
-                };
-                saved = Some((start, coordinator.n_pending()));
-            }
+            let start = CoordinatorStart {
+                places: coordinator.places(),
+                epoch: coordinator.epoch(),
+                version: learner.version,
+                books: coordinator.books().clone(),
+                builds: Builds::default(),
+            };
+            saved = Some((start, coordinator.n_pending()));
         });
-        if let Some(saved) = saved {
+        if let Some(saved) = saved
+            && saved.0.version.0.is_multiple_of(CHECKPOINT_EVERY)
+        {
             self.saved = saved;
         }
         self.announce();
     }
 
     fn next_order(&mut self, to: &ActorKey) {
-        let orders = &self.learner.as_ref().unwrap().orders;
-        if let Some((queue, None)) = orders.get(to)
-            && !queue.is_empty()
-        {
+        let orders = self.learner.as_ref().and_then(|learner| learner.orders.get(to));
+        if orders.is_some_and(|(queue, under_way)| under_way.is_none() && !queue.is_empty()) {
             self.send_order(to, 1);
         }
     }
 
     fn send_order(&mut self, to: &ActorKey, attempt: u32) {
         let number = self.number();
-        let learner = self.learner.as_mut().unwrap();
-        let incarnation = learner.incarnation;
-        let (queue, under_way) = learner.orders.get_mut(to).unwrap();
+        let (queue, under_way) = self.learner.as_mut().unwrap().orders.get_mut(to).unwrap();
         *under_way = Some(number);
         let (control, key) = (queue[0].clone(), to.clone());
         self.send(move |w| {
@@ -367,32 +382,29 @@ impl World {
                 w.send_order(&key, 2);
             } else if is_waiting {
                 learner.orders.remove(&key);
-                w.learn(Some(incarnation), |learner| learner.coordinator.give_up(&key));
+                w.learn(|learner| learner.coordinator.give_up(&key));
             }
         });
     }
 
     fn reply(&mut self, from: &ActorKey, number: u64, reply: ControlReply) {
-        self.learn(None, |learner| {
+        self.learn(|learner| {
             let Some((queue, under_way)) = learner.orders.get_mut(from) else { return };
             if *under_way == Some(number) {
                 *under_way = None;
                 queue.pop_front();
                 if let ControlReply::CannotRestore { epoch, envs } = reply {
-                    let coordinator = &mut learner.coordinator;
-                    coordinator.cannot_restore(from, epoch, &envs);
+                    learner.coordinator.cannot_restore(from, epoch, &envs);
                 }
             }
         });
-        if self.learner.is_some() {
-            self.next_order(from);
-        }
+        self.next_order(from);
     }
 
     fn hello(&mut self, from: ActorKey, number: u64, hello: &Hello) {
         let Some(weights) = self.announcement() else { return };
         let mut answer = None;
-        self.learn(None, |learner| {
+        self.learn(|learner| {
             let heard = learner.coordinator.hello(hello);
             answer = Some(heard.map(|resend_from| (resend_from, learner.coordinator.window())));
         });
@@ -400,7 +412,7 @@ impl World {
         self.send(move |w| {
             let answer = match answer.unwrap() {
                 Ok((resend_from, window)) => {
-                    Ok(Box::new(Welcome { run, spec, window, weights, resend_from }))
+                    Ok(Welcome { run, spec, window, weights, resend_from })
                 }
                 Err(unwelcome) => {
                     let (actor, reason) = (from.0.clone(), unwelcome.to_string());
@@ -412,8 +424,8 @@ impl World {
     }
 
     fn oldest_kept(&self) -> PolicyVersion {
-        let version = self.learner.as_ref().map_or(PolicyVersion(0), |learner| learner.version);
-        self.spec.schedule.oldest_needed(version)
+        let version = self.learner.as_ref().map(|learner| learner.version);
+        self.spec.schedule.oldest_needed(version.unwrap_or_default())
     }
 
     fn announcement(&self) -> Option<Announcement> {
@@ -436,28 +448,14 @@ impl World {
     fn keys(&self) -> Vec<ActorKey> {
         let actors = self.actors.iter().enumerate();
         let key = |(index, actor): (usize, &Option<ActorModel>)| {
-            let incarnation = actor.as_ref()?.incarnation;
-            Some((ActorId::new(format!("a{index}")).unwrap(), incarnation))
+            Some((actor_id(index), actor.as_ref()?.incarnation))
         };
         actors.filter_map(key).collect()
     }
 
     /// Returns an actor if this start of it is still there.
     fn alive(&mut self, key: &ActorKey) -> Option<&mut ActorModel> {
-        let index: usize = key.0.as_str()[1..].parse().unwrap();
-        self.actors[index].as_mut().filter(|actor| actor.incarnation == key.1)
-    }
-
-    fn settings(key: &ActorKey) -> ActorSettings {
-        ActorSettings {
-            actor: key.0.clone(),
-            incarnation: key.1,
-            run: None,
-            connect: ConnectSettings::new(Vec::new()),
-            reconnect_timeout: Duration::from_hours(24),
-            program: "test".to_owned(),
-            cpu: "cpu".to_owned(),
-        }
+        self.actors[index(key)].as_mut().filter(|actor| actor.incarnation == key.1)
     }
 
     fn start_actor(&mut self, index: usize) {
@@ -465,17 +463,12 @@ impl World {
         let (mute, poisonous) = (self.dice(6) == 0, self.dice(8) == 0);
         self.actors[index] = Some(ActorModel {
             incarnation,
-            actor: None,
-            chains: BTreeMap::new(),
-            epoch: Epoch(0),
-            backlog: Vec::new(),
-            hello: 0,
-            deaf_until: 0,
             is_mute: mute && !self.is_calm(),
             is_poisonous: poisonous && !self.is_calm(),
+            ..ActorModel::default()
         });
-        let key = (ActorId::new(format!("a{index}")).unwrap(), incarnation);
-        self.say_hello(&key, Model::first_hello(&Self::settings(&key)));
+        let key = (actor_id(index), incarnation);
+        self.say_hello(&key, Model::first_hello(&settings(&key)));
         self.connect(&key);
         self.tick_actor(key);
     }
@@ -489,13 +482,13 @@ impl World {
 
     /// Learner and actor see each other's tokens, sooner or later.
     fn connect(&mut self, actor: &ActorKey) {
-        let Some(learner) = self.learner.as_ref().map(|learner| learner.incarnation) else {
-            return;
-        };
+        let Some(learner) = self.learner_start() else { return };
         let (soon, later) = (1 + self.dice(300), 1 + self.dice(300));
         let (key, to) = (actor.clone(), actor.clone());
         self.at(soon, move |w| {
-            w.learn(Some(learner), |learner| learner.coordinator.joined(key.0, key.1));
+            if w.learner_start() == Some(learner) {
+                w.learn(|learner| learner.coordinator.joined(key.0, key.1));
+            }
         });
         self.at(later, move |w| w.arrive(&to, ActorInput::LearnerJoined(learner)));
     }
@@ -511,20 +504,20 @@ impl World {
         });
     }
 
-    fn answered(&mut self, key: &ActorKey, number: u64, answer: Result<Box<Welcome>, LinkError>) {
+    fn answered(&mut self, key: &ActorKey, number: u64, answer: Result<Welcome, LinkError>) {
         let now = self.zero + Duration::from_millis(self.now);
         let Some(model) = self.alive(key).filter(|model| model.hello == number) else { return };
         model.hello = 0;
         let is_known = model.actor.is_some();
         match answer {
-            Ok(welcome) if is_known => self.act(key, ActorInput::Welcomed(welcome)),
+            Ok(welcome) if is_known => self.act(key, ActorInput::Welcomed(Box::new(welcome))),
             Ok(welcome) => {
-                model.actor = Some(Actor::new(Self::settings(key), *welcome, now).unwrap());
+                model.actor = Some(Actor::new(settings(key), welcome, now).unwrap());
                 self.act(key, ActorInput::Tick);
             }
             Err(error) if is_known => self.act(key, ActorInput::NotWelcomed(Box::new(error))),
             Err(LinkError::Refused { .. }) => self.end_actor(key),
-            Err(_) => self.say_hello(key, Model::first_hello(&Self::settings(key))),
+            Err(_) => self.say_hello(key, Model::first_hello(&settings(key))),
         }
     }
 
@@ -573,20 +566,17 @@ impl World {
             }
             ActorOutput::End(_) => return self.end_actor(key),
             ActorOutput::Restore(assignment) => {
-                let restored =
-                    assignment.envs.iter().map(|given| Chain::restore(given).ok_or(given.env_id));
+                let restored = assignment.envs.iter().map(Chain::restore);
                 let (envs, failed): (Vec<_>, Vec<_>) = restored.partition(Result::is_ok);
-                ActorInput::Restored {
-                    envs: envs.into_iter().flatten().collect(),
-                    failed: failed.into_iter().filter_map(Result::err).collect(),
-                }
+                let envs = envs.into_iter().flatten().collect();
+                let failed = failed.into_iter().filter_map(Result::err).collect();
+                ActorInput::Restored { envs, failed }
             }
             ActorOutput::Adopt { epoch, keep, envs } => {
                 model.epoch = epoch;
                 model.chains.retain(|env_id, _| keep.contains(env_id));
                 model.chains.extend(envs.into_iter().map(|chain| (chain.env_id, chain)));
-                let next = model.chains.values().map(|chain| chain.iteration).min();
-                ActorInput::Collected { rollouts: Vec::new(), next }
+                ActorInput::Collected { rollouts: Vec::new(), next: model.next() }
             }
             ActorOutput::Collect { .. } if model.is_mute => return,
             ActorOutput::Collect { version, .. } => {
@@ -594,9 +584,7 @@ impl World {
                 model.collect(version)
             }
             ActorOutput::Publish(EncodedRollout { header, payload }) => {
-                self.send(move |w| {
-                    w.learn(None, |l| l.coordinator.rollout(from.0, &header, &payload));
-                });
+                self.send(move |w| w.learn(|l| l.coordinator.rollout(from.0, &header, &payload)));
                 ActorInput::Published
             }
             ActorOutput::Pull { version, .. } if loses_pull || !is_learner_there => {
@@ -625,10 +613,7 @@ impl World {
             _ if what == 0 => self.end_learner(),
             Some(key) if what == 1 => self.end_actor(key),
             Some(key) if what == 2 => self.cut(key),
-            Some(key) if what == 3 => {
-                let deaf_until = self.now + 10_000;
-                self.alive(key).unwrap().deaf_until = deaf_until;
-            }
+            Some(key) if what == 3 => self.alive(key).unwrap().deaf_until = self.now + 10_000,
             _ => {}
         }
         let pause = self.dice(6_000);
@@ -637,10 +622,10 @@ impl World {
 
     /// An actor process is gone; another one starts in its place.
     fn end_actor(&mut self, key: &ActorKey) {
-        let index: usize = key.0.as_str()[1..].parse().unwrap();
+        let index = index(key);
         self.actors[index] = None;
         let (noticed, pause, key) = (self.dice(2_000), self.dice(5_000), key.clone());
-        self.at(noticed, move |w| w.learn(None, |l| l.coordinator.left(key.0, key.1)));
+        self.at(noticed, move |w| w.learn(|l| l.coordinator.left(key.0, key.1)));
         self.at(pause, move |w| w.start_actor(index));
     }
 
@@ -657,11 +642,9 @@ impl World {
 
     /// The connection between the learner and an actor is lost for a while.
     fn cut(&mut self, key: &ActorKey) {
-        let Some(learner) = self.learner.as_ref().map(|learner| learner.incarnation) else {
-            return;
-        };
+        let Some(learner) = self.learner_start() else { return };
         let (from, to) = (key.clone(), key.clone());
-        self.learn(None, |learner| learner.coordinator.left(from.0, from.1));
+        self.learn(|learner| learner.coordinator.left(from.0, from.1));
         self.arrive(&to, ActorInput::LearnerLeft(learner));
         let back = self.dice(4_000);
         self.at(back, move |w| {
@@ -682,9 +665,14 @@ impl World {
 }
 
 impl ActorModel {
+    /// The lowest iteration of its environments.
+    fn next(&self) -> Option<Iteration> {
+        self.chains.values().map(|chain| chain.iteration).min()
+    }
+
     /// Collects one rollout of every environment that is at the lowest iteration, as a worker does.
     fn collect(&mut self, version: PolicyVersion) -> Input {
-        let lowest = self.chains.values().map(|chain| chain.iteration).min();
+        let lowest = self.next();
         let chains = self.chains.values_mut().filter(|chain| Some(chain.iteration) == lowest);
         let encode = |chain: &mut Chain| {
             let mut rollout = chain.rollout(version);
@@ -697,15 +685,14 @@ impl ActorModel {
             EncodedRollout { header, payload: payload.into() }
         };
         let rollouts = chains.map(encode).collect();
-        let next = self.chains.values().map(|chain| chain.iteration).min();
-        ActorInput::Collected { rollouts, next }
+        ActorInput::Collected { rollouts, next: self.next() }
     }
 }
 
 /// What a loop without processes trains on.
 fn reference(schedule: Schedule, n_envs: usize, n_updates: usize) -> Vec<Trained> {
     let places = RolloutQueue::beginning(n_envs);
-    let mut chains: Vec<Chain> = places.iter().filter_map(Chain::restore).collect();
+    let mut chains: Vec<Chain> = places.iter().flat_map(Chain::restore).collect();
     let update = |iteration| {
         let version = schedule.behavior_version(Iteration(iteration)).unwrap();
         chains.iter_mut().map(|chain| seen(&chain.rollout(version))).collect()
@@ -727,8 +714,7 @@ fn whatever_goes_wrong_the_run_goes_on_with_the_same_rollouts_and_balanced_books
         coordinator.close();
         coordinator.books().check().unwrap_or_else(|error| panic!("seed {seed}: {error}"));
         if schedule.is_deterministic() && world.n_lost_snapshots == 0 {
-            let n_envs = world.saved.0.places.len();
-            let expected = reference(schedule, n_envs, n_updates);
+            let expected = reference(schedule, world.saved.0.places.len(), n_updates);
             assert_eq!(world.trained, expected, "seed {seed}");
         }
     }

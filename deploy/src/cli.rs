@@ -8,18 +8,16 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
 use leadtime_eval::measure::Choice;
+use leadtime_link::Endpoint;
 use leadtime_runs::Tasks;
 use leadtime_runs::tasks::ConfigureError;
+use leadtime_studies::{EPISODES, EVAL_SEED};
 
 use crate::exit::EXIT_CODE_HELP;
 
-mod compare;
-mod probe;
 mod taxonomy;
 
-pub use compare::CompareArgs;
-pub use probe::ProbeArgs;
-pub use taxonomy::{
+pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
 };
@@ -28,8 +26,7 @@ pub use taxonomy::{
 #[derive(Debug, Parser)]
 #[command(name = "leadtime", version, propagate_version = true, after_help = EXAMPLES,
           after_long_help = format!("{EXAMPLES}\n\n{EXIT_CODE_HELP}"))]
-pub struct Cli {
-    /// What to do.
+pub(crate) struct Cli {
     #[command(subcommand)]
     pub command: Command,
 }
@@ -45,7 +42,7 @@ const EXAMPLES: &str = "Examples:\n  \
 
 /// The commands.
 #[derive(Debug, Subcommand)]
-pub enum Command {
+pub(crate) enum Command {
     /// Train, evaluate and draw once, end to end, and check that it learned.
     Smoke(SmokeArgs),
     /// Run a learner and actors on this machine, supervised.
@@ -64,13 +61,11 @@ pub enum Command {
     Compare(CompareArgs),
     /// Evaluate a pilot of the lander.
     Pilot {
-        /// The pilot's command.
         #[command(subcommand)]
         command: PilotCommand,
     },
     /// Build, show and check the sentences that a notifier's messages are spoken in.
     Taxonomy {
-        /// What to do with them.
         #[command(subcommand)]
         command: TaxonomyCommand,
     },
@@ -94,7 +89,7 @@ pub enum Command {
 
 /// Where the configuration comes from, and what to change in it.
 #[derive(Clone, Debug, Default, Args)]
-pub struct SourceArgs {
+pub(crate) struct SourceArgs {
     /// Configuration file, or the name of a built-in one (`leadtime config` lists them). A file writes only what differs
     /// from its `base = "NAME"`.
     #[arg(short, long, value_name = "FILE")]
@@ -111,12 +106,7 @@ pub struct SourceArgs {
 }
 
 impl SourceArgs {
-    /// Loads the configuration.
-    ///
-    /// # Errors
-    ///
-    /// [`ConfigureError`] if there is no such file or configuration, or if it is refused.
-    pub fn load(&self, tasks: &Tasks, name: Option<&str>) -> Result<Config, ConfigureError> {
+    pub(crate) fn load(&self, tasks: &Tasks, name: Option<&str>) -> Result<Config, ConfigureError> {
         let Self { config, set, seed, runs } = self.clone();
         let source = ConfigSource { file: None, set, seed, runs, name: name.map(str::to_owned) };
         tasks.configure(config.as_deref(), source)
@@ -125,7 +115,7 @@ impl SourceArgs {
 
 /// Which run to work on.
 #[derive(Clone, Debug, Default, Args)]
-pub struct RunChoice {
+pub(crate) struct RunChoice {
     /// Name of the run (as `--set run.name=NAME`); without one, an unfinished run of the same configuration is resumed,
     /// or a new one begins.
     #[arg(long)]
@@ -140,7 +130,7 @@ pub struct RunChoice {
 
 /// `leadtime smoke`
 #[derive(Clone, Debug, Args)]
-pub struct SmokeArgs {
+pub(crate) struct SmokeArgs {
     /// Check the mechanics only, in seconds; says nothing about what is learned.
     #[arg(long)]
     pub quick: bool,
@@ -148,7 +138,7 @@ pub struct SmokeArgs {
     #[arg(long, default_value = "lander")]
     pub domain: String,
     /// Actor processes.
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=256))]
+    #[arg(long, default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
     /// Episodes per evaluated policy (default: the configuration's; 10 with --quick).
     #[arg(long, value_parser = n_episodes())]
@@ -156,22 +146,19 @@ pub struct SmokeArgs {
     /// Print the results as JSON.
     #[arg(long)]
     pub json: bool,
-    /// Where the configuration comes from.
     #[command(flatten)]
     pub source: SourceArgs,
 }
 
 /// `leadtime up`
 #[derive(Debug, Args)]
-pub struct UpArgs {
-    /// Where the configuration comes from.
+pub(crate) struct UpArgs {
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Which run.
     #[command(flatten)]
     pub run: RunChoice,
     /// Actor processes.
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=256))]
+    #[arg(long, default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
     /// Also listen here, so that actors elsewhere can join: `tcp/0.0.0.0:7447`.
     #[arg(long, value_name = "ENDPOINT")]
@@ -180,11 +167,9 @@ pub struct UpArgs {
 
 /// `leadtime learner`
 #[derive(Debug, Args)]
-pub struct LearnerArgs {
-    /// Where the configuration comes from.
+pub(crate) struct LearnerArgs {
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Which run.
     #[command(flatten)]
     pub run: RunChoice,
     /// Where to listen: `tcp/127.0.0.1:7447`, `tcp/0.0.0.0:7447`, `unixsock-stream//tmp/learner.sock`.
@@ -200,7 +185,7 @@ pub struct LearnerArgs {
 
 /// `leadtime actor`
 #[derive(Debug, Args)]
-pub struct ActorArgs {
+pub(crate) struct ActorArgs {
     /// Address of the learner (or of a router): `tcp/HOST:7447`.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub connect: Vec<String>,
@@ -223,7 +208,7 @@ pub struct ActorArgs {
 
 /// `leadtime eval`
 #[derive(Debug, Args)]
-pub struct EvalArgs {
+pub(crate) struct EvalArgs {
     /// A policy file, a run directory or the name of a run.
     pub policy: PathBuf,
     /// Episodes per policy (default: the configuration's; 1 with --transcript).
@@ -262,9 +247,38 @@ pub struct EvalArgs {
     pub json: bool,
 }
 
+/// `leadtime probe`
+#[derive(Debug, Args)]
+pub(crate) struct ProbeArgs {
+    /// A policy file, a run directory or the name of a run.
+    pub policy: PathBuf,
+    /// Episodes; the probe is fitted on the first half and scored on the other.
+    #[arg(long, default_value_t = 400, value_parser = n_episodes())]
+    pub episodes: u32,
+    /// Seed of the evaluation's random streams; another than in training.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub eval_seed: u64,
+    /// How the policy chooses (default: the configuration's).
+    #[arg(long, value_parser = action())]
+    pub action: Option<Choice>,
+    /// Change one key of the task: `--set 'human.reaction_delay={uniform={low=0,high=5,drawn="per_episode"}}'`; may be
+    /// given again.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// Also write the results to this file, as a section of a page that says where they are from.
+    #[arg(long, value_name = "FILE")]
+    pub markdown: Option<PathBuf>,
+}
+
 /// `leadtime play`
 #[derive(Debug, Args)]
-pub struct PlayArgs {
+pub(crate) struct PlayArgs {
     /// A policy file, a run directory or the name of a run.
     #[arg(required_unless_present = "demonstration")]
     pub policy: Option<PathBuf>,
@@ -297,16 +311,66 @@ pub struct PlayArgs {
     pub runs: PathBuf,
 }
 
+/// `leadtime compare`
+#[derive(Debug, Args)]
+pub(crate) struct CompareArgs {
+    /// Name of a study, `all`, or a file of one's own; without one, the studies are listed with their rows.
+    pub study: Option<String>,
+    /// One training seed and few steps: shows that everything works, and is labelled so.
+    #[arg(long)]
+    pub quick: bool,
+    /// Only these rows: `convey_react`, or `piloting/convey_react` where parts share names; may be given again.
+    #[arg(long = "row", value_name = "ROW")]
+    pub rows: Vec<String>,
+    /// Only these parts; may be given again.
+    #[arg(long = "part", value_name = "PART")]
+    pub parts: Vec<String>,
+    /// Change one key of what is trained: `--set human.reaction_delay.fixed=3`; may be given again.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
+    /// Start from this configuration, in the parts of its domain, instead of the study's own.
+    #[arg(long, value_name = "FILE")]
+    pub profile: Vec<PathBuf>,
+    /// Training seeds, half open, instead of the five of each part (with --quick only the first).
+    #[arg(long, value_name = "A..B", value_parser = number_range)]
+    pub seeds: Option<Range<u64>>,
+    /// Environment steps of every training, instead of the study's or the profile's.
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..))]
+    pub steps: Option<u64>,
+    /// Evaluation episodes per training seed.
+    #[arg(long, default_value_t = EPISODES, value_parser = n_episodes())]
+    pub episodes: u32,
+    /// Seed of the evaluations; the training seed is added, so that no two policies of a row meet the same worlds.
+    #[arg(long, default_value_t = EVAL_SEED, value_parser = clap::value_parser!(u64).range(..1 << 62))]
+    pub eval_seed: u64,
+    /// Trainings at a time (default: one per core).
+    #[arg(long, value_parser = n_processes())]
+    pub jobs: Option<u32>,
+    /// Actor processes per training.
+    #[arg(long, default_value_t = 1, value_parser = n_processes())]
+    pub actors: u32,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs/compare")]
+    pub runs: PathBuf,
+    /// Directory for tables and figures (default: docs/results; a study of one's own, and one that is not carried out
+    /// whole and as it is, is printed, and written only where --out says).
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// List the trainings and how far they are, and do nothing.
+    #[arg(long)]
+    pub plan: bool,
+}
+
 /// `leadtime pilot ...`
 #[derive(Debug, Subcommand)]
-pub enum PilotCommand {
+pub(crate) enum PilotCommand {
     /// Fly without zones and messages: mean return, and how the episodes end.
     Eval(PilotEvalArgs),
 }
 
 /// `leadtime pilot eval`
 #[derive(Debug, Args)]
-pub struct PilotEvalArgs {
+pub(crate) struct PilotEvalArgs {
     /// `heuristic`, `embedded`, or a policy file.
     #[arg(long, default_value = "embedded")]
     pub pilot: String,
@@ -323,7 +387,7 @@ pub struct PilotEvalArgs {
 
 /// `leadtime conformance`
 #[derive(Debug, Args)]
-pub struct ConformanceArgs {
+pub(crate) struct ConformanceArgs {
     /// The world.
     #[arg(value_enum)]
     pub world: ConformanceWorld,
@@ -335,8 +399,8 @@ pub struct ConformanceArgs {
 }
 
 /// A world that has a public original.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ConformanceWorld {
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum ConformanceWorld {
     /// `LunarLander-v3`: actions replayed open loop, every observation before first contact compared.
     Lander,
     /// highway-env: every car's state, command, observation and reward compared.
@@ -347,7 +411,7 @@ pub enum ConformanceWorld {
 
 /// `leadtime config`
 #[derive(Debug, Args)]
-pub struct ConfigArgs {
+pub(crate) struct ConfigArgs {
     /// The configuration; without one, the names are listed.
     pub domain: Option<String>,
 }
@@ -355,8 +419,7 @@ pub struct ConfigArgs {
 /// `leadtime runs`
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true)]
-pub struct RunsArgs {
-    /// What to do; without a command, runs are listed.
+pub(crate) struct RunsArgs {
     #[command(subcommand)]
     pub command: Option<RunsCommand>,
     /// Directory that holds the runs.
@@ -369,7 +432,7 @@ pub struct RunsArgs {
 
 /// `leadtime runs ...`
 #[derive(Debug, Subcommand)]
-pub enum RunsCommand {
+pub(crate) enum RunsCommand {
     /// List every run: domain, state, steps, success.
     List,
     /// Show what differs between two runs: configuration and results.
@@ -383,8 +446,7 @@ pub enum RunsCommand {
 
 /// `leadtime check`
 #[derive(Debug, Args)]
-pub struct CheckArgs {
-    /// Where the configuration comes from.
+pub(crate) struct CheckArgs {
     #[command(flatten)]
     pub source: SourceArgs,
     /// Also connect to the learner at this address.
@@ -397,22 +459,29 @@ pub struct CheckArgs {
 
 /// Reads `60s`, `2m` or `500ms`.
 fn duration(text: &str) -> Result<Duration, String> {
-    let span: jiff::SignedDuration =
-        text.parse().map_err(|error| format!("{error}; write 60s or 2m"))?;
-    Duration::try_from(span).map_err(|error| format!("{error}; write 60s or 2m"))
+    let span = text.parse::<jiff::SignedDuration>().and_then(Duration::try_from);
+    span.map_err(|error| format!("{error}; write 60s or 2m"))
 }
 
 /// Reads how a policy chooses.
 fn action() -> impl TypedValueParser<Value = Choice> {
-    PossibleValuesParser::new(["sample", "greedy"]).map(|name| match name.as_str() {
-        "greedy" => Choice::Greedy,
-        _ => Choice::Sample,
-    })
+    let choice = |name| if name == "greedy" { Choice::Greedy } else { Choice::Sample };
+    PossibleValuesParser::new(["sample", "greedy"]).map(choice)
+}
+
+/// Reads a number of processes.
+fn n_processes() -> clap::builder::RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..=256)
 }
 
 /// Reads a number of episodes.
 fn n_episodes() -> clap::builder::RangedI64ValueParser<u32> {
     clap::value_parser!(u32).range(1..=i64::from(MAX_EPISODES))
+}
+
+/// Reads addresses.
+pub(crate) fn endpoints(texts: &[String]) -> Result<Vec<Endpoint>, leadtime_link::Error> {
+    texts.iter().map(|text| text.parse()).collect()
 }
 
 /// Reads `A..B`, half open.
@@ -423,11 +492,10 @@ fn number_range(text: &str) -> Result<Range<u64>, String> {
     if range.is_empty() {
         return Err("the range is empty: A must be below B".to_owned());
     }
-    let n = range.end - range.start;
-    if n > u64::from(MAX_EPISODES) {
-        return Err(format!("these are {n} numbers; allowed: 1 to {MAX_EPISODES}"));
+    match range.end - range.start {
+        n if n <= u64::from(MAX_EPISODES) => Ok(range),
+        n => Err(format!("these are {n} numbers; allowed: 1 to {MAX_EPISODES}")),
     }
-    Ok(range)
 }
 
 #[cfg(test)]
@@ -443,10 +511,8 @@ mod tests {
     #[test]
     fn ranges_and_durations_read_as_people_write_them() {
         assert_eq!(number_range("0..1000"), Ok(0..1000));
-        assert!(number_range("5..5").is_err());
-        assert!(number_range("5").is_err());
         assert_eq!(number_range("7..1000007"), Ok(7..1_000_007));
-        assert!(number_range("7..1000008").is_err());
+        assert!(["5..5", "5", "7..1000008"].iter().all(|text| number_range(text).is_err()));
         assert_eq!(duration("2m"), Ok(Duration::from_mins(2)));
         assert!(duration("-1s").is_err());
     }

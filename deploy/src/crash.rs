@@ -3,7 +3,7 @@
 //! A thread that panics takes with it what it alone does, such as answering the network; the others would wait for it
 //! for ever. What a run has on the disk is whole at every moment, so ending at once loses little.
 
-use std::panic::{self, PanicHookInfo};
+use std::panic;
 use std::process;
 
 use crate::exit::ExitCode;
@@ -23,13 +23,15 @@ const LIMITS: [(&str, &str); 4] = [
 ];
 
 /// Makes every panic end the process.
-pub fn end_on_panic() {
+pub(crate) fn end_on_panic() {
     let default = panic::take_hook();
     panic::set_hook(Box::new(move |panic| {
         if std::env::var_os(BACKTRACE).is_some_and(|value| value != "0") {
             default(panic);
         }
-        output::error(&sentence(&message(panic), &place(panic)));
+        let message = panic.payload_as_str().unwrap_or("a panic without a message");
+        let place = panic.location().map_or("an unknown place".to_owned(), ToString::to_string);
+        output::error(&sentence(&message.replace('\n', " "), &place));
         end();
     }));
 }
@@ -39,19 +41,9 @@ fn end() {
     process::exit(ExitCode::Failed as i32);
 }
 
-fn message(panic: &PanicHookInfo<'_>) -> String {
-    panic.payload_as_str().unwrap_or("a panic without a message").replace('\n', " ")
-}
-
-fn place(panic: &PanicHookInfo<'_>) -> String {
-    panic.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string)
-}
-
 fn sentence(message: &str, place: &str) -> String {
     match LIMITS.iter().find(|(sign, _)| message.contains(sign)) {
-        Some((_, remedy)) => {
-            format!("the system refuses what the program needs ({message}): {remedy}")
-        }
+        Some((_, help)) => format!("the system refuses what the program needs ({message}): {help}"),
         None => format!("a bug of the program: {message} (at {place}; {BACKTRACE}=1 shows more)"),
     }
 }
@@ -64,8 +56,6 @@ mod tests {
     fn a_limit_of_the_system_is_not_called_a_bug() {
         let limit = "failed to spawn thread: Os { code: 11, message: \"Resource temporarily unavailable\" }";
         assert!(sentence(limit, "a.rs:1").contains("ulimit -v"));
-        assert!(
-            sentence("index out of bounds", "a.rs:1").starts_with("a bug of the program: index")
-        );
+        assert!(sentence("index out", "a.rs:1").starts_with("a bug of the program: index out"));
     }
 }

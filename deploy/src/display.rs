@@ -1,9 +1,8 @@
 //! Progress for a person: a bar on a terminal, a plain line now and then in a log.
 
-use std::io::{self, IsTerminal as _};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use leadtime_learner::UpdateProgress;
 
 use crate::logging;
@@ -13,7 +12,7 @@ const LINE_EVERY: Duration = Duration::from_secs(5);
 
 /// Shows how far a run has come.
 #[derive(Debug)]
-pub enum Display {
+pub(crate) enum Display {
     /// A bar, on a terminal.
     Bar(ProgressBar),
     /// Lines, anywhere else; with the time of the last one.
@@ -22,19 +21,14 @@ pub enum Display {
 
 impl Display {
     /// Chooses by where standard error goes.
-    pub fn new() -> Self {
-        if !io::stderr().is_terminal() {
-            return Self::Lines(None);
-        }
+    pub(crate) fn new() -> Self {
         // The message gives way where the terminal is narrow.
         let template = "{bar:24} {pos}/{len} updates  {wide_msg} {elapsed}, {eta} left";
-        let style =
-            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-        Self::Bar(logging::bars().add(ProgressBar::new(0).with_style(style)))
+        logging::bar(template).map_or(Self::Lines(None), Self::Bar)
     }
 
     /// Shows one update.
-    pub fn update(&mut self, progress: &UpdateProgress) {
+    pub(crate) fn update(&mut self, progress: &UpdateProgress) {
         match self {
             Self::Bar(bar) => {
                 if bar.position() == 0 {
@@ -58,16 +52,10 @@ impl Display {
     }
 
     /// Removes the bar.
-    pub fn finish(&mut self) {
+    pub(crate) fn finish(&mut self) {
         if let Self::Bar(bar) = self {
             bar.finish_and_clear();
         }
-    }
-}
-
-impl Default for Display {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

@@ -8,7 +8,7 @@ use std::fmt;
 /// Why the program ended; the numbers are part of its interface (`leadtime --help` lists them).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub enum ExitCode {
+pub(crate) enum ExitCode {
     /// The command succeeded.
     Done = 0,
     /// A bug in the program, or a failed check (conformance out of bounds, smoke below its mark).
@@ -22,7 +22,7 @@ pub enum ExitCode {
 }
 
 /// The paragraph of `--help` that lists the exit codes.
-pub const EXIT_CODE_HELP: &str = "Exit codes:\n  \
+pub(crate) const EXIT_CODE_HELP: &str = "Exit codes:\n  \
     0    done\n  \
     1    a bug in the program, or a failed check\n  \
     2    unusable input or output: arguments, configuration, files, directories, addresses\n  \
@@ -31,23 +31,18 @@ pub const EXIT_CODE_HELP: &str = "Exit codes:\n  \
 
 impl ExitCode {
     /// Every code, in ascending order.
-    pub const ALL: [Self; 5] =
+    pub(crate) const ALL: [Self; 5] =
         [Self::Done, Self::Failed, Self::WrongInput, Self::PeerLost, Self::Interrupted];
 
     /// Returns the code that a process of ours ended with; [`ExitCode::Failed`] for any other number.
-    pub fn from_status(code: i32) -> Self {
+    pub(crate) fn from_status(code: i32) -> Self {
         Self::ALL.into_iter().find(|known| *known as i32 == code).unwrap_or(Self::Failed)
     }
 }
 
-impl From<ExitCode> for std::process::ExitCode {
-    fn from(code: ExitCode) -> Self {
-        Self::from(code as u8)
-    }
-}
-
 /// An error and the exit code that it leads to.
-pub struct Failure {
+#[derive(Debug)]
+pub(crate) struct Failure {
     /// The exit code: what caused the error.
     pub code: ExitCode,
     /// The error to print; `None` if it has been reported (by a child process, or on standard output).
@@ -55,45 +50,37 @@ pub struct Failure {
 }
 
 impl Failure {
+    /// Makes a failure of an error and the exit code of what caused it.
+    pub(crate) fn of(code: ExitCode, error: impl Into<anyhow::Error>) -> Self {
+        Self { code, error: Some(error.into()) }
+    }
+
     /// Makes a failure that has been reported.
-    pub fn silent(code: ExitCode) -> Self {
+    pub(crate) fn silent(code: ExitCode) -> Self {
         Self { code, error: None }
     }
 
     /// Makes a failure caused by the input, from one sentence.
-    pub fn input(sentence: impl fmt::Display + fmt::Debug + Send + Sync + 'static) -> Self {
-        Self { code: ExitCode::WrongInput, error: Some(anyhow::Error::msg(sentence)) }
-    }
-}
-
-impl fmt::Debug for Failure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.error {
-            Some(error) => write!(f, "{:?}: {error:#}", self.code),
-            None => write!(f, "{:?}", self.code),
-        }
+    pub(crate) fn input(sentence: impl fmt::Display + fmt::Debug + Send + Sync + 'static) -> Self {
+        Self::of(ExitCode::WrongInput, anyhow::Error::msg(sentence))
     }
 }
 
 impl From<anyhow::Error> for Failure {
     fn from(error: anyhow::Error) -> Self {
-        Self { code: ExitCode::Failed, error: Some(error) }
+        Self::of(ExitCode::Failed, error)
     }
 }
 
 /// Gives an error the exit code of what caused it.
-pub trait Blame<T> {
+pub(crate) trait Blame<T> {
     /// Makes the error a [`Failure`] with this exit code.
-    ///
-    /// # Errors
-    ///
-    /// The failure, if the result was an error.
     fn blame(self, code: ExitCode) -> Result<T, Failure>;
 }
 
 impl<T, E: Into<anyhow::Error>> Blame<T> for Result<T, E> {
     fn blame(self, code: ExitCode) -> Result<T, Failure> {
-        self.map_err(|error| Failure { code, error: Some(error.into()) })
+        self.map_err(|error| Failure::of(code, error))
     }
 }
 

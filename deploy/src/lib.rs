@@ -15,17 +15,17 @@
 //!
 //! [`Program::run`], then the command of interest in [`commands`].
 
-pub mod build;
-pub mod cli;
-pub mod commands;
-pub mod crash;
-pub mod display;
-pub mod exit;
-pub mod logging;
-pub mod output;
-pub mod program;
-pub mod shutdown;
-pub mod sink;
-pub mod threads;
+mod build;
+mod cli;
+mod commands;
+mod crash;
+mod display;
+mod exit;
+mod logging;
+mod output;
+mod program;
+mod shutdown;
+mod sink;
+mod threads;
 
 pub use program::Program;

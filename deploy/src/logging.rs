@@ -4,7 +4,7 @@ use std::env::{self, VarError};
 use std::io::{self, IsTerminal as _, Write};
 use std::sync::OnceLock;
 
-use indicatif::MultiProgress;
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
@@ -16,12 +16,8 @@ const VARIABLE: &str = "RUST_LOG";
 /// The bars of this process; log lines are written above them.
 static BARS: OnceLock<MultiProgress> = OnceLock::new();
 
-/// Starts logging at `level` (`info`, `warn`) unless `RUST_LOG` says otherwise.
-///
-/// # Errors
-///
-/// Wrong input, if `RUST_LOG` is not a filter.
-pub fn start(level: &str) -> Result<(), Failure> {
+/// Starts logging at `level` (`info`, `warn`) unless `RUST_LOG` says otherwise; refuses what is not a filter.
+pub(crate) fn start(level: &str) -> Result<(), Failure> {
     let colour = io::stderr().is_terminal() && env::var_os("NO_COLOR").is_none();
     let started = tracing_subscriber::fmt()
         .with_env_filter(filter(level, env::var(VARIABLE))?)
@@ -36,11 +32,8 @@ pub fn start(level: &str) -> Result<(), Failure> {
 }
 
 fn filter(level: &str, wanted: Result<String, VarError>) -> Result<EnvFilter, Failure> {
-    let refused = |reason: String| {
-        Failure::input(format!(
-            "{VARIABLE} {reason}; write a level (`debug`) or `module=level,...`"
-        ))
-    };
+    let help = "write a level (`debug`) or `module=level,...`";
+    let refused = |reason: String| Failure::input(format!("{VARIABLE} {reason}; {help}"));
     match wanted {
         Ok(wanted) if !wanted.trim().is_empty() => EnvFilter::try_new(&wanted)
             .map_err(|error| refused(format!("is `{wanted}`, which is not a filter: {error}"))),
@@ -50,8 +43,14 @@ fn filter(level: &str, wanted: Result<String, VarError>) -> Result<EnvFilter, Fa
     }
 }
 
-/// Returns the bars of this process.
-pub fn bars() -> &'static MultiProgress {
+/// Makes a bar for a person who watches; `None` where standard error is no terminal.
+pub(crate) fn bar(template: &str) -> Option<ProgressBar> {
+    let style =
+        || ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    io::stderr().is_terminal().then(|| bars().add(ProgressBar::new(0).with_style(style())))
+}
+
+fn bars() -> &'static MultiProgress {
     BARS.get_or_init(MultiProgress::new)
 }
 

@@ -1,4 +1,4 @@
-//! Everything that goes to standard output (data) and the last words on standard error.
+//! Everything that goes to standard output and files (data) and the last words on standard error.
 //!
 //! A closed pipe (`leadtime runs | head -1`) is no error: whoever stopped reading has what they wanted. Any other
 //! failure, such as a full disk, is kept, and [`finish`] reports it when the command is done: work that was done is
@@ -7,9 +7,12 @@
 use std::ffi::OsString;
 use std::fmt::Display;
 use std::io::{self, Write as _};
+use std::path::Path;
 use std::sync::OnceLock;
 
+use anyhow::Context as _;
 use leadtime_proto::text::printable;
+use leadtime_runs::write_atomically;
 use serde::Serialize;
 
 use crate::exit::Failure;
@@ -18,21 +21,22 @@ use crate::exit::Failure;
 static FAILED: OnceLock<io::Error> = OnceLock::new();
 
 /// Writes text and a line end to standard output.
-pub fn line(text: &str) {
+pub(crate) fn line(text: &str) {
     keep(writeln!(io::stdout().lock(), "{text}"));
 }
 
 /// Writes a value as one line of JSON to standard output.
-///
-/// # Panics
-///
-/// If the value has no JSON form, which no result of ours lacks.
-pub fn json<T: Serialize>(value: &T) {
+pub(crate) fn json<T: Serialize>(value: &T) {
     line(&serde_json::to_string(value).expect("results are plain data"));
 }
 
+/// Writes a file, whole or not at all.
+pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    write_atomically(path, bytes).with_context(|| format!("writing {}", path.display()))
+}
+
 /// Keeps the outcome of a write to standard output for [`finish`].
-pub fn keep(written: io::Result<()>) {
+pub(crate) fn keep(written: io::Result<()>) {
     if let Err(error) = written
         && error.kind() != io::ErrorKind::BrokenPipe
     {
@@ -41,31 +45,25 @@ pub fn keep(written: io::Result<()>) {
     }
 }
 
-/// Writes out what is still buffered.
-///
-/// # Errors
-///
-/// Wrong input, if anything could not be written to standard output.
-pub fn finish() -> Result<(), Failure> {
+/// Writes out what is still buffered; fails if anything could not be written to standard output.
+pub(crate) fn finish() -> Result<(), Failure> {
     keep(io::stdout().lock().flush());
-    match FAILED.get() {
-        Some(error) => Err(Failure::input(format!("standard output cannot be written: {error}"))),
-        None => Ok(()),
-    }
+    let failure = |error| Failure::input(format!("standard output cannot be written: {error}"));
+    FAILED.get().map_or(Ok(()), |error| Err(failure(error)))
 }
 
 /// Writes a line to standard error, whatever `RUST_LOG` says.
-pub fn say(text: &str) {
+pub(crate) fn say(text: &str) {
     drop(writeln!(io::stderr().lock(), "{text}"));
 }
 
 /// Writes an error as the last line of a command.
-pub fn error(error: &impl Display) {
+pub(crate) fn error(error: &impl Display) {
     say(&printable(&format!("error: {error:#}")));
 }
 
 /// Writes a command with its arguments so that a shell reads the same ones.
-pub fn command_line(args: impl Iterator<Item = OsString>) -> String {
+pub(crate) fn command_line(args: impl Iterator<Item = OsString>) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-+=.,:/@%".contains(c);
     let quoted = args.map(|arg| {
         let arg = arg.to_string_lossy();

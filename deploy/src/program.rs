@@ -52,25 +52,16 @@ impl Program {
     pub fn run(self) -> process::ExitCode {
         crash::end_on_panic();
         threads::pin();
-        let done = Cli::try_parse().map_or_else(
-            |answer| refuse(&answer),
-            |cli| commands::dispatch(&self.tasks, cli.command),
-        );
-        let done = match output::finish() {
-            // The command's own failure says more.
-            Err(unwritten) if done.is_ok() => Err(unwritten),
-            _ => done,
+        let done = match Cli::try_parse() {
+            Ok(cli) => commands::dispatch(&self.tasks, cli.command),
+            Err(answer) => refuse(&answer),
         };
-        let code = match done {
-            Ok(()) => ExitCode::Done,
-            Err(Failure { code, error }) => {
-                if let Some(error) = error {
-                    output::error(&error);
-                }
-                code
-            }
-        };
-        code.into()
+        // The command's own failure says more than one to write its output.
+        let written = output::finish();
+        let done = done.and(written);
+        let Failure { code, error } = done.err().unwrap_or(Failure::silent(ExitCode::Done));
+        error.iter().for_each(output::error);
+        process::ExitCode::from(code as u8)
     }
 }
 

@@ -9,7 +9,7 @@
 //! never writes. When the supervisor closes it, or dies in whatever way, the read ends: so there are no orphans.
 
 use std::fs;
-use std::io::{self, Read as _};
+use std::io;
 use std::thread;
 use std::time::Duration;
 
@@ -20,9 +20,9 @@ use tokio_util::sync::CancellationToken;
 use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// How long a process may take to end after it was asked to.
-pub const DEADLINE: Duration = Duration::from_millis(4_400);
+pub(crate) const DEADLINE: Duration = Duration::from_millis(4_400);
 /// How long a supervisor may take: its children's [`DEADLINE`], the time to notice, and the time to kill.
-pub const SUPERVISOR_DEADLINE: Duration = Duration::from_millis(4_950);
+pub(crate) const SUPERVISOR_DEADLINE: Duration = Duration::from_millis(4_950);
 const _: () = assert!(
     DEADLINE.as_millis() < GRACE.as_millis() && GRACE.as_millis() < SUPERVISOR_DEADLINE.as_millis(),
     "a child ends by itself first, then it is killed, then the supervisor ends"
@@ -30,7 +30,7 @@ const _: () = assert!(
 
 /// Who may ask a process to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Watch {
+pub(crate) enum Watch {
     /// The person, by Ctrl-C, SIGTERM or SIGHUP.
     Signals,
     /// The person or the supervisor, by closing standard input.
@@ -39,25 +39,13 @@ pub enum Watch {
     SignalsAsSupervisor,
 }
 
-impl Watch {
-    fn deadline(self) -> Duration {
-        match self {
-            Self::Signals | Self::SignalsAndStdin => DEADLINE,
-            Self::SignalsAsSupervisor => SUPERVISOR_DEADLINE,
-        }
-    }
-}
-
-/// Starts to watch for a reason to end; call it inside the async runtime.
-///
-/// # Errors
-///
-/// If the system refuses a signal handler or a thread.
-pub fn watch(who: Watch) -> io::Result<CancellationToken> {
+/// Starts to watch for a reason to end; call it inside the async runtime. Fails if the system refuses a handler or a
+/// thread.
+pub(crate) fn watch(who: Watch) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
-    let mut hangup = if ignores_hangup() { None } else { Some(signal(SignalKind::hangup())?) };
+    let mut hangup = (!ignores_hangup()).then(|| signal(SignalKind::hangup())).transpose()?;
     let cancel = token.clone();
     tokio::spawn(async move {
         tokio::select! {
@@ -80,12 +68,13 @@ pub fn watch(who: Watch) -> io::Result<CancellationToken> {
         })?;
     }
     let cancelled = token.clone();
+    let deadline = if who == Watch::SignalsAsSupervisor { SUPERVISOR_DEADLINE } else { DEADLINE };
     tokio::spawn(async move {
         cancelled.cancelled().await;
         let timer = thread::Builder::new().name("shutdown-deadline".to_owned());
         // A thread, because the runtime itself may be what does not end.
         let spawned = timer.spawn(move || {
-            thread::sleep(who.deadline());
+            thread::sleep(deadline);
             end_now();
         });
         if spawned.is_err() {
@@ -105,19 +94,14 @@ fn ignores_hangup() -> bool {
 
 async fn received(signal: Option<&mut Signal>) {
     match signal {
-        Some(signal) => {
-            signal.recv().await;
-        }
+        Some(signal) => drop(signal.recv().await),
         None => std::future::pending().await,
     }
 }
 
-/// Does blocking work that leaves nothing half done, unless the process is asked to end meanwhile.
-///
-/// # Errors
-///
-/// [`ExitCode::Interrupted`] if it was asked; the work goes on until the process ends. Or the work's own failure.
-pub async fn unless_cancelled<T: Send + 'static>(
+/// Does blocking work that leaves nothing half done, unless the process is asked to end meanwhile: then the work goes on
+/// until the process ends.
+pub(crate) async fn unless_cancelled<T: Send + 'static>(
     shutdown: &CancellationToken,
     work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
 ) -> Result<T, Failure> {
@@ -128,16 +112,8 @@ pub async fn unless_cancelled<T: Send + 'static>(
 }
 
 fn wait_for_end_of_input() {
-    let mut byte = [0; 64];
-    let mut input = io::stdin().lock();
-    loop {
-        match input.read(&mut byte) {
-            Ok(0) => return,
-            Ok(_) => {}
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(_) => return,
-        }
-    }
+    // Interrupted reads are tried again; any other error is an end, too.
+    drop(io::copy(&mut io::stdin().lock(), &mut io::sink()));
 }
 
 #[expect(clippy::exit, reason = "the deadline has passed, or the person insists")]

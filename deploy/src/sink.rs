@@ -6,28 +6,29 @@ use std::path::PathBuf;
 use leadtime_learner::{ProgressSink, RatedPolicy, RunEvent, UpdateProgress};
 use leadtime_runs::RunRecorder;
 use tokio_util::sync::CancellationToken;
+use tracing::{debug, info, warn};
 
 use crate::display::Display;
 
 /// Records a run's progress and shows it.
 #[derive(Debug)]
-pub struct RunSink {
+pub(crate) struct RunSink {
     directory: PathBuf,
     recorder: RunRecorder,
     display: Display,
     has_warned: bool,
+    /// After how many updates in all the run is asked to stop, and by what.
     stop: Option<(u64, CancellationToken)>,
 }
 
 impl RunSink {
     /// Shows what a recorder writes into a run directory.
-    pub fn new(directory: PathBuf, recorder: RunRecorder) -> Self {
-        Self { directory, recorder, display: Display::new(), has_warned: false, stop: None }
-    }
-
-    /// Asks the run to stop once it has made this many updates in all.
-    pub fn stop_after(&mut self, n_updates: Option<u64>, shutdown: CancellationToken) {
-        self.stop = n_updates.map(|n_updates| (n_updates, shutdown));
+    pub(crate) fn new(
+        directory: PathBuf,
+        recorder: RunRecorder,
+        stop: Option<(u64, CancellationToken)>,
+    ) -> Self {
+        Self { directory, recorder, display: Display::new(), has_warned: false, stop }
     }
 
     /// Warns once that a file cannot be written; the run goes on, because its checkpoints are what it needs.
@@ -36,7 +37,7 @@ impl RunSink {
             && !self.has_warned
         {
             self.has_warned = true;
-            tracing::warn!(directory = %self.directory.display(), "metrics or policies cannot be written: {error:#}");
+            warn!(directory = %self.directory.display(), "metrics or policies cannot be written: {error:#}");
         }
     }
 }
@@ -74,68 +75,56 @@ impl Drop for RunSink {
 }
 
 fn log(event: &RunEvent) {
+    use RunEvent::{
+        ActorJoined, ActorLeft, Assigned, CheckpointDamaged, CheckpointWritten, CutOff, Distrusted,
+        Listening, OtherBuild, Refused, Resumed, SnapshotLost, SnapshotRefused, Stopping,
+        TooManyActors, WaitingForActors, WaitingForRollouts,
+    };
     match event {
-        RunEvent::Listening { locators } => {
-            tracing::info!(at = %locators.join(", "), "listening");
+        Listening { locators } => info!(at = %locators.join(", "), "listening"),
+        Resumed { path, n_updates } => info!(n_updates, checkpoint = %path.display(), "resumed"),
+        CheckpointDamaged { path, damage } => {
+            warn!(checkpoint = %path.display(), "a checkpoint cannot be used: {damage}; taking the one before");
         }
-        RunEvent::Resumed { path, n_updates } => {
-            tracing::info!(n_updates, checkpoint = %path.display(), "resumed");
+        ActorJoined { actor, n_actors } => info!(%actor, n_actors, "actor joined"),
+        ActorLeft { actor, n_actors, n_envs } => info!(%actor, n_actors, n_envs, "actor left"),
+        WaitingForActors { n_actors, n_needed } => {
+            info!("waiting for actors: {n_actors} of {n_needed}");
         }
-        RunEvent::CheckpointDamaged { path, damage } => {
-            tracing::warn!(checkpoint = %path.display(), "a checkpoint cannot be used: {damage}; taking the one before");
+        Assigned { actor, epoch, n_given, n_kept } => {
+            debug!(%actor, %epoch, n_given, n_kept, "environments assigned");
         }
-        RunEvent::ActorJoined { actor, n_actors } => {
-            tracing::info!(%actor, n_actors, "actor joined");
-        }
-        RunEvent::ActorLeft { actor, n_actors, n_envs } => {
-            tracing::info!(%actor, n_actors, n_envs, "actor left");
-        }
-        RunEvent::WaitingForActors { n_actors, n_needed } => {
-            tracing::info!("waiting for actors: {n_actors} of {n_needed}");
-        }
-        RunEvent::Assigned { actor, epoch, n_given, n_kept } => {
-            tracing::debug!(%actor, %epoch, n_given, n_kept, "environments assigned");
-        }
-        RunEvent::Refused { actor, cause, reason } => {
+        Refused { actor, cause, reason } => {
             let actor = actor.as_ref().map_or("unknown", |actor| actor.as_str());
-            tracing::warn!(actor, ?cause, "message refused: {reason}");
+            warn!(actor, ?cause, "message refused: {reason}");
         }
-        RunEvent::CutOff { actor, reason, .. } => {
-            tracing::warn!(%actor, "actor cut off: {reason}");
-        }
-        RunEvent::OtherBuild { actor, build } => {
+        CutOff { actor, reason, .. } => warn!(%actor, "actor cut off: {reason}"),
+        OtherBuild { actor, build } => {
             let who = actor.as_ref().map_or("this learner", |actor| actor.as_str());
             let (program, cpu) = (&build.program, &build.cpu);
-            tracing::warn!(
-                who,
-                program,
-                cpu,
-                "another build of the program, or class of CPU, than before: the run is not reproducible bit for bit"
-            );
+            let told = "another build of the program, or class of CPU, than before";
+            warn!(who, program, cpu, "{told}: the run is not reproducible bit for bit");
         }
-        RunEvent::WaitingForRollouts { actor, n_envs, waited } => {
-            let seconds = waited.as_secs();
-            tracing::warn!(
-                "waiting for rollouts of actor {actor} ({n_envs} environments) for {seconds} s"
-            );
+        WaitingForRollouts { actor, n_envs, waited } => {
+            let (envs, s) = (format!("{n_envs} environments"), waited.as_secs());
+            warn!("waiting for rollouts of actor {actor} ({envs}) for {s} s");
         }
-        RunEvent::Distrusted { actor, reason } => {
-            tracing::warn!(%actor, "the other actors take environments over from this one: {reason}");
+        Distrusted { actor, reason } => {
+            warn!(%actor, "the other actors take environments over from this one: {reason}");
         }
-        RunEvent::TooManyActors { n_actors, n_envs } => {
-            tracing::warn!(
-                "{n_actors} actors for {n_envs} environments: some have nothing to do (see learner.n_envs)"
-            );
+        TooManyActors { n_actors, n_envs } => {
+            let idle = "some have nothing to do (see learner.n_envs)";
+            warn!("{n_actors} actors for {n_envs} environments: {idle}");
         }
-        RunEvent::SnapshotRefused { actor, env_id } => {
-            tracing::warn!(%actor, %env_id, "the actor cannot restore the environment from its snapshot");
+        SnapshotRefused { actor, env_id } => {
+            warn!(%actor, %env_id, "the actor cannot restore the environment from its snapshot");
         }
-        RunEvent::SnapshotLost { env_id } => {
-            tracing::warn!(%env_id, "nobody can restore the environment from its snapshot: its last rollout is made again, or a fresh episode begins");
+        SnapshotLost { env_id } => {
+            warn!(%env_id, "nobody can restore the environment from its snapshot: its last rollout is made again, or a fresh episode begins");
         }
-        RunEvent::CheckpointWritten { path, n_updates } => {
-            tracing::debug!(n_updates, checkpoint = %path.display(), "checkpointed");
+        CheckpointWritten { path, n_updates } => {
+            debug!(n_updates, checkpoint = %path.display(), "checkpointed");
         }
-        RunEvent::Stopping => tracing::info!("stopping: writing checkpoint and books"),
+        Stopping => info!("stopping: writing checkpoint and books"),
     }
 }

@@ -20,7 +20,7 @@ const N_THREADS: &str = "1";
 ///
 /// A number that the person has set stays. If the program cannot be started again it goes on as it is: the
 /// libraries then use every core, which is slower but not wrong.
-pub fn pin() {
+pub(crate) fn pin() {
     if env::var_os(VARIABLES[0]).is_some() {
         return;
     }
@@ -36,6 +36,6 @@ pub fn pin() {
 }
 
 /// Returns the number of threads that the numeric libraries were told to use, for the run's record.
-pub fn configured() -> String {
+pub(crate) fn configured() -> String {
     env::var(VARIABLES[0]).unwrap_or_else(|_| "unset".to_owned())
 }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::net::TcpListener;
 
-use crate::support::{Finished, PATIENCE, Place, Running, record, wait_until};
+use crate::support::{Finished, PATIENCE, Place, Running, checkpoints, record, wait_for_words};
 
 /// Exit code for wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -11,143 +11,92 @@ const WRONG_INPUT: i32 = 2;
 const PEER_LOST: i32 = 3;
 
 /// A small CartPole run that takes a few seconds.
-const SMALL: &[&str] = &[
-    "-c",
-    "cartpole",
-    "--set",
-    "learner.n_steps=32",
-    "--set",
-    "learner.total_steps=2560",
-    "--set",
-    "run.checkpoint_every=4",
-];
+const SMALL: &str = "-c cartpole --set learner.n_steps=32 --set learner.total_steps=2560 --set run.checkpoint_every=4";
 
-fn with_config(place: &Place, text: &str) -> Finished {
-    let file = place.write("my.toml", text);
-    place.finish(&["check", "-c", &file])
+/// Asserts that a command is wrong input, and that it is told why.
+#[track_caller]
+fn refused(place: &Place, args: &[&str], texts: &[&str]) {
+    place.finish(args).with_code(WRONG_INPUT).saying(texts);
 }
 
-fn learner(place: &Place, extra: &[&str]) -> Running {
-    let endpoint = place.endpoint("learner");
-    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL, extra].concat();
-    place.start(&args)
+/// The arguments of a learner of the run `r`.
+fn learner_at(endpoint: &str) -> String {
+    format!("learner --name r {SMALL} --listen {endpoint}")
 }
 
-fn actor(place: &Place, extra: &[&str]) -> Running {
-    let endpoint = place.endpoint("learner");
-    place.start(&[&["actor", "--connect", &endpoint, "--connect-timeout", "10s"], extra].concat())
+fn learner(place: &Place, extra: &str) -> Running {
+    place.start(&[&learner_at(&place.endpoint("learner")), extra])
+}
+
+fn actor(place: &Place) -> Running {
+    place.start(&["actor --connect-timeout 10s --connect", &place.endpoint("learner")])
+}
+
+/// Lets a learner and an actor run to the learner's end.
+#[track_caller]
+fn train(place: &Place, learner: Running) -> Finished {
+    let helper = actor(place);
+    let learner = learner.finish(PATIENCE).with_code(0);
+    helper.finish(PATIENCE);
+    learner
 }
 
 #[test]
 fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
     let place = Place::new();
-    let cases: &[(&str, &[&str])] = &[
-        (
-            "domain = \"cartpole\"\n[learner]\nclipp = 0.2",
-            &["my.toml", "line 3", "clipp", "expected", "`clip`"],
-        ),
-        (
-            "domain = \"cartpole\"\n[learner]\nclip = \"much\"",
-            &["line 3", "clip = \"much\"", "expected f64"],
-        ),
-        (
-            "domain = \"cartpole\"\n[human]\nreaction_delay = 2",
-            &["line 2", "unknown field `human`"],
-        ),
-        ("domain = \"cartpole\"\n[leaner]", &["line 2", "leaner", "`learner`"]),
-        ("domain = \"moon\"", &["`domain` is \"moon\"", "lander"]),
-        ("domain = \"cartpole\"\nseed = -1", &["line 2", "seed"]),
-        ("domain = \"cartpole\"\n[world]\nmax_steps = 0", &["world.max_steps", "allowed"]),
-        ("domain = \"cartpole\"\n[run]\nname = \"a/b\"", &["run.name", "a-z"]),
-        ("domain = \"cartpole\"\n[policy]\nhidden = []", &["policy.hidden", "allowed: 1 to 8"]),
-        ("domain = \"lander\"\n[notifier]\ntopics = []", &["notifier.topics", "allowed", "ascend"]),
-        ("domain = \"lander\"\n[notifier]\nwords = []", &["notifier.words", "allowed"]),
-        (
-            "domain = \"lander\"\n[notifier]\nwords = [5, 2]",
-            &["notifier.words", "[5, 2]", "increasing"],
-        ),
-        ("domain = \"lander\"\n[notifier]\nwords = [0]", &["notifier.words", "allowed"]),
-        ("domain = \"lander\"\n[human]\ninterrupt = \"never\"", &["line 3", "never", "finish"]),
-        (
-            "domain = \"lander\"\n[human]\nreaction_delay = { fixed = 99 }",
-            &["human.reaction_delay", "99"],
-        ),
-        ("domain = ", &["line 1"]),
-        (
-            "[world]\nwind_power = nan",
-            &["my.toml", "line 2", "`world.wind_power` is nan", "allowed: a finite number"],
-        ),
-        (
-            "domain = \"cartpole\"\nseed = 9223372036854775808",
-            &["line 2", "`seed` is 9223372036854775808", "up to 9223372036854775807"],
-        ),
-    ];
-    for (text, expected) in cases {
-        with_config(&place, text).with_code(WRONG_INPUT).saying(expected);
+    for (text, told) in [
+        ("domain = \"cartpole\"\n[learner]\nclipp = 0.2", ["my.toml", "line 3", "`clip`"]),
+        ("domain = \"moon\"", ["my.toml", "`domain` is \"moon\"", "lander"]),
+        ("[policy]\nhidden = []", ["`policy.hidden`", "0 layers", "allowed: 1 to 8"]),
+        ("domain = ", ["my.toml", "line 1", "domain = "]),
+        ("[world]\nwind_power = nan", ["line 2", "`world.wind_power` is nan", "a finite number"]),
+    ] {
+        let file = place.write("my.toml", text);
+        refused(&place, &["check -c", &file], &told);
     }
 }
 
 #[test]
 fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
     let place = Place::new();
-    let check =
-        |set: &str| place.finish(&["check", "-c", "cartpole", "--set", set]).with_code(WRONG_INPUT);
-    check("learner.clipp=1").saying(&["learner.clipp", "unknown field"]);
-    check("learner.clip=much").saying(&["learner.clip", "expected"]);
-    check("learner.clip").saying(&["section.key=value"]);
-    check("learner.clip=inf").saying(&["`learner.clip` is inf", "allowed: a finite number"]);
+    let check = |set: &str, texts: &[&str]| {
+        refused(&place, &["check -c cartpole --set", set], texts);
+    };
+    check("learner.clipp=1", &["learner.clipp", "unknown field"]);
+    check("learner.clip=much", &["learner.clip", "expected"]);
+    check("learner.clip", &["section.key=value"]);
+    check("learner.clip=inf", &["`learner.clip` is inf", "allowed: a finite number"]);
     for key in ["seed", "learner.total_steps"] {
         let beyond = "9223372036854775808";
-        check(&format!("{key}={beyond}")).saying(&[key, beyond, "up to 9223372036854775807"]);
+        check(&format!("{key}={beyond}"), &[key, beyond, "up to 9223372036854775807"]);
     }
-    place
-        .finish(&["check", "--set", "world.near_weight=inf"])
-        .with_code(WRONG_INPUT)
-        .saying(&["`world.near_weight` is inf", "allowed: a finite number"]);
-    place
-        .finish(&["check", "-c", "nowhere.toml"])
-        .with_code(WRONG_INPUT)
-        .saying(&["nowhere.toml", "cartpole"]);
-    place.finish(&["lurner"]).with_code(WRONG_INPUT).saying(&["learner"]);
-    place.finish(&["actor"]).with_code(WRONG_INPUT).saying(&["--connect"]);
+    let weight = ["`world.near_weight` is inf", "allowed: a finite number"];
+    refused(&place, &["check --set world.near_weight=inf"], &weight);
+    refused(&place, &["check -c nowhere.toml"], &["nowhere.toml", "cartpole"]);
+    refused(&place, &["lurner"], &["learner"]);
+    refused(&place, &["actor"], &["--connect"]);
 }
 
 #[test]
 fn sizes_that_no_message_and_no_file_may_have_are_refused_before_the_run() {
     let place = Place::new();
-    let refused = |set: &[&str], texts: &[&str]| {
-        let set = set.iter().flat_map(|set| ["--set", set]);
-        let args: Vec<&str> = ["check", "-c", "lander"].into_iter().chain(set).collect();
-        place.finish(&args).with_code(WRONG_INPUT).saying(texts);
-    };
-    refused(
-        &["learner.n_steps=65536", "learner.n_envs=1"],
-        &["`learner.n_steps` is 65536", "at most 16777216 bytes", "steps of this task"],
-    );
-    let wide = "policy.hidden=[4096, 4096]";
-    refused(&[wide], &["`policy.hidden`", "weights", "at most 67108864 bytes"]);
-    let wide = "policy.hidden=[1024, 1024]";
-    refused(
-        &[wide, "learner.lag=16"],
-        &["`policy.hidden`", "`learner.lag` is 16", "at most 67108864 bytes"],
-    );
-    refused(
-        &["learner.n_envs=65536", "learner.n_steps=1"],
-        &["`learner.n_envs` is 65536", "checkpoint", "at most 67108864 bytes"],
-    );
+    let check = |set: &str, texts: &[&str]| refused(&place, &["check -c lander --set", set], texts);
+    let long = ["`learner.n_steps` is 65536", "at most 16777216 bytes", "steps of this task"];
+    check("learner.n_steps=65536 --set learner.n_envs=1", &long);
+    let wide = ["`policy.hidden`", "weights", "at most 67108864 bytes"];
+    check("policy.hidden=[4096,4096]", &wide);
+    let wide = ["`policy.hidden`", "`learner.lag` is 16", "at most 67108864 bytes"];
+    check("policy.hidden=[1024,1024] --set learner.lag=16", &wide);
+    let many = ["`learner.n_envs` is 65536", "checkpoint", "at most 67108864 bytes"];
+    check("learner.n_envs=65536 --set learner.n_steps=1", &many);
 }
 
 #[test]
 fn too_few_actors_for_the_run_are_refused_at_once() {
     let place = Place::new();
-    for command in [&["up", "-c", "cartpole"][..], &["smoke", "--quick"][..]] {
-        let few = ["--actors", "2", "--set", "run.actors_min=5"];
-        place.finish(&[command, &few].concat()).with_code(WRONG_INPUT).saying(&[
-            "`run.actors_min` is 5",
-            "--actors is 2",
-            "at least 5",
-            "--listen",
-        ]);
+    for command in ["up -c cartpole", "smoke --quick"] {
+        let few = ["`run.actors_min` is 5", "--actors is 2", "at least 5", "--listen"];
+        refused(&place, &[command, "--actors 2 --set run.actors_min=5"], &few);
     }
     assert!(!place.path().join("runs").exists(), "nothing was begun");
 }
@@ -155,34 +104,32 @@ fn too_few_actors_for_the_run_are_refused_at_once() {
 #[test]
 fn a_lone_learner_says_whom_it_waits_for() {
     let place = Place::new();
-    let learner = learner(&place, &["--set", "run.actors_min=2"]);
-    wait_until("it says so", PATIENCE, || learner.stderr().contains("waiting for actors: 0 of 2"));
+    let learner = learner(&place, "--set run.actors_min=2");
+    wait_for_words(&learner, "waiting for actors: 0 of 2");
     learner.kill();
 }
 
 #[test]
 fn counts_of_episodes_have_a_range() {
     let place = Place::new();
-    for args in [["eval", "r", "--episodes", "0"], ["smoke", "--quick", "--episodes", "0"]] {
-        place.finish(&args).with_code(WRONG_INPUT).saying(&["--episodes", "1..=1000000"]);
+    for args in ["eval r --episodes 0", "smoke --quick --episodes 0"] {
+        refused(&place, &[args], &["--episodes", "1..=1000000"]);
     }
-    let seeds = ["pilot", "eval", "--seeds", "0..99999999999999"];
-    place.finish(&seeds).with_code(WRONG_INPUT).saying(&["99999999999999", "1 to 1000000"]);
+    let seeds = "pilot eval --seeds 0..99999999999999";
+    refused(&place, &[seeds], &["99999999999999", "1 to 1000000"]);
 }
 
 #[test]
 fn a_place_that_is_no_run_directory_is_named() {
     let place = Place::new();
     place.write("runs", "a file where the directory should be");
-    let endpoint = place.endpoint("learner");
-    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
-    place.finish(&args).with_code(WRONG_INPUT).saying(&["runs/r", "cannot be used"]);
+    let args = learner_at(&place.endpoint("learner"));
+    refused(&place, &[&args], &["runs/r", "cannot be used"]);
     let place = Place::new();
     fs::create_dir_all(place.run("r")).unwrap();
-    fs::write(place.run("r").join("novel.txt"), "mine").unwrap();
-    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
-    place.finish(&args).with_code(WRONG_INPUT).saying(&["runs/r", "not a run directory"]);
-    assert_eq!(fs::read_to_string(place.run("r").join("novel.txt")).unwrap(), "mine");
+    let novel = place.write("runs/r/novel.txt", "mine");
+    refused(&place, &[&args], &["runs/r", "not a run directory"]);
+    assert_eq!(fs::read_to_string(novel).unwrap(), "mine");
 }
 
 #[test]
@@ -190,85 +137,55 @@ fn an_address_that_cannot_be_used_is_reported_as_what_it_is() {
     let place = Place::new();
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
-    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
-    place.finish(&args).with_code(WRONG_INPUT).saying(&["in use", &endpoint]);
+    refused(&place, &[&learner_at(&endpoint)], &["in use", &endpoint]);
     // The directory that is left holds nothing, so another configuration may take it.
-    let changed = [&args[..], &["--set", "learner.clip=0.3"]].concat();
-    place.finish(&changed).with_code(WRONG_INPUT).saying(&["in use", &endpoint]);
-    place
-        .finish(&["actor", "--connect", &endpoint, "--connect-timeout", "500ms"])
-        .with_code(PEER_LOST)
-        .saying(&[&endpoint, "does not answer as a learner does"]);
+    let changed = [&learner_at(&endpoint), "--set learner.clip=0.3"];
+    refused(&place, &changed, &["in use", &endpoint]);
+    let actor = place.finish(&["actor --connect-timeout 500ms --connect", &endpoint]);
+    actor.with_code(PEER_LOST).saying(&[&endpoint, "does not answer as a learner does"]);
     let file = place.write("policy.safetensors", "precious");
     let endpoint = format!("unixsock-stream/{file}");
-    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
-    place.finish(&args).with_code(WRONG_INPUT).saying(&["there is a file at", &file]);
+    refused(&place, &[&learner_at(&endpoint)], &["there is a file at", &file]);
     assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
-    let args = [&["learner", "--name", "r", "--listen", "http/example:1"], SMALL].concat();
-    place.finish(&args).with_code(WRONG_INPUT).saying(&["http/example:1", "tcp/"]);
-    place
-        .finish(&["actor", "--connect", "tcp/127.0.0.1", "--connect-timeout", "1s"])
-        .with_code(WRONG_INPUT)
-        .saying(&["tcp/127.0.0.1", "port"]);
+    refused(&place, &[&learner_at("http/example:1")], &["http/example:1", "tcp/"]);
+    let actor = "actor --connect tcp/127.0.0.1 --connect-timeout 1s";
+    refused(&place, &[actor], &["tcp/127.0.0.1", "port"]);
 }
 
 #[test]
 fn nobody_at_the_address_is_a_lost_peer() {
     let place = Place::new();
-    let endpoint = place.endpoint("nobody");
-    place
-        .finish(&["actor", "--connect", &endpoint, "--connect-timeout", "500ms"])
-        .with_code(PEER_LOST)
-        .saying(&["nobody.sock", "start a learner"]);
+    let actor = ["actor --connect-timeout 500ms --connect", &place.endpoint("nobody")];
+    place.finish(&actor).with_code(PEER_LOST).saying(&["nobody.sock", "start a learner"]);
 }
 
 #[test]
-fn a_wrong_run_name_lists_the_runs_that_are_there() {
+fn a_wrong_run_name_and_a_second_learner_are_kept_out() {
     let place = Place::new();
-    let learner = learner(&place, &[]);
-    wait_until("the learner listens", PATIENCE, || learner.stderr().contains("listening"));
-    actor(&place, &["--run", "other"])
-        .finish(PATIENCE)
-        .with_code(WRONG_INPUT)
-        .saying(&["`other`", "there: `r`"]);
+    let learner = learner(&place, "");
+    wait_for_words(&learner, "listening");
+    let other = ["actor --run other --connect-timeout 10s --connect", &place.endpoint("learner")];
+    refused(&place, &other, &["`other`", "there: `r`"]);
+    let second = learner_at(&place.endpoint("second"));
+    refused(&place, &[&second], &["`r`", "another learner"]);
     learner.kill();
-}
-
-#[test]
-fn a_second_learner_is_kept_out_of_a_run() {
-    let place = Place::new();
-    let first = learner(&place, &[]);
-    wait_until("the learner listens", PATIENCE, || first.stderr().contains("listening"));
-    let endpoint = place.endpoint("second");
-    let args = [&["learner", "--name", "r", "--listen", &endpoint], SMALL].concat();
-    place.finish(&args).with_code(WRONG_INPUT).saying(&["`r`", "another learner"]);
-    first.kill();
 }
 
 #[test]
 fn a_changed_configuration_is_refused_with_the_difference_and_can_be_forked() {
     let place = Place::new();
-    let first = learner(&place, &["--stop-after", "8"]);
-    let helper = actor(&place, &[]);
-    let first = first.finish(PATIENCE).with_code(0);
-    helper.finish(PATIENCE);
-    let changed = ["--set", "learner.clip=0.3", "--seed", "9"];
-    learner(&place, &changed).finish(PATIENCE).with_code(WRONG_INPUT).saying(&[
-        "learner.clip: 0.2 -> 0.3",
-        "seed: 1 -> 9",
-        "--fork r",
-    ]);
+    let first = train(&place, learner(&place, "--stop-after 8"));
+    let changed = "--set learner.clip=0.3 --seed 9";
+    let args = learner_at(&place.endpoint("learner"));
+    let told = ["learner.clip: 0.2 -> 0.3", "seed: 1 -> 9", "--fork r"];
+    refused(&place, &[&args, changed], &told);
     // A fork that hardly learns ends with the weights that it began with.
-    let endpoint = place.endpoint("learner");
-    let fork = ["learner", "--name", "s", "--fork", "r", "--listen", &endpoint];
-    let still = ["--set", "learner.learning_rate=1e-30", "--stop-after", "1"];
-    let forked = place.start(&[&fork, SMALL, &changed, &still].concat());
-    let helper = actor(&place, &[]);
-    let forked = forked.finish(PATIENCE).with_code(0);
-    helper.finish(PATIENCE);
+    let fork = args.replace("--name r", "--name s --fork r");
+    let still = "--set learner.learning_rate=1e-30 --stop-after 1";
+    let forked = train(&place, place.start(&[&fork, changed, still]));
     assert_eq!(weights(&forked), weights(&first));
-    let lost = ["learner", "--name", "t", "--fork", "nothing", "--listen", &endpoint];
-    place.finish(&[&lost, SMALL].concat()).with_code(WRONG_INPUT).saying(&["--fork", "`nothing`"]);
+    let lost = args.replace("--name r", "--name t --fork nothing");
+    refused(&place, &[&lost], &["--fork", "`nothing`"]);
     assert!(!place.run("t").exists(), "a fork of nothing leaves nothing behind");
 }
 
@@ -281,17 +198,15 @@ fn weights(finished: &Finished) -> &str {
 #[test]
 fn a_second_fork_is_refused_and_a_fork_says_what_it_began_with() {
     let place = Place::new();
-    let up = ["up", "-c", "cartpole", "--actors", "1", "--set", "learner.n_steps=32"];
-    let start = |more: &[&str]| place.finish(&[&up, more].concat());
-    let [first, _] = [("fa", "5"), ("fb", "6")].map(|(name, seed)| {
-        start(&["--name", name, "--seed", seed, "--stop-after", "2"]).with_code(0)
-    });
-    let fork = |from: &str, updates: &str| {
-        start(&["--name", "fc", "--fork", from, "--stop-after", updates])
+    let start = |more: &str| place.finish(&["up --actors 1", SMALL, more]);
+    let [first, _] = ["--name fa --seed 5 --stop-after 2", "--name fb --seed 6 --stop-after 2"]
+        .map(|args| start(args).with_code(0));
+    let fork = |from: &str, updates: u64| {
+        start(&format!("--name fc --fork {from} --stop-after {updates}"))
     };
-    fork("fa", "2").with_code(0);
-    fork("fb", "4").with_code(WRONG_INPUT).saying(&["`fc` has already begun", "weights of `fa`"]);
-    fork("fa", "4").with_code(0);
+    fork("fa", 2).with_code(0);
+    fork("fb", 4).with_code(WRONG_INPUT).saying(&["`fc` has already begun", "weights of `fa`"]);
+    fork("fa", 4).with_code(0);
     let record = record(&place.run("fc"));
     let digest = record["origin"]["weights_sha256"].as_str().unwrap().to_owned();
     assert_eq!(record["origin"]["run"], "fa");
@@ -307,15 +222,12 @@ fn a_run_that_lost_its_checkpoints_keeps_its_policy() {
     let place = Place::new();
     let up = |steps: &str| {
         let steps = format!("learner.total_steps={steps}");
-        let args = ["up", "--name", "gone", "--actors", "1"];
-        place.finish(&[&args, SMALL, &["--set", &steps]].concat())
+        place.finish(&["up --name gone --actors 1", SMALL, "--set", &steps])
     };
     up("2560").with_code(0);
     let policy = place.run("gone").join("policy.safetensors");
     let before = fs::read(&policy).unwrap();
-    for entry in fs::read_dir(place.run("gone").join("checkpoints")).unwrap() {
-        fs::remove_file(entry.unwrap().path()).unwrap();
-    }
+    fs::remove_dir_all(place.run("gone").join("checkpoints")).unwrap();
     up("5120").with_code(WRONG_INPUT).saying(&["20 updates on record", "--fork gone"]);
     assert!(fs::read(&policy).unwrap() == before, "the finished policy stays");
 }
@@ -325,11 +237,11 @@ fn learners_that_start_at_once_have_runs_of_their_own() {
     let place = Place::new();
     let start = |seed: &str| {
         let endpoint = place.endpoint(seed);
-        place.start(&[&["learner", "--seed", seed, "--listen", &endpoint], SMALL].concat())
+        place.start(&["learner --seed", seed, "--listen", &endpoint, SMALL])
     };
     let learners = ["1", "2", "3", "4"].map(start);
     for learner in &learners {
-        wait_until("it listens", PATIENCE, || learner.stderr().contains("listening"));
+        wait_for_words(learner, "listening");
     }
     assert_eq!(fs::read_dir(place.path().join("runs")).unwrap().count(), 4);
     learners.into_iter().for_each(Running::kill);
@@ -338,58 +250,44 @@ fn learners_that_start_at_once_have_runs_of_their_own() {
 #[test]
 fn damaged_checkpoints_give_way_to_older_ones_or_stop_the_run() {
     let place = Place::new();
-    let first = learner(&place, &["--stop-after", "12"]);
-    let helper = actor(&place, &[]);
-    first.finish(PATIENCE).with_code(0);
-    helper.finish(PATIENCE);
-    let mut files: Vec<_> = fs::read_dir(place.run("r").join("checkpoints"))
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|extension| extension == "checkpoint"))
-        .collect();
-    files.sort();
+    train(&place, learner(&place, "--stop-after 12"));
+    let files = checkpoints(&place.run("r"));
     assert!(files.len() >= 2, "{files:?}");
     // Torn: the last bytes never reached the disk.
     let newest = files.last().unwrap();
     let bytes = fs::read(newest).unwrap();
     fs::write(newest, &bytes[..bytes.len() / 2]).unwrap();
-    let second = learner(&place, &["--stop-after", "16"]);
-    let helper = actor(&place, &[]);
     let name = newest.file_name().unwrap().to_str().unwrap();
-    second.finish(PATIENCE).with_code(0).saying(&[name, "torn", "resumed"]);
-    helper.finish(PATIENCE);
+    let second = train(&place, learner(&place, "--stop-after 16"));
+    second.saying(&[name, "torn", "resumed"]);
     // Corrupt: every one of them.
-    for entry in fs::read_dir(place.run("r").join("checkpoints")).unwrap() {
-        let path = entry.unwrap().path();
-        if path.extension().is_some_and(|extension| extension == "checkpoint") {
-            let mut bytes = fs::read(&path).unwrap();
-            *bytes.last_mut().unwrap() ^= 1;
-            fs::write(&path, bytes).unwrap();
-        }
+    for path in checkpoints(&place.run("r")) {
+        let mut bytes = fs::read(&path).unwrap();
+        *bytes.last_mut().unwrap() ^= 1;
+        fs::write(&path, bytes).unwrap();
     }
-    learner(&place, &[]).finish(PATIENCE).with_code(WRONG_INPUT).saying(&["whole", "checkpoints"]);
+    let args = learner_at(&place.endpoint("learner"));
+    refused(&place, &[&args], &["whole", "checkpoints"]);
 }
 
 #[test]
 fn a_policy_or_trace_file_that_is_none_is_refused() {
     let place = Place::new();
     let file = place.write("policy.safetensors", "not a policy");
-    place.finish(&["eval", &file]).with_code(WRONG_INPUT).saying(&["policy.safetensors", "text"]);
     let pointer = place.write("lfs.safetensors", "version https://git-lfs.github.com/spec/v1\n");
-    place.finish(&["eval", &pointer]).with_code(WRONG_INPUT).saying(&["Git LFS pointer"]);
     let page = place.write("page.safetensors", "<!DOCTYPE html>");
-    for command in
-        [&["eval"][..], &["pilot", "eval", "--pilot"], &["up", "-c", "cartpole", "--fork"]]
-    {
-        let args = [command, &[page.as_str()]].concat();
-        place.finish(&args).with_code(WRONG_INPUT).saying(&["HTML page"]);
+    for (command, file, told) in [
+        ("eval", &*file, &["policy.safetensors", "text"][..]),
+        ("eval", &pointer, &["Git LFS pointer"]),
+        ("eval", &page, &["HTML page"]),
+        ("pilot eval --pilot", &page, &["HTML page"]),
+        ("up -c cartpole --fork", &page, &["HTML page"]),
+        ("play", "nothing", &["`nothing`"]),
+        ("conformance lander", &file, &["traces"]),
+        ("pilot eval --seeds 0..1 --pilot", &file, &["not a pilot"]),
+        ("pilot eval --seeds", "3..1", &["A..B"]),
+        ("config", "moon", &["lander"]),
+    ] {
+        refused(&place, &[command, file], told);
     }
-    place.finish(&["play", "nothing"]).with_code(WRONG_INPUT).saying(&["`nothing`"]);
-    place.finish(&["conformance", "lander", &file]).with_code(WRONG_INPUT).saying(&["traces"]);
-    place
-        .finish(&["pilot", "eval", "--pilot", &file, "--seeds", "0..1"])
-        .with_code(WRONG_INPUT)
-        .saying(&["not a pilot"]);
-    place.finish(&["pilot", "eval", "--seeds", "3..1"]).with_code(WRONG_INPUT).saying(&["A..B"]);
-    place.finish(&["config", "moon"]).with_code(WRONG_INPUT).saying(&["lander"]);
 }

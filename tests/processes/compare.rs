@@ -38,34 +38,28 @@ name = "late"
 title = "Late"
 "#;
 
-fn study(place: &Place) -> Vec<String> {
+/// Writes the study down; returns the command that carries it out.
+fn study(place: &Place) -> String {
     let file = place.write("small.toml", STUDY);
-    let words = ["compare", &file, "--runs", "runs", "--out", "results", "--seeds", "7..8"];
-    let more = ["--episodes", "4", "--set", "learner.n_envs=8", "--set", "learner.n_steps=64"];
-    let often = ["--set", "run.checkpoint_every=2", "--jobs", "1"];
-    words.iter().chain(&more).chain(&often).map(|&word| word.to_owned()).collect()
-}
-
-fn words(words: &[String]) -> Vec<&str> {
-    words.iter().map(String::as_str).collect()
+    format!(
+        "compare {file} --runs runs --out results --seeds 7..8 --episodes 4 --set learner.n_envs=8 \
+         --set learner.n_steps=64 --set run.checkpoint_every=2 --jobs 1"
+    )
 }
 
 fn runs(place: &Place) -> Vec<String> {
     let Ok(entries) = fs::read_dir(place.path().join("runs")) else { return Vec::new() };
     // Beside the runs is the folder in which scripts' evaluations are kept.
     let is_run = |entry: &fs::DirEntry| entry.path().join("config.toml").is_file();
-    let directories = entries.filter_map(Result::ok).filter(is_run);
-    let mut names: Vec<String> =
-        directories.filter_map(|entry| entry.file_name().into_string().ok()).collect();
-    names.sort();
-    names
+    let runs = entries.filter_map(Result::ok).filter(is_run);
+    runs.filter_map(|entry| entry.file_name().into_string().ok()).collect()
 }
 
 #[test]
 fn a_killed_comparison_goes_on_where_it_was() {
     let place = Place::new();
     let study = study(&place);
-    let running = place.start(&words(&study));
+    let running = place.start(&[&study]);
     let finished = |place: &Place| -> Vec<String> {
         let is_done = |name: &String| {
             let text = fs::read_to_string(place.run(name).join("run.json")).unwrap_or_default();
@@ -84,10 +78,10 @@ fn a_killed_comparison_goes_on_where_it_was() {
     let done = finished(&place);
     let before = done.iter().map(|name| fs::read(place.run(name).join("run.json")).unwrap());
     let before: Vec<Vec<u8>> = before.collect();
-    let listed = place.finish(&[words(&study), vec!["--plan"]].concat()).with_code(0).stdout;
+    let listed = place.finish(&[&study, "--plan"]).with_code(0).stdout;
     assert!(listed.contains("finished") && listed.contains("begun"), "{listed}");
 
-    let said = place.finish(&words(&study)).with_code(0).stdout;
+    let said = place.finish(&[&study]).with_code(0).stdout;
     assert!(said.contains("results/small.md"), "{said}");
     assert_eq!(runs(&place).len(), 2);
     for (name, before) in done.iter().zip(before) {
@@ -111,9 +105,7 @@ fn a_killed_comparison_goes_on_where_it_was() {
 #[test]
 fn an_interrupted_comparison_takes_its_runs_down() {
     let place = Place::new();
-    let mut study = study(&place);
-    study.extend(["--steps", "100000000"].map(str::to_owned));
-    let running = place.start(&words(&study));
+    let running = place.start(&[&study(&place), "--steps 100000000"]);
     let under_way = || runs(&place).iter().any(|name| updates(&place.run(name)) >= 1);
     wait_until("a run is under way", PATIENCE, under_way);
     let family = children(running.id());
@@ -129,14 +121,14 @@ fn wrong_requests_are_one_sentence() {
         place.write("broken.toml", &STUDY.replace("profile = \"lander\"", "profile = \"sub\""));
     let misspelt = place.write("misspelt.toml", &STUDY.replace("[\"success\",", "[\"succeeded\","));
     for (args, told) in [
-        (vec!["compare", &misspelt], "there is no measure `succeeded`; known: success"),
-        (vec!["compare", "table9"], "there is no study `table9`"),
-        (vec!["compare", "table1", "--row", "silent"], "there is no row `silent`"),
-        (vec!["compare", "table1", "--row", "convey", "--set", "human.x=1"], "--set human.x"),
-        (vec!["compare", "nowhere.toml"], "reading nowhere.toml"),
-        (vec!["compare", &broken], "there is no file sub"),
+        (&*misspelt, "there is no measure `succeeded`; known: success"),
+        ("table9", "there is no study `table9`"),
+        ("table1 --row silent", "there is no row `silent`"),
+        ("table1 --row convey --set human.x=1", "--set human.x"),
+        ("nowhere.toml", "reading nowhere.toml"),
+        (&broken, "there is no file sub"),
     ] {
-        let finished = place.finish(&args).with_code(2).saying(&[told]);
+        let finished = place.finish(&["compare", args]).with_code(2).saying(&[told]);
         assert_eq!(finished.stderr.matches("error: ").count(), 1, "{}", finished.stderr);
     }
     assert!(runs(&place).is_empty());

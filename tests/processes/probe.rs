@@ -9,42 +9,42 @@ const WRONG_INPUT: i32 = 2;
 /// A person whose delay differs from episode to episode.
 const VARIED: &str = "human.reaction_delay={uniform={low=0,high=5,drawn=\"per_episode\"}}";
 
-fn trained(place: &Place, domain: &str, updates: &str) {
-    let args = ["up", "-c", domain, "--name", domain, "--actors", "1", "--stop-after", updates];
-    place.finish(&args).with_code(0);
+fn trained(place: &Place, domain: &str) {
+    let args = format!("up -c {domain} --name {domain} --actors 1 --stop-after 1");
+    place.finish(&[&args]).with_code(0);
 }
 
 #[test]
 fn a_probe_is_reproducible_and_says_where_its_numbers_are_from() {
     let place = Place::new();
-    trained(&place, "lander", "1");
-    let args = ["probe", "lander", "--episodes", "40", "--set", VARIED, "--json"];
-    let probed = place.finish(&args).with_code(0).json();
+    trained(&place, "lander");
+    let args = ["probe lander --episodes 40 --set", VARIED];
+    let with = |more| place.finish(&[&args[..], &[more]].concat());
+    let probed = with("--json").with_code(0).json();
     let knowledge = &probed["knowledge"];
     assert_eq!(knowledge["stages"].as_array().map(Vec::len), Some(6));
     assert_eq!(knowledge["stages"][0]["n_evaluated_on"], 20);
     let readers = knowledge["readers"].as_array().unwrap();
     assert_eq!((&readers[2]["n_features"], &readers[3]["n_features"]), (&89.into(), &64.into()));
     assert_eq!(probed["reaction_delay"]["uniform"]["high"], 5);
-    let text = place.finish(&[&args[..6], &["--markdown", "page.md"]].concat()).with_code(0).stdout;
+    let text = with("--markdown page.md").with_code(0).stdout;
     assert!(text.contains("hidden features minus constant: "), "{text}");
     let page = fs::read_to_string(place.file("page.md")).unwrap();
     let command = format!("* command: `leadtime probe lander --episodes 40 --set '{VARIED}'");
     assert!(page.contains(&command), "{page}");
-    assert_eq!(place.finish(&args).with_code(0).json(), probed);
+    assert_eq!(with("--json").with_code(0).json(), probed);
 }
 
 #[test]
 fn where_there_is_nothing_to_be_known_a_sentence_says_so() {
     let place = Place::new();
-    trained(&place, "lander", "1");
-    let refuse = |args: &[&str], text: &str| {
-        let said = place.finish(&[&["probe"], args].concat()).with_code(WRONG_INPUT);
-        said.saying(&[text]);
+    trained(&place, "lander");
+    let refuse = |args: &str, text: &str| {
+        place.finish(&["probe", args]).with_code(WRONG_INPUT).saying(&[text]);
     };
-    refuse(&["lander", "--episodes", "40"], "reaction delay is 2 in every episode");
-    refuse(&["lander", "--episodes", "39"], "39 episodes are too few");
-    refuse(&["nobody"], "`nobody` is no policy file");
-    trained(&place, "cartpole", "1");
-    refuse(&["cartpole"], "this task has no listener");
+    refuse("lander --episodes 40", "reaction delay is 2 in every episode");
+    refuse("lander --episodes 39", "39 episodes are too few");
+    refuse("nobody", "`nobody` is no policy file");
+    trained(&place, "cartpole");
+    refuse("cartpole", "this task has no listener");
 }

@@ -2,38 +2,19 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
+use std::process::Command;
 use std::time::Duration;
 
-use crate::support::{Place, children, is_alive, result, tool};
+use crate::support::{Place, children, is_alive, record, repository, result, wait_until};
 use serde_json::Value;
 
 /// A CartPole run with local actors, of about a second.
-const TRAIN: &[&str] = &[
-    "up",
-    "-c",
-    "cartpole",
-    "--name",
-    "r",
-    "--actors",
-    "1",
-    "--set",
-    "learner.n_steps=64",
-    "--set",
-    "learner.total_steps=5120",
-    "--set",
-    "run.checkpoint_every=4",
-];
-
-fn repository(path: &str) -> String {
-    let root =
-        Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("deploy lies in the repository");
-    root.join(path).to_str().expect("paths are UTF-8").to_owned()
-}
+const TRAIN: &str = "up -c cartpole --name r --actors 1 --set learner.n_steps=64 --set learner.total_steps=5120 \
+                     --set run.checkpoint_every=4";
 
 fn trained() -> Place {
     let place = Place::new();
-    place.finish(TRAIN).with_code(0);
+    place.finish(&[TRAIN]).with_code(0);
     place
 }
 
@@ -44,7 +25,7 @@ fn help_explains_itself_and_lists_exit_codes() {
     for part in ["smoke", "Examples:", "130  interrupted", "leadtime actor --connect"] {
         assert!(help.contains(part), "{part}");
     }
-    let script = place.finish(&["completions", "bash"]).with_code(0).stdout;
+    let script = place.finish(&["completions bash"]).with_code(0).stdout;
     assert!(script.contains("_leadtime()"));
 }
 
@@ -52,20 +33,9 @@ fn help_explains_itself_and_lists_exit_codes() {
 fn every_built_in_configuration_can_be_printed_and_used() {
     let place = Place::new();
     let names = place.finish(&["config"]).with_code(0).stdout;
-    let names_are = [
-        "cartpole",
-        "cue_recall",
-        "highway",
-        "lander",
-        "lander_hard",
-        "paper_highway",
-        "paper_lander",
-        "paper_lander_hard",
-        "pilot",
-        "steakhouse",
-        "steakhouse_timing",
-    ];
-    assert!(names.lines().eq(names_are), "{names}");
+    let names_are = "cartpole cue_recall highway lander lander_hard paper_highway paper_lander paper_lander_hard pilot \
+                     steakhouse steakhouse_timing";
+    assert!(names.lines().eq(names_are.split(' ')), "{names}");
     for name in names.lines() {
         let text = place.finish(&["config", name]).with_code(0).stdout;
         let file = place.write("printed.toml", &text);
@@ -93,15 +63,12 @@ fn every_world_with_an_original_replays_its_traces() {
 }
 
 #[test]
-fn recorded_traces_are_replayed_packed_and_plain() {
+fn recorded_traces_may_be_plain_and_one_number_that_is_off_is_told() {
     let place = Place::new();
     let packed = repository("tests/data/lander_traces.json.gz");
-    let report = place.finish(&["conformance", "lander", &packed, "--json"]).with_code(0).json();
-    assert_eq!(report["passed"], true);
-    assert_eq!(report["comparisons"].as_array().map(Vec::len), Some(2));
-    // The same traces, unpacked, with one recorded number off.
-    let unpacked = tool("gzip", &["-dc", &packed]).expect("gzip is there").stdout;
-    let mut traces: Value = serde_json::from_slice(&unpacked).expect("the traces are JSON");
+    // The traces unpacked, and with one recorded number off.
+    let unpacked = Command::new("gzip").args(["-dc", &packed]).output().expect("gzip is there");
+    let mut traces: Value = serde_json::from_slice(&unpacked.stdout).expect("the traces are JSON");
     let plain = place.write("traces.json", &traces.to_string());
     place.finish(&["conformance", "lander", &plain]).with_code(0);
     traces["episodes"][0]["steps"][5]["obs"][0] = 0.9.into();
@@ -113,14 +80,14 @@ fn recorded_traces_are_replayed_packed_and_plain() {
 #[test]
 fn a_pilot_is_judged_on_gymnasiums_seeds() {
     let place = Place::new();
-    let args = ["pilot", "eval", "--pilot", "heuristic", "--seeds", "0..20", "--json"];
-    let calm = place.finish(&args).with_code(0).json();
+    let args = "pilot eval --pilot heuristic --seeds 0..20 --json";
+    let calm = place.finish(&[args]).with_code(0).json();
     assert_eq!(calm["episodes"], 20);
     assert!(calm["mean_return"].as_f64() > Some(150.0), "{calm}");
     let shares = ["landed", "crashed", "out", "timed_out"];
     let sum: f64 = shares.iter().filter_map(|share| calm[share].as_f64()).sum();
     assert!((sum - 1.0).abs() < 1e-9);
-    let windy = place.finish(&[&args[..], &["--wind"]].concat()).with_code(0).json();
+    let windy = place.finish(&[args, "--wind"]).with_code(0).json();
     assert!(windy["mean_return"].as_f64() < calm["mean_return"].as_f64());
 }
 
@@ -136,8 +103,7 @@ fn a_run_leaves_everything_that_is_promised() {
         assert!(report.contains(part), "the report has no {part}");
     }
     assert!(fs::read_dir(run.join("tensorboard")).unwrap().count() == 1);
-    let record: Value =
-        serde_json::from_str(&fs::read_to_string(run.join("run.json")).unwrap()).unwrap();
+    let record = record(&run);
     for key in ["seed", "version", "cpu", "threads", "started"] {
         assert!(!record[key].is_null(), "{key}");
     }
@@ -153,39 +119,28 @@ fn every_metric_is_documented_and_every_documented_metric_exists() {
     let place = trained();
     let journal = fs::read_to_string(place.run("r").join("metrics.jsonl")).unwrap();
     let last: Value = serde_json::from_str(journal.lines().last().unwrap()).unwrap();
-    let written: BTreeSet<&str> = last
-        .as_object()
-        .unwrap()
-        .keys()
-        .map(String::as_str)
-        .filter(|key| key.contains('/'))
-        .collect();
+    let keys = last.as_object().unwrap().keys().map(String::as_str);
+    let written: BTreeSet<&str> = keys.filter(|key| key.contains('/')).collect();
     let page = fs::read_to_string(repository("docs/metrics.md")).unwrap();
     let documented: BTreeSet<&str> =
         page.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next()).collect();
-    let missing: Vec<_> = written.difference(&documented).collect();
-    assert!(missing.is_empty(), "not documented: {missing:?}");
-    let gone: Vec<_> = documented.difference(&written).collect();
-    assert!(gone.is_empty(), "documented and not written: {gone:?}");
+    assert_eq!(documented, written);
 }
 
 #[test]
 fn a_trained_policy_can_be_judged_and_runs_compared() {
     let place = trained();
-    let judged = place.finish(&["eval", "r", "--episodes", "8", "--json"]).with_code(0).json();
+    let eval = "eval r --episodes 8";
+    let judged = place.finish(&[eval, "--json"]).with_code(0).json();
     assert_eq!(judged["comparison"]["summaries"][0]["n_episodes"], 8);
-    let again = place.finish(&["eval", "r", "--episodes", "8", "--json"]).with_code(0).json();
+    let again = place.finish(&[eval, "--json"]).with_code(0).json();
     assert_eq!(judged, again, "an evaluation is reproducible");
-    let text = place.finish(&["eval", "r", "--episodes", "8"]).with_code(0).stdout;
+    let text = place.finish(&[eval]).with_code(0).stdout;
     assert!(text.contains("95 %"), "{text}");
-    place
-        .finish(&["eval", "r", "--episodes", "2", "--baseline", "nobody"])
-        .with_code(2)
-        .saying(&["nobody"]);
-    let other: Vec<&str> = TRAIN.iter().map(|&arg| if arg == "r" { "s" } else { arg }).collect();
-    let other = [&other[..], &["--set", "learner.clip=0.1"]].concat();
-    place.finish(&other).with_code(0);
-    let compared = place.finish(&["runs", "compare", "r", "s"]).with_code(0).stdout;
+    place.finish(&[eval, "--baseline nobody"]).with_code(2).saying(&["nobody"]);
+    let other = TRAIN.replace("--name r", "--name s");
+    place.finish(&[&other, "--set learner.clip=0.1"]).with_code(0);
+    let compared = place.finish(&["runs compare r s"]).with_code(0).stdout;
     assert!(compared.contains("learner.clip: 0.2 -> 0.1"), "{compared}");
     assert!(compared.ends_with("weights: differ\n"), "{compared}");
 }
@@ -193,65 +148,55 @@ fn a_trained_policy_can_be_judged_and_runs_compared() {
 #[test]
 fn a_comparison_shows_whether_the_weights_are_equal() {
     let place = trained();
-    let twin: Vec<&str> = TRAIN.iter().map(|&arg| if arg == "r" { "s" } else { arg }).collect();
-    place.finish(&twin).with_code(0);
-    let compared = place.finish(&["runs", "compare", "r", "s"]).with_code(0).stdout;
+    place.finish(&[&TRAIN.replace("--name r", "--name s")]).with_code(0);
+    let compared = place.finish(&["runs compare r s"]).with_code(0).stdout;
     let digest = result(&place.run("r"))["weights_sha256"].as_str().unwrap().to_owned();
     assert!(compared.ends_with("weights: equal\n"), "{compared}");
     assert_eq!(compared.matches(&digest[..12]).count(), 2, "{compared}");
-    let args = ["runs", "compare", "r", "s", "--json"];
-    let compared = place.finish(&args).with_code(0).json();
+    let compared = place.finish(&["runs compare r s --json"]).with_code(0).json();
     assert_eq!(compared["weights"], "equal");
     for run in compared["runs"].as_array().unwrap() {
-        assert_eq!(
-            (&run["weights_sha256"], &run["reproducible"]),
-            (&digest.clone().into(), &true.into())
-        );
+        assert_eq!(run["weights_sha256"], digest);
+        assert_eq!(run["reproducible"], true);
     }
     // A record that cannot be read does not hide its run.
     fs::write(place.run("s").join("run.json"), "{").unwrap();
-    let listed =
-        place.finish(&["runs"]).with_code(0).saying(&["run.json", "not the record"]).stdout;
+    let listed = place.finish(&["runs"]).with_code(0);
+    let listed = listed.saying(&["run.json", "not the record"]).stdout;
     let line = listed.lines().find(|line| line.starts_with("s ")).unwrap();
     assert!(line.contains("unreadable"), "{listed}");
-    let listed = place.finish(&["runs", "--json"]).with_code(0).json();
+    let listed = place.finish(&["runs --json"]).with_code(0).json();
     assert_eq!(listed.as_array().map(Vec::len), Some(2));
 }
 
 #[test]
 fn a_run_stops_after_exactly_as_many_updates_as_asked_for() {
     let place = Place::new();
-    let lag = ["--set", "learner.mode=lag", "--stop-after", "8"];
-    let stopped = place.finish(&[TRAIN, &lag].concat()).with_code(0).stdout;
+    let lag = "--set learner.mode=lag --stop-after 8";
+    let stopped = place.finish(&[TRAIN, lag]).with_code(0).stdout;
     assert!(stopped.contains("updates  8 ("), "{stopped}");
 }
 
 #[test]
 fn a_longer_schedule_of_the_learning_rate_is_told() {
     let place = trained();
-    let longer = ["--set", "learner.total_steps=7680"];
-    place.finish(&[TRAIN, &longer].concat()).with_code(0).saying(&[
-        "learner.total_steps: 5120 -> 7680",
-        "learner.anneal = true",
-        "will differ",
-    ]);
-    let longer = ["--set", "learner.total_steps=7680"];
-    let again = place.finish(&[TRAIN, &longer].concat()).with_code(0);
+    let longer = [TRAIN, "--set learner.total_steps=7680"];
+    let told = ["learner.total_steps: 5120 -> 7680", "learner.anneal = true", "will differ"];
+    place.finish(&longer).with_code(0).saying(&told);
+    let again = place.finish(&longer).with_code(0);
     assert!(!again.stderr.contains("will differ"), "{}", again.stderr);
 }
 
 #[test]
 fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
     let place = Place::new();
-    let smoke = place.start(&["smoke", "--quick", "--json"]);
-    let id = smoke.id();
+    let mut smoke = place.start(&["smoke --quick --json"]);
     let mut seen = BTreeSet::new();
-    let mut done = smoke;
-    crate::support::wait_until("smoke ends", Duration::from_mins(2), || {
-        seen.extend(children(id));
-        !done.is_running()
+    wait_until("smoke ends", Duration::from_mins(2), || {
+        seen.extend(children(smoke.id()));
+        !smoke.is_running()
     });
-    let done = done.finish(Duration::from_secs(1)).with_code(0).saying(&["mechanics only"]);
+    let done = smoke.finish(Duration::from_secs(1)).with_code(0).saying(&["mechanics only"]);
     assert!(seen.len() >= 3, "learner and two actors were separate processes: {seen:?}");
     assert!(seen.iter().all(|child| !is_alive(*child)));
     let printed = done.json();
@@ -271,14 +216,14 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
         assert!(place.path().join(name).metadata().unwrap().len() > 1_000, "{name}");
     }
     // And in words: the same ones whenever it is asked.
-    let hear = ["eval", run, "--transcript", "--episodes", "2", "--baseline", "heuristic"];
+    let hear = ["eval", run, "--transcript --episodes 2 --baseline heuristic"];
     let heard = place.finish(&hear).with_code(0).stdout;
     assert_eq!(heard.matches("understands").count(), 4, "{heard}");
     assert!(heard.contains("follows "), "{heard}");
     assert!(!heard.contains(" 1/"), "words, not numbers: {heard}");
     assert_eq!(place.finish(&hear).with_code(0).stdout, heard);
-    let other = [&hear[..], &["--words", "highway"]].concat();
-    place.finish(&other).with_code(2).saying(&["highway", "slow_down", "ascend"]);
+    let other = place.finish(&[&hear[..], &["--words highway"]].concat());
+    other.with_code(2).saying(&["highway", "slow_down", "ascend"]);
     place.finish(&["play", run, "-o", "h.svg", "--baseline", "heuristic"]).with_code(0);
     let drawn = fs::read_to_string(place.path().join("h.svg")).unwrap();
     assert!(drawn.contains('\u{201c}'), "a sentence is quoted");

@@ -16,18 +16,7 @@ use leadtime_proto::{
     ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, Sequence, codec,
 };
 
-const RUN: &[&str] = &[
-    "-c",
-    "cartpole",
-    "--seed",
-    "5",
-    "--name",
-    "r",
-    "--set",
-    "learner.n_steps=32",
-    "--set",
-    "learner.total_steps=5120",
-];
+const RUN: &str = "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=5120 --listen";
 /// The longest wait for one message.
 const SOON: Duration = Duration::from_secs(20);
 
@@ -44,14 +33,12 @@ const LIES: [fn(&mut Rollout); 9] = [
     |rollout| rollout.snapshot = vec![0; MAX_SNAPSHOT_BYTES + 1],
 ];
 
-fn learner(place: &Place, extra: &[&str]) -> Running {
-    let endpoint = place.endpoint("learner");
-    place.start(&[&["learner", "--listen", &endpoint], RUN, extra].concat())
+fn learner(place: &Place, extra: &str) -> Running {
+    place.start(&[RUN, &place.endpoint("learner"), extra])
 }
 
 fn honest(place: &Place) -> Running {
-    let endpoint = place.endpoint("learner");
-    place.start(&["actor", "--connect", &endpoint, "--id", "honest"])
+    place.start(&["actor --id honest --connect", &place.endpoint("learner")])
 }
 
 /// An actor without a conscience.
@@ -79,12 +66,8 @@ impl Rogue {
             first_unacknowledged: Sequence(1),
         };
         let welcome = link.hello(None, &hello, SOON).await.unwrap();
-        let none = EnvAssignment {
-            env_id: EnvId(0),
-            iteration: Iteration::default(),
-            snapshot: Vec::new(),
-        };
-        let mut rogue = Self { link, events, welcome, epoch: Epoch(0), env: none, sent: 0 };
+        let env = EnvAssignment { env_id: EnvId(0), iteration: Iteration(0), snapshot: Vec::new() };
+        let mut rogue = Self { link, events, welcome, epoch: Epoch(0), env, sent: 0 };
         while rogue.epoch == Epoch(0) {
             assert!(rogue.hear().await.is_none(), "it was sent away before it did anything");
         }
@@ -132,13 +115,9 @@ impl Rogue {
     }
 
     fn header(&self, sequence: u64, payload: &[u8]) -> Header {
-        let version = self.welcome.spec.schedule.behavior_version(self.env.iteration);
-        Header {
-            sequence: Sequence(sequence),
-            epoch: self.epoch,
-            version: version.unwrap_or_default(),
-            ..Header::plain(Schema::Rollout, Incarnation(7), payload)
-        }
+        let plain = Header::plain(Schema::Rollout, Incarnation(7), payload);
+        let version = self.plausible().version;
+        Header { sequence: Sequence(sequence), epoch: self.epoch, version, ..plain }
     }
 
     fn send(&mut self, payload: Vec<u8>, damage: fn(&mut Header)) {
@@ -189,11 +168,9 @@ async fn misbehave(endpoint: String) -> (u64, String) {
                 rogue.send(codec::encode(&rollout).unwrap(), |_| {});
             }
             unread => {
-                if unread == LIES.len() + 2 {
-                    rogue.send_unread(vec![0; MAX_ROLLOUT_BYTES + 1], PROTOCOL_VERSION);
-                } else {
-                    rogue.send_unread(vec![0], PROTOCOL_VERSION - 1);
-                }
+                let is_long = unread == LIES.len() + 2;
+                let n_bytes = if is_long { MAX_ROLLOUT_BYTES + 1 } else { 1 };
+                rogue.send_unread(vec![0; n_bytes], PROTOCOL_VERSION - u32::from(!is_long));
                 continue;
             }
         }
@@ -212,16 +189,16 @@ async fn misbehave(endpoint: String) -> (u64, String) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
     let undisturbed = Place::new();
-    let (first, helper) = (learner(&undisturbed, &[]), honest(&undisturbed));
+    let (first, helper) = (learner(&undisturbed, ""), honest(&undisturbed));
     first.finish(PATIENCE).with_code(0);
     helper.finish(PATIENCE).with_code(0);
 
     // The rogue comes when there are older policies to claim.
     let place = Place::new();
-    let (begun, helper) = (learner(&place, &["--stop-after", "3"]), honest(&place));
+    let (begun, helper) = (learner(&place, "--stop-after 3"), honest(&place));
     begun.finish(PATIENCE).with_code(0);
     let before = helper.finish(PATIENCE).with_code(0).json();
-    let second = learner(&place, &["--set", "run.actors_min=2"]);
+    let second = learner(&place, "--set run.actors_min=2");
     let helper = honest(&place);
     let (sent, reason) = misbehave(place.endpoint("learner")).await;
     assert_eq!(sent, REFUSALS_BEFORE_CUT_OFF - 1, "one of them had no place in the sequence");

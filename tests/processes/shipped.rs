@@ -18,12 +18,11 @@ fn policies() -> PathBuf {
 fn rows() -> Vec<(String, f64)> {
     let text = fs::read_to_string(policies().join("README.md")).unwrap();
     let cells = |line: &str| line.split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
-    let rows = text.lines().filter(|line| line.starts_with("| `")).map(cells);
-    rows.map(|row| {
+    let row = |row: Vec<String>| {
         let (success, _) = row[3].split_once(' ').unwrap();
         (row[1].trim_matches('`').to_owned(), success.parse().unwrap())
-    })
-    .collect()
+    };
+    text.lines().filter(|line| line.starts_with("| `")).map(cells).map(row).collect()
 }
 
 #[test]
@@ -34,17 +33,13 @@ fn every_policy_that_is_shipped_reproduces_its_row() {
     assert_eq!(rows.len(), files - 1, "a row for every file but the page itself");
     for (file, expected) in rows {
         let path = policies().join(&file);
-        let n_episodes = N_EPISODES.to_string();
-        let judge = ["eval", path.to_str().unwrap(), "--action", "greedy", "--json"];
-        let more = ["--episodes", &n_episodes, "--eval-seed", "3000000"];
-        let judged = place.finish(&[&judge[..], &more].concat()).with_code(0).json();
+        let more = format!("--action greedy --json --episodes {N_EPISODES} --eval-seed 3000000");
+        let judged = place.finish(&["eval", path.to_str().unwrap(), &more]).with_code(0).json();
         let measures = judged["comparison"]["summaries"][0]["measures"].as_array().unwrap();
         let success = measures.iter().find(|measure| measure["name"] == "success").unwrap();
         let success = success["interval"]["estimate"].as_f64().unwrap();
         let error = (expected * (1.0 - expected) / f64::from(N_EPISODES)).sqrt();
-        assert!(
-            (success - expected).abs() <= N_ERRORS * error,
-            "{file}: {success}, not {expected}"
-        );
+        let is_near = (success - expected).abs() <= N_ERRORS * error;
+        assert!(is_near, "{file}: {success}, not {expected}");
     }
 }

@@ -3,27 +3,15 @@
 use std::time::Duration;
 
 use crate::support::{
-    PATIENCE, Place, arguments, children, is_alive, result, signal, updates, wait_until,
+    PATIENCE, Place, Running, arguments, checkpoints, children, is_alive, result, signal, updates,
+    wait_for_updates, wait_for_words, wait_until,
 };
 
 const SECOND: Duration = Duration::from_secs(1);
 
 /// A run that does not end by itself while a test looks at it.
-const LONG: &[&str] = &[
-    "up",
-    "-c",
-    "cartpole",
-    "--name",
-    "r",
-    "--actors",
-    "2",
-    "--set",
-    "learner.n_steps=32",
-    "--set",
-    "learner.total_steps=100000000",
-    "--set",
-    "run.checkpoint_every=4",
-];
+const LONG: &str = "up -c cartpole --name r --actors 2 --set learner.n_steps=32 --set learner.total_steps=100000000 \
+                    --set run.checkpoint_every=4";
 
 /// Returns the supervisor's learner and actors, once all are there.
 fn family(id: u32) -> (u32, Vec<u32>) {
@@ -40,68 +28,67 @@ fn family(id: u32) -> (u32, Vec<u32>) {
     found
 }
 
-#[test]
-fn a_killed_supervisor_leaves_no_orphan() {
-    let place = Place::new();
-    let mut command = place.program(LONG);
+/// Starts a long run; returns its supervisor and every process of it, the learner first, once it is under way.
+fn start(place: &Place) -> (Running, Vec<u32>) {
+    let mut command = place.program(&[LONG]);
     command.env("TMPDIR", place.path());
     let supervisor = place.start_with(command);
     let (learner, actors) = family(supervisor.id());
-    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
+    wait_for_updates(&place.run("r"), 2);
+    (supervisor, [vec![learner], actors].concat())
+}
+
+fn are_gone(processes: &[u32]) -> bool {
+    processes.iter().all(|process| !is_alive(*process))
+}
+
+#[test]
+fn a_killed_supervisor_leaves_no_orphan() {
+    let place = Place::new();
+    let (supervisor, processes) = start(&place);
     supervisor.kill();
-    wait_until("every process is gone", 6 * SECOND, || {
-        !is_alive(learner) && actors.iter().all(|actor| !is_alive(*actor))
-    });
+    wait_until("every process is gone", 6 * SECOND, || are_gone(&processes));
     let names = std::fs::read_dir(place.path()).unwrap().map(|entry| entry.unwrap().file_name());
-    let left: Vec<_> =
-        names.filter(|name| name.to_string_lossy().starts_with("leadtime-")).collect();
+    let is_ours = |name: &std::ffi::OsString| name.to_string_lossy().starts_with("leadtime-");
+    let left: Vec<_> = names.filter(is_ours).collect();
     assert!(left.is_empty(), "temporary files are left: {left:?}");
 }
 
 #[test]
 fn an_interrupted_supervisor_takes_everything_down_within_five_seconds() {
     let place = Place::new();
-    let supervisor = place.start(LONG);
-    let (learner, actors) = family(supervisor.id());
-    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
+    let (supervisor, processes) = start(&place);
     signal("INT", supervisor.id());
     supervisor.finish(6 * SECOND).with_code(130);
-    assert!(!is_alive(learner) && actors.iter().all(|actor| !is_alive(*actor)));
-    let n_checkpoints = std::fs::read_dir(place.run("r").join("checkpoints")).unwrap().count();
-    assert!(n_checkpoints > 0);
+    assert!(are_gone(&processes));
+    assert!(!checkpoints(&place.run("r")).is_empty());
 }
 
 #[test]
 fn a_process_that_hangs_is_killed_before_the_supervisor_ends() {
     let place = Place::new();
-    let supervisor = place.start(LONG);
-    let (learner, actors) = family(supervisor.id());
-    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
-    signal("STOP", learner);
+    let (supervisor, processes) = start(&place);
+    signal("STOP", processes[0]);
     signal("INT", supervisor.id());
     supervisor.finish(6 * SECOND).with_code(130).saying(&["did not end in time and are killed"]);
-    assert!(!is_alive(learner) && actors.iter().all(|actor| !is_alive(*actor)));
+    assert!(are_gone(&processes));
 }
 
 #[test]
 fn crashed_processes_are_started_again() {
     let place = Place::new();
-    let supervisor = place.start(LONG);
-    let (learner, actors) = family(supervisor.id());
-    wait_until("a checkpoint has been passed", PATIENCE, || updates(&place.run("r")) >= 6);
-    signal("KILL", actors[0]);
-    signal("KILL", learner);
-    let (new_learner, new_actors) = {
-        wait_until("the old ones are gone", PATIENCE, || {
-            !is_alive(learner) && !is_alive(actors[0])
-        });
-        family(supervisor.id())
-    };
-    assert_ne!(new_learner, learner);
-    assert!(!new_actors.contains(&actors[0]));
-    wait_until("the learner has resumed", PATIENCE, || supervisor.stderr().contains("resumed"));
-    let before = updates(&place.run("r"));
-    wait_until("the run goes on", PATIENCE, || updates(&place.run("r")) > before);
+    let (supervisor, processes) = start(&place);
+    // A checkpoint has been passed.
+    wait_for_updates(&place.run("r"), 6);
+    let crashed = [processes[1], processes[0]];
+    for process in crashed {
+        signal("KILL", process);
+    }
+    wait_until("the old ones are gone", PATIENCE, || are_gone(&crashed));
+    let (new_learner, new_actors) = family(supervisor.id());
+    assert!(!crashed.contains(&new_learner) && !new_actors.contains(&crashed[0]));
+    wait_for_words(&supervisor, "resumed");
+    wait_for_updates(&place.run("r"), updates(&place.run("r")) + 1);
     signal("TERM", supervisor.id());
     supervisor.finish(6 * SECOND).with_code(130);
 }
@@ -110,15 +97,14 @@ fn crashed_processes_are_started_again() {
 fn a_program_whose_file_is_gone_restarts_its_processes() {
     let place = Place::new();
     let copy = place.copy_of_program("leadtime");
-    let supervisor = place.start_with(place.program_at(&copy, LONG));
+    let supervisor = place.start_with(place.program_at(&copy, &[LONG]));
     let (_, actors) = family(supervisor.id());
-    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) >= 2);
+    wait_for_updates(&place.run("r"), 2);
     std::fs::remove_file(&copy).unwrap();
     signal("KILL", actors[0]);
     wait_until("the old one is gone", PATIENCE, || !is_alive(actors[0]));
     let (_, actors) = family(supervisor.id());
-    let before = updates(&place.run("r"));
-    wait_until("the run goes on", PATIENCE, || updates(&place.run("r")) > before + 5);
+    wait_for_updates(&place.run("r"), updates(&place.run("r")) + 6);
     assert!(actors.iter().all(|actor| is_alive(*actor)));
     signal("TERM", supervisor.id());
     supervisor.finish(6 * SECOND).with_code(130).saying(&["process died; restarting it"]);
@@ -127,7 +113,7 @@ fn a_program_whose_file_is_gone_restarts_its_processes() {
 #[test]
 fn an_interrupted_evaluation_ends_at_once() {
     let place = Place::new();
-    let smoke = place.start(&["smoke", "--quick", "--episodes", "1000000"]);
+    let smoke = place.start(&["smoke --quick --episodes 1000000"]);
     let finished =
         |run: std::path::PathBuf| run.join("run.json").exists() && !result(&run).is_null();
     wait_until("the training is over", 2 * PATIENCE, || {
@@ -141,28 +127,28 @@ fn an_interrupted_evaluation_ends_at_once() {
 #[test]
 fn a_directory_that_is_not_the_supervisors_is_never_removed() {
     let place = Place::new();
-    let notes = place.path().join("leadtime-notes");
+    let notes = place.file("leadtime-notes");
     std::fs::create_dir(&notes).unwrap();
-    std::fs::write(notes.join("mine"), "").unwrap();
-    let (endpoint, notes) = (place.endpoint("learner"), notes.to_str().unwrap().to_owned());
-    let args = ["learner", "-c", "cartpole", "--listen", &endpoint, "--scratch", &notes];
+    let mine = place.write("leadtime-notes/mine", "");
+    let endpoint = place.endpoint("learner");
+    let args = ["learner -c cartpole --listen", &endpoint, "--scratch", &notes];
     let learner = place.start(&args);
-    wait_until("it listens", PATIENCE, || learner.stderr().contains("listening"));
+    wait_for_words(&learner, "listening");
     signal("INT", learner.id());
     learner.finish(5 * SECOND).with_code(130);
-    assert!(std::path::Path::new(&notes).join("mine").exists());
+    assert!(std::path::Path::new(&mine).exists());
 }
 
 #[test]
 fn a_run_under_supervision_ends_by_itself_and_is_on_record() {
     let place = Place::new();
-    let short = ["--set", "learner.total_steps=1280"];
-    let done = place.finish(&[LONG, &short].concat()).with_code(0);
+    let short = [LONG, "--set learner.total_steps=1280"];
+    let done = place.finish(&short).with_code(0);
     assert!(done.stdout.contains("weights"), "{}", done.stdout);
     let result = result(&place.run("r"));
     assert_eq!(result["updates"], 10);
-    let list = place.finish(&["runs", "--json"]).with_code(0).json();
+    let list = place.finish(&["runs --json"]).with_code(0).json();
     assert_eq!(list[0]["name"], "r");
     assert_eq!(list[0]["state"], "finished");
-    place.finish(&[LONG, &short].concat()).with_code(0).saying(&["finished"]);
+    place.finish(&short).with_code(0).saying(&["finished"]);
 }

@@ -5,7 +5,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -18,25 +18,22 @@ pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
 /// A place of one's own for a test: runs, sockets, files.
-pub(crate) struct Place {
-    dir: TempDir,
-}
+pub(crate) struct Place(TempDir);
 
 impl Place {
     /// Makes one; its path is short enough for sockets.
     pub(crate) fn new() -> Self {
         let dir = tempfile::Builder::new().prefix("lt-").tempdir_in("/tmp");
-        Self { dir: dir.expect("a temporary directory can be made") }
+        Self(dir.expect("a temporary directory can be made"))
     }
 
-    /// Returns its directory.
     pub(crate) fn path(&self) -> &Path {
-        self.dir.path()
+        self.0.path()
     }
 
     /// Returns a file in it as text.
     pub(crate) fn file(&self, name: &str) -> String {
-        self.dir.path().join(name).to_str().expect("paths are UTF-8").to_owned()
+        self.0.path().join(name).to_str().expect("paths are UTF-8").to_owned()
     }
 
     /// Writes a file and returns its path.
@@ -51,12 +48,11 @@ impl Place {
         format!("unixsock-stream/{}", self.file(&format!("{name}.sock")))
     }
 
-    /// Returns the directory of a run.
     pub(crate) fn run(&self, name: &str) -> PathBuf {
-        self.dir.path().join("runs").join(name)
+        self.0.path().join("runs").join(name)
     }
 
-    /// Prepares the program, to be run in this place.
+    /// Prepares the program, to be run in this place; each text is one argument, or several with a space between.
     pub(crate) fn program(&self, args: &[&str]) -> Command {
         self.program_at(Path::new(env!("CARGO_BIN_EXE_leadtime")), args)
     }
@@ -71,7 +67,8 @@ impl Place {
     /// As [`Place::program`], for a copy of it.
     pub(crate) fn program_at(&self, program: &Path, args: &[&str]) -> Command {
         let mut command = Command::new(program);
-        command.args(args).current_dir(self.path()).env_remove("RUST_LOG");
+        command.args(args.iter().flat_map(|text| text.split_whitespace())).current_dir(self.path());
+        command.env_remove("RUST_LOG");
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
@@ -98,12 +95,11 @@ impl Place {
         stdout: Option<&str>,
         stderr: Option<&str>,
     ) -> Running {
-        let log = |name: &str| {
-            let unique = format!("{name}-{:?}-{}", thread::current().id(), unique());
-            let path = self.dir.path().join(unique);
-            (fs::File::create(&path).expect("a log can be made"), path)
+        let log = || {
+            let log = tempfile::Builder::new().prefix("log-").tempfile_in(self.path());
+            log.and_then(|log| Ok(log.keep()?)).expect("a log can be made")
         };
-        let ((out, out_path), (err, err_path)) = (log("stdout"), log("stderr"));
+        let ((out, out_path), (err, err_path)) = (log(), log());
         let elsewhere = |path: &str| fs::File::options().write(true).open(path);
         let elsewhere = |path: &str| elsewhere(path).expect("the file can be opened");
         command.stdout(stdout.map_or(out, elsewhere)).stderr(stderr.map_or(err, elsewhere));
@@ -112,10 +108,19 @@ impl Place {
     }
 }
 
-fn unique() -> u64 {
-    use std::sync::atomic::{AtomicU64, Ordering};
-    static NEXT: AtomicU64 = AtomicU64::new(0);
-    NEXT.fetch_add(1, Ordering::Relaxed)
+/// Returns a file of the repository.
+pub(crate) fn repository(path: &str) -> String {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("deploy lies in it");
+    root.join(path).to_str().expect("paths are UTF-8").to_owned()
+}
+
+/// Lists the checkpoints of a run, the oldest first.
+pub(crate) fn checkpoints(run: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(run.join("checkpoints")).expect("the run has checkpoints");
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.expect("an entry").path()).collect();
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "checkpoint"));
+    files.sort();
+    files
 }
 
 /// How a process ended and what it said.
@@ -161,7 +166,6 @@ pub(crate) struct Running {
 }
 
 impl Running {
-    /// Returns its id.
     pub(crate) fn id(&self) -> u32 {
         self.child.id()
     }
@@ -171,7 +175,6 @@ impl Running {
         fs::read_to_string(&self.err).unwrap_or_default()
     }
 
-    /// Tells whether it still runs.
     pub(crate) fn is_running(&mut self) -> bool {
         self.child.try_wait().expect("a child can be waited for").is_none()
     }
@@ -203,6 +206,18 @@ impl Drop for Running {
             drop(self.child.wait());
         }
     }
+}
+
+/// Waits until a run has made so many updates.
+#[track_caller]
+pub(crate) fn wait_for_updates(run: &Path, n_updates: u64) {
+    wait_until("the run is under way", PATIENCE, || updates(run) >= n_updates);
+}
+
+/// Waits until a process says something on standard error.
+#[track_caller]
+pub(crate) fn wait_for_words(process: &Running, words: &str) {
+    wait_until(words, PATIENCE, || process.stderr().contains(words));
 }
 
 /// Waits until a condition holds.
@@ -268,9 +283,4 @@ pub(crate) fn record(run: &Path) -> Value {
 /// Returns the result in a run's record; null while it is unfinished.
 pub(crate) fn result(run: &Path) -> Value {
     record(run)["result"].clone()
-}
-
-/// Runs a tool that is not ours to its end.
-pub(crate) fn tool(program: &str, args: &[&str]) -> Option<Output> {
-    Command::new(program).args(args).output().ok()
 }

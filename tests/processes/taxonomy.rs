@@ -3,9 +3,8 @@
 
 use std::fs;
 use std::net::TcpListener;
-use std::path::Path;
 
-use crate::support::{Finished, Place};
+use crate::support::{Finished, PATIENCE, Place, repository};
 
 /// Exit code for a check that failed.
 const FAILED: i32 = 1;
@@ -42,9 +41,7 @@ curve = [10, 90]
 "#;
 
 fn data(path: &str) -> String {
-    let root =
-        Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("deploy lies in the repository");
-    root.join("crates/taxonomy/data").join(path).to_str().expect("paths are UTF-8").to_owned()
+    repository(&format!("crates/taxonomy/data/{path}"))
 }
 
 fn taxonomy(place: &Place, args: &[&str]) -> Finished {
@@ -54,73 +51,77 @@ fn taxonomy(place: &Place, args: &[&str]) -> Finished {
 #[test]
 fn a_database_is_made_by_the_grammar_and_again_from_its_log() {
     let place = Place::new();
-    let cut = ["build", "highway", "--backend", "grammar", "-o", "a", "--max-calls", "50"];
-    taxonomy(&place, &cut).with_code(0).saying(&["stopped after 50 calls"]);
+    let build = "build highway --backend grammar -o a";
+    let cut = taxonomy(&place, &[build, "--max-calls 50"]);
+    cut.with_code(0).saying(&["stopped after 50 calls"]);
     assert!(!place.path().join("a/taxonomy.toml").exists());
-    let build = ["build", "highway", "--backend", "grammar", "-o", "a", "--json"];
-    let made = taxonomy(&place, &build).with_code(0).json();
+    let made = taxonomy(&place, &[build, "--json"]).with_code(0).json();
     assert_eq!((&made["fidelity"], &made["filled"]), (&"grammar".into(), &40.into()), "{made}");
-    let replay = ["build", "highway", "--replay", "a/calls.jsonl", "-o", "b", "--json"];
-    let again = taxonomy(&place, &replay).with_code(0).json();
+    let replay = "build highway --replay a/calls.jsonl -o b --json";
+    let again = taxonomy(&place, &[replay]).with_code(0).json();
     assert_eq!((&again["calls"], &again["kept"]), (&0.into(), &made["kept"]));
     for file in ["taxonomy.toml", "coverage.md", "candidates.jsonl"] {
         let read = |run: &str| fs::read(place.path().join(run).join(file)).unwrap();
         assert_eq!(read("a"), read("b"), "{file}");
     }
-    let report = taxonomy(&place, &["report", "highway", "--log", "a/calls.jsonl"]).with_code(0);
+    let report = taxonomy(&place, &["report highway --log a/calls.jsonl"]).with_code(0);
     let coverage = fs::read_to_string(place.path().join("a/coverage.md")).unwrap();
     assert_eq!(report.stdout.trim_end(), coverage.trim_end());
-    taxonomy(&place, &["validate", "a/taxonomy.toml", "--strict"]).with_code(0);
+    taxonomy(&place, &["validate a/taxonomy.toml --strict"]).with_code(0);
 }
 
 #[test]
 fn a_shipped_database_comes_out_of_its_log_byte_for_byte() {
     let place = Place::new();
     let log = data("lander/calls.jsonl");
-    taxonomy(&place, &["build", "lander", "--replay", &log, "-o", "words"]).with_code(0);
+    taxonomy(&place, &["build lander -o words --replay", &log]).with_code(0);
     for file in ["taxonomy.toml", "coverage.md"] {
         let made = fs::read(place.path().join("words").join(file)).unwrap();
         assert_eq!(made, fs::read(data(&format!("lander/{file}"))).unwrap(), "{file}");
     }
-    let report = taxonomy(&place, &["report", "steakhouse"]).with_code(0).stdout;
+    let report = taxonomy(&place, &["report steakhouse"]).with_code(0).stdout;
     assert!(report.starts_with("# Words of the domain `steakhouse`"), "{report}");
 }
 
 #[test]
 fn sentences_of_ones_own_are_rated() {
     let place = Place::new();
-    let rate = ["rate", "highway", "--backend", "grammar", "--topic", "slow_down"];
-    let rated = taxonomy(&place, &[&rate[..], &["Traffic, slow down.", "Lovely day."]].concat());
-    let rated = rated.with_code(0).stdout;
+    let rate = |args: &str, sentences: &[&str]| {
+        let mut command = place.program(&["taxonomy rate highway --backend", args]);
+        command.args(sentences);
+        place.start_with(command).finish(PATIENCE)
+    };
+    let own = ["Traffic, slow down.", "Lovely day."];
+    let rated = rate("grammar --topic slow_down", &own).with_code(0).stdout;
     assert!(rated.contains("(k, l) = (3, 3)  Traffic, slow down.  ["), "{rated}");
     assert!(rated.contains("never_understood  Lovely day.  ["), "{rated}");
-    let rate = ["rate", "highway", "--backend", "authored", "--topic", "stop", "Stop now."];
-    taxonomy(&place, &rate).with_code(WRONG_INPUT).saying(&["`topic`", "stop", "slow_down"]);
-    let rate = ["rate", "highway", "--backend", "grammar", "--topic", "slow_down", "?"];
-    taxonomy(&place, &rate).with_code(WRONG_INPUT).saying(&["\"?\" has no words"]);
+    let unknown = rate("authored --topic stop", &["Stop now."]).with_code(WRONG_INPUT);
+    unknown.saying(&["`topic`", "stop", "slow_down"]);
+    let empty = rate("grammar --topic slow_down", &["?"]).with_code(WRONG_INPUT);
+    empty.saying(&["\"?\" has no words"]);
 }
 
 #[test]
 fn a_database_is_printed_as_table_and_as_json() {
     let place = Place::new();
-    let csv = taxonomy(&place, &["export", "highway"]).with_code(0).stdout;
+    let csv = taxonomy(&place, &["export highway"]).with_code(0).stdout;
     assert!(csv.contains("slow_down,2,5,\"Slow down for incoming traffic.\","), "{csv}");
     let file = place.write("small.toml", SMALL);
-    let json = taxonomy(&place, &["export", &file, "--format", "json"]).with_code(0).json();
+    let json = taxonomy(&place, &["export --format json", &file]).with_code(0).json();
     assert_eq!(json["topics"][1]["utterances"][0]["text"], "Go right.");
 }
 
 #[test]
 fn a_notifier_can_be_held_to_what_can_be_said() {
     let place = Place::new();
-    let cells = taxonomy(&place, &["export", "lander", "--format", "cells"]).with_code(0).stdout;
+    let cells = taxonomy(&place, &["export lander --format cells"]).with_code(0).stdout;
     let own = place.write("own.toml", &format!("domain = \"lander\"\n{cells}"));
-    place.finish(&["check", "-c", &own]).with_code(0);
+    place.finish(&["check -c", &own]).with_code(0);
     let wrong = place.write("wrong.toml", &format!("domain = \"highway\"\n{cells}"));
     let says = ["`notifier.cells`", "[\"ascend\", 2, 2]", "slow_down"];
-    place.finish(&["check", "-c", &wrong]).with_code(WRONG_INPUT).saying(&says);
+    place.finish(&["check -c", &wrong]).with_code(WRONG_INPUT).saying(&says);
     let small = place.write("small.toml", SMALL);
-    let cells = taxonomy(&place, &["export", &small, "--format", "cells"]).with_code(0).stdout;
+    let cells = taxonomy(&place, &["export --format cells", &small]).with_code(0).stdout;
     assert_eq!(cells, "[notifier]\ncells = [\n    [\"left\", 2, 3],\n    [\"right\", 2, 2],\n]\n");
 }
 
@@ -130,8 +131,8 @@ fn what_a_database_lacks_is_listed_and_fails_only_if_asked() {
     let file = place.write("small.toml", SMALL);
     let lacks = taxonomy(&place, &["validate", &file]).with_code(0).stdout;
     assert!(lacks.contains("topic `left` has nothing at (k, l) = (2, 2)"), "{lacks}");
-    taxonomy(&place, &["validate", &file, "--strict"]).with_code(FAILED);
-    taxonomy(&place, &["validate", "steakhouse", "--strict"]).with_code(0);
+    taxonomy(&place, &["validate --strict", &file]).with_code(FAILED);
+    taxonomy(&place, &["validate steakhouse --strict"]).with_code(0);
 }
 
 #[test]
@@ -140,14 +141,10 @@ fn a_wrong_database_is_told_by_line_or_sentence() {
     let cases: &[(&str, &str, &[&str])] = &[
         ("theta = 70", "theta = ", &["wrong.toml", "line 7"]),
         ("theta = 70", "theat = 70", &["line 7", "theat"]),
+        ("\"Go right.\"", "\"Go right now.\"", &["it has 3 words; `conveyance` says 2"]),
         (
-            "text = \"Go right.\"",
-            "text = \"Go right now.\"",
-            &["it has 3 words; `conveyance` says 2"],
-        ),
-        (
-            "\"right\"\ncomprehension = 2\nconveyance = 2\ntext = \"Go right.\"\nspans = [[\"what\", 0, 2]]\ncurve = [10, 90]",
-            "\"right\"\ncomprehension = 2\nconveyance = 3\ntext = \"go left, now\"\nspans = [[\"what\", 0, 2]]\ncurve = [10, 90, 95]",
+            "conveyance = 2\ntext = \"Go right.\"\nspans = [[\"what\", 0, 2]]\ncurve = [10, 90]",
+            "conveyance = 3\ntext = \"go left, now\"\nspans = [[\"what\", 0, 2]]\ncurve = [10, 90, 95]",
             &["utterance 2 of topic `right`", "the same words stand under topic `left` already"],
         ),
         ("domain = \"road\"", "domain = \"lander\"", &["[left, right]", "[ascend, shift_left"]),
@@ -157,51 +154,48 @@ fn a_wrong_database_is_told_by_line_or_sentence() {
         let file = place.write("wrong.toml", &SMALL.replace(from, to));
         taxonomy(&place, &["validate", &file]).with_code(WRONG_INPUT).saying(expected);
     }
-    taxonomy(&place, &["validate", "moon"]).with_code(WRONG_INPUT).saying(&["`moon`", "lander"]);
+    taxonomy(&place, &["validate moon"]).with_code(WRONG_INPUT).saying(&["`moon`", "lander"]);
 }
 
 #[test]
 fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
     let place = Place::new();
-    let build =
-        |args: &[&str]| taxonomy(&place, &[&["build"], args].concat()).with_code(WRONG_INPUT);
-    let grammar = ["--backend", "grammar"];
-    build(&["highway"]).saying(&["--backend", "--replay"]);
-    build(&[&["moon"], &grammar[..]].concat()).saying(&["`moon`", "highway, lander, steakhouse"]);
+    let build = |args: &str| taxonomy(&place, &["build", args]).with_code(WRONG_INPUT);
+    let with = |plan: &str| build(&format!("{plan} --backend grammar"));
+    build("highway").saying(&["--backend", "--replay"]);
+    with("moon").saying(&["`moon`", "highway, lander, steakhouse"]);
     let plan = place.write("plan.toml", "domain = \"road\"\nroel = \"driver\"");
-    build(&[&[&plan[..]], &grammar[..]].concat()).saying(&["plan.toml", "line 2", "roel"]);
+    with(&plan).saying(&["plan.toml", "line 2", "roel"]);
     fs::create_dir(place.path().join("prompts")).unwrap();
-    let own = [&["highway"], &grammar[..], &["--prompts", "prompts"]].concat();
+    let own = "highway --prompts prompts";
     for template in ["system", "summarise", "generate", "rate_joint", "rate_prefix"] {
         let name = format!("prompts/{template}.txt");
         place.write(&name, "Say {{topik}}.");
-        build(&own).saying(&[&format!(
-            "prompt template `{template}` has the unknown variable `topik`; known: action"
-        )]);
+        let unknown = "has the unknown variable `topik`; known: action";
+        with(own).saying(&[&format!("prompt template `{template}` {unknown}")]);
         place.write(&name, "Say\n{{topic");
-        build(&own).saying(&[&format!("`{template}` opens a variable on line 2")]);
+        with(own).saying(&[&format!("`{template}` opens a variable on line 2")]);
         fs::remove_file(place.path().join(name)).unwrap();
     }
     assert!(!place.path().join("words/calls.jsonl").exists(), "somebody was asked");
-    build(&[&["highway"], &grammar[..], &["--prompts", "nowhere"]].concat())
-        .saying(&["--prompts nowhere", "no such directory"]);
-    build(&["highway", "--replay", "none.jsonl"]).saying(&["none.jsonl"]);
+    with("highway --prompts nowhere").saying(&["--prompts nowhere", "no such directory"]);
+    build("highway --replay none.jsonl").saying(&["none.jsonl"]);
     // A log of another domain answers nothing.
-    build(&["highway", "--replay", &data("lander/calls.jsonl")]).saying(&["lander", "highway"]);
-    let torn = place.write("torn.jsonl", "{\"schema\": 1");
-    build(&["highway", "--replay", &torn]).saying(&["line 1", "torn.jsonl"]);
+    let other = build(&format!("highway --replay {}", data("lander/calls.jsonl")));
+    other.saying(&["lander", "highway"]);
+    place.write("torn.jsonl", "{\"schema\": 1");
+    build("highway --replay torn.jsonl").saying(&["line 1", "torn.jsonl"]);
     // One key can be changed without a file; a wrong one is named.
-    let set = |change| build(&[&["highway"], &grammar[..], &["--set", change]].concat());
-    set("settings.theta=0").saying(&[
-        "--set settings.theta",
-        "`settings.theta` of the plan is 0",
-        "1 to 100 percent",
-    ]);
-    set("settings.bound=60").saying(&["--set settings.bound", "unknown field `bound`"]);
-    let report = ["report", "highway", "--set", "settings.theta=60"];
-    taxonomy(&place, &report).with_code(WRONG_INPUT).saying(&["--log is missing"]);
-    let wrong = place.write("annotations.txt", "# ascend two 4\n");
-    build(&["lander", "--backend", "authored", "--annotations", &wrong]).saying(&["line 1"]);
+    let theta = with("highway --set settings.theta=0");
+    let names = ["--set settings.theta", "`settings.theta` of the plan is 0", "1 to 100 percent"];
+    theta.saying(&names);
+    let bound = with("highway --set settings.bound=60");
+    bound.saying(&["--set settings.bound", "unknown field `bound`"]);
+    taxonomy(&place, &["report highway --set settings.theta=60"])
+        .with_code(WRONG_INPUT)
+        .saying(&["--log is missing"]);
+    place.write("annotations.txt", "# ascend two 4\n");
+    build("lander --backend authored --annotations annotations.txt").saying(&["line 1"]);
 }
 
 #[test]
@@ -210,27 +204,23 @@ fn a_server_that_is_not_there_is_a_lost_peer() {
     // Bound and let go: nobody listens there.
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let url = format!("http://{free}/v1");
-    let build = |url: &str, rest: &[&str]| {
-        let http = ["build", "highway", "--backend", "http", "--tries", "1", "--url", url];
-        taxonomy(&place, &[&http[..], rest].concat())
+    let build = |url: &str, rest: &str| {
+        taxonomy(&place, &["build highway --backend http --tries 1 --url", url, rest])
     };
-    build(&url, &["--model", "m"]).with_code(PEER_LOST).saying(&[&url, "cannot be reached"]);
-    build(&url, &[]).with_code(WRONG_INPUT).saying(&["--model"]);
-    build("ftp://here", &["--model", "m"])
-        .with_code(WRONG_INPUT)
-        .saying(&["ftp://here", "http://"]);
-    build(&url, &["--model", "m", "--api-key-env", "LEADTIME_NO_SUCH_KEY"])
-        .with_code(WRONG_INPUT)
-        .saying(&["LEADTIME_NO_SUCH_KEY"]);
+    build(&url, "--model m").with_code(PEER_LOST).saying(&[&url, "cannot be reached"]);
+    build(&url, "").with_code(WRONG_INPUT).saying(&["--model"]);
+    let wrong = build("ftp://here", "--model m").with_code(WRONG_INPUT);
+    wrong.saying(&["ftp://here", "http://"]);
+    let no_key = build(&url, "--model m --api-key-env LEADTIME_NO_SUCH_KEY");
+    no_key.with_code(WRONG_INPUT).saying(&["LEADTIME_NO_SUCH_KEY"]);
 }
 
 #[test]
 fn an_embedder_must_be_built_in_and_the_one_that_is_known() {
     let place = Place::new();
     place.write("model.safetensors", "abc");
-    let here = place.path().display().to_string();
-    let build = ["build", "highway", "--backend", "grammar", "--embedder", &here];
-    let refused = taxonomy(&place, &build).with_code(WRONG_INPUT);
+    let refused = taxonomy(&place, &["build highway --backend grammar --embedder ."]);
+    let refused = refused.with_code(WRONG_INPUT);
     if cfg!(feature = "minilm") {
         refused.saying(&["model.safetensors", "has sha256 ba7816bf", "expected 53aa5117"]);
     } else {

@@ -1,21 +1,20 @@
 //! Words from a language model behind HTTP, through the program: killed in the middle and taken up again, given up when
 //! the model talks nonsense. The model is a server of the test's own that answers by a grammar.
 
+use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
 
 use leadtime_taxonomy::pipeline::DatabasePlan;
 use leadtime_taxonomy::pipeline::fakes::{Manner, Server};
 
-use crate::support::{Finished, PATIENCE, Place, Running};
+use crate::support::{Finished, PATIENCE, Place, Running, repository};
 
 /// Exit code for wrong input: a model that cannot do it is one.
 const WRONG_INPUT: i32 = 2;
 
 /// A plan of the highway's first topic alone, as file and read.
 fn small_plan(place: &Place) -> DatabasePlan {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let whole = fs::read_to_string(root.join("crates/taxonomy/data/highway/plan.toml")).unwrap();
+    let whole = fs::read_to_string(repository("crates/taxonomy/data/highway/plan.toml")).unwrap();
     let mut parts = whole.split_inclusive("[[topic]]");
     let text = [parts.next().unwrap(), parts.next().unwrap()].concat();
     let text = text.trim_end_matches("[[topic]]").replace("keep = 4", "keep = 3\ntarget = 3");
@@ -24,13 +23,17 @@ fn small_plan(place: &Place) -> DatabasePlan {
 }
 
 fn start(place: &Place, server: &Server) -> Running {
-    let http = ["taxonomy", "build", "plan.toml", "--backend", "http", "--model", "m", "--json"];
-    let patience = ["--timeout", "3s", "--backoff", "2ms", "--url", &server.url, "-o", "words"];
-    place.start(&[&http[..], &patience].concat())
+    let http = "taxonomy build plan.toml --backend http --model m --json -o words";
+    place.start(&[http, "--timeout 3s --backoff 2ms --url", &server.url])
 }
 
 fn finish(place: &Place, server: &Server) -> Finished {
     start(place, server).finish(PATIENCE)
+}
+
+fn n_paid_twice(server: &Server) -> usize {
+    let answered = server.seen().answered.clone();
+    answered.len() - answered.iter().collect::<BTreeSet<_>>().len()
 }
 
 #[test]
@@ -58,17 +61,12 @@ fn a_build_that_is_killed_goes_on_without_paying_for_a_call_twice() {
     let whole = fs::read(&log).unwrap();
     fs::write(&log, &whole[..whole.len() - 5]).unwrap();
     let made = finish(&place, &server).with_code(0).json();
-    let mut answered = server.seen().answered.clone();
-    let n_answered = answered.len();
     // Beside the model, the program's own embedder writes to the log.
     assert_eq!(made["calls"], lines() - 25, "{made}");
-    answered.sort_unstable();
-    answered.dedup();
-    assert_eq!(n_answered - answered.len(), 1, "the torn call, and no other, was paid twice");
+    assert_eq!(n_paid_twice(&server), 1, "the torn call, and no other, was paid twice");
     assert_eq!(made["filled"], 10, "{made}");
     // What the log holds makes the same files without the server.
-    let replay = ["taxonomy", "build", "plan.toml", "--replay", "words/calls.jsonl", "-o", "again"];
-    place.finish(&replay).with_code(0);
+    place.finish(&["taxonomy build plan.toml --replay words/calls.jsonl -o again"]).with_code(0);
     for file in ["taxonomy.toml", "coverage.md", "candidates.jsonl"] {
         let read = |run: &str| fs::read(place.path().join(run).join(file)).unwrap();
         assert_eq!(read("words"), read("again"), "{file}");
@@ -79,10 +77,8 @@ fn a_build_that_is_killed_goes_on_without_paying_for_a_call_twice() {
 fn a_model_that_talks_nonsense_is_given_up_and_its_replies_are_kept() {
     let place = Place::new();
     let server = Server::start(&small_plan(&place), &[Manner::Nonsense]);
-    let says = format!(
-        "error: 50 of the last 50 replies of m at {} are malformed: its template or the model is wrong\n",
-        server.url
-    );
+    let wrong = "are malformed: its template or the model is wrong";
+    let says = format!("error: 50 of the last 50 replies of m at {} {wrong}\n", server.url);
     for _ in 0..2 {
         let given_up = finish(&place, &server).with_code(WRONG_INPUT);
         assert!(given_up.stderr.ends_with(&says), "{}", given_up.stderr);
@@ -102,14 +98,9 @@ fn a_server_that_breaks_down_loses_nothing_that_was_paid() {
     manners.extend([Manner::Broken; 5]);
     manners.extend([Manner::Well; 1000]);
     let server = Server::start(&plan, &manners);
-    finish(&place, &server).with_code(3).saying(&[&format!(
-        "the server at {} cannot be reached after 5 tries: status 500",
-        server.url
-    )]);
+    let url = &server.url;
+    let told = format!("the server at {url} cannot be reached after 5 tries: status 500");
+    finish(&place, &server).with_code(3).saying(&[&told]);
     finish(&place, &server).with_code(0);
-    let mut answered = server.seen().answered.clone();
-    let n_answered = answered.len();
-    answered.sort_unstable();
-    answered.dedup();
-    assert_eq!(answered.len(), n_answered, "a call was paid twice");
+    assert_eq!(n_paid_twice(&server), 0);
 }

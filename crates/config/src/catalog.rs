@@ -66,20 +66,16 @@ impl Catalog {
     /// [`ConfigError`] if the text of a domain of the user's own is not TOML.
     pub fn text(&self, name: &str) -> Option<Result<String, ConfigError>> {
         self.texts.contains_key(name).then(|| {
-            let chain = self.chain(name, "domain")?.into_iter();
-            let texts = chain.map(|layer| layer.as_str().to_owned());
+            let texts = self.chain(name, "domain")?.into_iter().map(|layer| layer.text);
             Ok(texts.reduce(|below, above| edited(&below, &above)).unwrap_or_default())
         })
     }
 
-    /// Returns a file with everything that it starts from, the most general first.
-    ///
-    /// # Errors
-    ///
-    /// [`ConfigError`] if the file is not TOML, or its `base` or `domain` is unknown.
+    /// Returns a file with everything that it starts from, the most general first; refuses what is not TOML, and an
+    /// unknown `base` or `domain`.
     pub(crate) fn with_bases(&self, file: &Layer) -> Result<Vec<Layer>, ConfigError> {
         let table = file.parse()?;
-        let at = |error: ConfigError| error.at(file.place());
+        let at = |error: ConfigError| error.at(&file.place);
         let (base, domain) = (word(&table, "base"), word(&table, "domain"));
         let (base, domain) = (base.map_err(at)?, domain.map_err(at)?);
         let (key, name) = match (base, domain) {

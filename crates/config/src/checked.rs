@@ -10,7 +10,7 @@ use leadtime_policy::parameters;
 use leadtime_ppo::LearnerSettings;
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
-use leadtime_sims::{Environment, Registry, TaskError, notifier};
+use leadtime_sims::{Environment, Registry, notifier};
 use toml::Table;
 use toml::de::{DeTable, DeValue};
 
@@ -104,8 +104,8 @@ impl Config {
         registry: &Registry,
     ) -> Result<Self, ConfigError> {
         // A file that names no base and no domain is about the default domain.
-        let default = || Layer::text("", "");
-        let mut layers = catalog.with_bases(&source.file.clone().unwrap_or_else(default))?;
+        let file = source.file.clone().unwrap_or_else(|| Layer::text("", ""));
+        let mut layers = catalog.with_bases(&file)?;
         layers.extend(source.set.iter().map(Layer::set));
         if let Some(seed) = source.seed {
             let given = i64::try_from(seed);
@@ -164,7 +164,7 @@ impl Config {
     /// Lays the layers over each other, reads the result once, and checks it.
     fn resolve(mut layers: Vec<Layer>, registry: &Registry) -> Result<Self, ConfigError> {
         let layers = Layers::merge(&mut layers)?;
-        let mut root = layers.root().clone();
+        let mut root = layers.table.clone();
         let sections = sections::take(&mut root);
         let changes = root.get("evaluation").and_then(|section| section.get_ref().as_table());
         let changes = changes.and_then(|section| section.get("world").cloned());
@@ -191,24 +191,11 @@ impl Config {
         };
         let mut table = Table::try_from(&written).map_err(ConfigError::of)?;
         table.extend(task.table);
-        Self::check(domain, &written, task.spec, evaluated, table, registry)
-    }
-
-    fn check(
-        domain: DomainName,
-        written: &WrittenConfig,
-        task: TaskSpec,
-        evaluated: TaskSpec,
-        table: Table,
-        registry: &Registry,
-    ) -> Result<Self, ConfigError> {
-        let mut environment = registry.build(&task).map_err(ConfigError::of)?;
-        let env = environment.spec().clone();
+        let mut environment = registry.build(&task.spec).map_err(ConfigError::of)?;
         let policy = check_policy(&written.policy, environment.as_ref())?;
         written.learner.check().map_err(ConfigError::of)?;
-        check_sequences(&policy, &written.learner)?;
         check_sizes(environment.as_mut(), &policy, &written.learner)?;
-        if evaluated != task {
+        if evaluated != task.spec {
             let built = registry.build(&evaluated);
             built.map_err(|error| ConfigError::of(error).at("`evaluation.world`"))?;
         }
@@ -222,21 +209,12 @@ impl Config {
             evaluation: EvaluationSettings { episodes, action, task: evaluated },
             domain,
             seed: written.seed,
-            task,
-            env,
+            env: environment.spec().clone(),
+            task: task.spec,
             policy,
-            learner: written.learner.clone(),
+            learner: written.learner,
             table,
         })
-    }
-
-    /// Builds one environment of the task.
-    ///
-    /// # Errors
-    ///
-    /// [`TaskError`] if the registry is not the one that the configuration was checked with.
-    pub fn build(&self, registry: &Registry) -> Result<Box<dyn Environment>, TaskError> {
-        registry.build(&self.task)
     }
 
     /// Returns how many steps one update trains on.
@@ -257,11 +235,11 @@ impl Config {
 fn known_keys(layers: &Layers<'_>) -> Result<(), ConfigError> {
     const KEYS: [&str; 7] = ["domain", "seed", "run", "policy", "learner", "actor", "evaluation"];
     let known = || KEYS.into_iter().chain(SECTIONS);
-    let key = layers.root().keys().find(|key| !known().any(|known| known == key.get_ref()));
+    let key = layers.table.keys().find(|key| !known().any(|known| known == key.get_ref()));
     let Some(key) = key else { return Ok(()) };
     let name = key.get_ref().as_ref();
     let holds = |section: &&str| {
-        let section = layers.root().get(*section).and_then(|value| value.get_ref().as_table());
+        let section = layers.table.get(*section).and_then(|value| value.get_ref().as_table());
         section.is_some_and(|section| section.contains_key(name))
     };
     let meant = known().find(holds).map(|section| format!("; did you mean `{section}.{name}`?"));
@@ -287,12 +265,9 @@ fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {
     })
 }
 
-fn check_policy(
-    policy: &PolicySection,
-    environment: &dyn Environment,
-) -> Result<PolicySpec, ConfigError> {
-    let env = environment.spec();
-    let encoder = check_encoder(policy, environment)?;
+fn check_policy(policy: &PolicySection, env: &dyn Environment) -> Result<PolicySpec, ConfigError> {
+    let encoder = check_encoder(policy, env)?;
+    let env = env.spec();
     let (n_layers, fewest) = (policy.hidden.len(), usize::from(encoder == Encoder::Identity));
     let fits = (fewest..=8).contains(&n_layers);
     let given = format_args!("{n_layers} layers");
@@ -314,11 +289,7 @@ fn check_policy(
     })
 }
 
-/// Checks the encoder's widths.
-fn check_encoder(
-    policy: &PolicySection,
-    environment: &dyn Environment,
-) -> Result<Encoder, ConfigError> {
+fn check_encoder(policy: &PolicySection, env: &dyn Environment) -> Result<Encoder, ConfigError> {
     let (projection, state) = (policy.lstm_projection, policy.lstm_state);
     match policy.encoder {
         EncoderKind::None => Ok(Encoder::Identity),
@@ -334,7 +305,7 @@ fn check_encoder(
             let allowed = format_args!("a divisor of {width} (`attention_width`)");
             ensure(fits, "policy.attention_heads", heads, allowed)?;
             let given = "\"attention\", but this domain's observation does not consist of entities";
-            let history = environment.entity_history();
+            let history = env.entity_history();
             ensure(history.is_some(), "policy.encoder", given, "\"none\", \"lstm\"")?;
             let attention = history.map(|history| history.attention(width, heads));
             Ok(attention.map_or(Encoder::Identity, Encoder::EgoAttention))
@@ -342,24 +313,20 @@ fn check_encoder(
     }
 }
 
-/// A recurrent policy learns from whole rollouts, so an update cannot be cut finer than these.
-fn check_sequences(policy: &PolicySpec, learner: &LearnerSettings) -> Result<(), ConfigError> {
-    let (n_minibatches, n_envs) = (learner.n_minibatches, learner.n_envs);
-    let fits = policy.recurrent_dim() == 0 || n_minibatches <= n_envs;
-    let allowed = format!(
-        "1 to {n_envs} (`learner.n_envs`), because a recurrent policy learns from whole rollouts"
-    );
-    ensure(fits, "learner.n_minibatches", n_minibatches, allowed)
-}
-
-/// Refuses messages and files that could never be sent or written: a rollout over its limit would be sent, refused and
-/// sent again for ever; a checkpoint over its limit would end the run at its first one.
+/// Refuses an update that is cut finer than a recurrent policy's rollouts, and messages and files that could never be sent
+/// or written: a rollout over its limit would be sent, refused and sent again for ever; a checkpoint over its limit would
+/// end the run at its first one.
 fn check_sizes(
     environment: &mut dyn Environment,
     policy: &PolicySpec,
     learner: &LearnerSettings,
 ) -> Result<(), ConfigError> {
-    let (n_steps, n_envs) = (learner.n_steps, learner.n_envs);
+    let (n_steps, n_envs, n_minibatches) = (learner.n_steps, learner.n_envs, learner.n_minibatches);
+    let fits = policy.recurrent_dim() == 0 || n_minibatches <= n_envs;
+    let allowed = format!(
+        "1 to {n_envs} (`learner.n_envs`), because a recurrent policy learns from whole rollouts"
+    );
+    ensure(fits, "learner.n_minibatches", n_minibatches, allowed)?;
     let spec = environment.spec();
     let rollout = |n_steps| Rollout::max_bytes(spec, policy.recurrent_dim(), n_steps);
     let (bytes, empty) = (rollout(n_steps), rollout(0));
@@ -373,12 +340,12 @@ fn check_sizes(
     ensure(weights <= MAX_WEIGHTS_BYTES, "policy.hidden", given, allowed)?;
     let snapshot = environment.max_snapshot_bytes() + 4 * policy.recurrent_dim();
     let (bytes, lag) = (max_payload_bytes(learner, weights, snapshot), learner.lag);
-    let refused = || {
-        ConfigError(format!(
-            "a checkpoint would have up to {bytes} bytes: {weights} for each version of the weights that is kept \
-             (`policy.hidden`, `learner.lag` is {lag}), {snapshot} for each environment (`learner.n_envs` is {n_envs}); \
-             allowed: at most {MAX_PAYLOAD_BYTES} bytes"
-        ))
-    };
-    if bytes <= MAX_PAYLOAD_BYTES { Ok(()) } else { Err(refused()) }
+    if bytes <= MAX_PAYLOAD_BYTES {
+        return Ok(());
+    }
+    Err(ConfigError(format!(
+        "a checkpoint would have up to {bytes} bytes: {weights} for each version of the weights that is kept \
+         (`policy.hidden`, `learner.lag` is {lag}), {snapshot} for each environment (`learner.n_envs` is {n_envs}); \
+         allowed: at most {MAX_PAYLOAD_BYTES} bytes"
+    )))
 }

@@ -24,10 +24,6 @@ impl ConfigError {
 }
 
 /// Refuses a value unless `holds`.
-///
-/// # Errors
-///
-/// [`ConfigError`] unless `holds`.
 pub(crate) fn ensure(
     holds: bool,
     key: &str,
@@ -39,10 +35,6 @@ pub(crate) fn ensure(
 }
 
 /// Refuses a value below `low` or above `high`, and what is not a number.
-///
-/// # Errors
-///
-/// [`ConfigError`] unless the value is in range.
 pub(crate) fn within<T: Copy + PartialOrd + Display>(
     key: &str,
     value: T,

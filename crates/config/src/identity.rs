@@ -2,7 +2,7 @@
 //!
 //! Two configurations with the same identity give the same weights, bit for bit, from the same program.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use sha2::{Digest as _, Sha256};
@@ -14,18 +14,17 @@ const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
 pub const TOTAL_STEPS: &str = "learner.total_steps";
 /// The seed's key.
 const SEED: &str = "seed";
-/// Settings that are younger than some runs, and the value at which each changes nothing.
-const LATER: [(&str, f64); 1] = [("policy.length_bias", 0.0)];
+/// A setting that is younger than some runs, and changes nothing at 0.
+const LATER: &str = "policy.length_bias";
 
 /// Tells whether a key only says where and how a run is carried out.
 pub fn is_free(key: &str) -> bool {
     FREE_SECTIONS.iter().any(|section| key.starts_with(section))
 }
 
-/// Returns the leaves that decide what a run computes.
-///
-/// Settings that are younger than some runs are left out where they change nothing, so an earlier run keeps its identity.
-pub fn deciding(table: &Table) -> BTreeMap<String, String> {
+/// Returns the leaves that decide what a run computes; without a younger setting that changes nothing, so that an earlier
+/// run keeps its identity.
+fn deciding(table: &Table) -> BTreeMap<String, String> {
     let mut leaves = flatten(table);
     leaves.retain(|key, value| !is_free(key) && !changes_nothing(key, value));
     leaves
@@ -33,8 +32,7 @@ pub fn deciding(table: &Table) -> BTreeMap<String, String> {
 
 /// Tells whether a value (empty: none) is that of a younger setting that changes nothing.
 fn changes_nothing(key: &str, value: &str) -> bool {
-    let is_neutral = |later, at| key == later && (value.is_empty() || value.parse() == Ok(at));
-    LATER.iter().any(|(later, at)| is_neutral(*later, *at))
+    key == LATER && (value.is_empty() || value.parse() == Ok(0.0))
 }
 
 /// Computes the hash over everything that must not change when a run is resumed.
@@ -78,40 +76,31 @@ impl fmt::Display for Change {
 /// A setting that came later than one of them is left out where it changes nothing.
 pub fn difference(before: &Table, after: &Table) -> Vec<Change> {
     let (before, after) = (flatten(before), flatten(after));
-    let mut keys: Vec<&String> = before.keys().chain(after.keys()).collect();
-    keys.sort();
-    keys.dedup();
-    let changes = keys.into_iter().filter(|key| before.get(*key) != after.get(*key));
-    let value = |of: &BTreeMap<String, String>, key: &String| of.get(key).cloned();
-    let change = |key: &String| Change {
-        key: key.clone(),
-        before: value(&before, key).unwrap_or_default(),
-        after: value(&after, key).unwrap_or_default(),
+    let keys: BTreeSet<&String> = before.keys().chain(after.keys()).collect();
+    let change = |key: &String| {
+        let [before, after] = [&before, &after].map(|of| of.get(key).cloned().unwrap_or_default());
+        Change { key: key.clone(), before, after }
     };
     let matters = |change: &Change| {
         let Change { key, before, after } = change;
-        !(changes_nothing(key, before) && changes_nothing(key, after))
+        before != after && !(changes_nothing(key, before) && changes_nothing(key, after))
     };
-    changes.map(change).filter(matters).collect()
+    keys.into_iter().map(change).filter(matters).collect()
 }
 
 /// Returns every leaf of a table by its full key.
-pub fn flatten(table: &Table) -> BTreeMap<String, String> {
+pub(crate) fn flatten(table: &Table) -> BTreeMap<String, String> {
     let mut leaves = BTreeMap::new();
-    collect(table, "", &mut leaves);
-    leaves
-}
-
-fn collect(table: &Table, prefix: &str, leaves: &mut BTreeMap<String, String>) {
     for (key, value) in table {
-        let full = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
         match value {
-            Value::Table(inner) => collect(inner, &full, leaves),
-            leaf => {
-                leaves.insert(full, leaf.to_string());
+            Value::Table(inner) => {
+                let inner = flatten(inner).into_iter();
+                leaves.extend(inner.map(|(rest, value)| (format!("{key}.{rest}"), value)));
             }
+            leaf => drop(leaves.insert(key.clone(), leaf.to_string())),
         }
     }
+    leaves
 }
 
 #[cfg(test)]
@@ -129,18 +118,19 @@ mod tests {
         assert_eq!(deciding(&before), deciding(&same));
         assert!(difference(&before, &same).is_empty());
         let other = table("[policy]\ninitiate_bias = -1.0\nlength_bias = -0.5");
-        let texts = |from, to| difference(from, to).iter().map(ToString::to_string).collect();
-        let texts: [Vec<String>; 2] = [texts(&before, &other), texts(&other, &same)];
-        let expected = ["(none) -> -0.5", "-0.5 -> 0.0"];
-        assert_eq!(texts, expected.map(|text| vec![format!("policy.length_bias: {text}")]));
+        assert_eq!(changes(&before, &other), ["policy.length_bias: (none) -> -0.5"]);
+        assert_eq!(changes(&other, &same), ["policy.length_bias: -0.5 -> 0.0"]);
         assert!(flatten(&same).contains_key("policy.length_bias"));
+    }
+
+    fn changes(before: &Table, after: &Table) -> Vec<String> {
+        difference(before, after).iter().map(ToString::to_string).collect()
     }
 
     #[test]
     fn a_difference_names_keys_and_both_values() {
-        let changes = difference(&table("a = 1\n[b]\nc = 2"), &table("a = 1\n[b]\nc = 3\nd = 4"));
-        let texts: Vec<String> = changes.iter().map(ToString::to_string).collect();
-        assert_eq!(texts, ["b.c: 2 -> 3", "b.d: (none) -> 4"]);
+        let changes = changes(&table("a = 1\n[b]\nc = 2"), &table("a = 1\n[b]\nc = 3\nd = 4"));
+        assert_eq!(changes, ["b.c: 2 -> 3", "b.d: (none) -> 4"]);
     }
 
     #[test]

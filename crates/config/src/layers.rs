@@ -31,8 +31,8 @@ const SHOWN: usize = 60;
 /// One text of a configuration: a file, a part of a study, or an option of the command line.
 #[derive(Clone, Debug)]
 pub struct Layer {
-    place: String,
-    text: String,
+    pub(crate) place: String,
+    pub(crate) text: String,
     /// An option is short enough to be named without its line.
     change: Option<Override>,
 }
@@ -58,21 +58,7 @@ impl Layer {
         Self { place: option.into(), text: change.to_string(), change: Some(change.clone()) }
     }
 
-    /// Names it in messages.
-    pub(crate) fn place(&self) -> &str {
-        &self.place
-    }
-
-    /// Returns the text as written.
-    pub(crate) fn as_str(&self) -> &str {
-        &self.text
-    }
-
-    /// Reads the text on its own.
-    ///
-    /// # Errors
-    ///
-    /// [`ConfigError`] if it is not TOML, or nested too deeply.
+    /// Reads the text on its own; refuses what is not TOML, or nested too deeply.
     pub(crate) fn parse(&self) -> Result<DeTable<'_>, ConfigError> {
         nesting::table(&self.text).map_err(|(span, message)| self.refuse(span, &message))
     }
@@ -113,18 +99,14 @@ fn pointed(text: &str, span: Range<usize>) -> String {
 #[derive(Debug)]
 pub(crate) struct Layers<'a> {
     layers: Vec<&'a Layer>,
-    table: DeTable<'a>,
+    pub(crate) table: DeTable<'a>,
 }
 
 impl<'a> Layers<'a> {
     /// Lays every layer over those before it: sections are merged key by key, everything else is replaced.
     ///
     /// Inside a section a table with one key stands for a choice (`{ fixed = 2 }`), so another choice replaces it whole.
-    ///
-    /// # Errors
-    ///
-    /// [`ConfigError`] if a text is not TOML, holds a number that no setting can have, or puts a list in place of a
-    /// section.
+    /// Refuses what is not TOML, a number that no setting can have, and a list in place of a section.
     pub(crate) fn merge(layers: &'a mut [Layer]) -> Result<Self, ConfigError> {
         let mut merged = Self { layers: Vec::new(), table: DeTable::new() };
         for (i, layer) in layers.iter_mut().enumerate() {
@@ -143,24 +125,15 @@ impl<'a> Layers<'a> {
 
     /// Tells whether an option writes a whole number where the layers below hold a fraction.
     fn wants_fraction(&self, change: &Override) -> bool {
-        let below = change.path().split_first().and_then(|(first, rest)| {
+        let below = change.path.split_first().and_then(|(first, rest)| {
             let first = self.table.get(first.as_str())?.get_ref();
-            rest.iter()
-                .try_fold(first, |at, part| Some(at.as_table()?.get(part.as_str())?.get_ref()))
+            let mut rest = rest.iter();
+            rest.try_fold(first, |at, part| Some(at.as_table()?.get(part.as_str())?.get_ref()))
         });
-        change.is_whole() && below.is_some_and(DeValue::is_float)
+        change.value.is_integer() && below.is_some_and(DeValue::is_float)
     }
 
-    /// Returns the merged table.
-    pub(crate) fn root(&self) -> &DeTable<'a> {
-        &self.table
-    }
-
-    /// Lays one part of the result over another.
-    ///
-    /// # Errors
-    ///
-    /// [`ConfigError`] if it puts a list in place of a section.
+    /// Lays one part of the result over another; refuses a list in place of a section.
     pub(crate) fn overlay(
         &self,
         base: &mut DeTable<'a>,
@@ -170,11 +143,8 @@ impl<'a> Layers<'a> {
         laid.map_err(|(span, message)| self.refuse(span, &message))
     }
 
-    /// Reads a part of the result into its type.
-    ///
-    /// # Errors
-    ///
-    /// An unknown key or a wrong type, with the place where it was written and what is allowed.
+    /// Reads a part of the result into its type; refuses an unknown key or a wrong type, with the place where it was
+    /// written and what is allowed.
     pub(crate) fn read<T: DeserializeOwned>(&self, table: DeTable<'a>) -> Result<T, ConfigError> {
         T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
             .map_err(|error: Error| self.refuse(error.span(), error.message()))
@@ -198,14 +168,10 @@ pub fn read<T: DeserializeOwned>(
 ) -> Result<T, ConfigError> {
     let mut layers: Vec<Layer> = layers.into_iter().collect();
     let layers = Layers::merge(&mut layers)?;
-    layers.read(layers.root().clone())
+    layers.read(layers.table.clone())
 }
 
-/// Returns the text of a top-level key, if there is one.
-///
-/// # Errors
-///
-/// [`ConfigError`] if it is not text.
+/// Returns the value of a top-level key, if there is one; refuses what is not text.
 pub(crate) fn word<'t>(table: &'t DeTable<'_>, key: &str) -> Result<Option<&'t str>, ConfigError> {
     let Some(value) = table.get(key).map(Spanned::get_ref) else { return Ok(None) };
     ensure(value.is_str(), key, value.type_str(), "a name in quotes")?;
@@ -223,17 +189,12 @@ fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Resu
                 overlay(below, above, false)?;
             }
             (Some(DeValue::Table(below)), above) if !is_table && (is_root || above.is_array()) => {
-                let keys: Vec<String> = below.keys().map(ToString::to_string).collect();
+                let keys = below.keys().map(ToString::to_string).collect::<Vec<_>>().join(", ");
                 let kind = above.type_str();
-                let keys = keys.join(", ");
-                return Err((
-                    Some(span),
-                    format!("`{name}` is a section, not {kind}; its keys: {keys}"),
-                ));
+                let message = format!("`{name}` is a section, not {kind}; its keys: {keys}");
+                return Err((Some(span), message));
             }
-            (_, above) => {
-                base.insert(key, Spanned::new(span, above));
-            }
+            (_, above) => drop(base.insert(key, Spanned::new(span, above))),
         }
     }
     Ok(())
@@ -245,13 +206,13 @@ fn is_other_choice(below: &DeTable<'_>, above: &DeTable<'_>) -> bool {
 
 /// Moves every position of a table by the layer's, and checks what no type would.
 fn placed_table<'a>(table: DeTable<'a>, path: &str, by: usize) -> Result<DeTable<'a>, Refused> {
-    let entries = table.into_iter().map(|(key, value)| {
+    let entry = |(key, value): (Spanned<_>, _)| {
         let (span, name) = (key.span(), key.into_inner());
-        let path = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
+        let path = if path.is_empty() { format!("{name}") } else { format!("{path}.{name}") };
         let value = placed(value, &path, by)?;
         Ok((Spanned::new(span.start + by..span.end + by, name), value))
-    });
-    entries.collect()
+    };
+    table.into_iter().map(entry).collect()
 }
 
 fn placed<'a>(

@@ -3,7 +3,7 @@
 use std::mem::ManuallyDrop;
 use std::ops::Range;
 
-use toml::de::{DeTable, DeValue};
+use toml::de::{DeTable, DeValue, Error};
 
 /// How deep tables and lists may be nested; no setting needs more than five levels.
 const MAX_DEPTH: usize = 32;
@@ -11,31 +11,20 @@ const MAX_DEPTH: usize = 32;
 /// A refused text: the bytes that it is about, and why.
 pub(crate) type Refused = (Option<Range<usize>>, String);
 
-/// Parses a text.
-///
-/// # Errors
-///
-/// [`Refused`] if it is not TOML, or nested too deeply.
+/// Parses a text that is TOML and not nested too deeply.
 pub(crate) fn table(text: &str) -> Result<DeTable<'_>, Refused> {
     let (table, errors) = DeTable::parse_recoverable(text);
     let table = ManuallyDrop::new(table.into_inner());
-    for (key, value) in table.iter() {
-        if is_deep(value.get_ref(), MAX_DEPTH - 1) {
-            return Err((Some(key.span()), too_deep()));
-        }
+    let mut entries = table.iter();
+    if let Some((key, _)) = entries.find(|(_, value)| is_deep(value.get_ref(), MAX_DEPTH - 1)) {
+        return Err((Some(key.span()), too_deep()));
     }
     let table = ManuallyDrop::into_inner(table);
-    match errors.first() {
-        Some(error) => Err((error.span(), error.message().to_owned())),
-        None => Ok(table),
-    }
+    let refused = |error: &Error| Err((error.span(), error.message().to_owned()));
+    errors.first().map_or(Ok(table), refused)
 }
 
-/// Checks a text that may be a single value.
-///
-/// # Errors
-///
-/// If it is nested too deeply, whether it is TOML or not.
+/// Refuses a single value that is nested too deeply, whether it is TOML or not.
 pub(crate) fn check_value(text: &str) -> Result<(), String> {
     let (value, _errors) = DeValue::parse_recoverable(text);
     let value = ManuallyDrop::new(value);

@@ -14,8 +14,8 @@ const MAX_PARTS: usize = 16;
 /// One `--set section.key=value`.
 #[derive(Clone, Debug)]
 pub struct Override {
-    path: Vec<String>,
-    value: Value,
+    pub(crate) path: Vec<String>,
+    pub(crate) value: Value,
 }
 
 impl Override {
@@ -32,9 +32,9 @@ impl Override {
     /// if a whole number is beyond what TOML can hold.
     pub fn parse(text: &str) -> Result<Self, String> {
         let shown = quoted(text);
-        let (key, value) = text
-            .split_once('=')
-            .ok_or_else(|| format!("`{shown}` is not of the form section.key=value"))?;
+        let parts = text.split_once('=');
+        let (key, value) =
+            parts.ok_or_else(|| format!("`{shown}` is not of the form section.key=value"))?;
         let n_parts = key.split('.').count();
         if n_parts > MAX_PARTS {
             return Err(format!("the key has {n_parts} parts; allowed: at most {MAX_PARTS}"));
@@ -49,11 +49,8 @@ impl Override {
             (Ok(value), _) => value,
             (Err(_), Err(_)) => Value::String(value.to_owned()),
             (Err(_), Ok(_)) => {
-                let (key, value) = (quoted(key), quoted(value));
-                return Err(format!(
-                    "`{key}` is {value}; allowed: whole numbers up to {}",
-                    i64::MAX
-                ));
+                let (key, value, most) = (quoted(key), quoted(value), i64::MAX);
+                return Err(format!("`{key}` is {value}; allowed: whole numbers up to {most}"));
             }
         };
         Ok(Self { path, value })
@@ -63,37 +60,23 @@ impl Override {
     pub fn key(&self) -> String {
         self.path.join(".")
     }
-
-    /// Returns the parts of the key.
-    pub fn path(&self) -> &[String] {
-        &self.path
-    }
-
-    /// Tells whether the value is a whole number.
-    pub(crate) fn is_whole(&self) -> bool {
-        self.value.is_integer()
-    }
 }
 
 /// The change as a line of TOML.
 impl fmt::Display for Override {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let is_bare = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-';
-        for (i, part) in self.path.iter().enumerate() {
-            let dot = if i == 0 { "" } else { "." };
-            if part.bytes().all(is_bare) {
-                write!(f, "{dot}{part}")?;
-            } else {
-                write!(f, "{dot}{}", Value::from(part.as_str()))?;
-            }
-        }
-        write!(f, " = {}", self.value)
+        let quote = |part: &String| Value::from(part.as_str()).to_string();
+        let shown =
+            |part: &String| if part.bytes().all(is_bare) { part.clone() } else { quote(part) };
+        let key: Vec<String> = self.path.iter().map(shown).collect();
+        write!(f, "{} = {}", key.join("."), self.value)
     }
 }
 
 /// One `--each section.key=[values]`: a change per value.
 #[derive(Clone, Debug)]
-pub struct Alternatives(Vec<Override>);
+pub struct Alternatives(pub Vec<Override>);
 
 impl Alternatives {
     /// Reads `section.key=[value, ...]`.
@@ -110,11 +93,6 @@ impl Alternatives {
             }
             _ => Err(format!("`{}` is not of the form section.key=[value, ...]", quoted(text))),
         }
-    }
-
-    /// Returns the changes, in order.
-    pub fn overrides(&self) -> &[Override] {
-        &self.0
     }
 }
 
@@ -152,7 +130,7 @@ mod tests {
     #[test]
     fn alternatives_are_an_override_each() {
         let each = Alternatives::parse("human.delay=[{fixed=0}, {fixed=2}]").unwrap();
-        let texts: Vec<String> = each.overrides().iter().map(ToString::to_string).collect();
+        let texts: Vec<String> = each.0.iter().map(ToString::to_string).collect();
         assert_eq!(texts, ["human.delay = { fixed = 0 }", "human.delay = { fixed = 2 }"]);
         for text in ["human.delay=3", "human.delay=[]", "human.delay"] {
             assert!(Alternatives::parse(text).is_err(), "{text}");

@@ -40,36 +40,30 @@ struct NotifierSections<W> {
 
 /// Takes a task's sections out of a merged configuration.
 pub(crate) fn take<'a>(root: &mut DeTable<'a>) -> DeTable<'a> {
-    let entries = SECTIONS.iter().filter_map(|name| root.remove_entry(*name));
+    let entries = SECTIONS.iter().filter_map(|&name| Some((name, root.remove_entry(name)?)));
     // A domain without people has no such section, and its builder does not want to see one.
     let is_empty = |value: &DeValue<'_>| value.as_table().is_some_and(DeTable::is_empty);
-    entries
-        .filter(|(name, value)| name.get_ref() == "world" || !is_empty(value.get_ref()))
-        .collect()
+    let kept = entries.filter(|(name, (_, value))| *name == "world" || !is_empty(value.get_ref()));
+    kept.map(|(_, entry)| entry).collect()
 }
 
 /// Reads a task's sections into the types of its domain, and writes them down complete.
-///
-/// # Errors
-///
-/// An unknown key or a wrong type, with its place.
 pub(crate) fn read<'a>(
     domain: &str,
     layers: &Layers<'a>,
     sections: DeTable<'a>,
 ) -> Result<Task, ConfigError> {
-    match domain {
-        "lander" => typed::<NotifierSections<LanderWorldSettings>>(domain, layers, sections),
-        "highway" => typed::<NotifierSections<HighwayWorldSettings>>(domain, layers, sections),
-        "steakhouse" => {
-            typed::<NotifierSections<SteakhouseWorldSettings>>(domain, layers, sections)
-        }
-        "pilot" => typed::<WorldOnly<PilotTaskSettings>>(domain, layers, sections),
-        "cartpole" => typed::<WorldOnly<CartPoleSettings>>(domain, layers, sections),
-        "cue_recall" => typed::<WorldOnly<CueRecallSettings>>(domain, layers, sections),
+    let typed = match domain {
+        "lander" => typed::<NotifierSections<LanderWorldSettings>>,
+        "highway" => typed::<NotifierSections<HighwayWorldSettings>>,
+        "steakhouse" => typed::<NotifierSections<SteakhouseWorldSettings>>,
+        "pilot" => typed::<WorldOnly<PilotTaskSettings>>,
+        "cartpole" => typed::<WorldOnly<CartPoleSettings>>,
+        "cue_recall" => typed::<WorldOnly<CueRecallSettings>>,
         // A domain of the user's own checks its sections itself.
-        _ => typed::<Table>(domain, layers, sections),
-    }
+        _ => typed::<Table>,
+    };
+    typed(domain, layers, sections)
 }
 
 fn typed<'a, S: Serialize + DeserializeOwned>(

@@ -26,12 +26,12 @@ pub enum ReplayError {
     #[error("scenario `{scenario}` has the unknown {what} `{given}`")]
     Unknown { scenario: &'static str, what: &'static str, given: String },
     /// The steakhouse: a recorded kitchen has no legal layout.
-    #[error("the kitchen of `{run}` is impossible: {source}")]
+    #[error("the kitchen of `{run}` is impossible")]
     Layout { run: String, source: LayoutError },
     /// The steakhouse: a recorded value is impossible.
     #[error("`{run}` holds an impossible {what}")]
     Impossible { run: String, what: &'static str },
     /// The steakhouse: recorded settings are impossible.
-    #[error("the settings of `{run}` are impossible: {source}")]
+    #[error("the settings of `{run}` are impossible")]
     Settings { run: String, source: TaskError },
 }

@@ -71,11 +71,6 @@ impl Interval {
     pub fn contains(&self, value: f64) -> bool {
         (self.low..=self.high).contains(&value)
     }
-
-    /// Returns upper minus lower bound.
-    pub fn width(&self) -> f64 {
-        self.high - self.low
-    }
 }
 
 /// How intervals are made: by resampling with a seed.
@@ -275,7 +270,8 @@ mod tests {
 
     #[test]
     fn more_data_gives_a_narrower_interval() {
-        let widths = [20, 200, 2000].map(|n| BOOTSTRAP.mean(&coin_flips(n, 1), 0).unwrap().width());
+        let intervals = [20, 200, 2000].map(|n| BOOTSTRAP.mean(&coin_flips(n, 1), 0).unwrap());
+        let widths = intervals.map(|interval| interval.high - interval.low);
         assert!(widths[0] > 2.0 * widths[1] && widths[1] > 2.0 * widths[2], "{widths:?}");
     }
 

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
+use crate::clock;
 use crate::digest::hex;
-use crate::{clock, cpu};
 
 /// The executable of this process as the system names it, even if its file was replaced or removed meanwhile.
 const RUNNING: &str = "/proc/self/exe";
@@ -44,36 +44,40 @@ impl ProgramBuild {
             since: clock::utc_now(),
             program: fingerprint()?,
             commit: commit.map(str::to_owned),
-            cpu: cpu::fingerprint(),
+            cpu: cpu_class(),
             threads,
         })
     }
 
     /// Tells whether another build computes the same numbers.
     pub fn computes_like(&self, other: &Self) -> bool {
-        let decisive = |build: &Self| (build.program.clone(), build.cpu.clone());
-        decisive(self) == decisive(other) && self.threads == other.threads
+        let decisive =
+            |build: &Self| [&build.program, &build.cpu, &build.threads].map(String::clone);
+        decisive(self) == decisive(other)
     }
 }
 
-/// Returns the fingerprint of this build.
+/// Returns the class of this machine's CPU, such as `x86_64+avx+avx2+fma`: equal classes give equal bits.
 ///
-/// # Errors
-///
-/// As [`executable_digest`].
-pub fn fingerprint() -> io::Result<String> {
-    let digest = executable()?;
-    let shown = digest.get(..SHOWN_BYTES).unwrap_or(&digest);
-    Ok(format!("leadtime {} build {}", env!("CARGO_PKG_VERSION"), hex(shown)))
+/// The numeric kernels choose their code by what the CPU can do, so the architecture and the vector extensions decide,
+/// and not the model's name.
+pub fn cpu_class() -> String {
+    #[cfg(target_arch = "x86_64")]
+    let extensions = [
+        ("+avx", std::is_x86_feature_detected!("avx")),
+        ("+avx2", std::is_x86_feature_detected!("avx2")),
+        ("+fma", std::is_x86_feature_detected!("fma")),
+        ("+avx512f", std::is_x86_feature_detected!("avx512f")),
+    ];
+    #[cfg(not(target_arch = "x86_64"))]
+    let extensions: [(&str, bool); 0] = [];
+    let present = extensions.iter().filter(|(_, present)| *present).map(|(name, _)| *name);
+    [std::env::consts::ARCH].into_iter().chain(present).collect()
 }
 
-/// Returns the digest of the executable's bytes, in hexadecimal.
-///
-/// # Errors
-///
-/// If the executable cannot be read.
-pub fn executable_digest() -> io::Result<String> {
-    Ok(hex(&executable()?))
+fn fingerprint() -> io::Result<String> {
+    let shown = hex(&executable()?[..SHOWN_BYTES]);
+    Ok(format!("leadtime {} build {shown}", env!("CARGO_PKG_VERSION")))
 }
 
 fn executable() -> io::Result<sha2::digest::Output<Sha256>> {

@@ -6,7 +6,6 @@ use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use leadtime_proto::Incarnation;
 
-/// Reads the clock.
 #[expect(clippy::disallowed_methods, reason = "this is the one file that reads the wall clock")]
 fn now() -> Timestamp {
     at(SystemTime::now())
@@ -50,8 +49,7 @@ mod tests {
 
     #[test]
     fn a_clock_beyond_the_last_year_stands_still() {
-        let year_10_000 = SystemTime::UNIX_EPOCH + Duration::from_hours(70_389_528);
-        let last = at(year_10_000).to_zoned(TimeZone::system());
-        assert!(last.strftime("%Y%m%d-%H%M%S").to_string().starts_with("9999"));
+        let last = at(SystemTime::UNIX_EPOCH + Duration::from_hours(70_389_528));
+        assert!(last.to_zoned(TimeZone::system()).strftime("%Y").to_string() == "9999");
     }
 }

@@ -40,10 +40,14 @@ use crate::{ForkOrigin, ProgramBuild, RunRecord, RunResult};
 /// A locked run directory.
 #[derive(Debug)]
 pub struct RunDir {
-    path: PathBuf,
-    name: RunName,
-    record: RunRecord,
-    grown: Option<Change>,
+    /// The directory.
+    pub path: PathBuf,
+    /// The run's name.
+    pub name: RunName,
+    /// The record as it was when the directory was opened.
+    pub record: RunRecord,
+    /// How `learner.total_steps` grew since the run was last carried out, if it did.
+    pub grown: Option<Change>,
     /// Held for as long as the directory is ours; the system lets go of it even after `kill -9`.
     _lock: File,
 }
@@ -64,10 +68,10 @@ impl RunDir {
         }
         let candidates = if fork.is_some() { Vec::new() } else { unfinished(config) };
         for name in candidates {
-            let is_launched =
-                lock(&config.run.directory.join(name.as_str()), SUPERVISOR_LOCK, &name);
-            match is_launched.and_then(|_lock| Self::open_named(config, &name, fork, build)) {
-                Err(RunDirError::Locked { .. }) => {}
+            let path = config.run.directory.join(name.as_str());
+            let launched = lock(&path, SUPERVISOR_LOCK, &name);
+            match launched.and_then(|_lock| Self::open_named(config, &name, fork, build)) {
+                Err(RunDirError::Locked(_)) => {}
                 opened => return opened,
             }
         }
@@ -85,54 +89,29 @@ impl RunDir {
         let io = |source| RunDirError::Io { path: path.clone(), source };
         fs::create_dir_all(path.join(CHECKPOINTS)).map_err(io)?;
         let lock = lock(&path, LOCK, name)?;
-        let (record, grown, state) = if is_begun {
-            Self::take_up(&path, config, name, fork, build)?
-        } else {
-            (begin(&path, name, config, fork, None, build).map_err(io)?, None, RunState::Fresh)
-        };
-        Ok((Self { path, name: name.clone(), record, grown, _lock: lock }, state))
-    }
-
-    fn take_up(
-        path: &Path,
-        config: &Config,
-        name: &RunName,
-        fork: Option<&Fork>,
-        build: &ProgramBuild,
-    ) -> Result<(RunRecord, Option<Change>, RunState), RunDirError> {
-        let io = |source| RunDirError::Io { path: path.to_owned(), source };
-        let mut record = read_record(path)?;
-        adopt_origin(path, &mut record, config);
-        let trained = TrainingTraces::find(path, &record);
-        if trained.n_updates == 0 {
-            let kept = record.origin.filter(|_| fork.is_none());
-            let record = begin(path, name, config, fork, kept, build).map_err(io)?;
-            return Ok((record, None, RunState::Fresh));
-        }
-        let before = read_config(path)?;
-        let state = compare(&record, &before, &config.table, name)?;
-        if let Some(fork) = fork {
-            same_origin(name, record.origin.as_ref(), fork)?;
-        }
-        let changes = difference(&before, &config.table).into_iter();
-        let grown = { changes }.find(|change| change.key == TOTAL_STEPS);
-        if state == RunState::Unfinished {
-            trained.check(path, name, &before)?;
-            if !trained.has_checkpoints {
-                // It was killed before its first checkpoint: all of it is made again, by this build.
-                record.builds = vec![build.clone()];
+        let mut kept = None;
+        if is_begun {
+            let mut record = read_record(&path)?;
+            adopt_origin(&path, &mut record, config);
+            let trained = TrainingTraces::find(&path, &record);
+            if trained.n_updates > 0 {
+                let before = read_config(&path)?;
+                let state = compare(&record, &before, &config.table, name)?;
+                fork.map_or(Ok(()), |fork| same_origin(name, record.origin.as_ref(), fork))?;
+                let mut changes = difference(&before, &config.table).into_iter();
+                let grown = changes.find(|change| change.key == TOTAL_STEPS);
+                if state == RunState::Unfinished {
+                    trained.check(&path, name, &before)?;
+                    record.taken_up_by(build, trained.has_checkpoints);
+                    record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
+                }
+                return Ok((Self { name: name.clone(), record, grown, _lock: lock, path }, state));
             }
-            record.worked_on_by(build);
-            record.resumed += 1;
-            record.result = None;
-            record.write(path).and_then(|()| write_config(path, config)).map_err(io)?;
+            kept = record.origin.filter(|_| fork.is_none());
         }
-        Ok((record, grown, state))
-    }
-
-    /// Returns the directory.
-    pub fn path(&self) -> &Path {
-        &self.path
+        let record = begin(&path, name, config, fork, kept, build).map_err(io)?;
+        let run = Self { name: name.clone(), record, grown: None, _lock: lock, path };
+        Ok((run, RunState::Fresh))
     }
 
     /// Returns the directory of its checkpoints.
@@ -140,40 +119,26 @@ impl RunDir {
         self.path.join(CHECKPOINTS)
     }
 
-    /// Returns the run's name.
-    pub fn name(&self) -> &RunName {
-        &self.name
-    }
-
-    /// Returns the record as it was when the directory was opened.
-    pub fn record(&self) -> &RunRecord {
-        &self.record
-    }
-
-    /// Returns how `learner.total_steps` grew since the run was last carried out, if it did.
-    pub fn grown(&self) -> Option<&Change> {
-        self.grown.as_ref()
-    }
-
     /// Reads the weights that a forked run begins with; `None` if it begins with fresh ones, or has begun.
     ///
     /// # Errors
     ///
-    /// [`RunDirError::OriginLost`] if they are missing or are not those on record.
+    /// [`RunDirError`] if they are missing or are not those on record.
     pub fn initial(&self, config: &Config) -> Result<Option<Arc<[u8]>>, RunDirError> {
         let Some(origin) = &self.record.origin else { return Ok(None) };
         if !checkpoints(&self.path).is_empty() {
             return Ok(None);
         }
-        let path = self.path.join(INITIAL_POLICY);
+        let (path, name) = (self.path.join(INITIAL_POLICY), &self.name);
         let lost = |reason: String| {
-            let (name, path) = (self.name.to_string(), path.clone());
-            RunDirError::OriginLost { name, path, reason }
+            RunDirError::Refused(format!(
+                "{} does not hold the weights that run `{name}` was forked from ({reason}); fork it again under another --name",
+                path.display()
+            ))
         };
         let bytes = fs::read(&path).map_err(|error| lost(error.to_string()))?;
-        let digest =
-            weights_digest(&bytes, &config.policy).map_err(|error| lost(error.to_string()))?;
-        if digest != origin.weights_sha256 {
+        let digest = weights_digest(&bytes, &config.policy);
+        if digest.map_err(|error| lost(error.to_string()))? != origin.weights_sha256 {
             return Err(lost("their digest is not the one on record".to_owned()));
         }
         Ok(Some(bytes.into()))
@@ -244,8 +209,11 @@ fn same_origin(
     if origin.is_some_and(is_same) {
         return Ok(());
     }
-    let origin = origin.map(|origin| origin.run.clone());
-    Err(RunDirError::OtherOrigin { name: name.to_string(), origin })
+    let fresh = "fresh weights".to_owned();
+    let began = origin.map_or(fresh, |origin| format!("the weights of `{}`", origin.run));
+    Err(RunDirError::Refused(format!(
+        "run `{name}` has already begun, from {began}: leave --fork out to continue it, or take another --name"
+    )))
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use crate::journal::Journal;
 use crate::naming::{Naming, Reservation};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
-use serde_json::{Map, Value};
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 
 fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
@@ -29,11 +29,10 @@ fn open(runs: &Path, name: Option<&str>, set: &[&str]) -> Result<(RunDir, RunSta
 
 /// Leaves what a learner does after its first updates; with a checkpoint, if it got that far.
 fn train(run: &RunDir, n_updates: u64, checkpoint: bool) {
-    let line = Map::from_iter([("update".to_owned(), Value::from(n_updates))]);
-    Journal::open(run.path()).unwrap().append(line).unwrap();
+    Journal::open(&run.path).unwrap().append(&json!({"update": n_updates})).unwrap();
     if checkpoint {
         fs::write(run.checkpoints().join(format!("{n_updates:012}.checkpoint")), "state").unwrap();
-        fs::write(run.path().join(LAST_POLICY), "weights").unwrap();
+        fs::write(run.path.join(LAST_POLICY), "weights").unwrap();
     }
 }
 
@@ -42,7 +41,7 @@ fn begun(runs: &Path, name: Option<&str>, set: &[&str]) -> RunName {
     let (run, state) = open(runs, name, set).unwrap();
     assert_eq!(state, RunState::Fresh);
     train(&run, 20, true);
-    run.name().clone()
+    run.name.clone()
 }
 
 fn result() -> RunResult {
@@ -58,8 +57,8 @@ fn result() -> RunResult {
 
 fn fork(runs: &Path, run: &str, seed: u64) -> Fork {
     let policy = config(runs, None, &[]).policy;
-    let bytes =
-        Parameters::initialize(&policy, seed).unwrap().to_safetensors(&BTreeMap::new()).unwrap();
+    let parameters = Parameters::initialize(&policy, seed).unwrap();
+    let bytes = parameters.to_safetensors(&BTreeMap::new()).unwrap();
     let weights_sha256 = weights_digest(&bytes, &policy).unwrap();
     Fork { origin: ForkOrigin { run: run.to_owned(), weights_sha256 }, bytes }
 }
@@ -69,15 +68,15 @@ fn an_unfinished_run_of_the_same_configuration_is_taken_up_again() {
     let runs = tempfile::tempdir().unwrap();
     let name = begun(runs.path(), None, &[]);
     let (first, state) = open(runs.path(), None, &[]).unwrap();
-    assert_eq!((first.name(), state), (&name, RunState::Unfinished));
+    assert_eq!((&first.name, state), (&name, RunState::Unfinished));
     let (other, _) = open(runs.path(), None, &[]).unwrap();
-    assert_ne!(other.name(), &name, "a run that is being trained is left alone");
+    assert_ne!(other.name, name, "a run that is being trained is left alone");
     drop((first, other));
     let (changed, state) = open(runs.path(), None, &["learner.clip=0.1"]).unwrap();
     assert_eq!(state, RunState::Fresh);
-    assert_ne!(changed.name(), &name);
+    assert_ne!(changed.name, name);
     let (again, state) = open(runs.path(), Some(name.as_str()), &[]).unwrap();
-    assert_eq!((state, again.record().resumed), (RunState::Unfinished, 2));
+    assert_eq!((state, again.record.resumed), (RunState::Unfinished, 2));
 }
 
 #[test]
@@ -89,7 +88,7 @@ fn starts_in_the_same_second_choose_runs_of_their_own() {
         let starts: Vec<_> = (0..8).map(|_| scope.spawn(reserve)).collect();
         starts.into_iter().map(|start| start.join().unwrap()).collect()
     });
-    let names: BTreeSet<_> = reserved.iter().map(Reservation::name).collect();
+    let names: BTreeSet<_> = reserved.iter().map(|reserved| &reserved.name).collect();
     assert_eq!(names.len(), 8);
     drop(reserved);
     assert_eq!(fs::read_dir(runs.path()).unwrap().count(), 0, "nothing was begun");
@@ -97,8 +96,8 @@ fn starts_in_the_same_second_choose_runs_of_their_own() {
     let unfinished = begun(runs.path(), None, &[]);
     let (first, second) = (reserve(), reserve());
     let (third, _) = open(runs.path(), None, &[]).unwrap();
-    assert_eq!(first.name(), &unfinished);
-    assert!(second.name() != &unfinished && ![first.name(), second.name()].contains(&third.name()));
+    assert_eq!(first.name, unfinished);
+    assert!(second.name != unfinished && ![&first.name, &second.name].contains(&&third.name));
 }
 
 #[test]
@@ -111,7 +110,7 @@ fn a_changed_configuration_is_refused_with_the_difference_once_something_was_tra
     fs::write(run.checkpoints().join("000000000000.checkpoint"), "state").unwrap();
     drop(run);
     let (run, _) = open(runs.path(), Some("r"), &["seed=3"]).unwrap();
-    assert!(checkpoints(run.path()).is_empty());
+    assert!(checkpoints(&run.path).is_empty());
     drop(run);
     begun(runs.path(), Some("r"), &[]);
     let error = open(runs.path(), Some("r"), &["learner.clip=0.1", "seed=5"]).unwrap_err();
@@ -145,7 +144,7 @@ fn a_finished_run_stays_finished_unless_it_may_go_on_for_longer() {
     let longer = ["learner.total_steps=600000"];
     assert_eq!(open(runs.path(), Some("r"), &longer).unwrap().1, RunState::Unfinished);
     let error = open(runs.path(), Some("r"), &["learner.total_steps=1000"]).unwrap_err();
-    assert!(matches!(error, RunDirError::Changed { .. }));
+    assert!(error.to_string().contains("began with another configuration"), "{error}");
 }
 
 #[test]
@@ -157,7 +156,7 @@ fn a_directory_that_is_no_run_is_left_alone_and_one_that_was_hardly_begun_is_use
         fs::write(&path, "mine").unwrap();
         let reserved = Reservation::make(&config(runs.path(), Some(name), &[]), &Naming::Resume);
         for error in [open(runs.path(), Some(name), &[]).unwrap_err(), reserved.unwrap_err()] {
-            assert!(matches!(error, RunDirError::NotARun { .. }), "{error}");
+            assert!(error.to_string().contains("is not a run directory"), "{error}");
         }
         assert_eq!(fs::read_dir(runs.path().join(name)).unwrap().count(), 1);
     }
@@ -176,7 +175,7 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
     train(&run, 10, false);
     drop(run);
     let again = RunDir::open(&config(runs.path(), Some("early"), &[]), None, &build("b")).unwrap();
-    assert_eq!((again.1, again.0.record().builds.len()), (RunState::Unfinished, 1));
+    assert_eq!((again.1, again.0.record.builds.len()), (RunState::Unfinished, 1));
     let (run, _) = open(runs.path(), Some("late"), &[]).unwrap();
     train(&run, 21, false);
     drop(run);
@@ -185,15 +184,12 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
     fs::remove_file(runs.path().join("gone/checkpoints/000000000020.checkpoint")).unwrap();
     for name in ["late", "gone"] {
         let error = open(runs.path(), Some(name), &["learner.total_steps=600000"]).unwrap_err();
-        let expected = format!("--fork {name}");
-        assert!(error.to_string().contains(&expected), "{error}");
+        assert!(error.to_string().contains(&format!("--fork {name}")), "{error}");
     }
     assert_eq!(open(runs.path(), Some("gone"), &[]).unwrap().1, RunState::Finished);
     // Without a name, another run is begun instead.
-    assert_eq!(
-        open(runs.path(), None, &["learner.total_steps=600000"]).unwrap().1,
-        RunState::Fresh
-    );
+    let another = open(runs.path(), None, &["learner.total_steps=600000"]).unwrap();
+    assert_eq!(another.1, RunState::Fresh);
 }
 
 #[test]
@@ -203,9 +199,9 @@ fn a_fork_begins_with_its_weights_or_not_at_all() {
     let (from_a, from_b) = (fork(runs.path(), "a", 1), fork(runs.path(), "b", 2));
     let start = |fork| RunDir::open(&wanted, fork, &build("a"));
     let (run, _) = start(Some(&from_a)).unwrap();
-    assert_eq!(RunRecord::read(run.path()).unwrap().origin.as_ref(), Some(&from_a.origin));
+    assert_eq!(RunRecord::read(&run.path).unwrap().origin.as_ref(), Some(&from_a.origin));
     assert_eq!(run.initial(&wanted).unwrap().as_deref(), Some(&from_a.bytes[..]));
-    let initial = run.path().join(INITIAL_POLICY);
+    let initial = run.path.join(INITIAL_POLICY);
     drop(run);
     // Nothing was trained yet: the same weights without --fork, others with it.
     let (run, _) = start(None).unwrap();
@@ -221,7 +217,11 @@ fn a_fork_begins_with_its_weights_or_not_at_all() {
         fs::write(&initial, damage).unwrap();
         let (run, state) = start(Some(&from_b)).unwrap();
         assert_eq!(state, RunState::Unfinished);
-        assert!(matches!(run.initial(&wanted), Err(RunDirError::OriginLost { .. })));
+        let error = run.initial(&wanted).unwrap_err().to_string();
+        assert!(
+            error.contains("does not hold the weights that run `f` was forked from"),
+            "{error}"
+        );
     }
     fs::write(&initial, &from_a.bytes).unwrap();
     assert!(start(None).unwrap().0.initial(&wanted).is_err(), "other weights are none");
@@ -240,7 +240,7 @@ fn a_run_that_two_builds_trained_is_not_reproducible() {
         let config = config(runs.path(), Some(&name), &[]);
         let (mut run, _) = RunDir::open(&config, None, &build(second)).unwrap();
         run.finish(result()).unwrap();
-        let record = RunRecord::read(run.path()).unwrap();
+        let record = RunRecord::read(&run.path).unwrap();
         assert_eq!(record.result.unwrap().reproducible, reproducible, "{name}");
     }
 }

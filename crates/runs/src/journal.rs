@@ -11,60 +11,40 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
 use serde_json::{Map, Value};
 
 /// The open journal.
 #[derive(Debug)]
-pub struct Journal {
+pub(crate) struct Journal {
     path: PathBuf,
     file: File,
 }
 
-/// What is needed of a line to place it.
-#[derive(Deserialize)]
-struct Line {
-    update: u64,
-}
-
 impl Journal {
     /// Opens the journal of a run directory for appending.
-    ///
-    /// # Errors
-    ///
-    /// If the file cannot be made or opened.
-    pub fn open(run_directory: &Path) -> io::Result<Self> {
+    pub(crate) fn open(run_directory: &Path) -> io::Result<Self> {
         let path = run_directory.join("metrics.jsonl");
         let file = OpenOptions::new().create(true).append(true).open(&path)?;
         Ok(Self { path, file })
     }
 
     /// Drops every line about an update after `n_updates`, and a torn last line.
-    ///
-    /// # Errors
-    ///
-    /// If the file cannot be read or replaced.
-    pub fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
+    pub(crate) fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
         let text = fs::read_to_string(&self.path)?;
-        let belongs = |line: &str| {
-            serde_json::from_str::<Line>(line).is_ok_and(|line| line.update <= n_updates)
+        let belongs = |line: &&str| {
+            let update =
+                serde_json::from_str(line).ok().and_then(|line: Value| line["update"].as_u64());
+            update.is_some_and(|update| update <= n_updates)
         };
-        let kept: String =
-            text.split_inclusive('\n').filter(|line| belongs(line.trim_end())).collect();
+        let kept: String = text.split_inclusive('\n').filter(belongs).collect();
         leadtime_learner::write_atomically(&self.path, kept.as_bytes())?;
         self.file = OpenOptions::new().append(true).open(&self.path)?;
         Ok(())
     }
 
     /// Appends one update in a single write.
-    ///
-    /// # Errors
-    ///
-    /// If the line cannot be written.
-    pub fn append(&mut self, line: Map<String, Value>) -> io::Result<()> {
-        let mut text = Value::Object(line).to_string();
-        text.push('\n');
-        self.file.write_all(text.as_bytes())
+    pub(crate) fn append(&mut self, line: &Value) -> io::Result<()> {
+        self.file.write_all(format!("{line}\n").as_bytes())
     }
 }
 
@@ -87,60 +67,47 @@ pub fn last_steps(run_directory: &Path) -> u64 {
 }
 
 /// Returns the number of a run's last update; 0 before the first.
-pub fn last_update(run_directory: &Path) -> u64 {
+pub(crate) fn last_update(run_directory: &Path) -> u64 {
     last(run_directory, "update")
 }
 
 fn last(run_directory: &Path, key: &str) -> u64 {
-    let line = tail(run_directory).unwrap_or_default();
-    line.get(key).and_then(Value::as_u64).unwrap_or(0)
+    let tail = tail(run_directory).unwrap_or_default();
+    let text = String::from_utf8_lossy(&tail);
+    let mut lines = text.lines().rev();
+    let line = lines.find_map(|line| serde_json::from_str::<Map<String, Value>>(line).ok());
+    line.and_then(|line| line.get(key)?.as_u64()).unwrap_or(0)
 }
 
-fn tail(run_directory: &Path) -> io::Result<Map<String, Value>> {
+fn tail(run_directory: &Path) -> io::Result<Vec<u8>> {
     let mut file = File::open(run_directory.join("metrics.jsonl"))?;
     let length = file.metadata()?.len();
     file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
     let mut bytes = Vec::new();
     file.take(TAIL).read_to_end(&mut bytes)?;
-    let text = String::from_utf8_lossy(&bytes);
-    let last = text.lines().rev().find_map(|line| serde_json::from_str(line).ok());
-    Ok(last.unwrap_or_default())
+    Ok(bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn line(update: u64) -> Map<String, Value> {
-        Map::from_iter([("update".to_owned(), Value::from(update))])
-    }
+    use serde_json::json;
 
     #[test]
-    fn the_last_whole_line_tells_how_far_a_run_is() {
+    fn the_last_whole_line_tells_how_far_a_run_is_and_a_rewound_journal_has_no_gap_and_no_repetition()
+     {
         let dir = tempfile::tempdir().unwrap();
         assert_eq!(last_steps(dir.path()), 0);
         let mut journal = Journal::open(dir.path()).unwrap();
-        for update in 1..=600 {
-            let mut whole = line(update);
-            whole.insert("steps".to_owned(), (update * 128).into());
-            journal.append(whole).unwrap();
-        }
+        let append = |journal: &mut Journal, update: u64| {
+            journal.append(&json!({"update": update, "steps": update * 128})).unwrap();
+        };
+        (1..=600).for_each(|update| append(&mut journal, update));
         journal.file.write_all(b"{\"update\": 601, \"ste").unwrap();
         assert_eq!(last_steps(dir.path()), 600 * 128);
-    }
-
-    #[test]
-    fn a_rewound_journal_has_no_gap_and_no_repetition() {
-        let dir = tempfile::tempdir().unwrap();
-        let mut journal = Journal::open(dir.path()).unwrap();
-        for update in 1..=5 {
-            journal.append(line(update)).unwrap();
-        }
-        journal.file.write_all(b"{\"update\": 6, \"tor").unwrap();
         journal.rewind(3).unwrap();
-        journal.append(line(4)).unwrap();
-        let updates: Vec<u64> =
-            read(dir.path()).unwrap().iter().map(|line| line["update"].as_u64().unwrap()).collect();
-        assert_eq!(updates, [1, 2, 3, 4]);
+        append(&mut journal, 4);
+        let lines = read(dir.path()).unwrap();
+        assert!(lines.iter().map(|line| line["update"].as_u64().unwrap()).eq(1..=4), "{lines:?}");
     }
 }

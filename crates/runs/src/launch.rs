@@ -125,19 +125,15 @@ fn plan(
     std::fs::write(&file, config.table.to_string()).map_err(|error| (file.clone(), error))?;
     let endpoint = format!("unixsock-stream/{}", scratch.join("learner.sock").display());
     let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
-    let mut learner = text(&["learner", "--supervised", "--name", reserved.name().as_str(), "-c"]);
-    learner.push(file.into_os_string());
-    learner.extend(text(&["--listen", &endpoint, "--scratch"]));
-    learner.push(scratch.as_os_str().to_owned());
-    // Not through the file: a path need not be text.
-    learner.push("--runs".into());
-    learner.push(config.run.directory.as_os_str().to_owned());
+    let mut learner = text(&["learner", "--supervised", "--name", reserved.name.as_str()]);
+    learner.extend(text(&["--listen", &endpoint]));
+    // Not through the file, and not as text: a path need not be text.
+    let paths = [("-c", &*file), ("--scratch", scratch), ("--runs", &config.run.directory)];
+    for (option, path) in paths.into_iter().chain(launch.fork.map(|fork| ("--fork", fork))) {
+        learner.extend([option.into(), path.as_os_str().to_owned()]);
+    }
     for extra in launch.listen {
         learner.extend(text(&["--listen", extra]));
-    }
-    if let Some(fork) = launch.fork {
-        learner.push("--fork".into());
-        learner.push(fork.as_os_str().to_owned());
     }
     if let Some(updates) = launch.stop_after {
         learner.extend(text(&["--stop-after", &updates.to_string()]));
@@ -149,7 +145,7 @@ fn plan(
     Ok(ProcessPlan {
         learner,
         actors: (1..=launch.n_actors).map(actor).collect(),
-        run: reserved.path().to_owned(),
+        run: reserved.path.clone(),
         others_may_join: !launch.listen.is_empty(),
         learner_stdout: launch.learner_stdout,
         stderr_log: launch.stderr_log.clone(),

@@ -52,8 +52,11 @@ pub(crate) fn is_begun(path: &Path) -> Result<bool, RunDirError> {
     if entries.filter_map(Result::ok).all(is_ours) {
         return Ok(false);
     }
-    let reason = "it holds other files and no config.toml".to_owned();
-    Err(RunDirError::NotARun { path: path.to_owned(), reason })
+    Err(no_run(path, "it holds other files and no config.toml"))
+}
+
+fn no_run(path: &Path, reason: &str) -> RunDirError {
+    RunDirError::Refused(format!("{} is not a run directory: {reason}", path.display()))
 }
 
 /// What of a run's training is on the disk.
@@ -88,12 +91,15 @@ impl TrainingTraces {
     ) -> Result<(), RunDirError> {
         let interval = config.get("run").and_then(|run| run.get("checkpoint_every")?.as_integer());
         let is_due = interval.is_some_and(|interval| self.n_updates > interval.cast_unsigned());
-        let had_checkpoints = self.had_checkpoints || is_due;
-        if had_checkpoints && !self.has_checkpoints {
-            let (name, path) = (name.to_string(), path.join(CHECKPOINTS));
-            return Err(RunDirError::CheckpointsLost { name, n_updates: self.n_updates, path });
+        if self.has_checkpoints || !(self.had_checkpoints || is_due) {
+            return Ok(());
         }
-        Ok(())
+        let (n_updates, path) = (self.n_updates, path.join(CHECKPOINTS));
+        Err(RunDirError::Refused(format!(
+            "run `{name}` has {n_updates} updates on record and no checkpoint in {}, so it cannot be continued; put the \
+             checkpoints back, or take another --name, with --fork {name} to start from its weights",
+            path.display()
+        )))
     }
 }
 
@@ -110,27 +116,21 @@ pub(crate) fn compare(
     now: &Table,
     name: &RunName,
 ) -> Result<RunState, RunDirError> {
-    let mut grows = false;
-    let changes: Vec<Change> = difference(before, now)
-        .into_iter()
-        .filter(|change| !identity::is_free(&change.key))
-        .filter(|change| {
-            let longer = change.key == TOTAL_STEPS && is_longer(change);
-            grows |= longer;
-            !longer
-        })
-        .collect();
+    let is_longer = |change: &Change| {
+        let [before, after] = [&change.before, &change.after].map(|steps| steps.parse::<u64>());
+        change.key == TOTAL_STEPS && matches!((before, after), (Ok(a), Ok(b)) if b > a)
+    };
+    let mut changes = difference(before, now);
+    changes.retain(|change| !identity::is_free(&change.key));
+    let grows = changes.extract_if(.., |change| is_longer(change)).count() > 0;
     if !changes.is_empty() {
-        return Err(RunDirError::Changed { name: name.to_string(), changes });
+        let changes = changes.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+        return Err(RunDirError::Refused(format!(
+            "run `{name}` began with another configuration: {changes}; give the old values, or take another --name, with \
+             --fork {name} to start from its weights"
+        )));
     }
     Ok(if record.result.is_some() && !grows { RunState::Finished } else { RunState::Unfinished })
-}
-
-fn is_longer(change: &Change) -> bool {
-    match (change.before.parse::<u64>(), change.after.parse::<u64>()) {
-        (Ok(before), Ok(after)) => after > before,
-        _ => false,
-    }
 }
 
 pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunDirError> {
@@ -138,16 +138,13 @@ pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunD
     let file = File::create(path.join(file)).map_err(io)?;
     match file.try_lock() {
         Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(RunDirError::Locked { name: name.to_string() }),
+        Err(TryLockError::WouldBlock) => Err(RunDirError::Locked(name.to_string())),
         Err(TryLockError::Error(source)) => Err(io(source)),
     }
 }
 
 pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
-    RunRecord::read(path).map_err(|error| RunDirError::NotARun {
-        path: path.to_owned(),
-        reason: with_causes(&error),
-    })
+    RunRecord::read(path).map_err(|error| no_run(path, &with_causes(&error)))
 }
 
 /// Reads the configuration that a run was last carried out with.
@@ -157,12 +154,10 @@ pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
 /// [`RunDirError`] if `config.toml` is missing or unreadable.
 pub fn read_config(path: &Path) -> Result<Table, RunDirError> {
     let path = path.join(CONFIG);
-    let text = match fs::read_to_string(&path) {
-        Ok(text) => text,
-        Err(source) => return Err(RunDirError::Io { path, source }),
-    };
-    let reason = |error| format!("{} is not a configuration: {error}", path.display());
-    text.parse().map_err(|error| RunDirError::NotARun { path: path.clone(), reason: reason(error) })
+    let io = |source| RunDirError::Io { path: path.clone(), source };
+    let text = fs::read_to_string(&path).map_err(io)?;
+    let shown = path.display();
+    text.parse().map_err(|error| no_run(&path, &format!("{shown} is not a configuration: {error}")))
 }
 
 pub(crate) fn write_config(path: &Path, config: &Config) -> io::Result<()> {

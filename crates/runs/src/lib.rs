@@ -1,7 +1,7 @@
 //! A run on the disk and as processes.
 //!
 //! ```text
-//! directory    locking, resuming, refusing; on naming and layout      build, cpu      which program computed it
+//! directory    locking, resuming, refusing; on naming and layout      build           which program computed it
 //! record       run.json                                 clock           the only reader of the wall clock
 //! recorder     what the learner reports, written down by journal (metrics.jsonl), tensorboard and policy_file
 //! launch       a learner and its actors as children  ->  supervise      watched until the last of them is gone
@@ -17,22 +17,21 @@
 
 pub mod build;
 pub mod clock;
-pub mod cpu;
 pub mod digest;
-pub mod directory;
+mod directory;
 mod directory_error;
 pub mod journal;
 pub mod launch;
 pub mod layout;
-pub mod metrics;
-pub mod naming;
+mod metrics;
+mod naming;
 pub mod policy_file;
 pub mod record;
-pub mod recorder;
+mod recorder;
 pub mod scratch;
 pub mod supervise;
 pub mod tasks;
-pub mod tensorboard;
+mod tensorboard;
 
 pub use build::ProgramBuild;
 pub use directory::RunDir;

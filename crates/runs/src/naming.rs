@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use leadtime_config::Config;
 use leadtime_proto::RunName;
@@ -24,26 +24,22 @@ pub enum Naming<'a> {
 
 /// A run that a supervisor has chosen, so that no other start chooses it; released when dropped.
 #[derive(Debug)]
-pub struct Reservation {
-    path: PathBuf,
-    name: RunName,
+pub(crate) struct Reservation {
+    pub(crate) path: PathBuf,
+    pub(crate) name: RunName,
     _lock: File,
 }
 
 impl Reservation {
-    /// Chooses a run, and makes its directory if there is none.
-    ///
-    /// # Errors
-    ///
-    /// [`RunDirError`] if the directory cannot be made, is no run's, or is taken.
-    pub fn make(config: &Config, naming: &Naming<'_>) -> Result<Self, RunDirError> {
+    /// Chooses a run, and makes its directory if there is none; refuses one that is no run's, or is taken.
+    pub(crate) fn make(config: &Config, naming: &Naming<'_>) -> Result<Self, RunDirError> {
         match (naming, &config.run.name) {
             (Naming::Resume, Some(name)) => Self::named(config, name),
             (Naming::New(stem), _) => Self::named(config, &make_new(config, stem)?),
             (Naming::Resume, None) => {
                 for name in unfinished(config) {
                     match Self::named(config, &name) {
-                        Err(RunDirError::Locked { .. }) => {}
+                        Err(RunDirError::Locked(_)) => {}
                         reserved => return reserved,
                     }
                 }
@@ -55,23 +51,13 @@ impl Reservation {
     fn named(config: &Config, name: &RunName) -> Result<Self, RunDirError> {
         let path = config.run.directory.join(name.as_str());
         is_begun(&path)?;
-        fs::create_dir_all(&path)
-            .map_err(|source| RunDirError::Io { path: path.clone(), source })?;
+        let io = |source| RunDirError::Io { path: path.clone(), source };
+        fs::create_dir_all(&path).map_err(io)?;
         let supervisor = lock(&path, SUPERVISOR_LOCK, name)?;
         if path.join(LOCK).exists() {
             drop(lock(&path, LOCK, name)?);
         }
         Ok(Self { path, name: name.clone(), _lock: supervisor })
-    }
-
-    /// Returns the run's directory.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Returns the run's name.
-    pub fn name(&self) -> &RunName {
-        &self.name
     }
 }
 

@@ -27,14 +27,9 @@ pub(crate) const VERSION: &str = "policy_version";
 /// Why a policy cannot be used.
 #[derive(Debug, Error)]
 pub enum PolicyFileError {
-    /// There is neither a file nor a run of that name.
-    #[error("`{}` is no policy file, and no run in {} with a policy", name.display(), runs.display())]
-    NotFound {
-        /// What was looked for.
-        name: PathBuf,
-        /// Where runs are.
-        runs: PathBuf,
-    },
+    /// There is no policy of that name, or the file holds something else; the sentence says what.
+    #[error("{0}")]
+    NoPolicy(String),
     /// The file cannot be read.
     #[error("reading {}", path.display())]
     Read {
@@ -42,14 +37,6 @@ pub enum PolicyFileError {
         path: PathBuf,
         /// What the system says.
         source: io::Error,
-    },
-    /// The file holds something else.
-    #[error("{} is not a policy of Leadtime: {reason}", path.display())]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-        /// What it is, or what is missing.
-        reason: String,
     },
     /// The configuration in the file, or a change of it, is refused.
     #[error(transparent)]
@@ -90,12 +77,9 @@ impl LoadedPolicy {
         changes: &[Override],
     ) -> Result<Self, PolicyFileError> {
         let path = find(runs, name, [BEST_POLICY, LAST_POLICY])?;
-        let bytes = read(&path)?;
-        let foreign = |reason: String| PolicyFileError::Foreign { path: path.clone(), reason };
-        let metadata =
-            read_metadata(&bytes).map_err(|error| foreign(what_it_is(&bytes, &error)))?;
+        let (bytes, metadata) = read(&path)?;
         let Some(text) = metadata.get(CONFIG) else {
-            return Err(foreign("it has no configuration in its metadata".to_owned()));
+            return Err(foreign(&path, "it has no configuration in its metadata"));
         };
         let place = format!("the configuration in {}", path.display());
         let config = Config::stored(&place, text, changes, registry)?;
@@ -123,11 +107,7 @@ impl Fork {
     /// [`PolicyFileError`] if there are none, or if they do not fit the new run's networks.
     pub fn read(config: &Config, run: &Path) -> Result<Self, PolicyFileError> {
         let path = find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY])?;
-        let bytes = read(&path)?;
-        if let Err(error) = read_metadata(&bytes) {
-            let reason = what_it_is(&bytes, &error);
-            return Err(PolicyFileError::Foreign { path, reason });
-        }
+        let (bytes, _) = read(&path)?;
         match weights_digest(&bytes, &config.policy) {
             Ok(weights_sha256) => {
                 let origin = ForkOrigin { run: run.display().to_string(), weights_sha256 };
@@ -139,10 +119,6 @@ impl Fork {
 }
 
 /// Returns the digest over the parameters in a policy file, as a run's result has it.
-///
-/// # Errors
-///
-/// If they do not fit the networks.
 pub(crate) fn weights_digest(
     bytes: &[u8],
     policy: &PolicySpec,
@@ -193,8 +169,18 @@ pub fn what_it_is(bytes: &[u8], error: &dyn std::error::Error) -> String {
     }
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, PolicyFileError> {
-    fs::read(path).map_err(|source| PolicyFileError::Read { path: path.to_owned(), source })
+/// Reads a policy file with its metadata.
+fn read(path: &Path) -> Result<(Vec<u8>, BTreeMap<String, String>), PolicyFileError> {
+    let unread = |source| PolicyFileError::Read { path: path.to_owned(), source };
+    let bytes = fs::read(path).map_err(unread)?;
+    match read_metadata(&bytes) {
+        Ok(metadata) => Ok((bytes, metadata)),
+        Err(error) => Err(foreign(path, &what_it_is(&bytes, &error))),
+    }
+}
+
+fn foreign(path: &Path, reason: &str) -> PolicyFileError {
+    PolicyFileError::NoPolicy(format!("{} is not a policy of Leadtime: {reason}", path.display()))
 }
 
 fn find(runs: &Path, name: &Path, files: [&str; 2]) -> Result<PathBuf, PolicyFileError> {
@@ -203,9 +189,11 @@ fn find(runs: &Path, name: &Path, files: [&str; 2]) -> Result<PathBuf, PolicyFil
     }
     let directories = [name.to_owned(), runs.join(name)];
     let mut paths = directories.iter().flat_map(|directory| files.map(|file| directory.join(file)));
-    paths
-        .find(|path| path.is_file())
-        .ok_or_else(|| PolicyFileError::NotFound { name: name.to_owned(), runs: runs.to_owned() })
+    let (name, runs) = (name.display(), runs.display());
+    paths.find(|path| path.is_file()).ok_or_else(|| {
+        let sentence = format!("`{name}` is no policy file, and no run in {runs} with a policy");
+        PolicyFileError::NoPolicy(sentence)
+    })
 }
 
 #[cfg(test)]

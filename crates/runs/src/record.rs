@@ -11,30 +11,22 @@ use thiserror::Error;
 use crate::{ProgramBuild, clock};
 
 /// The format of a run directory; a newer one is refused with a sentence.
-pub const RUN_FORMAT: u32 = 1;
+const RUN_FORMAT: u32 = 1;
 /// The record's file in a run directory.
-pub const RECORD: &str = "run.json";
+pub(crate) const RECORD: &str = "run.json";
 /// The file that holds what a forked run began with.
 pub(crate) const INITIAL_POLICY: &str = "initial.safetensors";
 
 /// Why a record cannot be read.
 #[derive(Debug, Error)]
 pub enum RecordError {
-    /// There is no such file, or it cannot be read.
-    #[error("reading {}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
+    /// It cannot be read, or not as a record.
+    #[error("{what}")]
+    Unreadable {
+        /// Which file, and what is wrong with it.
+        what: String,
+        /// What the system says, or where the file stops being a record.
         source: io::Error,
-    },
-    /// The file holds something else.
-    #[error("{} is not the record of a run", path.display())]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-        /// Where it stops being one.
-        source: serde_json::Error,
     },
     /// A later release wrote it.
     #[error("{} has format {found}, this release reads up to {RUN_FORMAT}: use the newer release", path.display())]
@@ -49,7 +41,7 @@ pub enum RecordError {
 /// The record of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunRecord {
-    /// [`RUN_FORMAT`] of the program that made the directory.
+    /// Format of the program that made the directory.
     pub format: u32,
     /// The run's name.
     pub name: String,
@@ -126,8 +118,19 @@ impl RunRecord {
         }
     }
 
+    /// Notes that a build takes the run up.
+    pub(crate) fn taken_up_by(&mut self, build: &ProgramBuild, has_checkpoints: bool) {
+        if !has_checkpoints {
+            // It was killed before its first checkpoint: all of it is made again, by this build.
+            self.builds = vec![build.clone()];
+        }
+        self.worked_on_by(build);
+        self.resumed += 1;
+        self.result = None;
+    }
+
     /// Notes that a build works on the run from here on.
-    pub(crate) fn worked_on_by(&mut self, build: &ProgramBuild) {
+    fn worked_on_by(&mut self, build: &ProgramBuild) {
         if self.builds.is_empty() {
             // A record from before builds were kept: the fingerprint is not known, and so equal to no other.
             self.builds.push(ProgramBuild {
@@ -163,13 +166,17 @@ impl RunRecord {
     /// [`RecordError`]: it is missing, unreadable, or of a newer format.
     pub fn read(directory: &Path) -> Result<Self, RecordError> {
         let path = directory.join(RECORD);
+        let unreadable = |what, source| Err(RecordError::Unreadable { what, source });
         let text = match fs::read_to_string(&path) {
             Ok(text) => text,
-            Err(source) => return Err(RecordError::Read { path, source }),
+            Err(error) => return unreadable(format!("reading {}", path.display()), error),
         };
         let record: Self = match serde_json::from_str(&text) {
             Ok(record) => record,
-            Err(source) => return Err(RecordError::Foreign { path, source }),
+            Err(error) => {
+                let what = format!("{} is not the record of a run", path.display());
+                return unreadable(what, error.into());
+            }
         };
         if record.format > RUN_FORMAT {
             return Err(RecordError::Newer { path, found: record.format });
@@ -194,13 +201,8 @@ mod tests {
     use super::*;
 
     fn build(program: &str, cpu: &str) -> ProgramBuild {
-        ProgramBuild {
-            since: clock::utc_now(),
-            program: program.to_owned(),
-            commit: None,
-            cpu: cpu.to_owned(),
-            threads: "1".to_owned(),
-        }
+        let (program, cpu) = (program.to_owned(), cpu.to_owned());
+        ProgramBuild { program, cpu, ..ProgramBuild::default() }
     }
 
     fn record() -> RunRecord {
@@ -208,18 +210,13 @@ mod tests {
     }
 
     #[test]
-    fn a_record_survives_the_disk() {
+    fn a_record_survives_the_disk_a_newer_format_is_refused_and_an_older_one_is_read() {
         let dir = tempfile::tempdir().unwrap();
         let mut record = record();
         record.origin = Some(ForkOrigin { run: "r".to_owned(), weights_sha256: "00".to_owned() });
         record.write(dir.path()).unwrap();
         assert_eq!(RunRecord::read(dir.path()).unwrap(), record);
-    }
-
-    #[test]
-    fn a_newer_format_is_refused_and_an_older_one_is_read() {
-        let dir = tempfile::tempdir().unwrap();
-        RunRecord { format: RUN_FORMAT + 1, ..record() }.write(dir.path()).unwrap();
+        RunRecord { format: RUN_FORMAT + 1, ..record }.write(dir.path()).unwrap();
         let error = RunRecord::read(dir.path()).unwrap_err().to_string();
         assert!(error.contains("use the newer release"), "{error}");
         let old = r#"{"format": 1, "name": "r", "domain": "cartpole", "seed": 1, "version": "0.1.0", "commit": "abc",

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use leadtime_config::Config;
 use leadtime_learner::{RatedPolicy, UpdateProgress, write_atomically};
 use leadtime_policy::Parameters;
 use leadtime_proto::PolicySpec;
-use serde_json::{Map, Value};
+use serde_json::{Value, json};
 
 use crate::journal::Journal;
-use crate::policy_file::{BEST_POLICY, LAST_POLICY, VERSION};
+use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION};
 use crate::tensorboard::EventFile;
 use crate::{clock, metrics};
 
@@ -30,22 +31,15 @@ pub struct RunRecorder {
 impl RunRecorder {
     /// Opens the files of a run directory.
     ///
-    /// `metadata` goes into every policy file, with the policy's own figures added.
-    ///
     /// # Errors
     ///
     /// If a file cannot be made or opened.
-    pub fn open(
-        directory: &Path,
-        policy: PolicySpec,
-        metadata: BTreeMap<String, String>,
-        steps_per_update: u64,
-    ) -> io::Result<Self> {
+    pub fn open(directory: &Path, config: &Config, run: &str) -> io::Result<Self> {
         Ok(Self {
             directory: directory.to_owned(),
-            policy,
-            metadata,
-            steps_per_update,
+            policy: config.policy.clone(),
+            metadata: policy_file::metadata(config, run),
+            steps_per_update: config.steps_per_update(),
             journal: Journal::open(directory)?,
             is_rewound: false,
             events: None,
@@ -59,8 +53,7 @@ impl RunRecorder {
     /// If a file cannot be written.
     pub fn resumed(&mut self, n_updates: u64) -> io::Result<()> {
         self.rewind(n_updates)?;
-        self.events(n_updates * self.steps_per_update + 1)?;
-        Ok(())
+        self.events(n_updates * self.steps_per_update + 1).map(|_file| ())
     }
 
     /// Writes one update to the journal and to the event file.
@@ -73,7 +66,7 @@ impl RunRecorder {
             self.rewind(progress.n_updates.saturating_sub(1))?;
         }
         let scalars = metrics::scalars(progress);
-        self.journal.append(line(progress, &scalars))?;
+        self.journal.append(&line(progress, &scalars))?;
         self.events(0)?.scalars(clock::unix_seconds(), progress.n_steps, &scalars)
     }
 
@@ -97,8 +90,7 @@ impl RunRecorder {
     fn events(&mut self, first_step: u64) -> io::Result<&mut EventFile> {
         if self.events.is_none() {
             let directory = self.directory.join("tensorboard");
-            let process = std::process::id();
-            let now = clock::unix_seconds();
+            let (now, process) = (clock::unix_seconds(), std::process::id());
             self.events = Some(EventFile::create(&directory, now, process, first_step)?);
         }
         Ok(self.events.as_mut().expect("made just now"))
@@ -118,19 +110,16 @@ impl RunRecorder {
 }
 
 /// Makes a journal line of an update.
-fn line(progress: &UpdateProgress, scalars: &[(String, f64)]) -> Map<String, Value> {
-    let staleness = &progress.update.staleness;
-    let staleness: Map<String, Value> =
-        staleness.iter().map(|(staleness, &n)| (staleness.to_string(), n.into())).collect();
-    let refusals = &progress.books.refusals;
-    let refusals: Map<String, Value> =
-        refusals.iter().map(|(cause, &n)| (cause.name().to_owned(), n.into())).collect();
-    let mut line = Map::new();
-    line.insert("update".to_owned(), progress.n_updates.into());
-    line.insert("steps".to_owned(), progress.n_steps.into());
-    line.insert("time".to_owned(), clock::utc_now().into());
-    line.insert("staleness".to_owned(), staleness.into());
-    line.insert("refusals".to_owned(), refusals.into());
-    line.extend(scalars.iter().map(|(name, value)| (name.clone(), (*value).into())));
+fn line(progress: &UpdateProgress, scalars: &[(String, f64)]) -> Value {
+    let mut line = json!({
+        "update": progress.n_updates,
+        "steps": progress.n_steps,
+        "time": clock::utc_now(),
+        "staleness": progress.update.staleness,
+        "refusals": progress.books.refusals,
+    });
+    for (name, value) in scalars {
+        line[name] = (*value).into();
+    }
     line
 }

@@ -20,23 +20,23 @@ const MAX_BASE_BYTES: usize = 60;
 
 /// A directory that only this user can look into; removed when dropped.
 #[derive(Debug)]
-pub struct ScratchDir {
+pub(crate) struct ScratchDir {
     directory: TempDir,
     _owner: File,
 }
 
 impl ScratchDir {
-    /// Makes one, after removing those whose owners have died.
-    ///
-    /// # Errors
-    ///
-    /// If none can be made, with the directory where it was tried.
-    pub fn make() -> Result<Self, (PathBuf, io::Error)> {
-        Self::make_in(&base())
+    /// Makes one, after removing those whose owners have died; an error says where it was tried.
+    pub(crate) fn make() -> Result<Self, (PathBuf, io::Error)> {
+        let preferred = std::env::temp_dir();
+        // Addresses are text, so the path has to be, too.
+        let fits = preferred.to_str().is_some_and(|path| path.len() <= MAX_BASE_BYTES);
+        Self::make_in(if fits { &preferred } else { Path::new("/tmp") })
     }
 
     fn make_in(base: &Path) -> Result<Self, (PathBuf, io::Error)> {
-        sweep(base);
+        let left = fs::read_dir(base).into_iter().flatten().filter_map(Result::ok);
+        left.for_each(|entry| remove_if_abandoned(&entry.path()));
         let make = || -> io::Result<Self> {
             let private = Permissions::from_mode(0o700);
             let directory =
@@ -51,8 +51,7 @@ impl ScratchDir {
         make().map_err(|error| (base.to_owned(), error))
     }
 
-    /// Returns the directory.
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         self.directory.path()
     }
 }
@@ -67,18 +66,6 @@ pub fn remove_if_abandoned(directory: &Path) {
         // What cannot be removed now is tried again by the next launch.
         drop(fs::remove_dir_all(directory));
     }
-}
-
-fn sweep(base: &Path) {
-    let Ok(entries) = fs::read_dir(base) else { return };
-    entries.filter_map(Result::ok).for_each(|entry| remove_if_abandoned(&entry.path()));
-}
-
-fn base() -> PathBuf {
-    let preferred = std::env::temp_dir();
-    // Addresses are text, so the path has to be, too.
-    let fits = preferred.to_str().is_some_and(|path| path.len() <= MAX_BASE_BYTES);
-    if fits { preferred } else { PathBuf::from("/tmp") }
 }
 
 #[cfg(test)]

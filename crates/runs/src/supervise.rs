@@ -19,7 +19,7 @@ use std::ffi::OsString;
 use std::fs::OpenOptions;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{ChildStdin, Command, ExitStatus, Stdio};
+use std::process::{ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
@@ -29,13 +29,13 @@ use crate::build::running_program;
 use crate::journal;
 
 /// How often a child is restarted without having been healthy in between.
-pub const RESTARTS: u32 = 5;
+const RESTARTS: u32 = 5;
 /// A child that lived this long was healthy.
-pub const HEALTHY_TIME: Duration = Duration::from_mins(10);
+const HEALTHY_TIME: Duration = Duration::from_mins(10);
 /// So was one during whose life the run made this many updates, if that life was no shorter than [`HEALTHY_LIFE`].
-pub const HEALTHY_UPDATES: u64 = 100;
+const HEALTHY_UPDATES: u64 = 100;
 /// The shortest life after which updates count: while one actor dies as soon as it starts, others make many.
-pub const HEALTHY_LIFE: Duration = Duration::from_secs(1);
+const HEALTHY_LIFE: Duration = Duration::from_secs(1);
 /// How long children may take to end by themselves before they are killed.
 pub const GRACE: Duration = Duration::from_millis(4_600);
 /// The exit codes of an actor that is worth another try: it failed, or it lost the network.
@@ -47,19 +47,19 @@ const FIRST_PAUSE: Duration = Duration::from_millis(200);
 
 /// What to start: the arguments after the program's name.
 #[derive(Clone, Debug)]
-pub struct ProcessPlan {
+pub(crate) struct ProcessPlan {
     /// Arguments of the learner.
-    pub learner: Vec<OsString>,
+    pub(crate) learner: Vec<OsString>,
     /// Arguments of each actor.
-    pub actors: Vec<Vec<OsString>>,
+    pub(crate) actors: Vec<Vec<OsString>>,
     /// Directory of the run; its journal shows whether the run advances.
-    pub run: PathBuf,
+    pub(crate) run: PathBuf,
     /// Whether actors that are not ours may keep the run going.
-    pub others_may_join: bool,
+    pub(crate) others_may_join: bool,
     /// Whether the learner's results go to our standard output.
-    pub learner_stdout: bool,
+    pub(crate) learner_stdout: bool,
     /// File that collects what the children log, instead of our standard error.
-    pub stderr_log: Option<PathBuf>,
+    pub(crate) stderr_log: Option<PathBuf>,
 }
 
 /// How a supervised run ended.
@@ -73,20 +73,20 @@ pub enum Ended {
     Stopped,
 }
 
-/// Runs a plan to its end.
-///
-/// # Errors
-///
-/// If the learner cannot be started at all.
-pub async fn supervise(plan: &ProcessPlan, shutdown: &CancellationToken) -> io::Result<Ended> {
-    let quiet = ChildOutput { results: false, stderr_log: plan.stderr_log.clone() };
-    let output = ChildOutput { results: plan.learner_stdout, ..quiet.clone() };
-    let mut learner = ChildHandle::new("learner", ChildRole::Learner, &plan.learner, output);
+/// Runs a plan to its end; an error says that the learner cannot be started at all.
+pub(crate) async fn supervise(
+    plan: &ProcessPlan,
+    shutdown: &CancellationToken,
+) -> io::Result<Ended> {
+    let stderr_log = plan.stderr_log.as_deref();
+    let mut learner = ChildHandle::new("learner", &plan.learner, stderr_log);
+    learner.shows_results = plan.learner_stdout;
     learner.start(&plan.run)?;
-    let handle = |(index, args): (usize, &Vec<OsString>)| {
-        ChildHandle::new(&format!("actor {}", index + 1), ChildRole::Actor, args, quiet.clone())
+    let handle = |(number, args): (usize, &Vec<OsString>)| ChildHandle {
+        is_actor: true,
+        ..ChildHandle::new(&format!("actor {number}"), args, stderr_log)
     };
-    let mut actors: Vec<ChildHandle> = plan.actors.iter().enumerate().map(handle).collect();
+    let mut actors: Vec<ChildHandle> = (1..).zip(&plan.actors).map(handle).collect();
     let ended = watch(plan, &mut learner, &mut actors, shutdown).await;
     if ended != Ended::Learner(Some(0)) {
         learner.request_stop();
@@ -115,10 +115,7 @@ async fn watch(
         let health: Vec<ChildHealth> =
             actors.iter_mut().map(|actor| actor.poll(&plan.run)).collect();
         // An actor that ended well was dismissed: the learner is about to end as well.
-        if health
-            .iter()
-            .any(|health| matches!(health, ChildHealth::Alive | ChildHealth::Gone(Some(0))))
-        {
+        if health.iter().any(|it| matches!(it, ChildHealth::Alive | ChildHealth::Gone(Some(0)))) {
             continue;
         }
         if !plan.others_may_join {
@@ -138,9 +135,7 @@ async fn wait_for_all(learner: &mut ChildHandle, actors: &mut [ChildHandle]) {
     let mut ticks = tokio::time::interval(TICK);
     while started.elapsed() < GRACE {
         ticks.tick().await;
-        let n_running =
-            actors.iter_mut().chain([&mut *learner]).filter_map(|child| child.running()).count();
-        if n_running == 0 {
+        if !learner.is_running() && actors.iter_mut().all(|actor| !actor.is_running()) {
             return;
         }
         if started.elapsed() > GRACE / 4 {
@@ -148,29 +143,6 @@ async fn wait_for_all(learner: &mut ChildHandle, actors: &mut [ChildHandle]) {
         }
     }
     tracing::warn!("some processes did not end in time and are killed");
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum ChildRole {
-    Learner,
-    Actor,
-}
-
-/// Where a child's output goes.
-#[derive(Clone, Debug)]
-struct ChildOutput {
-    /// Its results go to our standard output, instead of nowhere.
-    results: bool,
-    /// Its log goes to the end of this file, instead of to our standard error.
-    stderr_log: Option<PathBuf>,
-}
-
-impl ChildOutput {
-    fn stderr(&self) -> io::Result<Stdio> {
-        let open = |path: &Path| OpenOptions::new().create(true).append(true).open(path);
-        let log = self.stderr_log.as_deref().map(open).transpose()?;
-        Ok(log.map_or_else(Stdio::inherit, Stdio::from))
-    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -185,11 +157,14 @@ enum ChildHealth {
 #[derive(Debug)]
 struct ChildHandle {
     name: String,
-    role: ChildRole,
+    is_actor: bool,
     /// Finds the program anew for every start, as its file may be replaced meanwhile.
     program: fn() -> io::Result<PathBuf>,
     args: Vec<OsString>,
-    output: ChildOutput,
+    /// Its results go to our standard output, instead of nowhere.
+    shows_results: bool,
+    /// Its log goes to the end of this file, instead of to our standard error.
+    stderr_log: Option<PathBuf>,
     process: Option<ChildProcess>,
     health: ChildHealth,
     n_restarts: u32,
@@ -201,14 +176,16 @@ struct ChildHandle {
 }
 
 impl ChildHandle {
-    fn new(name: &str, role: ChildRole, args: &[OsString], output: ChildOutput) -> Self {
+    /// Makes a learner without results, to be started at once.
+    fn new(name: &str, args: &[OsString], stderr_log: Option<&Path>) -> Self {
         let now = Instant::now();
         Self {
             name: name.to_owned(),
-            role,
+            is_actor: false,
             program: running_program,
             args: args.to_vec(),
-            output,
+            shows_results: false,
+            stderr_log: stderr_log.map(Path::to_owned),
             process: None,
             health: ChildHealth::Alive,
             n_restarts: 0,
@@ -219,16 +196,28 @@ impl ChildHandle {
     }
 
     fn start(&mut self, run: &Path) -> io::Result<()> {
-        self.process = Some(ChildProcess::spawn(&(self.program)()?, &self.args, &self.output)?);
+        self.process = Some(self.spawn()?);
         self.start_at = None;
         self.started = Instant::now();
         self.updates_before = journal::last_update(run);
         Ok(())
     }
 
+    fn spawn(&self) -> io::Result<ChildProcess> {
+        let open = |path| OpenOptions::new().create(true).append(true).open(path);
+        let stderr = self.stderr_log.as_ref().map(open).transpose()?;
+        let stderr = stderr.map_or_else(Stdio::inherit, Stdio::from);
+        let stdout = if self.shows_results { Stdio::inherit() } else { Stdio::null() };
+        let mut command = Command::new((self.program)()?);
+        command.args(&self.args).stdin(Stdio::piped()).stdout(stdout).stderr(stderr);
+        let mut process = CommandWrap::from(command).wrap(ProcessGroup::leader()).spawn()?;
+        let lifeline = process.stdin().take();
+        Ok(ChildProcess { process, lifeline })
+    }
+
     /// Notices the child's end, and starts it when it is time.
     fn poll(&mut self, run: &Path) -> ChildHealth {
-        if let ChildHealth::Gone(_) = self.health {
+        if self.health != ChildHealth::Alive {
             return self.health;
         }
         if let Some(at) = self.start_at {
@@ -239,7 +228,7 @@ impl ChildHandle {
             }
             return ChildHealth::Alive;
         }
-        let status = self.process.as_mut().map(ChildProcess::poll).transpose();
+        let status = self.process.as_mut().map(|child| child.process.try_wait()).transpose();
         let (code, how) = match status {
             Ok(None | Some(None)) => return ChildHealth::Alive,
             Ok(Some(Some(status))) => (status.code(), status.to_string()),
@@ -250,13 +239,9 @@ impl ChildHandle {
     }
 
     fn ended(&mut self, code: Option<i32>, how: &str, run: &Path) -> ChildHealth {
-        let again = match (self.role, code) {
-            // Killed from outside, crashed, or not started: worth another try.
-            (_, None) => true,
-            (ChildRole::Actor, Some(code)) => RETRIED.contains(&code),
-            // A learner that ended with an error would only repeat it.
-            (ChildRole::Learner, Some(_)) => false,
-        };
+        // Killed from outside, crashed, or not started: worth another try. A learner that ended with an error would only
+        // repeat it.
+        let again = code.is_none_or(|code| self.is_actor && RETRIED.contains(&code));
         if self.was_healthy(run) {
             self.n_restarts = 0;
         }
@@ -270,7 +255,7 @@ impl ChildHandle {
         if again {
             let n_deaths = self.n_restarts + 1;
             tracing::error!("{} died {n_deaths} times and is given up ({how})", self.name);
-        } else if self.role == ChildRole::Actor && code != Some(0) {
+        } else if self.is_actor && code != Some(0) {
             tracing::error!("{} ended and is not restarted ({how})", self.name);
         }
         self.health = ChildHealth::Gone(code);
@@ -284,13 +269,9 @@ impl ChildHandle {
         lived >= HEALTHY_TIME || (lived >= HEALTHY_LIFE && n_updates() >= HEALTHY_UPDATES)
     }
 
-    /// Returns the process if it has not ended yet.
-    fn running(&mut self) -> Option<&mut ChildProcess> {
-        let process = self.process.as_mut()?;
-        if !matches!(process.poll(), Ok(None)) {
-            self.process = None;
-        }
-        self.process.as_mut()
+    fn is_running(&mut self) -> bool {
+        self.process.take_if(|process| !matches!(process.process.try_wait(), Ok(None)));
+        self.process.is_some()
     }
 
     fn request_stop(&mut self) {
@@ -309,21 +290,6 @@ struct ChildProcess {
     lifeline: Option<ChildStdin>,
 }
 
-impl ChildProcess {
-    fn spawn(program: &Path, args: &[OsString], output: &ChildOutput) -> io::Result<Self> {
-        let mut command = Command::new(program);
-        let stdout = if output.results { Stdio::inherit() } else { Stdio::null() };
-        command.args(args).stdin(Stdio::piped()).stdout(stdout).stderr(output.stderr()?);
-        let mut process = CommandWrap::from(command).wrap(ProcessGroup::leader()).spawn()?;
-        let lifeline = process.stdin().take();
-        Ok(Self { process, lifeline })
-    }
-
-    fn poll(&mut self) -> io::Result<Option<ExitStatus>> {
-        self.process.try_wait()
-    }
-}
-
 impl Drop for ChildProcess {
     fn drop(&mut self) {
         if matches!(self.process.try_wait(), Ok(Some(_))) {
@@ -340,8 +306,7 @@ mod tests {
     use super::*;
 
     fn actor() -> ChildHandle {
-        let output = ChildOutput { results: false, stderr_log: None };
-        ChildHandle::new("actor 1", ChildRole::Actor, &[], output)
+        ChildHandle { is_actor: true, ..ChildHandle::new("actor 1", &[], None) }
     }
 
     #[test]
@@ -373,8 +338,7 @@ mod tests {
             learner_stdout: false,
             stderr_log: None,
         };
-        let output = ChildOutput { results: false, stderr_log: None };
-        let mut learner = ChildHandle::new("learner", ChildRole::Learner, &["600".into()], output);
+        let mut learner = ChildHandle::new("learner", &["600".into()], None);
         learner.program = || Ok("sleep".into());
         let mut gone = actor();
         gone.health = ChildHealth::Gone(None);
@@ -393,7 +357,7 @@ mod tests {
         let run = tempfile::tempdir().unwrap();
         let mut actor = actor();
         // A log in a directory that is not there: the process cannot be started.
-        actor.output.stderr_log = Some(run.path().join("missing/log"));
+        actor.stderr_log = Some(run.path().join("missing/log"));
         assert_eq!(actor.poll(run.path()), ChildHealth::Alive);
         assert_eq!(actor.n_restarts, 1);
     }

@@ -12,13 +12,8 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum ConfigureError {
     /// There is neither a file nor a built-in configuration of that name.
-    #[error("there is no file {}; built-in configurations: {}", file.display(), known.join(", "))]
-    NotFound {
-        /// The file as named.
-        file: PathBuf,
-        /// The built-in configurations.
-        known: Vec<String>,
-    },
+    #[error("{0}")]
+    NotFound(String),
     /// The file cannot be read.
     #[error("reading {}", file.display())]
     Read {
@@ -83,8 +78,10 @@ impl Tasks {
             (Ok(text), _) => Ok(Layer::text(format!("configuration {}", file.display()), text)),
             (Err(_), Some(built_in)) => Ok(built_in),
             (Err(error), None) if error.kind() == io::ErrorKind::NotFound => {
-                let known = self.catalog.names().map(str::to_owned).collect();
-                Err(ConfigureError::NotFound { file: file.to_owned(), known })
+                let known = self.catalog.names().collect::<Vec<_>>().join(", ");
+                let file = file.display();
+                let sentence = format!("there is no file {file}; built-in configurations: {known}");
+                Err(ConfigureError::NotFound(sentence))
             }
             (Err(source), None) => Err(ConfigureError::Read { file: file.to_owned(), source }),
         }

@@ -18,16 +18,14 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
 /// Wire types of protobuf: the low three bits of a field's key.
-mod wire {
-    pub(super) const VARINT: u64 = 0;
-    pub(super) const FIXED64: u64 = 1;
-    pub(super) const BYTES: u64 = 2;
-    pub(super) const FIXED32: u64 = 5;
-}
+const VARINT: u64 = 0;
+const FIXED64: u64 = 1;
+const BYTES: u64 = 2;
+const FIXED32: u64 = 5;
 
 /// An open event file.
 #[derive(Debug)]
-pub struct EventFile {
+pub(crate) struct EventFile {
     out: BufWriter<File>,
 }
 
@@ -35,11 +33,7 @@ impl EventFile {
     /// Creates an event file in `directory`, for steps from `first_step` on.
     ///
     /// `wall_time` is in seconds since the Unix epoch; `process` keeps two files of one second apart.
-    ///
-    /// # Errors
-    ///
-    /// If the file cannot be written.
-    pub fn create(
+    pub(crate) fn create(
         directory: &Path,
         wall_time: f64,
         process: u32,
@@ -59,11 +53,7 @@ impl EventFile {
     }
 
     /// Appends scalars of one step and hands them to the operating system.
-    ///
-    /// # Errors
-    ///
-    /// If the file cannot be written.
-    pub fn scalars(
+    pub(crate) fn scalars(
         &mut self,
         wall_time: f64,
         step: u64,
@@ -73,7 +63,7 @@ impl EventFile {
         for (tag, value) in scalars {
             let mut entry = Vec::new();
             bytes_field(&mut entry, 1, tag.as_bytes());
-            varint(&mut entry, 2 << 3 | wire::FIXED32);
+            varint(&mut entry, 2 << 3 | FIXED32);
             entry.extend_from_slice(&(*value as f32).to_le_bytes());
             bytes_field(&mut summary, 1, &entry);
         }
@@ -94,17 +84,17 @@ impl EventFile {
 
 fn event(wall_time: f64, step: Option<u64>) -> Vec<u8> {
     let mut out = Vec::new();
-    varint(&mut out, 1 << 3 | wire::FIXED64);
+    varint(&mut out, 1 << 3 | FIXED64);
     out.extend_from_slice(&wall_time.to_le_bytes());
     if let Some(step) = step {
-        varint(&mut out, 2 << 3 | wire::VARINT);
+        varint(&mut out, 2 << 3 | VARINT);
         varint(&mut out, step);
     }
     out
 }
 
 fn bytes_field(out: &mut Vec<u8>, field: u64, bytes: &[u8]) {
-    varint(out, field << 3 | wire::BYTES);
+    varint(out, field << 3 | BYTES);
     varint(out, bytes.len() as u64);
     out.extend_from_slice(bytes);
 }

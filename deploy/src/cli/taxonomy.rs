@@ -10,7 +10,7 @@ use leadtime_config::Override;
 
 /// `leadtime taxonomy ...`
 #[derive(Debug, Subcommand)]
-pub enum TaxonomyCommand {
+pub(crate) enum TaxonomyCommand {
     /// Build a database from a plan: ask for sentences, rate them word by word, keep the most representative.
     Build(TaxonomyBuildArgs),
     /// Rate your own sentences word by word: which cells would they fill?
@@ -25,7 +25,7 @@ pub enum TaxonomyCommand {
 
 /// Who writes and rates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum BackendName {
+pub(crate) enum BackendName {
     /// An annotator's file of sentences and ratings.
     Authored,
     /// The phrase lists of the plan.
@@ -36,7 +36,7 @@ pub enum BackendName {
 
 /// What may be claimed of what a language model writes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum Claim {
+pub(crate) enum Claim {
     /// An instruct model of the source's class (Llama-3-8B or more) wrote and rated.
     Paper,
     /// A smaller stand-in.
@@ -46,7 +46,7 @@ pub enum Claim {
 
 /// What sentences are made for.
 #[derive(Clone, Debug, Args)]
-pub struct PlanArgs {
+pub(crate) struct PlanArgs {
     /// The plan: `highway`, `lander`, `steakhouse`, or a file.
     pub plan: String,
     /// Change one key of the plan: `--set settings.theta=60`; repeatable.
@@ -56,7 +56,7 @@ pub struct PlanArgs {
 
 /// Who writes and rates, and how to reach them.
 #[derive(Clone, Debug, Args)]
-pub struct BackendArgs {
+pub(crate) struct BackendArgs {
     /// Who writes and rates.
     #[arg(long, value_enum, value_name = "NAME")]
     pub backend: Option<BackendName>,
@@ -89,8 +89,7 @@ pub struct BackendArgs {
 /// `leadtime taxonomy build`
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("who").required(true).args(["backend", "replay"])))]
-pub struct TaxonomyBuildArgs {
-    /// What sentences are made for.
+pub(crate) struct TaxonomyBuildArgs {
     #[command(flatten)]
     pub plan: PlanArgs,
     /// Directory for call log, database, report and everything that was proposed; a run that was cut off goes on from
@@ -100,7 +99,6 @@ pub struct TaxonomyBuildArgs {
     /// Make no calls: rebuild the database of a finished call log, byte for byte.
     #[arg(long, value_name = "LOG")]
     pub replay: Option<PathBuf>,
-    /// Who writes and rates.
     #[command(flatten)]
     pub backend: BackendArgs,
     /// Directory of prompt templates; those that it lacks are the built-in ones.
@@ -121,8 +119,7 @@ pub struct TaxonomyBuildArgs {
 /// `leadtime taxonomy rate`
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("who").required(true).args(["backend"])))]
-pub struct TaxonomyRateArgs {
-    /// What sentences are made for.
+pub(crate) struct TaxonomyRateArgs {
     #[command(flatten)]
     pub plan: PlanArgs,
     /// The topic of the sentences.
@@ -131,7 +128,6 @@ pub struct TaxonomyRateArgs {
     /// The sentences, one argument each.
     #[arg(required = true, value_name = "SENTENCE")]
     pub sentences: Vec<String>,
-    /// Who rates.
     #[command(flatten)]
     pub backend: BackendArgs,
     /// Keep the replies in this call log, and do not repeat the calls that it holds.
@@ -144,8 +140,7 @@ pub struct TaxonomyRateArgs {
 
 /// `leadtime taxonomy report`
 #[derive(Debug, Args)]
-pub struct TaxonomyReportArgs {
-    /// What sentences are made for.
+pub(crate) struct TaxonomyReportArgs {
     #[command(flatten)]
     pub plan: PlanArgs,
     /// The call log (default: the one that comes with the plan's domain).
@@ -161,7 +156,7 @@ pub struct TaxonomyReportArgs {
 
 /// A form in which a database can be printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ExportFormat {
+pub(crate) enum ExportFormat {
     /// One line per sentence.
     Csv,
     /// One object.
@@ -172,7 +167,7 @@ pub enum ExportFormat {
 
 /// `leadtime taxonomy export`
 #[derive(Debug, Args)]
-pub struct TaxonomyExportArgs {
+pub(crate) struct TaxonomyExportArgs {
     /// The database: a file, or the domain whose shipped one is meant.
     pub database: String,
     /// The form.
@@ -185,7 +180,7 @@ pub struct TaxonomyExportArgs {
 
 /// `leadtime taxonomy validate`
 #[derive(Debug, Args)]
-pub struct TaxonomyValidateArgs {
+pub(crate) struct TaxonomyValidateArgs {
     /// The database: a file, or the domain whose shipped one is meant.
     pub database: String,
     /// Sentences that every cell should have, to take turns.

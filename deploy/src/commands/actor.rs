@@ -3,17 +3,16 @@
 use std::fs;
 
 use anyhow::Context as _;
-use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Error};
-use leadtime_link::{ConnectSettings, Endpoint, Error as LinkError};
+use leadtime_actor::{ActorEnd, ActorSettings, Error};
+use leadtime_link::{ConnectSettings, Error as LinkError};
 use leadtime_proto::{ActorId, RunName};
-use leadtime_runs::{ProgramBuild, clock};
+use leadtime_runs::{ProgramBuild, Tasks, clock};
 use serde_json::json;
 
-use crate::cli::ActorArgs;
+use crate::cli::{ActorArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{Watch, watch};
 use crate::{build, output};
-use leadtime_runs::Tasks;
 
 /// The longest part of a host's name that becomes part of an actor's.
 const HOST_CHARS: usize = 24;
@@ -25,7 +24,15 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     tracing::info!(actor = %settings.actor, at = %args.connect.join(", "), "looking for a learner");
     let report = leadtime_actor::run(settings, tasks.registry.clone(), shutdown).await;
     let report = report.map_err(failure)?;
-    output::json(&account(&report));
+    // The actor's own account of what it did; the learner's books must agree with it.
+    output::json(&json!({
+        "run": report.run,
+        "steps": report.n_steps,
+        "made": report.made,
+        "published": report.sent,
+        "acknowledged": report.acknowledged,
+        "reconnects": report.n_reconnects,
+    }));
     match report.end {
         ActorEnd::Dismissed { .. } => Ok(()),
         ActorEnd::Cancelled => Err(Failure::silent(ExitCode::Interrupted)),
@@ -33,9 +40,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
 }
 
 fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettings> {
-    let endpoints: Result<Vec<Endpoint>, _> =
-        args.connect.iter().map(|text| text.parse()).collect();
-    let mut connect = ConnectSettings::new(endpoints.context("--connect")?);
+    let mut connect = ConnectSettings::new(endpoints(&args.connect).context("--connect")?);
     connect.timeout = args.connect_timeout;
     let run = args.run.clone().map(RunName::new).transpose().context("--run")?;
     let id = args.id.clone().unwrap_or_else(|| default_id(&host()));
@@ -65,18 +70,6 @@ fn default_id(host: &str) -> String {
     format!("{host}-{}", std::process::id())
 }
 
-/// The actor's own account of what it did; the learner's books must agree with it.
-fn account(report: &ActorReport) -> serde_json::Value {
-    json!({
-        "run": report.run,
-        "steps": report.n_steps,
-        "made": report.made,
-        "published": report.sent,
-        "acknowledged": report.acknowledged,
-        "reconnects": report.n_reconnects,
-    })
-}
-
 /// Chooses the exit code for an actor's error.
 fn failure(error: Error) -> Failure {
     let code = match &error {
@@ -98,7 +91,7 @@ fn failure(error: Error) -> Failure {
         | Error::RunChanged { .. } => ExitCode::PeerLost,
         _ => ExitCode::Failed,
     };
-    Failure { code, error: Some(error.into()) }
+    Failure::of(code, error)
 }
 
 #[cfg(test)]

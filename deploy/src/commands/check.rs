@@ -4,38 +4,28 @@ use std::path::Path;
 use std::thread::available_parallelism;
 
 use anyhow::Context as _;
-use leadtime_link::{ConnectSettings, Endpoint, ObserverLink};
-use leadtime_runs::cpu;
+use leadtime_config::Config;
+use leadtime_link::{ConnectSettings, ObserverLink};
+use leadtime_runs::{Tasks, build};
 
-use crate::cli::CheckArgs;
+use crate::cli::{CheckArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{output, threads};
-use leadtime_config::Config;
-use leadtime_runs::Tasks;
 
 pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> {
     let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
-    let (n_updates, n_envs) = (config.learner.n_updates(), config.learner.n_envs);
-    report(
-        "configuration",
-        &format!("domain {}, {n_updates} updates, {n_envs} environments", config.domain),
-    );
-    for notice in config.notices() {
-        report("notice", &notice);
-    }
+    let (domain, n_updates, n_envs) =
+        (&config.domain, config.learner.n_updates(), config.learner.n_envs);
+    let configuration = format!("domain {domain}, {n_updates} updates, {n_envs} environments");
+    report("configuration", &configuration);
+    config.notices().iter().for_each(|notice| report("notice", notice));
     let (obs_dim, heads) = (config.env.obs_dim, &config.env.actions.heads);
     let heads: Vec<String> =
         heads.iter().map(|head| format!("{} {}", head.name, head.n_choices)).collect();
     report("task", &format!("{obs_dim} inputs, heads: {}", heads.join(", ")));
     let cores = available_parallelism().map_or(1, usize::from);
-    report(
-        "machine",
-        &format!(
-            "{cores} cores, {}, {} numeric threads",
-            cpu::fingerprint(),
-            threads::configured()
-        ),
-    );
+    let (cpu, n_threads) = (build::cpu_class(), threads::configured());
+    report("machine", &format!("{cores} cores, {cpu}, {n_threads} numeric threads"));
     writable(&config).blame(ExitCode::WrongInput)?;
     report("runs", &format!("{} can be written", config.run.directory.display()));
     if !args.connect.is_empty() {
@@ -52,30 +42,23 @@ fn report(what: &str, finding: &str) {
 /// Makes sure that a run could be made, without leaving anything behind.
 fn writable(config: &Config) -> anyhow::Result<()> {
     let wanted = &config.run.directory;
-    let exists = |path: &&Path| path.exists();
-    let there = wanted.ancestors().find(exists).filter(|path| !path.as_os_str().is_empty());
-    let directory = there.unwrap_or(Path::new("."));
-    tempfile::tempfile_in(directory).with_context(|| {
-        format!("`run.directory` {}: nothing can be written there", wanted.display())
-    })?;
-    Ok(())
+    let there = wanted.ancestors().find(|path| path.exists());
+    let directory = there.filter(|path| !path.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let refused = || format!("`run.directory` {}: nothing can be written there", wanted.display());
+    tempfile::tempfile_in(directory).with_context(refused).map(|_file| ())
 }
 
 /// Lists the runs at an address.
 async fn look(args: &CheckArgs) -> Result<Vec<String>, Failure> {
-    let endpoints: Result<Vec<Endpoint>, _> =
-        args.connect.iter().map(|text| text.parse()).collect();
-    let mut settings = ConnectSettings::new(endpoints.blame(ExitCode::WrongInput)?);
+    let mut settings = ConnectSettings::new(endpoints(&args.connect).blame(ExitCode::WrongInput)?);
     settings.timeout = args.connect_timeout;
     let (link, _events) = ObserverLink::open(&settings).await.blame(ExitCode::PeerLost)?;
     let runs = link.runs().await.blame(ExitCode::PeerLost)?;
     link.close().await.blame(ExitCode::PeerLost)?;
     if runs.is_empty() {
-        let error = anyhow::anyhow!(
-            "someone answers at {}, but no learner is there",
-            args.connect.join(", ")
-        );
-        return Err(Failure { code: ExitCode::PeerLost, error: Some(error) });
+        let at = args.connect.join(", ");
+        let error = anyhow::anyhow!("someone answers at {at}, but no learner is there");
+        return Err(Failure::of(ExitCode::PeerLost, error));
     }
     Ok(runs.iter().map(ToString::to_string).collect())
 }

@@ -1,10 +1,9 @@
 //! `leadtime compare`: arguments in, lines and exit codes out; the rest is [`leadtime_studies`].
 
-use std::io::{self, IsTerminal as _};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use leadtime_runs::Tasks;
 use leadtime_studies::{
     Crew, Error, EvalCache, PlannedTraining, StudyObserver, StudyRequest, StudySession,
@@ -106,12 +105,7 @@ struct Console {
 
 impl Console {
     fn new() -> Self {
-        let bar = io::stderr().is_terminal().then(|| {
-            let style = ProgressStyle::with_template("{bar:32} {msg}");
-            let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
-            logging::bars().add(ProgressBar::new(0).with_style(style))
-        });
-        Self { bar, last_line: None }
+        Self { bar: logging::bar("{bar:32} {msg}"), last_line: None }
     }
 }
 

@@ -51,15 +51,12 @@ fn print(replay: &Replay) {
 /// Reads a text file, unpacking it if it is gzip.
 fn read(file: &Path) -> anyhow::Result<String> {
     let bytes = std::fs::read(file).with_context(|| format!("reading {}", file.display()))?;
-    let text = if bytes.starts_with(&GZIP_MAGIC) {
-        let mut text = String::new();
-        MultiGzDecoder::new(bytes.as_slice())
-            .take(MAX_BYTES)
-            .read_to_string(&mut text)
-            .with_context(|| format!("unpacking {}", file.display()))?;
-        text
-    } else {
-        String::from_utf8(bytes).with_context(|| format!("{} is no text", file.display()))?
-    };
+    if !bytes.starts_with(&GZIP_MAGIC) {
+        let text = String::from_utf8(bytes);
+        return text.with_context(|| format!("{} is no text", file.display()));
+    }
+    let mut text = String::new();
+    let unpacked = MultiGzDecoder::new(bytes.as_slice()).take(MAX_BYTES).read_to_string(&mut text);
+    unpacked.with_context(|| format!("unpacking {}", file.display()))?;
     Ok(text)
 }

@@ -1,28 +1,24 @@
 //! From a parsed command line to the command.
 
 use clap::CommandFactory as _;
+use leadtime_runs::Tasks;
 use tokio::runtime;
 
 use super::{
-    actor, check, compare, config, conformance, eval, learner, pilot, play, probe, runs, smoke,
-    taxonomy, up,
+    actor, check, compare, config, conformance, eval, launch, learner, pilot, play, probe, runs,
+    smoke, taxonomy,
 };
-use crate::cli::{Cli, Command, PilotCommand};
+use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{logging, output};
-use leadtime_runs::Tasks;
 
 /// Carries out one command.
-///
-/// # Errors
-///
-/// [`Failure`] with the exit code that the program should end with.
-pub fn dispatch(tasks: &Tasks, command: Command) -> Result<(), Failure> {
+pub(crate) fn dispatch(tasks: &Tasks, command: Command) -> Result<(), Failure> {
     let quiet = matches!(&command, Command::Actor(args) if args.supervised);
     logging::start(if quiet { "warn" } else { "info" })?;
     match command {
         Command::Smoke(args) => block_on(smoke::run(tasks, &args)),
-        Command::Up(args) => block_on(up::run(tasks, &args)),
+        Command::Up(args) => block_on(launch::up(tasks, &args)),
         Command::Learner(args) => block_on(learner::run(tasks, &args)),
         Command::Actor(args) => block_on(actor::run(tasks, &args)),
         Command::Eval(args) => eval::run(tasks, &args),
@@ -30,7 +26,13 @@ pub fn dispatch(tasks: &Tasks, command: Command) -> Result<(), Failure> {
         Command::Play(args) => play::run(tasks, &args),
         Command::Compare(args) => block_on(compare::run(tasks, &args)),
         Command::Pilot { command: PilotCommand::Eval(args) } => pilot::run(&args),
-        Command::Taxonomy { command } => taxonomy::run(tasks, &command),
+        Command::Taxonomy { command } => match command {
+            TaxonomyCommand::Build(args) => taxonomy::build(&args),
+            TaxonomyCommand::Rate(args) => taxonomy::rate(&args),
+            TaxonomyCommand::Report(args) => taxonomy::report(&args),
+            TaxonomyCommand::Export(args) => taxonomy::export(&args),
+            TaxonomyCommand::Validate(args) => taxonomy::validate(tasks, &args),
+        },
         Command::Conformance(args) => conformance::run(&args),
         Command::Config(args) => config::run(tasks, &args),
         Command::Runs(args) => runs::run(&args),

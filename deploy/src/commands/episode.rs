@@ -11,10 +11,6 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// Finds the sentences for a domain's messages: those of the named database, else the shipped ones; `None` where there
 /// are none.
-///
-/// # Errors
-///
-/// Wrong input, if the database cannot be read or is about other topics.
 pub(super) fn voice(
     tasks: &Tasks,
     config: &Config,

@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
+use leadtime_config::{Config, Override};
 use leadtime_eval::measure::{Choice, Comparison, Player};
-use leadtime_runs::LoadedPolicy;
+use leadtime_runs::{LoadedPolicy, Tasks};
 use leadtime_taxonomy::Pace;
 use serde_json::{Value, json};
 
@@ -11,16 +12,13 @@ use super::{episode, evaluation};
 use crate::cli::EvalArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use leadtime_config::{Config, Override};
-use leadtime_runs::Tasks;
 
 pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
-    if args.transcript {
-        let task = EvalTask::load(tasks, args, None)?;
-        return transcript(tasks, args, &task);
-    }
     let Some(each) = &args.each else {
         let task = EvalTask::load(tasks, args, None)?;
+        if args.transcript {
+            return transcript(tasks, args, &task);
+        }
         let comparison = task.compare(tasks, args)?;
         if args.json {
             output::json(&task.json(args, &comparison));
@@ -31,9 +29,9 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     };
     // All of them first, so that an impossible value is reported before an hour's work.
     let load = |change| EvalTask::load(tasks, args, Some(change));
-    let loaded = each.overrides().iter().map(load).collect::<Result<Vec<_>, _>>()?;
+    let loaded = each.0.iter().map(load).collect::<Result<Vec<_>, _>>()?;
     let mut results = Vec::new();
-    for (task, change) in loaded.iter().zip(each.overrides()) {
+    for (task, change) in loaded.iter().zip(&each.0) {
         let comparison = task.compare(tasks, args)?;
         if args.json {
             let mut result = task.json(args, &comparison);
@@ -68,20 +66,18 @@ impl EvalTask {
         let action = args.action.unwrap_or(config.evaluation.action);
         let mut players = vec![evaluation::policy("policy", &config, &loaded.parameters, action)?];
         players.extend(args.baseline.iter().map(|name| Player::baseline(name)));
-        let environment =
-            tasks.registry.build(&config.evaluation.task).blame(ExitCode::WrongInput)?;
-        for player in &players {
-            player.check(environment.as_ref()).blame(ExitCode::WrongInput)?;
-        }
+        let environment = tasks.registry.build(&config.evaluation.task);
+        let environment = environment.blame(ExitCode::WrongInput)?;
+        let mut checks = players.iter().map(|player| player.check(environment.as_ref()));
+        checks.try_for_each(|check| check.blame(ExitCode::WrongInput))?;
         Ok(Self { path: loaded.path, config, action, players })
     }
 
     fn compare(&self, tasks: &Tasks, args: &EvalArgs) -> Result<Comparison, Failure> {
         let n_episodes = args.episodes.unwrap_or(self.config.evaluation.episodes);
         tracing::info!(policy = %self.path.display(), n_episodes, "evaluating");
-        let (config, players) = (&self.config, &self.players);
-        let evaluations =
-            evaluation::evaluate_all(tasks, config, players, n_episodes, args.eval_seed)?;
+        let (config, players, seed) = (&self.config, &self.players, args.eval_seed);
+        let evaluations = evaluation::evaluate_all(tasks, config, players, n_episodes, seed)?;
         Ok(evaluation::compare(config, &evaluations, &args.measure))
     }
 
@@ -102,10 +98,9 @@ fn transcript(tasks: &Tasks, args: &EvalArgs, task: &EvalTask) -> Result<(), Fai
     let voice = episode::voice(tasks, config, args.words.as_deref())?;
     for player in &task.players {
         for index in 0..u64::from(args.episodes.unwrap_or(1)) {
-            let played =
-                episode::record(tasks, config, player, voice.as_ref(), args.eval_seed, index)
-                    .blame(ExitCode::WrongInput)?;
-            output::line(&played.transcript(&Pace::default()));
+            let (voice, seed) = (voice.as_ref(), args.eval_seed);
+            let played = episode::record(tasks, config, player, voice, seed, index);
+            output::line(&played.blame(ExitCode::WrongInput)?.transcript(&Pace::default()));
         }
     }
     Ok(())

@@ -3,13 +3,12 @@
 use std::thread::available_parallelism;
 
 use anyhow::ensure;
+use leadtime_config::Config;
 use leadtime_eval::measure::{
     Choice, Comparison, Evaluation, PlaySettings, Player, evaluate, measure_names,
 };
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_policy::Parameters;
-
-use leadtime_config::Config;
 use leadtime_runs::Tasks;
 
 /// Default seed of evaluations, which no run trains with by default: nothing is evaluated on its training episodes.
@@ -50,19 +49,12 @@ pub(super) fn main_measure(config: &Config) -> &'static str {
 }
 
 /// Checks, before anything is played, that a task knows some measures.
-///
-/// # Errors
-///
-/// If it does not know one of them; the sentence lists the known ones.
 pub(super) fn check_measures(config: &Config, measures: &[String]) -> anyhow::Result<()> {
     let known = measure_names(&config.env.metrics);
-    let unknown = measures.iter().find(|name| !known.contains(name));
-    ensure!(
-        unknown.is_none(),
-        "there is no measure `{}`; known: {}",
-        unknown.map_or("", String::as_str),
-        known.join(", ")
-    );
+    for name in measures {
+        let told = known.join(", ");
+        ensure!(known.contains(name), "there is no measure `{name}`; known: {told}");
+    }
     Ok(())
 }
 

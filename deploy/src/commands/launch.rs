@@ -1,13 +1,30 @@
-//! Launches a learner and actors, and decides what their end means for the exit code.
+//! `leadtime up`: learner and actors on this machine, supervised, and what their end means for the exit code.
 
 use std::path::PathBuf;
 
+use leadtime_config::Config;
 use leadtime_runs::launch::{self, Launch, LaunchError};
 use leadtime_runs::supervise::Ended;
+use leadtime_runs::{Naming, Tasks};
 use tokio_util::sync::CancellationToken;
 
-use crate::exit::{ExitCode, Failure};
-use leadtime_config::Config;
+use crate::cli::UpArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::shutdown::{Watch, watch};
+
+pub(super) async fn up(tasks: &Tasks, args: &UpArgs) -> Result<(), Failure> {
+    let name = args.run.name.as_deref();
+    let config = args.source.load(tasks, name).blame(ExitCode::WrongInput)?;
+    let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let what = Launch {
+        listen: &args.listen,
+        fork: args.run.fork.as_deref(),
+        stop_after: args.run.stop_after,
+        learner_stdout: true,
+        ..Launch::new(Naming::Resume, args.actors)
+    };
+    launch(&config, &what, &shutdown).await.map(|_run| ())
+}
 
 /// Runs learner and actors until the learner ends; returns the run's directory.
 pub(super) async fn launch(
@@ -18,7 +35,7 @@ pub(super) async fn launch(
     let launched = launch::launch(config, what, shutdown).await.map_err(|error| {
         let is_ours = matches!(error, LaunchError::Start(_));
         let code = if is_ours { ExitCode::Failed } else { ExitCode::WrongInput };
-        Failure { code, error: Some(error.into()) }
+        Failure::of(code, error)
     })?;
     // The processes have logged why.
     match launched.ended {

@@ -1,24 +1,23 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
 use anyhow::Context as _;
-use leadtime_learner::{Books, Build, LearnerConfig, RunEnd, RunReport};
-use leadtime_link::{Endpoint, ListenSettings};
+use leadtime_config::{Config, identity};
+use leadtime_learner::{Build, LearnerConfig, RunEnd, RunReport};
+use leadtime_link::ListenSettings;
 use leadtime_proto::RunSpec;
-use leadtime_runs::RunState;
-use leadtime_runs::policy_file::{self, Fork};
+use leadtime_runs::policy_file::Fork;
 use leadtime_runs::{
-    ProgramBuild, RunDir, RunDirError, RunRecorder, RunResult, clock, digest, scratch,
+    ProgramBuild, RunDir, RunDirError, RunRecorder, RunResult, RunState, Tasks, clock, digest,
+    scratch,
 };
-use tokio_util::sync::CancellationToken;
+use serde_json::json;
 
 use super::run_report::{self, Findings};
-use crate::cli::LearnerArgs;
+use crate::cli::{LearnerArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{Watch, watch};
 use crate::sink::RunSink;
 use crate::{build, output};
-use leadtime_config::{Config, identity};
-use leadtime_runs::Tasks;
 
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
@@ -32,53 +31,40 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let (mut run_dir, state) =
         RunDir::open(&config, fork.as_ref(), &build).blame(ExitCode::WrongInput)?;
     if state == RunState::Finished {
-        let (name, path) = (run_dir.name(), run_dir.path().display());
+        let (name, path) = (&run_dir.name, run_dir.path.display());
         output::say(&format!(
             "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
         ));
         return Ok(());
     }
     config.notices().iter().for_each(|notice| tracing::warn!("{notice}"));
-    if let (Some(grown), true) = (run_dir.grown(), config.learner.anneal) {
+    if let (Some(grown), true) = (&run_dir.grown, config.learner.anneal) {
         tracing::warn!(
             "{grown}: with learner.anneal = true the learning rate falls over the new length from here on, so the \
              weights will differ from those of a run that has this length from the start"
         );
     }
-    tracing::info!(run = %run_dir.name(), directory = %run_dir.path().display(), "run opened");
+    tracing::info!(run = %run_dir.name, directory = %run_dir.path.display(), "run opened");
     let learner = learner_config(&config, &run_dir, listen, build).blame(ExitCode::WrongInput)?;
-    let sink = sink(&config, &run_dir, args, &shutdown).blame(ExitCode::WrongInput)?;
+    let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
+        .with_context(|| format!("opening the files of {}", run_dir.path.display()))
+        .blame(ExitCode::WrongInput)?;
+    let stop = args.run.stop_after.map(|n_updates| (n_updates, shutdown.clone()));
+    let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
     let report = leadtime_learner::run(learner, Box::new(sink), shutdown.clone()).await;
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
         // A supervisor that lives removes it itself; if it was killed nobody else would.
         scratch::remove_if_abandoned(scratch);
     }
     let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args);
-    if let Err(error) = run_report::write(run_dir.path(), Findings::of_training(&config)) {
+    if let Err(error) = run_report::write(&run_dir.path, Findings::of_training(&config)) {
         tracing::warn!("report.html cannot be written: {error:#}");
     }
     concluded
 }
 
-fn sink(
-    config: &Config,
-    run_dir: &RunDir,
-    args: &LearnerArgs,
-    shutdown: &CancellationToken,
-) -> anyhow::Result<RunSink> {
-    let directory = run_dir.path();
-    let metadata = policy_file::metadata(config, run_dir.name().as_str());
-    let policy = config.policy.clone();
-    let recorder = RunRecorder::open(directory, policy, metadata, config.steps_per_update())
-        .with_context(|| format!("opening the files of {}", directory.display()))?;
-    let mut sink = RunSink::new(directory.to_owned(), recorder);
-    sink.stop_after(args.run.stop_after, shutdown.clone());
-    Ok(sink)
-}
-
 fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
-    let endpoints: Result<Vec<Endpoint>, _> = listen.iter().map(|text| text.parse()).collect();
-    let endpoints = endpoints.context("--listen")?;
+    let endpoints = endpoints(listen).context("--listen")?;
     for endpoint in endpoints.iter().filter(|endpoint| endpoint.is_open_to_strangers()) {
         tracing::warn!(%endpoint, "whoever reaches this address can take part: it asks for no certificate");
     }
@@ -92,7 +78,7 @@ fn learner_config(
     build: ProgramBuild,
 ) -> Result<LearnerConfig, RunDirError> {
     Ok(LearnerConfig {
-        run: run_dir.name().clone(),
+        run: run_dir.name.clone(),
         incarnation: clock::incarnation(),
         spec: RunSpec {
             seed: config.seed,
@@ -131,16 +117,29 @@ fn failure(error: leadtime_learner::Error) -> Failure {
         Error::Link(_) => ExitCode::PeerLost,
         _ => ExitCode::Failed,
     };
-    Failure { code, error: Some(error.into()) }
+    Failure::of(code, error)
 }
 
 /// Records and prints how the run ended.
 fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Result<(), Failure> {
     let digest = digest::hex(&report.digest);
-    let mut books = accounts(&report.books);
-    books["balanced"] = report.balance.is_ok().into();
+    let books = &report.books;
+    // As the record keeps them.
+    let books = json!({
+        "published": books.published,
+        "trained": books.trained,
+        "dropped_stale": books.dropped_stale,
+        "refused": books.refused,
+        "refusals": books.refusals,
+        "superseded": books.superseded,
+        "unused_at_end": books.unused_at_end,
+        "rolled_back": books.rolled_back,
+        "duplicates": books.duplicates,
+        "steps_redone": books.steps_redone,
+        "balanced": report.balance.is_ok(),
+    });
     let (n_updates, n_steps) = (report.n_updates, report.n_steps);
-    output::line(&format!("run      {}", run_dir.path().display()));
+    output::line(&format!("run      {}", run_dir.path.display()));
     output::line(&format!("updates  {n_updates} ({n_steps} steps)"));
     output::line(&format!("weights  sha256 {digest}"));
     output::line(&format!("books    {books}"));
@@ -161,20 +160,4 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
     tracing::info!("stopped after {n_updates} updates: the same command resumes the run");
     let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);
     if asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
-}
-
-/// The books as the record keeps them.
-fn accounts(books: &Books) -> serde_json::Value {
-    serde_json::json!({
-        "published": books.published,
-        "trained": books.trained,
-        "dropped_stale": books.dropped_stale,
-        "refused": books.refused,
-        "refusals": books.refusals,
-        "superseded": books.superseded,
-        "unused_at_end": books.unused_at_end,
-        "rolled_back": books.rolled_back,
-        "duplicates": books.duplicates,
-        "steps_redone": books.steps_redone,
-    })
 }

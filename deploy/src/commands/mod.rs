@@ -18,6 +18,5 @@ mod run_report;
 mod runs;
 mod smoke;
 mod taxonomy;
-mod up;
 
-pub use dispatch::dispatch;
+pub(crate) use dispatch::dispatch;

@@ -3,18 +3,17 @@
 use std::ops::Range;
 use std::path::Path;
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::{bail, ensure};
 use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::measure::Player;
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::{Picture, Report};
-use leadtime_runs::{LoadedPolicy, write_atomically};
+use leadtime_runs::{LoadedPolicy, Tasks};
 
 use super::{episode, evaluation};
 use crate::cli::PlayArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use leadtime_runs::Tasks;
 
 /// Pixels per unit of a PNG.
 const PNG_SCALE: f32 = 2.0;
@@ -31,9 +30,8 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     let kinds = ["png", "svg", "gif", "html"];
     if !kinds.contains(&extension(&args.output).as_str()) {
         let shown = args.output.display();
-        return Err(Failure::input(format!(
-            "{shown}: the extension must be png, svg, gif or html"
-        )));
+        let sentence = format!("{shown}: the extension must be png, svg, gif or html");
+        return Err(Failure::input(sentence));
     }
     if args.demonstration {
         let spoken = Spoken::demonstration().blame(ExitCode::Failed)?;
@@ -78,7 +76,7 @@ fn draw_frames(spoken: &Spoken, frames: &Range<u64>, path: &Path) -> anyhow::Res
         "svg" => svg.into_bytes(),
         other => bail!("frames beside each other cannot be a `{other}` file: png or svg"),
     };
-    write_atomically(path, &bytes).with_context(|| format!("writing {}", path.display()))
+    output::file(path, &bytes)
 }
 
 /// Draws an episode into a file.
@@ -87,28 +85,21 @@ pub(super) fn draw(spoken: &Spoken, path: &Path) -> anyhow::Result<()> {
         "png" => spoken.png(&Rasterizer::new(), PNG_SCALE)?,
         "svg" => spoken.svg("playthrough").text.into_bytes(),
         "gif" => spoken.gif(&Rasterizer::new(), GIF_FRAMES, GIF_SECONDS)?,
-        "html" => page(spoken).into_bytes(),
+        "html" => {
+            let (title, pictures) = (spoken.played.title(), vec![picture(spoken, "playthrough")]);
+            Report { title, pictures, ..Report::default() }.html().into_bytes()
+        }
         other => bail!("a picture cannot be a `{other}` file"),
     };
-    write_atomically(path, &bytes).with_context(|| format!("writing {}", path.display()))
-}
-
-fn page(spoken: &Spoken) -> String {
-    let title = spoken.played.title();
-    let pictures = vec![picture(spoken, "playthrough")];
-    Report { title, pictures, ..Report::default() }.html()
+    output::file(path, &bytes)
 }
 
 /// Makes an episode a picture of a page.
 pub(super) fn picture(spoken: &Spoken, id: &str) -> Picture {
     let played = &spoken.played;
-    let caption = format!(
-        "Episode {} of seed {}, {} steps, return {:.1}.",
-        played.index,
-        played.seed,
-        played.n_steps(),
-        played.total_reward
-    );
+    let (index, seed, n_steps) = (played.index, played.seed, played.n_steps());
+    let total = played.total_reward;
+    let caption = format!("Episode {index} of seed {seed}, {n_steps} steps, return {total:.1}.");
     Picture { title: played.title(), caption, svg: spoken.svg(id).text }
 }
 

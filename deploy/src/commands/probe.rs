@@ -2,12 +2,11 @@
 
 use std::path::Path;
 
-use anyhow::Context as _;
 use leadtime_eval::measure::{Choice, PlaySettings};
 use leadtime_eval::probe::{ProbeResult, probe};
 use leadtime_eval::report::Fact;
 use leadtime_numerics::stats::Bootstrap;
-use leadtime_runs::{LoadedPolicy, Tasks, digest, write_atomically};
+use leadtime_runs::{LoadedPolicy, Tasks, digest};
 use leadtime_studies::program_facts;
 use serde_json::{Value, json};
 
@@ -52,8 +51,8 @@ fn measure(
     let (config, n_episodes) = (&loaded.config, args.episodes);
     let player = evaluation::policy("policy", config, &loaded.parameters, action)?;
     let make = || tasks.registry.build(&config.evaluation.task);
-    let settings =
-        PlaySettings::new(u64::from(n_episodes), args.eval_seed).threads(evaluation::n_threads());
+    let settings = PlaySettings::new(u64::from(n_episodes), args.eval_seed);
+    let settings = settings.threads(evaluation::n_threads());
     tracing::info!(policy = %loaded.path.display(), n_episodes, "probing");
     Ok(probe(&make, &player, &settings, Bootstrap::new(config.seed))?)
 }
@@ -72,22 +71,17 @@ fn write(
     action: Choice,
     known: &ProbeResult,
 ) -> Result<(), Failure> {
-    let digest = loaded.parameters.digest().blame(ExitCode::Failed)?;
-    let mut weights = digest::hex(&digest);
+    let mut weights = digest::hex(&loaded.parameters.digest().blame(ExitCode::Failed)?);
     weights.truncate(DIGEST_DIGITS);
-    let choices = format!("{action:?}").to_lowercase();
     let mut facts = vec![
         Fact::new("command", format!("`{}`", output::command_line(std::env::args_os().skip(1)))),
         Fact::new("policy", format!("`{}`, weights `{weights}`", args.policy.display())),
         Fact::new("domain", format!("`{}`", loaded.config.domain)),
         Fact::new("reaction delay", format!("`{}`", reaction_delay(loaded))),
-        Fact::new("choices", choices),
+        Fact::new("choices", format!("{action:?}").to_lowercase()),
         Fact::new("evaluation seed", args.eval_seed.to_string()),
     ];
     facts.extend(program_facts(&this_build()?));
     let title = format!("What `{}` knows of its listener's reaction delay", args.policy.display());
-    let text = known.markdown(&title, &facts);
-    write_atomically(path, text.as_bytes())
-        .with_context(|| format!("writing {}", path.display()))
-        .blame(ExitCode::WrongInput)
+    output::file(path, known.markdown(&title, &facts).as_bytes()).blame(ExitCode::WrongInput)
 }

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context as _;
+use leadtime_config::Config;
 use leadtime_eval::figure::{Band, BandPanel, ShareRow};
 use leadtime_eval::measure::Comparison;
 use leadtime_eval::report::{Book, Fact, Picture, Report, Verdict};
-use leadtime_runs::{RunRecord, journal, write_atomically};
+use leadtime_runs::{ProgramBuild, RunRecord, journal};
 use serde_json::{Map, Value};
 
-use leadtime_config::Config;
+use crate::output;
 
 /// Points of a learning curve.
 const N_POINTS: usize = 120;
@@ -33,12 +34,11 @@ pub(super) struct Findings {
 impl Findings {
     /// Describes a run whose policy has not been evaluated.
     pub(super) fn of_training(config: &Config) -> Self {
+        let (domain, n_updates) = (&config.domain, config.learner.n_updates());
+        let n_steps = config.steps_per_update();
         let lead = format!(
-            "Training on domain {}, {} updates of {} steps by a learner and separate actors. The policy was not \
-             evaluated here: the curves are of training episodes (see `leadtime eval`).",
-            config.domain,
-            config.learner.n_updates(),
-            config.steps_per_update()
+            "Training on domain {domain}, {n_updates} updates of {n_steps} steps by a learner and separate actors. The \
+             policy was not evaluated here: the curves are of training episodes (see `leadtime eval`)."
         );
         Self { lead, ..Self::default() }
     }
@@ -63,9 +63,7 @@ pub(super) fn write(directory: &Path, findings: Findings) -> anyhow::Result<()> 
         provenance: provenance(&record),
         notes: findings.notes,
     };
-    let path = directory.join("report.html");
-    write_atomically(&path, report.html().as_bytes())
-        .with_context(|| format!("writing {}", path.display()))
+    output::file(&directory.join("report.html"), report.html().as_bytes())
 }
 
 fn curves(journal: &[Map<String, Value>]) -> Vec<BandPanel> {
@@ -93,10 +91,9 @@ fn points(journal: &[Map<String, Value>], key: &str) -> Vec<[f64; 2]> {
 fn staleness(journal: &[Map<String, Value>]) -> BTreeMap<u64, u64> {
     let mut counts = BTreeMap::new();
     for line in journal {
-        let Some(update) = line.get("staleness").and_then(Value::as_object) else { continue };
-        for (staleness, n) in update {
-            let key: Option<u64> = staleness.parse().ok();
-            if let (Some(staleness), Some(n)) = (key, n.as_u64()) {
+        let update = line.get("staleness").and_then(Value::as_object);
+        for (staleness, n) in update.into_iter().flatten() {
+            if let (Ok(staleness), Some(n)) = (staleness.parse(), n.as_u64()) {
                 *counts.entry(staleness).or_default() += n;
             }
         }
@@ -105,13 +102,10 @@ fn staleness(journal: &[Map<String, Value>]) -> BTreeMap<u64, u64> {
 }
 
 fn phases(journal: &[Map<String, Value>]) -> Vec<ShareRow> {
-    let sum = |key: &str| -> f64 {
-        journal.iter().filter_map(|line| line.get(key).and_then(Value::as_f64)).sum()
-    };
-    let parts =
-        [("training", "system/train_seconds"), ("waiting for rollouts", "system/wait_seconds")];
-    let parts = parts.map(|(name, key)| (name.to_owned(), sum(key))).to_vec();
-    vec![ShareRow { label: "learner".to_owned(), parts }]
+    let sum = |key: &str| journal.iter().filter_map(|line| line.get(key)?.as_f64()).sum();
+    let training = ("training".to_owned(), sum("system/train_seconds"));
+    let waiting = ("waiting for rollouts".to_owned(), sum("system/wait_seconds"));
+    vec![ShareRow { label: "learner".to_owned(), parts: vec![training, waiting] }]
 }
 
 fn account(books: &Value) -> Vec<Book> {
@@ -144,12 +138,11 @@ fn provenance(record: &RunRecord) -> Vec<Fact> {
         facts.push(Fact::new("SHA-256 of the starting weights", &origin.weights_sha256));
     }
     for build in &record.builds {
-        let commit = build.commit.as_deref().unwrap_or("unknown");
-        let text = format!(
-            "{}, commit {commit}, on {} with {} threads per process",
-            build.program, build.cpu, build.threads
-        );
-        facts.push(Fact::new(format!("program since {}", build.since), text));
+        let ProgramBuild { since, program, commit, cpu, threads } = build;
+        let commit = commit.as_deref().unwrap_or("unknown");
+        let text =
+            format!("{program}, commit {commit}, on {cpu} with {threads} threads per process");
+        facts.push(Fact::new(format!("program since {since}"), text));
     }
     if let Some(result) = &record.result {
         facts.push(Fact::new("finished", &result.finished));

@@ -4,19 +4,20 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use leadtime_config::identity::difference;
 use leadtime_runs::layout::read_config;
 use leadtime_runs::record::RecordError;
 use leadtime_runs::{ForkOrigin, RunRecord, journal};
 use leadtime_table::Table;
 use serde::Serialize;
+use serde_json::{Value, json};
 
 use crate::cli::{RunsArgs, RunsCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use leadtime_config::identity::difference;
 
 /// A run as it is listed.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct ListedRun {
     name: String,
     domain: String,
@@ -34,36 +35,6 @@ struct ListedRun {
     started: String,
     /// Why the record cannot be read as one.
     problem: Option<String>,
-}
-
-/// What the weights of two runs say about each other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-enum WeightsVerdict {
-    /// Bit for bit.
-    Equal,
-    /// In at least one bit.
-    Differ,
-    /// A run has no final weights yet.
-    Unknown,
-}
-
-impl WeightsVerdict {
-    fn of(first: &ListedRun, second: &ListedRun) -> Self {
-        match (&first.weights_sha256, &second.weights_sha256) {
-            (Some(first), Some(second)) if first == second => Self::Equal,
-            (Some(_), Some(_)) => Self::Differ,
-            _ => Self::Unknown,
-        }
-    }
-
-    fn line(self) -> &'static str {
-        match self {
-            Self::Equal => "weights: equal",
-            Self::Differ => "weights: differ",
-            Self::Unknown => "weights: unknown until both runs are finished",
-        }
-    }
 }
 
 /// Hexadecimal digits of a digest in a row.
@@ -90,28 +61,18 @@ fn list(runs: &Path, json: bool) -> anyhow::Result<()> {
         output::say(&format!("there are no runs in {}", runs.display()));
     } else {
         print(&rows);
-        for (name, problem) in
-            rows.iter().filter_map(|row| Some((&row.name, row.problem.as_ref()?)))
-        {
-            output::say(&format!("{name}: {problem}"));
+        for ListedRun { name, problem, .. } in &rows {
+            if let Some(problem) = problem {
+                output::say(&format!("{name}: {problem}"));
+            }
         }
     }
     Ok(())
 }
 
 fn print(rows: &[ListedRun]) {
-    let head = [
-        "run",
-        "domain",
-        "state",
-        "updates",
-        "steps",
-        "success",
-        "return",
-        "weights",
-        "reproducible",
-        "forked from",
-    ];
+    let head = "run domain state updates steps success return weights reproducible";
+    let head = head.split(' ').chain(["forked from"]);
     let mut table = Table::new(head).left(&[0, 1, 2, 7, 8, 9]);
     for row in rows {
         table.push(cells(row));
@@ -120,13 +81,12 @@ fn print(rows: &[ListedRun]) {
 }
 
 fn cells(row: &ListedRun) -> [String; 10] {
-    let number = |value: Option<f64>, digits| {
-        value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
-    };
+    let none = || "-".to_owned();
+    let number = |value: Option<f64>, digits| value.map_or_else(none, |x| format!("{x:.digits$}"));
     let cut = |digest: &str| digest.chars().take(DIGEST_DIGITS).collect::<String>();
     let reproducible = row.reproducible.map(|yes| if yes { "yes" } else { "no" });
-    let origin =
-        row.origin.as_ref().map(|from| format!("{} {}", from.run, cut(&from.weights_sha256)));
+    let origin = row.origin.as_ref();
+    let origin = origin.map(|from| format!("{} {}", from.run, cut(&from.weights_sha256)));
     [
         row.name.clone(),
         row.domain.clone(),
@@ -135,7 +95,7 @@ fn cells(row: &ListedRun) -> [String; 10] {
         row.steps.to_string(),
         number(row.success, 2),
         number(row.episode_return, 1),
-        row.weights_sha256.as_deref().map_or_else(|| "-".to_owned(), cut),
+        row.weights_sha256.as_deref().map_or_else(none, cut),
         reproducible.unwrap_or("-").to_owned(),
         origin.unwrap_or_default(),
     ]
@@ -144,9 +104,9 @@ fn cells(row: &ListedRun) -> [String; 10] {
 /// Describes a run's directory; `None` if it is none.
 fn row(path: &Path) -> Option<ListedRun> {
     let is_run = ["run.json", "config.toml"].iter().any(|file| path.join(file).exists());
-    is_run.then(|| {
-        RunRecord::read(path)
-            .map_or_else(|error| unreadable(path, error), |record| readable(path, record))
+    is_run.then(|| match RunRecord::read(path) {
+        Ok(record) => readable(path, record),
+        Err(error) => unreadable(path, error),
     })
 }
 
@@ -156,22 +116,15 @@ fn unreadable(path: &Path, error: RecordError) -> ListedRun {
         name: name.unwrap_or_default(),
         domain: "-".to_owned(),
         state: "unreadable",
-        updates: 0,
-        steps: 0,
-        success: None,
-        episode_return: None,
-        weights_sha256: None,
-        reproducible: None,
-        origin: None,
-        started: String::new(),
         problem: Some(format!("{:#}", anyhow::Error::from(error))),
+        ..ListedRun::default()
     }
 }
 
 fn readable(path: &Path, record: RunRecord) -> ListedRun {
     let last = journal::read(path).ok().and_then(|mut lines| lines.pop()).unwrap_or_default();
-    let number = |key: &str| last.get(key).and_then(serde_json::Value::as_f64);
-    let whole = |key: &str| last.get(key).and_then(serde_json::Value::as_u64).unwrap_or(0);
+    let number = |key: &str| last.get(key).and_then(Value::as_f64);
+    let whole = |key: &str| last.get(key).and_then(Value::as_u64).unwrap_or(0);
     let reproducible = record.is_reproducible(path);
     ListedRun {
         name: record.name,
@@ -197,16 +150,18 @@ fn compare(args: &RunsArgs, first: &str, second: &str) -> anyhow::Result<()> {
     };
     let ((config_a, row_a), (config_b, row_b)) = (open(first)?, open(second)?);
     let changes = difference(&config_a, &config_b);
-    let weights = WeightsVerdict::of(&row_a, &row_b);
+    let weights = match (&row_a.weights_sha256, &row_b.weights_sha256) {
+        (Some(first), Some(second)) if first == second => "equal",
+        (Some(_), Some(_)) => "differ",
+        // A run has no final weights yet.
+        _ => "unknown",
+    };
     if args.json {
-        let changes: Vec<_> = changes
-            .iter()
-            .map(|c| serde_json::json!({"key": c.key, "first": c.before, "second": c.after}))
-            .collect();
+        let changes = changes.iter();
+        let changes: Vec<_> =
+            changes.map(|c| json!({"key": c.key, "first": c.before, "second": c.after})).collect();
         let runs = [row_a, row_b];
-        output::json(&serde_json::json!({
-            "configuration": changes, "runs": runs, "weights": weights,
-        }));
+        output::json(&json!({"configuration": changes, "runs": runs, "weights": weights}));
         return Ok(());
     }
     for change in &changes {
@@ -216,7 +171,8 @@ fn compare(args: &RunsArgs, first: &str, second: &str) -> anyhow::Result<()> {
         output::line("the configurations are equal");
     }
     print(&[row_a, row_b]);
-    output::line(weights.line());
+    let until = if weights == "unknown" { " until both runs are finished" } else { "" };
+    output::line(&format!("weights: {weights}{until}"));
     Ok(())
 }
 

@@ -7,11 +7,11 @@
 
 use std::path::{Path, PathBuf};
 
+use leadtime_config::{Config, Layer};
 use leadtime_eval::measure::{Comparison, Evaluation, Player};
-use leadtime_eval::report::Verdict;
-use leadtime_runs::Naming;
+use leadtime_eval::report::{Picture, Verdict};
 use leadtime_runs::launch::Launch;
-use leadtime_runs::{LoadedPolicy, RunRecord};
+use leadtime_runs::{LoadedPolicy, Naming, RunRecord, Tasks};
 use serde_json::json;
 
 use super::launch::launch;
@@ -21,8 +21,6 @@ use crate::cli::SmokeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 use crate::shutdown::{Watch, unless_cancelled, watch};
-use leadtime_config::{Config, Layer};
-use leadtime_runs::Tasks;
 
 /// What the trained notifier must gain over the unaided person, in success, with its whole interval.
 const MARK: f64 = 0.3;
@@ -81,23 +79,24 @@ fn evaluate(
     let loaded = LoadedPolicy::load(&tasks.registry, &config.run.directory, directory, &[])?;
     let action = config.evaluation.action;
     let trained = evaluation::policy(TRAINED, config, &loaded.parameters, action)?;
-    let environment = config.build(&tasks.registry)?;
+    let environment = tasks.registry.build(&config.task)?;
     let scripts = environment.baselines().iter().map(|script| Player::baseline(script));
     let untrained = Player::untrained(&config.policy, config.seed, action)?;
     let players: Vec<Player> = [trained].into_iter().chain(scripts).chain([untrained]).collect();
     let default = if args.quick { QUICK_EPISODES } else { config.evaluation.episodes };
     let n_episodes = args.episodes.unwrap_or(default);
-    let evaluations =
-        evaluation::evaluate_all(tasks, config, &players, n_episodes, evaluation::EVAL_SEED)?;
+    let seed = evaluation::EVAL_SEED;
+    let evaluations = evaluation::evaluate_all(tasks, config, &players, n_episodes, seed)?;
     let comparison = evaluation::compare(config, &evaluations, &[]);
     let (sentence, passed) = verdict(args, config, &comparison);
+    let quick = "This was a quick run: it checks the mechanics only, and its figures say nothing about learning.";
     let pictures = draw(tasks, config, &players, &evaluations, directory)?;
     let findings = Findings {
         lead: lead(config, &loaded.path),
         verdicts: vec![Verdict { holds: passed, sentence: sentence.clone() }],
         comparison: Some(comparison.clone()),
         pictures,
-        notes: notes(args),
+        notes: args.quick.then(|| quick.to_owned()).into_iter().collect(),
     };
     run_report::write(directory, findings)?;
     Ok(SmokeOutcome { comparison, sentence, passed })
@@ -105,18 +104,12 @@ fn evaluate(
 
 fn lead(config: &Config, policy: &Path) -> String {
     let file = policy.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let (domain, n_updates) = (&config.domain, config.learner.n_updates());
+    let n_steps = config.steps_per_update();
     format!(
-        "Trained on domain {} for {} updates of {} steps by a learner and separate actors, then evaluated on \
-         episodes that training never saw. The evaluated policy is {file}.",
-        config.domain,
-        config.learner.n_updates(),
-        config.steps_per_update()
+        "Trained on domain {domain} for {n_updates} updates of {n_steps} steps by a learner and separate actors, then \
+         evaluated on episodes that training never saw. The evaluated policy is {file}."
     )
-}
-
-fn notes(args: &SmokeArgs) -> Vec<String> {
-    let quick = "This was a quick run: it checks the mechanics only, and its figures say nothing about learning.";
-    if args.quick { vec![quick.to_owned()] } else { Vec::new() }
 }
 
 /// Says whether the trained policy gained enough, where the task has a person to compare with.
@@ -125,13 +118,11 @@ fn verdict(args: &SmokeArgs, config: &Config, comparison: &Comparison) -> (Strin
         return ("The mechanics work; learning was not checked (--quick).".to_owned(), true);
     }
     let measure = evaluation::main_measure(config);
-    let against =
-        |name: &str| comparison.differences.iter().find(|difference| difference.minus == name);
-    let (Some(difference), true) = (against(UNAIDED), measure == "success") else {
+    let against = comparison.differences.iter().find(|difference| difference.minus == UNAIDED);
+    let (Some(difference), true) = (against, measure == "success") else {
         return ("This task has no unaided person to compare with: no verdict.".to_owned(), true);
     };
-    let low = difference.interval.low;
-    let passed = low > MARK;
+    let passed = difference.interval.low > MARK;
     let verb = if passed { "gained" } else { "did not gain" };
     let interval = difference.sentence(comparison.bootstrap.confidence);
     let sentence = format!("The trained notifier {verb} more than {MARK} in success: {interval}.");
@@ -145,7 +136,7 @@ fn draw(
     players: &[Player],
     evaluations: &[Evaluation],
     directory: &Path,
-) -> anyhow::Result<Vec<leadtime_eval::report::Picture>> {
+) -> anyhow::Result<Vec<Picture>> {
     let environment = tasks.registry.build(&config.evaluation.task)?;
     if environment.scene().is_none() {
         return Ok(Vec::new());
@@ -167,9 +158,8 @@ fn draw(
 fn telling_episode(evaluations: &[Evaluation]) -> u64 {
     let success = |at: usize| evaluations.get(at).and_then(|e| e.column("success"));
     let (Some(trained), Some(other)) = (success(0), success(1)) else { return 0 };
-    let telling =
-        trained.iter().zip(&other).position(|(ours, theirs)| *ours > 0.5 && *theirs < 0.5);
-    telling.unwrap_or(0) as u64
+    let mut both = trained.iter().zip(&other);
+    both.position(|(ours, theirs)| *ours > 0.5 && *theirs < 0.5).unwrap_or(0) as u64
 }
 
 fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome, books: &serde_json::Value) {

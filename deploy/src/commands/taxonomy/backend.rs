@@ -12,10 +12,6 @@ use crate::cli::{BackendArgs, BackendName, Claim};
 use crate::exit::Failure;
 
 /// Returns who writes and rates.
-///
-/// # Errors
-///
-/// Wrong input: a key that is not there.
 pub(super) fn backend(args: &BackendArgs) -> Result<Backend, Failure> {
     match args.backend {
         Some(BackendName::Authored) => Ok(Backend::Authored(args.annotations.clone())),
@@ -28,13 +24,10 @@ pub(super) fn backend(args: &BackendArgs) -> Result<Backend, Failure> {
 fn http(args: &BackendArgs) -> Result<HttpSettings, Failure> {
     let text = |value: &Option<String>| value.clone().unwrap_or_default();
     let mut settings = HttpSettings::new(&text(&args.url), &text(&args.model));
-    settings.api_key = match &args.api_key_env {
-        Some(variable) => Some(
-            env::var(variable)
-                .map_err(|error| Failure::input(format!("--api-key-env {variable}: {error}")))?,
-        ),
-        None => None,
-    };
+    if let Some(variable) = &args.api_key_env {
+        let missing = |error| Failure::input(format!("--api-key-env {variable}: {error}"));
+        settings.api_key = Some(env::var(variable).map_err(missing)?);
+    }
     settings.fidelity = match args.fidelity {
         Claim::Paper => Fidelity::Paper,
         Claim::Local => Fidelity::Local,
@@ -44,10 +37,6 @@ fn http(args: &BackendArgs) -> Result<HttpSettings, Failure> {
 }
 
 /// Returns the embedder that compares sentences, if one is named.
-///
-/// # Errors
-///
-/// Wrong input: the files are not the embedder's, or this program was built without it.
 pub(super) fn embedder(directory: Option<&Path>) -> Result<Option<Box<dyn Embedder>>, Failure> {
     directory.map(load).transpose()
 }
@@ -60,7 +49,6 @@ fn load(directory: &Path) -> Result<Box<dyn Embedder>, Failure> {
 
 #[cfg(not(feature = "minilm"))]
 fn load(_directory: &Path) -> Result<Box<dyn Embedder>, Failure> {
-    Err(Failure::input(
-        "this program was built without an embedder: build it with `--features minilm`",
-    ))
+    let sentence = "this program was built without an embedder: build it with `--features minilm`";
+    Err(Failure::input(sentence))
 }

@@ -15,7 +15,6 @@ use super::{backend, source};
 use crate::cli::TaxonomyBuildArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use leadtime_runs::write_atomically;
 
 /// Names of the files in the output directory.
 const LOG: &str = "calls.jsonl";
@@ -25,7 +24,7 @@ const CANDIDATES: &str = "candidates.jsonl";
 /// Sentences that a cell should have, to take turns.
 const WANTED: usize = 3;
 
-pub(super) fn run(args: &TaxonomyBuildArgs) -> Result<(), Failure> {
+pub(in crate::commands) fn run(args: &TaxonomyBuildArgs) -> Result<(), Failure> {
     let plan = source::plan(&args.plan)?;
     source::directory("--prompts", args.prompts.as_deref())?;
     source::directory("--embedder", args.embedder.as_deref())?;
@@ -64,11 +63,7 @@ fn write(
     built: &Built,
     header: &LogHeader,
 ) -> anyhow::Result<()> {
-    let write = |name: &str, text: &str| {
-        let path = directory.join(name);
-        write_atomically(&path, text.as_bytes())
-            .with_context(|| format!("writing {}", path.display()))
-    };
+    let write = |name, text: &str| output::file(&directory.join(name), text.as_bytes());
     write(REPORT, &built.report(plan, header))?;
     write(CANDIDATES, &built.candidates_jsonl())?;
     if built.taxonomy.is_ok() { write(DATABASE, &built.text) } else { Ok(()) }
@@ -76,17 +71,13 @@ fn write(
 
 fn print(args: &TaxonomyBuildArgs, built: &Built, header: &LogHeader) -> Result<(), Failure> {
     let coverage = &built.coverage;
-    let taxonomy = match &built.taxonomy {
-        Ok(taxonomy) => taxonomy,
-        Err(error) => {
-            let report = args.output.join(REPORT);
-            let error = anyhow::anyhow!(
-                "what came out cannot be used: {error}; {} says what was turned down and why",
-                report.display()
-            );
-            return Err(error.into());
-        }
-    };
+    let taxonomy = built.taxonomy.as_ref().map_err(|error| {
+        let report = args.output.join(REPORT);
+        anyhow::anyhow!(
+            "what came out cannot be used: {error}; {} says what was turned down and why",
+            report.display()
+        )
+    })?;
     let n_kept: usize = taxonomy.topics().iter().map(|topic| topic.utterances().len()).sum();
     let n_filled = coverage.cells.values().filter(|counts| counts.kept > 0).count();
     let (n_cells, database) = (coverage.cells.len(), args.output.join(DATABASE));
@@ -108,17 +99,12 @@ fn print(args: &TaxonomyBuildArgs, built: &Built, header: &LogHeader) -> Result<
         }));
         return Ok(());
     }
+    let (shown, fidelity) = (database.display(), header.fidelity.name());
     output::line(&format!(
-        "{}: {n_kept} sentences in {n_filled} of {n_cells} cells, fidelity {}",
-        database.display(),
-        header.fidelity.name()
+        "{shown}: {n_kept} sentences in {n_filled} of {n_cells} cells, fidelity {fidelity}"
     ));
-    output::line(&format!(
-        "proposed {}, accepted {}, calls {}",
-        coverage.proposed, coverage.accepted, built.calls
-    ));
-    for finding in findings {
-        output::line(&finding);
-    }
+    let (proposed, accepted, calls) = (coverage.proposed, coverage.accepted, built.calls);
+    output::line(&format!("proposed {proposed}, accepted {accepted}, calls {calls}"));
+    findings.iter().map(String::as_str).for_each(output::line);
     Ok(())
 }

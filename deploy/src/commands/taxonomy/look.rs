@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use leadtime_proto::TaskSpec;
+use leadtime_runs::Tasks;
 use leadtime_taxonomy::pipeline::job::{self, Backend, BuildJob, Format};
 use leadtime_taxonomy::{Cell, Finding, Taxonomy, Topic, check};
 use serde_json::json;
@@ -12,14 +13,12 @@ use super::source;
 use crate::cli::{ExportFormat, TaxonomyExportArgs, TaxonomyReportArgs, TaxonomyValidateArgs};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use leadtime_runs::Tasks;
-use leadtime_runs::write_atomically;
 
 /// What is said where no log can be meant.
 const NO_LOG: &str =
     "--log is missing: a call log comes only with the program's own plans, unchanged";
 
-pub(super) fn report(args: &TaxonomyReportArgs) -> Result<(), Failure> {
+pub(in crate::commands) fn report(args: &TaxonomyReportArgs) -> Result<(), Failure> {
     let plan = source::plan(&args.plan)?;
     source::directory("--prompts", args.prompts.as_deref())?;
     let made = match &args.log {
@@ -28,17 +27,22 @@ pub(super) fn report(args: &TaxonomyReportArgs) -> Result<(), Failure> {
         }
         None => return Err(Failure::input(NO_LOG)),
         Some(log) => {
-            let (log, prompts) = (log.clone(), args.prompts.clone());
-            let nobody = (Backend::Replay, None, None, None);
-            let (backend, embedder, rater, max_calls) = nobody;
-            job::run(&plan, BuildJob { backend, log, prompts, embedder, rater, max_calls })
+            let job = BuildJob {
+                backend: Backend::Replay,
+                log: log.clone(),
+                prompts: args.prompts.clone(),
+                embedder: None,
+                rater: None,
+                max_calls: None,
+            };
+            job::run(&plan, job)
         }
     };
     let (built, header) = made.map_err(|error| source::failure(&error))?;
     deliver(args.output.as_deref(), &built.report(&plan, &header))
 }
 
-pub(super) fn export(args: &TaxonomyExportArgs) -> Result<(), Failure> {
+pub(in crate::commands) fn export(args: &TaxonomyExportArgs) -> Result<(), Failure> {
     let taxonomy = source::database(&args.database)?;
     let text = match args.format {
         ExportFormat::Csv => job::export(&taxonomy, Format::Csv),
@@ -67,12 +71,13 @@ fn deliver(path: Option<&Path>, text: &str) -> Result<(), Failure> {
         output::line(text.trim_end());
         return Ok(());
     };
-    write_atomically(path, text.as_bytes())
-        .with_context(|| format!("writing {}", path.display()))
-        .blame(ExitCode::WrongInput)
+    output::file(path, text.as_bytes()).blame(ExitCode::WrongInput)
 }
 
-pub(super) fn validate(tasks: &Tasks, args: &TaxonomyValidateArgs) -> Result<(), Failure> {
+pub(in crate::commands) fn validate(
+    tasks: &Tasks,
+    args: &TaxonomyValidateArgs,
+) -> Result<(), Failure> {
     let taxonomy = source::database(&args.database)?;
     fits(tasks, &taxonomy).with_context(|| args.database.clone()).blame(ExitCode::WrongInput)?;
     let findings: Vec<String> =
@@ -90,15 +95,10 @@ pub(super) fn validate(tasks: &Tasks, args: &TaxonomyValidateArgs) -> Result<(),
             "findings": findings,
         }));
     } else {
-        output::line(&format!(
-            "{}: domain {}, {n_kept} sentences on {n_topics} topics, fidelity {}",
-            args.database,
-            header.domain,
-            header.fidelity.name()
-        ));
-        for finding in &findings {
-            output::line(finding);
-        }
+        let (database, domain, fidelity) = (&args.database, &header.domain, header.fidelity.name());
+        let sentences = format!("{n_kept} sentences on {n_topics} topics");
+        output::line(&format!("{database}: domain {domain}, {sentences}, fidelity {fidelity}"));
+        findings.iter().map(String::as_str).for_each(output::line);
     }
     if args.strict && !findings.is_empty() {
         return Err(Failure::silent(ExitCode::Failed));

@@ -5,14 +5,15 @@
 //! calls.jsonl --report--> coverage.md      taxonomy.toml --validate, export--> findings, tables
 //! ```
 //!
-//! Where to start: [`build`]; whose fault an error is: [`source`].
+//! Where to start: [`mod@build`]; whose fault an error is: [`source`].
 
 mod backend;
 mod build;
-mod dispatch;
 mod look;
 mod rate;
 mod source;
 
-pub(super) use dispatch::run;
+pub(super) use build::run as build;
+pub(super) use look::{export, report, validate};
+pub(super) use rate::run as rate;
 pub(super) use source::database;

@@ -11,7 +11,7 @@ use crate::cli::TaxonomyRateArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 
-pub(super) fn run(args: &TaxonomyRateArgs) -> Result<(), Failure> {
+pub(in crate::commands) fn run(args: &TaxonomyRateArgs) -> Result<(), Failure> {
     let plan = source::plan(&args.plan)?;
     let empty = args.sentences.iter().find(|sentence| words::count(sentence) == 0);
     if let Some(sentence) = empty {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context as _;
+use leadtime_config::{Layer, Override};
 use leadtime_taxonomy::pipeline::error::BackendError;
 use leadtime_taxonomy::pipeline::{DatabasePlan, PipelineError, job};
 use leadtime_taxonomy::{Taxonomy, shipped};
@@ -10,7 +11,6 @@ use toml::Table;
 
 use crate::cli::PlanArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use leadtime_config::{Layer, Override};
 
 /// Blames an error of the pipeline on the server, or on what the person gave.
 pub(super) fn failure(error: &PipelineError) -> Failure {
@@ -21,22 +21,16 @@ pub(super) fn failure(error: &PipelineError) -> Failure {
         _ => ExitCode::WrongInput,
     };
     // Its sentence holds its causes; as causes they would be said twice.
-    Failure { code, error: Some(anyhow::Error::msg(error.to_string())) }
+    Failure::of(code, anyhow::Error::msg(error.to_string()))
 }
 
 /// Reads the plan of a name or a file, and makes the changes of the command line.
-///
-/// # Errors
-///
-/// Wrong input: what there is, or the line of the file, or the change.
 pub(super) fn plan(args: &PlanArgs) -> Result<DatabasePlan, Failure> {
     let name = &args.plan;
     let named = is_shipped(name);
     if !named && !Path::new(name).is_file() {
-        return Err(Failure::input(format!(
-            "`{name}` is neither a file nor a plan that comes with the program: {}",
-            domains()
-        )));
+        let neither = "neither a file nor a plan that comes with the program";
+        return Err(Failure::input(format!("`{name}` is {neither}: {}", domains())));
     }
     let plan = job::plan_or_file(name).map_err(|error| match error {
         // Says which file itself.
@@ -60,31 +54,19 @@ pub(super) fn plan(args: &PlanArgs) -> Result<DatabasePlan, Failure> {
 }
 
 /// Reads the database of a file, or the shipped one of a domain.
-///
-/// # Errors
-///
-/// Wrong input: what there is, or which line or sentence of the file is wrong and how.
 pub(in crate::commands) fn database(name: &str) -> Result<Taxonomy, Failure> {
     if is_shipped(name) {
         return shipped(name).blame(ExitCode::Failed);
     }
+    let neither = "neither a readable file nor a domain with shipped sentences";
     let text = std::fs::read_to_string(name)
-        .with_context(|| {
-            let known = domains();
-            format!(
-                "`{name}` is neither a readable file nor a domain with shipped sentences: {known}"
-            )
-        })
+        .with_context(|| format!("`{name}` is {neither}: {}", domains()))
         .blame(ExitCode::WrongInput)?;
     Taxonomy::from_toml(&text).with_context(|| name.to_owned()).blame(ExitCode::WrongInput)
 }
 
 /// Makes sure that a directory of the person's is one: what it lacks is taken from elsewhere, so a misspelt one would
 /// go unnoticed.
-///
-/// # Errors
-///
-/// Wrong input, with the path.
 pub(super) fn directory(option: &str, path: Option<&Path>) -> Result<(), Failure> {
     match path {
         Some(path) if !path.is_dir() => {
