@@ -169,7 +169,11 @@ fn what_is_no_recording_says_so() {
     assert!(matches!(steakhouse::replay("[]"), Err(ReplayError::Format { .. })));
     assert!(matches!(steakhouse::replay("{}"), Err(ReplayError::Empty { .. })));
     let impossible = |text: &str, from: &str, to: &str| {
-        steakhouse::replay(&changed(text, from, to)).unwrap_err().to_string()
+        let error = steakhouse::replay(&changed(text, from, to)).unwrap_err();
+        match std::error::Error::source(&error) {
+            Some(source) => format!("{error}: {source}"),
+            None => error.to_string(),
+        }
     };
     let public = public();
     let error = impossible(&public, r#""actions":["W","_"]"#, r#""actions":["Q","_"]"#);
@@ -182,8 +186,5 @@ fn what_is_no_recording_says_so() {
     let error = impossible(&golden(), r#""content":[5,5,1"#, r#""content":[5,5,3"#);
     assert_eq!(error, "`all_partial_silent` holds an impossible station state");
     let error = impossible(&golden(), r#""layout":"ring""#, r#""layout":"rind""#);
-    assert!(
-        error.starts_with("the settings of `empty_silent` are impossible: "),
-        "{error}"
-    );
+    assert!(error.starts_with("the settings of `empty_silent` are impossible: "), "{error}");
 }

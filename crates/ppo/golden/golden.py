@@ -21,7 +21,7 @@ def number(value):
 
 
 def write(name, text):
-    (HERE / f"{name}.rs").write_text(text)
+    (HERE / f"{name}.rs").write_text("// As golden.py wrote them.\n" + text)
 
 
 def gae():
