@@ -7,8 +7,8 @@
 const QUOTED: usize = 120;
 /// The most characters of a sentence that is taken from a peer.
 const SENTENCE: usize = 1_000;
-/// The most characters of one printed line.
-const LINE: usize = 500;
+/// The most characters of one printed line; our own longest sentences say at their end what to do.
+const LINE: usize = 4_000;
 /// The most lines of one printed message.
 const LINES: usize = 50;
 

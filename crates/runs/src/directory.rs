@@ -28,6 +28,7 @@ use leadtime_learner::write_atomically;
 use leadtime_proto::RunName;
 
 use crate::directory_error::RunDirError;
+use crate::journal::Journal;
 use crate::layout::{
     CHECKPOINTS, LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, checkpoints, compare, is_begun,
     lock, read_config, read_record, write_config,
@@ -69,8 +70,8 @@ impl RunDir {
         let candidates = if fork.is_some() { Vec::new() } else { unfinished(config) };
         for name in candidates {
             let path = config.run.directory.join(name.as_str());
-            let launched = lock(&path, SUPERVISOR_LOCK, &name);
-            match launched.and_then(|_lock| Self::open_named(config, &name, fork, build)) {
+            let Ok(_launched) = lock(&path, SUPERVISOR_LOCK, &name) else { continue };
+            match Self::open_named(config, &name, fork, build) {
                 Err(RunDirError::Locked(_)) => {}
                 opened => return opened,
             }
@@ -85,15 +86,15 @@ impl RunDir {
         build: &ProgramBuild,
     ) -> Result<(Self, RunState), RunDirError> {
         let path = config.run.directory.join(name.as_str());
-        let is_begun = is_begun(&path)?;
+        is_begun(&path)?;
         let io = |source| RunDirError::Io { path: path.clone(), source };
         fs::create_dir_all(path.join(CHECKPOINTS)).map_err(io)?;
         let lock = lock(&path, LOCK, name)?;
         let mut kept = None;
-        if is_begun {
+        if is_begun(&path)? {
             let mut record = read_record(&path)?;
             adopt_origin(&path, &mut record, config);
-            let trained = TrainingTraces::find(&path, &record);
+            let trained = TrainingTraces::find(&path, &record).map_err(io)?;
             if trained.n_updates > 0 {
                 let before = read_config(&path)?;
                 let state = compare(&record, &before, &config.table, name)?;
@@ -102,6 +103,10 @@ impl RunDir {
                 let grown = changes.find(|change| change.key == TOTAL_STEPS);
                 if state == RunState::Unfinished {
                     trained.check(&path, name, &before)?;
+                    if !trained.has_checkpoints {
+                        // It begins anew, and the next start must not take these updates for trained.
+                        Journal::open(&path).and_then(|mut it| it.rewind(0)).map_err(io)?;
+                    }
                     record.taken_up_by(build, trained.has_checkpoints);
                     record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
                 }
@@ -126,7 +131,8 @@ impl RunDir {
     /// [`RunDirError`] if they are missing or are not those on record.
     pub fn initial(&self, config: &Config) -> Result<Option<Arc<[u8]>>, RunDirError> {
         let Some(origin) = &self.record.origin else { return Ok(None) };
-        if !checkpoints(&self.path).is_empty() {
+        let io = |source| RunDirError::Io { path: self.path.clone(), source };
+        if !checkpoints(&self.path).map_err(io)?.is_empty() {
             return Ok(None);
         }
         let (path, name) = (self.path.join(INITIAL_POLICY), &self.name);
@@ -144,13 +150,12 @@ impl RunDir {
         Ok(Some(bytes.into()))
     }
 
-    /// Writes how the run ended; it is reproducible only if one build on one class of CPU trained all of it.
+    /// Writes how the run ended.
     ///
     /// # Errors
     ///
     /// [`RunDirError::Io`] if the record cannot be written.
-    pub fn finish(&mut self, mut result: RunResult) -> Result<(), RunDirError> {
-        result.reproducible &= self.record.builds.len() == 1;
+    pub fn finish(&mut self, result: RunResult) -> Result<(), RunDirError> {
         self.record.result = Some(result);
         let io = |source| RunDirError::Io { path: self.path.clone(), source };
         self.record.write(&self.path).map_err(io)
@@ -176,7 +181,7 @@ fn begin(
     }
     // A run that was stopped before its first update has left the state that it began with.
     let policies = [LAST_POLICY, BEST_POLICY].map(|name| path.join(name));
-    for file in checkpoints(path).into_iter().chain(policies).filter(|file| file.exists()) {
+    for file in checkpoints(path)?.into_iter().chain(policies).filter(|file| file.exists()) {
         fs::remove_file(file)?;
     }
     let mut record = RunRecord::begin(name.as_str(), config.domain.as_str(), config.seed, build);

@@ -63,20 +63,28 @@ const TAIL: u64 = 16_384;
 
 /// Returns the steps of a run's last update; 0 before the first.
 pub fn last_steps(run_directory: &Path) -> u64 {
-    last(run_directory, "steps")
+    last(run_directory, "steps").unwrap_or(0)
 }
 
 /// Returns the number of a run's last update; 0 before the first.
 pub(crate) fn last_update(run_directory: &Path) -> u64 {
-    last(run_directory, "update")
+    last(run_directory, "update").unwrap_or(0)
 }
 
-fn last(run_directory: &Path, key: &str) -> u64 {
-    let tail = tail(run_directory).unwrap_or_default();
+/// Returns a number of a run's last line; 0 if there is none.
+///
+/// # Errors
+///
+/// If there is a journal that cannot be read.
+pub(crate) fn last(run_directory: &Path, key: &str) -> io::Result<u64> {
+    let tail = match tail(run_directory) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
+        tail => tail?,
+    };
     let text = String::from_utf8_lossy(&tail);
     let mut lines = text.lines().rev();
     let line = lines.find_map(|line| serde_json::from_str::<Map<String, Value>>(line).ok());
-    line.and_then(|line| line.get(key)?.as_u64()).unwrap_or(0)
+    Ok(line.and_then(|line| line.get(key)?.as_u64()).unwrap_or(0))
 }
 
 fn tail(run_directory: &Path) -> io::Result<Vec<u8>> {

@@ -74,7 +74,7 @@ pub enum LaunchError {
     #[error(transparent)]
     RunDir(#[from] RunDirError),
     /// A temporary directory or a file in it cannot be made.
-    #[error("making a temporary directory in {}", path.display())]
+    #[error("cannot write {}", path.display())]
     Scratch {
         /// Where it was tried.
         path: PathBuf,

@@ -47,7 +47,7 @@ pub(crate) fn is_begun(path: &Path) -> Result<bool, RunDirError> {
         let name = entry.file_name();
         let name = name.to_str().unwrap_or_default();
         let is_ours = BEGINNINGS.contains(&name.trim_end_matches(".partial"));
-        is_ours && (name != CHECKPOINTS || checkpoints(path).is_empty())
+        is_ours && (name != CHECKPOINTS || checkpoints(path).is_ok_and(|found| found.is_empty()))
     };
     if entries.filter_map(Result::ok).all(is_ours) {
         return Ok(false);
@@ -68,18 +68,19 @@ pub(crate) struct TrainingTraces {
 }
 
 impl TrainingTraces {
-    pub(crate) fn find(path: &Path, record: &RunRecord) -> Self {
-        let checkpoints = checkpoints(path);
+    /// Looks for them; what cannot be read is an error, because it is not the same as nothing.
+    pub(crate) fn find(path: &Path, record: &RunRecord) -> io::Result<Self> {
+        let checkpoints = checkpoints(path)?;
         let number = |file: &PathBuf| file.file_stem()?.to_str()?.parse::<u64>().ok();
         // One with another name is no reason to take the run for empty.
         let saved = checkpoints.iter().map(|file| number(file).unwrap_or(1)).max().unwrap_or(0);
-        let policy = policy_file::n_updates(&path.join(LAST_POLICY));
+        let policy = policy_file::n_updates(&path.join(LAST_POLICY))?;
         let result = record.result.as_ref().map_or(0, |result| result.updates);
-        Self {
-            n_updates: journal::last_update(path).max(saved).max(policy).max(result),
+        Ok(Self {
+            n_updates: journal::last(path, "update")?.max(saved).max(policy).max(result),
             has_checkpoints: !checkpoints.is_empty(),
             had_checkpoints: policy > 0 || record.result.is_some(),
-        }
+        })
     }
 
     /// Refuses a run whose checkpoints are gone: it would begin anew, over what it had trained.
@@ -103,10 +104,15 @@ impl TrainingTraces {
     }
 }
 
-pub(crate) fn checkpoints(path: &Path) -> Vec<PathBuf> {
-    let Ok(entries) = fs::read_dir(path.join(CHECKPOINTS)) else { return Vec::new() };
-    let files = entries.filter_map(Result::ok).map(|entry| entry.path());
-    files.filter(|file| file.extension().is_some_and(|e| e == "checkpoint")).collect()
+/// Lists the checkpoints of a run directory; none if it has no folder for them.
+pub(crate) fn checkpoints(path: &Path) -> io::Result<Vec<PathBuf>> {
+    let entries = match fs::read_dir(path.join(CHECKPOINTS)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries?,
+    };
+    let files = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>()?;
+    let is_checkpoint = |file: &PathBuf| file.extension().is_some_and(|e| e == "checkpoint");
+    Ok(files.into_iter().filter(is_checkpoint).collect())
 }
 
 /// Decides whether a run may go on under the requested configuration.

@@ -39,7 +39,8 @@ impl Reservation {
             (Naming::Resume, None) => {
                 for name in unfinished(config) {
                     match Self::named(config, &name) {
-                        Err(RunDirError::Locked(_)) => {}
+                        // One that cannot be written, another user's say, is not ours to resume.
+                        Err(RunDirError::Locked(_) | RunDirError::Io { .. }) => {}
                         reserved => return reserved,
                     }
                 }
@@ -63,10 +64,13 @@ impl Reservation {
 
 impl Drop for Reservation {
     fn drop(&mut self) {
-        let mut entries = fs::read_dir(&self.path).into_iter().flatten().filter_map(Result::ok);
-        // Nothing was begun in it.
-        if entries.all(|entry| entry.file_name() == SUPERVISOR_LOCK) {
-            drop(fs::remove_dir_all(&self.path));
+        let Ok(mut entries) = fs::read_dir(&self.path) else { return };
+        let is_lock = |entry: io::Result<fs::DirEntry>| {
+            entry.is_ok_and(|entry| entry.file_name() == SUPERVISOR_LOCK)
+        };
+        // Nothing was begun in it. If something is meanwhile, the directory is not empty and stays.
+        if entries.all(is_lock) && fs::remove_file(self.path.join(SUPERVISOR_LOCK)).is_ok() {
+            drop(fs::remove_dir(&self.path));
         }
     }
 }
@@ -99,8 +103,9 @@ pub(crate) fn unfinished(config: &Config) -> Vec<RunName> {
         let record = RunRecord::read(&path).ok()?;
         let before = read_config(&path).ok()?;
         let state = compare(&record, &before, &config.table, &name).ok()?;
-        let lost = TrainingTraces::find(&path, &record).check(&path, &name, &before);
-        let is_open = record.result.is_none() && state == RunState::Unfinished && lost.is_ok();
+        let trained = TrainingTraces::find(&path, &record).ok()?;
+        trained.check(&path, &name, &before).ok()?;
+        let is_open = record.result.is_none() && state == RunState::Unfinished;
         (is_open && !record.is_fork(&path)).then_some((record.started, name))
     };
     let mut found: Vec<_> = entries.filter_map(Result::ok).filter_map(candidate).collect();

@@ -127,11 +127,14 @@ pub(crate) fn weights_digest(
 }
 
 /// Returns how many optimiser iterations made a policy file; 0 if it is not there.
-pub(crate) fn n_updates(path: &Path) -> u64 {
-    let Ok(bytes) = fs::read(path) else { return 0 };
+pub(crate) fn n_updates(path: &Path) -> io::Result<u64> {
+    let bytes = match fs::read(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
+        bytes => bytes?,
+    };
     let version = read_metadata(&bytes).ok().and_then(|entries| entries.get(VERSION)?.parse().ok());
     // One that cannot be read is somebody's work all the same.
-    version.unwrap_or(1)
+    Ok(version.unwrap_or(1))
 }
 
 /// Returns what goes into every policy file of a run.

@@ -61,8 +61,14 @@ pub fn remove_if_abandoned(directory: &Path) {
     let name = directory.file_name().and_then(|name| name.to_str());
     let is_named = name.is_some_and(|name| name.starts_with(PREFIX));
     let is_directory = directory.symlink_metadata().is_ok_and(|found| found.is_dir());
-    let Ok(owner) = File::open(directory.join(OWNER)) else { return };
-    if is_named && is_directory && owner.try_lock().is_ok() {
+    let owner = directory.join(OWNER);
+    // Opening something else than a file, such as a pipe of another user's, could wait for ever.
+    let is_owned = owner.symlink_metadata().is_ok_and(|found| found.is_file());
+    if !(is_named && is_directory && is_owned) {
+        return;
+    }
+    let Ok(owner) = File::open(owner) else { return };
+    if owner.try_lock().is_ok() {
         // What cannot be removed now is tried again by the next launch.
         drop(fs::remove_dir_all(directory));
     }

@@ -119,7 +119,8 @@ async fn watch(
             continue;
         }
         if !plan.others_may_join {
-            tracing::error!("no actor is left: giving up; run the same command again to resume");
+            let name = plan.run.file_name().unwrap_or_default().display();
+            tracing::error!("no actor is left: giving up; --name {name} resumes the run");
             return Ended::NoActorLeft;
         }
         if !warned {
@@ -196,10 +197,11 @@ impl ChildHandle {
     }
 
     fn start(&mut self, run: &Path) -> io::Result<()> {
-        self.process = Some(self.spawn()?);
-        self.start_at = None;
+        // Before the start is tried: a start that fails is no life in which the child could show that it works.
         self.started = Instant::now();
         self.updates_before = journal::last_update(run);
+        self.process = Some(self.spawn()?);
+        self.start_at = None;
         Ok(())
     }
 
@@ -248,7 +250,6 @@ impl ChildHandle {
         if again && self.n_restarts < RESTARTS {
             self.start_at = Some(Instant::now() + FIRST_PAUSE * 2_u32.pow(self.n_restarts));
             self.n_restarts += 1;
-            self.started = Instant::now();
             tracing::warn!(process = %self.name, how, restart = self.n_restarts, "process died; restarting it");
             return ChildHealth::Alive;
         }

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use leadtime_runs::Tasks;
+use leadtime_runs::launch::LaunchError;
 use leadtime_studies::{
     Crew, Error, EvalCache, PlannedTraining, StudyObserver, StudyRequest, StudySession,
     TrainingProgress, find, names,
@@ -56,7 +57,9 @@ fn failure(error: Error) -> Failure {
     let code = match &error {
         Error::Interrupted => ExitCode::Interrupted,
         Error::Training { code, .. } => code.map_or(ExitCode::Failed, ExitCode::from_status),
-        Error::Task(_) | Error::Play(_) | Error::Eval(_) => ExitCode::Failed,
+        Error::Task(_) | Error::Play(_) | Error::Eval(_) | Error::Launch(LaunchError::Start(_)) => {
+            ExitCode::Failed
+        }
         _ => ExitCode::WrongInput,
     };
     // The user who interrupted the command needs no explanation.

@@ -157,7 +157,7 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
         };
         return run_dir.finish(result).blame(ExitCode::WrongInput);
     }
-    tracing::info!("stopped after {n_updates} updates: the same command resumes the run");
+    tracing::info!("stopped after {n_updates} updates: --name {} resumes the run", run_dir.name);
     let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);
     if asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
 }
