@@ -28,7 +28,6 @@ use leadtime_learner::write_atomically;
 use leadtime_proto::RunName;
 
 use crate::directory_error::RunDirError;
-use crate::journal::Journal;
 use crate::layout::{
     CHECKPOINTS, LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, checkpoints, compare, is_begun,
     lock, read_config, read_record, write_config,
@@ -103,10 +102,7 @@ impl RunDir {
                 let grown = changes.find(|change| change.key == TOTAL_STEPS);
                 if state == RunState::Unfinished {
                     trained.check(&path, name, &before)?;
-                    if !trained.has_checkpoints {
-                        // It begins anew, and the next start must not take these updates for trained.
-                        Journal::open(&path).and_then(|mut it| it.rewind(0)).map_err(io)?;
-                    }
+                    trained.forget_lost_updates(&path).map_err(io)?;
                     record.taken_up_by(build, trained.has_checkpoints);
                     record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
                 }

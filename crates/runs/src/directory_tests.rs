@@ -222,6 +222,8 @@ fn a_fork_begins_with_its_weights_or_not_at_all() {
             error.contains("does not hold the weights that run `f` was forked from"),
             "{error}"
         );
+        // Without a checkpoint these updates were forgotten.
+        train(&run, 5, false);
     }
     fs::write(&initial, &from_a.bytes).unwrap();
     assert!(start(None).unwrap().0.initial(&wanted).is_err(), "other weights are none");

@@ -11,6 +11,7 @@ use leadtime_proto::RunName;
 use toml::Table;
 
 use crate::directory_error::{RunDirError, with_causes};
+use crate::journal::Journal;
 use crate::policy_file::{self, LAST_POLICY};
 use crate::record::{INITIAL_POLICY, RECORD};
 use crate::{RunRecord, journal};
@@ -42,17 +43,20 @@ pub(crate) fn is_begun(path: &Path) -> Result<bool, RunDirError> {
     if path.join(CONFIG).exists() {
         return Ok(true);
     }
-    let Ok(entries) = fs::read_dir(path) else { return Ok(false) };
-    let is_ours = |entry: fs::DirEntry| {
-        let name = entry.file_name();
+    let io = |source| RunDirError::Io { path: path.to_owned(), source };
+    let entries = match fs::read_dir(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+        entries => entries.map_err(io)?,
+    };
+    for entry in entries {
+        let name = entry.map_err(io)?.file_name();
         let name = name.to_str().unwrap_or_default();
         let is_ours = BEGINNINGS.contains(&name.trim_end_matches(".partial"));
-        is_ours && (name != CHECKPOINTS || checkpoints(path).is_ok_and(|found| found.is_empty()))
-    };
-    if entries.filter_map(Result::ok).all(is_ours) {
-        return Ok(false);
+        if !is_ours || (name == CHECKPOINTS && !checkpoints(path).map_err(io)?.is_empty()) {
+            return Err(no_run(path, "it holds other files and no config.toml"));
+        }
     }
-    Err(no_run(path, "it holds other files and no config.toml"))
+    Ok(false)
 }
 
 fn no_run(path: &Path, reason: &str) -> RunDirError {
@@ -81,6 +85,11 @@ impl TrainingTraces {
             has_checkpoints: !checkpoints.is_empty(),
             had_checkpoints: policy > 0 || record.result.is_some(),
         })
+    }
+
+    /// Rewinds the journal of a run that begins anew: the next start must not take its updates for trained.
+    pub(crate) fn forget_lost_updates(&self, path: &Path) -> io::Result<()> {
+        if self.has_checkpoints { Ok(()) } else { Journal::open(path)?.rewind(0) }
     }
 
     /// Refuses a run whose checkpoints are gone: it would begin anew, over what it had trained.

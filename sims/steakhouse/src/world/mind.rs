@@ -64,8 +64,7 @@ impl Mind {
 
     /// Returns what the cook intends, if it is still possible.
     fn kept(&self, options: Options) -> Option<Subtask> {
-        let mut possible = [Some(options.first), options.second].into_iter().flatten();
-        possible.find(|&subtask| self.subtask == Some(subtask))
+        self.subtask.filter(|&kept| options.first == kept || options.second == Some(kept))
     }
 
     /// Chooses the action of the coming step.

@@ -212,9 +212,11 @@ impl KitchenWorld {
     ///
     /// `actions`: one per cook.
     pub fn step(&mut self, actions: &[Action]) -> &[ActionOutcome] {
-        self.outcomes.fill(ActionOutcome::NOTHING);
-        for (cook, _) in actions.iter().enumerate().filter(|(_, a)| **a == Action::Interact) {
-            self.outcomes[cook] = self.interact(cook);
+        for (cook, action) in actions.iter().enumerate() {
+            self.outcomes[cook] = match action {
+                Action::Interact => self.interact(cook),
+                Action::Go(_) | Action::Stay => ActionOutcome::NOTHING,
+            };
         }
         self.go(actions);
         for (content, slot) in self.state.contents.iter_mut().zip(&self.grid.slots) {
@@ -228,14 +230,14 @@ impl KitchenWorld {
     /// Turns the cooks, and moves all of them unless two would collide.
     fn go(&mut self, actions: &[Action]) {
         self.intended.clear();
-        let grid = &self.grid;
-        self.intended.extend(self.state.cooks.iter().zip(actions).map(|(cook, action)| {
+        for (cook, action) in self.state.cooks.iter().zip(actions) {
             let Pose { place, .. } = cook.pose;
-            match *action {
-                Action::Go(facing) => grid.free_ahead(Pose { place, facing }).unwrap_or(place),
-                Action::Stay | Action::Interact => place,
-            }
-        }));
+            let intended = match *action {
+                Action::Go(facing) => self.grid.free_ahead(Pose { place, facing }),
+                Action::Stay | Action::Interact => None,
+            };
+            self.intended.push(intended.unwrap_or(place));
+        }
         let moves = !self.collide();
         let cooks = self.state.cooks.iter_mut().zip(&self.intended);
         for ((cook, &intended), (action, outcome)) in

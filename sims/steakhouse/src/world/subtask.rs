@@ -196,6 +196,14 @@ fn with_empty_hands(world: &KitchenWorld, phases: Phases, last_done: Option<Subt
     Options::one(if takes_plate { Subtask::TakeCleanPlate } else { Subtask::Wait })
 }
 
+/// What counters a subtask can be done at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Counters {
+    None,
+    Free,
+    With(Item),
+}
+
 /// Lists where a subtask can be done, by what the cook believes: stations, then supplies or windows, then counters.
 pub(super) fn targets<'a>(
     world: &'a KitchenWorld,
@@ -203,29 +211,28 @@ pub(super) fn targets<'a>(
     subtask: Subtask,
 ) -> impl Iterator<Item = GridPlace> + 'a {
     let grid = world.grid();
-    // The last is what lies on the counters in question, which may be nothing.
-    let (stations, fixed, lies): (_, &[GridPlace], _) = match subtask {
-        Subtask::TakeDish => (None, &[], Some(Some(Item::Dish))),
-        Subtask::TakePlatedSteak => (None, &[], Some(Some(Item::Steak))),
-        Subtask::Chop => (Some((Station::Board, BUSY)), &[], None),
-        Subtask::Wash => (Some((Station::Sink, BUSY)), &[], None),
-        Subtask::FetchMeat => (None, grid.supplies(Item::Meat), Some(Some(Item::Meat))),
-        Subtask::FetchOnion => (None, grid.supplies(Item::Onion), Some(Some(Item::Onion))),
-        Subtask::FetchPlate => (None, grid.supplies(Item::Plate), Some(Some(Item::Plate))),
+    let (stations, fixed, counters): (_, &[GridPlace], _) = match subtask {
+        Subtask::TakeDish => (None, &[], Counters::With(Item::Dish)),
+        Subtask::TakePlatedSteak => (None, &[], Counters::With(Item::Steak)),
+        Subtask::Chop => (Some((Station::Board, BUSY)), &[], Counters::None),
+        Subtask::Wash => (Some((Station::Sink, BUSY)), &[], Counters::None),
+        Subtask::FetchMeat => (None, grid.supplies(Item::Meat), Counters::With(Item::Meat)),
+        Subtask::FetchOnion => (None, grid.supplies(Item::Onion), Counters::With(Item::Onion)),
+        Subtask::FetchPlate => (None, grid.supplies(Item::Plate), Counters::With(Item::Plate)),
         Subtask::TakeCleanPlate => {
-            (Some((Station::Sink, READY)), &[], Some(Some(Item::CleanPlate)))
+            (Some((Station::Sink, READY)), &[], Counters::With(Item::CleanPlate))
         }
-        Subtask::PlaceMeat => (Some((Station::Grill, EMPTY)), &[], None),
-        Subtask::PlaceOnion => (Some((Station::Board, EMPTY)), &[], None),
-        Subtask::PlacePlate => (Some((Station::Sink, EMPTY)), &[], None),
+        Subtask::PlaceMeat => (Some((Station::Grill, EMPTY)), &[], Counters::None),
+        Subtask::PlaceOnion => (Some((Station::Board, EMPTY)), &[], Counters::None),
+        Subtask::PlacePlate => (Some((Station::Sink, EMPTY)), &[], Counters::None),
         Subtask::PlateSteak => {
             let ready = Phases::of(world, &belief.contents).any(Station::Grill, READY);
-            (Some((Station::Grill, if ready { READY } else { BUSY })), &[], None)
+            (Some((Station::Grill, if ready { READY } else { BUSY })), &[], Counters::None)
         }
-        Subtask::Garnish => (Some((Station::Board, READY)), &[], None),
-        Subtask::Serve => (None, &grid.windows, None),
-        Subtask::Discard => (None, &[], Some(None)),
-        Subtask::Wait => (None, &[], None),
+        Subtask::Garnish => (Some((Station::Board, READY)), &[], Counters::None),
+        Subtask::Serve => (None, &grid.windows, Counters::None),
+        Subtask::Discard => (None, &[], Counters::Free),
+        Subtask::Wait => (None, &[], Counters::None),
     };
     let stations = stations.into_iter().flat_map(move |(station, phases)| {
         let slots = grid.slots.iter().zip(&belief.contents).enumerate();
@@ -234,10 +241,15 @@ pub(super) fn targets<'a>(
             fits.then_some(at.place)
         })
     });
-    let searched: &[GridPlace] = match lies {
-        Some(item) if item.is_none_or(|item| world.is_lying(item)) => &grid.counters,
-        _ => &[],
+    let searched: &[GridPlace] = match counters {
+        Counters::With(item) if world.is_lying(item) => &grid.counters,
+        Counters::Free => &grid.counters,
+        Counters::None | Counters::With(_) => &[],
     };
-    let on_counters = searched.iter().filter(move |&&place| lies == Some(world.lying(place)));
-    stations.chain(fixed.iter().chain(on_counters).copied())
+    let on_counters = searched.iter().copied().filter(move |&place| match counters {
+        Counters::None => false,
+        Counters::Free => world.lying(place).is_none(),
+        Counters::With(item) => world.lying(place) == Some(item),
+    });
+    stations.chain(fixed.iter().copied()).chain(on_counters)
 }
