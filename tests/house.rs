@@ -424,3 +424,12 @@ fn licences_are_permissive() {
         lock.lines().filter_map(|line| line.strip_prefix("name = \"")?.strip_suffix('"')).collect();
     assert_eq!(banned.into_iter().find(|name| names.contains(name)), None, "it is banned");
 }
+
+#[test]
+fn the_readme_has_the_verdicts_of_the_results() {
+    let read = |path: &str| std::fs::read_to_string(root().join(path)).expect("the page is there");
+    let verdict = read("docs/results/verdict.md");
+    for page in ["README.md", "docs/results/README.md"] {
+        assert!(read(page).contains(verdict.trim_end()), "{page} has other verdicts");
+    }
+}

@@ -10,6 +10,8 @@ use crate::result::StudyResult;
 
 /// The index's file.
 pub(crate) const FILE: &str = "README.md";
+/// What the results say of the paper's claims, written by hand: a table without a heading.
+const VERDICT: &str = "verdict.md";
 /// The folder beside it for results of quick runs.
 pub(crate) const QUICK: &str = "quick";
 
@@ -20,6 +22,13 @@ pub(crate) fn page(results: &Path) -> Result<String, Error> {
         "# Results\n\nThe paper's figures and ours beside them. This page is written by `leadtime compare`; each study's \
          own page has every measure, and says where its numbers are from.\n\n",
     );
+    match fs::read_to_string(results.join(VERDICT)) {
+        Err(error) if error.kind() == ErrorKind::NotFound => {}
+        verdict => {
+            let verdict = verdict.map_err(Error::file("reading", &results.join(VERDICT)))?;
+            page.extend(["## Does it reproduce the paper?\n\n", &verdict, "\n"]);
+        }
+    }
     page.push_str(&others(results)?);
     let mut missing = Vec::new();
     for name in catalog::names() {
@@ -61,8 +70,8 @@ fn others(results: &Path) -> Result<String, Error> {
     let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
     let is_page = |name: &str| Path::new(name).extension().is_some_and(|end| end == "md");
     let is_study = |name: &str| catalog::names().any(|study| name == format!("{study}.md"));
-    let mut names: Vec<String> =
-        names.filter(|name| is_page(name) && name != FILE && !is_study(name)).collect();
+    let is_ours = |name: &str| name == FILE || name == VERDICT || is_study(name);
+    let mut names: Vec<String> = names.filter(|name| is_page(name) && !is_ours(name)).collect();
     names.sort();
     let mut lines = String::new();
     for name in names {
@@ -83,7 +92,10 @@ mod tests {
     fn an_empty_directory_gets_a_page_that_says_how_to_fill_it() {
         let dir = tempfile::tempdir().unwrap();
         fs::write(dir.path().join("parity.md"), "# Parity with others\n").unwrap();
+        fs::write(dir.path().join(VERDICT), "| claim | verdict |\n").unwrap();
         let page = page(dir.path()).unwrap();
+        assert!(page.contains("## Does it reproduce the paper?\n\n| claim |"), "{page}");
+        let page = page.replacen("\n## Does", "", 1);
         assert!(page.contains("* [Parity with others](parity.md)"), "{page}");
         let rest = "Other tables are not in this directory: `leadtime compare table1`, ";
         assert!(page.contains(rest), "{page}");
