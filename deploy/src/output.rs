@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use anyhow::Context as _;
-use leadtime_proto::text::printable;
+use leadtime_proto::text::own_message;
 use leadtime_runs::write_atomically;
 use serde::Serialize;
 
@@ -59,7 +59,7 @@ pub(crate) fn say(text: &str) {
 
 /// Writes an error as the last line of a command.
 pub(crate) fn error(error: &impl Display) {
-    say(&printable(&format!("error: {error:#}")));
+    say(&own_message(&format!("error: {error:#}")));
 }
 
 /// Writes a command with its arguments so that a shell reads the same ones.

@@ -384,7 +384,7 @@ impl Coordinator {
     /// Notes that an actor cannot restore the snapshots of some environments.
     ///
     /// The fault may be its own (another build, say), so an environment goes to one actor after the other. If none can
-    /// restore it the snapshot is given up, and whoever sent it is cut off.
+    /// restore it the snapshot is given up, and its sender is cut off.
     pub fn cannot_restore(&mut self, key: &SenderKey, epoch: Epoch, envs: &[EnvId]) {
         let mut counts = self.assigner.counts(self.roster.members());
         let (mut moves, mut authors) = (Vec::new(), BTreeMap::new());

@@ -7,8 +7,10 @@
 const QUOTED: usize = 120;
 /// The most characters of a sentence that is taken from a peer.
 const SENTENCE: usize = 1_000;
-/// The most characters of one printed line; our own longest sentences say at their end what to do.
-const LINE: usize = 4_000;
+/// The most characters of one printed line.
+const LINE: usize = 500;
+/// The same of a message of our own: its quotations are short, and it says at its end what to do.
+const OWN_LINE: usize = 4_000;
 /// The most lines of one printed message.
 const LINES: usize = 50;
 
@@ -33,7 +35,16 @@ pub fn sentence(text: &str) -> String {
 
 /// Returns a whole message as a terminal can print it: its lines stay lines, each is escaped and cut.
 pub fn printable(message: &str) -> String {
-    let mut lines: Vec<String> = message.lines().take(LINES).map(|line| cut(line, LINE)).collect();
+    cut_lines(message, LINE)
+}
+
+/// As [`printable`], for a message of our own in which other people's text is cut already.
+pub fn own_message(message: &str) -> String {
+    cut_lines(message, OWN_LINE)
+}
+
+fn cut_lines(message: &str, most: usize) -> String {
+    let mut lines: Vec<String> = message.lines().take(LINES).map(|line| cut(line, most)).collect();
     if message.lines().nth(LINES).is_some() {
         lines.push("…".to_owned());
     }
@@ -74,6 +85,9 @@ mod tests {
         assert_eq!(escaped("\u{202e}x"), "\\u{202e}x");
         let long = printable(&["x".repeat(10_000), "y\n".repeat(1_000)].join("\n"));
         assert!(long.len() < 1_000 && long.ends_with("y\n…"), "{long}");
+        let remedy = format!("{} give the old values", "x".repeat(3_000));
+        assert_eq!(own_message(&remedy), remedy);
+        assert!(own_message(&"x".repeat(1_000_000)).len() < 5_000);
     }
 
     #[test]

@@ -48,8 +48,15 @@ impl fmt::Debug for PlaySettings<'_> {
 impl<'a> PlaySettings<'a> {
     /// Plans the first `n_episodes` of a seed on one thread.
     pub fn new(n_episodes: u64, seed: u64) -> Self {
-        let (n_slots, n_threads, max_steps) = (16, 1, 100_000);
-        Self { first: 0, n_episodes, seed, n_slots, n_threads, max_steps, stop: None }
+        Self {
+            first: 0,
+            n_episodes,
+            seed,
+            n_slots: 16,
+            n_threads: 1,
+            max_steps: 100_000,
+            stop: None,
+        }
     }
 
     /// Spreads the work over threads.

@@ -101,9 +101,14 @@ impl EnvSlot {
     pub fn snapshot(&self, out: &mut Vec<u8>) {
         let mut env = Vec::new();
         self.env.snapshot(&mut env);
-        let (episode, recurrent) = (self.seed.episode, self.recurrent.clone());
-        let &Self { episode_return, n_steps: length, .. } = self;
-        write_snapshot(&SlotSnapshot { episode, episode_return, length, recurrent, env }, out);
+        let snapshot = SlotSnapshot {
+            episode: self.seed.episode,
+            episode_return: self.episode_return,
+            length: self.n_steps,
+            recurrent: self.recurrent.clone(),
+            env,
+        };
+        write_snapshot(&snapshot, out);
     }
 
     /// Returns the environment.
@@ -145,9 +150,12 @@ impl EnvSlot {
 
     /// Summarises the episode so far.
     pub fn summary(&self) -> EpisodeSummary {
-        let &Self { episode_return, n_steps: length, .. } = self;
-        let (episode, metrics) = (self.seed.episode, self.metrics());
-        EpisodeSummary { episode, episode_return, length, metrics }
+        EpisodeSummary {
+            episode: self.seed.episode,
+            episode_return: self.episode_return,
+            length: self.n_steps,
+            metrics: self.metrics(),
+        }
     }
 
     pub(crate) fn step(&mut self, action: &[u8]) -> StepOutcome {

@@ -33,7 +33,7 @@ use crate::latest::{Events, Latest};
 use crate::lock::lock;
 use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, ControlResponder, Error, Result, session, wire};
+use crate::{ConnectSettings, ControlResponder, Error, Result, discovery, session, wire};
 
 /// Threads that answer orders; there is one learner to answer.
 const N_ANSWERING: usize = 1;
@@ -231,7 +231,7 @@ impl ActorLink {
     ) -> Result<RunName> {
         let mut pause = RETRY.0;
         loop {
-            let mut runs = ask::runs(&self.session).await?;
+            let mut runs = discovery::runs(&self.session).await?;
             match wanted {
                 Some(run) if runs.contains(run) => return Ok(run.clone()),
                 None if runs.len() > 1 => {

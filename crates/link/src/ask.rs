@@ -1,7 +1,5 @@
-//! Asking a question and waiting for the first usable answer, for a limited time that covers the sending, too; and
-//! finding a run at an address by the presence of its learner, for which no learner is asked anything.
+//! Asking a question and waiting for the first usable answer, for a limited time that covers the sending, too.
 
-use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use leadtime_proto::header::Schema;
@@ -15,7 +13,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Sample;
 use zenoh::session::Session;
 
-use crate::keys::{self, Key, Keys, VERSION};
+use crate::keys::{self, Key, VERSION};
 use crate::wire::{self, Qos};
 use crate::{Error, Result};
 
@@ -25,11 +23,6 @@ const MAX_ANSWERS: usize = 64;
 const PULL_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long after our own limit the network may clean up.
 const NETWORK_SLACK: Duration = Duration::from_secs(1);
-
-/// Longest wait for one answer to "which learners are there?".
-const LOOK: Duration = Duration::from_secs(1);
-/// Most learners at one address that are looked at.
-const MAX_LEARNERS: usize = 1_024;
 
 /// A question.
 #[derive(Debug)]
@@ -169,31 +162,4 @@ fn send(session: &Session, question: Inquiry, sender: flume::Sender<Reply>) -> R
         })
         .wait()
         .map_err(Error::network("ask", &key))
-}
-
-/// Lists the runs whose learner is there now.
-pub(crate) async fn runs(session: &Session) -> Result<BTreeSet<RunName>> {
-    let key = Keys::Learners.to_string();
-    let (sender, answers) = flume::bounded(MAX_LEARNERS);
-    session
-        .liveliness()
-        .get(keys::expr(Keys::Learners))
-        .timeout(LOOK)
-        .callback(move |reply| {
-            // More learners than anyone looks at are let go.
-            drop(sender.try_send(reply));
-        })
-        .wait()
-        .map_err(Error::network("look for learners on", &key))?;
-    let mut runs = BTreeSet::new();
-    // The network ends the answers at its own time-out; ours is for a network that does not.
-    let look = async {
-        while let Ok(reply) = answers.recv_async().await {
-            let alive = reply.into_result().ok().and_then(|s| keys::parse_alive(s.key_expr()));
-            runs.extend(alive.map(|alive| alive.run));
-        }
-    };
-    // Running out of time leaves the runs that were found.
-    drop(tokio::time::timeout(2 * LOOK, look).await);
-    Ok(runs)
 }

@@ -40,6 +40,7 @@ mod actor;
 mod answer;
 mod ask;
 mod diagnose;
+mod discovery;
 mod endpoint;
 mod error;
 mod event;

@@ -16,7 +16,7 @@ use crate::latest::{Events, Latest};
 use crate::lock::lock;
 use crate::pubsub::{subscribe, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, Result, ask, session, wire};
+use crate::{ConnectSettings, Result, ask, discovery, session, wire};
 
 /// Places in the event queue for metrics.
 const N_BULK: usize = 4_096;
@@ -58,7 +58,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Unreachable`] if nobody answers within the settings' time-out.
+    /// [`Error::Unreachable`](crate::Error::Unreachable) if nobody answers within the settings' time-out.
     pub async fn open(settings: &ConnectSettings) -> Result<(Self, Events<ObserverEvent>)> {
         let session = session::connect(settings).await?;
         let (events, latest, receiver) = Events::new(N_BULK);
@@ -69,16 +69,16 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if the network cannot be asked.
+    /// [`Error::Network`](crate::Error::Network) if the network cannot be asked.
     pub async fn runs(&self) -> Result<BTreeSet<RunName>> {
-        ask::runs(&self.session).await
+        discovery::runs(&self.session).await
     }
 
     /// Follows a run from now on, whether it is there already or not.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if it cannot be subscribed to.
+    /// [`Error::Network`](crate::Error::Network) if it cannot be subscribed to.
     pub fn follow(&self, run: &RunName) -> Result<()> {
         let (events, latest) = (self.events.clone(), Arc::clone(&self.latest));
         let metrics = subscribe(&self.session, Keys::MetricsOf(run), move |sample| {
@@ -119,7 +119,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Close`] if it takes too long.
+    /// [`Error::Close`](crate::Error::Close) if it takes too long.
     pub async fn close(&self) -> Result<()> {
         session::close(&self.session).await
     }

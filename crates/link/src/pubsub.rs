@@ -66,7 +66,7 @@ pub(crate) fn subscribe(
     declared.map_err(Error::network("subscribe to", &keys.to_string()))
 }
 
-/// Takes who comes and goes, whoever is there already first; `None` for a malformed key.
+/// Takes the members that join and leave, beginning with those that are there; `None` for a malformed key.
 pub(crate) fn watch(
     session: &Session,
     members: Keys<'_>,

@@ -30,8 +30,14 @@ fn spec() -> PolicySpec {
 }
 
 fn attentive() -> PolicySpec {
-    let (n_frames, n_entities, n_features, action_dim, width, n_heads) = (4, 10, 7, 13, 64, 2);
-    let attention = EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads };
+    let attention = EgoAttention {
+        n_frames: 4,
+        n_entities: 10,
+        n_features: 7,
+        action_dim: 13,
+        width: 64,
+        n_heads: 2,
+    };
     let obs_dim = 4 * attention.frame_dim() + 5;
     PolicySpec { obs_dim, encoder: Encoder::EgoAttention(attention), ..spec() }
 }

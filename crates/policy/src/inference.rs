@@ -269,9 +269,14 @@ mod tests {
 
     /// A notifier on a highway: frames of 5 entities and an action, and a status of 3.
     fn attentive() -> PolicySpec {
-        let (n_frames, n_entities, n_features, action_dim, width, n_heads) = (3, 5, 4, 2, 32, 2);
-        let attention =
-            EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads };
+        let attention = EgoAttention {
+            n_frames: 3,
+            n_entities: 5,
+            n_features: 4,
+            action_dim: 2,
+            width: 32,
+            n_heads: 2,
+        };
         PolicySpec { encoder: Encoder::EgoAttention(attention), ..notifier(3 * 22 + 3) }
     }
 

@@ -271,8 +271,14 @@ fn the_most_absurd_numbers_that_are_let_in_do_not_end_a_run() {
 /// others the weights overflow at once.
 #[test]
 fn whatever_the_learning_rate_divergence_is_found_before_an_actor_sends_it() {
-    let (n_frames, n_entities, n_features, action_dim, width, n_heads) = (1, 3, 2, 0, 4, 1);
-    let attention = EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads };
+    let attention = EgoAttention {
+        n_frames: 1,
+        n_entities: 3,
+        n_features: 2,
+        action_dim: 0,
+        width: 4,
+        n_heads: 1,
+    };
     let encoder = Encoder::EgoAttention(attention);
     let plain = specs().0;
     let attentive = PolicySpec { encoder, hidden: Vec::new(), ..plain.clone() };

@@ -85,6 +85,7 @@ impl RunDir {
         build: &ProgramBuild,
     ) -> Result<(Self, RunState), RunDirError> {
         let path = config.run.directory.join(name.as_str());
+        // Before anything is made in somebody else's directory; it counts only once the lock is held.
         is_begun(&path)?;
         let io = |source| RunDirError::Io { path: path.clone(), source };
         fs::create_dir_all(path.join(CHECKPOINTS)).map_err(io)?;

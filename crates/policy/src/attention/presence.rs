@@ -91,9 +91,14 @@ mod tests {
 
     #[test]
     fn absent_entities_are_left_out_unless_all_are_absent() {
-        let (n_entities, n_features, action_dim) = (3, 2, 1);
-        let (n_frames, width, n_heads) = (1, 4, 1);
-        let spec = EgoAttention { n_frames, n_entities, n_features, action_dim, width, n_heads };
+        let spec = EgoAttention {
+            n_frames: 1,
+            n_entities: 3,
+            n_features: 2,
+            action_dim: 1,
+            width: 4,
+            n_heads: 1,
+        };
         let frames = [
             [1.0, 10.0, 0.0, 11.0, 1.0, 12.0, 99.0],
             [0.0, 20.0, 1.0, 21.0, 0.4, 22.0, 99.0],

@@ -11,7 +11,7 @@ pub(super) type Variables = BTreeMap<&'static str, String>;
 ///
 /// # Errors
 ///
-/// [`PipelineError::Unusable`] naming a variable that is none of those that there are, or the line of one that is
+/// [`PipelineError::Unusable`] naming an unknown variable, or the line of one that is
 /// never closed.
 pub(super) fn render(
     name: &str,
