@@ -1,4 +1,4 @@
-//! A domain of one's own: a corridor with wet floors, trained by Leadtime's actors and learner.
+//! Your own domain, by example: a corridor with wet floors, trained by Leadtime's actors and learner.
 //!
 //! ```text
 //! left    . . . . ~ . . . . . . . . . ~ . . . . . goal       ~ wet floor, which the walker does not see
@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The walker would slip on the first wet floor in their lane. The notifier sees it coming and has to say `go left`
-//! or `go right` early enough: a message needs k words until it is understood, and the walker two more steps to react.
+//! or `go right` early enough: the walker needs k words to understand a message, and two more steps to react.
 //!
 //! ```bash
 //! cargo run --release --example corridor -- smoke --domain corridor     # trains it and shows that it learned
