@@ -78,7 +78,7 @@ fn recorded_traces_may_be_plain_and_one_number_that_is_off_is_told() {
 }
 
 #[test]
-fn a_pilot_is_judged_on_gymnasiums_seeds() {
+fn a_pilot_is_evaluated_on_gymnasiums_seeds() {
     let place = Place::new();
     let args = "pilot eval --pilot heuristic --seeds 0..20 --json";
     let calm = place.finish(&[args]).with_code(0).json();
@@ -128,13 +128,13 @@ fn every_metric_is_documented_and_every_documented_metric_exists() {
 }
 
 #[test]
-fn a_trained_policy_can_be_judged_and_runs_compared() {
+fn a_trained_policy_can_be_evaluated_and_runs_compared() {
     let place = trained();
     let eval = "eval r --episodes 8";
-    let judged = place.finish(&[eval, "--json"]).with_code(0).json();
-    assert_eq!(judged["comparison"]["summaries"][0]["n_episodes"], 8);
+    let evaluated = place.finish(&[eval, "--json"]).with_code(0).json();
+    assert_eq!(evaluated["comparison"]["summaries"][0]["n_episodes"], 8);
     let again = place.finish(&[eval, "--json"]).with_code(0).json();
-    assert_eq!(judged, again, "an evaluation is reproducible");
+    assert_eq!(evaluated, again, "an evaluation is reproducible");
     let text = place.finish(&[eval]).with_code(0).stdout;
     assert!(text.contains("95 %"), "{text}");
     place.finish(&[eval, "--baseline nobody"]).with_code(2).saying(&["nobody"]);

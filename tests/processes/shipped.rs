@@ -34,8 +34,8 @@ fn every_policy_that_is_shipped_reproduces_its_row() {
     for (file, expected) in rows {
         let path = policies().join(&file);
         let more = format!("--action greedy --json --episodes {N_EPISODES} --eval-seed 3000000");
-        let judged = place.finish(&["eval", path.to_str().unwrap(), &more]).with_code(0).json();
-        let measures = judged["comparison"]["summaries"][0]["measures"].as_array().unwrap();
+        let evaluated = place.finish(&["eval", path.to_str().unwrap(), &more]).with_code(0).json();
+        let measures = evaluated["comparison"]["summaries"][0]["measures"].as_array().unwrap();
         let success = measures.iter().find(|measure| measure["name"] == "success").unwrap();
         let success = success["interval"]["estimate"].as_f64().unwrap();
         let error = (expected * (1.0 - expected) / f64::from(N_EPISODES)).sqrt();

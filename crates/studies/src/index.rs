@@ -19,8 +19,8 @@ pub(crate) const QUICK: &str = "quick";
 /// get the rest.
 pub(crate) fn page(results: &Path) -> Result<String, Error> {
     let mut page = String::from(
-        "# Results\n\nThe paper's figures and ours beside them. This page is written by `leadtime compare`; each study's \
-         own page has every measure, and says where its numbers are from.\n\n",
+        "# Results\n\nThe paper's figures and ours beside them. `leadtime compare` writes this page. Each study's own \
+         page has every measure, and says where its numbers come from.\n\n",
     );
     match fs::read_to_string(results.join(VERDICT)) {
         Err(error) if error.kind() == ErrorKind::NotFound => {}

@@ -72,7 +72,7 @@ impl PartResult {
 
     /// Writes a line per policy and condition, what was published above what was measured.
     fn lines(&self) -> String {
-        let head = ["notifier", "judged on"].map(str::to_owned).into_iter();
+        let head = ["notifier", "evaluated on"].map(str::to_owned).into_iter();
         let mut table = Table::new(head.chain(self.columns.iter().map(|name| title(name))));
         for row in &self.rows {
             let mut name = format!("**{}**, {}", row.title, row.notification);

@@ -95,7 +95,7 @@ pub(crate) fn facts(plan: &StudyPlan, request: &StudyRequest, runs: &[TrainedRun
         Fact::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
         Fact::new("training seeds", seeds(&plan.parts)),
         Fact::new("evaluation", evaluation),
-        Fact::new("judged policy", policy),
+        Fact::new("evaluated policy", policy),
         Fact::new("training", format!("{} runs, {steps} steps, {minutes:.1} minutes", runs.len())),
     ];
     facts.into_iter().chain(program_facts(&request.build)).collect()
