@@ -76,6 +76,8 @@ pub(crate) enum Command {
     /// A file of your own writes only what differs: `base = "paper_lander"` names the built-in configuration that it starts
     /// from, and `domain = "lander"` the one of that domain; without either it is the lander's.
     Config(ConfigArgs),
+    /// Say what a task shows, offers and pays: every number of its observation, every choice, every reward.
+    Describe(DescribeArgs),
     /// List runs, or compare their configurations and results.
     Runs(RunsArgs),
     /// Check a configuration, this machine and, with --connect, the connection to a learner.
@@ -229,6 +231,10 @@ pub(crate) struct EvalArgs {
     /// Also evaluate this scripted policy, such as `unaided` or `heuristic`; repeatable.
     #[arg(long, value_name = "NAME")]
     pub baseline: Vec<String>,
+    /// Also write every step of the policy's episodes to this file, a line of JSON each: observation, logits, action,
+    /// reward.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["transcript", "each"])]
+    pub episodes_to: Option<PathBuf>,
     /// Also compare the policy with the others in this measure, such as `steps_to_deliver`; repeatable.
     #[arg(long, value_name = "NAME", conflicts_with = "transcript")]
     pub measure: Vec<String>,
@@ -414,6 +420,23 @@ pub(crate) enum ConformanceWorld {
 pub(crate) struct ConfigArgs {
     /// The configuration; without one, the names are listed.
     pub domain: Option<String>,
+}
+
+/// `leadtime describe`
+#[derive(Debug, Args)]
+pub(crate) struct DescribeArgs {
+    /// The task: the name of a built-in configuration, or a configuration file.
+    #[arg(value_name = "CONFIG")]
+    pub config: PathBuf,
+    /// Change one key: `--set notifier.history=1`; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
+    /// Print one JSON object: every number of the observation by its place.
+    #[arg(long, conflicts_with = "markdown")]
+    pub json: bool,
+    /// Print Markdown, as the pages of the worlds have it.
+    #[arg(long)]
+    pub markdown: bool,
 }
 
 /// `leadtime runs`

@@ -14,6 +14,7 @@
 //! | full delivery discloses | - | - | true station states |
 //! | observation | fixed vector | entities with presence flags | fixed vector |
 
+use crate::description::{Quantity, RewardTerm};
 use crate::environment::{End, Entities, EpisodeSeed, SnapshotError};
 use crate::scene::Scene;
 
@@ -79,6 +80,16 @@ pub trait Domain: Send {
 
     /// Returns the length of the domain's own observation.
     fn obs_dim(&self) -> usize;
+
+    /// Says what each number of the domain's own observation is. Shape `[obs_dim]`.
+    fn quantities(&self) -> Vec<Quantity> {
+        Quantity::unnamed(self.obs_dim())
+    }
+
+    /// Lists the parts of the domain's reward, for people.
+    fn reward_terms(&self) -> Vec<RewardTerm> {
+        Vec::new()
+    }
 
     /// Tells how the observation consists of entities, if it does.
     fn entities(&self) -> Option<Entities> {

@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::description::Description;
 use crate::scene::{Scene, Speech};
 
 /// Names the random streams of one episode of one environment of one run.
@@ -126,6 +127,11 @@ pub enum SnapshotError {
 pub trait Environment: Send {
     /// Returns shapes, heads and metric names.
     fn spec(&self) -> &EnvSpec;
+
+    /// Says what the numbers of the observation, the choices of the action and the parts of the reward are.
+    fn describe(&self) -> Description {
+        Description::unnamed(self.spec())
+    }
 
     /// Describes the observation as a history of entities, if it is one: an attention encoder needs to know.
     fn entity_history(&self) -> Option<EntityHistory> {

@@ -13,6 +13,7 @@
 
 pub mod check;
 pub mod classic;
+pub mod description;
 pub mod domain;
 pub mod environment;
 mod error;
@@ -22,6 +23,7 @@ pub mod registry;
 pub mod scene;
 
 pub use check::SettingError;
+pub use description::{Description, NamedHead, ObservationLayout, Quantity, RewardTerm};
 pub use domain::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};
 pub use environment::{
     End, Entities, EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome,

@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
+
 use crate::support::Place;
 
 /// Episodes per policy.
@@ -23,6 +25,27 @@ fn rows() -> Vec<(String, f64)> {
         (row[1].trim_matches('`').to_owned(), success.parse().unwrap())
     };
     text.lines().filter(|line| line.starts_with("| `")).map(cells).map(row).collect()
+}
+
+#[test]
+fn a_policy_says_what_it_sees_and_chooses() {
+    for (file, _) in rows() {
+        let bytes = fs::read(policies().join(&file)).unwrap();
+        let length = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+        let header: Value = serde_json::from_slice(&bytes[8..8 + length]).unwrap();
+        let metadata = |key: &str| -> Value {
+            serde_json::from_str(header["__metadata__"][key].as_str().unwrap()).unwrap()
+        };
+        let (architecture, actions) = (metadata("architecture"), metadata("actions"));
+        let names = metadata("observation");
+        assert_eq!(architecture["obs_dim"], names.as_array().unwrap().len(), "{file}");
+        let heads = architecture["actions"]["heads"].as_array().unwrap();
+        assert_eq!(heads.len(), actions.as_array().unwrap().len(), "{file}");
+        for (head, named) in heads.iter().zip(actions.as_array().unwrap()) {
+            assert_eq!(head["name"], named["name"], "{file}");
+            assert_eq!(head["n_choices"], named["choices"].as_array().unwrap().len(), "{file}");
+        }
+    }
 }
 
 #[test]

@@ -10,7 +10,7 @@ use leadtime_policy::parameters;
 use leadtime_ppo::LearnerSettings;
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
-use leadtime_sims::{Environment, Registry, notifier};
+use leadtime_sims::{Description, Environment, Registry, notifier};
 use toml::Table;
 use toml::de::{DeTable, DeValue};
 
@@ -80,6 +80,8 @@ pub struct Config {
     pub task: TaskSpec,
     /// What the task looks like.
     pub env: EnvSpec,
+    /// What the task's numbers and choices mean.
+    pub description: Description,
     /// The networks.
     pub policy: PolicySpec,
     /// The algorithm.
@@ -210,6 +212,7 @@ impl Config {
             domain,
             seed: written.seed,
             env: environment.spec().clone(),
+            description: environment.describe(),
             task: task.spec,
             policy,
             learner: written.learner,

@@ -34,6 +34,8 @@ pub struct Decision<'a> {
     pub log_prob: f32,
     /// The policy's value of the observation; 0 for a script.
     pub value: f32,
+    /// The policy's logits, before the mask. Shape `[C]`; empty for a script.
+    pub logits: &'a [f32],
     /// What the policy's heads saw, if [`Observer::wants_hidden`]; empty for a script.
     pub hidden: Option<&'a [f32]>,
 }
@@ -124,7 +126,7 @@ impl Lockstep {
         for (row, (slot, observer)) in rows {
             let choices = &mut self.choices[row * n_heads..][..n_heads];
             let mask = slot.env.mask();
-            let (log_prob, value, hidden);
+            let (log_prob, value, logits, hidden);
             match decider {
                 Decider::Policy { policy, distribution, choice } => {
                     // Before the recurrent state moves on: that is what the heads saw.
@@ -138,7 +140,7 @@ impl Lockstep {
                     let state = slot.recurrent.len();
                     slot.recurrent.copy_from_slice(&self.recurrent[row * state..][..state]);
                     let width = distribution.n_choices();
-                    let logits = &self.logits[row * width..][..width];
+                    logits = &self.logits[row * width..][..width];
                     log_prob = match choice {
                         Choice::Sample => {
                             distribution.sample(logits, mask, &mut slot.draws, choices)
@@ -151,10 +153,11 @@ impl Lockstep {
                     hidden = observer.wants_hidden(slot).then_some(&[][..]);
                     let known = slot.env.baseline_action(name, choices);
                     debug_assert!(known, "`Player::check` comes first");
-                    (log_prob, value) = (0.0, 0.0);
+                    (log_prob, value, logits) = (0.0, 0.0, &[][..]);
                 }
             }
-            observer.on_decision(slot, &Decision { mask, choices, log_prob, value, hidden });
+            observer
+                .on_decision(slot, &Decision { mask, choices, log_prob, value, logits, hidden });
         }
     }
 

@@ -25,5 +25,7 @@ pub mod picture;
 pub mod playthrough;
 pub mod probe;
 pub mod report;
+mod steps;
 
 pub use error::Error;
+pub use steps::record_steps;

@@ -9,6 +9,7 @@ use leadtime_config::{Config, ConfigError, Override};
 use leadtime_policy::{Parameters, read_metadata};
 use leadtime_proto::PolicySpec;
 use leadtime_sims::registry::Registry;
+use serde_json::json;
 use thiserror::Error;
 
 use crate::ForkOrigin;
@@ -137,12 +138,16 @@ pub(crate) fn n_updates(path: &Path) -> io::Result<u64> {
     Ok(version.unwrap_or(1))
 }
 
-/// Returns what goes into every policy file of a run.
+/// Returns what goes into every policy file of a run: enough for somebody else's program to use it.
 pub fn metadata(config: &Config, run: &str) -> BTreeMap<String, String> {
-    let specification = serde_json::to_vec(&config.policy).unwrap_or_default();
+    let description = &config.description;
+    let names = description.observation.quantities().into_iter().map(|quantity| quantity.name);
     let entries = [
         ("domain", config.domain.to_string()),
-        ("specification_sha256", sha256(&specification)),
+        // Names, numbers and lists always are JSON.
+        ("architecture", json!(config.policy).to_string()),
+        ("observation", json!(names.collect::<Vec<_>>()).to_string()),
+        ("actions", json!(description.actions).to_string()),
         (CONFIG, config.table.to_string()),
         ("run", run.to_owned()),
         ("program", format!("leadtime {}", env!("CARGO_PKG_VERSION"))),

@@ -143,6 +143,43 @@ fn a_restored_episode_goes_on_bit_for_bit() {
 }
 
 #[test]
+fn every_number_is_described_and_stays_in_its_range() {
+    let zones = task("lander", r#"{"world": {"zone_jitter": [0.1, 0.1]}}"#);
+    let stops = r#"{"human": {"can_stop": true}, "notifier": {"notification": "topic_only", "history": 1}}"#;
+    let mut tasks: Vec<_> = names().iter().map(|name| task(name, "{}")).collect();
+    tasks.extend([zones, task("steakhouse", stops)]);
+    let mut generator = Pcg64::seed_from_u64(5);
+    for task in tasks {
+        let mut env = builtin().build(&task).unwrap();
+        let description = env.describe();
+        let quantities = description.observation.quantities();
+        assert_eq!(quantities.len(), env.spec().obs_dim, "{task:?}");
+        let mut names: Vec<_> = quantities.iter().map(|it| &it.name).collect();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), quantities.len(), "{task:?}: a name stands twice");
+        let heads = env.spec().actions.heads.iter().map(|head| (&head.name, head.n_choices));
+        let described = description.actions.iter().map(|head| (&head.name, head.choices.len()));
+        assert!(heads.eq(described), "{task:?}");
+        assert!(!description.rewards.is_empty(), "{task:?}");
+        let mut observation = vec![0.0; quantities.len()];
+        for episode in 0..20 {
+            env.reset(seed(episode), &mut observation);
+            for _ in 0..300 {
+                for (quantity, x) in quantities.iter().zip(&observation) {
+                    let [low, high] = quantity.range;
+                    assert!((low..=high).contains(x), "{task:?}: {} is {x}", quantity.name);
+                }
+                let action = draw(env.as_ref(), &mut generator);
+                if env.step(&action, &mut observation).end.is_some() {
+                    break;
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn a_snapshot_is_restored_by_its_own_task_and_with_its_tag_only() {
     let mut generator = Pcg64::seed_from_u64(3);
     let begun = |name: String| {

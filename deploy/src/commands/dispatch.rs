@@ -5,8 +5,8 @@ use leadtime_runs::Tasks;
 use tokio::runtime;
 
 use super::{
-    actor, check, compare, config, conformance, eval, launch, learner, pilot, play, probe, runs,
-    smoke, taxonomy,
+    actor, check, compare, config, conformance, describe, eval, launch, learner, pilot, play,
+    probe, runs, smoke, taxonomy,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -35,6 +35,7 @@ pub(crate) fn dispatch(tasks: &Tasks, command: Command) -> Result<(), Failure> {
         },
         Command::Conformance(args) => conformance::run(&args),
         Command::Config(args) => config::run(tasks, &args),
+        Command::Describe(args) => describe::run(tasks, &args),
         Command::Runs(args) => runs::run(&args),
         Command::Check(args) => block_on(check::run(tasks, &args)),
         Command::Completions { shell } => {

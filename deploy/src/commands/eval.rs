@@ -1,9 +1,13 @@
 //! `leadtime eval`: evaluates a policy over many episodes, and scripted players on the same ones.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use leadtime_config::{Config, Override};
-use leadtime_eval::measure::{Choice, Comparison, Player};
+use leadtime_eval::measure::{Choice, Comparison, PlaySettings, Player};
+use leadtime_eval::record_steps;
 use leadtime_runs::{LoadedPolicy, Tasks};
 use leadtime_taxonomy::Pace;
 use serde_json::{Value, json};
@@ -18,6 +22,9 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         let task = EvalTask::load(tasks, args, None)?;
         if args.transcript {
             return transcript(tasks, args, &task);
+        }
+        if let Some(path) = &args.episodes_to {
+            task.record_steps(tasks, args, path)?;
         }
         let comparison = task.compare(tasks, args)?;
         if args.json {
@@ -73,8 +80,24 @@ impl EvalTask {
         Ok(Self { path: loaded.path, config, action, players })
     }
 
+    /// Writes every step of the policy's episodes.
+    fn record_steps(&self, tasks: &Tasks, args: &EvalArgs, path: &Path) -> Result<(), Failure> {
+        let make = || tasks.registry.build(&self.config.evaluation.task);
+        let n_episodes = self.n_episodes(args);
+        let settings = PlaySettings::new(u64::from(n_episodes), args.eval_seed);
+        let settings = settings.threads(evaluation::n_threads());
+        let cannot = || format!("writing {}", path.display());
+        let mut file = File::create(path).with_context(cannot).blame(ExitCode::WrongInput)?;
+        let write = |lines: &str| file.write_all(lines.as_bytes()).with_context(cannot);
+        Ok(record_steps(&make, &self.players[0], &settings, write)?)
+    }
+
+    fn n_episodes(&self, args: &EvalArgs) -> u32 {
+        args.episodes.unwrap_or(self.config.evaluation.episodes)
+    }
+
     fn compare(&self, tasks: &Tasks, args: &EvalArgs) -> Result<Comparison, Failure> {
-        let n_episodes = args.episodes.unwrap_or(self.config.evaluation.episodes);
+        let n_episodes = self.n_episodes(args);
         tracing::info!(policy = %self.path.display(), n_episodes, "evaluating");
         let (config, players, seed) = (&self.config, &self.players, args.eval_seed);
         let evaluations = evaluation::evaluate_all(tasks, config, players, n_episodes, seed)?;

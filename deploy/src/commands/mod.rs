@@ -5,6 +5,7 @@ mod check;
 mod compare;
 mod config;
 mod conformance;
+mod describe;
 mod dispatch;
 mod episode;
 mod eval;

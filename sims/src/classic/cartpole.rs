@@ -10,6 +10,7 @@ use leadtime_proto::{ActionSpec, EnvSpec};
 use serde::{Deserialize, Serialize};
 
 use crate::check::{SettingError, require_within};
+use crate::description::{Description, NamedHead, ObservationLayout, Quantity, RewardTerm};
 use crate::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
@@ -110,6 +111,22 @@ fn advance([x, x_dot, theta, theta_dot]: [f64; 4], force: f64) -> [f64; 4] {
 impl Environment for CartPole {
     fn spec(&self) -> &EnvSpec {
         &self.spec
+    }
+
+    fn describe(&self) -> Description {
+        let unbounded = [f32::NEG_INFINITY, f32::INFINITY];
+        // The observation that ends an episode may lie beyond the limits; the original states twice of them.
+        let (position, angle) = (2.0 * POSITION_LIMIT as f32, 2.0 * ANGLE_LIMIT_RAD as f32);
+        let observation = ObservationLayout::single(vec![
+            Quantity::new("x", "the cart's position, in m", [-position, position]),
+            Quantity::new("vx", "the cart's velocity, in m/s", unbounded),
+            Quantity::new("angle", "the pole's angle from upright, in rad", [-angle, angle]),
+            Quantity::new("spin", "the pole's angular velocity, in rad/s", unbounded),
+        ]);
+        let choices = ["left", "right"].map(str::to_owned).to_vec();
+        let actions = vec![NamedHead { name: "push".to_owned(), choices }];
+        let rewards = vec![RewardTerm::new("a step", 1.0, "")];
+        Description { observation, actions, rewards }
     }
 
     fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {

@@ -14,6 +14,7 @@ use leadtime_proto::{ActionSpec, EnvSpec};
 use serde::{Deserialize, Serialize};
 
 use crate::check::{SettingError, require, require_within};
+use crate::description::{Description, NamedHead, ObservationLayout, Quantity, RewardTerm};
 use crate::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
@@ -86,6 +87,24 @@ impl CueRecall {
 impl Environment for CueRecall {
     fn spec(&self) -> &EnvSpec {
         &self.spec
+    }
+
+    fn describe(&self) -> Description {
+        let cues = 0..self.settings.n_cues;
+        let cue =
+            |i| Quantity::flag(format!("cue{i}"), "whether this is the cue, in the first step");
+        let mut frame: Vec<Quantity> = cues.clone().map(cue).collect();
+        frame.push(Quantity::flag("asked", "whether the answer is asked for"));
+        let choices = cues.map(|i| format!("cue{i}")).collect();
+        let rewards = vec![
+            RewardTerm::new("the right answer", 1.0, ""),
+            RewardTerm::new("a wrong answer", -1.0, ""),
+        ];
+        Description {
+            observation: ObservationLayout::single(frame),
+            actions: vec![NamedHead { name: "recall".to_owned(), choices }],
+            rewards,
+        }
     }
 
     fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {

@@ -14,6 +14,7 @@ use super::cells::CellTable;
 use super::settings::{NotificationType, NotifierSettings};
 use crate::Message;
 use crate::check::SettingError;
+use crate::description::{NamedHead, Quantity};
 use crate::human::SpeechAct;
 
 /// Names of the heads whose choices are numbers of words, in increasing order.
@@ -91,6 +92,47 @@ impl Actions {
         }
         let gate = Some(Gate { head: 0, choice: usize::from(START) });
         ActionSpec { heads, gate, conditionals }
+    }
+
+    /// Names the choices of every head.
+    pub(super) fn heads(&self, topics: &[&str]) -> Vec<NamedHead> {
+        let words = || self.words.iter().map(|n| format!("{n} words")).collect();
+        let choices = |name: &str| match name {
+            "initiate" => ["silence", "start", "stop"][..2 + usize::from(self.can_stop)]
+                .iter()
+                .map(|&choice| choice.to_owned())
+                .collect(),
+            "topic" => self.topic_ids.iter().map(|&id| topics[id].to_owned()).collect(),
+            _ => words(),
+        };
+        let named = |head: Head| NamedHead { choices: choices(&head.name), name: head.name };
+        self.spec().heads.into_iter().map(named).collect()
+    }
+
+    /// Says what the numbers of [`Actions::encode`] are.
+    pub(super) fn quantities(&self, topics: &[&str]) -> Vec<Quantity> {
+        let mut all = vec![Quantity::flag("said.start", "whether a message was started")];
+        all.extend(self.topic_quantities("said", "that message", topics));
+        for head in LENGTH_HEADS {
+            let meaning = format!("whether {head} of that message is so many words");
+            let flag = |n: &u32| Quantity::flag(format!("said.{head}{n}"), &meaning);
+            all.extend(self.words.iter().map(flag));
+        }
+        let stop = || Quantity::flag("said.stop", "whether the running message was stopped");
+        all.extend(self.can_stop.then(stop));
+        all
+    }
+
+    /// Says what the numbers of [`Actions::encode_topic`] are.
+    pub(super) fn topic_quantities(
+        &self,
+        prefix: &str,
+        whose: &str,
+        topics: &[&str],
+    ) -> Vec<Quantity> {
+        let meaning = format!("whether this is the topic of {whose}");
+        let flag = |&id: &usize| Quantity::flag(format!("{prefix}.{}", topics[id]), &meaning);
+        self.topic_ids.iter().map(flag).collect()
     }
 
     /// Reads an action.

@@ -8,6 +8,7 @@ use super::actions::{Actions, Offered};
 use super::history::History;
 use super::settings::NotifierSettings;
 use crate::Domain;
+use crate::description::{Description, ObservationLayout, Quantity, RewardTerm};
 use crate::environment::{
     EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome, read_snapshot,
     write_snapshot,
@@ -226,6 +227,28 @@ fn share(part: u32, whole: u32) -> f32 {
 impl<D: Domain> Environment for NotifierEnv<D> {
     fn spec(&self) -> &EnvSpec {
         &self.spec
+    }
+
+    fn describe(&self) -> Description {
+        let topics = self.domain.topics();
+        let mut frame = self.domain.quantities();
+        frame.extend(self.actions.quantities(topics));
+        let rest = if self.observe_utterance {
+            let spoken = "share of the running message spoken so far";
+            let topic = self.actions.topic_quantities("utterance", "the running message", topics);
+            [Quantity::flag("utterance.spoken", spoken)].into_iter().chain(topic).collect()
+        } else {
+            Vec::new()
+        };
+        let mut rewards = self.domain.reward_terms();
+        let charged = match self.blocked {
+            BlockedInitiation::IgnoreCharged => "a message started, or that may not start",
+            _ => "a message that is started",
+        };
+        rewards.push(RewardTerm::new(charged, -self.initiation_cost, "notifier.initiation_cost"));
+        let n_frames = self.history.n_pairs();
+        let observation = ObservationLayout { n_frames, frame, rest };
+        Description { observation, actions: self.actions.heads(topics), rewards }
     }
 
     fn entity_history(&self) -> Option<EntityHistory> {

@@ -9,7 +9,8 @@ use leadtime_sims::human::{FollowThrough, HumanSettings};
 use leadtime_sims::notifier::{NotifierSettings, NotifierWorld, TaskSettings};
 use leadtime_sims::scene::Scene;
 use leadtime_sims::{
-    Advance, Domain, DomainEntry, Entities, Message, ReactionStatus, ReactionStep,
+    Advance, Domain, DomainEntry, Entities, Message, Quantity, ReactionStatus, ReactionStep,
+    RewardTerm,
 };
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +20,7 @@ use super::picture::picture;
 use super::progress::{DriveOutcome, DriveProgress};
 use super::reaction::{EGO, TOPICS, is_lane_change, react};
 use super::settings::{HighwayWorldSettings, start_lanes};
-use crate::world::{CarRole, Traffic, Vehicle};
+use crate::world::{CarRole, Traffic, Vehicle, quantities};
 
 /// What a step pays once the ego has arrived.
 const ARRIVED_REWARD: f64 = 1.0;
@@ -161,6 +162,17 @@ impl Domain for HighwayDomain {
 
     fn obs_dim(&self) -> usize {
         self.settings.observation.dim()
+    }
+
+    fn quantities(&self) -> Vec<Quantity> {
+        quantities(&self.settings.observation, self.n_lanes)
+    }
+
+    fn reward_terms(&self) -> Vec<RewardTerm> {
+        let mut terms = self.settings.reward.terms();
+        let after = "a step after the arrival, and nothing else";
+        terms.push(RewardTerm::new(after, ARRIVED_REWARD, ""));
+        terms
     }
 
     fn entities(&self) -> Option<Entities> {

@@ -41,6 +41,7 @@ pub use control::{DriverCommand, SpeedGrid};
 pub use lane::{Lane, LaneSettings, Wave};
 pub use network::{LaneId, Lookup, RoadNetwork};
 pub use observe::ObservationSettings;
+pub(crate) use observe::quantities;
 pub use reward::{RewardSettings, RewardTerms};
 pub use road::{Ramp, RampSettings, Road, RoadSettings, Side};
 pub use traffic::{Blindness, Traffic};

@@ -13,6 +13,7 @@
 //!
 //! highway-env 1.12.1, `envs/common/observation.py`, `KinematicObservation`.
 
+use leadtime_sims::Quantity;
 use leadtime_sims::check::{SettingError, require};
 use serde::{Deserialize, Serialize};
 
@@ -60,6 +61,33 @@ impl ObservationSettings {
     pub fn dim(&self) -> usize {
         self.rows * self.n_columns()
     }
+}
+
+/// Says what the numbers of an observation are.
+pub(crate) fn quantities(settings: &ObservationSettings, n_lanes: usize) -> Vec<Quantity> {
+    let across = 4 * n_lanes;
+    let row = |row: usize| {
+        let (who, of) = match row {
+            0 => ("ego".to_owned(), ""),
+            _ => (format!("car{row}"), ", minus the own car's"),
+        };
+        let bounded = |column: &str, meaning: String| {
+            Quantity::new(format!("{who}.{column}"), meaning, [-1.0, 1.0])
+        };
+        let mut columns = vec![
+            Quantity::flag(format!("{who}.there"), "whether there is a car; else all is 0"),
+            bounded("x", format!("place along the road{of}, in {RANGE} m")),
+            bounded("y", format!("place to the right{of}, in {across} m")),
+            bounded("vx", format!("velocity along{of}, in {SPEED_RANGE} m/s")),
+            bounded("vy", format!("velocity to the right{of}, in {SPEED_RANGE} m/s")),
+        ];
+        if settings.headings {
+            columns.push(bounded("cos", "cosine of the heading".to_owned()));
+            columns.push(bounded("sin", "sine of the heading".to_owned()));
+        }
+        columns
+    };
+    (0..settings.rows).flat_map(row).collect()
 }
 
 /// The bodies that fill the rows after the own one: the nearest along the lane, of equals the first.

@@ -7,6 +7,7 @@
 //!
 //! highway-env 1.12.1, `envs/merge_env.py`; the speed range of 15 to 38 m/s is that of Hsu et al. (arXiv:2509.07438).
 
+use leadtime_sims::RewardTerm;
 use leadtime_sims::check::{SettingError, require};
 use serde::{Deserialize, Serialize};
 
@@ -100,6 +101,30 @@ impl RewardSettings {
             self.lane_change * terms.lane_change,
         ]
         .map(|piece| piece / span)
+    }
+
+    /// Lists what a step pays.
+    pub(crate) fn terms(&self) -> Vec<RewardTerm> {
+        let one = RewardTerms {
+            collision: 1.0,
+            right_lane: 1.0,
+            high_speed: 1.0,
+            merging: 1.0,
+            lane_change: 1.0,
+        };
+        let [collision, right_lane, high_speed, merging, lane_change] = self.pieces(&one);
+        let [low, high] = self.speed_range;
+        let speed = format!("(speed - {low}) / ({high} - {low}), speed in m/s");
+        let slowed = "(target - speed) / target of a merging car";
+        let key = |name: &str| format!("world.reward.{name}");
+        vec![
+            RewardTerm::new("every step", self.reward(&RewardTerms::default()), ""),
+            RewardTerm::new("a crash", collision, key("collision")),
+            RewardTerm::new("the lanes to the left of the own car", right_lane, key("right_lane")),
+            RewardTerm::new(speed, high_speed, key("high_speed")),
+            RewardTerm::new(slowed, merging, key("merging")),
+            RewardTerm::new("a commanded lane change", lane_change, key("lane_change")),
+        ]
     }
 
     /// Computes the reward.

@@ -7,6 +7,7 @@
 use leadtime_numerics::Purpose;
 use leadtime_proto::{ActionSpec, EnvSpec};
 use leadtime_sims::check::{SettingError, require_within};
+use leadtime_sims::description::{Description, NamedHead, ObservationLayout, RewardTerm};
 use leadtime_sims::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
@@ -17,7 +18,7 @@ use super::evaluate::Flyer;
 use super::network::{Pilot, engines_off};
 use crate::world::{
     Engine, Lander, LanderOutcome, LanderSnapshot, Physics, PhysicsSettings, SNAPSHOT_MARGIN,
-    START_IMPULSES, VIEW, caption,
+    START_IMPULSES, VIEW, caption, quantities,
 };
 
 /// Settings of the pilot's training task.
@@ -117,6 +118,23 @@ impl PilotTask {
 impl Environment for PilotTask {
     fn spec(&self) -> &EnvSpec {
         &self.spec
+    }
+
+    fn describe(&self) -> Description {
+        let choices = ["idle", "left", "main", "right"].map(str::to_owned).to_vec();
+        let potential = "a frame, times the change of the original's shaping potential";
+        let rewards = [
+            (potential, 1.0),
+            ("coming to rest", 100.0),
+            ("a crash, or leaving the view", -100.0),
+            ("a frame of the main engine", -Engine::Main.fuel()),
+            ("a frame of a side engine", -Engine::Left.fuel()),
+        ];
+        Description {
+            observation: ObservationLayout::single(quantities()),
+            actions: vec![NamedHead { name: "engine".to_owned(), choices }],
+            rewards: rewards.map(|(when, amount)| RewardTerm::new(when, amount, "")).to_vec(),
+        }
     }
 
     fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {

@@ -6,9 +6,10 @@ use leadtime_sims::check::SettingError;
 use leadtime_sims::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_snapshot};
 use leadtime_sims::notifier::{NotifierWorld, TaskSettings};
 use leadtime_sims::scene::{Gauge, Scene, Shape, Tone};
-use leadtime_sims::{Advance, Domain, Message, ReactionStep};
+use leadtime_sims::{Advance, Domain, Message, Quantity, ReactionStep, RewardTerm};
 use serde::{Deserialize, Serialize};
 
+use super::describe;
 use super::maneuver::{TOPICS, listens, maneuver, raw};
 use super::safe_path::direct;
 use super::settings::{EntryPenalty, LanderWorldSettings, NearPenalty, PilotKind, ReactionKind};
@@ -192,6 +193,14 @@ impl Domain for LanderDomain {
 
     fn obs_dim(&self) -> usize {
         8 + if self.settings.has_jitter() { 4 * self.settings.zones.len() } else { 0 }
+    }
+
+    fn quantities(&self) -> Vec<Quantity> {
+        describe::quantities(&self.settings)
+    }
+
+    fn reward_terms(&self) -> Vec<RewardTerm> {
+        describe::reward_terms(&self.settings)
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {

@@ -19,6 +19,7 @@
 //! Hsu et al. (arXiv:2509.07438), the task of piloting. It gives no coordinates: zones, path and
 //! controller are ours.
 
+mod describe;
 mod domain;
 mod maneuver;
 mod safe_path;

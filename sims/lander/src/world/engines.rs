@@ -48,7 +48,7 @@ impl Engine {
     pub const ALL: [Self; 4] = [Self::Idle, Self::Left, Self::Main, Self::Right];
 
     /// Returns what a frame of this engine costs in reward.
-    pub(super) fn fuel(self) -> f64 {
+    pub(crate) fn fuel(self) -> f64 {
         match self {
             Self::Idle => 0.0,
             Self::Main => 0.3,

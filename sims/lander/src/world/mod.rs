@@ -32,5 +32,6 @@ pub use draw::{VIEW, caption};
 pub use engines::{Engine, NoSuchEngine};
 pub(crate) use lander::SNAPSHOT_MARGIN;
 pub use lander::{Frame, Lander, LanderOutcome, LanderSnapshot};
+pub(crate) use observe::quantities;
 pub(crate) use settings::START_IMPULSES;
 pub use settings::{Physics, PhysicsSettings};

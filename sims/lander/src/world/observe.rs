@@ -1,5 +1,7 @@
 //! What the pilot sees, and the potential whose difference is the reward.
 
+use leadtime_sims::Quantity;
+
 use super::body::Body;
 use super::constants::{FPS, HALF_WORLD, HULL, PAD_X, REST_Y, Vec2};
 
@@ -19,6 +21,22 @@ pub(super) fn state(bodies: &[Body; 3], angle: f64, legs: [bool; 2]) -> [f64; 8]
         20.0 * hull.spin / FPS,
         f64::from(u8::from(legs[0])),
         f64::from(u8::from(legs[1])),
+    ]
+}
+
+/// Says what the 8 values are; the ranges are those that the original states.
+pub(crate) fn quantities() -> Vec<Quantity> {
+    let new = |name, meaning, bound: f32| Quantity::new(name, meaning, [-bound, bound]);
+    let turn = std::f32::consts::TAU;
+    vec![
+        new("x", "right of the pad, in 10 m (half the view)", 2.5),
+        new("y", "height above rest on the pad, in 6.67 m", 2.5),
+        new("vx", "velocity to the right, in 5 m/s", 10.0),
+        new("vy", "velocity upward, in 7.5 m/s", 10.0),
+        new("angle", "tilt, counter-clockwise, in rad", turn),
+        new("spin", "angular velocity, in 2.5 rad/s", 10.0),
+        Quantity::flag("right_leg", "whether the right leg touches the ground"),
+        Quantity::flag("left_leg", "whether the left leg touches the ground"),
     ]
 }
 

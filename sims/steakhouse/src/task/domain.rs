@@ -11,13 +11,14 @@ use leadtime_sims::human::{
 use leadtime_sims::notifier::{NotifierSettings, NotifierWorld, TaskSettings};
 use leadtime_sims::scene::Scene;
 use leadtime_sims::{
-    Advance, Delivery, Domain, DomainEntry, Message, ReactionStatus, ReactionStep,
+    Advance, Delivery, Domain, DomainEntry, Message, Quantity, ReactionStatus, ReactionStep,
+    RewardTerm,
 };
 use serde::{Deserialize, Serialize};
 
-use super::draw;
 use super::settings::{SteakhouseWorldSettings, TieRule};
 use super::topics::{INFORM, TOPICS, direction, topic};
+use super::{describe, draw};
 use crate::world::{
     Action, Direction, Floorplan, Kitchen, KitchenStart, KitchenState, StartFamily, StationPhase,
     Subtask, Ties, interactions_left, is_misled, is_redundant, random_pose,
@@ -229,6 +230,14 @@ impl Domain for SteakhouseDomain {
     fn obs_dim(&self) -> usize {
         let n_slots = self.kitchen.world.contents().len().max(MIN_SLOTS);
         BODY_DIM + n_slots * SLOT_DIM + CLOCK_DIM
+    }
+
+    fn quantities(&self) -> Vec<Quantity> {
+        describe::quantities(self.kitchen.world.grid(), MIN_SLOTS)
+    }
+
+    fn reward_terms(&self) -> Vec<RewardTerm> {
+        describe::reward_terms(&self.settings)
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {

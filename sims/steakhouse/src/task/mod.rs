@@ -12,6 +12,7 @@
 //!
 //! Hsu et al. (arXiv:2509.07438), the task of cooking. It gives no layout, reward, deadline or horizon: those are ours.
 
+mod describe;
 mod domain;
 mod draw;
 mod settings;

@@ -1,0 +1,22 @@
+#!/usr/bin/env bash
+# Runs every command that README and docs show. Usage: docs/check.sh [--full] [PROGRAM]
+#
+# PROGRAM is the built `leadtime` (default: target/release/leadtime, built first). Long trainings are shortened to one
+# update, studies to their plan; --full also trains the three worlds and compares README's tables with what comes out.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+full=()
+if [ "${1:-}" = --full ]; then full=(--full); shift; fi
+program=${1:-}
+if [ -z "$program" ]; then
+    cargo build --release --locked -p leadtime
+    program=target/release/leadtime
+fi
+python=python3
+if ! python3 -c 'import numpy' 2>/dev/null; then
+    python3 -m venv .venv/docs
+    .venv/docs/bin/pip install -q numpy
+    python=.venv/docs/bin/python
+fi
+exec "$python" docs/check.py "${full[@]}" "$(realpath "$program")"

@@ -1,0 +1,46 @@
+"""Reproduces the decisions of a policy with numpy: python3 decide.py POLICY.safetensors STEPS.jsonl
+
+The steps come from `leadtime eval POLICY --action greedy --episodes-to STEPS.jsonl`; docs/policy-file.md has the formulas.
+"""
+import json, sys
+import numpy as np
+
+data = open(sys.argv[1], "rb").read()
+start = 8 + int.from_bytes(data[:8], "little")
+header = json.loads(data[8:start])
+spec = json.loads(header.pop("__metadata__")["architecture"])
+types = {"F32": "<f4", "F64": "<f8"}
+tensors = {}
+for name, entry in header.items():
+    begin, end = (start + offset for offset in entry["data_offsets"])
+    tensors[name] = np.frombuffer(data[begin:end], types[entry["dtype"]]).reshape(entry["shape"])
+if spec["encoder"] != "Identity":
+    sys.exit(f"this policy has an encoder, which these lines do not compute: {spec['encoder']}")
+layers = [f"actor.{i}" for i in range(len(spec["hidden"]))]
+
+def logits(x):
+    if spec["normalize_observations"]:
+        x = (x - tensors["normalizer.mean"]) / np.sqrt(tensors["normalizer.variance"] + 1e-8)
+        x = np.clip(x, -10, 10)
+    for layer in layers:
+        x = np.tanh(tensors[layer + ".weight"] @ x + tensors[layer + ".bias"])
+    return tensors["actor.head.weight"] @ x + tensors["actor.head.bias"]
+
+def greedy(logits, offered):
+    action, first = [], 0
+    for index, head in enumerate(spec["actions"]["heads"]):
+        allowed = np.array(offered[first : first + head["n_choices"]])
+        for rule in spec["actions"]["conditionals"]:
+            if rule["head"] == index:
+                bits = rule["allowed"][action[rule["given"]]]
+                allowed &= [bits >> choice & 1 == 1 for choice in range(len(allowed))]
+        action.append(int(np.argmax(np.where(allowed, logits[first : first + len(allowed)], -np.inf))))
+        first += len(allowed)
+    return action
+
+steps = [json.loads(line) for line in open(sys.argv[2])]
+computed = [logits(np.array(step["observation"])) for step in steps]
+error = max(np.abs(ours - step["logits"]).max() for ours, step in zip(computed, steps))
+same = sum(greedy(ours, step["offered"]) == step["action"] for ours, step in zip(computed, steps))
+print(f"{same} of {len(steps)} decisions reproduced; logits differ by {error:.1e} at most")
+sys.exit(0 if same == len(steps) and error < 1e-4 else 1)

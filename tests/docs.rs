@@ -1,0 +1,63 @@
+//! What pages show of the program's output is what it prints.
+//!
+//! A page has `<!-- begin COMMAND -->`, the output, `<!-- end -->`. `UPDATE_DOCS=1 cargo test -p leadtime --test docs` writes the
+//! outputs anew.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const BEGIN: &str = "<!-- begin ";
+const END: &str = "<!-- end -->";
+
+fn docs() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs")
+}
+
+fn output(command: &str) -> String {
+    let mut words = command.split_whitespace();
+    assert_eq!(words.next(), Some("leadtime"), "{command}");
+    let finished = Command::new(env!("CARGO_BIN_EXE_leadtime")).args(words).output().unwrap();
+    let error = String::from_utf8_lossy(&finished.stderr);
+    assert!(finished.status.success(), "{command}: {error}");
+    String::from_utf8(finished.stdout).unwrap()
+}
+
+/// Returns the page with every marked part as the program prints it now, and how many there are.
+fn renewed(page: &str) -> (String, usize) {
+    let (mut new, mut rest, mut n_parts) = (String::new(), page, 0);
+    while let Some((before, marked)) = rest.split_once(BEGIN) {
+        let (command, marked) = marked.split_once(" -->\n").expect("a marker ends with its line");
+        let (_, after) = marked.split_once(END).expect("a marked part has an end");
+        new += &format!("{before}{BEGIN}{command} -->\n{}{END}", output(command));
+        (rest, n_parts) = (after, n_parts + 1);
+    }
+    (new + rest, n_parts)
+}
+
+#[test]
+fn the_pages_show_what_the_program_prints() {
+    let pages = fs::read_dir(docs().join("worlds")).unwrap().map(|entry| entry.unwrap().path());
+    let mut n_all = 0;
+    for path in pages {
+        let page = fs::read_to_string(&path).unwrap();
+        let (new, n_parts) = renewed(&page);
+        n_all += n_parts;
+        if std::env::var_os("UPDATE_DOCS").is_some() {
+            fs::write(&path, &new).unwrap();
+            continue;
+        }
+        let told = "is not what the program prints; UPDATE_DOCS=1 writes it anew";
+        assert!(page == new, "{} {told}", path.display());
+    }
+    assert!(n_all >= 6, "{n_all} parts");
+}
+
+#[test]
+fn a_description_fits_the_terminal() {
+    for task in ["lander", "highway", "steakhouse", "cartpole", "cue_recall", "pilot"] {
+        for line in output(&format!("leadtime describe {task}")).lines() {
+            assert!(line.chars().count() <= 80, "{task}: {line}");
+        }
+    }
+}
