@@ -15,8 +15,7 @@ if [ -z "$program" ]; then
 fi
 python=python3
 if ! python3 -c 'import numpy' 2>/dev/null; then
-    python3 -m venv .venv/docs
-    .venv/docs/bin/pip install -q numpy
-    python=.venv/docs/bin/python
+    # Without it, everything else is checked.
+    python3 -m venv .venv/docs && .venv/docs/bin/pip install -q numpy && python=.venv/docs/bin/python
 fi
 exec "$python" docs/check.py "${full[@]}" "$(realpath "$program")"
