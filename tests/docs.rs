@@ -14,12 +14,10 @@ fn docs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs")
 }
 
-fn output(command: &str) -> String {
-    let mut words = command.split_whitespace();
-    assert_eq!(words.next(), Some("leadtime"), "{command}");
-    let finished = Command::new(env!("CARGO_BIN_EXE_leadtime")).args(words).output().unwrap();
+fn output(arguments: &[&str]) -> String {
+    let finished = Command::new(env!("CARGO_BIN_EXE_leadtime")).args(arguments).output().unwrap();
     let error = String::from_utf8_lossy(&finished.stderr);
-    assert!(finished.status.success(), "{command}: {error}");
+    assert!(finished.status.success(), "{arguments:?}: {error}");
     String::from_utf8(finished.stdout).unwrap()
 }
 
@@ -29,7 +27,8 @@ fn renewed(page: &str) -> (String, usize) {
     while let Some((before, marked)) = rest.split_once(BEGIN) {
         let (command, marked) = marked.split_once(" -->\n").expect("a marker ends with its line");
         let (_, after) = marked.split_once(END).expect("a marked part has an end");
-        new += &format!("{before}{BEGIN}{command} -->\n{}{END}", output(command));
+        let arguments: Vec<&str> = command.split(' ').skip(1).collect();
+        new += &format!("{before}{BEGIN}{command} -->\n{}{END}", output(&arguments));
         (rest, n_parts) = (after, n_parts + 1);
     }
     (new + rest, n_parts)
@@ -54,9 +53,16 @@ fn the_pages_show_what_the_program_prints() {
 }
 
 #[test]
+fn a_policy_is_described_as_its_task() {
+    let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/piloting.safetensors");
+    let described = output(&["describe", policy]);
+    assert!(described.starts_with("Observation: 89 numbers"), "{described}");
+}
+
+#[test]
 fn a_description_fits_the_terminal() {
     for task in ["lander", "highway", "steakhouse", "cartpole", "cue_recall", "pilot"] {
-        for line in output(&format!("leadtime describe {task}")).lines() {
+        for line in output(&["describe", task]).lines() {
             assert!(line.chars().count() <= 80, "{task}: {line}");
         }
     }

@@ -425,12 +425,14 @@ pub(crate) struct ConfigArgs {
 /// `leadtime describe`
 #[derive(Debug, Args)]
 pub(crate) struct DescribeArgs {
-    /// The task: the name of a built-in configuration, or a configuration file.
-    #[arg(value_name = "CONFIG")]
-    pub config: PathBuf,
+    /// A built-in configuration, a configuration file, a policy file or a run.
+    pub task: PathBuf,
     /// Change one key: `--set notifier.history=1`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
     /// Print one JSON object: every number of the observation by its place.
     #[arg(long, conflicts_with = "markdown")]
     pub json: bool,

@@ -1,7 +1,7 @@
 //! `leadtime describe`: what a task shows, offers and pays.
 
 use leadtime_config::{Config, ConfigSource};
-use leadtime_runs::Tasks;
+use leadtime_runs::{LoadedPolicy, Tasks};
 use leadtime_sims::{Description, ObservationLayout, Quantity};
 use leadtime_table::Table;
 use serde_json::json;
@@ -11,8 +11,7 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 
 pub(super) fn run(tasks: &Tasks, args: &DescribeArgs) -> Result<(), Failure> {
-    let source = ConfigSource { set: args.set.clone(), ..ConfigSource::default() };
-    let config = tasks.configure(Some(&args.config), source).blame(ExitCode::WrongInput)?;
+    let config = load(tasks, args)?;
     if args.json {
         let Config { domain, description, env, .. } = &config;
         output::json(&json!({
@@ -29,6 +28,19 @@ pub(super) fn run(tasks: &Tasks, args: &DescribeArgs) -> Result<(), Failure> {
     let write = if args.markdown { Table::markdown } else { Table::text };
     output::line(page(&config.description, write).trim_end());
     Ok(())
+}
+
+/// Finds the task's configuration: that of a policy, unless it is a file or a name of its own.
+fn load(tasks: &Tasks, args: &DescribeArgs) -> Result<Config, Failure> {
+    let (task, set) = (&args.task, args.set.clone());
+    let is_text = task.extension().is_some_and(|extension| extension == "toml");
+    let is_built_in = task.to_str().is_some_and(|name| tasks.catalog.file(name).is_some());
+    if is_text || is_built_in {
+        let source = ConfigSource { set, ..ConfigSource::default() };
+        return tasks.configure(Some(task), source).blame(ExitCode::WrongInput);
+    }
+    let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, task, &set);
+    Ok(loaded.blame(ExitCode::WrongInput)?.config)
 }
 
 /// Describes a task in three parts, with tables written by `write`.
