@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use leadtime_proto::codec::CodecError;
+use leadtime_proto::phrase::duration;
 use leadtime_proto::spec::SpecError;
 use leadtime_proto::{EnvId, RunName};
 use leadtime_sims::{SnapshotError, TaskError};
@@ -52,7 +53,7 @@ pub enum Error {
         reason: String,
     },
     /// The learner was lost and not found again.
-    #[error("the learner of run `{run}` was lost and did not come back within {timeout:?}")]
+    #[error("the learner of run `{run}` was lost and did not come back within {}", duration(*timeout))]
     LearnerLost {
         /// The run.
         run: RunName,

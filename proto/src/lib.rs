@@ -13,6 +13,7 @@
 //! codec    the one door         encode, decode (the only file that names bincode)
 //! receive  message validation   size, header, schema, checksum, decode
 //! refusal  what fails there     Refusal: cause, sentence, sender; the books count it
+//! text     words for people     quoted and cut; `phrase`: counted, timed, guessed
 //! ```
 //!
 //! # Where to start
@@ -25,6 +26,7 @@ pub mod ids;
 pub mod limits;
 pub mod message;
 pub mod packed;
+pub mod phrase;
 pub mod receive;
 pub mod refusal;
 pub mod rollout;

@@ -43,6 +43,22 @@ pub fn own_message(message: &str) -> String {
     cut_lines(message, OWN_LINE)
 }
 
+/// Returns an argument as a shell has to read it: in quotes if need be.
+///
+/// # Example
+///
+/// ```
+/// use leadtime_proto::text::shell_word;
+///
+/// let words = ["eval", "it's", "--set=human.d={fixed=3}", ""].map(shell_word);
+/// assert_eq!(words, ["eval", r"'it'\''s'", "'--set=human.d={fixed=3}'", "''"]);
+/// ```
+pub fn shell_word(argument: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-+=.,:/@%".contains(c);
+    let plain = !argument.is_empty() && argument.chars().all(is_plain);
+    if plain { argument.to_owned() } else { format!("'{}'", argument.replace('\'', r"'\''")) }
+}
+
 fn cut_lines(message: &str, most: usize) -> String {
     let mut lines: Vec<String> = message.lines().take(LINES).map(|line| cut(line, most)).collect();
     if message.lines().nth(LINES).is_some() {

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use leadtime_proto::codec::CodecError;
 use leadtime_proto::ids::InvalidId;
+use leadtime_proto::phrase::duration;
 use leadtime_proto::{ActorId, PolicyVersion, Refusal, RunName};
 use thiserror::Error;
 
@@ -69,7 +70,7 @@ pub enum Error {
         source: NetworkFault,
     },
     /// Nobody can be reached, with the reason for every address.
-    #[error("no learner can be reached (tried for {timeout:?}): {obstacles}")]
+    #[error("no learner can be reached (tried for {}): {obstacles}", duration(*timeout))]
     Unreachable {
         /// Every address with what is in the way.
         obstacles: String,
@@ -77,7 +78,7 @@ pub enum Error {
         timeout: Duration,
     },
     /// Someone listens there, but no learner is to be found.
-    #[error("no learner is running at {endpoints} (waited {timeout:?})")]
+    #[error("no learner is running at {endpoints} (waited {})", duration(*timeout))]
     NoLearner {
         /// The addresses.
         endpoints: String,
@@ -116,7 +117,7 @@ pub enum Error {
     #[error("`{0}` is already here; choose another --id")]
     Taken(ActorId),
     /// Nobody acted on an order or answered a question in time.
-    #[error("no answer on `{key}` within {timeout:?}")]
+    #[error("no answer on `{key}` within {}", duration(*timeout))]
     NoAnswer {
         /// Where it was asked.
         key: String,
@@ -195,7 +196,7 @@ pub enum Error {
     #[error("the network connection of this process has ended")]
     Dead,
     /// Closing took longer than this limit.
-    #[error("closing the network connection took longer than {0:?}")]
+    #[error("closing the network connection took longer than {}", duration(*.0))]
     Close(Duration),
 }
 

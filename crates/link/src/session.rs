@@ -5,6 +5,7 @@
 use std::time::{Duration, Instant};
 
 use leadtime_proto::limits;
+use leadtime_proto::phrase::duration;
 use tracing::{debug, info};
 use zenoh::Wait as _;
 use zenoh::config::Config;
@@ -149,7 +150,8 @@ async fn dial(endpoints: &[Endpoint], timeout: Duration, wait_us: u64) -> Result
         if !reported {
             reported = true;
             let obstacles = obstacles(endpoints).await;
-            info!(?timeout, "no learner can be reached yet, trying again: {obstacles}");
+            let timeout = duration(timeout);
+            info!("no learner can be reached yet, trying for {timeout}: {obstacles}");
         }
     }
 }

@@ -10,6 +10,8 @@
 
 mod escape;
 mod table;
+mod wrap;
 
 pub use escape::escape;
 pub use table::{Table, TableCell};
+pub use wrap::{fitted, wrapped};

@@ -1,5 +1,7 @@
 //! Head and rows, and their three forms.
 
+use std::ops::Range;
+
 use crate::escape;
 
 /// A head and rows of equally many cells.
@@ -20,7 +22,12 @@ pub struct Table {
     rows: Vec<Vec<TableCell>>,
     /// Columns whose text is aligned to the left.
     left: Vec<usize>,
+    /// The column whose texts may be shortened in their middle.
+    elastic: Option<usize>,
 }
+
+/// The fewest characters that a shortened text keeps.
+const SHORTEST: usize = 16;
 
 /// What stands in one place of a table.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -58,12 +65,18 @@ impl Table {
     ///
     /// A table with an empty head has none where the form allows it.
     pub fn new<C: Into<TableCell>>(head: impl IntoIterator<Item = C>) -> Self {
-        Self { head: head.into_iter().map(Into::into).collect(), rows: Vec::new(), left: vec![0] }
+        let head = head.into_iter().map(Into::into).collect();
+        Self { head, rows: Vec::new(), left: vec![0], elastic: None }
     }
 
     /// Aligns these columns to the left, and all others to the right.
     pub fn left(self, columns: &[usize]) -> Self {
         Self { left: columns.to_vec(), ..self }
+    }
+
+    /// Lets the texts of a column be shortened in their middle where the table is too wide.
+    pub fn elastic(self, column: usize) -> Self {
+        Self { elastic: Some(column), ..self }
     }
 
     /// Adds a row; a short one is filled with empty cells.
@@ -75,24 +88,53 @@ impl Table {
 
     /// Writes the table as plain text; every column is as wide as its widest cell.
     pub fn text(&self) -> String {
+        self.texts().block(0..self.head.len())
+    }
+
+    /// Writes the table as plain text with lines of at most `width` characters, as far as possible: where it is too wide,
+    /// notes stand below their texts, the elastic column is shortened, and what still does not fit follows in further
+    /// blocks that repeat the first column.
+    pub fn text_within(&self, width: usize) -> String {
+        let mut texts = self.texts();
+        if texts.width() > width {
+            texts = Texts { rows: self.stacked(), ..texts };
+        }
+        if let Some(column) = self.elastic {
+            let excess = texts.width().saturating_sub(width);
+            texts.shorten(column, texts.widths[column].saturating_sub(excess).max(SHORTEST));
+        }
+        let texts = texts.measured();
+        let (mut blocks, mut from) = (Vec::new(), 1);
+        while from < self.head.len() || blocks.is_empty() {
+            let mut room = width.saturating_sub(texts.widths.first().copied().unwrap_or(0));
+            let fits = |&&column: &&usize| {
+                let (wanted, left) = (column + GAP.len(), room);
+                room = room.saturating_sub(wanted);
+                wanted <= left
+            };
+            let n = texts.widths.iter().skip(from).take_while(fits).count().max(1);
+            let to = (from + n).min(self.head.len());
+            blocks.push(texts.block(from..to));
+            from = to;
+        }
+        blocks.join("\n")
+    }
+
+    fn texts(&self) -> Texts<'_> {
         let plain = |row: &Vec<TableCell>| row.iter().map(TableCell::plain).collect::<Vec<_>>();
-        let head = plain(&self.head);
-        let rows: Vec<Vec<String>> = self.rows.iter().map(plain).collect();
-        let all = || std::iter::once(&head).chain(&rows);
-        let width = |i: usize| all().map(|row| row[i].chars().count()).max().unwrap_or(0);
-        let widths: Vec<usize> = (0..head.len()).map(width).collect();
-        let line = |row: &Vec<String>| {
-            let cells = row.iter().zip(&widths).enumerate().map(|(i, (cell, &width))| {
-                let left = self.left.contains(&i);
-                if left { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
-            });
-            let text = cells.collect::<Vec<_>>().join("  ");
-            format!("{}\n", text.trim_end())
+        let (head, rows) = (plain(&self.head), self.rows.iter().map(plain).collect());
+        Texts { head, rows, left: &self.left, widths: Vec::new() }.measured()
+    }
+
+    /// Lists the rows with their notes in rows of their own.
+    fn stacked(&self) -> Vec<Vec<String>> {
+        let split = |row: &Vec<TableCell>| {
+            let texts = row.iter().map(|cell| cell.text.clone()).collect();
+            let notes: Vec<String> = row.iter().map(|cell| cell.note.clone()).collect();
+            let has_notes = notes.iter().any(|note| !note.is_empty());
+            [Some(texts), has_notes.then_some(notes)].into_iter().flatten()
         };
-        let width = widths.iter().sum::<usize>() + 2 * widths.len().saturating_sub(1);
-        let rule = "\u{2500}".repeat(width);
-        let rows: String = rows.iter().map(line).collect();
-        format!("{}{rule}\n{rows}", line(&head))
+        self.rows.iter().flat_map(split).collect()
     }
 
     /// Writes the table as Markdown.
@@ -126,6 +168,61 @@ impl Table {
     }
 }
 
+/// What stands between two columns.
+const GAP: &str = "  ";
+
+/// The cells as plain texts, and how wide each column is.
+struct Texts<'a> {
+    head: Vec<String>,
+    rows: Vec<Vec<String>>,
+    left: &'a [usize],
+    widths: Vec<usize>,
+}
+
+impl Texts<'_> {
+    fn measured(mut self) -> Self {
+        let all = || std::iter::once(&self.head).chain(&self.rows);
+        let width = |i: usize| all().map(|row| row[i].chars().count()).max().unwrap_or(0);
+        self.widths = (0..self.head.len()).map(width).collect();
+        self
+    }
+
+    fn width(&self) -> usize {
+        self.widths.iter().sum::<usize>() + GAP.len() * self.widths.len().saturating_sub(1)
+    }
+
+    /// Cuts the middle out of a column's texts of more than `most` characters.
+    fn shorten(&mut self, column: usize, most: usize) {
+        for row in &mut self.rows {
+            let text: Vec<char> = row[column].chars().collect();
+            if text.len() > most {
+                let tail = most / 2;
+                let head: String = text[..most - tail - 1].iter().collect();
+                let tail: String = text[text.len() - tail..].iter().collect();
+                row[column] = format!("{head}\u{2026}{tail}");
+            }
+        }
+    }
+
+    /// Writes some columns, with the first one in front of them.
+    fn block(&self, columns: Range<usize>) -> String {
+        let first = (0..self.head.len()).take(1);
+        let shown: Vec<usize> = first.chain(columns.filter(|&i| i > 0)).collect();
+        let line = |row: &Vec<String>| {
+            let cells = shown.iter().map(|&i| {
+                let (cell, width) = (&row[i], self.widths[i]);
+                let left = self.left.contains(&i);
+                if left { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
+            });
+            format!("{}\n", cells.collect::<Vec<_>>().join(GAP).trim_end())
+        };
+        let sum: usize = shown.iter().map(|&i| self.widths[i]).sum();
+        let rule = "\u{2500}".repeat(sum + GAP.len() * shown.len().saturating_sub(1));
+        let rows: String = self.rows.iter().map(line).collect();
+        format!("{}{rule}\n{rows}", line(&self.head))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -139,6 +236,30 @@ mod tests {
         let expected = "                          a  state\n─────────────────────────────────────\n\
                         a name of some length     1  x\n−                      12.5  finished\nshort\n";
         assert_eq!(table.text(), expected);
+    }
+
+    #[test]
+    fn a_table_that_is_too_wide_stacks_its_notes_and_then_breaks_between_columns() {
+        let mut table = Table::new(["", "a", "b"]);
+        table.push(["one", "two", "three"].map(|text| TableCell::noted(text, "[note]")));
+        let rows = "one        two   three\n[note]  [note]  [note]\n";
+        let text = table.text_within(22);
+        assert!(text.ends_with(rows) && text.lines().all(|l| l.chars().count() <= 22), "{text}");
+        assert_eq!(table.text_within(80), table.text());
+        let blocks = table.text_within(14);
+        assert_eq!(blocks.split("\n\n").count(), 2, "{blocks}");
+        assert!(blocks.lines().all(|line| line.chars().count() <= 14), "{blocks}");
+    }
+
+    #[test]
+    fn an_elastic_column_loses_the_middle_of_long_texts() {
+        let mut table = Table::new(["run", "steps"]).elastic(0);
+        table.push(["table1-piloting-convey-react-0123456789ab-s201", "1600000"]);
+        table.push(["short", "1"]);
+        let text = table.text_within(30);
+        assert!(text.contains("table1-pil\u{2026}789ab-s201  1600000"), "{text}");
+        assert!(text.lines().all(|line| line.chars().count() <= 30), "{text}");
+        assert!(text.contains("\nshort "), "{text}");
     }
 
     #[test]
