@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
 use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
 use leadtime_eval::measure::Choice;
 use leadtime_link::Endpoint;
@@ -24,21 +24,65 @@ pub(crate) use taxonomy::{
 
 /// Trains assistants that warn people in time: in words, with the delay of listening and reacting.
 #[derive(Debug, Parser)]
-#[command(name = "leadtime", version, propagate_version = true, after_help = EXAMPLES,
-          after_long_help = format!("{EXAMPLES}\n\n{EXIT_CODE_HELP}"))]
+#[command(name = "leadtime", version, propagate_version = true, max_term_width = 100)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     pub command: Command,
+    #[command(flatten)]
+    pub verbosity: Verbosity,
 }
 
-const EXAMPLES: &str = "Examples:\n  \
-    leadtime smoke                                         train, evaluate and draw once, in minutes\n  \
-    leadtime up -c cartpole --actors 2                     a learner and actors on this machine\n  \
-    leadtime learner -c my.toml --listen tcp/0.0.0.0:7447  a learner that actors elsewhere can join\n  \
-    leadtime actor --connect tcp/HOST:7447                 one more actor, at any time\n  \
-    leadtime play runs/NAME -o episode.png                 a picture of what it learned\n  \
-    leadtime config lander > my.toml                       every setting, explained\n  \
-    leadtime compare table1                                the paper's main table, ours beside it";
+/// How much is said on standard error.
+#[derive(Clone, Copy, Debug, Args)]
+pub(crate) struct Verbosity {
+    /// Say nothing but warnings and results.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Also say what helps to find out why something goes wrong.
+    #[arg(short, long, global = true)]
+    pub verbose: bool,
+}
+
+impl Verbosity {
+    /// Returns the options that give another process of ours the same.
+    pub(crate) fn options(self) -> &'static [&'static str] {
+        match (self.quiet, self.verbose) {
+            (true, _) => &["--quiet"],
+            (_, true) => &["--verbose"],
+            _ => &[],
+        }
+    }
+}
+
+const VARIABLES_HELP: &str = "Environment variables:\n  \
+    RUST_LOG  what to log: a level (`debug`), or `module=level,...`\n  \
+    NO_COLOR  if set, no colours";
+
+/// What the help of each command ends with: sections that begin with the command's name.
+const EXAMPLES: &str = include_str!("cli/examples.txt");
+
+impl Cli {
+    /// Returns the command line with the examples in its help.
+    pub(crate) fn documented() -> clap::Command {
+        let mut command = Self::command();
+        for section in EXAMPLES.split("\n\n") {
+            let (name, examples) = section.split_once('\n').unwrap_or_default();
+            let help = format!("Examples:\n{}", examples.trim_end());
+            command = match name {
+                "leadtime" => {
+                    command.after_help(format!("{help}\n\n{VARIABLES_HELP}\n\n{EXIT_CODE_HELP}"))
+                }
+                name => command.mut_subcommand(name, |command| command.after_help(help)),
+            };
+        }
+        command
+    }
+
+    /// Reads the arguments of this process.
+    pub(crate) fn read() -> Result<Self, clap::Error> {
+        Self::from_arg_matches(&Self::documented().try_get_matches()?)
+    }
+}
 
 /// The commands.
 #[derive(Debug, Subcommand)]
@@ -46,6 +90,7 @@ pub(crate) enum Command {
     /// Train, evaluate and draw once, end to end, and check that it learned.
     Smoke(SmokeArgs),
     /// Run a learner and actors on this machine, supervised.
+    #[command(visible_alias = "train")]
     Up(UpArgs),
     /// Run a learner: assign environments, collect rollouts, train, publish weights.
     Learner(LearnerArgs),
@@ -99,6 +144,9 @@ pub(crate) struct SourceArgs {
     /// Change one key: `--set learner.learning_rate=1e-4`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
+    /// Environment steps of the whole run, such as 1e6 (as `--set learner.total_steps=STEPS`).
+    #[arg(long, value_parser = n_steps)]
+    pub steps: Option<u64>,
     /// Seed of every random stream (as `--set seed=N`).
     #[arg(long)]
     pub seed: Option<u64>,
@@ -109,8 +157,9 @@ pub(crate) struct SourceArgs {
 
 impl SourceArgs {
     pub(crate) fn load(&self, tasks: &Tasks, name: Option<&str>) -> Result<Config, ConfigureError> {
-        let Self { config, set, seed, runs } = self.clone();
-        let source = ConfigSource { file: None, set, seed, runs, name: name.map(str::to_owned) };
+        let Self { config, set, steps, seed, runs } = self.clone();
+        let name = name.map(str::to_owned);
+        let source = ConfigSource { file: None, set, seed, steps, runs, name };
         tasks.configure(config.as_deref(), source)
     }
 }
@@ -134,7 +183,7 @@ pub(crate) struct RunChoice {
 #[derive(Clone, Debug, Args)]
 pub(crate) struct SmokeArgs {
     /// Check the mechanics only, in seconds; says nothing about what is learned.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "steps")]
     pub quick: bool,
     /// What to train on.
     #[arg(long, default_value = "lander")]
@@ -145,11 +194,21 @@ pub(crate) struct SmokeArgs {
     /// Episodes per evaluated policy (default: the configuration's; 10 with --quick).
     #[arg(long, value_parser = n_episodes())]
     pub episodes: Option<u32>,
-    /// Print the results as JSON.
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    pub shown: ShownArgs,
     #[command(flatten)]
     pub source: SourceArgs,
+}
+
+/// How a comparison of players is printed.
+#[derive(Clone, Copy, Debug, Args)]
+pub(crate) struct ShownArgs {
+    /// Show every measure, not only the main ones.
+    #[arg(long)]
+    pub all: bool,
+    /// Print the results as JSON, every measure included.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `leadtime up`
@@ -206,6 +265,9 @@ pub(crate) struct ActorArgs {
     /// Stop when standard input closes: whoever started this process holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
+    /// Print what it did as JSON.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `leadtime eval`
@@ -222,12 +284,6 @@ pub(crate) struct EvalArgs {
     /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE", requires = "transcript")]
     pub words: Option<String>,
-    /// Seed of the evaluation's random streams; not the one of training.
-    #[arg(long, default_value_t = 1_000_000)]
-    pub eval_seed: u64,
-    /// How the policy chooses (default: the configuration's).
-    #[arg(long, value_parser = action())]
-    pub action: Option<Choice>,
     /// Also evaluate this scripted policy, such as `unaided` or `heuristic`; repeatable.
     #[arg(long, value_name = "NAME")]
     pub baseline: Vec<String>,
@@ -238,19 +294,31 @@ pub(crate) struct EvalArgs {
     /// Also compare the policy with the others in this measure, such as `steps_to_deliver`; repeatable.
     #[arg(long, value_name = "NAME", conflicts_with = "transcript")]
     pub measure: Vec<String>,
-    /// Change one key of the task: `--set human.reaction_delay={fixed=3}`; repeatable.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
-    pub set: Vec<Override>,
-    /// Evaluate once with each of these values: `--each 'human.reaction_delay=[{fixed=0}, {fixed=2}]'`.
+    /// Evaluate once with each of these values: `--each 'human.reaction_delay=[0, 2]'`.
     #[arg(long, value_name = "KEY=[VALUES]", value_parser = Alternatives::parse)]
     #[arg(conflicts_with = "transcript")]
     pub each: Option<Alternatives>,
+    #[command(flatten)]
+    pub acting: ActingArgs,
+    #[command(flatten)]
+    pub shown: ShownArgs,
+}
+
+/// How a policy acts in an evaluation, and in which task.
+#[derive(Debug, Args)]
+pub(crate) struct ActingArgs {
+    /// Seed of the episodes; not the one of training.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub eval_seed: u64,
+    /// How the policy chooses (default: the configuration's).
+    #[arg(long, value_parser = action())]
+    pub action: Option<Choice>,
+    /// Change one key of the task: `--set human.reaction_delay=3`; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,
-    /// Print the results as JSON.
-    #[arg(long)]
-    pub json: bool,
 }
 
 /// `leadtime probe`
@@ -261,19 +329,8 @@ pub(crate) struct ProbeArgs {
     /// Episodes; the probe is fitted on the first half and scored on the other.
     #[arg(long, default_value_t = 400, value_parser = n_episodes())]
     pub episodes: u32,
-    /// Seed of the evaluation's random streams; another than in training.
-    #[arg(long, default_value_t = 1_000_000)]
-    pub eval_seed: u64,
-    /// How the policy chooses (default: the configuration's).
-    #[arg(long, value_parser = action())]
-    pub action: Option<Choice>,
-    /// Change one key of the task: `--set 'human.reaction_delay={uniform={low=0,high=5,drawn="per_episode"}}'`; may be
-    /// given again.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
-    pub set: Vec<Override>,
-    /// Directory that holds the runs.
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    pub runs: PathBuf,
+    #[command(flatten)]
+    pub acting: ActingArgs,
     /// Print the results as JSON.
     #[arg(long)]
     pub json: bool,
@@ -297,24 +354,14 @@ pub(crate) struct PlayArgs {
     /// The picture; its extension decides: png, svg, gif or html.
     #[arg(short, long, value_name = "FILE", default_value = "playthrough.png")]
     pub output: PathBuf,
-    /// Which episode.
-    #[arg(long, default_value_t = 1_000_000)]
-    pub eval_seed: u64,
     /// Quote these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE")]
     pub words: Option<String>,
     /// Draw this scripted policy instead, such as `unaided` or `heuristic`.
     #[arg(long, value_name = "NAME")]
     pub baseline: Option<String>,
-    /// How the policy chooses (default: the configuration's).
-    #[arg(long, value_parser = action())]
-    pub action: Option<Choice>,
-    /// Change one key of the task; repeatable.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
-    pub set: Vec<Override>,
-    /// Directory that holds the runs.
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    pub runs: PathBuf,
+    #[command(flatten)]
+    pub acting: ActingArgs,
 }
 
 /// `leadtime compare`
@@ -341,7 +388,7 @@ pub(crate) struct CompareArgs {
     #[arg(long, value_name = "A..B", value_parser = number_range)]
     pub seeds: Option<Range<u64>>,
     /// Environment steps of every training, instead of the study's or the profile's.
-    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "STEPS", value_parser = n_steps)]
     pub steps: Option<u64>,
     /// Evaluation episodes per training seed.
     #[arg(long, default_value_t = EPISODES, value_parser = n_episodes())]
@@ -362,7 +409,7 @@ pub(crate) struct CompareArgs {
     /// whole and as it is, is printed, and written only where --out says).
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// List the trainings and how far they are, and do nothing.
+    /// List the trainings, how far they are and how long they will take, and do nothing.
     #[arg(long)]
     pub plan: bool,
 }
@@ -453,6 +500,9 @@ pub(crate) struct RunsArgs {
     /// Print the results as JSON.
     #[arg(long, global = true)]
     pub json: bool,
+    /// Show every column, however wide the table becomes.
+    #[arg(long, global = true)]
+    pub all: bool,
 }
 
 /// `leadtime runs ...`
@@ -485,7 +535,15 @@ pub(crate) struct CheckArgs {
 /// Reads `60s`, `2m` or `500ms`.
 fn duration(text: &str) -> Result<Duration, String> {
     let span = text.parse::<jiff::SignedDuration>().and_then(Duration::try_from);
-    span.map_err(|error| format!("{error}; write 60s or 2m"))
+    span.map_err(|_unspecific| "write a number with its unit: 60s or 2m".to_owned())
+}
+
+/// Reads a number of steps: `200000` or `1e6`.
+fn n_steps(text: &str) -> Result<u64, String> {
+    let number = text.parse::<f64>().ok().filter(|x| x.fract() == 0.0 && (1.0..=1e15).contains(x));
+    number
+        .map(|x| x as u64)
+        .ok_or_else(|| "write a whole number of steps: 200000 or 1e6".to_owned())
 }
 
 /// Reads how a policy chooses.
@@ -526,11 +584,10 @@ fn number_range(text: &str) -> Result<Range<u64>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory as _;
 
     #[test]
     fn the_command_line_is_sound() {
-        Cli::command().debug_assert();
+        Cli::documented().debug_assert();
     }
 
     #[test]
@@ -539,6 +596,8 @@ mod tests {
         assert_eq!(number_range("7..1000007"), Ok(7..1_000_007));
         assert!(["5..5", "5", "7..1000008"].iter().all(|text| number_range(text).is_err()));
         assert_eq!(duration("2m"), Ok(Duration::from_mins(2)));
-        assert!(duration("-1s").is_err());
+        assert!(["-1s", "6"].iter().all(|text| duration(text).is_err()));
+        assert_eq!([n_steps("1e6"), n_steps("512")], [Ok(1_000_000), Ok(512)]);
+        assert!(["1.5", "0", "-1", "many"].iter().all(|text| n_steps(text).is_err()));
     }
 }

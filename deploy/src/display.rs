@@ -2,72 +2,66 @@
 
 use std::time::{Duration, Instant};
 
-use indicatif::ProgressBar;
 use leadtime_learner::UpdateProgress;
+use leadtime_proto::phrase::{counted, duration, time_left};
+use leadtime_table::fitted;
 
-use crate::logging;
+use crate::{logging, terminal};
 
-/// Pause between two plain lines.
+/// Pause between two plain lines, and between two states of the bar.
 const LINE_EVERY: Duration = Duration::from_secs(5);
+const BAR_EVERY: Duration = Duration::from_millis(100);
 
 /// Shows how far a run has come.
 #[derive(Debug)]
-pub(crate) enum Display {
-    /// A bar, on a terminal.
-    Bar(ProgressBar),
-    /// Lines, anywhere else; with the time of the last one.
-    Lines(Option<Instant>),
+pub(crate) struct Display {
+    is_bar: bool,
+    last: Option<Instant>,
+    /// Where this process took the run up, and when: what a predecessor did took no time of this one.
+    began: Option<(u64, Instant)>,
 }
 
 impl Display {
     /// Chooses by where standard error goes.
     pub(crate) fn new() -> Self {
-        // The message gives way where the terminal is narrow.
-        let template = "{bar:24} {pos}/{len} updates  {wide_msg} {elapsed}, {eta} left";
-        logging::bar(template).map_or(Self::Lines(None), Self::Bar)
+        Self { is_bar: terminal::is_watched() && logging::is_chatty(), last: None, began: None }
     }
 
     /// Shows one update.
     pub(crate) fn update(&mut self, progress: &UpdateProgress) {
-        match self {
-            Self::Bar(bar) => {
-                if bar.position() == 0 {
-                    // What a predecessor did took no time of this process.
-                    bar.set_position(progress.n_updates.saturating_sub(1));
-                    bar.reset_eta();
-                }
-                bar.set_length(progress.n_updates_total);
-                bar.set_position(progress.n_updates);
-                bar.set_message(summary(progress));
-            }
-            Self::Lines(last) => {
-                let due = last.is_none_or(|at| at.elapsed() >= LINE_EVERY);
-                if due || progress.n_updates == progress.n_updates_total {
-                    *last = Some(Instant::now());
-                    let (n, total) = (progress.n_updates, progress.n_updates_total);
-                    tracing::info!("update {n}/{total}  {}", summary(progress));
-                }
-            }
+        let (n, total) = (progress.n_updates, progress.n_updates_total);
+        let (first, since) = *self.began.get_or_insert((n, Instant::now()));
+        let every = if self.is_bar { BAR_EVERY } else { LINE_EVERY };
+        if n != total && self.last.is_some_and(|at| at.elapsed() < every) {
+            return;
         }
-    }
-
-    /// Removes the bar.
-    pub(crate) fn finish(&mut self) {
-        if let Self::Bar(bar) = self {
-            bar.finish_and_clear();
+        self.last = Some(Instant::now());
+        let left = time_left(since.elapsed(), n.saturating_sub(first), total.saturating_sub(n));
+        if self.is_bar {
+            terminal::show_bar(n as f64 / total as f64, |room| summary(progress, left, room));
+        } else {
+            tracing::info!("{}", summary(progress, left, usize::MAX));
         }
     }
 }
 
-fn summary(progress: &UpdateProgress) -> String {
-    let mut parts = vec![format!("{} steps", progress.n_steps)];
-    if let Some(success) = progress.episodes.success {
-        parts.push(format!("success {success:.2}"));
+impl Drop for Display {
+    fn drop(&mut self) {
+        terminal::hide_bar();
     }
-    if let Some(episode_return) = progress.episodes.episode_return {
-        parts.push(format!("return {episode_return:.1}"));
-    }
-    parts.push(format!("{:.0} steps/s", progress.steps_per_second));
-    parts.push(format!("{} actors", progress.n_actors));
-    parts.join("  ")
+}
+
+/// Says how far a run is, in at most `width` characters: the last parts give way first.
+fn summary(progress: &UpdateProgress, left: Option<Duration>, width: usize) -> String {
+    let UpdateProgress { n_updates, n_updates_total, episodes, .. } = progress;
+    let parts = [
+        Some(format!("{n_updates}/{n_updates_total} updates")),
+        left.filter(|_| n_updates < n_updates_total).map(|left| format!("{} left", duration(left))),
+        episodes.success.map(|success| format!("success {success:.2}")),
+        episodes.episode_return.map(|total| format!("return {total:.1}")),
+        Some(format!("{:.0} steps/s", progress.steps_per_second)),
+        Some(counted(progress.n_actors, "actor")),
+        Some(counted(progress.n_steps, "step")),
+    ];
+    fitted(parts.into_iter().flatten(), width)
 }

@@ -25,7 +25,7 @@ pub(crate) enum ExitCode {
 pub(crate) const EXIT_CODE_HELP: &str = "Exit codes:\n  \
     0    done\n  \
     1    a bug in the program, or a failed check\n  \
-    2    unusable input or output: arguments, configuration, files, directories, addresses\n  \
+    2    unusable input or output: arguments, configuration, files, addresses\n  \
     3    a peer or the network is unreachable, was lost, or rejected us\n  \
     130  interrupted (Ctrl-C, SIGTERM, SIGHUP, supervisor gone)";
 

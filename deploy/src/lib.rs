@@ -26,6 +26,7 @@ mod output;
 mod program;
 mod shutdown;
 mod sink;
+mod terminal;
 mod threads;
 
 pub use program::Program;

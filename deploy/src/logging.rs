@@ -1,27 +1,28 @@
-//! Logging: tracing events on standard error, above a progress bar if there is one.
+//! Logging: tracing events on standard error.
 
 use std::env::{self, VarError};
-use std::io::{self, IsTerminal as _, Write};
-use std::sync::OnceLock;
+use std::fmt;
+use std::io::{self, Write};
 
-use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use leadtime_runs::clock;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::time::FormatTime;
 
 use crate::exit::Failure;
+use crate::terminal;
 
 /// The variable that says what to log.
 const VARIABLE: &str = "RUST_LOG";
 
-/// The bars of this process; log lines are written above them.
-static BARS: OnceLock<MultiProgress> = OnceLock::new();
-
 /// Starts logging at `level` (`info`, `warn`) unless `RUST_LOG` says otherwise; refuses what is not a filter.
 pub(crate) fn start(level: &str) -> Result<(), Failure> {
-    let colour = io::stderr().is_terminal() && env::var_os("NO_COLOR").is_none();
+    let colour = terminal::is_watched() && env::var_os("NO_COLOR").is_none();
     let started = tracing_subscriber::fmt()
         .with_env_filter(filter(level, env::var(VARIABLE))?)
-        .with_writer(AboveBars)
+        .with_writer(Terminal)
+        .with_timer(TimeStamp)
         .with_ansi(colour)
         .with_target(false)
         .try_init();
@@ -43,22 +44,26 @@ fn filter(level: &str, wanted: Result<String, VarError>) -> Result<EnvFilter, Fa
     }
 }
 
-/// Makes a bar for a person who watches; `None` where standard error is no terminal.
-pub(crate) fn bar(template: &str) -> Option<ProgressBar> {
-    let style =
-        || ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    io::stderr().is_terminal().then(|| bars().add(ProgressBar::new(0).with_style(style())))
+/// Writes the time of day for a person who watches, the date and time where they read it later.
+#[derive(Clone, Copy, Debug)]
+struct TimeStamp;
+
+impl FormatTime for TimeStamp {
+    fn format_time(&self, out: &mut Writer<'_>) -> fmt::Result {
+        out.write_str(&if terminal::is_watched() { clock::time_of_day() } else { clock::utc_now() })
+    }
 }
 
-fn bars() -> &'static MultiProgress {
-    BARS.get_or_init(MultiProgress::new)
+/// Tells whether a person wants to hear more than warnings and results.
+pub(crate) fn is_chatty() -> bool {
+    tracing::enabled!(tracing::Level::INFO)
 }
 
 /// Writes to standard error; a line that cannot be written, on a full disk for one, is dropped and ends nothing.
 #[derive(Clone, Copy, Debug)]
-struct AboveBars;
+struct Terminal;
 
-impl<'a> MakeWriter<'a> for AboveBars {
+impl<'a> MakeWriter<'a> for Terminal {
     type Writer = Self;
 
     fn make_writer(&'a self) -> Self {
@@ -66,15 +71,10 @@ impl<'a> MakeWriter<'a> for AboveBars {
     }
 }
 
-impl Write for AboveBars {
+impl Write for Terminal {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        // No error is returned: the subscriber would answer it with `eprintln!`, which panics for the same reason. And
-        // not `suspend`, which panics where the terminal is gone.
-        drop(if bars().is_hidden() {
-            io::stderr().lock().write_all(bytes)
-        } else {
-            bars().println(String::from_utf8_lossy(bytes).trim_end_matches('\n'))
-        });
+        // No error is returned: the subscriber would answer it with `eprintln!`, which panics for the same reason.
+        terminal::print(&String::from_utf8_lossy(bytes));
         Ok(bytes.len())
     }
 

@@ -11,11 +11,15 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use anyhow::Context as _;
-use leadtime_proto::text::own_message;
-use leadtime_runs::write_atomically;
+use leadtime_proto::text::{own_message, shell_word};
+use leadtime_runs::{journal, write_atomically};
 use serde::Serialize;
 
 use crate::exit::Failure;
+use crate::{logging, terminal};
+
+/// Characters of a line of a table: those of a usual terminal.
+pub(crate) const WIDTH: usize = 80;
 
 /// The first failure to write to standard output.
 static FAILED: OnceLock<io::Error> = OnceLock::new();
@@ -54,7 +58,38 @@ pub(crate) fn finish() -> Result<(), Failure> {
 
 /// Writes a line to standard error, whatever `RUST_LOG` says.
 pub(crate) fn say(text: &str) {
-    drop(writeln!(io::stderr().lock(), "{text}"));
+    terminal::print(text);
+}
+
+/// Writes a line to standard error unless only warnings and results are wanted.
+pub(crate) fn note(text: &str) {
+    if logging::is_chatty() {
+        say(text);
+    }
+}
+
+/// A command about a policy that can be typed next, with `POLICY` for it, and what it does.
+type Hint = (&'static str, &'static str);
+pub(crate) const EVALUATE: Hint = ("eval POLICY", "evaluate it over many episodes, with intervals");
+pub(crate) const DRAW: Hint = ("play POLICY -o episode.png", "draw an episode of it");
+pub(crate) const DRAW_MORE: Hint = ("play POLICY --eval-seed 2 -o other.png", "draw another one");
+pub(crate) const HEAR: Hint = ("eval POLICY --transcript", "print an episode as it is heard");
+
+/// Says what can be done next with a policy, or with a run's.
+pub(crate) fn next(policy: &Path, hints: &[Hint]) {
+    let word = |word: &str| if word == "POLICY" { policy.into() } else { word.into() };
+    let line = |(command, does): &Hint| {
+        format!("\n  {}\n      {does}", command_line(command.split(' ').map(word)))
+    };
+    note(&format!("\nNext:{}", hints.iter().map(line).collect::<String>()));
+}
+
+/// Says how a run goes on that was stopped: `command` is `up` or `learner`, with options of its own.
+pub(crate) fn next_resumes(command: &str, run: &Path, name: &str, options: &[String]) {
+    let (n_updates, config) = (journal::last_update(run), run.join("config.toml"));
+    let mut args = vec![command.into(), "-c".into(), config.into(), "--name".into(), name.into()];
+    args.extend(options.iter().map(OsString::from));
+    note(&format!("\nTo go on from update {n_updates}:\n  {}", command_line(args)));
 }
 
 /// Writes an error as the last line of a command.
@@ -63,24 +98,7 @@ pub(crate) fn error(error: &impl Display) {
 }
 
 /// Writes a command with its arguments so that a shell reads the same ones.
-pub(crate) fn command_line(args: impl Iterator<Item = OsString>) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-+=.,:/@%".contains(c);
-    let quoted = args.map(|arg| {
-        let arg = arg.to_string_lossy();
-        let plain = !arg.is_empty() && arg.chars().all(is_plain);
-        if plain { arg.into_owned() } else { format!("'{}'", arg.replace('\'', r"'\''")) }
-    });
-    std::iter::once("leadtime".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_shell_reads_a_command_back() {
-        let args = ["eval", "it's", "--set=human.d={fixed=3}", "", "a b"];
-        let command = command_line(args.into_iter().map(OsString::from));
-        assert_eq!(command, r"leadtime eval 'it'\''s' '--set=human.d={fixed=3}' '' 'a b'");
-    }
+pub(crate) fn command_line(args: impl IntoIterator<Item = OsString>) -> String {
+    let args = args.into_iter().map(|arg| shell_word(&arg.to_string_lossy()));
+    std::iter::once("leadtime".to_owned()).chain(args).collect::<Vec<_>>().join(" ")
 }

@@ -1,8 +1,8 @@
 //! The program as a value: what it can train on, and one door into it.
 
-use std::process;
+use std::{env, process};
 
-use clap::Parser as _;
+use clap::error::{ContextKind, ContextValue};
 use leadtime_proto::text::printable;
 use leadtime_runs::Tasks;
 use leadtime_sims::{Environment, TaskError};
@@ -52,9 +52,9 @@ impl Program {
     pub fn run(self) -> process::ExitCode {
         crash::end_on_panic();
         threads::pin();
-        let done = match Cli::try_parse() {
-            Ok(cli) => commands::dispatch(&self.tasks, cli.command),
-            Err(answer) => refuse(&answer),
+        let done = match Cli::read() {
+            Ok(cli) => commands::dispatch(&self.tasks, cli),
+            Err(answer) => refuse(&answer, &self.tasks),
         };
         // The command's own failure says more than one to write its output.
         let written = output::finish();
@@ -65,8 +65,23 @@ impl Program {
     }
 }
 
+/// Finds the setting that an unknown option was meant for: `learner.learning_rate=1e-4` for `--learning-rate 1e-4`.
+fn meant_setting(
+    answer: &clap::Error,
+    tasks: &Tasks,
+    args: impl Iterator<Item = String>,
+) -> Option<String> {
+    let ContextValue::String(option) = answer.get(ContextKind::InvalidArg)? else { return None };
+    let name = option.trim_start_matches('-').split('=').next()?.replace('-', "_");
+    let key = tasks.catalog.key(&name)?;
+    let mut given = args.skip_while(|arg| arg.split('=').next() != option.split('=').next());
+    let here = given.next()?;
+    let value = here.split_once('=').map(|(_, value)| value.to_owned()).or_else(|| given.next());
+    Some(format!("{key}={}", value.unwrap_or_else(|| "VALUE".to_owned())))
+}
+
 /// Prints what the command line is answered with instead of a command: help, version, or what is wrong with it.
-fn refuse(answer: &clap::Error) -> Result<(), Failure> {
+fn refuse(answer: &clap::Error, tasks: &Tasks) -> Result<(), Failure> {
     if !answer.use_stderr() {
         output::keep(answer.print());
         return Ok(());
@@ -75,6 +90,10 @@ fn refuse(answer: &clap::Error) -> Result<(), Failure> {
     // It quotes what was typed.
     if printable(&text) != text.trim_end() || answer.print().is_err() {
         output::say(&printable(&text));
+    }
+    let args = env::args_os().map(|arg| arg.to_string_lossy().into_owned());
+    if let Some(setting) = meant_setting(answer, tasks, args) {
+        output::say(&format!("\n  tip: settings are changed by '--set {}'", printable(&setting)));
     }
     Err(Failure::silent(ExitCode::WrongInput))
 }

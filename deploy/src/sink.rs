@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use leadtime_learner::{ProgressSink, RatedPolicy, RunEvent, UpdateProgress};
+use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, info, warn};
@@ -68,12 +69,6 @@ impl ProgressSink for RunSink {
     }
 }
 
-impl Drop for RunSink {
-    fn drop(&mut self) {
-        self.display.finish();
-    }
-}
-
 fn log(event: &RunEvent) {
     use RunEvent::{
         ActorJoined, ActorLeft, Assigned, CheckpointDamaged, CheckpointWritten, CutOff, Distrusted,
@@ -82,12 +77,17 @@ fn log(event: &RunEvent) {
     };
     match event {
         Listening { locators } => info!(at = %locators.join(", "), "listening"),
-        Resumed { path, n_updates } => info!(n_updates, checkpoint = %path.display(), "resumed"),
+        Resumed { path, n_updates } => info!("resumed from update {n_updates}: {}", path.display()),
         CheckpointDamaged { path, damage } => {
             warn!(checkpoint = %path.display(), "a checkpoint cannot be used: {damage}; taking the one before");
         }
-        ActorJoined { actor, n_actors } => info!(%actor, n_actors, "actor joined"),
-        ActorLeft { actor, n_actors, n_envs } => info!(%actor, n_actors, n_envs, "actor left"),
+        ActorJoined { actor, n_actors } => {
+            info!("actor joined: {actor} ({})", counted(n_actors, "actor"));
+        }
+        ActorLeft { actor, n_actors, n_envs } => {
+            let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
+            info!("actor left: {actor}, which had {envs} ({actors} now)");
+        }
         WaitingForActors { n_actors, n_needed } => {
             info!("waiting for actors: {n_actors} of {n_needed}");
         }
@@ -96,7 +96,7 @@ fn log(event: &RunEvent) {
         }
         Refused { actor, cause, reason } => {
             let actor = actor.as_ref().map_or("unknown", |actor| actor.as_str());
-            warn!(actor, ?cause, "message refused: {reason}");
+            warn!(actor, %cause, "message refused: {reason}");
         }
         CutOff { actor, reason, .. } => warn!(%actor, "actor cut off: {reason}"),
         OtherBuild { actor, build } => {
@@ -106,15 +106,16 @@ fn log(event: &RunEvent) {
             warn!(who, program, cpu, "{told}: the run is not reproducible bit for bit");
         }
         WaitingForRollouts { actor, n_envs, waited } => {
-            let (envs, s) = (format!("{n_envs} environments"), waited.as_secs());
-            warn!("waiting for rollouts of actor {actor} ({envs}) for {s} s");
+            let (envs, time) = (counted(n_envs, "environment"), duration(*waited));
+            warn!("waiting for rollouts of actor {actor} ({envs}) for {time}");
         }
         Distrusted { actor, reason } => {
             warn!(%actor, "the other actors take environments over from this one: {reason}");
         }
         TooManyActors { n_actors, n_envs } => {
             let idle = "some have nothing to do (see learner.n_envs)";
-            warn!("{n_actors} actors for {n_envs} environments: {idle}");
+            let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
+            warn!("{actors} for {envs}: {idle}");
         }
         SnapshotRefused { actor, env_id } => {
             warn!(%actor, %env_id, "the actor cannot restore the environment from its snapshot");

@@ -57,6 +57,20 @@ fn a_configuration_that_cannot_be_is_told_by_key_and_line() {
 }
 
 #[test]
+fn what_was_meant_is_guessed() {
+    let place = Place::new();
+    refused(&place, &["trian -c cartpole"], &["'train'"]);
+    refused(
+        &place,
+        &["up -c cartpole --learning-rate 1e-4"],
+        &["--set learner.learning_rate=1e-4"],
+    );
+    let unit = ["write a number with its unit: 60s or 2m"];
+    refused(&place, &["check --connect 127.0.0.1:1 --connect-timeout 6"], &unit);
+    refused(&place, &["check -c cartpole --steps 1.5"], &["a whole number of steps"]);
+}
+
+#[test]
 fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
     let place = Place::new();
     let check = |set: &str, texts: &[&str]| {
@@ -211,7 +225,7 @@ fn a_second_fork_is_refused_and_a_fork_says_what_it_began_with() {
     let digest = record["origin"]["weights_sha256"].as_str().unwrap().to_owned();
     assert_eq!(record["origin"]["run"], "fa");
     assert!(weights(&first).ends_with(&digest), "{record}");
-    let listed = place.finish(&["runs"]).with_code(0).stdout;
+    let listed = place.finish(&["runs --all"]).with_code(0).stdout;
     assert!(listed.contains(&format!("fa {}", &digest[..12])), "{listed}");
     let report = fs::read_to_string(place.run("fc").join("report.html")).unwrap();
     assert!(report.contains(&digest), "the report names the starting weights");

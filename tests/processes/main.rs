@@ -5,6 +5,7 @@
 //! | `program` | what the commands print, draw and keep |
 //! | `bad_input` | wrong input is one sentence and a documented exit code |
 //! | `compare` | a study becomes its tables, also when it is killed on the way |
+//! | `help` | help fits a terminal, and its examples are read; so do lists of runs; the next command is said and works |
 //! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
 //! | `resilience` | killing anything changes no bit; the books balance |
 //! | `streams` | output that cannot be written, limits, names that are not text: a sentence, and nothing is lost |
@@ -18,6 +19,7 @@
 
 mod bad_input;
 mod compare;
+mod help;
 mod probe;
 mod program;
 mod resilience;

@@ -149,7 +149,7 @@ fn a_trained_policy_can_be_evaluated_and_runs_compared() {
 fn a_comparison_shows_whether_the_weights_are_equal() {
     let place = trained();
     place.finish(&[&TRAIN.replace("--name r", "--name s")]).with_code(0);
-    let compared = place.finish(&["runs compare r s"]).with_code(0).stdout;
+    let compared = place.finish(&["runs compare r s --all"]).with_code(0).stdout;
     let digest = result(&place.run("r"))["weights_sha256"].as_str().unwrap().to_owned();
     assert!(compared.ends_with("weights: equal\n"), "{compared}");
     assert_eq!(compared.matches(&digest[..12]).count(), 2, "{compared}");

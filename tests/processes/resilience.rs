@@ -167,7 +167,10 @@ fn a_closed_terminal_leaves_a_checkpoint_and_does_not_end_what_was_to_outlive_it
     let helper = actor(&place, "b");
     wait_for_updates(&place.run("r"), n_updates + 3);
     signal("INT", second.id());
-    second.finish(PATIENCE).with_code(130).saying(&["resumed", &format!("n_updates={n_updates}")]);
+    second
+        .finish(PATIENCE)
+        .with_code(130)
+        .saying(&["resumed", &format!("from update {n_updates}:")]);
     helper.finish(PATIENCE);
     let journal = journal(&place.run("r"));
     assert!(journal.iter().copied().eq(1..=journal.len() as u64), "every update is there once");

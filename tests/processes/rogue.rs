@@ -38,7 +38,7 @@ fn learner(place: &Place, extra: &str) -> Running {
 }
 
 fn honest(place: &Place) -> Running {
-    place.start(&["actor --id honest --connect", &place.endpoint("learner")])
+    place.start(&["actor --json --id honest --connect", &place.endpoint("learner")])
 }
 
 /// An actor without a conscience.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use leadtime_proto::text::quoted;
+use toml::{Table, Value};
 
 use crate::edit::edited;
 use crate::error::{ConfigError, ensure};
@@ -51,6 +52,17 @@ impl Catalog {
     /// Lists the names.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.texts.keys().map(String::as_str)
+    }
+
+    /// Finds the full key of a setting by its last part: `learner.learning_rate` for `learning_rate`.
+    pub fn key(&self, name: &str) -> Option<String> {
+        let texts = std::iter::once(GENERAL_TEXT).chain(self.texts.values().map(String::as_str));
+        let holds = |(section, keys): (String, Value)| {
+            let is_there = keys.as_table().is_some_and(|keys| keys.contains_key(name));
+            is_there.then(|| format!("{section}.{name}"))
+        };
+        let mut tables = texts.filter_map(|text| text.parse::<Table>().ok());
+        tables.find_map(|table| table.into_iter().find_map(holds))
     }
 
     /// Returns a configuration as it is written, to be read like a person's file.

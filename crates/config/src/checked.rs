@@ -9,6 +9,7 @@ use leadtime_learner::checkpoint::{MAX_PAYLOAD_BYTES, max_payload_bytes};
 use leadtime_policy::parameters;
 use leadtime_ppo::LearnerSettings;
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
+use leadtime_proto::phrase::{counted, nearest};
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
 use leadtime_sims::{Description, Environment, Registry, notifier};
 use toml::Table;
@@ -16,6 +17,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::catalog::{Catalog, GENERAL, GENERAL_TEXT};
 use crate::error::{ConfigError, ensure, within};
+use crate::identity::TOTAL_STEPS;
 use crate::layers::{Layer, Layers};
 use crate::overrides::Override;
 use crate::sections::{self, SECTIONS};
@@ -37,6 +39,8 @@ pub struct ConfigSource {
     pub set: Vec<Override>,
     /// Seed of every random stream.
     pub seed: Option<u64>,
+    /// Environment steps of the whole run.
+    pub steps: Option<u64>,
     /// Directory that holds the runs.
     pub runs: Option<PathBuf>,
     /// Name of the run.
@@ -109,10 +113,11 @@ impl Config {
         let file = source.file.clone().unwrap_or_else(|| Layer::text("", ""));
         let mut layers = catalog.with_bases(&file)?;
         layers.extend(source.set.iter().map(Layer::set));
-        if let Some(seed) = source.seed {
-            let given = i64::try_from(seed);
-            ensure(given.is_ok(), "--seed", seed, format!("0 to {}", i64::MAX))?;
-            layers.push(Layer::option("--seed", &Override::new("seed", seed as i64)));
+        let numbers = [("--seed", "seed", source.seed), ("--steps", TOTAL_STEPS, source.steps)];
+        for (option, key, number) in numbers {
+            let Some(number) = number else { continue };
+            ensure(i64::try_from(number).is_ok(), option, number, format!("0 to {}", i64::MAX))?;
+            layers.push(Layer::option(option, &Override::new(key, number as i64)));
         }
         if let Some(name) = &source.name {
             layers.push(Layer::option("--name", &Override::new("run.name", name.as_str())));
@@ -225,31 +230,41 @@ impl Config {
         self.learner.n_envs as u64 * self.learner.n_steps as u64
     }
 
-    /// Lists what is done otherwise than written.
-    pub fn notices(&self) -> Vec<String> {
+    /// Says how many steps are trained where they are not the ones that are written, because an update takes a whole batch.
+    pub fn rounded_steps(&self) -> Option<String> {
         let (steps, batch) = (self.learner.total_steps, self.steps_per_update());
+        let which = if steps < batch { "up" } else { "down" };
+        let (n_updates, trained) = (self.learner.n_updates(), self.learner.n_updates() * batch);
+        let updates = counted(n_updates, "update");
         let rounded =
-            format!("`learner.total_steps` is {steps}; rounded up to {batch}, one update");
-        if steps < batch { vec![rounded] } else { Vec::new() }
+            format!("steps rounded {which} from {steps} to {trained}: {updates} of {batch}");
+        (trained != steps).then_some(rounded)
     }
 }
 
-/// Refuses an unknown top-level key, and finds the section that a key without one was meant for.
+/// Refuses an unknown top-level key, and finds the section, or the section's key, that was meant.
 fn known_keys(layers: &Layers<'_>) -> Result<(), ConfigError> {
     const KEYS: [&str; 7] = ["domain", "seed", "run", "policy", "learner", "actor", "evaluation"];
-    let known = || KEYS.into_iter().chain(SECTIONS);
-    let key = layers.table.keys().find(|key| !known().any(|known| known == key.get_ref()));
-    let Some(key) = key else { return Ok(()) };
-    let name = key.get_ref().as_ref();
-    let holds = |section: &&str| {
-        let section = layers.table.get(*section).and_then(|value| value.get_ref().as_table());
-        section.is_some_and(|section| section.contains_key(name))
+    let known: Vec<&str> = KEYS.into_iter().chain(SECTIONS).collect();
+    let Some(key) = layers.table.keys().find(|key| !known.contains(&key.get_ref().as_ref())) else {
+        return Ok(());
     };
-    let meant = known().find(holds).map(|section| format!("; did you mean `{section}.{name}`?"));
-    let known = known().map(|key| format!("`{key}`")).collect::<Vec<_>>().join(", ");
-    let meant = meant.unwrap_or_default();
-    let message = format!("unknown field `{name}`, expected one of {known}{meant}");
-    Err(layers.refuse(Some(key.span()), &message))
+    let name = key.get_ref().as_ref();
+    let section = |name: &str| layers.table.get(name).and_then(|value| value.get_ref().as_table());
+    let keys = |section: &'_ DeTable<'_>| section.keys().map(ToString::to_string).collect();
+    let mut meant: Vec<[String; 2]> =
+        known.iter().map(|name| [*name; 2].map(str::to_owned)).collect();
+    for section_name in &known {
+        let keys: Vec<String> = section(section_name).map_or_else(Vec::new, keys);
+        meant.extend(keys.into_iter().map(|key| [format!("{section_name}.{key}"), key]));
+    }
+    let near = nearest(name, meant.iter().map(|[_, last]| last.as_str()));
+    let near = near.and_then(|near| meant.iter().find(|[_, last]| last == near));
+    let hint = match near {
+        Some([full, _]) => format!("; did you mean `{full}`?"),
+        None => format!(", expected one of `{}`", known.join("`, `")),
+    };
+    Err(layers.refuse(Some(key.span()), &format!("unknown field `{name}`{hint}")))
 }
 
 fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {

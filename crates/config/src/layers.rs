@@ -11,8 +11,9 @@ use std::ops::Range;
 
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
-use toml::{Spanned, Table};
+use toml::{Spanned, Table, Value};
 
+use leadtime_proto::phrase::did_you_mean;
 use leadtime_proto::text::{escaped, printable, quoted};
 
 use crate::error::{ConfigError, ensure};
@@ -110,8 +111,8 @@ impl<'a> Layers<'a> {
     pub(crate) fn merge(layers: &'a mut [Layer]) -> Result<Self, ConfigError> {
         let mut merged = Self { layers: Vec::new(), table: DeTable::new() };
         for (i, layer) in layers.iter_mut().enumerate() {
-            if layer.change.as_ref().is_some_and(|change| merged.wants_fraction(change)) {
-                layer.text.push_str(".0");
+            if let Some(fitted) = layer.change.as_ref().and_then(|change| merged.fitted(change)) {
+                layer.text = fitted.to_string();
             }
             let layer: &'a Layer = layer;
             merged.layers.push(layer);
@@ -123,14 +124,19 @@ impl<'a> Layers<'a> {
         Ok(merged)
     }
 
-    /// Tells whether an option writes a whole number where the layers below hold a fraction.
-    fn wants_fraction(&self, change: &Override) -> bool {
-        let below = change.path.split_first().and_then(|(first, rest)| {
-            let first = self.table.get(first.as_str())?.get_ref();
-            let mut rest = rest.iter();
-            rest.try_fold(first, |at, part| Some(at.as_table()?.get(part.as_str())?.get_ref()))
-        });
-        change.value.is_integer() && below.is_some_and(DeValue::is_float)
+    /// Writes an option's number as the layers below do: `1` where they hold a fraction, `1e6` where a whole number.
+    fn fitted(&self, change: &Override) -> Option<Override> {
+        let (first, rest) = change.path.split_first()?;
+        let first = self.table.get(first.as_str())?.get_ref();
+        let mut rest = rest.iter();
+        let below =
+            rest.try_fold(first, |at, part| Some(at.as_table()?.get(part.as_str())?.get_ref()))?;
+        let value = match (&change.value, below) {
+            (Value::Integer(n), DeValue::Float(_)) => Value::Float(*n as f64),
+            (Value::Float(x), DeValue::Integer(_)) if is_whole(*x) => Value::Integer(*x as i64),
+            _ => return None,
+        };
+        Some(Override { path: change.path.clone(), value })
     }
 
     /// Lays one part of the result over another; refuses a list in place of a section.
@@ -147,7 +153,7 @@ impl<'a> Layers<'a> {
     /// written and what is allowed.
     pub(crate) fn read<T: DeserializeOwned>(&self, table: DeTable<'a>) -> Result<T, ConfigError> {
         T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
-            .map_err(|error: Error| self.refuse(error.span(), error.message()))
+            .map_err(|error: Error| self.refuse(error.span(), &shortened(error.message())))
     }
 
     /// Describes an error at a position of the result, in the layer where it was written.
@@ -176,6 +182,23 @@ pub(crate) fn word<'t>(table: &'t DeTable<'_>, key: &str) -> Result<Option<&'t s
     let Some(value) = table.get(key).map(Spanned::get_ref) else { return Ok(None) };
     ensure(value.is_str(), key, value.type_str(), "a name in quotes")?;
     Ok(value.as_str())
+}
+
+/// Tells whether a number is a whole one that no digit of was lost.
+fn is_whole(x: f64) -> bool {
+    x.fract() == 0.0 && x.abs() < 1e15
+}
+
+/// Asks whether the most similar name was meant, where a message about an unknown one lists all that are known.
+fn shortened(message: &str) -> String {
+    let mut names = message.split('`').skip(1).step_by(2);
+    match (message.starts_with("unknown "), names.next()) {
+        (true, Some(given)) => match did_you_mean(given, names) {
+            meant if meant.is_empty() => message.to_owned(),
+            meant => format!("{}{meant}", message.split(", expected").next().unwrap_or(message)),
+        },
+        _ => message.to_owned(),
+    }
 }
 
 fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Result<(), Refused> {

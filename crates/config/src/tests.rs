@@ -149,13 +149,16 @@ fn an_untrained_notifier_is_quiet_and_brief_as_asked() {
 fn what_is_wrong_is_reported_by_line_or_option_with_what_is_allowed() {
     let text = refused("domain = \"cartpole\"\n\n[learner]\nn_env = 8", &[], &[]);
     let expected = "configuration my.toml: TOML parse error at line 4, column 1\n  |\n4 | n_env = 8\n  | ^^^^^\n\
-                    unknown field `n_env`, expected one of `n_envs`";
+                    unknown field `n_env`; did you mean `n_envs`?";
     assert!(text.starts_with(expected), "{text}");
     for (text, parts) in [
         ("[human]\nrepeat = \"often\"", ["line 2", "restart"]),
         ("[learner]\nclip = \"much\"", ["line 2", "invalid type: string \"much\", expected f64"]),
         ("domain = \"cartpole\"\n[human]\ncan_stop = true", ["line 2", "unknown field `human`"]),
         ("\nlearning_rate = 1.0", ["line 2", "did you mean `learner.learning_rate`?"]),
+        ("\nlerning_rate = 1.0", ["line 2", "did you mean `learner.learning_rate`?"]),
+        ("\n[leaner]\nclip = 1.0", ["line 2", "did you mean `learner`?"]),
+        ("[learner]\nmode = \"sycn\"", ["line 2", "did you mean `sync`?"]),
         ("[evaluation.world]\n\nwnd = true", ["line 3", "unknown field `wnd`"]),
         ("[[[[", ["line 1", "[[[["]),
         // Numbers that no setting can have, wherever they hide.
@@ -247,10 +250,41 @@ fn no_snapshot_is_larger_than_the_bound_that_checkpoints_are_planned_with() {
 }
 
 #[test]
-fn fewer_steps_than_one_update_are_noticed() {
-    assert!(check("").unwrap().notices().is_empty());
-    let notices = check("domain = \"cartpole\"\nlearner.total_steps = 1").unwrap().notices();
-    assert_eq!(notices, ["`learner.total_steps` is 1; rounded up to 512, one update"]);
+fn steps_that_are_no_whole_updates_are_reported() {
+    let rounded = |steps: u64| {
+        let text = format!("domain = \"cartpole\"\nlearner.total_steps = {steps}");
+        check(&text).unwrap().rounded_steps()
+    };
+    assert_eq!(rounded(512), None);
+    let reported = |steps, how: &str| {
+        let expected = format!("steps rounded {how} of 512");
+        assert_eq!(rounded(steps), Some(expected));
+    };
+    reported(1, "up from 1 to 512: 1 update");
+    reported(1_500, "down from 1500 to 1024: 2 updates");
+}
+
+#[test]
+fn one_form_of_a_number_is_as_good_as_another() {
+    let load = |set: &[&str]| load("", set, &Catalog::built_in()).unwrap();
+    let same = |set: &[&str], long: &[&str]| {
+        let (config, long) = (load(set), load(long));
+        assert_eq!(config.table, long.table, "{set:?}");
+        assert_eq!(identity::of_run(&config.table), identity::of_run(&long.table));
+    };
+    same(&["human.reaction_delay=3"], &["human.reaction_delay={fixed=3}"]);
+    same(&["human.follow_through=3"], &["human.follow_through.fixed=3"]);
+    same(&["learner.total_steps=1e6"], &["learner.total_steps=1000000"]);
+    same(&["learner.clip=1"], &["learner.clip=1.0"]);
+    refused("", &["learner.total_steps=1.5"], &["--set learner.total_steps", "1.5"]);
+}
+
+#[test]
+fn a_setting_is_found_by_its_last_part() {
+    let catalog = Catalog::built_in();
+    assert_eq!(catalog.key("learning_rate").as_deref(), Some("learner.learning_rate"));
+    assert_eq!(catalog.key("reaction_delay").as_deref(), Some("human.reaction_delay"));
+    assert_eq!(catalog.key("sed"), None);
 }
 
 #[test]
@@ -261,6 +295,7 @@ fn the_command_line_has_the_last_word() {
         file: catalog.file("cartpole"),
         set: vec![set("learner.learning_rate=1"), set("world.max_steps=200")],
         seed: Some(7),
+        steps: Some(4096),
         runs: Some("elsewhere".into()),
         name: Some("mine".to_owned()),
     };
@@ -268,7 +303,8 @@ fn the_command_line_has_the_last_word() {
     assert_eq!(config.learner.learning_rate, 1.0);
     assert_eq!(config.table["learner"]["learning_rate"].to_string(), "1.0");
     assert_eq!(config.task.settings, r#"{"world":{"max_steps":200}}"#);
-    assert_eq!((config.seed, config.run.directory), (7, PathBuf::from("elsewhere")));
+    assert_eq!((config.seed, config.learner.total_steps), (7, 4096));
+    assert_eq!(config.run.directory, PathBuf::from("elsewhere"));
     assert_eq!(config.run.name.unwrap().as_str(), "mine");
     let seed = ConfigSource { seed: Some(1 << 63), ..source };
     let error = Config::load(&seed, &catalog, &leadtime_worlds::builtin()).unwrap_err().to_string();

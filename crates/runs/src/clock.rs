@@ -36,6 +36,11 @@ pub fn name_stamp() -> String {
     now().to_zoned(TimeZone::system()).strftime("%Y%m%d-%H%M%S").to_string()
 }
 
+/// Returns the local time of day, as a log on a terminal bears it: `12:00:00`.
+pub fn time_of_day() -> String {
+    now().to_zoned(TimeZone::system()).strftime("%H:%M:%S").to_string()
+}
+
 /// Draws the number that distinguishes this start of a process from every other: nanoseconds and process id.
 pub fn incarnation() -> Incarnation {
     let nanoseconds = now().as_nanosecond() as u64;

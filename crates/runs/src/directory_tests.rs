@@ -12,9 +12,9 @@ fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
     let source = ConfigSource {
         file: catalog.file("cartpole"),
         set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
-        seed: None,
         runs: Some(runs.to_owned()),
         name: name.map(str::to_owned),
+        ..ConfigSource::default()
     };
     Config::load(&source, &catalog, &leadtime_worlds::builtin()).unwrap()
 }

@@ -67,7 +67,7 @@ pub fn last_steps(run_directory: &Path) -> u64 {
 }
 
 /// Returns the number of a run's last update; 0 before the first.
-pub(crate) fn last_update(run_directory: &Path) -> u64 {
+pub fn last_update(run_directory: &Path) -> u64 {
     last(run_directory, "update").unwrap_or(0)
 }
 

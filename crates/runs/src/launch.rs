@@ -30,6 +30,8 @@ pub struct Launch<'a> {
     pub learner_stdout: bool,
     /// File that collects what the processes log, instead of standard error.
     pub stderr_log: Option<PathBuf>,
+    /// Further options of every process: how much it logs.
+    pub options: &'a [&'a str],
 }
 
 impl<'a> Launch<'a> {
@@ -43,6 +45,7 @@ impl<'a> Launch<'a> {
             stop_after: None,
             learner_stdout: false,
             stderr_log: None,
+            options: &[],
         }
     }
 }
@@ -127,6 +130,7 @@ fn plan(
     let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
     let mut learner = text(&["learner", "--supervised", "--name", reserved.name.as_str()]);
     learner.extend(text(&["--listen", &endpoint]));
+    learner.extend(text(launch.options));
     // Not through the file, and not as text: a path need not be text.
     let paths = [("-c", &*file), ("--scratch", scratch), ("--runs", &config.run.directory)];
     for (option, path) in paths.into_iter().chain(launch.fork.map(|fork| ("--fork", fork))) {
@@ -140,7 +144,8 @@ fn plan(
     }
     let actor = |number: u32| {
         let id = format!("actor-{number}");
-        text(&["actor", "--supervised", "--connect", &endpoint, "--id", &id])
+        let own = ["actor", "--supervised", "--connect", &endpoint, "--id", &id];
+        text(&[&own, launch.options].concat())
     };
     Ok(ProcessPlan {
         learner,

@@ -6,6 +6,7 @@
 //! recorder     what the learner reports, written down by journal (metrics.jsonl), tensorboard and policy_file
 //! launch       a learner and its actors as children  ->  supervise      watched until the last of them is gone
 //! scratch      the short-lived directory of a launch        tasks           what there is to train on
+//! find         a run by its name                            listing         all runs in a directory
 //! ```
 //!
 //! It knows no command line, prints nothing and decides no exit code: it returns what happened, and the program words
@@ -20,9 +21,11 @@ pub mod clock;
 pub mod digest;
 mod directory;
 mod directory_error;
+mod find;
 pub mod journal;
 pub mod launch;
 pub mod layout;
+mod listing;
 mod metrics;
 mod naming;
 pub mod policy_file;
@@ -36,8 +39,10 @@ mod tensorboard;
 pub use build::ProgramBuild;
 pub use directory::RunDir;
 pub use directory_error::RunDirError;
+pub use find::find_run;
 pub use layout::RunState;
 pub use leadtime_learner::write_atomically;
+pub use listing::ListedRun;
 pub use naming::Naming;
 pub use policy_file::{BEST_POLICY, LAST_POLICY, LoadedPolicy};
 pub use record::{ForkOrigin, RunRecord, RunResult};

@@ -15,6 +15,7 @@ use thiserror::Error;
 use crate::ForkOrigin;
 use crate::digest::{hex, sha256};
 use crate::directory_error::with_causes;
+use crate::find::did_you_mean_run;
 
 /// File of the newest policy in a run directory.
 pub const LAST_POLICY: &str = "policy.safetensors";
@@ -197,16 +198,30 @@ fn find(runs: &Path, name: &Path, files: [&str; 2]) -> Result<PathBuf, PolicyFil
     }
     let directories = [name.to_owned(), runs.join(name)];
     let mut paths = directories.iter().flat_map(|directory| files.map(|file| directory.join(file)));
-    let (name, runs) = (name.display(), runs.display());
     paths.find(|path| path.is_file()).ok_or_else(|| {
-        let sentence = format!("`{name}` is no policy file, and no run in {runs} with a policy");
-        PolicyFileError::NoPolicy(sentence)
+        let meant = did_you_mean_run(runs, name);
+        let (name, runs) = (name.display(), runs.display());
+        PolicyFileError::NoPolicy(format!(
+            "`{name}` is no policy file, and no run in {runs} with a policy{meant}"
+        ))
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_run_whose_name_is_misspelt_is_guessed() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::create_dir(dir.path().join("lander-1")).unwrap();
+        let says = |name: &str| {
+            let files = [BEST_POLICY, LAST_POLICY];
+            find(dir.path(), Path::new(name), files).unwrap_err().to_string()
+        };
+        assert!(says("landr-1").ends_with("; did you mean `lander-1`?"), "{}", says("landr-1"));
+        assert!(says("moon").ends_with(" with a policy"), "{}", says("moon"));
+    }
 
     #[test]
     fn files_that_are_often_taken_for_policies_are_recognised() {

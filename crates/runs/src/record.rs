@@ -5,6 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use leadtime_learner::write_atomically;
+use leadtime_proto::phrase::counted;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -96,6 +97,24 @@ pub struct RunResult {
     pub reproducible: bool,
     /// The books, as JSON.
     pub books: serde_json::Value,
+}
+
+/// Says where every rollout went, from the books as a record keeps them; what did not happen is left out.
+pub fn books_sentence(books: &serde_json::Value) -> String {
+    const FATES: [(&str, &str); 6] = [
+        ("trained", "trained on"),
+        ("dropped_stale", "too stale to use"),
+        ("refused", "refused"),
+        ("superseded", "superseded"),
+        ("unused_at_end", "unused at the end"),
+        ("rolled_back", "lost with a learner and made again"),
+    ];
+    let count = |name: &str| books[name].as_u64().unwrap_or(0);
+    let fates = FATES.iter().filter(|(name, _)| count(name) > 0);
+    let fates = fates.map(|(name, fate)| format!("{} {fate}", count(name)));
+    let balance = if books["balanced"] == true { "all accounted for" } else { "NOT balanced" };
+    let parts = std::iter::once(counted(count("published"), "rollout")).chain(fates);
+    parts.chain([balance.to_owned()]).collect::<Vec<_>>().join(", ")
 }
 
 impl RunRecord {
@@ -225,6 +244,15 @@ mod tests {
         let mut old = RunRecord::read(dir.path()).unwrap();
         old.worked_on_by(&build("a", "x86_64"));
         assert_eq!(old.builds.len(), 2, "an unknown build is equal to none");
+    }
+
+    #[test]
+    fn books_are_told_in_a_sentence() {
+        let mut books = serde_json::json!({"published": 10, "trained": 8, "unused_at_end": 2, "refused": 0, "balanced": true});
+        let told = "10 rollouts, 8 trained on, 2 unused at the end, all accounted for";
+        assert_eq!(books_sentence(&books), told);
+        books["balanced"] = false.into();
+        assert!(books_sentence(&books).ends_with("NOT balanced"));
     }
 
     #[test]

@@ -4,6 +4,8 @@ use std::fmt;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use leadtime_proto::phrase::{duration, time_left};
+
 use crate::cache::EvalCache;
 use crate::plan::PlannedTraining;
 
@@ -40,9 +42,8 @@ impl fmt::Display for TrainingProgress {
         let Self { n_runs, n_finished, done, all, left } = self;
         let percent = (100 * done).checked_div(*all).unwrap_or(100);
         write!(f, "{n_finished} of {n_runs} trainings finished, {percent} % of {all} steps")?;
-        let Some(seconds) = left.map(|left| left.as_secs()) else { return Ok(()) };
-        let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
-        write!(f, ", {hours}:{minutes:02}:{seconds:02} of training left")
+        let Some(left) = left else { return Ok(()) };
+        write!(f, ", {} left", duration(*left))
     }
 }
 
@@ -124,8 +125,7 @@ impl TrainingPace {
         let sum = |i: usize| steps.iter().map(|steps| steps[i]).sum::<u64>();
         let (done, all) = (sum(0), sum(1));
         let gained = done - self.taken_up.iter().sum::<u64>();
-        let seconds = self.spent(now).as_secs_f64() * (all - done) as f64 / gained as f64;
-        let left = if gained == 0 { None } else { Duration::try_from_secs_f64(seconds).ok() };
+        let left = time_left(self.spent(now), gained, all - done);
         TrainingProgress { n_runs: steps.len(), n_finished, done, all, left }
     }
 }
@@ -147,7 +147,7 @@ mod tests {
         assert_eq!(before.left, None);
         let progress = pace.progress(&steps, 1, minutes(36));
         assert_eq!(progress.left, Some(minutes(62)), "31 minutes for 2000 of 6000 steps");
-        let expected = "1 of 3 trainings finished, 60 % of 10000 steps, 1:02:00 of training left";
+        let expected = "1 of 3 trainings finished, 60 % of 10000 steps, 1h 02m left";
         assert_eq!(progress.to_string(), expected);
     }
 

@@ -43,7 +43,7 @@ pub(crate) fn run(training: &PlannedTraining) -> Result<TrainedRun, Error> {
 }
 
 /// Adds up the time of every update: pauses of an interrupted run do not count.
-fn minutes(training: &PlannedTraining) -> f64 {
+pub(crate) fn minutes(training: &PlannedTraining) -> f64 {
     let lines = journal::read(&training.directory()).unwrap_or_default();
     let (mut steps, mut seconds) = (0.0, 0.0);
     for line in lines {

@@ -6,6 +6,7 @@ use tokio_util::sync::CancellationToken;
 use crate::cache::EvalCache;
 use crate::catalog::NamedStudy;
 use crate::error::Error;
+use crate::estimate::TrainingEstimate;
 use crate::evaluate::Evaluator;
 use crate::plan::{self, PlannedTraining, StudyPlan, bootstrap};
 use crate::progress::{StudyObserver, TrainingWatch};
@@ -50,6 +51,11 @@ impl<'a> StudySession<'a> {
     /// Lists the trainings of all studies, each once.
     pub fn trainings(&self) -> &[PlannedTraining] {
         &self.trainings
+    }
+
+    /// Reckons how long the trainings that are left will take.
+    pub fn estimate(&self, crew: Crew) -> TrainingEstimate {
+        TrainingEstimate::new(&self.trainings, crew)
     }
 
     /// Carries the studies out, one after the other.

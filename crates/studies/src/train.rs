@@ -26,6 +26,14 @@ pub struct Crew {
     pub actors: u32,
 }
 
+impl Crew {
+    /// Returns how many trainings run at a time.
+    pub(crate) fn n_jobs(self) -> usize {
+        let cores = || std::thread::available_parallelism().map_or(1, usize::from);
+        self.jobs.map_or_else(cores, |jobs| jobs as usize)
+    }
+}
+
 /// Brings every training to its end; those that are finished are left alone.
 pub(crate) async fn train(
     trainings: &[&PlannedTraining],
@@ -40,8 +48,7 @@ pub(crate) async fn train(
         let runs = &first.config.run.directory;
         std::fs::create_dir_all(runs).map_err(Error::file("making", runs))?;
     }
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let n_jobs = crew.jobs.map_or(cores, |jobs| jobs as usize);
+    let n_jobs = crew.n_jobs();
     // Cancelled for all of them when one fails.
     let stop = shutdown.child_token();
     let mut working: JoinSet<Result<(), Error>> = JoinSet::new();

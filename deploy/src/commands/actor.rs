@@ -1,10 +1,11 @@
 //! `leadtime actor`: environments for a learner somewhere else.
 
-use std::fs;
+use std::{env, fs};
 
 use anyhow::Context as _;
 use leadtime_actor::{ActorEnd, ActorSettings, Error};
 use leadtime_link::{ConnectSettings, Error as LinkError};
+use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RunName};
 use leadtime_runs::{ProgramBuild, Tasks, clock};
 use serde_json::json;
@@ -25,14 +26,26 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     let report = leadtime_actor::run(settings, tasks.registry.clone(), shutdown).await;
     let report = report.map_err(failure)?;
     // The actor's own account of what it did; the learner's books must agree with it.
-    output::json(&json!({
-        "run": report.run,
-        "steps": report.n_steps,
-        "made": report.made,
-        "published": report.sent,
-        "acknowledged": report.acknowledged,
-        "reconnects": report.n_reconnects,
-    }));
+    if args.json {
+        output::json(&json!({
+            "run": report.run,
+            "steps": report.n_steps,
+            "made": report.made,
+            "published": report.sent,
+            "acknowledged": report.acknowledged,
+            "reconnects": report.n_reconnects,
+        }));
+    } else {
+        let steps = counted(report.n_steps, "step");
+        let (sent, taken) = (counted(report.sent, "rollout"), report.acknowledged);
+        output::line(&format!("run {}: {steps}, {sent} sent, {taken} acknowledged", report.run));
+    }
+    if !args.supervised {
+        let command = output::command_line(env::args_os().skip(1));
+        output::note(&format!(
+            "\nWhile a learner runs there, the same command joins it:\n  {command}"
+        ));
+    }
     match report.end {
         ActorEnd::Dismissed { .. } => Ok(()),
         ActorEnd::Cancelled => Err(Failure::silent(ExitCode::Interrupted)),

@@ -6,6 +6,7 @@ use std::thread::available_parallelism;
 use anyhow::Context as _;
 use leadtime_config::Config;
 use leadtime_link::{ConnectSettings, ObserverLink};
+use leadtime_proto::phrase::counted;
 use leadtime_runs::{Tasks, build};
 
 use crate::cli::{CheckArgs, endpoints};
@@ -16,16 +17,17 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
     let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
     let (domain, n_updates, n_envs) =
         (&config.domain, config.learner.n_updates(), config.learner.n_envs);
-    let configuration = format!("domain {domain}, {n_updates} updates, {n_envs} environments");
-    report("configuration", &configuration);
-    config.notices().iter().for_each(|notice| report("notice", notice));
+    let (updates, envs) = (counted(n_updates, "update"), counted(n_envs, "environment"));
+    report("configuration", &format!("domain {domain}, {updates}, {envs}"));
+    config.rounded_steps().iter().for_each(|rounded| report("notice", rounded));
     let (obs_dim, heads) = (config.env.obs_dim, &config.env.actions.heads);
     let heads: Vec<String> =
         heads.iter().map(|head| format!("{} {}", head.name, head.n_choices)).collect();
     report("task", &format!("{obs_dim} inputs, heads: {}", heads.join(", ")));
     let cores = available_parallelism().map_or(1, usize::from);
     let (cpu, n_threads) = (build::cpu_class(), threads::configured());
-    report("machine", &format!("{cores} cores, {cpu}, {n_threads} numeric threads"));
+    let cores = counted(cores, "core");
+    report("machine", &format!("{cores}, {cpu}, numeric threads: {n_threads}"));
     writable(&config).blame(ExitCode::WrongInput)?;
     report("runs", &format!("{} can be written", config.run.directory.display()));
     if !args.connect.is_empty() {

@@ -3,20 +3,21 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use indicatif::ProgressBar;
+use leadtime_proto::phrase::counted;
 use leadtime_runs::Tasks;
 use leadtime_runs::launch::LaunchError;
 use leadtime_studies::{
     Crew, Error, EvalCache, PlannedTraining, StudyObserver, StudyRequest, StudySession,
     TrainingProgress, find, names,
 };
-use leadtime_table::Table;
+use leadtime_table::{Table, wrapped};
 
 use crate::build::this_build;
 use crate::cli::CompareArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output::WIDTH;
 use crate::shutdown::{Watch, watch};
-use crate::{logging, output};
+use crate::{logging, output, terminal};
 
 /// Pause between two plain lines.
 const LINE_EVERY: Duration = Duration::from_secs(15);
@@ -25,13 +26,25 @@ pub(super) async fn run(tasks: &Tasks, args: &CompareArgs) -> Result<(), Failure
     let Some(name) = &args.study else { return list().map_err(failure) };
     let studies = find(name).map_err(failure)?;
     let session = StudySession::plan(tasks, studies, request(args)?).map_err(failure)?;
+    let crew = Crew { jobs: args.jobs, actors: args.actors };
     if args.plan {
         show(session.trainings());
+        output::line(&wrapped(&session.estimate(crew).to_string(), WIDTH, 4));
         return Ok(());
     }
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
-    let crew = Crew { jobs: args.jobs, actors: args.actors };
-    session.carry_out(crew, &mut Console::new(), &shutdown).await.map_err(failure)
+    let done = session.carry_out(crew, &mut Console::default(), &shutdown).await;
+    let command = output::command_line(std::env::args_os().skip(1));
+    match &done {
+        Ok(()) => output::note(&format!(
+            "\nNothing is trained or evaluated twice: the same command only draws again:\n  {command}"
+        )),
+        Err(Error::Interrupted) => {
+            output::note(&format!("\nThe same command goes on with what is missing:\n  {command}"));
+        }
+        Err(_) => {}
+    }
+    done.map_err(failure)
 }
 
 fn request(args: &CompareArgs) -> Result<StudyRequest, Failure> {
@@ -71,10 +84,11 @@ fn failure(error: Error) -> Failure {
 fn list() -> Result<(), Error> {
     for name in names() {
         for named in find(name)? {
-            output::line(&format!("{name}: {}", named.study.title));
+            output::line(&wrapped(&format!("{name}: {}", named.study.title), WIDTH, 4));
             for part in &named.study.parts {
                 let rows: Vec<&str> = part.rows.iter().map(|row| row.name.as_str()).collect();
-                output::line(&format!("    {}: {}", part.name, rows.join(", ")));
+                let part = format!("    {}: {}", part.name, rows.join(", "));
+                output::line(&wrapped(&part, WIDTH, 8));
             }
         }
     }
@@ -83,7 +97,7 @@ fn list() -> Result<(), Error> {
 
 /// Lists trainings and how far they are.
 fn show(trainings: &[PlannedTraining]) {
-    let mut table = Table::new(["state", "steps", "of", "training"]).left(&[0, 3]);
+    let mut table = Table::new(["state", "steps", "of", "training"]).left(&[0, 3]).elastic(3);
     let mut left = 0;
     for training in trainings {
         let [done, all] = training.steps();
@@ -95,37 +109,31 @@ fn show(trainings: &[PlannedTraining]) {
         left += all - done;
         table.push([state, &done.to_string(), &all.to_string(), training.name.as_str()]);
     }
-    output::line(&table.text());
-    output::line(&format!("{} trainings, {left} steps to go", trainings.len()));
+    output::line(&table.text_within(WIDTH));
+    let n = counted(trainings.len(), "training");
+    output::line(&format!("{n}, {} to go", counted(left, "step")));
 }
 
 /// Shows what goes on: a bar on a terminal, a plain line now and then elsewhere.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Console {
-    bar: Option<ProgressBar>,
     last_line: Option<Instant>,
-}
-
-impl Console {
-    fn new() -> Self {
-        Self { bar: logging::bar("{bar:32} {msg}"), last_line: None }
-    }
 }
 
 impl Drop for Console {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
+        terminal::hide_bar();
     }
 }
 
 impl StudyObserver for Console {
     fn training(&mut self, progress: &TrainingProgress) {
-        if let Some(bar) = &self.bar {
-            bar.set_length(progress.all);
-            bar.set_position(progress.done);
-            bar.set_message(progress.to_string());
+        if !logging::is_chatty() {
+            return;
+        }
+        if terminal::is_watched() {
+            let share = progress.done as f64 / progress.all as f64;
+            terminal::show_bar(share, |room| progress.to_string().chars().take(room).collect());
         } else if self.last_line.is_none_or(|at| at.elapsed() >= LINE_EVERY) {
             self.last_line = Some(Instant::now());
             output::say(&progress.to_string());
@@ -133,11 +141,11 @@ impl StudyObserver for Console {
     }
 
     fn evaluating(&mut self, study: &str) {
-        output::say(&format!("evaluating {study}"));
+        output::note(&format!("evaluating {study}"));
     }
 
     fn evaluated(&mut self, cache: &EvalCache) {
-        output::say(&cache.sentence());
+        output::note(&cache.sentence());
     }
 
     fn page(&mut self, markdown: &str) {

@@ -10,7 +10,7 @@ use leadtime_table::Table;
 
 use crate::cli::{ConformanceArgs, ConformanceWorld};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output;
+use crate::output::{self, WIDTH};
 
 /// The first bytes of a gzip file.
 const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
@@ -42,7 +42,7 @@ fn print(replay: &Replay) {
     for section in &replay.sections {
         let mut table = Table::new(section.head.iter().map(|&title| title.to_owned()));
         section.rows.iter().for_each(|row| table.push(row.iter().cloned()));
-        output::line(&format!("\n{}\n{}", section.title, table.text().trim_end()));
+        output::line(&format!("\n{}\n{}", section.title, table.text_within(WIDTH).trim_end()));
         section.notes.iter().for_each(|note| output::line(note));
     }
     output::line(if replay.passed { "\npassed" } else { "\nfailed" });

@@ -1,6 +1,5 @@
 //! From a parsed command line to the command.
 
-use clap::CommandFactory as _;
 use leadtime_runs::Tasks;
 use tokio::runtime;
 
@@ -8,17 +7,23 @@ use super::{
     actor, check, compare, config, conformance, describe, eval, launch, learner, pilot, play,
     probe, runs, smoke, taxonomy,
 };
-use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand};
+use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::{logging, output};
 
 /// Carries out one command.
-pub(crate) fn dispatch(tasks: &Tasks, command: Command) -> Result<(), Failure> {
-    let quiet = matches!(&command, Command::Actor(args) if args.supervised);
-    logging::start(if quiet { "warn" } else { "info" })?;
+pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
+    let Cli { command, verbosity } = cli;
+    let is_one_of_many = matches!(&command, Command::Actor(args) if args.supervised);
+    logging::start(match verbosity {
+        Verbosity { verbose: true, .. } => "info,leadtime=debug",
+        Verbosity { quiet, .. } if quiet || is_one_of_many => "warn",
+        _ => "info",
+    })?;
+    let options = verbosity.options();
     match command {
-        Command::Smoke(args) => block_on(smoke::run(tasks, &args)),
-        Command::Up(args) => block_on(launch::up(tasks, &args)),
+        Command::Smoke(args) => block_on(smoke::run(tasks, &args, options)),
+        Command::Up(args) => block_on(launch::up(tasks, &args, options)),
         Command::Learner(args) => block_on(learner::run(tasks, &args)),
         Command::Actor(args) => block_on(actor::run(tasks, &args)),
         Command::Eval(args) => eval::run(tasks, &args),
@@ -40,7 +45,7 @@ pub(crate) fn dispatch(tasks: &Tasks, command: Command) -> Result<(), Failure> {
         Command::Check(args) => block_on(check::run(tasks, &args)),
         Command::Completions { shell } => {
             let mut script = Vec::new();
-            clap_complete::generate(shell, &mut Cli::command(), "leadtime", &mut script);
+            clap_complete::generate(shell, &mut Cli::documented(), "leadtime", &mut script);
             output::line(String::from_utf8_lossy(&script).trim_end());
             Ok(())
         }

@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use super::{episode, evaluation};
 use crate::cli::EvalArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output;
+use crate::output::{self, DRAW, HEAR};
 
 pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     let Some(each) = &args.each else {
@@ -27,11 +27,13 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
             task.record_steps(tasks, args, path)?;
         }
         let comparison = task.compare(tasks, args)?;
-        if args.json {
+        if args.shown.json {
             output::json(&task.json(args, &comparison));
-        } else {
-            output::line(comparison.text().trim_end());
+            return Ok(());
         }
+        evaluation::print(&comparison, args.shown.all);
+        let is_spoken = !tasks.topics(&task.config.evaluation.task).is_empty();
+        output::next(&task.path, if is_spoken { &[DRAW, HEAR] } else { &[DRAW] });
         return Ok(());
     };
     // All of them first, so that an impossible value is reported before an hour's work.
@@ -40,15 +42,15 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     let mut results = Vec::new();
     for (task, change) in loaded.iter().zip(&each.0) {
         let comparison = task.compare(tasks, args)?;
-        if args.json {
+        if args.shown.json {
             let mut result = task.json(args, &comparison);
             result["each"] = change.to_string().into();
             results.push(result);
         } else {
-            output::line(&format!("{change}\n\n{}", comparison.text()));
+            output::line(&format!("{change}\n\n{}", comparison.text(args.shown.all)));
         }
     }
-    if args.json {
+    if args.shown.json {
         output::json(&results);
     }
     Ok(())
@@ -65,12 +67,13 @@ struct EvalTask {
 impl EvalTask {
     /// Loads the policy, with one more change of its task.
     fn load(tasks: &Tasks, args: &EvalArgs, change: Option<&Override>) -> Result<Self, Failure> {
-        let changes: Vec<Override> = args.set.iter().chain(change).cloned().collect();
-        let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, &args.policy, &changes)
+        let acting = &args.acting;
+        let changes: Vec<Override> = acting.set.iter().chain(change).cloned().collect();
+        let loaded = LoadedPolicy::load(&tasks.registry, &acting.runs, &args.policy, &changes)
             .blame(ExitCode::WrongInput)?;
         let config = loaded.config;
         evaluation::check_measures(&config, &args.measure).blame(ExitCode::WrongInput)?;
-        let action = args.action.unwrap_or(config.evaluation.action);
+        let action = acting.action.unwrap_or(config.evaluation.action);
         let mut players = vec![evaluation::policy("policy", &config, &loaded.parameters, action)?];
         players.extend(args.baseline.iter().map(|name| Player::baseline(name)));
         let environment = tasks.registry.build(&config.evaluation.task);
@@ -99,7 +102,7 @@ impl EvalTask {
     fn compare(&self, tasks: &Tasks, args: &EvalArgs) -> Result<Comparison, Failure> {
         let n_episodes = self.n_episodes(args);
         tracing::info!(policy = %self.path.display(), n_episodes, "evaluating");
-        let (config, players, seed) = (&self.config, &self.players, args.eval_seed);
+        let (config, players, seed) = (&self.config, &self.players, args.acting.eval_seed);
         let evaluations = evaluation::evaluate_all(tasks, config, players, n_episodes, seed)?;
         Ok(evaluation::compare(config, &evaluations, &args.measure))
     }
@@ -109,7 +112,7 @@ impl EvalTask {
             "policy": self.path.display().to_string(),
             "domain": self.config.domain.as_str(),
             "action": self.action,
-            "seed": args.eval_seed,
+            "seed": args.acting.eval_seed,
             "comparison": comparison,
         })
     }
@@ -121,7 +124,7 @@ fn transcript(tasks: &Tasks, args: &EvalArgs, task: &EvalTask) -> Result<(), Fai
     let voice = episode::voice(tasks, config, args.words.as_deref())?;
     for player in &task.players {
         for index in 0..u64::from(args.episodes.unwrap_or(1)) {
-            let (voice, seed) = (voice.as_ref(), args.eval_seed);
+            let (voice, seed) = (voice.as_ref(), args.acting.eval_seed);
             let played = episode::record(tasks, config, player, voice, seed, index);
             output::line(&played.blame(ExitCode::WrongInput)?.transcript(&Pace::default()));
         }

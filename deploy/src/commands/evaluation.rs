@@ -9,7 +9,10 @@ use leadtime_eval::measure::{
 };
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_policy::Parameters;
+use leadtime_proto::phrase::did_you_mean;
 use leadtime_runs::Tasks;
+
+use crate::output;
 
 /// Default seed of evaluations, which no run trains with by default: nothing is evaluated on its training episodes.
 pub(super) const EVAL_SEED: u64 = 1_000_000;
@@ -52,10 +55,21 @@ pub(super) fn main_measure(config: &Config) -> &'static str {
 pub(super) fn check_measures(config: &Config, measures: &[String]) -> anyhow::Result<()> {
     let known = measure_names(&config.env.metrics);
     for name in measures {
-        let told = known.join(", ");
-        ensure!(known.contains(name), "there is no measure `{name}`; known: {told}");
+        let (told, meant) =
+            (known.join(", "), did_you_mean(name, known.iter().map(String::as_str)));
+        ensure!(known.contains(name), "there is no measure `{name}`{meant}; known: {told}");
     }
     Ok(())
+}
+
+/// Prints a comparison: every measure, or the main ones and how many there are beside them.
+pub(super) fn print(comparison: &Comparison, all: bool) {
+    output::line(comparison.text(all).trim_end());
+    let n = comparison.n_further();
+    if !all && n > 0 {
+        let measures = if n == 1 { "measure" } else { "measures" };
+        output::note(&format!("({n} more {measures} with --all)"));
+    }
 }
 
 /// Compares the first player with every other one, in the task's main measure and in the given ones.

@@ -1,18 +1,19 @@
 //! `leadtime up`: learner and actors on this machine, supervised, and what their end means for the exit code.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
 use leadtime_runs::launch::{self, Launch, LaunchError};
 use leadtime_runs::supervise::Ended;
-use leadtime_runs::{Naming, Tasks};
+use leadtime_runs::{Naming, RunRecord, Tasks};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::UpArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output::{self, DRAW, EVALUATE};
 use crate::shutdown::{Watch, watch};
 
-pub(super) async fn up(tasks: &Tasks, args: &UpArgs) -> Result<(), Failure> {
+pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result<(), Failure> {
     let name = args.run.name.as_deref();
     let config = args.source.load(tasks, name).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
@@ -21,9 +22,23 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs) -> Result<(), Failure> {
         fork: args.run.fork.as_deref(),
         stop_after: args.run.stop_after,
         learner_stdout: true,
+        options,
         ..Launch::new(Naming::Resume, args.actors)
     };
-    launch(&config, &what, &shutdown).await.map(|_run| ())
+    let run = launch(&config, &what, &shutdown).await?;
+    if !goes_on(&run, &what) {
+        output::next(&run, &[EVALUATE, DRAW]);
+    }
+    Ok(())
+}
+
+/// Says how a run goes on, and returns true, if it was begun and has not reached its end.
+fn goes_on(run: &Path, what: &Launch<'_>) -> bool {
+    let Ok(RunRecord { name, result: None, .. }) = RunRecord::read(run) else { return false };
+    let mut options = vec!["--actors".to_owned(), what.n_actors.to_string()];
+    options.extend(what.listen.iter().flat_map(|listen| ["--listen".to_owned(), listen.clone()]));
+    output::next_resumes("up", run, &name, &options);
+    true
 }
 
 /// Runs learner and actors until the learner ends; returns the run's directory.
@@ -37,6 +52,9 @@ pub(super) async fn launch(
         let code = if is_ours { ExitCode::Failed } else { ExitCode::WrongInput };
         Failure::of(code, error)
     })?;
+    if launched.ended != Ended::Learner(Some(0)) {
+        goes_on(&launched.run, what);
+    }
     // The processes have logged why.
     match launched.ended {
         Ended::Learner(Some(0)) => Ok(launched.run),

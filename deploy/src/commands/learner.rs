@@ -6,6 +6,7 @@ use leadtime_learner::{Build, LearnerConfig, RunEnd, RunReport};
 use leadtime_link::ListenSettings;
 use leadtime_proto::RunSpec;
 use leadtime_runs::policy_file::Fork;
+use leadtime_runs::record::books_sentence;
 use leadtime_runs::{
     ProgramBuild, RunDir, RunDirError, RunRecorder, RunResult, RunState, Tasks, clock, digest,
     scratch,
@@ -13,11 +14,12 @@ use leadtime_runs::{
 use serde_json::json;
 
 use super::run_report::{self, Findings};
+use crate::build;
 use crate::cli::{LearnerArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output::{self, DRAW, EVALUATE};
 use crate::shutdown::{Watch, watch};
 use crate::sink::RunSink;
-use crate::{build, output};
 
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
@@ -37,14 +39,16 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         ));
         return Ok(());
     }
-    config.notices().iter().for_each(|notice| tracing::warn!("{notice}"));
+    if let Some(rounded) = config.rounded_steps() {
+        tracing::info!("{rounded}");
+    }
     if let (Some(grown), true) = (&run_dir.grown, config.learner.anneal) {
         tracing::warn!(
             "{grown}: with learner.anneal = true the learning rate falls over the new length from here on, so the \
              weights will differ from those of a run that has this length from the start"
         );
     }
-    tracing::info!(run = %run_dir.name, directory = %run_dir.path.display(), "run opened");
+    tracing::info!("run opened: {}", run_dir.path.display());
     let learner = learner_config(&config, &run_dir, listen, build).blame(ExitCode::WrongInput)?;
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
@@ -142,7 +146,7 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
     output::line(&format!("run      {}", run_dir.path.display()));
     output::line(&format!("updates  {n_updates} ({n_steps} steps)"));
     output::line(&format!("weights  sha256 {digest}"));
-    output::line(&format!("books    {books}"));
+    output::line(&format!("books    {}", books_sentence(&books)));
     if let Err(imbalance) = report.balance {
         return Err(imbalance).blame(ExitCode::Failed);
     }
@@ -155,9 +159,19 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
             reproducible: report.reproducible,
             books,
         };
-        return run_dir.finish(result).blame(ExitCode::WrongInput);
+        run_dir.finish(result).blame(ExitCode::WrongInput)?;
+        // Whoever started this process says what comes next.
+        if !args.supervised {
+            output::next(&run_dir.path, &[EVALUATE, DRAW]);
+        }
+        return Ok(());
     }
-    tracing::info!("stopped after {n_updates} updates: --name {} resumes the run", run_dir.name);
+    if !args.supervised {
+        let listen = args.listen.iter().flat_map(|listen| ["--listen".to_owned(), listen.clone()]);
+        let (path, name) = (&run_dir.path, run_dir.name.as_str());
+        output::next_resumes("learner", path, name, &listen.collect::<Vec<_>>());
+        output::note("The actors have to be started again, too.");
+    }
     let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);
     if asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
 }

@@ -13,7 +13,7 @@ use leadtime_runs::{LoadedPolicy, Tasks};
 use super::{episode, evaluation};
 use crate::cli::PlayArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output;
+use crate::output::{self, DRAW_MORE};
 
 /// Pixels per unit of a PNG.
 const PNG_SCALE: f32 = 2.0;
@@ -39,17 +39,20 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
         return write(&spoken, Some(frames), &args.output);
     }
     let name = args.policy.as_deref().unwrap_or(Path::new(""));
-    let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, name, &args.set)
+    let acting = &args.acting;
+    let loaded = LoadedPolicy::load(&tasks.registry, &acting.runs, name, &acting.set)
         .blame(ExitCode::WrongInput)?;
-    let action = args.action.unwrap_or(loaded.config.evaluation.action);
+    let action = acting.action.unwrap_or(loaded.config.evaluation.action);
     let player = match &args.baseline {
         Some(name) => Player::baseline(name),
         None => evaluation::policy("policy", &loaded.config, &loaded.parameters, action)?,
     };
     let voice = episode::voice(tasks, &loaded.config, args.words.as_deref())?;
-    let spoken = episode::record(tasks, &loaded.config, &player, voice.as_ref(), args.eval_seed, 0)
-        .blame(ExitCode::WrongInput)?;
-    write(&spoken, args.frames.clone(), &args.output)
+    let (voice, seed) = (voice.as_ref(), acting.eval_seed);
+    let spoken = episode::record(tasks, &loaded.config, &player, voice, seed, 0);
+    write(&spoken.blame(ExitCode::WrongInput)?, args.frames.clone(), &args.output)?;
+    output::next(&loaded.path, &[DRAW_MORE]);
+    Ok(())
 }
 
 /// Draws the whole episode, or some of its moments, and says so.

@@ -11,6 +11,7 @@ use leadtime_config::{Config, Layer};
 use leadtime_eval::measure::{Comparison, Evaluation, Player};
 use leadtime_eval::report::{Picture, Verdict};
 use leadtime_runs::launch::Launch;
+use leadtime_runs::record::books_sentence;
 use leadtime_runs::{LoadedPolicy, Naming, RunRecord, Tasks};
 use serde_json::json;
 
@@ -19,7 +20,7 @@ use super::run_report::{self, Findings};
 use super::{episode, evaluation, play};
 use crate::cli::SmokeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output;
+use crate::output::{self, DRAW, EVALUATE, HEAR};
 use crate::shutdown::{Watch, unless_cancelled, watch};
 
 /// What the trained notifier must gain over the unaided person, in success, with its whole interval.
@@ -32,18 +33,20 @@ const TRAINED: &str = "trained";
 /// The player that shows what the person does alone.
 const UNAIDED: &str = "unaided";
 
-pub(super) async fn run(tasks: &Tasks, args: &SmokeArgs) -> Result<(), Failure> {
+pub(super) async fn run(tasks: &Tasks, args: &SmokeArgs, options: &[&str]) -> Result<(), Failure> {
     let config = configure(tasks, args).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     if args.quick {
-        output::say("smoke --quick checks the mechanics only: nothing is claimed about learning");
+        output::note("smoke --quick checks the mechanics only: nothing is claimed about learning");
     }
     let stem = format!("smoke-{}", config.domain);
-    let what = Launch::new(Naming::New(&stem), args.actors);
+    let what = Launch { options, ..Launch::new(Naming::New(&stem), args.actors) };
     let directory = launch(&config, &what, &shutdown).await?;
     let (tasks, arguments, run) = (tasks.clone(), args.clone(), directory.clone());
     let work = move || evaluate(&tasks, &arguments, &config, &run).map_err(Failure::from);
-    let outcome = unless_cancelled(&shutdown, work).await?;
+    let outcome = unless_cancelled(&shutdown, work).await;
+    // Interrupted, it has a trained policy all the same.
+    let outcome = outcome.inspect_err(|_| output::next(&directory, &[EVALUATE, DRAW]))?;
     let record = RunRecord::read(&directory).blame(ExitCode::Failed)?;
     let books = record.result.map(|result| result.books).unwrap_or_default();
     print(args, &directory, &outcome, &books);
@@ -164,7 +167,7 @@ fn telling_episode(evaluations: &[Evaluation]) -> u64 {
 
 fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome, books: &serde_json::Value) {
     let report = directory.join("report.html");
-    if args.json {
+    if args.shown.json {
         output::json(&json!({
             "run": directory.display().to_string(),
             "report": report.display().to_string(),
@@ -176,8 +179,9 @@ fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome, books: &ser
         }));
         return;
     }
-    output::line(outcome.comparison.text().trim_end());
+    evaluation::print(&outcome.comparison, args.shown.all);
     output::line(&format!("\n{}", outcome.sentence));
-    output::line(&format!("Books:  {books}"));
+    output::line(&format!("Books:  {}", books_sentence(books)));
     output::line(&format!("Report: {}", report.display()));
+    output::next(directory, &[DRAW, HEAR]);
 }

@@ -10,6 +10,9 @@ use super::summary::{self, Summary};
 /// Index of the draws for differences: one that no mean uses.
 const DIFFERENCE: u64 = u32::MAX as u64;
 
+/// Characters of a line of text: those of a usual terminal.
+const WIDTH: usize = 80;
+
 /// How one measure of two players differs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
@@ -86,22 +89,35 @@ impl Comparison {
 
     /// Lays the summaries out: one row per measure, one column per player.
     pub fn table(&self) -> Table {
+        let names = summary::names_in(&self.summaries).into_iter();
+        self.table_of(names.map(|name| (name, summary::title(name))))
+    }
+
+    fn table_of<'a>(&self, measures: impl Iterator<Item = (&'a str, String)>) -> Table {
         let players = self.summaries.iter().map(|summary| summary.player.as_str());
         let mut table = Table::new(std::iter::once("").chain(players));
-        for name in summary::names_in(&self.summaries) {
+        for (name, title) in measures {
             let interval = |summary: &Summary| summary.get(name).and_then(|m| m.interval);
             let cells = self.summaries.iter().map(|summary| cell(interval(summary)));
-            let title = TableCell::from(summary::title(name));
-            table.push(std::iter::once(title).chain(cells));
+            table.push(std::iter::once(TableCell::from(title)).chain(cells));
         }
         table
     }
 
-    /// Writes table and differences as plain text.
-    pub fn text(&self) -> String {
+    /// Writes table and differences as plain text: all measures, or only the main ones.
+    pub fn text(&self, all: bool) -> String {
+        let main = summary::main_measures(&self.summaries).into_iter();
+        let main = || self.table_of(main.map(|(name, title)| (name, title.to_owned())));
+        let table = if all { self.table() } else { main() };
         let sentences = self.differences.iter().map(|d| d.sentence(self.bootstrap.confidence));
         let lines: Vec<String> = std::iter::once(self.reading()).chain(sentences).collect();
-        format!("{}{}\n", self.table().text(), lines.join("\n"))
+        format!("{}{}\n", table.text_within(WIDTH), lines.join("\n"))
+    }
+
+    /// Counts the measures that only the whole table has.
+    pub fn n_further(&self) -> usize {
+        let n_main = summary::main_measures(&self.summaries).len();
+        summary::names_in(&self.summaries).len() - n_main
     }
 
     /// Says how the table's cells are to be read.
@@ -165,7 +181,26 @@ mod tests {
     fn the_table_lines_up_before_and_after_json() {
         let json = serde_json::to_string(&comparison()).unwrap();
         let again: Comparison = serde_json::from_str(&json).unwrap();
-        assert_eq!(again.text(), comparison().text());
-        insta::assert_snapshot!("the_table_lines_up", again.text());
+        assert_eq!(again.text(true), comparison().text(true));
+        insta::assert_snapshot!("the_table_lines_up", again.text(true));
+    }
+
+    #[test]
+    fn four_players_fit_a_terminal_and_each_domain_shows_its_own_main_measures() {
+        let names = ["success", "notifications", "followed", "enter_danger", "crashed", "fuel"];
+        let rows =
+            [(800, [1.0, 12.0, 11.0, 0.0, 0.0, 3.0]), (1_200, [0.0, 9.0, 8.0, 1.0, 0.0, 9.0])];
+        let player =
+            |name: &str| Evaluation { player: name.to_owned(), ..Evaluation::of(names, &rows) };
+        let players = ["trained", "unaided", "inform_at_start", "heuristic", "untrained"];
+        let evaluations = players.map(player);
+        let comparison = Comparison::new(&evaluations, Bootstrap::new(1));
+        for (all, n) in [(false, 4), (true, 4), (false, 5), (true, 5)] {
+            let few = Comparison::new(&evaluations[..n], Bootstrap::new(1)).text(all);
+            assert!(few.lines().all(|line| line.chars().count() <= WIDTH), "{few}");
+            assert!(few.contains("enters danger"), "{few}");
+            assert_eq!(few.contains("fuel"), all, "{few}");
+        }
+        assert_eq!(comparison.n_further(), 2, "fuel and crashed");
     }
 }

@@ -36,6 +36,20 @@ const ORDER: [&str; 11] = [
     "length",
 ];
 
+/// What a first look needs, with shorter words than [`title`]'s; of the task's own measures the first that it knows.
+const MAIN: [(&str, &str); 5] = [
+    ("success", "success"),
+    ("return", "return"),
+    ("notifications", "notifications"),
+    ("followed_of_initiated", "follow-through"),
+    ("length", "length (steps)"),
+];
+const OWN: [(&str, &str); 3] = [
+    ("enter_danger", "enters danger"),
+    ("crashed", "crashes"),
+    ("steps_to_deliver", "steps to deliver"),
+];
+
 /// Counts whose rates say more, and what is only an ingredient.
 const HIDDEN: [&str; 5] =
     ["followed", "long_notifications", "preempted", "overwritten", "danger_from"];
@@ -124,6 +138,17 @@ pub fn names_in<'a>(summaries: impl IntoIterator<Item = &'a Summary>) -> Vec<&'a
         }
     }
     names
+}
+
+/// Lists the few measures that a first look needs: names and short titles.
+pub(super) fn main_measures<'a>(
+    summaries: impl IntoIterator<Item = &'a Summary>,
+) -> Vec<(&'a str, &'static str)> {
+    let names = names_in(summaries);
+    let known = |(name, title): &(&str, &'static str)| {
+        names.iter().find(|known| *known == name).map(|name| (*name, *title))
+    };
+    MAIN.iter().filter_map(known).chain(OWN.iter().find_map(known)).collect()
 }
 
 /// Lists the measures of a task with these metrics, those in comparison with the unaided listener included.
@@ -252,7 +277,8 @@ mod tests {
         let derived = derived.chain(RATES.map(|rate| rate.0)).chain(said::COLUMNS);
         let known: BTreeSet<&str> = metrics.iter().map(String::as_str).chain(derived).collect();
         let counts = RATES.iter().flat_map(|(_, top, bottom)| [*top, *bottom]);
-        let used = counts.chain(MEANS).chain(ORDER).chain(HIDDEN).chain(HAZARDS);
+        let main = MAIN.iter().chain(&OWN).map(|(name, _)| *name);
+        let used = main.chain(counts).chain(MEANS).chain(ORDER).chain(HIDDEN).chain(HAZARDS);
         for name in used.chain(TITLES.map(|(name, _)| name)) {
             assert!(known.contains(name), "`{name}` is no measure");
         }

@@ -1,0 +1,99 @@
+//! The runs in a directory, as they are listed.
+
+use std::path::Path;
+use std::{fs, io};
+
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::directory_error::with_causes;
+use crate::record::{RECORD, RecordError};
+use crate::{ForkOrigin, RunRecord, journal};
+
+/// A run as it is listed.
+#[derive(Debug, Default, Serialize)]
+pub struct ListedRun {
+    /// Its name.
+    pub name: String,
+    /// What it trains on.
+    pub domain: String,
+    /// `finished`, `unfinished` or `unreadable`.
+    pub state: &'static str,
+    /// Updates so far.
+    pub updates: u64,
+    /// Environment steps so far.
+    pub steps: u64,
+    /// Mean success of the last training episodes; `None` where the task knows none.
+    pub success: Option<f64>,
+    /// Mean return of the last training episodes.
+    pub episode_return: Option<f64>,
+    /// Digest of the final weights; `None` while the run is unfinished.
+    pub weights_sha256: Option<String>,
+    /// Whether the same seed would give the same weights again; `None` while the run is unfinished.
+    pub reproducible: Option<bool>,
+    /// What the run was forked from.
+    pub origin: Option<ForkOrigin>,
+    /// When it began, UTC.
+    pub started: String,
+    /// Why the record cannot be read as one.
+    pub problem: Option<String>,
+}
+
+impl ListedRun {
+    /// Lists the runs in a directory, the oldest first; none if it does not exist.
+    ///
+    /// # Errors
+    ///
+    /// If the directory cannot be read.
+    pub fn all(runs: &Path) -> io::Result<Vec<Self>> {
+        let mut rows = Vec::new();
+        if runs.exists() {
+            let entries = fs::read_dir(runs)?.filter_map(Result::ok);
+            rows.extend(entries.filter_map(|entry| row(&entry.path())));
+        }
+        rows.sort_by(|a, b| (&a.started, &a.name).cmp(&(&b.started, &b.name)));
+        Ok(rows)
+    }
+
+    /// Describes a run by its record and its journal.
+    pub fn new(path: &Path, record: RunRecord) -> Self {
+        let last = journal::read(path).ok().and_then(|mut lines| lines.pop()).unwrap_or_default();
+        let number = |key: &str| last.get(key).and_then(Value::as_f64);
+        let whole = |key: &str| last.get(key).and_then(Value::as_u64).unwrap_or(0);
+        let reproducible = record.is_reproducible(path);
+        Self {
+            name: record.name,
+            domain: record.domain,
+            state: if record.result.is_some() { "finished" } else { "unfinished" },
+            reproducible,
+            origin: record.origin,
+            weights_sha256: record.result.map(|result| result.weights_sha256),
+            updates: whole("update"),
+            steps: whole("steps"),
+            success: number("episodes/success"),
+            episode_return: number("episodes/return"),
+            started: record.started,
+            problem: None,
+        }
+    }
+}
+
+/// Describes a run's directory; `None` if it is none.
+fn row(path: &Path) -> Option<ListedRun> {
+    let is_run = [RECORD, "config.toml"].iter().any(|file| path.join(file).exists());
+    is_run.then(|| match RunRecord::read(path) {
+        Ok(record) => ListedRun::new(path, record),
+        Err(error) => unreadable(path, &error),
+    })
+}
+
+fn unreadable(path: &Path, error: &RecordError) -> ListedRun {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
+    ListedRun {
+        name: name.unwrap_or_default(),
+        domain: "-".to_owned(),
+        state: "unreadable",
+        problem: Some(with_causes(error)),
+        ..ListedRun::default()
+    }
+}

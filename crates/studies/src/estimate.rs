@@ -1,0 +1,105 @@
+//! How long the trainings that are left will take, before they begin.
+
+use std::fmt;
+use std::time::Duration;
+
+use leadtime_proto::phrase::{counted, duration};
+
+use crate::plan::PlannedTraining;
+use crate::provenance::minutes;
+use crate::train::Crew;
+
+/// Environment steps per second of one training, where no run tells: those of the main table, piloting and driving, two
+/// trainings at a time on two cores (`docs/results/table1.md`: 68.0 million steps in 102.8 minutes of runs).
+const STEPS_PER_SECOND: f64 = 11_000.0;
+
+/// How long trainings will take.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrainingEstimate {
+    left: Duration,
+    n_jobs: usize,
+    /// Trainings whose recorded time says how fast others of their domain are.
+    n_measured: usize,
+    /// Trainings left of whose domain none has a recorded time.
+    n_assumed: usize,
+}
+
+/// Writes it as a sentence.
+impl fmt::Display for TrainingEstimate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { left, n_jobs, n_measured, n_assumed } = *self;
+        write!(f, "about {} of training, {n_jobs} at a time", duration(left))?;
+        if n_measured > 0 {
+            write!(f, ", at the recorded pace of {}", counted(n_measured, "run"))?;
+        }
+        if n_assumed > 0 {
+            let which = if n_measured > 0 { " for the others" } else { "" };
+            write!(
+                f,
+                ", at {STEPS_PER_SECOND} steps/s each{which}, the pace of docs/results/table1.md"
+            )?;
+        }
+        f.write_str("; evaluation comes on top")
+    }
+}
+
+impl TrainingEstimate {
+    /// Reckons with the times that runs have recorded, by domain.
+    pub(crate) fn new(trainings: &[PlannedTraining], crew: Crew) -> Self {
+        let recorded = trainings.iter().filter(|training| training.steps()[0] > 0);
+        let paces: Vec<RecordedPace<'_>> =
+            recorded.map(RecordedPace::of).filter(|pace| pace.seconds > 0.0).collect();
+        let left = trainings.iter().map(|training| {
+            let [done, all] = training.steps();
+            (training.config.domain.as_str(), all - done)
+        });
+        Self::from_paces(&paces, &left.collect::<Vec<_>>(), crew.n_jobs())
+    }
+
+    fn from_paces(paces: &[RecordedPace<'_>], left: &[(&str, u64)], n_jobs: usize) -> Self {
+        let (mut seconds, mut n_assumed) = (0.0, 0);
+        for &(domain, steps) in left.iter().filter(|(_, steps)| *steps > 0) {
+            let known = || paces.iter().filter(|pace| pace.domain == domain);
+            let time: f64 = known().map(|pace| pace.seconds).sum();
+            let made: f64 = known().map(|pace| pace.steps).sum();
+            n_assumed += usize::from(time == 0.0);
+            seconds += steps as f64 / if time == 0.0 { STEPS_PER_SECOND } else { made / time };
+        }
+        let at_once = n_jobs.min(left.iter().filter(|(_, steps)| *steps > 0).count()).max(1);
+        let left = Duration::try_from_secs_f64(seconds / at_once as f64).unwrap_or(Duration::MAX);
+        Self { left, n_jobs, n_measured: paces.len(), n_assumed }
+    }
+}
+
+/// What a run has recorded of its pace.
+struct RecordedPace<'a> {
+    domain: &'a str,
+    steps: f64,
+    seconds: f64,
+}
+
+impl<'a> RecordedPace<'a> {
+    fn of(training: &'a PlannedTraining) -> Self {
+        let (domain, steps) = (training.config.domain.as_str(), training.steps()[0] as f64);
+        Self { domain, steps, seconds: 60.0 * minutes(training) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recorded_paces_count_by_domain_and_a_named_one_stands_in() {
+        let lander = RecordedPace { domain: "lander", steps: 1_000.0, seconds: 1.0 };
+        let left = [("lander", 60_000), ("lander", 60_000), ("lander", 0)];
+        let estimate = TrainingEstimate::from_paces(&[lander], &left, 2).to_string();
+        assert_eq!(
+            estimate,
+            "about 1m 00s of training, 2 at a time, at the recorded pace of 1 run; evaluation comes on top"
+        );
+        let other = TrainingEstimate::from_paces(&[], &[("highway", 1_100_000)], 2).to_string();
+        let told = "about 1m 40s of training, 2 at a time, at 11000 steps/s each, the pace of docs/results/table1.md";
+        assert!(other.starts_with(told), "{other}");
+    }
+}

@@ -1,0 +1,96 @@
+//! What a person reads at a terminal of 80 columns: help, lists, and what to type next.
+
+use std::fs;
+
+use crate::support::{Place, result};
+
+const WIDTH: usize = 80;
+const COMMANDS: &str = "smoke up learner actor eval probe play compare pilot taxonomy conformance config runs check \
+                        completions";
+
+#[track_caller]
+fn fits(text: &str) {
+    for line in text.lines() {
+        assert!(line.chars().count() <= WIDTH, "{line}");
+    }
+}
+
+/// Returns the arguments of an example: words, and what stands between single quotes.
+fn arguments(example: &str) -> Vec<String> {
+    let command = example.split("  ").next().unwrap().split(" > ").next().unwrap();
+    let pieces = command.split('\'').enumerate().flat_map(|(i, piece)| {
+        let words = piece.split_whitespace().map(str::to_owned).collect();
+        if i % 2 == 1 { vec![piece.to_owned()] } else { words }
+    });
+    pieces.collect()
+}
+
+#[test]
+fn help_fits_a_terminal_and_its_examples_are_read() {
+    let place = Place::new();
+    let help = |args: &[String]| {
+        let mut command = place.program(&[]);
+        command.args(args).env("COLUMNS", WIDTH.to_string());
+        place.start_with(command).finish(crate::support::PATIENCE).with_code(0).stdout
+    };
+    let commands = COMMANDS.split_whitespace().map(str::to_owned);
+    let commands =
+        commands.flat_map(|command| ["-h", "--help"].map(|h| vec![command.clone(), h.to_owned()]));
+    for args in std::iter::once(vec!["--help".to_owned()]).chain(commands) {
+        let text = help(&args);
+        fits(&text);
+        let text = text.replace("\\\n      ", "");
+        let examples = text.lines().filter_map(|line| line.strip_prefix("  leadtime "));
+        let examples: Vec<Vec<String>> = examples.map(arguments).collect();
+        assert!(!examples.is_empty(), "{args:?} shows no example");
+        for example in examples.into_iter().filter(|_| args.last().unwrap() == "--help") {
+            // Arguments are read from left to right, so a wrong one is met before the help is printed.
+            help(&[example, vec!["--help".to_owned()]].concat());
+        }
+    }
+}
+
+#[test]
+fn lists_fit_a_terminal_however_long_a_name_is() {
+    let place = Place::new();
+    let name = "table1-piloting-convey-react-on-a-hard-map-0123456789ab-s201";
+    let record = format!(
+        r#"{{"format": 1, "name": "{name}", "domain": "steakhouse", "seed": 1, "version": "0.1.0", "commit": null,
+             "cpu": "x", "threads": "1", "started": "2026-01-31T12:00:00Z", "resumed": 0, "result": null}}"#
+    );
+    fs::create_dir_all(place.run(name)).unwrap();
+    fs::write(place.run(name).join("run.json"), record).unwrap();
+    let line = r#"{"update": 5000, "steps": 10240000, "episodes/success": 0.5, "episodes/return": -1234.5}"#;
+    fs::write(place.run(name).join("metrics.jsonl"), line).unwrap();
+    let listed = place.finish(&["runs"]).with_code(0).stdout;
+    fits(&listed);
+    assert!(listed.contains("table1-") && listed.contains(" 10240000 "), "{listed}");
+    assert!(place.finish(&["runs --all"]).with_code(0).stdout.contains(name));
+    for args in
+        ["compare", "compare table1 --plan", "config", "check -c steakhouse", "check -c lander"]
+    {
+        fits(&place.finish(&[args]).with_code(0).stdout);
+    }
+    let plan = place.finish(&["compare table1 --plan"]).with_code(0).stdout;
+    assert!(plan.contains("about ") && plan.contains("docs/results/table1.md"), "{plan}");
+}
+
+#[test]
+fn the_command_that_goes_on_with_a_run_is_said_and_works() {
+    let place = Place::new();
+    let train = "train -c cartpole --actors 1 --set learner.n_steps=32 --steps 2560 --name r";
+    let stopped = place.finish(&[train, "--stop-after 4 -v"]).with_code(0).stderr;
+    assert!(stopped.contains("To go on from update 4:"), "{stopped}");
+    assert!(stopped.contains("DEBUG"), "{stopped}");
+    let command = stopped.lines().find_map(|line| line.strip_prefix("  leadtime ")).unwrap();
+    let done = place.finish(&[command]).with_code(0);
+    assert_eq!(result(&place.run("r"))["updates"], 20);
+    assert!(done.stdout.contains(", all accounted for"), "{}", done.stdout);
+    assert!(done.stderr.contains("leadtime eval runs/r"), "{}", done.stderr);
+    // What is asked for quietly says only its results.
+    let quiet = place.finish(&["eval r --episodes 2 --baseline unaided --quiet"]).with_code(2);
+    quiet.saying(&["unaided"]);
+    let quiet = place.finish(&["eval r --episodes 2 -q"]).with_code(0);
+    assert!(quiet.stderr.is_empty(), "{}", quiet.stderr);
+    fits(&quiet.stdout);
+}
