@@ -102,6 +102,8 @@ pub(crate) enum Command {
     Probe(ProbeArgs),
     /// Draw one episode of a policy as PNG, SVG, GIF or HTML.
     Play(PlayArgs),
+    /// Make the report of a run again, with an evaluation of its policy, or one of several runs side by side.
+    Report(ReportArgs),
     /// Reproduce the paper's tables: train missing runs, evaluate every policy on every listener, write tables and figures.
     Compare(CompareArgs),
     /// Evaluate a pilot of the lander.
@@ -291,6 +293,9 @@ pub(crate) struct EvalArgs {
     /// reward.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["transcript", "each"])]
     pub episodes_to: Option<PathBuf>,
+    /// Also write the results into the run's directory: eval.json, and `eval/...` in TensorBoard.
+    #[arg(long, conflicts_with_all = ["transcript", "each", "set"])]
+    pub save: bool,
     /// Also compare the policy with the others in this measure, such as `steps_to_deliver`; repeatable.
     #[arg(long, value_name = "NAME", conflicts_with = "transcript")]
     pub measure: Vec<String>,
@@ -316,6 +321,29 @@ pub(crate) struct ActingArgs {
     /// Change one key of the task: `--set human.reaction_delay=3`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
+}
+
+/// `leadtime report`
+#[derive(Debug, Args)]
+pub(crate) struct ReportArgs {
+    /// Runs, by name or directory; one is reported in full, several are compared.
+    #[arg(value_name = "RUN", required = true, num_args = 1..=8)]
+    pub names: Vec<String>,
+    /// The page (default: report.html in the run's directory; several runs have none).
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Episodes per policy (default: the configuration's).
+    #[arg(long, value_parser = n_episodes())]
+    pub episodes: Option<u32>,
+    /// Seed of the episodes; not the one of training.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub eval_seed: u64,
+    /// How the policies choose (default: the configuration's).
+    #[arg(long, value_parser = action())]
+    pub action: Option<Choice>,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,
@@ -351,7 +379,7 @@ pub(crate) struct PlayArgs {
     /// Draw these steps side by side (B excluded), instead of the whole episode in one picture.
     #[arg(long, value_name = "A..B", value_parser = number_range)]
     pub frames: Option<Range<u64>>,
-    /// The picture; its extension decides: png, svg, gif or html.
+    /// The picture; its extension decides: png, svg, gif, or html with a slider over the moments.
     #[arg(short, long, value_name = "FILE", default_value = "playthrough.png")]
     pub output: PathBuf,
     /// Quote these sentences: a database file, or a domain (default: those that come with the policy's domain).

@@ -4,15 +4,14 @@
 //! failure, such as a full disk, is kept, and [`finish`] reports it when the command is done: work that was done is
 //! not undone by it. What cannot be written to standard error is dropped.
 
-use std::ffi::OsString;
 use std::fmt::Display;
 use std::io::{self, Write as _};
 use std::path::Path;
 use std::sync::OnceLock;
 
 use anyhow::Context as _;
-use leadtime_proto::text::{own_message, shell_word};
-use leadtime_runs::{journal, write_atomically};
+use leadtime_proto::text::own_message;
+use leadtime_runs::{command_line, journal, write_atomically};
 use serde::Serialize;
 
 use crate::exit::Failure;
@@ -95,10 +94,4 @@ pub(crate) fn next_resumes(command: &str, run: &Path, name: &str, options: &[Str
 /// Writes an error as the last line of a command.
 pub(crate) fn error(error: &impl Display) {
     say(&own_message(&format!("error: {error:#}")));
-}
-
-/// Writes a command with its arguments so that a shell reads the same ones.
-pub(crate) fn command_line(args: impl IntoIterator<Item = OsString>) -> String {
-    let args = args.into_iter().map(|arg| shell_word(&arg.to_string_lossy()));
-    std::iter::once("leadtime".to_owned()).chain(args).collect::<Vec<_>>().join(" ")
 }

@@ -122,9 +122,45 @@ fn every_metric_is_documented_and_every_documented_metric_exists() {
     let keys = last.as_object().unwrap().keys().map(String::as_str);
     let written: BTreeSet<&str> = keys.filter(|key| key.contains('/')).collect();
     let page = fs::read_to_string(repository("docs/metrics.md")).unwrap();
-    let documented: BTreeSet<&str> =
-        page.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next()).collect();
+    let names = page.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
+    // The measures of an evaluation have no slash.
+    let documented: BTreeSet<&str> = names.filter(|name| name.contains('/')).collect();
     assert_eq!(documented, written);
+}
+
+#[test]
+fn a_report_can_be_made_again_with_an_evaluation_and_of_several_runs() {
+    let place = trained();
+    let page = |path: &str| fs::read_to_string(place.path().join(path)).unwrap();
+    let before = page("runs/r/report.html");
+    assert!(before.contains("<code>leadtime report runs/r</code>"), "the next command is named");
+    let text = place.finish(&["report r --episodes 8"]).with_code(0).stdout;
+    assert!(
+        text.contains("trained minus untrained") && text.contains("runs/r/report.html"),
+        "{text}"
+    );
+    let after = page("runs/r/report.html");
+    let command =
+        "leadtime up -c cartpole --seed 1 --set learner.n_steps=64 --set learner.total_steps=5120";
+    for part in ["The trained policy does", command, "What the measures mean", "All settings of r"]
+    {
+        assert!(after.contains(part), "the report has no {part}");
+    }
+    let kept: Value = serde_json::from_str(&page("runs/r/eval.json")).unwrap();
+    assert_eq!(kept["comparison"]["summaries"][0]["n_episodes"], 8);
+    place.finish(&["eval r --episodes 4 --save"]).with_code(0);
+    let kept: Value = serde_json::from_str(&page("runs/r/eval.json")).unwrap();
+    assert_eq!(kept["comparison"]["summaries"][0]["n_episodes"], 4);
+    assert_eq!(fs::read_dir(place.run("r").join("tensorboard")).unwrap().count(), 2);
+    place.finish(&[&TRAIN.replace("--name r", "--name s --seed 2")]).with_code(0);
+    place.finish(&["report r s"]).with_code(2).saying(&["--out FILE"]);
+    place.finish(&["report r nothing --out both.html"]).with_code(2).saying(&["`nothing`"]);
+    place.finish(&["report r s --episodes 4 --out both.html"]).with_code(0);
+    let both = page("both.html");
+    assert!(both.contains("<h1>Runs r, s</h1>") && both.contains("--seed 2"));
+    let outside = place.write("p.safetensors", "");
+    fs::copy(place.run("r").join("policy.safetensors"), &outside).unwrap();
+    place.finish(&["eval", &outside, "--episodes 1 --save"]).with_code(2).saying(&["--save"]);
 }
 
 #[test]
@@ -202,7 +238,7 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
     let printed = done.json();
     assert_eq!(printed["quick"], true);
     let run = place.path().join(printed["run"].as_str().unwrap());
-    for file in ["report.html", "playthrough.png", "policy.safetensors"] {
+    for file in ["report.html", "playthrough.png", "policy.safetensors", "eval.json"] {
         assert!(run.join(file).is_file(), "{file}");
     }
     assert_eq!(printed["books"]["balanced"], true);

@@ -7,6 +7,7 @@
 //!               policy.safetensors   the newest policy              best.safetensors     the best so far
 //!               initial.safetensors  what a fork began with         checkpoints/         the newest ones
 //!               report.html          written at every end           playthrough.png      drawn by `smoke`
+//!               eval.json            the last evaluation
 //!               evaluations/         evaluations kept by `compare`
 //! ```
 //!

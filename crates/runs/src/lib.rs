@@ -5,6 +5,7 @@
 //! record       run.json                                 clock           the only reader of the wall clock
 //! recorder     what the learner reports, written down by journal (metrics.jsonl), tensorboard and policy_file
 //! launch       a learner and its actors as children  ->  supervise      watched until the last of them is gone
+//! report       all of it, and an evaluation, as a page    evaluation_record   eval.json
 //! scratch      the short-lived directory of a launch        tasks           what there is to train on
 //! find         a run by its name                            listing         all runs in a directory
 //! ```
@@ -18,9 +19,11 @@
 
 pub mod build;
 pub mod clock;
+mod command_line;
 pub mod digest;
 mod directory;
 mod directory_error;
+mod evaluation_record;
 mod find;
 pub mod journal;
 pub mod launch;
@@ -31,14 +34,17 @@ mod naming;
 pub mod policy_file;
 pub mod record;
 mod recorder;
+pub mod report;
 pub mod scratch;
 pub mod supervise;
 pub mod tasks;
 mod tensorboard;
 
 pub use build::ProgramBuild;
+pub use command_line::command_line;
 pub use directory::RunDir;
 pub use directory_error::RunDirError;
+pub use evaluation_record::{EvaluationRecord, LAST_EVALUATION};
 pub use find::find_run;
 pub use layout::RunState;
 pub use leadtime_learner::write_atomically;

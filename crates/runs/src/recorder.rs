@@ -9,6 +9,7 @@ use leadtime_learner::{RatedPolicy, UpdateProgress, write_atomically};
 use leadtime_policy::Parameters;
 use leadtime_proto::PolicySpec;
 use serde_json::{Value, json};
+use toml::Table;
 
 use crate::journal::Journal;
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION};
@@ -22,6 +23,8 @@ pub struct RunRecorder {
     policy: PolicySpec,
     metadata: BTreeMap<String, String>,
     steps_per_update: u64,
+    /// The configuration, which event files hold as hyper-parameters.
+    settings: Table,
     journal: Journal,
     /// Whether the journal ends with the update before the next one: a predecessor may have been killed further on.
     is_rewound: bool,
@@ -40,6 +43,7 @@ impl RunRecorder {
             policy: config.policy.clone(),
             metadata: policy_file::metadata(config, run),
             steps_per_update: config.steps_per_update(),
+            settings: config.table.clone(),
             journal: Journal::open(directory)?,
             is_rewound: false,
             events: None,
@@ -91,7 +95,9 @@ impl RunRecorder {
         if self.events.is_none() {
             let directory = self.directory.join("tensorboard");
             let (now, process) = (clock::unix_seconds(), std::process::id());
-            self.events = Some(EventFile::create(&directory, now, process, first_step)?);
+            let mut file = EventFile::create(&directory, now, process, first_step)?;
+            file.settings(now, &self.settings)?;
+            self.events = Some(file);
         }
         Ok(self.events.as_mut().expect("made just now"))
     }

@@ -41,7 +41,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
         output::line(&format!("run {}: {steps}, {sent} sent, {taken} acknowledged", report.run));
     }
     if !args.supervised {
-        let command = output::command_line(env::args_os().skip(1));
+        let command = leadtime_runs::command_line(env::args_os().skip(1));
         output::note(&format!(
             "\nWhile a learner runs there, the same command joins it:\n  {command}"
         ));

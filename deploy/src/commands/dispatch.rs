@@ -5,7 +5,7 @@ use tokio::runtime;
 
 use super::{
     actor, check, compare, config, conformance, describe, eval, launch, learner, pilot, play,
-    probe, runs, smoke, taxonomy,
+    probe, report, runs, smoke, taxonomy,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -29,6 +29,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         Command::Eval(args) => eval::run(tasks, &args),
         Command::Probe(args) => probe::run(tasks, &args),
         Command::Play(args) => play::run(tasks, &args),
+        Command::Report(args) => report::run(tasks, &args),
         Command::Compare(args) => block_on(compare::run(tasks, &args)),
         Command::Pilot { command: PilotCommand::Eval(args) } => pilot::run(&args),
         Command::Taxonomy { command } => match command {

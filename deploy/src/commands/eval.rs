@@ -2,15 +2,15 @@
 
 use std::fs::File;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Context as _;
-use leadtime_config::{Config, Override};
-use leadtime_eval::measure::{Choice, Comparison, PlaySettings, Player};
+use leadtime_config::Override;
+use leadtime_eval::measure::{Choice, PlaySettings, Player};
 use leadtime_eval::record_steps;
-use leadtime_runs::{LoadedPolicy, Tasks};
+use leadtime_runs::{EvaluationRecord, LoadedPolicy, RunRecord, Tasks};
 use leadtime_taxonomy::Pace;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::{episode, evaluation};
 use crate::cli::EvalArgs;
@@ -23,17 +23,21 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         if args.transcript {
             return transcript(tasks, args, &task);
         }
+        let kept_in = args.save.then(|| task.run()).transpose()?;
         if let Some(path) = &args.episodes_to {
             task.record_steps(tasks, args, path)?;
         }
-        let comparison = task.compare(tasks, args)?;
+        let record = task.evaluate(tasks, args)?;
+        if let Some(run) = kept_in {
+            evaluation::save(&record, run, &task.policy.config).blame(ExitCode::WrongInput)?;
+        }
         if args.shown.json {
-            output::json(&task.json(args, &comparison));
+            output::json(&record);
             return Ok(());
         }
-        evaluation::print(&comparison, args.shown.all);
-        let is_spoken = !tasks.topics(&task.config.evaluation.task).is_empty();
-        output::next(&task.path, if is_spoken { &[DRAW, HEAR] } else { &[DRAW] });
+        evaluation::print(&record.comparison, args.shown.all);
+        let is_spoken = !tasks.topics(&task.policy.config.evaluation.task).is_empty();
+        output::next(&task.policy.path, if is_spoken { &[DRAW, HEAR] } else { &[DRAW] });
         return Ok(());
     };
     // All of them first, so that an impossible value is reported before an hour's work.
@@ -41,13 +45,13 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     let loaded = each.0.iter().map(load).collect::<Result<Vec<_>, _>>()?;
     let mut results = Vec::new();
     for (task, change) in loaded.iter().zip(&each.0) {
-        let comparison = task.compare(tasks, args)?;
+        let record = task.evaluate(tasks, args)?;
         if args.shown.json {
-            let mut result = task.json(args, &comparison);
+            let mut result = json!(record);
             result["each"] = change.to_string().into();
             results.push(result);
         } else {
-            output::line(&format!("{change}\n\n{}", comparison.text(args.shown.all)));
+            output::line(&format!("{change}\n\n{}", record.comparison.text(args.shown.all)));
         }
     }
     if args.shown.json {
@@ -58,8 +62,7 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
 
 /// A policy, the task that it is evaluated in, and every player.
 struct EvalTask {
-    path: PathBuf,
-    config: Config,
+    policy: LoadedPolicy,
     action: Choice,
     players: Vec<Player>,
 }
@@ -69,25 +72,25 @@ impl EvalTask {
     fn load(tasks: &Tasks, args: &EvalArgs, change: Option<&Override>) -> Result<Self, Failure> {
         let acting = &args.acting;
         let changes: Vec<Override> = acting.set.iter().chain(change).cloned().collect();
-        let loaded = LoadedPolicy::load(&tasks.registry, &acting.runs, &args.policy, &changes)
+        let policy = LoadedPolicy::load(&tasks.registry, &acting.runs, &args.policy, &changes)
             .blame(ExitCode::WrongInput)?;
-        let config = loaded.config;
-        evaluation::check_measures(&config, &args.measure).blame(ExitCode::WrongInput)?;
+        let config = &policy.config;
+        evaluation::check_measures(config, &args.measure).blame(ExitCode::WrongInput)?;
         let action = acting.action.unwrap_or(config.evaluation.action);
-        let mut players = vec![evaluation::policy("policy", &config, &loaded.parameters, action)?];
+        let mut players = vec![evaluation::policy("policy", config, &policy.parameters, action)?];
         players.extend(args.baseline.iter().map(|name| Player::baseline(name)));
         let environment = tasks.registry.build(&config.evaluation.task);
         let environment = environment.blame(ExitCode::WrongInput)?;
         let mut checks = players.iter().map(|player| player.check(environment.as_ref()));
         checks.try_for_each(|check| check.blame(ExitCode::WrongInput))?;
-        Ok(Self { path: loaded.path, config, action, players })
+        Ok(Self { policy, action, players })
     }
 
     /// Writes every step of the policy's episodes.
     fn record_steps(&self, tasks: &Tasks, args: &EvalArgs, path: &Path) -> Result<(), Failure> {
-        let make = || tasks.registry.build(&self.config.evaluation.task);
-        let n_episodes = self.n_episodes(args);
-        let settings = PlaySettings::new(u64::from(n_episodes), args.eval_seed);
+        let make = || tasks.registry.build(&self.policy.config.evaluation.task);
+        let n_episodes = u64::from(self.n_episodes(args));
+        let settings = PlaySettings::new(n_episodes, args.acting.eval_seed);
         let settings = settings.threads(evaluation::n_threads());
         let cannot = || format!("writing {}", path.display());
         let mut file = File::create(path).with_context(cannot).blame(ExitCode::WrongInput)?;
@@ -96,31 +99,30 @@ impl EvalTask {
     }
 
     fn n_episodes(&self, args: &EvalArgs) -> u32 {
-        args.episodes.unwrap_or(self.config.evaluation.episodes)
+        args.episodes.unwrap_or(self.policy.config.evaluation.episodes)
     }
 
-    fn compare(&self, tasks: &Tasks, args: &EvalArgs) -> Result<Comparison, Failure> {
+    fn evaluate(&self, tasks: &Tasks, args: &EvalArgs) -> Result<EvaluationRecord, Failure> {
+        let (config, players, seed) = (&self.policy.config, &self.players, args.acting.eval_seed);
         let n_episodes = self.n_episodes(args);
-        tracing::info!(policy = %self.path.display(), n_episodes, "evaluating");
-        let (config, players, seed) = (&self.config, &self.players, args.acting.eval_seed);
+        tracing::info!(policy = %self.policy.path.display(), n_episodes, "evaluating");
         let evaluations = evaluation::evaluate_all(tasks, config, players, n_episodes, seed)?;
-        Ok(evaluation::compare(config, &evaluations, &args.measure))
+        let comparison = evaluation::compare(config, &evaluations, &args.measure);
+        Ok(EvaluationRecord::new(&self.policy, self.action, seed, comparison))
     }
 
-    fn json(&self, args: &EvalArgs, comparison: &Comparison) -> Value {
-        json!({
-            "policy": self.path.display().to_string(),
-            "domain": self.config.domain.as_str(),
-            "action": self.action,
-            "seed": args.acting.eval_seed,
-            "comparison": comparison,
-        })
+    /// Returns the directory of the policy's run.
+    fn run(&self) -> Result<&Path, Failure> {
+        let path = &self.policy.path;
+        let run = path.parent().filter(|parent| RunRecord::read(parent).is_ok());
+        let sentence = format!("--save: {} is not in the directory of a run", path.display());
+        run.ok_or_else(|| Failure::input(sentence))
     }
 }
 
 /// Prints the same episodes of every player, word by word.
 fn transcript(tasks: &Tasks, args: &EvalArgs, task: &EvalTask) -> Result<(), Failure> {
-    let config = &task.config;
+    let config = &task.policy.config;
     let voice = episode::voice(tasks, config, args.words.as_deref())?;
     for player in &task.players {
         for index in 0..u64::from(args.episodes.unwrap_or(1)) {

@@ -1,8 +1,9 @@
 //! Evaluates several players on the same episodes and compares them.
 
+use std::path::Path;
 use std::thread::available_parallelism;
 
-use anyhow::ensure;
+use anyhow::{Context as _, ensure};
 use leadtime_config::Config;
 use leadtime_eval::measure::{
     Choice, Comparison, Evaluation, PlaySettings, Player, evaluate, measure_names,
@@ -10,12 +11,17 @@ use leadtime_eval::measure::{
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_policy::Parameters;
 use leadtime_proto::phrase::did_you_mean;
-use leadtime_runs::Tasks;
+use leadtime_runs::{EvaluationRecord, Tasks};
 
 use crate::output;
 
 /// Default seed of evaluations, which no run trains with by default: nothing is evaluated on its training episodes.
 pub(super) const EVAL_SEED: u64 = 1_000_000;
+
+/// The name of a trained policy in tables.
+pub(super) const TRAINED: &str = "trained";
+/// The player that shows what the listener does alone.
+pub(super) const UNAIDED: &str = "unaided";
 
 /// Makes a policy a player under a name.
 pub(super) fn policy(
@@ -25,6 +31,19 @@ pub(super) fn policy(
     action: Choice,
 ) -> anyhow::Result<Player> {
     Ok(Player::policy(name, &config.policy, parameters, action)?)
+}
+
+/// Lists a policy and everybody whom it is compared with: the task's scripts, and the network before training.
+pub(super) fn players(
+    tasks: &Tasks,
+    trained: Player,
+    config: &Config,
+    action: Choice,
+) -> anyhow::Result<Vec<Player>> {
+    let environment = tasks.registry.build(&config.task)?;
+    let scripts = environment.baselines().iter().map(|script| Player::baseline(script));
+    let untrained = Player::untrained(&config.policy, config.seed, action)?;
+    Ok([trained].into_iter().chain(scripts).chain([untrained]).collect())
 }
 
 /// Returns how many threads play episodes: as many as there are cores, for the results do not depend on it.
@@ -44,6 +63,13 @@ pub(super) fn evaluate_all(
     let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_threads());
     let evaluate = |player| Ok(evaluate(&make, player, &settings)?);
     players.iter().map(evaluate).collect()
+}
+
+/// Writes an evaluation into the directory of its run.
+pub(super) fn save(record: &EvaluationRecord, run: &Path, config: &Config) -> anyhow::Result<()> {
+    record
+        .write(run, config)
+        .with_context(|| format!("writing the evaluation into {}", run.display()))
 }
 
 /// Returns the measure by which players of a task are compared: success where it is known.

@@ -7,13 +7,14 @@ use leadtime_link::ListenSettings;
 use leadtime_proto::RunSpec;
 use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
+use leadtime_runs::report::Findings;
 use leadtime_runs::{
     ProgramBuild, RunDir, RunDirError, RunRecorder, RunResult, RunState, Tasks, clock, digest,
     scratch,
 };
 use serde_json::json;
 
-use super::run_report::{self, Findings};
+use super::report;
 use crate::build;
 use crate::cli::{LearnerArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -61,7 +62,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         scratch::remove_if_abandoned(scratch);
     }
     let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args);
-    if let Err(error) = run_report::write(&run_dir.path, Findings::of_training(&config)) {
+    let findings = Findings::of_training(&config, &run_dir.path);
+    if let Err(error) = report::write(tasks, &run_dir.path, findings) {
         tracing::warn!("report.html cannot be written: {error:#}");
     }
     concluded

@@ -15,7 +15,7 @@ mod learner;
 mod pilot;
 mod play;
 mod probe;
-mod run_report;
+mod report;
 mod runs;
 mod smoke;
 mod taxonomy;

@@ -1,4 +1,4 @@
-//! `leadtime play`: one episode as a picture; the file's extension says which kind.
+//! `leadtime play`: one episode as a picture or a page; the file's extension says which kind.
 
 use std::ops::Range;
 use std::path::Path;
@@ -7,7 +7,7 @@ use anyhow::{bail, ensure};
 use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::measure::Player;
 use leadtime_eval::playthrough::Spoken;
-use leadtime_eval::report::{Picture, Report};
+use leadtime_eval::report::player;
 use leadtime_runs::{LoadedPolicy, Tasks};
 
 use super::{episode, evaluation};
@@ -21,10 +21,10 @@ const PNG_SCALE: f32 = 2.0;
 const MAX_FRAMES: u64 = 60;
 /// The moments of the demonstration: all words, and what the cook does with them.
 const DEMONSTRATION_FRAMES: Range<u64> = 0..8;
-/// The most frames of a GIF.
-const GIF_FRAMES: usize = 150;
-/// How long a GIF plays, in seconds.
-const GIF_SECONDS: f64 = 12.0;
+/// The most moments of a GIF and of a page.
+const MAX_MOMENTS: usize = 150;
+/// How long these play, in seconds.
+const SECONDS: f64 = 12.0;
 
 pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     let kinds = ["png", "svg", "gif", "html"];
@@ -87,23 +87,11 @@ pub(super) fn draw(spoken: &Spoken, path: &Path) -> anyhow::Result<()> {
     let bytes = match extension(path).as_str() {
         "png" => spoken.png(&Rasterizer::new(), PNG_SCALE)?,
         "svg" => spoken.svg("playthrough").text.into_bytes(),
-        "gif" => spoken.gif(&Rasterizer::new(), GIF_FRAMES, GIF_SECONDS)?,
-        "html" => {
-            let (title, pictures) = (spoken.played.title(), vec![picture(spoken, "playthrough")]);
-            Report { title, pictures, ..Report::default() }.html().into_bytes()
-        }
+        "gif" => spoken.gif(&Rasterizer::new(), MAX_MOMENTS, SECONDS)?,
+        "html" => player(spoken, MAX_MOMENTS, SECONDS).into_bytes(),
         other => bail!("a picture cannot be a `{other}` file"),
     };
     output::file(path, &bytes)
-}
-
-/// Makes an episode a picture of a page.
-pub(super) fn picture(spoken: &Spoken, id: &str) -> Picture {
-    let played = &spoken.played;
-    let (index, seed, n_steps) = (played.index, played.seed, played.n_steps());
-    let total = played.total_reward;
-    let caption = format!("Episode {index} of seed {seed}, {n_steps} steps, return {total:.1}.");
-    Picture { title: played.title(), caption, svg: spoken.svg(id).text }
 }
 
 /// Returns the extension of a path in lower case.

@@ -75,7 +75,10 @@ fn write(
     let mut weights = digest::hex(&loaded.parameters.digest().blame(ExitCode::Failed)?);
     weights.truncate(DIGEST_DIGITS);
     let mut facts = vec![
-        Fact::new("command", format!("`{}`", output::command_line(std::env::args_os().skip(1)))),
+        Fact::new(
+            "command",
+            format!("`{}`", leadtime_runs::command_line(std::env::args_os().skip(1))),
+        ),
         Fact::new("policy", format!("`{}`, weights `{weights}`", args.policy.display())),
         Fact::new("domain", format!("`{}`", loaded.config.domain)),
         Fact::new("reaction delay", format!("`{}`", reaction_delay(loaded))),

@@ -8,16 +8,17 @@
 use std::path::{Path, PathBuf};
 
 use leadtime_config::{Config, Layer};
-use leadtime_eval::measure::{Comparison, Evaluation, Player};
-use leadtime_eval::report::{Picture, Verdict};
+use leadtime_eval::measure::Comparison;
+use leadtime_eval::report::Verdict;
 use leadtime_runs::launch::Launch;
 use leadtime_runs::record::books_sentence;
-use leadtime_runs::{LoadedPolicy, Naming, RunRecord, Tasks};
+use leadtime_runs::report::Findings;
+use leadtime_runs::{EvaluationRecord, LoadedPolicy, Naming, RunRecord, Tasks};
 use serde_json::json;
 
+use super::evaluation::{TRAINED, UNAIDED};
 use super::launch::launch;
-use super::run_report::{self, Findings};
-use super::{episode, evaluation, play};
+use super::{episode, evaluation, play, report};
 use crate::cli::SmokeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, HEAR};
@@ -28,10 +29,6 @@ const MARK: f64 = 0.3;
 /// Updates and episodes of a quick run.
 const QUICK_UPDATES: u64 = 12;
 const QUICK_EPISODES: u32 = 10;
-/// The name of the trained policy in tables.
-const TRAINED: &str = "trained";
-/// The player that shows what the person does alone.
-const UNAIDED: &str = "unaided";
 
 pub(super) async fn run(tasks: &Tasks, args: &SmokeArgs, options: &[&str]) -> Result<(), Failure> {
     let config = configure(tasks, args).blame(ExitCode::WrongInput)?;
@@ -82,10 +79,7 @@ fn evaluate(
     let loaded = LoadedPolicy::load(&tasks.registry, &config.run.directory, directory, &[])?;
     let action = config.evaluation.action;
     let trained = evaluation::policy(TRAINED, config, &loaded.parameters, action)?;
-    let environment = tasks.registry.build(&config.task)?;
-    let scripts = environment.baselines().iter().map(|script| Player::baseline(script));
-    let untrained = Player::untrained(&config.policy, config.seed, action)?;
-    let players: Vec<Player> = [trained].into_iter().chain(scripts).chain([untrained]).collect();
+    let players = evaluation::players(tasks, trained, config, action)?;
     let default = if args.quick { QUICK_EPISODES } else { config.evaluation.episodes };
     let n_episodes = args.episodes.unwrap_or(default);
     let seed = evaluation::EVAL_SEED;
@@ -93,26 +87,21 @@ fn evaluate(
     let comparison = evaluation::compare(config, &evaluations, &[]);
     let (sentence, passed) = verdict(args, config, &comparison);
     let quick = "This was a quick run: it checks the mechanics only, and its figures say nothing about learning.";
-    let pictures = draw(tasks, config, &players, &evaluations, directory)?;
+    let episodes = episode::telling(tasks, config, &players, &evaluations)?;
+    if let Some(first) = episodes.first() {
+        play::draw(first, &directory.join("playthrough.png"))?;
+    }
+    let record = EvaluationRecord::new(&loaded, action, seed, comparison.clone());
+    evaluation::save(&record, directory, config)?;
     let findings = Findings {
-        lead: lead(config, &loaded.path),
+        lead: report::lead(config, &loaded.path),
         verdicts: vec![Verdict { holds: passed, sentence: sentence.clone() }],
         comparison: Some(comparison.clone()),
-        pictures,
+        pictures: report::pictures(&episodes),
         notes: args.quick.then(|| quick.to_owned()).into_iter().collect(),
     };
-    run_report::write(directory, findings)?;
+    report::write(tasks, directory, findings)?;
     Ok(SmokeOutcome { comparison, sentence, passed })
-}
-
-fn lead(config: &Config, policy: &Path) -> String {
-    let file = policy.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    let (domain, n_updates) = (&config.domain, config.learner.n_updates());
-    let n_steps = config.steps_per_update();
-    format!(
-        "Trained on domain {domain} for {n_updates} updates of {n_steps} steps by a learner and separate actors, then \
-         evaluated on episodes that training never saw. The evaluated policy is {file}."
-    )
 }
 
 /// Says whether the trained policy gained enough, where the task has a person to compare with.
@@ -130,39 +119,6 @@ fn verdict(args: &SmokeArgs, config: &Config, comparison: &Comparison) -> (Strin
     let interval = difference.sentence(comparison.bootstrap.confidence);
     let sentence = format!("The trained notifier {verb} more than {MARK} in success: {interval}.");
     (sentence, passed)
-}
-
-/// Draws the first episode that shows what training did: the trained policy succeeds where the unaided person fails.
-fn draw(
-    tasks: &Tasks,
-    config: &Config,
-    players: &[Player],
-    evaluations: &[Evaluation],
-    directory: &Path,
-) -> anyhow::Result<Vec<Picture>> {
-    let environment = tasks.registry.build(&config.evaluation.task)?;
-    if environment.scene().is_none() {
-        return Ok(Vec::new());
-    }
-    let index = telling_episode(evaluations);
-    let voice = episode::shipped_voice(tasks, config);
-    let mut pictures = Vec::new();
-    for (i, player) in players.iter().enumerate().take(2) {
-        let seed = evaluation::EVAL_SEED;
-        let spoken = episode::record(tasks, config, player, voice.as_ref(), seed, index)?;
-        if i == 0 {
-            play::draw(&spoken, &directory.join("playthrough.png"))?;
-        }
-        pictures.push(play::picture(&spoken, &format!("playthrough-{i}")));
-    }
-    Ok(pictures)
-}
-
-fn telling_episode(evaluations: &[Evaluation]) -> u64 {
-    let success = |at: usize| evaluations.get(at).and_then(|e| e.column("success"));
-    let (Some(trained), Some(other)) = (success(0), success(1)) else { return 0 };
-    let mut both = trained.iter().zip(&other);
-    both.position(|(ours, theirs)| *ours > 0.5 && *theirs < 0.5).unwrap_or(0) as u64
 }
 
 fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome, books: &serde_json::Value) {

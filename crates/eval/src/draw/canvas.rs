@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 use leadtime_table::escape;
 
-use super::font::{FAMILY, Weight};
+use super::font::{FAMILY, Weight, text_width};
 use super::palette::Ink;
 
 /// Writes a coordinate with at most two decimals.
@@ -213,6 +213,7 @@ pub struct Canvas {
     height: f64,
     body: String,
     n_clips: usize,
+    description: String,
     /// Keeps clip ids of several pictures on one page apart.
     id: String,
 }
@@ -223,9 +224,15 @@ impl Canvas {
     pub fn new(id: &str, width: f64, height: f64) -> Self {
         let (width, height) = (width.ceil(), height.ceil());
         let id = id.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').collect();
-        let mut canvas = Self { width, height, body: String::new(), n_clips: 0, id };
+        let (body, description) = (String::new(), String::new());
+        let mut canvas = Self { width, height, body, n_clips: 0, description, id };
         canvas.rectangle(Area::new(0.0, 0.0, width, height), 0.0, Paint::fill(Ink::Paper));
         canvas
+    }
+
+    /// Describes the picture in words, for whoever cannot see it.
+    pub fn describe(&mut self, description: &str) {
+        self.description = format!("<desc>{}</desc>\n", escape(description));
     }
 
     /// Draws a rectangle with corners rounded by `radius` pixels.
@@ -269,7 +276,15 @@ impl Canvas {
     }
 
     fn set_text(&mut self, at: [f64; 2], text: &str, style: TextStyle, extra: &str) {
+        // As it is shown: SVG takes any white space for one space.
+        let text = &text.split_whitespace().collect::<Vec<_>>().join(" ");
+        if text.is_empty() {
+            return;
+        }
         let mut attributes = String::new();
+        let width = text_width(text, style.size, style.weight);
+        attribute(&mut attributes, "textLength", &number(width));
+        attribute(&mut attributes, "lengthAdjust", "spacingAndGlyphs");
         attribute(&mut attributes, "font-size", &number(style.size));
         if style.weight == Weight::Bold {
             attribute(&mut attributes, "font-weight", "600");
@@ -315,8 +330,8 @@ impl Canvas {
         let (family, title) = (escape(FAMILY), escape(title));
         let text = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
-             height=\"{height}\" role=\"img\" font-family=\"{family}\">\n<title>{title}</title>\n{}</svg>\n",
-            self.body
+             height=\"{height}\" role=\"img\" font-family=\"{family}\">\n<title>{title}</title>\n{}{}</svg>\n",
+            self.description, self.body
         );
         Svg { text, width: self.width, height: self.height }
     }
@@ -329,8 +344,29 @@ fn placed(area: Area) -> String {
     format!("x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"")
 }
 
+/// How far a point may lie off the line between its neighbours to be left out, in pixels.
+const STRAIGHT: f64 = 0.01;
+
+/// Leaves out points on the straight way from the point before to the point after.
+fn without_straight(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let mut kept: Vec<[f64; 2]> = Vec::new();
+    for (i, &[x, y]) in points.iter().enumerate() {
+        let is_on_the_way =
+            kept.last().zip(points.get(i + 1)).is_some_and(|([x0, y0], [x1, y1])| {
+                let ([ax, ay], [bx, by]) = ([x - x0, y - y0], [x1 - x, y1 - y]);
+                let whole = (x1 - x0).hypot(y1 - y0);
+                ax * bx + ay * by > 0.0 && (ax * by - ay * bx).abs() < STRAIGHT * whole
+            });
+        if !is_on_the_way {
+            kept.push([x, y]);
+        }
+    }
+    kept
+}
+
 fn joined(points: &[[f64; 2]]) -> String {
-    let pairs = points.iter().map(|p| format!("{},{}", number(p[0]), number(p[1])));
+    let pairs =
+        without_straight(points).into_iter().map(|p| format!("{},{}", number(p[0]), number(p[1])));
     format!("points=\"{}\"", pairs.collect::<Vec<_>>().join(" "))
 }
 
@@ -360,6 +396,18 @@ mod tests {
         let svg = canvas.finish("title & more").text;
         let tree = resvg::usvg::Tree::from_str(&svg, &resvg::usvg::Options::default()).unwrap();
         assert_eq!((tree.size().width(), tree.size().height()), (100.0, 50.0));
+    }
+
+    #[test]
+    fn points_on_a_straight_way_are_left_out_and_turns_and_returns_kept() {
+        let line = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 3.0], [2.0, 1.0], [2.0, 1.0]];
+        let kept = [[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [2.0, 1.0], [2.0, 1.0]];
+        assert_eq!(without_straight(&line), kept);
+        let circle =
+            |i: i32| [f64::from(i) / 20.0, 1.0].map(|s| 100.0 * (s * f64::from(i % 7)).sin());
+        let points: Vec<[f64; 2]> = (0..40).map(circle).collect();
+        assert!(without_straight(&points).len() > 20);
+        assert!(without_straight(&[]).is_empty());
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Pictures are set in Inter. A subset of two weights is part of this crate (`assets/`, SIL Open Font License), so
 //! that PNG and GIF files have text on machines without any font. A browser that has no Inter takes its own
-//! sans-serif, whose widths differ by a few percent; layouts leave room for that.
+//! sans-serif; every text says how long it is, so the browser fits it into the width that the layout counts on.
 
 /// The `font-family` of every picture.
 pub const FAMILY: &str = "Inter, 'Helvetica Neue', Arial, 'Liberation Sans', sans-serif";
@@ -26,20 +26,37 @@ pub enum Weight {
 ///
 /// # Units
 ///
-/// Pixels, for `size` in pixels. Characters outside ASCII count as wide as a digit.
+/// Pixels, for `size` in pixels. Characters that pictures do not use count as wide as a digit.
 pub fn text_width(text: &str, size: f64, weight: Weight) -> f64 {
     let widths = match weight {
         Weight::Regular => &REGULAR,
         Weight::Bold => &BOLD,
     };
-    let thousandths: u32 = text.chars().map(|c| u32::from(advance(widths, c))).sum();
+    let advance = |c: char| {
+        let place = (c as usize).checked_sub(32).unwrap_or(usize::MAX);
+        let ascii = widths.get(place).copied();
+        ascii.or_else(|| OTHERS.iter().find(|other| other.0 == c).map(|other| other.1))
+    };
+    let thousandths: u32 = text.chars().map(|c| u32::from(advance(c).unwrap_or(640))).sum();
     f64::from(thousandths) / 1000.0 * size
 }
 
-fn advance(widths: &[u16; 95], c: char) -> u16 {
-    let place = (c as usize).checked_sub(32).unwrap_or(usize::MAX);
-    widths.get(place).copied().unwrap_or(640)
-}
+/// Advance widths of what else pictures use, in the regular face; the semi-bold one is within three percent.
+const OTHERS: [(char, u16); 13] = [
+    ('\u{b2}', 420),
+    ('\u{b3}', 430),
+    ('\u{b7}', 276),
+    ('\u{d7}', 659),
+    ('\u{2013}', 500),
+    ('\u{2014}', 1000),
+    ('\u{2018}', 199),
+    ('\u{2019}', 185),
+    ('\u{201c}', 381),
+    ('\u{201d}', 381),
+    ('\u{2026}', 821),
+    ('\u{2192}', 955),
+    ('\u{2212}', 659),
+];
 
 // Advance widths of U+0020..=U+007E in thousandths of the font size, read from the embedded faces with fontTools:
 // [round(hmtx[cmap[c]][0] * 1000 / unitsPerEm) for c in range(32, 127)].

@@ -11,6 +11,8 @@
 mod axis;
 mod canvas;
 mod font;
+#[cfg(test)]
+pub(crate) mod inspect;
 mod palette;
 mod raster;
 mod wrap;

@@ -34,10 +34,14 @@ pub enum Ink {
     Purple,
     /// Okabe-Ito sky blue.
     Sky,
+    /// A paler orange, for the second part of an orange bar.
+    PaleOrange,
+    /// Text on fillings that are bright on any page.
+    Label,
 }
 
 /// Every ink in order: its name in class attributes, its colour on a light page and on a dark one.
-const INKS: [(Ink, &str, &str, &str); 14] = [
+const INKS: [(Ink, &str, &str, &str); 16] = [
     (Ink::Text, "text", "#1f2430", "#e6e8ee"),
     (Ink::Muted, "muted", "#5c6370", "#a3a9b6"),
     (Ink::Axis, "axis", "#8b919c", "#767d8b"),
@@ -52,6 +56,8 @@ const INKS: [(Ink, &str, &str, &str); 14] = [
     (Ink::Vermilion, "vermilion", "#d55e00", "#f07f3c"),
     (Ink::Purple, "purple", "#cc79a7", "#dd94bd"),
     (Ink::Sky, "sky", "#56b4e9", "#7cc7f2"),
+    (Ink::PaleOrange, "pale-orange", "#f5d489", "#c2933a"),
+    (Ink::Label, "label", "#0f1216", "#0f1216"),
 ];
 
 impl Ink {
@@ -72,6 +78,15 @@ impl Ink {
         Self::SERIES[i % Self::SERIES.len()]
     }
 
+    /// Returns the ink of text that stands on a filling of this ink: legible on a light page and on a dark one.
+    pub fn label(self) -> Self {
+        match self {
+            Self::Text | Self::Muted | Self::Neutral | Self::Blue => Self::Paper,
+            Self::Paper | Self::Panel | Self::Ground | Self::Grid => Self::Text,
+            _ => Self::Label,
+        }
+    }
+
     /// Returns the colour on a light page.
     pub fn light(self) -> &'static str {
         INKS[self as usize].2
@@ -80,6 +95,15 @@ impl Ink {
     /// Returns the ink's name in class attributes.
     pub fn class(self) -> &'static str {
         INKS[self as usize].1
+    }
+
+    /// Writes a picture in the colours of a dark page.
+    #[cfg(test)]
+    pub(crate) fn darkened(svg: &str) -> String {
+        let recolour = |text: String, (_, _, light, dark): &(Self, &str, &str, &str)| {
+            text.replace(&format!("\"{light}\""), &format!("\"{dark}\""))
+        };
+        INKS.iter().fold(svg.to_owned(), recolour)
     }
 
     /// Writes the rules that recolour every picture of a page for a dark page (to stand in a media query).
@@ -94,6 +118,20 @@ impl Ink {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::draw::inspect::{LEGIBLE, contrast};
+
+    #[test]
+    fn a_label_is_legible_on_every_ink_in_light_and_in_dark() {
+        for (ink, class, light, dark) in INKS {
+            let (_, _, label_light, label_dark) = INKS[ink.label() as usize];
+            let contrasts = [contrast(light, label_light), contrast(dark, label_dark)];
+            let needs_label = !matches!(ink, Ink::Axis | Ink::Label);
+            assert!(
+                !needs_label || contrasts.iter().all(|c| *c >= LEGIBLE),
+                "{class} {contrasts:?}"
+            );
+        }
+    }
 
     #[test]
     fn every_ink_has_its_own_class_and_colours() {

@@ -134,6 +134,7 @@ fn y_range(panel: &BandPanel) -> [f64; 2] {
 mod tests {
     use super::*;
     use crate::draw::Rasterizer;
+    use crate::draw::inspect::{assert_apart, assert_legible};
 
     fn panel(points: Vec<[f64; 4]>) -> BandPanel {
         let published = vec![[0.0, 0.4], [1.0, f64::NAN]];
@@ -150,6 +151,14 @@ mod tests {
             Rasterizer::new().png(&svg, 1.0).unwrap();
         }
         Rasterizer::new().png(&bands("b", "nothing", "steps", 5, &[]).text, 1.0).unwrap();
+    }
+
+    #[test]
+    fn a_chart_can_be_read() {
+        let svg =
+            bands("b", "t", "steps", 7, &[panel(vec![[0.0, 0.2, 0.1, 0.3], [9e5, 0.5, 0.4, 0.6]])]);
+        assert_legible(&svg.text);
+        assert_apart(&svg.text);
     }
 
     #[test]

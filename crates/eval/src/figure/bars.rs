@@ -104,9 +104,9 @@ fn draw_row(canvas: &mut Canvas, area: Area, row: &ShareRow, names: &[&str]) {
         let width = spent / total * area.width;
         let piece = Area { x, width, ..area };
         canvas.rectangle(piece, 0.0, part_paint(i).outlined(Ink::Paper, 1.0));
-        if width > 40.0 {
+        if width > 40.0 && i < Ink::SERIES.len() {
             let text = format!("{:.0} %", 100.0 * spent / total);
-            let style = TextStyle::new(11.0, Ink::Text).anchored(Anchor::Middle).haloed(Ink::Paper);
+            let style = TextStyle::new(11.0, Ink::series(i).label()).anchored(Anchor::Middle);
             canvas.text([x + width / 2.0, area.y + 14.0], &text, style);
         }
         x += width;
@@ -115,7 +115,7 @@ fn draw_row(canvas: &mut Canvas, area: Area, row: &ShareRow, names: &[&str]) {
     canvas.text([area.right() + 8.0, area.y + 14.5], &text, TextStyle::new(11.5, Ink::Muted));
 }
 
-/// More parts than colours: the second round is paler.
+/// More parts than colours: the second round is paler, and its bars have no labels.
 fn part_paint(i: usize) -> Paint {
     let faded = if i < Ink::SERIES.len() { 1.0 } else { 0.45 };
     Paint::fill(Ink::series(i)).fill_opacity(faded)
@@ -136,6 +136,20 @@ fn part_names(rows: &[ShareRow]) -> Vec<&str> {
 mod tests {
     use super::*;
     use crate::draw::Rasterizer;
+    use crate::draw::inspect::{assert_apart, assert_legible, texts};
+
+    #[test]
+    fn every_bar_has_a_label_that_can_be_read() {
+        let parts = (0..Ink::SERIES.len() + 2).map(|i| (format!("part {i}"), 1.0));
+        let svg = one(parts).text;
+        let n_labels = texts(&svg).iter().filter(|found| found.text == "10 %").count();
+        assert_eq!(n_labels, Ink::SERIES.len());
+        let histogram = histogram("h", "t", "x", &BTreeMap::from([(0, 5), (1, 95)])).text;
+        for svg in [svg, histogram] {
+            assert_legible(&svg);
+            assert_apart(&svg);
+        }
+    }
 
     #[test]
     fn a_histogram_shows_gaps_and_gathers_the_tail() {

@@ -89,11 +89,15 @@ impl Comparison {
 
     /// Lays the summaries out: one row per measure, one column per player.
     pub fn table(&self) -> Table {
-        let names = summary::names_in(&self.summaries).into_iter();
-        self.table_of(names.map(|name| (name, summary::title(name))))
+        self.table_of(&summary::names_in(&self.summaries))
     }
 
-    fn table_of<'a>(&self, measures: impl Iterator<Item = (&'a str, String)>) -> Table {
+    /// Lays some measures out, in the given order.
+    pub fn table_of(&self, measures: &[&str]) -> Table {
+        self.lay_out(measures.iter().map(|name| (*name, summary::title(name))))
+    }
+
+    fn lay_out<'a>(&self, measures: impl Iterator<Item = (&'a str, String)>) -> Table {
         let players = self.summaries.iter().map(|summary| summary.player.as_str());
         let mut table = Table::new(std::iter::once("").chain(players));
         for (name, title) in measures {
@@ -104,11 +108,18 @@ impl Comparison {
         table
     }
 
+    /// Tells whether a measure is 0 in every episode in which anybody has it.
+    pub(crate) fn is_zero(&self, measure: &str) -> bool {
+        let has = |summary: &Summary| summary.get(measure).and_then(|measure| measure.interval);
+        let mut all = self.summaries.iter().filter_map(has).peekable();
+        all.peek().is_some() && all.all(|i| [i.estimate, i.low, i.high] == [0.0; 3])
+    }
+
     /// Writes table and differences as plain text: all measures, or only the main ones.
     pub fn text(&self, all: bool) -> String {
-        let main = summary::main_measures(&self.summaries).into_iter();
-        let main = || self.table_of(main.map(|(name, title)| (name, title.to_owned())));
-        let table = if all { self.table() } else { main() };
+        let [main, _] = summary::main_measures(&summary::names_in(&self.summaries));
+        let short = main.into_iter().map(|name| (name, summary::short_title(name)));
+        let table = if all { self.table() } else { self.lay_out(short) };
         let sentences = self.differences.iter().map(|d| d.sentence(self.bootstrap.confidence));
         let lines: Vec<String> = std::iter::once(self.reading()).chain(sentences).collect();
         format!("{}{}\n", table.text_within(WIDTH), lines.join("\n"))
@@ -116,8 +127,8 @@ impl Comparison {
 
     /// Counts the measures that only the whole table has.
     pub fn n_further(&self) -> usize {
-        let n_main = summary::main_measures(&self.summaries).len();
-        summary::names_in(&self.summaries).len() - n_main
+        let [_, rest] = summary::main_measures(&summary::names_in(&self.summaries));
+        rest.len()
     }
 
     /// Says how the table's cells are to be read.

@@ -8,6 +8,7 @@
 mod compare;
 mod evaluation;
 mod lead;
+mod meaning;
 mod said;
 mod summary;
 mod utterance;
@@ -17,6 +18,9 @@ pub use compare::{Comparison, Difference, written};
 pub use evaluation::{EpisodeResult, Evaluation, evaluate, evaluate_with};
 pub use lead::with_lead_times;
 pub use leadtime_episodes::{Choice, MakeEnvironment, PlaySettings, Player, episode_seed};
+pub use meaning::meaning;
 pub use said::with_said;
-pub use summary::{Measure, Summary, known_measures, measure_names, names_in, title};
+pub use summary::{
+    Measure, Summary, known_measures, main_measures, measure_names, names_in, title,
+};
 pub use utterance::{LoggedMessage, SpeechLog};

@@ -36,19 +36,18 @@ const ORDER: [&str; 11] = [
     "length",
 ];
 
-/// What a first look needs, with shorter words than [`title`]'s; of the task's own measures the first that it knows.
-const MAIN: [(&str, &str); 5] = [
+/// What is looked at first: the first [`N_MAIN`] of these that a task has, with shorter words than [`title`]'s.
+const MAIN: [(&str, &str); 8] = [
     ("success", "success"),
-    ("return", "return"),
-    ("notifications", "notifications"),
-    ("followed_of_initiated", "follow-through"),
-    ("length", "length (steps)"),
-];
-const OWN: [(&str, &str); 3] = [
     ("enter_danger", "enters danger"),
     ("crashed", "crashes"),
     ("steps_to_deliver", "steps to deliver"),
+    ("notifications", "notifications"),
+    ("followed_of_initiated", "follow-through"),
+    ("return", "return"),
+    ("length", "length (steps)"),
 ];
+const N_MAIN: usize = 6;
 
 /// Counts whose rates say more, and what is only an ingredient.
 const HIDDEN: [&str; 5] =
@@ -140,15 +139,18 @@ pub fn names_in<'a>(summaries: impl IntoIterator<Item = &'a Summary>) -> Vec<&'a
     names
 }
 
-/// Lists the few measures that a first look needs: names and short titles.
-pub(super) fn main_measures<'a>(
-    summaries: impl IntoIterator<Item = &'a Summary>,
-) -> Vec<(&'a str, &'static str)> {
-    let names = names_in(summaries);
-    let known = |(name, title): &(&str, &'static str)| {
-        names.iter().find(|known| *known == name).map(|name| (*name, *title))
-    };
-    MAIN.iter().filter_map(known).chain(OWN.iter().find_map(known)).collect()
+/// Splits measures into those that are looked at first, in that order, and the rest.
+pub fn main_measures<'a>(names: &[&'a str]) -> [Vec<&'a str>; 2] {
+    let find = |(main, _): &(&str, &str)| names.iter().copied().find(|name| name == main);
+    let main: Vec<&str> = MAIN.iter().filter_map(find).take(N_MAIN).collect();
+    let rest = names.iter().copied().filter(|name| !main.contains(name)).collect();
+    [main, rest]
+}
+
+/// Returns the words for a main measure where there is little room.
+pub(super) fn short_title(name: &str) -> String {
+    let short = MAIN.iter().find(|(main, _)| *main == name);
+    short.map_or_else(|| title(name), |(_, short)| (*short).to_owned())
 }
 
 /// Lists the measures of a task with these metrics, those in comparison with the unaided listener included.
@@ -277,8 +279,8 @@ mod tests {
         let derived = derived.chain(RATES.map(|rate| rate.0)).chain(said::COLUMNS);
         let known: BTreeSet<&str> = metrics.iter().map(String::as_str).chain(derived).collect();
         let counts = RATES.iter().flat_map(|(_, top, bottom)| [*top, *bottom]);
-        let main = MAIN.iter().chain(&OWN).map(|(name, _)| *name);
-        let used = main.chain(counts).chain(MEANS).chain(ORDER).chain(HIDDEN).chain(HAZARDS);
+        let main = MAIN.map(|(name, _)| name);
+        let used = counts.chain(MEANS).chain(main).chain(ORDER).chain(HIDDEN).chain(HAZARDS);
         for name in used.chain(TITLES.map(|(name, _)| name)) {
             assert!(known.contains(name), "`{name}` is no measure");
         }
@@ -289,6 +291,16 @@ mod tests {
         let expected = "success notifications followed_of_initiated followed_of_comprehended return length \
                         comprehended mean_k";
         assert_eq!(names_in([&summary()]).join(" "), expected);
+    }
+
+    #[test]
+    fn six_measures_come_first_and_the_rest_keeps_its_order() {
+        let names = ["return", "out", "length", "crashed", "success", "enter_danger", "landed"];
+        let [main, rest] = main_measures(&names);
+        assert_eq!(main, ["success", "enter_danger", "crashed", "return", "length"]);
+        assert_eq!(rest, ["out", "landed"]);
+        let [main, rest] = main_measures(&MAIN);
+        assert_eq!((main, rest), (MAIN[..6].to_vec(), MAIN[6..].to_vec()));
     }
 
     #[test]

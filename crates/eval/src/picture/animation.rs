@@ -1,4 +1,5 @@
-//! The episode as an animated GIF: the world, with a line that describes what is happening.
+//! The episode moment by moment, for an animated GIF and for a page: the world, with a line that describes what is
+//! happening.
 
 use leadtime_sims::Scene;
 
@@ -8,12 +9,23 @@ use crate::draw::{Area, Canvas, Ink, Paint, Rasterizer, Svg, TextStyle, gif};
 use crate::error::Error;
 use crate::playthrough::{Activity, Spoken, topic_name};
 
+/// Of a frame of a GIF and of a page.
 const WIDTH: f64 = 600.0;
+const PAGE_WIDTH: f64 = 860.0;
 const MARGIN: f64 = 10.0;
 const CAPTION_HEIGHT: f64 = 40.0;
+/// Size of the world's own labels in a GIF, so that three lines fit onto a tile.
+const LABEL_SIZE: f64 = 8.5;
 
 /// The last frame stays this long, in hundredths of a second.
 const LAST_DELAY: u16 = 250;
+
+/// A moment of an episode, for a page.
+pub(crate) struct Still {
+    pub(crate) step: usize,
+    pub(crate) svg: String,
+    pub(crate) caption: String,
+}
 
 impl Spoken {
     /// Draws the episode as an animated GIF of at most `max_frames` frames; the whole lasts `seconds`, and the last
@@ -35,6 +47,20 @@ impl Spoken {
         gif(&frames, delay as u16, LAST_DELAY)
     }
 
+    /// Draws at most `max_frames` moments for a page, with the step and the caption of each; their ids differ.
+    pub(crate) fn stills(&self, max_frames: usize) -> Vec<Still> {
+        let draw = |step: usize| {
+            let scenes = &self.played.scenes;
+            let seen = scenes.get(step).map_or(&scenes[..], std::slice::from_ref);
+            let world = WorldView::new([0.0, 0.0], PAGE_WIDTH, seen);
+            let mut canvas = Canvas::new(&format!("frame-{step}"), PAGE_WIDTH, world.area.bottom());
+            self.draw_world(&mut canvas, &world, step);
+            let caption = self.caption(step);
+            Still { step, svg: canvas.finish(&caption).text, caption }
+        };
+        self.moments(max_frames).into_iter().map(draw).collect()
+    }
+
     /// Picks evenly spread scenes, the last one among them.
     fn moments(&self, max_frames: usize) -> Vec<usize> {
         let last = self.played.scenes.len().saturating_sub(1);
@@ -44,38 +70,53 @@ impl Spoken {
         moments
     }
 
-    /// Draws the moment of scene `i`.
+    /// Draws the moment of scene `i` with its caption.
     fn frame(&self, i: usize) -> Svg {
-        let (scenes, timeline) = (&self.played.scenes, &self.timeline);
+        let scenes = &self.played.scenes;
         // A world that is seen in parts is seen where the person is.
         let seen = scenes.get(i).map_or(&scenes[..], std::slice::from_ref);
-        let world = WorldView::new([MARGIN, CAPTION_HEIGHT], WIDTH - 2.0 * MARGIN, seen);
+        let mut world = WorldView::new([MARGIN, CAPTION_HEIGHT], WIDTH - 2.0 * MARGIN, seen);
+        world.label_size = LABEL_SIZE;
         let mut canvas = Canvas::new("frame", WIDTH, world.area.bottom() + MARGIN);
-        if let Some(scene) = scenes.get(i) {
-            let past = &scenes[..=i];
-            world.draw_place(&mut canvas, scene);
-            world.draw_path(&mut canvas, past, timeline);
-            world.draw_starts(&mut canvas, past, timeline);
-            world.draw_body(&mut canvas, scene, 1.0);
-            self.draw_caption(&mut canvas, i, scene);
-        }
+        self.draw_world(&mut canvas, &world, i);
+        let swatch = Area::new(MARGIN, 12.0, 14.0, 14.0);
+        canvas.rectangle(swatch, 3.0, Paint::fill(marker::ink(self.activity(i))));
+        let style = TextStyle::new(14.0, Ink::Text);
+        let style = if self.is_end(i) { style.bold() } else { style };
+        canvas.text([MARGIN + 22.0, 24.0], &self.caption(i), style);
         canvas.finish(&self.played.title())
     }
 
-    fn draw_caption(&self, canvas: &mut Canvas, i: usize, scene: &Scene) {
+    fn draw_world(&self, canvas: &mut Canvas, world: &WorldView, i: usize) {
+        let (scenes, timeline) = (&self.played.scenes, &self.timeline);
+        let Some(scene) = scenes.get(i) else { return };
+        let past = &scenes[..=i];
+        world.draw_place(canvas, scene);
+        world.draw_path(canvas, past, timeline);
+        world.draw_starts(canvas, past, timeline);
+        world.draw_body(canvas, scene, 1.0);
+    }
+
+    fn is_end(&self, i: usize) -> bool {
+        i + 1 >= self.played.scenes.len()
+    }
+
+    /// Returns what the person did in the step that led to scene `i`.
+    fn activity(&self, i: usize) -> Activity {
+        i.checked_sub(1).map_or(Activity::OwnPlan, |step| self.timeline.activities[step])
+    }
+
+    /// Describes scene `i` in one line: what is heard and done, or how it ended.
+    fn caption(&self, i: usize) -> String {
         let timeline = &self.timeline;
-        let activity = i.checked_sub(1).map_or(Activity::OwnPlan, |step| timeline.activities[step]);
-        let swatch = Area::new(MARGIN, 12.0, 14.0, 14.0);
-        canvas.rectangle(swatch, 3.0, Paint::fill(marker::ink(activity)));
-        let ended = i == self.played.scenes.len() - 1;
         let sentence = timeline.spoken(i).and_then(|said| {
             let (sentence, utterance) = (self.sentences.get(said)?, &timeline.utterances[said]);
             Some(sentence.so_far(i - utterance.start, utterance.conveyance))
         });
-        let text =
-            if ended { self.played.title() } else { caption(scene, activity, sentence.as_deref()) };
-        let style = TextStyle::new(14.0, Ink::Text);
-        canvas.text([MARGIN + 22.0, 24.0], &text, if ended { style.bold() } else { style });
+        match self.played.scenes.get(i).filter(|_| !self.is_end(i)) {
+            Some(scene) => caption(scene, self.activity(i), sentence.as_deref()),
+            None => self.played.title(),
+        }
     }
 }
 

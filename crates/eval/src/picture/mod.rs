@@ -20,4 +20,5 @@ mod trajectories;
 mod whole;
 mod world_view;
 
+pub(crate) use animation::Still;
 pub use trajectories::{TrajectoryPanel, maps, trajectories};

@@ -87,37 +87,39 @@ fn draw_rows(canvas: &mut Canvas, frame: &Panel, row: impl Fn(usize) -> Area, sp
     };
     for (i, utterance) in timeline.utterances.iter().enumerate() {
         let understood = utterance.start + utterance.comprehension;
-        let paint = Paint::fill(marker::ink(Activity::Hearing));
+        let ink = marker::ink(Activity::Hearing);
         let words = bar(0, utterance.start, utterance.end);
-        canvas.rectangle(words, 2.0, paint.fill_opacity(0.35));
+        canvas.rectangle(words, 2.0, Paint::fill(Ink::PaleOrange));
         let unclear = bar(0, utterance.start, understood.min(utterance.end));
-        canvas.rectangle(unclear, 2.0, paint);
+        canvas.rectangle(unclear, 2.0, Paint::fill(ink));
         if understood > utterance.end {
             // Cut off before it could be understood: struck through.
             let y = words.y + ROW_HEIGHT / 2.0;
-            canvas.line(&[[words.x, y], [words.right(), y]], Paint::stroke(Ink::Text, 1.4));
+            canvas.line(&[[words.x, y], [words.right(), y]], Paint::stroke(ink.label(), 1.4));
         }
         let sentence = spoken.sentences.get(i).map(ToString::to_string);
-        name_bar(canvas, &words, sentence.as_deref(), &topic_name(&scenes[0], utterance.topic));
+        let topic = topic_name(&scenes[0], utterance.topic);
+        name_bar(canvas, &words, ink.label(), sentence.as_deref(), &topic);
     }
     for (row, spans, activity) in
         [(1, &timeline.waits, Activity::Waiting), (2, &timeline.reactions, Activity::Following)]
     {
         for span in spans {
             let area = bar(row, span.start, span.end);
-            canvas.rectangle(area, 2.0, Paint::fill(marker::ink(activity)).fill_opacity(0.85));
-            name_bar(canvas, &area, None, &topic_name(&scenes[0], span.topic));
+            let ink = marker::ink(activity);
+            canvas.rectangle(area, 2.0, Paint::fill(ink));
+            name_bar(canvas, &area, ink.label(), None, &topic_name(&scenes[0], span.topic));
         }
     }
 }
 
 /// Writes a sentence into its bar if it fits, else its topic, else the topic's initials, else nothing.
-fn name_bar(canvas: &mut Canvas, area: &Area, sentence: Option<&str>, name: &str) {
+fn name_bar(canvas: &mut Canvas, area: &Area, ink: Ink, sentence: Option<&str>, name: &str) {
     const SIZE: f64 = 10.5;
     let initials = initials(name);
     let fits = |text: &&str| text_width(text, SIZE, Weight::Regular) + 5.0 <= area.width;
     let texts = sentence.into_iter().chain([name, initials.as_str()]);
     let Some(text) = texts.into_iter().find(fits) else { return };
-    let style = TextStyle::new(SIZE, Ink::Text).anchored(Anchor::Middle);
+    let style = TextStyle::new(SIZE, ink).anchored(Anchor::Middle);
     canvas.text([area.x + area.width / 2.0, area.y + 13.3], text, style);
 }

@@ -5,7 +5,7 @@ use leadtime_sims::{Scene, Shape, Tone, View};
 use super::labels::{self, Placer};
 use super::legend::{LegendEntry, Mark};
 use super::marker::{self, draw_marker};
-use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle};
+use crate::draw::{Anchor, Area, Canvas, Ink, Paint, Panel, TextStyle, Weight, text_width};
 use crate::playthrough::{Sentence, Spoken, Timeline, topic_name};
 
 /// A world is drawn at most this much higher than wide ...
@@ -175,10 +175,23 @@ impl WorldView {
         let shapes = scenes.last().into_iter().flat_map(|scene| &scene.shapes);
         let area = |shape: &Shape| {
             let Shape::Label { at, text } = shape else { return None };
-            let ([x, y], width) = (self.at(*at), 7.0 * text.chars().count() as f64);
-            Some(Area::new(x - width / 2.0, y - 8.0, width, 14.0))
+            let [x, y] = self.at(*at);
+            let width = text_width(text, self.label_size, Weight::Regular) + 6.0;
+            Some(Area::new(x - width / 2.0, y - 8.0, width, 16.0))
         };
         shapes.filter_map(area).collect()
+    }
+
+    /// Tells whether a shape with these corners may reach into the view; a long road is mostly elsewhere.
+    fn is_seen(&self, corners: &[[f64; 2]]) -> bool {
+        let range = |d: usize| {
+            let along = corners.iter().map(|corner| corner[d]);
+            along.fold([f64::MAX, f64::MIN], |[low, high], v| [low.min(v), high.max(v)])
+        };
+        let ([left, right], [top, bottom]) = (range(0), range(1));
+        // Strokes reach a little further than their lines.
+        let corners = Area::new(left - 4.0, top - 4.0, right - left + 8.0, bottom - top + 8.0);
+        self.area.overlaps(&corners)
     }
 
     fn draw_shape(&self, canvas: &mut Canvas, shape: &Shape, opacity: f64) {
@@ -189,14 +202,22 @@ impl WorldView {
                 canvas.rectangle(area, 0.0, filled(*tone).opacity(opacity));
             }
             Shape::Line { points, tone } => {
-                canvas.line(&self.all(points), lined(*tone).opacity(opacity));
+                let points = self.all(points);
+                if self.is_seen(&points) {
+                    canvas.line(&points, lined(*tone).opacity(opacity));
+                }
             }
             Shape::Polygon { points, tone } => {
-                canvas.polygon(&self.all(points), filled(*tone).opacity(opacity));
+                let points = self.all(points);
+                if self.is_seen(&points) {
+                    canvas.polygon(&points, filled(*tone).opacity(opacity));
+                }
             }
             Shape::Label { at, text } => {
                 let [x, y] = self.at(*at);
-                let style = TextStyle::new(self.label_size, Ink::Text).anchored(Anchor::Middle);
+                // It stands on whatever the world has there.
+                let style = TextStyle::new(self.label_size, Ink::Text).haloed(Ink::Panel);
+                let style = style.anchored(Anchor::Middle);
                 canvas.text([x, y + 0.36 * self.label_size], text, style);
             }
         }

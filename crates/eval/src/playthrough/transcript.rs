@@ -54,15 +54,27 @@ impl Spoken {
     }
 
     fn heading(&self, pace: &Pace) -> String {
-        let said = self.timeline.utterances.len();
         let Playthrough { index, seed, total_reward, .. } = &self.played;
         format!(
-            "{} (episode {index} of seed {seed})\nreturn {total_reward:.1}, {} steps of a word each, {} s; {said} \
-             notification{}\n",
+            "{} (episode {index} of seed {seed})\nreturn {total_reward:.1}, {} steps of a word each, {} s; {}\n",
             self.played.title(),
             self.played.n_steps(),
             pace.seconds_per_word,
-            if said == 1 { "" } else { "s" },
+            self.n_notifications(),
+        )
+    }
+
+    fn n_notifications(&self) -> String {
+        let said = self.timeline.utterances.len();
+        format!("{said} notification{}", if said == 1 { "" } else { "s" })
+    }
+
+    /// Writes the episode's numbers in a line.
+    pub fn numbers(&self) -> String {
+        let Playthrough { index, seed, total_reward, .. } = &self.played;
+        let (n_steps, said) = (self.played.n_steps(), self.n_notifications());
+        format!(
+            "return {total_reward:.1} \u{b7} {n_steps} steps \u{b7} {said} \u{b7} episode {index} of seed {seed}"
         )
     }
 

@@ -2,24 +2,30 @@
 
 use std::collections::BTreeMap;
 
+use leadtime_table::Table;
+use leadtime_taxonomy::Pace;
 use serde::{Deserialize, Serialize};
 
 use crate::figure::{BandPanel, ShareRow};
 use crate::measure::Comparison;
+use crate::playthrough::Spoken;
 
 /// Everything in a report; what is empty is left out of the page.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// The page's title.
     pub title: String,
-    /// A paragraph for somebody who knows nothing of the run: what was trained, what came out.
+    /// A paragraph for somebody who knows nothing of the run: what was trained, what came out. Text between backticks
+    /// is set as code.
     pub lead: String,
     /// The run's claims and whether they hold.
     pub verdicts: Vec<Verdict>,
-    /// The players side by side.
-    pub comparison: Option<Comparison>,
+    /// What a reader should know before quoting a number.
+    pub notes: Vec<String>,
     /// Playthroughs and other pictures.
     pub pictures: Vec<Picture>,
+    /// The players side by side.
+    pub comparison: Option<Comparison>,
     /// Returns, success, ... over environment steps.
     pub curves: Vec<BandPanel>,
     /// Rollouts per staleness, in policy versions.
@@ -30,10 +36,10 @@ pub struct Report {
     pub books: Vec<Book>,
     /// Whether the books balance; `None` if that was not checked.
     pub books_balance: Option<bool>,
-    /// Where the numbers come from: command, seed, versions, commit, digest of the weights.
-    pub provenance: Vec<Fact>,
-    /// What a reader should know before quoting a number.
-    pub notes: Vec<String>,
+    /// Where the numbers come from, per run: seed, versions, commit, digest of the weights.
+    pub provenance: Vec<Provenance>,
+    /// The settings that differ from the built-in ones, and how.
+    pub changed: Option<Table>,
 }
 
 /// A claim about the run.
@@ -54,6 +60,33 @@ pub struct Picture {
     pub caption: String,
     /// The SVG file, as this crate writes it; it becomes part of the page as it is.
     pub svg: String,
+    /// The same in words; may be empty.
+    pub transcript: String,
+}
+
+impl Picture {
+    /// Draws an episode for a page. `id` must be unique on it.
+    pub fn playthrough(spoken: &Spoken, id: &str) -> Self {
+        Self {
+            title: spoken.played.title(),
+            caption: spoken.numbers(),
+            svg: spoken.svg_untitled(id).text,
+            transcript: spoken.transcript(&Pace::default()),
+        }
+    }
+}
+
+/// Where the numbers of one run come from, and how to get them again.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Provenance {
+    /// The run's name.
+    pub run: String,
+    /// What is known of it.
+    pub facts: Vec<Fact>,
+    /// The command that trains it.
+    pub command: String,
+    /// The whole configuration, as TOML.
+    pub settings: String,
 }
 
 /// One account of the books.

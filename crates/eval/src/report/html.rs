@@ -23,25 +23,32 @@ impl Report {
     /// assert!(page.starts_with("<!DOCTYPE html>") && page.contains("Success &lt;always&gt;."));
     /// ```
     pub fn html(&self) -> String {
-        let (title, lead) = (escape(&self.title), escape(&self.lead));
-        let dark = format!("@media (prefers-color-scheme: dark) {{\n{}\n}}\n", Ink::dark_css());
         let body = [
             sections::verdicts(self),
-            sections::comparison(self),
+            sections::notes(self),
             sections::pictures(self),
+            sections::comparison(self),
             sections::training(self),
             sections::system(self),
             sections::provenance(self),
-            sections::notes(self),
+            sections::settings(self),
         ];
-        format!(
-            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
-             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
-             <title>{title}</title>\n<style>\n{STYLE}{dark}</style>\n</head>\n<body>\n<main>\n<header>\n\
-             <h1>{title}</h1>\n<p class=\"lead\">{lead}</p>\n</header>\n{}</main>\n</body>\n</html>\n",
-            body.concat()
-        )
+        page(&self.title, &sections::prose(&self.lead), &body.concat())
     }
+}
+
+/// Writes a page that needs no other file; `lead` and `body` are markup.
+pub(super) fn page(title: &str, lead: &str, body: &str) -> String {
+    let title = escape(title);
+    let lead =
+        if lead.is_empty() { String::new() } else { format!("<p class=\"lead\">{lead}</p>\n") };
+    let dark = format!("@media (prefers-color-scheme: dark) {{\n{}\n}}\n", Ink::dark_css());
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n\
+         <title>{title}</title>\n<style>\n{STYLE}{dark}</style>\n</head>\n<body>\n<main>\n<header>\n\
+         <h1>{title}</h1>\n{lead}</header>\n{body}</main>\n</body>\n</html>\n",
+    )
 }
 
 #[cfg(test)]

@@ -3,18 +3,22 @@
 use std::collections::BTreeMap;
 
 use leadtime_numerics::stats::Bootstrap;
+use leadtime_table::Table;
 
+use crate::draw::inspect::{LEGIBLE, contrast};
 use crate::figure::{Band, BandPanel, ShareRow};
 use crate::measure::{Comparison, Evaluation};
 use crate::playthrough::{Spoken, synthetic};
-use crate::report::{Book, Fact, Picture, Report, Verdict};
+use crate::report::{Book, Fact, Picture, Provenance, Report, Verdict, player};
 
 /// What every text of the report under test contains.
 const NASTY: &str = "<script>alert('&')</script>\"";
 
 fn evaluation(player: &str, success: f32) -> Evaluation {
-    let rows = [[(10, [success]); 8].as_slice(), &[(10, [1.0 - success]); 2]].concat();
-    Evaluation { player: player.to_owned(), ..Evaluation::of(["success"], &rows) }
+    let of = |success: f32| (10, [success, 0.0, 5.0 * success]);
+    let rows = [[of(success); 8].as_slice(), &[of(1.0 - success); 2]].concat();
+    let measures = ["success", "timed_out", "danger_steps"];
+    Evaluation { player: player.to_owned(), ..Evaluation::of(measures, &rows) }
 }
 
 fn report() -> Report {
@@ -24,7 +28,16 @@ fn report() -> Report {
         .with_difference(&trained, &unaided, "success");
     let points: Vec<_> = (0..80).map(|i| [f64::from(i) * 4000.0, f64::from(i % 7)]).collect();
     let bands = vec![Band { label: text("trained"), ..Band::summary(&points, 40) }];
-    let svg = Spoken::from(synthetic::playthrough()).svg("play-0").text;
+    let picture = Picture::playthrough(&Spoken::from(synthetic::playthrough()), "play-0");
+    let picture = Picture { title: text("An episode"), caption: text("Look."), ..picture };
+    let mut changed = Table::new(["", "built in", "run"]);
+    changed.push([text("learner.clip"), "0.2".to_owned(), text("0.3")]);
+    let provenance = Provenance {
+        run: text("run"),
+        facts: vec![Fact::new(text("seed"), text("1"))],
+        command: text("leadtime up -c lander"),
+        settings: text("seed = 1"),
+    };
     Report {
         title: text("Report"),
         lead: text("A notifier was trained."),
@@ -33,14 +46,15 @@ fn report() -> Report {
             Verdict { holds: false, sentence: text("It is perfect.") },
         ],
         comparison: Some(comparison),
-        pictures: vec![Picture { title: text("An episode"), caption: text("Look."), svg }],
+        notes: vec![text("One seed.")],
+        pictures: vec![picture],
         curves: vec![BandPanel { label: text("return"), range: None, bands }],
         staleness: BTreeMap::from([(0, 4), (1, 90)]),
         phases: vec![ShareRow { label: text("actor"), parts: vec![(text("wait"), 4.0)] }],
         books: vec![Book { name: text("trained"), count: 94, meaning: text("used") }],
         books_balance: Some(true),
-        provenance: vec![Fact::new(text("command"), text("leadtime smoke"))],
-        notes: vec![text("One seed.")],
+        provenance: vec![provenance],
+        changed: Some(changed),
     }
 }
 
@@ -65,9 +79,13 @@ fn assert_well_formed(page: &str) {
 fn the_page_is_well_formed_and_has_every_section() {
     let page = report().html();
     assert_well_formed(&page);
-    for id in ["results", "playthroughs", "training", "system", "provenance", "notes"] {
-        assert_eq!(page.matches(&format!("<section id=\"{id}\">")).count(), 1, "{id}");
+    let mut places = vec![page.find("class=\"verdicts\"").unwrap()];
+    for id in ["playthroughs", "results", "training", "system", "provenance", "settings"] {
+        let section = format!("<section id=\"{id}\">");
+        assert_eq!(page.matches(&section).count(), 1, "{id}");
+        places.push(page.find(&section).unwrap());
     }
+    assert!(places.is_sorted(), "the verdict first, then the picture: {places:?}");
     let mut ids: Vec<&str> =
         page.split(" id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
     let n = ids.len();
@@ -87,6 +105,68 @@ fn no_text_becomes_markup_and_nothing_is_needed_from_outside() {
     }
     // The one address is SVG's namespace, which nobody fetches.
     assert_eq!(page.matches("http").count(), page.matches("http://www.w3.org/2000/svg").count());
+}
+
+/// Returns what a page folds away, by its summary.
+fn folded<'a>(page: &'a str, summary: &str) -> &'a str {
+    let (_, body) = page.split_once(&format!("<summary>{summary}</summary>")).expect("folded");
+    body.split("</details>").next().unwrap()
+}
+
+#[test]
+fn the_measures_that_matter_are_open_and_the_others_folded_and_all_are_explained() {
+    let page = report().html();
+    let more = folded(&page, "2 more measures");
+    assert!(more.contains("danger steps") && more.contains("0 in every episode: timed out."));
+    let open = page.replace(more, "");
+    let results = open.split("<section id=\"results\">").nth(1).unwrap();
+    let results = results.split("<details>").next().unwrap();
+    assert!(results.contains("success rate") && !results.contains("danger steps"));
+    let explained = folded(&page, "What the measures mean");
+    for text in [
+        "share of episodes in which the task was done",
+        "at the time limit",
+        "steps inside a danger",
+    ] {
+        assert!(explained.contains(text), "{text}");
+    }
+}
+
+#[test]
+fn a_picture_is_told_in_words_and_the_settings_are_whole() {
+    let page = report().html();
+    assert!(folded(&page, "Transcript: what was said, word by word").contains("understands"));
+    assert!(page.contains("<desc>"));
+    let summary =
+        format!("All settings of {}", leadtime_table::escape(&report().provenance[0].run));
+    assert!(folded(&page, &summary).contains("seed = 1"));
+}
+
+/// Returns the value of a colour of the page's style, light or dark.
+fn page_colour(name: &str, dark: bool) -> &'static str {
+    let rules = super::STYLE.split(&format!("--{name}: ")).nth(if dark { 2 } else { 1 });
+    &rules.expect("a colour")[..7]
+}
+
+#[test]
+fn every_text_of_a_page_has_enough_contrast_in_light_and_in_dark() {
+    for dark in [false, true] {
+        let [text, muted, paper, panel, good, bad] =
+            ["text", "muted", "paper", "panel", "good", "bad"].map(|name| page_colour(name, dark));
+        for ink in [text, muted, good, bad] {
+            for ground in [paper, panel] {
+                assert!(contrast(ink, ground) >= LEGIBLE, "{ink} on {ground}");
+            }
+        }
+    }
+    let uses: Vec<&str> = super::STYLE.split(" color: var(--").skip(1).collect();
+    let known = ["text)", "muted)", "good)", "bad)"];
+    assert!(uses.iter().all(|used| known.iter().any(|ink| used.starts_with(ink))), "{uses:?}");
+}
+
+#[test]
+fn a_page_that_plays_is_well_formed() {
+    assert_well_formed(&player(&Spoken::from(synthetic::playthrough()), 5, 1.0));
 }
 
 #[test]

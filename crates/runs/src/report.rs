@@ -1,0 +1,323 @@
+//! `report.html` of one run or several, from what lies in their directories and from an evaluation, if there was one.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use leadtime_config::identity::{Change, difference};
+use leadtime_config::{Config, ConfigSource, Override};
+use leadtime_eval::figure::{Band, BandPanel, ShareRow};
+use leadtime_eval::measure::Comparison;
+use leadtime_eval::report::{Book, Fact, Picture, Provenance, Report, Verdict};
+use leadtime_table::Table;
+use serde_json::{Map, Value};
+
+use crate::command_line::command_line;
+use crate::layout::{read_config, read_record};
+use crate::record::INITIAL_POLICY;
+use crate::{ProgramBuild, RunDirError, RunRecord, Tasks, journal};
+
+/// Points of a learning curve.
+const N_POINTS: usize = 120;
+/// Settings that say nothing about what a run computes, and the seed, which has an option of its own.
+const NOT_SETTINGS: [&str; 3] = ["run.name", "run.directory", "seed"];
+
+/// What an evaluation adds to a run's own records.
+#[derive(Debug, Default)]
+pub struct Findings {
+    /// Introduction for readers who do not know the run.
+    pub lead: String,
+    /// Claims, and whether they hold.
+    pub verdicts: Vec<Verdict>,
+    /// The players side by side.
+    pub comparison: Option<Comparison>,
+    /// Playthroughs.
+    pub pictures: Vec<Picture>,
+    /// Remarks for the reader.
+    pub notes: Vec<String>,
+}
+
+impl Findings {
+    /// Describes the run of a directory whose policy has not been evaluated.
+    pub fn of_training(config: &Config, directory: &Path) -> Self {
+        let (domain, n_updates) = (&config.domain, config.learner.n_updates());
+        let (n_steps, directory) = (config.steps_per_update(), directory.display());
+        let lead = format!(
+            "Training on domain {domain}, {n_updates} updates of {n_steps} steps by a learner and separate actors. The \
+             curves are of training episodes; the policy has not been evaluated yet. `leadtime report {directory}` \
+             evaluates it, draws an episode, and writes this page again."
+        );
+        Self { lead, ..Self::default() }
+    }
+}
+
+/// What lies in a run's directory.
+#[derive(Debug)]
+pub struct RunFiles {
+    /// The directory.
+    pub directory: PathBuf,
+    record: RunRecord,
+    journal: Vec<Map<String, Value>>,
+    config: toml::Table,
+}
+
+impl RunFiles {
+    /// Reads a run's record, journal and configuration.
+    ///
+    /// # Errors
+    ///
+    /// [`RunDirError`] if one of them is missing or cannot be read.
+    pub fn read(directory: &Path) -> Result<Self, RunDirError> {
+        let directory = directory.to_owned();
+        let (record, config) = (read_record(&directory)?, read_config(&directory)?);
+        let io = |source| RunDirError::Io { path: directory.join("metrics.jsonl"), source };
+        let journal = journal::read(&directory).map_err(io)?;
+        Ok(Self { directory, record, journal, config })
+    }
+
+    /// Returns the run's name.
+    pub fn name(&self) -> &str {
+        &self.record.name
+    }
+}
+
+/// Puts a report together: one run in full, or several side by side.
+pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings) -> Report {
+    let alone = match runs {
+        [only] => Some(only),
+        _ => None,
+    };
+    let books = alone.and_then(|run| Some(&run.record.result.as_ref()?.books));
+    let names: Vec<&str> = runs.iter().map(RunFiles::name).collect();
+    let origins: Vec<Origin> = runs.iter().map(|run| Origin::of(tasks, &run.config)).collect();
+    Report {
+        title: format!("Run{} {}", if alone.is_some() { "" } else { "s" }, names.join(", ")),
+        lead: findings.lead,
+        verdicts: findings.verdicts,
+        notes: findings.notes,
+        pictures: findings.pictures,
+        comparison: findings.comparison,
+        curves: curves(runs),
+        staleness: alone.map(|run| staleness(&run.journal)).unwrap_or_default(),
+        phases: runs.iter().map(|run| phases(run, alone.is_some())).collect(),
+        books: books.map(account).unwrap_or_default(),
+        books_balance: books.and_then(|books| books["balanced"].as_bool()),
+        provenance: runs
+            .iter()
+            .zip(&origins)
+            .map(|(run, origin)| provenance(tasks, run, origin))
+            .collect(),
+        changed: changed(&names, &origins),
+    }
+}
+
+fn curves(runs: &[RunFiles]) -> Vec<BandPanel> {
+    let panels: [(&str, &str, Option<[f64; 2]>); 5] = [
+        ("episodes/success", "success", Some([0.0, 1.0])),
+        ("episodes/return", "return", None),
+        ("episodes/length", "episode length (steps)", None),
+        ("train/entropy", "entropy (nats)", None),
+        ("train/approx_kl", "approximate KL (nats)", None),
+    ];
+    let band = |run: &RunFiles, key: &str| {
+        let band = Band::summary(&points(&run.journal, key), N_POINTS);
+        let label = if runs.len() > 1 { run.name().to_owned() } else { String::new() };
+        Band { label, ..band }
+    };
+    let panel = |(key, label, range): (&str, &str, Option<[f64; 2]>)| {
+        let bands: Vec<Band> = runs.iter().map(|run| band(run, key)).collect();
+        let is_empty = bands.iter().all(|band| band.points.is_empty());
+        (!is_empty).then(|| BandPanel { label: label.to_owned(), range, bands })
+    };
+    panels.into_iter().filter_map(panel).collect()
+}
+
+fn points(journal: &[Map<String, Value>], key: &str) -> Vec<[f64; 2]> {
+    let point =
+        |line: &Map<String, Value>| Some([line.get("steps")?.as_f64()?, line.get(key)?.as_f64()?]);
+    journal.iter().filter_map(point).collect()
+}
+
+fn staleness(journal: &[Map<String, Value>]) -> BTreeMap<u64, u64> {
+    let mut counts = BTreeMap::new();
+    for line in journal {
+        let update = line.get("staleness").and_then(Value::as_object);
+        for (staleness, n) in update.into_iter().flatten() {
+            if let (Ok(staleness), Some(n)) = (staleness.parse(), n.as_u64()) {
+                *counts.entry(staleness).or_default() += n;
+            }
+        }
+    }
+    counts
+}
+
+fn phases(run: &RunFiles, alone: bool) -> ShareRow {
+    let sum = |key: &str| run.journal.iter().filter_map(|line| line.get(key)?.as_f64()).sum();
+    let training = ("training".to_owned(), sum("system/train_seconds"));
+    let waiting = ("waiting for rollouts".to_owned(), sum("system/wait_seconds"));
+    let label = if alone { "learner" } else { run.name() };
+    ShareRow { label: label.to_owned(), parts: vec![training, waiting] }
+}
+
+fn account(books: &Value) -> Vec<Book> {
+    let meanings = [
+        ("published", "arrived in order, over all actors and their starts"),
+        ("trained", "an update trained on them"),
+        ("dropped_stale", "too stale to use"),
+        ("refused", "broke a rule of the wire or of the run"),
+        ("superseded", "their environment had moved on"),
+        ("unused_at_end", "waited when the run ended"),
+        ("rolled_back", "made again after a learner was killed"),
+        ("duplicates", "copies, not part of published"),
+    ];
+    let book = |(name, meaning): (&str, &str)| Book {
+        name: name.to_owned(),
+        count: books[name].as_u64().unwrap_or(0),
+        meaning: meaning.to_owned(),
+    };
+    meanings.into_iter().map(book).collect()
+}
+
+fn provenance(tasks: &Tasks, run: &RunFiles, origin: &Origin) -> Provenance {
+    Provenance {
+        run: run.name().to_owned(),
+        facts: facts(run),
+        command: command(tasks, run, origin),
+        settings: run.config.to_string(),
+    }
+}
+
+fn facts(run: &RunFiles) -> Vec<Fact> {
+    let record = &run.record;
+    let mut facts = vec![
+        Fact::new("domain", &record.domain),
+        Fact::new("seed", record.seed.to_string()),
+        Fact::new("started", &record.started),
+    ];
+    if let Some(origin) = &record.origin {
+        facts.push(Fact::new("forked from", &origin.run));
+        facts.push(Fact::new("SHA-256 of the starting weights", &origin.weights_sha256));
+    }
+    for build in &record.builds {
+        let ProgramBuild { since, program, commit, cpu, threads } = build;
+        let commit = commit.as_deref().unwrap_or("unknown");
+        let text =
+            format!("{program}, commit {commit}, on {cpu} with {threads} threads per process");
+        facts.push(Fact::new(format!("program since {since}"), text));
+    }
+    if let Some(result) = &record.result {
+        facts.push(Fact::new("finished", &result.finished));
+        facts.push(Fact::new("updates", result.updates.to_string()));
+        facts.push(Fact::new("steps", result.steps.to_string()));
+        facts.push(Fact::new("SHA-256 of the weights", &result.weights_sha256));
+        let same = record.is_reproducible(&run.directory).unwrap_or(false);
+        facts.push(Fact::new("same weights again", if same { "yes" } else { "no" }));
+    }
+    facts
+}
+
+/// The built-in configuration that a run's own is nearest to.
+#[derive(Debug, Default)]
+struct Origin {
+    /// Its name; `None` if there is none for the domain.
+    name: Option<String>,
+    /// What differs from it: before, it; after, the run.
+    changes: Vec<Change>,
+}
+
+impl Origin {
+    fn of(tasks: &Tasks, config: &toml::Table) -> Self {
+        let domain = config.get("domain").and_then(toml::Value::as_str);
+        let changes = |name: &str| {
+            let file = tasks.catalog.file(name);
+            let source = ConfigSource { file, ..ConfigSource::default() };
+            let built_in = Config::load(&source, &tasks.catalog, &tasks.registry).ok()?;
+            if Some(built_in.domain.as_str()) != domain {
+                return None;
+            }
+            let mut changes = difference(&built_in.table, config);
+            changes.retain(|change| !NOT_SETTINGS.contains(&change.key.as_str()));
+            Some(Self { name: Some(name.to_owned()), changes })
+        };
+        let all = tasks.catalog.names().filter_map(changes);
+        // The first of those with the fewest: a domain's own comes before its variants.
+        all.min_by_key(|origin| origin.changes.len()).unwrap_or_default()
+    }
+}
+
+/// Lays out the settings in which any run differs from its built-in configuration; `None` if there are none.
+fn changed(names: &[&str], origins: &[Origin]) -> Option<Table> {
+    let all = || origins.iter().flat_map(|origin| &origin.changes);
+    let keys: BTreeSet<&str> = all().map(|change| change.key.as_str()).collect();
+    if keys.is_empty() {
+        return None;
+    }
+    let built_in = |origin: &Origin| origin.name.clone().unwrap_or_else(|| "built in".to_owned());
+    let alone = origins.len() == 1;
+    let first = origins.first().filter(|_| alone).map(built_in);
+    let mut table = Table::new(
+        [String::new()].into_iter().chain(first).chain(names.iter().map(|&name| name.to_owned())),
+    );
+    for key in keys {
+        let find =
+            |origin: &Origin| origin.changes.iter().find(|change| change.key == key).cloned();
+        let written = |text: String| if text.is_empty() { "\u{2013}".to_owned() } else { text };
+        let mut row = vec![key.to_owned()];
+        if alone {
+            row.extend(origins.iter().filter_map(find).map(|change| written(change.before)));
+        }
+        let as_built_in = || "as built in".to_owned();
+        let value = |origin: &Origin| find(origin).map_or_else(as_built_in, |c| written(c.after));
+        row.extend(origins.iter().map(value));
+        table.push(row);
+    }
+    Some(table)
+}
+
+/// Writes the command that trains a run again: from its built-in configuration if that gives the same settings, else from
+/// the file in its directory.
+fn command(tasks: &Tasks, run: &RunFiles, origin: &Origin) -> String {
+    let mut changes: Vec<String> = Vec::new();
+    for change in &origin.changes {
+        let mut parts = change.key.splitn(3, '.');
+        let (section, key) = (parts.next().unwrap_or_default(), parts.next());
+        // A table inside a section is a choice, and is written whole.
+        let (path, value) = match key {
+            Some(key) => {
+                let value = run.config.get(section).and_then(|section| section.get(key));
+                (format!("{section}.{key}"), value)
+            }
+            None => (section.to_owned(), run.config.get(section)),
+        };
+        let change = value.map(|value| format!("{path}={value}"));
+        changes.extend(change.filter(|change| !changes.contains(change)));
+    }
+    let seed = run.record.seed;
+    let set = changes.iter().map(|change| Override::parse(change)).collect::<Result<Vec<_>, _>>();
+    let again = origin.name.as_deref().zip(set.ok()).and_then(|(name, set)| {
+        let (file, seed) = (tasks.catalog.file(name), Some(seed));
+        let source = ConfigSource { file, set, seed, ..ConfigSource::default() };
+        let config = Config::load(&source, &tasks.catalog, &tasks.registry).ok()?;
+        let mut changes = difference(&config.table, &run.config);
+        changes.retain(|change| !change.key.starts_with("run."));
+        changes.is_empty().then_some(name)
+    });
+    let mut words = vec!["up".to_owned(), "-c".to_owned()];
+    match again {
+        Some(name) => {
+            words.extend([name.to_owned(), "--seed".to_owned(), seed.to_string()]);
+            words.extend(changes.into_iter().flat_map(|change| ["--set".to_owned(), change]));
+        }
+        None => words.push(run.directory.join("config.toml").display().to_string()),
+    }
+    words.extend(["--name".to_owned(), format!("{}-again", run.name())]);
+    if run.record.origin.is_some() {
+        // The run that it was forked from may have gone on since.
+        let initial = run.directory.join(INITIAL_POLICY).display().to_string();
+        words.extend(["--fork".to_owned(), initial]);
+    }
+    command_line(words.into_iter().map(Into::into))
+}
+
+#[cfg(test)]
+#[path = "report_tests.rs"]
+mod tests;
