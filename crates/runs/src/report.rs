@@ -40,10 +40,11 @@ impl Findings {
     /// Describes the run of a directory whose policy has not been evaluated.
     pub fn of_training(config: &Config, directory: &Path) -> Self {
         let (domain, n_updates) = (&config.domain, config.learner.n_updates());
-        let (n_steps, directory) = (config.steps_per_update(), directory.display());
+        let n_steps = config.steps_per_update();
+        let report = command_line(["report".into(), directory.into()].into_iter());
         let lead = format!(
             "Training on domain {domain}, {n_updates} updates of {n_steps} steps by a learner and separate actors. The \
-             curves are of training episodes; the policy has not been evaluated yet. `leadtime report {directory}` \
+             curves are of training episodes; the policy has not been evaluated yet. `{report}` \
              evaluates it, draws an episode, and writes this page again."
         );
         Self { lead, ..Self::default() }
@@ -88,7 +89,8 @@ pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings) -> Report {
     };
     let books = alone.and_then(|run| Some(&run.record.result.as_ref()?.books));
     let names: Vec<&str> = runs.iter().map(RunFiles::name).collect();
-    let origins: Vec<Origin> = runs.iter().map(|run| Origin::of(tasks, &run.config)).collect();
+    let nearest: Vec<NearestBuiltIn> =
+        runs.iter().map(|run| NearestBuiltIn::of(tasks, &run.config)).collect();
     Report {
         title: format!("Run{} {}", if alone.is_some() { "" } else { "s" }, names.join(", ")),
         lead: findings.lead,
@@ -103,10 +105,10 @@ pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings) -> Report {
         books_balance: books.and_then(|books| books["balanced"].as_bool()),
         provenance: runs
             .iter()
-            .zip(&origins)
-            .map(|(run, origin)| provenance(tasks, run, origin))
+            .zip(&nearest)
+            .map(|(run, nearest)| provenance(tasks, run, nearest))
             .collect(),
-        changed: changed(&names, &origins),
+        changed: changed(&names, &nearest),
     }
 }
 
@@ -177,11 +179,11 @@ fn account(books: &Value) -> Vec<Book> {
     meanings.into_iter().map(book).collect()
 }
 
-fn provenance(tasks: &Tasks, run: &RunFiles, origin: &Origin) -> Provenance {
+fn provenance(tasks: &Tasks, run: &RunFiles, nearest: &NearestBuiltIn) -> Provenance {
     Provenance {
         run: run.name().to_owned(),
         facts: facts(run),
-        command: command(tasks, run, origin),
+        command: command(tasks, run, nearest),
         settings: run.config.to_string(),
     }
 }
@@ -217,14 +219,14 @@ fn facts(run: &RunFiles) -> Vec<Fact> {
 
 /// The built-in configuration that a run's own is nearest to.
 #[derive(Debug, Default)]
-struct Origin {
+struct NearestBuiltIn {
     /// Its name; `None` if there is none for the domain.
     name: Option<String>,
     /// What differs from it: before, it; after, the run.
     changes: Vec<Change>,
 }
 
-impl Origin {
+impl NearestBuiltIn {
     fn of(tasks: &Tasks, config: &toml::Table) -> Self {
         let domain = config.get("domain").and_then(toml::Value::as_str);
         let changes = |name: &str| {
@@ -240,34 +242,37 @@ impl Origin {
         };
         let all = tasks.catalog.names().filter_map(changes);
         // The first of those with the fewest: a domain's own comes before its variants.
-        all.min_by_key(|origin| origin.changes.len()).unwrap_or_default()
+        all.min_by_key(|nearest| nearest.changes.len()).unwrap_or_default()
     }
 }
 
 /// Lays out the settings in which any run differs from its built-in configuration; `None` if there are none.
-fn changed(names: &[&str], origins: &[Origin]) -> Option<Table> {
-    let all = || origins.iter().flat_map(|origin| &origin.changes);
+fn changed(names: &[&str], all_nearest: &[NearestBuiltIn]) -> Option<Table> {
+    let all = || all_nearest.iter().flat_map(|nearest| &nearest.changes);
     let keys: BTreeSet<&str> = all().map(|change| change.key.as_str()).collect();
     if keys.is_empty() {
         return None;
     }
-    let built_in = |origin: &Origin| origin.name.clone().unwrap_or_else(|| "built in".to_owned());
-    let alone = origins.len() == 1;
-    let first = origins.first().filter(|_| alone).map(built_in);
+    let built_in =
+        |nearest: &NearestBuiltIn| nearest.name.clone().unwrap_or_else(|| "built in".to_owned());
+    let alone = all_nearest.len() == 1;
+    let first = all_nearest.first().filter(|_| alone).map(built_in);
     let mut table = Table::new(
         [String::new()].into_iter().chain(first).chain(names.iter().map(|&name| name.to_owned())),
     );
     for key in keys {
-        let find =
-            |origin: &Origin| origin.changes.iter().find(|change| change.key == key).cloned();
+        let find = |nearest: &NearestBuiltIn| {
+            nearest.changes.iter().find(|change| change.key == key).cloned()
+        };
         let written = |text: String| if text.is_empty() { "\u{2013}".to_owned() } else { text };
         let mut row = vec![key.to_owned()];
         if alone {
-            row.extend(origins.iter().filter_map(find).map(|change| written(change.before)));
+            row.extend(all_nearest.iter().filter_map(find).map(|change| written(change.before)));
         }
         let as_built_in = || "as built in".to_owned();
-        let value = |origin: &Origin| find(origin).map_or_else(as_built_in, |c| written(c.after));
-        row.extend(origins.iter().map(value));
+        let value =
+            |nearest: &NearestBuiltIn| find(nearest).map_or_else(as_built_in, |c| written(c.after));
+        row.extend(all_nearest.iter().map(value));
         table.push(row);
     }
     Some(table)
@@ -275,9 +280,9 @@ fn changed(names: &[&str], origins: &[Origin]) -> Option<Table> {
 
 /// Writes the command that trains a run again: from its built-in configuration if that gives the same settings, else from
 /// the file in its directory.
-fn command(tasks: &Tasks, run: &RunFiles, origin: &Origin) -> String {
+fn command(tasks: &Tasks, run: &RunFiles, nearest: &NearestBuiltIn) -> String {
     let mut changes: Vec<String> = Vec::new();
-    for change in &origin.changes {
+    for change in &nearest.changes {
         let mut parts = change.key.splitn(3, '.');
         let (section, key) = (parts.next().unwrap_or_default(), parts.next());
         // A table inside a section is a choice, and is written whole.
@@ -293,7 +298,7 @@ fn command(tasks: &Tasks, run: &RunFiles, origin: &Origin) -> String {
     }
     let seed = run.record.seed;
     let set = changes.iter().map(|change| Override::parse(change)).collect::<Result<Vec<_>, _>>();
-    let again = origin.name.as_deref().zip(set.ok()).and_then(|(name, set)| {
+    let again = nearest.name.as_deref().zip(set.ok()).and_then(|(name, set)| {
         let (file, seed) = (tasks.catalog.file(name), Some(seed));
         let source = ConfigSource { file, set, seed, ..ConfigSource::default() };
         let config = Config::load(&source, &tasks.catalog, &tasks.registry).ok()?;
@@ -309,7 +314,9 @@ fn command(tasks: &Tasks, run: &RunFiles, origin: &Origin) -> String {
         }
         None => words.push(run.directory.join("config.toml").display().to_string()),
     }
-    words.extend(["--name".to_owned(), format!("{}-again", run.name())]);
+    // A name has at most 64 characters.
+    let name: String = run.name().chars().take(58).collect();
+    words.extend(["--name".to_owned(), format!("{name}-again")]);
     if run.record.origin.is_some() {
         // The run that it was forked from may have gone on since.
         let initial = run.directory.join(INITIAL_POLICY).display().to_string();

@@ -61,8 +61,13 @@ fn the_command_gives_the_same_configuration_also_where_a_choice_was_replaced() {
     let tasks = Tasks::new();
     let delay = r#"human.reaction_delay={uniform={low=0,high=5,drawn="per_episode"}}"#;
     for base in ["lander", "paper_lander"] {
-        let run = begun(dir.path(), base, base, &[delay, "learner.learning_rate=1e-4"]);
-        let origin = Origin::of(&tasks, &run.config);
+        let run = begun(
+            dir.path(),
+            base,
+            &base.replace('_', "-"),
+            &[delay, "learner.learning_rate=1e-4"],
+        );
+        let origin = NearestBuiltIn::of(&tasks, &run.config);
         assert_eq!(origin.name.as_deref(), Some(base));
         let command = command(&tasks, &run, &origin);
         assert!(
@@ -80,7 +85,7 @@ fn a_run_of_no_built_in_configuration_is_trained_again_from_its_own_file() {
     let mut run = begun(dir.path(), "cartpole", "a", &[]);
     run.config.insert("domain".to_owned(), "elsewhere".into());
     run.record.origin = Some(ForkOrigin { run: "b".to_owned(), weights_sha256: String::new() });
-    let command = command(&Tasks::new(), &run, &Origin::default());
+    let command = command(&Tasks::new(), &run, &NearestBuiltIn::default());
     let file = |name: &str| run.directory.join(name).display().to_string();
     let [config, initial] = [file("config.toml"), file("initial.safetensors")];
     let expected = format!("leadtime up -c {config} --name a-again --fork {initial}");

@@ -252,7 +252,8 @@ mod tests {
             write_evaluation(dir.path(), time, 300, &scalars).unwrap();
         }
         let entries = fs::read_dir(dir.path()).unwrap();
-        let mut names: Vec<_> = entries.map(|e| e.unwrap().file_name()).collect();
+        let mut names: Vec<_> =
+            entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
         let expected = ["0000000012.leadtime.7", "0000000030.leadtime.eval"];
         assert_eq!(names, expected.map(|end| format!("events.out.tfevents.{end}")));

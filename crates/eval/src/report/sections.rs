@@ -190,7 +190,10 @@ pub(super) fn provenance(report: &Report) -> String {
         }
         let command = match command.as_str() {
             "" => String::new(),
-            command => format!("<p>The command that trains it:</p>\n{}", listing(&escape(command))),
+            command => format!(
+                "<p>The command that trains it again:</p>\n<pre class=\"command\"><code>{}</code></pre>\n",
+                escape(command)
+            ),
         };
         heading(report, run) + &scrolled(&table, "facts") + &command
     };
