@@ -4,6 +4,7 @@
 //! failure, such as a full disk, is kept, and [`finish`] reports it when the command is done: work that was done is
 //! not undone by it. What cannot be written to standard error is dropped.
 
+use std::ffi::OsString;
 use std::fmt::Display;
 use std::io::{self, Write as _};
 use std::path::Path;

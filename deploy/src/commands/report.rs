@@ -7,10 +7,10 @@ use leadtime_eval::measure::{Comparison, Difference, Player};
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::{Picture, Verdict};
 use leadtime_runs::report::{Findings, RunFiles, report};
-use leadtime_runs::{EvaluationRecord, LoadedPolicy, Tasks};
+use leadtime_runs::{EvaluationRecord, LoadedPolicy, Tasks, find_run};
 
 use super::evaluation::{self, TRAINED, UNAIDED};
-use super::{episode, runs};
+use super::episode;
 use crate::cli::ReportArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
@@ -19,7 +19,7 @@ use crate::output;
 const PAGE: &str = "report.html";
 
 pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
-    let find = |name: &String| runs::directory(&args.runs, name);
+    let find = |name: &String| find_run(&args.runs, name);
     let directories: Vec<PathBuf> =
         args.names.iter().map(find).collect::<Result<_, _>>().blame(ExitCode::WrongInput)?;
     let files = directories.iter().map(|directory| RunFiles::read(directory));
@@ -37,7 +37,7 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
         (_, _, Some(out)) => (out.clone(), several(tasks, args, &files, &policies)?),
         _ => return Err(Failure::input("several runs: --out FILE says where their page goes")),
     };
-    let text = findings.comparison.as_ref().map(Comparison::text).unwrap_or_default();
+    let text = findings.comparison.as_ref().map(|found| found.text(false)).unwrap_or_default();
     let html = report(tasks, &files, findings).html();
     output::file(&page, html.as_bytes()).blame(ExitCode::WrongInput)?;
     output::line(&format!("{text}\nReport: {}", page.display()));
