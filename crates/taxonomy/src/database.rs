@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use crate::error::TaxonomyError;
-use crate::raw::{self, RawDatabase, RawUtterance, SCHEMA};
+use crate::raw::{RawDatabase, RawUtterance, SCHEMA};
 use crate::utterance::{Cell, Fidelity, SpanKind, Utterance};
 use crate::words;
 
@@ -105,16 +105,17 @@ impl Taxonomy {
     /// # Ok::<(), leadtime_taxonomy::TaxonomyError>(())
     /// ```
     pub fn from_toml(text: &str) -> Result<Self, TaxonomyError> {
-        let raw: RawDatabase = raw::read(text, "utterance database").map_err(TaxonomyError)?;
+        Self::from_raw(RawDatabase::read(text)?)
+    }
+
+    /// Checks a database as it was written.
+    pub(crate) fn from_raw(raw: RawDatabase) -> Result<Self, TaxonomyError> {
         check_header(&raw)?;
         let mut seen = BTreeMap::new();
         let mut topics: Vec<Vec<Utterance>> = raw.topics.iter().map(|_| Vec::new()).collect();
         for (index, utterance) in raw.utterance.iter().enumerate() {
             let RawUtterance { topic, text, .. } = utterance;
-            let fail = |defect: String| {
-                let n = index + 1;
-                TaxonomyError(format!("utterance {n} of topic `{topic}`, \"{text}\": {defect}"))
-            };
+            let fail = |defect: String| utterance.wrong(index, &defect);
             let topic_idx = raw.topics.iter().position(|name| name == topic);
             let topic_idx =
                 topic_idx.ok_or_else(|| fail("its topic is not in `topics`".to_owned()))?;
@@ -189,6 +190,10 @@ fn check_header(raw: &RawDatabase) -> Result<(), TaxonomyError> {
 
 /// Checks one sentence on its own; an error says what is wrong with it.
 fn checked(raw: &RawUtterance, database: &RawDatabase) -> Result<Utterance, String> {
+    let lacks = raw.lacks();
+    if !lacks.is_empty() {
+        return Err(format!("it lacks `{}`", lacks.join("`, `")));
+    }
     let cell = Cell::new(raw.comprehension, raw.conveyance);
     let [from, to] = database.words;
     if cell.comprehension < from || cell.comprehension > cell.conveyance || cell.conveyance > to {

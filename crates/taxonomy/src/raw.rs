@@ -3,6 +3,7 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::error::TaxonomyError;
 use crate::utterance::{Fidelity, WordSpan};
 
 /// The schema that this crate reads and writes.
@@ -26,15 +27,19 @@ pub(crate) struct RawDatabase {
     pub(crate) utterance: Vec<RawUtterance>,
 }
 
-/// One sentence.
+/// One sentence. What a person who adds one need not write is 0 or empty where it is missing.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawUtterance {
     pub(crate) topic: String,
+    #[serde(default)]
     pub(crate) comprehension: u32,
+    #[serde(default)]
     pub(crate) conveyance: u32,
     pub(crate) text: String,
+    #[serde(default)]
     pub(crate) spans: Vec<WordSpan>,
+    #[serde(default)]
     pub(crate) curve: Vec<u8>,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(crate) clamped: bool,
@@ -44,6 +49,32 @@ pub(crate) struct RawUtterance {
     pub(crate) medoid: u32,
     #[serde(default)]
     pub(crate) source: String,
+}
+
+impl RawDatabase {
+    /// Reads a file; an error names the line.
+    pub(crate) fn read(text: &str) -> Result<Self, TaxonomyError> {
+        read(text, "utterance database").map_err(TaxonomyError)
+    }
+}
+
+impl RawUtterance {
+    /// Names the keys that are missing.
+    pub(crate) fn lacks(&self) -> Vec<&'static str> {
+        let keys = [
+            ("comprehension", self.comprehension == 0),
+            ("conveyance", self.conveyance == 0),
+            ("spans", self.spans.is_empty()),
+            ("curve", self.curve.is_empty()),
+        ];
+        keys.into_iter().filter_map(|(key, is_missing)| is_missing.then_some(key)).collect()
+    }
+
+    /// Says which sentence of a file is wrong, and what is.
+    pub(crate) fn wrong(&self, index: usize, defect: &str) -> TaxonomyError {
+        let (n, Self { topic, text, .. }) = (index + 1, self);
+        TaxonomyError(format!("utterance {n} of topic `{topic}`, \"{text}\": {defect}"))
+    }
 }
 
 /// Reads a file of some form; what is wrong with it is said with the line and with `what` it is.

@@ -162,6 +162,16 @@ pub trait Model: Debug {
     /// Tells what may be claimed of what it makes.
     fn fidelity(&self) -> Fidelity;
 
+    /// Tells whether it has sentences for a cell that would be lost if nobody asked for them.
+    fn holds(&self, _topic: &str, _cell: Cell) -> bool {
+        false
+    }
+
+    /// Tells whether its answers are written down, so that a call log must hold the very same ones.
+    fn is_written(&self) -> bool {
+        false
+    }
+
     /// Answers a call.
     ///
     /// # Errors

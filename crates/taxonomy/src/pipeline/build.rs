@@ -1,6 +1,6 @@
 //! All stages, from a plan to a file: what is asked next depends only on what was answered so far.
 
-use super::backend::{CallStage, Finish};
+use super::backend::{Call, CallStage, Finish};
 use super::caller::Caller;
 use super::candidate::{Candidate, Reason};
 use super::controls::{self, RaterControl};
@@ -72,26 +72,47 @@ fn propose(
     while let Some((topic, cell, round)) = progress.next(plan) {
         let there = progress.texts(topic);
         let call = writer.generate(summary, &plan.topic[topic], cell, round, &there)?;
-        let (source, answer) = caller.ask(&call)?;
-        if answer.finish == Finish::Exhausted {
-            progress.given_up.insert((topic, cell));
-            continue;
-        }
-        let Proposals { whole, cut } = reply::sentences(&answer);
-        caller.judge(CallStage::Generate, !whole.is_empty())?;
-        for text in whole {
-            let mut candidate = Candidate::new(topic, cell, text, &source);
-            candidate.reason =
-                examine(&rules, &rating, &mut progress, caller, &mut candidate)?.err();
-            progress.add(candidate);
-        }
-        if let Some(text) = cut {
-            let mut candidate = Candidate::new(topic, cell, text, &source);
-            candidate.reason = Some(Reason::Truncated);
-            progress.add(candidate);
+        take(&rules, &rating, &mut progress, caller, (topic, cell), &call)?;
+    }
+    // Cells that others have filled, or that the number of generations did not reach.
+    for (topic, cell) in progress.never_asked() {
+        let there = progress.texts(topic);
+        let call = writer.generate(summary, &plan.topic[topic], cell, 0, &there)?;
+        if caller.holds(&call) {
+            progress.ask(topic, cell);
+            take(&rules, &rating, &mut progress, caller, (topic, cell), &call)?;
         }
     }
     Ok(progress)
+}
+
+/// Asks for sentences, and examines them.
+fn take(
+    rules: &Rules,
+    rating: &Rating<'_>,
+    progress: &mut BuildProgress,
+    caller: &mut Caller<'_>,
+    (topic, cell): (usize, Cell),
+    call: &Call,
+) -> Result<(), PipelineError> {
+    let (source, answer) = caller.ask(call)?;
+    if answer.finish == Finish::Exhausted {
+        progress.given_up.insert((topic, cell));
+        return Ok(());
+    }
+    let Proposals { whole, cut } = reply::sentences(&answer);
+    caller.judge(CallStage::Generate, !whole.is_empty())?;
+    for text in whole {
+        let mut candidate = Candidate::new(topic, cell, text, &source);
+        candidate.reason = examine(rules, rating, progress, caller, &mut candidate)?.err();
+        progress.add(candidate);
+    }
+    if let Some(text) = cut {
+        let mut candidate = Candidate::new(topic, cell, text, &source);
+        candidate.reason = Some(Reason::Truncated);
+        progress.add(candidate);
+    }
+    Ok(())
 }
 
 /// Applies the rules to a proposal, has it rated, and finds where it lands.

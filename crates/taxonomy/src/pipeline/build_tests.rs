@@ -240,6 +240,58 @@ fn what_was_cut_off_and_what_cannot_be_read_is_counted() {
     assert!(report.contains("| slow_down | 10 % | Slow down now. [10, 90, 90] |"), "{report}");
 }
 
+/// Sentences of a person's own, on one topic: more than a call asks for, some in a cell that others have filled.
+#[test]
+fn nothing_that_was_written_vanishes_from_the_report() {
+    let mut plan = job::plan("lander").unwrap();
+    plan.topic.truncate(1);
+    plan.settings.target = 1;
+    plan.settings.keep = 1;
+    plan.settings.batch = 2;
+    plan.settings.max_iterations = 2;
+    let hows =
+        ["now", "quickly", "gently", "slowly", "carefully", "soon", "here", "again", "instead"];
+    let mut texts: Vec<String> = hows.map(|how| format!("Go up {how}.")).into();
+    texts.extend(
+        ["Gain height.", "Higher, please.", "Zone ahead, climb.", "Go up, danger."]
+            .map(str::to_owned),
+    );
+    let rated = |text: &String| {
+        let curve: Vec<&str> = text.split(' ').map(|_| "90").collect();
+        format!("Instruction: {text}\nComprehension after each word: {}\n", curve.join(", "))
+    };
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("mine.txt");
+    let sections = [
+        ("2 3", &texts[..9]),
+        ("2 2", &texts[9..11]),
+        ("3 3", &texts[11..12]),
+        ("4 5", &texts[12..]),
+    ];
+    let section = |(cell, texts): (&str, &[String])| {
+        format!("# ascend {cell}\n{}", texts.iter().map(rated).collect::<String>())
+    };
+    std::fs::write(&file, format!("# summary\nAll.\n{}", sections.map(section).concat())).unwrap();
+    let log = directory.path().join("calls.jsonl");
+    let authored = || job(&log, Backend::Authored(Some(file.clone())));
+    let (built, header) = job::run(&plan, authored()).unwrap();
+    let report = built.report(&plan, &header);
+    for text in &texts {
+        assert!(report.contains(text.as_str()), "{text} has vanished:\n{report}");
+    }
+    assert!(report.contains("* `no_directive`, ascend (2, 2): Higher, please.\n"), "{report}");
+    assert!(report.contains("A cell keeps 1 sentences (`settings.keep`)"), "{report}");
+    let again = job::run(&plan, job(&log, Backend::Replay)).unwrap().0;
+    assert_eq!(again.report(&plan, &header), report);
+    // Nor does a sentence that is added later, because the log answers for the annotations as they were.
+    assert_eq!(job::run(&plan, authored()).unwrap().0.calls, 0);
+    let more = "\n# ascend\nInstruction: Please go up.\n";
+    std::fs::write(&file, std::fs::read_to_string(&file).unwrap() + more).unwrap();
+    let error = job::run(&plan, authored()).unwrap_err().to_string();
+    let says = "the annotations have changed since the call log was written: it holds another reply to generation 1 of";
+    assert!(error.starts_with(says), "{error}");
+}
+
 #[test]
 fn a_sentence_that_asks_for_another_action_as_clearly_is_turned_down() {
     let turned_down = |rate| {

@@ -82,8 +82,32 @@ impl<'a> Caller<'a> {
 
     /// Asks the writer or the rater, as the stage says; also returns the call's key.
     pub(super) fn ask(&mut self, call: &Call) -> Result<(String, Reply), PipelineError> {
-        let id = self.backends.of(call.stage).id().to_owned();
+        let backend = self.backends.of(call.stage);
+        let id = backend.id().to_owned();
+        let must_agree = backend.is_written() && matches!(self.mode, CallMode::Live { .. });
+        if must_agree
+            && let Some(logged) = self.log.reply(&call.key(&id))
+            && backend.complete(call)? != *logged
+        {
+            return Err(PipelineError::Unusable(format!(
+                "the annotations have changed since the call log was written: it holds another reply to {}; build into \
+                 another directory, or remove the log",
+                call.what()
+            )));
+        }
         self.logged(&id, call, |backends| backends.of(call.stage).complete(call))
+    }
+
+    /// Tells whether the log answers a call for sentences, or the writer holds some that nobody asked for.
+    pub(super) fn holds(&mut self, call: &Call) -> bool {
+        let generator = &self.backends.generator;
+        let is_held = match (&call.input, self.mode) {
+            (Input::Sentences { topic, cell, .. }, CallMode::Live { .. }) => {
+                generator.holds(topic, *cell)
+            }
+            _ => false,
+        };
+        is_held || self.log.reply(&call.key(generator.id())).is_some()
     }
 
     /// Asks the embedder.

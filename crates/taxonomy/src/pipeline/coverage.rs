@@ -17,9 +17,6 @@ use crate::utterance::{Cell, SpanKind};
 /// Thresholds that the sweep tries, in percent.
 const THETAS: [u8; 5] = [50, 60, 70, 80, 90];
 
-/// Sentences that are shown to be read.
-const SHOWN: usize = 20;
-
 /// What happened in one cell of a topic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
@@ -269,16 +266,32 @@ fn to_read(out: &mut String, plan: &DatabasePlan, candidates: &[Candidate]) {
             line(out, &format!("* {cell} {} [{}]", candidate.text, joined(&candidate.rated)));
         }
     }
-    let refused: Vec<(Reason, &Candidate)> =
-        candidates.iter().filter_map(|candidate| Some((candidate.reason?, candidate))).collect();
-    if refused.is_empty() {
-        return;
-    }
-    line(out, "\n### Turned down\n");
-    // Evenly spread over the run, so that no stage hides the others.
-    for (reason, candidate) in refused.iter().step_by(refused.len().div_ceil(SHOWN)) {
-        let Candidate { topic, requested, text, .. } = candidate;
-        line(out, &format!("* `{reason}`, {} {requested}: {text}", plan.topic[*topic].id));
+    let keep = plan.settings.keep;
+    let head = format!(
+        "Accepted, not kept\n\nA cell keeps {keep} sentences (`settings.keep`), those that stand best for the others; a \
+         sentence in the plan's list `pinned` is always one of them."
+    );
+    let left_out = |candidate: &&Candidate| candidate.is_accepted() && candidate.medoid.is_none();
+    listed(out, plan, &head, candidates.iter().filter(left_out));
+    listed(out, plan, "Turned down", candidates.iter().filter(|found| found.reason.is_some()));
+}
+
+/// Lists sentences with what became of them; nothing if there are none.
+fn listed<'a>(
+    out: &mut String,
+    plan: &DatabasePlan,
+    head: &str,
+    candidates: impl Iterator<Item = &'a Candidate>,
+) {
+    let mut head = Some(head);
+    for candidate in candidates {
+        if let Some(head) = head.take() {
+            line(out, &format!("\n### {head}\n"));
+        }
+        let Candidate { topic, requested, landed, text, .. } = candidate;
+        let (topic, cell) = (&plan.topic[*topic].id, landed.unwrap_or(*requested));
+        let reason = candidate.reason.map(|reason| format!("`{reason}`, ")).unwrap_or_default();
+        line(out, &format!("* {reason}{topic} {cell}: {text}"));
     }
 }
 

@@ -7,7 +7,7 @@ use super::error::BackendError;
 use super::plan::{DatabasePlan, hash};
 use super::reply::joined;
 use super::structure::Lexicon;
-use crate::utterance::{Cell, Fidelity, SpanKind};
+use crate::utterance::{Cell, Fidelity, SpanKind, WordSpan};
 use crate::words;
 
 /// Orders in which people say it; a reason between manner and directive is not one of them.
@@ -70,18 +70,21 @@ impl Grammar {
         let topic = self.plan.topic_idx(topic);
         let structure = self.lexicon.analyse(&spoken).ok();
         let spans = structure.filter(|found| Some(found.topic) == topic).map(|found| found.spans);
-        let what = spans.unwrap_or_default().into_iter().find(|span| span.part == SpanKind::What);
-        let end = what.map_or(usize::MAX, |what| what.to as usize);
-        let percent = |i: usize| {
-            if i + 1 >= end { UNDERSTOOD } else { 10 + (40 * i / spoken.len()) as u8 }
-        };
+        let numbers = understood(&spans.unwrap_or_default(), spoken.len());
         if let Some(n) = n_words {
-            let heard = n.checked_sub(1).map_or(0, percent);
-            return Reply::complete(heard.to_string());
+            let heard = n.checked_sub(1).and_then(|word| numbers.get(word)).copied();
+            return Reply::complete(heard.unwrap_or_default().to_string());
         }
-        let numbers: Vec<u8> = (0..spoken.len()).map(percent).collect();
         Reply::complete(format!("Comprehension after each word: {}", joined(&numbers)))
     }
+}
+
+/// Rates a sentence of `n_words` by its spans alone: it is understood with the last word of its directive. Shape `[n_words]`.
+pub(super) fn understood(spans: &[WordSpan], n_words: usize) -> Vec<u8> {
+    let what = spans.iter().find(|span| span.part == SpanKind::What);
+    let end = what.map_or(usize::MAX, |what| what.to as usize);
+    let percent = |i: usize| if i + 1 >= end { UNDERSTOOD } else { 10 + (40 * i / n_words) as u8 };
+    (0..n_words).map(percent).collect()
 }
 
 /// Puts phrases together, if that gives the k and l of a cell.

@@ -6,6 +6,7 @@ use super::annotator::Annotator;
 use super::backend::{CallStage, Embedder, LoggedBackend, Model};
 use super::build::{Built, build};
 use super::caller::{Backends, CallMode, Caller, not_in_log};
+use super::complete::complete;
 use super::error::PipelineError;
 use super::export;
 use super::grammar::Grammar;
@@ -16,6 +17,8 @@ use super::plan::DatabasePlan;
 use super::prompts::{PromptWriter, Prompts};
 use super::rating::Rating;
 use crate::database::Taxonomy;
+use crate::error::TaxonomyError;
+use crate::raw::RawDatabase;
 use crate::utterance::Fidelity;
 
 /// What comes with the crate for one domain: its plan, and the annotations and call log of its database.
@@ -127,8 +130,10 @@ pub fn run(plan: &DatabasePlan, job: BuildJob) -> Result<(Built, LogHeader), Pip
 
 fn generator(plan: &DatabasePlan, backend: &Backend) -> Result<Box<dyn Model>, PipelineError> {
     Ok(match backend {
-        Backend::Authored(Some(path)) => Box::new(Annotator::parse(&read(path)?)?),
-        Backend::Authored(None) => Box::new(Annotator::parse(source(&plan.domain)?.annotations)?),
+        Backend::Authored(Some(path)) => Box::new(Annotator::parse(&read(path)?, plan)?),
+        Backend::Authored(None) => {
+            Box::new(Annotator::parse(source(&plan.domain)?.annotations, plan)?)
+        }
         Backend::Grammar => Box::new(Grammar::new(plan)),
         Backend::Http(settings) => Box::new(Http::new(settings.clone())?),
         Backend::Replay => Box::new(LoggedBackend { id: String::new(), fidelity: Fidelity::Local }),
@@ -191,6 +196,26 @@ pub fn rate_texts(
     texts.iter().map(|text| rating.words(&mut caller, topic, text)).collect()
 }
 
+/// Reads a database in which a sentence needs no more than its topic and its text.
+///
+/// `spans`, `curve`, `comprehension` and `conveyance` are made where they are missing, as [`rate_texts`] makes them with
+/// [`Backend::Grammar`]; spans need a domain whose plan comes with the crate.
+///
+/// # Errors
+///
+/// [`TaxonomyError`] naming the sentence and what is wrong with it, as [`Taxonomy::from_toml`].
+pub fn database(text: &str) -> Result<Taxonomy, TaxonomyError> {
+    let mut raw = RawDatabase::read(text)?;
+    let plan = plan(&raw.domain);
+    for (index, utterance) in raw.utterance.iter_mut().enumerate() {
+        if !utterance.lacks().is_empty() {
+            complete(utterance, raw.theta, raw.words[0], &plan)
+                .map_err(|defect| utterance.wrong(index, &defect))?;
+        }
+    }
+    Taxonomy::from_raw(raw)
+}
+
 /// A form for other tools.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
@@ -226,5 +251,52 @@ mod tests {
         let says =
             "`topic` of the plan is stop; allowed: slow_down, speed_up, merge_left, merge_right";
         assert_eq!(error, says);
+    }
+
+    #[test]
+    fn a_sentence_that_is_added_to_a_database_needs_its_topic_and_its_text() {
+        let added = |text: &str| {
+            let shipped = crate::shipped::text("lander").unwrap();
+            database(&format!("{shipped}\n[[utterance]]\ntopic = \"ascend\"\n{text}\n"))
+        };
+        let taxonomy = added("text = \"Zone ahead, climb up now.\"").unwrap();
+        let cell = taxonomy.topics()[0].cell(crate::Cell::new(4, 5));
+        let sentence = cell.iter().find(|found| found.text == "Zone ahead, climb up now.").unwrap();
+        assert_eq!(sentence.curve, [10, 18, 26, 95, 95]);
+        assert_eq!(sentence.what().map(|what| (what.from, what.to)), Some((2, 4)));
+        let taxonomy =
+            added("text = \"Higher, please.\"\nspans = [[\"what\", 0, 1]]\ncurve = [60, 90]")
+                .unwrap();
+        assert_eq!(taxonomy.topics()[0].cell(crate::Cell::new(2, 2)).len(), 5);
+        for (text, says) in [
+            (
+                "text = \"Higher, please.\"",
+                "utterance 161 of topic `ascend`, \"Higher, please.\": it cannot be taken apart",
+            ),
+            ("text = \"Go down soon.\"", "\"Go down soon.\": it says what topic `descend` says"),
+            (
+                "text = \"Climb up at once, danger ahead.\"",
+                "its (k, l) is (2, 6); allowed: 2 <= k <= l <= 5",
+            ),
+            (
+                "text = \"Zone ahead, climb up.\"\ncomprehension = 2",
+                "reaches 70 percent at word 4; `comprehension` says word 2",
+            ),
+            ("text = \"Climb up soon.\"\ncurve = [10, 20, 30]", "reaches 70 percent at no word"),
+        ] {
+            let error = added(text).unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        }
+        let own = "schema = 1\ndomain = \"road\"\nfidelity = \"authored\"\ngenerator = \"\"\nrater = \"\"\nembedder = \"\"\n\
+            theta = 70\nwords = [2, 5]\ntopics = [\"left\"]\nconfig = \"\"\n[[utterance]]\ntopic = \"left\"\ntext = \"Go left.\"\n";
+        let error = database(own).unwrap_err().to_string();
+        assert!(
+            error.ends_with(
+                "it lacks `spans`, and its domain has no plan here from which they could be made"
+            ),
+            "{error}"
+        );
+        let taxonomy = database(&format!("{own}spans = [[\"what\", 0, 2]]\n")).unwrap();
+        assert_eq!(taxonomy.topics()[0].cell(crate::Cell::new(2, 2)).len(), 1);
     }
 }

@@ -28,6 +28,7 @@ pub mod backend;
 pub mod build;
 mod caller;
 pub mod candidate;
+mod complete;
 pub mod controls;
 pub mod coverage;
 pub mod curve;

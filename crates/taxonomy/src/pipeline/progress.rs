@@ -48,11 +48,21 @@ impl BuildProgress {
                 && !self.given_up.contains(key)
         });
         let (&(topic, cell), _) = open.min_by_key(|&(key, n)| (*n, self.rounds[key], *key))?;
+        Some((topic, cell, self.ask(topic, cell)))
+    }
+
+    /// Counts that a cell is asked for; returns how often it was before.
+    pub(super) fn ask(&mut self, topic: usize, cell: Cell) -> u32 {
         let rounds = self.rounds.entry((topic, cell)).or_default();
-        let round = *rounds;
         *rounds += 1;
         self.iterations += 1;
-        Some((topic, cell, round))
+        *rounds - 1
+    }
+
+    /// Lists the cells that nobody asked for.
+    pub(super) fn never_asked(&self) -> Vec<(usize, Cell)> {
+        let never = self.rounds.iter().filter(|(_, rounds)| **rounds == 0);
+        never.map(|(key, _)| *key).collect()
     }
 
     /// Lists the accepted sentences of a topic.

@@ -62,7 +62,7 @@ pub(in crate::commands) fn database(name: &str) -> Result<Taxonomy, Failure> {
     let text = std::fs::read_to_string(name)
         .with_context(|| format!("`{name}` is {neither}: {}", domains()))
         .blame(ExitCode::WrongInput)?;
-    Taxonomy::from_toml(&text).with_context(|| name.to_owned()).blame(ExitCode::WrongInput)
+    job::database(&text).with_context(|| name.to_owned()).blame(ExitCode::WrongInput)
 }
 
 /// Makes sure that a directory of the person's is one: what it lacks is taken from elsewhere, so a misspelt one would
