@@ -3,10 +3,11 @@
 use std::process::Command;
 
 /// What decides the program; the build script runs again when anything in it changes.
-const SOURCES: [&str; 8] = [
+const SOURCES: [&str; 9] = [
     "../Cargo.toml",
     "../Cargo.lock",
     "../crates",
+    "../examples",
     "../proto",
     "../sims",
     "../actor",

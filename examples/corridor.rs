@@ -10,21 +10,20 @@
 //!
 //! ```bash
 //! cargo run --release --example corridor -- smoke --domain corridor     # trains it and shows that it learned
+//! cargo run --release --example corridor -- check -c corridor           # plays it: is a restored episode the same?
 //! cargo run --release --example corridor -- up -c corridor --actors 2   # every other command works as well
 //! ```
 //!
-//! Everything a world needs is here: what [`Domain`] asks for, a builder, and the settings it is trained with.
+//! Everything a world needs is here: what [`Domain`] asks for, and the settings it is trained with.
 
 use std::process::ExitCode;
 
 use leadtime::Program;
 use leadtime_numerics::Purpose;
-use leadtime_sims::TaskError;
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
-use leadtime_sims::notifier::{NotifierWorld, TaskSettings};
-use leadtime_sims::registry::read;
+use leadtime_sims::notifier::NotifierWorld;
 use leadtime_sims::{
-    Advance, Domain, End, Environment, EpisodeSeed, Gauge, Message, ReactionStatus, ReactionStep,
+    Advance, Domain, DomainEntry, End, EpisodeSeed, Gauge, Message, ReactionStatus, ReactionStep,
     Scene, SettingError, Shape, SnapshotError, Tone, View,
 };
 use serde::{Deserialize, Serialize};
@@ -37,7 +36,8 @@ const N_WET: usize = 3;
 const SIGHT: i32 = 12;
 
 fn main() -> ExitCode {
-    Program::new().with_task("corridor", build).with_defaults("corridor", SETTINGS).run()
+    let corridor = DomainEntry::notifier::<World>("corridor");
+    Program::new().with_domain(corridor).with_defaults("corridor", SETTINGS).run()
 }
 
 /// What differs from the general defaults of a domain of one's own.
@@ -63,11 +63,6 @@ impl NotifierWorld for World {
     fn domain(&self) -> Result<Corridor, SettingError> {
         Ok(Corridor { world: self.clone(), state: State::default() })
     }
-}
-
-/// Reads the sections of the configuration, and joins walker, listener and notifier.
-fn build(settings: &str) -> Result<Box<dyn Environment>, TaskError> {
-    Ok(Box::new(read::<TaskSettings<World>>("corridor", settings)?.build()?))
 }
 
 /// Everything the future depends on.
@@ -105,6 +100,7 @@ impl Domain for Corridor {
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {
+        // Everything is set anew: nothing of the episode before may remain.
         let mut rng = seed.stream(Purpose::World);
         let mut wet_floor = |n: usize| {
             let cell = 10 * (n as i32 + 1) + rng.below(4) as i32;

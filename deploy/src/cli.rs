@@ -127,8 +127,13 @@ pub(crate) enum Command {
     Describe(DescribeArgs),
     /// List runs, or compare their configurations and results.
     Runs(RunsArgs),
-    /// Check a configuration, this machine and, with --connect, the connection to a learner.
+    /// Check a configuration, its world, this machine and, with --connect, the connection to a learner.
+    ///
+    /// The world is played: the same seed must give the same episode, a restored episode must go on as the first did, and
+    /// every number must be finite. A defect ends with exit code 1.
     Check(CheckArgs),
+    /// Make a crate for a world of your own, which builds outside of Leadtime's source.
+    New(NewArgs),
     /// Print shell completions.
     Completions {
         /// The shell.
@@ -558,6 +563,20 @@ pub(crate) struct CheckArgs {
     /// How long to look for it.
     #[arg(long, value_name = "DURATION", default_value = "5s", value_parser = duration)]
     pub connect_timeout: Duration,
+}
+
+/// `leadtime new`
+#[derive(Debug, Args)]
+pub(crate) struct NewArgs {
+    /// The directory to make; it may be there if it is empty.
+    #[arg(value_name = "DIR")]
+    pub directory: PathBuf,
+    /// Name of the crate (default: the directory's).
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Leadtime's source (default: where this program was built from, if that is still there).
+    #[arg(long, value_name = "PATH")]
+    pub leadtime: Option<PathBuf>,
 }
 
 /// Reads `60s`, `2m` or `500ms`.

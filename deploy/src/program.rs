@@ -5,7 +5,7 @@ use std::{env, process};
 use clap::error::{ContextKind, ContextValue};
 use leadtime_proto::text::printable;
 use leadtime_runs::Tasks;
-use leadtime_sims::{Environment, TaskError};
+use leadtime_sims::{DomainEntry, Environment, TaskError};
 
 use crate::cli::Cli;
 use crate::exit::{ExitCode, Failure};
@@ -31,9 +31,19 @@ impl Program {
         Self::default()
     }
 
-    /// Adds a task: `name` becomes a domain like the built-in ones, for learner, actors and evaluation alike.
+    /// Adds a world: it becomes a domain like the built-in ones, for learner, actors and evaluation alike.
     ///
-    /// `builder` gets the task's settings as JSON: `{"world": ..., "human": ..., "notifier": ...}` as configured.
+    /// `leadtime config NAME` prints the defaults of its settings, and `leadtime check -c NAME` plays it and reports what
+    /// breaks the promise of equal bits.
+    pub fn with_domain(mut self, entry: DomainEntry) -> Self {
+        self.tasks = self.tasks.with_domain(entry);
+        self
+    }
+
+    /// Adds a task that reads its settings itself; the program does not know their defaults, and `leadtime config NAME`
+    /// does not print them.
+    ///
+    /// `builder` gets the settings as JSON: `{"world": ..., "human": ..., "notifier": ...}` as configured.
     pub fn with_task<F>(mut self, name: &str, builder: F) -> Self
     where
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,

@@ -68,6 +68,123 @@ pub struct Delivery {
 }
 
 /// A world with a person in it.
+///
+/// # When what is called
+///
+/// | | calls, in this order |
+/// |---|---|
+/// | start of an episode | `reset`, `observe` |
+/// | each step, of one word | `reaction_over` if a reaction was cut short, `started` if a message starts, `advance`, `reaction_over` and `deliver` where they are due, `observe`; then `metrics` and `success` |
+/// | for the mask, a script, a picture | `script` and `scene`: at any moment, in any number, and perhaps never; they must change nothing |
+/// | when a rollout is sent | `snapshot`, which must change nothing either |
+/// | when a process has died | `restore`, into a world that may be in the middle of another episode; no `reset` and no `observe` before the next `advance` |
+///
+/// # Ranges
+///
+/// *Observations* are best within about -1 to 1 and must be finite: the networks see them as they are, unless
+/// `policy.normalize_observations` is set. All `obs_dim` places are written by every call.
+///
+/// *Rewards* must be finite. Their scale decides with `learner.reward_scale` how fast a policy learns (a discounted return of
+/// 1 to 10 in size is what the settings were tried with), and a message costs `notifier.initiation_cost` of them, 1 unless the
+/// world says otherwise.
+///
+/// # The same bits again
+///
+/// What happens depends on the seed of `reset`, on the reactions and on nothing else, and a snapshot holds all of it. Keep
+/// everything that changes in an episode in one struct that is written and read as a whole; what is forgotten shows only when a
+/// process is killed. [`check_environment`](crate::env_check::check_environment) (`leadtime check`) finds it.
+///
+/// # Example
+///
+/// A walker who is to stop after a number of steps that only the notifier sees.
+///
+/// ```
+/// use leadtime_numerics::Purpose;
+/// use leadtime_sims::env_check::check_environment;
+/// use leadtime_sims::environment::{read_snapshot, write_snapshot};
+/// use leadtime_sims::human::HumanSettings;
+/// use leadtime_sims::notifier::NotifierSettings;
+/// use leadtime_sims::{
+///     Advance, Domain, End, EpisodeSeed, NotifierEnv, ReactionStatus, ReactionStep, Scene, SnapshotError,
+/// };
+/// use serde::{Deserialize, Serialize};
+///
+/// #[derive(Default, Serialize, Deserialize)]
+/// struct Walk {
+///     n_steps: u32,
+///     edge: u32,
+///     stopped: bool,
+/// }
+///
+/// #[derive(Default)]
+/// struct Cliff {
+///     walk: Walk,
+/// }
+///
+/// impl Domain for Cliff {
+///     fn topics(&self) -> &[&'static str] {
+///         &["stop"]
+///     }
+///
+///     fn obs_dim(&self) -> usize {
+///         1
+///     }
+///
+///     fn reset(&mut self, seed: EpisodeSeed) {
+///         let edge = 10 + seed.stream(Purpose::World).below(10) as u32;
+///         self.walk = Walk { edge, ..Walk::default() };
+///     }
+///
+///     fn observe(&self, out: &mut [f32]) {
+///         out[0] = (self.walk.edge - self.walk.n_steps) as f32 / 20.0;
+///     }
+///
+///     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
+///         self.walk.stopped |= reaction.is_some();
+///         self.walk.n_steps += 1;
+///         let at_edge = self.walk.n_steps == self.walk.edge;
+///         let reward = match (self.walk.stopped, at_edge) {
+///             // The nearer to the edge, the better.
+///             (true, _) => f64::from(self.walk.n_steps) / f64::from(self.walk.edge),
+///             (false, true) => -1.0,
+///             (false, false) => 0.0,
+///         };
+///         let end = (self.walk.stopped || at_edge).then_some(End::Terminated);
+///         Advance { reward, reaction: reaction.map(|_| ReactionStatus::Followed), end }
+///     }
+///
+///     fn success(&self) -> bool {
+///         self.walk.stopped
+///     }
+///
+///     fn metric_names(&self) -> &'static [&'static str] {
+///         &["steps_left"]
+///     }
+///
+///     fn metrics(&self, out: &mut [f32]) {
+///         out[0] = (self.walk.edge - self.walk.n_steps) as f32;
+///     }
+///
+///     fn snapshot(&self, out: &mut Vec<u8>) {
+///         write_snapshot(&self.walk, out);
+///     }
+///
+///     fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
+///         self.walk = read_snapshot(snapshot)?;
+///         Ok(())
+///     }
+///
+///     fn scene(&self) -> Scene {
+///         Scene::default()
+///     }
+/// }
+///
+/// let notifier = NotifierSettings { initiation_cost: 0.02, ..NotifierSettings::default() };
+/// let build = || Ok(Box::new(NotifierEnv::new(Cliff::default(), &HumanSettings::default(), &notifier)?) as _);
+/// let report = check_environment(build)?;
+/// assert!(report.defects.is_empty() && report.rewards.notice().is_none());
+/// # Ok::<(), leadtime_sims::TaskError>(())
+/// ```
 pub trait Domain: Send {
     /// Names the topics, in the order of their ids.
     fn topics(&self) -> &[&'static str];
@@ -96,10 +213,10 @@ pub trait Domain: Send {
         None
     }
 
-    /// Starts an episode.
+    /// Starts an episode; nothing of the one before may remain.
     fn reset(&mut self, seed: EpisodeSeed);
 
-    /// Writes the domain's observation. Shape `[obs_dim]`.
+    /// Writes the domain's observation, every place of it: after `reset` and after every `advance`. Shape `[obs_dim]`.
     fn observe(&self, out: &mut [f32]);
 
     /// Advances the world by one step (one word): the person reacts, or acts by their own plan.
@@ -157,5 +274,7 @@ pub trait Domain: Send {
     fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError>;
 
     /// Describes the present moment for a picture; the notifier environment adds what is said and done.
+    ///
+    /// Training never asks for it; `play`, `smoke` and transcripts do, once per step.
     fn scene(&self) -> Scene;
 }

@@ -15,6 +15,7 @@ pub mod check;
 pub mod classic;
 pub mod description;
 pub mod domain;
+pub mod env_check;
 pub mod environment;
 mod error;
 pub mod human;

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use leadtime_proto::TaskSpec;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::check::SettingError;
 use crate::environment::Environment;
@@ -32,6 +33,8 @@ pub struct WorldOnly<W: Default> {
 pub struct DomainEntry {
     name: String,
     builder: Builder,
+    /// Its settings with their defaults, where the entry knows their type.
+    defaults: Option<fn() -> Value>,
     /// Keys of `[world]` that differ while a policy is evaluated, as TOML.
     evaluation: &'static str,
     has_map: bool,
@@ -44,8 +47,14 @@ impl fmt::Debug for DomainEntry {
 }
 
 impl DomainEntry {
-    fn new(name: &str, builder: Builder) -> Self {
-        Self { name: name.to_owned(), builder, evaluation: "", has_map: false }
+    /// Describes a task that reads its settings itself: `builder` gets them as JSON,
+    /// `{"world": ..., "human": ..., "notifier": ...}` as configured.
+    pub fn from_builder<F>(name: &str, builder: F) -> Self
+    where
+        F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
+    {
+        let builder: Builder = Arc::new(builder);
+        Self { name: name.to_owned(), builder, defaults: None, evaluation: "", has_map: false }
     }
 
     /// Describes the notifier task of a world.
@@ -54,20 +63,30 @@ impl DomainEntry {
             let settings: TaskSettings<W> = read(name, settings)?;
             Ok(Box::new(settings.build()?) as Box<dyn Environment>)
         };
-        Self::new(name, Arc::new(build))
+        Self { defaults: Some(defaults::<TaskSettings<W>>), ..Self::from_builder(name, build) }
     }
 
     /// Describes a task without people, which has nothing but a world.
     pub fn world_only<W, E>(name: &'static str, make: fn(&W) -> Result<E, SettingError>) -> Self
     where
-        W: Default + DeserializeOwned + 'static,
+        W: Default + Serialize + DeserializeOwned + 'static,
         E: Environment + 'static,
     {
         let build = move |settings: &str| {
             let settings: WorldOnly<W> = read(name, settings)?;
             Ok(Box::new(make(&settings.world)?) as Box<dyn Environment>)
         };
-        Self::new(name, Arc::new(build))
+        Self { defaults: Some(defaults::<WorldOnly<W>>), ..Self::from_builder(name, build) }
+    }
+
+    /// Returns the task's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Returns the task's settings with their defaults, by section; `None` if only its builder knows them.
+    pub fn defaults(&self) -> Option<Value> {
+        self.defaults.map(|defaults| defaults())
     }
 
     /// Sets what differs of `[world]` while a policy is evaluated, as TOML: `max_steps = 7`.
@@ -81,6 +100,12 @@ impl DomainEntry {
         self.has_map = true;
         self
     }
+}
+
+/// Writes down the defaults of settings.
+fn defaults<S: Default + Serialize>() -> Value {
+    // Settings are plain data, which can always be written.
+    serde_json::to_value(S::default()).unwrap_or_default()
 }
 
 /// The tasks that a process can build.
@@ -116,7 +141,7 @@ impl Registry {
     where
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
     {
-        self.with_domain(DomainEntry::new(name, Arc::new(builder)))
+        self.with_domain(DomainEntry::from_builder(name, builder))
     }
 
     /// Lists the names of the tasks, in alphabetical order.

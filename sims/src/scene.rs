@@ -1,6 +1,6 @@
 //! The present moment as a picture's ingredients: shapes in the world's own units, and what the person hears and does.
 //!
-//! Worlds describe, [`eval`](https://docs.rs) draws: no colour, size or file format is decided here.
+//! Worlds describe, the crate `leadtime-eval` draws: no colour, size or file format is decided here.
 
 /// What a shape means; the painter chooses the colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +57,9 @@ pub enum Shape {
 }
 
 /// The part of the world to show.
+///
+/// A picture stretches it over its own area, x and y independently. Squares stay squares where the view is 1.5 to 4 times as
+/// wide as high; a view of another shape is stretched to the nearer of the two.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct View {
     /// Lower left corner.

@@ -44,6 +44,45 @@ fn every_built_in_configuration_can_be_printed_and_used() {
 }
 
 #[test]
+fn a_crate_for_a_world_of_ones_own_is_made_and_can_be_resolved() {
+    let place = Place::new();
+    place.finish(&["new my-world"]).with_code(0).saying(&[]);
+    let made = place.path().join("my-world");
+    for (file, original) in [
+        ("src/main.rs", "examples/corridor.rs"),
+        ("src/corridor.toml", "examples/corridor.toml"),
+        ("Cargo.lock", "Cargo.lock"),
+    ] {
+        let original = fs::read(repository(original)).unwrap();
+        assert_eq!(fs::read(made.join(file)).unwrap(), original, "{file}");
+    }
+    let mut metadata = Command::new(env!("CARGO"));
+    metadata.current_dir(&made).args(["metadata", "--offline", "--format-version=1"]);
+    let metadata = metadata.output().unwrap();
+    let errors = String::from_utf8_lossy(&metadata.stderr);
+    assert!(metadata.status.success() && !errors.contains("warning"), "{errors}");
+    let metadata: Value = serde_json::from_slice(&metadata.stdout).unwrap();
+    let member = metadata["workspace_members"][0].as_str().unwrap();
+    assert!(member.contains("my-world"), "{member}");
+    let says = |args: &str, parts: &[&str]| place.finish(&[args]).with_code(2).saying(parts);
+    says("new my-world", &["my-world is not an empty directory"]);
+    says("new Grid", &["`name` is Grid; allowed: a lower-case letter"]);
+    says("new grid --leadtime .", &["--leadtime .: no source of Leadtime"]);
+    assert!(!place.path().join("grid").exists() && !place.path().join("Grid").exists());
+}
+
+#[test]
+fn a_check_plays_the_world() {
+    let place = Place::new();
+    let told = place.finish(&["check -c cartpole"]).with_code(0).stdout;
+    assert!(told.contains("played         12 episodes, "), "{told}");
+    let dear = place.finish(&["check -c lander --set notifier.initiation_cost=1000"]).with_code(0);
+    let says =
+        "notice         a message costs 1000.000, and an episode without messages has rewards of ";
+    assert!(dear.stdout.contains(says), "{}", dear.stdout);
+}
+
+#[test]
 fn every_world_with_an_original_replays_its_traces() {
     let place = Place::new();
     for (world, traces) in [

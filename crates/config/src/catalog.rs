@@ -28,6 +28,9 @@ pub(crate) const GENERAL: &str = "general";
 pub(crate) const GENERAL_TEXT: &str = include_str!("../configs/general.toml");
 /// What a file starts from that names neither a base nor a domain.
 const DEFAULT: &str = "lander";
+/// Where the sections `[human]` and `[notifier]` are written with their comments. Its listener and its notifier are the general
+/// ones, so this is what a world of one's own starts from.
+const SPOKEN: &str = include_str!("../configs/lander.toml");
 /// How long a chain of bases may be.
 const MAX_BASES: usize = 8;
 
@@ -35,18 +38,37 @@ const MAX_BASES: usize = 8;
 #[derive(Clone, Debug)]
 pub struct Catalog {
     texts: BTreeMap<String, String>,
+    /// Below the texts of worlds of the user's own: the defaults that their code has, as commented sections.
+    defaults: BTreeMap<String, String>,
 }
 
 impl Catalog {
     /// Returns the built-in configurations.
     pub fn built_in() -> Self {
         let texts = BUILT_IN.map(|(name, text)| (name.to_owned(), text.to_owned()));
-        Self { texts: texts.into() }
+        Self { texts: texts.into(), defaults: BTreeMap::new() }
     }
 
     /// Adds a domain of the user's own; what `text` leaves out comes from the general defaults.
     pub fn add(&mut self, domain: &str, text: &str) {
         self.texts.insert(domain.to_owned(), text.to_owned());
+    }
+
+    /// Adds the defaults that the code of a domain of the user's own has, by section: they stand between the general ones
+    /// and the text of [`Catalog::add`], and are printed with the comments of the keys that every notifier task has.
+    ///
+    /// What TOML cannot write is left to the domain's builder.
+    pub fn add_defaults(&mut self, domain: &str, sections: &serde_json::Value) {
+        let sections = Table::try_from(without_null(sections)).unwrap_or_default();
+        let mut text = String::new();
+        for (name, section) in &sections {
+            text += &format!("\n[{name}]\n");
+            // One line per key, so that each finds its comment.
+            let lines = section.as_table().into_iter().flatten();
+            lines.for_each(|(key, value)| text += &format!("{key} = {value}\n"));
+        }
+        let below = if sections.contains_key("human") { spoken() } else { String::new() };
+        self.defaults.insert(domain.to_owned(), edited(&below, &text));
     }
 
     /// Lists the names.
@@ -116,13 +138,43 @@ impl Catalog {
             };
             let base = word(&layer.parse()?, "base")?.map(str::to_owned);
             let is_complete = name == GENERAL || BUILT_IN.iter().any(|(known, _)| *known == name);
-            next = base.or_else(|| (!is_complete).then(|| GENERAL.to_owned()));
             layers.push(layer);
+            if let Some(defaults) = self.defaults.get(&name).filter(|_| base.is_none()) {
+                layers.push(Layer::text(format!("defaults of `{name}`"), defaults));
+            }
+            next = base.or_else(|| (!is_complete).then(|| GENERAL.to_owned()));
             let n = layers.len();
             ensure(n <= MAX_BASES, "base", format!("the {n}th"), format!("at most {MAX_BASES}"))?;
         }
         layers.reverse();
         Ok(layers)
+    }
+}
+
+/// Returns the sections of the listener and of the notifier, with topics that every domain has.
+fn spoken() -> String {
+    let sections =
+        SPOKEN.split_once("\n[human]\n").and_then(|(_, rest)| rest.split_once("\n[policy]\n"));
+    let lines = sections.map_or("", |(sections, _)| sections).lines().map(|line| match line {
+        line if line.starts_with("# topics = ") => {
+            "# topics = [\"TOPIC\", \"OTHER_TOPIC\"]\n".to_owned()
+        }
+        line if line.starts_with("# cells = ") => {
+            "# cells = [[\"TOPIC\", 2, 2], [\"TOPIC\", 2, 4]]\n".to_owned()
+        }
+        line => format!("{line}\n"),
+    });
+    format!("\n[human]\n{}", lines.collect::<String>())
+}
+
+/// Drops keys without a value, which TOML cannot write.
+fn without_null(value: &serde_json::Value) -> serde_json::Value {
+    match value {
+        serde_json::Value::Object(entries) => {
+            let kept = entries.iter().filter(|(_, value)| !value.is_null());
+            kept.map(|(key, value)| (key.clone(), without_null(value))).collect()
+        }
+        value => value.clone(),
     }
 }
 

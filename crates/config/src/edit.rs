@@ -19,8 +19,11 @@ pub(crate) fn edited(below: &str, above: &str) -> String {
     for (i, block) in below.iter().enumerate() {
         let is_same = |other: &Block| other.section == block.section && other.key == block.key;
         let replaced = above.iter().position(is_same).map(|at| above.remove(at));
-        text += &block.comment;
-        text += &replaced.unwrap_or_else(|| block.clone()).lines;
+        let written = replaced.unwrap_or_else(|| block.clone());
+        // A default without a comment gets that of whoever writes another value.
+        let is_bare = block.comment.trim().is_empty() && !written.comment.trim().is_empty();
+        text += if is_bare { &written.comment } else { &block.comment };
+        text += &written.lines;
         if below.get(i + 1).is_none_or(|next| next.section != block.section) {
             let added = above.extract_if(.., |other| other.section == block.section);
             added.for_each(|block| text += &(block.comment + &block.lines));

@@ -1,8 +1,10 @@
 use std::path::PathBuf;
 
+use leadtime_highway::task::HighwayWorldSettings;
 use leadtime_ppo::{LearnerSettings, Truncation};
-use leadtime_proto::{EnvId, TaskSpec};
-use leadtime_sims::EpisodeSeed;
+use leadtime_proto::TaskSpec;
+use leadtime_sims::DomainEntry;
+use leadtime_sims::env_check::check_environment;
 use toml::Table;
 
 use super::{Catalog, Config, ConfigError, ConfigSource, Layer, Override, identity};
@@ -221,31 +223,16 @@ fn impossible_values_are_reported_by_key() {
     }
 }
 
-/// A lander that touches the ground remembers its contacts, nine times what it is at the start.
+/// Among the rest: a lander that touches the ground remembers its contacts, nine times what it is at the start, and no
+/// snapshot may be larger than the bound that checkpoints are planned with.
 #[test]
-fn no_snapshot_is_larger_than_the_bound_that_checkpoints_are_planned_with() {
+fn every_built_in_configuration_is_played_without_a_defect() {
     let registry = leadtime_worlds::builtin();
     for name in Catalog::built_in().names() {
         let config = named(name);
-        let mut environment = registry.build(&config.task).unwrap();
-        let most = environment.max_snapshot_bytes();
-        let mut observation = vec![0.0; config.env.obs_dim];
-        let action = vec![0; config.env.actions.heads.len()];
-        let mut largest = 0;
-        for episode in 0..3 {
-            let seed = EpisodeSeed { run_seed: 1, env_id: EnvId(0), episode };
-            environment.reset(seed, &mut observation);
-            for _ in 0..400 {
-                let outcome = environment.step(&action, &mut observation);
-                let mut snapshot = Vec::new();
-                environment.snapshot(&mut snapshot);
-                largest = largest.max(snapshot.len());
-                if outcome.end.is_some() {
-                    break;
-                }
-            }
-        }
-        assert!(largest <= most, "{name}: {largest} bytes, bound {most}");
+        let report = check_environment(|| registry.build(&config.task)).unwrap();
+        assert!(report.defects.is_empty(), "{name}: {:?}", report.defects);
+        assert_eq!(report.rewards.notice(), None, "{name}");
     }
 }
 
@@ -385,6 +372,40 @@ fn a_domain_of_ones_own_starts_from_general_defaults() {
     assert_eq!((config.learner.n_envs, config.policy.hidden.len()), (2, 2));
     let again = load(&printed.replace("x = 1.5", "x = 2.0"), "world.height=4");
     assert_eq!(again.table["world"]["width"].as_integer(), Some(3));
+}
+
+#[test]
+fn the_defaults_of_a_world_of_ones_own_are_printed_with_their_comments() {
+    let entry = DomainEntry::notifier::<HighwayWorldSettings>("mine");
+    let mut catalog = Catalog::built_in();
+    let text = "# Mine.\n\ndomain = \"mine\"\n\n[world]\n# Arrival.\nabsorb_until = 150\n\n[notifier]\ninitiation_cost = 0.7\n";
+    catalog.add("mine", text);
+    catalog.add_defaults("mine", &entry.defaults().unwrap());
+    let registry = leadtime_worlds::builtin().with_domain(entry);
+    let file = Some(Layer::text("", "domain = \"mine\""));
+    let source = ConfigSource { file, ..ConfigSource::default() };
+    let config = Config::load(&source, &catalog, &registry).unwrap();
+    let printed = catalog.text("mine").unwrap().unwrap();
+    let written: Table = printed.parse().unwrap_or_else(|error| panic!("{error}\n{printed}"));
+    assert_eq!(identity::flatten(&written), identity::flatten(&config.table));
+    // The world's own listener, the general comment, the person's value.
+    for part in [
+        "# Mine.\n",
+        "# Arrival.\nabsorb_until = 150\n",
+        "# What may interrupt an utterance: \"replace\" (anything, at once), \"until_comprehended\" (nothing before its k-th\n\
+         # word), \"finish\" (nothing before its last word).\ninterrupt = \"finish\"\n",
+        "`leadtime check` compares the two.\ninitiation_cost = 0.7\n",
+        "# topics = [\"TOPIC\", \"OTHER_TOPIC\"]\n",
+    ] {
+        assert!(printed.contains(part), "{part}: {printed}");
+    }
+    let (_, spoken) = printed.split_once("\n[human]\n").unwrap();
+    let mut before = "";
+    for line in spoken.lines() {
+        let is_key = !line.starts_with(['#', '[']) && line.contains(" = ");
+        assert!(!is_key || before.starts_with('#'), "`{line}` has no comment: {printed}");
+        before = line;
+    }
 }
 
 #[test]

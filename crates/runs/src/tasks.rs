@@ -5,7 +5,7 @@ use std::{fs, io};
 
 use leadtime_config::{Catalog, Config, ConfigError, ConfigSource, Layer};
 use leadtime_proto::{EnvId, TaskSpec};
-use leadtime_sims::{Environment, EpisodeSeed, Registry, TaskError};
+use leadtime_sims::{DomainEntry, Environment, EpisodeSeed, Registry, TaskError};
 use thiserror::Error;
 
 /// Why a configuration cannot be loaded.
@@ -48,14 +48,28 @@ impl Tasks {
         Self { registry: leadtime_worlds::builtin(), catalog: Catalog::built_in() }
     }
 
-    /// Adds a task with the general default settings.
-    pub fn with<F>(mut self, name: &str, builder: F) -> Self
+    /// Adds a task that reads its settings itself.
+    pub fn with<F>(self, name: &str, builder: F) -> Self
     where
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
     {
-        self.registry = self.registry.with(name, builder);
-        self.catalog.add(name, &format!("domain = \"{name}\"\n"));
+        self.with_domain(DomainEntry::from_builder(name, builder))
+    }
+
+    /// Adds a task with its own default settings over the general ones.
+    pub fn with_domain(mut self, entry: DomainEntry) -> Self {
+        let name = entry.name().to_owned();
+        self.catalog.add(&name, &format!("domain = \"{name}\"\n"));
+        if let Some(sections) = entry.defaults() {
+            self.catalog.add_defaults(&name, &sections);
+        }
+        self.registry = self.registry.with_domain(entry);
         self
+    }
+
+    /// Tells whether a domain comes with the program.
+    pub fn is_built_in(domain: &str) -> bool {
+        leadtime_worlds::builtin().names().any(|known| known == domain)
     }
 
     /// Loads a configuration: a file, or the built-in one of that name, with the changes of `source`.

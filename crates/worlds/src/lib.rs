@@ -1,7 +1,9 @@
-//! The built-in worlds, registered: the one place that names them all.
+//! The built-in worlds, registered: the one place that names them all; and what a world of one's own starts from.
 //!
 //! Who acts or learns does not know this crate; they are handed a [`Registry`](leadtime_sims::Registry).
 
 mod builtin;
+mod template;
 
 pub use builtin::builtin;
+pub use template::{LeadtimeSource, template};

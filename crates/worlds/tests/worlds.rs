@@ -3,6 +3,7 @@
 use leadtime_highway::task::HighwayTaskSettings;
 use leadtime_numerics::Pcg64;
 use leadtime_proto::{EnvId, Mask, TaskSpec};
+use leadtime_sims::env_check::check_environment;
 use leadtime_sims::human::{FollowThrough, Interrupt};
 use leadtime_sims::{Environment, EpisodeSeed, SnapshotError};
 use leadtime_steakhouse::task::SteakhouseTaskSettings;
@@ -108,37 +109,16 @@ fn what_is_not_given_is_as_in_that_world() {
 }
 
 #[test]
-fn a_restored_episode_goes_on_bit_for_bit() {
+fn every_task_is_as_runs_need_it() {
     let varied =
         r#"{"world": {"zone_jitter": [0.05, 0.05], "zone_ends_episode": false, "wind": true}}"#;
     let mut tasks: Vec<_> = names().iter().map(|name| task(name, "{}")).collect();
     tasks.push(task("lander", varied));
-    let mut generator = Pcg64::seed_from_u64(7);
     for task in tasks {
-        let mut n_restored = 0;
-        while n_restored < 12 {
-            let mut straight = builtin().build(&task).unwrap();
-            let cut = generator.below(150);
-            let (mut expected, goes_on) = play(straight.as_mut(), cut, &mut generator);
-            if !goes_on {
-                continue;
-            }
-            n_restored += 1;
-            let mut resumed = builtin().build(&task).unwrap();
-            let mut observation = vec![f32::NAN; expected.len()];
-            resumed.restore(&snapshot(straight.as_ref()), &mut observation).unwrap();
-            assert_eq!(observation, expected, "{task:?}");
-            for _ in 0..100 {
-                let action = draw(straight.as_ref(), &mut generator);
-                let outcome = straight.step(&action, &mut expected);
-                assert_eq!(resumed.step(&action, &mut observation), outcome, "{task:?}");
-                assert_eq!(observation, expected, "{task:?}");
-                if outcome.end.is_some() {
-                    break;
-                }
-            }
-            assert_eq!(snapshot(straight.as_ref()), snapshot(resumed.as_ref()), "{task:?}");
-        }
+        let report = check_environment(|| builtin().build(&task)).unwrap();
+        assert!(report.defects.is_empty(), "{task:?}: {:?}", report.defects);
+        assert_eq!(report.rewards.notice(), None, "{task:?}");
+        assert_eq!((report.n_episodes, report.n_restored), (12, 48), "{task:?}");
     }
 }
 

@@ -8,6 +8,7 @@ use leadtime_config::Config;
 use leadtime_link::{ConnectSettings, ObserverLink};
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{Tasks, build};
+use leadtime_sims::env_check::check_environment;
 
 use crate::cli::{CheckArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -24,6 +25,7 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
     let heads: Vec<String> =
         heads.iter().map(|head| format!("{} {}", head.name, head.n_choices)).collect();
     report("task", &format!("{obs_dim} inputs, heads: {}", heads.join(", ")));
+    let n_defects = play(tasks, &config).blame(ExitCode::WrongInput)?;
     let cores = available_parallelism().map_or(1, usize::from);
     let (cpu, n_threads) = (build::cpu_class(), threads::configured());
     let cores = counted(cores, "core");
@@ -34,7 +36,24 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
         let runs = look(args).await?;
         report("learner", &format!("runs at {}: {}", args.connect.join(", "), runs.join(", ")));
     }
+    if n_defects > 0 {
+        let error = format!("domain {domain} has defects: its runs are not reproducible, or fail");
+        return Err(Failure::of(ExitCode::Failed, anyhow::Error::msg(error)));
+    }
     Ok(())
+}
+
+/// Plays the task, and prints what it showed; returns the number of defects.
+fn play(tasks: &Tasks, config: &Config) -> anyhow::Result<usize> {
+    let found = check_environment(|| tasks.registry.build(&config.task))?;
+    let (episodes, steps, restored) = (found.n_episodes, found.n_steps, found.n_restored);
+    report("played", &format!("{episodes} episodes, {steps} steps, {restored} snapshots restored"));
+    let (largest, bound) = (found.largest_snapshot, found.snapshot_bound);
+    report("snapshots", &format!("up to {largest} bytes, at most {bound} promised"));
+    report("rewards", &found.rewards.to_string());
+    found.rewards.notice().iter().for_each(|notice| report("notice", notice));
+    found.defects.iter().for_each(|defect| report("defect", &defect.to_string()));
+    Ok(found.defects.len())
 }
 
 fn report(what: &str, finding: &str) {

@@ -4,7 +4,7 @@ use leadtime_runs::Tasks;
 use tokio::runtime;
 
 use super::{
-    actor, check, compare, config, conformance, describe, eval, launch, learner, pilot, play,
+    actor, check, compare, config, conformance, describe, eval, launch, learner, new, pilot, play,
     probe, report, runs, smoke, taxonomy,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
@@ -40,6 +40,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
             TaxonomyCommand::Validate(args) => taxonomy::validate(tasks, &args),
         },
         Command::Conformance(args) => conformance::run(&args),
+        Command::New(args) => new::run(&args),
         Command::Config(args) => config::run(tasks, &args),
         Command::Describe(args) => describe::run(tasks, &args),
         Command::Runs(args) => runs::run(&args),

@@ -12,6 +12,7 @@ mod eval;
 mod evaluation;
 mod launch;
 mod learner;
+mod new;
 mod pilot;
 mod play;
 mod probe;

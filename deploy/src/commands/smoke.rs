@@ -24,7 +24,8 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, HEAR};
 use crate::shutdown::{Watch, unless_cancelled, watch};
 
-/// What the trained notifier must gain over the unaided person, in success, with its whole interval.
+/// What the trained notifier must gain over the unaided listener, in success, with its whole interval, in a built-in world.
+/// In a world of one's own, where nobody knows what can be gained, any gain will do.
 const MARK: f64 = 0.3;
 /// Updates and episodes of a quick run.
 const QUICK_UPDATES: u64 = 12;
@@ -114,11 +115,13 @@ fn verdict(args: &SmokeArgs, config: &Config, comparison: &Comparison) -> (Strin
     let (Some(difference), true) = (against, measure == "success") else {
         return ("This task has no unaided person to compare with: no verdict.".to_owned(), true);
     };
-    let passed = difference.interval.low > MARK;
+    let mark = if Tasks::is_built_in(config.domain.as_str()) { MARK } else { 0.0 };
+    let passed = difference.interval.low > mark;
     let verb = if passed { "gained" } else { "did not gain" };
     let interval = difference.sentence(comparison.bootstrap.confidence);
-    let sentence = format!("The trained notifier {verb} more than {MARK} in success: {interval}.");
-    (sentence, passed)
+    let amount =
+        if mark > 0.0 { format!("more than {mark} in success") } else { "in success".to_owned() };
+    (format!("The trained notifier {verb} {amount}: {interval}."), passed)
 }
 
 fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome, books: &serde_json::Value) {

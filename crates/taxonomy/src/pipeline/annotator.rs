@@ -58,14 +58,7 @@ impl Annotator {
             } else if let Some(section) = &section {
                 if let Some(sentence) = line.strip_prefix("Instruction:") {
                     annotator.add_unrated(pending.take(), Some(section), &completer)?;
-                    let text = sentence.trim().to_owned();
-                    // The same reader takes a reply apart: what it would drop or cut is refused here.
-                    if reply::sentences(&Reply::complete(&text)).whole != [text.as_str()] {
-                        return Err(wrong(
-                            "this is not one sentence; no list, and no colon at its end",
-                        ));
-                    }
-                    pending = Some(Pending { text, number });
+                    pending = Some(Pending::read(sentence, number)?);
                 } else if let Some(numbers) = line.strip_prefix("Comprehension after each word:") {
                     let Pending { text, .. } =
                         pending.take().ok_or_else(|| wrong("there is no instruction"))?;
@@ -150,6 +143,16 @@ impl Annotator {
 struct Pending {
     text: String,
     number: usize,
+}
+
+impl Pending {
+    fn read(sentence: &str, number: usize) -> Result<Self, BackendError> {
+        let text = sentence.trim().to_owned();
+        // The reader of replies takes it apart again: what that would drop or cut is refused here.
+        let is_one = reply::sentences(&Reply::complete(&text)).whole == [text.as_str()];
+        let says = "this is not one sentence; no list, and no colon at its end";
+        if is_one { Ok(Self { text, number }) } else { Err(wrong(number, says)) }
+    }
 }
 
 /// What the sentences below a heading are.

@@ -10,7 +10,7 @@ use leadtime_sims::{Advance, Domain, Message, Quantity, ReactionStep, RewardTerm
 use serde::{Deserialize, Serialize};
 
 use super::describe;
-use super::maneuver::{TOPICS, listens, maneuver, raw};
+use super::maneuver::{Maneuver, TOPICS, listens, maneuver, raw};
 use super::safe_path::direct;
 use super::settings::{EntryPenalty, LanderWorldSettings, NearPenalty, PilotKind, ReactionKind};
 use super::zone::Zone;
@@ -94,9 +94,10 @@ impl LanderDomain {
         if let Some(reaction) = reaction
             && listens(observation)
         {
+            let asked = Maneuver::of(reaction.topic);
             let engine = match self.settings.reaction {
-                ReactionKind::Maneuver => maneuver(reaction.topic, observation),
-                ReactionKind::Raw => raw(reaction.topic),
+                ReactionKind::Maneuver => maneuver(asked, observation),
+                ReactionKind::Raw => raw(asked),
             };
             return (engine, true);
         }

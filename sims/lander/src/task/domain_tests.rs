@@ -5,7 +5,7 @@ use leadtime_sims::Environment as _;
 
 use super::*;
 use crate::task::LanderTaskSettings;
-use crate::task::maneuver::{DESCEND, SHIFT_LEFT};
+use crate::task::maneuver::Maneuver;
 
 /// Everything above y = 1: where every episode starts.
 const SKY: Zone = Zone { x0: -2.0, x1: 2.0, y0: 1.0, y1: 3.0 };
@@ -133,7 +133,8 @@ fn running_out_of_time_is_a_costly_end() {
 #[test]
 fn shifting_left_for_ever_leaves_the_view_and_costs_as_a_crash() {
     let mut task = start(&free(|_| {}), 0);
-    let (_, total) = fly(&mut task, Some(ReactionStep { topic: SHIFT_LEFT, first: true }));
+    let (_, total) =
+        fly(&mut task, Some(ReactionStep { topic: Maneuver::ShiftLeft.topic(), first: true }));
     assert_eq!((metric(&task, "out"), total), (1.0, -300.0));
     assert!(task.place()[0] <= -1.0);
 }
@@ -141,7 +142,7 @@ fn shifting_left_for_ever_leaves_the_view_and_costs_as_a_crash() {
 #[test]
 fn near_the_ground_the_pilot_does_not_listen() {
     let mut task = start(&settings(|_| {}), 0);
-    let descend = Some(ReactionStep { topic: DESCEND, first: false });
+    let descend = Some(ReactionStep { topic: Maneuver::Descend.topic(), first: false });
     assert_eq!(task.advance(descend).reaction, Some(Followed));
     assert_eq!(task.advance(None).reaction, None);
     let refused = loop {

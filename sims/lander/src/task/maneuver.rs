@@ -16,10 +16,35 @@ use crate::world::Engine;
 
 /// Names of the topics, by id.
 pub(super) const TOPICS: &[&str] = &["ascend", "shift_left", "shift_right", "descend"];
-pub(super) const ASCEND: usize = 0;
-pub(super) const SHIFT_LEFT: usize = 1;
-pub(super) const SHIFT_RIGHT: usize = 2;
-pub(super) const DESCEND: usize = 3;
+
+/// What a topic asks for. A topic that lacks its maneuver, or how that is flown, does not compile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Maneuver {
+    Ascend,
+    ShiftLeft,
+    ShiftRight,
+    Descend,
+}
+
+impl Maneuver {
+    /// The maneuvers of the topics, by id.
+    const OF_TOPICS: [Self; TOPICS.len()] =
+        [Self::Ascend, Self::ShiftLeft, Self::ShiftRight, Self::Descend];
+
+    /// Returns what a topic asks for.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such topic.
+    pub(super) fn of(topic: usize) -> Self {
+        Self::OF_TOPICS[topic]
+    }
+
+    /// Returns the id of its topic.
+    pub(super) fn topic(self) -> usize {
+        self as usize
+    }
+}
 
 /// Below this height, and with a leg on the ground, the pilot does not listen.
 const LISTENS_ABOVE: f32 = 0.1;
@@ -30,14 +55,14 @@ pub(super) fn listens(observation: &[f32; 8]) -> bool {
 }
 
 /// Chooses the engine that follows a topic by tilting and hovering.
-pub(super) fn maneuver(topic: usize, observation: &[f32; 8]) -> Engine {
+pub(super) fn maneuver(asked: Maneuver, observation: &[f32; 8]) -> Engine {
     let [_, y, vx, vy, angle, spin, _, _] = observation.map(f64::from);
     let gentleness = ((y - 0.05) / 0.3).clamp(0.2, 1.0);
-    let (target_vx, target_vy) = match topic {
-        ASCEND => (0.0, 0.3),
-        SHIFT_LEFT => (-0.5 * gentleness, -0.05),
-        SHIFT_RIGHT => (0.5 * gentleness, -0.05),
-        _ => (0.0, -(0.1 + 0.6 * y).min(0.6)),
+    let (target_vx, target_vy) = match asked {
+        Maneuver::Ascend => (0.0, 0.3),
+        Maneuver::ShiftLeft => (-0.5 * gentleness, -0.05),
+        Maneuver::ShiftRight => (0.5 * gentleness, -0.05),
+        Maneuver::Descend => (0.0, -(0.1 + 0.6 * y).min(0.6)),
     };
     let limit = 0.35 * gentleness;
     let target_angle = (1.2 * (vx - target_vx)).clamp(-limit, limit);
@@ -46,12 +71,12 @@ pub(super) fn maneuver(topic: usize, observation: &[f32; 8]) -> Engine {
 }
 
 /// Chooses the engine that stands for a topic when it is simply held.
-pub(super) fn raw(topic: usize) -> Engine {
-    match topic {
-        ASCEND => Engine::Main,
-        SHIFT_LEFT => Engine::Left,
-        SHIFT_RIGHT => Engine::Right,
-        _ => Engine::Idle,
+pub(super) fn raw(asked: Maneuver) -> Engine {
+    match asked {
+        Maneuver::Ascend => Engine::Main,
+        Maneuver::ShiftLeft => Engine::Left,
+        Maneuver::ShiftRight => Engine::Right,
+        Maneuver::Descend => Engine::Idle,
     }
 }
 
@@ -63,12 +88,12 @@ mod tests {
     use crate::world::{Lander, PhysicsSettings};
 
     /// Flies a topic for two seconds from the start; returns the change of x and the final speeds.
-    fn fly(topic: usize) -> [f32; 3] {
+    fn fly(asked: Maneuver) -> [f32; 3] {
         let mut lander = Lander::new(&PhysicsSettings { start_impulse: 0.0, ..Default::default() });
         let before = lander.reset(Pcg64::seed_from_u64(4));
         let mut now = before;
         for _ in 0..100 {
-            now = lander.step(maneuver(topic, &now)).observation;
+            now = lander.step(maneuver(asked, &now)).observation;
         }
         [now[0] - before[0], now[2], now[3]]
     }
@@ -76,14 +101,14 @@ mod tests {
     #[test]
     fn each_topic_moves_the_lander_its_way() {
         // The tilt swings around its target, and so does the speed: not yet settled after two seconds.
-        for (topic, side) in [(SHIFT_LEFT, -1.0), (SHIFT_RIGHT, 1.0)] {
-            let [dx, vx, vy] = fly(topic);
+        for (asked, side) in [(Maneuver::ShiftLeft, -1.0), (Maneuver::ShiftRight, 1.0)] {
+            let [dx, vx, vy] = fly(asked);
             let moved = side * dx > 0.2 && (0.3..0.8).contains(&(side * vx)) && vy.abs() < 0.3;
-            assert!(moved, "{topic}: {dx} {vx} {vy}");
+            assert!(moved, "{asked:?}: {dx} {vx} {vy}");
         }
-        let [drift, _, vy] = fly(ASCEND);
+        let [drift, _, vy] = fly(Maneuver::Ascend);
         assert!(drift.abs() < 0.15 && vy > 0.1, "{drift} {vy}");
-        let [drift, _, vy] = fly(DESCEND);
+        let [drift, _, vy] = fly(Maneuver::Descend);
         assert!(drift.abs() < 0.15 && (-0.8..-0.3).contains(&vy), "{drift} {vy}");
     }
 
@@ -95,8 +120,15 @@ mod tests {
     }
 
     #[test]
+    fn every_topic_has_its_own_maneuver() {
+        for (topic, name) in TOPICS.iter().enumerate() {
+            assert_eq!(Maneuver::of(topic).topic(), topic, "{name}");
+        }
+    }
+
+    #[test]
     fn a_raw_topic_is_one_engine() {
-        let engines = [ASCEND, SHIFT_LEFT, SHIFT_RIGHT, DESCEND].map(raw);
+        let engines = Maneuver::OF_TOPICS.map(raw);
         assert_eq!(engines, [Engine::Main, Engine::Left, Engine::Right, Engine::Idle]);
     }
 }

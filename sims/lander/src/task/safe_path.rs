@@ -2,7 +2,7 @@
 
 use leadtime_sims::Message;
 
-use super::maneuver::{ASCEND, DESCEND, SHIFT_LEFT, SHIFT_RIGHT};
+use super::maneuver::Maneuver;
 
 /// How exactly a point of the path is to be met, sideways.
 const TOLERANCE: f64 = 0.1;
@@ -16,16 +16,16 @@ const SAG: f64 = 0.2;
 pub(super) fn direct([x, y]: [f64; 2], path: &[[f64; 2]]) -> Option<Message> {
     let target = path.iter().find(|point| point[1] < y + SAG / 2.0).or(path.last())?;
     let (dx, dy) = (target[0] - x, target[1] - y);
-    let topic = if dx < -TOLERANCE {
-        SHIFT_LEFT
+    let asked = if dx < -TOLERANCE {
+        Maneuver::ShiftLeft
     } else if dx > TOLERANCE {
-        SHIFT_RIGHT
+        Maneuver::ShiftRight
     } else if dy > SAG {
-        ASCEND
+        Maneuver::Ascend
     } else {
-        DESCEND
+        Maneuver::Descend
     };
-    Some(Message { topic, comprehension: 2, conveyance: 3 })
+    Some(Message { topic: asked.topic(), comprehension: 2, conveyance: 3 })
 }
 
 #[cfg(test)]
@@ -36,12 +36,12 @@ mod tests {
 
     #[test]
     fn the_path_is_followed_from_high_to_low() {
-        let topic = |place| direct(place, PATH).map(|message| message.topic);
-        assert_eq!(topic([0.02, 1.3]), Some(DESCEND));
-        assert_eq!(topic([-0.4, 1.2]), Some(SHIFT_RIGHT));
-        assert_eq!(topic([0.0, 0.75]), Some(SHIFT_LEFT));
-        assert_eq!(topic([-0.5, 0.65]), Some(DESCEND));
-        assert_eq!(topic([-0.5, 0.2]), Some(SHIFT_RIGHT));
+        let asked = |place| direct(place, PATH).map(|message| Maneuver::of(message.topic));
+        assert_eq!(asked([0.02, 1.3]), Some(Maneuver::Descend));
+        assert_eq!(asked([-0.4, 1.2]), Some(Maneuver::ShiftRight));
+        assert_eq!(asked([0.0, 0.75]), Some(Maneuver::ShiftLeft));
+        assert_eq!(asked([-0.5, 0.65]), Some(Maneuver::Descend));
+        assert_eq!(asked([-0.5, 0.2]), Some(Maneuver::ShiftRight));
         assert_eq!(direct([0.0, 1.0], &[]), None);
     }
 }
