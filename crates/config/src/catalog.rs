@@ -174,6 +174,7 @@ fn without_null(value: &serde_json::Value) -> serde_json::Value {
             let kept = entries.iter().filter(|(_, value)| !value.is_null());
             kept.map(|(key, value)| (key.clone(), without_null(value))).collect()
         }
+        serde_json::Value::Array(values) => values.iter().map(without_null).collect(),
         value => value.clone(),
     }
 }

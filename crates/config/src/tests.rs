@@ -392,8 +392,8 @@ fn the_defaults_of_a_world_of_ones_own_are_printed_with_their_comments() {
     for part in [
         "# Mine.\n",
         "# Arrival.\nabsorb_until = 150\n",
-        "# What may interrupt an utterance: \"replace\" (anything, at once), \"until_comprehended\" (nothing before its k-th\n\
-         # word), \"finish\" (nothing before its last word).\ninterrupt = \"finish\"\n",
+        "# Steps that a reaction lasts, d_f: \"length\" (I), \"twice_length_minus_two\" (2 I - 2), { fixed = 3 } (1 to 1000).\n\
+         follow_through = \"twice_length_minus_two\"\n",
         "`leadtime check` compares the two.\ninitiation_cost = 0.7\n",
         "# topics = [\"TOPIC\", \"OTHER_TOPIC\"]\n",
     ] {
