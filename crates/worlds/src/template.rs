@@ -9,6 +9,9 @@ const MAX_NAME: usize = 64;
 const TAKEN: [&str; 8] =
     ["test", "core", "std", "alloc", "proc_macro", "leadtime", "serde", "build"];
 
+/// In the checkout's profiles, what only its optional features use: Cargo would warn of it in every build.
+const ABSENT: &str = "candle-nn ";
+
 /// Where the crate finds Leadtime.
 #[derive(Clone, Copy, Debug)]
 pub enum LeadtimeSource<'a> {
@@ -54,7 +57,9 @@ pub fn template(
             }
             if let Some(at) = theirs.find("\n[profile.") {
                 manifest += "\n# As in the checkout: what it has compiled is not compiled again.";
-                manifest += &theirs[at..];
+                let ours =
+                    theirs[at..].split_inclusive('\n').filter(|line| !line.starts_with(ABSENT));
+                manifest.extend(ours);
             }
             let shared = format!("[build]\ntarget-dir = {:?}\n", format!("{path}/target"));
             files.push((".cargo/config.toml", shared));
@@ -80,7 +85,7 @@ mod tests {
 
     #[test]
     fn a_crate_says_where_leadtime_is() {
-        let manifest = "[workspace]\n\n[profile.dev]\nopt-level = 1\n";
+        let manifest = "[workspace]\n\n[profile.dev]\nopt-level = 1\ncandle-nn = 1\n";
         let source = LeadtimeSource::Checkout { path: "/src/lead \"time\"", manifest };
         let files = template("my-world", source).unwrap();
         let text = file(&files, "Cargo.toml");
@@ -92,6 +97,7 @@ mod tests {
             "\n[workspace]\n",
             "\n[profile.dev]\nopt-level = 1\n",
         ] {
+            assert!(!text.contains("candle-nn"), "{text}");
             assert!(text.contains(part), "{part}: {text}");
         }
         assert!(!text.contains("{place}") && !file(&files, "README.md").contains("{name}"));

@@ -47,7 +47,7 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
 fn play(tasks: &Tasks, config: &Config) -> anyhow::Result<usize> {
     let found = check_environment(|| tasks.registry.build(&config.task))?;
     let (episodes, steps, restored) = (found.n_episodes, found.n_steps, found.n_restored);
-    report("played", &format!("{episodes} episodes, {steps} steps, {restored} snapshots restored"));
+    report("played", &format!("{episodes} episodes, {steps} steps, restored {restored} times"));
     let (largest, bound) = (found.largest_snapshot, found.snapshot_bound);
     report("snapshots", &format!("up to {largest} bytes, at most {bound} promised"));
     report("rewards", &found.rewards.to_string());

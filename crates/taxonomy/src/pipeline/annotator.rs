@@ -45,22 +45,24 @@ impl Annotator {
         let mut annotator =
             Self { summary: String::new(), sentences: BTreeMap::new(), controls: BTreeMap::new() };
         let completer = Completer::new(plan);
-        let mut section: Option<Section> = None;
-        let mut pending: Option<Pending> = None;
+        let mut section: Option<AnnotationSection> = None;
+        let mut pending: Option<UnratedSentence> = None;
         for (line, number) in text.lines().zip(1..) {
             let wrong = |what: &str| wrong(number, what);
             if let Some(heading) = line.strip_prefix("# ") {
                 annotator.add_unrated(pending.take(), section.as_ref(), &completer)?;
                 section = match heading.trim() {
                     "summary" => None,
-                    heading => Some(Section::parse(heading, plan).map_err(|what| wrong(&what))?),
+                    heading => {
+                        Some(AnnotationSection::parse(heading, plan).map_err(|what| wrong(&what))?)
+                    }
                 };
             } else if let Some(section) = &section {
                 if let Some(sentence) = line.strip_prefix("Instruction:") {
                     annotator.add_unrated(pending.take(), Some(section), &completer)?;
-                    pending = Some(Pending::read(sentence, number)?);
+                    pending = Some(UnratedSentence::read(sentence, number)?);
                 } else if let Some(numbers) = line.strip_prefix("Comprehension after each word:") {
-                    let Pending { text, .. } =
+                    let UnratedSentence { text, .. } =
                         pending.take().ok_or_else(|| wrong("there is no instruction"))?;
                     let curve = percentages(numbers, &text)
                         .ok_or_else(|| wrong("one percentage from 0 to 100 per word is needed"))?;
@@ -83,7 +85,13 @@ impl Annotator {
         Ok(Self { summary, ..annotator })
     }
 
-    fn add(&mut self, section: &Section, cell: Option<Cell>, text: String, curve: Vec<u8>) {
+    fn add(
+        &mut self,
+        section: &AnnotationSection,
+        cell: Option<Cell>,
+        text: String,
+        curve: Vec<u8>,
+    ) {
         let topic = section.topic.clone();
         let list = match cell {
             Some(cell) if !section.is_control => self.sentences.entry((topic, cell)).or_default(),
@@ -95,11 +103,11 @@ impl Annotator {
     /// Rates a sentence without a rating by the plan's phrases, and adds it.
     fn add_unrated(
         &mut self,
-        pending: Option<Pending>,
-        section: Option<&Section>,
+        pending: Option<UnratedSentence>,
+        section: Option<&AnnotationSection>,
         completer: &Completer<'_>,
     ) -> Result<(), BackendError> {
-        let (Some(Pending { text, number }), Some(section)) = (pending, section) else {
+        let (Some(UnratedSentence { text, number }), Some(section)) = (pending, section) else {
             return Ok(());
         };
         if section.is_control {
@@ -140,12 +148,12 @@ impl Annotator {
 
 /// A sentence that waits for its rating, and the number of its line.
 #[derive(Debug)]
-struct Pending {
+struct UnratedSentence {
     text: String,
     number: usize,
 }
 
-impl Pending {
+impl UnratedSentence {
     fn read(sentence: &str, number: usize) -> Result<Self, BackendError> {
         let text = sentence.trim().to_owned();
         // The reader of replies takes it apart again: what that would drop or cut is refused here.
@@ -157,14 +165,14 @@ impl Pending {
 
 /// What the sentences below a heading are.
 #[derive(Debug)]
-struct Section {
+struct AnnotationSection {
     topic: String,
     /// Where they should land; where they do, if none is given.
     cell: Option<Cell>,
     is_control: bool,
 }
 
-impl Section {
+impl AnnotationSection {
     /// Reads a heading; the error says what is wrong with it.
     fn parse(heading: &str, plan: &DatabasePlan) -> Result<Self, String> {
         let form =
