@@ -60,13 +60,13 @@ impl Catalog {
     /// What TOML cannot write is left to the domain's builder.
     pub fn add_defaults(&mut self, domain: &str, sections: &serde_json::Value) {
         let sections = Table::try_from(without_null(sections)).unwrap_or_default();
-        let mut text = String::new();
-        for (name, section) in &sections {
-            text += &format!("\n[{name}]\n");
-            // One line per key, so that each finds its comment.
-            let lines = section.as_table().into_iter().flatten();
-            lines.for_each(|(key, value)| text += &format!("{key} = {value}\n"));
-        }
+        // One line per key, so that each finds its comment.
+        let line = |(key, value): (&String, &toml::Value)| format!("{key} = {value}\n");
+        let section = |(name, section): (&String, &toml::Value)| {
+            let lines: String = section.as_table().into_iter().flatten().map(line).collect();
+            format!("\n[{name}]\n{lines}")
+        };
+        let text: String = sections.iter().map(section).collect();
         let below = if sections.contains_key("human") { spoken() } else { String::new() };
         self.defaults.insert(domain.to_owned(), edited(&below, &text));
     }
