@@ -72,6 +72,12 @@ impl From<anyhow::Error> for Failure {
     }
 }
 
+impl From<leadtime_eval::Error> for Failure {
+    fn from(error: leadtime_eval::Error) -> Self {
+        Self::of(ExitCode::Failed, error)
+    }
+}
+
 /// Gives an error the exit code of what caused it.
 pub(crate) trait Blame<T> {
     /// Makes the error a [`Failure`] with this exit code.

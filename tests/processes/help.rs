@@ -5,8 +5,8 @@ use std::fs;
 use crate::support::{Place, result};
 
 const WIDTH: usize = 80;
-const COMMANDS: &str = "smoke up learner actor eval probe play compare pilot taxonomy conformance config runs check \
-                        completions";
+const COMMANDS: &str = "smoke up learner actor eval report probe play compare pilot taxonomy conformance config \
+                        describe new runs check completions";
 
 #[track_caller]
 fn fits(text: &str) {

@@ -17,6 +17,7 @@
 //!
 //! [`measure::evaluate`] and [`measure::Comparison`]; [`playthrough::Playthrough::record`]; [`report::Report`].
 
+mod description;
 pub mod draw;
 mod error;
 pub mod figure;
@@ -27,5 +28,6 @@ pub mod probe;
 pub mod report;
 mod steps;
 
+pub use description::describe;
 pub use error::Error;
 pub use steps::record_steps;

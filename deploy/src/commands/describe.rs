@@ -1,8 +1,8 @@
 //! `leadtime describe`: what a task shows, offers and pays.
 
 use leadtime_config::{Config, ConfigSource};
+use leadtime_eval::describe;
 use leadtime_runs::{LoadedPolicy, Tasks};
-use leadtime_sims::{Description, ObservationLayout, Quantity};
 use leadtime_table::Table;
 use serde_json::json;
 
@@ -26,7 +26,7 @@ pub(super) fn run(tasks: &Tasks, args: &DescribeArgs) -> Result<(), Failure> {
         return Ok(());
     }
     let write = if args.markdown { Table::markdown } else { Table::text };
-    output::line(page(&config.description, write).trim_end());
+    output::line(describe(&config.description, write).trim_end());
     Ok(())
 }
 
@@ -41,87 +41,4 @@ fn load(tasks: &Tasks, args: &DescribeArgs) -> Result<Config, Failure> {
     }
     let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, task, &set);
     Ok(loaded.blame(ExitCode::WrongInput)?.config)
-}
-
-/// Describes a task in three parts, with tables written by `write`.
-fn page(description: &Description, write: fn(&Table) -> String) -> String {
-    let Description { observation, actions, rewards } = description;
-    let ObservationLayout { n_frames, frame, rest } = observation;
-    let n = observation.quantities().len();
-    let mut text = format!("Observation: {n} numbers");
-    if *n_frames > 1 {
-        text += &format!(" = {n_frames} x {} + {}.\n", frame.len(), rest.len());
-        text += &format!("In each of the last {n_frames} steps, oldest first");
-    }
-    text += &format!("\n\n{}", write(&quantities(frame)));
-    if !rest.is_empty() {
-        text += &format!("\nThen, of the present step\n\n{}", write(&quantities(rest)));
-    }
-    let mut heads = Table::new(["head", "choices"]).left(&[0, 1]);
-    for head in actions {
-        heads.push([&head.name, &head.choices.join(", ")]);
-    }
-    text += &format!("\nAction: one choice per head, in this order\n\n{}", write(&heads));
-    let mut terms = Table::new(["amount", "for", "setting"]).left(&[1, 2]);
-    for term in rewards {
-        terms.push([&format!("{:+}", decimals(term.amount, 4)), &term.when, &term.key]);
-    }
-    if !rewards.is_empty() {
-        let sum = "Reward of a step: the sum of each amount times what it is for";
-        text += &format!("\n{sum}\n\n{}", write(&terms));
-    }
-    text
-}
-
-/// Numbers whose names differ in one number alone, such as `car1.x` to `car9.x`.
-struct Alike {
-    /// With an N for the number; names are of small letters.
-    name: String,
-    meaning: String,
-    range: [f32; 2],
-    numbers: Vec<u64>,
-}
-
-/// Lists the numbers of an observation, a row for those that are alike.
-fn quantities(quantities: &[Quantity]) -> Table {
-    let mut rows: Vec<Alike> = Vec::new();
-    for Quantity { name, meaning, range } in quantities {
-        let digits = first_number(name).unwrap_or_default();
-        let number: Option<u64> = digits.parse().ok();
-        let name = number.map_or_else(|| name.clone(), |_| name.replacen(digits, "N", 1));
-        match rows.iter_mut().find(|row| (&row.name, &row.meaning) == (&name, meaning)) {
-            Some(row) => row.numbers.extend(number),
-            None => {
-                let (meaning, numbers) = (meaning.clone(), number.into_iter().collect());
-                rows.push(Alike { name, meaning, range: *range, numbers });
-            }
-        }
-    }
-    let mut table = Table::new(["name", "range", "what it is"]).left(&[0, 1, 2]);
-    for Alike { name, meaning, range, numbers } in rows {
-        let is_bounded = range.iter().all(|bound| bound.is_finite());
-        let bounds = range.map(|bound| decimals(f64::from(bound), 3).to_string());
-        let range = if is_bounded { bounds.join(" to ") } else { "any".to_owned() };
-        let numbers = match numbers[..] {
-            [first, .., last] => format!("{first}..{last}"),
-            [only] => only.to_string(),
-            [] => String::new(),
-        };
-        let name = name.replacen('N', &numbers, 1);
-        table.push([name, range, meaning]);
-    }
-    table
-}
-
-/// Finds the first number in a name.
-fn first_number(name: &str) -> Option<&str> {
-    let (_, digits) = name.split_at(name.find(|c: char| c.is_ascii_digit())?);
-    let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
-    Some(&digits[..end])
-}
-
-/// Rounds to so many digits after the point.
-fn decimals(x: f64, digits: i32) -> f64 {
-    let scale = 10_f64.powi(digits);
-    (x * scale).round() / scale
 }

@@ -8,6 +8,7 @@ use anyhow::Context as _;
 use leadtime_config::Override;
 use leadtime_eval::measure::{Choice, PlaySettings, Player};
 use leadtime_eval::record_steps;
+use leadtime_runs::evaluation::{compare, evaluate_all, n_threads, record};
 use leadtime_runs::{EvaluationRecord, LoadedPolicy, RunRecord, Tasks};
 use leadtime_taxonomy::Pace;
 use serde_json::json;
@@ -91,7 +92,7 @@ impl EvalTask {
         let make = || tasks.registry.build(&self.policy.config.evaluation.task);
         let n_episodes = u64::from(self.n_episodes(args));
         let settings = PlaySettings::new(n_episodes, args.acting.eval_seed);
-        let settings = settings.threads(evaluation::n_threads());
+        let settings = settings.threads(n_threads());
         let cannot = || format!("writing {}", path.display());
         let mut file = File::create(path).with_context(cannot).blame(ExitCode::WrongInput)?;
         let write = |lines: &str| file.write_all(lines.as_bytes()).with_context(cannot);
@@ -106,8 +107,8 @@ impl EvalTask {
         let (config, players, seed) = (&self.policy.config, &self.players, args.acting.eval_seed);
         let n_episodes = self.n_episodes(args);
         tracing::info!(policy = %self.policy.path.display(), n_episodes, "evaluating");
-        let evaluations = evaluation::evaluate_all(tasks, config, players, n_episodes, seed)?;
-        let comparison = evaluation::compare(config, &evaluations, &args.measure);
+        let evaluations = evaluate_all(tasks, config, players, n_episodes, seed)?;
+        let comparison = compare(config, &evaluations, &args.measure);
         Ok(EvaluationRecord::new(&self.policy, self.action, seed, comparison))
     }
 
@@ -127,7 +128,7 @@ fn transcript(tasks: &Tasks, args: &EvalArgs, task: &EvalTask) -> Result<(), Fai
     for player in &task.players {
         for index in 0..u64::from(args.episodes.unwrap_or(1)) {
             let (voice, seed) = (voice.as_ref(), args.acting.eval_seed);
-            let played = episode::record(tasks, config, player, voice, seed, index);
+            let played = record(tasks, config, player, voice, seed, index);
             output::line(&played.blame(ExitCode::WrongInput)?.transcript(&Pace::default()));
         }
     }

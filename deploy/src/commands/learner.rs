@@ -1,16 +1,13 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
 use anyhow::Context as _;
-use leadtime_config::{Config, identity};
-use leadtime_learner::{Build, LearnerConfig, RunEnd, RunReport};
+use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::ListenSettings;
-use leadtime_proto::RunSpec;
 use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
 use leadtime_runs::report::Findings;
 use leadtime_runs::{
-    ProgramBuild, RunDir, RunDirError, RunRecorder, RunResult, RunState, Tasks, clock, digest,
-    scratch,
+    RunDir, RunRecorder, RunResult, RunState, Tasks, clock, digest, learner_config, scratch,
 };
 use serde_json::json;
 
@@ -75,35 +72,6 @@ fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
         tracing::warn!(%endpoint, "whoever reaches this address can take part: it asks for no certificate");
     }
     Ok(ListenSettings::new(endpoints))
-}
-
-fn learner_config(
-    config: &Config,
-    run_dir: &RunDir,
-    listen: ListenSettings,
-    build: ProgramBuild,
-) -> Result<LearnerConfig, RunDirError> {
-    Ok(LearnerConfig {
-        run: run_dir.name.clone(),
-        incarnation: clock::incarnation(),
-        spec: RunSpec {
-            seed: config.seed,
-            task: config.task.clone(),
-            env: config.env.clone(),
-            policy: config.policy.clone(),
-            n_steps: config.learner.n_steps as u32,
-            schedule: config.learner.schedule(),
-        },
-        settings: config.learner.clone(),
-        window: config.window,
-        actors_min: config.run.actors_min as usize,
-        listen,
-        build: Build { program: build.program, cpu: build.cpu },
-        checkpoints: run_dir.checkpoints(),
-        checkpoint_interval: config.run.checkpoints,
-        initial: run_dir.initial(config)?,
-        identity: identity::of_run(&config.table),
-    })
 }
 
 /// Chooses the exit code for a learner's error.

@@ -49,7 +49,7 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     };
     let voice = episode::voice(tasks, &loaded.config, args.words.as_deref())?;
     let (voice, seed) = (voice.as_ref(), acting.eval_seed);
-    let spoken = episode::record(tasks, &loaded.config, &player, voice, seed, 0);
+    let spoken = leadtime_runs::evaluation::record(tasks, &loaded.config, &player, voice, seed, 0);
     write(&spoken.blame(ExitCode::WrongInput)?, args.frames.clone(), &args.output)?;
     output::next(&loaded.path, &[DRAW_MORE]);
     Ok(())

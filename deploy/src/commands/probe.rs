@@ -53,7 +53,7 @@ fn measure(
     let player = evaluation::policy("policy", config, &loaded.parameters, action)?;
     let make = || tasks.registry.build(&config.evaluation.task);
     let settings = PlaySettings::new(u64::from(n_episodes), args.acting.eval_seed);
-    let settings = settings.threads(evaluation::n_threads());
+    let settings = settings.threads(leadtime_runs::evaluation::n_threads());
     tracing::info!(policy = %loaded.path.display(), n_episodes, "probing");
     Ok(probe(&make, &player, &settings, Bootstrap::new(config.seed))?)
 }

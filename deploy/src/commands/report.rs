@@ -6,11 +6,11 @@ use leadtime_config::Config;
 use leadtime_eval::measure::{Comparison, Difference, Player};
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::{Picture, Verdict};
+use leadtime_runs::evaluation::{TRAINED, UNAIDED, compare, evaluate_all, players, telling};
 use leadtime_runs::report::{Findings, RunFiles, report};
 use leadtime_runs::{EvaluationRecord, LoadedPolicy, Tasks, find_run};
 
-use super::evaluation::{self, TRAINED, UNAIDED};
-use super::episode;
+use super::evaluation;
 use crate::cli::ReportArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
@@ -77,14 +77,14 @@ fn one(
     let config = &policy.config;
     let action = args.action.unwrap_or(config.evaluation.action);
     let trained = evaluation::policy(TRAINED, config, &policy.parameters, action)?;
-    let players = evaluation::players(tasks, trained, config, action)?;
+    let all = players(tasks, trained, config, action)?;
     let n_episodes = args.episodes.unwrap_or(config.evaluation.episodes);
     let seed = args.eval_seed;
-    let evaluations = evaluation::evaluate_all(tasks, config, &players, n_episodes, seed)?;
-    let comparison = evaluation::compare(config, &evaluations, &[]);
+    let evaluations = evaluate_all(tasks, config, &all, n_episodes, seed)?;
+    let comparison = compare(config, &evaluations, &[]);
     let record = EvaluationRecord::new(policy, action, seed, comparison.clone());
     evaluation::save(&record, directory, config).blame(ExitCode::WrongInput)?;
-    let episodes = episode::telling(tasks, config, &players, &evaluations)?;
+    let episodes = telling(tasks, config, &all, &evaluations)?;
     Ok(Findings {
         lead: lead(config, &policy.path),
         verdicts: verdicts(&comparison),
@@ -107,8 +107,8 @@ fn several(
         let action = args.action.unwrap_or(config.evaluation.action);
         let player = [evaluation::policy(file.name(), config, &policy.parameters, action)?];
         let n_episodes = args.episodes.unwrap_or(config.evaluation.episodes);
-        let own = evaluation::evaluate_all(tasks, config, &player, n_episodes, args.eval_seed)?;
-        episodes.extend(episode::telling(tasks, config, &player, &own)?);
+        let own = evaluate_all(tasks, config, &player, n_episodes, args.eval_seed)?;
+        episodes.extend(telling(tasks, config, &player, &own)?);
         evaluations.extend(own);
     }
     let config = &policies[0].config;
@@ -123,17 +123,11 @@ fn several(
             .map(|name| Player::baseline(name))
             .collect();
         let n_episodes = args.episodes.unwrap_or(config.evaluation.episodes);
-        evaluations.extend(evaluation::evaluate_all(
-            tasks,
-            config,
-            &alone,
-            n_episodes,
-            args.eval_seed,
-        )?);
+        evaluations.extend(evaluate_all(tasks, config, &alone, n_episodes, args.eval_seed)?);
     } else {
         notes.push("The runs' tasks differ; each policy was evaluated in its own.".to_owned());
     }
-    let mut comparison = evaluation::compare(config, &evaluations, &[]);
+    let mut comparison = compare(config, &evaluations, &[]);
     if !is_one_task {
         comparison.differences.clear();
     }

@@ -10,15 +10,15 @@ use std::path::{Path, PathBuf};
 use leadtime_config::{Config, Layer};
 use leadtime_eval::measure::Comparison;
 use leadtime_eval::report::Verdict;
+use leadtime_runs::evaluation::{EVAL_SEED, TRAINED, UNAIDED, evaluate_all, main_measure};
 use leadtime_runs::launch::Launch;
 use leadtime_runs::record::books_sentence;
 use leadtime_runs::report::Findings;
 use leadtime_runs::{EvaluationRecord, LoadedPolicy, Naming, RunRecord, Tasks};
 use serde_json::json;
 
-use super::evaluation::{TRAINED, UNAIDED};
 use super::launch::launch;
-use super::{episode, evaluation, play, report};
+use super::{evaluation, play, report};
 use crate::cli::SmokeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, HEAR};
@@ -80,15 +80,15 @@ fn evaluate(
     let loaded = LoadedPolicy::load(&tasks.registry, &config.run.directory, directory, &[])?;
     let action = config.evaluation.action;
     let trained = evaluation::policy(TRAINED, config, &loaded.parameters, action)?;
-    let players = evaluation::players(tasks, trained, config, action)?;
+    let players = leadtime_runs::evaluation::players(tasks, trained, config, action)?;
     let default = if args.quick { QUICK_EPISODES } else { config.evaluation.episodes };
     let n_episodes = args.episodes.unwrap_or(default);
-    let seed = evaluation::EVAL_SEED;
-    let evaluations = evaluation::evaluate_all(tasks, config, &players, n_episodes, seed)?;
-    let comparison = evaluation::compare(config, &evaluations, &[]);
+    let seed = EVAL_SEED;
+    let evaluations = evaluate_all(tasks, config, &players, n_episodes, seed)?;
+    let comparison = leadtime_runs::evaluation::compare(config, &evaluations, &[]);
     let (sentence, passed) = verdict(args, config, &comparison);
     let quick = "This was a quick run: it checks the mechanics only, and its figures say nothing about learning.";
-    let episodes = episode::telling(tasks, config, &players, &evaluations)?;
+    let episodes = leadtime_runs::evaluation::telling(tasks, config, &players, &evaluations)?;
     if let Some(first) = episodes.first() {
         play::draw(first, &directory.join("playthrough.png"))?;
     }
@@ -110,7 +110,7 @@ fn verdict(args: &SmokeArgs, config: &Config, comparison: &Comparison) -> (Strin
     if args.quick {
         return ("The mechanics work; learning was not checked (--quick).".to_owned(), true);
     }
-    let measure = evaluation::main_measure(config);
+    let measure = main_measure(config);
     let against = comparison.differences.iter().find(|difference| difference.minus == UNAIDED);
     let (Some(difference), true) = (against, measure == "success") else {
         return ("This task has no unaided person to compare with: no verdict.".to_owned(), true);
