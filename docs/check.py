@@ -78,7 +78,7 @@ def run(line, scratch):
 
 def prepare(scratch):
     """Makes what the pages' commands speak of: two equal runs, one with varied listeners, a file of one's own."""
-    for name in ("deploy", "tests", "docs", "examples", "crates"):
+    for name in ("deploy", "tests", "docs", "examples", "crates", "bench"):
         if name == "docs":
             shutil.copytree(ROOT / name, scratch / name)
         else:
@@ -131,8 +131,12 @@ def main():
     failures, n_run, n_options, skipped = [], 0, 0, []
     os.environ.pop("RUST_LOG", None)
     with tempfile.TemporaryDirectory(prefix="leadtime-docs-") as directory:
-        scratch = Path(directory)
-        (scratch / "bin").mkdir()
+        # A level deeper, because a command may make a neighbour of the current directory.
+        scratch = Path(directory) / "here"
+        (scratch / "bin").mkdir(parents=True)
+        completions = Path(directory) / ".local/share/bash-completion/completions"
+        completions.mkdir(parents=True)
+        os.environ["HOME"] = directory
         (scratch / "bin/leadtime").symlink_to(PROGRAM)
         os.environ["PATH"] = f"{scratch}/bin:{os.environ['PATH']}"
         prepare(scratch)

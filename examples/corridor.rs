@@ -23,8 +23,8 @@ use leadtime_numerics::Purpose;
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_sims::notifier::NotifierWorld;
 use leadtime_sims::{
-    Advance, Domain, DomainEntry, End, EpisodeSeed, Gauge, Message, ReactionStatus, ReactionStep,
-    Scene, SettingError, Shape, SnapshotError, Tone, View,
+    Advance, Domain, DomainEntry, End, EpisodeSeed, Gauge, Message, Quantity, ReactionStatus,
+    ReactionStep, RewardTerm, Scene, SettingError, Shape, SnapshotError, Tone, View,
 };
 use serde::{Deserialize, Serialize};
 
@@ -97,6 +97,24 @@ impl Domain for Corridor {
 
     fn obs_dim(&self) -> usize {
         4
+    }
+
+    /// For `leadtime describe`, policy files and the findings of `leadtime check`; training needs none of it.
+    fn quantities(&self) -> Vec<Quantity> {
+        vec![
+            Quantity::flag("lane", "the walker's lane: 0 left, 1 right"),
+            Quantity::flag("wet", "whether there is a wet floor in sight"),
+            Quantity::flag("distance", format!("cells to it, in {SIGHT} cells")),
+            Quantity::flag("wet_lane", "its lane; 0.5 if there is none"),
+        ]
+    }
+
+    fn reward_terms(&self) -> Vec<RewardTerm> {
+        let goal = self.world.goal_reward;
+        vec![
+            RewardTerm::new("reaching the goal", goal, "world.goal_reward"),
+            RewardTerm::new("slipping", -goal, "world.goal_reward"),
+        ]
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {

@@ -107,7 +107,7 @@ impl fmt::Display for StepPlace {
 /// The first thing in which two playings of an episode differ.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Divergence {
-    /// What differs: `observation 3`, `the reward`, ``metric `slipped` ``.
+    /// What differs: ``observation 3 (`x`)``, `the reward`, ``metric `slipped` ``.
     pub what: String,
     /// What it was at first.
     pub expected: String,
@@ -233,25 +233,21 @@ impl Shown {
         Self { observation, outcome, metrics, mask: env.mask(), snapshot }
     }
 
-    /// Lists every number, each with its name.
-    fn numbers(&self, spec: &EnvSpec) -> impl Iterator<Item = (String, f32)> {
-        let observation = self.observation.iter().enumerate();
-        let metrics = spec.metrics.iter().zip(&self.metrics);
-        observation
-            .map(|(i, value)| (observation_name(i), *value))
-            .chain([("the reward".to_owned(), self.outcome.reward)])
-            .chain(metrics.map(|(name, value)| (format!("metric `{name}`"), *value)))
+    /// Lists every number; [`number_name`] names them.
+    fn numbers(&self) -> impl Iterator<Item = f32> {
+        let reward = [self.outcome.reward];
+        self.observation.iter().copied().chain(reward).chain(self.metrics.iter().copied())
     }
 
     /// Finds the first difference that a policy or a learner would notice.
-    fn divergence(&self, found: &Self, spec: &EnvSpec, at: StepPlace) -> Option<Divergence> {
+    fn divergence(&self, found: &Self, env: &dyn Environment, at: StepPlace) -> Option<Divergence> {
         let differ = |what: String, expected: String, found: String| {
             Some(Divergence { what, expected, found, at })
         };
-        let mut pairs = self.numbers(spec).zip(found.numbers(spec));
-        let unequal = pairs.find(|((_, a), (_, b))| a.to_bits() != b.to_bits());
-        if let Some(((what, expected), (_, found))) = unequal {
-            return differ(what, expected.to_string(), found.to_string());
+        let mut pairs = self.numbers().zip(found.numbers()).enumerate();
+        let unequal = pairs.find(|(_, (a, b))| a.to_bits() != b.to_bits());
+        if let Some((i, (expected, found))) = unequal {
+            return differ(number_name(env, i), expected.to_string(), found.to_string());
         }
         let end = |shown: &Self| match shown.outcome.end {
             None => "that it goes on".to_owned(),
@@ -266,9 +262,18 @@ impl Shown {
     }
 }
 
-/// Names a place of the observation.
-fn observation_name(i: usize) -> String {
-    format!("observation {i}")
+/// Names one of [`Shown::numbers`].
+fn number_name(env: &dyn Environment, i: usize) -> String {
+    let EnvSpec { obs_dim, metrics, .. } = env.spec();
+    match i.checked_sub(*obs_dim) {
+        None => {
+            let quantities = env.describe().observation.quantities();
+            let name = quantities.get(i).map_or("", |quantity| quantity.name.as_str());
+            format!("observation {i} (`{name}`)")
+        }
+        Some(0) => "the reward".to_owned(),
+        Some(after) => format!("metric `{}`", metrics[after - 1]),
+    }
 }
 
 /// An episode as it was played first.
@@ -289,7 +294,7 @@ impl Recording {
     fn go_on(&self, env: &mut dyn Environment, from: usize) -> Option<Divergence> {
         (from..self.actions.len()).find_map(|t| {
             let found = step(env, &self.actions[t]);
-            self.shown[t + 1].divergence(&found, env.spec(), self.place(t + 1))
+            self.shown[t + 1].divergence(&found, env, self.place(t + 1))
         })
     }
 
@@ -304,7 +309,7 @@ impl Recording {
     /// Plays the whole episode again, and returns the first difference.
     fn play_again(&self, env: &mut dyn Environment) -> Option<Divergence> {
         let found = reset(env, self.episode);
-        let at_once = self.shown[0].divergence(&found, env.spec(), self.place(0));
+        let at_once = self.shown[0].divergence(&found, env, self.place(0));
         at_once.or_else(|| self.go_on(env, 0))
     }
 
@@ -318,7 +323,7 @@ impl Recording {
         // The reward and the end belong to the step before, which nobody asks for again.
         let found = Shown::of(env, observation, expected.outcome);
         let cause = RestoreCause::of(&expected.snapshot, &found.snapshot);
-        let at_once = expected.divergence(&found, env.spec(), from);
+        let at_once = expected.divergence(&found, env, from);
         match at_once.or_else(|| self.go_on(env, step)) {
             Some(divergence) => Some(EnvDefect::GoesOnOtherwise { from, divergence, cause }),
             None if cause == RestoreCause::NotWritten => None,
@@ -363,7 +368,7 @@ pub fn check_environment(
         rewards: rewards(&played, used.as_mut()),
         defects: Vec::new(),
     };
-    report.look_at(&played, used.spec());
+    report.look_at(&played, used.as_ref());
     for recording in &played {
         if let Some(divergence) = recording.play_again(build()?.as_mut()) {
             // Whatever else would be found follows from it.
@@ -392,7 +397,7 @@ pub fn check_environment(
 
 impl EnvReport {
     /// Looks at every moment for itself.
-    fn look_at(&mut self, played: &[Recording], spec: &EnvSpec) {
+    fn look_at(&mut self, played: &[Recording], env: &dyn Environment) {
         let moments = || {
             played.iter().flat_map(|recording| {
                 let numbered = recording.shown.iter().enumerate();
@@ -400,8 +405,8 @@ impl EnvReport {
             })
         };
         let odd = moments().find_map(|(at, shown)| {
-            let (what, value) = shown.numbers(spec).find(|(_, value)| !value.is_finite())?;
-            Some(EnvDefect::NotFinite { what, value, at })
+            let (i, value) = shown.numbers().enumerate().find(|(_, value)| !value.is_finite())?;
+            Some(EnvDefect::NotFinite { what: number_name(env, i), value, at })
         });
         let largest = moments().max_by_key(|(_, shown)| shown.snapshot.len());
         let (at, n_bytes) = largest

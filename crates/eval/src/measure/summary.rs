@@ -299,8 +299,9 @@ mod tests {
         let [main, rest] = main_measures(&names);
         assert_eq!(main, ["success", "enter_danger", "crashed", "return", "length"]);
         assert_eq!(rest, ["out", "landed"]);
-        let [main, rest] = main_measures(&MAIN);
-        assert_eq!((main, rest), (MAIN[..6].to_vec(), MAIN[6..].to_vec()));
+        let all = MAIN.map(|(name, _)| name);
+        let [main, rest] = main_measures(&all);
+        assert_eq!((main, rest), (all[..6].to_vec(), all[6..].to_vec()));
     }
 
     #[test]
