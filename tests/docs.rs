@@ -15,10 +15,11 @@ fn docs() -> PathBuf {
 }
 
 fn output(arguments: &[&str]) -> String {
-    let finished = Command::new(env!("CARGO_BIN_EXE_leadtime")).args(arguments).output().unwrap();
+    let mut program = Command::new(env!("CARGO_BIN_EXE_leadtime"));
+    let finished = program.args(arguments).output().expect("the program starts");
     let error = String::from_utf8_lossy(&finished.stderr);
     assert!(finished.status.success(), "{arguments:?}: {error}");
-    String::from_utf8(finished.stdout).unwrap()
+    String::from_utf8(finished.stdout).expect("it prints text")
 }
 
 /// Returns the page with every marked part as the program prints it now, and how many there are.
@@ -28,7 +29,7 @@ fn renewed(page: &str) -> (String, usize) {
         let (command, marked) = marked.split_once(" -->\n").expect("a marker ends with its line");
         let (_, after) = marked.split_once(END).expect("a marked part has an end");
         let arguments: Vec<&str> = command.split(' ').skip(1).collect();
-        new += &format!("{before}{BEGIN}{command} -->\n{}{END}", output(&arguments));
+        new += &[before, BEGIN, command, " -->\n", &output(&arguments), END].concat();
         (rest, n_parts) = (after, n_parts + 1);
     }
     (new + rest, n_parts)

@@ -8,29 +8,29 @@ pub fn describe(description: &Description, write: fn(&Table) -> String) -> Strin
     let Description { observation, actions, rewards } = description;
     let ObservationLayout { n_frames, frame, rest } = observation;
     let n = observation.quantities().len();
-    let mut text = format!("Observation: {n} numbers");
-    if *n_frames > 1 {
-        text += &format!(" = {n_frames} x {} + {}.\n", frame.len(), rest.len());
-        text += &format!("In each of the last {n_frames} steps, oldest first");
-    }
-    text += &format!("\n\n{}", write(&quantities(frame)));
-    if !rest.is_empty() {
-        text += &format!("\nThen, of the present step\n\n{}", write(&quantities(rest)));
-    }
+    let size = match n_frames {
+        1 => format!("Observation: {n} numbers"),
+        _ => format!(
+            "Observation: {n} numbers = {n_frames} x {} + {}.\nIn each of the last {n_frames} steps, oldest first",
+            frame.len(),
+            rest.len()
+        ),
+    };
     let mut heads = Table::new(["head", "choices"]).left(&[0, 1]);
     for head in actions {
         heads.push([&head.name, &head.choices.join(", ")]);
     }
-    text += &format!("\nAction: one choice per head, in this order\n\n{}", write(&heads));
     let mut terms = Table::new(["amount", "for", "setting"]).left(&[1, 2]);
     for term in rewards {
         terms.push([&format!("{:+}", decimals(term.amount, 4)), &term.when, &term.key]);
     }
-    if !rewards.is_empty() {
-        let sum = "Reward of a step: the sum of each amount times what it is for";
-        text += &format!("\n{sum}\n\n{}", write(&terms));
-    }
-    text
+    let now = (!rest.is_empty()).then(|| ("Then, of the present step", quantities(rest)));
+    let paid = "Reward of a step: the sum of each amount times what it is for";
+    let paid = (!rewards.is_empty()).then_some((paid, terms));
+    let parts = [(size.as_str(), quantities(frame))].into_iter().chain(now);
+    let parts = parts.chain([("Action: one choice per head, in this order", heads)]).chain(paid);
+    let texts = parts.map(|(title, table)| format!("{title}\n\n{}", write(&table)));
+    texts.collect::<Vec<_>>().join("\n")
 }
 
 /// Numbers whose names differ in one number alone, such as `car1.x` to `car9.x`.
@@ -49,12 +49,12 @@ fn quantities(quantities: &[Quantity]) -> Table {
         let digits = first_number(name).unwrap_or_default();
         let number: Option<u64> = digits.parse().ok();
         let name = number.map_or_else(|| name.clone(), |_| name.replacen(digits, "N", 1));
-        match rows.iter_mut().find(|row| (&row.name, &row.meaning) == (&name, meaning)) {
-            Some(row) => row.numbers.extend(number),
-            None => {
-                let (meaning, numbers) = (meaning.clone(), number.into_iter().collect());
-                rows.push(Alike { name, meaning, range: *range, numbers });
-            }
+        let is_alike = |row: &&mut Alike| (&row.name, &row.meaning) == (&name, meaning);
+        if let Some(row) = rows.iter_mut().find(is_alike) {
+            row.numbers.extend(number);
+        } else {
+            let (meaning, numbers) = (meaning.clone(), number.into_iter().collect());
+            rows.push(Alike { name, meaning, range: *range, numbers });
         }
     }
     let mut table = Table::new(["name", "range", "what it is"]).left(&[0, 1, 2]);

@@ -54,7 +54,7 @@ pub fn evaluate_all(
 ) -> Result<Vec<Evaluation>, Error> {
     let make = || tasks.registry.build(&config.evaluation.task);
     let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_threads());
-    let evaluate = |player| Ok(evaluate(&make, player, &settings)?);
+    let evaluate = |player| evaluate(&make, player, &settings);
     players.iter().map(evaluate).collect()
 }
 

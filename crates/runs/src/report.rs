@@ -41,7 +41,7 @@ impl Findings {
     pub fn of_training(config: &Config, directory: &Path) -> Self {
         let (domain, n_updates) = (&config.domain, config.learner.n_updates());
         let n_steps = config.steps_per_update();
-        let report = command_line(["report".into(), directory.into()].into_iter());
+        let report = command_line(["report".into(), directory.into()]);
         let lead = format!(
             "Training on domain {domain}, {n_updates} updates of {n_steps} steps by a learner and separate actors. The \
              curves are of training episodes; the policy has not been evaluated yet. `{report}` \

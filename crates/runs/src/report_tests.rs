@@ -9,6 +9,7 @@ use crate::{ForkOrigin, RunDir};
 fn config(runs: &Path, base: &str, name: &str, set: &[&str]) -> Config {
     let tasks = Tasks::new();
     let source = ConfigSource {
+        steps: None,
         file: tasks.catalog.file(base),
         set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
         seed: Some(7),
