@@ -1,4 +1,8 @@
-"""Runs the commands of README and docs and compares what they print with what the text says; see check.sh."""
+"""Runs the commands of README and docs and compares what they print with what the text says; see check.sh.
+
+A block of commands that is not to be run has `<!-- not run: WHY -->` above it. A block with lines that begin with `$ ` shows what
+its commands print, and is compared with it; a line `...` stands for any lines.
+"""
 
 import json
 import os
@@ -13,49 +17,70 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 FULL = "--full" in sys.argv
-PROGRAM = sys.argv[-1]
-# Commands of these pages run.
+PROGRAM = Path(sys.argv[-1])
+CORRIDOR = PROGRAM.parent / "examples/corridor"
+# The commands of these pages are run.
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/worlds").glob("*.md")),
          ROOT / "deploy/policies/README.md"]
-# Commands of these pages are long trainings on record: only their options are checked.
-RECORDS = sorted((ROOT / "docs/results").glob("*.md"))
+# Those of these pages are long trainings on record, or mentions: only their options are checked.
+RECORDS = [ROOT / "ARCHITECTURE.md", ROOT / "bench/README.md", *sorted((ROOT / "docs/results").glob("*.md")),
+           *sorted((ROOT / "docs/decisions").glob("*.md"))]
 # What needs something that is not there, and why it is not run.
-SKIPPED = {"http://": "a language model's server", "tls/": "certificates", "$": "variables of a script",
-           "cargo install": "it would install", "HOST": "another machine", "tensorboard": "another program", "corridor": "an example with a build of its own", "bench/": "a benchmark"}
+SKIPPED = {"http://": "a language model's server", "<": "a form", "tls/": "certificates", "$": "variables of a script",
+           "HOST": "another machine"}
 if not find_spec("numpy"):
     SKIPPED["python3"] = "no numpy here"
-# What a command must print, whatever else.
+if not CORRIDOR.exists():
+    SKIPPED["corridor"] = "the example is not built"
+# What a command must print where the page does not show it.
 EXPECTED = {"leadtime runs compare one four": "weights: equal", "leadtime check ": "configuration",
             "leadtime describe ": "bservation", "python3 examples/decide.py": "decisions reproduced",
-            "leadtime conformance ": "passed", "leadtime eval ": "success", "leadtime probe ": "d_r"}
+            "leadtime conformance ": "passed", "leadtime eval ": "success", "leadtime probe ": "d_r",
+            "leadtime smoke": "mechanics work", "leadtime report ": "Report:", "leadtime compare ": "trainings"}
 SECONDS = 300
 
 
+def normal(line):
+    """Writes a line as a command of the programs at hand; None if it is none."""
+    line = re.sub(r"\s+#\s.*", "", line).strip()
+    line = re.sub(r"^cargo run --release --example corridor -- ?", "corridor ", line)
+    line = re.sub(r"^cargo run --release -- ?", "leadtime ", line)
+    # Only the example knows its world.
+    line = re.sub(r"^leadtime (?=.*\bcorridor\b)", "corridor ", line)
+    # What stands in brackets may be left out.
+    line = re.sub(r" \[-[^\]]*\]", "", line)
+    return line if re.match(r"(leadtime|corridor|python3|cp|printf|mkdir) \S|\{ ", line) else None
+
+
 def commands(page):
-    """Lists the commands of a page: lines of console blocks, and code in the text."""
+    """Lists the commands of a page with what they are shown to print, if they are."""
     text = re.sub(r"<!-- begin .*?<!-- end -->", "", page.read_text(), flags=re.S)
-    blocks = re.findall(r"```(?:console|bash)\n(.*?)```", text, flags=re.S)
-    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
-    inline = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.S))
-    found = []
-    for line in lines + inline:
-        line = re.sub(r"\s+#\s.*", "", line).strip()
-        line = re.sub(r"^cargo run --release( --example corridor)? -- ?", r"leadtime ", line)
-        if re.match(r"(leadtime|python3) \S|\{.*leadtime ", line):
-            # What stands in brackets may be left out.
-            found.append(re.sub(r" \[-[^\]]*\]", "", line))
-    return list(dict.fromkeys(found))
+    text = re.sub(r"<!-- not run: .*? -->\s*```.*?```", "", text, flags=re.S)
+    found = {}
+    for block in re.findall(r"```(?:console|bash)\n(.*?)```", text, flags=re.S):
+        block = block.replace("\\\n", " ")
+        if "$ " in block:
+            for part in re.split(r"^\$ ", block, flags=re.M)[1:]:
+                line, _, output = part.partition("\n")
+                found[normal(line)] = output.strip("\n")
+        else:
+            found.update((normal(line), None) for line in block.splitlines())
+    for code in re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.S)):
+        found.setdefault(normal(code) if code.startswith(("leadtime", "cargo", "python3")) else None, None)
+    found.pop(None, None)
+    return found
 
 
 def shortened(line):
     """Returns a command that can be run here, and soon."""
-    for name, value in [(r"\bRUN\.\.\.", "made"), (r"\bRUN\b", "made"), (r"\bNAME\b", "made"), (r"\bA B\b", "made again"),
-                        (r"\bDOMAIN\b", "lander"), (r"\b7447\b", str(free_port())), (r"^python3", sys.executable)]:
+    for name, value in [(r"\bRUN\.\.\.", "made"), (r"\bRUN\b", "made"), (r"-c NAME\b", "-c lander"), (r"\bNAME\b", "made"),
+                        (r"\bA B\b", "made again"), (r"\bDOMAIN\b", "lander"), (r"\b7447\b", str(free_port())),
+                        (r"^python3", sys.executable)]:
         line = re.sub(name, value, line)
     more = ""
-    if re.match(r"leadtime (up|train)\b", line) and "cartpole" not in line:
+    if re.match(r"\w+ (up|train)\b", line) and "cartpole" not in line:
         more = " --stop-after 1"
-    elif line.startswith("leadtime smoke") and "--quick" not in line:
+    elif re.match(r"\w+ smoke", line) and "--quick" not in line:
         more = " --quick"
     elif re.match(r"leadtime compare \S", line) and "--plan" not in line:
         more = " --plan"
@@ -76,13 +101,18 @@ def run(line, scratch):
                           timeout=SECONDS)
 
 
+def shows(expected, printed):
+    """Tells whether a page's output is what was printed."""
+    parts = [re.escape(part.strip("\n")) for part in re.split(r"^\.\.\.$", expected, flags=re.M)]
+    return re.fullmatch(r"[\s\S]*".join(parts), printed.strip("\n")) is not None
+
+
 def prepare(scratch):
-    """Makes what the pages' commands speak of: two equal runs, one with varied listeners, a file of one's own."""
-    for name in ("deploy", "tests", "docs", "examples", "crates", "bench"):
-        if name == "docs":
-            shutil.copytree(ROOT / name, scratch / name)
-        else:
-            (scratch / name).symlink_to(ROOT / name)
+    """Makes what the pages' commands speak of: two equal runs, one with varied listeners, files of one's own."""
+    for name in ("deploy", "tests", "examples", "crates", "bench"):
+        (scratch / name).symlink_to(ROOT / name)
+    # Some commands write pictures there.
+    shutil.copytree(ROOT / "docs", scratch / "docs")
     delay = """--set 'human.reaction_delay={uniform={low=0,high=5,drawn="per_episode"}}'"""
     for name, more in [("made", ""), ("again", ""), ("varied", delay)]:
         made = run(f"leadtime up -c lander --name {name} --set learner.total_steps=40000 {more}", scratch)
@@ -113,18 +143,36 @@ def tables(scratch):
     """Trains the three worlds as README does, and compares its tables with the results."""
     readme = (ROOT / "README.md").read_text()
     wrong = []
-    for domain, cells in [("lander", r"\| success: on the pad.*?\| (.*) \|"), ("highway", r"\| `highway`:.*?\| (.*) \|"),
-                          ("steakhouse", r"\| `steakhouse`:.*?\| (.*) \|")]:
-        row = re.search(cells, readme).group(1).split(" | ")
-        done = run(f"leadtime smoke --domain {domain} --json", scratch)
-        summaries = json.loads(done.stdout)["comparison"]["summaries"]
-        for said, summary in zip(row, summaries):
-            measure = next(it for it in summary["measures"] if it["name"] == "success")
-            estimate = measure["interval"]["estimate"]
-            figure = float(re.search(r"[\d.]+", said).group())
-            if abs(figure - estimate) > 0.0051:
-                wrong.append(f"README says {said} for {summary['name']} in {domain}, smoke gives {estimate:.3f}")
+    rows = [("lander", "success", r"\| success: on the pad.*?\| (.*) \|"), ("lander", "enter_danger", r"\| enters danger \| (.*) \|"),
+            ("lander", "notifications_per_step", r"\| notifications per step \| (.*) \|"),
+            ("lander", "followed_of_initiated", r"\| follow-through, of initiated \| (.*) \|"),
+            ("highway", "success", r"\| `highway`:.*?\| (.*) \|"), ("steakhouse", "success", r"\| `steakhouse`:.*?\| (.*) \|")]
+    results = {}
+    for domain, measure, cells in rows:
+        if domain not in results:
+            results[domain] = json.loads(run(f"leadtime smoke --domain {domain} --json", scratch).stdout)
+        summaries = results[domain]["comparison"]["summaries"]
+        for said, summary in zip(re.search(cells, readme).group(1).split(" | "), summaries):
+            interval = next(it for it in summary["measures"] if it["name"] == measure)["interval"]
+            figure = re.search(r"\d*\.?\d+", said)
+            digits = len(figure.group().partition(".")[2]) if figure else 0
+            if figure and (not interval or abs(float(figure.group()) - interval["estimate"]) > 0.51 * 10**-digits):
+                wrong.append(f"README says {said} ({measure}, {summary['player']}, {domain}), smoke gives {interval}")
     return wrong
+
+
+def check(line, output, is_run, scratch):
+    """Runs a command; returns what is wrong, or nothing."""
+    done = run(shortened(line) if is_run else f"{line} --help", scratch)
+    told = done.stdout + done.stderr
+    wanted = next((text for start, text in EXPECTED.items() if line.startswith(start)), "")
+    if done.returncode != 0:
+        return f"exit {done.returncode}: {told.strip()[-300:]}"
+    if is_run and output is not None and not shows(output, done.stdout):
+        return f"prints\n{done.stdout}"
+    if is_run and output is None and wanted not in told and ">" not in line and "--json" not in line:
+        return f"does not print `{wanted}`"
+    return None
 
 
 def main():
@@ -134,30 +182,28 @@ def main():
         # A level deeper, because a command may make a neighbour of the current directory.
         scratch = Path(directory) / "here"
         (scratch / "bin").mkdir(parents=True)
-        completions = Path(directory) / ".local/share/bash-completion/completions"
-        completions.mkdir(parents=True)
-        os.environ["HOME"] = directory
-        (scratch / "bin/leadtime").symlink_to(PROGRAM)
+        for program in (PROGRAM, CORRIDOR):
+            (scratch / "bin" / program.name).symlink_to(program)
         os.environ["PATH"] = f"{scratch}/bin:{os.environ['PATH']}"
+        os.environ["HOME"] = directory
         prepare(scratch)
         for page in [*PAGES, *RECORDS]:
             write_examples(page, scratch)
-            for line in commands(page):
+            for line, output in commands(page).items():
                 place = f"{page.relative_to(ROOT)}: {line}"
                 reason = next((why for what, why in SKIPPED.items() if what in line), None)
-                if reason or re.match(r"leadtime (actor|learner)\b", line):
-                    skipped.append(f"{place} ({reason or 'run as a pair'})")
+                if re.match(r"leadtime (actor|learner)\b", line):
+                    reason = reason or "run as a pair"
+                if reason:
+                    skipped.append(f"{place} ({reason})")
+                    continue
+                if page in RECORDS and not line.startswith("leadtime"):
                     continue
                 is_mention = re.fullmatch(r"leadtime \w+", line) and not re.search(r"smoke|runs|config|compare|check", line)
                 is_run = page not in RECORDS and not is_mention
-                done = run(shortened(line) if is_run else f"{line} --help", scratch)
                 n_run, n_options = n_run + is_run, n_options + (not is_run)
-                told = done.stdout + done.stderr
-                wanted = next((text for start, text in EXPECTED.items() if line.startswith(start)), "")
-                if done.returncode != 0:
-                    failures.append(f"{place}\n    exit {done.returncode}: {told.strip()[-300:]}")
-                elif is_run and wanted not in told and ">" not in line:
-                    failures.append(f"{place}\n    does not print `{wanted}`")
+                wrong = check(line, output, is_run, scratch)
+                failures += [f"{place}\n    {wrong}"] if wrong else []
         good, told = pair(scratch)
         if not good:
             failures.append(f"learner and actor in two terminals:\n    {told.strip()[-300:]}")
