@@ -22,7 +22,7 @@ pub(crate) use taxonomy::{
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
 };
 
-/// Trains assistants that warn people in time: in words, with the delay of listening and reacting.
+/// Trains notifiers: policies that decide when and what to say to a listener who reacts late.
 #[derive(Debug, Parser)]
 #[command(name = "leadtime", version, propagate_version = true, max_term_width = 100)]
 pub(crate) struct Cli {

@@ -13,10 +13,10 @@ pub fn counted(n: impl Display, thing: &str) -> String {
     format!("{n} {thing}{ending}")
 }
 
-/// Writes a time in its two largest units: `1h 02m`, `1m 10s`, `9s`, `0.5s`.
+/// Writes a time in its two largest units: `1h 02m`, `1m 10s`, `9s`; below a second in tenths, rounded up: `0.5s`.
 pub fn duration(time: Duration) -> String {
     if time > Duration::ZERO && time < Duration::from_secs(1) {
-        return format!("{}s", time.as_secs_f64());
+        return format!("{}s", (10.0 * time.as_secs_f64()).ceil() / 10.0);
     }
     let seconds = time.as_secs();
     match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
@@ -60,6 +60,7 @@ mod tests {
         let texts = [0, 9, 60, 70, 3_599, 3_720, 360_000].map(text);
         assert_eq!(texts, ["0s", "9s", "1m 00s", "1m 10s", "59m 59s", "1h 02m", "100h 00m"]);
         assert_eq!(duration(Duration::from_millis(500)), "0.5s");
+        assert_eq!(duration(Duration::from_secs_f64(0.186_181_818)), "0.2s");
     }
 
     #[test]

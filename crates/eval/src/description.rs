@@ -33,55 +33,84 @@ pub fn describe(description: &Description, write: fn(&Table) -> String) -> Strin
     texts.collect::<Vec<_>>().join("\n")
 }
 
-/// Numbers whose names differ in one number alone, such as `car1.x` to `car9.x`.
-struct Alike {
-    /// With an N for the number; names are of small letters.
-    name: String,
-    meaning: String,
-    range: [f32; 2],
-    numbers: Vec<u64>,
+/// Numbers in a row that are alike but for one number in their names, such as `car1.x` to `car9.x`.
+struct Alike<'a> {
+    /// What stands around the number.
+    around: [&'a str; 2],
+    /// The first and the last number, if the names have one.
+    numbers: Option<[u64; 2]>,
+    quantity: &'a Quantity,
+}
+
+impl Alike<'_> {
+    fn name(&self) -> String {
+        let [before, after] = self.around;
+        match self.numbers {
+            None => before.to_owned(),
+            Some([first, last]) if first == last => format!("{before}{first}{after}"),
+            Some([first, last]) => format!("{before}{first}..{last}{after}"),
+        }
+    }
 }
 
 /// Lists the numbers of an observation, a row for those that are alike.
 fn quantities(quantities: &[Quantity]) -> Table {
-    let mut rows: Vec<Alike> = Vec::new();
-    for Quantity { name, meaning, range } in quantities {
-        let digits = first_number(name).unwrap_or_default();
-        let number: Option<u64> = digits.parse().ok();
-        let name = number.map_or_else(|| name.clone(), |_| name.replacen(digits, "N", 1));
-        let is_alike = |row: &&mut Alike| (&row.name, &row.meaning) == (&name, meaning);
-        if let Some(row) = rows.iter_mut().find(is_alike) {
-            row.numbers.extend(number);
-        } else {
-            let (meaning, numbers) = (meaning.clone(), number.into_iter().collect());
-            rows.push(Alike { name, meaning, range: *range, numbers });
+    let mut rows: Vec<Alike<'_>> = Vec::new();
+    for quantity in quantities {
+        let (around, number) = split_at_number(&quantity.name);
+        let (meaning, range) = (&quantity.meaning, quantity.range);
+        let goes_on = |row: &&mut Alike<'_>| {
+            let next = row.numbers.map(|[_, last]| last + 1);
+            let is_alike = row.quantity.meaning == *meaning && row.quantity.range == range;
+            row.around == around && number.is_some() && next == number && is_alike
+        };
+        match (rows.iter_mut().find(goes_on), number) {
+            (Some(Alike { numbers: Some([_, last]), .. }), Some(number)) => *last = number,
+            _ => rows.push(Alike { around, numbers: number.map(|n| [n, n]), quantity }),
         }
     }
     let mut table = Table::new(["name", "range", "what it is"]).left(&[0, 1, 2]);
-    for Alike { name, meaning, range, numbers } in rows {
+    for row in rows {
+        let Quantity { meaning, range, .. } = row.quantity;
         let is_bounded = range.iter().all(|bound| bound.is_finite());
         let bounds = range.map(|bound| decimals(f64::from(bound), 3).to_string());
         let range = if is_bounded { bounds.join(" to ") } else { "any".to_owned() };
-        let numbers = match numbers[..] {
-            [first, .., last] => format!("{first}..{last}"),
-            [only] => only.to_string(),
-            [] => String::new(),
-        };
-        let name = name.replacen('N', &numbers, 1);
-        table.push([name, range, meaning]);
+        table.push([row.name(), range, meaning.clone()]);
     }
     table
 }
 
-/// Finds the first number in a name.
-fn first_number(name: &str) -> Option<&str> {
-    let (_, digits) = name.split_at(name.find(|c: char| c.is_ascii_digit())?);
+/// Splits a name around its first number; one without comes whole.
+fn split_at_number(name: &str) -> ([&str; 2], Option<u64>) {
+    let Some(start) = name.find(|c: char| c.is_ascii_digit()) else { return ([name, ""], None) };
+    let (before, digits) = name.split_at(start);
     let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
-    Some(&digits[..end])
+    let (number, after) = digits.split_at(end);
+    number.parse().map_or(([name, ""], None), |number| ([before, after], Some(number)))
 }
 
 /// Rounds to so many digits after the point.
 fn decimals(x: f64, digits: i32) -> f64 {
     let scale = 10_f64.powi(digits);
     (x * scale).round() / scale
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_a_row_share_a_line_and_others_do_not() {
+        let flag = |name: &str| Quantity::flag(name, "");
+        let mut all = ["North", "car1.x", "car1.y", "car2.x", "car2.y", "k2", "k5"].map(flag);
+        assert_eq!(names(&all), ["North", "car1..2.x", "car1..2.y", "k2", "k5"]);
+        all[3].range = [-1.0, 1.0];
+        assert_eq!(names(&all), ["North", "car1.x", "car1..2.y", "car2.x", "k2", "k5"]);
+    }
+
+    fn names(all: &[Quantity]) -> Vec<String> {
+        let table = quantities(all).markdown();
+        let cell = |line: &str| line.split('|').nth(1).unwrap_or_default().trim().to_owned();
+        table.lines().skip(2).map(cell).collect()
+    }
 }

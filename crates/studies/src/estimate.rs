@@ -17,7 +17,7 @@ const STEPS_PER_SECOND: f64 = 11_000.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainingEstimate {
     left: Duration,
-    n_jobs: usize,
+    at_once: usize,
     /// Trainings whose recorded time says how fast others of their domain are.
     n_measured: usize,
     /// Trainings left of whose domain none has a recorded time.
@@ -27,8 +27,8 @@ pub struct TrainingEstimate {
 /// Writes it as a sentence.
 impl fmt::Display for TrainingEstimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { left, n_jobs, n_measured, n_assumed } = *self;
-        write!(f, "about {} of training, {n_jobs} at a time", duration(left))?;
+        let Self { left, at_once, n_measured, n_assumed } = *self;
+        write!(f, "about {} of training, {at_once} at a time", duration(left))?;
         if n_measured > 0 {
             write!(f, ", at the recorded pace of {}", counted(n_measured, "run"))?;
         }
@@ -56,22 +56,27 @@ impl TrainingEstimate {
         Self::from_paces(&paces, &left.collect::<Vec<_>>(), crew.n_jobs())
     }
 
-    fn from_paces(paces: &[RecordedPace<'_>], left: &[(&str, u64)], n_jobs: usize) -> Self {
+    fn from_paces(paces: &[RecordedPace<'_>], left_of: &[(&str, u64)], n_jobs: usize) -> Self {
         let (mut seconds, mut n_assumed) = (0.0, 0);
-        for &(domain, steps) in left.iter().filter(|(_, steps)| *steps > 0) {
+        for &(domain, steps) in left_of.iter().filter(|(_, steps)| *steps > 0) {
             let known = || paces.iter().filter(|pace| pace.domain == domain);
             let time: f64 = known().map(|pace| pace.seconds).sum();
             let made: f64 = known().map(|pace| pace.steps).sum();
             n_assumed += usize::from(time == 0.0);
             seconds += steps as f64 / if time == 0.0 { STEPS_PER_SECOND } else { made / time };
         }
-        let at_once = n_jobs.min(left.iter().filter(|(_, steps)| *steps > 0).count()).max(1);
+        let at_once = n_jobs.min(left_of.iter().filter(|(_, steps)| *steps > 0).count()).max(1);
         let left = Duration::try_from_secs_f64(seconds / at_once as f64).unwrap_or(Duration::MAX);
-        Self { left, n_jobs, n_measured: paces.len(), n_assumed }
+        let used = |pace: &&RecordedPace<'_>| {
+            left_of.iter().any(|(domain, steps)| *steps > 0 && *domain == pace.domain)
+        };
+        let n_measured = paces.iter().filter(used).count();
+        Self { left, at_once, n_measured, n_assumed }
     }
 }
 
 /// What a run has recorded of its pace.
+#[derive(Clone, Copy)]
 struct RecordedPace<'a> {
     domain: &'a str,
     steps: f64,
@@ -92,14 +97,16 @@ mod tests {
     #[test]
     fn recorded_paces_count_by_domain_and_a_named_one_stands_in() {
         let lander = RecordedPace { domain: "lander", steps: 1_000.0, seconds: 1.0 };
+        // Nothing of its domain is left.
+        let highway = RecordedPace { domain: "highway", ..lander };
         let left = [("lander", 60_000), ("lander", 60_000), ("lander", 0)];
-        let estimate = TrainingEstimate::from_paces(&[lander], &left, 2).to_string();
+        let estimate = TrainingEstimate::from_paces(&[lander, highway], &left, 2).to_string();
         assert_eq!(
             estimate,
             "about 1m 00s of training, 2 at a time, at the recorded pace of 1 run; evaluation comes on top"
         );
         let other = TrainingEstimate::from_paces(&[], &[("highway", 1_100_000)], 2).to_string();
-        let told = "about 1m 40s of training, 2 at a time, at 11000 steps/s each, the pace of docs/results/table1.md";
+        let told = "about 1m 40s of training, 1 at a time, at 11000 steps/s each, the pace of docs/results/table1.md";
         assert!(other.starts_with(told), "{other}");
     }
 }

@@ -137,7 +137,7 @@ fn warnings(plan: &StudyPlan, request: &StudyRequest) -> Vec<String> {
     }
     if !request.has_the_tables_episodes() {
         let (n, seed) = (request.episodes, request.eval_seed);
-        let over = format!("Judged over {n} episodes per training seed");
+        let over = format!("Evaluated over {n} episodes per training seed");
         warnings.push(format!("{over}, from evaluation seed {seed} on."));
     }
     if plan.parts.iter().any(|planned| planned.profile.name != planned.part.profile) {

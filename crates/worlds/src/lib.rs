@@ -1,4 +1,4 @@
-//! The built-in worlds, registered: the one place that names them all; and what a world of one's own starts from.
+//! The built-in worlds, registered: the one place that names them all; and what a world of your own starts from.
 //!
 //! Who acts or learns does not know this crate; they are handed a [`Registry`](leadtime_sims::Registry).
 

@@ -1,4 +1,4 @@
-//! What a world of one's own starts from: the files of a crate that holds the example and builds outside the workspace.
+//! What a world of your own starts from: the files of a crate that holds the example and builds outside the workspace.
 
 use leadtime_sims::SettingError;
 use leadtime_sims::check::require;

@@ -160,6 +160,17 @@ fn every_number_is_described_and_stays_in_its_range() {
 }
 
 #[test]
+fn what_a_reaction_pays_is_described_where_it_is_paid() {
+    let keys = |settings| -> Vec<String> {
+        let env = builtin().build(&task("lander", settings)).unwrap();
+        env.describe().rewards.into_iter().map(|term| term.key).collect()
+    };
+    let key = "human.reaction_reward".to_owned();
+    assert!(keys(r#"{"human": {"reaction_reward": "once"}}"#).contains(&key));
+    assert!(!keys("{}").contains(&key));
+}
+
+#[test]
 fn a_snapshot_is_restored_by_its_own_task_and_with_its_tag_only() {
     let mut generator = Pcg64::seed_from_u64(3);
     let begun = |name: String| {

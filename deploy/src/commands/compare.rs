@@ -141,6 +141,7 @@ impl StudyObserver for Console {
     }
 
     fn evaluating(&mut self, study: &str) {
+        terminal::hide_bar();
         output::note(&format!("evaluating {study}"));
     }
 

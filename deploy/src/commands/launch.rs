@@ -52,7 +52,11 @@ pub(super) async fn launch(
         let code = if is_ours { ExitCode::Failed } else { ExitCode::WrongInput };
         Failure::of(code, error)
     })?;
-    if launched.ended != Ended::Learner(Some(0)) {
+    // After anything else that is the learner's own error, the same command would end in the same way.
+    let [lost, interrupted] =
+        [ExitCode::PeerLost, ExitCode::Interrupted].map(|code| Ended::Learner(Some(code as i32)));
+    let may_pass = [Ended::Stopped, Ended::NoActorLeft, Ended::Learner(None), lost, interrupted];
+    if may_pass.contains(&launched.ended) {
         goes_on(&launched.run, what);
     }
     // The processes have logged why.

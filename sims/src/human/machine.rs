@@ -359,6 +359,11 @@ impl Human {
         if pays { self.settings.informativeness_of(message) - 2.0 } else { 0.0 }
     }
 
+    /// Returns when the reaction reward is paid.
+    pub(crate) fn reaction_reward(&self) -> ReactionReward {
+        self.settings.reaction_reward
+    }
+
     /// Hears one more word, if one is spoken, and ends the step (rows C and L1); returns the message that was heard to
     /// its end.
     pub fn hear_word(&mut self) -> Option<Message> {

@@ -14,7 +14,9 @@ use crate::environment::{
     write_snapshot,
 };
 use crate::error::TaskError;
-use crate::human::{BlockedInitiation, Human, HumanSettings, HumanState, Initiation, SpeechAct};
+use crate::human::{
+    BlockedInitiation, Human, HumanSettings, HumanState, Initiation, ReactionReward, SpeechAct,
+};
 use crate::scene::{Listener, Scene, Speech};
 
 /// The notifier's own metrics; `success` first, and the domain's follow.
@@ -241,6 +243,12 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             Vec::new()
         };
         let mut rewards = self.domain.reward_terms();
+        let reaction = match self.human.reaction_reward() {
+            ReactionReward::Off => None,
+            ReactionReward::Once => Some("I - 2, in the first step that follows a message"),
+            ReactionReward::PerStep => Some("I - 2, in every step that follows a message"),
+        };
+        rewards.extend(reaction.map(|when| RewardTerm::new(when, 1.0, "human.reaction_reward")));
         let charged = match self.blocked {
             BlockedInitiation::IgnoreCharged => "a message started, or that may not start",
             _ => "a message that is started",

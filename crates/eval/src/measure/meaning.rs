@@ -65,8 +65,8 @@ const MEANINGS: [(&str, &str); 50] = [
     ("redundant_steps", "steps spent on something that had been done or was not needed"),
     ("pointless_pickups", "things fetched in such steps"),
     ("ineffective_actions", "actions that changed nothing"),
-    ("blocked_moves", "moves into something solid"),
-    ("disclosures", "facts about the kitchen that messages made known to the cook"),
+    ("blocked_moves", "moves that a message asked for and that something blocked"),
+    ("disclosures", "messages that told the cook what the stations hold"),
 ];
 
 /// Returns what a measure means; `None` for one of a world of one's own.

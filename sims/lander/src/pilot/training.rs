@@ -125,8 +125,8 @@ impl Environment for PilotTask {
         let potential = "a frame, times the change of the original's shaping potential";
         let rewards = [
             (potential, 1.0),
-            ("coming to rest", 100.0),
-            ("a crash, or leaving the view", -100.0),
+            ("coming to rest, and nothing else", 100.0),
+            ("a crash or leaving the view, and nothing else", -100.0),
             ("a frame of the main engine", -Engine::Main.fuel()),
             ("a frame of a side engine", -Engine::Left.fuel()),
         ];
