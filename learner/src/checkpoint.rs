@@ -28,7 +28,7 @@ use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use tracing::warn;
 
-use crate::files::write_atomically;
+use crate::files::{replaced_name, write_atomically};
 
 /// The version of what a checkpoint holds; no other one is read.
 pub const FORMAT_VERSION: u32 = 2;
@@ -190,7 +190,9 @@ impl CheckpointStore {
             files.into_iter().partition(|path| self.damaged.contains(path));
         let n_old = whole.len().saturating_sub(KEPT);
         let passed = damaged.into_iter().filter(|path| path.as_path() < newest);
-        for path in whole.into_iter().take(n_old).chain(passed) {
+        // What a crash while writing left.
+        let torn = self.entries(|name| replaced_name(name).is_some()).unwrap_or_default();
+        for path in whole.into_iter().take(n_old).chain(passed).chain(torn) {
             if let Err(error) = fs::remove_file(&path)
                 && error.kind() != io::ErrorKind::NotFound
             {
@@ -237,11 +239,15 @@ impl CheckpointStore {
 
     /// Lists the checkpoints, oldest first.
     fn files(&self) -> Result<Vec<PathBuf>, CheckpointError> {
+        self.entries(|name| Path::new(name).extension().is_some_and(|end| end == EXTENSION))
+    }
+
+    fn entries(&self, is_wanted: fn(&str) -> bool) -> Result<Vec<PathBuf>, CheckpointError> {
         let failed = |source| CheckpointError::Read { path: self.directory.clone(), source };
         let entries = fs::read_dir(&self.directory).map_err(failed)?;
         let paths: io::Result<Vec<PathBuf>> = entries.map(|entry| Ok(entry?.path())).collect();
         let mut files = paths.map_err(failed)?;
-        files.retain(|path| path.extension().is_some_and(|extension| extension == EXTENSION));
+        files.retain(|path| path.file_name().and_then(|name| name.to_str()).is_some_and(is_wanted));
         files.sort();
         Ok(files)
     }
@@ -299,8 +305,11 @@ mod tests {
         write(&mut store, 8..13);
         assert_eq!(store.files().unwrap().len(), KEPT);
         // What a crash while writing leaves.
-        fs::write(store.directory.join("000000000013.checkpoint.partial"), b"half").unwrap();
+        let torn = store.directory.join("000000000013.checkpoint.12.partial");
+        fs::write(&torn, b"half").unwrap();
         assert_eq!(newest(&mut store).state, [12]);
+        write(&mut store, [13]);
+        assert!(!torn.exists());
     }
 
     #[test]

@@ -38,7 +38,7 @@ pub use builds::{Build, Builds};
 pub use config::{CheckpointInterval, LearnerConfig};
 pub use episodes::EpisodeMeans;
 pub use error::Error;
-pub use files::write_atomically;
+pub use files::{replaced_name, write_atomically};
 pub use report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };

@@ -162,7 +162,7 @@ fn a_directory_that_is_no_run_is_left_alone_and_one_that_was_hardly_begun_is_use
     }
     // Killed before the configuration was written.
     fs::create_dir_all(runs.path().join("k/checkpoints")).unwrap();
-    for file in ["lock", "run.json", "config.toml.partial"] {
+    for file in ["lock", "run.json", "config.toml.partial", "config.toml.12.partial"] {
         fs::write(runs.path().join("k").join(file), "").unwrap();
     }
     assert_eq!(open(runs.path(), Some("k"), &[]).unwrap().1, RunState::Fresh);

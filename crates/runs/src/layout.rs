@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
 use leadtime_config::identity::{self, Change, TOTAL_STEPS, difference};
-use leadtime_learner::write_atomically;
+use leadtime_learner::{replaced_name, write_atomically};
 use leadtime_proto::RunName;
 use toml::Table;
 
@@ -51,7 +51,7 @@ pub(crate) fn is_begun(path: &Path) -> Result<bool, RunDirError> {
     for entry in entries {
         let name = entry.map_err(io)?.file_name();
         let name = name.to_str().unwrap_or_default();
-        let is_ours = BEGINNINGS.contains(&name.trim_end_matches(".partial"));
+        let is_ours = BEGINNINGS.contains(&replaced_name(name).unwrap_or(name));
         if !is_ours || (name == CHECKPOINTS && !checkpoints(path).map_err(io)?.is_empty()) {
             return Err(no_run(path, "it holds other files and no config.toml"));
         }

@@ -32,7 +32,9 @@ const FIXED32: u64 = 5;
 /// How the name of the event file of an evaluation ends.
 const EVALUATION: &str = ".leadtime.eval";
 
-/// Writes the scalars of a run's last evaluation as an event file of their own, in place of the one before.
+/// Writes the scalars of a run's last evaluation as an event file of their own, in place of those before.
+///
+/// Other processes may do the same meanwhile; the latest file stays.
 pub(crate) fn write_evaluation(
     directory: &Path,
     wall_time: f64,
@@ -48,8 +50,12 @@ pub(crate) fn write_evaluation(
     for entry in fs::read_dir(directory)? {
         let entry = entry?;
         let other = entry.file_name();
-        if other != *name && other.to_string_lossy().ends_with(EVALUATION) {
-            fs::remove_file(entry.path())?;
+        let is_older = other.to_string_lossy().ends_with(EVALUATION) && other < *name;
+        if is_older && let Err(error) = fs::remove_file(entry.path()) {
+            // Another process was quicker.
+            if error.kind() != io::ErrorKind::NotFound {
+                return Err(error);
+            }
         }
     }
     Ok(())
@@ -247,7 +253,7 @@ mod tests {
     fn an_evaluation_takes_the_place_of_the_one_before_and_of_nothing_else() {
         let dir = tempfile::tempdir().unwrap();
         EventFile::create(dir.path(), 12.5, 7, 0).unwrap();
-        for (time, success) in [(20.0, 0.5), (30.0, 1.0)] {
+        for (time, success) in [(10.0, 0.2), (30.0, 1.0), (20.0, 0.5)] {
             let scalars = [("eval/success".to_owned(), success)];
             write_evaluation(dir.path(), time, 300, &scalars).unwrap();
         }
@@ -255,9 +261,11 @@ mod tests {
         let mut names: Vec<_> =
             entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
-        let expected = ["0000000012.leadtime.7", "0000000030.leadtime.eval"];
+        // The one of second 20 comes from a process that was slower than the one of second 30.
+        let expected =
+            ["0000000012.leadtime.7", "0000000020.leadtime.eval", "0000000030.leadtime.eval"];
         assert_eq!(names, expected.map(|end| format!("events.out.tfevents.{end}")));
-        let events = records(&fs::read(dir.path().join(&names[1])).unwrap());
+        let events = records(&fs::read(dir.path().join(&names[2])).unwrap());
         assert!(events[1].ends_with(&1.0_f32.to_le_bytes()));
     }
 
