@@ -13,13 +13,11 @@ use std::sync::OnceLock;
 use anyhow::Context as _;
 use leadtime_proto::text::own_message;
 use leadtime_runs::{command_line, journal, write_atomically};
+pub(crate) use leadtime_table::WIDTH;
 use serde::Serialize;
 
 use crate::exit::Failure;
 use crate::{logging, terminal};
-
-/// Characters of a line of a table: those of a usual terminal.
-pub(crate) const WIDTH: usize = 80;
 
 /// The first failure to write to standard output.
 static FAILED: OnceLock<io::Error> = OnceLock::new();

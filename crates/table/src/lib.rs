@@ -15,3 +15,6 @@ mod wrap;
 pub use escape::escape;
 pub use table::{Table, TableCell};
 pub use wrap::{fitted, wrapped};
+
+/// Characters of a line of text: those of a usual terminal.
+pub const WIDTH: usize = 80;

@@ -1,7 +1,7 @@
 //! Several players on the same task, side by side.
 
 use leadtime_numerics::stats::{Bootstrap, Interval};
-use leadtime_table::{Table, TableCell};
+use leadtime_table::{Table, TableCell, WIDTH};
 use serde::{Deserialize, Serialize};
 
 use super::evaluation::Evaluation;
@@ -9,9 +9,6 @@ use super::summary::{self, Summary};
 
 /// Index of the draws for differences: one that no mean uses.
 const DIFFERENCE: u64 = u32::MAX as u64;
-
-/// Characters of a line of text: those of a usual terminal.
-const WIDTH: usize = 80;
 
 /// How one measure of two players differs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
