@@ -9,8 +9,8 @@ use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, V
 use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
 use leadtime_eval::measure::Choice;
 use leadtime_link::Endpoint;
-use leadtime_runs::Tasks;
 use leadtime_runs::tasks::ConfigureError;
+use leadtime_runs::{Tasks, evaluation};
 use leadtime_studies::{EPISODES, EVAL_SEED};
 
 use crate::exit::EXIT_CODE_HELP;
@@ -314,21 +314,28 @@ pub(crate) struct EvalArgs {
     pub shown: ShownArgs,
 }
 
-/// How a policy acts in an evaluation, and in which task.
+/// How a policy acts in an evaluation.
 #[derive(Debug, Args)]
-pub(crate) struct ActingArgs {
+pub(crate) struct ChoosingArgs {
     /// Seed of the episodes; not the one of training.
-    #[arg(long, default_value_t = 1_000_000)]
+    #[arg(long, default_value_t = evaluation::EVAL_SEED)]
     pub eval_seed: u64,
     /// How the policy chooses (default: the configuration's).
     #[arg(long, value_parser = action())]
     pub action: Option<Choice>,
-    /// Change one key of the task: `--set human.reaction_delay=3`; repeatable.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
-    pub set: Vec<Override>,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,
+}
+
+/// How a policy acts in an evaluation, and in which task.
+#[derive(Debug, Args)]
+pub(crate) struct ActingArgs {
+    #[command(flatten)]
+    pub choosing: ChoosingArgs,
+    /// Change one key of the task: `--set human.reaction_delay=3`; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
 }
 
 /// `leadtime report`
@@ -337,21 +344,15 @@ pub(crate) struct ReportArgs {
     /// Runs, by name or directory; one is reported in full, several are compared.
     #[arg(value_name = "RUN", required = true, num_args = 1..=8)]
     pub names: Vec<String>,
-    /// The page (default: report.html in the run's directory; several runs have none).
+    /// Write the page here, and leave the run's directory as it is (default: report.html there, beside the evaluation in
+    /// eval.json; several runs have none).
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Episodes per policy (default: the configuration's).
     #[arg(long, value_parser = n_episodes())]
     pub episodes: Option<u32>,
-    /// Seed of the episodes; not the one of training.
-    #[arg(long, default_value_t = 1_000_000)]
-    pub eval_seed: u64,
-    /// How the policies choose (default: the configuration's).
-    #[arg(long, value_parser = action())]
-    pub action: Option<Choice>,
-    /// Directory that holds the runs.
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    pub runs: PathBuf,
+    #[command(flatten)]
+    pub choosing: ChoosingArgs,
 }
 
 /// `leadtime probe`

@@ -5,7 +5,7 @@ use std::fs;
 use std::process::Command;
 use std::time::Duration;
 
-use crate::support::{Place, children, is_alive, record, repository, result, wait_until};
+use crate::support::{PATIENCE, Place, children, is_alive, record, repository, result, wait_until};
 use serde_json::Value;
 
 /// A CartPole run with local actors, of about a second.
@@ -180,8 +180,7 @@ fn a_report_can_be_made_again_with_an_evaluation_and_of_several_runs() {
     let after = page("runs/r/report.html");
     let command =
         "leadtime up -c cartpole --seed 1 --set learner.n_steps=64 --set learner.total_steps=5120";
-    for part in ["The trained policy does", command, "What the measures mean", "All settings of r"]
-    {
+    for part in ["The trained policy ", command, "What the measures mean", "All settings of r"] {
         assert!(after.contains(part), "the report has no {part}");
     }
     let kept: Value = serde_json::from_str(&page("runs/r/eval.json")).unwrap();
@@ -190,6 +189,22 @@ fn a_report_can_be_made_again_with_an_evaluation_and_of_several_runs() {
     let kept: Value = serde_json::from_str(&page("runs/r/eval.json")).unwrap();
     assert_eq!(kept["comparison"]["summaries"][0]["n_episodes"], 4);
     assert_eq!(fs::read_dir(place.run("r").join("tensorboard")).unwrap().count(), 2);
+    // Four at once do not disturb each other, and one that cannot save prints what it found.
+    let all = [(); 4].map(|()| place.start(&["eval r --episodes 2 --save"]));
+    for evaluation in all {
+        evaluation.finish(PATIENCE).with_code(0);
+    }
+    fs::rename(place.run("r").join("eval.json"), place.file("eval.json")).unwrap();
+    fs::create_dir_all(place.run("r").join("eval.json/in the way")).unwrap();
+    let unsaved = place.finish(&["eval r --episodes 2 --save"]).with_code(2);
+    assert!(unsaved.stdout.contains("success") || unsaved.stdout.contains("return"));
+    fs::remove_dir_all(place.run("r").join("eval.json")).unwrap();
+    let kept = page("runs/r/report.html");
+    place.finish(&["report r --episodes 3 --out elsewhere.html"]).with_code(0);
+    assert!(page("elsewhere.html").contains("episodes: 3,"));
+    let is_untouched =
+        page("runs/r/report.html") == kept && !place.run("r").join("eval.json").exists();
+    assert!(is_untouched, "--out leaves the run's directory as it is");
     place.finish(&[&TRAIN.replace("--name r", "--name s --seed 2")]).with_code(0);
     place.finish(&["report r s"]).with_code(2).saying(&["--out FILE"]);
     place.finish(&["report r nothing --out both.html"]).with_code(2).saying(&["`nothing`"]);
@@ -283,6 +298,12 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
     let players = printed["comparison"]["summaries"].as_array().unwrap();
     let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
     assert_eq!(names, ["trained", "unaided", "heuristic", "untrained"]);
+    // A report made later has the same verdict and says why.
+    place.finish(&["report", run.to_str().unwrap(), "--episodes 2"]).with_code(0);
+    let report = fs::read_to_string(run.join("report.html")).unwrap();
+    for part in [printed["verdict"].as_str().unwrap(), "This was a quick run"] {
+        assert!(report.contains(part), "the report has no {part}");
+    }
     // The same policy as pictures of every kind.
     let run = run.to_str().unwrap();
     for name in ["a.png", "a.svg", "a.gif", "a.html"] {

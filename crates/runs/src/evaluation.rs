@@ -17,6 +17,8 @@ pub const EVAL_SEED: u64 = 1_000_000;
 pub const TRAINED: &str = "trained";
 /// The player that shows what the listener does alone.
 pub const UNAIDED: &str = "unaided";
+/// The player that shows what the network did before training.
+pub(crate) const UNTRAINED: &str = "untrained";
 
 /// Lists a policy and everybody whom it is compared with: the task's scripts, and the network before training.
 ///

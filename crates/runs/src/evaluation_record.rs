@@ -1,5 +1,6 @@
 //! `eval.json`: how a run's policy did when it was last evaluated; TensorBoard shows the same as `eval/...`.
 
+use std::fs;
 use std::io;
 use std::path::Path;
 
@@ -8,7 +9,7 @@ use leadtime_eval::measure::{Choice, Comparison};
 use leadtime_learner::write_atomically;
 use serde::{Deserialize, Serialize};
 
-use crate::{LoadedPolicy, clock, policy_file, tensorboard};
+use crate::{LoadedPolicy, clock, tensorboard};
 
 /// The file of the last evaluation in a run directory.
 pub const LAST_EVALUATION: &str = "eval.json";
@@ -20,6 +21,9 @@ pub struct EvaluationRecord {
     pub policy: String,
     /// SHA-256 over that file, in hexadecimal.
     pub policy_sha256: String,
+    /// Optimiser iterations that made the policy.
+    #[serde(default)]
+    pub updates: u64,
     /// The task's domain.
     pub domain: String,
     /// How the policy chose.
@@ -36,11 +40,18 @@ impl EvaluationRecord {
         Self {
             policy: policy.path.display().to_string(),
             policy_sha256: policy.sha256.clone(),
+            updates: policy.n_updates,
             domain: policy.config.domain.to_string(),
             action,
             seed,
             comparison,
         }
+    }
+
+    /// Reads the last evaluation of a run; `None` if there is none that can be read.
+    pub(crate) fn read(directory: &Path) -> Option<Self> {
+        let text = fs::read_to_string(directory.join(LAST_EVALUATION)).ok()?;
+        serde_json::from_str(&text).ok()
     }
 
     /// Writes the record and its event file into a run's directory, in place of those before.
@@ -52,7 +63,7 @@ impl EvaluationRecord {
         let mut text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
         text.push('\n');
         write_atomically(&directory.join(LAST_EVALUATION), text.as_bytes())?;
-        let steps = policy_file::n_updates(Path::new(&self.policy))? * config.steps_per_update();
+        let steps = self.updates * config.steps_per_update();
         let measures = self.comparison.summaries.iter().take(1).flat_map(|own| &own.measures);
         let scalars = measures.filter_map(|measure| {
             Some((format!("eval/{}", measure.name), measure.interval?.estimate))

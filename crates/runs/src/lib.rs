@@ -5,13 +5,14 @@
 //! record       run.json                                 clock           the only reader of the wall clock
 //! recorder     what the learner reports, written down by journal (metrics.jsonl), tensorboard and policy_file
 //! launch       a learner and its actors as children  ->  supervise      watched until the last of them is gone
-//! report       all of it, and an evaluation, as a page    evaluation_record   eval.json
+//! report       all of it (run_files), and the findings of an evaluation, as a page    evaluation_record   eval.json
 //! scratch      the short-lived directory of a launch        tasks           what there is to train on
 //! find         a run by its name                            listing         all runs in a directory
 //! ```
 //!
-//! It knows no command line, prints nothing and decides no exit code: it returns what happened, and the program words
-//! it. It does not know how a policy learns or how a world moves.
+//! It reads no command line, prints nothing and decides no exit code: it returns what happened, and the program words
+//! it. It does write the commands that a page tells its reader to type. It does not know how a policy learns or how a
+//! world moves.
 //!
 //! # Where to start
 //!
@@ -26,6 +27,7 @@ mod directory_error;
 pub mod evaluation;
 mod evaluation_record;
 mod find;
+pub mod findings;
 pub mod journal;
 pub mod launch;
 pub mod layout;
@@ -37,6 +39,7 @@ pub mod policy_file;
 pub mod record;
 mod recorder;
 pub mod report;
+mod run_files;
 pub mod scratch;
 pub mod supervise;
 pub mod tasks;
@@ -56,4 +59,5 @@ pub use naming::Naming;
 pub use policy_file::{BEST_POLICY, LAST_POLICY, LoadedPolicy};
 pub use record::{ForkOrigin, RunRecord, RunResult};
 pub use recorder::RunRecorder;
+pub use run_files::{QUICK_UPDATES, RunFiles};
 pub use tasks::Tasks;

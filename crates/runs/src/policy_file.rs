@@ -6,6 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use leadtime_config::{Config, ConfigError, Override};
+use leadtime_eval::measure::{Choice, Player};
 use leadtime_policy::{Parameters, read_metadata};
 use leadtime_proto::PolicySpec;
 use leadtime_sims::registry::Registry;
@@ -62,6 +63,8 @@ pub struct LoadedPolicy {
     pub config: Config,
     /// The weights.
     pub parameters: Parameters,
+    /// Optimiser iterations that made it; 0 where the file does not say so.
+    pub n_updates: u64,
     /// SHA-256 over the file, in hexadecimal.
     pub sha256: String,
 }
@@ -86,9 +89,27 @@ impl LoadedPolicy {
         let place = format!("the configuration in {}", path.display());
         let config = Config::stored(&place, text, changes, registry)?;
         match Parameters::from_safetensors(&bytes, &config.policy) {
-            Ok(parameters) => Ok(Self { path, config, parameters, sha256: sha256(&bytes) }),
+            Ok(parameters) => {
+                let n_updates = metadata.get(VERSION).and_then(|version| version.parse().ok());
+                let (n_updates, sha256) = (n_updates.unwrap_or(0), sha256(&bytes));
+                Ok(Self { path, config, parameters, n_updates, sha256 })
+            }
             Err(source) => Err(PolicyFileError::Misfit { path, source }),
         }
+    }
+
+    /// Makes it a player under a name; without `action` it chooses as its configuration says.
+    ///
+    /// # Errors
+    ///
+    /// [`leadtime_eval::Error`] if the network cannot be built.
+    pub fn player(
+        &self,
+        name: &str,
+        action: Option<Choice>,
+    ) -> Result<Player, leadtime_eval::Error> {
+        let action = action.unwrap_or(self.config.evaluation.action);
+        Ok(Player::policy(name, &self.config.policy, &self.parameters, action)?)
     }
 }
 

@@ -46,6 +46,9 @@ pub struct RunRecord {
     pub format: u32,
     /// The run's name.
     pub name: String,
+    /// Whether it was made only to check the mechanics (`smoke --quick`).
+    #[serde(default)]
+    pub quick: bool,
     /// What it trains on.
     pub domain: String,
     /// Seed of every random stream.
@@ -123,6 +126,7 @@ impl RunRecord {
         Self {
             format: RUN_FORMAT,
             name: name.to_owned(),
+            quick: false,
             domain: domain.to_owned(),
             seed,
             version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -1,85 +1,25 @@
 //! `report.html` of one run or several, from what lies in their directories and from an evaluation, if there was one.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
 
 use leadtime_config::identity::{Change, difference};
 use leadtime_config::{Config, ConfigSource, Override};
 use leadtime_eval::figure::{Band, BandPanel, ShareRow};
-use leadtime_eval::measure::Comparison;
-use leadtime_eval::report::{Book, Fact, Picture, Provenance, Report, Verdict};
+use leadtime_eval::playthrough::Spoken;
+use leadtime_eval::report::{Book, Fact, Picture, Provenance, Report};
 use leadtime_table::Table;
 use serde_json::{Map, Value};
 
 use crate::command_line::command_line;
-use crate::layout::{read_config, read_record};
+use crate::findings::Findings;
 use crate::record::INITIAL_POLICY;
-use crate::{ProgramBuild, RunDirError, RunRecord, Tasks, journal};
+use crate::run_files::RunFiles;
+use crate::{ProgramBuild, Tasks};
 
 /// Points of a learning curve.
 const N_POINTS: usize = 120;
 /// Settings that say nothing about what a run computes, and the seed, which has an option of its own.
 const NOT_SETTINGS: [&str; 3] = ["run.name", "run.directory", "seed"];
-
-/// What an evaluation adds to a run's own records.
-#[derive(Debug, Default)]
-pub struct Findings {
-    /// Introduction for readers who do not know the run.
-    pub lead: String,
-    /// Claims, and whether they hold.
-    pub verdicts: Vec<Verdict>,
-    /// The players side by side.
-    pub comparison: Option<Comparison>,
-    /// Playthroughs.
-    pub pictures: Vec<Picture>,
-    /// Remarks for the reader.
-    pub notes: Vec<String>,
-}
-
-impl Findings {
-    /// Describes the run of a directory whose policy has not been evaluated.
-    pub fn of_training(config: &Config, directory: &Path) -> Self {
-        let (domain, n_updates) = (&config.domain, config.learner.n_updates());
-        let n_steps = config.steps_per_update();
-        let report = command_line(["report".into(), directory.into()]);
-        let lead = format!(
-            "Training on domain {domain}, {n_updates} updates of {n_steps} steps by a learner and separate actors. The \
-             curves are of training episodes; the policy has not been evaluated yet. `{report}` \
-             evaluates it, draws an episode, and writes this page again."
-        );
-        Self { lead, ..Self::default() }
-    }
-}
-
-/// What lies in a run's directory.
-#[derive(Debug)]
-pub struct RunFiles {
-    /// The directory.
-    pub directory: PathBuf,
-    record: RunRecord,
-    journal: Vec<Map<String, Value>>,
-    config: toml::Table,
-}
-
-impl RunFiles {
-    /// Reads a run's record, journal and configuration.
-    ///
-    /// # Errors
-    ///
-    /// [`RunDirError`] if one of them is missing or cannot be read.
-    pub fn read(directory: &Path) -> Result<Self, RunDirError> {
-        let directory = directory.to_owned();
-        let (record, config) = (read_record(&directory)?, read_config(&directory)?);
-        let io = |source| RunDirError::Io { path: directory.join("metrics.jsonl"), source };
-        let journal = journal::read(&directory).map_err(io)?;
-        Ok(Self { directory, record, journal, config })
-    }
-
-    /// Returns the run's name.
-    pub fn name(&self) -> &str {
-        &self.record.name
-    }
-}
 
 /// Puts a report together: one run in full, or several side by side.
 pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings) -> Report {
@@ -94,9 +34,9 @@ pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings) -> Report {
     Report {
         title: format!("Run{} {}", if alone.is_some() { "" } else { "s" }, names.join(", ")),
         lead: findings.lead,
-        verdicts: findings.verdicts,
+        verdicts: findings.verdict.into_iter().collect(),
         notes: findings.notes,
-        pictures: findings.pictures,
+        pictures: pictures(&findings.episodes),
         comparison: findings.comparison,
         curves: curves(runs),
         staleness: alone.map(|run| staleness(&run.journal)).unwrap_or_default(),
@@ -110,6 +50,11 @@ pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings) -> Report {
             .collect(),
         changed: changed(&names, &nearest),
     }
+}
+
+fn pictures(episodes: &[Spoken]) -> Vec<Picture> {
+    let numbered = episodes.iter().enumerate();
+    numbered.map(|(i, spoken)| Picture::playthrough(spoken, &format!("playthrough-{i}"))).collect()
 }
 
 fn curves(runs: &[RunFiles]) -> Vec<BandPanel> {

@@ -112,10 +112,3 @@ fn several_runs_share_their_figure_and_show_their_settings_side_by_side() {
     assert_eq!(words("learner.clip"), ["learner.clip", "0.1", "as", "built", "in"]);
     assert_eq!(words("learner.gamma"), ["learner.gamma", "as", "built", "in", "0.9"]);
 }
-
-#[test]
-fn a_run_that_was_only_trained_names_the_command_that_evaluates_it() {
-    let runs = Path::new("runs");
-    let lead = Findings::of_training(&config(runs, "cartpole", "a", &[]), &runs.join("a")).lead;
-    assert!(lead.contains("`leadtime report runs/a`"), "{lead}");
-}

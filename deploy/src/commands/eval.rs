@@ -29,14 +29,18 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
             task.record_steps(tasks, args, path)?;
         }
         let record = task.evaluate(tasks, args)?;
+        // Printed first: a directory that cannot be written must not cost the results.
+        if args.shown.json {
+            output::json(&record);
+        } else {
+            evaluation::print(&record.comparison, args.shown.all);
+        }
         if let Some(run) = kept_in {
             evaluation::save(&record, run, &task.policy.config).blame(ExitCode::WrongInput)?;
         }
         if args.shown.json {
-            output::json(&record);
             return Ok(());
         }
-        evaluation::print(&record.comparison, args.shown.all);
         let is_spoken = !tasks.topics(&task.policy.config.evaluation.task).is_empty();
         output::next(&task.policy.path, if is_spoken { &[DRAW, HEAR] } else { &[DRAW] });
         return Ok(());
@@ -73,12 +77,13 @@ impl EvalTask {
     fn load(tasks: &Tasks, args: &EvalArgs, change: Option<&Override>) -> Result<Self, Failure> {
         let acting = &args.acting;
         let changes: Vec<Override> = acting.set.iter().chain(change).cloned().collect();
-        let policy = LoadedPolicy::load(&tasks.registry, &acting.runs, &args.policy, &changes)
-            .blame(ExitCode::WrongInput)?;
+        let policy =
+            LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, &args.policy, &changes)
+                .blame(ExitCode::WrongInput)?;
         let config = &policy.config;
         evaluation::check_measures(config, &args.measure).blame(ExitCode::WrongInput)?;
-        let action = acting.action.unwrap_or(config.evaluation.action);
-        let mut players = vec![evaluation::policy("policy", config, &policy.parameters, action)?];
+        let action = acting.choosing.action.unwrap_or(config.evaluation.action);
+        let mut players = vec![policy.player("policy", Some(action))?];
         players.extend(args.baseline.iter().map(|name| Player::baseline(name)));
         let environment = tasks.registry.build(&config.evaluation.task);
         let environment = environment.blame(ExitCode::WrongInput)?;
@@ -91,7 +96,7 @@ impl EvalTask {
     fn record_steps(&self, tasks: &Tasks, args: &EvalArgs, path: &Path) -> Result<(), Failure> {
         let make = || tasks.registry.build(&self.policy.config.evaluation.task);
         let n_episodes = u64::from(self.n_episodes(args));
-        let settings = PlaySettings::new(n_episodes, args.acting.eval_seed);
+        let settings = PlaySettings::new(n_episodes, args.acting.choosing.eval_seed);
         let settings = settings.threads(n_threads());
         let cannot = || format!("writing {}", path.display());
         let mut file = File::create(path).with_context(cannot).blame(ExitCode::WrongInput)?;
@@ -104,7 +109,8 @@ impl EvalTask {
     }
 
     fn evaluate(&self, tasks: &Tasks, args: &EvalArgs) -> Result<EvaluationRecord, Failure> {
-        let (config, players, seed) = (&self.policy.config, &self.players, args.acting.eval_seed);
+        let (config, players, seed) =
+            (&self.policy.config, &self.players, args.acting.choosing.eval_seed);
         let n_episodes = self.n_episodes(args);
         tracing::info!(policy = %self.policy.path.display(), n_episodes, "evaluating");
         let evaluations = evaluate_all(tasks, config, players, n_episodes, seed)?;
@@ -127,7 +133,7 @@ fn transcript(tasks: &Tasks, args: &EvalArgs, task: &EvalTask) -> Result<(), Fai
     let voice = episode::voice(tasks, config, args.words.as_deref())?;
     for player in &task.players {
         for index in 0..u64::from(args.episodes.unwrap_or(1)) {
-            let (voice, seed) = (voice.as_ref(), args.acting.eval_seed);
+            let (voice, seed) = (voice.as_ref(), args.acting.choosing.eval_seed);
             let played = record(tasks, config, player, voice, seed, index);
             output::line(&played.blame(ExitCode::WrongInput)?.transcript(&Pace::default()));
         }

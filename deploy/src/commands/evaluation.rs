@@ -4,22 +4,11 @@ use std::path::Path;
 
 use anyhow::{Context as _, ensure};
 use leadtime_config::Config;
-use leadtime_eval::measure::{Choice, Comparison, Player, measure_names};
-use leadtime_policy::Parameters;
+use leadtime_eval::measure::{Comparison, measure_names};
 use leadtime_proto::phrase::did_you_mean;
 use leadtime_runs::EvaluationRecord;
 
 use crate::output;
-
-/// Makes a policy a player under a name.
-pub(super) fn policy(
-    name: &str,
-    config: &Config,
-    parameters: &Parameters,
-    action: Choice,
-) -> anyhow::Result<Player> {
-    Ok(Player::policy(name, &config.policy, parameters, action)?)
-}
 
 /// Writes an evaluation into the directory of its run.
 pub(super) fn save(record: &EvaluationRecord, run: &Path, config: &Config) -> anyhow::Result<()> {

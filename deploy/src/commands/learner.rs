@@ -3,11 +3,12 @@
 use anyhow::Context as _;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::ListenSettings;
+use leadtime_runs::findings::Findings;
 use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
-use leadtime_runs::report::Findings;
 use leadtime_runs::{
-    RunDir, RunRecorder, RunResult, RunState, Tasks, clock, digest, learner_config, scratch,
+    RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock, digest, learner_config,
+    scratch,
 };
 use serde_json::json;
 
@@ -59,8 +60,12 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         scratch::remove_if_abandoned(scratch);
     }
     let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args);
-    let findings = Findings::of_training(&config, &run_dir.path);
-    if let Err(error) = report::write(tasks, &run_dir.path, findings) {
+    let files = RunFiles::read(&run_dir.path).map_err(anyhow::Error::from);
+    let written = files.and_then(|run| {
+        let findings = Findings::of_training(&config, &run);
+        report::write(tasks, run, findings)
+    });
+    if let Err(error) = written {
         tracing::warn!("report.html cannot be written: {error:#}");
     }
     concluded

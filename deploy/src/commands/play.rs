@@ -10,7 +10,7 @@ use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::player;
 use leadtime_runs::{LoadedPolicy, Tasks};
 
-use super::{episode, evaluation};
+use super::episode;
 use crate::cli::PlayArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW_MORE};
@@ -40,15 +40,14 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     }
     let name = args.policy.as_deref().unwrap_or(Path::new(""));
     let acting = &args.acting;
-    let loaded = LoadedPolicy::load(&tasks.registry, &acting.runs, name, &acting.set)
+    let loaded = LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, name, &acting.set)
         .blame(ExitCode::WrongInput)?;
-    let action = acting.action.unwrap_or(loaded.config.evaluation.action);
     let player = match &args.baseline {
         Some(name) => Player::baseline(name),
-        None => evaluation::policy("policy", &loaded.config, &loaded.parameters, action)?,
+        None => loaded.player("policy", acting.choosing.action)?,
     };
     let voice = episode::voice(tasks, &loaded.config, args.words.as_deref())?;
-    let (voice, seed) = (voice.as_ref(), acting.eval_seed);
+    let (voice, seed) = (voice.as_ref(), acting.choosing.eval_seed);
     let spoken = leadtime_runs::evaluation::record(tasks, &loaded.config, &player, voice, seed, 0);
     write(&spoken.blame(ExitCode::WrongInput)?, args.frames.clone(), &args.output)?;
     output::next(&loaded.path, &[DRAW_MORE]);

@@ -10,7 +10,6 @@ use leadtime_runs::{LoadedPolicy, Tasks, digest};
 use leadtime_studies::program_facts;
 use serde_json::{Value, json};
 
-use super::evaluation;
 use crate::build::this_build;
 use crate::cli::ProbeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -21,9 +20,10 @@ const DIGEST_DIGITS: usize = 12;
 
 pub(super) fn run(tasks: &Tasks, args: &ProbeArgs) -> Result<(), Failure> {
     let acting = &args.acting;
-    let loaded = LoadedPolicy::load(&tasks.registry, &acting.runs, &args.policy, &acting.set)
-        .blame(ExitCode::WrongInput)?;
-    let action = acting.action.unwrap_or(loaded.config.evaluation.action);
+    let loaded =
+        LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, &args.policy, &acting.set)
+            .blame(ExitCode::WrongInput)?;
+    let action = acting.choosing.action.unwrap_or(loaded.config.evaluation.action);
     let known = measure(tasks, args, &loaded, action).blame(ExitCode::WrongInput)?;
     if let Some(path) = &args.markdown {
         write(path, args, &loaded, action, &known)?;
@@ -33,7 +33,7 @@ pub(super) fn run(tasks: &Tasks, args: &ProbeArgs) -> Result<(), Failure> {
             "policy": loaded.path.display().to_string(),
             "domain": loaded.config.domain.as_str(),
             "action": action,
-            "seed": acting.eval_seed,
+            "seed": acting.choosing.eval_seed,
             "reaction_delay": reaction_delay(&loaded),
             "knowledge": known,
         }));
@@ -50,9 +50,9 @@ fn measure(
     action: Choice,
 ) -> anyhow::Result<ProbeResult> {
     let (config, n_episodes) = (&loaded.config, args.episodes);
-    let player = evaluation::policy("policy", config, &loaded.parameters, action)?;
+    let player = loaded.player("policy", Some(action))?;
     let make = || tasks.registry.build(&config.evaluation.task);
-    let settings = PlaySettings::new(u64::from(n_episodes), args.acting.eval_seed);
+    let settings = PlaySettings::new(u64::from(n_episodes), args.acting.choosing.eval_seed);
     let settings = settings.threads(leadtime_runs::evaluation::n_threads());
     tracing::info!(policy = %loaded.path.display(), n_episodes, "probing");
     Ok(probe(&make, &player, &settings, Bootstrap::new(config.seed))?)
@@ -83,7 +83,7 @@ fn write(
         Fact::new("domain", format!("`{}`", loaded.config.domain)),
         Fact::new("reaction delay", format!("`{}`", reaction_delay(loaded))),
         Fact::new("choices", format!("{action:?}").to_lowercase()),
-        Fact::new("evaluation seed", args.acting.eval_seed.to_string()),
+        Fact::new("evaluation seed", args.acting.choosing.eval_seed.to_string()),
     ];
     facts.extend(program_facts(&this_build()?));
     let title = format!("What `{}` knows of its listener's reaction delay", args.policy.display());

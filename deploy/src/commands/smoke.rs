@@ -7,14 +7,15 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use leadtime_config::{Config, Layer};
 use leadtime_eval::measure::Comparison;
 use leadtime_eval::report::Verdict;
-use leadtime_runs::evaluation::{EVAL_SEED, TRAINED, UNAIDED, evaluate_all, main_measure};
+use leadtime_runs::evaluation::EVAL_SEED;
+use leadtime_runs::findings::{EvaluationRequest, RunEvaluation, evaluate_run};
 use leadtime_runs::launch::Launch;
 use leadtime_runs::record::books_sentence;
-use leadtime_runs::report::Findings;
-use leadtime_runs::{EvaluationRecord, LoadedPolicy, Naming, RunRecord, Tasks};
+use leadtime_runs::{LoadedPolicy, Naming, QUICK_UPDATES, RunFiles, RunRecord, Tasks};
 use serde_json::json;
 
 use super::launch::launch;
@@ -24,11 +25,7 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, HEAR};
 use crate::shutdown::{Watch, unless_cancelled, watch};
 
-/// What the trained notifier must gain over the unaided listener, in success, with its whole interval, in a built-in world.
-/// In a world of one's own, where nobody knows what can be gained, any gain will do.
-const MARK: f64 = 0.3;
-/// Updates and episodes of a quick run.
-const QUICK_UPDATES: u64 = 12;
+/// Episodes of a quick run.
 const QUICK_EPISODES: u32 = 10;
 
 pub(super) async fn run(tasks: &Tasks, args: &SmokeArgs, options: &[&str]) -> Result<(), Failure> {
@@ -41,14 +38,12 @@ pub(super) async fn run(tasks: &Tasks, args: &SmokeArgs, options: &[&str]) -> Re
     let what = Launch { options, ..Launch::new(Naming::New(&stem), args.actors) };
     let directory = launch(&config, &what, &shutdown).await?;
     let (tasks, arguments, run) = (tasks.clone(), args.clone(), directory.clone());
-    let work = move || evaluate(&tasks, &arguments, &config, &run).map_err(Failure::from);
+    let work = move || evaluate(&tasks, &arguments, &run).map_err(Failure::from);
     let outcome = unless_cancelled(&shutdown, work).await;
     // Interrupted, it has a trained policy all the same.
     let outcome = outcome.inspect_err(|_| output::next(&directory, &[EVALUATE, DRAW]))?;
-    let record = RunRecord::read(&directory).blame(ExitCode::Failed)?;
-    let books = record.result.map(|result| result.books).unwrap_or_default();
-    print(args, &directory, &outcome, &books);
-    if outcome.passed { Ok(()) } else { Err(Failure::silent(ExitCode::Failed)) }
+    print(args, &directory, &outcome);
+    if outcome.verdict.holds { Ok(()) } else { Err(Failure::silent(ExitCode::Failed)) }
 }
 
 /// Loads the domain's configuration, made small for a quick run.
@@ -67,80 +62,56 @@ fn configure(tasks: &Tasks, args: &SmokeArgs) -> anyhow::Result<Config> {
 /// What the evaluation found.
 struct SmokeOutcome {
     comparison: Comparison,
-    sentence: String,
-    passed: bool,
+    verdict: Verdict,
+    books: serde_json::Value,
 }
 
-fn evaluate(
-    tasks: &Tasks,
-    args: &SmokeArgs,
-    config: &Config,
-    directory: &Path,
-) -> anyhow::Result<SmokeOutcome> {
-    let loaded = LoadedPolicy::load(&tasks.registry, &config.run.directory, directory, &[])?;
-    let action = config.evaluation.action;
-    let trained = evaluation::policy(TRAINED, config, &loaded.parameters, action)?;
-    let players = leadtime_runs::evaluation::players(tasks, trained, config, action)?;
-    let default = if args.quick { QUICK_EPISODES } else { config.evaluation.episodes };
-    let n_episodes = args.episodes.unwrap_or(default);
-    let seed = EVAL_SEED;
-    let evaluations = evaluate_all(tasks, config, &players, n_episodes, seed)?;
-    let comparison = leadtime_runs::evaluation::compare(config, &evaluations, &[]);
-    let (sentence, passed) = verdict(args, config, &comparison);
-    let quick = "This was a quick run: it checks the mechanics only, and its figures say nothing about learning.";
-    let episodes = leadtime_runs::evaluation::telling(tasks, config, &players, &evaluations)?;
-    if let Some(first) = episodes.first() {
+fn evaluate(tasks: &Tasks, args: &SmokeArgs, directory: &Path) -> anyhow::Result<SmokeOutcome> {
+    let mut record = RunRecord::read(directory)?;
+    if args.quick {
+        record.quick = true;
+        record.write(directory).context("noting that the run is a quick one")?;
+    }
+    let run = RunFiles::read(directory)?;
+    let policy = LoadedPolicy::load(&tasks.registry, directory, directory, &[])?;
+    let episodes = args.episodes.or(args.quick.then_some(QUICK_EPISODES));
+    let request = EvaluationRequest { episodes, action: None, seed: EVAL_SEED };
+    let RunEvaluation { findings, record: evaluated } =
+        evaluate_run(tasks, &run, &policy, &request)?;
+    if let Some(first) = findings.episodes.first() {
         play::draw(first, &directory.join("playthrough.png"))?;
     }
-    let record = EvaluationRecord::new(&loaded, action, seed, comparison.clone());
-    evaluation::save(&record, directory, config)?;
-    let findings = Findings {
-        lead: report::lead(config, &loaded.path),
-        verdicts: vec![Verdict { holds: passed, sentence: sentence.clone() }],
-        comparison: Some(comparison.clone()),
-        pictures: report::pictures(&episodes),
-        notes: args.quick.then(|| quick.to_owned()).into_iter().collect(),
+    let nobody = || Verdict {
+        holds: true,
+        sentence: "There is nobody to compare with: no verdict.".to_owned(),
     };
-    report::write(tasks, directory, findings)?;
-    Ok(SmokeOutcome { comparison, sentence, passed })
+    let outcome = SmokeOutcome {
+        comparison: evaluated.comparison.clone(),
+        verdict: findings.verdict.clone().unwrap_or_else(nobody),
+        books: record.result.map(|result| result.books).unwrap_or_default(),
+    };
+    evaluation::save(&evaluated, directory, &policy.config)?;
+    report::write(tasks, run, findings)?;
+    Ok(outcome)
 }
 
-/// Says whether the trained policy gained enough, where the task has a person to compare with.
-fn verdict(args: &SmokeArgs, config: &Config, comparison: &Comparison) -> (String, bool) {
-    if args.quick {
-        return ("The mechanics work; learning was not checked (--quick).".to_owned(), true);
-    }
-    let measure = main_measure(config);
-    let against = comparison.differences.iter().find(|difference| difference.minus == UNAIDED);
-    let (Some(difference), true) = (against, measure == "success") else {
-        return ("This task has no unaided person to compare with: no verdict.".to_owned(), true);
-    };
-    let mark = if Tasks::is_built_in(config.domain.as_str()) { MARK } else { 0.0 };
-    let passed = difference.interval.low > mark;
-    let verb = if passed { "gained" } else { "did not gain" };
-    let interval = difference.sentence(comparison.bootstrap.confidence);
-    let amount =
-        if mark > 0.0 { format!("more than {mark} in success") } else { "in success".to_owned() };
-    (format!("The trained notifier {verb} {amount}: {interval}."), passed)
-}
-
-fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome, books: &serde_json::Value) {
+fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome) {
     let report = directory.join("report.html");
     if args.shown.json {
         output::json(&json!({
             "run": directory.display().to_string(),
             "report": report.display().to_string(),
             "quick": args.quick,
-            "passed": outcome.passed,
-            "verdict": outcome.sentence,
+            "passed": outcome.verdict.holds,
+            "verdict": outcome.verdict.sentence,
             "comparison": outcome.comparison,
-            "books": books,
+            "books": outcome.books,
         }));
         return;
     }
     evaluation::print(&outcome.comparison, args.shown.all);
-    output::line(&format!("\n{}", outcome.sentence));
-    output::line(&format!("Books:  {}", books_sentence(books)));
+    output::line(&format!("\n{}", outcome.verdict.sentence));
+    output::line(&format!("Books:  {}", books_sentence(&outcome.books)));
     output::line(&format!("Report: {}", report.display()));
     output::next(directory, &[DRAW, HEAR]);
 }

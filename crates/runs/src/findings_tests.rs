@@ -1,0 +1,126 @@
+use leadtime_config::{ConfigSource, Override};
+use leadtime_eval::measure::Difference;
+use leadtime_learner::write_atomically;
+use leadtime_numerics::stats::{Bootstrap, Interval};
+use leadtime_policy::Parameters;
+use leadtime_proto::DomainName;
+use serde_json::json;
+
+use super::*;
+use crate::journal::Journal;
+use crate::policy_file::{VERSION, metadata};
+use crate::{ProgramBuild, QUICK_UPDATES, RunDir};
+
+fn config(runs: &Path, base: &str, set: &[&str]) -> Config {
+    let tasks = Tasks::new();
+    let source = ConfigSource {
+        steps: None,
+        file: tasks.catalog.file(base),
+        set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
+        seed: Some(7),
+        runs: Some(runs.to_owned()),
+        name: Some("a".to_owned()),
+    };
+    Config::load(&source, &tasks.catalog, &tasks.registry).unwrap()
+}
+
+/// Trains a run from update `first` to `last`, and writes its policy.
+fn train(config: &Config, first: u64, last: u64) -> RunFiles {
+    let directory = config.run.directory.join("a");
+    if first == 1 {
+        RunDir::open(config, None, &ProgramBuild::default()).unwrap();
+    }
+    let mut journal = Journal::open(&directory).unwrap();
+    for update in first..=last {
+        journal.append(&json!({"update": update, "steps": 100 * update})).unwrap();
+    }
+    let mut entries = metadata(config, "a");
+    entries.insert(VERSION.to_owned(), last.to_string());
+    let parameters = Parameters::initialize(&config.policy, 1).unwrap();
+    let bytes = parameters.to_safetensors(&entries).unwrap();
+    write_atomically(&directory.join(LAST_POLICY), &bytes).unwrap();
+    RunFiles::read(&directory).unwrap()
+}
+
+fn load(run: &RunFiles) -> LoadedPolicy {
+    let registry = Tasks::new().registry;
+    LoadedPolicy::load(&registry, &run.directory, &run.directory, &[]).unwrap()
+}
+
+const REQUEST: EvaluationRequest = EvaluationRequest { episodes: Some(2), action: None, seed: 1 };
+
+#[test]
+fn a_page_tells_how_far_the_run_is_and_which_policy_was_evaluated() {
+    let dir = tempfile::tempdir().unwrap();
+    let (tasks, config) = (Tasks::new(), config(dir.path(), "cartpole", &[]));
+    let n = config.learner.n_updates();
+    let run = train(&config, 1, 5);
+    let lead = Findings::of_training(&config, &run).lead;
+    for part in [&format!("for 5 of {n} updates"), "not been evaluated yet", "leadtime report "] {
+        assert!(lead.contains(part), "{lead}");
+    }
+    let evaluated = evaluate_run(&tasks, &run, &load(&run), &REQUEST).unwrap();
+    let lead = evaluated.findings.lead;
+    for part in [&format!("for 5 of {n} updates"), "policy.safetensors, from update 5"] {
+        assert!(lead.contains(part), "{lead}");
+    }
+    evaluated.record.write(&run.directory, &config).unwrap();
+    let found = Findings::of_training(&config, &run);
+    assert!(found.lead.contains("the last evaluation of policy.safetensors"), "{}", found.lead);
+    assert_eq!(found.comparison.as_ref(), Some(&evaluated.record.comparison));
+    assert_eq!(found.verdict, evaluated.findings.verdict);
+    let found = Findings::of_training(&config, &train(&config, 6, n));
+    for part in [&format!("for {n} updates"), "of an earlier policy, from update 5"] {
+        assert!(found.lead.contains(part), "{}", found.lead);
+    }
+    assert!(found.comparison.is_none() && found.verdict.is_none());
+}
+
+#[test]
+fn a_quick_run_is_called_so_until_it_trains_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let (tasks, config) = (Tasks::new(), config(dir.path(), "cartpole", &[]));
+    let mut run = train(&config, 1, QUICK_UPDATES);
+    let judge = |run: &RunFiles| {
+        let findings = evaluate_run(&tasks, run, &load(run), &REQUEST).unwrap().findings;
+        (findings.verdict.unwrap().sentence, findings.notes.len())
+    };
+    assert!(judge(&run).0.starts_with("The trained policy "));
+    run.record.quick = true;
+    assert_eq!(
+        judge(&run),
+        ("The mechanics work; learning was not checked (--quick).".to_owned(), 1)
+    );
+    run.record.write(&run.directory).unwrap();
+    let run = train(&config, QUICK_UPDATES + 1, QUICK_UPDATES + 1);
+    assert!(run.record.quick && judge(&run).0.starts_with("The trained policy "));
+}
+
+#[test]
+fn a_shipped_world_asks_for_more_than_ones_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut config = config(dir.path(), "lander", &[]);
+    let difference = |measure: &str, minus: &str, low: f64| Difference {
+        measure: measure.to_owned(),
+        of: TRAINED.to_owned(),
+        minus: minus.to_owned(),
+        interval: Interval { estimate: low + 0.1, low, high: low + 0.2 },
+    };
+    let judge = |config: &Config, low: f64| {
+        let differences = vec![
+            difference("success", UNTRAINED, -0.5),
+            difference("return", UNAIDED, -0.5),
+            difference("success", UNAIDED, low),
+        ];
+        let comparison =
+            Comparison { bootstrap: Bootstrap::new(1), summaries: Vec::new(), differences };
+        let Verdict { holds, sentence } = verdict(config, &comparison, false).unwrap();
+        (holds, sentence.split(':').next().unwrap().to_owned())
+    };
+    let says = |holds: bool, sentence: &str| (holds, format!("The trained policy {sentence}"));
+    assert_eq!(judge(&config, 0.4), says(true, "gained more than 0.3 in success"));
+    assert_eq!(judge(&config, 0.2), says(false, "did not gain more than 0.3 in success"));
+    config.domain = DomainName::new("corridor").unwrap();
+    assert_eq!(judge(&config, 0.2), says(true, "gained in success"));
+    assert_eq!(judge(&config, -0.1), says(false, "did not gain in success"));
+}

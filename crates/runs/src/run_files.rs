@@ -1,0 +1,51 @@
+//! What lies in a run's directory, read for its report.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Map, Value};
+
+use crate::layout::{read_config, read_record};
+use crate::{RunDirError, RunRecord, journal};
+
+/// Updates of a quick run, which checks the mechanics only.
+pub const QUICK_UPDATES: u64 = 12;
+
+/// What lies in a run's directory.
+#[derive(Debug)]
+pub struct RunFiles {
+    /// The directory.
+    pub directory: PathBuf,
+    pub(crate) record: RunRecord,
+    pub(crate) journal: Vec<Map<String, Value>>,
+    pub(crate) config: toml::Table,
+}
+
+impl RunFiles {
+    /// Reads a run's record, journal and configuration.
+    ///
+    /// # Errors
+    ///
+    /// [`RunDirError`] if one of them is missing or cannot be read.
+    pub fn read(directory: &Path) -> Result<Self, RunDirError> {
+        let directory = directory.to_owned();
+        let (record, config) = (read_record(&directory)?, read_config(&directory)?);
+        let io = |source| RunDirError::Io { path: directory.join("metrics.jsonl"), source };
+        let journal = journal::read(&directory).map_err(io)?;
+        Ok(Self { directory, record, journal, config })
+    }
+
+    /// Returns the run's name.
+    pub fn name(&self) -> &str {
+        &self.record.name
+    }
+
+    /// Returns how many updates the run has done.
+    pub(crate) fn n_updates(&self) -> u64 {
+        self.journal.last().and_then(|line| line.get("update")?.as_u64()).unwrap_or(0)
+    }
+
+    /// Tells whether the run was only to check the mechanics, and did nothing more.
+    pub(crate) fn is_quick(&self) -> bool {
+        self.record.quick && self.n_updates() <= QUICK_UPDATES
+    }
+}
