@@ -4,6 +4,7 @@
 //! failure, such as a full disk, is kept, and [`finish`] reports it when the command is done: work that was done is
 //! not undone by it. What cannot be written to standard error is dropped.
 
+use std::env;
 use std::ffi::OsString;
 use std::fmt::Display;
 use std::io::{self, Write as _};
@@ -12,7 +13,7 @@ use std::sync::OnceLock;
 
 use anyhow::Context as _;
 use leadtime_proto::text::own_message;
-use leadtime_runs::{command_line, journal, write_atomically};
+use leadtime_runs::{command_line, journal, program_name, write_atomically};
 pub(crate) use leadtime_table::WIDTH;
 use serde::Serialize;
 
@@ -66,6 +67,21 @@ pub(crate) fn note(text: &str) {
     }
 }
 
+/// Names this program as commands have to.
+pub(crate) fn program() -> String {
+    program_name(env::args_os().next())
+}
+
+/// Writes a command of this program as it can be typed.
+pub(crate) fn command(args: impl IntoIterator<Item = OsString>) -> String {
+    command_line(&program(), args)
+}
+
+/// Returns the command that is being carried out.
+pub(crate) fn this_command() -> String {
+    command(env::args_os().skip(1))
+}
+
 /// A command about a policy that can be typed next, with `POLICY` for it, and what it does.
 type Hint = (&'static str, &'static str);
 pub(crate) const EVALUATE: Hint = ("eval POLICY", "evaluate it over many episodes, with intervals");
@@ -76,8 +92,8 @@ pub(crate) const HEAR: Hint = ("eval POLICY --transcript", "print an episode as 
 /// Says what can be done next with a policy, or with a run's.
 pub(crate) fn next(policy: &Path, hints: &[Hint]) {
     let word = |word: &str| if word == "POLICY" { policy.into() } else { word.into() };
-    let line = |(command, does): &Hint| {
-        format!("\n  {}\n      {does}", command_line(command.split(' ').map(word)))
+    let line = |(hint, does): &Hint| {
+        format!("\n  {}\n      {does}", command(hint.split(' ').map(word)))
     };
     note(&format!("\nNext:{}", hints.iter().map(line).collect::<String>()));
 }
@@ -87,7 +103,7 @@ pub(crate) fn next_resumes(command: &str, run: &Path, name: &str, options: &[Str
     let (n_updates, config) = (journal::last_update(run), run.join("config.toml"));
     let mut args = vec![command.into(), "-c".into(), config.into(), "--name".into(), name.into()];
     args.extend(options.iter().map(OsString::from));
-    note(&format!("\nTo go on from update {n_updates}:\n  {}", command_line(args)));
+    note(&format!("\nTo go on from update {n_updates}:\n  {}", self::command(args)));
 }
 
 /// Writes an error as the last line of a command.

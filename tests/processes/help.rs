@@ -94,3 +94,21 @@ fn the_command_that_goes_on_with_a_run_is_said_and_works() {
     assert!(quiet.stderr.is_empty(), "{}", quiet.stderr);
     fits(&quiet.stdout);
 }
+
+#[test]
+fn hints_name_the_program_as_it_was_started() {
+    let place = Place::new();
+    let other = place.copy_of_program("my-world");
+    let name = other.to_str().unwrap();
+    let train = "train -c cartpole --actors 1 --set learner.n_steps=32 --steps 1280 --name r";
+    let run = |args: &[&str]| {
+        let command = place.program_at(&other, args);
+        place.start_with(command).finish(crate::support::PATIENCE).with_code(0).stderr
+    };
+    let stopped = run(&[train, "--stop-after 2"]);
+    assert!(stopped.contains(&format!("\n  {name} up -c ")), "{stopped}");
+    let page = fs::read_to_string(place.run("r").join("report.html")).unwrap();
+    assert!(page.contains(&format!("{name} report runs/r")), "the report names the program");
+    let done = run(&[train]);
+    assert!(done.contains(&format!("\n  {name} eval runs/r\n")), "{done}");
+}

@@ -64,9 +64,9 @@ pub struct RunEvaluation {
 
 impl Findings {
     /// Describes a run after training, with the last evaluation if that is of the present policy.
-    pub fn of_training(config: &Config, run: &RunFiles) -> Self {
+    pub fn of_training(config: &Config, run: &RunFiles, program: &str) -> Self {
         let trained = trained(config, run.n_updates());
-        let report = command_line(["report".into(), run.directory.clone().into()]);
+        let report = command_line(program, ["report".into(), run.directory.clone().into()]);
         let last = EvaluationRecord::read(&run.directory);
         let is_current = |record: &EvaluationRecord| {
             let files = [BEST_POLICY, LAST_POLICY].map(|file| run.directory.join(file));

@@ -55,7 +55,7 @@ fn a_page_tells_how_far_the_run_is_and_which_policy_was_evaluated() {
     let (tasks, config) = (Tasks::new(), config(dir.path(), "cartpole", &[]));
     let n = config.learner.n_updates();
     let run = train(&config, 1, 5);
-    let lead = Findings::of_training(&config, &run).lead;
+    let lead = Findings::of_training(&config, &run, "leadtime").lead;
     for part in [&format!("for 5 of {n} updates"), "not been evaluated yet", "leadtime report "] {
         assert!(lead.contains(part), "{lead}");
     }
@@ -65,11 +65,11 @@ fn a_page_tells_how_far_the_run_is_and_which_policy_was_evaluated() {
         assert!(lead.contains(part), "{lead}");
     }
     evaluated.record.write(&run.directory, &config).unwrap();
-    let found = Findings::of_training(&config, &run);
+    let found = Findings::of_training(&config, &run, "leadtime");
     assert!(found.lead.contains("the last evaluation of policy.safetensors"), "{}", found.lead);
     assert_eq!(found.comparison.as_ref(), Some(&evaluated.record.comparison));
     assert_eq!(found.verdict, evaluated.findings.verdict);
-    let found = Findings::of_training(&config, &train(&config, 6, n));
+    let found = Findings::of_training(&config, &train(&config, 6, n), "leadtime");
     for part in [&format!("for {n} updates"), "of an earlier policy, from update 5"] {
         assert!(found.lead.contains(part), "{}", found.lead);
     }

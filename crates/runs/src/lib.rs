@@ -46,7 +46,7 @@ pub mod tasks;
 mod tensorboard;
 
 pub use build::ProgramBuild;
-pub use command_line::command_line;
+pub use command_line::{command_line, program_name};
 pub use directory::RunDir;
 pub use directory_error::RunDirError;
 pub use evaluation_record::{EvaluationRecord, LAST_EVALUATION};

@@ -21,8 +21,8 @@ const N_POINTS: usize = 120;
 /// Settings that say nothing about what a run computes, and the seed, which has an option of its own.
 const NOT_SETTINGS: [&str; 3] = ["run.name", "run.directory", "seed"];
 
-/// Puts a report together: one run in full, or several side by side.
-pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings) -> Report {
+/// Puts a report together: one run in full, or several side by side. `program` trains them again.
+pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings, program: &str) -> Report {
     let alone = match runs {
         [only] => Some(only),
         _ => None,
@@ -46,7 +46,7 @@ pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings) -> Report {
         provenance: runs
             .iter()
             .zip(&nearest)
-            .map(|(run, nearest)| provenance(tasks, run, nearest))
+            .map(|(run, nearest)| provenance(tasks, run, nearest, program))
             .collect(),
         changed: changed(&names, &nearest),
     }
@@ -124,11 +124,16 @@ fn account(books: &Value) -> Vec<Book> {
     meanings.into_iter().map(book).collect()
 }
 
-fn provenance(tasks: &Tasks, run: &RunFiles, nearest: &NearestBuiltIn) -> Provenance {
+fn provenance(
+    tasks: &Tasks,
+    run: &RunFiles,
+    nearest: &NearestBuiltIn,
+    program: &str,
+) -> Provenance {
     Provenance {
         run: run.name().to_owned(),
         facts: facts(run),
-        command: command(tasks, run, nearest),
+        command: command(tasks, run, nearest, program),
         settings: run.config.to_string(),
     }
 }
@@ -225,7 +230,7 @@ fn changed(names: &[&str], all_nearest: &[NearestBuiltIn]) -> Option<Table> {
 
 /// Writes the command that trains a run again: from its built-in configuration if that gives the same settings, else from
 /// the file in its directory.
-fn command(tasks: &Tasks, run: &RunFiles, nearest: &NearestBuiltIn) -> String {
+fn command(tasks: &Tasks, run: &RunFiles, nearest: &NearestBuiltIn, program: &str) -> String {
     let mut changes: Vec<String> = Vec::new();
     for change in &nearest.changes {
         let mut parts = change.key.splitn(3, '.');
@@ -267,7 +272,7 @@ fn command(tasks: &Tasks, run: &RunFiles, nearest: &NearestBuiltIn) -> String {
         let initial = run.directory.join(INITIAL_POLICY).display().to_string();
         words.extend(["--fork".to_owned(), initial]);
     }
-    command_line(words.into_iter().map(Into::into))
+    command_line(program, words.into_iter().map(Into::into))
 }
 
 #[cfg(test)]

@@ -39,7 +39,7 @@ fn a_report_of_one_run_names_its_command_and_what_differs() {
     let dir = tempfile::tempdir().unwrap();
     let tasks = Tasks::new();
     let run = begun(dir.path(), "cartpole", "a", &["learner.clip=0.1"]);
-    let page = report(&tasks, &[run], Findings::default());
+    let page = report(&tasks, &[run], Findings::default(), "leadtime");
     assert_eq!(page.title, "Run a");
     let [curve] = &page.curves[..] else { panic!("one number has a curve") };
     assert_eq!((curve.bands.len(), curve.bands[0].label.as_str()), (1, ""));
@@ -70,7 +70,7 @@ fn the_command_gives_the_same_configuration_also_where_a_choice_was_replaced() {
         );
         let origin = NearestBuiltIn::of(&tasks, &run.config);
         assert_eq!(origin.name.as_deref(), Some(base));
-        let command = command(&tasks, &run, &origin);
+        let command = command(&tasks, &run, &origin, "leadtime");
         assert!(
             command.starts_with(&format!("leadtime up -c {base} --seed 7 --set ")),
             "{command}"
@@ -86,7 +86,7 @@ fn a_run_of_no_built_in_configuration_is_trained_again_from_its_own_file() {
     let mut run = begun(dir.path(), "cartpole", "a", &[]);
     run.config.insert("domain".to_owned(), "elsewhere".into());
     run.record.origin = Some(ForkOrigin { run: "b".to_owned(), weights_sha256: String::new() });
-    let command = command(&Tasks::new(), &run, &NearestBuiltIn::default());
+    let command = command(&Tasks::new(), &run, &NearestBuiltIn::default(), "leadtime");
     let file = |name: &str| run.directory.join(name).display().to_string();
     let [config, initial] = [file("config.toml"), file("initial.safetensors")];
     let expected = format!("leadtime up -c {config} --name a-again --fork {initial}");
@@ -100,7 +100,7 @@ fn several_runs_share_their_figure_and_show_their_settings_side_by_side() {
         begun(dir.path(), "cartpole", "a", &["learner.clip=0.1"]),
         begun(dir.path(), "cartpole", "b", &["learner.gamma=0.9"]),
     ];
-    let page = report(&Tasks::new(), &runs, Findings::default());
+    let page = report(&Tasks::new(), &runs, Findings::default(), "leadtime");
     assert_eq!(page.title, "Runs a, b");
     let labels: Vec<&str> = page.curves[0].bands.iter().map(|band| band.label.as_str()).collect();
     assert_eq!(labels, ["a", "b"]);

@@ -1,6 +1,6 @@
 //! `leadtime actor`: environments for a learner somewhere else.
 
-use std::{env, fs};
+use std::fs;
 
 use anyhow::Context as _;
 use leadtime_actor::{ActorEnd, ActorSettings, Error};
@@ -41,7 +41,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
         output::line(&format!("run {}: {steps}, {sent} sent, {taken} acknowledged", report.run));
     }
     if !args.supervised {
-        let command = leadtime_runs::command_line(env::args_os().skip(1));
+        let command = output::this_command();
         output::note(&format!(
             "\nWhile a learner runs there, the same command joins it:\n  {command}"
         ));

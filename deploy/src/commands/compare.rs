@@ -34,7 +34,7 @@ pub(super) async fn run(tasks: &Tasks, args: &CompareArgs) -> Result<(), Failure
     }
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let done = session.carry_out(crew, &mut Console::default(), &shutdown).await;
-    let command = leadtime_runs::command_line(std::env::args_os().skip(1));
+    let command = output::this_command();
     match &done {
         Ok(()) => output::note(&format!(
             "\nNothing is trained or evaluated twice: the same command only draws again:\n  {command}"
@@ -60,7 +60,7 @@ fn request(args: &CompareArgs) -> Result<StudyRequest, Failure> {
         eval_seed: args.eval_seed,
         runs: args.runs.clone(),
         out: args.out.clone(),
-        command: leadtime_runs::command_line(std::env::args_os().skip(1)),
+        command: output::this_command(),
         build: this_build().blame(ExitCode::Failed)?,
     })
 }

@@ -62,7 +62,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args);
     let files = RunFiles::read(&run_dir.path).map_err(anyhow::Error::from);
     let written = files.and_then(|run| {
-        let findings = Findings::of_training(&config, &run);
+        let findings = Findings::of_training(&config, &run, &output::program());
         report::write(tasks, run, findings)
     });
     if let Err(error) = written {

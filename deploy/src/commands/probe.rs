@@ -77,7 +77,7 @@ fn write(
     let mut facts = vec![
         Fact::new(
             "command",
-            format!("`{}`", leadtime_runs::command_line(std::env::args_os().skip(1))),
+            format!("`{}`", output::this_command()),
         ),
         Fact::new("policy", format!("`{}`, weights `{weights}`", args.policy.display())),
         Fact::new("domain", format!("`{}`", loaded.config.domain)),

@@ -40,7 +40,7 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
         _ => return Err(Failure::input("several runs: --out FILE says where their page goes")),
     };
     let text = findings.comparison.as_ref().map(|found| found.text(false)).unwrap_or_default();
-    let html = report(tasks, &files, findings).html();
+    let html = report(tasks, &files, findings, &output::program()).html();
     output::file(&page, html.as_bytes()).blame(ExitCode::WrongInput)?;
     output::line(&format!("{text}\nReport: {}", page.display()));
     Ok(())
@@ -49,5 +49,5 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
 /// Writes the page of a run into its directory.
 pub(super) fn write(tasks: &Tasks, run: RunFiles, findings: Findings) -> anyhow::Result<()> {
     let page = run.directory.join(PAGE);
-    output::file(&page, report(tasks, &[run], findings).html().as_bytes())
+    output::file(&page, report(tasks, &[run], findings, &output::program()).html().as_bytes())
 }
