@@ -72,7 +72,7 @@ impl Cli {
                 "leadtime" => {
                     command.after_help(format!("{help}\n\n{VARIABLES_HELP}\n\n{EXIT_CODE_HELP}"))
                 }
-                name => command.mut_subcommand(name, |command| command.after_help(help)),
+                path => explained(command, path, help),
             };
         }
         command
@@ -81,6 +81,14 @@ impl Cli {
     /// Reads the arguments of this process.
     pub(crate) fn read() -> Result<Self, clap::Error> {
         Self::from_arg_matches(&Self::documented().try_get_matches()?)
+    }
+}
+
+/// Ends the help of a command, which may be nested, with a text.
+fn explained(command: clap::Command, path: &str, help: String) -> clap::Command {
+    match path.split_once(' ') {
+        Some((first, rest)) => command.mut_subcommand(first, |it| explained(it, rest, help)),
+        None => command.mut_subcommand(path, |it| it.after_help(help)),
     }
 }
 
@@ -591,7 +599,7 @@ fn n_steps(text: &str) -> Result<u64, String> {
     let number = text.parse::<f64>().ok().filter(|x| x.fract() == 0.0 && (1.0..=1e15).contains(x));
     number
         .map(|x| x as u64)
-        .ok_or_else(|| "write a whole number of steps: 200000 or 1e6".to_owned())
+        .ok_or_else(|| "write a whole number of steps, 1 to 1e15: 200000 or 1e6".to_owned())
 }
 
 /// Reads how a policy chooses.

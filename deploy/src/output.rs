@@ -88,13 +88,13 @@ pub(crate) const EVALUATE: Hint = ("eval POLICY", "evaluate it over many episode
 pub(crate) const DRAW: Hint = ("play POLICY -o episode.png", "draw an episode of it");
 pub(crate) const DRAW_MORE: Hint = ("play POLICY --eval-seed 2 -o other.png", "draw another one");
 pub(crate) const HEAR: Hint = ("eval POLICY --transcript", "print an episode as it is heard");
+pub(crate) const TRY: Hint = ("smoke", "train a policy, evaluate it and draw an episode of it");
 
 /// Says what can be done next with a policy, or with a run's.
 pub(crate) fn next(policy: &Path, hints: &[Hint]) {
     let word = |word: &str| if word == "POLICY" { policy.into() } else { word.into() };
-    let line = |(hint, does): &Hint| {
-        format!("\n  {}\n      {does}", command(hint.split(' ').map(word)))
-    };
+    let line =
+        |(hint, does): &Hint| format!("\n  {}\n      {does}", command(hint.split(' ').map(word)));
     note(&format!("\nNext:{}", hints.iter().map(line).collect::<String>()));
 }
 

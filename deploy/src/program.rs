@@ -81,10 +81,15 @@ fn meant_setting(
     tasks: &Tasks,
     args: impl Iterator<Item = String>,
 ) -> Option<String> {
+    let args: Vec<String> = args.collect();
+    let root = Cli::documented();
+    let command = args.iter().fold(&root, |at, arg| at.find_subcommand(arg).unwrap_or(at));
+    command.get_arguments().find(|option| option.get_long() == Some("set"))?;
     let ContextValue::String(option) = answer.get(ContextKind::InvalidArg)? else { return None };
     let name = option.trim_start_matches('-').split('=').next()?.replace('-', "_");
     let key = tasks.catalog.key(&name)?;
-    let mut given = args.skip_while(|arg| arg.split('=').next() != option.split('=').next());
+    let mut given =
+        args.into_iter().skip_while(|arg| arg.split('=').next() != option.split('=').next());
     let here = given.next()?;
     let value = here.split_once('=').map(|(_, value)| value.to_owned()).or_else(|| given.next());
     Some(format!("{key}={}", value.unwrap_or_else(|| "VALUE".to_owned())))

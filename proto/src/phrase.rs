@@ -3,6 +3,8 @@
 use std::fmt::Display;
 use std::time::Duration;
 
+use crate::text::quoted;
+
 /// How similar two names must be for one to be taken for a misspelling of the other: between 0 and 1, as Jaro counts.
 const SIMILAR: f64 = 0.8;
 
@@ -44,9 +46,31 @@ pub fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) ->
     nearest(name, known).map_or(String::new(), |known| format!("; did you mean `{known}`?"))
 }
 
+/// Says in two sentences that there is no such thing, which one was meant, and which there are; the second one has no full stop.
+pub fn no_such<'a>(
+    thing: &str,
+    name: &str,
+    known: impl IntoIterator<Item = &'a str> + Clone,
+) -> String {
+    let end = match did_you_mean(name, known.clone()) {
+        meant if meant.is_empty() => ".".to_owned(),
+        meant => meant,
+    };
+    let known = known.into_iter().collect::<Vec<_>>().join(", ");
+    format!("there is no {thing} `{}`{end} Known: {known}", quoted(name))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_unknown_name_is_guessed_in_a_sentence_of_its_own() {
+        let known = ["lander", "highway"];
+        let guessed = "there is no plan `landr`; did you mean `lander`? Known: lander, highway";
+        assert_eq!(no_such("plan", "landr", known), guessed);
+        assert_eq!(no_such("plan", "x", known), "there is no plan `x`. Known: lander, highway");
+    }
 
     #[test]
     fn one_thing_is_singular() {

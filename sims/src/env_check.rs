@@ -80,6 +80,13 @@ impl RewardScale {
         let Self { per_episode, message_cost, .. } = *self;
         let limit = NOTABLE_COST * per_episode;
         (message_cost > limit).then(|| {
+            if per_episode == 0.0 {
+                return format!(
+                    "a message costs {message_cost:.3}, and an episode without messages has no rewards: an untrained \
+                     notifier speaks often and rarely wins what messages can win, so it may learn silence; set \
+                     `notifier.initiation_cost` to a small part of what a success pays"
+                );
+            }
             format!(
                 "a message costs {message_cost:.3}, and an episode without messages has rewards of {per_episode:.3} in \
                  all (absolute): an untrained notifier speaks often, so it may learn silence; set \
@@ -128,6 +135,23 @@ impl fmt::Display for Divergence {
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum EnvDefect {
+    /// The description has names for another number of things than the observation has.
+    #[error(
+        "`quantities` names {n_named} numbers of an observation that has {obs_dim}: name each once, in order, or policy \
+         files and `describe` label them wrongly"
+    )]
+    QuantitiesDiffer { n_named: usize, obs_dim: usize },
+    /// The description has other heads than the specification.
+    #[error(
+        "`describe` has the heads {described}, and `spec` has {specified}: policy files and `describe` label the \
+         choices wrongly"
+    )]
+    HeadsDiffer { described: String, specified: String },
+    /// A mask that leaves a head without any choice.
+    #[error(
+        "the mask offers no choice of head `{head}` at {at}: offer at least one, such as the one that does nothing"
+    )]
+    NothingOffered { head: String, at: StepPlace },
     /// An observation, a reward or a metric that is no number.
     #[error(
         "{what} is {value} at {at}; observations, rewards and metrics must be finite, and every one must be written"
@@ -414,11 +438,39 @@ impl EnvReport {
                 (at, shown.snapshot.len())
             });
         self.largest_snapshot = n_bytes;
+        let actions = &env.spec().actions;
+        let offsets = actions.offsets();
+        let nothing_offered = moments().find_map(|(at, shown)| {
+            let ended = shown.outcome.end.is_some();
+            let mut heads = actions.heads.iter().zip(&offsets).filter(|_| !ended);
+            let (head, _) =
+                heads.find(|(head, offset)| shown.mask.of_head(**offset, head.n_choices) == 0)?;
+            Some(EnvDefect::NothingOffered { head: head.name.clone(), at })
+        });
         let bound = self.snapshot_bound;
         let too_large = EnvDefect::SnapshotTooLarge { n_bytes, bound, at };
+        self.defects.extend(wrong_names(env));
+        self.defects.extend(nothing_offered);
         self.defects.extend(odd);
         self.defects.extend((n_bytes > bound).then_some(too_large));
     }
+}
+
+/// Finds what the description counts otherwise than the specification.
+fn wrong_names(env: &dyn Environment) -> Vec<EnvDefect> {
+    let (spec, description) = (env.spec(), env.describe());
+    let (n_named, obs_dim) = (description.observation.quantities().len(), spec.obs_dim);
+    let list = |heads: Vec<(&String, usize)>| {
+        let shown = heads.iter().map(|(name, n_choices)| format!("`{name}` {n_choices}"));
+        shown.collect::<Vec<_>>().join(", ")
+    };
+    let described = description.actions.iter().map(|head| (&head.name, head.choices.len()));
+    let specified = spec.actions.heads.iter().map(|head| (&head.name, head.n_choices));
+    let (described, specified) = (list(described.collect()), list(specified.collect()));
+    let quantities = EnvDefect::QuantitiesDiffer { n_named, obs_dim };
+    let quantities = (n_named != obs_dim).then_some(quantities);
+    let heads = (described != specified).then_some(EnvDefect::HeadsDiffer { described, specified });
+    quantities.into_iter().chain(heads).collect()
 }
 
 /// Measures the rewards of the episodes without messages, and what a message costs.
@@ -492,7 +544,8 @@ fn draw(actions: &ActionSpec, mask: Mask, speaks: Option<bool>, generator: &mut 
             allowed = if wanted == 0 { allowed } else { wanted };
         }
         let choices: Vec<u8> = (0..64).filter(|choice| allowed >> choice & 1 == 1).collect();
-        action[head] = choices[generator.below(choices.len())];
+        // What offers nothing is a defect, and is not to end the check.
+        action[head] = if choices.is_empty() { 0 } else { choices[generator.below(choices.len())] };
     }
     action
 }

@@ -1,13 +1,16 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use leadtime_numerics::Purpose;
+use leadtime_proto::{ActionSpec, Mask};
 use serde::{Deserialize, Serialize};
 
 use super::*;
 use crate::environment::{read_snapshot, write_snapshot};
 use crate::human::HumanSettings;
 use crate::notifier::NotifierSettings;
-use crate::{Advance, Domain, End, NotifierEnv, ReactionStatus, ReactionStep, Scene};
+use crate::{
+    Advance, Description, Domain, End, NotifierEnv, Quantity, ReactionStatus, ReactionStep, Scene,
+};
 
 /// What is wrong with a walker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +24,7 @@ enum Flaw {
     NotANumber,
     GrowingSnapshot,
     RefusesItself,
+    NamesTooFew,
 }
 
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -49,6 +53,10 @@ impl Domain for Walker {
 
     fn obs_dim(&self) -> usize {
         2
+    }
+
+    fn quantities(&self) -> Vec<Quantity> {
+        Quantity::unnamed(if self.flaw == Flaw::NamesTooFew { 1 } else { 2 })
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {
@@ -144,6 +152,69 @@ fn a_sound_world_is_played_and_has_no_defect() {
     assert_eq!(report.rewards.notice(), None);
 }
 
+/// Counts to three, with another head than it describes, and offers nothing after the first step.
+#[derive(Debug)]
+struct Counter {
+    spec: EnvSpec,
+    n_steps: u8,
+}
+
+impl Environment for Counter {
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+
+    fn describe(&self) -> Description {
+        let mut description = Description::unnamed(&self.spec);
+        description.actions[0].choices.pop();
+        description
+    }
+
+    fn reset(&mut self, _seed: EpisodeSeed, observation: &mut [f32]) {
+        self.n_steps = 0;
+        observation[0] = 0.0;
+    }
+
+    fn mask(&self) -> Mask {
+        if self.n_steps == 1 { Mask(0) } else { Mask::ALL }
+    }
+
+    fn step(&mut self, _action: &[u8], observation: &mut [f32]) -> StepOutcome {
+        self.n_steps += 1;
+        observation[0] = f32::from(self.n_steps);
+        StepOutcome { reward: 0.0, end: (self.n_steps == 3).then_some(End::Truncated) }
+    }
+
+    fn metrics(&self, _out: &mut [f32]) {}
+
+    fn write_state(&self, out: &mut Vec<u8>) {
+        out.push(self.n_steps);
+    }
+
+    fn read_state(&mut self, state: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
+        self.n_steps = state[0];
+        observation[0] = f32::from(self.n_steps);
+        Ok(())
+    }
+}
+
+#[test]
+fn shapes_that_do_not_fit_are_defects() {
+    let build = || -> Result<Box<dyn Environment>, TaskError> {
+        let actions = ActionSpec::discrete("press", 2);
+        let spec = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+        Ok(Box::new(Counter { spec, n_steps: 0 }))
+    };
+    let found = check_environment(build).unwrap().defects;
+    let found: Vec<String> = found.iter().map(ToString::to_string).collect();
+    let [heads, mask] = &found[..] else { panic!("{found:#?}") };
+    assert!(heads.starts_with("`describe` has the heads `press` 1, and `spec` has `press` 2: "));
+    assert!(mask.starts_with("the mask offers no choice of head `press` at step 1 of episode 0: "));
+    let named = defects(Flaw::NamesTooFew);
+    let [quantities] = &named[..] else { panic!("{named:#?}") };
+    assert!(quantities.starts_with("`quantities` names "), "{quantities}");
+}
+
 #[test]
 fn messages_that_cost_more_than_they_can_win_are_noticed() {
     let notice = check(Flaw::None, 1.0, 1.0).rewards.notice().unwrap();
@@ -151,6 +222,11 @@ fn messages_that_cost_more_than_they_can_win_are_noticed() {
                 untrained notifier speaks often, so it may learn silence; set `notifier.initiation_cost` to 0.100 or less";
     assert_eq!(notice, says);
     assert_eq!(check(Flaw::None, 100.0, 1.0).rewards.notice(), None);
+    let sparse = check(Flaw::None, 0.0, 1.0).rewards.notice().unwrap();
+    assert!(sparse.contains("an episode without messages has no rewards"), "{sparse}");
+    assert!(
+        sparse.ends_with("set `notifier.initiation_cost` to a small part of what a success pays")
+    );
 }
 
 #[test]

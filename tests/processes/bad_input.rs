@@ -68,6 +68,16 @@ fn what_was_meant_is_guessed() {
     let unit = ["write a number with its unit: 60s or 2m"];
     refused(&place, &["check --connect 127.0.0.1:1 --connect-timeout 6"], &unit);
     refused(&place, &["check -c cartpole --steps 1.5"], &["a whole number of steps"]);
+    refused(&place, &["check -c cartpole --steps 1e20"], &["1 to 1e15"]);
+    let meant = ["`landr`; did you mean `lander`? Known: "];
+    for args in ["config landr", "check -c landr", "describe landr", "taxonomy report landr"] {
+        refused(&place, &[args], &meant);
+    }
+    refused(&place, &["describe landr"], &["no policy file", "no file or configuration"]);
+    refused(&place, &["compare tabl1"], &["`tabl1`; did you mean `table1`? Known: "]);
+    // A command that takes no settings gives no advice about them.
+    let told = place.finish(&["runs --learning-rate 1e-4"]).with_code(WRONG_INPUT).stderr;
+    assert!(!told.contains("--set"), "{told}");
 }
 
 #[test]

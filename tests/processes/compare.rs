@@ -126,7 +126,7 @@ fn wrong_requests_are_one_sentence() {
         ("table1 --row silent", "there is no row `silent`"),
         ("table1 --row convey --set human.x=1", "--set human.x"),
         ("nowhere.toml", "reading nowhere.toml"),
-        (&broken, "there is no file sub"),
+        (&broken, "there is no file or configuration `sub`"),
     ] {
         let finished = place.finish(&["compare", args]).with_code(2).saying(&[told]);
         assert_eq!(finished.stderr.matches("error: ").count(), 1, "{}", finished.stderr);

@@ -7,6 +7,16 @@ use crate::support::{Place, result};
 const WIDTH: usize = 80;
 const COMMANDS: &str = "smoke up learner actor eval report probe play compare pilot taxonomy conformance config \
                         describe new runs check completions";
+const NESTED: [&str; 8] = [
+    "pilot eval",
+    "taxonomy build",
+    "taxonomy rate",
+    "taxonomy report",
+    "taxonomy export",
+    "taxonomy validate",
+    "runs list",
+    "runs compare",
+];
 
 #[track_caller]
 fn fits(text: &str) {
@@ -33,9 +43,11 @@ fn help_fits_a_terminal_and_its_examples_are_read() {
         command.args(args).env("COLUMNS", WIDTH.to_string());
         place.start_with(command).finish(crate::support::PATIENCE).with_code(0).stdout
     };
-    let commands = COMMANDS.split_whitespace().map(str::to_owned);
-    let commands =
-        commands.flat_map(|command| ["-h", "--help"].map(|h| vec![command.clone(), h.to_owned()]));
+    let words = |command: &str, h: &str| -> Vec<String> {
+        command.split(' ').chain([h]).map(str::to_owned).collect()
+    };
+    let commands = COMMANDS.split_whitespace().chain(NESTED);
+    let commands = commands.flat_map(|command| ["-h", "--help"].map(|h| words(command, h)));
     for args in std::iter::once(vec!["--help".to_owned()]).chain(commands) {
         let text = help(&args);
         fits(&text);

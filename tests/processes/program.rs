@@ -46,7 +46,9 @@ fn every_built_in_configuration_can_be_printed_and_used() {
 #[test]
 fn a_crate_for_a_world_of_ones_own_is_made_and_can_be_resolved() {
     let place = Place::new();
-    place.finish(&["new my-world"]).with_code(0);
+    let made = place.finish(&["new my-world"]).with_code(0);
+    let next = "\nNext:\n  cd my-world\n  cargo run --release -- check -c corridor\n";
+    assert!(made.stderr.contains(next), "{}", made.stderr);
     let made = place.path().join("my-world");
     for (file, original) in [
         ("src/main.rs", "examples/corridor.rs"),
@@ -65,8 +67,16 @@ fn a_crate_for_a_world_of_ones_own_is_made_and_can_be_resolved() {
     assert!(told.starts_with("my-world ") && told.contains("\nleadtime-sims "), "{told}");
     let says = |args: &str, parts: &[&str]| place.finish(&[args]).with_code(2).saying(parts);
     says("new my-world", &["my-world is not an empty directory"]);
+    says("new leadtime-sims", &["`name` is leadtime-sims; allowed: "]);
     says("new Grid", &["`name` is Grid; allowed: a lower-case letter"]);
     says("new grid --leadtime .", &["--leadtime .: no source of Leadtime"]);
+    let empty = place.path().join("empty-one");
+    fs::create_dir(&empty).unwrap();
+    let mut here = place.program(&["new ."]);
+    here.current_dir(&empty);
+    place.start_with(here).finish(crate::support::PATIENCE).with_code(0);
+    let manifest = fs::read_to_string(empty.join("Cargo.toml")).unwrap();
+    assert!(manifest.contains("name = \"empty-one\""), "{manifest}");
     assert!(!place.path().join("grid").exists() && !place.path().join("Grid").exists());
 }
 

@@ -39,7 +39,7 @@ const MAX_BASES: usize = 8;
 pub struct Catalog {
     texts: BTreeMap<String, String>,
     /// Below the texts of worlds of the user's own: the defaults that their code has, as commented sections.
-    defaults: BTreeMap<String, String>,
+    defaults: BTreeMap<String, Result<String, ConfigError>>,
 }
 
 impl Catalog {
@@ -57,18 +57,11 @@ impl Catalog {
     /// Adds the defaults that the code of a domain of the user's own has, by section: they stand between the general ones
     /// and the text of [`Catalog::add`], and are printed with the comments of the keys that every notifier task has.
     ///
-    /// What TOML cannot write is left to the domain's builder.
+    /// A key without a value is left to the domain's builder. A value that TOML cannot write is refused, with its key, where
+    /// the domain's configuration is asked for.
     pub fn add_defaults(&mut self, domain: &str, sections: &serde_json::Value) {
-        let sections = Table::try_from(without_null(sections)).unwrap_or_default();
-        // One line per key, so that each finds its comment.
-        let line = |(key, value): (&String, &toml::Value)| format!("{key} = {value}\n");
-        let section = |(name, section): (&String, &toml::Value)| {
-            let lines: String = section.as_table().into_iter().flatten().map(line).collect();
-            format!("\n[{name}]\n{lines}")
-        };
-        let text: String = sections.iter().map(section).collect();
-        let below = if sections.contains_key("human") { spoken() } else { String::new() };
-        self.defaults.insert(domain.to_owned(), edited(&below, &text));
+        let text = defaults_text(domain, &without_null(sections));
+        self.defaults.insert(domain.to_owned(), text);
     }
 
     /// Lists the names.
@@ -140,7 +133,7 @@ impl Catalog {
             let is_complete = name == GENERAL || BUILT_IN.iter().any(|(known, _)| *known == name);
             layers.push(layer);
             if let Some(defaults) = self.defaults.get(&name).filter(|_| base.is_none()) {
-                layers.push(Layer::text(format!("defaults of `{name}`"), defaults));
+                layers.push(Layer::text(format!("defaults of `{name}`"), defaults.clone()?));
             }
             next = base.or_else(|| (!is_complete).then(|| GENERAL.to_owned()));
             let n = layers.len();
@@ -149,6 +142,26 @@ impl Catalog {
         layers.reverse();
         Ok(layers)
     }
+}
+
+/// Writes a domain's defaults, by section, as commented TOML.
+fn defaults_text(domain: &str, sections: &serde_json::Value) -> Result<String, ConfigError> {
+    let mut text = String::new();
+    for (name, section) in sections.as_object().into_iter().flatten() {
+        text += &format!("\n[{name}]\n");
+        // One line per key, so that each finds its comment.
+        for (key, value) in section.as_object().into_iter().flatten() {
+            let written = Value::try_from(value).map_err(|_unspecific| {
+                let (key, value) = (format!("{name}.{key}"), quoted(&value.to_string()));
+                let allowed = format!("numbers up to {} and values without null", i64::MAX);
+                let place = format!("the code's defaults of `{domain}`");
+                ConfigError(format!("`{key}` is {value}; allowed: {allowed}")).at(place)
+            })?;
+            text += &format!("{key} = {written}\n");
+        }
+    }
+    let below = if sections.get("human").is_some() { spoken() } else { String::new() };
+    Ok(edited(&below, &text))
 }
 
 /// Returns the sections of the listener and of the notifier, with topics that every domain has.

@@ -230,9 +230,11 @@ fn every_built_in_configuration_is_played_without_a_defect() {
     let registry = leadtime_worlds::builtin();
     for name in Catalog::built_in().names() {
         let config = named(name);
-        let report = check_environment(|| registry.build(&config.task)).unwrap();
-        assert!(report.defects.is_empty(), "{name}: {:?}", report.defects);
-        assert_eq!(report.rewards.notice(), None, "{name}");
+        for task in [&config.task, &config.evaluation.task] {
+            let report = check_environment(|| registry.build(task)).unwrap();
+            assert!(report.defects.is_empty(), "{name}: {:?}", report.defects);
+            assert_eq!(report.rewards.notice(), None, "{name}");
+        }
     }
 }
 
@@ -432,4 +434,17 @@ fn endless_and_hostile_texts_are_refused_in_a_few_lines() {
     ] {
         refused(&text, &[], &[]);
     }
+}
+
+#[test]
+fn a_default_that_toml_cannot_hold_is_refused_by_its_key() {
+    let mut catalog = Catalog::built_in();
+    catalog.add("mine", "domain = \"mine\"\n");
+    let sections = serde_json::json!({"world": {"size": 3, "limit": u64::MAX, "none": null}});
+    catalog.add_defaults("mine", &sections);
+    let error = catalog.text("mine").unwrap().unwrap_err().to_string();
+    let told = "the code's defaults of `mine`: `world.limit` is 18446744073709551615; allowed: ";
+    assert!(error.starts_with(told), "{error}");
+    catalog.add_defaults("mine", &serde_json::json!({"world": {"size": 3, "none": null}}));
+    assert!(catalog.text("mine").unwrap().unwrap().contains("\n[world]\nsize = 3\n"));
 }

@@ -3,12 +3,19 @@
 use std::path::Path;
 use std::{fs, io};
 
+use leadtime_table::Table;
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::directory_error::with_causes;
 use crate::record::{RECORD, RecordError};
 use crate::{ForkOrigin, RunRecord, journal};
+
+/// The columns of the list, and the main ones, which a terminal has room for.
+const HEAD: &str = "run,domain,state,updates,steps,success,return,weights,reproducible,forked from";
+const MAIN: [usize; 6] = [0, 1, 2, 4, 5, 6];
+/// Hexadecimal digits of a digest in a row.
+const DIGEST_DIGITS: usize = 12;
 
 /// A run as it is listed.
 #[derive(Debug, Default, Serialize)]
@@ -53,6 +60,40 @@ impl ListedRun {
         }
         rows.sort_by(|a, b| (&a.started, &a.name).cmp(&(&b.started, &b.name)));
         Ok(rows)
+    }
+
+    /// Lists runs as rows, with the main columns or all.
+    pub fn table(rows: &[Self], all: bool) -> Table {
+        let head: Vec<&str> = HEAD.split(',').collect();
+        let shown = if all { (0..head.len()).collect() } else { MAIN.to_vec() };
+        let columns = shown.iter().map(|&i| head[i]);
+        let mut table = Table::new(columns).left(&[0, 1, 2, 7, 8, 9]).elastic(0);
+        for cells in rows.iter().map(Self::cells) {
+            table.push(shown.iter().map(|&i| cells[i].as_str()));
+        }
+        table
+    }
+
+    fn cells(&self) -> [String; 10] {
+        let none = || "-".to_owned();
+        let number =
+            |value: Option<f64>, digits| value.map_or_else(none, |x| format!("{x:.digits$}"));
+        let cut = |digest: &str| digest.chars().take(DIGEST_DIGITS).collect::<String>();
+        let reproducible = self.reproducible.map(|yes| if yes { "yes" } else { "no" });
+        let origin = self.origin.as_ref();
+        let origin = origin.map(|from| format!("{} {}", from.run, cut(&from.weights_sha256)));
+        [
+            self.name.clone(),
+            self.domain.clone(),
+            self.state.to_owned(),
+            self.updates.to_string(),
+            self.steps.to_string(),
+            number(self.success, 2),
+            number(self.episode_return, 1),
+            self.weights_sha256.as_deref().map_or_else(none, cut),
+            reproducible.unwrap_or("-").to_owned(),
+            origin.unwrap_or_default(),
+        ]
     }
 
     /// Describes a run by its record and its journal.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::{fs, io};
 
 use leadtime_config::{Catalog, Config, ConfigError, ConfigSource, Layer};
+use leadtime_proto::phrase::no_such;
 use leadtime_proto::{EnvId, TaskSpec};
 use leadtime_sims::{DomainEntry, Environment, EpisodeSeed, Registry, TaskError};
 use thiserror::Error;
@@ -92,10 +93,9 @@ impl Tasks {
             (Ok(text), _) => Ok(Layer::text(format!("configuration {}", file.display()), text)),
             (Err(_), Some(built_in)) => Ok(built_in),
             (Err(error), None) if error.kind() == io::ErrorKind::NotFound => {
-                let known = self.catalog.names().collect::<Vec<_>>().join(", ");
-                let file = file.display();
-                let sentence = format!("there is no file {file}; built-in configurations: {known}");
-                Err(ConfigureError::NotFound(sentence))
+                let names: Vec<&str> = self.catalog.names().collect();
+                let name = file.to_string_lossy();
+                Err(ConfigureError::NotFound(no_such("file or configuration", &name, names)))
             }
             (Err(source), None) => Err(ConfigureError::Read { file: file.to_owned(), source }),
         }

@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+use leadtime_proto::phrase::no_such;
+
 use crate::error::{Error, Placed as _, ensure};
 use crate::study::Study;
 
@@ -57,8 +59,8 @@ pub fn find(name: &str) -> Result<Vec<NamedStudy>, Error> {
     let path = Path::new(name);
     let is_file = path.extension().is_some_and(|extension| extension == "toml");
     ensure(is_file, || {
-        let known = names().collect::<Vec<_>>().join(", ");
-        format!("there is no study `{name}`; known: {known}, {ALL}, or a .toml file")
+        let known: Vec<&str> = names().chain([ALL]).collect();
+        no_such("study or .toml file", name, known)
     })?;
     let text = fs::read_to_string(path).map_err(Error::file("reading", path))?;
     let place = format!("study {}", path.display());

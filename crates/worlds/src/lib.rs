@@ -6,4 +6,4 @@ mod builtin;
 mod template;
 
 pub use builtin::builtin;
-pub use template::{LeadtimeSource, template};
+pub use template::{LeadtimeSource, first_commands, template};

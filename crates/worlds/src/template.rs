@@ -6,8 +6,21 @@ use leadtime_sims::check::require;
 /// The longest name of a crate.
 const MAX_NAME: usize = 64;
 /// Names that Cargo or Rust have for something else, and the crates that this one depends on.
-const TAKEN: [&str; 8] =
-    ["test", "core", "std", "alloc", "proc_macro", "leadtime", "serde", "build"];
+const TAKEN: [&str; 11] = [
+    "test",
+    "core",
+    "std",
+    "alloc",
+    "proc_macro",
+    "leadtime",
+    "serde",
+    "build",
+    "deps",
+    "examples",
+    "incremental",
+];
+/// What the names of Leadtime's own crates begin with, some of which this one depends on.
+const OWN: [&str; 2] = ["leadtime-", "leadtime_"];
 
 /// In the checkout's profiles, what only its optional features use: Cargo would warn of it in every build.
 const ABSENT: &str = "candle-nn ";
@@ -38,8 +51,10 @@ pub fn template(
     let starts = name.starts_with(|c: char| c.is_ascii_lowercase());
     let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "-_".contains(c);
     let is_name = starts && name.len() <= MAX_NAME && name.chars().all(fits);
-    let allowed = "a lower-case letter, then up to 63 of a-z, 0-9, - and _; not the name of a crate that it uses";
-    require(is_name && !TAKEN.contains(&name), "name", name, allowed)?;
+    let allowed = "a lower-case letter, then up to 63 of a-z, 0-9, - and _; no name that Rust or a crate \
+                   that it uses has, such as `leadtime-...`";
+    let is_taken = TAKEN.contains(&name) || OWN.iter().any(|own| name.starts_with(own));
+    require(is_name && !is_taken, "name", name, allowed)?;
     let mut manifest = include_str!("../template/manifest.toml").replace("{name}", name);
     let readme = include_str!("../template/README.md").replace("{name}", name);
     let mut files = vec![
@@ -72,6 +87,15 @@ pub fn template(
     }
     files.push(("Cargo.toml", manifest));
     Ok(files)
+}
+
+/// Returns the commands that are typed first in a crate that was made.
+pub fn first_commands(directory: &str) -> String {
+    let enter = if directory == "." { String::new() } else { format!("\n  cd {directory}") };
+    format!(
+        "\nNext:{enter}\n  cargo run --release -- check -c corridor\n      play its world, and say what is wrong with it\n  \
+         cargo run --release -- smoke --domain corridor\n      train, evaluate, draw, and say whether it learned"
+    )
 }
 
 #[cfg(test)]
@@ -109,7 +133,9 @@ mod tests {
 
     #[test]
     fn an_impossible_name_is_refused() {
-        for name in ["", "3d", "Grid", "a b", "../x", "leadtime", "test", &"a".repeat(65)] {
+        let long = "a".repeat(65);
+        let used = ["leadtime", "leadtime-sims", "leadtime_numerics", "serde", "test", "deps"];
+        for name in ["", "3d", "Grid", "a b", "../x", &long].into_iter().chain(used) {
             let error = template(name, LeadtimeSource::Repository).unwrap_err().to_string();
             assert!(
                 error.starts_with(&format!("`name` is {name}; allowed: a lower-case")),

@@ -6,13 +6,16 @@ use std::thread::available_parallelism;
 use anyhow::Context as _;
 use leadtime_config::Config;
 use leadtime_link::{ConnectSettings, ObserverLink};
+use leadtime_proto::TaskSpec;
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{Tasks, build};
 use leadtime_sims::env_check::check_environment;
+use leadtime_table::wrapped;
 
 use crate::cli::{CheckArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::{output, threads};
+use crate::output::{self, WIDTH};
+use crate::threads;
 
 pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> {
     let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
@@ -25,7 +28,11 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
     let heads: Vec<String> =
         heads.iter().map(|head| format!("{} {}", head.name, head.n_choices)).collect();
     report("task", &format!("{obs_dim} inputs, heads: {}", heads.join(", ")));
-    let n_defects = play(tasks, &config).blame(ExitCode::WrongInput)?;
+    let mut n_defects = play(tasks, &config.task).blame(ExitCode::WrongInput)?;
+    if config.evaluation.task != config.task {
+        report("evaluation", "another task than training has:");
+        n_defects += play(tasks, &config.evaluation.task).blame(ExitCode::WrongInput)?;
+    }
     let cores = available_parallelism().map_or(1, usize::from);
     let (cpu, n_threads) = (build::cpu_class(), threads::configured());
     let cores = counted(cores, "core");
@@ -43,9 +50,9 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Plays the task, and prints what it showed; returns the number of defects.
-fn play(tasks: &Tasks, config: &Config) -> anyhow::Result<usize> {
-    let found = check_environment(|| tasks.registry.build(&config.task))?;
+/// Plays a task, and prints what it showed; returns the number of defects.
+fn play(tasks: &Tasks, task: &TaskSpec) -> anyhow::Result<usize> {
+    let found = check_environment(|| tasks.registry.build(task))?;
     let (episodes, steps, restored) = (found.n_episodes, found.n_steps, found.n_restored);
     report("played", &format!("{episodes} episodes, {steps} steps, restored {restored} times"));
     let (largest, bound) = (found.largest_snapshot, found.snapshot_bound);
@@ -57,7 +64,7 @@ fn play(tasks: &Tasks, config: &Config) -> anyhow::Result<usize> {
 }
 
 fn report(what: &str, finding: &str) {
-    output::line(&format!("{what:<14} {finding}"));
+    output::line(&wrapped(&format!("{what:<14} {finding}"), WIDTH, 15));
 }
 
 /// Makes sure that a run could be made, without leaving anything behind.

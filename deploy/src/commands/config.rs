@@ -1,5 +1,6 @@
 //! `leadtime config`: the built-in configurations, comments and all.
 
+use leadtime_proto::phrase::no_such;
 use leadtime_runs::Tasks;
 
 use crate::cli::ConfigArgs;
@@ -13,9 +14,7 @@ pub(super) fn run(tasks: &Tasks, args: &ConfigArgs) -> Result<(), Failure> {
         return Ok(());
     };
     let Some(text) = tasks.catalog.text(domain) else {
-        let names = names.join(", ");
-        let sentence = format!("there is no configuration `{domain}`; built-in ones: {names}");
-        return Err(Failure::input(sentence));
+        return Err(Failure::input(no_such("configuration", domain, names)));
     };
     output::line(text.blame(ExitCode::WrongInput)?.trim_end());
     Ok(())

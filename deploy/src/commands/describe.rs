@@ -1,5 +1,6 @@
 //! `leadtime describe`: what a task shows, offers and pays.
 
+use anyhow::{Context as _, Error};
 use leadtime_config::{Config, ConfigSource};
 use leadtime_eval::describe;
 use leadtime_runs::{LoadedPolicy, Tasks};
@@ -35,10 +36,19 @@ fn load(tasks: &Tasks, args: &DescribeArgs) -> Result<Config, Failure> {
     let (task, set) = (&args.task, args.set.clone());
     let is_text = task.extension().is_some_and(|extension| extension == "toml");
     let is_built_in = task.to_str().is_some_and(|name| tasks.catalog.file(name).is_some());
-    if is_text || is_built_in {
+    let configure = |set| {
         let source = ConfigSource { set, ..ConfigSource::default() };
-        return tasks.configure(Some(task), source).blame(ExitCode::WrongInput);
+        tasks.configure(Some(task), source).map_err(Error::new)
+    };
+    if is_text || is_built_in {
+        return configure(set).blame(ExitCode::WrongInput);
     }
-    let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, task, &set);
-    Ok(loaded.blame(ExitCode::WrongInput)?.config)
+    match LoadedPolicy::load(&tasks.registry, &args.runs, task, &set) {
+        Ok(loaded) => Ok(loaded.config),
+        // It may have been meant as the name of either.
+        Err(error) if !task.exists() && !args.runs.join(task).exists() => {
+            configure(set).context(error).blame(ExitCode::WrongInput)
+        }
+        Err(error) => Err(error).blame(ExitCode::WrongInput),
+    }
 }

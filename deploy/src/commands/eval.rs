@@ -61,6 +61,8 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     }
     if args.shown.json {
         output::json(&results);
+    } else if let Some(task) = loaded.first() {
+        output::next(&task.policy.path, &[DRAW]);
     }
     Ok(())
 }

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, ensure};
+use anyhow::{Context as _, Error};
 use leadtime_config::Config;
 use leadtime_eval::measure::{Comparison, measure_names};
-use leadtime_proto::phrase::did_you_mean;
+use leadtime_proto::phrase::no_such;
 use leadtime_runs::EvaluationRecord;
 
 use crate::output;
@@ -20,12 +20,9 @@ pub(super) fn save(record: &EvaluationRecord, run: &Path, config: &Config) -> an
 /// Checks, before anything is played, that a task knows some measures.
 pub(super) fn check_measures(config: &Config, measures: &[String]) -> anyhow::Result<()> {
     let known = measure_names(&config.env.metrics);
-    for name in measures {
-        let (told, meant) =
-            (known.join(", "), did_you_mean(name, known.iter().map(String::as_str)));
-        ensure!(known.contains(name), "there is no measure `{name}`{meant}; known: {told}");
-    }
-    Ok(())
+    let unknown = measures.iter().find(|name| !known.contains(name));
+    let no_such = |name: &String| no_such("measure", name, known.iter().map(String::as_str));
+    unknown.map_or(Ok(()), |name| Err(Error::msg(no_such(name))))
 }
 
 /// Prints a comparison: every measure, or the main ones and how many there are beside them.

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::{fs, io};
 
 use anyhow::{Context as _, ensure};
-use leadtime_worlds::{LeadtimeSource, template};
+use leadtime_proto::text::shell_word;
+use leadtime_worlds::{LeadtimeSource, first_commands, template};
 
 use crate::cli::NewArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -26,8 +27,10 @@ fn make(args: &NewArgs) -> anyhow::Result<()> {
         Err(error) => error.kind() == io::ErrorKind::NotFound,
     };
     ensure!(is_free, "{} is not an empty directory", directory.display());
-    let last = directory.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    let name = args.name.as_deref().unwrap_or(last);
+    // `.` has no name of its own.
+    let place = directory.canonicalize().unwrap_or_else(|_not_there| directory.clone());
+    let last = directory.file_name().or(place.file_name()).and_then(|name| name.to_str());
+    let name = args.name.as_deref().or(last).unwrap_or_default();
     let default = Path::new(CHECKOUT).join("deploy/Cargo.toml").is_file();
     let checkout = args.leadtime.as_deref().or(default.then_some(Path::new(CHECKOUT)));
     let Some(checkout) = checkout else {
@@ -44,7 +47,8 @@ fn make(args: &NewArgs) -> anyhow::Result<()> {
     for file in SHARED {
         fs::copy(checkout.join(file), directory.join(file)).with_context(|| file.to_owned())?;
     }
-    output::line(&format!("{}: README.md names the first five commands", directory.display()));
+    output::line(&format!("{}: README.md explains the crate", directory.display()));
+    output::note(&first_commands(&shell_word(&directory.to_string_lossy())));
     Ok(())
 }
 

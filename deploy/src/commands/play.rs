@@ -13,7 +13,7 @@ use leadtime_runs::{LoadedPolicy, Tasks};
 use super::episode;
 use crate::cli::PlayArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output::{self, DRAW_MORE};
+use crate::output::{self, DRAW_MORE, TRY};
 
 /// Pixels per unit of a PNG.
 const PNG_SCALE: f32 = 2.0;
@@ -36,7 +36,9 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     if args.demonstration {
         let spoken = Spoken::demonstration().blame(ExitCode::Failed)?;
         let frames = args.frames.clone().unwrap_or(DEMONSTRATION_FRAMES);
-        return write(&spoken, Some(frames), &args.output);
+        write(&spoken, Some(frames), &args.output)?;
+        output::next(Path::new(""), &[TRY]);
+        return Ok(());
     }
     let name = args.policy.as_deref().unwrap_or(Path::new(""));
     let acting = &args.acting;

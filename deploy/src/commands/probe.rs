@@ -75,10 +75,7 @@ fn write(
     let mut weights = digest::hex(&loaded.parameters.digest().blame(ExitCode::Failed)?);
     weights.truncate(DIGEST_DIGITS);
     let mut facts = vec![
-        Fact::new(
-            "command",
-            format!("`{}`", output::this_command()),
-        ),
+        Fact::new("command", format!("`{}`", output::this_command())),
         Fact::new("policy", format!("`{}`, weights `{weights}`", args.policy.display())),
         Fact::new("domain", format!("`{}`", loaded.config.domain)),
         Fact::new("reaction delay", format!("`{}`", reaction_delay(loaded))),

@@ -9,7 +9,7 @@ use leadtime_runs::{LoadedPolicy, RunFiles, Tasks, find_run};
 use super::evaluation;
 use crate::cli::{ChoosingArgs, ReportArgs};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output;
+use crate::output::{self, DRAW};
 
 /// The page's file in a run directory.
 const PAGE: &str = "report.html";
@@ -43,6 +43,7 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
     let html = report(tasks, &files, findings, &output::program()).html();
     output::file(&page, html.as_bytes()).blame(ExitCode::WrongInput)?;
     output::line(&format!("{text}\nReport: {}", page.display()));
+    output::next(&policies[0].path, &[DRAW]);
     Ok(())
 }
 

@@ -4,18 +4,11 @@ use anyhow::Context as _;
 use leadtime_config::identity::difference;
 use leadtime_runs::layout::read_config;
 use leadtime_runs::{ListedRun, RunRecord, find_run};
-use leadtime_table::Table;
 use serde_json::json;
 
 use crate::cli::{RunsArgs, RunsCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
-
-/// The columns of the list, and those that a terminal has room for.
-const HEAD: &str = "run,domain,state,updates,steps,success,return,weights,reproducible,forked from";
-const SHOWN: [usize; 6] = [0, 1, 2, 4, 5, 6];
-/// Hexadecimal digits of a digest in a row.
-const DIGEST_DIGITS: usize = 12;
 
 pub(super) fn run(args: &RunsArgs) -> Result<(), Failure> {
     match &args.command {
@@ -45,34 +38,8 @@ fn list(args: &RunsArgs) -> anyhow::Result<()> {
 
 /// Prints the columns that fit a terminal, or all.
 fn print(rows: &[ListedRun], all: bool) {
-    let head: Vec<&str> = HEAD.split(',').collect();
-    let shown = if all { (0..head.len()).collect() } else { SHOWN.to_vec() };
-    let mut table = Table::new(shown.iter().map(|&i| head[i])).left(&[0, 1, 2, 7, 8, 9]).elastic(0);
-    for cells in rows.iter().map(cells) {
-        table.push(shown.iter().map(|&i| cells[i].as_str()));
-    }
+    let table = ListedRun::table(rows, all);
     output::line(if all { table.text() } else { table.text_within(WIDTH) }.trim_end());
-}
-
-fn cells(row: &ListedRun) -> [String; 10] {
-    let none = || "-".to_owned();
-    let number = |value: Option<f64>, digits| value.map_or_else(none, |x| format!("{x:.digits$}"));
-    let cut = |digest: &str| digest.chars().take(DIGEST_DIGITS).collect::<String>();
-    let reproducible = row.reproducible.map(|yes| if yes { "yes" } else { "no" });
-    let origin = row.origin.as_ref();
-    let origin = origin.map(|from| format!("{} {}", from.run, cut(&from.weights_sha256)));
-    [
-        row.name.clone(),
-        row.domain.clone(),
-        row.state.to_owned(),
-        row.updates.to_string(),
-        row.steps.to_string(),
-        number(row.success, 2),
-        number(row.episode_return, 1),
-        row.weights_sha256.as_deref().map_or_else(none, cut),
-        reproducible.unwrap_or("-").to_owned(),
-        origin.unwrap_or_default(),
-    ]
 }
 
 fn compare(args: &RunsArgs, first: &str, second: &str) -> anyhow::Result<()> {

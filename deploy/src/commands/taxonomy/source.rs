@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use leadtime_config::{Layer, Override};
+use leadtime_proto::phrase::no_such;
 use leadtime_taxonomy::pipeline::error::BackendError;
 use leadtime_taxonomy::pipeline::{DatabasePlan, PipelineError, job};
 use leadtime_taxonomy::{Taxonomy, shipped};
@@ -29,8 +30,7 @@ pub(super) fn plan(args: &PlanArgs) -> Result<DatabasePlan, Failure> {
     let name = &args.plan;
     let named = is_shipped(name);
     if !named && !Path::new(name).is_file() {
-        let neither = "neither a file nor a plan that comes with the program";
-        return Err(Failure::input(format!("`{name}` is {neither}: {}", domains())));
+        return Err(Failure::input(unknown("plan", name)));
     }
     let plan = job::plan_or_file(name).map_err(|error| match error {
         // Says which file itself.
@@ -58,9 +58,8 @@ pub(in crate::commands) fn database(name: &str) -> Result<Taxonomy, Failure> {
     if is_shipped(name) {
         return shipped(name).blame(ExitCode::Failed);
     }
-    let neither = "neither a readable file nor a domain with shipped sentences";
     let text = std::fs::read_to_string(name)
-        .with_context(|| format!("`{name}` is {neither}: {}", domains()))
+        .with_context(|| unknown("database", name))
         .blame(ExitCode::WrongInput)?;
     job::database(&text).with_context(|| name.to_owned()).blame(ExitCode::WrongInput)
 }
@@ -81,6 +80,6 @@ pub(super) fn is_shipped(name: &str) -> bool {
     shipped::domains().any(|domain| domain == name)
 }
 
-fn domains() -> String {
-    shipped::domains().collect::<Vec<_>>().join(", ")
+fn unknown(what: &str, name: &str) -> String {
+    no_such(&format!("file or shipped {what}"), name, shipped::domains().collect::<Vec<_>>())
 }
