@@ -245,7 +245,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         let mut rewards = self.domain.reward_terms();
         let reaction = match self.human.reaction_reward() {
             ReactionReward::Off => None,
-            ReactionReward::Once => Some("I - 2, in the first step that follows a message"),
+            ReactionReward::Once => Some("I - 2, once per message that is followed"),
             ReactionReward::PerStep => Some("I - 2, in every step that follows a message"),
         };
         rewards.extend(reaction.map(|when| RewardTerm::new(when, 1.0, "human.reaction_reward")));
