@@ -7,6 +7,7 @@
 //! The result is one table whose values remember their place: the [`Layer`] and the bytes in it. It is read into typed
 //! structs once, and an error still shows the line of the file, or names the option, that it is about.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use serde::de::DeserializeOwned;
@@ -36,12 +37,15 @@ pub struct Layer {
     pub(crate) text: String,
     /// An option is short enough to be named without its line.
     change: Option<Override>,
+    /// Whole numbers that the text writes as fractions (`1e6`), by their position.
+    whole: BTreeMap<usize, String>,
 }
 
 impl Layer {
     /// Makes a layer of a whole text; `place` names it in messages.
     pub fn text(place: impl Into<String>, text: impl Into<String>) -> Self {
-        Self { place: place.into(), text: text.into(), change: None }
+        let (place, text) = (place.into(), text.into());
+        Self { place, text, change: None, whole: BTreeMap::new() }
     }
 
     /// Makes a layer of a table.
@@ -56,7 +60,7 @@ impl Layer {
 
     /// Makes a layer of another option of the command line, which stands for a change of one key.
     pub fn option(option: impl Into<String>, change: &Override) -> Self {
-        Self { place: option.into(), text: change.to_string(), change: Some(change.clone()) }
+        Self { change: Some(change.clone()), ..Self::text(option, change.to_string()) }
     }
 
     /// Reads the text on its own; refuses what is not TOML, or nested too deeply.
@@ -114,9 +118,12 @@ impl<'a> Layers<'a> {
             if let Some(fitted) = layer.change.as_ref().and_then(|change| merged.fitted(change)) {
                 layer.text = fitted.to_string();
             }
+            let mut whole = BTreeMap::new();
+            whole_numbers(&merged.table, &layer.parse()?, &mut whole);
+            layer.whole = whole;
             let layer: &'a Layer = layer;
             merged.layers.push(layer);
-            let placed = placed_table(layer.parse()?, "", i * STRIDE);
+            let placed = placed_table(layer.parse()?, "", layer, i * STRIDE);
             let laid = placed.and_then(|table| overlay(&mut merged.table, table, true));
             laid.map_err(|(span, message)| merged.refuse(span, &message))?;
         }
@@ -189,6 +196,22 @@ fn is_whole(x: f64) -> bool {
     x.fract() == 0.0 && x.abs() < 1e15
 }
 
+/// Finds the fractions of a text that are whole numbers, where the layers below hold a whole number.
+fn whole_numbers(below: &DeTable<'_>, above: &DeTable<'_>, found: &mut BTreeMap<usize, String>) {
+    for (key, value) in above {
+        match (below.get(key.get_ref().as_ref()).map(Spanned::get_ref), value.get_ref()) {
+            (Some(DeValue::Table(below)), DeValue::Table(above)) => {
+                whole_numbers(below, above, found);
+            }
+            (Some(DeValue::Integer(_)), DeValue::Float(x)) => {
+                let whole = x.as_str().parse().ok().filter(|x| is_whole(*x));
+                found.extend(whole.map(|x| (value.span().start, (x as i64).to_string())));
+            }
+            _ => {}
+        }
+    }
+}
+
 /// Asks whether the most similar name was meant, where a message about an unknown one lists all that are known.
 fn shortened(message: &str) -> String {
     let mut names = message.split('`').skip(1).step_by(2);
@@ -227,12 +250,17 @@ fn is_other_choice(below: &DeTable<'_>, above: &DeTable<'_>) -> bool {
     below.len() == 1 && above.len() == 1 && below.keys().next() != above.keys().next()
 }
 
-/// Moves every position of a table by the layer's, and checks what no type would.
-fn placed_table<'a>(table: DeTable<'a>, path: &str, by: usize) -> Result<DeTable<'a>, Refused> {
+/// Moves every position of a table by the layer's, makes its whole numbers such, and checks what no type would.
+fn placed_table<'a>(
+    table: DeTable<'a>,
+    path: &str,
+    layer: &'a Layer,
+    by: usize,
+) -> Result<DeTable<'a>, Refused> {
     let entry = |(key, value): (Spanned<_>, _)| {
         let (span, name) = (key.span(), key.into_inner());
         let path = if path.is_empty() { format!("{name}") } else { format!("{path}.{name}") };
-        let value = placed(value, &path, by)?;
+        let value = placed(value, &path, layer, by)?;
         Ok((Spanned::new(span.start + by..span.end + by, name), value))
     };
     table.into_iter().map(entry).collect()
@@ -241,16 +269,22 @@ fn placed_table<'a>(table: DeTable<'a>, path: &str, by: usize) -> Result<DeTable
 fn placed<'a>(
     value: Spanned<DeValue<'a>>,
     path: &str,
+    layer: &'a Layer,
     by: usize,
 ) -> Result<Spanned<DeValue<'a>>, Refused> {
+    let whole = layer.whole.get(&value.span().start);
+    let whole = whole.and_then(|text| DeValue::parse(text).ok()).map(Spanned::into_inner);
     let span = value.span().start + by..value.span().end + by;
     let refuse = |given: &str, allowed: &str| {
         Err((Some(span.clone()), format!("`{}` is {given}; allowed: {allowed}", quoted(path))))
     };
-    let inner = match value.into_inner() {
-        DeValue::Table(table) => DeValue::Table(placed_table(table, path, by)?),
+    let inner = match whole.unwrap_or(value.into_inner()) {
+        DeValue::Table(table) => DeValue::Table(placed_table(table, path, layer, by)?),
         DeValue::Array(values) => DeValue::Array(
-            values.into_iter().map(|value| placed(value, path, by)).collect::<Result<_, _>>()?,
+            values
+                .into_iter()
+                .map(|value| placed(value, path, layer, by))
+                .collect::<Result<_, _>>()?,
         ),
         // JSON, in which actors get their task, has neither.
         DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => {

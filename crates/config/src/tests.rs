@@ -255,9 +255,9 @@ fn steps_that_are_no_whole_updates_are_reported() {
 
 #[test]
 fn one_form_of_a_number_is_as_good_as_another() {
-    let load = |set: &[&str]| load("", set, &Catalog::built_in()).unwrap();
+    let changed = |set: &[&str]| load("", set, &Catalog::built_in()).unwrap();
     let same = |set: &[&str], long: &[&str]| {
-        let (config, long) = (load(set), load(long));
+        let (config, long) = (changed(set), changed(long));
         assert_eq!(config.table, long.table, "{set:?}");
         assert_eq!(identity::of_run(&config.table), identity::of_run(&long.table));
     };
@@ -266,6 +266,13 @@ fn one_form_of_a_number_is_as_good_as_another() {
     same(&["learner.total_steps=1e6"], &["learner.total_steps=1000000"]);
     same(&["learner.clip=1"], &["learner.clip=1.0"]);
     refused("", &["learner.total_steps=1.5"], &["--set learner.total_steps", "1.5"]);
+    let file = |number: &str| {
+        let text = format!("learner.total_steps = {number} # all\n[run]\nactors_min = 1");
+        load(&text, &[], &Catalog::built_in()).unwrap().table
+    };
+    assert_eq!(file("1e6"), file("1000000"));
+    assert_eq!(identity::of_run(&file("1_000_000.0")), identity::of_run(&file("1_000_000")));
+    refused("[learner]\ntotal_steps = 1.5", &[], &["line 2", "1.5"]);
 }
 
 #[test]

@@ -3,7 +3,9 @@
 //! Who acts or learns does not know this crate; they are handed a [`Registry`](leadtime_sims::Registry).
 
 mod builtin;
+mod new_crate;
 mod template;
 
 pub use builtin::builtin;
-pub use template::{LeadtimeSource, first_commands, template};
+pub use new_crate::{NewCrateError, new_crate};
+pub use template::first_commands;

@@ -27,7 +27,7 @@ const ABSENT: &str = "candle-nn ";
 
 /// Where the crate finds Leadtime.
 #[derive(Clone, Copy, Debug)]
-pub enum LeadtimeSource<'a> {
+pub(crate) enum LeadtimeSource<'a> {
     /// In a checkout: its absolute path, and the text of its `Cargo.toml`.
     Checkout {
         /// The path.
@@ -44,7 +44,7 @@ pub enum LeadtimeSource<'a> {
 /// # Errors
 ///
 /// [`SettingError`] if the name is none for a crate.
-pub fn template(
+pub(crate) fn template(
     name: &str,
     source: LeadtimeSource<'_>,
 ) -> Result<Vec<(&'static str, String)>, SettingError> {
