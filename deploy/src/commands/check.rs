@@ -64,7 +64,9 @@ fn play(tasks: &Tasks, task: &TaskSpec) -> anyhow::Result<usize> {
 }
 
 fn report(what: &str, finding: &str) {
-    output::line(&wrapped(&format!("{what:<14} {finding}"), WIDTH, 15));
+    const COLUMN: usize = 15;
+    let text = wrapped(&format!("{:COLUMN$}{finding}", ""), WIDTH, COLUMN);
+    output::line(&format!("{what:<COLUMN$}{}", text.trim_start()));
 }
 
 /// Makes sure that a run could be made, without leaving anything behind.
