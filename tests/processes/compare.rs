@@ -122,7 +122,7 @@ fn wrong_requests_are_one_sentence() {
     let misspelt = place.write("misspelt.toml", &STUDY.replace("[\"success\",", "[\"succeeded\","));
     for (args, told) in [
         (&*misspelt, "there is no measure `succeeded`; known: success"),
-        ("table9", "there is no study `table9`"),
+        ("table9", "there is no study or .toml file `table9`"),
         ("table1 --row silent", "there is no row `silent`"),
         ("table1 --row convey --set human.x=1", "--set human.x"),
         ("nowhere.toml", "reading nowhere.toml"),

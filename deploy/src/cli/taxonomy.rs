@@ -58,7 +58,7 @@ pub(crate) struct PlanArgs {
 #[derive(Clone, Debug, Args)]
 pub(crate) struct BackendArgs {
     /// Who writes and rates.
-    #[arg(long, value_enum, value_name = "NAME")]
+    #[arg(long, value_enum, value_name = "WHO")]
     pub backend: Option<BackendName>,
     /// Annotations for `authored` (default: those that come with the plan's domain).
     #[arg(long, value_name = "FILE")]
