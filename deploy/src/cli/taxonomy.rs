@@ -119,6 +119,9 @@ pub(crate) struct TaxonomyBuildArgs {
 /// `leadtime taxonomy rate`
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("who").required(true).args(["backend"])))]
+#[command(
+    override_usage = "leadtime taxonomy rate [OPTIONS] --topic <TOPIC> --backend <WHO>\n       <PLAN> <SENTENCE>..."
+)]
 pub(crate) struct TaxonomyRateArgs {
     #[command(flatten)]
     pub plan: PlanArgs,
