@@ -148,7 +148,7 @@ impl Catalog {
 fn defaults_text(domain: &str, sections: &serde_json::Value) -> Result<String, ConfigError> {
     let mut text = String::new();
     for (name, section) in sections.as_object().into_iter().flatten() {
-        text += &format!("\n[{name}]\n");
+        text.extend(["\n[", name, "]\n"]);
         // One line per key, so that each finds its comment.
         for (key, value) in section.as_object().into_iter().flatten() {
             let written = Value::try_from(value).map_err(|_unspecific| {
@@ -157,7 +157,7 @@ fn defaults_text(domain: &str, sections: &serde_json::Value) -> Result<String, C
                 let place = format!("the code's defaults of `{domain}`");
                 ConfigError(format!("`{key}` is {value}; allowed: {allowed}")).at(place)
             })?;
-            text += &format!("{key} = {written}\n");
+            text.extend([key, " = ", &written.to_string(), "\n"]);
         }
     }
     let below = if sections.get("human").is_some() { spoken() } else { String::new() };

@@ -30,7 +30,7 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
     report("task", &format!("{obs_dim} inputs, heads: {}", heads.join(", ")));
     let mut n_defects = play(tasks, &config.task).blame(ExitCode::WrongInput)?;
     if config.evaluation.task != config.task {
-        report("evaluation", "another task than training has:");
+        report("evaluation", "its task differs from that of training");
         n_defects += play(tasks, &config.evaluation.task).blame(ExitCode::WrongInput)?;
     }
     let cores = available_parallelism().map_or(1, usize::from);
