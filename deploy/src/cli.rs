@@ -152,8 +152,8 @@ pub(crate) enum Command {
 /// Where the configuration comes from, and what to change in it.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct SourceArgs {
-    /// Configuration file, or the name of a built-in one (`leadtime config` lists them). A file writes only what differs
-    /// from its `base = "NAME"`.
+    /// Configuration file, or the name of a built-in one (`leadtime config` lists them; default: lander). A file writes only
+    /// what differs from its `base = "NAME"`.
     #[arg(short, long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Change one key: `--set learner.learning_rate=1e-4`; repeatable.

@@ -87,6 +87,7 @@ type Hint = (&'static str, &'static str);
 pub(crate) const EVALUATE: Hint = ("eval POLICY", "evaluate it over many episodes, with intervals");
 pub(crate) const DRAW: Hint = ("play POLICY -o episode.png", "draw an episode of it");
 pub(crate) const DRAW_MORE: Hint = ("play POLICY --eval-seed 2 -o other.png", "draw another one");
+pub(crate) const REPORT: Hint = ("report POLICY", "evaluate it and write report.html again");
 pub(crate) const HEAR: Hint = ("eval POLICY --transcript", "print an episode as it is heard");
 pub(crate) const TRY: Hint = ("smoke", "train a policy, evaluate it and draw an episode of it");
 

@@ -185,15 +185,17 @@ fn verdict(config: &Config, comparison: &Comparison, is_quick: bool) -> Option<V
     let (mark, amount) =
         if is_marked { (MARK, format!("more than {MARK} ")) } else { (0.0, String::new()) };
     let holds = difference.interval.low > mark;
+    let bar = if is_marked { " That much is expected of a full training." } else { "" };
     let verb = if holds { "gained" } else { "did not gain" };
     let interval = difference.sentence(comparison.bootstrap.confidence);
-    let sentence = format!("The trained policy {verb} {amount}in {measure}: {interval}.");
+    let sentence = format!("The trained policy {verb} {amount}in {measure}: {interval}.{bar}");
     Some(Verdict { holds, sentence })
 }
 
 fn notes(run: &RunFiles) -> Vec<String> {
     let quick = "This was a quick run: it checks the mechanics only, and its figures say nothing about learning.";
-    run.is_quick().then(|| quick.to_owned()).into_iter().collect()
+    let shown = "The playthroughs show the first episode in which the trained policy succeeds and the other one fails, if there is one.";
+    run.is_quick().then_some(quick).into_iter().chain([shown]).map(str::to_owned).collect()
 }
 
 /// Says what a run was trained on, and for how long.

@@ -110,7 +110,7 @@ pub fn books_sentence(books: &serde_json::Value) -> String {
         ("refused", "refused"),
         ("superseded", "superseded"),
         ("unused_at_end", "unused at the end"),
-        ("rolled_back", "lost with a learner and made again"),
+        ("rolled_back", "rolled back on resuming and made again"),
     ];
     let count = |name: &str| books[name].as_u64().unwrap_or(0);
     let fates = FATES.iter().filter(|(name, _)| count(name) > 0);

@@ -113,7 +113,7 @@ fn account(books: &Value) -> Vec<Book> {
         ("refused", "broke a rule of the wire or of the run"),
         ("superseded", "their environment had moved on"),
         ("unused_at_end", "waited when the run ended"),
-        ("rolled_back", "made again after a learner was killed"),
+        ("rolled_back", "rolled back on resuming and made again"),
         ("duplicates", "copies, not part of published"),
     ];
     let book = |(name, meaning): (&str, &str)| Book {

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::cli::UpArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output::{self, DRAW, EVALUATE};
+use crate::output::{self, DRAW, EVALUATE, REPORT};
 use crate::shutdown::{Watch, watch};
 
 pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result<(), Failure> {
@@ -27,7 +27,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
     };
     let run = launch(&config, &what, &shutdown).await?;
     if !goes_on(&run, &what) {
-        output::next(&run, &[EVALUATE, DRAW]);
+        output::next(&run, &[EVALUATE, DRAW, REPORT]);
     }
     Ok(())
 }
