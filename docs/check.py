@@ -73,7 +73,7 @@ def commands(page):
 
 def shortened(line):
     """Returns a command that can be run here, and soon."""
-    for name, value in [(r"\bRUN\.\.\.", "made"), (r"\bRUN\b", "made"), (r"-c NAME\b", "-c lander"), (r"\bNAME\b", "made"),
+    for name, value in [(r"\bRUN\.\.\.", "made"), (r"\bRUN\b", "made"), (r"-c NAME\b", "-c lander"), (r"-c FILE\b", "-c my.toml"), (r"\bNAME\b", "made"),
                         (r"\bA B\b", "made again"), (r"\bDOMAIN\b", "lander"), (r"\b7447\b", str(free_port())),
                         (r"^python3", sys.executable)]:
         line = re.sub(name, value, line)
