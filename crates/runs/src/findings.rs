@@ -116,12 +116,21 @@ pub fn evaluate_run(
         file_name(&policy.path),
         policy.n_updates
     );
+    let episodes = telling(tasks, config, &players, &evaluations)?;
+    let mut notes = notes(run);
+    if let [_, other, ..] = &players[..]
+        && !episodes.is_empty()
+    {
+        let other = other.name();
+        let choice = format!("the first episode in which {TRAINED} succeeds and {other} fails");
+        notes.push(format!("The playthroughs show {choice}, or the very first if there is none."));
+    }
     let findings = Findings {
         lead,
         verdict: verdict(config, &comparison, run.is_quick()),
         comparison: Some(comparison.clone()),
-        episodes: telling(tasks, config, &players, &evaluations)?,
-        notes: notes(run),
+        episodes,
+        notes,
     };
     Ok(RunEvaluation { findings, record: EvaluationRecord::new(policy, action, seed, comparison) })
 }
@@ -194,8 +203,7 @@ fn verdict(config: &Config, comparison: &Comparison, is_quick: bool) -> Option<V
 
 fn notes(run: &RunFiles) -> Vec<String> {
     let quick = "This was a quick run: it checks the mechanics only, and its figures say nothing about learning.";
-    let shown = "The playthroughs show the first episode in which the trained policy succeeds and the other one fails, if there is one.";
-    run.is_quick().then_some(quick).into_iter().chain([shown]).map(str::to_owned).collect()
+    run.is_quick().then(|| quick.to_owned()).into_iter().collect()
 }
 
 /// Says what a run was trained on, and for how long.
