@@ -66,7 +66,6 @@ struct Membership {
 /// An actor's place on the network.
 #[derive(Debug)]
 pub struct ActorLink {
-    session: Session,
     endpoints: String,
     actor: ActorId,
     incarnation: Incarnation,
@@ -75,6 +74,8 @@ pub struct ActorLink {
     answers: Answers,
     joined: Mutex<Option<Joined>>,
     entered: Mutex<Option<Arc<Membership>>>,
+    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    session: Session,
 }
 
 impl ActorLink {

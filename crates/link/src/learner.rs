@@ -36,7 +36,6 @@ const N_ANSWERING: usize = 4;
 /// A learner's place on the network.
 #[derive(Debug)]
 pub struct LearnerLink {
-    session: Session,
     run: RunName,
     incarnation: Incarnation,
     locators: Vec<String>,
@@ -48,6 +47,8 @@ pub struct LearnerLink {
     _taken: [Subscriber<()>; 2],
     _answered: [Queryable<()>; 2],
     _alive: LivelinessToken,
+    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    session: Session,
 }
 
 impl LearnerLink {

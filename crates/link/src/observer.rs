@@ -47,10 +47,11 @@ pub enum ObserverEvent {
 /// An observer's place on the network.
 #[derive(Debug)]
 pub struct ObserverLink {
-    session: Session,
     events: EventQueue<ObserverEvent>,
     latest: Arc<Latest<ObserverEvent>>,
     followed: Mutex<Vec<Subscriber<()>>>,
+    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    session: Session,
 }
 
 impl ObserverLink {
