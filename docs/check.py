@@ -151,13 +151,13 @@ def tables(scratch):
     for domain, measure, cells in rows:
         if domain not in results:
             results[domain] = json.loads(run(f"leadtime smoke --domain {domain} --json", scratch).stdout)
-        summaries = results[domain]["comparison"]["summaries"]
-        for said, summary in zip(re.search(cells, readme).group(1).split(" | "), summaries):
-            interval = next(it for it in summary["measures"] if it["name"] == measure)["interval"]
+        summaries = {summary["player"]: summary for summary in results[domain]["comparison"]["summaries"]}
+        for said, player in zip(re.search(cells, readme).group(1).split(" | "), ("trained", "unaided", "heuristic", "untrained")):
+            interval = next(it for it in summaries[player]["measures"] if it["name"] == measure)["interval"]
             figure = re.search(r"\d*\.?\d+", said)
             digits = len(figure.group().partition(".")[2]) if figure else 0
             if figure and (not interval or abs(float(figure.group()) - interval["estimate"]) > 0.51 * 10**-digits):
-                wrong.append(f"README says {said} ({measure}, {summary['player']}, {domain}), smoke gives {interval}")
+                wrong.append(f"README says {said} ({measure}, {player}, {domain}), smoke gives {interval}")
     return wrong
 
 
