@@ -13,6 +13,10 @@ if [ -z "$program" ]; then
     cargo build --release --locked -p leadtime
     program=target/release/leadtime
 fi
+if ! command -v python3 >/dev/null; then
+    echo "skipped: no Python here"
+    exit
+fi
 python=python3
 if ! python3 -c 'import numpy' 2>/dev/null; then
     # Without it, everything else is checked.
