@@ -14,17 +14,36 @@ tensors = {}
 for name, entry in header.items():
     begin, end = (start + offset for offset in entry["data_offsets"])
     tensors[name] = np.frombuffer(data[begin:end], types[entry["dtype"]]).reshape(entry["shape"])
-if spec["encoder"] != "Identity":
-    sys.exit(f"this policy has an encoder, which these lines do not compute: {spec['encoder']}")
+encoder = spec["encoder"]
+if encoder != "Identity" and "Lstm" not in encoder:
+    sys.exit("this policy attends to entities: docs/policy-file.md has the formulas")
 layers = [f"actor.{i}" for i in range(len(spec["hidden"]))]
 
-def logits(x):
+def dense(layer, x):
+    return tensors[layer + ".weight"] @ x + tensors[layer + ".bias"]
+
+def lstm(x, hidden, cell):
+    if "encoder.projection.weight" in tensors:
+        x = np.tanh(dense("encoder.projection", x))
+    gates = np.split(dense("encoder.input", x) + dense("encoder.state", hidden), 4)
+    enter, keep, leave = (1 / (1 + np.exp(-gates[i])) for i in (0, 1, 3))
+    cell = keep * cell + enter * np.tanh(gates[2])
+    return leave * np.tanh(cell), cell
+
+def logits(step):
+    global state
+    x = np.array(step["observation"])
     if spec["normalize_observations"]:
         x = (x - tensors["normalizer.mean"]) / np.sqrt(tensors["normalizer.variance"] + 1e-8)
         x = np.clip(x, -10, 10)
+    if encoder != "Identity":
+        if step["step"] == 0:
+            state = np.zeros((2, encoder["Lstm"]["state"]))
+        state = lstm(x, *state)
+        x = state[0]
     for layer in layers:
-        x = np.tanh(tensors[layer + ".weight"] @ x + tensors[layer + ".bias"])
-    return tensors["actor.head.weight"] @ x + tensors["actor.head.bias"]
+        x = np.tanh(dense(layer, x))
+    return dense("actor.head", x)
 
 def greedy(logits, offered):
     action, first = [], 0
@@ -39,7 +58,7 @@ def greedy(logits, offered):
     return action
 
 steps = [json.loads(line) for line in open(sys.argv[2])]
-computed = [logits(np.array(step["observation"])) for step in steps]
+computed = [logits(step) for step in steps]
 error = max(np.abs(ours - step["logits"]).max() for ours, step in zip(computed, steps))
 same = sum(greedy(ours, step["offered"]) == step["action"] for ours, step in zip(computed, steps))
 print(f"{same} of {len(steps)} decisions reproduced; logits differ by {error:.1e} at most")
