@@ -297,7 +297,7 @@ impl Canvas {
         attributes.push_str(extra);
         if let Some(halo) = style.halo {
             // Set twice, the outline beneath: not every renderer knows `paint-order`.
-            let outline = Paint::fill(halo).outlined(halo, 3.5).attributes();
+            let outline = Paint::fill(halo).outlined(halo, 0.3 * style.size).attributes();
             self.push_text(at, text, &format!("{attributes} aria-hidden=\"true\"{outline}"));
         }
         self.push_text(at, text, &format!("{attributes}{}", Paint::fill(style.ink).attributes()));
