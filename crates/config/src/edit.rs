@@ -20,7 +20,7 @@ pub(crate) fn edited(below: &str, above: &str) -> String {
         let is_same = |other: &Block| other.section == block.section && other.key == block.key;
         let replaced = above.iter().position(is_same).map(|at| above.remove(at));
         let written = replaced.unwrap_or_else(|| block.clone());
-        // A default without a comment gets that of whoever writes another value.
+        // A default without a comment takes the comment of the value that replaces it.
         let is_bare = block.comment.trim().is_empty() && !written.comment.trim().is_empty();
         text += if is_bare { &written.comment } else { &block.comment };
         text += &written.lines;

@@ -53,7 +53,7 @@ impl EvaluationRequest {
     }
 }
 
-/// An evaluated run.
+/// What the evaluation of a run gave: its page, and the record that its directory keeps.
 #[derive(Debug)]
 pub struct RunEvaluation {
     /// What its page says.

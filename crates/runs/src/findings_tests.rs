@@ -1,4 +1,3 @@
-use leadtime_config::{ConfigSource, Override};
 use leadtime_eval::measure::Difference;
 use leadtime_learner::write_atomically;
 use leadtime_numerics::stats::{Bootstrap, Interval};
@@ -12,16 +11,7 @@ use crate::policy_file::{VERSION, metadata};
 use crate::{ProgramBuild, QUICK_UPDATES, RunDir};
 
 fn config(runs: &Path, base: &str, set: &[&str]) -> Config {
-    let tasks = Tasks::new();
-    let source = ConfigSource {
-        steps: None,
-        file: tasks.catalog.file(base),
-        set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
-        seed: Some(7),
-        runs: Some(runs.to_owned()),
-        name: Some("a".to_owned()),
-    };
-    Config::load(&source, &tasks.catalog, &tasks.registry).unwrap()
+    crate::test_support::config(runs, base, "a", set)
 }
 
 /// Trains a run from update `first` to `last`, and writes its policy.

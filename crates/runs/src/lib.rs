@@ -44,6 +44,8 @@ pub mod scratch;
 pub mod supervise;
 pub mod tasks;
 mod tensorboard;
+#[cfg(test)]
+mod test_support;
 
 pub use build::ProgramBuild;
 pub use command_line::{command_line, program_name};

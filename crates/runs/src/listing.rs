@@ -20,13 +20,13 @@ const DIGEST_DIGITS: usize = 12;
 /// A run as it is listed.
 #[derive(Debug, Default, Serialize)]
 pub struct ListedRun {
-    /// Its name.
+    /// As its record has it; where that cannot be read, its directory's.
     pub name: String,
     /// What it trains on.
     pub domain: String,
     /// `finished`, `unfinished` or `unreadable`.
     pub state: &'static str,
-    /// Updates so far.
+    /// Updates in its journal.
     pub updates: u64,
     /// Environment steps so far.
     pub steps: u64,

@@ -4,20 +4,8 @@ use serde_json::json;
 
 use super::*;
 use crate::journal::Journal;
+use crate::test_support::config;
 use crate::{ForkOrigin, RunDir};
-
-fn config(runs: &Path, base: &str, name: &str, set: &[&str]) -> Config {
-    let tasks = Tasks::new();
-    let source = ConfigSource {
-        steps: None,
-        file: tasks.catalog.file(base),
-        set: set.iter().map(|text| Override::parse(text).unwrap()).collect(),
-        seed: Some(7),
-        runs: Some(runs.to_owned()),
-        name: Some(name.to_owned()),
-    };
-    Config::load(&source, &tasks.catalog, &tasks.registry).unwrap()
-}
 
 /// Makes a run with two updates.
 fn begun(runs: &Path, base: &str, name: &str, set: &[&str]) -> RunFiles {

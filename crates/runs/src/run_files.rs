@@ -13,7 +13,7 @@ pub const QUICK_UPDATES: u64 = 12;
 /// What lies in a run's directory.
 #[derive(Debug)]
 pub struct RunFiles {
-    /// The directory.
+    /// The run's directory, as it was named.
     pub directory: PathBuf,
     pub(crate) record: RunRecord,
     pub(crate) journal: Vec<Map<String, Value>>,

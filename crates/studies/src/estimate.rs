@@ -56,20 +56,20 @@ impl TrainingEstimate {
         Self::from_paces(&paces, &left.collect::<Vec<_>>(), crew.n_jobs())
     }
 
-    fn from_paces(paces: &[RecordedPace<'_>], left_of: &[(&str, u64)], n_jobs: usize) -> Self {
+    fn from_paces(paces: &[RecordedPace<'_>], all: &[(&str, u64)], n_jobs: usize) -> Self {
+        let unfinished = || all.iter().filter(|(_, steps)| *steps > 0);
         let (mut seconds, mut n_assumed) = (0.0, 0);
-        for &(domain, steps) in left_of.iter().filter(|(_, steps)| *steps > 0) {
+        for &(domain, steps) in unfinished() {
             let known = || paces.iter().filter(|pace| pace.domain == domain);
             let time: f64 = known().map(|pace| pace.seconds).sum();
             let made: f64 = known().map(|pace| pace.steps).sum();
             n_assumed += usize::from(time == 0.0);
             seconds += steps as f64 / if time == 0.0 { STEPS_PER_SECOND } else { made / time };
         }
-        let at_once = n_jobs.min(left_of.iter().filter(|(_, steps)| *steps > 0).count()).max(1);
+        let at_once = n_jobs.min(unfinished().count()).max(1);
         let left = Duration::try_from_secs_f64(seconds / at_once as f64).unwrap_or(Duration::MAX);
-        let used = |pace: &&RecordedPace<'_>| {
-            left_of.iter().any(|(domain, steps)| *steps > 0 && *domain == pace.domain)
-        };
+        let used =
+            |pace: &&RecordedPace<'_>| unfinished().any(|(domain, _)| *domain == pace.domain);
         let n_measured = paces.iter().filter(used).count();
         Self { left, at_once, n_measured, n_assumed }
     }

@@ -38,11 +38,10 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         if let Some(run) = kept_in {
             evaluation::save(&record, run, &task.policy.config).blame(ExitCode::WrongInput)?;
         }
-        if args.shown.json {
-            return Ok(());
+        if !args.shown.json {
+            let is_spoken = !tasks.topics(&task.policy.config.evaluation.task).is_empty();
+            output::next(&task.policy.path, if is_spoken { &[DRAW, HEAR] } else { &[DRAW] });
         }
-        let is_spoken = !tasks.topics(&task.policy.config.evaluation.task).is_empty();
-        output::next(&task.policy.path, if is_spoken { &[DRAW, HEAR] } else { &[DRAW] });
         return Ok(());
     };
     // All of them first, so that an impossible value is reported before an hour's work.

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context as _, Error};
 use leadtime_config::Config;
 use leadtime_eval::measure::{Comparison, measure_names};
-use leadtime_proto::phrase::no_such;
+use leadtime_proto::phrase::{counted, no_such};
 use leadtime_runs::EvaluationRecord;
 
 use crate::output;
@@ -30,7 +30,6 @@ pub(super) fn print(comparison: &Comparison, all: bool) {
     output::line(comparison.text(all).trim_end());
     let n = comparison.n_further();
     if !all && n > 0 {
-        let measures = if n == 1 { "measure" } else { "measures" };
-        output::note(&format!("({n} more {measures} with --all)"));
+        output::note(&format!("({} with --all)", counted(n, "more measure")));
     }
 }

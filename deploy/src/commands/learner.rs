@@ -135,7 +135,7 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
             books,
         };
         run_dir.finish(result).blame(ExitCode::WrongInput)?;
-        // Whoever started this process says what comes next.
+        // The supervisor that started this process says what comes next.
         if !args.supervised {
             output::next(&run_dir.path, &[EVALUATE, DRAW]);
         }

@@ -12,7 +12,7 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW};
 
 /// The page's file in a run directory.
-const PAGE: &str = "report.html";
+pub(super) const PAGE: &str = "report.html";
 
 pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
     let ChoosingArgs { eval_seed, action, runs } = &args.choosing;

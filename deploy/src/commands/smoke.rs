@@ -96,11 +96,11 @@ fn evaluate(tasks: &Tasks, args: &SmokeArgs, directory: &Path) -> anyhow::Result
 }
 
 fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome) {
-    let report = directory.join("report.html");
+    let page = directory.join(report::PAGE);
     if args.shown.json {
         output::json(&json!({
             "run": directory.display().to_string(),
-            "report": report.display().to_string(),
+            "report": page.display().to_string(),
             "quick": args.quick,
             "passed": outcome.verdict.holds,
             "verdict": outcome.verdict.sentence,
@@ -112,6 +112,6 @@ fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome) {
     evaluation::print(&outcome.comparison, args.shown.all);
     output::line(&format!("\n{}", outcome.verdict.sentence));
     output::line(&format!("Books:  {}", books_sentence(&outcome.books)));
-    output::line(&format!("Report: {}", report.display()));
+    output::line(&format!("Report: {}", page.display()));
     output::next(directory, &[DRAW, HEAR]);
 }

@@ -230,7 +230,7 @@ impl Canvas {
         canvas
     }
 
-    /// Describes the picture in words, for whoever cannot see it.
+    /// Describes the picture in words, for readers who cannot see it.
     pub fn describe(&mut self, description: &str) {
         self.description = format!("<desc>{}</desc>\n", escape(description));
     }

@@ -135,7 +135,7 @@ mod tests {
                 said > 0 && texts(&svg).iter().any(|found| found.text.contains(&end)),
                 "{domain}"
             );
-            // Whoever cannot see it reads what was said.
+            // Readers who cannot see the picture get what was said.
             let described = svg.split("<desc>").nth(1).unwrap().split("</desc>").next().unwrap();
             assert!(
                 described.contains("hears") && described.contains(&format!("{said} notification"))

@@ -9,6 +9,7 @@
 //!   3.6 s                                        follows ascend
 //! ```
 
+use leadtime_proto::phrase::counted;
 use leadtime_taxonomy::Pace;
 
 use super::record::Playthrough;
@@ -65,8 +66,7 @@ impl Spoken {
     }
 
     fn n_notifications(&self) -> String {
-        let said = self.timeline.utterances.len();
-        format!("{said} notification{}", if said == 1 { "" } else { "s" })
+        counted(self.timeline.utterances.len(), "notification")
     }
 
     /// Writes the episode's numbers in a line.

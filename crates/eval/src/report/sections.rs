@@ -1,5 +1,6 @@
 //! The parts of the page; a part without contents is an empty string.
 
+use leadtime_proto::phrase::counted;
 use leadtime_table::{Table, escape};
 
 use super::contents::{Book, Fact, Picture, Provenance, Report, Verdict};
@@ -118,8 +119,7 @@ fn more_measures(comparison: &Comparison, names: &[&str]) -> String {
         let zero = zero.into_iter().map(title).collect::<Vec<_>>().join("; ");
         body.extend(["<p>0 in every episode: ", &*escape(&zero), ".</p>\n"]);
     }
-    let plural = if names.len() == 1 { "" } else { "s" };
-    folded(&format!("{} more measure{plural}", names.len()), &body)
+    folded(&counted(names.len(), "more measure"), &body)
 }
 
 fn meanings(names: &[&str]) -> String {
