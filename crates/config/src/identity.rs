@@ -14,8 +14,8 @@ const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
 pub const TOTAL_STEPS: &str = "learner.total_steps";
 /// The seed's key.
 const SEED: &str = "seed";
-/// A setting that is younger than some runs, and changes nothing at 0.
-const LATER: &str = "policy.length_bias";
+/// Settings that are younger than some runs, with the value, as TOML, at which each changes nothing.
+const LATER: [(&str, &str); 2] = [("policy.length_bias", "0.0"), ("world.observe_time", "false")];
 
 /// Tells whether a key only says where and how a run is carried out.
 pub fn is_free(key: &str) -> bool {
@@ -32,7 +32,11 @@ fn deciding(table: &Table) -> BTreeMap<String, String> {
 
 /// Tells whether a value (empty: none) is that of a younger setting that changes nothing.
 fn changes_nothing(key: &str, value: &str) -> bool {
-    key == LATER && (value.is_empty() || value.parse() == Ok(0.0))
+    let number = |text: &str| text.parse::<f64>().ok();
+    LATER.iter().filter(|(later, _)| *later == key).any(|&(_, idle)| {
+        let is_same = number(value).zip(number(idle)).is_some_and(|(value, idle)| value == idle);
+        value.is_empty() || value == idle || is_same
+    })
 }
 
 /// Computes the hash over everything that must not change when a run is resumed.
@@ -121,6 +125,13 @@ mod tests {
         assert_eq!(changes(&before, &other), ["policy.length_bias: (none) -> -0.5"]);
         assert_eq!(changes(&other, &same), ["policy.length_bias: -0.5 -> 0.0"]);
         assert!(flatten(&same).contains_key("policy.length_bias"));
+        let whole = table("[policy]\ninitiate_bias = -1.0\nlength_bias = 0");
+        assert!(difference(&same, &whole).is_empty());
+        for (key, idle) in LATER {
+            let (section, name) = key.split_once('.').unwrap();
+            let later = table(&format!("[{section}]\n{name} = {idle}"));
+            assert!(difference(&table(""), &later).is_empty() && deciding(&later).is_empty());
+        }
     }
 
     fn changes(before: &Table, after: &Table) -> Vec<String> {

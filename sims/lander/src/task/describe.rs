@@ -18,6 +18,10 @@ pub(super) fn quantities(settings: &LanderWorldSettings) -> Vec<Quantity> {
             })
         }));
     }
+    if settings.observe_time {
+        let meaning = "share of the steps of an episode that is left";
+        all.push(Quantity::new("time_left", meaning, [0.0, 1.0]));
+    }
     all
 }
 

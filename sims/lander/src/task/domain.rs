@@ -55,7 +55,8 @@ struct LanderTaskSnapshot {
 ///
 /// # Shapes
 ///
-/// Observation: the lander's 8 values; if zones differ between episodes, 4 more per zone (x0, x1, y0, y1).
+/// Observation: the lander's 8 values; if zones differ between episodes, 4 more per zone (x0, x1, y0, y1); with
+/// `observe_time`, 1 more: the share of the steps that is left.
 #[derive(Debug)]
 pub struct LanderDomain {
     settings: LanderWorldSettings,
@@ -86,6 +87,10 @@ impl LanderDomain {
     fn place(&self) -> [f64; 2] {
         let [x, y, ..] = self.lander.observation().map(f64::from);
         [x, y]
+    }
+
+    fn n_observed_zones(&self) -> usize {
+        if self.settings.has_jitter() { self.zones.len() } else { 0 }
     }
 
     /// Chooses the pilot's engine for one frame, and tells whether it follows the reaction.
@@ -193,7 +198,7 @@ impl Domain for LanderDomain {
     }
 
     fn obs_dim(&self) -> usize {
-        8 + if self.settings.has_jitter() { 4 * self.settings.zones.len() } else { 0 }
+        8 + 4 * self.n_observed_zones() + usize::from(self.settings.observe_time)
     }
 
     fn quantities(&self) -> Vec<Quantity> {
@@ -218,10 +223,15 @@ impl Domain for LanderDomain {
     }
 
     fn observe(&self, out: &mut [f32]) {
-        let (lander, zones) = out.split_at_mut(8);
+        let (lander, rest) = out.split_at_mut(8);
         lander.copy_from_slice(self.lander.observation());
+        let (zones, time_left) = rest.split_at_mut(4 * self.n_observed_zones());
         for (sides, zone) in zones.chunks_exact_mut(4).zip(&self.zones) {
             sides.copy_from_slice(&[zone.x0, zone.x1, zone.y0, zone.y1].map(|side| side as f32));
+        }
+        if let [time_left] = time_left {
+            let used = f64::from(self.progress.n_steps) / f64::from(self.settings.max_steps);
+            *time_left = (1.0 - used) as f32;
         }
     }
 

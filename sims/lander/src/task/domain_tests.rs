@@ -176,6 +176,39 @@ fn zones_that_move_are_observed_and_stay_in_reach() {
 }
 
 #[test]
+fn the_time_that_is_left_is_observed_where_it_is_asked_for() {
+    let settings = free(|s| (s.observe_time, s.max_steps) = (true, 4));
+    let mut task = start(&settings, 0);
+    let time_left = |task: &LanderDomain| {
+        let mut observation = vec![f32::NAN; task.obs_dim()];
+        task.observe(&mut observation);
+        assert_eq!(observation.len(), task.quantities().len());
+        assert_eq!(observation[..8], *task.lander.observation());
+        observation[8..].to_vec()
+    };
+    assert_eq!(time_left(&task), [1.0]);
+    task.advance(None);
+    let mut snapshot = Vec::new();
+    task.snapshot(&mut snapshot);
+    for expected in [0.75, 0.5, 0.25, 0.0] {
+        assert_eq!(time_left(&task), [expected]);
+        task.advance(None);
+    }
+    task.restore(&snapshot).unwrap();
+    assert_eq!(time_left(&task), [0.75]);
+
+    // After the sides of the zones, where these are observed too.
+    let both = LanderWorldSettings {
+        observe_time: true,
+        zone_jitter: [0.1, 0.0],
+        ..LanderWorldSettings::default()
+    };
+    let task = start(&both, 0);
+    assert_eq!(task.quantities().last().unwrap().name, "time_left");
+    assert_eq!(time_left(&task)[12..], [1.0]);
+}
+
+#[test]
 fn the_scripted_notifier_speaks_near_zones_only() {
     let task = start(&settings(|s| s.zones = vec![SKY]), 0);
     assert!(task.heuristic().is_some());

@@ -75,6 +75,9 @@ pub struct LanderWorldSettings {
     pub frames_per_step: u32,
     /// Steps after which an episode is lost (1 to 100000). Default 200.
     pub max_steps: u32,
+    /// Whether the share of `max_steps` that is left is observed, so that running out of time can be foreseen. Default
+    /// false.
+    pub observe_time: bool,
     /// The danger zones. Default: three, see [`DEFAULT_ZONES`].
     pub zones: Vec<Zone>,
     /// How far each zone is moved at most per episode, `[x, y]` (0 to 1); if it is not `[0, 0]`, zones are observed.
@@ -125,6 +128,7 @@ impl Default for LanderWorldSettings {
             reaction: ReactionKind::Maneuver,
             frames_per_step: 5,
             max_steps: 200,
+            observe_time: false,
             zones: DEFAULT_ZONES.to_vec(),
             zone_jitter: [0.0, 0.0],
             zone_ends_episode: true,
