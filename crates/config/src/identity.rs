@@ -15,7 +15,11 @@ pub const TOTAL_STEPS: &str = "learner.total_steps";
 /// The seed's key.
 const SEED: &str = "seed";
 /// Settings that are younger than some runs, with the value, as TOML, at which each changes nothing.
-const LATER: [(&str, &str); 2] = [("policy.length_bias", "0.0"), ("world.observe_time", "false")];
+const LATER: [(&str, &str); 3] = [
+    ("policy.length_bias", "0.0"),
+    ("world.near_charged", "\"per_step\""),
+    ("world.observe_time", "false"),
+];
 
 /// Tells whether a key only says where and how a run is carried out.
 pub fn is_free(key: &str) -> bool {

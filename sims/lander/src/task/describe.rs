@@ -2,7 +2,7 @@
 
 use leadtime_sims::{Quantity, RewardTerm};
 
-use super::settings::{EntryPenalty, LanderWorldSettings, NearPenalty};
+use super::settings::{EntryPenalty, LanderWorldSettings, NearCharge, NearPenalty};
 use crate::world;
 
 /// Says what the numbers of the observation are.
@@ -41,6 +41,9 @@ pub(super) fn reward_terms(settings: &LanderWorldSettings) -> Vec<RewardTerm> {
             let amount = -settings.entry_penalty;
             RewardTerm::new("entering a zone for the first time", amount, "world.entry_penalty")
         }
+        (false, EntryPenalty::PerFrame) => {
+            RewardTerm::new("a frame in a zone", -settings.entry_penalty, "world.entry_penalty")
+        }
         (false, EntryPenalty::PerStep) => {
             RewardTerm::new("a step in a zone", -settings.entry_penalty, "world.entry_penalty")
         }
@@ -66,9 +69,13 @@ pub(super) fn reward_terms(settings: &LanderWorldSettings) -> Vec<RewardTerm> {
         RewardTerm::new("running out of time", -settings.timeout_penalty, "world.timeout_penalty"),
         entry,
     ];
-    terms.extend(
-        nearness.map(|when| RewardTerm::new(when, -settings.near_weight, "world.near_weight")),
-    );
+    let in_every_frame = match settings.near_charged {
+        NearCharge::PerFrame => ", in every frame",
+        NearCharge::PerStep => "",
+    };
+    terms.extend(nearness.map(|when| {
+        RewardTerm::new(when + in_every_frame, -settings.near_weight, "world.near_weight")
+    }));
     terms.push(RewardTerm::new(
         "a frame of the main engine",
         -settings.main_fuel,

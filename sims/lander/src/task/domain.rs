@@ -12,7 +12,9 @@ use serde::{Deserialize, Serialize};
 use super::describe;
 use super::maneuver::{Maneuver, TOPICS, listens, maneuver, raw};
 use super::safe_path::direct;
-use super::settings::{EntryPenalty, LanderWorldSettings, NearPenalty, PilotKind, ReactionKind};
+use super::settings::{
+    EntryPenalty, LanderWorldSettings, NearCharge, NearPenalty, PilotKind, ReactionKind,
+};
 use super::zone::Zone;
 use crate::pilot::{Flyer, Pilot, engines_off};
 use crate::world::{Engine, Lander, LanderOutcome, LanderSnapshot, SNAPSHOT_MARGIN, VIEW, caption};
@@ -41,7 +43,16 @@ struct LanderProgress {
 struct Frames {
     fuel: f64,
     followed: bool,
-    inside: bool,
+    /// How many of them were in a zone.
+    n_inside: u32,
+    /// What being near zones costs.
+    near_cost: f64,
+}
+
+impl Frames {
+    fn is_inside(&self) -> bool {
+        self.n_inside > 0
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -125,11 +136,17 @@ impl LanderDomain {
             };
             self.progress.outcome = self.lander.step(engine).outcome;
             let place = self.place();
-            frames.inside |= self.zones.iter().any(|zone| zone.contains(place));
-            let ends_here = frames.inside && self.settings.zone_ends_episode;
+            frames.n_inside += u32::from(self.zones.iter().any(|zone| zone.contains(place)));
+            if self.settings.near_charged == NearCharge::PerFrame {
+                frames.near_cost += self.near_cost();
+            }
+            let ends_here = frames.is_inside() && self.settings.zone_ends_episode;
             if ends_here || self.progress.outcome.is_some() {
                 break;
             }
+        }
+        if self.settings.near_charged == NearCharge::PerStep {
+            frames.near_cost = self.near_cost();
         }
         frames
     }
@@ -143,6 +160,7 @@ impl LanderDomain {
         self.progress.outcome == Some(LanderOutcome::Landed) && there
     }
 
+    /// Computes what being near zones costs at this place.
     fn near_cost(&self) -> f64 {
         let (place, near) = (self.place(), self.settings.near_distance);
         let depth = |distance: f64| (near - distance).max(0.0);
@@ -161,15 +179,16 @@ impl LanderDomain {
     }
 
     /// Computes what the zones cost in a step that is not part of the progress yet.
-    fn zone_cost(&self, inside: bool) -> f64 {
+    fn zone_cost(&self, frames: &Frames) -> f64 {
         let settings = &self.settings;
-        let entry = match (inside, settings.zone_ends_episode, settings.entry_charged) {
-            (false, ..) => 0.0,
-            (true, true, _) => settings.zone_end_penalty,
-            (true, false, EntryPenalty::Once) if self.progress.entered => 0.0,
-            (true, false, _) => settings.entry_penalty,
+        let entry = match (frames.n_inside, settings.zone_ends_episode, settings.entry_charged) {
+            (0, ..) => 0.0,
+            (_, true, _) => settings.zone_end_penalty,
+            (_, false, EntryPenalty::Once) if self.progress.entered => 0.0,
+            (_, false, EntryPenalty::Once | EntryPenalty::PerStep) => settings.entry_penalty,
+            (n, false, EntryPenalty::PerFrame) => f64::from(n) * settings.entry_penalty,
         };
-        entry + self.near_cost()
+        entry + frames.near_cost
     }
 
     /// Computes the reward of how the episode ended, and whether it did.
@@ -237,15 +256,16 @@ impl Domain for LanderDomain {
 
     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance {
         let frames = self.fly(reaction);
-        let zone_cost = self.zone_cost(frames.inside);
+        let zone_cost = self.zone_cost(&frames);
+        let is_inside = frames.is_inside();
         self.progress.n_steps += 1;
-        if frames.inside && !self.progress.entered {
+        if is_inside && !self.progress.entered {
             self.progress.entered_at = self.progress.n_steps;
         }
-        self.progress.entered |= frames.inside;
-        self.progress.zone_steps += u32::from(frames.inside);
+        self.progress.entered |= is_inside;
+        self.progress.zone_steps += u32::from(is_inside);
         self.progress.fuel += frames.fuel;
-        let (ending, end) = self.finish(frames.inside);
+        let (ending, end) = self.finish(is_inside);
         let status = if frames.followed { Followed } else { Refused };
         let reward = ending - frames.fuel - zone_cost;
         Advance { reward, reaction: reaction.map(|_| status), end }

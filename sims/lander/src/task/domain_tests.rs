@@ -123,6 +123,43 @@ fn being_near_costs_by_depth_by_side_or_by_distance() {
 }
 
 #[test]
+fn zones_can_be_charged_in_every_frame_as_fuel_is() {
+    // A zone of everything, whose border is nowhere near: the near penalty of a frame is its greatest.
+    let everything = Zone { x0: -9.0, x1: 9.0, y0: -9.0, y1: 9.0 };
+    let charged = |n_frames, entry_charged, near_charged| {
+        let mut task = start(
+            &free(|s| {
+                s.zones = vec![everything];
+                s.zone_ends_episode = false;
+                s.frames_per_step = n_frames;
+                s.near_penalty = NearPenalty::Depth;
+                (s.entry_charged, s.near_charged) = (entry_charged, near_charged);
+            }),
+            0,
+        );
+        let entry = task.advance(None).reward;
+        assert_eq!(metric(&task, "danger_steps"), 1.0);
+        entry
+    };
+    let near = 10.0 * 0.2;
+    for (entry_charged, near_charged, expected) in [
+        (EntryPenalty::PerStep, NearCharge::PerStep, 20.0 + near),
+        (EntryPenalty::PerFrame, NearCharge::PerStep, 15.0 * 20.0 + near),
+        (EntryPenalty::PerStep, NearCharge::PerFrame, 20.0 + 15.0 * near),
+        (EntryPenalty::PerFrame, NearCharge::PerFrame, 15.0 * (20.0 + near)),
+    ] {
+        let reward = charged(15, entry_charged, near_charged);
+        assert!((reward + expected).abs() < 1e-9, "{entry_charged:?}, {near_charged:?}: {reward}");
+    }
+    // A step of one frame costs the same either way.
+    let [frame, step] = [
+        charged(1, EntryPenalty::PerFrame, NearCharge::PerFrame),
+        charged(1, EntryPenalty::PerStep, NearCharge::PerStep),
+    ];
+    assert_eq!(frame, step);
+}
+
+#[test]
 fn running_out_of_time_is_a_costly_end() {
     let mut task = start(&free(|s| s.max_steps = 3), 0);
     let (last, total) = fly(&mut task, None);

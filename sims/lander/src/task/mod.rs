@@ -27,5 +27,7 @@ mod settings;
 mod zone;
 
 pub use domain::{ENTERED, LanderDomain, LanderTaskSettings};
-pub use settings::{EntryPenalty, LanderWorldSettings, NearPenalty, PilotKind, ReactionKind};
+pub use settings::{
+    EntryPenalty, LanderWorldSettings, NearCharge, NearPenalty, PilotKind, ReactionKind,
+};
 pub use zone::{DEFAULT_ZONES, Zone};

@@ -44,10 +44,22 @@ pub enum NearPenalty {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EntryPenalty {
+    /// In every frame inside a zone, as fuel is charged.
+    PerFrame,
     /// In every step with a frame inside a zone.
     PerStep,
     /// In the first such step of an episode.
     Once,
+}
+
+/// How often being near a zone is punished.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NearCharge {
+    /// In every frame, as fuel is charged.
+    PerFrame,
+    /// Where the step ends.
+    PerStep,
 }
 
 /// The world of the task. Positions are in observed units: the pad at (0, 0), the view's edges at x = ±1.
@@ -92,9 +104,11 @@ pub struct LanderWorldSettings {
     pub entry_charged: EntryPenalty,
     /// How being near a zone is punished. Default `depth`.
     pub near_penalty: NearPenalty,
+    /// How often it is. Default `per_step`.
+    pub near_charged: NearCharge,
     /// What near means (0 to 2). Default 0.2.
     pub near_distance: f64,
-    /// Cost per unit of distance and step (at least 0). Default 10.
+    /// Cost per unit of distance, and per step or frame (at least 0). Default 10.
     pub near_weight: f64,
     /// Cost of a frame of the main engine (at least 0). Default 0.3.
     pub main_fuel: f64,
@@ -136,6 +150,7 @@ impl Default for LanderWorldSettings {
             entry_penalty: 20.0,
             entry_charged: EntryPenalty::PerStep,
             near_penalty: NearPenalty::Depth,
+            near_charged: NearCharge::PerStep,
             near_distance: 0.2,
             near_weight: 10.0,
             main_fuel: 0.3,
