@@ -10,7 +10,7 @@ use crate::error::{ConfigError, ensure};
 use crate::layers::{Layer, word};
 
 /// Files that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 11] = [
+const BUILT_IN: [(&str, &str); 15] = [
     ("cartpole", include_str!("../configs/cartpole.toml")),
     ("cue_recall", include_str!("../configs/cue_recall.toml")),
     ("highway", include_str!("../configs/highway.toml")),
@@ -19,6 +19,10 @@ const BUILT_IN: [(&str, &str); 11] = [
     ("paper_highway", include_str!("../configs/paper_highway.toml")),
     ("paper_lander", include_str!("../configs/paper_lander.toml")),
     ("paper_lander_hard", include_str!("../configs/paper_lander_hard.toml")),
+    ("paper_letter_highway", include_str!("../configs/paper_letter_highway.toml")),
+    ("paper_letter_lander", include_str!("../configs/paper_letter_lander.toml")),
+    ("paper_letter_lander_hard", include_str!("../configs/paper_letter_lander_hard.toml")),
+    ("paper_letter_steakhouse", include_str!("../configs/paper_letter_steakhouse.toml")),
     ("pilot", include_str!("../configs/pilot.toml")),
     ("steakhouse", include_str!("../configs/steakhouse.toml")),
     ("steakhouse_timing", include_str!("../configs/steakhouse_timing.toml")),

@@ -87,6 +87,101 @@ fn run_identities_stay() {
     }
 }
 
+/// The profiles that follow the paper to the letter, each with what only it has, as TOML.
+const LETTER: [(&str, &str); 4] = [
+    (
+        "paper_letter_lander",
+        r#"
+        world = { observe_time = false, zone_ends_episode = false, entry_penalty = 20.0, entry_charged = "per_frame" }
+        world.near_charged = "per_frame"
+        human.follow_through = "length"
+        human.reaction_reward = "off"
+        policy = { encoder = "none", hidden = [64, 64], normalize_observations = false }
+        learner = { n_envs = 4, n_steps = 128, n_minibatches = 4, n_epochs = 4, normalize_rewards = false }
+        "#,
+    ),
+    (
+        "paper_letter_lander_hard",
+        r#"
+        world = { observe_time = false, zone_ends_episode = false, entry_penalty = 20.0, entry_charged = "per_frame" }
+        world.near_charged = "per_frame"
+        human.follow_through = { fixed = 3 }
+        human.reaction_reward = "once"
+        policy = { encoder = "none", hidden = [64, 64], normalize_observations = true }
+        learner = { n_envs = 16, n_steps = 600, n_minibatches = 8, n_epochs = 8, normalize_rewards = true }
+        "#,
+    ),
+    (
+        "paper_letter_highway",
+        r#"
+        world.absorb_until = 0
+        human.follow_through = "twice_length_minus_two"
+        policy = { encoder = "attention", attention_width = 64, attention_heads = 2, hidden = [64, 64] }
+        policy.normalize_observations = false
+        learner = { n_envs = 4, n_steps = 128, n_minibatches = 4, n_epochs = 4, normalize_rewards = false }
+        "#,
+    ),
+    (
+        "paper_letter_steakhouse",
+        r#"
+        human.follow_through = { fixed = 3 }
+        policy = { encoder = "lstm", lstm_projection = 32, lstm_state = 128, hidden = [] }
+        policy.normalize_observations = false
+        learner = { n_envs = 4, n_steps = 128, n_minibatches = 4, n_epochs = 4, normalize_rewards = false }
+        "#,
+    ),
+];
+
+/// What all of them have.
+const EVERY_LETTER: &str = r#"
+    human = { words_from = 1, reaction_delay = { fixed = 2 }, follow_through_end = "inclusive", interrupt = "replace" }
+    human.can_stop = true
+    human.pending = "overwrite_on_comprehension"
+    human.repeat = "restart"
+    notifier.observe_utterance = false
+    policy = { head_credit = "all", initiate_bias = 0.0, length_bias = 0.0 }
+    learner = { mode = "sync", learning_rate = 2.5e-4, anneal = true, gamma = 0.99, gae_lambda = 0.95, clip = 0.2 }
+    learner.value_clip = true
+    learner.normalize_advantages = true
+    learner.entropy_coef = 0.01
+    learner.value_coef = 0.5
+    learner.max_grad_norm = 0.5
+    learner.truncation = "cleanrl"
+    learner.reward_scale = 1.0
+"#;
+
+#[test]
+fn the_letter_profiles_have_what_the_paper_writes() {
+    // One line at a time: in one text a table and its dotted keys would exclude each other.
+    let leaves = |text: &str| {
+        let lines = text.lines().map(|line| line.parse::<Table>().unwrap());
+        lines.flat_map(|table| identity::flatten(&table)).collect::<Vec<_>>()
+    };
+    for (name, own) in LETTER {
+        let config = named(name);
+        let written = identity::flatten(&config.table);
+        for (key, value) in leaves(EVERY_LETTER).into_iter().chain(leaves(own)) {
+            assert_eq!(written.get(&key), Some(&value), "{name}: {key}");
+        }
+        assert!(config.policy.logit_bias.is_empty(), "{name}: an untrained policy has a bias");
+        assert!(!written.contains_key("learner.target_kl"), "{name}: target_kl");
+    }
+}
+
+#[test]
+fn a_letter_profile_plays_on_the_map_of_the_profile_that_it_stands_beside() {
+    for (letter, ours) in
+        [("paper_letter_lander", "paper_lander"), ("paper_letter_lander_hard", "paper_lander_hard")]
+    {
+        let [letter, ours] = [letter, ours].map(|name| named(name).table);
+        for key in ["zones", "frames_per_step", "max_steps", "zone_jitter", "reaction", "on_pad"] {
+            assert_eq!(letter["world"][key], ours["world"][key], "{key}");
+        }
+        assert_eq!(letter["notifier"]["notification"], ours["notifier"]["notification"]);
+        assert_eq!(letter["learner"]["total_steps"], ours["learner"]["total_steps"]);
+    }
+}
+
 #[test]
 fn the_learners_own_defaults_are_those_of_cartpole() {
     let config = check("domain = \"cartpole\"").unwrap();
