@@ -9,7 +9,7 @@ use crate::error::{Error, Placed as _, ensure};
 use crate::study::Study;
 
 /// Name and text, in the order in which `all` carries them out.
-const BUILT_IN: [(&str, &str); 10] = [
+const BUILT_IN: [(&str, &str); 13] = [
     ("table1", include_str!("../studies/table1.toml")),
     ("robustness", include_str!("../studies/robustness.toml")),
     ("types", include_str!("../studies/types.toml")),
@@ -20,6 +20,9 @@ const BUILT_IN: [(&str, &str); 10] = [
     ("layouts", include_str!("../studies/layouts.toml")),
     ("realtime", include_str!("../studies/realtime.toml")),
     ("reasons", include_str!("../studies/reasons.toml")),
+    ("slack", include_str!("../studies/slack.toml")),
+    ("letter", include_str!("../studies/letter.toml")),
+    ("factors", include_str!("../studies/factors.toml")),
 ];
 
 /// The word for every study that comes with the program.
@@ -89,7 +92,12 @@ fn built_in(name: &str) -> Result<NamedStudy, Error> {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_config::{Layer, identity};
+    use leadtime_runs::Tasks;
+
     use super::*;
+    use crate::profile;
+    use crate::study::StudyPart;
     use crate::test_support::sentence;
 
     #[test]
@@ -110,5 +118,25 @@ mod tests {
         check_name("my-study_2").unwrap();
         let error = sentence(find("table9"));
         assert!(error.contains("`table9`") && error.contains("table1, robustness"), "{error}");
+    }
+
+    #[test]
+    fn the_factors_together_lead_from_the_letter_to_our_profile_and_back() {
+        let tasks = Tasks::new();
+        let study = built_in("factors").unwrap().study;
+        let [letter, ours] = &study.parts[..] else { panic!("two parts") };
+        let profile = |part: &StudyPart| profile::read(&tasks, Path::new(&part.profile)).unwrap();
+        for (from, to) in [(letter, ours), (ours, letter)] {
+            let sets = from.rows.iter().map(|row| Layer::table("`set`", &row.set));
+            let arrived = profile(from).with(sets, &tasks.registry).unwrap();
+            let mut left = identity::difference(&arrived.table, &profile(to).table);
+            left.retain(|it| it.key != identity::TOTAL_STEPS && !identity::is_free(&it.key));
+            let left: Vec<String> = left.iter().map(ToString::to_string).collect();
+            assert!(left.is_empty(), "no factor of {} changes {left:?}", from.name);
+            let names = |part: &StudyPart| {
+                part.rows[1..].iter().map(|row| row.name.clone()).collect::<Vec<_>>()
+            };
+            assert_eq!(names(from), names(to));
+        }
     }
 }

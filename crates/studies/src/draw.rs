@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use leadtime_config::Config;
-use leadtime_eval::draw::{Rasterizer, Svg};
+use leadtime_eval::draw::{Ink, Rasterizer, Svg};
 use leadtime_eval::figure::{Band, BandPanel, bands, sheet};
 use leadtime_eval::measure::{Choice, PlaySettings, Player, title};
 use leadtime_eval::picture::{self, TrajectoryPanel};
@@ -68,27 +68,34 @@ impl Artist<'_> {
         Ok(Some(StudyFigure { file: format!("{}-{kind}.png", self.stem), caption, png }))
     }
 
-    /// Draws training success and return of every trained row.
+    /// Draws training success and return of every trained row; where rows are more than inks, success alone, some of them at a time.
     fn learning(&self) -> Result<Option<StudyFigure>, Error> {
-        let trained = || self.planned.rows.iter().filter(|row| !row.trainings.is_empty());
-        let Some(n_seeds) = trained().map(|row| row.trainings.len()).max() else { return Ok(None) };
-        let panel = |metric: &str, label: &str, range| {
-            let band = |row| learning_band(row, metric, self.planned.label_of(row));
-            BandPanel { label: label.to_owned(), range, bands: trained().map(band).collect() }
+        let trained: Vec<&PlannedRow> =
+            self.planned.rows.iter().filter(|row| !row.trainings.is_empty()).collect();
+        let Some(n_seeds) = trained.iter().map(|row| row.trainings.len()).max() else {
+            return Ok(None);
         };
-        let panels = [
-            panel("episodes/success", "success in training", Some([0.0, 1.0])),
-            panel("episodes/return", "return in training", None),
-        ];
+        let panel = |metric: &str, label: &str, range, rows: &[&PlannedRow]| {
+            let band = |row: &&PlannedRow| learning_band(row, metric, self.planned.label_of(row));
+            BandPanel { label: label.to_owned(), range, bands: rows.iter().map(band).collect() }
+        };
+        let success = |rows: &Vec<&PlannedRow>| {
+            panel("episodes/success", "success in training", Some([0.0, 1.0]), rows)
+        };
+        let groups = groups(&trained);
+        let mut panels: Vec<BandPanel> = groups.iter().map(success).collect();
+        let is_one = groups.len() == 1;
+        panels
+            .extend(is_one.then(|| panel("episodes/return", "return in training", None, &trained)));
         let heading = format!("{}: learning", self.title);
         let svg = bands("learning", &heading, "environment steps", 7, &panels);
         let spread = match n_seeds {
             1 => "one training seed".to_owned(),
             n => format!("mean of {n} training seeds, band from the lowest to the highest"),
         };
+        let what = if is_one { "success and return" } else { "success" };
         let caption = format!(
-            "{}: success and return of the last 100 training episodes, each notifier on the person it trains with; \
-             {spread}",
+            "{}: {what} of the last 100 training episodes, each notifier on the person it trains with; {spread}",
             self.title
         );
         self.figure("learning", caption, &svg, SCALE)
@@ -100,7 +107,7 @@ impl Artist<'_> {
             return Ok(None);
         }
         let placed = |condition: &StudyCondition| Some((condition.at?, condition.name.clone()));
-        let StudyPart { evaluations, axis, .. } = &self.planned.part;
+        let StudyPart { evaluations, axis, axis_name, .. } = &self.planned.part;
         let mut conditions: Vec<(f64, String)> = evaluations.iter().filter_map(placed).collect();
         conditions.sort_by(|a, b| a.0.total_cmp(&b.0));
         let panels = part.columns.iter().map(|measure| {
@@ -124,9 +131,9 @@ impl Artist<'_> {
         let [also, dashed] =
             if is_published { [", the paper's (dashed)", ", the paper's dashed"] } else { [""; 2] };
         let heading = format!("{}: ours (solid, with interval){also}", self.title);
-        let svg = bands("people", &heading, axis, conditions.len().max(2), &panels);
+        let svg = bands(axis_name, &heading, axis, conditions.len().max(2), &panels);
         let caption = format!("{}: ours as solid lines with 95 % intervals{dashed}", self.title);
-        self.figure("people", caption, &svg, SCALE)
+        self.figure(axis_name, caption, &svg, SCALE)
     }
 
     /// Lists every row's condition of a name, with the player of its first training seed, which bears the row's title.
@@ -231,6 +238,20 @@ impl Artist<'_> {
     }
 }
 
+/// Shares out rows among panels, so that in each every row has an ink of its own: all in one, or by title, or as many as there
+/// are inks.
+fn groups<'a>(rows: &[&'a PlannedRow]) -> Vec<Vec<&'a PlannedRow>> {
+    let n_inks = Ink::SERIES.len();
+    if rows.len() <= n_inks {
+        return vec![rows.to_vec()];
+    }
+    let by_title = || rows.chunk_by(|a, b| a.row.title == b.row.title);
+    if by_title().any(|rows| rows.len() > 1) {
+        return by_title().flat_map(|rows| rows.chunks(n_inks)).map(<[_]>::to_vec).collect();
+    }
+    rows.chunks(n_inks).map(<[_]>::to_vec).collect()
+}
+
 fn learning_band(row: &PlannedRow, metric: &str, label: String) -> Band {
     let mut by_step: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for training in &row.trainings {
@@ -267,4 +288,35 @@ fn thinned(points: &[(u64, f64)]) -> Vec<(u64, f64)> {
         }
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::test_support::{STUDY, plan, request};
+
+    /// Returns how many rows share a panel, of a study with further rows of these titles.
+    fn group_sizes(titles: &[&str]) -> Vec<usize> {
+        let row = |(i, title): (usize, &&str)| {
+            format!(
+                "[[parts.rows]]\nname = \"r{i}\"\ntitle = \"{title}\"\nset.learner.n_epochs = {}\n",
+                i + 5
+            )
+        };
+        let rows: String = titles.iter().enumerate().map(row).collect();
+        let plan = plan(&format!("{STUDY}{rows}"), &request(Path::new("nowhere"))).unwrap();
+        let rows = plan.parts[0].rows.iter().filter(|row| !row.trainings.is_empty());
+        groups(&rows.collect::<Vec<_>>()).iter().map(Vec::len).collect()
+    }
+
+    #[test]
+    fn no_two_learning_curves_of_a_panel_have_the_same_ink() {
+        // The study has two trained rows of its own.
+        assert_eq!(group_sizes(&["a"; 6]), [8]);
+        assert_eq!(group_sizes(&["a", "b", "c", "d", "e", "f", "g"]), [8, 1]);
+        assert_eq!(group_sizes(&["a", "a", "a", "a", "b", "b", "b"]), [1, 1, 4, 3]);
+        assert_eq!(group_sizes(&["a"; 9]), [1, 1, 8, 1]);
+    }
 }

@@ -40,6 +40,8 @@ fn a_part_has_seeds_of_its_own_unless_the_command_line_says() {
     let seeds = |text: &str, request| plan(text, &request).unwrap().parts.remove(0).seeds;
     assert_eq!(seeds(STUDY, whole()), [201, 202, 203, 204, 205]);
     assert_eq!(seeds(&later, whole()), [301, 302, 303, 304, 305]);
+    let fewer = later.replace("quick_steps", "n_seeds = 2\nquick_steps");
+    assert_eq!(seeds(&fewer, whole()), [301, 302]);
     assert_eq!(seeds(&later, StudyRequest { quick: true, ..whole() }), [301]);
     assert_eq!(seeds(&later, StudyRequest { seeds: Some(7..9), ..whole() }), [7, 8]);
 }

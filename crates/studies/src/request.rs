@@ -12,8 +12,6 @@ use crate::study::{StudyPart, StudyRow};
 pub const EPISODES: u32 = 100;
 /// Where the evaluation seeds of every table begin.
 pub const EVAL_SEED: u64 = 2_000_000;
-/// Training seeds of a table, unless the request names some.
-const N_SEEDS: u64 = 5;
 
 /// What is asked of a study.
 #[derive(Clone, Debug)]
@@ -60,7 +58,7 @@ impl StudyRequest {
 
     /// Lists the training seeds of a part.
     pub(crate) fn seeds(&self, part: &StudyPart) -> Vec<u64> {
-        let own = part.first_seed..part.first_seed + N_SEEDS;
+        let own = part.first_seed..part.first_seed.saturating_add(part.n_seeds);
         let seeds = self.seeds.clone().unwrap_or(own);
         seeds.take(if self.quick { 1 } else { usize::MAX }).collect()
     }

@@ -53,9 +53,12 @@ pub struct StudyPart {
     pub(crate) note: String,
     /// Environment steps of each training whose row does not set `learner.total_steps`; the profile's if left out.
     pub(crate) steps: Option<u64>,
-    /// The first of five training seeds: none that a search for the profile used, or saw results of.
+    /// The first training seed: none that a search for the profile used, or saw results of.
     #[serde(default = "first_seed")]
     pub(crate) first_seed: u64,
+    /// How many training seeds there are, one after the other.
+    #[serde(default = "n_seeds")]
+    pub(crate) n_seeds: u64,
     /// Steps with `--quick`, of every row.
     pub(crate) quick_steps: u64,
     /// How the table is laid out.
@@ -64,6 +67,9 @@ pub struct StudyPart {
     /// What the evaluations of a grid differ in, as a figure's axis says it.
     #[serde(default)]
     pub(crate) axis: String,
+    /// What these are, in the name of the figure's file.
+    #[serde(default = "axis_name")]
+    pub(crate) axis_name: String,
     /// The evaluation whose first episode is drawn for every row; none: no such figure.
     pub(crate) pictured_on: Option<String>,
     /// Maps to draw side by side, each with an unaided trajectory; none: no such figure. Only in a domain with maps.
@@ -97,6 +103,16 @@ pub(crate) enum Layout {
 /// Where the seeds of most tables begin.
 fn first_seed() -> u64 {
     201
+}
+
+/// What the evaluations of most grids differ in.
+fn axis_name() -> String {
+    "people".to_owned()
+}
+
+/// How many seeds most tables have.
+fn n_seeds() -> u64 {
+    5
 }
 
 /// A map to draw.
@@ -203,6 +219,8 @@ impl StudyPart {
         distinct(self.rows.iter().map(|row| &row.name)).at("`rows`")?;
         distinct(self.evaluations.iter().map(|known| &known.name)).at("`evaluations`")?;
         ensure(!self.columns.is_empty(), || "`columns` is empty; allowed: at least one measure")?;
+        distinct(std::iter::once(&self.axis_name)).at("`axis_name`")?;
+        ensure(self.n_seeds > 0, || "`n_seeds` is 0; allowed: at least 1")?;
         ensure(self.quick_steps > 0, || "`quick_steps` is 0; allowed: at least 1")?;
         let known = |name: &str| {
             let found = self.condition(name).is_some();

@@ -57,6 +57,8 @@ fn an_inconsistent_study_is_refused_with_one_sentence() {
         ("[490.0, 6.0]", "[]", "row `a`: `return` needs a mean"),
         ("[\"return\"]", "[]", "`columns` is empty"),
         ("quick_steps = 512", "quick_steps = 0", "`quick_steps` is 0"),
+        ("quick", "axis_name = \"a/b\"\nquick", "`axis_name`: `a/b` is not a name"),
+        ("quick_steps = 512", "quick_steps = 512\nn_seeds = 0", "`n_seeds` is 0"),
         ("quick", "pictured_on = \"x\"\nquick", "`pictured_on`"),
         (
             "quick",
