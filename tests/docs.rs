@@ -62,8 +62,16 @@ fn a_policy_is_described_as_its_task() {
 
 #[test]
 fn a_description_fits_the_terminal() {
-    let tasks =
-        ["lander", "paper_lander_hard", "highway", "steakhouse", "cartpole", "cue_recall", "pilot"];
+    let tasks = [
+        "lander",
+        "paper_lander_hard",
+        "paper_letter_lander",
+        "highway",
+        "steakhouse",
+        "cartpole",
+        "cue_recall",
+        "pilot",
+    ];
     for task in tasks {
         for line in output(&["describe", task]).lines() {
             assert!(line.chars().count() <= 80, "{task}: {line}");

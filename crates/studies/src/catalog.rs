@@ -124,10 +124,15 @@ mod tests {
     fn the_factors_together_lead_from_the_letter_to_our_profile_and_back() {
         let tasks = Tasks::new();
         let study = built_in("factors").unwrap().study;
-        let [letter, ours] = &study.parts[..] else { panic!("two parts") };
+        let [way, letter, ours] = &study.parts[..] else { panic!("three parts") };
         let profile = |part: &StudyPart| profile::read(&tasks, Path::new(&part.profile)).unwrap();
-        for (from, to) in [(letter, ours), (ours, letter)] {
-            let sets = from.rows.iter().map(|row| Layer::table("`set`", &row.set));
+        let last = way.rows.last().unwrap();
+        for (from, rows, to) in [
+            (letter, &letter.rows[..], ours),
+            (ours, &ours.rows[..], letter),
+            (way, std::slice::from_ref(last), ours),
+        ] {
+            let sets = rows.iter().map(|row| Layer::table("`set`", &row.set));
             let arrived = profile(from).with(sets, &tasks.registry).unwrap();
             let mut left = identity::difference(&arrived.table, &profile(to).table);
             left.retain(|it| it.key != identity::TOTAL_STEPS && !identity::is_free(&it.key));

@@ -69,13 +69,15 @@ pub(super) fn reward_terms(settings: &LanderWorldSettings) -> Vec<RewardTerm> {
         RewardTerm::new("running out of time", -settings.timeout_penalty, "world.timeout_penalty"),
         entry,
     ];
-    let in_every_frame = match settings.near_charged {
-        NearCharge::PerFrame => ", in every frame",
+    let per_what = match settings.near_charged {
+        NearCharge::PerFrame => ", per frame",
         NearCharge::PerStep => "",
     };
-    terms.extend(nearness.map(|when| {
-        RewardTerm::new(when + in_every_frame, -settings.near_weight, "world.near_weight")
-    }));
+    terms.extend(
+        nearness.map(|when| {
+            RewardTerm::new(when + per_what, -settings.near_weight, "world.near_weight")
+        }),
+    );
     terms.push(RewardTerm::new(
         "a frame of the main engine",
         -settings.main_fuel,

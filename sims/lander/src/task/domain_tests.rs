@@ -137,9 +137,12 @@ fn zones_can_be_charged_in_every_frame_as_fuel_is() {
             }),
             0,
         );
-        let entry = task.advance(None).reward;
+        let reward = task.advance(None).reward;
         assert_eq!(metric(&task, "danger_steps"), 1.0);
-        entry
+        let said = |what: &str| task.reward_terms().iter().any(|term| term.when.contains(what));
+        assert_eq!(said("a frame in a zone"), entry_charged == EntryPenalty::PerFrame);
+        assert_eq!(said("per frame"), near_charged == NearCharge::PerFrame);
+        reward
     };
     let near = 10.0 * 0.2;
     for (entry_charged, near_charged, expected) in [
