@@ -36,7 +36,7 @@ if not CORRIDOR.exists():
 EXPECTED = {"leadtime runs compare one four": "weights: equal", "leadtime check ": "configuration",
             "leadtime describe ": "bservation", "python3 examples/decide.py": "decisions reproduced",
             "leadtime conformance ": "passed", "leadtime eval ": "success", "leadtime probe ": "d_r",
-            "leadtime smoke": "mechanics work", "leadtime report ": "Report:", "leadtime compare ": "trainings"}
+            "leadtime smoke": "mechanics work", "leadtime report ": "Report:", "leadtime compare ": "trainings", "leadtime race": "whole trainings"}
 SECONDS = 300
 
 
@@ -82,7 +82,7 @@ def shortened(line):
         more = " --stop-after 1"
     elif re.match(r"\w+ smoke", line) and "--quick" not in line:
         more = " --quick"
-    elif re.match(r"leadtime compare \S", line) and "--plan" not in line:
+    elif re.match(r"leadtime (compare \S|race\b)", line) and "--plan" not in line:
         more = " --plan"
     elif line.startswith("leadtime probe"):
         line = line.replace(" made", " varied")

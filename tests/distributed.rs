@@ -4,14 +4,15 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use std::collections::BTreeMap;
+use std::error::Error;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker};
 use leadtime_learner::{
-    Build, CheckpointInterval, LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent,
-    RunReport, UpdateProgress,
+    Build, CheckpointInterval, Evaluator, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans,
+    LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
 use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings};
 use leadtime_policy::{Parameters, Policy};
@@ -109,8 +110,51 @@ impl ProgressSink for Witness {
         self.events.lock().unwrap().push(event.clone());
     }
 
-    fn on_policies(&mut self, last: &RatedPolicy, _best: Option<&RatedPolicy>) {
+    fn on_policies(&mut self, last: &RatedPolicy, _best: &RatedPolicy) {
         Parameters::from_safetensors(&last.weights, &policy_spec()).unwrap();
+    }
+
+    fn on_held_out(&mut self, _history: &[HeldOutMeans]) {}
+}
+
+/// Evaluates policies by their weights alone.
+#[derive(Clone, Copy)]
+enum Judge {
+    Works,
+    Fails,
+    /// Goes on until it is stopped.
+    Hangs,
+}
+
+impl Judge {
+    fn evaluation(self) -> HeldOutEvaluation {
+        HeldOutEvaluation { n_evaluations: 4, max_episodes: 20, evaluator: Box::new(self) }
+    }
+}
+
+impl Evaluator for Judge {
+    fn evaluate(
+        &mut self,
+        weights: &[u8],
+        n_episodes: u64,
+        is_stopped: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<Vec<HeldOutEpisode>>, Box<dyn Error + Send + Sync>> {
+        let sum: u64 = weights.iter().map(|byte| u64::from(*byte)).sum();
+        let episode = |i: u64| HeldOutEpisode {
+            total_reward: 1.0,
+            length: 1,
+            success: Some(f64::from(u8::from(sum % (i + 2) == 0))),
+        };
+        match self {
+            Self::Works => Ok(Some((0..n_episodes).map(episode).collect())),
+            Self::Fails => Err("the world is broken".into()),
+            Self::Hangs => {
+                while !is_stopped() {
+                    std::thread::yield_now();
+                }
+                Ok(None)
+            }
+        }
     }
 }
 
@@ -154,11 +198,20 @@ impl Learner {
     }
 
     fn start_with(config: LearnerConfig) -> Self {
+        Self::start_judged(config, None)
+    }
+
+    fn start_judged(config: LearnerConfig, judge: Option<Judge>) -> Self {
         let (progress, n_updates) = watch::channel(0);
         let events = Arc::new(Mutex::new(Vec::new()));
         let sink = Witness { n_updates: progress, events: Arc::clone(&events) };
         let stop = CancellationToken::new();
-        let run = leadtime_learner::run(config, Box::new(sink), stop.clone());
+        let run = leadtime_learner::run(
+            config,
+            Box::new(sink),
+            judge.map(Judge::evaluation),
+            stop.clone(),
+        );
         Self { task: tokio::spawn(run), n_updates, events, stop }
     }
 
@@ -259,6 +312,76 @@ async fn one_two_or_four_actors_learn_what_a_loop_without_a_network_learns() {
         }
     }
     assert_ne!(reference(Mode::Sync), reference(Mode::Lag), "the modes differ, so digests tell");
+}
+
+/// Evaluations do not move a weight, and a run without them has its last policy as its best.
+#[tokio::test(flavor = "multi_thread")]
+async fn policies_that_wait_for_their_evaluation_survive_a_stop_and_the_best_is_the_same() {
+    let judged = |directory: &Path, judge: Judge, incarnation: u64| {
+        let config = Learner::config(directory, Mode::Lag, 1, incarnation);
+        Learner::start_judged(config, Some(judge))
+    };
+    let directory = tempfile::tempdir().unwrap();
+    let learner = judged(directory.path(), Judge::Works, 1);
+    let helper = actor(directory.path(), "a", 1);
+    let expected = learner.report().await;
+    dismissed(helper).await;
+    assert_eq!(expected.digest, reference(Mode::Lag));
+    let versions: Vec<u64> = expected.held_out.iter().map(|means| means.version.0).collect();
+    assert_eq!(versions, [3, 6, 9, 12]);
+
+    let directory = tempfile::tempdir().unwrap();
+    let mut learner = judged(directory.path(), Judge::Hangs, 1);
+    let helper = actor(directory.path(), "a", 1);
+    learner.reach(6).await;
+    learner.stop.cancel();
+    let stopped = learner.report().await;
+    dismissed(helper).await;
+    assert_eq!((stopped.end, stopped.n_updates), (RunEnd::Stopped, 6), "training waited");
+    assert_eq!((stopped.held_out.len(), stopped.best.version), (0, stopped.last.version));
+    let learner = judged(directory.path(), Judge::Works, 2);
+    let helper = actor(directory.path(), "a", 2);
+    let report = learner.report().await;
+    dismissed(helper).await;
+    assert_eq!((report.digest, &report.held_out), (expected.digest, &expected.held_out));
+    assert_eq!(report.best.version, expected.best.version);
+    assert_eq!(report.best.weights, expected.best.weights);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_is_stopped_at_its_last_evaluation_evaluates_when_it_is_resumed() {
+    let directory = tempfile::tempdir().unwrap();
+    let start = |judge: Judge, incarnation: u64| {
+        let config = Learner::config(directory.path(), Mode::Sync, 1, incarnation);
+        let total_steps = 96; // One update, with one evaluation.
+        let settings = LearnerSettings { total_steps, ..config.settings };
+        Learner::start_judged(LearnerConfig { settings, ..config }, Some(judge))
+    };
+    let mut learner = start(Judge::Hangs, 1);
+    let helper = actor(directory.path(), "a", 1);
+    learner.reach(1).await;
+    dismissed(helper).await;
+    learner.stop.cancel();
+    let stopped = learner.report().await;
+    assert_eq!((stopped.end, stopped.n_updates, stopped.held_out.len()), (RunEnd::Stopped, 1, 0));
+    let report = start(Judge::Works, 2).report().await;
+    assert_eq!((report.end, report.held_out.len()), (RunEnd::AlreadyFinished, 1));
+    assert_eq!(report.best.held_out, Some(report.held_out[0]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_evaluation_that_fails_is_told_and_ends_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let config = Learner::config(directory.path(), Mode::Sync, 1, 1);
+    let learner = Learner::start_judged(config, Some(Judge::Fails));
+    let events = Arc::clone(&learner.events);
+    let helper = actor(directory.path(), "a", 1);
+    let report = learner.report().await;
+    dismissed(helper).await;
+    assert_eq!((report.end, report.digest), (RunEnd::Finished, reference(Mode::Sync)));
+    assert_eq!((report.held_out.len(), report.best.version), (0, report.last.version));
+    let failed = |event: &RunEvent| matches!(event, RunEvent::EvaluationFailed { reason, .. } if reason == "the world is broken");
+    assert_reported(&events, failed);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -100,6 +100,11 @@ pub(crate) enum Command {
     /// Run a learner and actors on this machine, supervised.
     #[command(visible_alias = "train")]
     Up(UpArgs),
+    /// Race several seeds: stop the hopeless at a quarter of the steps, train the others to the end, name the best.
+    ///
+    /// Every racer is an ordinary run, and learns what it would learn alone. The same command goes on with a race that was
+    /// interrupted; a racer that was stopped can be resumed by its name.
+    Race(RaceArgs),
     /// Run a learner: assign environments, collect rollouts, train, publish weights.
     Learner(LearnerArgs),
     /// Run an actor: step environments for a learner; it may join and leave at any time.
@@ -239,6 +244,35 @@ pub(crate) struct UpArgs {
     /// Also listen here, so that actors elsewhere can join: `tcp/0.0.0.0:7447`.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
+}
+
+/// `leadtime race`
+#[derive(Debug, Args)]
+pub(crate) struct RaceArgs {
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// Racers: the seed of the configuration and those after it.
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(2..=64))]
+    pub racers: u32,
+    /// How many go on after a quarter, at most (default: half of them). One whose success is more than 0.1 behind the
+    /// leader's does not go on either.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub keep: Option<u32>,
+    /// What the names of the runs begin with; the seed follows (default: one for this configuration).
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Actor processes; one racer is trained at a time.
+    #[arg(long, default_value_t = 2, value_parser = n_processes())]
+    pub actors: u32,
+    /// Held-out episodes by which the winner is found; a fifth as many at a quarter.
+    #[arg(long, default_value_t = 1_000, value_parser = n_episodes())]
+    pub episodes: u32,
+    /// Say what the race costs, and do nothing.
+    #[arg(long)]
+    pub plan: bool,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `leadtime learner`

@@ -53,11 +53,13 @@ impl Drop for Display {
 
 /// Says how far a run is, in at most `width` characters: the last parts give way first.
 fn summary(progress: &UpdateProgress, left: Option<Duration>, width: usize) -> String {
-    let UpdateProgress { n_updates, n_updates_total, episodes, .. } = progress;
+    let UpdateProgress { n_updates, n_updates_total, episodes, held_out, .. } = progress;
+    let held_out = held_out.and_then(|means| means.success);
     let parts = [
         Some(format!("{n_updates}/{n_updates_total} updates")),
         left.filter(|_| n_updates < n_updates_total).map(|left| format!("{} left", duration(left))),
         episodes.success.map(|success| format!("success {success:.2}")),
+        held_out.map(|success| format!("held out {success:.2}")),
         episodes.episode_return.map(|total| format!("return {total:.1}")),
         Some(format!("{:.0} steps/s", progress.steps_per_second)),
         Some(counted(progress.n_actors, "actor")),

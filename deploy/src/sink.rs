@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use leadtime_learner::{ProgressSink, RatedPolicy, RunEvent, UpdateProgress};
+use leadtime_learner::{HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, UpdateProgress};
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
 use tokio_util::sync::CancellationToken;
@@ -18,6 +18,8 @@ pub(crate) struct RunSink {
     recorder: RunRecorder,
     display: Display,
     has_warned: bool,
+    /// Whether it was told that policies cannot be evaluated.
+    has_told_failure: bool,
     /// After how many updates in all the run is asked to stop, and by what.
     stop: Option<(u64, CancellationToken)>,
 }
@@ -29,7 +31,23 @@ impl RunSink {
         recorder: RunRecorder,
         stop: Option<(u64, CancellationToken)>,
     ) -> Self {
-        Self { directory, recorder, display: Display::new(), has_warned: false, stop }
+        Self {
+            directory,
+            recorder,
+            display: Display::new(),
+            has_warned: false,
+            has_told_failure: false,
+            stop,
+        }
+    }
+
+    /// Asks the run to stop if it has made as many updates as it was to make.
+    fn stop_after(&self, n_done: u64) {
+        if let Some((n_updates, shutdown)) = &self.stop
+            && n_done >= *n_updates
+        {
+            shutdown.cancel();
+        }
     }
 
     /// Warns once that a file cannot be written; the run goes on, because its checkpoints are what it needs.
@@ -48,32 +66,53 @@ impl ProgressSink for RunSink {
         let written = self.recorder.update(progress);
         self.warn(written);
         self.display.update(progress);
-        if let Some((n_updates, shutdown)) = &self.stop
-            && progress.n_updates >= *n_updates
-        {
-            shutdown.cancel();
-        }
+        self.stop_after(progress.n_updates);
     }
 
     fn on_event(&mut self, event: &RunEvent) {
         if let RunEvent::Resumed { n_updates, .. } = event {
             let resumed = self.recorder.resumed(*n_updates);
             self.warn(resumed);
+            self.stop_after(*n_updates);
+        }
+        if let RunEvent::EvaluationFailed { .. } = event
+            && std::mem::replace(&mut self.has_told_failure, true)
+        {
+            return;
         }
         log(event);
     }
 
-    fn on_policies(&mut self, last: &RatedPolicy, best: Option<&RatedPolicy>) {
+    fn on_policies(&mut self, last: &RatedPolicy, best: &RatedPolicy) {
         let written = self.recorder.policies(last, best);
         self.warn(written);
     }
+
+    fn on_held_out(&mut self, history: &[HeldOutMeans]) {
+        let written = self.recorder.held_out(history);
+        self.warn(written);
+        if let Some(newest) = history.last() {
+            debug!("evaluated: {}", held_out_sentence(newest));
+        }
+    }
+}
+
+/// Says how a policy did on held-out episodes.
+pub(crate) fn held_out_sentence(means: &HeldOutMeans) -> String {
+    let HeldOutMeans { version, n_episodes, success, episode_return, error, .. } = means;
+    let found = success.map_or_else(
+        || format!("return {episode_return:.1} \u{b1} {error:.1}"),
+        |success| format!("success {success:.2} \u{b1} {error:.2}"),
+    );
+    let episodes = counted(n_episodes, "episode");
+    format!("update {version}, {found} over {episodes} that it was not trained on")
 }
 
 fn log(event: &RunEvent) {
     use RunEvent::{
         ActorJoined, ActorLeft, Assigned, CheckpointDamaged, CheckpointWritten, CutOff, Distrusted,
-        Listening, OtherBuild, Refused, Resumed, SnapshotLost, SnapshotRefused, Stopping,
-        TooManyActors, WaitingForActors, WaitingForRollouts,
+        Evaluating, EvaluationFailed, Listening, OtherBuild, Refused, Resumed, SnapshotLost,
+        SnapshotRefused, Stopping, TooManyActors, WaitingForActors, WaitingForRollouts,
     };
     match event {
         Listening { locators } => info!(at = %locators.join(", "), "listening"),
@@ -125,6 +164,11 @@ fn log(event: &RunEvent) {
         }
         CheckpointWritten { path, n_updates } => {
             debug!(n_updates, checkpoint = %path.display(), "checkpointed");
+        }
+        Evaluating => info!("training is done; evaluating on held-out episodes"),
+        EvaluationFailed { version, reason } => {
+            let told = "the run goes on, and the best policy is chosen among the others";
+            warn!("the policy of update {version} cannot be evaluated: {reason}; {told}");
         }
         Stopping => info!("stopping: writing checkpoint and books"),
     }

@@ -29,9 +29,10 @@ use thiserror::Error;
 use tracing::warn;
 
 use crate::files::{replaced_name, write_atomically};
+use crate::judging::MAX_WAITING;
 
 /// The version of what a checkpoint holds; no other one is read.
-pub const FORMAT_VERSION: u32 = 2;
+pub const FORMAT_VERSION: u32 = 3;
 /// How many checkpoints are kept.
 pub const KEPT: usize = 3;
 const MAGIC: [u8; 4] = *b"LTCK";
@@ -40,8 +41,8 @@ const FRONT_BYTES: usize = 48;
 pub const MAX_PAYLOAD_BYTES: usize = leadtime_proto::limits::MAX_MESSAGE_BYTES;
 const EXTENSION: &str = "checkpoint";
 
-/// What the last training episodes and the books take, in bytes.
-const RECORDS_BYTES: usize = 64 << 10;
+/// What the last training episodes, the evaluations and the books take, in bytes.
+const RECORDS_BYTES: usize = 256 << 10;
 /// Room beside an environment's snapshot: ids, counts, lengths.
 const ENV_BYTES: usize = 256;
 
@@ -49,8 +50,11 @@ const ENV_BYTES: usize = 256;
 /// environment's snapshot with its recurrent state.
 pub fn max_payload_bytes(settings: &LearnerSettings, weights: usize, snapshot: usize) -> usize {
     let n_older = if settings.mode == Mode::Lag { settings.lag as usize } else { 0 };
-    // The parameters with Adam's two moments, the best policy, and the versions that acting still needs.
-    (3 + 1 + n_older) * weights + settings.n_envs * (snapshot + ENV_BYTES) + RECORDS_BYTES
+    // The parameters with Adam's two moments, the policies that were evaluated or wait for it, and the versions that acting
+    // still needs.
+    (3 + 2 + MAX_WAITING + n_older) * weights
+        + settings.n_envs * (snapshot + ENV_BYTES)
+        + RECORDS_BYTES
 }
 
 /// Why checkpoints cannot be written or read.
@@ -381,7 +385,7 @@ mod tests {
         other[4] = 9;
         fs::write(path(&store, 2), &other).unwrap();
         let error = store.newest::<Vec<u64>>().unwrap_err().to_string();
-        assert!(error.contains("format 9, this release reads format 2"), "{error}");
+        assert!(error.contains("format 9, this release reads format 3"), "{error}");
         write(&mut store, [3]);
         assert_eq!(newest(&mut store).state, [3], "one that is older is of no concern");
     }

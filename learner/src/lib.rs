@@ -4,6 +4,7 @@
 //! run      the loop                     coordinator    every decision, pure     control_outbox, training  it waits for
 //! assign   who steps which environment  rollout_queue  rollouts that wait       roster, stragglers        who is here, or late
 //! books    where every rollout went     checkpoint, resume  the disk            episodes, report, builds  what it reports
+//! judging  which policy is the best     evaluation_thread   asked beside the training    held_out  what it is judged by
 //! ```
 //!
 //! # What it does not know
@@ -24,7 +25,10 @@ mod control_outbox;
 pub mod coordinator;
 pub mod episodes;
 pub mod error;
+mod evaluation_thread;
 mod files;
+pub mod held_out;
+mod judging;
 pub mod report;
 mod resume;
 pub mod rollout_queue;
@@ -39,6 +43,7 @@ pub use config::{CheckpointInterval, LearnerConfig};
 pub use episodes::EpisodeMeans;
 pub use error::Error;
 pub use files::{replaced_name, write_atomically};
+pub use held_out::{Evaluator, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans};
 pub use report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };

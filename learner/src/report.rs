@@ -12,6 +12,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::books::{Books, Imbalance};
 use crate::builds::{Build, Builds};
 use crate::episodes::EpisodeMeans;
+use crate::held_out::HeldOutMeans;
 
 /// Where the learner's time went between two updates.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -39,6 +40,8 @@ pub struct UpdateProgress {
     pub phases: PhaseTimes,
     /// The last training episodes.
     pub episodes: EpisodeMeans,
+    /// The newest evaluation on held-out episodes; `None` before the first.
+    pub held_out: Option<HeldOutMeans>,
     /// Actors connected.
     pub n_actors: usize,
     /// Rollouts waiting.
@@ -171,17 +174,28 @@ pub enum RunEvent {
         /// Updates that it holds.
         n_updates: u64,
     },
+    /// A policy could not be evaluated on held-out episodes; the run goes on without.
+    EvaluationFailed {
+        /// The policy's version.
+        version: PolicyVersion,
+        /// Why.
+        reason: String,
+    },
+    /// Training is done, and its last policies are still being evaluated on held-out episodes.
+    Evaluating,
     /// The run is asked to end.
     Stopping,
 }
 
-/// A policy with what it achieved in training.
+/// A policy with what it achieved.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RatedPolicy {
     /// Its version.
     pub version: PolicyVersion,
     /// Mean success (or return) of the last training episodes, once there are enough.
     pub score: Option<f64>,
+    /// How it did on held-out episodes, once it was evaluated on them.
+    pub held_out: Option<HeldOutMeans>,
     /// Parameters as safetensors, without metadata.
     #[serde(serialize_with = "write_bytes", deserialize_with = "read_bytes")]
     pub weights: Arc<[u8]>,
@@ -203,8 +217,12 @@ pub trait ProgressSink: Send {
     /// Takes in anything else that happens.
     fn on_event(&mut self, event: &RunEvent);
 
-    /// Takes in the newest and the best policy, whenever a checkpoint is written.
-    fn on_policies(&mut self, last: &RatedPolicy, best: Option<&RatedPolicy>);
+    /// Takes in the newest and the best policy, whenever a checkpoint is written; the newest is the best one as long as none
+    /// was evaluated.
+    fn on_policies(&mut self, last: &RatedPolicy, best: &RatedPolicy);
+
+    /// Takes in every evaluation on held-out episodes so far, the oldest first, whenever there is one more.
+    fn on_held_out(&mut self, history: &[HeldOutMeans]);
 }
 
 /// How a run ended.
@@ -231,8 +249,10 @@ pub struct RunReport {
     pub digest: [u8; 32],
     /// The newest policy.
     pub last: RatedPolicy,
-    /// The best one, if enough episodes were finished to tell.
-    pub best: Option<RatedPolicy>,
+    /// The best one by held-out episodes; the newest where none was evaluated.
+    pub best: RatedPolicy,
+    /// Every evaluation on held-out episodes, the oldest first.
+    pub held_out: Vec<HeldOutMeans>,
     /// The last training episodes.
     pub episodes: EpisodeMeans,
     /// How many rollouts each staleness had.

@@ -14,6 +14,7 @@ use crate::builds::Builds;
 use crate::checkpoint::{CheckpointStore, Loaded};
 use crate::coordinator::CoordinatorStart;
 use crate::episodes::EpisodeWindow;
+use crate::judging::HeldOutRecord;
 use crate::report::{RatedPolicy, RunEvent};
 use crate::rollout_queue::RolloutQueue;
 use crate::training::encode;
@@ -22,7 +23,7 @@ use crate::{Error, LearnerConfig};
 /// How far a run has come, beside its weights and books.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct TrainingRecord {
-    pub(crate) best: Option<RatedPolicy>,
+    pub(crate) held_out: HeldOutRecord,
     pub(crate) episodes: EpisodeWindow,
     /// How many rollouts each staleness had.
     pub(crate) staleness: BTreeMap<u64, u64>,

@@ -3,7 +3,7 @@
 //! ```text
 //! network events ──┐                          ┌─> credit, control, weights
 //! trained updates ─┼─> one loop: LearnerWake ─┼─> rollouts to the training thread
-//! silent actors ───┤   (Coordinator decides)  ├─> checkpoints
+//! silent actors ───┤   (Coordinator decides)  ├─> checkpoints, policies to the evaluating thread
 //! time, stop ──────┘                          └─> the sink: progress, events
 //! ```
 //!
@@ -14,7 +14,8 @@
 //!
 //! When all updates are done, or when asked to stop: actors are told, the update under way is waited for (for a
 //! limited time), the state goes to the disk, the books are closed. All of it takes less than five seconds. An
-//! update that takes longer is made again after a resume, with the same bits: the state before it is what is saved.
+//! update that takes longer is made again after a resume, with the same bits: the state before it is what is saved. A
+//! policy that waits to be evaluated is saved as well. Only when all updates are done the end waits for its evaluation.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -35,6 +36,8 @@ use crate::control_outbox::{ControlFailure, ControlOutbox};
 use crate::coordinator::{
     Coordinator, CoordinatorSettings, CoordinatorStart, Effect, HelloRefusal, TICK,
 };
+use crate::evaluation_thread::{Evaluated, Evaluations, take_in};
+use crate::held_out::HeldOutEvaluation;
 use crate::report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
@@ -56,6 +59,8 @@ enum LearnerWake {
     Network(LearnerEvent),
     /// The training thread is done with an update, or failed.
     Trained(Box<Result<Updated, Error>>),
+    /// The evaluating thread is done with a policy.
+    Evaluated(Evaluated),
     /// A control message failed.
     Control(ControlFailure),
     /// Time has passed.
@@ -66,7 +71,8 @@ enum LearnerWake {
 
 /// Runs a learner until all updates are done or it is asked to stop.
 ///
-/// Needs tokio's multi-threaded runtime. A run that was interrupted goes on from its newest whole checkpoint.
+/// Needs tokio's multi-threaded runtime. A run that was interrupted goes on from its newest whole checkpoint. Without
+/// `held_out` no policy is evaluated, and the newest is the best one.
 ///
 /// # Errors
 ///
@@ -75,6 +81,7 @@ enum LearnerWake {
 pub async fn run(
     config: LearnerConfig,
     mut sink: Box<dyn ProgressSink>,
+    held_out: Option<HeldOutEvaluation>,
     stop: CancellationToken,
 ) -> Result<RunReport, Error> {
     let mut store = CheckpointStore::open(&config.checkpoints)?;
@@ -82,11 +89,11 @@ pub async fn run(
     for event in point.events.drain(..) {
         sink.on_event(&event);
     }
-    if point.start.version.0 >= config.settings.n_updates() {
-        let (version, score) = (point.start.version, point.record.episodes.score());
-        let last = RatedPolicy { version, score, weights: Arc::clone(&point.offered[&version]) };
-        let CoordinatorStart { books, builds, .. } = point.start;
-        return report(&config, RunEnd::AlreadyFinished, last, point.record, books, builds);
+    let settings = &config.settings;
+    let evaluations =
+        held_out.map(|held_out| Evaluations::start(held_out, settings)).transpose()?;
+    if point.start.version.0 >= settings.n_updates() {
+        return already_trained(&config, point, sink.as_mut(), evaluations, &stop).await;
     }
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
@@ -94,7 +101,7 @@ pub async fn run(
         LearnerLink::open(&config.run, &config.spec.task.domain, config.incarnation, &listen)
             .await?;
     sink.on_event(&RunEvent::Listening { locators: link.locators() });
-    let mut run = RunLoop::new(config, store, sink, point, link)?;
+    let mut run = RunLoop::new(config, store, sink, point, link, evaluations)?;
     let result = run.live(&events, &stop).await;
     if let Err(error) = &result {
         run.coordinator.stop_everyone(&format!("the learner ended: {error}"));
@@ -116,6 +123,8 @@ struct RunLoop {
     coordinator: Coordinator,
     training: TrainingThread,
     is_training: bool,
+    /// `None` where no policy is evaluated.
+    evaluations: Option<Evaluations>,
     /// The trainer's state after the last finished update.
     state: TrainerState,
     version: PolicyVersion,
@@ -135,6 +144,7 @@ impl RunLoop {
         sink: Box<dyn ProgressSink>,
         point: ResumePoint,
         link: LearnerLink,
+        evaluations: Option<Evaluations>,
     ) -> Result<Self, Error> {
         let ResumePoint { trainer, start, offered, record, .. } = point;
         let version = trainer.version();
@@ -155,6 +165,7 @@ impl RunLoop {
             state: trainer.state()?,
             training: TrainingThread::start(trainer)?,
             is_training: false,
+            evaluations,
             config,
             store,
             sink,
@@ -178,16 +189,17 @@ impl RunLoop {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             match self.next_wake(events, &mut ticks, stop).await? {
-                LearnerWake::Stop => return self.end(events, RunEnd::Stopped).await,
+                LearnerWake::Stop => return self.end(events, RunEnd::Stopped, stop).await,
                 wake => self.handle(wake, events)?,
             }
             if self.version.0 >= self.config.settings.n_updates() {
-                return self.end(events, RunEnd::Finished).await;
+                return self.end(events, RunEnd::Finished, stop).await;
             }
             if stop.is_cancelled() {
                 continue; // No further update: the sink may have asked for exactly this many.
             }
             self.train()?;
+            self.evaluate();
             self.act();
         }
     }
@@ -203,6 +215,9 @@ impl RunLoop {
             () = stop.cancelled() => LearnerWake::Stop,
             updated = self.training.updated(), if self.is_training => {
                 LearnerWake::Trained(Box::new(updated))
+            }
+            Some(evaluated) = next_evaluated(self.evaluations.as_mut()) => {
+                LearnerWake::Evaluated(evaluated)
             }
             Some(failure) = self.outbox.failures.recv() => LearnerWake::Control(failure),
             wake = tick_or_event(ticks, events) => wake?,
@@ -222,6 +237,9 @@ impl RunLoop {
                 }
             }
             LearnerWake::Trained(updated) => self.trained((*updated)?)?,
+            LearnerWake::Evaluated(evaluated) => {
+                take_in(evaluated, &mut self.record.held_out, self.sink.as_mut());
+            }
             LearnerWake::Control(ControlFailure::Silent(key)) => self.coordinator.give_up(&key),
             LearnerWake::Control(ControlFailure::CannotRestore(key, epoch, envs)) => {
                 self.coordinator.cannot_restore(&key, epoch, &envs);
@@ -293,9 +311,10 @@ impl RunLoop {
         }
     }
 
-    /// Hands the next batch to the training thread, if it is idle and the batch is there.
+    /// Hands the next batch to the training thread, if it is idle and the batch is there, and not too many policies wait to
+    /// be evaluated.
     fn train(&mut self) -> Result<(), Error> {
-        if self.is_training {
+        if self.is_training || (self.evaluations.is_some() && self.record.held_out.is_full()) {
             return Ok(());
         }
         let Some(batch) = self.coordinator.next_batch() else { return Ok(()) };
@@ -317,7 +336,7 @@ impl RunLoop {
         for (&staleness, &n_rollouts) in &updated.report.staleness {
             *self.record.staleness.entry(staleness).or_default() += n_rollouts;
         }
-        self.rate(&updated.weights);
+        self.queue_evaluation(&updated.weights);
         self.report_progress(&updated);
         self.state = updated.state;
         let (since, n_then) = self.last_checkpoint;
@@ -328,13 +347,23 @@ impl RunLoop {
         if is_due { self.checkpoint() } else { Ok(()) }
     }
 
-    /// Keeps the policy if it is the best so far.
-    fn rate(&mut self, weights: &Arc<[u8]>) {
-        let Some(score) = self.record.episodes.score() else { return };
-        let best = self.record.best.as_ref().and_then(|best| best.score);
-        if best.is_none_or(|best| score > best) {
+    /// Queues the newest policy to be evaluated, if its version is due.
+    fn queue_evaluation(&mut self, weights: &Arc<[u8]>) {
+        let Some(plan) = self.evaluations.as_ref().map(|it| it.plan) else { return };
+        if plan.is_due(self.version) {
             let (version, weights) = (self.version, Arc::clone(weights));
-            self.record.best = Some(RatedPolicy { version, score: Some(score), weights });
+            let TrainingRecord { episodes, held_out, .. } = &mut self.record;
+            let policy = RatedPolicy { version, score: episodes.score(), held_out: None, weights };
+            held_out.queue(&plan, policy, &episodes.means());
+        }
+    }
+
+    /// Hands the next policy to the evaluating thread, if it is idle.
+    fn evaluate(&mut self) {
+        if let (Some(evaluations), Some(next)) =
+            (&mut self.evaluations, self.record.held_out.next())
+        {
+            evaluations.thread.begin(next);
         }
     }
 
@@ -349,6 +378,7 @@ impl RunLoop {
             steps_per_second: n_steps as f64 / elapsed.as_secs_f64().max(f64::EPSILON),
             phases: PhaseTimes { wait: self.wait, train: updated.took },
             episodes: self.record.episodes.means(),
+            held_out: self.record.held_out.history().last().copied(),
             n_actors: self.coordinator.n_actors(),
             n_queued: self.coordinator.n_pending() as usize,
             books: self.coordinator.books().clone(),
@@ -386,7 +416,8 @@ impl RunLoop {
     fn last(&self) -> RatedPolicy {
         let weights = self.link.weights_since(self.version).pop();
         let (version, weights) = weights.expect("the newest version is on offer");
-        RatedPolicy { version, score: self.record.episodes.score(), weights }
+        let TrainingRecord { episodes, held_out, .. } = &self.record;
+        RatedPolicy { version, score: episodes.score(), held_out: held_out.of(version), weights }
     }
 
     /// Writes the state after the last finished update; one that is under way is not in it.
@@ -394,7 +425,12 @@ impl RunLoop {
         let mut older = self.link.weights_since(self.oldest_needed());
         older.pop(); // The trainer's own.
         let older = older.into_iter();
-        let older = older.map(|(version, weights)| RatedPolicy { version, score: None, weights });
+        let older = older.map(|(version, weights)| RatedPolicy {
+            version,
+            score: None,
+            held_out: None,
+            weights,
+        });
         let checkpoint = Checkpoint {
             identity: self.config.identity,
             trainer: self.state.clone(),
@@ -409,7 +445,9 @@ impl RunLoop {
         let (store, n_updates) = (&mut self.store, self.version.0);
         let path = tokio::task::block_in_place(|| store.write(n_updates, &checkpoint))?;
         self.last_checkpoint = (Instant::now(), n_updates);
-        self.sink.on_policies(&self.last(), self.record.best.as_ref());
+        let last = self.last();
+        let best = best(&self.record, self.evaluations.as_ref(), &last);
+        self.sink.on_policies(&last, best);
         self.sink.on_event(&RunEvent::CheckpointWritten { path, n_updates });
         Ok(())
     }
@@ -417,7 +455,8 @@ impl RunLoop {
     async fn end(
         &mut self,
         events: &flume::Receiver<LearnerEvent>,
-        end: RunEnd,
+        mut end: RunEnd,
+        stop: &CancellationToken,
     ) -> Result<RunReport, Error> {
         self.sink.on_event(&RunEvent::Stopping);
         let reason = match end {
@@ -429,8 +468,18 @@ impl RunLoop {
         self.farewell(events).await?;
         self.coordinator.close();
         self.checkpoint()?;
+        if let (RunEnd::Finished, Some(evaluations), Some(_)) =
+            (end, &mut self.evaluations, self.record.held_out.next())
+        {
+            let (record, sink) = (&mut self.record.held_out, self.sink.as_mut());
+            if !evaluations.finish(record, sink, stop).await {
+                end = RunEnd::Stopped;
+            }
+            self.checkpoint()?;
+        }
         let (books, builds) = (self.coordinator.books().clone(), self.coordinator.builds().clone());
-        report(&self.config, end, self.last(), self.record.clone(), books, builds)
+        let policies = FinalPolicies::of(&self.record, self.evaluations.as_ref(), self.last());
+        report(&self.config, end, policies, self.record.clone(), books, builds)
     }
 
     /// Goes on listening until the actors have left and the update under way is done, or time is up.
@@ -444,10 +493,17 @@ impl RunLoop {
                 Ok(wake) => self.handle(wake?, events)?,
                 Err(_) => break,
             }
+            self.evaluate();
             self.act();
         }
         Ok(())
     }
+}
+
+/// Waits for the evaluation under way; `None` if there is none.
+async fn next_evaluated(evaluations: Option<&mut Evaluations>) -> Option<Evaluated> {
+    let evaluations = evaluations.filter(|it| it.thread.is_busy())?;
+    Some(evaluations.thread.evaluated().await)
 }
 
 /// Waits for time to pass or something from the network.
@@ -463,15 +519,62 @@ async fn tick_or_event(
     })
 }
 
-/// Reports how a run ended, with its newest policy.
+/// Ends a run whose updates were all made before: evaluates the policies that still wait for it.
+async fn already_trained(
+    config: &LearnerConfig,
+    mut point: ResumePoint,
+    sink: &mut dyn ProgressSink,
+    mut evaluations: Option<Evaluations>,
+    stop: &CancellationToken,
+) -> Result<RunReport, Error> {
+    let (version, score) = (point.start.version, point.record.episodes.score());
+    let weights = Arc::clone(&point.offered[&version]);
+    let mut last = RatedPolicy { version, score, held_out: None, weights };
+    let mut end = RunEnd::AlreadyFinished;
+    if let (Some(evaluations), Some(_)) = (&mut evaluations, point.record.held_out.next()) {
+        if !evaluations.finish(&mut point.record.held_out, sink, stop).await {
+            end = RunEnd::Stopped;
+        }
+        last.held_out = point.record.held_out.of(version);
+        sink.on_policies(&last, best(&point.record, Some(evaluations), &last));
+    }
+    let CoordinatorStart { books, builds, .. } = point.start;
+    let policies = FinalPolicies::of(&point.record, evaluations.as_ref(), last);
+    report(config, end, policies, point.record, books, builds)
+}
+
+/// Returns the best policy of a run: the last one where none was evaluated.
+fn best<'a>(
+    record: &'a TrainingRecord,
+    evaluations: Option<&Evaluations>,
+    last: &'a RatedPolicy,
+) -> &'a RatedPolicy {
+    evaluations.and_then(|_| record.held_out.best()).unwrap_or(last)
+}
+
+/// The newest policy and the best one.
+struct FinalPolicies {
+    last: RatedPolicy,
+    best: RatedPolicy,
+}
+
+impl FinalPolicies {
+    fn of(record: &TrainingRecord, evaluations: Option<&Evaluations>, last: RatedPolicy) -> Self {
+        let best = best(record, evaluations, &last).clone();
+        Self { last, best }
+    }
+}
+
+/// Reports how a run ended.
 fn report(
     config: &LearnerConfig,
     end: RunEnd,
-    last: RatedPolicy,
+    policies: FinalPolicies,
     record: TrainingRecord,
     books: Books,
     builds: Builds,
 ) -> Result<RunReport, Error> {
+    let FinalPolicies { last, best } = policies;
     let n_updates = last.version.0;
     Ok(RunReport {
         end,
@@ -479,7 +582,8 @@ fn report(
         n_steps: n_updates * config.steps_per_update(),
         digest: Parameters::from_safetensors(&last.weights, &config.spec.policy)?.digest()?,
         last,
-        best: record.best,
+        best,
+        held_out: record.held_out.history().to_vec(),
         episodes: record.episodes.means(),
         staleness: record.staleness,
         balance: books.check(),

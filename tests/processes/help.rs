@@ -5,7 +5,7 @@ use std::fs;
 use crate::support::{Place, result};
 
 const WIDTH: usize = 80;
-const COMMANDS: &str = "smoke up learner actor eval report probe play compare pilot taxonomy conformance config \
+const COMMANDS: &str = "smoke up race learner actor eval report probe play compare pilot taxonomy conformance config \
                         describe new runs check completions";
 const NESTED: [&str; 8] = [
     "pilot eval",

@@ -7,6 +7,7 @@
 //! | `compare` | a study becomes its tables, also when it is killed on the way |
 //! | `help` | help fits a terminal, and its examples are read; so do lists of runs; the next command is said and works |
 //! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
+//! | `race` | a race stops who is behind, and changes nobody's weights |
 //! | `resilience` | killing anything changes no bit; the books balance |
 //! | `streams` | output that cannot be written, limits, names that are not text: a sentence, and nothing is lost |
 //! | `supervision` | processes live and die together |
@@ -22,6 +23,7 @@ mod compare;
 mod help;
 mod probe;
 mod program;
+mod race;
 mod resilience;
 mod rogue;
 mod shipped;

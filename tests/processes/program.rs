@@ -167,15 +167,39 @@ fn a_run_leaves_everything_that_is_promised() {
 #[test]
 fn every_metric_is_documented_and_every_documented_metric_exists() {
     let place = trained();
-    let journal = fs::read_to_string(place.run("r").join("metrics.jsonl")).unwrap();
-    let last: Value = serde_json::from_str(journal.lines().last().unwrap()).unwrap();
-    let keys = last.as_object().unwrap().keys().map(String::as_str);
-    let written: BTreeSet<&str> = keys.filter(|key| key.contains('/')).collect();
+    let last = |file: &str| -> Vec<String> {
+        let lines = fs::read_to_string(place.run("r").join(file)).unwrap();
+        let last: Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
+        last.as_object().unwrap().keys().cloned().collect()
+    };
+    let keys = [last("metrics.jsonl"), last("held_out.jsonl")].concat();
+    let written: BTreeSet<&str> =
+        keys.iter().map(String::as_str).filter(|key| key.contains('/')).collect();
     let page = fs::read_to_string(repository("docs/metrics.md")).unwrap();
     let names = page.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
     // The measures of an evaluation have no slash.
     let documented: BTreeSet<&str> = names.filter(|name| name.contains('/')).collect();
     assert_eq!(documented, written);
+}
+
+#[test]
+fn the_best_policy_is_found_on_held_out_episodes_and_without_them_it_is_the_last() {
+    let place = Place::new();
+    let told = place.finish(&[TRAIN]).with_code(0).stdout;
+    assert!(told.contains("\nbest     update "), "{told}");
+    let listed = place.finish(&["runs --json"]).with_code(0).json();
+    assert!(listed[0]["held_out"].as_f64().is_some(), "{listed}");
+    let report = fs::read_to_string(place.run("r").join("report.html")).unwrap();
+    for part in ["success, held out", "best policy", "held-out episodes"] {
+        assert!(report.contains(part), "the report has no {part}");
+    }
+    let off = TRAIN.replace("--name r", "--name off --set evaluation.during_training=0");
+    place.finish(&[&off]).with_code(0);
+    let read = |run: &str, file: &str| fs::read(place.run(run).join(file)).unwrap();
+    assert_eq!(read("off", "best.safetensors"), read("off", "policy.safetensors"));
+    assert!(!place.run("off").join("held_out.jsonl").exists());
+    let digest = |run: &str| result(&place.run(run))["weights_sha256"].clone();
+    assert_eq!(digest("r"), digest("off"), "an evaluation moves no weight");
 }
 
 #[test]

@@ -1,7 +1,10 @@
 //! Killing processes changes nothing: the same seed gives the same weights, and the books balance.
 //!
-//! Most tests compare the digest of the final weights with that of one undisturbed run, made once.
+//! Most tests compare the final weights, the best ones and the evaluations on the way with those of one undisturbed run, made
+//! once.
 
+use std::fs;
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::io::Write as _;
 use std::path::Path;
 use std::sync::OnceLock;
@@ -53,8 +56,19 @@ fn balanced(place: &Place) -> Value {
     result
 }
 
+/// What must be equal: the final weights, the best ones, and every evaluation on held-out episodes.
 fn digest(place: &Place) -> String {
-    balanced(place)["weights_sha256"].as_str().expect("the result has a digest").to_owned()
+    let result = balanced(place);
+    let last = result["weights_sha256"].as_str().expect("the result has a digest");
+    let file = |name: &str| fs::read(place.run("r").join(name)).expect("the run has the file");
+    let held_out = String::from_utf8(file("held_out.jsonl")).expect("it is text");
+    assert_eq!(held_out.lines().count(), 8, "{held_out}");
+    let best = file("best.safetensors");
+    // Behind the header, which holds settings that change no weight, such as the number of actors to wait for.
+    let header = u64::from_le_bytes(best[..8].try_into().expect("a length")) as usize;
+    let mut hasher = DefaultHasher::new();
+    best[8 + header..].hash(&mut hasher);
+    format!("last {last}\nbest {:x}\n{held_out}", hasher.finish())
 }
 
 /// The digest of the undisturbed run with one actor.

@@ -6,6 +6,7 @@ use std::time::Duration;
 use leadtime_episodes::Choice;
 use leadtime_learner::CheckpointInterval;
 use leadtime_learner::checkpoint::{MAX_PAYLOAD_BYTES, max_payload_bytes};
+use leadtime_learner::held_out::{MAX_EVALUATIONS, MAX_HELD_OUT_EPISODES};
 use leadtime_policy::parameters;
 use leadtime_ppo::LearnerSettings;
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
@@ -67,6 +68,10 @@ pub struct EvaluationSettings {
     pub episodes: u32,
     /// How actions are chosen.
     pub action: Choice,
+    /// Evaluations of a run's policy while it trains; 0: none.
+    pub during_training: u32,
+    /// The most episodes of each of these, at least 2.
+    pub held_out_episodes: u32,
     /// The task as it is in evaluation.
     pub task: TaskSpec,
 }
@@ -208,12 +213,11 @@ impl Config {
         }
         let window = written.actor.window;
         within("actor.window", window, 1, MAX_WINDOW)?;
-        let EvaluationSection { episodes, action, .. } = written.evaluation;
-        within("evaluation.episodes", episodes, 1, MAX_EPISODES)?;
+        let evaluation = check_evaluation(&written.evaluation, evaluated)?;
         Ok(Self {
             run: check_run(&written.run)?,
             window,
-            evaluation: EvaluationSettings { episodes, action, task: evaluated },
+            evaluation,
             domain,
             seed: written.seed,
             env: environment.spec().clone(),
@@ -265,6 +269,19 @@ fn known_keys(layers: &Layers<'_>) -> Result<(), ConfigError> {
         None => format!(", expected one of `{}`", known.join("`, `")),
     };
     Err(layers.refuse(Some(key.span()), &format!("unknown field `{name}`{hint}")))
+}
+
+fn check_evaluation(
+    evaluation: &EvaluationSection,
+    task: TaskSpec,
+) -> Result<EvaluationSettings, ConfigError> {
+    let &EvaluationSection { episodes, action, during_training, held_out_episodes, .. } =
+        evaluation;
+    within("evaluation.episodes", episodes, 1, MAX_EPISODES)?;
+    within("evaluation.during_training", during_training, 0, MAX_EVALUATIONS)?;
+    // One episode has no standard error.
+    within("evaluation.held_out_episodes", held_out_episodes, 2, MAX_HELD_OUT_EPISODES)?;
+    Ok(EvaluationSettings { episodes, action, during_training, held_out_episodes, task })
 }
 
 fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {

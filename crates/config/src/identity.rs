@@ -150,10 +150,12 @@ mod tests {
 
     #[test]
     fn how_a_run_is_carried_out_does_not_decide_its_weights() {
-        const RUN: &str = "seed = 1\n[run]\nname = \"a\"\n[learner]\ntotal_steps = 5\nclip = 0.2";
+        const RUN: &str = "seed = 1\n[run]\nname = \"a\"\n[evaluation]\nduring_training = 8\n[learner]\n\
+                           total_steps = 5\nclip = 0.2";
         let run = table(RUN);
         for (from, to, expected) in [
             ("\"a\"", "\"b\"", [true, true]),
+            ("training = 8", "training = 0", [true, true]),
             ("steps = 5", "steps = 6", [true, false]),
             ("seed = 1", "seed = 2", [false, true]),
             ("0.2", "0.1", [false, false]),

@@ -301,6 +301,8 @@ fn impossible_values_are_reported_by_key() {
         ("[run]\nactors_min = 0", "run.actors_min"),
         ("[run]\nname = \"A\"", "run.name"),
         ("[evaluation]\nepisodes = 0", "evaluation.episodes"),
+        ("[evaluation]\nduring_training = 1001", "evaluation.during_training"),
+        ("[evaluation]\nheld_out_episodes = 1", "evaluation.held_out_episodes"),
         ("[evaluation.world]\nmax_steps = 0", "evaluation.world"),
         ("[world]\nzones = [{ x0 = 1.0, x1 = 0.0, y0 = 0.0, y1 = 1.0 }]", "world.zones"),
         ("[notifier]\nwords = [5, 2]", "`notifier.words` is [5, 2]"),

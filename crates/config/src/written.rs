@@ -66,12 +66,14 @@ pub(crate) struct ActorSection {
     pub(crate) window: u32,
 }
 
-/// `[evaluation]`: how policies are evaluated after training.
+/// `[evaluation]`: how policies are evaluated, after training and on the way.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct EvaluationSection {
     pub(crate) episodes: u32,
     pub(crate) action: Choice,
+    pub(crate) during_training: u32,
+    pub(crate) held_out_episodes: u32,
     #[serde(default)]
     pub(crate) world: Table,
 }

@@ -32,6 +32,8 @@ pub enum Purpose {
     Words = 8,
     /// Which step of a stage a probe looks at (index: episode).
     Probe = 9,
+    /// Seeds of the episodes on which a run's policies are evaluated without being trained (index: what for).
+    HeldOut = 10,
 }
 
 /// Opens the stream of one purpose, environment and index of a run.

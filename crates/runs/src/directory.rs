@@ -5,6 +5,7 @@
 //!               lock                 held by the learner            supervisor.lock      held by a launch
 //!               metrics.jsonl        a line per update              tensorboard/         the same, as event files
 //!               policy.safetensors   the newest policy              best.safetensors     the best so far
+//!               held_out.jsonl       evaluations while it trains  race.json            what a race found out
 //!               initial.safetensors  what a fork began with         checkpoints/         the newest ones
 //!               report.html          written at every end           playthrough.png      drawn by `smoke`
 //!               eval.json            the last evaluation
@@ -29,6 +30,7 @@ use leadtime_learner::write_atomically;
 use leadtime_proto::RunName;
 
 use crate::directory_error::RunDirError;
+use crate::held_out::HELD_OUT;
 use crate::layout::{
     CHECKPOINTS, LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, checkpoints, compare, is_begun,
     lock, read_config, read_record, write_config,
@@ -178,7 +180,7 @@ fn begin(
         fs::remove_file(&initial)?;
     }
     // A run that was stopped before its first update has left the state that it began with.
-    let policies = [LAST_POLICY, BEST_POLICY].map(|name| path.join(name));
+    let policies = [LAST_POLICY, BEST_POLICY, HELD_OUT].map(|name| path.join(name));
     for file in checkpoints(path)?.into_iter().chain(policies).filter(|file| file.exists()) {
         fs::remove_file(file)?;
     }

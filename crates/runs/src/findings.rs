@@ -86,7 +86,7 @@ impl Findings {
             }
         };
         let lead = format!(
-            "Training {trained}. The curves are of training episodes; {evaluation}. `{report}` evaluates the policy, draws \
+            "Training {trained}. The curves are of training episodes, unless they are called held out; {evaluation}. `{report}` evaluates the policy, draws \
              an episode, and writes this page again."
         );
         let verdict = comparison.as_ref().and_then(|found| verdict(config, found, run.is_quick()));

@@ -4,8 +4,10 @@
 //! directory    locking, resuming, refusing; on naming and layout      build           which program computed it
 //! record       run.json                                 clock           the only reader of the wall clock
 //! recorder     what the learner reports, written down by journal (metrics.jsonl), tensorboard and policy_file
+//! held_out     evaluations while it trains (held_out.jsonl)
 //! launch       a learner and its actors as children  ->  supervise      watched until the last of them is gone
 //! report       all of it (run_files), and the findings of an evaluation, as a page    evaluation_record   eval.json
+//! race         several seeds of a configuration, the hopeless stopped on the way
 //! scratch      the short-lived directory of a launch        tasks           what there is to train on
 //! find         a run by its name                            listing         all runs in a directory
 //! ```
@@ -28,6 +30,7 @@ pub mod evaluation;
 mod evaluation_record;
 mod find;
 pub mod findings;
+pub mod held_out;
 pub mod journal;
 pub mod launch;
 pub mod layout;
@@ -36,6 +39,7 @@ mod listing;
 mod metrics;
 mod naming;
 pub mod policy_file;
+pub mod race;
 pub mod record;
 mod recorder;
 pub mod report;

@@ -8,12 +8,14 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::directory_error::with_causes;
+use crate::race::RacerRecord;
 use crate::record::{RECORD, RecordError};
-use crate::{ForkOrigin, RunRecord, journal};
+use crate::{ForkOrigin, RunRecord, held_out, journal};
 
 /// The columns of the list, and the main ones, which a terminal has room for.
-const HEAD: &str = "run,domain,state,updates,steps,success,return,weights,reproducible,forked from";
-const MAIN: [usize; 6] = [0, 1, 2, 4, 5, 6];
+const HEAD: &str =
+    "run,domain,state,updates,steps,success,return,held out,weights,reproducible,forked from";
+const MAIN: [usize; 7] = [0, 1, 2, 4, 5, 6, 7];
 /// Hexadecimal digits of a digest in a row.
 const DIGEST_DIGITS: usize = 12;
 
@@ -24,7 +26,7 @@ pub struct ListedRun {
     pub name: String,
     /// What it trains on.
     pub domain: String,
-    /// `finished`, `unfinished` or `unreadable`.
+    /// `finished`, `unfinished`, `stopped` (by a race, which it can leave as any unfinished run) or `unreadable`.
     pub state: &'static str,
     /// Updates in its journal.
     pub updates: u64,
@@ -34,6 +36,9 @@ pub struct ListedRun {
     pub success: Option<f64>,
     /// Mean return of the last training episodes.
     pub episode_return: Option<f64>,
+    /// Mean success of the best policy on held-out episodes, or its mean return where the task knows no success; `None` where
+    /// the run has not been evaluated while training.
+    pub held_out: Option<f64>,
     /// Digest of the final weights; `None` while the run is unfinished.
     pub weights_sha256: Option<String>,
     /// Whether the same seed would give the same weights again; `None` while the run is unfinished.
@@ -67,14 +72,14 @@ impl ListedRun {
         let head: Vec<&str> = HEAD.split(',').collect();
         let shown = if all { (0..head.len()).collect() } else { MAIN.to_vec() };
         let columns = shown.iter().map(|&i| head[i]);
-        let mut table = Table::new(columns).left(&[0, 1, 2, 7, 8, 9]).elastic(0);
+        let mut table = Table::new(columns).left(&[0, 1, 2, 8, 9, 10]).elastic(0);
         for cells in rows.iter().map(Self::cells) {
             table.push(shown.iter().map(|&i| cells[i].as_str()));
         }
         table
     }
 
-    fn cells(&self) -> [String; 10] {
+    fn cells(&self) -> [String; 11] {
         let none = || "-".to_owned();
         let number =
             |value: Option<f64>, digits| value.map_or_else(none, |x| format!("{x:.digits$}"));
@@ -90,6 +95,7 @@ impl ListedRun {
             self.steps.to_string(),
             number(self.success, 2),
             number(self.episode_return, 1),
+            number(self.held_out, 2),
             self.weights_sha256.as_deref().map_or_else(none, cut),
             reproducible.unwrap_or("-").to_owned(),
             origin.unwrap_or_default(),
@@ -102,10 +108,18 @@ impl ListedRun {
         let number = |key: &str| last.get(key).and_then(Value::as_f64);
         let whole = |key: &str| last.get(key).and_then(Value::as_u64).unwrap_or(0);
         let reproducible = record.is_reproducible(path);
+        let best = held_out::of_best(path).unwrap_or_default();
+        let is_stopped = || RacerRecord::read(path).is_stopped_at(whole("update"));
+        let state = match &record.result {
+            Some(_) => "finished",
+            None if is_stopped() => "stopped",
+            None => "unfinished",
+        };
+        let held_out = |key: &str| best.get(key).and_then(Value::as_f64);
         Self {
             name: record.name,
             domain: record.domain,
-            state: if record.result.is_some() { "finished" } else { "unfinished" },
+            state,
             reproducible,
             origin: record.origin,
             weights_sha256: record.result.map(|result| result.weights_sha256),
@@ -113,6 +127,7 @@ impl ListedRun {
             steps: whole("steps"),
             success: number("episodes/success"),
             episode_return: number("episodes/return"),
+            held_out: held_out("held_out/success").or_else(|| held_out("held_out/return")),
             started: record.started,
             problem: None,
         }

@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
-use leadtime_learner::{RatedPolicy, UpdateProgress, write_atomically};
+use leadtime_learner::{HeldOutMeans, RatedPolicy, UpdateProgress, write_atomically};
 use leadtime_policy::Parameters;
 use leadtime_proto::PolicySpec;
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ use toml::Table;
 use crate::journal::Journal;
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION};
 use crate::tensorboard::EventFile;
-use crate::{clock, metrics};
+use crate::{clock, held_out, metrics};
 
 /// The open files of a run.
 #[derive(Debug)]
@@ -79,9 +79,22 @@ impl RunRecorder {
     /// # Errors
     ///
     /// If a file cannot be written.
-    pub fn policies(&self, last: &RatedPolicy, best: Option<&RatedPolicy>) -> io::Result<()> {
+    pub fn policies(&self, last: &RatedPolicy, best: &RatedPolicy) -> io::Result<()> {
         self.write_policy(LAST_POLICY, last)?;
-        best.map_or(Ok(()), |best| self.write_policy(BEST_POLICY, best))
+        self.write_policy(BEST_POLICY, best)
+    }
+
+    /// Writes every evaluation on held-out episodes so far, and the newest one to the event file.
+    ///
+    /// # Errors
+    ///
+    /// If a file cannot be written.
+    pub fn held_out(&mut self, history: &[HeldOutMeans]) -> io::Result<()> {
+        let steps_per_update = self.steps_per_update;
+        held_out::write(&self.directory, history, steps_per_update)?;
+        let Some(newest) = history.last() else { return Ok(()) };
+        let steps = newest.version.0 * steps_per_update;
+        self.events(0)?.scalars(clock::unix_seconds(), steps, &held_out::scalars(newest))
     }
 
     fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
@@ -109,6 +122,8 @@ impl RunRecorder {
         if let Some(score) = policy.score {
             metadata.insert("training_score".to_owned(), score.to_string());
         }
+        let held_out = policy.held_out.iter().flat_map(held_out::scalars);
+        metadata.extend(held_out.map(|(name, value)| (name.replace('/', "_"), value.to_string())));
         let parameters = Parameters::from_safetensors(&policy.weights, &self.policy);
         let bytes = parameters.and_then(|parameters| parameters.to_safetensors(&metadata));
         write_atomically(&self.directory.join(name), &bytes.map_err(io::Error::other)?)

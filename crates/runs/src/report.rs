@@ -14,7 +14,7 @@ use crate::command_line::command_line;
 use crate::findings::Findings;
 use crate::record::INITIAL_POLICY;
 use crate::run_files::RunFiles;
-use crate::{ProgramBuild, Tasks};
+use crate::{ProgramBuild, Tasks, held_out};
 
 /// Points of a learning curve.
 const N_POINTS: usize = 120;
@@ -58,15 +58,17 @@ fn pictures(episodes: &[Spoken]) -> Vec<Picture> {
 }
 
 fn curves(runs: &[RunFiles]) -> Vec<BandPanel> {
-    let panels: [(&str, &str, Option<[f64; 2]>); 5] = [
+    let panels: [(&str, &str, Option<[f64; 2]>); 6] = [
         ("episodes/success", "success", Some([0.0, 1.0])),
+        ("held_out/success", "success, held out", Some([0.0, 1.0])),
         ("episodes/return", "return", None),
         ("episodes/length", "episode length (steps)", None),
         ("train/entropy", "entropy (nats)", None),
         ("train/approx_kl", "approximate KL (nats)", None),
     ];
     let band = |run: &RunFiles, key: &str| {
-        let band = Band::summary(&points(&run.journal, key), N_POINTS);
+        let lines = if key.starts_with("held_out/") { &run.held_out } else { &run.journal };
+        let band = Band::summary(&points(lines, key), N_POINTS);
         let label = if runs.len() > 1 { run.name().to_owned() } else { String::new() };
         Band { label, ..band }
     };
@@ -161,10 +163,28 @@ fn facts(run: &RunFiles) -> Vec<Fact> {
         facts.push(Fact::new("updates", result.updates.to_string()));
         facts.push(Fact::new("steps", result.steps.to_string()));
         facts.push(Fact::new("SHA-256 of the weights", &result.weights_sha256));
+        facts.extend(best(run));
         let same = record.is_reproducible(&run.directory).unwrap_or(false);
         facts.push(Fact::new("same weights again", if same { "yes" } else { "no" }));
     }
     facts
+}
+
+/// Says which policy is the best, and by what; nothing where none was evaluated while the run trained.
+fn best(run: &RunFiles) -> Option<Fact> {
+    let line = held_out::of_best(&run.directory)?;
+    let number = |key: &str| line.get(key).and_then(Value::as_f64);
+    let (measure, score) = match number("held_out/success") {
+        Some(success) => ("success", success),
+        None => ("return", number("held_out/return")?),
+    };
+    let text = format!(
+        "from update {}: {measure} {score:.2} \u{b1} {:.2} over {} held-out episodes",
+        number("update")?,
+        number("held_out/error")?,
+        number("held_out/episodes")?
+    );
+    Some(Fact::new("best policy", text))
 }
 
 /// The built-in configuration that a run's own is nearest to.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value};
 
 use crate::layout::{read_config, read_record};
-use crate::{RunDirError, RunRecord, journal};
+use crate::{RunDirError, RunRecord, held_out, journal};
 
 /// Updates of a quick run, which checks the mechanics only.
 pub const QUICK_UPDATES: u64 = 12;
@@ -17,6 +17,8 @@ pub struct RunFiles {
     pub directory: PathBuf,
     pub(crate) record: RunRecord,
     pub(crate) journal: Vec<Map<String, Value>>,
+    /// Evaluations on held-out episodes.
+    pub(crate) held_out: Vec<Map<String, Value>>,
     pub(crate) config: toml::Table,
 }
 
@@ -31,7 +33,8 @@ impl RunFiles {
         let (record, config) = (read_record(&directory)?, read_config(&directory)?);
         let io = |source| RunDirError::Io { path: directory.join("metrics.jsonl"), source };
         let journal = journal::read(&directory).map_err(io)?;
-        Ok(Self { directory, record, journal, config })
+        let held_out = held_out::read(&directory);
+        Ok(Self { directory, record, journal, held_out, config })
     }
 
     /// Returns the run's name.

@@ -347,7 +347,7 @@ impl PlannedTraining {
     pub(crate) fn policy(&self, which: WhichPolicy) -> PathBuf {
         let directory = self.directory();
         let best = directory.join(BEST_POLICY);
-        // A run in which no hundred episodes ended knows no best one.
+        // A run of an earlier release in which no hundred episodes ended knows no best one.
         if which == WhichPolicy::Best && best.exists() { best } else { directory.join(LAST_POLICY) }
     }
 

@@ -84,7 +84,7 @@ pub(crate) fn facts(plan: &StudyPlan, request: &StudyRequest, runs: &[TrainedRun
     });
     let policy = match plan.named.study.policy {
         WhichPolicy::Last => "the one at the end of training",
-        WhichPolicy::Best => "the one with the best mean success over 100 training episodes",
+        WhichPolicy::Best => "the best one by the held-out episodes of its training",
     };
     let evaluation = format!(
         "{} episodes per training seed, under seed {} + training seed, the same for every notifier",

@@ -34,7 +34,7 @@ pub(crate) enum WhichPolicy {
     /// The one at the end of training: nothing was chosen by looking.
     #[default]
     Last,
-    /// The one with the best mean success over 100 training episodes.
+    /// The best one by the held-out episodes of its training.
     Best,
 }
 

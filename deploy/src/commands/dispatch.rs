@@ -5,7 +5,7 @@ use tokio::runtime;
 
 use super::{
     actor, check, compare, config, conformance, describe, eval, launch, learner, new, pilot, play,
-    probe, report, runs, smoke, taxonomy,
+    probe, race, report, runs, smoke, taxonomy,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -24,6 +24,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
     match command {
         Command::Smoke(args) => block_on(smoke::run(tasks, &args, options)),
         Command::Up(args) => block_on(launch::up(tasks, &args, options)),
+        Command::Race(args) => block_on(race::run(tasks, &args, options)),
         Command::Learner(args) => block_on(learner::run(tasks, &args)),
         Command::Actor(args) => block_on(actor::run(tasks, &args)),
         Command::Eval(args) => eval::run(tasks, &args),

@@ -4,6 +4,7 @@ use anyhow::Context as _;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::ListenSettings;
 use leadtime_runs::findings::Findings;
+use leadtime_runs::held_out::held_out_evaluation;
 use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
 use leadtime_runs::{
@@ -18,7 +19,7 @@ use crate::cli::{LearnerArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE};
 use crate::shutdown::{Watch, watch};
-use crate::sink::RunSink;
+use crate::sink::{RunSink, held_out_sentence};
 
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
@@ -52,9 +53,12 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
         .blame(ExitCode::WrongInput)?;
-    let stop = args.run.stop_after.map(|n_updates| (n_updates, shutdown.clone()));
+    // At the end of the run there is nothing to stop, and a last evaluation to wait for.
+    let stop = args.run.stop_after.filter(|n_updates| *n_updates < config.learner.n_updates());
+    let stop = stop.map(|n_updates| (n_updates, shutdown.clone()));
     let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
-    let report = leadtime_learner::run(learner, Box::new(sink), shutdown.clone()).await;
+    let held_out = held_out_evaluation(&config, &tasks.registry);
+    let report = leadtime_learner::run(learner, Box::new(sink), held_out, shutdown.clone()).await;
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
         // A supervisor that lives removes it itself; if it was killed nobody else would.
         scratch::remove_if_abandoned(scratch);
@@ -121,6 +125,9 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
     output::line(&format!("run      {}", run_dir.path.display()));
     output::line(&format!("updates  {n_updates} ({n_steps} steps)"));
     output::line(&format!("weights  sha256 {digest}"));
+    if let Some(means) = &report.best.held_out {
+        output::line(&format!("best     {}", held_out_sentence(means)));
+    }
     output::line(&format!("books    {}", books_sentence(&books)));
     if let Err(imbalance) = report.balance {
         return Err(imbalance).blame(ExitCode::Failed);

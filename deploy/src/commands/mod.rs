@@ -16,6 +16,7 @@ mod new;
 mod pilot;
 mod play;
 mod probe;
+mod race;
 mod report;
 mod runs;
 mod smoke;

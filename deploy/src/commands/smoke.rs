@@ -55,7 +55,10 @@ fn configure(tasks: &Tasks, args: &SmokeArgs) -> anyhow::Result<Config> {
         return Ok(config);
     }
     let steps = QUICK_UPDATES * config.steps_per_update();
-    let quick = format!("learner.total_steps = {steps}\nrun.checkpoint_every = 4\n");
+    let quick = format!(
+        "learner.total_steps = {steps}\nrun.checkpoint_every = 4\n[evaluation]\nduring_training = 1\nheld_out_episodes = \
+         {QUICK_EPISODES}\n"
+    );
     Ok(config.with([Layer::text("--quick", quick)], &tasks.registry)?)
 }
 

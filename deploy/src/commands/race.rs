@@ -1,0 +1,208 @@
+//! `leadtime race`: several seeds of one configuration, of which the hopeless are stopped at a quarter of the way.
+
+use leadtime_runs::launch::{Launch, LaunchError, launch};
+use leadtime_runs::race::{Race, RaceScore, RaceStage};
+use leadtime_runs::supervise::Ended;
+use leadtime_runs::{BEST_POLICY, LAST_POLICY, LoadedPolicy, Naming, Tasks};
+use leadtime_table::Table;
+use serde_json::{Value, json};
+use tokio_util::sync::CancellationToken;
+
+use crate::cli::RaceArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output::{self, DRAW, EVALUATE, REPORT, WIDTH};
+use crate::shutdown::{Watch, unless_cancelled, watch};
+
+pub(super) async fn run(tasks: &Tasks, args: &RaceArgs, options: &[&str]) -> Result<(), Failure> {
+    let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
+    let name = args.name.as_deref().or(config.run.name.as_ref().map(|name| name.as_str()));
+    let race = Race::plan(tasks, &config, name, args.racers, args.episodes);
+    let mut race = race.blame(ExitCode::WrongInput)?;
+    if let Some(n_keep) = args.keep {
+        if n_keep > args.racers {
+            let sentence = format!("--keep {n_keep}: there are only {} racers", args.racers);
+            return Err(Failure::input(sentence));
+        }
+        race.n_keep = n_keep as usize;
+    }
+    if args.plan {
+        output::line(&race.cost());
+        return Ok(());
+    }
+    output::note(&race.cost());
+    let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let mut work = RaceWork { tasks, args, options, shutdown: &shutdown, race };
+    let carried_out = work.carry_out().await;
+    if shutdown.is_cancelled() {
+        output::note("\nThe same command goes on with the race.");
+    }
+    carried_out
+}
+
+/// A race under way.
+struct RaceWork<'a> {
+    tasks: &'a Tasks,
+    args: &'a RaceArgs,
+    options: &'a [&'a str],
+    shutdown: &'a CancellationToken,
+    race: Race,
+}
+
+impl RaceWork<'_> {
+    async fn carry_out(&mut self) -> Result<(), Failure> {
+        let everybody: Vec<usize> = (0..self.race.racers.len()).collect();
+        self.stage(&everybody, RaceStage::Quarter).await?;
+        let going_on = self.race.stop_hopeless().blame(ExitCode::WrongInput)?;
+        self.stage(&going_on, RaceStage::Final).await?;
+        let Some(winner) = self.race.winner() else {
+            tracing::error!("no racer has reached the end");
+            return Err(Failure::silent(ExitCode::Failed));
+        };
+        self.print(winner);
+        Ok(())
+    }
+
+    /// Trains racers as far as a stage needs, one after the other, and compares them.
+    async fn stage(&mut self, racers: &[usize], stage: RaceStage) -> Result<(), Failure> {
+        for (place, &racer) in (1..).zip(racers) {
+            if self.race.score(racer, stage).is_some() && self.race.is_trained(racer, stage) {
+                continue;
+            }
+            let (name, n) = (self.name(racer), racers.len());
+            let until = match stage {
+                RaceStage::Quarter => format!("update {}", self.race.quarter()),
+                RaceStage::Final => "the end".to_owned(),
+            };
+            output::note(&format!("\nRacer {place} of {n}, to {until}: {name}"));
+            if !self.race.is_trained(racer, stage) && !self.train(racer, stage).await? {
+                continue;
+            }
+            let score = self.judge(racer, stage).await?;
+            output::note(&format!("{name}: {}", words(Some(&score))));
+            self.race.keep(racer, stage, score).blame(ExitCode::WrongInput)?;
+        }
+        Ok(())
+    }
+
+    /// Trains a racer. Returns false if its training failed, which ends its race and nobody else's.
+    async fn train(&self, racer: usize, stage: RaceStage) -> Result<bool, Failure> {
+        let quarter = self.race.quarter();
+        let what = Launch {
+            stop_after: (stage == RaceStage::Quarter).then_some(quarter),
+            options: self.options,
+            ..Launch::new(Naming::Resume, self.args.actors)
+        };
+        let config = &self.race.racers[racer].config;
+        let launched = launch(config, &what, self.shutdown).await.map_err(|error| {
+            let is_ours = matches!(error, LaunchError::Start(_));
+            let code = if is_ours { ExitCode::Failed } else { ExitCode::WrongInput };
+            Failure::of(code, error)
+        })?;
+        // The processes have logged why.
+        match launched.ended {
+            Ended::Learner(Some(0)) => Ok(true),
+            Ended::Learner(Some(code)) if code == ExitCode::Failed as i32 => {
+                tracing::warn!("{} has dropped out: its training failed", self.name(racer));
+                Ok(false)
+            }
+            Ended::Learner(Some(code)) => Err(Failure::silent(ExitCode::from_status(code))),
+            Ended::Learner(None) | Ended::NoActorLeft => Err(Failure::silent(ExitCode::Failed)),
+            Ended::Stopped => Err(Failure::silent(ExitCode::Interrupted)),
+        }
+    }
+
+    /// Evaluates a racer on the episodes of a stage.
+    async fn judge(&self, racer: usize, stage: RaceStage) -> Result<RaceScore, Failure> {
+        let file = match stage {
+            RaceStage::Quarter => LAST_POLICY,
+            RaceStage::Final => BEST_POLICY,
+        };
+        let directory = &self.race.racers[racer].directory;
+        let (tasks, race, path) = (self.tasks.clone(), self.race.clone(), directory.join(file));
+        let work = move || {
+            let policy = LoadedPolicy::load(&tasks.registry, &path, &path, &[]);
+            let policy = policy.blame(ExitCode::WrongInput)?;
+            Ok(race.judge(&tasks, &policy, stage)?)
+        };
+        unless_cancelled(self.shutdown, work).await
+    }
+
+    fn name(&self, racer: usize) -> String {
+        let name = self.race.racers[racer].config.run.name.as_ref();
+        name.map(ToString::to_string).unwrap_or_default()
+    }
+
+    fn print(&self, winner: usize) {
+        let directory = &self.race.racers[winner].directory;
+        if self.args.json {
+            let rows = (0..self.race.racers.len()).map(|racer| self.row(racer, winner));
+            output::json(&json!({
+                "winner": self.name(winner),
+                "run": directory.display().to_string(),
+                "racers": rows.collect::<Vec<_>>(),
+            }));
+            return;
+        }
+        let head = ["run", "at a quarter", "at the end", ""].map(str::to_owned);
+        let mut table = Table::new(head).left(&[0, 3]).elastic(0);
+        for racer in 0..self.race.racers.len() {
+            let [quarter, last] = [RaceStage::Quarter, RaceStage::Final]
+                .map(|stage| words(self.race.score(racer, stage)));
+            table.push([self.name(racer), quarter, last, self.fate(racer, winner).to_owned()]);
+        }
+        output::line(table.text_within(WIDTH).trim_end());
+        output::line(&format!("\nWinner: {}", directory.display()));
+        output::next(directory, &[EVALUATE, DRAW, REPORT]);
+        let stopped = self.race.racers.iter().find(|racer| racer.record.is_stopped);
+        if let Some(racer) = stopped {
+            let (path, name) = (&racer.directory, racer.config.run.name.as_ref());
+            let name = name.map(ToString::to_string).unwrap_or_default();
+            let words = ["up".into(), "-c".into(), path.join("config.toml").into()];
+            let command = words.into_iter().chain(["--name".into(), name.into()]);
+            let told = "A racer that was stopped is an ordinary run, and goes on like this:";
+            output::note(&format!("\n{told}\n  {}", output::command(command)));
+        }
+    }
+
+    /// Describes a racer as JSON.
+    fn row(&self, racer: usize, winner: usize) -> Value {
+        let score = |stage| {
+            self.race.score(racer, stage).map(|score| {
+                json!({
+                    "updates": score.updates,
+                    "measure": if score.is_success { "success" } else { "return" },
+                    "mean": score.mean(),
+                    "error": score.error(),
+                    "episodes": score.scores.len(),
+                })
+            })
+        };
+        json!({
+            "run": self.name(racer),
+            "seed": self.race.racers[racer].config.seed,
+            "state": self.fate(racer, winner),
+            "quarter": score(RaceStage::Quarter),
+            "end": score(RaceStage::Final),
+        })
+    }
+
+    /// Says what became of a racer.
+    fn fate(&self, racer: usize, winner: usize) -> &'static str {
+        if racer == winner {
+            "winner"
+        } else if self.race.racers[racer].record.is_stopped {
+            "stopped"
+        } else if self.race.score(racer, RaceStage::Final).is_some() {
+            "finished"
+        } else {
+            "dropped out"
+        }
+    }
+}
+
+/// Says how a racer did, with the standard error.
+fn words(score: Option<&RaceScore>) -> String {
+    let Some(score) = score else { return "-".to_owned() };
+    let digits = if score.is_success { 2 } else { 1 };
+    format!("{:.digits$} \u{b1} {:.digits$}", score.mean(), score.error())
+}
