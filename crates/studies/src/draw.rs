@@ -71,7 +71,10 @@ impl Artist<'_> {
     /// Draws training success and return of every trained row.
     fn learning(&self) -> Result<Option<StudyFigure>, Error> {
         let trained = || self.planned.rows.iter().filter(|row| !row.trainings.is_empty());
-        let Some(n_seeds) = trained().map(|row| row.trainings.len()).max() else { return Ok(None) };
+        let n_seeds = || trained().map(|row| row.trainings.len());
+        let (Some(fewest), Some(most)) = (n_seeds().min(), n_seeds().max()) else {
+            return Ok(None);
+        };
         let panel = |metric: &str, label: &str, range| {
             let band = |row| learning_band(row, metric, self.planned.label_of(row));
             BandPanel { label: label.to_owned(), range, bands: trained().map(band).collect() }
@@ -82,9 +85,10 @@ impl Artist<'_> {
         ];
         let heading = format!("{}: learning", self.title);
         let svg = bands("learning", &heading, "environment steps", 7, &panels);
-        let spread = match n_seeds {
+        let seeds = if fewest == most { most.to_string() } else { format!("{fewest} to {most}") };
+        let spread = match most {
             1 => "one training seed".to_owned(),
-            n => format!("mean of {n} training seeds, band from the lowest to the highest"),
+            _ => format!("mean of {seeds} training seeds, band from the lowest to the highest"),
         };
         let caption = format!(
             "{}: success and return of the last 100 training episodes, each notifier on the person it trains with; \

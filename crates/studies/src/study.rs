@@ -12,6 +12,9 @@ use leadtime_config::Layer;
 
 use crate::error::{Error, Placed as _, ensure};
 
+/// The most training seeds of a row.
+const MAX_SEEDS: u64 = 1_000;
+
 /// A question, and the tables that answer it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -23,6 +26,11 @@ pub struct Study {
     /// Which policy of a run is evaluated.
     #[serde(default, rename = "judged")]
     pub(crate) policy: WhichPolicy,
+    /// Training seeds of every row whose part or row does not say its own number; 10 if left out.
+    pub(crate) seeds: Option<u64>,
+    /// A training has failed if its success, with the listener it trained with, is further than this below the row's best.
+    #[serde(default = "failed_below")]
+    pub(crate) failed_below: f64,
     /// The tables.
     pub parts: Vec<StudyPart>,
 }
@@ -53,7 +61,9 @@ pub struct StudyPart {
     pub(crate) note: String,
     /// Environment steps of each training whose row does not set `learner.total_steps`; the profile's if left out.
     pub(crate) steps: Option<u64>,
-    /// The first of five training seeds: none that a search for the profile used, or saw results of.
+    /// Training seeds of every row that does not say its own number; the study's if left out.
+    pub(crate) seeds: Option<u64>,
+    /// The first training seed: none that a search for the profile used, or saw results of.
     #[serde(default = "first_seed")]
     pub(crate) first_seed: u64,
     /// Steps with `--quick`, of every row.
@@ -92,6 +102,11 @@ pub(crate) enum Layout {
     Lines,
     /// A table per measure: a line per policy, a column per condition.
     Grid,
+}
+
+/// How far below the best of its row a training has failed.
+fn failed_below() -> f64 {
+    0.05
 }
 
 /// Where the seeds of most tables begin.
@@ -148,6 +163,8 @@ pub struct StudyRow {
     pub(crate) title: String,
     /// A scripted player of the task, instead of a trained policy.
     pub(crate) script: Option<String>,
+    /// Training seeds; the part's if left out. A script plays as many batches of episodes as the row with the most.
+    pub(crate) seeds: Option<u64>,
     /// What differs from the profile in training.
     #[serde(default)]
     pub(crate) set: Table,
@@ -186,6 +203,11 @@ impl Study {
     fn check(&self) -> Result<(), Error> {
         ensure(!self.parts.is_empty(), || "a study needs at least one of `parts`")?;
         distinct(self.parts.iter().map(|part| &part.name)).at("`parts`")?;
+        let Self { seeds, failed_below, .. } = self;
+        check_seeds(*seeds)?;
+        ensure(*failed_below > 0.0 && *failed_below <= 1.0, || {
+            format!("`failed_below` is {failed_below}; allowed: above 0, at most 1")
+        })?;
         for part in &self.parts {
             part.check().at(format_args!("part `{}`", part.name))?;
         }
@@ -203,6 +225,7 @@ impl StudyPart {
         distinct(self.rows.iter().map(|row| &row.name)).at("`rows`")?;
         distinct(self.evaluations.iter().map(|known| &known.name)).at("`evaluations`")?;
         ensure(!self.columns.is_empty(), || "`columns` is empty; allowed: at least one measure")?;
+        check_seeds(self.seeds)?;
         ensure(self.quick_steps > 0, || "`quick_steps` is 0; allowed: at least 1")?;
         let known = |name: &str| {
             let found = self.condition(name).is_some();
@@ -233,6 +256,10 @@ impl StudyPart {
 
 impl StudyRow {
     fn check(&self, known: &dyn Fn(&str) -> Result<(), Error>) -> Result<(), Error> {
+        check_seeds(self.seeds)?;
+        ensure(self.script.is_none() || self.seeds.is_none(), || {
+            "`seeds`: a script is not trained".to_owned()
+        })?;
         self.on.iter().chain(self.paper_on.keys()).try_for_each(|name| known(name))?;
         for name in self.paper_on.keys() {
             ensure(self.is_evaluated_on(name), || {
@@ -263,6 +290,14 @@ impl StudyRow {
         };
         all.map(published).collect()
     }
+}
+
+/// Checks a number of training seeds.
+fn check_seeds(seeds: Option<u64>) -> Result<(), Error> {
+    let allowed = 1..=MAX_SEEDS;
+    ensure(seeds.is_none_or(|seeds| allowed.contains(&seeds)), || {
+        format!("`seeds` is {}; allowed: 1 to {MAX_SEEDS}", seeds.unwrap_or_default())
+    })
 }
 
 /// Checks that names are plain words, each used once.
