@@ -54,6 +54,25 @@ fn the_pages_show_what_the_program_prints() {
 }
 
 #[test]
+fn every_page_of_results_says_what_made_its_figures() {
+    let pages = fs::read_dir(docs().join("results")).unwrap().map(|entry| entry.unwrap().path());
+    let pages = pages.filter(|path| path.extension().is_some_and(|end| end == "md"));
+    // The index has a line for every table, and the verdict is a part of it.
+    let stands_alone =
+        |path: &PathBuf| !path.ends_with("README.md") && !path.ends_with("verdict.md");
+    let mut n_pages = 0;
+    for path in pages.filter(stands_alone) {
+        let page = fs::read_to_string(&path).unwrap();
+        let (_, said) = page.split_once("## Where these numbers are from\n").unwrap_or_default();
+        let is_table = said.contains("* command: `leadtime ") && said.contains("* program: ");
+        let is_told = said.contains(", commit ") || said.contains("the build");
+        assert!(is_table || is_told, "{}: which command, which build?", path.display());
+        n_pages += 1;
+    }
+    assert!(n_pages >= 18, "{n_pages} pages");
+}
+
+#[test]
 fn a_policy_is_described_as_its_task() {
     let policy = concat!(env!("CARGO_MANIFEST_DIR"), "/policies/piloting.safetensors");
     let described = output(&["describe", policy]);

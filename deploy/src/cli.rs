@@ -460,7 +460,7 @@ pub(crate) struct CompareArgs {
     /// Start from this configuration, in the parts of its domain, instead of the study's own.
     #[arg(long, value_name = "FILE")]
     pub profile: Vec<PathBuf>,
-    /// Training seeds, half open, instead of the five of each part (with --quick only the first).
+    /// Training seeds, half open, instead of those of each row (with --quick only the first).
     #[arg(long, value_name = "A..B", value_parser = number_range)]
     pub seeds: Option<Range<u64>>,
     /// Environment steps of every training, instead of the study's or the profile's.

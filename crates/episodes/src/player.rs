@@ -89,6 +89,11 @@ impl Player {
         &self.name
     }
 
+    /// Tells whether the player is the script of that name.
+    pub fn is_script(&self, name: &str) -> bool {
+        matches!(&self.kind, Kind::Script(script) if script == name)
+    }
+
     /// Checks that the player can play this task.
     ///
     /// # Errors

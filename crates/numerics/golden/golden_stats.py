@@ -1,4 +1,4 @@
-"""Prints the golden numbers of crates/numerics/src/stats.rs.
+"""Prints the golden numbers of crates/numerics/src/stats.rs and proportion.rs.
 
 pip install numpy scipy; python3 crates/numerics/golden/golden_stats.py
 
@@ -12,6 +12,7 @@ from scipy import stats
 A = [0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 0.5]
 B = [-3.25, 10.5, 0.125, 7.0, 2.0, -1.5, 4.75]
 GROUPS = [[1.0, 2.0, 4.0], [0.0, 0.5], [3.0, 3.5, 5.0, 2.5]]
+COUNTS = [(0, 1), (3, 3), (0, 20), (2, 20), (17, 20), (192, 200), (200, 200), (9871, 10000)]
 RESAMPLES = 999
 CONFIDENCE = 0.95
 SEED = 11
@@ -70,3 +71,8 @@ row("MEAN_INTERVAL_OF_A", scipy_interval((A,), mean, 0))
 row("MEAN_INTERVAL_OF_B", scipy_interval((B,), mean, 1))
 row("DIFFERENCE_INTERVAL", scipy_interval((B, A), difference, 2))
 row("HIERARCHICAL_INTERVAL", hierarchical(GROUPS, 3))
+# The interquartile mean as rliable defines it: scipy.stats.trim_mean(scores, 0.25).
+row("INTERQUARTILE_MEANS", [stats.trim_mean(x, 0.25) for x in (A, B, B[:3], B[:4])])
+exact = [stats.binomtest(k, n).proportion_ci(CONFIDENCE, "exact") for k, n in COUNTS]
+bounds = ", ".join(f"[{literal(ci.low)}, {literal(ci.high)}]" for ci in exact)
+print(f"const CLOPPER_PEARSON: [[f64; 2]; {len(COUNTS)}] = [{bounds}];")

@@ -18,6 +18,7 @@ pub mod kernel;
 pub mod lstm;
 pub mod orthogonal;
 pub mod pcg64;
+pub mod proportion;
 pub mod stats;
 pub mod streams;
 

@@ -4,7 +4,9 @@ use std::thread::available_parallelism;
 
 use leadtime_config::Config;
 use leadtime_eval::Error;
-use leadtime_eval::measure::{Choice, Comparison, Evaluation, PlaySettings, Player, evaluate};
+use leadtime_eval::measure::{
+    Choice, Comparison, Evaluation, PlaySettings, Player, evaluate, with_outcomes,
+};
 use leadtime_eval::playthrough::{Playthrough, Spoken, Voice};
 use leadtime_numerics::stats::Bootstrap;
 
@@ -42,7 +44,8 @@ pub fn n_threads() -> usize {
     available_parallelism().map_or(1, usize::from)
 }
 
-/// Plays the same episodes with every player.
+/// Plays the same episodes with every player, and splits success by what the unaided listener does in them, who plays
+/// them as well where the task has one.
 ///
 /// # Errors
 ///
@@ -54,10 +57,34 @@ pub fn evaluate_all(
     n_episodes: u32,
     seed: u64,
 ) -> Result<Vec<Evaluation>, Error> {
+    let evaluations = play_all(tasks, config, players, n_episodes, seed)?;
+    let alone = players.iter().position(|player| player.is_script(UNAIDED));
+    let unaided = match alone {
+        Some(place) => evaluations.get(place).cloned(),
+        None if tasks.registry.build(&config.evaluation.task)?.baselines().contains(&UNAIDED) => {
+            let player = [Player::baseline(UNAIDED)];
+            play_all(tasks, config, &player, n_episodes, seed)?.pop()
+        }
+        None => None,
+    };
+    let Some(unaided) = unaided else { return Ok(evaluations) };
+    let split = |(place, evaluation)| {
+        if alone == Some(place) { evaluation } else { with_outcomes(evaluation, &unaided) }
+    };
+    Ok(evaluations.into_iter().enumerate().map(split).collect())
+}
+
+/// Plays the same episodes with every player.
+pub(crate) fn play_all(
+    tasks: &Tasks,
+    config: &Config,
+    players: &[Player],
+    n_episodes: u32,
+    seed: u64,
+) -> Result<Vec<Evaluation>, Error> {
     let make = || tasks.registry.build(&config.evaluation.task);
     let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_threads());
-    let evaluate = |player| evaluate(&make, player, &settings);
-    players.iter().map(evaluate).collect()
+    players.iter().map(|player| evaluate(&make, player, &settings)).collect()
 }
 
 /// Returns the measure by which players of a task are compared: success where it is known.

@@ -4,14 +4,14 @@ use std::path::Path;
 
 use leadtime_config::Config;
 use leadtime_eval::Error;
-use leadtime_eval::measure::{Choice, Comparison, Player};
+use leadtime_eval::measure::{Choice, Comparison, Player, with_outcomes};
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::Verdict;
 
 use crate::command_line::command_line;
 use crate::digest::sha256;
 use crate::evaluation::{
-    TRAINED, UNAIDED, UNTRAINED, compare, evaluate_all, main_measure, players, telling,
+    TRAINED, UNAIDED, UNTRAINED, compare, evaluate_all, main_measure, play_all, players, telling,
 };
 use crate::policy_file::{BEST_POLICY, LAST_POLICY};
 use crate::run_files::RunFiles;
@@ -147,16 +147,6 @@ pub fn evaluate_runs(
     policies: &[LoadedPolicy],
     request: &EvaluationRequest,
 ) -> Result<Findings, Error> {
-    let (mut evaluations, mut episodes) = (Vec::new(), Vec::new());
-    let play = |config: &Config, players: &[Player]| {
-        evaluate_all(tasks, config, players, request.n_episodes(config), request.seed)
-    };
-    for (run, policy) in runs.iter().zip(policies) {
-        let player = [policy.player(run.name(), request.action)?];
-        let own = play(&policy.config, &player)?;
-        episodes.extend(telling(tasks, &policy.config, &player, &own)?);
-        evaluations.extend(own);
-    }
     let lead =
         format!("{} runs side by side, evaluated on episodes that training never saw.", runs.len());
     let Some(LoadedPolicy { config, .. }) = policies.first() else {
@@ -164,9 +154,25 @@ pub fn evaluate_runs(
     };
     let task = &config.evaluation.task;
     let is_one_task = policies.iter().all(|policy| policy.config.evaluation.task == *task);
+    // In one task the listener alone plays once, for all of them.
+    let played = if is_one_task { play_all } else { evaluate_all };
+    let play = |config: &Config, players: &[Player]| {
+        played(tasks, config, players, request.n_episodes(config), request.seed)
+    };
+    let (mut evaluations, mut episodes) = (Vec::new(), Vec::new());
+    for (run, policy) in runs.iter().zip(policies) {
+        let player = [policy.player(run.name(), request.action)?];
+        let own = play(&policy.config, &player)?;
+        episodes.extend(telling(tasks, &policy.config, &player, &own)?);
+        evaluations.extend(own);
+    }
     let mut notes = Vec::new();
     if is_one_task && tasks.registry.build(task)?.baselines().contains(&UNAIDED) {
-        evaluations.extend(play(config, &[Player::baseline(UNAIDED)])?);
+        for unaided in play(config, &[Player::baseline(UNAIDED)])? {
+            let split = |evaluation| with_outcomes(evaluation, &unaided);
+            evaluations = evaluations.into_iter().map(split).collect();
+            evaluations.push(unaided);
+        }
     }
     let mut comparison = compare(config, &evaluations, &[]);
     if !is_one_task {

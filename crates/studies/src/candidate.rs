@@ -34,6 +34,11 @@ impl EvalCandidate {
         }
     }
 
+    /// Tells whether a script of that name plays.
+    pub(crate) fn is_script(&self, name: &str) -> bool {
+        self.player.is_script(name)
+    }
+
     /// Returns a row's candidates of the first `n_seeds` training seeds.
     pub(crate) fn of(
         tasks: &Tasks,

@@ -72,7 +72,8 @@ impl Artist<'_> {
     fn learning(&self) -> Result<Option<StudyFigure>, Error> {
         let trained: Vec<&PlannedRow> =
             self.planned.rows.iter().filter(|row| !row.trainings.is_empty()).collect();
-        let Some(n_seeds) = trained.iter().map(|row| row.trainings.len()).max() else {
+        let n_seeds = || trained.iter().map(|row| row.trainings.len());
+        let (Some(fewest), Some(most)) = (n_seeds().min(), n_seeds().max()) else {
             return Ok(None);
         };
         let panel = |metric: &str, label: &str, range, rows: &[&PlannedRow]| {
@@ -89,9 +90,10 @@ impl Artist<'_> {
             .extend(is_one.then(|| panel("episodes/return", "return in training", None, &trained)));
         let heading = format!("{}: learning", self.title);
         let svg = bands("learning", &heading, "environment steps", 7, &panels);
-        let spread = match n_seeds {
+        let seeds = if fewest == most { most.to_string() } else { format!("{fewest} to {most}") };
+        let spread = match most {
             1 => "one training seed".to_owned(),
-            n => format!("mean of {n} training seeds, band from the lowest to the highest"),
+            _ => format!("mean of {seeds} training seeds, band from the lowest to the highest"),
         };
         let what = if is_one { "success and return" } else { "success" };
         let caption = format!(

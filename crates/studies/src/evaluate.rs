@@ -7,8 +7,9 @@ use leadtime_config::Config;
 use leadtime_episodes::Error as PlayError;
 use leadtime_eval::measure::{
     Choice, Difference, Evaluation, PlaySettings, SpeechLog, Summary, evaluate_with,
-    with_lead_times, with_said,
+    with_lead_times, with_outcomes, with_said,
 };
+use leadtime_numerics::stats::mean;
 use leadtime_runs::Tasks;
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
@@ -20,6 +21,13 @@ use crate::plan::{PlannedPart, PlannedRow, Protocol, UNAIDED, bootstrap, disambi
 use crate::provenance;
 use crate::result::{ConditionResult, PartResult, RowResult};
 use crate::study::StatedDifference;
+use crate::trainings::RowTrainings;
+
+/// The measure by which trainings are told apart.
+const SUCCESS: &str = "success";
+/// Which metrics are computed for an episode, and how; raised when that changes, so that no evaluation is taken that
+/// lacks one.
+const METRICS: u32 = 2;
 
 /// Evaluations by row and condition: one per training seed.
 type Sampled = BTreeMap<(String, String), Vec<Evaluation>>;
@@ -40,9 +48,9 @@ pub(crate) struct Evaluator<'a> {
 enum Detail {
     /// None.
     Measures,
-    /// Its lead time.
+    /// Whether a hazard was averted or harm done, and its lead time.
     Lead,
-    /// Its lead time, and what is said over its course.
+    /// These, and what is said over its course.
     Course,
 }
 
@@ -79,7 +87,7 @@ impl<'a> Evaluator<'a> {
         row: &PlannedRow,
         sampled: &mut Sampled,
     ) -> Result<RowResult, Error> {
-        let (which, n_seeds) = (planned.protocol.policy, planned.seeds.len());
+        let (which, n_seeds) = (planned.protocol.policy, row.seeds.len());
         // A script has no distribution to draw from, and so one way of choosing.
         let both = [Choice::Sample, Choice::Greedy].into_iter();
         let choices = both.take(if row.row.script.is_some() { 1 } else { 2 });
@@ -87,17 +95,13 @@ impl<'a> Evaluator<'a> {
             Ok((choice, EvalCandidate::of(self.tasks, row, which, choice, n_seeds)?))
         });
         let candidates = candidates.collect::<Result<Vec<_>, Error>>()?;
-        let mut results = Vec::new();
+        let (mut results, mut own) = (Vec::new(), None);
         for condition in &row.conditions {
             for &(choice, ref candidates) in &candidates {
                 // Greedy choices are a check on the side, so they have no course.
                 let detail = if choice == Choice::Sample { Detail::Course } else { Detail::Lead };
-                let by_seed = candidates.iter().zip(&planned.seeds).map(|(candidate, seed)| {
-                    let seed = planned.protocol.seed + seed;
-                    let protocol = Protocol { seed, ..planned.protocol };
-                    self.evaluation(candidate, &condition.config, protocol, detail)
-                });
-                let by_seed = by_seed.collect::<Result<Vec<_>, _>>()?;
+                let config = &condition.config;
+                let by_seed = self.by_seed(planned, row, candidates, config, detail)?;
                 results.push(ConditionResult {
                     evaluations: condition.names.clone(),
                     title: condition.titles.join(" = "),
@@ -105,11 +109,24 @@ impl<'a> Evaluator<'a> {
                     summary: Summary::over_seeds(&row.row.title, &by_seed, &bootstrap()),
                 });
                 if choice == Choice::Sample {
+                    if condition.config.evaluation == row.config.evaluation {
+                        own = Some(by_seed.clone());
+                    }
                     let key = |name: &String| (row.row.name.clone(), name.clone());
                     sampled.extend(condition.names.iter().map(|name| (key(name), by_seed.clone())));
                 }
             }
         }
+        let trainings = match candidates.first() {
+            Some((_, sampled)) if row.trainings.len() > 1 => {
+                let own = own.map_or_else(
+                    || self.by_seed(planned, row, sampled, &row.config, Detail::Measures),
+                    Ok,
+                )?;
+                row_trainings(&own, planned.protocol)
+            }
+            _ => None,
+        };
         Ok(RowResult {
             name: row.row.name.clone(),
             title: row.row.title.clone(),
@@ -117,8 +134,28 @@ impl<'a> Evaluator<'a> {
             settings: planned.profile.differences(&row.config),
             published: row.row.published(),
             results,
+            trainings,
             runs: row.trainings.iter().map(provenance::run).collect::<Result<_, _>>()?,
         })
+    }
+
+    /// Evaluates a row's candidates under a condition, each on the episodes of its seed; a script's are one evaluation.
+    fn by_seed(
+        &mut self,
+        planned: &PlannedPart,
+        row: &PlannedRow,
+        candidates: &[EvalCandidate],
+        config: &Config,
+        detail: Detail,
+    ) -> Result<Vec<Evaluation>, Error> {
+        let evaluated = candidates.iter().zip(&row.seeds).map(|(candidate, seed)| {
+            let seed = planned.protocol.seed + seed;
+            self.evaluation(candidate, config, Protocol { seed, ..planned.protocol }, detail)
+        });
+        let evaluated = evaluated.collect::<Result<Vec<_>, _>>()?;
+        // A script is the same on all of them: its batches are no trainings.
+        let joined = |all| Evaluation::joined(all).into_iter().collect();
+        Ok(if row.row.script.is_some() { joined(evaluated) } else { evaluated })
     }
 
     /// Takes an evaluation that was made before, or makes it.
@@ -131,7 +168,7 @@ impl<'a> Evaluator<'a> {
     ) -> Result<Evaluation, Error> {
         let Protocol { n_episodes, seed, .. } = protocol;
         let task = &config.evaluation.task;
-        let asked = (&candidate.identity, task, seed, n_episodes, detail);
+        let asked = (METRICS, &candidate.identity, task, seed, n_episodes, detail);
         let path = candidate.directory.join(file_name(&asked));
         if let Some(evaluation) = self.cache.take(&path) {
             // Rows with other titles may share a run.
@@ -150,8 +187,12 @@ impl<'a> Evaluator<'a> {
             played => played?,
         };
         if detail != Detail::Measures {
+            let is_alone = candidate.is_script(UNAIDED);
             let unaided = self.unaided(config, protocol)?;
             evaluation = with_lead_times(evaluation, unaided);
+            if !is_alone {
+                evaluation = with_outcomes(evaluation, unaided);
+            }
             if detail == Detail::Course {
                 evaluation = with_said(evaluation, unaided, &said);
             }
@@ -169,6 +210,13 @@ impl<'a> Evaluator<'a> {
         }
         Ok(&self.unaided[&key])
     }
+}
+
+/// Sums up how trainings came out; `None` where the task knows no success, or there is one training.
+fn row_trainings(own: &[Evaluation], protocol: Protocol) -> Option<RowTrainings> {
+    let success = |evaluation: &Evaluation| Some(mean(&evaluation.column(SUCCESS)?));
+    let success = own.iter().map(success).collect::<Option<Vec<f64>>>()?;
+    RowTrainings::new(success, protocol.failed_below, &bootstrap())
 }
 
 /// States a difference; `None` where a row was not asked for, or its task has no such measure.

@@ -12,8 +12,12 @@ use crate::test_support::{STUDY, plan, record, request};
 
 /// Evaluates the study's part: what it found, and how many evaluations were made and taken for it.
 fn evaluated(request: &StudyRequest) -> (PartResult, String) {
+    evaluated_text(STUDY, request)
+}
+
+fn evaluated_text(text: &str, request: &StudyRequest) -> (PartResult, String) {
     let tasks = Tasks::new();
-    let plan = plan(STUDY, request).unwrap();
+    let plan = plan(text, request).unwrap();
     for training in plan.trainings() {
         finish(&training.directory(), &training.config);
     }
@@ -66,6 +70,39 @@ fn a_study_that_is_evaluated_again_plays_nothing_and_finds_the_same() {
     fs::remove_dir_all(runs.path().join("evaluations")).unwrap();
     fs::remove_dir_all(run_of(runs.path()).join("evaluations")).unwrap();
     assert_eq!(evaluated(&two), (first, ALL.to_owned()));
+}
+
+#[test]
+fn trainings_are_told_apart_with_the_listener_they_trained_with_whether_or_not_a_table_shows_it() {
+    let runs = tempfile::tempdir().unwrap();
+    let rows = ["script", "prompt"].map(str::to_owned).to_vec();
+    let request = StudyRequest { seeds: Some(7..10), episodes: 2, rows, ..request(runs.path()) };
+    let (shown, _) = evaluated(&request);
+    let [script, prompt] = &shown.rows[..] else { panic!("two rows") };
+    assert_eq!(script.trainings, None);
+    let trainings = prompt.trainings.as_ref().unwrap();
+    let own = prompt.result("own", Choice::Sample).unwrap().summary.get("success").unwrap();
+    assert_eq!(trainings.success, own.by_seed);
+    assert_eq!(trainings.success.len(), 3);
+    // A script has no trainings, so its batches are one evaluation.
+    let measured = script.results[0].summary.get("success").unwrap();
+    assert_eq!((measured.by_seed.len(), measured.n), (1, 6));
+    let text = STUDY.replace("title = \"Prompt\"", "title = \"Prompt\"\non = [\"real\"]");
+    let (hidden, _) = evaluated_text(&text, &request);
+    assert!(hidden.rows[1].result("own", Choice::Sample).is_none());
+    assert_eq!(hidden.rows[1].trainings.as_ref(), Some(trainings));
+}
+
+#[test]
+fn success_is_split_by_the_unaided_listener_whose_episodes_are_played_once() {
+    let runs = tempfile::tempdir().unwrap();
+    let (part, played) = evaluated(&two(runs.path()));
+    assert_eq!(played, ALL, "the unaided listener's two episodes once");
+    for row in &part.rows {
+        let summary = &row.result("real", Choice::Sample).unwrap().summary;
+        let [averted, harmed] = ["averted", "harmed"].map(|name| summary.get(name).unwrap().n);
+        assert_eq!(averted + harmed, 2, "each episode is one or the other");
+    }
 }
 
 #[test]

@@ -36,6 +36,7 @@ mod study;
 #[cfg(test)]
 mod test_support;
 mod train;
+mod trainings;
 mod write;
 
 pub use cache::EvalCache;

@@ -2,10 +2,13 @@
 
 use leadtime_eval::measure::{Choice, Measure, names_in, title, written};
 use leadtime_eval::report::Fact;
+use leadtime_numerics::stats::Interval;
 use leadtime_table::Table;
 
+use crate::provenance::{COMMAND, PROGRAM};
 use crate::result::{ConditionResult, FigureLink, PartResult, RowResult, StudyResult, TrainedRun};
 use crate::study::{Layout, Published};
+use crate::trainings::RowTrainings;
 
 /// What stands for a number that there is none of.
 const NONE: &str = "\u{2013}";
@@ -14,10 +17,14 @@ impl StudyResult {
     /// Writes the whole page.
     pub(crate) fn markdown(&self) -> String {
         let percent = 100.0 * self.bootstrap.confidence;
+        let n_differences: usize = self.parts.iter().map(|part| part.differences.len()).sum();
         let reading = format!(
             "Cells: mean ± standard deviation over training seeds [{percent:.0} % bootstrap interval over training \
-             seeds and episodes]. With one training seed there is no deviation, and the interval is over episodes \
-             alone.\n\n"
+             seeds and episodes]; in the first column of numbers also the interquartile mean (IQM) over training \
+             seeds. With one training seed, and for a script, there is no deviation, and the interval is over episodes \
+             alone. A share of nothing but successes, or of none, has an exact interval. Where one training in some fails, \
+             the intervals are too narrow: docs/studies.md says by how much. Differences are not corrected for their \
+             number (this page states {n_differences}): take them as exploratory.\n\n"
         );
         let mut page = self.heading() + &reading;
         for part in &self.parts {
@@ -38,9 +45,14 @@ impl StudyResult {
         let name = &self.study;
         let mut text = self.heading();
         text.extend(self.parts.iter().map(|p| p.summary(folder, self.bootstrap.confidence)));
+        let fact = |name: &str| self.provenance.iter().find(|fact| fact.name == name);
+        let made = fact(COMMAND)
+            .zip(fact(PROGRAM))
+            .map(|(command, program)| format!("Made with {}, {}. ", command.value, program.value));
         text + &format!(
-            "All measures, greedy choices, runs and provenance: [{name}.md]({folder}{name}.md), as data: \
-             [{name}.json]({folder}{name}.json).\n\n"
+            "{}All measures, greedy choices, runs and provenance: [{name}.md]({folder}{name}.md), as data: \
+             [{name}.json]({folder}{name}.json).\n\n",
+            made.unwrap_or_default()
         )
     }
 
@@ -58,16 +70,47 @@ impl PartResult {
         let mut text = format!("## {}\n\nProfile: {}.\n\n", self.title, self.profile);
         match self.layout {
             Layout::Lines => text.push_str(&self.lines()),
-            Layout::Grid => text.extend(self.columns.iter().map(|measure| self.grid(measure))),
+            Layout::Grid => text.extend((0..self.columns.len()).map(|i| self.grid(i))),
         }
         text.extend(self.differences.iter().map(|d| format!("* {}\n", d.sentence(confidence))));
         if !self.differences.is_empty() {
             text.push('\n');
         }
+        text.push_str(&self.trainings(confidence));
         text.extend(self.pictures.iter().map(|FigureLink { file, caption }| {
             format!("![{}]({folder}{file})\n\n*{caption}*\n\n", plain(caption))
         }));
         text
+    }
+
+    /// Writes how the trainings of every row came out; nothing where no row has several.
+    fn trainings(&self, confidence: f64) -> String {
+        let rows = || self.rows.iter().filter_map(|row| Some((row, row.trainings.as_ref()?)));
+        let Some((_, RowTrainings { failed_below, .. })) = rows().next() else {
+            return String::new();
+        };
+        let percent = 100.0 * confidence;
+        let intro = format!(
+            "Trainings, each evaluated with the listener it trained with. One has *failed* if its success is more than \
+             {failed_below} below the best of its row; the share that failed has its exact {percent:.0} % interval. The \
+             interval of the mean holds here however trainings are distributed.\n\n"
+        );
+        let head =
+            ["notifier", "trainings", "failed", "share failed", "best", "mean success", "IQM"];
+        let mut table = Table::new(head);
+        for (row, trainings) in rows() {
+            let [failed, mean] = [&trainings.failed, &trainings.mean].map(with_bounds);
+            table.push([
+                format!("**{}**, {}", row.title, row.notification),
+                trainings.success.len().to_string(),
+                trainings.n_failed.to_string(),
+                failed,
+                format!("{:.3}", trainings.best()),
+                mean,
+                format!("{:.3}", trainings.interquartile_mean),
+            ]);
+        }
+        intro + &table.markdown() + "\n"
     }
 
     /// Writes a line per policy and condition, what was published above what was measured.
@@ -82,7 +125,10 @@ impl PartResult {
                 name = String::new();
             }
             for result in row.results.iter().filter(|result| result.choice == Choice::Sample) {
-                let cells = self.columns.iter().map(|c| measured(result.summary.get(c)));
+                let cells = self.columns.iter().enumerate().map(|(i, column)| {
+                    let measure = result.summary.get(column);
+                    if i == 0 { with_quartiles(measure) } else { measured(measure) }
+                });
                 table.push([name, result.title.clone()].into_iter().chain(cells));
                 name = String::new();
             }
@@ -91,7 +137,8 @@ impl PartResult {
     }
 
     /// Writes one measure: a line per policy, a column per condition.
-    fn grid(&self, measure: &str) -> String {
+    fn grid(&self, column: usize) -> String {
+        let measure = self.columns[column].as_str();
         let conditions = self.conditions();
         let titles = conditions.iter().map(|(_, title)| title.clone());
         let mut table = Table::new([title(measure), String::new()].into_iter().chain(titles));
@@ -107,7 +154,8 @@ impl PartResult {
             }
             let cells = conditions.iter().map(|(condition, _)| {
                 let result = rows.iter().find_map(|row| row.result(condition, Choice::Sample));
-                measured(result.and_then(|result| result.summary.get(measure)))
+                let measure = result.and_then(|result| result.summary.get(measure));
+                if column == 0 { with_quartiles(measure) } else { measured(measure) }
             });
             table.push([name, "ours".to_owned()].into_iter().chain(cells));
         }
@@ -193,6 +241,20 @@ fn measured(measure: Option<&Measure>) -> String {
         Some(deviation) => format!("{mean} ± {deviation:.digits$} {bounds}"),
         None => format!("{mean} {bounds}"),
     }
+}
+
+/// Writes a measured number, and behind it the interquartile mean over training seeds.
+fn with_quartiles(measure: Option<&Measure>) -> String {
+    let text = measured(measure);
+    match measure.and_then(Measure::interquartile_mean_over_seeds) {
+        Some(mean) => format!("{text}, IQM {mean:.3}"),
+        None => text,
+    }
+}
+
+/// Writes an estimate with its bounds.
+fn with_bounds(interval: &Interval) -> String {
+    written(interval).join(" ")
 }
 
 /// Writes a published number.

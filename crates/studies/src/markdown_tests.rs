@@ -1,5 +1,5 @@
 use leadtime_eval::measure::{Difference, EpisodeResult, Evaluation, Summary};
-use leadtime_numerics::stats::{Bootstrap, Interval};
+use leadtime_numerics::stats::Bootstrap;
 
 use super::*;
 
@@ -41,6 +41,7 @@ fn row(name: &str, published: Vec<Published>, results: Vec<ConditionResult>) -> 
         settings: vec!["human.x = 1".to_owned()],
         published,
         results,
+        trainings: RowTrainings::new(vec![0.75, 1.0, 0.9], 0.05, &Bootstrap::new(1)),
         runs: vec![TrainedRun {
             name: format!("run-{name}"),
             seed: 101,
@@ -75,7 +76,10 @@ fn result(layout: Layout) -> StudyResult {
         lead: "Who | is late.".to_owned(),
         warnings: vec!["Quick: do not quote.".to_owned()],
         bootstrap,
-        provenance: vec![Fact::new("command", "`leadtime compare timing`")],
+        provenance: vec![
+            Fact::new("command", "`leadtime compare timing`"),
+            Fact::new("program", "leadtime 0.1.0, commit c0ffee"),
+        ],
         parts: vec![PartResult {
             name: "piloting".to_owned(),
             title: "Piloting".to_owned(),
@@ -114,4 +118,8 @@ fn a_cell_has_the_deviation_only_over_several_seeds() {
     assert_eq!(measured(Some(&measure(&[0.5]))), "0.500 [0.250, 0.750]");
     assert_eq!(measured(Some(&Measure { interval: None, ..measure(&[]) })), NONE);
     assert_eq!(measured(None), NONE);
+    let five = Some(measure(&[0.5, 0.5, 0.9, 0.5, 0.1]));
+    assert!(with_quartiles(five.as_ref()).ends_with(" [0.250, 0.750], IQM 0.500"));
+    let few = Some(measure(&[0.4, 0.6]));
+    assert_eq!(with_quartiles(few.as_ref()), measured(few.as_ref()));
 }

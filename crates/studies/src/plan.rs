@@ -41,8 +41,6 @@ pub(crate) struct StudyPlan {
 pub(crate) struct PlannedPart {
     pub(crate) part: StudyPart,
     pub(crate) profile: Profile,
-    /// The seeds that its rows are trained and evaluated on.
-    pub(crate) seeds: Vec<u64>,
     pub(crate) protocol: Protocol,
     /// Its rows, as far as they were asked for.
     pub(crate) rows: Vec<PlannedRow>,
@@ -56,6 +54,8 @@ pub(crate) struct Protocol {
     pub(crate) n_episodes: u32,
     /// Seed of the evaluations, to which the training seed is added.
     pub(crate) seed: u64,
+    /// How far below the best of its row a training has failed.
+    pub(crate) failed_below: f64,
 }
 
 /// A row, ready to be carried out.
@@ -64,6 +64,8 @@ pub(crate) struct PlannedRow {
     pub(crate) row: StudyRow,
     /// Its training, without a seed; a script's task as well.
     pub(crate) config: Config,
+    /// The seeds that it is trained and evaluated on; a script is only evaluated.
+    pub(crate) seeds: Vec<u64>,
     /// One training per seed; none for a script.
     pub(crate) trainings: Vec<PlannedTraining>,
     pub(crate) conditions: Vec<PlannedCondition>,
@@ -169,25 +171,35 @@ impl PlannedPart {
         request: &StudyRequest,
     ) -> Result<Self, Error> {
         let profile = Profile::load(tasks, part, request)?;
-        let seeds = request.seeds(part);
         let mut rows = Vec::new();
         for row in part.rows.iter().filter(|row| request.wants_row(part, row)) {
             let stem = format!("{}-{}-{}", named.name, part.name, row.name).replace('_', "-");
             let config = profile.training(tasks, part, row, request);
+            let seeds = request.seeds(&named.study, part, row);
             let planned =
-                config.and_then(|config| PlannedRow::new(tasks, &stem, part, row, config, &seeds));
+                config.and_then(|config| PlannedRow::new(tasks, &stem, part, row, config, seeds));
             rows.push(planned.at(format_args!("row {}", row.name))?);
         }
         check_measures(part, &rows)?;
-        let (policy, n_episodes, seed) = (named.study.policy, request.episodes, request.eval_seed);
-        let protocol = Protocol { policy, n_episodes, seed };
+        let protocol = Protocol {
+            policy: named.study.policy,
+            n_episodes: request.episodes,
+            seed: request.eval_seed,
+            failed_below: named.study.failed_below,
+        };
         let maps = plan_maps(tasks, part, &profile)?;
-        Ok(Self { part: part.clone(), profile, seeds, protocol, rows, maps })
+        Ok(Self { part: part.clone(), profile, protocol, rows, maps })
+    }
+
+    /// Returns the most training seeds that a row has; those of the others are the first of them.
+    pub(crate) fn seeds(&self) -> &[u64] {
+        let all = self.rows.iter().map(|row| row.seeds.as_slice());
+        all.max_by_key(|seeds| seeds.len()).unwrap_or_default()
     }
 
     /// Returns the evaluation seed that belongs to the first training seed.
     pub(crate) fn first_seed(&self) -> u64 {
-        self.protocol.seed + self.seeds.first().copied().unwrap_or(0)
+        self.protocol.seed + self.seeds().first().copied().unwrap_or(0)
     }
 
     /// Returns a row by name.
@@ -250,7 +262,7 @@ impl PlannedRow {
         part: &StudyPart,
         row: &StudyRow,
         config: Config,
-        seeds: &[u64],
+        seeds: Vec<u64>,
     ) -> Result<Self, Error> {
         let mut conditions: Vec<PlannedCondition> = Vec::new();
         let wanted = part.evaluations.iter().filter(|known| row.is_evaluated_on(&known.name));
@@ -271,9 +283,9 @@ impl PlannedRow {
         }
         let hash = profile::hash(&config);
         let train = |&seed| PlannedTraining::new(tasks, stem, &config, &hash, seed);
-        let seeds = seeds.iter().filter(|_| row.script.is_none());
-        let trainings = seeds.map(train).collect::<Result<_, Error>>()?;
-        Ok(Self { row: row.clone(), config, trainings, conditions })
+        let trained = seeds.iter().filter(|_| row.script.is_none());
+        let trainings = trained.map(train).collect::<Result<_, Error>>()?;
+        Ok(Self { row: row.clone(), config, seeds, trainings, conditions })
     }
 
     /// Returns the condition that a study calls so.

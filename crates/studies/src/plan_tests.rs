@@ -37,13 +37,29 @@ fn a_training_per_row_and_seed_named_by_what_it_computes() {
 #[test]
 fn a_part_has_seeds_of_its_own_unless_the_command_line_says() {
     let later = STUDY.replace("quick_steps", "first_seed = 301\nquick_steps");
-    let seeds = |text: &str, request| plan(text, &request).unwrap().parts.remove(0).seeds;
-    assert_eq!(seeds(STUDY, whole()), [201, 202, 203, 204, 205]);
-    assert_eq!(seeds(&later, whole()), [301, 302, 303, 304, 305]);
-    let fewer = later.replace("quick_steps", "n_seeds = 2\nquick_steps");
-    assert_eq!(seeds(&fewer, whole()), [301, 302]);
+    let seeds = |text: &str, request| plan(text, &request).unwrap().parts[0].seeds().to_vec();
+    assert_eq!(seeds(STUDY, whole()), (201..211).collect::<Vec<_>>());
+    assert_eq!(seeds(&later, whole()), (301..311).collect::<Vec<_>>());
     assert_eq!(seeds(&later, StudyRequest { quick: true, ..whole() }), [301]);
     assert_eq!(seeds(&later, StudyRequest { seeds: Some(7..9), ..whole() }), [7, 8]);
+}
+
+#[test]
+fn a_rows_number_of_seeds_is_above_the_parts_and_that_above_the_studys() {
+    let n_seeds = |text: &str, request| -> Vec<usize> {
+        let rows = plan(text, &request).unwrap().parts.remove(0).rows;
+        rows.iter().map(|row| row.seeds.len()).collect()
+    };
+    let study = STUDY.replace("lead = \"l\"", "lead = \"l\"\nseeds = 4");
+    assert_eq!(n_seeds(&study, whole()), [4, 4, 4]);
+    let part = study.replace("quick_steps", "seeds = 6\nquick_steps");
+    assert_eq!(n_seeds(&part, whole()), [6, 6, 6]);
+    let row = part.replace("name = \"prompt\"", "name = \"prompt\"\nseeds = 20");
+    assert_eq!(n_seeds(&row, whole()), [20, 20, 6], "a script meets every row's episodes");
+    assert_eq!(n_seeds(&row, StudyRequest { quick: true, ..whole() }), [1, 1, 1]);
+    assert_eq!(n_seeds(&row, StudyRequest { seeds: Some(7..9), ..whole() }), [2, 2, 2]);
+    let only = StudyRequest { rows: vec!["script".to_owned()], ..whole() };
+    assert_eq!(n_seeds(&row, only), [20], "whichever rows are asked for");
 }
 
 #[test]

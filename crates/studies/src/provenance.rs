@@ -10,6 +10,10 @@ use crate::request::StudyRequest;
 use crate::result::TrainedRun;
 use crate::study::WhichPolicy;
 
+/// The name of the fact which command made a page.
+pub(crate) const COMMAND: &str = "command";
+/// The name of the fact which build carried the command out.
+pub(crate) const PROGRAM: &str = "program";
 /// Digits of a weights' digest.
 const DIGEST_DIGITS: usize = 12;
 
@@ -61,17 +65,37 @@ fn cut(digest: &str) -> String {
     digest.chars().take(DIGEST_DIGITS).collect()
 }
 
-/// Lists the training seeds, by part where parts have different ones.
+/// Lists the training seeds, by part where parts have different ones, and those of rows that have fewer.
 fn seeds(parts: &[PlannedPart]) -> String {
-    let list =
-        |part: &PlannedPart| part.seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
-    if let [first, rest @ ..] = parts
-        && rest.iter().all(|part| part.seeds == first.seeds)
+    let lists: Vec<String> = parts.iter().map(seeds_of).collect();
+    if let [first, rest @ ..] = lists.as_slice()
+        && rest.iter().all(|list| list == first)
     {
-        return list(first);
+        return first.clone();
     }
-    let by_part = parts.iter().map(|part| format!("{}: {}", part.part.name, list(part)));
+    let by_part = parts.iter().zip(&lists);
+    let by_part = by_part.map(|(part, list)| format!("{}: {list}", part.part.name));
     by_part.collect::<Vec<_>>().join("; ")
+}
+
+fn seeds_of(part: &PlannedPart) -> String {
+    let most = part.seeds();
+    let fewer = part.rows.iter().filter(|row| row.seeds != most);
+    let fewer = fewer.map(|row| format!("{} {}", row.row.name, range(&row.seeds)));
+    let fewer: Vec<String> = fewer.collect();
+    if fewer.is_empty() {
+        return range(most);
+    }
+    format!("{} ({})", range(most), fewer.join(", "))
+}
+
+/// Writes neighbouring seeds by the first and the last.
+fn range(seeds: &[u64]) -> String {
+    match seeds {
+        [] => String::new(),
+        [only] => only.to_string(),
+        [first, .., last] => format!("{first} to {last}"),
+    }
 }
 
 /// Lists where a study's numbers are from.
@@ -91,7 +115,7 @@ pub(crate) fn facts(plan: &StudyPlan, request: &StudyRequest, runs: &[TrainedRun
         request.episodes, request.eval_seed
     );
     let facts = [
-        Fact::new("command", format!("`{}`", request.command)),
+        Fact::new(COMMAND, format!("`{}`", request.command)),
         Fact::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
         Fact::new("training seeds", seeds(&plan.parts)),
         Fact::new("evaluation", evaluation),
@@ -105,7 +129,7 @@ pub(crate) fn facts(plan: &StudyPlan, request: &StudyRequest, runs: &[TrainedRun
 pub fn program_facts(build: &ProgramBuild) -> [Fact; 3] {
     let commit = build.commit.as_deref().unwrap_or("unknown");
     [
-        Fact::new("program", format!("{}, commit {commit}", build.program)),
+        Fact::new(PROGRAM, format!("{}, commit {commit}", build.program)),
         Fact::new("processor", &build.cpu),
         Fact::new("date", clock::utc_date()),
     ]
@@ -126,8 +150,15 @@ mod tests {
             let plan = plan(&format!("{head}{part}{other}"), &request(Path::new("nowhere")));
             seeds(&plan.unwrap().parts)
         };
-        assert_eq!(listed(""), "201, 202, 203, 204, 205");
-        let expected = "piloting: 201, 202, 203, 204, 205; two: 301, 302, 303, 304, 305";
+        assert_eq!(listed(""), "201 to 210");
+        let expected = "piloting: 201 to 210; two: 301 to 310";
         assert_eq!(listed("first_seed = 301"), expected);
+    }
+
+    #[test]
+    fn rows_with_fewer_seeds_are_listed_behind_the_others() {
+        let text = STUDY.replace("name = \"prompt\"", "name = \"prompt\"\nseeds = 20");
+        let plan = plan(&text, &request(Path::new("nowhere"))).unwrap();
+        assert_eq!(seeds(&plan.parts), "201 to 220 (real_one 201 to 210)");
     }
 }

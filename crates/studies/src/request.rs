@@ -6,12 +6,15 @@ use std::path::PathBuf;
 use leadtime_config::Override;
 use leadtime_runs::ProgramBuild;
 
-use crate::study::{StudyPart, StudyRow};
+use crate::study::{Study, StudyPart, StudyRow};
 
 /// Evaluation episodes per training seed of every table.
 pub const EPISODES: u32 = 100;
 /// Where the evaluation seeds of every table begin.
 pub const EVAL_SEED: u64 = 2_000_000;
+/// Training seeds of a row, unless the study or the request says otherwise: of fewer, a training that fails one time in
+/// ten is likely not to be seen.
+const N_SEEDS: u64 = 10;
 
 /// What is asked of a study.
 #[derive(Clone, Debug)]
@@ -27,7 +30,7 @@ pub struct StudyRequest {
     pub set: Vec<Override>,
     /// Configurations that replace the study's own in the parts of their domains.
     pub profiles: Vec<PathBuf>,
-    /// Training seeds; those of each part if left out.
+    /// Training seeds; those of each row if left out.
     pub seeds: Option<Range<u64>>,
     /// Environment steps of every training.
     pub steps: Option<u64>,
@@ -56,9 +59,15 @@ impl StudyRequest {
         self.rows.is_empty() || self.rows.iter().any(|name| is_called(part, row, name))
     }
 
-    /// Lists the training seeds of a part.
-    pub(crate) fn seeds(&self, part: &StudyPart) -> Vec<u64> {
-        let own = part.first_seed..part.first_seed.saturating_add(part.n_seeds);
+    /// Lists the training seeds of a row, or those of the episodes that a script plays: the most that a row of its part
+    /// has.
+    pub(crate) fn seeds(&self, study: &Study, part: &StudyPart, row: &StudyRow) -> Vec<u64> {
+        let of = |row: &StudyRow| row.seeds.or(part.seeds).or(study.seeds).unwrap_or(N_SEEDS);
+        let n_seeds = match row.script {
+            None => of(row),
+            Some(_) => part.rows.iter().map(of).max().unwrap_or(N_SEEDS),
+        };
+        let own = part.first_seed..part.first_seed + n_seeds;
         let seeds = self.seeds.clone().unwrap_or(own);
         seeds.take(if self.quick { 1 } else { usize::MAX }).collect()
     }

@@ -6,6 +6,7 @@ use leadtime_numerics::stats::Bootstrap;
 use serde::{Deserialize, Serialize};
 
 use crate::study::{Layout, Published};
+use crate::trainings::RowTrainings;
 
 /// Everything that a study found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,6 +67,9 @@ pub(crate) struct RowResult {
     /// What was measured, by condition and way of choosing.
     #[serde(rename = "judged")]
     pub(crate) results: Vec<ConditionResult>,
+    /// How its trainings came out; `None` for a script, a single training, or a task without success.
+    #[serde(default)]
+    pub(crate) trainings: Option<RowTrainings>,
     /// Where its policies come from; none for a script.
     pub(crate) runs: Vec<TrainedRun>,
 }

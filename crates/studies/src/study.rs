@@ -12,6 +12,9 @@ use leadtime_config::Layer;
 
 use crate::error::{Error, Placed as _, ensure};
 
+/// The most training seeds of a row.
+const MAX_SEEDS: u64 = 1_000;
+
 /// A question, and the tables that answer it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -23,6 +26,11 @@ pub struct Study {
     /// Which policy of a run is evaluated.
     #[serde(default, rename = "judged")]
     pub(crate) policy: WhichPolicy,
+    /// Training seeds of every row whose part or row does not say its own number; 10 if left out.
+    pub(crate) seeds: Option<u64>,
+    /// A training has failed if its success, with the listener it trained with, is further than this below the row's best.
+    #[serde(default = "failed_below")]
+    pub(crate) failed_below: f64,
     /// The tables.
     pub parts: Vec<StudyPart>,
 }
@@ -53,12 +61,11 @@ pub struct StudyPart {
     pub(crate) note: String,
     /// Environment steps of each training whose row does not set `learner.total_steps`; the profile's if left out.
     pub(crate) steps: Option<u64>,
+    /// Training seeds of every row that does not say its own number; the study's if left out.
+    pub(crate) seeds: Option<u64>,
     /// The first training seed: none that a search for the profile used, or saw results of.
     #[serde(default = "first_seed")]
     pub(crate) first_seed: u64,
-    /// How many training seeds there are, one after the other.
-    #[serde(default = "n_seeds")]
-    pub(crate) n_seeds: u64,
     /// Steps with `--quick`, of every row.
     pub(crate) quick_steps: u64,
     /// How the table is laid out.
@@ -100,6 +107,11 @@ pub(crate) enum Layout {
     Grid,
 }
 
+/// How far below the best of its row a training has failed.
+fn failed_below() -> f64 {
+    0.05
+}
+
 /// Where the seeds of most tables begin.
 fn first_seed() -> u64 {
     201
@@ -108,11 +120,6 @@ fn first_seed() -> u64 {
 /// What the evaluations of most grids differ in.
 fn axis_name() -> String {
     "people".to_owned()
-}
-
-/// How many seeds most tables have.
-fn n_seeds() -> u64 {
-    5
 }
 
 /// A map to draw.
@@ -164,6 +171,8 @@ pub struct StudyRow {
     pub(crate) title: String,
     /// A scripted player of the task, instead of a trained policy.
     pub(crate) script: Option<String>,
+    /// Training seeds; the part's if left out. A script plays as many batches of episodes as the row with the most.
+    pub(crate) seeds: Option<u64>,
     /// What differs from the profile in training.
     #[serde(default)]
     pub(crate) set: Table,
@@ -202,6 +211,11 @@ impl Study {
     fn check(&self) -> Result<(), Error> {
         ensure(!self.parts.is_empty(), || "a study needs at least one of `parts`")?;
         distinct(self.parts.iter().map(|part| &part.name)).at("`parts`")?;
+        let Self { seeds, failed_below, .. } = self;
+        check_seeds(*seeds)?;
+        ensure(*failed_below > 0.0 && *failed_below <= 1.0, || {
+            format!("`failed_below` is {failed_below}; allowed: above 0, at most 1")
+        })?;
         for part in &self.parts {
             part.check().at(format_args!("part `{}`", part.name))?;
         }
@@ -220,7 +234,7 @@ impl StudyPart {
         distinct(self.evaluations.iter().map(|known| &known.name)).at("`evaluations`")?;
         ensure(!self.columns.is_empty(), || "`columns` is empty; allowed: at least one measure")?;
         distinct(std::iter::once(&self.axis_name)).at("`axis_name`")?;
-        ensure(self.n_seeds > 0, || "`n_seeds` is 0; allowed: at least 1")?;
+        check_seeds(self.seeds)?;
         ensure(self.quick_steps > 0, || "`quick_steps` is 0; allowed: at least 1")?;
         let known = |name: &str| {
             let found = self.condition(name).is_some();
@@ -251,6 +265,10 @@ impl StudyPart {
 
 impl StudyRow {
     fn check(&self, known: &dyn Fn(&str) -> Result<(), Error>) -> Result<(), Error> {
+        check_seeds(self.seeds)?;
+        ensure(self.script.is_none() || self.seeds.is_none(), || {
+            "`seeds`: a script is not trained".to_owned()
+        })?;
         self.on.iter().chain(self.paper_on.keys()).try_for_each(|name| known(name))?;
         for name in self.paper_on.keys() {
             ensure(self.is_evaluated_on(name), || {
@@ -281,6 +299,14 @@ impl StudyRow {
         };
         all.map(published).collect()
     }
+}
+
+/// Checks a number of training seeds.
+fn check_seeds(seeds: Option<u64>) -> Result<(), Error> {
+    let allowed = 1..=MAX_SEEDS;
+    ensure(seeds.is_none_or(|seeds| allowed.contains(&seeds)), || {
+        format!("`seeds` is {}; allowed: 1 to {MAX_SEEDS}", seeds.unwrap_or_default())
+    })
 }
 
 /// Checks that names are plain words, each used once.

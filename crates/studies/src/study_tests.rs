@@ -34,6 +34,7 @@ fn a_study_reads_as_it_is_written() {
     let study = Study::parse("study", SMALL).unwrap();
     let part = &study.parts[0];
     assert_eq!((study.policy, part.layout), (WhichPolicy::Last, Layout::Lines));
+    assert_eq!((study.seeds, study.failed_below), (None, 0.05));
     let [a, b] = &part.rows[..] else { panic!("two rows") };
     assert!(a.is_evaluated_on("own") && a.is_evaluated_on("long") && !b.is_evaluated_on("own"));
     let published = &a.published()[0];
@@ -58,7 +59,15 @@ fn an_inconsistent_study_is_refused_with_one_sentence() {
         ("[\"return\"]", "[]", "`columns` is empty"),
         ("quick_steps = 512", "quick_steps = 0", "`quick_steps` is 0"),
         ("quick", "axis_name = \"a/b\"\nquick", "`axis_name`: `a/b` is not a name"),
-        ("quick_steps = 512", "quick_steps = 512\nn_seeds = 0", "`n_seeds` is 0"),
+        ("quick_steps = 512", "seeds = 0\nquick_steps = 512", "`seeds` is 0; allowed: 1 to 1000"),
+        ("title = \"A\"", "title = \"A\"\nseeds = 2000", "row `a`: `seeds` is 2000"),
+        ("title = \"A\"", "title = \"A\"\nseeds = 2\nscript = \"x\"", "a script is not trained"),
+        ("lead = \"l\"", "lead = \"l\"\nseeds = 0", "`seeds` is 0"),
+        (
+            "lead = \"l\"",
+            "lead = \"l\"\nfailed_below = 0.0",
+            "`failed_below` is 0; allowed: above 0",
+        ),
         ("quick", "pictured_on = \"x\"\nquick", "`pictured_on`"),
         (
             "quick",

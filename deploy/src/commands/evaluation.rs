@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Error};
 use leadtime_config::Config;
-use leadtime_eval::measure::{Comparison, measure_names};
+use leadtime_eval::measure::{Comparison, evaluated_measures};
 use leadtime_proto::phrase::{counted, no_such};
 use leadtime_runs::EvaluationRecord;
 
@@ -19,7 +19,7 @@ pub(super) fn save(record: &EvaluationRecord, run: &Path, config: &Config) -> an
 
 /// Checks, before anything is played, that a task knows some measures.
 pub(super) fn check_measures(config: &Config, measures: &[String]) -> anyhow::Result<()> {
-    let known = measure_names(&config.env.metrics);
+    let known = evaluated_measures(&config.env.metrics);
     let unknown = measures.iter().find(|name| !known.contains(name));
     let no_such = |name: &String| no_such("measure", name, known.iter().map(String::as_str));
     unknown.map_or(Ok(()), |name| Err(Error::msg(no_such(name))))

@@ -1,6 +1,7 @@
 //! Several players on the same task, side by side.
 
-use leadtime_numerics::stats::{Bootstrap, Interval};
+use leadtime_numerics::proportion::with_width;
+use leadtime_numerics::stats::{Bootstrap, Interval, mean};
 use leadtime_table::{Table, TableCell, WIDTH};
 use serde::{Deserialize, Serialize};
 
@@ -35,9 +36,11 @@ impl Difference {
     ) -> Option<Self> {
         let values =
             [of.1, minus.1].map(|all| all.iter().map(|e| summary::values(e, measure)).collect());
-        let [a, b]: [Vec<Vec<f64>>; 2] = values;
-        let [a, b] = [&a, &b].map(|of| of.iter().map(Vec::as_slice).collect::<Vec<&[f64]>>());
+        let all: [Vec<Vec<f64>>; 2] = values;
+        let [a, b] = all.each_ref().map(|of| of.iter().map(Vec::as_slice).collect::<Vec<&[f64]>>());
         let interval = bootstrap.hierarchical_difference(&a, &b, DIFFERENCE)?;
+        let values = all.map(|groups| groups.concat());
+        let interval = widened(interval, &values, measure, bootstrap.confidence);
         let (of, minus) = (of.0.to_owned(), minus.0.to_owned());
         Some(Self { measure: measure.to_owned(), of, minus, interval })
     }
@@ -53,6 +56,19 @@ impl Difference {
             100.0 * confidence,
         )
     }
+}
+
+/// Gives a difference of shares that the bootstrap left without width, because each was 0 or 1 in all episodes, the width
+/// that their exact intervals make.
+fn widened(interval: Interval, values: &[Vec<f64>; 2], measure: &str, confidence: f64) -> Interval {
+    if interval.low < interval.high || !summary::is_share(measure) {
+        return interval;
+    }
+    let [of, minus] = values.each_ref().map(|values| {
+        let estimate = mean(values);
+        with_width(Interval { estimate, low: estimate, high: estimate }, values.len(), confidence)
+    });
+    of.minus(&minus)
 }
 
 /// Summaries of several players, and the differences that were asked for.
@@ -75,8 +91,10 @@ impl Comparison {
 
     /// Adds the difference `of - minus` in one measure, if it is defined for both.
     pub fn with_difference(mut self, of: &Evaluation, minus: &Evaluation, measure: &str) -> Self {
-        let (a, b) = (summary::values(of, measure), summary::values(minus, measure));
-        let difference = self.bootstrap.difference(&a, &b, DIFFERENCE).map(|interval| {
+        let values = [of, minus].map(|evaluation| summary::values(evaluation, measure));
+        let interval = self.bootstrap.difference(&values[0], &values[1], DIFFERENCE);
+        let difference = interval.map(|interval| {
+            let interval = widened(interval, &values, measure, self.bootstrap.confidence);
             let (of, minus) = (of.player.clone(), minus.player.clone());
             Difference { measure: measure.to_owned(), of, minus, interval }
         });
@@ -107,9 +125,14 @@ impl Comparison {
 
     /// Tells whether a measure is 0 in every episode in which anybody has it.
     pub(crate) fn is_zero(&self, measure: &str) -> bool {
-        let has = |summary: &Summary| summary.get(measure).and_then(|measure| measure.interval);
+        let has = |summary: &'_ Summary| {
+            let measure = summary.get(measure)?;
+            // A share of none has an interval with width all the same.
+            let varies = measure.standard_deviation.is_some_and(|deviation| deviation > 0.0);
+            Some(measure.interval?.estimate == 0.0 && !varies)
+        };
         let mut all = self.summaries.iter().filter_map(has).peekable();
-        all.peek().is_some() && all.all(|i| [i.estimate, i.low, i.high] == [0.0; 3])
+        all.peek().is_some() && all.all(|zero| zero)
     }
 
     /// Writes table and differences as plain text: all measures, or only the main ones.
@@ -186,6 +209,22 @@ mod tests {
     }
 
     #[test]
+    fn a_difference_of_all_and_none_has_width_where_it_is_one_of_shares() {
+        let of = |success: f32| vec![player("p", &[success; 3]), player("p", &[success; 3])];
+        let (all, none) = (of(1.0), of(0.0));
+        let plan = Bootstrap::new(1);
+        let single = Comparison::new(&all, plan).with_difference(&all[0], &none[0], "success");
+        let several = Difference::over_seeds(("a", &all), ("b", &none), "success", &plan).unwrap();
+        for (interval, low) in [(single.differences[0].interval, -0.001), (several.interval, 0.351)]
+        {
+            assert_eq!((interval.estimate, interval.high), (1.0, 1.0));
+            assert!((interval.low - low).abs() < 1e-3, "{interval:?}");
+        }
+        let lengths = Difference::over_seeds(("a", &all), ("b", &none), "length", &plan).unwrap();
+        assert_eq!(lengths.interval, Interval { estimate: 0.0, low: 0.0, high: 0.0 });
+    }
+
+    #[test]
     fn the_table_lines_up_before_and_after_json() {
         let json = serde_json::to_string(&comparison()).unwrap();
         let again: Comparison = serde_json::from_str(&json).unwrap();
@@ -209,6 +248,6 @@ mod tests {
             assert!(few.contains("enters danger"), "{few}");
             assert_eq!(few.contains("fuel"), all, "{few}");
         }
-        assert_eq!(comparison.n_further(), 2, "fuel and crashed");
+        assert_eq!(comparison.n_further(), 1, "fuel");
     }
 }

@@ -41,6 +41,15 @@ impl Evaluation {
         Some(self.episodes.iter().map(|episode| f64::from(episode.metrics[place])).collect())
     }
 
+    /// Puts the episodes of several evaluations of one player in one task together, under the first one's seed; `None` of
+    /// none.
+    pub fn joined(evaluations: Vec<Self>) -> Option<Self> {
+        let mut all = evaluations.into_iter();
+        let mut first = all.next()?;
+        all.for_each(|other| first.episodes.extend(other.episodes));
+        Some(first)
+    }
+
     /// Adds a metric that is computed from the episodes afterwards; a value that is no number is undefined.
     ///
     /// # Shapes

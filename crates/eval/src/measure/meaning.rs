@@ -1,8 +1,16 @@
 //! What each measure means, in a sentence; `docs/metrics.md` has the same words.
 
 /// A measure's name and its meaning.
-const MEANINGS: [(&str, &str); 50] = [
+const MEANINGS: [(&str, &str); 52] = [
     ("success", "share of episodes in which the task was done as it should be"),
+    (
+        "averted",
+        "share of episodes that succeed, of those in which the same person fails when nobody speaks",
+    ),
+    (
+        "harmed",
+        "share of episodes that fail, of those in which the same person succeeds when nobody speaks",
+    ),
     ("notifications_per_step", "messages started, per step of the episode"),
     ("notifications", "messages started; ignored initiations are counted apart"),
     ("followed_of_initiated", "messages followed for at least one step, of those started"),
@@ -79,7 +87,7 @@ mod tests {
     use leadtime_proto::TaskSpec;
 
     use super::*;
-    use crate::measure::summary::{known_measures, title};
+    use crate::measure::summary::{is_share, known_measures, title};
 
     #[test]
     fn every_measure_of_the_built_in_worlds_is_explained_here_and_in_the_documents() {
@@ -95,6 +103,7 @@ mod tests {
         for (name, meaning) in MEANINGS {
             let row = format!("| `{name}` | {} | {meaning} |\n", title(name));
             assert!(documented.contains(&row), "{row}");
+            assert!(is_share(name) || !meaning.starts_with("share of "), "`{name}` is a share");
         }
     }
 }

@@ -9,6 +9,7 @@ mod compare;
 mod evaluation;
 mod lead;
 mod meaning;
+mod outcome;
 mod said;
 mod summary;
 mod utterance;
@@ -19,8 +20,10 @@ pub use evaluation::{EpisodeResult, Evaluation, evaluate, evaluate_with};
 pub use lead::with_lead_times;
 pub use leadtime_episodes::{Choice, MakeEnvironment, PlaySettings, Player, episode_seed};
 pub use meaning::meaning;
+pub use outcome::with_outcomes;
 pub use said::with_said;
 pub use summary::{
-    Measure, Summary, known_measures, main_measures, measure_names, names_in, title,
+    Measure, Summary, evaluated_measures, known_measures, main_measures, measure_names, names_in,
+    title,
 };
 pub use utterance::{LoggedMessage, SpeechLog};

@@ -3,11 +3,12 @@
 //! A rate that an episode leaves undefined (the share of notifications followed, where there was none) is no zero:
 //! that episode does not count for the rate, and `n` counts those that do.
 
-use leadtime_numerics::stats::{Bootstrap, Interval, mean, standard_deviation};
+use leadtime_numerics::proportion::with_width;
+use leadtime_numerics::stats::{Bootstrap, Interval, interquartile_mean, mean, standard_deviation};
 use serde::{Deserialize, Serialize};
 
 use super::evaluation::Evaluation;
-use super::{lead, said};
+use super::{lead, outcome, said};
 
 /// Rates that are made from two counts: name, numerator, denominator.
 const RATES: [(&str, &str, &str); 5] = [
@@ -21,9 +22,26 @@ const RATES: [(&str, &str, &str); 5] = [
 /// Means that need at least one notification to be defined.
 const MEANS: [&str; 3] = ["mean_k", "mean_l", "first_notification"];
 
-/// What comes first in a table; everything else follows in the task's order.
-const ORDER: [&str; 11] = [
+/// Measures that are 0 or 1 in an episode; these and [`RATES`] have exact intervals where the bootstrap has none.
+const SHARES: [&str; 11] = [
     "success",
+    outcome::AVERTED,
+    outcome::HARMED,
+    "enter_danger",
+    "landed",
+    "landed_on_pad",
+    "crashed",
+    "out",
+    "timed_out",
+    "arrived",
+    "dish_delivered",
+];
+
+/// What comes first in a table; everything else follows in the task's order.
+const ORDER: [&str; 13] = [
+    "success",
+    outcome::AVERTED,
+    outcome::HARMED,
     "notifications_per_step",
     "notifications",
     "followed_of_initiated",
@@ -37,8 +55,10 @@ const ORDER: [&str; 11] = [
 ];
 
 /// What is looked at first: the first [`N_MAIN`] of these that a task has, with shorter words than [`title`]'s.
-const MAIN: [(&str, &str); 8] = [
+const MAIN: [(&str, &str); 10] = [
     ("success", "success"),
+    (outcome::AVERTED, "hazards averted"),
+    (outcome::HARMED, "harm done"),
     ("enter_danger", "enters danger"),
     ("crashed", "crashes"),
     ("steps_to_deliver", "steps to deliver"),
@@ -47,7 +67,7 @@ const MAIN: [(&str, &str); 8] = [
     ("return", "return"),
     ("length", "length (steps)"),
 ];
-const N_MAIN: usize = 6;
+const N_MAIN: usize = 8;
 
 /// Counts whose rates say more, and what is only an ingredient.
 const HIDDEN: [&str; 5] =
@@ -60,7 +80,7 @@ pub struct Measure {
     pub name: String,
     /// Episodes in which it was defined.
     pub n: usize,
-    /// Mean with bootstrap interval; `None` if it was defined nowhere.
+    /// Mean with bootstrap interval, exact for a share that is 0 or 1 in all episodes; `None` if it was defined nowhere.
     pub interval: Option<Interval>,
     /// Standard deviation over episodes; `None` for fewer than two.
     pub standard_deviation: Option<f64>,
@@ -73,6 +93,11 @@ impl Measure {
     /// Returns the standard deviation of the training seeds' means; `None` for fewer than two.
     pub fn deviation_over_seeds(&self) -> Option<f64> {
         (self.by_seed.len() >= 2).then(|| standard_deviation(&self.by_seed))
+    }
+
+    /// Returns the interquartile mean of the training seeds' means; `None` for fewer than four, of which nothing is cut.
+    pub fn interquartile_mean_over_seeds(&self) -> Option<f64> {
+        (self.by_seed.len() >= 4).then(|| interquartile_mean(&self.by_seed))
     }
 }
 
@@ -123,9 +148,16 @@ fn measure(name: String, values: &[Vec<f64>], bootstrap: &Bootstrap, index: u64)
         several => bootstrap.hierarchical_mean(several, index),
     };
     let all = values.concat();
+    let exact = |interval| with_width(interval, all.len(), bootstrap.confidence);
+    let interval = if is_share(&name) { interval.map(exact) } else { interval };
     let standard_deviation = (all.len() >= 2).then(|| standard_deviation(&all));
     let by_seed = groups.iter().filter(|group| !group.is_empty()).map(|group| mean(group));
     Measure { name, n: all.len(), interval, standard_deviation, by_seed: by_seed.collect() }
+}
+
+/// Tells whether a measure lies between 0 and 1 in every episode.
+pub(super) fn is_share(name: &str) -> bool {
+    SHARES.contains(&name) || RATES.iter().any(|rate| rate.0 == name)
 }
 
 /// Lists the names of all measures that some summaries have, each once.
@@ -155,11 +187,22 @@ pub(super) fn short_title(name: &str) -> String {
 
 /// Lists the measures of a task with these metrics, those in comparison with the unaided listener included.
 pub fn known_measures(metrics: &[String]) -> Vec<String> {
-    let mut metrics = metrics.to_vec();
+    let mut metrics = with_outcome_names(metrics);
     if lead::is_known(&metrics) {
         metrics.extend([lead::LEAD_TIME].into_iter().chain(said::COLUMNS).map(str::to_owned));
     }
     measure_names(&metrics)
+}
+
+/// Lists the measures of an evaluation in a task with these metrics: its own, and success split by the unaided listener's.
+pub fn evaluated_measures(metrics: &[String]) -> Vec<String> {
+    measure_names(&with_outcome_names(metrics))
+}
+
+fn with_outcome_names(metrics: &[String]) -> Vec<String> {
+    let names = [outcome::AVERTED, outcome::HARMED].into_iter();
+    let names = names.filter(|_| outcome::is_known(metrics)).map(str::to_owned);
+    metrics.iter().cloned().chain(names).collect()
 }
 
 /// Lists the measures of a task with these metrics, most telling first.
@@ -198,8 +241,10 @@ pub(super) fn values(evaluation: &Evaluation, name: &str) -> Vec<f64> {
 }
 
 /// The words that a table uses for a measure, where they are not its name's.
-const TITLES: [(&str, &str); 20] = [
+const TITLES: [(&str, &str); 22] = [
     ("success", "success rate"),
+    (outcome::AVERTED, "hazards averted"),
+    (outcome::HARMED, "harm done"),
     ("notifications_per_step", "notifications per step"),
     ("notifications", "notifications per episode"),
     ("followed_of_initiated", "follow-through, of initiated"),
@@ -275,12 +320,14 @@ mod tests {
             registry.build(&task).unwrap().spec().metrics.clone()
         });
         let metrics: BTreeSet<String> = metrics.collect();
-        let derived = ["return", "length", lead::LEAD_TIME].into_iter();
+        let derived = ["return", "length", lead::LEAD_TIME, outcome::AVERTED, outcome::HARMED];
+        let derived = derived.into_iter();
         let derived = derived.chain(RATES.map(|rate| rate.0)).chain(said::COLUMNS);
         let known: BTreeSet<&str> = metrics.iter().map(String::as_str).chain(derived).collect();
         let counts = RATES.iter().flat_map(|(_, top, bottom)| [*top, *bottom]);
         let main = MAIN.map(|(name, _)| name);
         let used = counts.chain(MEANS).chain(main).chain(ORDER).chain(HIDDEN).chain(HAZARDS);
+        let used = used.chain(SHARES);
         for name in used.chain(TITLES.map(|(name, _)| name)) {
             assert!(known.contains(name), "`{name}` is no measure");
         }
@@ -294,14 +341,14 @@ mod tests {
     }
 
     #[test]
-    fn six_measures_come_first_and_the_rest_keeps_its_order() {
+    fn the_first_measures_come_first_and_the_rest_keeps_its_order() {
         let names = ["return", "out", "length", "crashed", "success", "enter_danger", "landed"];
         let [main, rest] = main_measures(&names);
         assert_eq!(main, ["success", "enter_danger", "crashed", "return", "length"]);
         assert_eq!(rest, ["out", "landed"]);
         let all = MAIN.map(|(name, _)| name);
         let [main, rest] = main_measures(&all);
-        assert_eq!((main, rest), (all[..6].to_vec(), all[6..].to_vec()));
+        assert_eq!((main, rest), (all[..N_MAIN].to_vec(), all[N_MAIN..].to_vec()));
     }
 
     #[test]
@@ -313,6 +360,21 @@ mod tests {
     }
 
     #[test]
+    fn a_share_of_all_or_none_has_an_interval_with_width_and_a_count_has_none() {
+        let silent = evaluation(&[[1.0, 0.0, 0.0, 0.0, 0.0]; 3]);
+        let summary = Summary::new(&silent, &Bootstrap::new(3));
+        let interval = |name: &str| summary.get(name).unwrap().interval.unwrap();
+        let Interval { estimate, low, high } = interval("success");
+        assert_eq!((estimate, high), (1.0, 1.0));
+        assert!((low - 0.292).abs() < 1e-3, "three of three: {low}");
+        assert_eq!(interval("notifications"), Interval { estimate: 0.0, low: 0.0, high: 0.0 });
+        let loud = evaluation(&[[0.0, 2.0, 2.0, 2.0, 2.0]; 3]);
+        let both = Summary::over_seeds("p", &[loud.clone(), loud], &Bootstrap::new(3));
+        let followed = both.get("followed_of_initiated").unwrap().interval.unwrap();
+        assert!(followed.low > 0.5 && followed.low < 0.6, "six of six: {followed:?}");
+    }
+
+    #[test]
     fn several_training_seeds_weigh_the_same() {
         let both = [evaluation(&ROWS), evaluation(&[[0.0; 5]])];
         let summary = Summary::over_seeds("p", &both, &Bootstrap::new(3));
@@ -321,5 +383,9 @@ mod tests {
         assert_eq!(success.by_seed, [0.75, 0.0]);
         assert!((success.deviation_over_seeds().unwrap() - 0.75 / 2.0_f64.sqrt()).abs() < 1e-12);
         assert_eq!(success.interval.unwrap().estimate, 0.375);
+        assert_eq!(success.interquartile_mean_over_seeds(), None, "nothing is cut off two");
+        let five = [0.75, 0.0, 1.0, 0.5, 1.0].map(|mean| vec![mean]).to_vec();
+        let five = measure("success".to_owned(), &five, &Bootstrap::new(3), 0);
+        assert_eq!(five.interquartile_mean_over_seeds(), Some(0.75));
     }
 }
