@@ -14,8 +14,16 @@ const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
 pub const TOTAL_STEPS: &str = "learner.total_steps";
 /// The seed's key.
 const SEED: &str = "seed";
-/// A setting that is younger than some runs, and changes nothing at 0.
-const LATER: &str = "policy.length_bias";
+/// Settings that are younger than some runs, and the value at which each changes nothing.
+const LATER: [(&str, f64); 7] = [
+    ("policy.length_bias", 0.0),
+    ("world.arrive_within", 0.0),
+    ("world.ego.braking", 6.0),
+    ("world.hardest_braking", 0.0),
+    ("world.observation.own_x_unit", 200.0),
+    ("world.reward.hard_braking", 0.0),
+    ("world.reward.late", 0.0),
+];
 
 /// Tells whether a key only says where and how a run is carried out.
 pub fn is_free(key: &str) -> bool {
@@ -32,7 +40,10 @@ fn deciding(table: &Table) -> BTreeMap<String, String> {
 
 /// Tells whether a value (empty: none) is that of a younger setting that changes nothing.
 fn changes_nothing(key: &str, value: &str) -> bool {
-    key == LATER && (value.is_empty() || value.parse() == Ok(0.0))
+    let is_it = |(later, default): &(&str, f64)| {
+        *later == key && (value.is_empty() || value.parse() == Ok(*default))
+    };
+    LATER.iter().any(is_it)
 }
 
 /// Computes the hash over everything that must not change when a run is resumed.

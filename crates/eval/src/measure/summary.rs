@@ -37,10 +37,12 @@ const ORDER: [&str; 11] = [
 ];
 
 /// What is looked at first: the first [`N_MAIN`] of these that a task has, with shorter words than [`title`]'s.
-const MAIN: [(&str, &str); 8] = [
+const MAIN: [(&str, &str); 10] = [
     ("success", "success"),
     ("enter_danger", "enters danger"),
     ("crashed", "crashes"),
+    ("in_time", "in time"),
+    ("comfortable", "comfortable"),
     ("steps_to_deliver", "steps to deliver"),
     ("notifications", "notifications"),
     ("followed_of_initiated", "follow-through"),
@@ -198,7 +200,7 @@ pub(super) fn values(evaluation: &Evaluation, name: &str) -> Vec<f64> {
 }
 
 /// The words that a table uses for a measure, where they are not its name's.
-const TITLES: [(&str, &str); 20] = [
+const TITLES: [(&str, &str); 21] = [
     ("success", "success rate"),
     ("notifications_per_step", "notifications per step"),
     ("notifications", "notifications per episode"),
@@ -217,6 +219,7 @@ const TITLES: [(&str, &str); 20] = [
     ("later_l", "mean l of later messages"),
     ("per_step_before_hazard", "notifications per step before the unaided hazard"),
     ("per_step_after_hazard", "notifications per step after it"),
+    ("drive_time", "duration of the drive (s)"),
     ("hardest_braking", "hardest braking (m/s²)"),
     ("jerk", "jerk, root mean square (m/s³)"),
 ];
