@@ -33,7 +33,7 @@ fn help_explains_itself_and_lists_exit_codes() {
 fn every_built_in_configuration_can_be_printed_and_used() {
     let place = Place::new();
     let names = place.finish(&["config"]).with_code(0).stdout;
-    let names_are = "cartpole cue_recall highway lander lander_hard paper_highway paper_lander paper_lander_hard \
+    let names_are = "cartpole cue_recall highway highway_conflict lander lander_hard paper_highway paper_lander paper_lander_hard \
                      paper_letter_highway paper_letter_lander paper_letter_lander_hard paper_letter_steakhouse \
                      pilot steakhouse steakhouse_timing";
     assert!(names.lines().eq(names_are.split(' ')), "{names}");

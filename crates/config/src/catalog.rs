@@ -10,10 +10,11 @@ use crate::error::{ConfigError, ensure};
 use crate::layers::{Layer, word};
 
 /// Files that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 15] = [
+const BUILT_IN: [(&str, &str); 16] = [
     ("cartpole", include_str!("../configs/cartpole.toml")),
     ("cue_recall", include_str!("../configs/cue_recall.toml")),
     ("highway", include_str!("../configs/highway.toml")),
+    ("highway_conflict", include_str!("../configs/highway_conflict.toml")),
     ("lander", include_str!("../configs/lander.toml")),
     ("lander_hard", include_str!("../configs/lander_hard.toml")),
     ("paper_highway", include_str!("../configs/paper_highway.toml")),

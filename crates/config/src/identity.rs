@@ -15,10 +15,16 @@ pub const TOTAL_STEPS: &str = "learner.total_steps";
 /// The seed's key.
 const SEED: &str = "seed";
 /// Settings that are younger than some runs, with the value, as TOML, at which each changes nothing.
-const LATER: [(&str, &str); 3] = [
+const LATER: [(&str, &str); 9] = [
     ("policy.length_bias", "0.0"),
+    ("world.arrive_within", "0.0"),
+    ("world.ego.braking", "6.0"),
+    ("world.hardest_braking", "0.0"),
     ("world.near_charged", "\"per_step\""),
+    ("world.observation.own_x_unit", "200.0"),
     ("world.observe_time", "false"),
+    ("world.reward.hard_braking", "0.0"),
+    ("world.reward.late", "0.0"),
 ];
 
 /// Tells whether a key only says where and how a run is carried out.

@@ -156,3 +156,7 @@ pub fn record(
         None => Ok(played.into()),
     }
 }
+
+#[cfg(test)]
+#[path = "evaluation_tests.rs"]
+mod tests;

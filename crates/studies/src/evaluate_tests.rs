@@ -141,3 +141,31 @@ fn a_damaged_evaluation_is_made_and_kept_again() {
     assert_eq!(evaluated(&two), (first.clone(), HALF.to_owned()));
     assert_eq!(evaluated(&two), (first, NONE.to_owned()));
 }
+
+#[test]
+fn a_drive_is_measured_up_to_its_arrival() {
+    const DRIVE: &str = r#"
+        title = "t"
+        lead = "l"
+        [[parts]]
+        name = "driving"
+        title = "Driving"
+        profile = "highway"
+        quick_steps = 4096
+        columns = ["success", "length"]
+        evaluations = [{ name = "own", title = "own" }]
+        [[parts.rows]]
+        name = "script"
+        title = "Script"
+        script = "unaided"
+    "#;
+    let runs = tempfile::tempdir().unwrap();
+    let asked = StudyRequest { seeds: Some(7..8), episodes: 8, ..request(runs.path()) };
+    let plan = plan(DRIVE, &asked).unwrap();
+    let (tasks, shutdown) = (Tasks::new(), CancellationToken::new());
+    let mut evaluator = Evaluator::new(&tasks, &shutdown, EvalCache::new(&ProgramBuild::default()));
+    let part = evaluator.part(&plan.parts[0]).unwrap();
+    let mean = |name| part.rows[0].results[0].summary.get(name).unwrap().interval.unwrap().estimate;
+    // Who has arrived would stand there until step 200.
+    assert!(mean("arrived") > 0.2 && mean("length") < 115.0, "{part:?}");
+}

@@ -21,7 +21,7 @@ const FRAMES: usize = 15;
 /// Where a merge episode ends, in metres.
 const GOAL: f64 = 370.0;
 const OBSERVATION: ObservationSettings =
-    ObservationSettings { rows: 5, headings: false, see_behind: false };
+    ObservationSettings { rows: 5, headings: false, see_behind: false, own_x_unit: 200.0 };
 
 /// Replays recorded scenes.
 ///

@@ -1,7 +1,7 @@
 //! What each measure means, in a sentence; `docs/metrics.md` has the same words.
 
 /// A measure's name and its meaning.
-const MEANINGS: [(&str, &str); 52] = [
+const MEANINGS: [(&str, &str); 57] = [
     ("success", "share of episodes in which the task was done as it should be"),
     (
         "averted",
@@ -54,6 +54,9 @@ const MEANINGS: [(&str, &str); 52] = [
     ("danger_steps", "steps inside a danger zone"),
     ("fuel", "fuel that the engines burnt, as it is taken off the return"),
     ("arrived", "share of drives that reach the goal"),
+    ("in_time", "share of drives that reach the goal in time"),
+    ("comfortable", "share of drives in which the driver never brakes too hard"),
+    ("drive_time", "duration of the drive up to the arrival or the crash"),
     ("overtaken", "cars that the driver has overtaken"),
     ("refused_changes", "lane changes that were asked for and not possible"),
     ("mean_speed", "mean speed of the drive, in m/s"),
@@ -64,6 +67,8 @@ const MEANINGS: [(&str, &str); 52] = [
     ("return_high_speed", "part of the return that is for speed"),
     ("return_merging", "part of the return that is for the speed of merging cars"),
     ("return_lane_change", "part of the return that is for changing lanes"),
+    ("return_late", "part of the return that is for being late"),
+    ("return_hard_braking", "part of the return that is for braking too hard"),
     ("dish_delivered", "share of episodes in which the dish was delivered, in time or not"),
     (
         "steps_to_deliver",

@@ -55,12 +55,14 @@ const ORDER: [&str; 13] = [
 ];
 
 /// What is looked at first: the first [`N_MAIN`] of these that a task has, with shorter words than [`title`]'s.
-const MAIN: [(&str, &str); 10] = [
+const MAIN: [(&str, &str); 12] = [
     ("success", "success"),
     (outcome::AVERTED, "hazards averted"),
     (outcome::HARMED, "harm done"),
     ("enter_danger", "enters danger"),
     ("crashed", "crashes"),
+    ("in_time", "in time"),
+    ("comfortable", "comfortable"),
     ("steps_to_deliver", "steps to deliver"),
     ("notifications", "notifications"),
     ("followed_of_initiated", "follow-through"),
@@ -241,7 +243,7 @@ pub(super) fn values(evaluation: &Evaluation, name: &str) -> Vec<f64> {
 }
 
 /// The words that a table uses for a measure, where they are not its name's.
-const TITLES: [(&str, &str); 22] = [
+const TITLES: [(&str, &str); 23] = [
     ("success", "success rate"),
     (outcome::AVERTED, "hazards averted"),
     (outcome::HARMED, "harm done"),
@@ -262,6 +264,7 @@ const TITLES: [(&str, &str); 22] = [
     ("later_l", "mean l of later messages"),
     ("per_step_before_hazard", "notifications per step before the unaided hazard"),
     ("per_step_after_hazard", "notifications per step after it"),
+    ("drive_time", "duration of the drive (s)"),
     ("hardest_braking", "hardest braking (m/s²)"),
     ("jerk", "jerk, root mean square (m/s³)"),
 ];

@@ -5,7 +5,9 @@
 
 use leadtime_numerics::Pcg64;
 
-use super::settings::{HighwayWorldSettings, MergingSettings, TrafficSettings, start_lanes};
+use super::settings::{
+    HighwayWorldSettings, MergingSettings, StartLane, TrafficSettings, start_lanes,
+};
 use crate::world::{CarRole, Ramp, Traffic, Vehicle};
 
 /// An ego slower than this would make a merging car start too far out, in m/s.
@@ -25,8 +27,14 @@ pub(super) fn populate(
     let vehicle = start(traffic, rank, ego.x, ego.speed).with_idm(ego.desired_speed);
     traffic.vehicles.push(vehicle.with_role(CarRole::Ego));
     let TrafficSettings { cars, position_spread, speed_spread } = &settings.traffic;
+    let own = rank;
     for car in cars {
-        let rank = generator.below(n_lanes);
+        let rank = match car.lane {
+            StartLane::Any => generator.below(n_lanes),
+            StartLane::Own => own,
+            // Of one lane there is no other.
+            StartLane::Other => (own + 1 + generator.below(n_lanes.max(2) - 1)) % n_lanes,
+        };
         let x = car.x + generator.uniform(-position_spread, *position_spread);
         let speed = car.speed + generator.uniform(-speed_spread, *speed_spread);
         let vehicle = start(traffic, rank, x, speed).with_idm(speed);

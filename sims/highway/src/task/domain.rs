@@ -20,7 +20,7 @@ use super::picture::picture;
 use super::progress::{DriveOutcome, DriveProgress};
 use super::reaction::{EGO, TOPICS, is_lane_change, react};
 use super::settings::{HighwayWorldSettings, start_lanes};
-use crate::world::{CarRole, Traffic, Vehicle, quantities};
+use crate::world::{CarRole, RewardSettings, Traffic, Vehicle, quantities};
 
 /// What a step pays once the ego has arrived.
 const ARRIVED_REWARD: f64 = 1.0;
@@ -45,6 +45,8 @@ pub struct HighwayDomain {
     pub traffic: Traffic,
     /// Lanes abreast where the ego starts: the unit of observed y.
     n_lanes: usize,
+    /// The last step in which an arrival is in time, if there is one.
+    last_in_time: Option<u32>,
     /// Ramps whose car has appeared.
     n_admitted: usize,
     generator: Pcg64,
@@ -70,6 +72,7 @@ impl HighwayDomain {
             settings: settings.clone(),
             traffic,
             n_lanes,
+            last_in_time: settings.last_step_in_time(),
             n_admitted: 0,
             generator,
             progress: DriveProgress::default(),
@@ -84,6 +87,22 @@ impl HighwayDomain {
     /// Tells whether the ego has passed the goal.
     pub fn has_arrived(&self) -> bool {
         self.progress.is(DriveOutcome::Arrived)
+    }
+
+    /// Tells whether the ego has passed the goal in time.
+    pub fn is_in_time(&self) -> bool {
+        self.has_arrived() && !self.is_late()
+    }
+
+    /// Tells whether the ego never braked too hard.
+    pub fn is_comfortable(&self) -> bool {
+        let bound = self.settings.hardest_braking;
+        bound == 0.0 || self.progress.hardest_braking <= bound
+    }
+
+    /// Tells whether the drive is too long by now, or was when the ego arrived.
+    fn is_late(&self) -> bool {
+        self.last_in_time.is_some_and(|last| self.progress.n_driven > last)
     }
 
     fn ego(&self) -> &Vehicle {
@@ -121,10 +140,24 @@ impl HighwayDomain {
         weights.reward(&terms)
     }
 
+    /// Charges a step of driving for what a success does not allow.
+    fn charge(&mut self, was_comfortable: bool) -> f64 {
+        let RewardSettings { late, hard_braking, .. } = self.settings.reward;
+        let charged = [
+            if self.is_late() { late } else { 0.0 },
+            if was_comfortable && !self.is_comfortable() { hard_braking } else { 0.0 },
+        ];
+        for (sum, charge) in self.progress.penalties.iter_mut().zip(charged) {
+            *sum += charge;
+        }
+        charged.iter().sum()
+    }
+
     /// Notes how the episode stands, and tells whether it is over.
     fn finish(&mut self) -> Option<End> {
         let (x, crashed) = (self.ego().position[0], self.ego().crashed);
         let progress = &mut self.progress;
+        progress.n_driven = progress.n_steps;
         if crashed {
             progress.outcome = Some(DriveOutcome::Crashed);
             let ramps = self.traffic.road.ramps.iter();
@@ -169,7 +202,17 @@ impl Domain for HighwayDomain {
     }
 
     fn reward_terms(&self) -> Vec<RewardTerm> {
-        let mut terms = self.settings.reward.terms();
+        let weights = &self.settings.reward;
+        let mut terms = weights.terms();
+        if let Some(last) = self.last_in_time {
+            let late = format!("a step of driving after step {last}");
+            terms.push(RewardTerm::new(late, weights.late, "world.reward.late"));
+        }
+        let braking = self.settings.hardest_braking;
+        if braking > 0.0 {
+            let hard = format!("braking harder than {braking} m/s², once");
+            terms.push(RewardTerm::new(hard, weights.hard_braking, "world.reward.hard_braking"));
+        }
         let after = "a step after the arrival, and nothing else";
         terms.push(RewardTerm::new(after, ARRIVED_REWARD, ""));
         terms
@@ -205,9 +248,11 @@ impl Domain for HighwayDomain {
         let status = react(traffic, reaction, &settings.ego, &mut progress.refused);
         let changes_lanes = reaction.is_some_and(|it| it.first && is_lane_change(it.topic));
         progress.n_refused += u32::from(changes_lanes && progress.refused);
+        let was_comfortable = self.is_comfortable();
         self.run_frames();
         let reward = self.pay(changes_lanes);
-        Advance { reward, reaction: status, end: self.finish() }
+        let end = self.finish();
+        Advance { reward: reward + self.charge(was_comfortable), reaction: status, end }
     }
 
     fn heuristic(&self) -> Option<Message> {
@@ -216,7 +261,7 @@ impl Domain for HighwayDomain {
     }
 
     fn success(&self) -> bool {
-        self.has_arrived()
+        self.is_in_time() && self.is_comfortable()
     }
 
     fn metric_names(&self) -> &'static [&'static str] {
@@ -234,6 +279,11 @@ impl Domain for HighwayDomain {
             "return_high_speed",
             "return_merging",
             "return_lane_change",
+            "in_time",
+            "comfortable",
+            "drive_time",
+            "return_late",
+            "return_hard_braking",
         ]
     }
 
@@ -243,7 +293,13 @@ impl Domain for HighwayDomain {
         let counts = [progress.overtaken(&self.traffic.vehicles), progress.n_refused];
         let amounts = [progress.mean_speed(), progress.hardest_braking, progress.jerk()];
         let flags = flags.into_iter().map(|outcome| f64::from(u8::from(progress.is(outcome))));
+        let parts = [self.is_in_time(), self.is_comfortable()];
+        let parts = parts.map(|part| f64::from(u8::from(part)));
+        let seconds =
+            f64::from(self.settings.frames_per_step) / f64::from(self.settings.frame_rate);
         let values = flags.chain(counts.map(f64::from)).chain(amounts).chain(progress.pieces);
+        let values = values.chain(parts).chain([f64::from(progress.n_driven) * seconds]);
+        let values = values.chain(progress.penalties);
         for (out, value) in out.iter_mut().zip(values) {
             *out = value as f32;
         }

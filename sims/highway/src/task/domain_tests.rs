@@ -323,3 +323,100 @@ fn an_unknown_topic_is_named() {
                     merge_left, merge_right, none twice";
     assert_eq!(settings.build().unwrap_err().to_string(), expected);
 }
+
+/// The number of a step's metric after a whole drive on the right lane of an empty road.
+fn driven(change: impl FnOnce(&mut HighwayWorldSettings), topic: Option<usize>) -> HighwayDomain {
+    let mut task = on_the_right(|s| {
+        s.absorb_until = 0;
+        change(s);
+    });
+    let reaction = topic.map(|topic| ReactionStep { topic, first: false });
+    while task.advance(reaction).end.is_none() {}
+    task
+}
+
+#[test]
+fn a_success_arrives_in_time() {
+    // 960 m at 30 m/s are 32 s or 96 steps; the goal is passed in step 97.
+    let time = |s: &mut HighwayWorldSettings, within| s.arrive_within = within;
+    let task = driven(|s| time(s, 97.0 / 96.0), None);
+    assert!(task.success() && metric(&task, "in_time") == 1.0);
+    assert!((metric(&task, "drive_time") - 97.0 / 3.0).abs() < 1e-4);
+    let late = driven(|s| time(s, 96.5 / 96.0), None);
+    assert_eq!([late.has_arrived(), late.is_in_time(), late.success()], [true, false, false]);
+    assert_eq!([metric(&late, "arrived"), metric(&late, "in_time")], [1.0, 0.0]);
+    // At the least speed, 15 m/s, the way takes twice as long.
+    assert!(driven(|_| {}, Some(SLOW_DOWN)).success());
+    assert!(!driven(|s| time(s, 1.25), Some(SLOW_DOWN)).success());
+    // What comes after the arrival takes no time.
+    let mut task = on_the_right(|s| time(s, 1.25));
+    assert_eq!((drive(&mut task).2, task.success()), (200, true));
+}
+
+#[test]
+fn a_success_brakes_gently() {
+    let bound = |s: &mut HighwayWorldSettings| s.hardest_braking = 4.5;
+    let hard = driven(bound, Some(SLOW_DOWN));
+    assert!(metric(&hard, "hardest_braking") > 5.9);
+    assert_eq!([hard.has_arrived(), hard.is_comfortable(), hard.success()], [true, false, false]);
+    assert_eq!([metric(&hard, "in_time"), metric(&hard, "comfortable")], [1.0, 0.0]);
+    let gentle = driven(|s| (bound(s), s.ego.braking = 3.0).1, Some(SLOW_DOWN));
+    assert!((metric(&gentle, "hardest_braking") - 3.0).abs() < 1e-3);
+    assert!(gentle.success() && metric(&gentle, "comfortable") == 1.0);
+}
+
+#[test]
+fn who_is_asked_to_brake_gently_brakes_as_hard_as_needed_for_what_they_see() {
+    let mut task = on_the_right(|s| s.ego.braking = 3.0);
+    let car = Vehicle::new(task.traffic.network(), [60.0, 4.0], 0.0, 20.0).with_idm(20.0);
+    task.traffic.vehicles.push(car);
+    react(&mut task, SLOW_DOWN, true);
+    assert!(metric(&task, "hardest_braking") > 5.9);
+}
+
+#[test]
+fn what_a_success_does_not_allow_is_charged_when_it_happens() {
+    let charged = |change: fn(&mut HighwayWorldSettings)| {
+        let mut task = on_the_right(|s| {
+            (s.arrive_within, s.hardest_braking) = (1.25, 4.5);
+            (s.reward.late, s.reward.hard_braking) = (-2.0, -5.0);
+            change(s);
+        });
+        let mut plain = on_the_right(|_| {});
+        let slow = Some(ReactionStep { topic: SLOW_DOWN, first: false });
+        let mut at = Vec::new();
+        for step in 1..=200 {
+            let difference = task.advance(slow).reward - plain.advance(slow).reward;
+            if difference.abs() > 1e-9 {
+                at.push((step, difference.round()));
+            }
+        }
+        let sums = ["return_late", "return_hard_braking"].map(|name| metric(&task, name));
+        (at, sums, task.progress.n_driven)
+    };
+    // In time is 1.25 times 96 steps; at 15 m/s it takes some 190.
+    let (at, sums, n_driven) = charged(|_| {});
+    assert!((180..195).contains(&n_driven), "{n_driven}");
+    assert_eq!((at[0], at[1], at.last()), ((1, -5.0), (121, -2.0), Some(&(n_driven, -2.0))));
+    let n_late = n_driven - 120;
+    assert_eq!((at.len() as u32 - 1, sums), (n_late, [-2.0 * n_late as f32, -5.0]));
+    let (at, sums, _) = charged(|s| s.hardest_braking = 0.0);
+    assert_eq!((at[0].0, sums[1]), (121, 0.0));
+    assert_eq!(charged(|s| s.arrive_within = 0.0).0, [(1, -5.0)]);
+    assert_eq!(charged(|s| (s.reward.late, s.reward.hard_braking) = (0.0, 0.0)).0, []);
+}
+
+#[test]
+fn a_car_may_start_beside_the_ego() {
+    use crate::task::StartLane;
+    for (lane, same) in [(StartLane::Own, true), (StartLane::Other, false)] {
+        for episode in 0..20 {
+            let task = start(&settings(|s| s.traffic.cars[0].lane = lane), episode);
+            let [ego, car] = [0, 1].map(|i| task.traffic.vehicles[i].position[1]);
+            assert_eq!(ego == car, same);
+        }
+    }
+    // On a lane that is drawn, as ever, it is written as ever.
+    let car = HighwayWorldSettings::default().traffic.cars[0];
+    assert_eq!(serde_json::to_string(&car).unwrap(), r#"{"x":90.0,"speed":29.0}"#);
+}

@@ -28,6 +28,6 @@ mod settings;
 
 pub use domain::{HighwayDomain, HighwayTaskSettings, entry};
 pub use settings::{
-    CarSettings, EgoSettings, HeuristicSettings, HighwayWorldSettings, MergingSettings,
+    CarSettings, EgoSettings, HeuristicSettings, HighwayWorldSettings, MergingSettings, StartLane,
     TrafficSettings, UnsafeChanges,
 };

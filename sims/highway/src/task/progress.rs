@@ -19,6 +19,8 @@ pub(super) enum DriveOutcome {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct DriveProgress {
     pub(super) n_steps: u32,
+    /// Steps until the ego arrived or crashed; after its arrival it stands.
+    pub(super) n_driven: u32,
     pub(super) outcome: Option<DriveOutcome>,
     /// Number of the merge at which the ego crashed.
     pub(super) crash_ramp: Option<usize>,
@@ -36,6 +38,8 @@ pub(super) struct DriveProgress {
     acceleration: Option<f64>,
     /// Sums of the weighted terms of the reward.
     pub(super) pieces: [f64; 5],
+    /// What was paid for being late, and for braking too hard.
+    pub(super) penalties: [f64; 2],
 }
 
 impl DriveProgress {
@@ -90,9 +94,11 @@ impl DriveProgress {
     /// Tells whether an episode could have come to these numbers, with room to count on.
     pub(super) fn is_plausible(&self, max_steps: u32, n_ramps: usize) -> bool {
         let sums = [self.speed_sum, self.hardest_braking, self.jerk_square_sum];
-        let numbers = sums.iter().chain(&self.pieces).chain(&self.acceleration);
+        let paid = self.pieces.iter().chain(&self.penalties);
+        let numbers = sums.iter().chain(paid).chain(&self.acceleration);
         numbers.into_iter().all(|number| number.is_finite())
             && self.n_steps <= max_steps
+            && self.n_driven <= self.n_steps
             && self.n_refused <= max_steps
             && self.n_jerks <= self.n_frames
             && self.n_frames <= 1 << 30

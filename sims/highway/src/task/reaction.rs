@@ -36,6 +36,7 @@ pub(super) fn react(
     let ego = &mut traffic.vehicles[EGO];
     if let Driver::Idm(idm) = &mut ego.driver {
         (idm.changes_lanes, idm.holds_speed) = (changes_lanes, at_speed);
+        idm.held_braking = settings.braking;
     }
     if !at_speed {
         ego.target_speed = settings.desired_speed;

@@ -3,7 +3,7 @@
 use leadtime_sims::check::{SettingError, require};
 use serde::{Deserialize, Serialize};
 
-use crate::world::constants::LENGTH;
+use crate::world::constants::{LENGTH, MAX_ACCELERATION};
 use crate::world::{
     Blindness, Lookup, ObservationSettings, RewardSettings, Road, RoadSettings, SpeedGrid,
 };
@@ -30,6 +30,9 @@ pub struct EgoSettings {
     pub speed: f64,
     /// The speed that the person wants, in m/s (1 to 40). Default 30.
     pub desired_speed: f64,
+    /// How hard the person brakes at most because they are asked to slow down, in m/s² (0.5 to 6); for what they see they
+    /// brake harder. Default 6, the most that any driver brakes.
+    pub braking: f64,
     /// Whether the person changes lanes by their own judgement. Default true.
     pub changes_lanes: bool,
     /// What becomes of a commanded lane change that is unsafe. Default `execute`.
@@ -45,10 +48,32 @@ impl Default for EgoSettings {
             lane: None,
             speed: 30.0,
             desired_speed: 30.0,
+            braking: MAX_ACCELERATION,
             changes_lanes: true,
             unsafe_changes: UnsafeChanges::Execute,
             speed_grid: SpeedGrid { lowest: 15.0, highest: 38.0, n_speeds: 5 },
         }
+    }
+}
+
+/// On which of the lanes a car of the traffic starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StartLane {
+    /// On any, drawn.
+    #[default]
+    Any,
+    /// On the ego's.
+    Own,
+    /// On another than the ego's, drawn if there are several.
+    Other,
+}
+
+impl StartLane {
+    /// Settings written before there was a choice say nothing of it.
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    fn is_any(&self) -> bool {
+        *self == Self::Any
     }
 }
 
@@ -60,9 +85,12 @@ pub struct CarSettings {
     pub x: f64,
     /// Its speed at the start on average, in m/s (1 to 40); its driver wants to keep it.
     pub speed: f64,
+    /// Its lane. Default `any`.
+    #[serde(default, skip_serializing_if = "StartLane::is_any")]
+    pub lane: StartLane,
 }
 
-/// The cars on the carriageway; each starts on a random lane.
+/// The cars on the carriageway.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrafficSettings {
@@ -76,7 +104,7 @@ pub struct TrafficSettings {
 
 impl Default for TrafficSettings {
     fn default() -> Self {
-        let car = |x, speed| CarSettings { x, speed };
+        let car = |x, speed| CarSettings { x, speed, lane: StartLane::Any };
         Self {
             cars: vec![car(90.0, 29.0), car(70.0, 31.0), car(5.0, 31.5)],
             position_spread: 5.0,
@@ -150,6 +178,11 @@ pub struct HighwayWorldSettings {
     pub max_steps: u32,
     /// Where the task is done, in metres. Default 990.
     pub goal: f64,
+    /// An arrival is a success within so many times the time that the way takes at the desired speed (1 to 100; 0: whenever).
+    /// Default 0.
+    pub arrive_within: f64,
+    /// An arrival is a success if the ego never braked harder than this, in m/s² (0.5 to 10; 0: however hard). Default 0.
+    pub hardest_braking: f64,
     /// An ego that has arrived earns 1 per step until this step, so that driving slowly earns nothing; 0: arriving
     /// ends the episode, as in the original. Default 200: at the least speed that can be asked for, 15 m/s, the goal is
     /// 192 steps away, so that nobody is paid for steps that others have no more.
@@ -177,6 +210,8 @@ impl Default for HighwayWorldSettings {
             frames_per_step: 5,
             max_steps: 300,
             goal: 990.0,
+            arrive_within: 0.0,
+            hardest_braking: 0.0,
             absorb_until: 200,
             ego: EgoSettings::default(),
             traffic: TrafficSettings::default(),
@@ -217,18 +252,39 @@ impl HighwayWorldSettings {
         ] {
             require((1..=highest).contains(&given), key, given, allowed)?;
         }
+        let (within, braking) = (self.arrive_within, self.hardest_braking);
+        let fits = within == 0.0 || (1.0..=100.0).contains(&within);
+        require(
+            fits,
+            "world.arrive_within",
+            within,
+            "0, or 1 to 100 times the time without traffic",
+        )?;
+        let fits = braking == 0.0 || (0.5..=10.0).contains(&braking);
+        require(fits, "world.hardest_braking", braking, "0, or 0.5 to 10 m/s²")?;
         let until = self.absorb_until;
         require(until <= self.max_steps, "world.absorb_until", until, "at most `world.max_steps`")
     }
 
+    /// Returns the last step in which an arrival is in time, if there is one.
+    pub(super) fn last_step_in_time(&self) -> Option<u32> {
+        let way = (self.goal - self.ego.x) / self.ego.desired_speed;
+        let steps = f64::from(self.frame_rate) / f64::from(self.frames_per_step);
+        // Rounding must not take the step that ends exactly in time.
+        let last = self.arrive_within * way * steps + 1e-9;
+        (self.arrive_within > 0.0).then_some(last as u32)
+    }
+
     fn check_ego(&self, road: &Road) -> Result<(), SettingError> {
-        let EgoSettings { x, lane, speed, desired_speed, speed_grid, .. } = self.ego;
+        let EgoSettings { x, lane, speed, desired_speed, braking, speed_grid, .. } = self.ego;
         let n_lanes = start_lanes(road).count() as u32;
         let given = lane.unwrap_or(0);
         let allowed = format!("0 to {}", n_lanes.saturating_sub(1));
         require(given < n_lanes, "world.ego.lane", given, allowed)?;
         check_speed("world.ego.speed", speed)?;
         check_speed("world.ego.desired_speed", desired_speed)?;
+        let (fits, most) = ((0.5..=MAX_ACCELERATION).contains(&braking), MAX_ACCELERATION);
+        require(fits, "world.ego.braking", braking, format!("0.5 to {most} m/s²"))?;
         check_place("world.ego.x", x, 0.0, road)?;
         let SpeedGrid { lowest, highest, n_speeds } = speed_grid;
         let fits =
@@ -357,10 +413,21 @@ mod tests {
         // A misspelt node cuts the road in two.
         assert!(refused(|s| s.road.lanes[0].to = "M1".to_owned()).contains("m0→M1 0 as the end"));
         assert!(refused(|s| s.absorb_until = 301).contains("world.absorb_until"));
+        assert!(refused(|s| s.arrive_within = 0.9).contains("world.arrive_within"));
+        assert!(refused(|s| s.arrive_within = f64::NAN).contains("world.arrive_within"));
+        assert!(refused(|s| s.hardest_braking = -1.0).contains("world.hardest_braking"));
+        assert!(refused(|s| s.ego.braking = 0.0).contains("world.ego.braking"));
         assert!(refused(|s| s.frames_per_step = 0).contains("world.frames_per_step"));
         assert!(refused(|s| s.merging.range = [60.0, 231.0]).contains("0 to 230 m"));
         assert!(refused(|s| s.merging.lead = [30.0, 0.0]).contains("world.merging.lead"));
         assert!(refused(|s| s.observation.rows = 0).contains("world.observation.rows"));
+        assert!(
+            refused(|s| s.observation.own_x_unit = 0.0).contains("world.observation.own_x_unit")
+        );
+        assert!(refused(|s| s.reward.late = 1.0).contains("world.reward.late"));
+        assert!(
+            refused(|s| s.reward.hard_braking = f64::NAN).contains("world.reward.hard_braking")
+        );
         assert!(refused(|s| s.reward.collision = 1.0).contains("world.reward.collision"));
         assert!(refused(|s| s.heuristic.earliest = -1.0).contains("world.heuristic.earliest"));
         assert!(refused(|s| s.road.ramps.reverse()).contains("[850.0, 540.0, 230.0]"));

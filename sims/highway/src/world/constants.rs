@@ -25,7 +25,7 @@ pub(super) const PURSUIT: f64 = 0.1;
 pub(super) const MAX_STEERING: f64 = std::f64::consts::FRAC_PI_3;
 
 /// Hardest acceleration and braking of an IDM driver.
-pub(super) const MAX_ACCELERATION: f64 = 6.0;
+pub const MAX_ACCELERATION: f64 = 6.0;
 /// Comfortable acceleration.
 pub(super) const COMFORT_ACCELERATION: f64 = 3.0;
 /// Comfortable braking.

@@ -28,15 +28,24 @@ impl Traffic {
     /// and its speed limit counts.
     pub fn acceleration(&self, who: Option<usize>, front: Option<usize>) -> f64 {
         let Some(who) = who.filter(|&who| who < self.vehicles.len()) else { return 0.0 };
+        self.free_acceleration(who) - self.pressure(who, front)
+    }
+
+    /// Computes the acceleration of a car on an empty road, in m/s².
+    fn free_acceleration(&self, who: usize) -> f64 {
         let vehicle = &self.vehicles[who];
         let limit = self.network().lane(vehicle.lane).speed_limit;
         let wanted = not_zero(vehicle.target_speed.clamp(0.0, limit)).abs();
         let ratio = vehicle.speed.max(0.0) / wanted;
-        let free = COMFORT_ACCELERATION * (1.0 - (ratio * ratio) * (ratio * ratio));
-        let Some(front) = front else { return free };
-        let distance = not_zero(self.gap(who, front, vehicle.lane));
+        COMFORT_ACCELERATION * (1.0 - (ratio * ratio) * (ratio * ratio))
+    }
+
+    /// Computes what a body ahead takes off a car's acceleration, in m/s².
+    fn pressure(&self, who: usize, front: Option<usize>) -> f64 {
+        let Some(front) = front else { return 0.0 };
+        let distance = not_zero(self.gap(who, front, self.vehicles[who].lane));
         let pressure = self.desired_gap(who, front) / distance;
-        free - COMFORT_ACCELERATION * (pressure * pressure)
+        COMFORT_ACCELERATION * (pressure * pressure)
     }
 
     /// Computes the distance that a car wants behind a body, in metres; a leader that draws away makes it negative.
@@ -52,7 +61,9 @@ impl Traffic {
 
     /// Decides for an IDM driver; a crashed one decides nothing.
     pub(super) fn drive(&mut self, me: usize) {
-        let Driver::Idm(Idm { changes_lanes, holds_speed, .. }) = self.vehicles[me].driver else {
+        let Driver::Idm(Idm { changes_lanes, holds_speed, held_braking, .. }) =
+            self.vehicles[me].driver
+        else {
             return;
         };
         if self.vehicles[me].crashed {
@@ -65,14 +76,18 @@ impl Traffic {
         let steering = self.steering(me);
         let vehicle = &self.vehicles[me];
         let (lane, target_lane) = (vehicle.lane, vehicle.target_lane);
-        let mut acceleration = self.acceleration(Some(me), self.neighbours(me, lane)[0]);
+        let mut pressure = self.pressure(me, self.neighbours(me, lane)[0]);
         if lane != target_lane {
-            let there = self.acceleration(Some(me), self.neighbours(me, target_lane)[0]);
-            acceleration = acceleration.min(there);
+            pressure = pressure.max(self.pressure(me, self.neighbours(me, target_lane)[0]));
         }
+        let mut free = self.free_acceleration(me);
+        if holds_speed {
+            free = free.max(-held_braking);
+        }
+        let mut acceleration = free - pressure;
         if holds_speed {
             // IDM towards a lower target brakes softly at first; the controller does what was asked for.
-            acceleration = acceleration.min(self.speed_control(me));
+            acceleration = acceleration.min(self.speed_control(me).max(-held_braking));
         }
         let vehicle = &mut self.vehicles[me];
         vehicle.steering = steering;

@@ -7,7 +7,8 @@
 //! | vx, vy | in the world | relative to the own car |
 //! | cos, sin of the heading (if asked for) | in the world | in the world |
 //!
-//! x is divided by 200 m, y by 4 m per lane of the carriageway, velocities by 80 m/s; all are cut to [-1, 1].
+//! x is divided by 200 m, y by 4 m per lane of the carriageway, velocities by 80 m/s; all are cut to [-1, 1]. The own x, which is a
+//! place on the road and no distance, may have a unit of its own: in the original's it is 1 from 200 m on.
 //!
 //! # Source
 //!
@@ -29,7 +30,7 @@ const SPEED_RANGE: f64 = 80.0;
 const MAX_ROWS: usize = 32;
 
 /// What is observed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObservationSettings {
     /// Bodies, the own car included (1 to 32). Default 10; the original's is 5.
@@ -38,18 +39,22 @@ pub struct ObservationSettings {
     pub headings: bool,
     /// Whether cars more than 10 m behind are seen. Default false, as in the original.
     pub see_behind: bool,
+    /// What the own car's x is divided by, in metres (1 to 1000000). Default 200, as in the original.
+    pub own_x_unit: f64,
 }
 
 impl Default for ObservationSettings {
     fn default() -> Self {
-        Self { rows: 10, headings: true, see_behind: false }
+        Self { rows: 10, headings: true, see_behind: false, own_x_unit: RANGE }
     }
 }
 
 impl ObservationSettings {
     pub(crate) fn check(&self) -> Result<(), SettingError> {
         let fits = (1..=MAX_ROWS).contains(&self.rows);
-        require(fits, "world.observation.rows", self.rows, "1 to 32 rows")
+        require(fits, "world.observation.rows", self.rows, "1 to 32 rows")?;
+        let (fits, unit) = ((1.0..=1e6).contains(&self.own_x_unit), self.own_x_unit);
+        require(fits, "world.observation.own_x_unit", unit, "1 to 1000000 m")
     }
 
     /// Returns the numbers per row: 5 or 7.
@@ -67,16 +72,16 @@ impl ObservationSettings {
 pub(crate) fn quantities(settings: &ObservationSettings, n_lanes: usize) -> Vec<Quantity> {
     let across = 4 * n_lanes;
     let row = |row: usize| {
-        let (who, of) = match row {
-            0 => ("ego".to_owned(), ""),
-            _ => (format!("car{row}"), ", minus the own car's"),
+        let (who, of, unit) = match row {
+            0 => ("ego".to_owned(), "", settings.own_x_unit),
+            _ => (format!("car{row}"), ", minus the own car's", RANGE),
         };
         let bounded = |column: &str, meaning: String| {
             Quantity::new(format!("{who}.{column}"), meaning, [-1.0, 1.0])
         };
         let mut columns = vec![
             Quantity::flag(format!("{who}.there"), "whether there is a car; else all is 0"),
-            bounded("x", format!("place along the road{of}, in {RANGE} m")),
+            bounded("x", format!("place along the road{of}, in {unit} m")),
             bounded("y", format!("place to the right{of}, in {across} m")),
             bounded("vx", format!("velocity along{of}, in {SPEED_RANGE} m/s")),
             bounded("vy", format!("velocity to the right{of}, in {SPEED_RANGE} m/s")),
@@ -126,7 +131,7 @@ impl Traffic {
         out.fill(0.0);
         let nearest = self.nearest(me, settings);
         let own = &self.vehicles[me];
-        let units = [RANGE, 4.0 * n_lanes as f64, SPEED_RANGE, SPEED_RANGE];
+        let mut units = [settings.own_x_unit, 4.0 * n_lanes as f64, SPEED_RANGE, SPEED_RANGE];
         let bodies = nearest.bodies[..nearest.n_bodies].iter().map(|&(_, body)| body);
         let rows = out.chunks_exact_mut(settings.n_columns());
         let mut origin = ([0.0; 2], [0.0; 2]);
@@ -140,6 +145,7 @@ impl Traffic {
             for (out, (value, unit)) in row[1..5].iter_mut().zip(values.into_iter().zip(units)) {
                 *out = (value / unit).clamp(-1.0, 1.0) as f32;
             }
+            units[0] = RANGE;
             if settings.headings {
                 let direction = self.vehicles.get(body).map_or([1.0, 0.0], Vehicle::direction);
                 row[5..].copy_from_slice(&direction.map(|value| value as f32));
@@ -192,7 +198,8 @@ mod tests {
     #[test]
     fn the_nearest_are_listed_nearest_first() {
         let cars = [[100.0, 4.0], [140.0, 0.0], [80.0, 0.0], [95.0, 4.0]];
-        let settings = ObservationSettings { rows: 4, headings: false, see_behind: false };
+        let settings =
+            ObservationSettings { rows: 4, headings: false, ..ObservationSettings::default() };
         let seen = observe(&cars, &settings);
         assert_eq!(seen[..5], [1.0, 0.5, 0.5, 0.25, 0.0]);
         // 5 m behind is seen, 20 m behind is not; the obstacle is out of range.
@@ -205,9 +212,21 @@ mod tests {
 
     #[test]
     fn an_obstacle_stands_still_and_heads_east() {
-        let settings = ObservationSettings { rows: 2, headings: true, see_behind: false };
+        let settings = ObservationSettings { rows: 2, ..ObservationSettings::default() };
         let seen = observe(&[[300.0, 4.0]], &settings);
         assert_eq!(seen[0..7], [1.0, 1.0, 0.5, 0.25, 0.0, 1.0, 0.0]);
         assert_eq!(seen[7..], [1.0, 0.05, 0.5, -0.25, 0.0, 1.0, 0.0]);
+    }
+
+    #[test]
+    fn the_own_place_may_have_a_unit_in_which_it_fits() {
+        let settings =
+            ObservationSettings { rows: 2, own_x_unit: 400.0, ..ObservationSettings::default() };
+        let seen = observe(&[[300.0, 4.0]], &settings);
+        assert_eq!(seen[0..7], [1.0, 0.75, 0.5, 0.25, 0.0, 1.0, 0.0]);
+        // A distance keeps the original's.
+        assert_eq!(seen[7..], [1.0, 0.05, 0.5, -0.25, 0.0, 1.0, 0.0]);
+        let own = &quantities(&settings, 2)[1];
+        assert_eq!(own.meaning, "place along the road, in 400 m");
     }
 }

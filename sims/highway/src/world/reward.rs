@@ -1,7 +1,7 @@
 //! What a decision on the road pays: fast and on the right, without a crash and without hindering those who merge.
 //!
 //! R = (Σ weight · term - low) / (high - low), with low = collision + merging and high = right lane + speed: an
-//! ordinary drive pays between 0 and 1.
+//! ordinary drive pays between 0 and 1. What comes on top, for a drive that is late or rough, is the task's.
 //!
 //! # Source
 //!
@@ -32,6 +32,10 @@ pub struct RewardSettings {
     pub speed_range: [f64; 2],
     /// How near to the ego a car on a merging lane must be to count, in metres (at least 0). Default 200.
     pub merging_range: f64,
+    /// What each step of driving costs after the time to arrive is over, in reward as it is (-1000 to 0). Default 0.
+    pub late: f64,
+    /// What braking too hard costs, in reward as it is, once, when it first happens (-1000 to 0). Default 0.
+    pub hard_braking: f64,
 }
 
 impl Default for RewardSettings {
@@ -44,6 +48,8 @@ impl Default for RewardSettings {
             lane_change: -0.05,
             speed_range: [15.0, 38.0],
             merging_range: 200.0,
+            late: 0.0,
+            hard_braking: 0.0,
         }
     }
 }
@@ -76,6 +82,8 @@ impl RewardSettings {
             ("world.reward.lane_change", self.lane_change, -100.0..=0.0, "-100 to 0"),
             ("world.reward.right_lane", self.right_lane, 0.0..=100.0, "0 to 100"),
             ("world.reward.high_speed", self.high_speed, 0.0..=100.0, "0 to 100"),
+            ("world.reward.late", self.late, -1000.0..=0.0, "-1000 to 0"),
+            ("world.reward.hard_braking", self.hard_braking, -1000.0..=0.0, "-1000 to 0"),
         ] {
             require(possible.contains(&weight), key, weight, allowed)?;
         }

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::constants::{LENGTH, MAX_SPEED};
+use super::constants::{LENGTH, MAX_ACCELERATION, MAX_SPEED};
 use super::network::{LaneId, RoadNetwork};
 
 /// Who drives a car.
@@ -29,6 +29,8 @@ pub struct Idm {
     pub changes_lanes: bool,
     /// Whether they drive at the target speed by the speed controller, as far as IDM lets them.
     pub holds_speed: bool,
+    /// How hard they brake for that at most, in m/s²; what they see makes them brake harder.
+    pub held_braking: f64,
 }
 
 /// Who a car is to the others.
@@ -107,7 +109,8 @@ impl Vehicle {
     /// Gives it an IDM driver; their timer starts where the original's does.
     pub fn with_idm(self, target_speed: f64) -> Self {
         let timer = ((self.position[0] + self.position[1]) * std::f64::consts::PI).rem_euclid(1.0);
-        let idm = Idm { timer, changes_lanes: true, holds_speed: false };
+        let idm =
+            Idm { timer, changes_lanes: true, holds_speed: false, held_braking: MAX_ACCELERATION };
         Self { driver: Driver::Idm(idm), ..self.with_controller(target_speed) }
     }
 
@@ -137,10 +140,13 @@ impl Vehicle {
     pub(crate) fn is_proper(&self, network: &RoadNetwork) -> bool {
         let Self { position, heading, speed, acceleration, steering, target_speed, .. } = *self;
         let numbers = [heading, speed, acceleration, steering, target_speed];
-        let timer = if let Driver::Idm(idm) = self.driver { idm.timer } else { 0.0 };
+        let idm = match self.driver {
+            Driver::Idm(idm) => [idm.timer, idm.held_braking],
+            _ => [0.0; 2],
+        };
         let places = position.iter().chain(self.impact.iter().flatten());
         let n_lanes = network.lanes().len();
-        numbers.iter().chain([&timer]).chain(places).all(|number| number.abs() <= 1e9)
+        numbers.iter().chain(&idm).chain(places).all(|number| number.abs() <= 1e9)
             && self.lane < n_lanes
             && self.target_lane < n_lanes
     }
