@@ -8,6 +8,7 @@
 //! Racers are ordinary runs. What a race found out about each of them lies in its directory, so that a race which was
 //! interrupted goes on where it was: its decisions are functions of these scores.
 
+use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
@@ -19,8 +20,10 @@ use leadtime_learner::write_atomically;
 use serde::{Deserialize, Serialize};
 
 use crate::digest::sha256;
+use crate::directory_error::RunDirError;
 use crate::evaluation::n_threads;
 use crate::held_out::{HeldOutUse, episodes, held_out_seed};
+use crate::layout::{is_begun, read_config};
 use crate::{LAST_POLICY, LoadedPolicy, RunRecord, Tasks, policy_file};
 
 /// A racer whose success at a quarter is further behind the leader's than this is hopeless.
@@ -51,6 +54,8 @@ pub struct RaceScore {
     pub scores: Vec<f32>,
     /// Whether the scores are successes.
     pub is_success: bool,
+    /// Mean return, which tells equal scores apart: early in a training nobody may succeed.
+    pub episode_return: f64,
 }
 
 impl RaceScore {
@@ -62,6 +67,12 @@ impl RaceScore {
     /// Returns the standard error of the mean; 0 of a single episode.
     pub fn error(&self) -> f64 {
         lead(&self.scores, &vec![0.0; self.scores.len()]).map_or(0.0, |lead| lead.error)
+    }
+
+    /// Compares policies in the same episodes; the better one is greater.
+    fn compare(&self, other: &Self) -> Ordering {
+        let by_score = self.mean().total_cmp(&other.mean());
+        by_score.then_with(|| self.episode_return.total_cmp(&other.episode_return))
     }
 
     fn is_of(&self, eval_seed: u64, n_episodes: u32) -> bool {
@@ -113,6 +124,9 @@ pub enum RaceStage {
     Final,
 }
 
+/// A racer's place among all, and its score.
+type Ranked<'a> = (usize, &'a RaceScore);
+
 /// A race.
 #[derive(Clone, Debug)]
 pub struct Race {
@@ -157,6 +171,30 @@ impl Race {
             n_episodes: n_episodes.max(FEWEST_EPISODES),
             seed: config.seed,
         })
+    }
+
+    /// Makes sure that the racers which have begun did so with the race's configuration.
+    ///
+    /// # Errors
+    ///
+    /// [`RunDirError`] if one of them has another, with the difference, or if it cannot be read.
+    pub fn check(&self) -> Result<(), RunDirError> {
+        for Racer { config, directory, .. } in &self.racers {
+            if !is_begun(directory)? {
+                continue;
+            }
+            let mut changes = identity::difference(&read_config(directory)?, &config.table);
+            changes.retain(|change| !identity::is_free(&change.key));
+            if !changes.is_empty() {
+                let changes: Vec<String> = changes.iter().map(ToString::to_string).collect();
+                return Err(RunDirError::Refused(format!(
+                    "{} began with another configuration: {}; give the old values, or take another --name",
+                    directory.display(),
+                    changes.join("; ")
+                )));
+            }
+        }
+        Ok(())
     }
 
     /// Returns after how many updates racers are compared.
@@ -245,6 +283,8 @@ impl Race {
             eval_seed,
             scores: played.iter().map(|episode| score(episode) as f32).collect(),
             is_success: played.iter().all(|episode| episode.success.is_some()),
+            episode_return: played.iter().map(|episode| episode.total_reward).sum::<f64>()
+                / played.len().max(1) as f64,
         })
     }
 
@@ -283,9 +323,11 @@ impl Race {
 
     /// Returns the racer that did best at the end; of equals the one with the smallest seed.
     pub fn winner(&self) -> Option<usize> {
-        let finished = (0..self.racers.len())
-            .filter_map(|i| Some((i, self.score(i, RaceStage::Final)?.mean())));
-        finished.reduce(|best, next| if next.1 > best.1 { next } else { best }).map(|(i, _)| i)
+        let finished =
+            (0..self.racers.len()).filter_map(|i| Some((i, self.score(i, RaceStage::Final)?)));
+        let winner =
+            finished.reduce(|best, next| if next.1.compare(best.1).is_gt() { next } else { best });
+        winner.map(|(i, _)| i)
     }
 }
 
@@ -308,10 +350,10 @@ fn own_name(config: &Config) -> String {
 /// Decides which racers go on, in their order: at most so many, the leader always, and nobody who is hopelessly behind it.
 /// Who has no score has dropped out.
 fn going_on(scores: &[Option<&RaceScore>], n_keep: usize) -> Vec<usize> {
-    let mut ranked: Vec<(usize, &RaceScore)> =
+    let mut ranked: Vec<Ranked<'_>> =
         scores.iter().enumerate().filter_map(|(i, score)| Some((i, (*score)?))).collect();
     // Stable: of equals, the one with the smaller seed is ahead.
-    ranked.sort_by(|a, b| b.1.mean().total_cmp(&a.1.mean()));
+    ranked.sort_by(|a, b| b.1.compare(a.1));
     let Some(&(_, leader)) = ranked.first() else { return Vec::new() };
     let is_hopeless = |score: &RaceScore| {
         lead(&leader.scores, &score.scores).is_some_and(|lead| {
@@ -332,7 +374,7 @@ mod tests {
 
     fn score(successes: usize, is_success: bool) -> RaceScore {
         let scores = (0..20).map(|i| f32::from(u8::from(i < successes))).collect();
-        RaceScore { updates: 5, eval_seed: 1, scores, is_success }
+        RaceScore { updates: 5, eval_seed: 1, scores, is_success, episode_return: 0.0 }
     }
 
     fn goes_on(successes: &[usize], n_keep: usize) -> Vec<usize> {
@@ -347,6 +389,13 @@ mod tests {
         assert_eq!(goes_on(&[19, 5, 16, 3], 2), [0], "more than the margin behind");
         assert_eq!(goes_on(&[10, 10, 10, 10], 2), [0, 1], "of equals the smaller seeds");
         assert_eq!(goes_on(&[0, 0], 1), [0]);
+        let [poor, rich] =
+            [1.0, 2.0].map(|paid| RaceScore { episode_return: paid, ..score(0, true) });
+        assert_eq!(
+            going_on(&[Some(&poor), Some(&rich)], 1),
+            [1],
+            "of equals the one that is paid more"
+        );
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! `leadtime race`: several seeds of one configuration, of which the hopeless are stopped at a quarter of the way.
 
+use leadtime_proto::RunName;
 use leadtime_runs::launch::{Launch, LaunchError, launch};
 use leadtime_runs::race::{Race, RaceScore, RaceStage};
 use leadtime_runs::supervise::Ended;
@@ -15,7 +16,7 @@ use crate::shutdown::{Watch, unless_cancelled, watch};
 
 pub(super) async fn run(tasks: &Tasks, args: &RaceArgs, options: &[&str]) -> Result<(), Failure> {
     let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
-    let name = args.name.as_deref().or(config.run.name.as_ref().map(|name| name.as_str()));
+    let name = args.name.as_deref().or(config.run.name.as_ref().map(RunName::as_str));
     let race = Race::plan(tasks, &config, name, args.racers, args.episodes);
     let mut race = race.blame(ExitCode::WrongInput)?;
     if let Some(n_keep) = args.keep {
@@ -29,6 +30,7 @@ pub(super) async fn run(tasks: &Tasks, args: &RaceArgs, options: &[&str]) -> Res
         output::line(&race.cost());
         return Ok(());
     }
+    race.check().blame(ExitCode::WrongInput)?;
     output::note(&race.cost());
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let mut work = RaceWork { tasks, args, options, shutdown: &shutdown, race };
