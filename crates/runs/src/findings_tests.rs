@@ -88,6 +88,27 @@ fn a_quick_run_is_called_so_until_it_trains_on() {
 }
 
 #[test]
+fn success_is_split_by_what_the_listener_does_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let (tasks, config) = (Tasks::new(), config(dir.path(), "lander", &[]));
+    let run = train(&config, 1, 5);
+    let policy = load(&run);
+    let split = |comparison: &Comparison, player: &str| {
+        let mut summaries = comparison.summaries.iter();
+        let summary = summaries.find(|summary| summary.player == player).unwrap();
+        Some(summary.get("averted")?.n + summary.get("harmed")?.n)
+    };
+    let beside = evaluate_run(&tasks, &run, &policy, &REQUEST).unwrap().record.comparison;
+    assert_eq!([TRAINED, UNAIDED].map(|player| split(&beside, player)), [Some(2), None]);
+    let player = [policy.player("alone", None).unwrap()];
+    let own = evaluate_all(&tasks, &config, &player, 2, 1).unwrap();
+    assert_eq!(own.len(), 1, "the listener alone played, and is not asked for");
+    assert_eq!(split(&compare(&config, &own, &[]), "alone"), Some(2));
+    let runs = evaluate_runs(&tasks, &[run], &[policy], &REQUEST).unwrap().comparison.unwrap();
+    assert_eq!(["a", UNAIDED].map(|player| split(&runs, player)), [Some(2), None]);
+}
+
+#[test]
 fn a_shipped_world_asks_for_more_than_ones_own() {
     let dir = tempfile::tempdir().unwrap();
     let mut config = config(dir.path(), "lander", &[]);

@@ -108,10 +108,10 @@ impl<'a> Evaluator<'a> {
                     choice,
                     summary: Summary::over_seeds(&row.row.title, &by_seed, &bootstrap()),
                 });
+                if choice == Choice::Sample && config.evaluation == row.config.evaluation {
+                    own = Some(by_seed.clone());
+                }
                 if choice == Choice::Sample {
-                    if condition.config.evaluation == row.config.evaluation {
-                        own = Some(by_seed.clone());
-                    }
                     let key = |name: &String| (row.row.name.clone(), name.clone());
                     sampled.extend(condition.names.iter().map(|name| (key(name), by_seed.clone())));
                 }

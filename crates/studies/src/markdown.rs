@@ -125,10 +125,8 @@ impl PartResult {
                 name = String::new();
             }
             for result in row.results.iter().filter(|result| result.choice == Choice::Sample) {
-                let cells = self.columns.iter().enumerate().map(|(i, column)| {
-                    let measure = result.summary.get(column);
-                    if i == 0 { with_quartiles(measure) } else { measured(measure) }
-                });
+                let columns = self.columns.iter().enumerate();
+                let cells = columns.map(|(i, column)| in_column(i, result.summary.get(column)));
                 table.push([name, result.title.clone()].into_iter().chain(cells));
                 name = String::new();
             }
@@ -154,8 +152,7 @@ impl PartResult {
             }
             let cells = conditions.iter().map(|(condition, _)| {
                 let result = rows.iter().find_map(|row| row.result(condition, Choice::Sample));
-                let measure = result.and_then(|result| result.summary.get(measure));
-                if column == 0 { with_quartiles(measure) } else { measured(measure) }
+                in_column(column, result.and_then(|result| result.summary.get(measure)))
             });
             table.push([name, "ours".to_owned()].into_iter().chain(cells));
         }
@@ -241,6 +238,11 @@ fn measured(measure: Option<&Measure>) -> String {
         Some(deviation) => format!("{mean} ± {deviation:.digits$} {bounds}"),
         None => format!("{mean} {bounds}"),
     }
+}
+
+/// Writes a measured number for a column of a main table: the first one's has its interquartile mean.
+fn in_column(column: usize, measure: Option<&Measure>) -> String {
+    if column == 0 { with_quartiles(measure) } else { measured(measure) }
 }
 
 /// Writes a measured number, and behind it the interquartile mean over training seeds.

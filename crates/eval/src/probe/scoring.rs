@@ -1,5 +1,6 @@
 //! The probe itself: play, learn to read on one half of the episodes, scorer on the other.
 
+use leadtime_numerics::proportion::with_width;
 use leadtime_numerics::stats::{Bootstrap, mean};
 
 use super::readers::Reader;
@@ -151,7 +152,9 @@ impl<'a> Scorer<'a> {
                 f64::from(u8::from(is_exact))
             });
             let error = self.bootstrap.mean(&errors, index)?;
-            Some(Score { error, exact: self.bootstrap.mean(&exact, index + 1)? })
+            let share = self.bootstrap.mean(&exact, index + 1)?;
+            let exact = with_width(share, exact.len(), self.bootstrap.confidence);
+            Some(Score { error, exact })
         };
         self.readers.iter().enumerate().filter_map(score).collect()
     }
