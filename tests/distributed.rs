@@ -11,8 +11,8 @@ use std::time::Duration;
 
 use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker};
 use leadtime_learner::{
-    Build, CheckpointInterval, Evaluator, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans,
-    LearnerConfig, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
+    Build, CheckpointInterval, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, LearnerConfig,
+    PolicyEvaluator, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
 use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings};
 use leadtime_policy::{Parameters, Policy};
@@ -132,7 +132,7 @@ impl Judge {
     }
 }
 
-impl Evaluator for Judge {
+impl PolicyEvaluator for Judge {
     fn evaluate(
         &mut self,
         weights: &[u8],

@@ -10,8 +10,8 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::Error;
-use crate::held_out::{Evaluator, HeldOutEpisode, HeldOutEvaluation};
-use crate::judging::{Candidate, EvaluationPlan, HeldOutRecord};
+use crate::held_out::{HeldOutEpisode, HeldOutEvaluation, PolicyEvaluator};
+use crate::judging::{EvaluationPlan, HeldOutRecord, WaitingPolicy};
 use crate::report::{ProgressSink, RunEvent};
 
 /// One policy and one result may be under way.
@@ -23,7 +23,7 @@ pub(crate) type Evaluated = Result<Vec<HeldOutEpisode>, String>;
 /// The loop's end of the evaluating thread; dropping it ends the evaluation under way.
 #[derive(Debug)]
 pub(crate) struct EvaluationThread {
-    candidates: SyncSender<Candidate>,
+    waiting: SyncSender<WaitingPolicy>,
     evaluated: mpsc::Receiver<Evaluated>,
     is_stopped: Arc<AtomicBool>,
     is_busy: bool,
@@ -31,8 +31,8 @@ pub(crate) struct EvaluationThread {
 
 impl EvaluationThread {
     /// Starts the thread.
-    pub(crate) fn start(evaluator: Box<dyn Evaluator>) -> Result<Self, Error> {
-        let (candidates, inbox) = sync_channel(DEPTH);
+    pub(crate) fn start(evaluator: Box<dyn PolicyEvaluator>) -> Result<Self, Error> {
+        let (waiting, inbox) = sync_channel(DEPTH);
         let (outbox, evaluated) = mpsc::channel(DEPTH);
         let is_stopped = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&is_stopped);
@@ -40,7 +40,7 @@ impl EvaluationThread {
             .name("learner-evaluate".to_owned())
             .spawn(move || work(evaluator, &inbox, &outbox, &stopped))
             .map_err(Error::Thread)?;
-        Ok(Self { candidates, evaluated, is_stopped, is_busy: false })
+        Ok(Self { waiting, evaluated, is_stopped, is_busy: false })
     }
 
     /// Tells whether an evaluation is under way.
@@ -49,10 +49,10 @@ impl EvaluationThread {
     }
 
     /// Begins the evaluation of a policy, unless another one is under way.
-    pub(crate) fn begin(&mut self, candidate: &Candidate) {
+    pub(crate) fn begin(&mut self, policy: &WaitingPolicy) {
         if !self.is_busy {
             // The queue is empty. A thread that is gone has closed it, which is told by `evaluated`.
-            drop(self.candidates.try_send(candidate.clone()));
+            drop(self.waiting.try_send(policy.clone()));
             self.is_busy = true;
         }
     }
@@ -72,13 +72,13 @@ impl Drop for EvaluationThread {
 }
 
 fn work(
-    mut evaluator: Box<dyn Evaluator>,
-    inbox: &Receiver<Candidate>,
+    mut evaluator: Box<dyn PolicyEvaluator>,
+    inbox: &Receiver<WaitingPolicy>,
     outbox: &mpsc::Sender<Evaluated>,
     is_stopped: &AtomicBool,
 ) {
     let stopped = || is_stopped.load(Ordering::Relaxed);
-    while let Ok(Candidate { policy, n_episodes }) = inbox.recv() {
+    while let Ok(WaitingPolicy { policy, n_episodes }) = inbox.recv() {
         let evaluated = match evaluator.evaluate(&policy.weights, n_episodes, &stopped) {
             Ok(Some(episodes)) => Ok(episodes),
             Ok(None) => return, // Nobody waits for it.
@@ -136,7 +136,7 @@ pub(crate) fn take_in(
     record: &mut HeldOutRecord,
     sink: &mut dyn ProgressSink,
 ) {
-    let Some(version) = record.next().map(|candidate| candidate.policy.version) else { return };
+    let Some(version) = record.next().map(|next| next.policy.version) else { return };
     match evaluated {
         Ok(episodes) => {
             record.judge(&episodes);

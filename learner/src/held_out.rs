@@ -12,7 +12,7 @@ pub const MAX_HELD_OUT_EPISODES: u32 = 10_000;
 pub const MAX_EVALUATIONS: u32 = 1_000;
 
 /// Evaluates policies in worlds that the learner does not know.
-pub trait Evaluator: Send {
+pub trait PolicyEvaluator: Send {
     /// Plays the first `n_episodes` held-out episodes; what comes out depends on nothing but the weights (safetensors).
     ///
     /// Returns `None` if `is_stopped` told it to end before it was done; it asks often.
@@ -35,7 +35,7 @@ pub struct HeldOutEvaluation {
     /// The most episodes of each, at least 1.
     pub max_episodes: u64,
     /// Who plays them.
-    pub evaluator: Box<dyn Evaluator>,
+    pub evaluator: Box<dyn PolicyEvaluator>,
 }
 
 impl fmt::Debug for HeldOutEvaluation {

@@ -24,7 +24,7 @@ use crate::report::RatedPolicy;
 /// The most policies that wait to be evaluated; training pauses while there are so many.
 pub(crate) const MAX_WAITING: usize = 2;
 /// The largest share of the run's steps that all evaluations play together.
-const SHARE_OF_STEPS: f64 = 0.05;
+const SHARE_OF_STEPS: f64 = 0.04;
 /// Episodes of an evaluation even where they are more than that share.
 const FEWEST_EPISODES: u64 = 20;
 /// By how many standard errors of the difference an earlier policy must be ahead to be chosen.
@@ -61,7 +61,7 @@ impl EvaluationPlan {
 
 /// A policy that waits to be evaluated.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Candidate {
+pub(crate) struct WaitingPolicy {
     pub(crate) policy: RatedPolicy,
     pub(crate) n_episodes: u64,
 }
@@ -76,7 +76,7 @@ struct JudgedPolicy {
 /// The evaluations of a run so far, and what they say.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct HeldOutRecord {
-    waiting: VecDeque<Candidate>,
+    waiting: VecDeque<WaitingPolicy>,
     history: Vec<HeldOutMeans>,
     /// The highest rated policy; of equals the newest.
     highest: Option<JudgedPolicy>,
@@ -92,7 +92,7 @@ impl HeldOutRecord {
         policy: RatedPolicy,
         training: &EpisodeMeans,
     ) {
-        self.waiting.push_back(Candidate { policy, n_episodes: plan.n_episodes(training) });
+        self.waiting.push_back(WaitingPolicy { policy, n_episodes: plan.n_episodes(training) });
     }
 
     /// Tells whether as many policies wait as may.
@@ -101,13 +101,13 @@ impl HeldOutRecord {
     }
 
     /// Returns the policy to be evaluated next.
-    pub(crate) fn next(&self) -> Option<&Candidate> {
+    pub(crate) fn next(&self) -> Option<&WaitingPolicy> {
         self.waiting.front()
     }
 
     /// Takes in what the policy that was next did; without episodes it is passed over.
     pub(crate) fn judge(&mut self, episodes: &[HeldOutEpisode]) {
-        let Some(Candidate { mut policy, .. }) = self.waiting.pop_front() else { return };
+        let Some(WaitingPolicy { mut policy, .. }) = self.waiting.pop_front() else { return };
         let Some(found) = means(policy.version, episodes) else { return };
         self.history.push(found);
         policy.held_out = Some(found);
@@ -196,7 +196,7 @@ mod tests {
         let n_episodes = |length: Option<f64>, plan: EvaluationPlan| {
             plan.n_episodes(&EpisodeMeans { length, ..EpisodeMeans::default() })
         };
-        assert_eq!(n_episodes(Some(100.0), PLAN), 100);
+        assert_eq!(n_episodes(Some(100.0), PLAN), 80);
         assert_eq!(n_episodes(Some(1.0), PLAN), 200);
         assert_eq!(n_episodes(Some(500.0), PLAN), 20);
         assert_eq!(n_episodes(None, PLAN), 20);

@@ -4,7 +4,8 @@
 //! run      the loop                     coordinator    every decision, pure     control_outbox, training  it waits for
 //! assign   who steps which environment  rollout_queue  rollouts that wait       roster, stragglers        who is here, or late
 //! books    where every rollout went     checkpoint, resume  the disk            episodes, report, builds  what it reports
-//! judging  which policy is the best     evaluation_thread   asked beside the training    held_out  what it is judged by
+//! judging  which policy is the best     held_out       by what it is judged    evaluation_thread   asked beside the training
+//! ending   how a run ends
 //! ```
 //!
 //! # What it does not know
@@ -23,6 +24,7 @@ pub mod checkpoint;
 pub mod config;
 mod control_outbox;
 pub mod coordinator;
+mod ending;
 pub mod episodes;
 pub mod error;
 mod evaluation_thread;
@@ -43,7 +45,7 @@ pub use config::{CheckpointInterval, LearnerConfig};
 pub use episodes::EpisodeMeans;
 pub use error::Error;
 pub use files::{replaced_name, write_atomically};
-pub use held_out::{Evaluator, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans};
+pub use held_out::{HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, PolicyEvaluator};
 pub use report::{
     PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };

@@ -21,7 +21,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use leadtime_link::{LearnerEvent, LearnerLink};
-use leadtime_policy::Parameters;
 use leadtime_ppo::TrainerState;
 use leadtime_proto::PolicyVersion;
 use leadtime_proto::message::{HelloReply, Welcome};
@@ -29,13 +28,10 @@ use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
-use crate::books::Books;
-use crate::builds::Builds;
 use crate::checkpoint::CheckpointStore;
 use crate::control_outbox::{ControlFailure, ControlOutbox};
-use crate::coordinator::{
-    Coordinator, CoordinatorSettings, CoordinatorStart, Effect, HelloRefusal, TICK,
-};
+use crate::coordinator::{Coordinator, CoordinatorSettings, Effect, HelloRefusal, TICK};
+use crate::ending;
 use crate::evaluation_thread::{Evaluated, Evaluations, take_in};
 use crate::held_out::HeldOutEvaluation;
 use crate::report::{
@@ -93,7 +89,7 @@ pub async fn run(
     let evaluations =
         held_out.map(|held_out| Evaluations::start(held_out, settings)).transpose()?;
     if point.start.version.0 >= settings.n_updates() {
-        return already_trained(&config, point, sink.as_mut(), evaluations, &stop).await;
+        return ending::already_trained(&config, point, sink.as_mut(), evaluations, &stop).await;
     }
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
@@ -446,7 +442,7 @@ impl RunLoop {
         let path = tokio::task::block_in_place(|| store.write(n_updates, &checkpoint))?;
         self.last_checkpoint = (Instant::now(), n_updates);
         let last = self.last();
-        let best = best(&self.record, self.evaluations.as_ref(), &last);
+        let best = ending::best(&self.record, self.evaluations.as_ref(), &last);
         self.sink.on_policies(&last, best);
         self.sink.on_event(&RunEvent::CheckpointWritten { path, n_updates });
         Ok(())
@@ -478,8 +474,9 @@ impl RunLoop {
             self.checkpoint()?;
         }
         let (books, builds) = (self.coordinator.books().clone(), self.coordinator.builds().clone());
-        let policies = FinalPolicies::of(&self.record, self.evaluations.as_ref(), self.last());
-        report(&self.config, end, policies, self.record.clone(), books, builds)
+        let policies =
+            ending::FinalPolicies::of(&self.record, self.evaluations.as_ref(), self.last());
+        ending::report(&self.config, end, policies, self.record.clone(), books, builds)
     }
 
     /// Goes on listening until the actors have left and the update under way is done, or time is up.
@@ -516,80 +513,6 @@ async fn tick_or_event(
         biased;
         _ = ticks.tick() => LearnerWake::Tick,
         event = events.recv_async() => LearnerWake::Network(event.map_err(|_closed| Error::LinkGone)?),
-    })
-}
-
-/// Ends a run whose updates were all made before: evaluates the policies that still wait for it.
-async fn already_trained(
-    config: &LearnerConfig,
-    mut point: ResumePoint,
-    sink: &mut dyn ProgressSink,
-    mut evaluations: Option<Evaluations>,
-    stop: &CancellationToken,
-) -> Result<RunReport, Error> {
-    let (version, score) = (point.start.version, point.record.episodes.score());
-    let weights = Arc::clone(&point.offered[&version]);
-    let mut last = RatedPolicy { version, score, held_out: None, weights };
-    let mut end = RunEnd::AlreadyFinished;
-    if let (Some(evaluations), Some(_)) = (&mut evaluations, point.record.held_out.next()) {
-        if !evaluations.finish(&mut point.record.held_out, sink, stop).await {
-            end = RunEnd::Stopped;
-        }
-        last.held_out = point.record.held_out.of(version);
-        sink.on_policies(&last, best(&point.record, Some(evaluations), &last));
-    }
-    let CoordinatorStart { books, builds, .. } = point.start;
-    let policies = FinalPolicies::of(&point.record, evaluations.as_ref(), last);
-    report(config, end, policies, point.record, books, builds)
-}
-
-/// Returns the best policy of a run: the last one where none was evaluated.
-fn best<'a>(
-    record: &'a TrainingRecord,
-    evaluations: Option<&Evaluations>,
-    last: &'a RatedPolicy,
-) -> &'a RatedPolicy {
-    evaluations.and_then(|_| record.held_out.best()).unwrap_or(last)
-}
-
-/// The newest policy and the best one.
-struct FinalPolicies {
-    last: RatedPolicy,
-    best: RatedPolicy,
-}
-
-impl FinalPolicies {
-    fn of(record: &TrainingRecord, evaluations: Option<&Evaluations>, last: RatedPolicy) -> Self {
-        let best = best(record, evaluations, &last).clone();
-        Self { last, best }
-    }
-}
-
-/// Reports how a run ended.
-fn report(
-    config: &LearnerConfig,
-    end: RunEnd,
-    policies: FinalPolicies,
-    record: TrainingRecord,
-    books: Books,
-    builds: Builds,
-) -> Result<RunReport, Error> {
-    let FinalPolicies { last, best } = policies;
-    let n_updates = last.version.0;
-    Ok(RunReport {
-        end,
-        n_updates,
-        n_steps: n_updates * config.steps_per_update(),
-        digest: Parameters::from_safetensors(&last.weights, &config.spec.policy)?.digest()?,
-        last,
-        best,
-        held_out: record.held_out.history().to_vec(),
-        episodes: record.episodes.means(),
-        staleness: record.staleness,
-        balance: books.check(),
-        books,
-        reproducible: config.is_reproducible(&builds),
-        builds,
     })
 }
 

@@ -15,7 +15,7 @@ use leadtime_config::Config;
 use leadtime_episodes::Error as PlayError;
 use leadtime_eval::measure::{Choice, Evaluation, PlaySettings, Player, evaluate};
 use leadtime_learner::{
-    Evaluator, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, write_atomically,
+    HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, PolicyEvaluator, write_atomically,
 };
 use leadtime_numerics::{Purpose, stream};
 use leadtime_policy::Parameters;
@@ -60,7 +60,7 @@ struct HeldOutPlayer {
     seed: u64,
 }
 
-impl Evaluator for HeldOutPlayer {
+impl PolicyEvaluator for HeldOutPlayer {
     fn evaluate(
         &mut self,
         weights: &[u8],

@@ -1,0 +1,93 @@
+//! How a run ends: its newest and its best policy, and the report.
+
+use std::sync::Arc;
+
+use leadtime_policy::Parameters;
+use tokio_util::sync::CancellationToken;
+
+use crate::books::Books;
+use crate::builds::Builds;
+use crate::coordinator::CoordinatorStart;
+use crate::evaluation_thread::Evaluations;
+use crate::report::{ProgressSink, RatedPolicy, RunEnd, RunReport};
+use crate::resume::{ResumePoint, TrainingRecord};
+use crate::{Error, LearnerConfig};
+
+/// Ends a run whose updates were all made before: evaluates the policies that still wait for it.
+pub(crate) async fn already_trained(
+    config: &LearnerConfig,
+    mut point: ResumePoint,
+    sink: &mut dyn ProgressSink,
+    mut evaluations: Option<Evaluations>,
+    stop: &CancellationToken,
+) -> Result<RunReport, Error> {
+    let (version, score) = (point.start.version, point.record.episodes.score());
+    let weights = Arc::clone(&point.offered[&version]);
+    let mut last = RatedPolicy { version, score, held_out: None, weights };
+    let mut end = RunEnd::AlreadyFinished;
+    if let (Some(evaluations), Some(_)) = (&mut evaluations, point.record.held_out.next()) {
+        if !evaluations.finish(&mut point.record.held_out, sink, stop).await {
+            end = RunEnd::Stopped;
+        }
+        last.held_out = point.record.held_out.of(version);
+        sink.on_policies(&last, best(&point.record, Some(evaluations), &last));
+    }
+    let CoordinatorStart { books, builds, .. } = point.start;
+    let policies = FinalPolicies::of(&point.record, evaluations.as_ref(), last);
+    report(config, end, policies, point.record, books, builds)
+}
+
+/// Returns the best policy of a run: the last one where none was evaluated.
+pub(crate) fn best<'a>(
+    record: &'a TrainingRecord,
+    evaluations: Option<&Evaluations>,
+    last: &'a RatedPolicy,
+) -> &'a RatedPolicy {
+    evaluations.and_then(|_| record.held_out.best()).unwrap_or(last)
+}
+
+/// The newest policy and the best one.
+pub(crate) struct FinalPolicies {
+    last: RatedPolicy,
+    best: RatedPolicy,
+}
+
+impl FinalPolicies {
+    /// Finds them at the end of a run.
+    pub(crate) fn of(
+        record: &TrainingRecord,
+        evaluations: Option<&Evaluations>,
+        last: RatedPolicy,
+    ) -> Self {
+        let best = best(record, evaluations, &last).clone();
+        Self { last, best }
+    }
+}
+
+/// Reports how a run ended.
+pub(crate) fn report(
+    config: &LearnerConfig,
+    end: RunEnd,
+    policies: FinalPolicies,
+    record: TrainingRecord,
+    books: Books,
+    builds: Builds,
+) -> Result<RunReport, Error> {
+    let FinalPolicies { last, best } = policies;
+    let n_updates = last.version.0;
+    Ok(RunReport {
+        end,
+        n_updates,
+        n_steps: n_updates * config.steps_per_update(),
+        digest: Parameters::from_safetensors(&last.weights, &config.spec.policy)?.digest()?,
+        last,
+        best,
+        held_out: record.held_out.history().to_vec(),
+        episodes: record.episodes.means(),
+        staleness: record.staleness,
+        balance: books.check(),
+        books,
+        reproducible: config.is_reproducible(&builds),
+        builds,
+    })
+}
