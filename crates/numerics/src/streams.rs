@@ -32,6 +32,8 @@ pub enum Purpose {
     Words = 8,
     /// Which step of a stage a probe looks at (index: episode).
     Probe = 9,
+    /// What a search for a script proposes (index: none, 0).
+    Search = 10,
 }
 
 /// Opens the stream of one purpose, environment and index of a run.
