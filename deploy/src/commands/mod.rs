@@ -13,11 +13,13 @@ mod evaluation;
 mod launch;
 mod learner;
 mod new;
+mod opponent;
 mod pilot;
 mod play;
 mod probe;
 mod report;
 mod runs;
+mod script_search;
 mod smoke;
 mod taxonomy;
 
