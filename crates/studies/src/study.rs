@@ -146,7 +146,8 @@ pub struct StudyRow {
     pub name: String,
     /// What tables call it; neighbours with the same title share a line of a grid.
     pub(crate) title: String,
-    /// A scripted player of the task, instead of a trained policy.
+    /// A scripted player, instead of a trained policy: one of the task's, `searched` for the one that a search finds with the
+    /// steps of a training, or `oracle` for one that plans on the episode itself.
     pub(crate) script: Option<String>,
     /// What differs from the profile in training.
     #[serde(default)]
