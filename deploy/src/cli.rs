@@ -129,6 +129,11 @@ pub(crate) enum Command {
         #[command(subcommand)]
         command: TaxonomyCommand,
     },
+    /// Search a script: a few rules on what can be observed, found with as many steps as a training takes.
+    ///
+    /// Candidates are drawn at random and changed a little where they are good; the best is judged on episodes that did not
+    /// choose it. A trained notifier that does not beat it has learned nothing that a person could not write down.
+    ScriptSearch(ScriptSearchArgs),
     /// Compare a world with recorded traces of its public original.
     Conformance(ConformanceArgs),
     /// Print a built-in configuration as one complete file, every key with its comment.
@@ -333,7 +338,8 @@ pub(crate) struct EvalArgs {
     /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE", requires = "transcript")]
     pub words: Option<String>,
-    /// Also evaluate this scripted policy, such as `unaided` or `heuristic`; repeatable.
+    /// Also evaluate this scripted policy: one of the task's, such as `unaided` or `heuristic`, a script in a file
+    /// (`script.toml`), or `oracle`, which plans on the episode itself; repeatable.
     #[arg(long, value_name = "NAME")]
     pub baseline: Vec<String>,
     /// Also write every step of the policy's episodes to this file, a line of JSON each: observation, logits, action,
@@ -433,7 +439,7 @@ pub(crate) struct PlayArgs {
     /// Quote these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE")]
     pub words: Option<String>,
-    /// Draw this scripted policy instead, such as `unaided` or `heuristic`.
+    /// Draw this scripted policy instead: `unaided`, `heuristic`, a script in a file, or `oracle`.
     #[arg(long, value_name = "NAME")]
     pub baseline: Option<String>,
     #[command(flatten)]
@@ -562,6 +568,39 @@ pub(crate) struct DescribeArgs {
     /// Print Markdown, as the pages of the worlds have it.
     #[arg(long)]
     pub markdown: bool,
+}
+
+/// `leadtime script-search`
+#[derive(Debug, Args)]
+pub(crate) struct ScriptSearchArgs {
+    /// A built-in configuration, a configuration file, a policy file or a run.
+    pub task: PathBuf,
+    /// Change one key: `--set human.reaction_delay=3`; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    pub set: Vec<Override>,
+    /// Environment steps of the search (default: those of the configuration's training).
+    #[arg(long, value_parser = n_steps)]
+    pub steps: Option<u64>,
+    /// Seed of the search (default: the configuration's).
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Episodes on which the script is judged (default: the configuration's).
+    #[arg(long, value_parser = n_episodes())]
+    pub episodes: Option<u32>,
+    /// Seed of those episodes; not the one of the search.
+    #[arg(long, default_value_t = evaluation::EVAL_SEED)]
+    pub eval_seed: u64,
+    /// Also let an oracle play those episodes: it plans on the episode itself, its random draws included.
+    #[arg(long)]
+    pub oracle: bool,
+    /// The script's file (default: TASK-script.toml).
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
+    #[command(flatten)]
+    pub shown: ShownArgs,
 }
 
 /// `leadtime runs`

@@ -75,7 +75,7 @@ pub struct Delivery {
 /// |---|---|
 /// | start of an episode | `reset`, `observe` |
 /// | each step, of one word | `reaction_over` if a reaction was cut short, `started` if a message starts, `advance`, `reaction_over` and `deliver` where they are due, `observe`; then `metrics` and `success` |
-/// | for the mask, a script, a picture | `script` and `scene`: at any moment, in any number, and perhaps never; they must change nothing |
+/// | for the mask, a script, a picture | `script`, `observe_for_scripts` and `scene`: at any moment, in any number, and perhaps never; they must change nothing |
 /// | when a rollout is sent | `snapshot`, which must change nothing either |
 /// | when a process has died | `restore`, into a world that may be in the middle of another episode; no `reset` and no `observe` before the next `advance` |
 ///
@@ -249,8 +249,22 @@ pub trait Domain: Send {
         (name == "heuristic").then(|| self.heuristic()).flatten()
     }
 
+    /// Says what a script may look at beside the observation, such as the time to the next merge: numbers that a person who
+    /// writes rules would want, and a network would not need.
+    fn script_quantities(&self) -> Vec<Quantity> {
+        Vec::new()
+    }
+
+    /// Writes them, at any moment of an episode. Shape `[script_quantities().len()]`.
+    fn observe_for_scripts(&self, _out: &mut [f32]) {}
+
     /// Tells whether the episode so far counts as a success; meaningful at its end.
     fn success(&self) -> bool;
+
+    /// Tells whether the episode goes on although it can no longer become a success: a planner need not look at the rest.
+    fn is_lost(&self) -> bool {
+        false
+    }
 
     /// Names the domain's own metrics, after `success`.
     fn metric_names(&self) -> &'static [&'static str];

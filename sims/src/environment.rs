@@ -12,6 +12,7 @@ use thiserror::Error;
 
 use crate::description::Description;
 use crate::scene::{Scene, Speech};
+use crate::scriptable::Scriptable;
 
 /// Names the random streams of one episode of one environment of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -210,6 +211,11 @@ pub trait Environment: Send {
     /// Writes the action that a scripted policy takes now; `false` if there is no such policy.
     fn baseline_action(&self, _name: &str, _action: &mut [u8]) -> bool {
         false
+    }
+
+    /// Returns what a script of named numbers and messages needs, if messages are sent in this task.
+    fn scriptable(&self) -> Option<&dyn Scriptable> {
+        None
     }
 
     /// Returns the person's hidden state, if there is a person who listens.

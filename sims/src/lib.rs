@@ -22,6 +22,7 @@ pub mod human;
 pub mod notifier;
 pub mod registry;
 pub mod scene;
+pub mod scriptable;
 
 pub use check::SettingError;
 pub use description::{Description, NamedHead, ObservationLayout, Quantity, RewardTerm};
@@ -33,3 +34,4 @@ pub use error::TaskError;
 pub use notifier::NotifierEnv;
 pub use registry::{DomainEntry, Registry};
 pub use scene::{Gauge, Listener, Scene, Shape, Speech, Tone, View};
+pub use scriptable::Scriptable;

@@ -360,3 +360,30 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
     assert!(drawn.contains('\u{201c}'), "a sentence is quoted");
     place.finish(&["play", run, "-o", "a.bmp"]).with_code(2).saying(&["png, svg, gif or html"]);
 }
+
+#[test]
+fn a_script_is_searched_and_a_policy_is_compared_with_it_and_with_the_oracle() {
+    let place = Place::new();
+    let search = ["script-search lander --steps 2000 --episodes 4 --json -o"];
+    let found = place.finish(&[&search[..], &["s.toml"]].concat()).with_code(0).json();
+    assert_eq!(found["search"]["domain"], "lander");
+    let again = place.finish(&[&search[..], &["again.toml"]].concat()).with_code(0).json();
+    assert_eq!(found, again, "a search is reproducible");
+    let read = |name: &str| fs::read_to_string(place.path().join(name)).unwrap();
+    assert_eq!(read("s.toml"), read("again.toml"));
+    let words = place.finish(&["script-search lander --steps 2000 --episodes 4"]).with_code(0);
+    assert!(words.stdout.starts_with("Tried ") && words.stdout.contains("unaided"));
+    assert_eq!(read("lander-script.toml"), read("s.toml"));
+    place.finish(&["script-search cartpole"]).with_code(2).saying(&["no messages are sent"]);
+    let policy = repository("deploy/policies/piloting.safetensors");
+    place.write("up.toml", "[[rules]]\nsay = { topic = \"ascend\", k = 2, l = 2 }\n");
+    let eval = ["eval", &policy, "--episodes 1 --json --baseline up.toml --baseline oracle"];
+    let players = place.finish(&eval).with_code(0).json();
+    let players = players["comparison"]["summaries"].as_array().unwrap();
+    let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
+    assert_eq!(names, ["policy", "up", "oracle"]);
+    place.finish(&["play", &policy, "-o up.svg --baseline up.toml"]).with_code(0);
+    place.write("odd.toml", "[[rules]]\nsay = { topic = \"upwards\", k = 2, l = 2 }\n");
+    let eval = ["eval", &policy, "--episodes 1 --baseline odd.toml"];
+    place.finish(&eval).with_code(2).saying(&["odd", "rule 1", "no topic `upwards`"]);
+}

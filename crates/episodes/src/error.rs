@@ -32,6 +32,14 @@ pub enum Error {
         /// The scripts that the task has.
         known: &'static [&'static str],
     },
+    /// A script does not fit the task.
+    #[error("`{name}` cannot play this task")]
+    Script {
+        /// The player's name.
+        name: String,
+        /// What does not fit.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// An episode does not come to an end.
     #[error("episode {index} did not end within {n_steps} steps")]
     Endless {

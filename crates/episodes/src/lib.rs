@@ -19,10 +19,12 @@ mod error;
 mod lockstep;
 mod play;
 mod player;
+mod scripted;
 mod slot;
 
 pub use error::Error;
 pub use lockstep::{Decision, Lockstep, Observer};
 pub use play::{EpisodeObserver, MakeEnvironment, PlaySettings, episode_seed, play};
 pub use player::{Choice, Decider, Player};
+pub use scripted::Scripted;
 pub use slot::EnvSlot;

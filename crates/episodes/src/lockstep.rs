@@ -155,6 +155,11 @@ impl Lockstep {
                     debug_assert!(known, "`Player::check` comes first");
                     (log_prob, value, logits) = (0.0, 0.0, &[][..]);
                 }
+                Decider::Scripted(script) => {
+                    hidden = observer.wants_hidden(slot).then_some(&[][..]);
+                    script.choose(slot, choices);
+                    (log_prob, value, logits) = (0.0, 0.0, &[][..]);
+                }
             }
             observer
                 .on_decision(slot, &Decision { mask, choices, log_prob, value, logits, hidden });

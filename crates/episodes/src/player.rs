@@ -6,6 +6,7 @@ use leadtime_sims::Environment;
 use serde::{Deserialize, Serialize};
 
 use crate::error::Error;
+use crate::scripted::Scripted;
 
 /// How a policy's distribution becomes an action.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,6 +33,8 @@ pub enum Decider<'a> {
     },
     /// One of [`Environment::baselines`].
     Script(&'a str),
+    /// A script that is no part of the task.
+    Scripted(&'a mut dyn Scripted),
 }
 
 /// A policy or a scripted player, with the name that tables give it.
@@ -45,6 +48,7 @@ pub struct Player {
 enum Kind {
     Policy { policy: Box<Policy>, distribution: ActionDistribution, choice: Choice },
     Script(String),
+    Scripted(Box<dyn Scripted>),
 }
 
 impl Player {
@@ -79,6 +83,11 @@ impl Player {
         Self { name: script.to_owned(), kind: Kind::Script(script.to_owned()) }
     }
 
+    /// Makes a player of a script that is no part of the task.
+    pub fn scripted(name: &str, script: Box<dyn Scripted>) -> Self {
+        Self { name: name.to_owned(), kind: Kind::Scripted(script) }
+    }
+
     /// Gives the player another name.
     pub fn named(self, name: &str) -> Self {
         Self { name: name.to_owned(), ..self }
@@ -99,7 +108,7 @@ impl Player {
     /// # Errors
     ///
     /// [`Error::PolicyShape`] if a policy's shape is not the task's; [`Error::UnknownBaseline`] if the task has no such
-    /// script.
+    /// script; [`Error::Script`] if a script does not fit it.
     pub fn check(&self, environment: &dyn Environment) -> Result<(), Error> {
         match &self.kind {
             Kind::Policy { policy, .. } => {
@@ -113,6 +122,10 @@ impl Player {
                 let is_known = known.contains(&name.as_str());
                 if is_known { Ok(()) } else { Err(Error::UnknownBaseline { name, known }) }
             }
+            Kind::Scripted(script) => {
+                let refused = |source| Error::Script { name: self.name.clone(), source };
+                script.check(environment).map_err(refused)
+            }
         }
     }
 
@@ -121,15 +134,19 @@ impl Player {
         self.network().map_or(0, Policy::hidden_dim)
     }
 
-    /// Returns the width of the state carried from step to step; 0 for a script.
+    /// Returns the width of the state carried from step to step; 0 for a script of the task.
     pub fn recurrent_dim(&self) -> usize {
-        self.network().map_or(0, Policy::recurrent_dim)
+        match &self.kind {
+            Kind::Policy { policy, .. } => policy.recurrent_dim(),
+            Kind::Script(_) => 0,
+            Kind::Scripted(script) => script.memory_dim(),
+        }
     }
 
     fn network(&self) -> Option<&Policy> {
         match &self.kind {
             Kind::Policy { policy, .. } => Some(policy),
-            Kind::Script(_) => None,
+            Kind::Script(_) | Kind::Scripted(_) => None,
         }
     }
 
@@ -140,6 +157,7 @@ impl Player {
                 Decider::Policy { policy, distribution, choice: *choice }
             }
             Kind::Script(script) => Decider::Script(script),
+            Kind::Scripted(script) => Decider::Scripted(script.as_mut()),
         }
     }
 }

@@ -116,6 +116,16 @@ impl EnvSlot {
         self.env.as_ref()
     }
 
+    /// Lends the environment and the observation of it, to somebody who restores both.
+    pub fn env_mut(&mut self) -> (&mut dyn Environment, &mut [f32]) {
+        (self.env.as_mut(), &mut self.observation)
+    }
+
+    /// Lends what a player keeps from step to step: a policy's recurrent state, a script's numbers.
+    pub fn memory(&mut self) -> &mut [f32] {
+        &mut self.recurrent
+    }
+
     /// Returns the latest observation. Shape `[D]`.
     pub fn observation(&self) -> &[f32] {
         &self.observation

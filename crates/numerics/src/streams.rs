@@ -34,6 +34,8 @@ pub enum Purpose {
     Probe = 9,
     /// Seeds of the episodes on which a run's policies are evaluated without being trained (index: what for).
     HeldOut = 10,
+    /// What a search for a script proposes (index: none, 0).
+    Search = 11,
 }
 
 /// Opens the stream of one purpose, environment and index of a run.

@@ -47,6 +47,11 @@ impl EvalCandidate {
         choice: Choice,
         n_seeds: usize,
     ) -> Result<Vec<Self>, Error> {
+        if let Some(search) = &row.search {
+            let (player, identity) = search.player(&row.row.title)?;
+            let directory = row.config.run.directory.join(FOLDER);
+            return Ok(vec![Self { player, identity, directory }; n_seeds]);
+        }
         if let Some(script) = &row.row.script {
             let script = Self::script(&row.config.run.directory, script, &row.row.title);
             return Ok(vec![script; n_seeds]);

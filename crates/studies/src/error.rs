@@ -70,6 +70,9 @@ pub enum Error {
     /// Episodes cannot be played.
     #[error(transparent)]
     Play(#[from] leadtime_episodes::Error),
+    /// A script cannot be searched or used.
+    #[error(transparent)]
+    Script(#[from] leadtime_scripts::Error),
     /// An evaluation or a picture failed.
     #[error(transparent)]
     Eval(#[from] leadtime_eval::Error),

@@ -88,6 +88,9 @@ impl<'a> Evaluator<'a> {
         sampled: &mut Sampled,
     ) -> Result<RowResult, Error> {
         let (which, n_seeds) = (planned.protocol.policy, row.seeds.len());
+        if let Some(search) = &row.search {
+            search.bring(self.tasks, self.shutdown)?;
+        }
         // A script has no distribution to draw from, and so one way of choosing.
         let both = [Choice::Sample, Choice::Greedy].into_iter();
         let choices = both.take(if row.row.script.is_some() { 1 } else { 2 });
@@ -127,11 +130,15 @@ impl<'a> Evaluator<'a> {
             }
             _ => None,
         };
+        let mut settings = planned.profile.differences(&row.config);
+        if let Some(search) = &row.search {
+            settings.extend(search.facts()?);
+        }
         Ok(RowResult {
             name: row.row.name.clone(),
             title: row.row.title.clone(),
             notification: row.notification(),
-            settings: planned.profile.differences(&row.config),
+            settings,
             published: row.row.published(),
             results,
             trainings,

@@ -169,3 +169,35 @@ fn a_drive_is_measured_up_to_its_arrival() {
     // Who has arrived would stand there until step 200.
     assert!(mean("arrived") > 0.2 && mean("length") < 115.0, "{part:?}");
 }
+
+#[test]
+fn a_script_is_searched_once_and_the_oracle_mends_it() {
+    let runs = tempfile::tempdir().unwrap();
+    let rows = "[[parts.rows]]\nname = \"searched\"\ntitle = \"S\"\nscript = \"searched\"\non = [\"real\"]\n\
+                [[parts.rows]]\nname = \"oracle\"\ntitle = \"O\"\nscript = \"oracle\"\non = [\"real\"]\n";
+    let text = format!("{STUDY}{rows}");
+    let rows = ["searched", "oracle"].map(str::to_owned).to_vec();
+    let request = StudyRequest { rows, quick: true, steps: Some(2_000), ..two(runs.path()) };
+    let tasks = Tasks::new();
+    let evaluated = || {
+        let plan = plan(&text, &request).unwrap();
+        assert!(plan.trainings().is_empty());
+        let shutdown = CancellationToken::new();
+        let cache = EvalCache::new(&ProgramBuild::default());
+        Evaluator::new(&tasks, &shutdown, cache).part(&plan.parts[0]).unwrap()
+    };
+    let part = evaluated();
+    let kept = || fs::read_dir(runs.path().join("scripts")).unwrap().map(|it| it.unwrap().path());
+    let file = kept().next().unwrap();
+    let written = fs::metadata(&file).unwrap().modified().unwrap();
+    assert_eq!(kept().count(), 1, "both rows need the same script");
+    let success =
+        |row: &RowResult| row.results[0].summary.get("success").unwrap().interval.unwrap().estimate;
+    assert!(success(&part.rows[1]) >= success(&part.rows[0]));
+    assert!(part.rows[0].settings.last().unwrap().starts_with("a script searched with 2000 steps"));
+    assert!(
+        part.rows[1].settings.last().unwrap().starts_with("mends, on the episode itself, a script")
+    );
+    assert_eq!(evaluated(), part);
+    assert_eq!(fs::metadata(&file).unwrap().modified().unwrap(), written, "it is searched once");
+}

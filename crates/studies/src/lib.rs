@@ -31,6 +31,7 @@ mod progress;
 mod provenance;
 mod request;
 mod result;
+mod script;
 mod session;
 mod study;
 #[cfg(test)]

@@ -14,6 +14,7 @@ use crate::catalog::NamedStudy;
 use crate::error::{Error, Placed as _, ensure};
 use crate::profile::{self, Profile};
 use crate::request::{StudyRequest, is_called};
+use crate::script::PlannedSearch;
 use crate::study::{StudyPart, StudyRow, WhichPolicy};
 
 /// The longest name of a run.
@@ -68,6 +69,8 @@ pub(crate) struct PlannedRow {
     pub(crate) seeds: Vec<u64>,
     /// One training per seed; none for a script.
     pub(crate) trainings: Vec<PlannedTraining>,
+    /// The search for its script, if that is none of the task's.
+    pub(crate) search: Option<PlannedSearch>,
     pub(crate) conditions: Vec<PlannedCondition>,
 }
 
@@ -264,11 +267,15 @@ impl PlannedRow {
         config: Config,
         seeds: Vec<u64>,
     ) -> Result<Self, Error> {
+        let first = seeds.first().copied().unwrap_or(part.first_seed);
+        let script = row.script.as_deref();
+        let search = script.and_then(|script| PlannedSearch::new(script, &config, first));
+        let is_made = script.is_none() || search.as_ref().is_some_and(PlannedSearch::is_searched);
         let mut conditions: Vec<PlannedCondition> = Vec::new();
         let wanted = part.evaluations.iter().filter(|known| row.is_evaluated_on(&known.name));
         for condition in wanted {
-            // A script was not trained, so there is nothing to evaluate it as.
-            if row.script.is_some() && condition.set.is_empty() {
+            // A script of the task was not made for any listener, so there is nothing to evaluate it as.
+            if !is_made && condition.set.is_empty() {
                 continue;
             }
             let config = config.with([Layer::table("`set`", &condition.set)], &tasks.registry);
@@ -285,7 +292,7 @@ impl PlannedRow {
         let train = |&seed| PlannedTraining::new(tasks, stem, &config, &hash, seed);
         let trained = seeds.iter().filter(|_| row.script.is_none());
         let trainings = trained.map(train).collect::<Result<_, Error>>()?;
-        Ok(Self { row: row.clone(), config, seeds, trainings, conditions })
+        Ok(Self { row: row.clone(), config, seeds, trainings, search, conditions })
     }
 
     /// Returns the condition that a study calls so.

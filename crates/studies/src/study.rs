@@ -169,7 +169,8 @@ pub struct StudyRow {
     pub name: String,
     /// What tables call it; neighbours with the same title share a line of a grid.
     pub(crate) title: String,
-    /// A scripted player of the task, instead of a trained policy.
+    /// A scripted player, instead of a trained policy: one of the task's, `searched` for the one that a search finds with the
+    /// steps of a training, or `oracle` for one that plans on the episode itself.
     pub(crate) script: Option<String>,
     /// Training seeds; the part's if left out. A script plays as many batches of episodes as the row with the most.
     pub(crate) seeds: Option<u64>,

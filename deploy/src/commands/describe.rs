@@ -1,7 +1,9 @@
 //! `leadtime describe`: what a task shows, offers and pays.
 
+use std::path::Path;
+
 use anyhow::{Context as _, Error};
-use leadtime_config::{Config, ConfigSource};
+use leadtime_config::{Config, ConfigSource, Override};
 use leadtime_eval::describe;
 use leadtime_runs::{LoadedPolicy, Tasks};
 use leadtime_table::Table;
@@ -12,7 +14,7 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 
 pub(super) fn run(tasks: &Tasks, args: &DescribeArgs) -> Result<(), Failure> {
-    let config = load(tasks, args)?;
+    let config = load(tasks, &args.task, &args.set, &args.runs)?;
     if args.json {
         let Config { domain, description, env, .. } = &config;
         output::json(&json!({
@@ -32,8 +34,13 @@ pub(super) fn run(tasks: &Tasks, args: &DescribeArgs) -> Result<(), Failure> {
 }
 
 /// Finds the task's configuration: that of a policy, unless it is a file or a name of its own.
-fn load(tasks: &Tasks, args: &DescribeArgs) -> Result<Config, Failure> {
-    let (task, set) = (&args.task, args.set.clone());
+pub(super) fn load(
+    tasks: &Tasks,
+    task: &Path,
+    set: &[Override],
+    runs: &Path,
+) -> Result<Config, Failure> {
+    let set = set.to_vec();
     let is_text = task.extension().is_some_and(|extension| extension == "toml");
     let is_built_in = task.to_str().is_some_and(|name| tasks.catalog.file(name).is_some());
     let configure = |set| {
@@ -43,10 +50,10 @@ fn load(tasks: &Tasks, args: &DescribeArgs) -> Result<Config, Failure> {
     if is_text || is_built_in {
         return configure(set).blame(ExitCode::WrongInput);
     }
-    match LoadedPolicy::load(&tasks.registry, &args.runs, task, &set) {
+    match LoadedPolicy::load(&tasks.registry, runs, task, &set) {
         Ok(loaded) => Ok(loaded.config),
         // It may have been meant as the name of either.
-        Err(error) if !task.exists() && !args.runs.join(task).exists() => {
+        Err(error) if !task.exists() && !runs.join(task).exists() => {
             configure(set).context(error).blame(ExitCode::WrongInput)
         }
         Err(error) => Err(error).blame(ExitCode::WrongInput),

@@ -5,7 +5,7 @@ use tokio::runtime;
 
 use super::{
     actor, check, compare, config, conformance, describe, eval, launch, learner, new, pilot, play,
-    probe, race, report, runs, smoke, taxonomy,
+    probe, race, report, runs, script_search, smoke, taxonomy,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -40,6 +40,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
             TaxonomyCommand::Export(args) => taxonomy::export(&args),
             TaxonomyCommand::Validate(args) => taxonomy::validate(tasks, &args),
         },
+        Command::ScriptSearch(args) => script_search::run(tasks, &args),
         Command::Conformance(args) => conformance::run(&args),
         Command::New(args) => new::run(&args),
         Command::Config(args) => config::run(tasks, &args),

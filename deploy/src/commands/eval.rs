@@ -13,6 +13,7 @@ use leadtime_runs::{EvaluationRecord, LoadedPolicy, RunRecord, Tasks};
 use leadtime_taxonomy::Pace;
 use serde_json::json;
 
+use super::opponent::opponents;
 use super::{episode, evaluation};
 use crate::cli::EvalArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -85,9 +86,10 @@ impl EvalTask {
         evaluation::check_measures(config, &args.measure).blame(ExitCode::WrongInput)?;
         let action = acting.choosing.action.unwrap_or(config.evaluation.action);
         let mut players = vec![policy.player("policy", Some(action))?];
-        players.extend(args.baseline.iter().map(|name| Player::baseline(name)));
         let environment = tasks.registry.build(&config.evaluation.task);
         let environment = environment.blame(ExitCode::WrongInput)?;
+        let others = opponents(&args.baseline, environment.as_ref());
+        players.extend(others.blame(ExitCode::WrongInput)?);
         let mut checks = players.iter().map(|player| player.check(environment.as_ref()));
         checks.try_for_each(|check| check.blame(ExitCode::WrongInput))?;
         Ok(Self { policy, action, players })

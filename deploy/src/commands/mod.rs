@@ -13,12 +13,14 @@ mod evaluation;
 mod launch;
 mod learner;
 mod new;
+mod opponent;
 mod pilot;
 mod play;
 mod probe;
 mod race;
 mod report;
 mod runs;
+mod script_search;
 mod smoke;
 mod taxonomy;
 

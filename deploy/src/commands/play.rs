@@ -5,12 +5,12 @@ use std::path::Path;
 
 use anyhow::{bail, ensure};
 use leadtime_eval::draw::Rasterizer;
-use leadtime_eval::measure::Player;
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::player;
 use leadtime_runs::{LoadedPolicy, Tasks};
 
 use super::episode;
+use super::opponent::opponents;
 use crate::cli::PlayArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW_MORE, TRY};
@@ -44,8 +44,11 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     let acting = &args.acting;
     let loaded = LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, name, &acting.set)
         .blame(ExitCode::WrongInput)?;
-    let player = match &args.baseline {
-        Some(name) => Player::baseline(name),
+    let environment = tasks.registry.build(&loaded.config.evaluation.task);
+    let environment = environment.blame(ExitCode::WrongInput)?;
+    let others = opponents(args.baseline.as_slice(), environment.as_ref());
+    let player = match others.blame(ExitCode::WrongInput)?.pop() {
+        Some(player) => player,
         None => loaded.player("policy", acting.choosing.action)?,
     };
     let voice = episode::voice(tasks, &loaded.config, args.words.as_deref())?;

@@ -160,6 +160,24 @@ impl Actions {
         self.cells.as_ref().map_or(chosen, |cells| cells.nearest(chosen))
     }
 
+    /// Lists what the choices can say, each message once.
+    pub(super) fn messages(&self) -> Vec<Message> {
+        let n_words = self.words.len() as u8;
+        let n_lengths = |is_chosen: bool| if is_chosen { n_words } else { 1 };
+        let n_last = n_lengths(self.notification == NotificationType::IncrementallyActionable);
+        let n_first = n_lengths(self.notification != NotificationType::TopicOnly);
+        let mut all: Vec<Message> = Vec::new();
+        for topic in 0..self.topic_ids.len() as u8 {
+            for (first, last) in (0..n_first).flat_map(|i| (0..n_last).map(move |j| (i, j))) {
+                let message = self.message(&[START, topic, first, last]);
+                if !all.contains(&message) {
+                    all.push(message);
+                }
+            }
+        }
+        all
+    }
+
     /// Writes the action that starts a message, with the nearest k and l there are; silence if it cannot be said.
     pub(super) fn write(&self, message: Option<Message>, action: &mut [u8]) {
         action.fill(0);

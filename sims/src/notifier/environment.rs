@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use super::actions::{Actions, Offered};
 use super::history::History;
 use super::settings::NotifierSettings;
-use crate::Domain;
 use crate::description::{Description, ObservationLayout, Quantity, RewardTerm};
 use crate::environment::{
     EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome, read_snapshot,
@@ -18,6 +17,8 @@ use crate::human::{
     BlockedInitiation, Human, HumanSettings, HumanState, Initiation, ReactionReward, SpeechAct,
 };
 use crate::scene::{Listener, Scene, Speech};
+use crate::scriptable::{STEP, Scriptable};
+use crate::{Domain, Message};
 
 /// The notifier's own metrics; `success` first, and the domain's follow.
 const METRICS: [&str; 17] = [
@@ -356,6 +357,10 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         known
     }
 
+    fn scriptable(&self) -> Option<&dyn Scriptable> {
+        Some(self)
+    }
+
     fn insight(&self) -> Option<Insight> {
         Some(Insight {
             reaction_delay: self.human.reaction_delay(),
@@ -373,6 +378,50 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             reacting: self.last.reacting,
         };
         Some(Scene { listener, ..self.domain.scene() })
+    }
+}
+
+impl<D: Domain> Scriptable for NotifierEnv<D> {
+    fn topics(&self) -> &[&'static str] {
+        self.domain.topics()
+    }
+
+    fn messages(&self) -> Vec<Message> {
+        self.actions.messages()
+    }
+
+    fn may_start(&self) -> bool {
+        self.human.may_start()
+    }
+
+    fn is_lost(&self) -> bool {
+        self.domain.is_lost()
+    }
+
+    fn write_action(&self, message: Option<Message>, action: &mut [u8]) {
+        self.actions.write(message, action);
+    }
+
+    fn quantities(&self) -> Vec<Quantity> {
+        let mut all = self.domain.quantities();
+        all.extend(self.domain.script_quantities());
+        let unbounded = [0.0, f32::INFINITY];
+        all.push(Quantity::new(STEP, "steps of the episode so far", unbounded));
+        all
+    }
+
+    fn n_observed(&self) -> usize {
+        self.domain.obs_dim()
+    }
+
+    fn write_quantities(&self, now: &mut [f32], before: &mut [f32]) {
+        let (n_observed, step) = (self.domain.obs_dim(), now.len() - 1);
+        let (last, previous) = self.history.last_two();
+        now[..n_observed].copy_from_slice(last);
+        self.domain.observe_for_scripts(&mut now[n_observed..step]);
+        now[step] = self.last.n_steps as f32;
+        before.copy_from_slice(now);
+        before[..n_observed].copy_from_slice(previous);
     }
 }
 

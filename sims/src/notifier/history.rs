@@ -49,6 +49,13 @@ impl History {
         &self.pairs
     }
 
+    /// Returns the newest observation and the one before it; a history of one pair has the same twice.
+    pub(super) fn last_two(&self) -> (&[f32], &[f32]) {
+        let newest = self.pairs.len() - self.pair_dim;
+        let before = newest.saturating_sub(self.pair_dim);
+        (&self.pairs[newest..][..self.obs_dim], &self.pairs[before..][..self.obs_dim])
+    }
+
     /// Takes over a stored row; `false` if it is of another length.
     pub(super) fn restore(&mut self, row: &[f32]) -> bool {
         let fits = row.len() == self.pairs.len();

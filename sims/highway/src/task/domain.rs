@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::admit::{merging_car, populate};
 use super::heuristic::advise;
+use super::overview;
 use super::picture::picture;
 use super::progress::{DriveOutcome, DriveProgress};
 use super::reaction::{EGO, TOPICS, is_lane_change, react};
@@ -258,6 +259,14 @@ impl Domain for HighwayDomain {
     fn heuristic(&self) -> Option<Message> {
         let drives = !self.has_arrived();
         drives.then(|| advise(&self.traffic, &self.settings.heuristic)).flatten()
+    }
+
+    fn script_quantities(&self) -> Vec<Quantity> {
+        overview::quantities()
+    }
+
+    fn observe_for_scripts(&self, out: &mut [f32]) {
+        overview::observe(&self.traffic, out);
     }
 
     fn success(&self) -> bool {

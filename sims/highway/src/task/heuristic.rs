@@ -38,15 +38,20 @@ pub(super) fn advise(traffic: &Traffic, settings: &HeuristicSettings) -> Option<
 
 /// Tells whether the ego will be near a merging car where that car changes lanes.
 fn meet(ego: &Vehicle, car: &Vehicle, ramp: &Ramp, settings: &HeuristicSettings) -> bool {
-    let place = (ramp.merge_x + CHANGES_AFTER).max(car.position[0]);
     let left = (ramp.merge_x - ego.position[0]) / ego.speed.max(1.0);
-    let time = (place - car.position[0]) / car.speed.max(1.0);
-    let lead = ego.position[0] + ego.speed * time - place;
+    let lead = lead_over(ego, car, ramp);
     left < settings.earliest && -settings.gap_behind < lead && lead < settings.gap_ahead
 }
 
+/// Returns by how many metres the ego will be ahead where a merging car can first change lanes, if both go on as they do.
+pub(super) fn lead_over(ego: &Vehicle, car: &Vehicle, ramp: &Ramp) -> f64 {
+    let place = (ramp.merge_x + CHANGES_AFTER).max(car.position[0]);
+    let time = (place - car.position[0]) / car.speed.max(1.0);
+    ego.position[0] + ego.speed * time - place
+}
+
 /// Tells whether the ego is on, or bound for, the lane next to the ramp.
-fn is_beside(traffic: &Traffic, ego: &Vehicle, ramp: &Ramp) -> bool {
+pub(super) fn is_beside(traffic: &Traffic, ego: &Vehicle, ramp: &Ramp) -> bool {
     let network = traffic.network();
     let [left, right] = network.sides(ramp.parallel());
     let Some(beside) = left.or(right) else { return false };
@@ -54,7 +59,7 @@ fn is_beside(traffic: &Traffic, ego: &Vehicle, ramp: &Ramp) -> bool {
 }
 
 /// Tells whether the ego's lane on a side is there, and free around the ego.
-fn is_free(traffic: &Traffic, side: Side) -> bool {
+pub(super) fn is_free(traffic: &Traffic, side: Side) -> bool {
     let Some(lane) = traffic.lane_for_change(EGO, side) else { return false };
     let network = traffic.network();
     let ego = network.lane(lane).along(traffic.vehicles[EGO].position);

@@ -21,6 +21,7 @@
 mod admit;
 mod domain;
 mod heuristic;
+mod overview;
 mod picture;
 mod progress;
 mod reaction;

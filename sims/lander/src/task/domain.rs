@@ -282,6 +282,10 @@ impl Domain for LanderDomain {
         self.counts_as_landed() && !self.progress.entered
     }
 
+    fn is_lost(&self) -> bool {
+        self.progress.entered
+    }
+
     fn metric_names(&self) -> &'static [&'static str] {
         &[
             "enter_danger",

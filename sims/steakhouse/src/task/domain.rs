@@ -360,6 +360,10 @@ impl Domain for SteakhouseDomain {
         self.is_delivered() && self.kitchen.n_steps <= self.deadline()
     }
 
+    fn is_lost(&self) -> bool {
+        !self.is_delivered() && self.kitchen.n_steps >= self.deadline()
+    }
+
     fn metric_names(&self) -> &'static [&'static str] {
         &[
             "dish_delivered",

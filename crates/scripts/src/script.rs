@@ -1,0 +1,240 @@
+//! A script as data: an ordered list of rules, written and read as TOML.
+//!
+//! ```toml
+//! [[rules]]
+//! say = { topic = "ascend", k = 2, l = 2 }
+//! pause = 3
+//! when = [{ of = "y", ahead = 0.5, below = 0.4 }, { of = "x", above = -0.2 }]
+//! ```
+//!
+//! Whenever the listener would hear a message, the first rule whose conditions all hold decides. A rule without `say` keeps
+//! silent. After its message has started, `pause` steps pass before a rule is asked again.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::Error;
+
+/// The most rules of a script, and conditions of a rule.
+const MOST: usize = 64;
+/// The longest look ahead, in steps, and the longest pause.
+const LONGEST: f64 = 1000.0;
+
+/// An ordered list of rules; the first that holds decides.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Script {
+    /// The rules, in the order in which they are asked.
+    pub rules: Vec<ScriptRule>,
+}
+
+/// What is said when some conditions hold.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScriptRule {
+    /// The message; none: silence, and later rules are not asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub say: Option<ScriptMessage>,
+    /// Steps after the message's start in which no rule is asked. Default 0.
+    #[serde(default)]
+    pub pause: u32,
+    /// All of them must hold; none: the rule always holds.
+    #[serde(default)]
+    pub when: Vec<ScriptCondition>,
+}
+
+/// A message by the name of its topic.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScriptMessage {
+    /// The topic's name.
+    pub topic: String,
+    /// Comprehension time, in words.
+    pub k: u32,
+    /// Conveyance time, in words; at least k.
+    pub l: u32,
+}
+
+/// Bounds for a number that the task shows.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScriptCondition {
+    /// The number's name, as `leadtime describe` has it for one step.
+    pub of: String,
+    /// Looks so many steps ahead: its last change, times this, is added. Default 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub ahead: f64,
+    /// It must be at least this.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub above: Option<f64>,
+    /// It must be less than this.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub below: Option<f64>,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands out references")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+impl Script {
+    /// Reads a script; other sections of the text are its author's.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Text`] if it is none, [`Error::TooLong`] and [`Error::Rule`] as [`Script::check`].
+    pub fn read(text: &str) -> Result<Self, Error> {
+        /// A file, of which a script needs the rules only.
+        #[derive(Deserialize)]
+        struct ScriptFile {
+            rules: Vec<ScriptRule>,
+        }
+        let ScriptFile { rules } = toml::from_str(text)?;
+        let script = Self { rules };
+        script.check()?;
+        Ok(script)
+    }
+
+    /// Checks lengths and numbers.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::TooLong`] for more than 64 rules, [`Error::Rule`] for a number out of range.
+    pub fn check(&self) -> Result<(), Error> {
+        let n = self.rules.len();
+        if n > MOST {
+            return Err(Error::TooLong { n, most: MOST });
+        }
+        let check = |(i, rule): (usize, &ScriptRule)| {
+            let refused = |sentence| Error::Rule { rule: i + 1, sentence };
+            rule.check().map_err(refused)
+        };
+        self.rules.iter().enumerate().try_for_each(check)
+    }
+
+    /// Writes the rules as TOML.
+    pub fn toml(&self) -> String {
+        // Plain data of one table can always be written.
+        toml::to_string(self).unwrap_or_default()
+    }
+}
+
+impl ScriptRule {
+    fn check(&self) -> Result<(), String> {
+        if self.when.len() > MOST {
+            return Err(format!("{} conditions; allowed: at most {MOST}", self.when.len()));
+        }
+        if f64::from(self.pause) > LONGEST {
+            return Err(format!("`pause` is {}; allowed: at most {LONGEST} steps", self.pause));
+        }
+        if let Some(ScriptMessage { k, l, .. }) = self.say
+            && k > l
+        {
+            return Err(format!("`k` is {k} and `l` is {l}; allowed: k up to l"));
+        }
+        for ScriptCondition { of, ahead, above, below } in &self.when {
+            if !(0.0..=LONGEST).contains(ahead) {
+                return Err(format!("`ahead` of {of} is {ahead}; allowed: 0 to {LONGEST} steps"));
+            }
+            if [above, below].into_iter().flatten().any(|bound| !bound.is_finite()) {
+                return Err(format!("a bound of {of} is not finite"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes a rule a line, in words.
+impl fmt::Display for Script {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, rule) in self.rules.iter().enumerate() {
+            if i > 0 {
+                f.write_str("\n")?;
+            }
+            write!(f, "{}. {rule}", i + 1)?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for ScriptRule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.say {
+            Some(ScriptMessage { topic, k, l }) => write!(f, "say {topic} (k {k}, l {l})")?,
+            None => f.write_str("keep silent")?,
+        }
+        for (i, condition) in self.when.iter().enumerate() {
+            write!(f, " {} {condition}", if i == 0 { "if" } else { "and" })?;
+        }
+        if self.say.is_some() && self.pause > 0 {
+            write!(f, "; then pause {} steps", self.pause)?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for ScriptCondition {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { of, ahead, above, below } = self;
+        if let Some(above) = above {
+            write!(f, "{above} <= ")?;
+        }
+        f.write_str(of)?;
+        if *ahead > 0.0 {
+            write!(f, " in {ahead} steps")?;
+        }
+        match below {
+            Some(below) => write!(f, " < {below}"),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = r#"
+[[rules]]
+say = { topic = "ascend", k = 2, l = 3 }
+pause = 4
+when = [{ of = "y", ahead = 0.5, below = 0.4 }, { of = "x", above = -0.2, below = 0.1 }]
+
+[[rules]]
+when = [{ of = "y", above = 1.1 }]
+
+[[rules]]
+say = { topic = "descend", k = 2, l = 2 }
+"#;
+
+    #[test]
+    fn a_script_is_read_written_and_put_into_words() {
+        let script = Script::read(TEXT).unwrap();
+        assert_eq!(Script::read(&script.toml()).unwrap(), script);
+        let searched = format!("[search]\nseed = 1\n{}", script.toml());
+        assert_eq!(Script::read(&searched).unwrap(), script);
+        let words = "1. say ascend (k 2, l 3) if y in 0.5 steps < 0.4 and -0.2 <= x < 0.1; then pause 4 steps\n\
+                     2. keep silent if 1.1 <= y\n\
+                     3. say descend (k 2, l 2)";
+        assert_eq!(script.to_string(), words);
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_rule_is_told() {
+        let refused =
+            |rule: &str| Script::read(&format!("[[rules]]\n{rule}")).unwrap_err().to_string();
+        assert_eq!(
+            refused("say = { topic = \"up\", k = 3, l = 2 }"),
+            "rule 1: `k` is 3 and `l` is 2; allowed: k up to l"
+        );
+        assert!(
+            refused("when = [{ of = \"y\", ahead = -1.0 }]").contains("allowed: 0 to 1000 steps")
+        );
+        assert!(refused("when = [{ of = \"y\", below = inf }]").contains("not finite"));
+        assert!(refused("pause = 1001").contains("allowed: at most 1000 steps"));
+        assert_eq!(refused("wen = []"), "no script can be read from it");
+        let long = "[[rules]]\n".repeat(65);
+        assert!(Script::read(&long).unwrap_err().to_string().contains("at most 64"));
+    }
+}

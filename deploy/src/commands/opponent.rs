@@ -1,0 +1,53 @@
+//! Who `--baseline` means: a script of the task, a script in a file, or the oracle.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context as _;
+use leadtime_eval::measure::Player;
+use leadtime_scripts::{Oracle, OracleBase, Script, ScriptPlayer};
+use leadtime_sims::Environment;
+
+/// The name of the clairvoyant player.
+pub(super) const ORACLE: &str = "oracle";
+
+/// Makes the players that `--baseline` names, in order; the oracle mends what the task's scripts and those in the files do.
+pub(super) fn opponents(
+    names: &[String],
+    environment: &dyn Environment,
+) -> anyhow::Result<Vec<Player>> {
+    let files = names.iter().filter(|name| is_file(name));
+    let scripts = files.map(|name| Ok((name, read(Path::new(name))?)));
+    let scripts = scripts.collect::<anyhow::Result<Vec<_>>>()?;
+    let player = |name: &String| {
+        if let Some((_, script)) = scripts.iter().find(|(file, _)| *file == name) {
+            return Player::scripted(&stem(name), Box::new(ScriptPlayer::new(script.clone())));
+        }
+        // A world may have a script of that name.
+        if name == ORACLE && !environment.baselines().contains(&ORACLE) {
+            let written = scripts.iter().map(|(_, script)| OracleBase::Script(script.clone()));
+            let bases = written.chain(named_bases(environment)).collect();
+            return Player::scripted(ORACLE, Box::new(Oracle::new(bases)));
+        }
+        Player::baseline(name)
+    };
+    Ok(names.iter().map(player).collect())
+}
+
+/// Lists the task's own scripts.
+pub(super) fn named_bases(environment: &dyn Environment) -> impl Iterator<Item = OracleBase> {
+    environment.baselines().iter().map(|&name| OracleBase::Named(name.to_owned()))
+}
+
+fn is_file(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|extension| extension == "toml")
+}
+
+fn stem(name: &str) -> String {
+    Path::new(name).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+}
+
+fn read(file: &Path) -> anyhow::Result<Script> {
+    let text = fs::read_to_string(file).with_context(|| format!("reading {}", file.display()))?;
+    Script::read(&text).with_context(|| format!("script {}", file.display()))
+}
