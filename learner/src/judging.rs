@@ -24,7 +24,7 @@ use crate::report::RatedPolicy;
 /// The most policies that wait to be evaluated; training pauses while there are so many.
 pub(crate) const MAX_WAITING: usize = 2;
 /// The largest share of the run's steps that all evaluations play together.
-const SHARE_OF_STEPS: f64 = 0.04;
+const SHARE_OF_STEPS: f64 = 0.03;
 /// Episodes of an evaluation even where they are more than that share.
 const FEWEST_EPISODES: u64 = 20;
 /// By how many standard errors of the difference an earlier policy must be ahead to be chosen.
@@ -196,7 +196,7 @@ mod tests {
         let n_episodes = |length: Option<f64>, plan: EvaluationPlan| {
             plan.n_episodes(&EpisodeMeans { length, ..EpisodeMeans::default() })
         };
-        assert_eq!(n_episodes(Some(100.0), PLAN), 80);
+        assert_eq!(n_episodes(Some(100.0), PLAN), 60);
         assert_eq!(n_episodes(Some(1.0), PLAN), 200);
         assert_eq!(n_episodes(Some(500.0), PLAN), 20);
         assert_eq!(n_episodes(None, PLAN), 20);
