@@ -75,7 +75,7 @@ impl Oracle {
         let mut state = Vec::new();
         environment.write_state(&mut state);
         let mut planner = Planner::new(&self.bases, environment, observation);
-        planner.play_bases(&Moment { step: 0, total_reward: 0.0, state: state.as_slice().into() });
+        planner.play_bases(&Opening { step: 0, total_reward: 0.0, state: state.as_slice().into() });
         planner.mend();
         let best = planner.best();
         // What was written can be read.
@@ -148,9 +148,9 @@ impl Acting {
     }
 }
 
-/// A moment in which a message might have started.
+/// A moment in which a message might start, and may be another one.
 #[derive(Clone, Debug)]
-struct Moment {
+struct Opening {
     /// The step that comes next.
     step: usize,
     /// Sum of the rewards before it.
@@ -164,14 +164,14 @@ struct Attempt {
     /// Index of the base that played on.
     base: usize,
     /// Where it left the attempt that it varies.
-    begun: Moment,
+    begun: Opening,
     /// Its first action there was not the base's.
     is_varied: bool,
     actions: Vec<Vec<u8>>,
     success: f64,
     total_reward: f64,
     /// Moments that have not been tried yet; the last one comes first. `None` until the attempt's turn comes.
-    moments: Option<Vec<Moment>>,
+    moments: Option<Vec<Opening>>,
 }
 
 impl Attempt {
@@ -212,7 +212,7 @@ impl<'a> Planner<'a> {
         Self { environment, observation, bases, options, n_heads, attempts: Vec::new(), n_steps: 0 }
     }
 
-    fn play_bases(&mut self, begun: &Moment) {
+    fn play_bases(&mut self, begun: &Opening) {
         for base in 0..self.bases.len() {
             self.attempt(base, begun, &[], None);
         }
@@ -243,7 +243,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Plays an attempt once more, and keeps the moments in which a message may start, after its own variation.
-    fn moments_of(&mut self, of: usize) -> Vec<Moment> {
+    fn moments_of(&mut self, of: usize) -> Vec<Opening> {
         let Attempt { begun, actions, .. } = self.attempts[of].clone();
         let mut moments = Vec::new();
         if self.environment.read_state(&begun.state, self.observation).is_err() {
@@ -256,7 +256,7 @@ impl<'a> Planner<'a> {
             if may_start && (step > begun.step || !is_varied) {
                 let mut state = Vec::new();
                 self.environment.write_state(&mut state);
-                moments.push(Moment { step, total_reward, state: state.into() });
+                moments.push(Opening { step, total_reward, state: state.into() });
             }
             total_reward += f64::from(self.environment.step(action, self.observation).reward);
             self.n_steps += 1;
@@ -265,7 +265,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Says everything else at a moment of an attempt, silence included.
-    fn vary(&mut self, of: usize, moment: &Moment) {
+    fn vary(&mut self, of: usize, moment: &Opening) {
         let (base, actions) = (self.attempts[of].base, self.attempts[of].actions.clone());
         let messages = self.options.clone().into_iter().map(Some).chain([None]);
         for message in messages {
@@ -280,7 +280,13 @@ impl<'a> Planner<'a> {
     }
 
     /// Goes to a moment, acts, and lets a base play on to the end.
-    fn attempt(&mut self, base: usize, begun: &Moment, before: &[Vec<u8>], first: Option<Vec<u8>>) {
+    fn attempt(
+        &mut self,
+        base: usize,
+        begun: &Opening,
+        before: &[Vec<u8>],
+        first: Option<Vec<u8>>,
+    ) {
         if self.environment.read_state(&begun.state, self.observation).is_err() {
             return;
         }

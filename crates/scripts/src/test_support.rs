@@ -108,11 +108,11 @@ pub(crate) fn cliff() -> Result<Box<dyn Environment>, TaskError> {
 /// What an episode gave: success, return, messages.
 pub(crate) type Gave = [f64; 3];
 
-struct Measuring;
+struct Giving;
 
-impl Observer for Measuring {}
+impl Observer for Giving {}
 
-impl EpisodeObserver for Measuring {
+impl EpisodeObserver for Giving {
     type Output = Gave;
 
     fn finish(self, slot: &EnvSlot, _end: End) -> Gave {
@@ -123,7 +123,7 @@ impl EpisodeObserver for Measuring {
 
 /// Plays episodes of a task as an evaluation does.
 pub(crate) fn played(player: &Player, n_episodes: u64, seed: u64) -> Vec<Gave> {
-    play(&cliff, player, &PlaySettings::new(n_episodes, seed), |_| Measuring).unwrap()
+    play(&cliff, player, &PlaySettings::new(n_episodes, seed), |_| Giving).unwrap()
 }
 
 /// Returns the share of successes.
