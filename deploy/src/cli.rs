@@ -131,7 +131,7 @@ pub(crate) enum Command {
     },
     /// Search a script: a few rules on what can be observed, found with as many steps as a training takes.
     ///
-    /// Candidates are drawn at random and changed a little where they are good; the best is judged on episodes that did not
+    /// Candidates are drawn at random and changed a little where they are good; the best is evaluated on episodes that did not
     /// choose it. A trained notifier that does not beat it has learned nothing that a person could not write down.
     ScriptSearch(ScriptSearchArgs),
     /// Compare a world with recorded traces of its public original.
@@ -584,7 +584,7 @@ pub(crate) struct ScriptSearchArgs {
     /// Seed of the search (default: the configuration's).
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Episodes on which the script is judged (default: the configuration's).
+    /// Episodes on which the script is evaluated (default: the configuration's).
     #[arg(long, value_parser = n_episodes())]
     pub episodes: Option<u32>,
     /// Seed of those episodes; not the one of the search.

@@ -29,7 +29,7 @@ use thiserror::Error;
 use tracing::warn;
 
 use crate::files::{replaced_name, write_atomically};
-use crate::judging::MAX_WAITING;
+use crate::held_out_record::MAX_WAITING;
 
 /// The version of what a checkpoint holds; no other one is read.
 pub const FORMAT_VERSION: u32 = 3;

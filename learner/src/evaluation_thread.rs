@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::Error;
 use crate::held_out::{HeldOutEpisode, HeldOutEvaluation, PolicyEvaluator};
-use crate::judging::{EvaluationPlan, HeldOutRecord, WaitingPolicy};
+use crate::held_out_record::{EvaluationPlan, HeldOutRecord, WaitingPolicy};
 use crate::report::{ProgressSink, RunEvent};
 
 /// One policy and one result may be under way.
@@ -139,11 +139,11 @@ pub(crate) fn take_in(
     let Some(version) = record.next().map(|next| next.policy.version) else { return };
     match evaluated {
         Ok(episodes) => {
-            record.judge(&episodes);
+            record.take_in(&episodes);
             sink.on_held_out(record.history());
         }
         Err(reason) => {
-            record.judge(&[]);
+            record.take_in(&[]);
             sink.on_event(&RunEvent::EvaluationFailed { version, reason });
         }
     }

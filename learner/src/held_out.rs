@@ -142,7 +142,7 @@ mod tests {
     #[test]
     fn policies_are_compared_in_the_episodes_that_both_have_played() {
         let found = lead(&[1.0, 1.0, 0.0, 1.0], &[0.0, 1.0, 1.0]).unwrap();
-        assert_eq!((found.mean, found.error), (0.0, 3.0_f64.sqrt().recip()));
+        assert_eq!((found.mean, found.error), (0.0, (1.0_f64 / 3.0).sqrt()));
         assert_eq!(lead(&[1.0], &[0.0, 1.0]), None);
     }
 }

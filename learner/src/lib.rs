@@ -4,7 +4,7 @@
 //! run      the loop                     coordinator    every decision, pure     control_outbox, training  it waits for
 //! assign   who steps which environment  rollout_queue  rollouts that wait       roster, stragglers        who is here, or late
 //! books    where every rollout went     checkpoint, resume  the disk            episodes, report, builds  what it reports
-//! judging  which policy is the best     held_out       by what it is judged    evaluation_thread   asked beside the training
+//! held_out what evaluates a policy       held_out_record  which one is the best  evaluation_thread   beside the training
 //! ending   how a run ends
 //! ```
 //!
@@ -30,7 +30,7 @@ pub mod error;
 mod evaluation_thread;
 mod files;
 pub mod held_out;
-mod judging;
+mod held_out_record;
 pub mod report;
 mod resume;
 pub mod rollout_queue;

@@ -14,7 +14,7 @@ use crate::builds::Builds;
 use crate::checkpoint::{CheckpointStore, Loaded};
 use crate::coordinator::CoordinatorStart;
 use crate::episodes::EpisodeWindow;
-use crate::judging::HeldOutRecord;
+use crate::held_out_record::HeldOutRecord;
 use crate::report::{RatedPolicy, RunEvent};
 use crate::rollout_queue::RolloutQueue;
 use crate::training::encode;

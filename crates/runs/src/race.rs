@@ -266,7 +266,7 @@ impl Race {
     /// # Errors
     ///
     /// [`Error`] if the task cannot be built or an episode cannot be played.
-    pub fn judge(
+    pub fn rate(
         &self,
         tasks: &Tasks,
         policy: &LoadedPolicy,

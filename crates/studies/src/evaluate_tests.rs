@@ -153,7 +153,7 @@ fn a_drive_is_measured_up_to_its_arrival() {
         profile = "highway"
         quick_steps = 4096
         columns = ["success", "length"]
-        evaluations = [{ name = "own", title = "own" }]
+        evaluations = [{ name = "real", title = "real", set.human.reaction_delay = { fixed = 2 } }]
         [[parts.rows]]
         name = "script"
         title = "Script"

@@ -79,7 +79,7 @@ impl RaceWork<'_> {
             if !self.race.is_trained(racer, stage) && !self.train(racer, stage).await? {
                 continue;
             }
-            let score = self.judge(racer, stage).await?;
+            let score = self.rate(racer, stage).await?;
             output::note(&format!("{name}: {}", words(Some(&score))));
             self.race.keep(racer, stage, score).blame(ExitCode::WrongInput)?;
         }
@@ -114,7 +114,7 @@ impl RaceWork<'_> {
     }
 
     /// Evaluates a racer on the episodes of a stage.
-    async fn judge(&self, racer: usize, stage: RaceStage) -> Result<RaceScore, Failure> {
+    async fn rate(&self, racer: usize, stage: RaceStage) -> Result<RaceScore, Failure> {
         let file = match stage {
             RaceStage::Quarter => LAST_POLICY,
             RaceStage::Final => BEST_POLICY,
@@ -124,7 +124,7 @@ impl RaceWork<'_> {
         let work = move || {
             let policy = LoadedPolicy::load(&tasks.registry, &path, &path, &[]);
             let policy = policy.blame(ExitCode::WrongInput)?;
-            Ok(race.judge(&tasks, &policy, stage)?)
+            Ok(race.rate(&tasks, &policy, stage)?)
         };
         unless_cancelled(self.shutdown, work).await
     }

@@ -1,4 +1,4 @@
-//! `leadtime script-search`: the best of many scripts, judged on episodes that did not choose it.
+//! `leadtime script-search`: the best of many scripts, evaluated on episodes that did not choose it.
 
 use std::path::PathBuf;
 
@@ -43,7 +43,7 @@ pub(super) fn run(tasks: &Tasks, args: &ScriptSearchArgs) -> Result<(), Failure>
     let n_steps = args.steps.unwrap_or(config.learner.total_steps);
     let seed = args.seed.unwrap_or(config.seed);
     let found = find(tasks, &config, n_steps, seed)?;
-    let comparison = judge(tasks, &config, args, &found)?;
+    let comparison = evaluate(tasks, &config, args, &found)?;
     let origin = SearchOrigin {
         task: args.task.display().to_string(),
         domain: config.domain.to_string(),
@@ -117,7 +117,7 @@ fn sentence(progress: &SearchProgress) -> String {
 }
 
 /// Plays held-out episodes: the script, the task's own ones, and the oracle if it is wanted.
-fn judge(
+fn evaluate(
     tasks: &Tasks,
     config: &Config,
     args: &ScriptSearchArgs,
@@ -142,7 +142,7 @@ fn n_episodes(config: &Config, args: &ScriptSearchArgs) -> u32 {
     args.episodes.unwrap_or(config.evaluation.episodes)
 }
 
-/// Returns estimate, and lower and upper bound, of what the found script is judged by.
+/// Returns estimate, and lower and upper bound, of what the found script is rated by.
 fn held_out(config: &Config, comparison: &Comparison) -> Vec<f64> {
     let own = comparison.summaries.first();
     let measure = own.and_then(|own| own.get(main_measure(config)));

@@ -23,7 +23,7 @@ const RATES: [(&str, &str, &str); 5] = [
 const MEANS: [&str; 3] = ["mean_k", "mean_l", "first_notification"];
 
 /// Measures that are 0 or 1 in an episode; these and [`RATES`] have exact intervals where the bootstrap has none.
-const SHARES: [&str; 11] = [
+const SHARES: [&str; 13] = [
     "success",
     outcome::AVERTED,
     outcome::HARMED,
@@ -34,6 +34,8 @@ const SHARES: [&str; 11] = [
     "out",
     "timed_out",
     "arrived",
+    "in_time",
+    "comfortable",
     "dish_delivered",
 ];
 
@@ -61,13 +63,13 @@ const MAIN: [(&str, &str); 12] = [
     (outcome::HARMED, "harm done"),
     ("enter_danger", "enters danger"),
     ("crashed", "crashes"),
-    ("in_time", "in time"),
-    ("comfortable", "comfortable"),
     ("steps_to_deliver", "steps to deliver"),
     ("notifications", "notifications"),
     ("followed_of_initiated", "follow-through"),
     ("return", "return"),
     ("length", "length (steps)"),
+    ("in_time", "in time"),
+    ("comfortable", "comfortable"),
 ];
 const N_MAIN: usize = 8;
 

@@ -70,7 +70,7 @@ pub(super) fn reward_terms(settings: &LanderWorldSettings) -> Vec<RewardTerm> {
         entry,
     ];
     let per_what = match settings.near_charged {
-        NearCharge::PerFrame => ", per frame",
+        NearCharge::PerFrame => ", a frame",
         NearCharge::PerStep => "",
     };
     terms.extend(

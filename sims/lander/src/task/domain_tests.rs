@@ -141,7 +141,7 @@ fn zones_can_be_charged_in_every_frame_as_fuel_is() {
         assert_eq!(metric(&task, "danger_steps"), 1.0);
         let said = |what: &str| task.reward_terms().iter().any(|term| term.when.contains(what));
         assert_eq!(said("a frame in a zone"), entry_charged == EntryPenalty::PerFrame);
-        assert_eq!(said("per frame"), near_charged == NearCharge::PerFrame);
+        assert_eq!(said(", a frame"), near_charged == NearCharge::PerFrame);
         reward
     };
     let near = 10.0 * 0.2;

@@ -68,7 +68,7 @@ pub(crate) struct WaitingPolicy {
 
 /// An evaluated policy with its score in every episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct JudgedPolicy {
+struct ScoredPolicy {
     policy: RatedPolicy,
     scores: Vec<f32>,
 }
@@ -79,9 +79,9 @@ pub(crate) struct HeldOutRecord {
     waiting: VecDeque<WaitingPolicy>,
     history: Vec<HeldOutMeans>,
     /// The highest rated policy; of equals the newest.
-    highest: Option<JudgedPolicy>,
+    highest: Option<ScoredPolicy>,
     /// The newest one, where that is another.
-    newest: Option<JudgedPolicy>,
+    newest: Option<ScoredPolicy>,
 }
 
 impl HeldOutRecord {
@@ -106,21 +106,21 @@ impl HeldOutRecord {
     }
 
     /// Takes in what the policy that was next did; without episodes it is passed over.
-    pub(crate) fn judge(&mut self, episodes: &[HeldOutEpisode]) {
+    pub(crate) fn take_in(&mut self, episodes: &[HeldOutEpisode]) {
         let Some(WaitingPolicy { mut policy, .. }) = self.waiting.pop_front() else { return };
         let Some(found) = means(policy.version, episodes) else { return };
         self.history.push(found);
         policy.held_out = Some(found);
         let scores = episodes.iter().map(|episode| score(episode) as f32).collect();
-        let judged = JudgedPolicy { policy, scores };
+        let scored = ScoredPolicy { policy, scores };
         // The highest one, or a newer one that is behind it.
         let is_behind = self.highest.as_ref().is_some_and(|highest| {
-            lead(&highest.scores, &judged.scores).is_some_and(|lead| lead.mean > 0.0)
+            lead(&highest.scores, &scored.scores).is_some_and(|lead| lead.mean > 0.0)
         });
         if is_behind {
-            self.newest = Some(judged);
+            self.newest = Some(scored);
         } else {
-            (self.highest, self.newest) = (Some(judged), None);
+            (self.highest, self.newest) = (Some(scored), None);
         }
     }
 
@@ -165,20 +165,20 @@ mod tests {
         episodes(&std::array::from_fn::<u8, 10, _>(|i| u8::from(i >= 10 - n_successes)))
     }
 
-    fn judged(all: &[Vec<HeldOutEpisode>]) -> HeldOutRecord {
+    fn rated(all: &[Vec<HeldOutEpisode>]) -> HeldOutRecord {
         let mut record = HeldOutRecord::default();
         for (version, played) in (1..).zip(all) {
             let weights = vec![version as u8].into();
             let (version, score) = (PolicyVersion(version), None);
             let policy = RatedPolicy { version, score, held_out: None, weights };
             record.queue(&PLAN, policy, &EpisodeMeans::default());
-            record.judge(played);
+            record.take_in(played);
         }
         record
     }
 
     fn best(all: &[Vec<HeldOutEpisode>]) -> u64 {
-        judged(all).best().unwrap().version.0
+        rated(all).best().unwrap().version.0
     }
 
     #[test]
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn a_policy_whose_evaluation_failed_is_passed_over() {
-        let record = judged(&[ten(5), Vec::new()]);
+        let record = rated(&[ten(5), Vec::new()]);
         assert_eq!((record.best().unwrap().version, record.history().len()), (PolicyVersion(1), 1));
         assert!(record.next().is_none());
     }
