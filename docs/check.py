@@ -26,7 +26,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROO
 RECORDS = [ROOT / "ARCHITECTURE.md", ROOT / "bench/README.md", *sorted((ROOT / "docs/results").glob("*.md")),
            *sorted((ROOT / "docs/decisions").glob("*.md"))]
 # What needs something that is not there, and why it is not run.
-SKIPPED = {"http://": "a language model's server", "<": "a form", "tls/": "certificates", "$": "variables of a script",
+SKIPPED = {"http://": "a language model's server", "<": "a form", "TASK": "a form", "tls/": "certificates", "$": "variables of a script",
            "HOST": "another machine"}
 if not find_spec("numpy"):
     SKIPPED["python3"] = "no numpy here"
