@@ -128,7 +128,12 @@ enum Judge {
 
 impl Judge {
     fn evaluation(self) -> HeldOutEvaluation {
-        HeldOutEvaluation { n_evaluations: 4, max_episodes: 20, evaluator: Box::new(self) }
+        HeldOutEvaluation {
+            n_evaluations: 4,
+            max_episodes: 20,
+            episodes: [1; 32],
+            evaluator: Box::new(self),
+        }
     }
 }
 

@@ -103,10 +103,10 @@ impl Evaluations {
         evaluation: HeldOutEvaluation,
         settings: &LearnerSettings,
     ) -> Result<Self, Error> {
-        let HeldOutEvaluation { n_evaluations, max_episodes, evaluator } = evaluation;
+        let HeldOutEvaluation { n_evaluations, max_episodes, episodes, evaluator } = evaluation;
         let n_updates = settings.n_updates();
         let n_steps = n_updates * settings.n_envs as u64 * settings.n_steps as u64;
-        let plan = EvaluationPlan { n_evaluations, max_episodes, n_updates, n_steps };
+        let plan = EvaluationPlan { n_evaluations, max_episodes, episodes, n_updates, n_steps };
         Ok(Self { plan, thread: EvaluationThread::start(evaluator)? })
     }
 
@@ -118,6 +118,7 @@ impl Evaluations {
         stop: &CancellationToken,
     ) -> bool {
         sink.on_event(&RunEvent::Evaluating);
+        record.keep_comparable(&self.plan);
         while let Some(next) = record.next() {
             self.thread.begin(next);
             tokio::select! {

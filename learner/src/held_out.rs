@@ -34,6 +34,8 @@ pub struct HeldOutEvaluation {
     pub n_evaluations: u64,
     /// The most episodes of each, at least 1.
     pub max_episodes: u64,
+    /// Digest of what decides the episodes and the choices in them. Only policies that met the same ones are compared.
+    pub episodes: [u8; 32],
     /// Who plays them.
     pub evaluator: Box<dyn PolicyEvaluator>,
 }

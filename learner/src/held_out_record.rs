@@ -35,6 +35,8 @@ const ERRORS_AHEAD: f64 = 1.0;
 pub(crate) struct EvaluationPlan {
     pub(crate) n_evaluations: u64,
     pub(crate) max_episodes: u64,
+    /// What decides the episodes.
+    pub(crate) episodes: [u8; 32],
     /// Updates of the whole run.
     pub(crate) n_updates: u64,
     /// Steps of the whole run.
@@ -77,6 +79,8 @@ struct ScoredPolicy {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct HeldOutRecord {
     waiting: VecDeque<WaitingPolicy>,
+    /// What decided the episodes of all that follows.
+    episodes: [u8; 32],
     history: Vec<HeldOutMeans>,
     /// The highest rated policy; of equals the newest.
     highest: Option<ScoredPolicy>,
@@ -92,7 +96,16 @@ impl HeldOutRecord {
         policy: RatedPolicy,
         training: &EpisodeMeans,
     ) {
+        self.keep_comparable(plan);
         self.waiting.push_back(WaitingPolicy { policy, n_episodes: plan.n_episodes(training) });
+    }
+
+    /// Forgets what policies did in other episodes than those of the plan: a resumed run may be evaluated in another world.
+    pub(crate) fn keep_comparable(&mut self, plan: &EvaluationPlan) {
+        if self.episodes != plan.episodes {
+            let waiting = std::mem::take(&mut self.waiting);
+            *self = Self { waiting, episodes: plan.episodes, ..Self::default() };
+        }
     }
 
     /// Tells whether as many policies wait as may.
@@ -148,8 +161,13 @@ impl HeldOutRecord {
 mod tests {
     use super::*;
 
-    const PLAN: EvaluationPlan =
-        EvaluationPlan { n_evaluations: 8, max_episodes: 200, n_updates: 781, n_steps: 1_600_000 };
+    const PLAN: EvaluationPlan = EvaluationPlan {
+        n_evaluations: 8,
+        max_episodes: 200,
+        episodes: [1; 32],
+        n_updates: 781,
+        n_steps: 1_600_000,
+    };
 
     fn episodes(successes: &[u8]) -> Vec<HeldOutEpisode> {
         let episode = |&success: &u8| HeldOutEpisode {
@@ -175,6 +193,19 @@ mod tests {
             record.take_in(played);
         }
         record
+    }
+
+    #[test]
+    fn policies_of_other_episodes_are_not_compared() {
+        let mut record = rated(&[ten(9)]);
+        let other = EvaluationPlan { episodes: [2; 32], ..PLAN };
+        let weights = vec![2].into();
+        let policy =
+            RatedPolicy { version: PolicyVersion(2), score: None, held_out: None, weights };
+        record.queue(&other, policy, &EpisodeMeans::default());
+        assert_eq!((record.best().is_none(), record.history().len()), (true, 0));
+        record.take_in(&ten(3));
+        assert_eq!(record.best().unwrap().version, PolicyVersion(2));
     }
 
     fn best(all: &[Vec<HeldOutEpisode>]) -> u64 {

@@ -375,6 +375,8 @@ fn a_script_is_searched_and_a_policy_is_compared_with_it_and_with_the_oracle() {
     assert!(words.stdout.starts_with("Tried ") && words.stdout.contains("unaided"));
     assert_eq!(read("lander-script.toml"), read("s.toml"));
     place.finish(&["script-search cartpole"]).with_code(2).saying(&["no messages are sent"]);
+    let same = ["script-search lander --steps 2000 --seed 7 --eval-seed 7"];
+    place.finish(&same).with_code(2).saying(&["episodes that chose it", "--eval-seed"]);
     let policy = repository("deploy/policies/piloting.safetensors");
     place.write("up.toml", "[[rules]]\nsay = { topic = \"ascend\", k = 2, l = 2 }\n");
     let eval = ["eval", &policy, "--episodes 1 --json --baseline up.toml --baseline oracle"];

@@ -59,6 +59,28 @@ fn a_race_that_was_killed_goes_on_and_ends_the_same() {
 }
 
 #[test]
+fn racers_are_compared_as_they_were_at_a_quarter_however_often_and_in_whichever_world() {
+    let place = Place::new();
+    race(&place, "");
+    let at_a_quarter = |told: &Value| -> Vec<Value> {
+        told["racers"].as_array().unwrap().iter().map(|it| it["quarter"].clone()).collect()
+    };
+    // The winner has gone on; its policy at the quarter is still the one that is compared.
+    let longer = RACE.replace("--episodes 10", "--episodes 30");
+    let again = place.finish(&[&longer, "--json"]).with_code(0).json();
+    assert!(at_a_quarter(&again).iter().all(|it| it["updates"] == 5), "{again}");
+    let short = race(&place, "--set evaluation.world.max_steps=3");
+    let means: Vec<Value> = at_a_quarter(&short).iter().map(|it| it["mean"].clone()).collect();
+    assert_ne!(short["racers"], race(&place, "")["racers"]);
+    assert!(
+        means.windows(2).all(|pair| pair[0] == pair[1]),
+        "three steps tell nobody apart: {short}"
+    );
+    std::fs::write(place.run(NAMES[0]).join("race.json"), "{bad").unwrap();
+    place.finish(&[RACE]).with_code(2).saying(&["race.json", "is damaged", "delete it"]);
+}
+
+#[test]
 fn what_a_race_costs_is_said_beforehand_and_a_wrong_one_is_refused() {
     let place = Place::new();
     let told = place.finish(&["race -c lander --plan"]).with_code(0).stdout;

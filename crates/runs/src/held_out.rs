@@ -22,6 +22,7 @@ use leadtime_policy::Parameters;
 use leadtime_proto::{PolicySpec, TaskSpec};
 use leadtime_sims::Registry;
 use serde_json::{Map, Value};
+use sha2::{Digest as _, Sha256};
 
 use crate::policy_file::{self, BEST_POLICY};
 
@@ -93,8 +94,16 @@ pub fn held_out_evaluation(config: &Config, registry: &Registry) -> Option<HeldO
     (settings.during_training > 0).then(|| HeldOutEvaluation {
         n_evaluations: u64::from(settings.during_training),
         max_episodes: u64::from(settings.held_out_episodes),
+        episodes: comparable(config),
         evaluator: Box::new(player),
     })
+}
+
+/// Returns the digest of what decides held-out episodes besides their seed, and the choices in them.
+pub(crate) fn comparable(config: &Config) -> [u8; 32] {
+    let TaskSpec { domain, settings } = &config.evaluation.task;
+    let action = config.evaluation.action;
+    Sha256::digest(format!("{domain}\n{settings}\n{action:?}")).into()
 }
 
 /// Returns the episodes of an evaluation as a learner compares policies by them.

@@ -109,7 +109,10 @@ impl ListedRun {
         let whole = |key: &str| last.get(key).and_then(Value::as_u64).unwrap_or(0);
         let reproducible = record.is_reproducible(path);
         let best = held_out::of_best(path).unwrap_or_default();
-        let is_stopped = || RacerRecord::read(path).is_stopped_at(whole("update"));
+        let is_stopped = || {
+            let record = RacerRecord::read(path).unwrap_or_default();
+            record.is_stopped_at(whole("update"))
+        };
         let state = match &record.result {
             Some(_) => "finished",
             None if is_stopped() => "stopped",

@@ -19,12 +19,12 @@ use leadtime_learner::held_out::{lead, score};
 use leadtime_learner::write_atomically;
 use serde::{Deserialize, Serialize};
 
-use crate::digest::sha256;
+use crate::digest::{hex, sha256};
 use crate::directory_error::RunDirError;
 use crate::evaluation::n_threads;
-use crate::held_out::{HeldOutUse, episodes, held_out_seed};
+use crate::held_out::{HeldOutUse, comparable, episodes, held_out_seed};
 use crate::layout::{is_begun, read_config};
-use crate::{LAST_POLICY, LoadedPolicy, RunRecord, Tasks, policy_file};
+use crate::{BEST_POLICY, LAST_POLICY, LoadedPolicy, RunRecord, Tasks, policy_file};
 
 /// A racer whose success at a quarter is further behind the leader's than this is hopeless.
 pub const MARGIN: f64 = 0.1;
@@ -36,6 +36,8 @@ const PARTS: u64 = 4;
 const FEWER_AT_A_QUARTER: u32 = 5;
 /// The fewest episodes of a comparison: one has no standard error.
 const FEWEST_EPISODES: u32 = 2;
+/// The copy of a racer's policy at a quarter.
+const QUARTER_POLICY: &str = "quarter.safetensors";
 /// The file of what a race found out, in a racer's directory.
 const FILE: &str = "race.json";
 /// Digits of the digest in the name of a race.
@@ -54,6 +56,8 @@ pub struct RaceScore {
     pub scores: Vec<f32>,
     /// Whether the scores are successes.
     pub is_success: bool,
+    /// Digest of what decides the episodes and the choices in them.
+    episodes: String,
     /// Mean return, which tells equal scores apart: early in a training nobody may succeed.
     pub episode_return: f64,
 }
@@ -75,8 +79,9 @@ impl RaceScore {
         by_score.then_with(|| self.episode_return.total_cmp(&other.episode_return))
     }
 
-    fn is_of(&self, eval_seed: u64, n_episodes: u32) -> bool {
-        self.eval_seed == eval_seed && self.scores.len() == n_episodes as usize
+    fn is_of(&self, eval_seed: u64, n_episodes: u32, episodes: &str) -> bool {
+        let is_as_long = self.scores.len() == n_episodes as usize;
+        self.eval_seed == eval_seed && is_as_long && self.episodes == episodes
     }
 }
 
@@ -93,9 +98,16 @@ pub struct RacerRecord {
 
 impl RacerRecord {
     /// Reads the record in a run's directory; an empty one if there is none.
-    pub(crate) fn read(directory: &Path) -> Self {
-        let text = fs::read_to_string(directory.join(FILE)).unwrap_or_default();
-        serde_json::from_str(&text).unwrap_or_default()
+    ///
+    /// # Errors
+    ///
+    /// If it cannot be read, or is damaged.
+    pub(crate) fn read(directory: &Path) -> io::Result<Self> {
+        match fs::read_to_string(directory.join(FILE)) {
+            Ok(text) => serde_json::from_str(&text).map_err(io::Error::other),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
+            Err(error) => Err(error),
+        }
     }
 
     /// Tells whether the run stands where a race has stopped it.
@@ -162,7 +174,8 @@ impl Race {
             let text = format!("seed = {seed}\nrun.name = \"{name}\"\n");
             let config = config.with([Layer::text("the race", text)], &tasks.registry)?;
             let directory = config.run.directory.join(name);
-            let record = RacerRecord::read(&directory);
+            // One that cannot be read is refused by `check`.
+            let record = RacerRecord::read(&directory).unwrap_or_default();
             Ok(Racer { config, directory, record })
         };
         Ok(Self {
@@ -177,11 +190,18 @@ impl Race {
     ///
     /// # Errors
     ///
-    /// [`RunDirError`] if one of them has another, with the difference, or if it cannot be read.
+    /// [`RunDirError`] if one of them has another, with the difference, or if it or its record cannot be read.
     pub fn check(&self) -> Result<(), RunDirError> {
         for Racer { config, directory, .. } in &self.racers {
             if !is_begun(directory)? {
                 continue;
+            }
+            if let Err(error) = RacerRecord::read(directory) {
+                let file = directory.join(FILE);
+                return Err(RunDirError::Refused(format!(
+                    "{} is damaged ({error}); delete it, and the racer is compared again",
+                    file.display()
+                )));
             }
             let mut changes = identity::difference(&read_config(directory)?, &config.table);
             changes.retain(|change| !identity::is_free(&change.key));
@@ -229,6 +249,42 @@ impl Race {
         }
     }
 
+    /// Digest of what decides the episodes of all comparisons.
+    fn episodes(&self) -> String {
+        self.racers.first().map_or_else(String::new, |racer| hex(&comparable(&racer.config)))
+    }
+
+    /// Returns the file of the policy that a racer takes part with in a comparison.
+    ///
+    /// At a quarter that is a copy of its newest one, because the run may go on before everybody has been compared.
+    ///
+    /// # Errors
+    ///
+    /// [`RunDirError`] if the racer has gone on from a quarter and has no copy, or if files cannot be read or written.
+    pub fn policy(&self, racer: usize, stage: RaceStage) -> Result<PathBuf, RunDirError> {
+        let directory = &self.racers[racer].directory;
+        let (copy, newest) = (directory.join(QUARTER_POLICY), directory.join(LAST_POLICY));
+        if stage == RaceStage::Final {
+            return Ok(directory.join(BEST_POLICY));
+        }
+        let is_of_the_quarter =
+            |file: &Path| policy_file::n_updates(file).is_ok_and(|n| n == self.quarter());
+        if is_of_the_quarter(&copy) {
+            return Ok(copy);
+        }
+        if !is_of_the_quarter(&newest) {
+            return Err(RunDirError::Refused(format!(
+                "{} has gone on from update {}, and its policy there was not kept; take another --name",
+                directory.display(),
+                self.quarter()
+            )));
+        }
+        fs::read(&newest)
+            .and_then(|policy| write_atomically(&copy, &policy))
+            .map_err(|error| RunDirError::Refused(format!("{}: {error}", copy.display())))?;
+        Ok(copy)
+    }
+
     fn eval_seed(&self, stage: RaceStage) -> u64 {
         let purpose = match stage {
             RaceStage::Quarter => HeldOutUse::Quarter,
@@ -244,7 +300,9 @@ impl Race {
             RaceStage::Quarter => record.quarter.as_ref(),
             RaceStage::Final => record.last.as_ref(),
         };
-        score.filter(|score| score.is_of(self.eval_seed(stage), self.n_episodes(stage)))
+        score.filter(|score| {
+            score.is_of(self.eval_seed(stage), self.n_episodes(stage), &self.episodes())
+        })
     }
 
     /// Tells whether a racer has been trained as far as a comparison needs.
@@ -273,14 +331,18 @@ impl Race {
         stage: RaceStage,
     ) -> Result<RaceScore, Error> {
         let eval_seed = self.eval_seed(stage);
-        let make = || tasks.registry.build(&policy.config.evaluation.task);
+        // Not the run's own: evaluation may have changed since it began.
+        let settings = self.racers.first().map_or(&policy.config, |racer| &racer.config);
+        let (task, action) = (&settings.evaluation.task, settings.evaluation.action);
+        let make = || tasks.registry.build(task);
         let settings = PlaySettings::new(u64::from(self.n_episodes(stage)), eval_seed);
-        let player = policy.player("racer", None)?;
+        let player = policy.player("racer", Some(action))?;
         let evaluation = evaluate(&make, &player, &settings.threads(n_threads()))?;
         let played = episodes(&evaluation);
         Ok(RaceScore {
             updates: policy.n_updates,
             eval_seed,
+            episodes: self.episodes(),
             scores: played.iter().map(|episode| score(episode) as f32).collect(),
             is_success: played.iter().all(|episode| episode.success.is_some()),
             episode_return: played.iter().map(|episode| episode.total_reward).sum::<f64>()
@@ -323,8 +385,8 @@ impl Race {
 
     /// Returns the racer that did best at the end; of equals the one with the smallest seed.
     pub fn winner(&self) -> Option<usize> {
-        let finished =
-            (0..self.racers.len()).filter_map(|i| Some((i, self.score(i, RaceStage::Final)?)));
+        let going_on = (0..self.racers.len()).filter(|&i| !self.racers[i].record.is_stopped);
+        let finished = going_on.filter_map(|i| Some((i, self.score(i, RaceStage::Final)?)));
         let winner =
             finished.reduce(|best, next| if next.1.compare(best.1).is_gt() { next } else { best });
         winner.map(|(i, _)| i)
@@ -374,7 +436,8 @@ mod tests {
 
     fn score(successes: usize, is_success: bool) -> RaceScore {
         let scores = (0..20).map(|i| f32::from(u8::from(i < successes))).collect();
-        RaceScore { updates: 5, eval_seed: 1, scores, is_success, episode_return: 0.0 }
+        let episodes = String::new();
+        RaceScore { updates: 5, eval_seed: 1, scores, is_success, episodes, episode_return: 0.0 }
     }
 
     fn goes_on(successes: &[usize], n_keep: usize) -> Vec<usize> {
@@ -433,7 +496,8 @@ mod tests {
         let config = config(runs.path(), "cartpole", "", &[]);
         let plan = |n_episodes| Race::plan(&tasks, &config, Some("r"), 2, n_episodes).unwrap();
         let mut race = plan(100);
-        let own = |n| RaceScore { eval_seed: race.eval_seed(RaceStage::Quarter), ..score(n, true) };
+        let (eval_seed, episodes) = (race.eval_seed(RaceStage::Quarter), race.episodes());
+        let own = |n| RaceScore { eval_seed, episodes: episodes.clone(), ..score(n, true) };
         let (bad, good) = (own(2), own(19));
         for (i, score) in [bad, good].into_iter().enumerate() {
             fs::create_dir_all(&race.racers[i].directory).unwrap();

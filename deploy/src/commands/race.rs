@@ -2,9 +2,9 @@
 
 use leadtime_proto::RunName;
 use leadtime_runs::launch::{Launch, LaunchError, launch};
-use leadtime_runs::race::{Race, RaceScore, RaceStage};
+use leadtime_runs::race::{Race, RaceScore, RaceStage, Racer};
 use leadtime_runs::supervise::Ended;
-use leadtime_runs::{BEST_POLICY, LAST_POLICY, LoadedPolicy, Naming, Tasks};
+use leadtime_runs::{LoadedPolicy, Naming, Tasks};
 use leadtime_table::Table;
 use serde_json::{Value, json};
 use tokio_util::sync::CancellationToken;
@@ -115,12 +115,8 @@ impl RaceWork<'_> {
 
     /// Evaluates a racer on the episodes of a stage.
     async fn rate(&self, racer: usize, stage: RaceStage) -> Result<RaceScore, Failure> {
-        let file = match stage {
-            RaceStage::Quarter => LAST_POLICY,
-            RaceStage::Final => BEST_POLICY,
-        };
-        let directory = &self.race.racers[racer].directory;
-        let (tasks, race, path) = (self.tasks.clone(), self.race.clone(), directory.join(file));
+        let path = self.race.policy(racer, stage).blame(ExitCode::WrongInput)?;
+        let (tasks, race) = (self.tasks.clone(), self.race.clone());
         let work = move || {
             let policy = LoadedPolicy::load(&tasks.registry, &path, &path, &[]);
             let policy = policy.blame(ExitCode::WrongInput)?;
@@ -155,7 +151,8 @@ impl RaceWork<'_> {
         output::line(table.text_within(WIDTH).trim_end());
         output::line(&format!("\nWinner: {}", directory.display()));
         output::next(directory, &[EVALUATE, DRAW, REPORT]);
-        let stopped = self.race.racers.iter().find(|racer| racer.record.is_stopped);
+        let is_unfinished = |racer: &&Racer| racer.record.is_stopped && racer.record.last.is_none();
+        let stopped = self.race.racers.iter().find(is_unfinished);
         if let Some(racer) = stopped {
             let (path, name) = (&racer.directory, racer.config.run.name.as_ref());
             let name = name.map(ToString::to_string).unwrap_or_default();

@@ -42,6 +42,13 @@ pub(super) fn run(tasks: &Tasks, args: &ScriptSearchArgs) -> Result<(), Failure>
     let config = describe::load(tasks, &args.task, &args.set, &args.runs)?;
     let n_steps = args.steps.unwrap_or(config.learner.total_steps);
     let seed = args.seed.unwrap_or(config.seed);
+    if seed == args.eval_seed {
+        let says = "the script would be evaluated on episodes that chose it";
+        let says = anyhow::anyhow!(
+            "--seed and --eval-seed are both {seed}: {says}; take another --eval-seed"
+        );
+        return Err(Failure::of(ExitCode::WrongInput, says));
+    }
     let found = find(tasks, &config, n_steps, seed)?;
     let comparison = evaluate(tasks, &config, args, &found)?;
     let origin = SearchOrigin {
