@@ -75,21 +75,19 @@ pub struct HeldOutMeans {
     pub error: f64,
 }
 
-/// By how much one policy is ahead of another in the same episodes.
+/// A mean with its standard error.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lead {
-    /// Mean difference of the scores.
+pub struct Spread {
+    /// The mean.
     pub mean: f64,
     /// Its standard error.
     pub error: f64,
 }
 
-/// Compares the scores of two policies in the same episodes; one may have played more of them. `None` where fewer than two
-/// are shared.
-pub fn lead(ours: &[f32], theirs: &[f32]) -> Option<Lead> {
-    let differences = ours.iter().zip(theirs).map(|(&a, &b)| f64::from(a) - f64::from(b));
-    let Spread { mean, error } = spread(differences)?;
-    Some(Lead { mean, error })
+/// Returns by how much one policy's scores are ahead of another's in the same episodes; one may have played more of them.
+/// `None` where fewer than two are shared.
+pub fn lead(ours: &[f32], theirs: &[f32]) -> Option<Spread> {
+    spread(ours.iter().zip(theirs).map(|(&a, &b)| f64::from(a) - f64::from(b)))
 }
 
 /// Returns what makes an episode better than another: success, or its return where the task knows none.
@@ -112,13 +110,8 @@ pub(crate) fn means(version: PolicyVersion, episodes: &[HeldOutEpisode]) -> Opti
     })
 }
 
-/// A mean with its standard error.
-struct Spread {
-    mean: f64,
-    error: f64,
-}
-
-fn spread(values: impl Iterator<Item = f64> + Clone) -> Option<Spread> {
+/// Computes mean and standard error; `None` of fewer than two values.
+pub fn spread(values: impl Iterator<Item = f64> + Clone) -> Option<Spread> {
     let n = values.clone().count() as f64;
     if n < 2.0 {
         return None;

@@ -15,7 +15,7 @@ use std::{fs, io};
 use leadtime_config::{Config, ConfigError, Layer, identity};
 use leadtime_eval::Error;
 use leadtime_eval::measure::{PlaySettings, evaluate};
-use leadtime_learner::held_out::{lead, score};
+use leadtime_learner::held_out::{lead, score, spread};
 use leadtime_learner::write_atomically;
 use serde::{Deserialize, Serialize};
 
@@ -70,7 +70,7 @@ impl RaceScore {
 
     /// Returns the standard error of the mean; 0 of a single episode.
     pub fn error(&self) -> f64 {
-        lead(&self.scores, &vec![0.0; self.scores.len()]).map_or(0.0, |lead| lead.error)
+        spread(self.scores.iter().copied().map(f64::from)).map_or(0.0, |spread| spread.error)
     }
 
     /// Compares policies in the same episodes; the better one is greater.
@@ -139,7 +139,7 @@ pub enum RaceStage {
 /// A racer's place among all, and its score.
 type Ranked<'a> = (usize, &'a RaceScore);
 
-/// A race.
+/// Several seeds of one configuration, and how far each has come.
 #[derive(Clone, Debug)]
 pub struct Race {
     /// Everybody who takes part, by ascending seed.

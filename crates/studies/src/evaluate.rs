@@ -23,7 +23,7 @@ use crate::result::{ConditionResult, PartResult, RowResult};
 use crate::study::StatedDifference;
 use crate::trainings::RowTrainings;
 
-/// The measure by which trainings are told apart.
+/// The measure that decides whether a training failed.
 const SUCCESS: &str = "success";
 /// Which metrics are computed for an episode, and how; raised when that changes, so that no evaluation is taken that
 /// lacks one.

@@ -69,7 +69,7 @@ pub(crate) struct PlannedRow {
     pub(crate) seeds: Vec<u64>,
     /// One training per seed; none for a script.
     pub(crate) trainings: Vec<PlannedTraining>,
-    /// The search for its script, if that is none of the task's.
+    /// How its script is searched; `None` for a script that comes with the task, and for a trained row.
     pub(crate) search: Option<PlannedSearch>,
     pub(crate) conditions: Vec<PlannedCondition>,
 }

@@ -1,7 +1,7 @@
 //! The scripts of a row that the task does not have: one that is searched, and the oracle that mends what it does.
 //!
 //! A searched script is a file beside the runs, `scripts/<key>.toml`, named after everything that decides it. It is searched
-//! once, in the task of the row's training and with as many environment steps; whoever needs it again reads it.
+//! once, in the task that the row trains on and with as many steps as a training has. Later uses read the file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
