@@ -222,6 +222,13 @@ pub trait Domain: Send {
     /// Advances the world by one step (one word): the person reacts, or acts by their own plan.
     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance;
 
+    /// Returns which danger the person faces now, counted from 0: what one of the notifier's reasons would be about. A
+    /// reason that the listener was given for a danger is not paid again
+    /// ([`Human::acted`](crate::human::Human::acted)).
+    fn danger(&self) -> usize {
+        0
+    }
+
     /// Called when a reaction is over (run out, replaced or cancelled): a plan made before it may be invalid.
     fn reaction_over(&mut self) {}
 

@@ -126,6 +126,35 @@ fn a_notifier_can_be_held_to_what_can_be_said() {
 }
 
 #[test]
+fn the_study_of_reasons_has_those_of_the_shipped_sentences() {
+    let printed = taxonomy(&Place::new(), &["export lander --format cells"]).with_code(0).stdout;
+    let numbers = |text: &str| {
+        let reasons: toml::Table = toml::from_str(text).unwrap();
+        let read = |value: &toml::Value| value["notifier"]["reasons"].as_array().unwrap().clone();
+        read(&toml::Value::Table(reasons))
+    };
+    let shipped = numbers(&printed);
+    assert!(shipped.iter().any(|cell| cell[3].as_float() == Some(0.25)), "{printed}");
+    let study = include_str!("../../crates/studies/studies/reasons.toml");
+    let study: toml::Value = toml::from_str(study).unwrap();
+    let rows = study["parts"][0]["rows"].as_array().unwrap();
+    let tables: Vec<_> = rows.iter().filter_map(|row| row["set"].get("notifier")).collect();
+    assert_eq!(tables.len(), 2);
+    for table in tables {
+        let same = |(ours, theirs): (&toml::Value, &toml::Value)| {
+            let share = |cell: &toml::Value| cell[3].as_float();
+            ours[0] == theirs[0]
+                && ours[1] == theirs[1]
+                && ours[2] == theirs[2]
+                && share(ours) == share(theirs)
+        };
+        let ours = table["reasons"].as_array().unwrap();
+        assert_eq!(ours.len(), shipped.len());
+        assert!(ours.iter().zip(&shipped).all(same), "{ours:?}");
+    }
+}
+
+#[test]
 fn what_a_database_lacks_is_listed_and_fails_only_if_asked() {
     let place = Place::new();
     let file = place.write("small.toml", SMALL);

@@ -180,6 +180,9 @@ fn spoken() -> String {
         line if line.starts_with("# cells = ") => {
             "# cells = [[\"TOPIC\", 2, 2], [\"TOPIC\", 2, 4]]\n".to_owned()
         }
+        line if line.starts_with("# reasons = ") => {
+            "# reasons = [[\"TOPIC\", 2, 4, 0.5]]\n".to_owned()
+        }
         line => format!("{line}\n"),
     });
     format!("\n[human]\n{}", lines.collect::<String>())

@@ -18,7 +18,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::catalog::{Catalog, GENERAL, GENERAL_TEXT};
 use crate::error::{ConfigError, ensure, within};
-use crate::identity::TOTAL_STEPS;
+use crate::identity::{TOTAL_STEPS, without_retired};
 use crate::layers::{Layer, Layers};
 use crate::overrides::Override;
 use crate::sections::{self, SECTIONS};
@@ -151,7 +151,12 @@ impl Config {
         registry: &Registry,
     ) -> Result<Self, ConfigError> {
         // It may be older than some settings, which change nothing at their general defaults.
-        let layers = [Layer::text(GENERAL, GENERAL_TEXT), Layer::text(place, text)];
+        let own = Layer::text(place, text);
+        own.parse()?;
+        let as_written: toml::Table = text.parse().unwrap_or_default();
+        let read = without_retired(as_written.clone());
+        let own = if read == as_written { own } else { Layer::table(place, &read) };
+        let layers = [Layer::text(GENERAL, GENERAL_TEXT), own];
         Self::resolve(layers.into_iter().chain(changes.iter().map(Layer::set)).collect(), registry)
     }
 

@@ -10,6 +10,24 @@ use toml::{Table, Value};
 
 /// Sections that say where and how a run is carried out, and not what it computes.
 const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
+/// Settings of the learner that may change while a run goes on: they decide how it learns from there on. The others decide
+/// what its state is, such as the number of its environments.
+pub const CHANGEABLE: [&str; 14] = [
+    "learner.anneal",
+    "learner.clip",
+    "learner.entropy_coef",
+    "learner.gae_lambda",
+    "learner.gamma",
+    "learner.learning_rate",
+    "learner.max_grad_norm",
+    "learner.n_epochs",
+    "learner.n_minibatches",
+    "learner.normalize_advantages",
+    "learner.reward_scale",
+    "learner.target_kl",
+    "learner.value_clip",
+    "learner.value_coef",
+];
 /// The key that may grow when a run is resumed.
 pub const TOTAL_STEPS: &str = "learner.total_steps";
 /// The seed's key.
@@ -27,6 +45,24 @@ const LATER: [(&str, &str); 9] = [
     ("world.reward.late", "0.0"),
 ];
 
+/// A setting that earlier runs have: which messages stated a reason. Where a reason is worth nothing it decided nothing, and a
+/// run without it has the identity of one with the value that every profile had.
+const RETIRED: (&str, &str) = ("human.reason_from_words", "4");
+/// The setting without which it decided nothing, and that value.
+const REASON_WEIGHT: (&str, &str) = ("human.reason_weight", "0.0");
+
+/// Removes what an earlier release wrote and this one no longer reads, where it decided nothing.
+pub(crate) fn without_retired(mut table: Table) -> Table {
+    let leaves = flatten(&table);
+    if leaves.get(REASON_WEIGHT.0).is_some_and(|weight| weight == REASON_WEIGHT.1)
+        && let Some((section, key)) = RETIRED.0.split_once('.')
+        && let Some(Value::Table(section)) = table.get_mut(section)
+    {
+        section.remove(key);
+    }
+    table
+}
+
 /// Tells whether a key only says where and how a run is carried out.
 pub fn is_free(key: &str) -> bool {
     FREE_SECTIONS.iter().any(|section| key.starts_with(section))
@@ -37,6 +73,10 @@ pub fn is_free(key: &str) -> bool {
 fn deciding(table: &Table) -> BTreeMap<String, String> {
     let mut leaves = flatten(table);
     leaves.retain(|key, value| !is_free(key) && !changes_nothing(key, value));
+    if leaves.get(REASON_WEIGHT.0).is_some_and(|weight| weight == REASON_WEIGHT.1) {
+        let (key, value) = RETIRED;
+        leaves.insert(key.to_owned(), value.to_owned());
+    }
     leaves
 }
 
@@ -89,7 +129,7 @@ impl fmt::Display for Change {
 ///
 /// A setting that came later than one of them is left out where it changes nothing.
 pub fn difference(before: &Table, after: &Table) -> Vec<Change> {
-    let (before, after) = (flatten(before), flatten(after));
+    let [before, after] = [before, after].map(|table| flatten(&without_retired(table.clone())));
     let keys: BTreeSet<&String> = before.keys().chain(after.keys()).collect();
     let change = |key: &String| {
         let [before, after] = [&before, &after].map(|of| of.get(key).cloned().unwrap_or_default());

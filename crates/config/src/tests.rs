@@ -201,6 +201,22 @@ fn an_earlier_run_on_the_road_keeps_its_identity() {
     assert_eq!(identity::of_run(&stored.table), identity::of_run(&table));
 }
 
+/// A run from before sentences decided which messages state a reason.
+#[test]
+fn an_earlier_run_keeps_its_identity_without_the_setting_that_is_gone() {
+    let table = named("lander").table;
+    let earlier = table.to_string().replace("[human]\n", "[human]\nreason_from_words = 4\n");
+    let stored = |text: &str| Config::stored("the run", text, &[], &leadtime_worlds::builtin());
+    assert_eq!(stored(&earlier).unwrap().table, table);
+    let earlier_table: Table = earlier.parse().unwrap();
+    assert_eq!(identity::of_run(&earlier_table), identity::of_run(&table));
+    assert!(identity::difference(&earlier_table, &table).is_empty());
+    // Where a reason was worth something, the run cannot be carried on as it was.
+    let paid = earlier.replace("reason_weight = 0.0", "reason_weight = 4.0");
+    let error = stored(&paid).unwrap_err().to_string();
+    assert!(error.contains("reason_from_words"), "{error}");
+}
+
 #[test]
 fn the_learners_own_defaults_are_those_of_cartpole() {
     let config = check("domain = \"cartpole\"").unwrap();

@@ -128,16 +128,14 @@ impl Utterance {
         self.what().map(|what| what.to)
     }
 
-    /// Counts the words of reasons that come before the directive: `I_why` of the informativeness α·l + β·`I_why`.
+    /// Tells whether it states a reason, before or after the directive: `I_why` of the informativeness α·l + β·`I_why`.
     ///
     /// # Source
     ///
-    /// arXiv:2509.07438, informativeness. Its examples give none to a reason that trails ("Press the pedal slowly to
-    /// speed up."), some to one that leads ("To speed up, press the pedal slowly."): our reading of `I_why`.
-    pub fn words_of_reason(&self) -> u32 {
-        let Some(what) = self.what() else { return 0 };
-        let leads = |span: &&WordSpan| span.part == SpanKind::Why && span.to <= what.from;
-        self.spans.iter().filter(leads).map(|span| span.to.saturating_sub(span.from)).sum()
+    /// arXiv:2509.07438, informativeness. It labels "Press the pedal slowly to speed up." as ending in a Why, and calls
+    /// its `I_why` 0 all the same. Here a reason counts wherever it stands: a listener hears it.
+    pub fn states_reason(&self) -> bool {
+        self.spans.iter().any(|span| span.part == SpanKind::Why)
     }
 }
 
@@ -161,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_reason_that_leads_adds_information() {
+    fn a_reason_counts_before_and_after_the_directive() {
         let trails = utterance(
             "Press the pedal slowly to speed up.",
             &[(SpanKind::What, 0, 4), (SpanKind::Why, 4, 7)],
@@ -170,7 +168,9 @@ mod tests {
             "To speed up, press the pedal slowly.",
             &[(SpanKind::Why, 0, 3), (SpanKind::What, 3, 7)],
         );
-        assert_eq!((trails.words_of_reason(), leads.words_of_reason()), (0, 3));
+        let without = utterance("Press the pedal slowly.", &[(SpanKind::What, 0, 4)]);
+        let stated = [&trails, &leads, &without].map(Utterance::states_reason);
+        assert_eq!(stated, [true, true, false]);
         assert_eq!(leads.structural_comprehension(), Some(7));
     }
 }

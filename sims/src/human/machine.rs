@@ -58,7 +58,10 @@ use leadtime_numerics::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::delay::DelaySource;
-use super::settings::{HumanSettings, Interrupt, PendingRule, ReactionReward, Repeat, RunningRule};
+use super::reasons::ReasonTable;
+use super::settings::{
+    HumanSettings, Interrupt, MAX_WORDS, PendingRule, ReactionReward, Repeat, RunningRule,
+};
 use super::tally::Tally;
 use crate::{Message, ReactionStatus, ReactionStep};
 
@@ -68,8 +71,8 @@ pub const MAX_PENDING: usize = 64;
 /// From how many words on a message counts as long.
 pub const LONG_FROM_WORDS: u32 = 4;
 
-/// The most words a message can have.
-pub const MAX_WORDS: u32 = 1000;
+/// The most dangers of an episode that are told apart; the last one stands for all beyond.
+pub const MAX_DANGERS: usize = 64;
 
 /// The longest episode that is counted, in steps.
 const MAX_TIME: u32 = 1 << 30;
@@ -135,6 +138,8 @@ pub struct HumanState {
     running: Option<RunningReaction>,
     delay: DelaySource,
     tally: Tally,
+    /// The dangers for which a reason was paid, a bit each.
+    explained: u64,
 }
 
 impl HumanState {
@@ -163,6 +168,8 @@ pub struct Human {
     settings: HumanSettings,
     /// Topics that only inform.
     informative: Vec<usize>,
+    /// Which messages state a reason.
+    reasons: ReasonTable,
     state: HumanState,
     /// A reaction ended since this was last asked.
     reaction_over: bool,
@@ -172,7 +179,11 @@ impl Human {
     /// Creates a listener who has heard nothing; [`Human::reset`] gives it an episode's generator.
     ///
     /// The `informative` topics ask for no action: they only inform, when they are heard to their end.
-    pub(crate) fn new(settings: &HumanSettings, informative: Vec<usize>) -> Self {
+    pub(crate) fn new(
+        settings: &HumanSettings,
+        informative: Vec<usize>,
+        reasons: ReasonTable,
+    ) -> Self {
         let state = HumanState {
             now: 0,
             speech: None,
@@ -180,8 +191,9 @@ impl Human {
             running: None,
             delay: DelaySource::new(settings.reaction_delay, Pcg64::seed_from_u64(0)),
             tally: Tally::default(),
+            explained: 0,
         };
-        Self { settings: settings.clone(), informative, state, reaction_over: false }
+        Self { settings: settings.clone(), informative, reasons, state, reaction_over: false }
     }
 
     fn only_informs(&self, message: Message) -> bool {
@@ -196,6 +208,7 @@ impl Human {
         self.state.running = None;
         self.state.delay = DelaySource::new(self.settings.reaction_delay, generator);
         self.state.tally = Tally::default();
+        self.state.explained = 0;
         self.reaction_over = false;
     }
 
@@ -234,7 +247,7 @@ impl Human {
     /// Returns the message that the coming step acts upon unless something new is said, and for how many steps more.
     pub fn upcoming(&self) -> Option<(Message, u32)> {
         let due = self.state.pending.front().filter(|pending| pending.due <= self.state.now);
-        let steps = |due: &Pending| (due.message, self.settings.reaction_steps(due.message));
+        let steps = |due: &Pending| (due.message, self.reaction_steps(due.message));
         let starting = due.map(steps).filter(|(_, steps)| *steps > 0);
         starting.or(self.state.running.map(|running| (running.message, running.steps_left)))
     }
@@ -263,7 +276,7 @@ impl Human {
         let now = self.state.now;
         let due = self.state.pending.pop_front_if(|pending| pending.due <= now);
         let Some(Pending { message, .. }) = due else { return };
-        let steps_left = self.settings.reaction_steps(message);
+        let steps_left = self.reaction_steps(message);
         // Row D4: it asks for nothing, so what runs goes on.
         if steps_left == 0 {
             self.state.tally.unheeded += 1;
@@ -336,8 +349,9 @@ impl Human {
 
     /// Records how this step of the running reaction went (rows A); returns `R_react` of the step.
     ///
-    /// A world that says nothing about a reaction it was asked for has refused it.
-    pub fn acted(&mut self, status: Option<ReactionStatus>) -> f64 {
+    /// A world that says nothing about a reaction it was asked for has refused it. A reason is paid once per danger
+    /// ([`Domain::danger`](crate::Domain::danger)): the listener knows it by then, and a notifier cannot live on saying it.
+    pub fn acted(&mut self, status: Option<ReactionStatus>, danger: usize) -> f64 {
         let Some(running) = self.state.running.as_mut() else { return 0.0 };
         let status = status.unwrap_or(ReactionStatus::Refused);
         // A refused step uses up time as a followed one does: the person tried for `d_f` steps.
@@ -356,7 +370,20 @@ impl Human {
             ReactionReward::Once => first_followed,
             ReactionReward::PerStep => follows,
         };
-        if pays { self.settings.informativeness_of(message) - 2.0 } else { 0.0 }
+        if !pays {
+            return 0.0;
+        }
+        let danger = 1 << danger.min(MAX_DANGERS - 1);
+        let stated = self.reasons.share(message);
+        let reason = if self.state.explained & danger == 0 { stated } else { 0.0 };
+        if stated > 0.0 {
+            self.state.explained |= danger;
+        }
+        self.settings.informativeness_of(message, reason) - 2.0
+    }
+
+    fn reaction_steps(&self, message: Message) -> u32 {
+        self.settings.reaction_steps(message, self.reasons.share(message))
     }
 
     /// Returns when the reaction reward is paid.

@@ -21,7 +21,7 @@ fn start(topic: usize, k: u32, l: u32) -> SpeechAct {
 }
 
 fn human(settings: &HumanSettings) -> Human {
-    let mut human = Human::new(settings, Vec::new());
+    let mut human = Human::new(settings, Vec::new(), ReasonTable::default());
     human.reset(Pcg64::seed_from_u64(1));
     human
 }
@@ -54,7 +54,7 @@ fn step_in(
     human.begin_step();
     let initiation = human.apply(act);
     let reaction = human.reaction();
-    human.acted(reaction.map(|_| status));
+    human.acted(reaction.map(|_| status), 0);
     human.hear_word();
     (reaction.map(|reaction| reaction.topic), initiation)
 }
@@ -165,7 +165,7 @@ fn rows_d_i_and_c_two_messages_meet_as_their_settings_say() {
 #[test]
 fn c6_l3_an_informative_message_leaves_no_reaction_and_works_when_it_is_delivered() {
     let settings = with(|s| s.interrupt = Interrupt::Replace);
-    let mut human = Human::new(&settings, vec![B]);
+    let mut human = Human::new(&settings, vec![B], ReasonTable::default());
     // A is understood at time 2 and due at time 4; B is understood in between, and leaves it alone.
     let acted = steps(&mut human, &[(0, start(A, 2, 2)), (2, start(B, 1, 3))], 7);
     assert_eq!(acted, [None, None, None, None, Some(A), Some(A), None]);
@@ -204,7 +204,7 @@ fn row_d2_a_due_reaction_runs() {
     human.begin_step();
     assert_eq!(human.pending(), None);
     assert_eq!(human.reaction(), Some(ReactionStep { topic: A, first: true }));
-    human.acted(Some(Followed));
+    human.acted(Some(Followed), 0);
     assert_eq!(human.reaction(), Some(ReactionStep { topic: A, first: false }));
 }
 
@@ -352,11 +352,36 @@ fn the_reaction_reward_is_paid_as_set() {
         let mut human = human(&HumanSettings { follow_through, reaction_reward, ..undelayed() });
         step(&mut human, start(A, 1, 5));
         human.begin_step();
-        statuses.map(|status| human.acted(Some(status)))
+        statuses.map(|status| human.acted(Some(status), 0))
     };
     assert_eq!(paid(ReactionReward::Off, [Followed; 3]), [0.0, 0.0, 0.0]);
     assert_eq!(paid(ReactionReward::Once, [Refused, Followed, Followed]), [0.0, 3.0, 0.0]);
     assert_eq!(paid(ReactionReward::PerStep, [Followed, Refused, Followed]), [3.0, 0.0, 3.0]);
+}
+
+#[test]
+fn a_reason_is_paid_once_per_danger() {
+    let reasons = [("up".to_owned(), 1, 5, 0.5)];
+    let reasons = ReasonTable::new(&reasons, &["up", "down"]).unwrap();
+    let settings = HumanSettings {
+        follow_through: FollowThrough::Fixed(1),
+        reaction_reward: ReactionReward::Once,
+        reason_weight: 4.0,
+        ..undelayed()
+    };
+    let mut human = Human::new(&settings, Vec::new(), reasons);
+    human.reset(Pcg64::seed_from_u64(1));
+    let mut paid = |topic, danger| {
+        step(&mut human, start(topic, 1, 5));
+        human.begin_step();
+        let paid = human.acted(Some(Followed), danger);
+        human.hear_word();
+        paid
+    };
+    // l - 2 is paid each time, the reason on top of it for a danger that was not explained yet.
+    assert_eq!([paid(B, 0), paid(A, 0), paid(A, 0)], [3.0, 5.0, 3.0]);
+    assert_eq!([paid(A, 1), paid(A, 1), paid(A, 0)], [5.0, 3.0, 3.0]);
+    assert_eq!([paid(A, 63), paid(A, 64), paid(A, usize::MAX)], [5.0, 3.0, 3.0]);
 }
 
 fn any_settings() -> impl Strategy<Value = HumanSettings> {
@@ -436,7 +461,7 @@ proptest! {
         for (t, &(act, status)) in steps.iter().enumerate() {
             if t == cut {
                 let bytes = leadtime_proto::codec::encode(resumed.state()).unwrap();
-                resumed = Human::new(&settings, Vec::new());
+                resumed = Human::new(&settings, Vec::new(), ReasonTable::default());
                 resumed.restore(leadtime_proto::codec::decode(&bytes, bytes.len()).unwrap());
             }
             let expected = step_in(&mut straight, act, status);

@@ -23,12 +23,15 @@
 
 mod delay;
 pub mod machine;
+mod reasons;
 mod settings;
 mod tally;
 
 pub use machine::{Human, HumanState, Initiation, SpeechAct};
+pub use reasons::{ReasonTable, StatedReason};
 pub use settings::{
     BlockedInitiation, Comprehension, DelayDraw, FollowThrough, FollowThroughEnd, HumanSettings,
-    Informativeness, Interrupt, PendingRule, ReactionDelay, ReactionReward, Repeat, RunningRule,
+    Informativeness, Interrupt, MAX_WORDS, PendingRule, ReactionDelay, ReactionReward, Repeat,
+    RunningRule,
 };
 pub use tally::Tally;

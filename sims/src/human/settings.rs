@@ -13,6 +13,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::Message;
 use crate::check::{SettingError, require, require_within};
 
+/// The most words a message can have.
+pub const MAX_WORDS: u32 = 1000;
 /// The longest reaction delay, in steps; draws beyond it are cut.
 pub(super) const MAX_REACTION_DELAY: u32 = 60;
 
@@ -190,10 +192,8 @@ pub struct HumanSettings {
     pub informativeness: Informativeness,
     /// Weight of that count in I, α (at least 0). Default 1.
     pub informativeness_weight: f64,
-    /// What a stated reason adds to I, β (at least 0). Default 0.
+    /// What a stated reason adds to I, β (at least 0). Default 0. Which messages state one is `notifier.reasons`.
     pub reason_weight: f64,
-    /// Messages of at least this many words state a reason (at least 1). Default 4.
-    pub reason_from_words: u32,
     /// Steps that a reaction lasts, `d_f`. Default `length`; a bare number means `{ fixed = number }`.
     #[serde(deserialize_with = "read_or_fixed")]
     pub follow_through: FollowThrough,
@@ -262,7 +262,6 @@ impl Default for HumanSettings {
             informativeness: Informativeness::Length,
             informativeness_weight: 1.0,
             reason_weight: 0.0,
-            reason_from_words: 4,
             follow_through: FollowThrough::Length,
             follow_through_end: FollowThroughEnd::Exclusive,
             reaction_reward: ReactionReward::Off,
@@ -293,8 +292,6 @@ impl HumanSettings {
         let weight = self.informativeness_weight;
         require_within("human.informativeness_weight", weight, 0.0..=1e6, "")?;
         require_within("human.reason_weight", self.reason_weight, 0.0..=1e6, "")?;
-        let words = self.reason_from_words;
-        require(words >= 1, "human.reason_from_words", words, "at least 1")?;
         match self.follow_through {
             FollowThrough::Fixed(steps) => {
                 require_within("human.follow_through", steps, 1..=1000, "steps")
@@ -336,19 +333,18 @@ impl HumanSettings {
         }
     }
 
-    /// Computes how informative a message is: I = α · (l or l - k) + β · (1 if it states a reason).
-    pub(super) fn informativeness_of(&self, message: Message) -> f64 {
+    /// Computes how informative a message is: I = α · (l or l - k) + β · `I_why`, given `I_why`.
+    pub(super) fn informativeness_of(&self, message: Message, reason: f64) -> f64 {
         let counted = match self.informativeness {
             Informativeness::Length => message.conveyance,
             Informativeness::Tail => message.conveyance - message.comprehension,
         };
-        let reason = f64::from(u8::from(message.conveyance >= self.reason_from_words));
         self.informativeness_weight * f64::from(counted) + self.reason_weight * reason
     }
 
     /// Computes how many steps the reaction to a message lasts, both conventions of its end included.
-    pub(super) fn reaction_steps(&self, message: Message) -> u32 {
-        let informativeness = self.informativeness_of(message);
+    pub(super) fn reaction_steps(&self, message: Message, reason: f64) -> u32 {
+        let informativeness = self.informativeness_of(message, reason);
         let steps = match self.follow_through {
             FollowThrough::Length => libm::round(informativeness) as u32,
             FollowThrough::TwiceLengthMinusTwo => libm::round(2.0 * informativeness - 2.0) as u32,
@@ -372,7 +368,7 @@ mod tests {
         let steps = |follow_through, follow_through_end, l| {
             let settings =
                 HumanSettings { follow_through, follow_through_end, ..HumanSettings::default() };
-            settings.reaction_steps(message(2, l))
+            settings.reaction_steps(message(2, l), 0.0)
         };
         assert_eq!(steps(FollowThrough::Length, Exclusive, 5), 5);
         assert_eq!(steps(FollowThrough::Length, Inclusive, 5), 6);
@@ -384,11 +380,11 @@ mod tests {
     #[test]
     fn informativeness_counts_words_tail_and_reason() {
         let mut settings = HumanSettings { reason_weight: 0.5, ..HumanSettings::default() };
-        assert_eq!(settings.informativeness_of(message(2, 3)), 3.0);
-        assert_eq!(settings.informativeness_of(message(2, 5)), 5.5);
+        assert_eq!(settings.informativeness_of(message(2, 5), 0.0), 5.0);
+        assert_eq!(settings.informativeness_of(message(2, 5), 1.0), 5.5);
         settings.informativeness = Informativeness::Tail;
         settings.informativeness_weight = 2.0;
-        assert_eq!(settings.informativeness_of(message(2, 5)), 6.5);
+        assert_eq!(settings.informativeness_of(message(2, 5), 0.5), 6.25);
     }
 
     #[test]

@@ -3,8 +3,8 @@
 //! | type | heads | k, l |
 //! |---|---|---|
 //! | topic only | initiate, topic | both the shortest |
-//! | complete utterance | initiate, topic, l | k = l |
-//! | incrementally actionable | initiate, topic, k, l | l >= k given k |
+//! | complete utterance | initiate, topic, l | k = l, at most `k_max` |
+//! | incrementally actionable | initiate, topic, k, l | l >= k given k, k at most `k_max` |
 //!
 //! The initiate head has the choices silence (0), start (1) and, where a message can be stopped, stop (2).
 
@@ -51,6 +51,8 @@ pub(super) struct Offered {
 pub(super) struct Actions {
     notification: NotificationType,
     words: Vec<u32>,
+    /// How many of them k may be: those up to `k_max`.
+    n_k: usize,
     /// The domain's id of each topic choice.
     topic_ids: Vec<usize>,
     /// What can be said, if not everything.
@@ -69,24 +71,26 @@ impl Actions {
         let table = |cells: &Vec<_>| CellTable::new(cells, known_topics, &topic_ids);
         let cells = settings.cells.as_ref().map(table).transpose()?;
         let words = settings.words.clone();
-        Ok(Self { notification: settings.notification, words, topic_ids, cells, can_stop })
+        let n_k = words.iter().filter(|&&k| settings.k_max.is_none_or(|most| k <= most)).count();
+        Ok(Self { notification: settings.notification, words, n_k, topic_ids, cells, can_stop })
     }
 
     /// Describes the heads, the gate on starting, and the rule k <= l.
     pub(super) fn spec(&self) -> ActionSpec {
         let head = |name: &str, n_choices| Head { name: name.to_owned(), n_choices };
-        let n_words = self.words.len();
+        let (n_words, n_k) = (self.words.len(), self.n_k);
         let initiate = head("initiate", if self.can_stop { 3 } else { 2 });
         let mut heads = vec![initiate, head("topic", self.topic_ids.len())];
         let mut conditionals = Vec::new();
         match self.notification {
             NotificationType::TopicOnly => {}
-            NotificationType::CompleteUtterance => heads.push(head(LENGTH_HEADS[1], n_words)),
+            NotificationType::CompleteUtterance => heads.push(head(LENGTH_HEADS[1], n_k)),
             NotificationType::IncrementallyActionable => {
-                heads.extend(LENGTH_HEADS.map(|name| head(name, n_words)));
+                heads.push(head(LENGTH_HEADS[0], n_k));
+                heads.push(head(LENGTH_HEADS[1], n_words));
                 // Words increase, so l >= k means a choice of at least the same index. At most 64 choices fit a
                 // mask, so clamp the shift: the caller reports the error.
-                let allowed = (0..n_words).map(|k| u64::MAX << k.min(63)).collect();
+                let allowed = (0..n_k).map(|k| u64::MAX << k.min(63)).collect();
                 conditionals.push(Conditional { head: 3, given: 2, allowed });
             }
         }
@@ -96,16 +100,19 @@ impl Actions {
 
     /// Names the choices of every head.
     pub(super) fn heads(&self, topics: &[&str]) -> Vec<NamedHead> {
-        let words = || self.words.iter().map(|n| format!("{n} words")).collect();
-        let choices = |name: &str| match name {
+        let words = |n| self.words.iter().take(n).map(|n| format!("{n} words")).collect();
+        let choices = |name: &str, n_choices| match name {
             "initiate" => ["silence", "start", "stop"][..2 + usize::from(self.can_stop)]
                 .iter()
                 .map(|&choice| choice.to_owned())
                 .collect(),
             "topic" => self.topic_ids.iter().map(|&id| topics[id].to_owned()).collect(),
-            _ => words(),
+            _ => words(n_choices),
         };
-        let named = |head: Head| NamedHead { choices: choices(&head.name), name: head.name };
+        let named = |head: Head| NamedHead {
+            choices: choices(&head.name, head.n_choices),
+            name: head.name,
+        };
         self.spec().heads.into_iter().map(named).collect()
     }
 
@@ -162,10 +169,12 @@ impl Actions {
 
     /// Lists what the choices can say, each message once.
     pub(super) fn messages(&self) -> Vec<Message> {
-        let n_words = self.words.len() as u8;
-        let n_lengths = |is_chosen: bool| if is_chosen { n_words } else { 1 };
-        let n_last = n_lengths(self.notification == NotificationType::IncrementallyActionable);
-        let n_first = n_lengths(self.notification != NotificationType::TopicOnly);
+        let (n_k, n_l) = (self.n_k as u8, self.words.len() as u8);
+        let (n_first, n_last) = match self.notification {
+            NotificationType::TopicOnly => (1, 1),
+            NotificationType::CompleteUtterance => (n_k, 1),
+            NotificationType::IncrementallyActionable => (n_k, n_l),
+        };
         let mut all: Vec<Message> = Vec::new();
         for topic in 0..self.topic_ids.len() as u8 {
             for (first, last) in (0..n_first).flat_map(|i| (0..n_last).map(move |j| (i, j))) {
@@ -186,9 +195,9 @@ impl Actions {
         (action[0], action[1]) = (START, topic as u8);
         match self.notification {
             NotificationType::TopicOnly => {}
-            NotificationType::CompleteUtterance => action[2] = self.nearest(message.conveyance),
+            NotificationType::CompleteUtterance => action[2] = self.nearest_k(message.conveyance),
             NotificationType::IncrementallyActionable => {
-                action[2] = self.nearest(message.comprehension);
+                action[2] = self.nearest_k(message.comprehension);
                 action[3] = self.nearest(message.conveyance).max(action[2]);
             }
         }
@@ -197,6 +206,10 @@ impl Actions {
     fn nearest(&self, words: u32) -> u8 {
         let distance = |&i: &usize| self.words[i].abs_diff(words);
         (0..self.words.len()).min_by_key(distance).unwrap_or(0) as u8
+    }
+
+    fn nearest_k(&self, words: u32) -> u8 {
+        self.nearest(words).min((self.n_k - 1) as u8)
     }
 
     /// Returns what may be chosen, given what the listener's rules allow.
@@ -277,6 +290,32 @@ mod tests {
             let act = actions.speech_act(&action);
             assert!(matches!(act, SpeechAct::Start(said) if said.comprehension <= said.conveyance));
         }
+    }
+
+    #[test]
+    fn no_k_beyond_the_greatest_is_offered() {
+        let settings = |notification| NotifierSettings {
+            notification,
+            k_max: Some(3),
+            ..NotifierSettings::default()
+        };
+        let actions = Actions::new(&settings(IncrementallyActionable), TOPICS, false).unwrap();
+        let spec = actions.spec();
+        spec.check().unwrap();
+        assert_eq!(spec.heads.iter().map(|head| head.n_choices).collect::<Vec<_>>(), [2, 3, 2, 4]);
+        assert!(spec.allows(Mask::ALL, &[1, 0, 1, 3]) && !spec.allows(Mask::ALL, &[1, 0, 1, 0]));
+        let of_up = actions.messages().iter().filter(|said| said.topic == 0).count();
+        assert_eq!((of_up, actions.heads(TOPICS)[2].choices.len()), (7, 2));
+        let mut action = [0; 4];
+        actions.write(Some(message(0, 5, 5)), &mut action);
+        assert_eq!(actions.speech_act(&action), SpeechAct::Start(message(0, 3, 5)));
+        // What was said is encoded as without a bound: a policy's observation has the same shape.
+        assert_eq!(
+            actions.encoded_dim(),
+            self::actions(IncrementallyActionable, false).encoded_dim()
+        );
+        let complete = Actions::new(&settings(CompleteUtterance), TOPICS, false).unwrap();
+        assert!(complete.messages().iter().all(|said| said.conveyance <= 3));
     }
 
     #[test]

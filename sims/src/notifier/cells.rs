@@ -5,7 +5,7 @@
 
 use crate::Message;
 use crate::check::SettingError;
-use crate::human::machine::MAX_WORDS;
+use crate::human::MAX_WORDS;
 
 /// A topic's name, k and l, as a person writes them: `["ascend", 2, 4]`.
 pub type SayableCell = (String, u32, u32);

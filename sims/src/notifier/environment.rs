@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::actions::{Actions, Offered};
 use super::history::History;
 use super::settings::NotifierSettings;
+use crate::check::SettingError;
 use crate::description::{Description, ObservationLayout, Quantity, RewardTerm};
 use crate::environment::{
     EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome, read_snapshot,
@@ -14,7 +15,8 @@ use crate::environment::{
 };
 use crate::error::TaskError;
 use crate::human::{
-    BlockedInitiation, Human, HumanSettings, HumanState, Initiation, ReactionReward, SpeechAct,
+    BlockedInitiation, Human, HumanSettings, HumanState, Initiation, ReactionReward, ReasonTable,
+    SpeechAct,
 };
 use crate::scene::{Listener, Scene, Speech};
 use crate::scriptable::{STEP, Scriptable};
@@ -99,6 +101,7 @@ impl<D: Domain> NotifierEnv<D> {
     ) -> Result<Self, TaskError> {
         human.check()?;
         let actions = Actions::new(notifier, domain.topics(), human.can_stop)?;
+        let reasons = reasons(human, notifier, domain.topics())?;
         let history = History::new(notifier.history, domain.obs_dim(), actions.encoded_dim());
         let status_dim = if notifier.observe_utterance { 1 + actions.n_topics() } else { 0 };
         let obs_dim = history.row().len() + status_dim;
@@ -109,7 +112,7 @@ impl<D: Domain> NotifierEnv<D> {
         let informative = (0..domain.topics().len()).filter(informs).collect();
         Ok(Self {
             spec,
-            human: Human::new(human, informative),
+            human: Human::new(human, informative, reasons),
             domain,
             actions,
             history,
@@ -151,9 +154,10 @@ impl<D: Domain> NotifierEnv<D> {
             self.domain.started(message);
         }
         let reaction = self.human.reaction();
+        let danger = self.domain.danger();
         let advance = self.domain.advance(reaction);
         let n_followed = self.human.tally().followed;
-        let reaction_reward = self.human.acted(advance.reaction);
+        let reaction_reward = self.human.acted(advance.reaction, danger);
         self.reaction_began = self.human.tally().followed > n_followed;
         self.report_reaction_over();
         self.hear_word();
@@ -219,6 +223,25 @@ impl<D: Domain> NotifierEnv<D> {
             heard,
             started: self.last.started,
         })
+    }
+}
+
+/// Reads which messages state a reason; a listener to whom reasons are worth something needs to know.
+fn reasons(
+    human: &HumanSettings,
+    notifier: &NotifierSettings,
+    topics: &[&str],
+) -> Result<ReasonTable, SettingError> {
+    match &notifier.reasons {
+        Some(reasons) => ReasonTable::new(reasons, topics),
+        None if human.reason_weight > 0.0 => Err(SettingError {
+            key: "notifier.reasons",
+            given: "left out".to_owned(),
+            allowed: "a table of what states a reason, because `human.reason_weight` is above 0; `leadtime taxonomy \
+                      export DOMAIN --format cells` prints it"
+                .into(),
+        }),
+        None => Ok(ReasonTable::default()),
     }
 }
 

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::cells::SayableCell;
 use crate::check::{SettingError, require, require_within};
-use crate::human::machine::MAX_WORDS;
+use crate::human::MAX_WORDS;
+use crate::human::StatedReason;
 
 /// Which parts of a message the policy chooses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,12 +27,17 @@ pub struct NotifierSettings {
     pub notification: NotificationType,
     /// The allowed values of k and of l, in words, increasing. Default 2, 3, 4, 5.
     pub words: Vec<u32>,
+    /// The greatest k that may be chosen, `k_max`, in words (at least the first of `words`); where k = l, it bounds l too.
+    /// Default: none.
+    pub k_max: Option<u32>,
     /// The topics that may be spoken of, by name, in this order. Default: all of the domain's.
     pub topics: Option<Vec<String>>,
     /// The k and l that can be said on each topic; another choice becomes the nearest of its topic
     /// ([`CellTable`](super::CellTable)).
     /// Default: all.
     pub cells: Option<Vec<SayableCell>>,
+    /// How often what is said on a topic with k and l states a reason; left out cells never do. Default: none does.
+    pub reasons: Option<Vec<StatedReason>>,
     /// How many (observation, action) pairs the policy sees (1..=64). Default 4.
     pub history: usize,
     /// Whether the policy sees how much of its own utterance is spoken, and on what topic. Default true.
@@ -45,8 +51,10 @@ impl Default for NotifierSettings {
         Self {
             notification: NotificationType::IncrementallyActionable,
             words: vec![2, 3, 4, 5],
+            k_max: None,
             topics: None,
             cells: None,
+            reasons: None,
             history: 4,
             observe_utterance: true,
             initiation_cost: 1.0,
@@ -62,6 +70,10 @@ impl NotifierSettings {
         let fits = !self.words.is_empty() && increasing && in_range;
         let allowed = "increasing numbers of words, 1 to 1000, at least one";
         require(fits, "notifier.words", format_args!("{:?}", self.words), allowed)?;
+        if let (Some(k_max), Some(&shortest)) = (self.k_max, self.words.first()) {
+            let allowed = format!("at least {shortest}, the fewest of `notifier.words`");
+            require(k_max >= shortest, "notifier.k_max", k_max, allowed)?;
+        }
         require_within("notifier.history", self.history, 1..=64, "pairs")?;
         require_within("notifier.initiation_cost", self.initiation_cost, 0.0..=1e6, "")
     }
@@ -112,6 +124,8 @@ mod tests {
         assert!(
             refused(|s| s.history = 0).contains("`notifier.history` is 0; allowed: 1 to 64 pairs")
         );
+        let text = "`notifier.k_max` is 1; allowed: at least 2, the fewest of `notifier.words`";
+        assert_eq!(refused(|s| s.k_max = Some(1)), text);
         assert!(refused(|s| s.initiation_cost = f64::NAN).contains("notifier.initiation_cost"));
         assert!(refused(|s| s.initiation_cost = 1e38).ends_with("; allowed: 0 to 1000000"));
         NotifierSettings::default().check().unwrap();

@@ -75,8 +75,7 @@ fn utterance(plan: &DatabasePlan, candidate: &Candidate) -> Option<RawUtterance>
 
 /// Writes a database as a table, one sentence per line.
 pub(super) fn csv(taxonomy: &Taxonomy) -> String {
-    let mut out =
-        String::from("topic,comprehension,conveyance,text,reason_words,curve,medoid,source\n");
+    let mut out = String::from("topic,comprehension,conveyance,text,reason,curve,medoid,source\n");
     for topic in taxonomy.topics() {
         for utterance in topic.utterances() {
             let Utterance { cell, text, medoid, source, .. } = utterance;
@@ -89,7 +88,7 @@ pub(super) fn csv(taxonomy: &Taxonomy) -> String {
                 cell.comprehension,
                 cell.conveyance,
                 text.replace('"', "\"\""),
-                utterance.words_of_reason(),
+                utterance.states_reason(),
                 curve.join(" "),
                 source.replace('"', "\"\"")
             );
@@ -134,7 +133,7 @@ mod tests {
         let n: usize = taxonomy.topics().iter().map(|topic| topic.utterances().len()).sum();
         let csv = super::csv(&taxonomy);
         assert_eq!(csv.lines().count(), n + 1);
-        assert!(csv.contains(",2,5,\"Slow down for incoming traffic.\",0,"), "{csv}");
+        assert!(csv.contains(",2,5,\"Slow down for incoming traffic.\",true,"), "{csv}");
         let json: serde_json::Value = serde_json::from_str(&super::json(&taxonomy)).unwrap();
         let topics = json["topics"].as_array().unwrap();
         let lists = topics.iter().map(|topic| topic["utterances"].as_array().unwrap().len());

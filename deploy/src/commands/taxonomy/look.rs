@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use leadtime_proto::TaskSpec;
 use leadtime_runs::Tasks;
 use leadtime_taxonomy::pipeline::job::{self, Backend, BuildJob, Format};
-use leadtime_taxonomy::{Cell, Finding, Taxonomy, Topic, check};
+use leadtime_taxonomy::{Cell, Finding, Taxonomy, Topic, Utterance, check};
 use serde_json::json;
 
 use super::source;
@@ -52,18 +52,34 @@ pub(in crate::commands) fn export(args: &TaxonomyExportArgs) -> Result<(), Failu
     deliver(args.output.as_deref(), &text)
 }
 
-/// Writes the filled cells as a part of a configuration.
+/// Writes the filled cells as a part of a configuration, and how often their sentences state a reason.
 fn cells(taxonomy: &Taxonomy) -> String {
-    let of_topic = |topic: &Topic| {
-        let cell = |cell: Cell| {
-            let (k, l) = (cell.comprehension, cell.conveyance);
-            format!("[{:?}, {k}, {l}]", topic.name())
-        };
-        let cells: Vec<String> = topic.cells().map(|(filled, _)| cell(filled)).collect();
-        format!("    {},\n", cells.join(", "))
+    let filled = table("cells", taxonomy, |_| Some(String::new()));
+    let reasons = table("reasons", taxonomy, |said| {
+        let n_stating = said.iter().filter(|utterance| utterance.states_reason()).count();
+        (n_stating > 0)
+            .then(|| format!(", {:?}", thousandths(n_stating as f64 / said.len() as f64)))
+    });
+    format!("[notifier]\n{filled}{reasons}")
+}
+
+fn thousandths(share: f64) -> f64 {
+    (1000.0 * share).round() / 1000.0
+}
+
+/// Writes a list of `[topic, k, l ...]`, a line per topic: the cells for whose sentences there is something to write after l.
+fn table(key: &str, taxonomy: &Taxonomy, more: impl Fn(&[Utterance]) -> Option<String>) -> String {
+    let entry = |topic: &Topic, cell: Cell, said: &[Utterance]| {
+        let (name, Cell { comprehension, conveyance }) = (topic.name(), cell);
+        more(said).map(|more| format!("[{name:?}, {comprehension}, {conveyance}{more}]"))
     };
-    let topics: String = taxonomy.topics().iter().map(of_topic).collect();
-    format!("[notifier]\ncells = [\n{topics}]\n")
+    let line = |topic: &Topic| {
+        let cells = topic.cells().filter_map(|(cell, said)| entry(topic, cell, said));
+        let cells: Vec<String> = cells.collect();
+        if cells.is_empty() { String::new() } else { format!("    {},\n", cells.join(", ")) }
+    };
+    let lines: String = taxonomy.topics().iter().map(line).collect();
+    if lines.is_empty() { String::new() } else { format!("{key} = [\n{lines}]\n") }
 }
 
 fn deliver(path: Option<&Path>, text: &str) -> Result<(), Failure> {

@@ -256,6 +256,12 @@ impl Domain for HighwayDomain {
         Advance { reward: reward + self.charge(was_comfortable), reaction: status, end }
     }
 
+    /// The next ramp.
+    fn danger(&self) -> usize {
+        let x = self.ego().position[0];
+        self.traffic.road.ramps.iter().filter(|ramp| x >= ramp.end_x).count()
+    }
+
     fn heuristic(&self) -> Option<Message> {
         let drives = !self.has_arrived();
         drives.then(|| advise(&self.traffic, &self.settings.heuristic)).flatten()

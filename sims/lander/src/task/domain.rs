@@ -271,6 +271,14 @@ impl Domain for LanderDomain {
         Advance { reward, reaction: reaction.map(|_| status), end }
     }
 
+    /// The nearest zone.
+    fn danger(&self) -> usize {
+        let distance = |zone: &Zone| zone.distance(self.place());
+        let zones = self.zones.iter().enumerate();
+        let nearest = zones.min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)));
+        nearest.map_or(0, |(i, _)| i)
+    }
+
     fn heuristic(&self) -> Option<Message> {
         let place = self.place();
         let is_near = |zone: &Zone| zone.distance(place) < self.settings.heuristic_distance;

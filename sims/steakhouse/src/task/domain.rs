@@ -309,6 +309,14 @@ impl Domain for SteakhouseDomain {
         }
     }
 
+    /// The first station of which the cook is not aware.
+    fn danger(&self) -> usize {
+        let world = &self.kitchen.world;
+        let n_slots = world.contents().len();
+        let aware = |slot: &usize| self.kitchen.mind.belief.is_aware(*slot, world);
+        (0..n_slots).find(|slot| !aware(slot)).unwrap_or(n_slots)
+    }
+
     fn reaction_over(&mut self) {
         self.kitchen.replan();
     }
