@@ -80,6 +80,7 @@ def shortened(line):
     more = ""
     if re.match(r"\w+ (up|train)\b", line) and "cartpole" not in line:
         more = " --stop-after 1"
+        line = re.sub(r" --stop-after \S+", "", line)
     elif re.match(r"\w+ smoke", line) and "--quick" not in line:
         more = " --quick"
     elif re.match(r"leadtime (compare \S|race\b)", line) and "--plan" not in line:

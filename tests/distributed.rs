@@ -199,6 +199,7 @@ impl Learner {
             checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_mins(1) },
             initial: None,
             identity: [mode as u8; 32],
+            earlier: Vec::new(),
         }
     }
 

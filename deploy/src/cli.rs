@@ -1,11 +1,13 @@
 //! The command line, as clap reads it; every command's arguments are one struct.
 
+use std::fmt;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
+use leadtime_config::identity::CHANGEABLE;
 use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
 use leadtime_eval::measure::Choice;
 use leadtime_link::Endpoint;
@@ -181,6 +183,13 @@ pub(crate) struct SourceArgs {
 }
 
 impl SourceArgs {
+    /// Returns the same with further changes.
+    pub(crate) fn changed(&self, changes: &[Override]) -> Self {
+        let mut changed = self.clone();
+        changed.set.extend_from_slice(changes);
+        changed
+    }
+
     pub(crate) fn load(&self, tasks: &Tasks, name: Option<&str>) -> Result<Config, ConfigureError> {
         let Self { config, set, steps, seed, runs } = self.clone();
         let name = name.map(str::to_owned);
@@ -199,9 +208,56 @@ pub(crate) struct RunChoice {
     /// Start a new run from the weights of this one (a name, a directory or a policy file).
     #[arg(long, value_name = "RUN")]
     pub fork: Option<PathBuf>,
-    /// Stop with a checkpoint once the run has made this many updates; it can be resumed.
-    #[arg(long, value_name = "UPDATES")]
-    pub stop_after: Option<u64>,
+    /// Stop with a checkpoint once the run has made this many updates (200) or environment steps (1e6steps), or after this
+    /// time (90m, 2h); it can be resumed.
+    #[arg(long, value_name = "AMOUNT", value_parser = stop_after)]
+    pub stop_after: Option<StopAfter>,
+    /// Go on with another value of a setting of the learner: `--change learner.learning_rate=1e-4`; repeatable. Optimiser,
+    /// normalisers and steps are kept, and the change is recorded.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = changeable, requires = "name", conflicts_with = "fork")]
+    pub change: Vec<Override>,
+    /// Start this command, and write the metrics of every update to its standard input, a line of JSON each.
+    #[arg(long, value_name = "COMMAND")]
+    pub metrics_to: Option<String>,
+}
+
+impl RunChoice {
+    /// Returns the keys that change in a run that goes on.
+    pub(crate) fn changed_keys(&self) -> Vec<String> {
+        self.change.iter().map(Override::key).collect()
+    }
+}
+
+/// After how much a run stops, although it is not done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StopAfter {
+    /// Once the run has made so many updates in all.
+    Updates(u64),
+    /// Once the run has trained on so many environment steps in all.
+    Steps(u64),
+    /// Once this start has lasted so long.
+    Time(Duration),
+}
+
+impl StopAfter {
+    /// Returns the updates of the whole run after which it stops; `None` where time decides.
+    pub(crate) fn n_updates(self, steps_per_update: u64) -> Option<u64> {
+        match self {
+            Self::Updates(updates) => Some(updates),
+            Self::Steps(steps) => Some(steps.div_ceil(steps_per_update.max(1))),
+            Self::Time(_) => None,
+        }
+    }
+}
+
+impl fmt::Display for StopAfter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Updates(updates) => write!(f, "{updates}"),
+            Self::Steps(steps) => write!(f, "{steps}steps"),
+            Self::Time(time) => write!(f, "{}ms", time.as_millis()),
+        }
+    }
 }
 
 /// `leadtime smoke`
@@ -433,7 +489,7 @@ pub(crate) struct PlayArgs {
     /// Draw these steps side by side (B excluded), instead of the whole episode in one picture.
     #[arg(long, value_name = "A..B", value_parser = number_range)]
     pub frames: Option<Range<u64>>,
-    /// The picture; its extension decides: png, svg, gif, or html with a slider over the moments.
+    /// The picture; its extension decides: png, svg, gif, html with a slider over the moments, or mp4 (needs ffmpeg).
     #[arg(short, long, value_name = "FILE", default_value = "playthrough.png")]
     pub output: PathBuf,
     /// Quote these sentences: a database file, or a domain (default: those that come with the policy's domain).
@@ -665,6 +721,34 @@ pub(crate) struct NewArgs {
 fn duration(text: &str) -> Result<Duration, String> {
     let span = text.parse::<jiff::SignedDuration>().and_then(Duration::try_from);
     span.map_err(|_unspecific| "write a number with its unit: 60s or 2m".to_owned())
+}
+
+/// Reads after how much a run stops.
+fn stop_after(text: &str) -> Result<StopAfter, String> {
+    let says = "write a number of updates (200), steps (1e6steps) or a time (90m, 2h)";
+    let number = |text: &str| n_steps(text).map_err(|_unspecific| says.to_owned());
+    let without = |word| text.strip_suffix(word).map(str::trim_end);
+    if let Some(steps) = without("steps") {
+        return number(steps).map(StopAfter::Steps);
+    }
+    match number(without("updates").unwrap_or(text)) {
+        Ok(updates) => Ok(StopAfter::Updates(updates)),
+        Err(says) => duration(text).map(StopAfter::Time).map_err(|_unspecific| says),
+    }
+}
+
+/// Reads a change of a setting that may change while a run goes on.
+fn changeable(text: &str) -> Result<Override, String> {
+    let change = Override::parse(text)?;
+    if CHANGEABLE.contains(&change.key().as_str()) {
+        return Ok(change);
+    }
+    let allowed = CHANGEABLE.map(|key| key.trim_start_matches("learner.")).join(", ");
+    Err(format!(
+        "`{}` cannot change while a run goes on; of the section `learner` can: {allowed}; `--fork` starts a new run from \
+         the weights",
+        change.key()
+    ))
 }
 
 /// Reads a number of steps: `200000` or `1e6`.

@@ -22,6 +22,7 @@ mod crash;
 mod display;
 mod exit;
 mod logging;
+mod metrics_pipe;
 mod output;
 mod program;
 mod shutdown;

@@ -10,6 +10,7 @@ use tokio_util::sync::CancellationToken;
 use tracing::{debug, info, warn};
 
 use crate::display::Display;
+use crate::metrics_pipe::MetricsPipe;
 
 /// Records a run's progress and shows it.
 #[derive(Debug)]
@@ -22,6 +23,8 @@ pub(crate) struct RunSink {
     has_told_failure: bool,
     /// After how many updates in all the run is asked to stop, and by what.
     stop: Option<(u64, CancellationToken)>,
+    /// Who else gets the metrics.
+    pipe: Option<MetricsPipe>,
 }
 
 impl RunSink {
@@ -38,7 +41,13 @@ impl RunSink {
             has_warned: false,
             has_told_failure: false,
             stop,
+            pipe: None,
         }
+    }
+
+    /// Hands every update's metrics on to a command, too.
+    pub(crate) fn hand_on(&mut self, pipe: MetricsPipe) {
+        self.pipe = Some(pipe);
     }
 
     /// Asks the run to stop if it has made as many updates as it was to make.
@@ -63,8 +72,12 @@ impl RunSink {
 
 impl ProgressSink for RunSink {
     fn on_update(&mut self, progress: &UpdateProgress) {
-        let written = self.recorder.update(progress);
+        let line = RunRecorder::line(progress);
+        let written = self.recorder.update(progress, &line);
         self.warn(written);
+        if let Some(pipe) = &mut self.pipe {
+            pipe.line(format!("{line}\n"));
+        }
         self.display.update(progress);
         self.stop_after(progress.n_updates);
     }

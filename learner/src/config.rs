@@ -46,6 +46,8 @@ pub struct LearnerConfig {
     pub initial: Option<Arc<[u8]>>,
     /// Hash over what must not change when a run is resumed.
     pub identity: [u8; 32],
+    /// The same from before its settings were changed on purpose: older checkpoints have one of these.
+    pub earlier: Vec<[u8; 32]>,
 }
 
 impl LearnerConfig {

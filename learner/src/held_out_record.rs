@@ -27,8 +27,9 @@ pub(crate) const MAX_WAITING: usize = 2;
 const SHARE_OF_STEPS: f64 = 0.03;
 /// Episodes of an evaluation even where they are more than that share.
 const FEWEST_EPISODES: u64 = 20;
-/// By how many standard errors of the difference an earlier policy must be ahead to be chosen.
-const ERRORS_AHEAD: f64 = 1.0;
+/// By how many standard errors of the difference an earlier policy must be ahead to be chosen. More than 1: being ahead in a
+/// single episode is exactly one error.
+const ERRORS_AHEAD: f64 = 1.1;
 
 /// Which versions are evaluated, and on how many episodes.
 #[derive(Clone, Copy, Debug)]

@@ -103,7 +103,9 @@ impl ResumePoint {
     /// Goes on from a checkpoint.
     fn resume(&mut self, config: &LearnerConfig, loaded: Loaded<Checkpoint>) -> Result<(), Error> {
         let Loaded { state, path, damaged } = loaded;
-        if state.identity != config.identity {
+        let is_known =
+            state.identity == config.identity || config.earlier.contains(&state.identity);
+        if !is_known {
             return Err(Error::ConfigurationChanged(path));
         }
         self.trainer.restore(state.trainer)?;

@@ -358,7 +358,10 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
     place.finish(&["play", run, "-o", "h.svg", "--baseline", "heuristic"]).with_code(0);
     let drawn = fs::read_to_string(place.path().join("h.svg")).unwrap();
     assert!(drawn.contains('\u{201c}'), "a sentence is quoted");
-    place.finish(&["play", run, "-o", "a.bmp"]).with_code(2).saying(&["png, svg, gif or html"]);
+    place
+        .finish(&["play", run, "-o", "a.bmp"])
+        .with_code(2)
+        .saying(&["png, svg, gif, html or mp4"]);
 }
 
 #[test]
@@ -375,7 +378,10 @@ fn a_script_is_searched_and_a_policy_is_compared_with_it_and_with_the_oracle() {
     assert!(words.stdout.starts_with("Tried ") && words.stdout.contains("unaided"));
     assert_eq!(read("lander-script.toml"), read("s.toml"));
     place.finish(&["script-search cartpole"]).with_code(2).saying(&["no messages are sent"]);
-    let same = ["script-search lander --steps 2000 --seed 7 --eval-seed 7"];
+    // What would fail after the search is refused before it, and no script is lost.
+    place.finish(&["script-search lander"]).with_code(2).saying(&["exists already", "-o"]);
+    place.finish(&["script-search lander -o no/where.toml"]).with_code(2).saying(&["no folder no"]);
+    let same = ["script-search lander --steps 2000 --seed 7 --eval-seed 7 -o other.toml"];
     place.finish(&same).with_code(2).saying(&["episodes that chose it", "--eval-seed"]);
     let policy = repository("deploy/policies/piloting.safetensors");
     place.write("up.toml", "[[rules]]\nsay = { topic = \"ascend\", k = 2, l = 2 }\n");
@@ -385,6 +391,14 @@ fn a_script_is_searched_and_a_policy_is_compared_with_it_and_with_the_oracle() {
     let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
     assert_eq!(names, ["policy", "up", "oracle"]);
     place.finish(&["play", &policy, "-o up.svg --baseline up.toml"]).with_code(0);
+    // Two files of one name are told apart.
+    fs::create_dir(place.file("b")).unwrap();
+    place.write("b/up.toml", "[[rules]]\nsay = { topic = \"descend\", k = 2, l = 2 }\n");
+    let eval = ["eval", &policy, "--episodes 1 --json --baseline up.toml --baseline b/up.toml"];
+    let players = place.finish(&eval).with_code(0).json();
+    let players = players["comparison"]["summaries"].as_array().unwrap();
+    let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
+    assert_eq!(names, ["policy", "up.toml", "b/up.toml"]);
     place.write("odd.toml", "[[rules]]\nsay = { topic = \"upwards\", k = 2, l = 2 }\n");
     let eval = ["eval", &policy, "--episodes 1 --baseline odd.toml"];
     place.finish(&eval).with_code(2).saying(&["odd", "rule 1", "no topic `upwards`"]);

@@ -14,7 +14,7 @@
 //!
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same
 //! configuration). A changed configuration is refused with the difference; keys that cannot change a run's bits do
-//! not count, and `learner.total_steps` may grow. A directory in which nothing was trained yet may be taken anew.
+//! not count, `learner.total_steps` may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
 //!
 //! Nothing that was trained is ever replaced from nothing: a run that has had checkpoints and lost them is refused.
 //! `config.toml` is written last, so a directory without it was never begun, whatever else a killed start left in it.
@@ -25,10 +25,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use leadtime_config::Config;
-use leadtime_config::identity::{Change, TOTAL_STEPS, difference};
+use leadtime_config::identity::{self, Change, TOTAL_STEPS, difference};
 use leadtime_learner::write_atomically;
 use leadtime_proto::RunName;
+use toml::Table;
 
+use crate::digest::hex;
 use crate::directory_error::RunDirError;
 use crate::held_out::HELD_OUT;
 use crate::layout::{
@@ -38,7 +40,7 @@ use crate::layout::{
 use crate::naming::{make_new, unfinished};
 use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, weights_digest};
 use crate::record::INITIAL_POLICY;
-use crate::{ForkOrigin, ProgramBuild, RunRecord, RunResult};
+use crate::{ForkOrigin, ProgramBuild, RunRecord, RunResult, SettingChange};
 
 /// A locked run directory.
 #[derive(Debug)]
@@ -67,18 +69,42 @@ impl RunDir {
         build: &ProgramBuild,
     ) -> Result<(Self, RunState), RunDirError> {
         if let Some(name) = &config.run.name {
-            return Self::open_named(config, name, fork, build);
+            return Self::open_named(config, name, fork, build, &[]);
         }
         let candidates = if fork.is_some() { Vec::new() } else { unfinished(config) };
         for name in candidates {
             let path = config.run.directory.join(name.as_str());
             let Ok(_launched) = lock(&path, SUPERVISOR_LOCK, &name) else { continue };
-            match Self::open_named(config, &name, fork, build) {
+            match Self::open_named(config, &name, fork, build, &[]) {
                 Err(RunDirError::Locked(_)) => {}
                 opened => return opened,
             }
         }
-        Self::open_named(config, &make_new(config, config.domain.as_str())?, fork, build)
+        let name = make_new(config, config.domain.as_str())?;
+        Self::open_named(config, &name, fork, build, &[])
+    }
+
+    /// Opens the run that the configuration names, to go on with other values of these keys.
+    ///
+    /// What changes is recorded, once: the same command goes on after a kill.
+    ///
+    /// # Errors
+    ///
+    /// [`RunDirError`] if the configuration names no run, or one in which nothing was trained yet; what was trained is
+    /// untouched then.
+    pub fn open_changed(
+        config: &Config,
+        keys: &[String],
+        build: &ProgramBuild,
+    ) -> Result<(Self, RunState), RunDirError> {
+        let refused = |what: &str| RunDirError::Refused(format!("--change: {what}"));
+        let name = config.run.name.as_ref();
+        let name = name.ok_or_else(|| refused("say which run goes on, by --name"))?;
+        let path = config.run.directory.join(name.as_str());
+        if !is_begun(&path)? {
+            return Err(refused(&format!("there is no run `{name}` in {}", path.display())));
+        }
+        Self::open_named(config, name, None, build, keys)
     }
 
     fn open_named(
@@ -86,6 +112,7 @@ impl RunDir {
         name: &RunName,
         fork: Option<&Fork>,
         build: &ProgramBuild,
+        allowed: &[String],
     ) -> Result<(Self, RunState), RunDirError> {
         let path = config.run.directory.join(name.as_str());
         // Before anything is made in somebody else's directory; it counts only once the lock is held.
@@ -100,12 +127,13 @@ impl RunDir {
             let trained = TrainingTraces::find(&path, &record).map_err(io)?;
             if trained.n_updates > 0 {
                 let before = read_config(&path)?;
-                let state = compare(&record, &before, &config.table, name)?;
+                let state = compare(&record, &before, &config.table, name, allowed)?;
                 fork.map_or(Ok(()), |fork| same_origin(name, record.origin.as_ref(), fork))?;
-                let mut changes = difference(&before, &config.table).into_iter();
-                let grown = changes.find(|change| change.key == TOTAL_STEPS);
+                let changes = difference(&before, &config.table);
+                let grown = changes.iter().find(|change| change.key == TOTAL_STEPS).cloned();
                 if state == RunState::Unfinished {
                     trained.check(&path, name, &before)?;
+                    record.changes.extend(changed(&before, changes, allowed, trained.n_saved));
                     trained.forget_lost_updates(&path).map_err(io)?;
                     record.taken_up_by(build, trained.has_checkpoints);
                     record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
@@ -113,6 +141,10 @@ impl RunDir {
                 return Ok((Self { name: name.clone(), record, grown, _lock: lock, path }, state));
             }
             kept = record.origin.filter(|_| fork.is_none());
+        }
+        if !allowed.is_empty() {
+            let says = format!("--change: nothing was trained yet in run `{name}`; use --set");
+            return Err(RunDirError::Refused(says));
         }
         let record = begin(&path, name, config, fork, kept, build).map_err(io)?;
         let run = Self { name: name.clone(), record, grown: None, _lock: lock, path };
@@ -160,6 +192,21 @@ impl RunDir {
         let io = |source| RunDirError::Io { path: self.path.clone(), source };
         self.record.write(&self.path).map_err(io)
     }
+}
+
+/// Lists the settings that change, of all differences those that are allowed.
+fn changed(
+    before: &Table,
+    changes: Vec<Change>,
+    allowed: &[String],
+    after_update: u64,
+) -> impl Iterator<Item = SettingChange> {
+    let identity = hex(&identity::of_run(before));
+    let changes = changes.into_iter().filter(|change| allowed.contains(&change.key));
+    changes.map(move |Change { key, before, after }| {
+        let identity = identity.clone();
+        SettingChange { after_update, key, before, after, identity }
+    })
 }
 
 /// Writes what a new run consists of; the configuration comes last, and with it the run is begun.

@@ -24,8 +24,12 @@ pub struct Launch<'a> {
     pub listen: &'a [String],
     /// The run or file whose weights a new run starts from.
     pub fork: Option<&'a Path>,
-    /// Updates in all after which the run stops with a checkpoint.
-    pub stop_after: Option<u64>,
+    /// After how much the run stops with a checkpoint, as the learner's `--stop-after` has it.
+    pub stop_after: Option<String>,
+    /// Settings that change in a run that goes on: `KEY=VALUE`, the learner's `--change`.
+    pub changes: Vec<String>,
+    /// A command that gets every update's metrics, the learner's `--metrics-to`.
+    pub metrics_to: Option<&'a str>,
     /// Whether the learner's results go to standard output.
     pub learner_stdout: bool,
     /// File that collects what the processes log, instead of standard error.
@@ -43,6 +47,8 @@ impl<'a> Launch<'a> {
             listen: &[],
             fork: None,
             stop_after: None,
+            changes: Vec::new(),
+            metrics_to: None,
             learner_stdout: false,
             stderr_log: None,
             options: &[],
@@ -139,8 +145,14 @@ fn plan(
     for extra in launch.listen {
         learner.extend(text(&["--listen", extra]));
     }
-    if let Some(updates) = launch.stop_after {
-        learner.extend(text(&["--stop-after", &updates.to_string()]));
+    if let Some(stop_after) = &launch.stop_after {
+        learner.extend(text(&["--stop-after", stop_after]));
+    }
+    for change in &launch.changes {
+        learner.extend(text(&["--change", change]));
+    }
+    if let Some(command) = launch.metrics_to {
+        learner.extend(text(&["--metrics-to", command]));
     }
     let actor = |number: u32| {
         let id = format!("actor-{number}");

@@ -66,6 +66,8 @@ fn no_run(path: &Path, reason: &str) -> RunDirError {
 /// What of a run's training is on the disk.
 pub(crate) struct TrainingTraces {
     pub(crate) n_updates: u64,
+    /// Updates of the newest checkpoint; 0 without one.
+    pub(crate) n_saved: u64,
     pub(crate) has_checkpoints: bool,
     /// Whether there has been a checkpoint: policies are written after it, and a result at the end.
     had_checkpoints: bool,
@@ -82,6 +84,7 @@ impl TrainingTraces {
         let result = record.result.as_ref().map_or(0, |result| result.updates);
         Ok(Self {
             n_updates: journal::last(path, "update")?.max(saved).max(policy).max(result),
+            n_saved: saved,
             has_checkpoints: !checkpoints.is_empty(),
             had_checkpoints: policy > 0 || record.result.is_some(),
         })
@@ -124,25 +127,26 @@ pub(crate) fn checkpoints(path: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(files.into_iter().filter(is_checkpoint).collect())
 }
 
-/// Decides whether a run may go on under the requested configuration.
+/// Decides whether a run may go on under the requested configuration; the `allowed` keys may have changed.
 pub(crate) fn compare(
     record: &RunRecord,
     before: &Table,
     now: &Table,
     name: &RunName,
+    allowed: &[String],
 ) -> Result<RunState, RunDirError> {
     let is_longer = |change: &Change| {
         let [before, after] = [&change.before, &change.after].map(|steps| steps.parse::<u64>());
         change.key == TOTAL_STEPS && matches!((before, after), (Ok(a), Ok(b)) if b > a)
     };
     let mut changes = difference(before, now);
-    changes.retain(|change| !identity::is_free(&change.key));
+    changes.retain(|change| !identity::is_free(&change.key) && !allowed.contains(&change.key));
     let grows = changes.extract_if(.., |change| is_longer(change)).count() > 0;
     if !changes.is_empty() {
         let changes = changes.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
         return Err(RunDirError::Refused(format!(
-            "run `{name}` began with another configuration: {changes}; give the old values, or take another --name, with \
-             --fork {name} to start from its weights"
+            "run `{name}` began with another configuration: {changes}; give the old values, take another --name, with \
+             --fork {name} to start from its weights, or go on with other settings of the learner by --change KEY=VALUE"
         )));
     }
     Ok(if record.result.is_some() && !grows { RunState::Finished } else { RunState::Unfinished })

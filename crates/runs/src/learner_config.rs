@@ -5,6 +5,7 @@ use leadtime_learner::{Build, LearnerConfig};
 use leadtime_link::ListenSettings;
 use leadtime_proto::RunSpec;
 
+use crate::digest::from_hex;
 use crate::{ProgramBuild, RunDir, RunDirError, clock};
 
 /// Tells a learner what to train, where to listen and what to go on from.
@@ -38,5 +39,6 @@ pub fn learner_config(
         checkpoint_interval: config.run.checkpoints,
         initial: run_dir.initial(config)?,
         identity: identity::of_run(&config.table),
+        earlier: run_dir.record.changes.iter().filter_map(|it| from_hex(&it.identity)).collect(),
     })
 }

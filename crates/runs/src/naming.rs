@@ -102,7 +102,7 @@ pub(crate) fn unfinished(config: &Config) -> Vec<RunName> {
         let name = RunName::new(entry.file_name().to_str()?).ok()?;
         let record = RunRecord::read(&path).ok()?;
         let before = read_config(&path).ok()?;
-        let state = compare(&record, &before, &config.table, &name).ok()?;
+        let state = compare(&record, &before, &config.table, &name, &[]).ok()?;
         let trained = TrainingTraces::find(&path, &record).ok()?;
         trained.check(&path, &name, &before).ok()?;
         let is_open = record.result.is_none() && state == RunState::Unfinished;

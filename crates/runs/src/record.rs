@@ -1,5 +1,6 @@
 //! `run.json`: what a run is, what it began from, which builds worked on it, and how it ended.
 
+use std::fmt;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -71,8 +72,34 @@ pub struct RunRecord {
     /// The builds of the learner that the run's bits come from, in order; one more whenever another one took over.
     #[serde(default)]
     pub builds: Vec<ProgramBuild>,
+    /// The settings of the learner that were changed while the run went on, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub changes: Vec<SettingChange>,
     /// How it ended; `None` while it is unfinished.
     pub result: Option<RunResult>,
+}
+
+/// A setting of the learner that was changed while a run went on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SettingChange {
+    /// The updates that were made with the old value.
+    pub after_update: u64,
+    /// The full key: `learner.learning_rate`.
+    pub key: String,
+    /// The old value, as TOML; empty if it had none.
+    pub before: String,
+    /// The new value, as TOML.
+    pub after: String,
+    /// The run's identity before the change, in hexadecimal: its older checkpoints have it.
+    pub identity: String,
+}
+
+impl fmt::Display for SettingChange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { after_update, key, before, after, .. } = self;
+        let before = if before.is_empty() { "(none)" } else { before };
+        write!(f, "{key}: {before} -> {after} after update {after_update}")
+    }
 }
 
 /// What a forked run began with.
@@ -137,6 +164,7 @@ impl RunRecord {
             resumed: 0,
             origin: None,
             builds: vec![build.clone()],
+            changes: Vec::new(),
             result: None,
         }
     }
@@ -171,10 +199,12 @@ impl RunRecord {
 
     /// Tells whether the same seed and origin would give the same weights again; `None` while the run is unfinished.
     ///
-    /// A fork whose record does not say what it began with cannot be made again.
+    /// A fork whose record does not say what it began with cannot be made again. Neither can a run whose settings were changed
+    /// on the way, by one command.
     pub fn is_reproducible(&self, directory: &Path) -> Option<bool> {
         let is_known = self.origin.is_some() || !self.is_fork(directory);
-        self.result.as_ref().map(|result| result.reproducible && is_known)
+        let is_whole = self.changes.is_empty();
+        self.result.as_ref().map(|result| result.reproducible && is_known && is_whole)
     }
 
     /// Tells whether the run began with the weights of another one.

@@ -60,17 +60,22 @@ impl RunRecorder {
         self.events(n_updates * self.steps_per_update + 1).map(|_file| ())
     }
 
-    /// Writes one update to the journal and to the event file.
+    /// Makes the line of an update, as the journal has it.
+    pub fn line(progress: &UpdateProgress) -> Value {
+        line(progress, &metrics::scalars(progress))
+    }
+
+    /// Writes one update and its line to the journal and to the event file.
     ///
     /// # Errors
     ///
     /// If a file cannot be written.
-    pub fn update(&mut self, progress: &UpdateProgress) -> io::Result<()> {
+    pub fn update(&mut self, progress: &UpdateProgress, line: &Value) -> io::Result<()> {
         if !self.is_rewound {
             self.rewind(progress.n_updates.saturating_sub(1))?;
         }
         let scalars = metrics::scalars(progress);
-        self.journal.append(&line(progress, &scalars))?;
+        self.journal.append(line)?;
         self.events(0)?.scalars(clock::unix_seconds(), progress.n_steps, &scalars)
     }
 

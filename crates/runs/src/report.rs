@@ -158,6 +158,9 @@ fn facts(run: &RunFiles) -> Vec<Fact> {
             format!("{program}, commit {commit}, on {cpu} with {threads} threads per process");
         facts.push(Fact::new(format!("program since {since}"), text));
     }
+    for change in &record.changes {
+        facts.push(Fact::new("changed while it went on", change.to_string()));
+    }
     if let Some(result) = &record.result {
         facts.push(Fact::new("finished", &result.finished));
         facts.push(Fact::new("updates", result.updates.to_string()));

@@ -15,12 +15,15 @@ use crate::shutdown::{Watch, watch};
 
 pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result<(), Failure> {
     let name = args.run.name.as_deref();
-    let config = args.source.load(tasks, name).blame(ExitCode::WrongInput)?;
+    let source = args.source.changed(&args.run.change);
+    let config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let what = Launch {
         listen: &args.listen,
         fork: args.run.fork.as_deref(),
-        stop_after: args.run.stop_after,
+        stop_after: args.run.stop_after.map(|amount| amount.to_string()),
+        changes: args.run.change.iter().map(ToString::to_string).collect(),
+        metrics_to: args.run.metrics_to.as_deref(),
         learner_stdout: true,
         options,
         ..Launch::new(Naming::Resume, args.actors)

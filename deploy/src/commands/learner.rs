@@ -1,6 +1,7 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
 use anyhow::Context as _;
+use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::ListenSettings;
 use leadtime_runs::findings::Findings;
@@ -12,11 +13,13 @@ use leadtime_runs::{
     scratch,
 };
 use serde_json::json;
+use tokio_util::sync::CancellationToken;
 
 use super::report;
 use crate::build;
-use crate::cli::{LearnerArgs, endpoints};
+use crate::cli::{LearnerArgs, StopAfter, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::metrics_pipe::MetricsPipe;
 use crate::output::{self, DRAW, EVALUATE};
 use crate::shutdown::{Watch, watch};
 use crate::sink::{RunSink, held_out_sentence};
@@ -25,13 +28,17 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = watch(watched).blame(ExitCode::Failed)?;
     let name = args.run.name.as_deref();
-    let config = args.source.load(tasks, name).blame(ExitCode::WrongInput)?;
+    let source = args.source.changed(&args.run.change);
+    let config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
     let fork = args.run.fork.as_deref().map(|from| Fork::read(&config, from));
     let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
     let listen = listen_settings(&args.listen).blame(ExitCode::WrongInput)?;
     let build = build::this_build()?;
-    let (mut run_dir, state) =
-        RunDir::open(&config, fork.as_ref(), &build).blame(ExitCode::WrongInput)?;
+    let opened = match args.run.changed_keys().as_slice() {
+        [] => RunDir::open(&config, fork.as_ref(), &build),
+        keys => RunDir::open_changed(&config, keys, &build),
+    };
+    let (mut run_dir, state) = opened.blame(ExitCode::WrongInput)?;
     if state == RunState::Finished {
         let (name, path) = (&run_dir.name, run_dir.path.display());
         output::say(&format!(
@@ -42,28 +49,33 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     if let Some(rounded) = config.rounded_steps() {
         tracing::info!("{rounded}");
     }
-    if let (Some(grown), true) = (&run_dir.grown, config.learner.anneal) {
-        tracing::warn!(
-            "{grown}: with learner.anneal = true the learning rate falls over the new length from here on, so the \
-             weights will differ from those of a run that has this length from the start"
-        );
-    }
+    tell_changes(&run_dir, &config);
     tracing::info!("run opened: {}", run_dir.path.display());
     let learner = learner_config(&config, &run_dir, listen, build).blame(ExitCode::WrongInput)?;
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
         .blame(ExitCode::WrongInput)?;
+    let n_asked = args.run.stop_after.and_then(|it| it.n_updates(config.steps_per_update()));
+    let time_is_up = args
+        .run
+        .stop_after
+        .map_or_else(CancellationToken::new, |stop_after| stop_in_time(stop_after, &shutdown));
     // At the end of the run there is nothing to stop, and a last evaluation to wait for.
-    let stop = args.run.stop_after.filter(|n_updates| *n_updates < config.learner.n_updates());
+    let stop = n_asked.filter(|n_updates| *n_updates < config.learner.n_updates());
     let stop = stop.map(|n_updates| (n_updates, shutdown.clone()));
-    let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
+    let mut sink = RunSink::new(run_dir.path.clone(), recorder, stop);
+    if let Some(command) = &args.run.metrics_to {
+        sink.hand_on(MetricsPipe::start(command).context("--metrics-to").blame(ExitCode::Failed)?);
+    }
     let held_out = held_out_evaluation(&config, &tasks.registry);
     let report = leadtime_learner::run(learner, Box::new(sink), held_out, shutdown.clone()).await;
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
         // A supervisor that lives removes it itself; if it was killed nobody else would.
         scratch::remove_if_abandoned(scratch);
     }
-    let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args);
+    let report = report.map_err(failure)?;
+    let is_asked = time_is_up.is_cancelled() || n_asked.is_some_and(|n| report.n_updates >= n);
+    let concluded = conclude(&mut run_dir, &report, is_asked, args);
     let files = RunFiles::read(&run_dir.path).map_err(anyhow::Error::from);
     let written = files.and_then(|run| {
         let findings = Findings::of_training(&config, &run, &output::program());
@@ -73,6 +85,34 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         tracing::warn!("report.html cannot be written: {error:#}");
     }
     concluded
+}
+
+/// Asks the run to stop when its time is over; the token says that it was.
+fn stop_in_time(stop_after: StopAfter, shutdown: &CancellationToken) -> CancellationToken {
+    let time_is_up = CancellationToken::new();
+    if let StopAfter::Time(time) = stop_after {
+        let (stop, told) = (shutdown.clone(), time_is_up.clone());
+        tokio::spawn(async move {
+            tokio::time::sleep(time).await;
+            tracing::info!("the time of --stop-after is over: finishing");
+            told.cancel();
+            stop.cancel();
+        });
+    }
+    time_is_up
+}
+
+/// Says how a run that goes on differs from what it was.
+fn tell_changes(run_dir: &RunDir, config: &Config) {
+    if let (Some(grown), true) = (&run_dir.grown, config.learner.anneal) {
+        tracing::warn!(
+            "{grown}: with learner.anneal = true the learning rate falls over the new length from here on, so the \
+             weights will differ from those of a run that has this length from the start"
+        );
+    }
+    for change in &run_dir.record.changes {
+        tracing::info!("changed while it went on: {change}");
+    }
 }
 
 fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
@@ -103,8 +143,13 @@ fn failure(error: leadtime_learner::Error) -> Failure {
     Failure::of(code, error)
 }
 
-/// Records and prints how the run ended.
-fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Result<(), Failure> {
+/// Records and prints how the run ended; `is_asked` tells whether it stopped where the command line says.
+fn conclude(
+    run_dir: &mut RunDir,
+    report: &RunReport,
+    is_asked: bool,
+    args: &LearnerArgs,
+) -> Result<(), Failure> {
     let digest = digest::hex(&report.digest);
     let books = &report.books;
     // As the record keeps them.
@@ -138,7 +183,7 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
             updates: n_updates,
             steps: n_steps,
             weights_sha256: digest,
-            reproducible: report.reproducible,
+            reproducible: report.reproducible && run_dir.record.changes.is_empty(),
             books,
         };
         run_dir.finish(result).blame(ExitCode::WrongInput)?;
@@ -154,6 +199,5 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
         output::next_resumes("learner", path, name, &listen.collect::<Vec<_>>());
         output::note("The actors have to be started again, too.");
     }
-    let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);
-    if asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
+    if is_asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
 }

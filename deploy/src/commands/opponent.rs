@@ -19,9 +19,13 @@ pub(super) fn opponents(
     let files = names.iter().filter(|name| is_file(name));
     let scripts = files.map(|name| Ok((name, read(Path::new(name))?)));
     let scripts = scripts.collect::<anyhow::Result<Vec<_>>>()?;
+    let n_of = |wanted: &str| scripts.iter().filter(|(file, _)| stem(file) == wanted).count();
     let player = |name: &String| {
         if let Some((_, script)) = scripts.iter().find(|(file, _)| *file == name) {
-            return Player::scripted(&stem(name), Box::new(ScriptPlayer::new(script.clone())));
+            // Two files of one name are told apart by their paths.
+            let short = stem(name);
+            let shown = if n_of(&short) > 1 { name } else { &short };
+            return Player::scripted(shown, Box::new(ScriptPlayer::new(script.clone())));
         }
         // A world may have a script of that name.
         if name == ORACLE && !environment.baselines().contains(&ORACLE) {

@@ -1,9 +1,11 @@
 //! `leadtime play`: one episode as a picture or a page; the file's extension says which kind.
 
+use std::io::Write as _;
 use std::ops::Range;
 use std::path::Path;
+use std::process::{Command, Stdio};
 
-use anyhow::{bail, ensure};
+use anyhow::{Context as _, bail, ensure};
 use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::player;
@@ -27,10 +29,10 @@ const MAX_MOMENTS: usize = 150;
 const SECONDS: f64 = 12.0;
 
 pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
-    let kinds = ["png", "svg", "gif", "html"];
+    let kinds = ["png", "svg", "gif", "html", "mp4"];
     if !kinds.contains(&extension(&args.output).as_str()) {
         let shown = args.output.display();
-        let sentence = format!("{shown}: the extension must be png, svg, gif or html");
+        let sentence = format!("{shown}: the extension must be png, svg, gif, html or mp4");
         return Err(Failure::input(sentence));
     }
     if args.demonstration {
@@ -93,9 +95,29 @@ pub(super) fn draw(spoken: &Spoken, path: &Path) -> anyhow::Result<()> {
         "svg" => spoken.svg("playthrough").text.into_bytes(),
         "gif" => spoken.gif(&Rasterizer::new(), MAX_MOMENTS, SECONDS)?,
         "html" => player(spoken, MAX_MOMENTS, SECONDS).into_bytes(),
+        "mp4" => {
+            return film(&spoken.gif(&Rasterizer::new(), MAX_MOMENTS, SECONDS)?, path);
+        }
         other => bail!("a picture cannot be a `{other}` file"),
     };
     output::file(path, &bytes)
+}
+
+/// Lets ffmpeg make a film of an animated GIF.
+fn film(gif: &[u8], path: &Path) -> anyhow::Result<()> {
+    // Both sides must be even there.
+    let even = "scale=trunc(iw/2)*2:trunc(ih/2)*2";
+    let mut ffmpeg = Command::new("ffmpeg")
+        .args(["-loglevel", "error", "-y", "-f", "gif", "-i", "pipe:0", "-vf", even])
+        .args(["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"])
+        .arg(path)
+        .stdin(Stdio::piped())
+        .spawn()
+        .context("an mp4 needs ffmpeg: install it, or draw a gif")?;
+    let given = ffmpeg.stdin.take().map_or(Ok(()), |mut input| input.write_all(gif));
+    let ended = ffmpeg.wait()?;
+    ensure!(ended.success(), "ffmpeg could not write {}: see above", path.display());
+    given.context("handing the pictures to ffmpeg")
 }
 
 /// Returns the extension of a path in lower case.

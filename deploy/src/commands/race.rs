@@ -90,7 +90,7 @@ impl RaceWork<'_> {
     async fn train(&self, racer: usize, stage: RaceStage) -> Result<bool, Failure> {
         let quarter = self.race.quarter();
         let what = Launch {
-            stop_after: (stage == RaceStage::Quarter).then_some(quarter),
+            stop_after: (stage == RaceStage::Quarter).then(|| quarter.to_string()),
             options: self.options,
             ..Launch::new(Naming::Resume, self.args.actors)
         };

@@ -40,6 +40,7 @@ struct SearchOrigin {
 
 pub(super) fn run(tasks: &Tasks, args: &ScriptSearchArgs) -> Result<(), Failure> {
     let config = describe::load(tasks, &args.task, &args.set, &args.runs)?;
+    let path = destination(args)?;
     let n_steps = args.steps.unwrap_or(config.learner.total_steps);
     let seed = args.seed.unwrap_or(config.seed);
     if seed == args.eval_seed {
@@ -79,7 +80,6 @@ pub(super) fn run(tasks: &Tasks, args: &ScriptSearchArgs) -> Result<(), Failure>
         output::line(&format!("Tried {took}. The best:\n\n{}\n", words(&found)));
         evaluation::print(&comparison, args.shown.all);
     }
-    let path = args.out.clone().unwrap_or_else(|| default_file(&args.task));
     let head = toml::to_string(&origin).blame(ExitCode::Failed)?;
     let text = format!("[search]\n{head}\n{}", found.script.toml());
     output::file(&path, text.as_bytes()).blame(ExitCode::WrongInput)?;
@@ -165,7 +165,24 @@ fn words(found: &FoundScript) -> String {
     found.script.to_string()
 }
 
-fn default_file(task: &std::path::Path) -> PathBuf {
-    let stem = task.file_stem().and_then(|stem| stem.to_str()).unwrap_or("task");
-    PathBuf::from(format!("{stem}-script.toml"))
+/// Returns where the script will be written, and refuses at once what would fail after the search.
+fn destination(args: &ScriptSearchArgs) -> Result<PathBuf, Failure> {
+    let wrong = |says: String| Failure::of(ExitCode::WrongInput, anyhow::anyhow!(says));
+    let Some(path) = args.out.clone() else {
+        let stem = args.task.file_stem().and_then(|stem| stem.to_str()).unwrap_or("task");
+        let path = PathBuf::from(format!("{stem}-script.toml"));
+        if path.exists() {
+            let shown = path.display();
+            return Err(wrong(format!("{shown} exists already; name another file with -o")));
+        }
+        return Ok(path);
+    };
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if path.is_dir() {
+        return Err(wrong(format!("{} is a folder; name a file with -o", path.display())));
+    }
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        return Err(wrong(format!("there is no folder {}; make it first", folder.display())));
+    }
+    Ok(path)
 }
