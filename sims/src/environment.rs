@@ -97,7 +97,7 @@ pub struct Insight {
 }
 
 /// The layout of every environment's snapshots; a change to any of them adds 1.
-const SNAPSHOT_SCHEMA: u32 = 2;
+const SNAPSHOT_SCHEMA: u32 = 3;
 /// How a snapshot begins; what was written before there was a schema does not.
 const SNAPSHOT_MARK: [u8; 4] = *b"ltS\xf5";
 /// Bytes before the state: the mark, the schema, the task.
