@@ -21,7 +21,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts"],
     &["leadtime-config"],
-    &["leadtime-runs"],
+    &["leadtime-runs", "leadtime-python"],
     &["leadtime-studies"],
     &["leadtime"],
 ];
@@ -31,8 +31,9 @@ const PURE: &str = "crates/numerics crates/table proto crates/policy crates/ppo 
                     sims/steakhouse crates/worlds crates/conformance crates/config";
 
 /// Folders that hold our Rust sources.
-const FOLDERS: &[&str] =
-    &["crates", "proto", "sims", "actor", "learner", "deploy", "tests", "examples", "bench"];
+const FOLDERS: &[&str] = &[
+    "crates", "python", "proto", "sims", "actor", "learner", "deploy", "tests", "examples", "bench",
+];
 
 fn root() -> PathBuf {
     let deploy = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -143,6 +144,7 @@ fn heavy_dependencies_belong_to_few_crates() {
     let rules: &[(&str, &[&str])] = &[
         ("zenoh", &["leadtime-link"]),
         ("bincode", &["leadtime-proto"]),
+        ("pyo3", &["leadtime-python"]),
         ("rapier2d", &["leadtime-lander"]),
         ("candle-core", &["leadtime-policy", "leadtime-ppo", "leadtime-taxonomy"]),
         ("candle-nn", &["leadtime-policy", "leadtime-ppo", "leadtime-taxonomy"]),

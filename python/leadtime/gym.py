@@ -1,0 +1,178 @@
+"""The worlds as Gymnasium environments.
+
+    import gymnasium
+    import leadtime.gym
+
+    env = gymnasium.make("leadtime/Lander-v0", set={"human.reaction_delay": 3})
+    envs = gymnasium.make_vec("leadtime/Lander-v0", num_envs=64, vectorization_mode="vector_entry_point")
+
+``config`` is a built-in configuration (``leadtime config`` lists them) or a file, ``set`` changes keys of it, and
+``evaluation=True`` takes the task as it is in evaluation. An action has one choice per head (initiate, topic, k, l).
+``info["action_mask"]`` says which choices are offered; one that is not has no effect. A message cannot be understood after it
+is over: with l below k it has k words. At the end of an episode ``info["metrics"]`` has its metrics, ``info["success"]`` whether
+it succeeded.
+"""
+
+import json
+import math
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from leadtime._native import World, Worlds
+
+IDS = {
+    "leadtime/Lander-v0": "lander",
+    "leadtime/LanderHard-v0": "lander_hard",
+    "leadtime/Highway-v0": "highway",
+    "leadtime/HighwayConflict-v0": "highway_conflict",
+    "leadtime/Steakhouse-v0": "steakhouse",
+    "leadtime/SteakhouseTiming-v0": "steakhouse_timing",
+    "leadtime/Pilot-v0": "pilot",
+    "leadtime/CartPole-v0": "cartpole",
+    "leadtime/CueRecall-v0": "cue_recall",
+}
+SEEDS = 2**63
+
+
+def toml(value):
+    """Writes a value as TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(str(key))} = {toml(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{value} cannot be a setting")
+    if isinstance(value, (int, float, np.integer, np.floating)):
+        return repr(value.item() if isinstance(value, np.generic) else value)
+    return json.dumps(str(value))
+
+
+def changes(settings):
+    """Writes a table of changes as the program's ``--set`` has them."""
+    return [f"{key}={toml(value)}" for key, value in (settings or {}).items()]
+
+
+def make_spaces(world):
+    """Returns the spaces of observations and actions, and whether an action is a single choice."""
+    low, high = (np.array([quantity[i] for quantity in world.quantities], np.float32) for i in (2, 3))
+    sizes = [len(choices) for _, choices in world.heads]
+    single = len(sizes) == 1
+    return spaces.Box(low, high, dtype=np.float32), spaces.Discrete(sizes[0]) if single else spaces.MultiDiscrete(sizes), single
+
+
+class LeadtimeEnv(gymnasium.Env):
+    """One environment.
+
+    ``reset(seed=s)`` begins the first episode of the run with that seed, and every further ``reset()`` its next one;
+    ``options={"episode": n}`` picks one. They are the episodes of the program's environment 0, bit for bit.
+    """
+
+    metadata = {"render_modes": []}
+
+    def __init__(self, config="lander", set=None, evaluation=False, render_mode=None):
+        if render_mode is not None:
+            raise ValueError(f"render_mode {render_mode!r}: there is none; `leadtime play` draws episodes")
+        self.render_mode = None
+        self.world = World(config, changes(set), evaluation)
+        self.observation_space, self.action_space, self._single = make_spaces(self.world)
+        self._metrics = self.world.metric_names
+        self._seed, self._episode = None, 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        if seed is not None:
+            self._seed, self._episode = seed % SEEDS, 0
+        elif self._seed is None:
+            self._seed, self._episode = int(self.np_random.integers(SEEDS)), 0
+        self._episode = int((options or {}).get("episode", self._episode))
+        observation, mask = self.world.reset(self._seed, self._episode)
+        self._episode += 1
+        self._mask = mask
+        return observation, {"action_mask": mask}
+
+    def step(self, action):
+        choices = [int(action)] if self._single else [int(choice) for choice in action]
+        observation, reward, terminated, truncated, self._mask = self.world.step(choices)
+        info = {"action_mask": self._mask}
+        if terminated or truncated:
+            info.update(ending(self._metrics, self.world.metrics()))
+        return observation, float(reward), terminated, truncated, info
+
+    def action_masks(self):
+        """Returns the offered choices as booleans, head after head (what sb3-contrib's MaskablePPO asks for)."""
+        return self._mask.astype(bool)
+
+    def baseline(self, name="heuristic"):
+        """Returns the action that a scripted policy of the world takes now."""
+        choices = self.world.baseline(name)
+        return choices[0] if self._single else np.array(choices)
+
+
+def ending(names, metrics):
+    """Returns what an episode's end is told with."""
+    told = {"metrics": dict(zip(names, map(float, metrics)))}
+    if "success" in told["metrics"]:
+        told["success"] = bool(told["metrics"]["success"])
+    return told
+
+
+class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
+    """Many environments with one native call per step. An episode that ends is followed by the next one in the same step;
+    its last observation is in ``infos["final_obs"]`` and its metrics in ``infos["final_info"]``.
+
+    ``reset(seed=s)`` begins the first episodes of the run with that seed: those of the program's environments 0, 1, ...
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+
+    def __init__(self, num_envs=1, config="lander", set=None, evaluation=False, render_mode=None):
+        if render_mode is not None:
+            raise ValueError(f"render_mode {render_mode!r}: there is none; `leadtime play` draws episodes")
+        self.render_mode = None
+        self.num_envs = num_envs
+        self.worlds = Worlds(config, changes(set), evaluation, num_envs)
+        world = World(config, changes(set), evaluation)
+        self.single_observation_space, self.single_action_space, self._single = make_spaces(world)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._metrics = world.metric_names
+        self._began = False
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        if isinstance(seed, (list, tuple)):
+            raise ValueError("one seed names all environments: give a number")
+        if seed is None and not self._began:
+            seed = int(self.np_random.integers(SEEDS))
+        self._began = True
+        observations, mask = self.worlds.reset(None if seed is None else seed % SEEDS)
+        return observations, self._infos(mask)
+
+    def step(self, actions):
+        actions = np.asarray(actions)
+        chosen = np.ascontiguousarray(actions.reshape(self.num_envs, -1), dtype=np.uint8)
+        observations, rewards, terminated, truncated, mask, ended = self.worlds.step(chosen)
+        infos = self._infos(mask)
+        if ended:
+            final, infos["final_obs"], told = np.zeros(self.num_envs, bool), np.full(self.num_envs, None, object), {}
+            for i, observation, metrics in ended:
+                final[i], infos["final_obs"][i] = True, observation
+                told = self._add_info(told, ending(self._metrics, metrics), i)
+            infos["_final_obs"] = infos["_final_info"] = final
+            infos["final_info"] = told
+        return observations, rewards, terminated, truncated, infos
+
+    def _infos(self, mask):
+        return {"action_mask": mask, "_action_mask": np.ones(self.num_envs, bool)}
+
+
+for name, configuration in IDS.items():
+    if name not in gymnasium.registry:
+        gymnasium.register(name, entry_point="leadtime.gym:LeadtimeEnv", vector_entry_point="leadtime.gym:LeadtimeVectorEnv",
+                           kwargs={"config": configuration}, disable_env_checker=True)

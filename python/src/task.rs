@@ -1,0 +1,78 @@
+//! Which task an environment plays: a built-in configuration or a file, with changes.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use leadtime_config::{Catalog, Config, ConfigSource, Layer, Override};
+use leadtime_proto::TaskSpec;
+use leadtime_proto::phrase::no_such;
+use leadtime_sims::{Environment, Registry};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+/// Names the built-in configurations.
+#[pyfunction]
+pub(crate) fn configurations() -> Vec<String> {
+    Catalog::built_in().names().map(str::to_owned).collect()
+}
+
+/// A task, and what builds its environments.
+pub(crate) struct PlayedTask {
+    registry: Registry,
+    spec: TaskSpec,
+}
+
+impl PlayedTask {
+    /// Reads a configuration (a file, or the name of a built-in one) with changes `section.key=value`; the task is that of
+    /// training, or that of evaluation.
+    ///
+    /// # Errors
+    ///
+    /// `ValueError` with the key, what was given and what is allowed.
+    pub(crate) fn read(config: &str, set: &[String], evaluation: bool) -> PyResult<Self> {
+        let registry = leadtime_worlds::builtin();
+        let catalog = Catalog::built_in();
+        let set = set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>();
+        let set = set.map_err(PyValueError::new_err)?;
+        let file = match fs::read_to_string(config) {
+            Ok(text) => Layer::text(format!("configuration {config}"), text),
+            Err(error) => built_in(config, &error, &catalog)?,
+        };
+        let source = ConfigSource { file: Some(file), set, ..ConfigSource::default() };
+        let read = Config::load(&source, &catalog, &registry).map_err(wrong)?;
+        let spec = if evaluation { read.evaluation.task } else { read.task };
+        Ok(Self { registry, spec })
+    }
+
+    /// Builds an environment.
+    ///
+    /// # Errors
+    ///
+    /// `ValueError` if a setting is impossible.
+    pub(crate) fn build(&self) -> PyResult<Box<dyn Environment>> {
+        self.registry.build(&self.spec).map_err(wrong)
+    }
+}
+
+fn built_in(name: &str, error: &io::Error, catalog: &Catalog) -> PyResult<Layer> {
+    if let Some(layer) = catalog.file(name) {
+        return Ok(layer);
+    }
+    if Path::new(name).exists() {
+        return Err(PyValueError::new_err(format!("reading {name}: {error}")));
+    }
+    let names: Vec<&str> = catalog.names().collect();
+    Err(PyValueError::new_err(no_such("file or configuration", name, names)))
+}
+
+/// Makes Python's error of one of ours, with its causes.
+pub(crate) fn wrong(error: impl std::error::Error) -> PyErr {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    PyValueError::new_err(text)
+}

@@ -1,0 +1,150 @@
+"""The worlds from Python are those of the program, and what Gymnasium asks for."""
+
+import json
+import os
+import subprocess
+import tempfile
+import unittest
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from gymnasium.utils.env_checker import check_env
+
+import leadtime
+import leadtime.gym
+from leadtime.gym import IDS
+from leadtime.policy import load
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = os.environ.get("LEADTIME", "leadtime")
+
+
+def steps_of(policy, folder, *more):
+    """Lets the program play a policy, and returns what it saw and did, step by step."""
+    file = Path(folder) / "steps.jsonl"
+    command = [PROGRAM, "eval", str(policy), "--episodes", "3", "--eval-seed", "11", "--action", "greedy", "--episodes-to", str(file), *more]
+    subprocess.run(command, check=True, cwd=folder, stdout=subprocess.DEVNULL)
+    return [json.loads(line) for line in file.read_text().splitlines()]
+
+
+class Gym(unittest.TestCase):
+    def test_gymnasium_finds_nothing_wrong_in_any_world(self):
+        for name in IDS:
+            with self.subTest(name), warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                env = gymnasium.make(name, disable_env_checker=True)
+                check_env(env.unwrapped, skip_render_check=True)
+                texts = [str(warning.message) for warning in told if "gymnasium" in warning.filename]
+                self.assertEqual([text for text in texts if "infinity" not in text], [])
+
+    def test_the_same_seed_is_the_same_episode_and_the_next_one_is_another(self):
+        env = gymnasium.make("leadtime/Lander-v0")
+        first, _ = env.reset(seed=3)
+        second, _ = env.reset()
+        again, _ = env.reset(seed=3)
+        picked, _ = env.reset(options={"episode": 1})
+        self.assertTrue((first == again).all() and (second == picked).all() and (first != second).any())
+
+    def test_a_vector_steps_as_its_environments_do_alone(self):
+        for name, n in [("leadtime/CartPole-v0", 3), ("leadtime/Steakhouse-v0", 17)]:
+            envs = gymnasium.make_vec(name, num_envs=n, vectorization_mode="vector_entry_point")
+            envs.action_space.seed(5)
+            observations, infos = envs.reset(seed=9)
+            alone = gymnasium.make(name).unwrapped
+            expected, info = alone.reset(seed=9)
+            self.assertTrue((observations[0] == expected).all() and (infos["action_mask"][0] == info["action_mask"]).all())
+            n_ended = 0
+            for _ in range(300):
+                actions = envs.action_space.sample()
+                observations, rewards, terminated, truncated, infos = envs.step(actions)
+                expected, reward, *ends, info = alone.step(actions[0])
+                self.assertEqual((rewards[0], terminated[0], truncated[0]), (np.float32(reward), *ends))
+                if any(ends):
+                    n_ended += 1
+                    self.assertTrue((infos["final_obs"][0] == expected).all())
+                    self.assertEqual(infos["final_info"]["metrics"][alone._metrics[0]][0], info["metrics"][alone._metrics[0]])
+                    expected, info = alone.reset()
+                self.assertTrue((observations[0] == expected).all())
+                self.assertTrue((infos["action_mask"][0] == info["action_mask"]).all())
+            self.assertGreater(n_ended, 1)
+
+    def test_an_episode_goes_on_from_a_snapshot(self):
+        for name in IDS:
+            env = gymnasium.make(name).unwrapped
+            env.action_space.seed(1)
+            env.reset(seed=1)
+            env.step(env.action_space.sample())
+            snapshot, actions = env.world.snapshot(), [env.action_space.sample() for _ in range(3)]
+            first = [env.step(action)[0] for action in actions]
+            env.world.restore(snapshot)
+            self.assertTrue(np.array_equal(first, [env.step(action)[0] for action in actions]), name)
+
+    def test_settings_are_the_program_s_and_so_are_its_errors(self):
+        env = gymnasium.make("leadtime/Lander-v0", set={"human.reaction_delay": {"fixed": 3}, "notifier.history": 2})
+        self.assertLess(env.observation_space.shape, gymnasium.make("leadtime/Lander-v0").observation_space.shape)
+        for settings, says in [({"human.reaction_delay": 99}, "0 to 60 steps"), ({"human.delay": 1}, "human.delay")]:
+            with self.assertRaisesRegex(ValueError, says):
+                gymnasium.make("leadtime/Lander-v0", set=settings)
+        with self.assertRaisesRegex(ValueError, "no file or configuration"):
+            gymnasium.make("leadtime/Lander-v0", config="moon")
+        with self.assertRaisesRegex(ValueError, "allowed: one of each of"):
+            gymnasium.make("leadtime/CartPole-v0").unwrapped.world.step([7])
+        self.assertIn("paper_lander", leadtime.configurations())
+
+    def test_many_threads_may_step_one_vector(self):
+        from concurrent.futures import ThreadPoolExecutor
+        envs = gymnasium.make_vec("leadtime/CartPole-v0", num_envs=32, vectorization_mode="vector_entry_point")
+        envs.reset(seed=1)
+        actions = np.zeros(32, int)
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(lambda _: envs.step(actions), range(200)))
+
+
+class Policy(unittest.TestCase):
+    def test_the_shipped_policies_decide_in_python_as_in_the_program(self):
+        for name, config in [("piloting", "paper_lander"), ("cooking", "steakhouse"), ("driving", "paper_highway")]:
+            with self.subTest(name), tempfile.TemporaryDirectory() as folder:
+                file = ROOT / f"deploy/policies/{name}.safetensors"
+                policy, state, n_same, far = load(file), None, 0, 0.0
+                steps = steps_of(file, folder)
+                for step in steps:
+                    state = policy.begin() if step["step"] == 0 else state
+                    logits, _ = policy.logits(step["observation"], state)
+                    expected = np.array(step["logits"])
+                    far = max(far, (np.abs(logits - expected) / np.maximum(1, np.abs(expected))).max())
+                    action, state = policy.act(step["observation"], mask=step["offered"], state=state, greedy=True)
+                    n_same += action == step["action"]
+                self.assertLess(far, 1e-5)
+                self.assertEqual(n_same, len(steps))
+
+    def test_an_episode_in_python_is_that_of_the_program_bit_for_bit(self):
+        for name, config in [("piloting", "paper_lander"), ("cooking", "steakhouse"), ("driving", "paper_highway")]:
+            with self.subTest(name), tempfile.TemporaryDirectory() as folder:
+                file = ROOT / f"deploy/policies/{name}.safetensors"
+                text = load(file).metadata["config"]
+                (Path(folder) / "own.toml").write_text(text.replace("reason_from_words = 4\n", ""))
+                steps = steps_of(file, folder)
+                env = leadtime.World(str(Path(folder) / "own.toml"), [], True)
+                observation, _ = env.reset(11, 0)
+                first = [step for step in steps if step["episode"] == 0]
+                for step in first:
+                    self.assertTrue((observation == np.array(step["observation"], np.float32)).all())
+                    observation, reward, *_ = env.step(step["action"])
+                    self.assertEqual(np.float32(step["reward"]), np.float32(reward))
+
+    def test_a_file_that_is_no_policy_is_refused(self):
+        from leadtime.policy import PolicyError
+        with tempfile.TemporaryDirectory() as folder:
+            for i, content in enumerate([b"", b"\xff" * 40, (2).to_bytes(8, "little") + b"{}"]):
+                file = Path(folder) / str(i)
+                file.write_bytes(content)
+                with self.assertRaisesRegex(PolicyError, "no policy of Leadtime"):
+                    load(file)
+        with self.assertRaisesRegex(ValueError, "give rng"):
+            load(ROOT / "deploy/policies/piloting.safetensors").act(np.zeros(89))
+
+
+if __name__ == "__main__":
+    unittest.main()
