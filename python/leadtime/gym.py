@@ -97,7 +97,7 @@ class LeadtimeEnv(gymnasium.Env):
         return observation, {"action_mask": mask}
 
     def step(self, action):
-        choices = [int(action)] if self._single else [int(choice) for choice in action]
+        choices = [int(action)] if self._single else action.tolist() if isinstance(action, np.ndarray) else [int(x) for x in action]
         observation, reward, terminated, truncated, self._mask = self.world.step(choices)
         info = {"action_mask": self._mask}
         if terminated or truncated:
@@ -143,6 +143,7 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._metrics = world.metric_names
         self._began = False
+        self._everywhere = np.ones(num_envs, bool)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -156,7 +157,9 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
 
     def step(self, actions):
         actions = np.asarray(actions)
-        chosen = np.ascontiguousarray(actions.reshape(self.num_envs, -1), dtype=np.uint8)
+        if actions.min() < 0 or actions.max() > 255:
+            raise ValueError(f"a choice is between 0 and 255: {actions}")
+        chosen = actions.astype(np.uint8, copy=False).reshape(self.num_envs, -1)
         observations, rewards, terminated, truncated, mask, ended = self.worlds.step(chosen)
         infos = self._infos(mask)
         if ended:
@@ -169,7 +172,7 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
         return observations, rewards, terminated, truncated, infos
 
     def _infos(self, mask):
-        return {"action_mask": mask, "_action_mask": np.ones(self.num_envs, bool)}
+        return {"action_mask": mask, "_action_mask": self._everywhere}
 
 
 for name, configuration in IDS.items():

@@ -10,7 +10,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::task::PlayedTask;
-use crate::world::{check, n_choices, offered};
+use crate::world::{check, n_choices, write_offered};
 
 /// From so many environments on other threads of Python may run during a step.
 const RELEASES_FROM: usize = 16;
@@ -61,7 +61,13 @@ impl Lanes {
     }
 
     fn offered(&self) -> Vec<i8> {
-        self.environments.iter().flat_map(|environment| offered(environment.as_ref())).collect()
+        let n_choices = self.environments[0].spec().actions.n_choices();
+        let mut offered = vec![0; self.environments.len() * n_choices];
+        for (environment, row) in self.environments.iter().zip(offered.chunks_exact_mut(n_choices))
+        {
+            write_offered(environment.as_ref(), row);
+        }
+        offered
     }
 
     /// Takes a step in each; one whose episode ends begins the next one at once.

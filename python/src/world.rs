@@ -150,9 +150,17 @@ pub(crate) fn n_choices(environment: &dyn Environment) -> Vec<usize> {
     environment.spec().actions.heads.iter().map(|head| head.n_choices).collect()
 }
 
-/// Returns what may be chosen now, 1 or 0 per choice, head after head. Shape `[n_choices]`.
-pub(crate) fn offered(environment: &dyn Environment) -> Vec<i8> {
+/// Returns what may be chosen now. Shape `[n_choices]`.
+fn offered(environment: &dyn Environment) -> Vec<i8> {
+    let mut offered = vec![0; environment.spec().actions.n_choices()];
+    write_offered(environment, &mut offered);
+    offered
+}
+
+/// Writes what may be chosen now, 1 or 0 per choice, head after head. Shape `[n_choices]`.
+pub(crate) fn write_offered(environment: &dyn Environment, offered: &mut [i8]) {
     let Mask(bits) = environment.mask();
-    let n_choices = environment.spec().actions.n_choices();
-    (0..n_choices).map(|choice| (bits >> choice.min(63) & 1) as i8).collect()
+    for (choice, offered) in offered.iter_mut().enumerate() {
+        *offered = (bits >> choice.min(63) & 1) as i8;
+    }
 }
