@@ -5,7 +5,7 @@
 //! assign   who steps which environment  rollout_queue  rollouts that wait       roster, stragglers        who is here, or late
 //! books    where every rollout went     checkpoint, resume  the disk            episodes, report, builds  what it reports
 //! held_out what evaluates a policy       held_out_record  which one is the best  evaluation_thread   beside the training
-//! ending   how a run ends
+//! ending   how a run ends          bulletin       what observers are told
 //! ```
 //!
 //! # What it does not know
@@ -18,6 +18,7 @@
 //! [`run()`] is the life of a learner process, [`coordinator::Coordinator`] its decisions.
 
 mod assign;
+mod bulletin;
 pub mod books;
 pub mod builds;
 pub mod checkpoint;
@@ -47,6 +48,6 @@ pub use error::Error;
 pub use files::{replaced_name, write_atomically};
 pub use held_out::{HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, PolicyEvaluator};
 pub use report::{
-    PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
+    ActorStanding, PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
 pub use run::run;

@@ -21,6 +21,11 @@ pub fn unix_seconds() -> f64 {
     now().as_nanosecond() as f64 * 1e-9
 }
 
+/// Reads a moment as records keep it, in seconds since the Unix epoch; `None` if it is none.
+pub fn unix_seconds_of(text: &str) -> Option<f64> {
+    text.parse::<Timestamp>().ok().map(|moment| moment.as_nanosecond() as f64 * 1e-9)
+}
+
 /// Returns this moment in UTC, as records keep it: `2026-01-31T12:00:00Z`.
 pub fn utc_now() -> String {
     now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()

@@ -112,7 +112,7 @@ async fn an_observer_reads_metrics_presence_and_announcements() {
     let mut expected =
         vec![(member.clone(), b"{\"steps\":1}".to_vec()), (Member::Learner, b"{}".to_vec())];
     until(&seen, |event| {
-        if let ObserverEvent::Metrics { member, json } = event {
+        if let ObserverEvent::Metrics { member, json, .. } = event {
             expected.retain(|one| *one != (member.clone(), json.clone()));
         }
         expected.is_empty().then_some(())
