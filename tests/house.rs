@@ -20,7 +20,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-worlds", "leadtime-conformance"],
     &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts"],
-    &["leadtime-config"],
+    &["leadtime-config", "leadtime-web"],
     &["leadtime-runs"],
     &["leadtime-studies"],
     &["leadtime"],
@@ -149,6 +149,9 @@ fn heavy_dependencies_belong_to_few_crates() {
         ("anyhow", &["leadtime"]),
         ("clap", &["leadtime"]),
         ("tracing-subscriber", &["leadtime"]),
+        ("axum", &["leadtime-web"]),
+        ("hyper", &["leadtime-web"]),
+        ("hyper-util", &["leadtime-web"]),
     ];
     let packages = packages();
     for (crate_name, owners) in rules {
