@@ -21,7 +21,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts"],
     &["leadtime-config", "leadtime-web"],
-    &["leadtime-runs"],
+    &["leadtime-runs", "leadtime-watch"],
     &["leadtime-studies"],
     &["leadtime"],
 ];

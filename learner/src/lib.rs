@@ -18,9 +18,9 @@
 //! [`run()`] is the life of a learner process, [`coordinator::Coordinator`] its decisions.
 
 mod assign;
-mod bulletin;
 pub mod books;
 pub mod builds;
+mod bulletin;
 pub mod checkpoint;
 pub mod config;
 mod control_outbox;
@@ -48,6 +48,7 @@ pub use error::Error;
 pub use files::{replaced_name, write_atomically};
 pub use held_out::{HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, PolicyEvaluator};
 pub use report::{
-    ActorStanding, PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
+    ActorStanding, PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport,
+    UpdateProgress,
 };
 pub use run::run;

@@ -84,7 +84,9 @@ fn answer(query: Query, incarnation: Incarnation, history: &HistoryMaker) -> Pen
             let header = Header::plain(Schema::History, incarnation, &bytes);
             PendingReply::Message(query, header, bytes.into())
         }
-        Ok(_) => PendingReply::Refusal(query, "the history is too large: ask for fewer points".into()),
+        Ok(_) => {
+            PendingReply::Refusal(query, "the history is too large: ask for fewer points".into())
+        }
         Err(reason) => PendingReply::Refusal(query, reason),
     }
 }

@@ -3,11 +3,12 @@
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use leadtime_proto::message::Announcement;
 use leadtime_proto::receive::{self, ABOUT, ANNOUNCEMENT, HISTORY, METRICS};
 use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
+use tokio::time::sleep;
 use tracing::warn;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
@@ -18,10 +19,12 @@ use crate::latest::{Events, Latest};
 use crate::lock::lock;
 use crate::pubsub::{subscribe, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, Result, ask, discovery, session, wire};
+use crate::{ConnectSettings, Error, Result, ask, discovery, session, wire};
 
 /// Places in the event queue for metrics.
 const N_BULK: usize = 4_096;
+/// Pause between two looks for a run.
+const LOOK_PAUSE: Duration = Duration::from_millis(500);
 /// How long a learner may take to say what its run is.
 const ABOUT_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long it may take to read its history: a long one is a large file, and one question is answered at a time.
@@ -68,7 +71,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Unreachable`](crate::Error::Unreachable) if nobody answers within the settings' time-out.
+    /// [`Error::Unreachable`] if nobody answers within the settings' time-out.
     pub async fn open(settings: &ConnectSettings) -> Result<(Self, Events<ObserverEvent>)> {
         let session = session::connect(settings).await?;
         let (events, latest, receiver) = Events::new(N_BULK);
@@ -80,16 +83,50 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Network`](crate::Error::Network) if the network cannot be asked.
+    /// [`Error::Network`] if the network cannot be asked.
     pub async fn runs(&self) -> Result<BTreeSet<RunName>> {
         discovery::runs(&self.session).await
+    }
+
+    /// Finds the run that is meant: the one that is named, or the only one that is there. Looks until the settings'
+    /// time-out while no learner is there.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::RunNotFound`], [`Error::SeveralRuns`] or [`Error::NoLearner`].
+    pub async fn find_run(
+        &self,
+        settings: &ConnectSettings,
+        wanted: Option<RunName>,
+    ) -> Result<RunName> {
+        let (started, timeout) = (Instant::now(), settings.timeout);
+        let endpoints = || session::describe(&settings.endpoints);
+        loop {
+            let present = self.runs().await?;
+            match (&wanted, present.len()) {
+                (Some(run), _) if present.contains(run) => return Ok(run.clone()),
+                (Some(run), 1..) => {
+                    let (run, present) = (run.clone(), present.into_iter().collect());
+                    return Err(Error::RunNotFound { run, endpoints: endpoints(), present });
+                }
+                (None, 2..) => {
+                    let runs = present.into_iter().collect();
+                    return Err(Error::SeveralRuns { endpoints: endpoints(), runs });
+                }
+                (None, 1) => return present.into_iter().next().ok_or(Error::NoEndpoint),
+                (_, 0) if started.elapsed() >= timeout => {
+                    return Err(Error::NoLearner { endpoints: endpoints(), timeout });
+                }
+                (_, 0) => sleep(LOOK_PAUSE).await,
+            }
+        }
     }
 
     /// Follows a run from now on, whether it is there already or not.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`](crate::Error::Network) if it cannot be subscribed to.
+    /// [`Error::Network`] if it cannot be subscribed to.
     pub fn follow(&self, run: &RunName) -> Result<()> {
         let (events, latest) = (self.events.clone(), Arc::clone(&self.latest));
         let missed = Arc::clone(&self.n_missed);
@@ -131,8 +168,8 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NoAnswer`](crate::Error::NoAnswer) if the learner is not there,
-    /// [`Error::BadAnswer`](crate::Error::BadAnswer) if it is of another release.
+    /// [`Error::NoAnswer`] if the learner is not there,
+    /// [`Error::BadAnswer`] if it is of another release.
     pub async fn ask_about(&self, run: &RunName) -> Result<(Incarnation, Vec<u8>)> {
         let (key, no_parameters) = (Key::About(run), String::new());
         ask::ask_bytes(&self.session, key, no_parameters, ABOUT, ABOUT_TIMEOUT).await
@@ -143,7 +180,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// As [`ObserverLink::ask_about`]; [`Error::Rejected`](crate::Error::Rejected) if the learner cannot read its history.
+    /// As [`ObserverLink::ask_about`]; [`Error::Rejected`] if the learner cannot read its history.
     pub async fn ask_history(
         &self,
         run: &RunName,
@@ -164,7 +201,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Close`](crate::Error::Close) if it takes too long.
+    /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
         session::close(&self.session).await
     }

@@ -95,9 +95,9 @@ impl ThinSeries {
     pub fn resume(self, max_points: usize) -> Self {
         let mut series = Self { max_points: even(max_points), stride: self.stride.max(1), ..self };
         let n_points = series.x.len();
-        series.scalars.retain(|_, extremes| {
-            extremes.len() == n_points && extremes.max.len() == n_points
-        });
+        series
+            .scalars
+            .retain(|_, extremes| extremes.len() == n_points && extremes.max.len() == n_points);
         series.in_last = series.stride;
         while series.x.len() > series.max_points {
             series.join_pairs();
@@ -207,7 +207,11 @@ mod tests {
     fn a_series_has_few_points_in_order_and_keeps_its_extremes() {
         for n in [1, 2, 7, 100, 101, 1_000, 12_345] {
             let series = spiky(n, 100);
-            assert!(series.x.len() <= 100 && series.x.len() as u64 >= n.min(50), "{n}: {}", series.x.len());
+            assert!(
+                series.x.len() <= 100 && series.x.len() as u64 >= n.min(50),
+                "{n}: {}",
+                series.x.len()
+            );
             assert!(series.x.is_sorted_by(|a, b| a < b), "{n}");
             assert_eq!(series.last(), n);
             let a = &series.scalars["a"];
@@ -256,7 +260,9 @@ mod tests {
 
     #[test]
     fn numbers_are_rounded_to_what_can_be_seen() {
-        for (value, text) in [(0.123_456_789, "0.12346"), (-98_765_432.1, "-98765000.0"), (0.0, "0.0")] {
+        for (value, text) in
+            [(0.123_456_789, "0.12346"), (-98_765_432.1, "-98765000.0"), (0.0, "0.0")]
+        {
             assert_eq!(format!("{:?}", rounded(value)), text);
         }
         assert!(rounded(1e-320).is_finite() && rounded(f64::MAX).is_infinite());

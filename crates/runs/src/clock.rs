@@ -1,6 +1,7 @@
 //! The only file that reads the wall clock.
 
-use std::time::SystemTime;
+use std::path::Path;
+use std::time::{Duration, SystemTime};
 
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
@@ -46,6 +47,13 @@ pub fn time_of_day() -> String {
     now().to_zoned(TimeZone::system()).strftime("%H:%M:%S").to_string()
 }
 
+/// Returns how long ago a file was written; `None` if it is not there.
+pub fn age(path: &Path) -> Option<Duration> {
+    let written = std::fs::metadata(path).and_then(|found| found.modified()).ok()?;
+    // One from the future was written just now, by a clock that is ahead.
+    Some(written.elapsed().unwrap_or_default())
+}
+
 /// Draws the number that distinguishes this start of a process from every other: nanoseconds and process id.
 pub fn incarnation() -> Incarnation {
     let nanoseconds = now().as_nanosecond() as u64;
@@ -55,7 +63,6 @@ pub fn incarnation() -> Incarnation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     #[test]
     fn a_clock_beyond_the_last_year_stands_still() {

@@ -13,7 +13,7 @@
 
 use std::collections::VecDeque;
 use std::fs::File;
-use std::io::{self, BufRead as _, BufReader, Write as _};
+use std::io::{self, BufRead as _, BufReader, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -40,7 +40,9 @@ pub fn about(config: &Config, run: &str, directory: &Path) -> Value {
     let schedule = match config.learner.schedule() {
         Schedule::Lag(0) => json!({"mode": "sync"}),
         Schedule::Lag(lag) => json!({"mode": "lag", "lag": lag}),
-        Schedule::Async { staleness_max } => json!({"mode": "async", "staleness_max": staleness_max}),
+        Schedule::Async { staleness_max } => {
+            json!({"mode": "async", "staleness_max": staleness_max})
+        }
     };
     let record = RunRecord::read(directory).ok();
     json!({
@@ -106,6 +108,50 @@ pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
     Ok(history.into_json(from))
 }
 
+/// Reads what is appended to a run's metrics.
+#[derive(Debug)]
+pub struct JournalTail {
+    path: PathBuf,
+    offset: u64,
+}
+
+impl JournalTail {
+    /// Begins at the beginning.
+    pub fn new(directory: &Path) -> Self {
+        Self { path: directory.join("metrics.jsonl"), offset: 0 }
+    }
+
+    /// Takes everything that is there now for read.
+    pub fn skip_to_end(&mut self) {
+        self.offset = std::fs::metadata(&self.path).map_or(0, |found| found.len());
+    }
+
+    /// Returns the whole lines that were appended since the last call; `None` if the file was rewound.
+    ///
+    /// # Errors
+    ///
+    /// If the file is there and cannot be read.
+    pub fn new_lines(&mut self) -> io::Result<Option<Vec<Map<String, Value>>>> {
+        let mut file = match File::open(&self.path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Vec::new())),
+            file => file?,
+        };
+        let length = file.metadata()?.len();
+        if length < self.offset {
+            self.offset = length;
+            return Ok(None);
+        }
+        file.seek(SeekFrom::Start(self.offset))?;
+        let (mut lines, mut line, mut file) = (Vec::new(), Vec::new(), BufReader::new(file));
+        while file.read_until(b'\n', &mut line)? > 0 && line.ends_with(b"\n") {
+            self.offset += line.len() as u64;
+            lines.extend(serde_json::from_slice(&line).ok());
+            line.clear();
+        }
+        Ok(Some(lines))
+    }
+}
+
 /// A history in the making.
 #[derive(Debug)]
 struct History {
@@ -148,7 +194,8 @@ impl History {
         if update >= from {
             let elapsed = time.zip(self.started).map(|(now, started)| (ELAPSED, now - started));
             let plotted = line.iter().filter(|(name, _)| name.contains('/'));
-            let numbers = plotted.filter_map(|(name, value)| Some((name.as_str(), value.as_f64()?)));
+            let numbers =
+                plotted.filter_map(|(name, value)| Some((name.as_str(), value.as_f64()?)));
             self.series.push(update, numbers.chain(elapsed));
             if let Some(staleness) = line.get("staleness") {
                 self.staleness.push_back((update, staleness.clone()));
@@ -219,6 +266,24 @@ mod tests {
     }
 
     #[test]
+    fn what_is_appended_is_read_once_and_a_rewound_file_is_noticed() {
+        let run = tempfile::tempdir().unwrap();
+        let path = run.path().join("metrics.jsonl");
+        let mut tail = JournalTail::new(run.path());
+        assert_eq!(tail.new_lines().unwrap(), Some(Vec::new()));
+        fs::write(&path, line(1) + &line(2)).unwrap();
+        tail.skip_to_end();
+        let torn = line(4);
+        fs::write(&path, line(1) + &line(2) + &line(3) + &torn[..9]).unwrap();
+        let new = tail.new_lines().unwrap().unwrap();
+        assert_eq!((new.len(), &new[0]["update"]), (1, &json!(3)));
+        fs::write(&path, line(1) + &line(2) + &line(3) + &torn).unwrap();
+        assert_eq!(tail.new_lines().unwrap().unwrap()[0]["update"], 4, "the rest of the torn line");
+        fs::write(&path, line(1)).unwrap();
+        assert_eq!(tail.new_lines().unwrap(), None);
+    }
+
+    #[test]
     fn a_run_without_updates_has_an_empty_history() {
         let run = tempfile::tempdir().unwrap();
         let told = read(run.path(), 0, 100).unwrap();
@@ -231,6 +296,9 @@ mod tests {
         let bytes = compressed(run.path(), 0, 100).unwrap();
         let mut text = String::new();
         GzDecoder::new(bytes.as_slice()).read_to_string(&mut text).unwrap();
-        assert_eq!(serde_json::from_str::<Value>(&text).unwrap(), read(run.path(), 0, 100).unwrap());
+        assert_eq!(
+            serde_json::from_str::<Value>(&text).unwrap(),
+            read(run.path(), 0, 100).unwrap()
+        );
     }
 }
