@@ -1,7 +1,7 @@
 //! `leadtime up`: learner and actors on this machine, supervised, and what their end means for the exit code.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use leadtime_config::Config;
 use leadtime_proto::RunName;
@@ -23,14 +23,15 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
     let config = args.source.load(tasks, name).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let beside = match &args.watch {
-        Some(http) => Some(BesidePage::bind(tasks, http, &args.access).await?),
+        Some(http) => Some(Arc::new(BesidePage::bind(tasks, http, &args.access).await?)),
         None if args.access.token.is_some() => {
             return Err(Failure::input("--token is for the page of the run: add --watch ADDRESS"));
         }
         None => None,
     };
-    let observe = |endpoint: &str, run: &RunName, _: &Path| {
-        if let Some(beside) = &beside {
+    let told = beside.clone();
+    let observe = move |endpoint: &str, run: &RunName, _: &Path| {
+        if let Some(beside) = &told {
             beside.begin(endpoint, run);
         }
     };
