@@ -610,7 +610,11 @@ function takeLog(lines) {
     time.dateTime = new Date(line.at * 1000).toISOString();
     item.append(time, line.text);
     const newest = Number(/** @type {HTMLElement|null} */ ($('log-lines').firstElementChild)?.dataset.number ?? 0);
-    if (line.number > newest) $('log-lines').prepend(item);
+    if (line.number <= newest) continue;
+    const first = $('log-lines').firstElementChild;
+    // Of checkpoints in a row the newest is enough.
+    if (line.text.startsWith('checkpoint') && first?.textContent?.slice(8).startsWith('checkpoint')) first.remove();
+    $('log-lines').prepend(item);
   }
   while ($('log-lines').children.length > 200) $('log-lines').lastElementChild?.remove();
 }

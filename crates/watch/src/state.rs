@@ -27,6 +27,8 @@ const STALLED: f64 = 30.0;
 /// From this share on the learner's waiting is worth a sentence, and the actors'.
 const LEARNER_WAITS: f64 = 0.3;
 const ACTORS_WAIT: f64 = 0.5;
+/// What a line of the log about a checkpoint begins with.
+const CHECKPOINT: &str = "checkpoint of update ";
 /// The name of the time since the first update among the curves.
 const ELAPSED: &str = "elapsed";
 /// Numbers that are shown as they are now, and not as curves.
@@ -249,7 +251,7 @@ impl RunView {
                 self.version = told["version"].as_u64().unwrap_or(self.version);
                 let checkpoint = told["checkpoint"].as_u64().unwrap_or(0);
                 if checkpoint > self.checkpoint {
-                    self.say("info", format!("checkpoint of update {checkpoint} written"), now);
+                    self.say("info", format!("{CHECKPOINT}{checkpoint} written"), now);
                 }
                 self.checkpoint = checkpoint;
                 self.actors.roster(&told, now);
@@ -403,6 +405,11 @@ impl RunView {
     /// Writes a line into the log.
     pub fn say(&mut self, level: &'static str, text: String, now: f64) {
         self.n_logged += 1;
+        // One checkpoint after the other would push out everything else.
+        let is_checkpoint = |text: &str| text.starts_with(CHECKPOINT);
+        if is_checkpoint(&text) && self.log.back().is_some_and(|line| is_checkpoint(&line.text)) {
+            self.log.pop_back();
+        }
         self.log.push_back(LogLine { number: self.n_logged, at: now, level, text });
         if self.log.len() > N_LOG {
             self.log.pop_front();

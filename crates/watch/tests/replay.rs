@@ -46,7 +46,8 @@ fn a_recorded_run_becomes_the_page_that_it_was() {
     let mut told = view.json(now);
     // The curves are long; what matters of them stands in their first and last points.
     let history = told["history"].take();
-    let x: Vec<u64> = history["x"].as_array().unwrap().iter().map(|x| x.as_u64().unwrap()).collect();
+    let x: Vec<u64> =
+        history["x"].as_array().unwrap().iter().map(|x| x.as_u64().unwrap()).collect();
     assert!(x.is_sorted_by(|a, b| a < b), "no update twice");
     told["about"]["config"] = "left out".into();
     insta::assert_snapshot!(serde_json::to_string_pretty(&told).unwrap());
