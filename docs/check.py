@@ -74,7 +74,7 @@ def commands(page):
 def shortened(line):
     """Returns a command that can be run here, and soon."""
     for name, value in [(r"\bRUN\.\.\.", "made"), (r"\bRUN\b", "made"), (r"-c NAME\b", "-c lander"), (r"-c FILE\b", "-c my.toml"), (r"\bNAME\b", "made"),
-                        (r"\bA B\b", "made again"), (r"\bDOMAIN\b", "lander"), (r"\b7447\b", str(free_port())),
+                        (r"\bA B\b", "made again"), (r"\bDOMAIN\b", "lander"), (r"\b7447\b", str(free_port())), (r"\b8080\b", str(free_port())),
                         (r"^python3", sys.executable)]:
         line = re.sub(name, value, line)
     more = ""
@@ -85,6 +85,9 @@ def shortened(line):
         more = " --quick"
     elif re.match(r"leadtime (compare \S|race\b)", line) and "--plan" not in line:
         more = " --plan"
+    elif line.startswith("leadtime watch") and "--once" not in line:
+        # The page is there until it is ended.
+        line, more = re.sub(r" --(http|token|play) \S+", "", line), " --once"
     elif line.startswith("leadtime probe"):
         line = line.replace(" made", " varied")
     line = re.sub(r"--episodes (\d+)", lambda number: f"--episodes {min(int(number[1]), 50)}", line)

@@ -20,8 +20,8 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-worlds", "leadtime-conformance"],
     &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts"],
-    &["leadtime-config"],
-    &["leadtime-runs", "leadtime-python"],
+    &["leadtime-config", "leadtime-web"],
+    &["leadtime-runs", "leadtime-watch", "leadtime-python"],
     &["leadtime-studies"],
     &["leadtime"],
 ];
@@ -151,6 +151,9 @@ fn heavy_dependencies_belong_to_few_crates() {
         ("anyhow", &["leadtime"]),
         ("clap", &["leadtime"]),
         ("tracing-subscriber", &["leadtime"]),
+        ("axum", &["leadtime-web"]),
+        ("hyper", &["leadtime-web"]),
+        ("hyper-util", &["leadtime-web"]),
     ];
     let packages = packages();
     for (crate_name, owners) in rules {

@@ -29,6 +29,7 @@ impl Metrics {
     pub(crate) fn report<W, R, E>(&self, actor: &Actor<W, R, E>) -> String {
         let report = json!({
             "n_steps": self.n_steps,
+            "n_rollouts_published": actor.outbox.sent.0,
             "n_rollouts_acknowledged": actor.outbox.acknowledged.0,
             "iteration": actor.next.map(|iteration| iteration.0),
             "n_reconnects": actor.n_reconnects,

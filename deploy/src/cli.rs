@@ -111,6 +111,8 @@ pub(crate) enum Command {
     Learner(LearnerArgs),
     /// Run an actor: step environments for a learner; it may join and leave at any time.
     Actor(ActorArgs),
+    /// Watch a run in a browser while it trains, from anywhere, or one on this disk; with --once as text.
+    Watch(WatchArgs),
     /// Evaluate a policy over many episodes, with 95 % intervals.
     Eval(EvalArgs),
     /// Probe a policy: how well can the reaction delay be decoded from its activations?
@@ -305,6 +307,53 @@ pub(crate) struct UpArgs {
     /// Also listen here, so that actors elsewhere can join: `tcp/0.0.0.0:7447`.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
+    /// Also serve a live page of the run here: `127.0.0.1:8080`; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS")]
+    pub watch: Option<String>,
+    #[command(flatten)]
+    pub access: AccessArgs,
+}
+
+/// Who may see a page.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct AccessArgs {
+    /// Ask for this token; `auto` makes one. Needed where others can reach the address.
+    #[arg(long, value_name = "auto|TEXT")]
+    pub token: Option<String>,
+}
+
+/// `leadtime watch`
+#[derive(Debug, Args)]
+pub(crate) struct WatchArgs {
+    /// A run on this disk, by name or directory.
+    #[arg(value_name = "RUN", required_unless_present = "connect", conflicts_with_all = ["connect", "run"])]
+    pub directory: Option<String>,
+    /// Address of a learner (or of a router): `tcp/HOST:7447`.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
+    /// The run, where several share the address.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<String>,
+    /// Where to serve the page; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
+    pub http: String,
+    #[command(flatten)]
+    pub access: AccessArgs,
+    /// Whether the newest policy plays beside the curves.
+    #[arg(long, value_name = "on|off", default_value = "on", value_parser = ["on", "off"])]
+    pub play: String,
+    /// Print one screen of text, and serve nothing.
+    #[arg(long, conflicts_with_all = ["token", "http"])]
+    pub once: bool,
+    /// With --once print everything as JSON; else print the page's address as JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// How long to look for the run.
+    #[arg(long, value_name = "DURATION", default_value = "30s", value_parser = duration)]
+    pub connect_timeout: Duration,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
 }
 
 /// `leadtime race`

@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use leadtime_learner::{HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, UpdateProgress};
+use leadtime_link::Archive;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
 use tokio_util::sync::CancellationToken;
@@ -107,6 +108,14 @@ impl ProgressSink for RunSink {
         if let Some(newest) = history.last() {
             debug!("evaluated: {}", held_out_sentence(newest));
         }
+    }
+
+    fn bulletin(&mut self) -> Option<Vec<u8>> {
+        self.recorder.take_bulletin()
+    }
+
+    fn archive(&self) -> Option<Archive> {
+        Some(self.recorder.archive())
     }
 }
 

@@ -177,6 +177,12 @@ impl Assigner {
         members.keys().map(|actor| (actor.clone(), self.held(actor).len())).collect()
     }
 
+    /// Counts the environments of an actor, and returns the newest assignment that gave it one.
+    pub(crate) fn holding(&self, actor: &ActorId) -> (usize, Epoch) {
+        let own = self.owners.iter().flatten().filter(|owner| owner.key.0 == *actor);
+        own.fold((0, Epoch(0)), |(n, newest), owner| (n + 1, newest.max(owner.since)))
+    }
+
     fn held(&self, actor: &ActorId) -> Vec<EnvId> {
         self.env_ids(|owner| owner.is_some_and(|owner| owner.key.0 == *actor))
     }

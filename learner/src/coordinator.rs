@@ -29,7 +29,7 @@ use leadtime_proto::{
 use crate::assign::{Assigner, Reassignment};
 use crate::books::{Books, SenderKey};
 use crate::builds::{Build, Builds};
-use crate::report::RunEvent;
+use crate::report::{ActorStanding, RunEvent};
 use crate::rollout_queue::{Recovery, RolloutQueue};
 use crate::roster::Roster;
 use crate::stragglers::{Lateness, Stragglers};
@@ -347,6 +347,7 @@ impl Coordinator {
     /// Notes that a [`TICK`] has passed: credit is repeated in case it was lost, and who is late is noticed.
     pub fn tick(&mut self) {
         self.credit_everyone();
+        self.roster.tick();
         let lacking = self.lacking();
         let mut is_due = false;
         for finding in self.stragglers.tick(&lacking) {
@@ -483,6 +484,27 @@ impl Coordinator {
         self.roster.members()
     }
 
+    /// Says how every actor stands, by name.
+    pub fn standings(&self) -> Vec<ActorStanding> {
+        let standings = self.roster.standings().map(|(key, sender)| {
+            let (newest, n_quiet_ticks) = sender.newest();
+            let (envs, epoch) = self.assigner.holding(&key.0);
+            ActorStanding {
+                envs,
+                epoch: epoch.0,
+                iteration: newest.map(|(iteration, _)| iteration.0),
+                staleness: newest.map(|(_, staleness)| staleness),
+                acknowledged: self.books.sequence(&key).0,
+                limit: sender.limit.0,
+                refused: sender.causes().clone(),
+                silent_s: n_quiet_ticks as f64 * TICK.as_secs_f64(),
+                incarnation: format!("{:016x}", key.1.0),
+                id: key.0,
+            }
+        });
+        standings.collect()
+    }
+
     /// Counts them.
     pub fn n_actors(&self) -> usize {
         self.roster.members().len()
@@ -544,6 +566,10 @@ impl Coordinator {
             self.refuse(key, Refusal::new(RefusalCause::Assignment, text), true);
         } else {
             self.stragglers.delivered(&key.0);
+            if let Some(sender) = self.roster.sender(key) {
+                let staleness = self.version.0.saturating_sub(rollout.version.0);
+                sender.delivered(rollout.iteration, staleness);
+            }
             let doubters = self.queue.accept(key.clone(), rollout);
             for actor in doubters.into_iter().filter(|doubter| *doubter != key.0) {
                 self.stragglers.fail(&actor, 0);

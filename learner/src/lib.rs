@@ -5,7 +5,7 @@
 //! assign   who steps which environment  rollout_queue  rollouts that wait       roster, stragglers        who is here, or late
 //! books    where every rollout went     checkpoint, resume  the disk            episodes, report, builds  what it reports
 //! held_out what evaluates a policy       held_out_record  which one is the best  evaluation_thread   beside the training
-//! ending   how a run ends
+//! ending   how a run ends          bulletin       what observers are told
 //! ```
 //!
 //! # What it does not know
@@ -20,6 +20,7 @@
 mod assign;
 pub mod books;
 pub mod builds;
+mod bulletin;
 pub mod checkpoint;
 pub mod config;
 mod control_outbox;
@@ -47,6 +48,7 @@ pub use error::Error;
 pub use files::{replaced_name, write_atomically};
 pub use held_out::{HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, PolicyEvaluator};
 pub use report::{
-    PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
+    ActorStanding, PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport,
+    UpdateProgress,
 };
 pub use run::run;

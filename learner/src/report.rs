@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use leadtime_link::Archive;
 use leadtime_ppo::UpdateReport;
 use leadtime_proto::{ActorId, EnvId, Epoch, Incarnation, PolicyVersion, RefusalCause};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -48,6 +49,31 @@ pub struct UpdateProgress {
     pub n_queued: usize,
     /// The books.
     pub books: Books,
+}
+
+/// How one actor stands, as the learner sees it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ActorStanding {
+    /// The actor.
+    pub id: ActorId,
+    /// Its start, in hexadecimal as in keys.
+    pub incarnation: String,
+    /// Environments that it steps.
+    pub envs: usize,
+    /// The assignment under which it got the newest of them; 0 without any.
+    pub epoch: u64,
+    /// The iteration of its last rollout; `None` before the first.
+    pub iteration: Option<u64>,
+    /// How many versions older than the newest its policy was in that rollout.
+    pub staleness: Option<u64>,
+    /// Rollouts that arrived in order.
+    pub acknowledged: u64,
+    /// The highest sequence that it may publish.
+    pub limit: u64,
+    /// Its refused messages by cause.
+    pub refused: BTreeMap<RefusalCause, u64>,
+    /// Seconds since its last rollout, in steps of a tick.
+    pub silent_s: f64,
 }
 
 /// Something that happens now and then.
@@ -223,6 +249,16 @@ pub trait ProgressSink: Send {
 
     /// Takes in every evaluation on held-out episodes so far, the oldest first, whenever there is one more.
     fn on_held_out(&mut self, history: &[HeldOutMeans]);
+
+    /// Returns the last update as observers are told of it, JSON with `"kind": "update"`; `None` where they are told nothing.
+    fn bulletin(&mut self) -> Option<Vec<u8>> {
+        None
+    }
+
+    /// Returns what observers may ask for; asked once, before the first update.
+    fn archive(&self) -> Option<Archive> {
+        None
+    }
 }
 
 /// How a run ended.
@@ -234,6 +270,16 @@ pub enum RunEnd {
     AlreadyFinished,
     /// It was asked to stop and can be resumed.
     Stopped,
+}
+
+impl RunEnd {
+    /// Returns the name under which observers are told of it.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Finished | Self::AlreadyFinished => "finished",
+            Self::Stopped => "stopped",
+        }
+    }
 }
 
 /// What a run leaves behind.

@@ -12,7 +12,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use leadtime_proto::limits::REFUSALS_BEFORE_CUT_OFF;
-use leadtime_proto::{ActorId, Incarnation, RefusalCause, Sequence};
+use leadtime_proto::{ActorId, Incarnation, Iteration, RefusalCause, Sequence};
 
 use crate::books::SenderKey;
 use crate::builds::Build;
@@ -34,7 +34,11 @@ pub(crate) struct SenderState {
     /// Position in the order of first hellos.
     number: u64,
     n_refused: u64,
-    causes: BTreeSet<RefusalCause>,
+    causes: BTreeMap<RefusalCause, u64>,
+    /// The iteration and the staleness of its last rollout that counted.
+    newest: Option<(Iteration, u64)>,
+    /// Ticks since then, or since it became a member.
+    n_quiet_ticks: u64,
 }
 
 /// What a refusal means for its sender.
@@ -52,7 +56,25 @@ impl SenderState {
         self.n_refused += 1;
         let cut_off = !self.cut_off && self.n_refused >= REFUSALS_BEFORE_CUT_OFF;
         self.cut_off |= cut_off;
-        RefusalOutcome { first: self.causes.insert(cause), cut_off }
+        let n = self.causes.entry(cause).or_default();
+        *n += 1;
+        RefusalOutcome { first: *n == 1, cut_off }
+    }
+
+    /// Notes a rollout that counts.
+    pub(crate) fn delivered(&mut self, iteration: Iteration, staleness: u64) {
+        self.newest = Some((iteration, staleness));
+        self.n_quiet_ticks = 0;
+    }
+
+    /// Returns its refused messages by cause.
+    pub(crate) fn causes(&self) -> &BTreeMap<RefusalCause, u64> {
+        &self.causes
+    }
+
+    /// Returns the iteration and the staleness of its last rollout, and how many ticks ago it came.
+    pub(crate) fn newest(&self) -> (Option<(Iteration, u64)>, u64) {
+        (self.newest, self.n_quiet_ticks)
     }
 }
 
@@ -137,6 +159,24 @@ impl Roster {
     /// Tells whether this start of an actor is a member.
     pub(crate) fn is_member(&self, key: &SenderKey) -> bool {
         self.members.get(&key.0) == Some(&key.1)
+    }
+
+    /// Notes that a tick has passed.
+    pub(crate) fn tick(&mut self) {
+        for (actor, &incarnation) in &self.members {
+            if let Some(sender) = self.senders.get_mut(&(actor.clone(), incarnation)) {
+                sender.n_quiet_ticks += 1;
+            }
+        }
+    }
+
+    /// Returns the members with what is known of their present starts.
+    pub(crate) fn standings(&self) -> impl Iterator<Item = (SenderKey, &SenderState)> {
+        self.members.iter().filter_map(|(actor, &incarnation)| {
+            let key = (actor.clone(), incarnation);
+            let state = self.senders.get(&key)?;
+            Some((key, state))
+        })
     }
 
     /// Returns the members.

@@ -24,10 +24,12 @@ use leadtime_link::{LearnerEvent, LearnerLink};
 use leadtime_ppo::TrainerState;
 use leadtime_proto::PolicyVersion;
 use leadtime_proto::message::{HelloReply, Welcome};
+use serde_json::json;
 use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
+use crate::bulletin::{Bulletin, RunStanding, roster};
 use crate::checkpoint::CheckpointStore;
 use crate::control_outbox::{ControlFailure, ControlOutbox};
 use crate::coordinator::{Coordinator, CoordinatorSettings, Effect, HelloRefusal, TICK};
@@ -93,9 +95,12 @@ pub async fn run(
     }
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
-    let (link, events) =
+    let (mut link, events) =
         LearnerLink::open(&config.run, &config.spec.task.domain, config.incarnation, &listen)
             .await?;
+    if let Some(archive) = sink.archive() {
+        link.answer_observers(archive)?;
+    }
     sink.on_event(&RunEvent::Listening { locators: link.locators() });
     let mut run = RunLoop::new(config, store, sink, point, link, evaluations)?;
     let result = run.live(&events, &stop).await;
@@ -104,6 +109,8 @@ pub async fn run(
         run.act();
         run.farewell(&events).await.unwrap_or_else(|error| debug!(%error, "farewell failed"));
     }
+    let how = result.as_ref().map_or("failed", |report| report.end.name());
+    run.bulletin.finish(&json!({"kind": "end", "how": how, "update": run.version.0})).await;
     if let Err(error) = run.link.close().await {
         debug!(%error, "network not closed in time");
     }
@@ -116,6 +123,7 @@ struct RunLoop {
     sink: Box<dyn ProgressSink>,
     link: Arc<LearnerLink>,
     outbox: ControlOutbox,
+    bulletin: Bulletin,
     coordinator: Coordinator,
     training: TrainingThread,
     is_training: bool,
@@ -129,6 +137,8 @@ struct RunLoop {
     last_checkpoint: (Instant, u64),
     wait: Duration,
     idle_since: Instant,
+    /// Observers are told who is here at every other tick.
+    is_even_tick: bool,
     /// When it was last reported that actors are missing; `None` while there are enough.
     warned_waiting_at: Option<Instant>,
 }
@@ -158,6 +168,8 @@ impl RunLoop {
         Ok(Self {
             coordinator: Coordinator::new(settings, start),
             outbox: ControlOutbox::new(Arc::clone(&link)),
+            bulletin: Bulletin::start(Arc::clone(&link)),
+            is_even_tick: false,
             state: trainer.state()?,
             training: TrainingThread::start(trainer)?,
             is_training: false,
@@ -282,16 +294,24 @@ impl RunLoop {
         self.report_waiting();
         let members = self.coordinator.members();
         self.outbox.retain(|(actor, incarnation)| members.get(actor) == Some(incarnation));
-        let metrics = format!(
-            "{{\"version\":{},\"n_actors\":{},\"n_queued\":{}}}",
-            self.version,
-            self.coordinator.n_actors(),
-            self.coordinator.n_pending(),
-        );
-        if let Err(error) = self.link.publish_metrics(metrics.as_bytes()) {
-            debug!(%error, "metrics not published");
+        self.is_even_tick = !self.is_even_tick;
+        if self.is_even_tick {
+            self.tell_roster();
         }
         Ok(())
+    }
+
+    /// Tells observers who is here.
+    fn tell_roster(&self) {
+        let run = RunStanding {
+            version: self.version.0,
+            n_updates_total: self.config.settings.n_updates(),
+            n_queued: self.coordinator.n_pending(),
+            n_needed: self.coordinator.n_actors_needed(),
+            checkpoint: self.last_checkpoint.1,
+        };
+        let queued = self.link.queued_bytes();
+        self.bulletin.tell(&roster(run, self.coordinator.standings(), &queued));
     }
 
     /// Reports that actors are missing, at once and then every [`WAITING_EVERY`].
@@ -379,6 +399,9 @@ impl RunLoop {
             n_queued: self.coordinator.n_pending() as usize,
             books: self.coordinator.books().clone(),
         });
+        if let Some(update) = self.sink.bulletin() {
+            self.bulletin.post(update);
+        }
     }
 
     /// Carries out what the coordinator decided.

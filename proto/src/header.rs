@@ -13,7 +13,7 @@ use crate::refusal::{Refusal, RefusalCause};
 use crate::{Epoch, Incarnation, PolicyVersion, Sequence};
 
 /// The version of everything in this crate that crosses a process boundary.
-pub const PROTOCOL_VERSION: u32 = 3;
+pub const PROTOCOL_VERSION: u32 = 4;
 /// What every header begins with.
 const MAGIC: [u8; 4] = *b"LDTM";
 /// Length of an encoded header.
@@ -41,6 +41,10 @@ pub enum Schema {
     Weights = 8,
     /// Metrics as JSON, not in the codec's encoding.
     Metrics = 9,
+    /// What a run is, as JSON.
+    About = 10,
+    /// The metrics of all updates so far, thinned: JSON, compressed with gzip.
+    History = 11,
 }
 
 /// The fixed-size front of a message.
@@ -164,6 +168,6 @@ mod tests {
             assert_eq!((refusal.cause, refusal.sender), (cause, None));
         }
         let told = Header::from_bytes(&changed(12, 200)).unwrap_err().to_string();
-        assert!(told.contains("protocol 200, its receiver speaks 3"), "{told}");
+        assert!(told.contains("protocol 200, its receiver speaks 4"), "{told}");
     }
 }

@@ -50,6 +50,10 @@ pub const ANNOUNCEMENT: Expected = Expected::new(Schema::Announcement, limits::M
 pub const WEIGHTS: Expected = Expected::new(Schema::Weights, limits::MAX_WEIGHTS_BYTES);
 /// What arrives where metrics are reported.
 pub const METRICS: Expected = Expected::new(Schema::Metrics, limits::MAX_METRICS_BYTES);
+/// What arrives for the question what a run is.
+pub const ABOUT: Expected = Expected::new(Schema::About, limits::MAX_METRICS_BYTES);
+/// What arrives for the question how a run went so far.
+pub const HISTORY: Expected = Expected::new(Schema::History, limits::MAX_METRICS_BYTES);
 
 /// Checks what can be checked without touching the payload: size, header, protocol, schema.
 ///

@@ -13,6 +13,7 @@
 //! | `streams` | output that cannot be written, limits, names that are not text: a sentence, and nothing is lost |
 //! | `supervision` | processes live and die together |
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
+//! | `watch` | a run is seen from outside, and nobody is disturbed |
 //! | `words_server` | a language model's words are paid once, whatever is killed or breaks down |
 //! | `rogue` | an actor that lies harms nobody |
 //! | `shipped` | the policies that come with the program do what their table says |
@@ -33,4 +34,5 @@ mod streams;
 mod supervision;
 mod support;
 mod taxonomy;
+mod watch;
 mod words_server;

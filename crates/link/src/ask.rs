@@ -103,6 +103,38 @@ pub(crate) async fn pull(
     }
 }
 
+/// Asks a run's learner for bytes that are not in the codec's encoding, and returns the first that arrive whole.
+pub(crate) async fn ask_bytes(
+    session: &Session,
+    key: Key<'_>,
+    parameters: String,
+    expected: Expected,
+    timeout: Duration,
+) -> Result<(Incarnation, Vec<u8>)> {
+    let key = key.to_string();
+    let question = Inquiry {
+        key: key.clone(),
+        parameters,
+        header: Header::plain(expected.schema, Incarnation(0), &[]),
+        payload: Vec::new(),
+        qos: wire::ARCHIVE,
+        timeout,
+    };
+    let read = |sample: &Sample| {
+        let bad = |source| Error::BadAnswer { key: key.clone(), source };
+        let header =
+            wire::inspect(sample.attachment(), Some(sample.payload()), expected).map_err(bad)?;
+        let bytes = sample.payload().to_bytes();
+        receive::verify(&header, &bytes).map_err(bad)?;
+        Ok((header.incarnation, bytes.into_owned()))
+    };
+    match ask(session, question, read).await? {
+        InquiryEnd::Good(answer) => Ok(answer),
+        InquiryEnd::Rejected(reason) => Err(Error::Rejected { key, reason }),
+        InquiryEnd::Nobody | InquiryEnd::TimedOut => Err(Error::NoAnswer { key, timeout }),
+    }
+}
+
 /// Asks everyone at the key, and reads answers until one can be used; else what is wrong with the last one counts.
 async fn ask<T>(
     session: &Session,

@@ -128,6 +128,15 @@ impl RolloutIntake {
         std::mem::take(&mut lock(&self.uncounted))
     }
 
+    /// Returns the bytes of rollouts that wait, by the name in their keys.
+    pub(crate) fn queued_bytes(&self) -> BTreeMap<ActorId, usize> {
+        let senders = lock(&self.senders);
+        let named = senders.iter().filter_map(|(actor, share)| {
+            Some((actor.clone()?, share.usage.n_bytes.load(Ordering::Relaxed)))
+        });
+        named.filter(|(_, n_bytes)| *n_bytes > 0).collect()
+    }
+
     /// Takes nothing more from this start of the actor.
     pub(crate) fn cut_off(&self, actor: &ActorId, incarnation: Incarnation) {
         lock(&self.senders).entry(Some(actor.clone())).or_default().cut_off = Some(incarnation);

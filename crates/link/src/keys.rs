@@ -9,6 +9,8 @@
 //! leadtime/1/{run}/weights/{domain}                  announcements
 //! leadtime/1/{run}/weights/{domain}/latest           query for weights, `?version=N`
 //! leadtime/1/{run}/metrics/{role}/{id}               metrics
+//! leadtime/1/{run}/about                             query: what the run is
+//! leadtime/1/{run}/history                           query: its updates so far, `?from=U&points=N`
 //! ```
 //!
 //! The `1` is the layout of the keys; the version of the messages is in their headers. The learner's `{id}` is
@@ -23,6 +25,10 @@ use zenoh::key_expr::OwnedKeyExpr;
 pub(crate) const INCARNATION: &str = "incarnation";
 /// The parameter of a pull that says which version is wanted.
 pub(crate) const VERSION: &str = "version";
+/// The parameter of a question about a run's history that says from which update on.
+pub(crate) const FROM: &str = "from";
+/// The parameter of such a question that says how many points the answer may have.
+pub(crate) const POINTS: &str = "points";
 
 const ROOT: &str = "leadtime/1";
 const LEARNER: &str = "learner";
@@ -75,6 +81,10 @@ pub enum Key<'a> {
     Weights(&'a RunName, &'a DomainName),
     /// A member's metrics.
     Metrics(&'a RunName, &'a Member),
+    /// Where it is asked what a run is.
+    About(&'a RunName),
+    /// Where it is asked how a run went so far.
+    History(&'a RunName),
 }
 
 impl fmt::Display for Key<'_> {
@@ -90,6 +100,8 @@ impl fmt::Display for Key<'_> {
             Self::Announcement(run, domain) => write!(f, "{ROOT}/{run}/weights/{domain}"),
             Self::Weights(run, domain) => write!(f, "{ROOT}/{run}/weights/{domain}/latest"),
             Self::Metrics(run, member) => write!(f, "{ROOT}/{run}/metrics/{member}"),
+            Self::About(run) => write!(f, "{ROOT}/{run}/about"),
+            Self::History(run) => write!(f, "{ROOT}/{run}/history"),
         }
     }
 }
@@ -202,6 +214,8 @@ mod tests {
             (Key::Announcement(&run, &domain), "weights/cue_recall"),
             (Key::Weights(&run, &domain), "weights/cue_recall/latest"),
             (Key::Metrics(&run, &member), "metrics/actor/a7"),
+            (Key::About(&run), "about"),
+            (Key::History(&run), "history"),
         ] {
             let key = expr(key);
             assert_eq!(key.as_str(), format!("leadtime/1/lander-1/{text}"));

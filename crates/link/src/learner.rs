@@ -1,5 +1,6 @@
 //! The learner's end: one run, its actors' messages as events, and what it tells them.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -17,6 +18,7 @@ use zenoh::sample::SampleKind;
 use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
+use crate::archive::{self, Archive};
 use crate::ask::{Inquiry, InquiryEnd, ask_for};
 use crate::event::LearnerEvent;
 use crate::intake::{RefusalCounts, RolloutIntake, malformed_key};
@@ -46,6 +48,9 @@ pub struct LearnerLink {
     upkeep: tokio::task::JoinHandle<()>,
     _taken: [Subscriber<()>; 2],
     _answered: [Queryable<()>; 2],
+    answers: Answers,
+    /// For observers; empty until there is something to tell.
+    archive: Vec<Queryable<()>>,
     _alive: LivelinessToken,
     /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
     session: Session,
@@ -86,8 +91,9 @@ impl LearnerLink {
             answerer.give(PendingReply::Weights(query, Arc::clone(&offered)));
         })?;
         let taker = Arc::clone(&intake);
+        let answerer = answers.clone();
         let hellos = take_questions(&session, Key::Hello(run), move |query| {
-            on_hello(&taker, &answers, incarnation, query);
+            on_hello(&taker, &answerer, incarnation, query);
         })?;
         // Declared last: a peer that sees the token may rely on everything else.
         let alive = appear(&session, Key::Alive(run, &Member::Learner, incarnation))?;
@@ -111,6 +117,8 @@ impl LearnerLink {
             upkeep: tokio::spawn(upkeep),
             _taken: [rollouts, actors],
             _answered: [pulls, hellos],
+            answers,
+            archive: Vec::new(),
             _alive: alive,
         };
         Ok((link, events))
@@ -209,6 +217,18 @@ impl LearnerLink {
         self.intake.cut_off(actor, incarnation);
     }
 
+    /// Answers observers who ask what the run is and how it went so far.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Thread`], or [`Error::Network`] if the questions' places cannot be declared.
+    pub fn answer_observers(&mut self, archive: Archive) -> Result<()> {
+        let (run, incarnation) = (&self.run, self.incarnation);
+        let served = archive::serve(&self.session, run, incarnation, &self.answers, archive)?;
+        self.archive = served.into();
+        Ok(())
+    }
+
     /// Publishes the learner's metrics, as JSON, for observers. May be lost.
     ///
     /// # Errors
@@ -225,6 +245,11 @@ impl LearnerLink {
     /// counts them in its books.
     pub fn take_uncounted(&self) -> RefusalCounts {
         self.intake.take_uncounted()
+    }
+
+    /// Returns the bytes of rollouts that wait in the event queue, by the name in their keys.
+    pub fn queued_bytes(&self) -> BTreeMap<ActorId, usize> {
+        self.intake.queued_bytes()
     }
 
     /// Leaves the network, within a limited time.

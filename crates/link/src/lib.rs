@@ -8,6 +8,7 @@
 //!   ActorLink ────┤                                                                              ├── LearnerLink
 //!  (client, dials)└── traj/{domain}/{id} ──▶      ◀── weights/{domain} (announce), …/latest (pull)┘  (listens)
 //!                            metrics/{role}/{id}, alive/{role}/{id}/{incarnation} ──▶ ObserverLink
+//!                                                    about, history (query) ◀───────
 //! ```
 //!
 //! # Invariants
@@ -26,6 +27,7 @@
 //! | credit, announcements | `InteractiveHigh` | dropped; both are repeated |
 //! | rollouts, weights | `Data` | waits; publish from a thread of its own |
 //! | metrics | `Background` | dropped |
+//! | about, history | `Background` | waits; answered by threads of their own |
 //!
 //! Needs tokio's multi-threaded runtime.
 //!
@@ -38,6 +40,7 @@ pub mod keys;
 
 mod actor;
 mod answer;
+mod archive;
 mod ask;
 mod diagnose;
 mod discovery;
@@ -57,6 +60,7 @@ mod wire;
 
 pub use actor::ActorLink;
 pub use answer::{ControlResponder, HelloResponder, Responder};
+pub use archive::{Archive, HistoryMaker};
 pub use endpoint::Endpoint;
 pub use error::{Error, NetworkFault, Result};
 pub use event::{ActorEvent, LearnerEvent, Payload, QueuePermit};

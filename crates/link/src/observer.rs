@@ -1,25 +1,34 @@
 //! The observer's end: reads presence, metrics, announcements and weights, and touches nothing.
 
 use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use leadtime_proto::message::Announcement;
-use leadtime_proto::receive::{self, ANNOUNCEMENT, METRICS};
+use leadtime_proto::receive::{self, ABOUT, ANNOUNCEMENT, HISTORY, METRICS};
 use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
+use tokio::time::sleep;
 use tracing::warn;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
-use crate::keys::{self, Keys, Member};
+use crate::keys::{self, FROM, Key, Keys, Member, POINTS};
 use crate::latest::{Events, Latest};
 use crate::lock::lock;
 use crate::pubsub::{subscribe, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, Result, ask, discovery, session, wire};
+use crate::{ConnectSettings, Error, Result, ask, discovery, session, wire};
 
 /// Places in the event queue for metrics.
 const N_BULK: usize = 4_096;
+/// Pause between two looks for a run.
+const LOOK_PAUSE: Duration = Duration::from_millis(500);
+/// How long a learner may take to say what its run is.
+const ABOUT_TIMEOUT: Duration = Duration::from_secs(3);
+/// How long it may take to read its history: a long one is a large file, and one question is answered at a time.
+const HISTORY_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// What an observer sees.
 #[derive(Debug)]
@@ -28,6 +37,8 @@ pub enum ObserverEvent {
     Metrics {
         /// The member that published them.
         member: Member,
+        /// Its start.
+        incarnation: Incarnation,
         /// As the member wrote them.
         json: Vec<u8>,
     },
@@ -50,6 +61,7 @@ pub struct ObserverLink {
     events: EventQueue<ObserverEvent>,
     latest: Arc<Latest<ObserverEvent>>,
     followed: Mutex<Vec<Subscriber<()>>>,
+    n_missed: Arc<AtomicU64>,
     /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
     session: Session,
 }
@@ -59,31 +71,67 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Unreachable`](crate::Error::Unreachable) if nobody answers within the settings' time-out.
+    /// [`Error::Unreachable`] if nobody answers within the settings' time-out.
     pub async fn open(settings: &ConnectSettings) -> Result<(Self, Events<ObserverEvent>)> {
         let session = session::connect(settings).await?;
         let (events, latest, receiver) = Events::new(N_BULK);
-        Ok((Self { session, events, latest, followed: Mutex::default() }, receiver))
+        let (followed, n_missed) = (Mutex::default(), Arc::default());
+        Ok((Self { session, events, latest, followed, n_missed }, receiver))
     }
 
     /// Lists the runs that are there now.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`](crate::Error::Network) if the network cannot be asked.
+    /// [`Error::Network`] if the network cannot be asked.
     pub async fn runs(&self) -> Result<BTreeSet<RunName>> {
         discovery::runs(&self.session).await
+    }
+
+    /// Finds the run that is meant: the one that is named, or the only one that is there. Looks until the settings'
+    /// time-out while no learner is there.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::RunNotFound`], [`Error::SeveralRuns`] or [`Error::NoLearner`].
+    pub async fn find_run(
+        &self,
+        settings: &ConnectSettings,
+        wanted: Option<RunName>,
+    ) -> Result<RunName> {
+        let (started, timeout) = (Instant::now(), settings.timeout);
+        let endpoints = || session::describe(&settings.endpoints);
+        loop {
+            let present = self.runs().await?;
+            match (&wanted, present.len()) {
+                (Some(run), _) if present.contains(run) => return Ok(run.clone()),
+                (Some(run), 1..) => {
+                    let (run, present) = (run.clone(), present.into_iter().collect());
+                    return Err(Error::RunNotFound { run, endpoints: endpoints(), present });
+                }
+                (None, 2..) => {
+                    let runs = present.into_iter().collect();
+                    return Err(Error::SeveralRuns { endpoints: endpoints(), runs });
+                }
+                (None, 1) => return present.into_iter().next().ok_or(Error::NoEndpoint),
+                (_, 0) if started.elapsed() >= timeout => {
+                    return Err(Error::NoLearner { endpoints: endpoints(), timeout });
+                }
+                (_, 0) => sleep(LOOK_PAUSE).await,
+            }
+        }
     }
 
     /// Follows a run from now on, whether it is there already or not.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`](crate::Error::Network) if it cannot be subscribed to.
+    /// [`Error::Network`] if it cannot be subscribed to.
     pub fn follow(&self, run: &RunName) -> Result<()> {
         let (events, latest) = (self.events.clone(), Arc::clone(&self.latest));
+        let missed = Arc::clone(&self.n_missed);
         let metrics = subscribe(&self.session, Keys::MetricsOf(run), move |sample| {
-            on_metrics(&events, &sample);
+            on_metrics(&events, &missed, &sample);
         })?;
         let announcements = subscribe(&self.session, Keys::AnnouncementsOf(run), move |sample| {
             on_announcement(&latest, &sample);
@@ -116,25 +164,60 @@ impl ObserverLink {
         ask::pull(&self.session, run, domain, Incarnation(0), version, sha256).await
     }
 
+    /// Asks a run's learner what the run is. Returns the learner's start and its answer, JSON.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoAnswer`] if the learner is not there,
+    /// [`Error::BadAnswer`] if it is of another release.
+    pub async fn ask_about(&self, run: &RunName) -> Result<(Incarnation, Vec<u8>)> {
+        let (key, no_parameters) = (Key::About(run), String::new());
+        ask::ask_bytes(&self.session, key, no_parameters, ABOUT, ABOUT_TIMEOUT).await
+    }
+
+    /// Asks a run's learner for its updates from a number on, thinned to so many points. Returns the learner's start and
+    /// its answer, JSON compressed with gzip.
+    ///
+    /// # Errors
+    ///
+    /// As [`ObserverLink::ask_about`]; [`Error::Rejected`] if the learner cannot read its history.
+    pub async fn ask_history(
+        &self,
+        run: &RunName,
+        from: u64,
+        n_points: usize,
+    ) -> Result<(Incarnation, Vec<u8>)> {
+        let parameters = format!("{FROM}={from};{POINTS}={n_points}");
+        let key = Key::History(run);
+        ask::ask_bytes(&self.session, key, parameters, HISTORY, HISTORY_TIMEOUT).await
+    }
+
+    /// Returns how many messages there was no room for so far.
+    pub fn n_missed(&self) -> u64 {
+        self.n_missed.load(Ordering::Relaxed)
+    }
+
     /// Leaves the network, within a limited time.
     ///
     /// # Errors
     ///
-    /// [`Error::Close`](crate::Error::Close) if it takes too long.
+    /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
         session::close(&self.session).await
     }
 }
 
-fn on_metrics(events: &EventQueue<ObserverEvent>, sample: &Sample) {
+fn on_metrics(events: &EventQueue<ObserverEvent>, missed: &AtomicU64, sample: &Sample) {
     let Some(member) = keys::parse_metrics(sample.key_expr()) else { return };
     let json = sample.payload().to_bytes();
     let checked = wire::inspect(sample.attachment(), Some(sample.payload()), METRICS)
-        .and_then(|header| receive::verify(&header, &json));
+        .and_then(|header| receive::verify(&header, &json).map(|()| header.incarnation));
     match checked {
-        Ok(()) => {
-            let event = ObserverEvent::Metrics { member, json: json.into_owned() };
-            drop(events.offer(event, Class::Bulk));
+        Ok(incarnation) => {
+            let event = ObserverEvent::Metrics { member, incarnation, json: json.into_owned() };
+            if events.offer(event, Class::Bulk).is_some() {
+                missed.fetch_add(1, Ordering::Relaxed);
+            }
         }
         Err(refusal) => warn!(%refusal, "metrics refused"),
     }

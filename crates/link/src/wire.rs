@@ -31,6 +31,9 @@ pub(crate) const NOTICE: Qos =
 /// is why they are sent by threads of their own.
 pub(crate) const BULK: Qos =
     Qos { priority: Priority::Data, congestion: CongestionControl::Block, express: false };
+/// What observers ask for: after everything else, but it arrives whole.
+pub(crate) const ARCHIVE: Qos =
+    Qos { priority: Priority::Background, congestion: CongestionControl::Block, express: false };
 /// Metrics: nobody waits for them.
 pub(crate) const METRICS: Qos =
     Qos { priority: Priority::Background, congestion: CongestionControl::Drop, express: false };

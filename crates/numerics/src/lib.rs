@@ -21,6 +21,7 @@ pub mod pcg64;
 pub mod proportion;
 pub mod stats;
 pub mod streams;
+pub mod thin;
 
 pub use dense::{Dense, DenseError};
 pub use elementary::tanh_inplace;

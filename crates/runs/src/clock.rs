@@ -1,6 +1,7 @@
 //! The only file that reads the wall clock.
 
-use std::time::SystemTime;
+use std::path::Path;
+use std::time::{Duration, SystemTime};
 
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
@@ -19,6 +20,11 @@ fn at(time: SystemTime) -> Timestamp {
 /// Returns seconds since the Unix epoch, as TensorBoard wants them.
 pub fn unix_seconds() -> f64 {
     now().as_nanosecond() as f64 * 1e-9
+}
+
+/// Reads a moment as records keep it, in seconds since the Unix epoch; `None` if it is none.
+pub fn unix_seconds_of(text: &str) -> Option<f64> {
+    text.parse::<Timestamp>().ok().map(|moment| moment.as_nanosecond() as f64 * 1e-9)
 }
 
 /// Returns this moment in UTC, as records keep it: `2026-01-31T12:00:00Z`.
@@ -41,6 +47,13 @@ pub fn time_of_day() -> String {
     now().to_zoned(TimeZone::system()).strftime("%H:%M:%S").to_string()
 }
 
+/// Returns how long ago a file was written; `None` if it is not there.
+pub fn age(path: &Path) -> Option<Duration> {
+    let written = std::fs::metadata(path).and_then(|found| found.modified()).ok()?;
+    // One from the future was written just now, by a clock that is ahead.
+    Some(written.elapsed().unwrap_or_default())
+}
+
 /// Draws the number that distinguishes this start of a process from every other: nanoseconds and process id.
 pub fn incarnation() -> Incarnation {
     let nanoseconds = now().as_nanosecond() as u64;
@@ -50,7 +63,6 @@ pub fn incarnation() -> Incarnation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     #[test]
     fn a_clock_beyond_the_last_year_stands_still() {

@@ -1,10 +1,12 @@
 //! A learner and actors on this machine, over a unix socket in a short temporary directory.
 
 use std::ffi::OsString;
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
+use leadtime_proto::RunName;
 use thiserror::Error;
 use tokio_util::sync::CancellationToken;
 
@@ -14,7 +16,7 @@ use crate::scratch::ScratchDir;
 use crate::supervise::{Ended, ProcessPlan, supervise};
 
 /// What to launch beside the configuration.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Launch<'a> {
     /// Which run.
     pub naming: Naming<'a>,
@@ -36,6 +38,17 @@ pub struct Launch<'a> {
     pub stderr_log: Option<PathBuf>,
     /// Further options of every process: how much it logs.
     pub options: &'a [&'a str],
+    /// Told where the learner will be reached, before it is started.
+    pub observer: Option<&'a LearnerPlace>,
+}
+
+/// Takes in an address of a run's learner, its name, and its directory.
+pub type LearnerPlace = dyn Fn(&str, &RunName, &Path) + Send + Sync;
+
+impl fmt::Debug for Launch<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Launch({:?}, {} actors)", self.naming, self.n_actors)
+    }
 }
 
 impl<'a> Launch<'a> {
@@ -52,6 +65,7 @@ impl<'a> Launch<'a> {
             learner_stdout: false,
             stderr_log: None,
             options: &[],
+            observer: None,
         }
     }
 }
@@ -119,7 +133,11 @@ pub async fn launch(
     let reserved = Reservation::make(config, &naming)?;
     let failed = |(path, source)| LaunchError::Scratch { path, source };
     let scratch = ScratchDir::make().map_err(failed)?;
-    let plan = plan(config, launch, &reserved, scratch.path()).map_err(failed)?;
+    let endpoint = format!("unixsock-stream/{}", scratch.path().join("learner.sock").display());
+    let plan = plan(config, launch, &reserved, scratch.path(), &endpoint).map_err(failed)?;
+    if let Some(observer) = launch.observer {
+        observer(&endpoint, &reserved.name, &reserved.path);
+    }
     let ended = supervise(&plan, shutdown).await.map_err(LaunchError::Start)?;
     Ok(Launched { run: plan.run, ended })
 }
@@ -129,13 +147,13 @@ fn plan(
     launch: &Launch<'_>,
     reserved: &Reservation,
     scratch: &Path,
+    endpoint: &str,
 ) -> Result<ProcessPlan, (PathBuf, io::Error)> {
     let file = scratch.join("config.toml");
     std::fs::write(&file, config.table.to_string()).map_err(|error| (file.clone(), error))?;
-    let endpoint = format!("unixsock-stream/{}", scratch.join("learner.sock").display());
     let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
     let mut learner = text(&["learner", "--supervised", "--name", reserved.name.as_str()]);
-    learner.extend(text(&["--listen", &endpoint]));
+    learner.extend(text(&["--listen", endpoint]));
     learner.extend(text(launch.options));
     // Not through the file, and not as text: a path need not be text.
     let paths = [("-c", &*file), ("--scratch", scratch), ("--runs", &config.run.directory)];
@@ -156,7 +174,7 @@ fn plan(
     }
     let actor = |number: u32| {
         let id = format!("actor-{number}");
-        let own = ["actor", "--supervised", "--connect", &endpoint, "--id", &id];
+        let own = ["actor", "--supervised", "--connect", endpoint, "--id", &id];
         text(&[&own, launch.options].concat())
     };
     Ok(ProcessPlan {

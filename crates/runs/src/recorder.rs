@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
 use leadtime_learner::{HeldOutMeans, RatedPolicy, UpdateProgress, write_atomically};
+use leadtime_link::Archive;
 use leadtime_policy::Parameters;
 use leadtime_proto::PolicySpec;
 use serde_json::{Value, json};
@@ -14,7 +15,7 @@ use toml::Table;
 use crate::journal::Journal;
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION};
 use crate::tensorboard::EventFile;
-use crate::{clock, held_out, metrics};
+use crate::{clock, held_out, history, metrics};
 
 /// The open files of a run.
 #[derive(Debug)]
@@ -23,6 +24,10 @@ pub struct RunRecorder {
     policy: PolicySpec,
     metadata: BTreeMap<String, String>,
     steps_per_update: u64,
+    /// What observers are told of the run.
+    about: Value,
+    /// What they are told of its last update.
+    bulletin: Option<Vec<u8>>,
     /// The configuration, which event files hold as hyper-parameters.
     settings: Table,
     journal: Journal,
@@ -43,6 +48,8 @@ impl RunRecorder {
             policy: config.policy.clone(),
             metadata: policy_file::metadata(config, run),
             steps_per_update: config.steps_per_update(),
+            about: history::about(config, run, directory),
+            bulletin: None,
             settings: config.table.clone(),
             journal: Journal::open(directory)?,
             is_rewound: false,
@@ -56,6 +63,7 @@ impl RunRecorder {
     ///
     /// If a file cannot be written.
     pub fn resumed(&mut self, n_updates: u64) -> io::Result<()> {
+        self.about["resumed_from"] = n_updates.into();
         self.rewind(n_updates)?;
         self.events(n_updates * self.steps_per_update + 1).map(|_file| ())
     }
@@ -75,8 +83,19 @@ impl RunRecorder {
             self.rewind(progress.n_updates.saturating_sub(1))?;
         }
         let scalars = metrics::scalars(progress);
+        self.bulletin = Some(history::bulletin(line));
         self.journal.append(line)?;
         self.events(0)?.scalars(clock::unix_seconds(), progress.n_steps, &scalars)
+    }
+
+    /// Takes what observers are told of the last update.
+    pub fn take_bulletin(&mut self) -> Option<Vec<u8>> {
+        self.bulletin.take()
+    }
+
+    /// Returns what observers may ask for.
+    pub fn archive(&self) -> Archive {
+        history::archive(&self.about, &self.directory)
     }
 
     /// Writes the newest and the best policy.

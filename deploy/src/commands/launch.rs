@@ -1,14 +1,19 @@
 //! `leadtime up`: learner and actors on this machine, supervised, and what their end means for the exit code.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use leadtime_config::Config;
-use leadtime_runs::launch::{self, Launch, LaunchError};
+use leadtime_proto::RunName;
+use leadtime_runs::launch::{self, Launch, LaunchError, LearnerPlace};
 use leadtime_runs::supervise::Ended;
-use leadtime_runs::{Naming, RunRecord, Tasks};
+use leadtime_runs::{Naming, RunRecord, Tasks, clock};
+use leadtime_watch::Page;
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
 
-use crate::cli::UpArgs;
+use super::watch::{PageServer, beside};
+use crate::cli::{AccessArgs, UpArgs};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT};
 use crate::shutdown::{Watch, watch};
@@ -18,7 +23,21 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
     let source = args.source.changed(&args.run.change);
     let config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let beside = match &args.watch {
+        Some(http) => Some(Arc::new(BesidePage::bind(tasks, http, &args.access).await?)),
+        None if args.access.token.is_some() => {
+            return Err(Failure::input("--token is for the page of the run: add --watch ADDRESS"));
+        }
+        None => None,
+    };
+    let told = beside.clone();
+    let observe = move |endpoint: &str, run: &RunName, _: &Path| {
+        if let Some(beside) = &told {
+            beside.begin(endpoint, run);
+        }
+    };
     let what = Launch {
+        observer: beside.is_some().then_some(&observe as &LearnerPlace),
         listen: &args.listen,
         fork: args.run.fork.as_deref(),
         stop_after: args.run.stop_after.map(|amount| amount.to_string()),
@@ -28,11 +47,51 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
         options,
         ..Launch::new(Naming::Resume, args.actors)
     };
-    let run = launch(&config, &what, &shutdown).await?;
+    let launched = launch(&config, &what, &shutdown).await;
+    if let Some(beside) = &beside {
+        beside.end().await;
+    }
+    let run = launched?;
     if !goes_on(&run, &what) {
         output::next(&run, &[EVALUATE, DRAW, REPORT]);
     }
     Ok(())
+}
+
+/// The page that is served beside a run.
+struct BesidePage {
+    tasks: Tasks,
+    stop: CancellationToken,
+    /// Taken when the run begins.
+    server: Mutex<Option<PageServer>>,
+    working: TaskTracker,
+}
+
+impl BesidePage {
+    async fn bind(tasks: &Tasks, http: &str, access: &AccessArgs) -> Result<Self, Failure> {
+        let server = PageServer::bind(http, access).await?;
+        server.announce(false);
+        let (stop, working) = (CancellationToken::new(), TaskTracker::new());
+        Ok(Self { tasks: tasks.clone(), stop, server: Mutex::new(Some(server)), working })
+    }
+
+    /// Serves the page of a run whose learner will be reached at this address.
+    fn begin(&self, endpoint: &str, run: &RunName) {
+        let server = self.server.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(server) = server else { return };
+        let page = Page::new(run.as_str(), clock::unix_seconds);
+        let serving = server.serve(&page, &self.stop);
+        self.working.spawn(serving);
+        let (tasks, stop) = (self.tasks.clone(), self.stop.clone());
+        self.working.spawn(beside(tasks, page, endpoint.to_owned(), run.clone(), stop));
+    }
+
+    /// Lets the page show how the run ended, and ends it.
+    async fn end(&self) {
+        self.working.close();
+        self.stop.cancel();
+        self.working.wait().await;
+    }
 }
 
 /// Says how a run goes on, and returns true, if it was begun and has not reached its end.

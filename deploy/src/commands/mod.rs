@@ -23,5 +23,6 @@ mod runs;
 mod script_search;
 mod smoke;
 mod taxonomy;
+mod watch;
 
 pub(crate) use dispatch::dispatch;

@@ -1,9 +1,10 @@
 //! Rollouts, orders, credit and metrics, each from end to end.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use leadtime_link::keys::Member;
-use leadtime_link::{ActorEvent, Error, ObserverEvent, ObserverLink};
+use leadtime_link::{ActorEvent, Archive, Error, ObserverEvent, ObserverLink};
 use leadtime_proto::message::{Assignment, Control, ControlReply, Credit, EnvAssignment};
 use leadtime_proto::receive::{self, ROLLOUT};
 use leadtime_proto::{
@@ -112,7 +113,7 @@ async fn an_observer_reads_metrics_presence_and_announcements() {
     let mut expected =
         vec![(member.clone(), b"{\"steps\":1}".to_vec()), (Member::Learner, b"{}".to_vec())];
     until(&seen, |event| {
-        if let ObserverEvent::Metrics { member, json } = event {
+        if let ObserverEvent::Metrics { member, json, .. } = event {
             expected.retain(|one| *one != (member.clone(), json.clone()));
         }
         expected.is_empty().then_some(())
@@ -125,4 +126,55 @@ async fn an_observer_reads_metrics_presence_and_announcements() {
         _ => None,
     })
     .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_observer_is_told_what_a_run_is_and_how_it_went() {
+    let site = Site::new();
+    let (mut learner, _events) = site.learner().await;
+    let (observer, _seen) = ObserverLink::open(&site.connect()).await.unwrap();
+    let found = observer.find_run(&site.connect(), None).await.unwrap();
+    assert_eq!(found, run("one"));
+    // One question at a time: the second waits, and is answered as well.
+    let (begin, begun) = flume::bounded::<()>(2);
+    let (go, gone) = flume::bounded::<()>(2);
+    let history = move |from: u64, n_points: usize| match from {
+        7 => Err("the disk is gone".to_owned()),
+        8 => Ok(vec![0; (1 << 20) + 1]),
+        _ => {
+            begin.send(()).unwrap();
+            gone.recv().unwrap();
+            Ok(format!("{from} {n_points}").into_bytes())
+        }
+    };
+    let archive = Archive { about: b"{}".to_vec(), history: Arc::new(history) };
+    learner.answer_observers(archive).unwrap();
+    let about = observer.ask_about(&run("one")).await.unwrap();
+    assert_eq!(about, (LEARNER, b"{}".to_vec()));
+    let one_at_a_time = async {
+        begun.recv_async().await.unwrap();
+        assert!(begun.is_empty(), "the second waits");
+        go.send(()).unwrap();
+        begun.recv_async().await.unwrap();
+        go.send(()).unwrap();
+    };
+    let name = run("one");
+    let (first, second, ()) = tokio::join!(
+        observer.ask_history(&name, 1, 10),
+        observer.ask_history(&name, 2, 20),
+        one_at_a_time,
+    );
+    let told = [first, second].map(|answer| String::from_utf8(answer.unwrap().1).unwrap());
+    assert_eq!(told, ["1 10", "2 20"]);
+    for (from, n_points, reason) in
+        [(7, 10, "the disk is gone"), (8, 10, "too large"), (1, 0, "1 to 4000 points")]
+    {
+        let refused = observer.ask_history(&name, from, n_points).await.unwrap_err();
+        assert!(
+            matches!(&refused, Error::Rejected { reason: why, .. } if why.contains(reason)),
+            "{refused}"
+        );
+    }
+    let missing = observer.find_run(&site.connect(), Some(run("two"))).await.unwrap_err();
+    assert!(matches!(missing, Error::RunNotFound { .. }), "{missing}");
 }

@@ -1,0 +1,125 @@
+//! What a learner answers observers: what the run is, and how it went so far.
+//!
+//! The history is read from a file, which takes a while. So it is answered in a thread of its own, one question at a
+//! time, and never by the network's callbacks or the learner's loop.
+
+use std::fmt;
+use std::sync::Arc;
+use std::thread;
+
+use leadtime_proto::header::Schema;
+use leadtime_proto::limits::{MAX_HISTORY_POINTS, MAX_METRICS_BYTES};
+use leadtime_proto::{Header, Incarnation, RunName};
+use zenoh::query::{Query, Queryable};
+use zenoh::session::Session;
+
+use crate::answer::{Answers, PendingReply, unload};
+use crate::keys::{FROM, Key, POINTS};
+use crate::pubsub::take_questions;
+use crate::{Error, Result};
+
+/// Questions about the history that wait for the one that is being answered; an asker beyond them tries again.
+const MAX_WAITING: usize = 32;
+/// Points of an answer where the question names no number.
+const DEFAULT_POINTS: usize = 1_000;
+
+/// Makes the history from an update on, with at most so many points: JSON, compressed; or a sentence that says why not.
+pub type HistoryMaker = dyn Fn(u64, usize) -> Result<Vec<u8>, String> + Send + Sync;
+
+/// What observers may ask a learner for.
+#[derive(Clone)]
+pub struct Archive {
+    /// What the run is, as JSON.
+    pub about: Vec<u8>,
+    /// Makes its history.
+    pub history: Arc<HistoryMaker>,
+}
+
+impl fmt::Debug for Archive {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Archive({} bytes about the run)", self.about.len())
+    }
+}
+
+/// Answers observers until it is dropped.
+pub(crate) fn serve(
+    session: &Session,
+    run: &RunName,
+    incarnation: Incarnation,
+    answers: &Answers,
+    archive: Archive,
+) -> Result<[Queryable<()>; 2]> {
+    let Archive { about, history } = archive;
+    let header = Header::plain(Schema::About, incarnation, &about);
+    let answerer = answers.clone();
+    let abouts = take_questions(session, Key::About(run), move |mut query| {
+        unload(&mut query);
+        answerer.give(PendingReply::Message(query, header, about.clone().into()));
+    })?;
+    let (sender, questions) = flume::bounded::<Query>(MAX_WAITING);
+    let answerer = answers.clone();
+    let work = move || {
+        for query in questions.iter() {
+            answerer.give(answer(query, incarnation, history.as_ref()));
+        }
+    };
+    // Detached: it ends by itself when the question's place is undeclared.
+    let thread = thread::Builder::new().name("link-history".to_owned()).spawn(work);
+    drop(thread.map_err(Error::Thread)?);
+    let histories = take_questions(session, Key::History(run), move |mut query| {
+        unload(&mut query);
+        drop(sender.try_send(query));
+    })?;
+    Ok([abouts, histories])
+}
+
+fn answer(query: Query, incarnation: Incarnation, history: &HistoryMaker) -> PendingReply {
+    let (from, n_points) = match asked(query.parameters().get(FROM), query.parameters().get(POINTS))
+    {
+        Ok(asked) => asked,
+        Err(reason) => return PendingReply::Refusal(query, reason),
+    };
+    match history(from, n_points) {
+        Ok(bytes) if bytes.len() <= MAX_METRICS_BYTES => {
+            let header = Header::plain(Schema::History, incarnation, &bytes);
+            PendingReply::Message(query, header, bytes.into())
+        }
+        Ok(_) => {
+            PendingReply::Refusal(query, "the history is too large: ask for fewer points".into())
+        }
+        Err(reason) => PendingReply::Refusal(query, reason),
+    }
+}
+
+/// Reads what a question asks for.
+fn asked(from: Option<&str>, points: Option<&str>) -> Result<(u64, usize), String> {
+    let number = |text: Option<&str>, default: u64| text.map_or(Ok(default), str::parse::<u64>);
+    let read = number(from, 0).ok().zip(number(points, DEFAULT_POINTS as u64).ok());
+    let is_allowed = |(_, points): &(u64, u64)| (1..=MAX_HISTORY_POINTS as u64).contains(points);
+    let (from, points) = read.filter(is_allowed).ok_or_else(|| {
+        format!("write ?from=UPDATE&points=NUMBER, with 1 to {MAX_HISTORY_POINTS} points")
+    })?;
+    Ok((from, points as usize))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_question_has_bounds_and_defaults() {
+        assert_eq!(asked(None, None), Ok((0, DEFAULT_POINTS)));
+        assert_eq!(asked(Some("7"), Some("4000")), Ok((7, 4_000)));
+        for (from, points) in [
+            (Some("-1"), None),
+            (Some(""), None),
+            (None, Some("0")),
+            (None, Some("4001")),
+            (None, Some("99999999999999999999999")),
+            (Some("1;DROP"), Some("x")),
+        ] {
+            let refused = asked(from, points).unwrap_err();
+            assert!(refused.contains("1 to 4000 points"), "{refused}");
+        }
+    }
+}

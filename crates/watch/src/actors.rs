@@ -1,0 +1,245 @@
+//! The actors of a run, as the learner's roster and their own sums show them.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use serde_json::{Value, json};
+
+/// How long an actor that is gone is still shown, in seconds.
+const GONE_FOR: f64 = 60.0;
+/// An actor of which nothing is heard for so long is silent, in seconds.
+const SILENT: f64 = 2.0;
+/// Reports of an actor over which its rates are computed.
+const N_REPORTS: usize = 10;
+/// The most actors that are kept; more than a roster lists, with those that are gone.
+const MAX_ACTORS: usize = 512;
+/// Where an actor's time goes, as its sums are named.
+const SHARES: [&str; 5] = ["infer", "simulate", "encode", "publish", "wait"];
+
+/// One report of an actor: when it came, and its sums.
+#[derive(Clone, Debug)]
+struct ActorReport {
+    at: f64,
+    n_steps: f64,
+    seconds: [f64; SHARES.len()],
+}
+
+/// What is known of one actor.
+#[derive(Clone, Debug, Default)]
+struct ActorRow {
+    incarnation: String,
+    /// What the learner says of it.
+    standing: Value,
+    /// What it says of itself.
+    told: Value,
+    reports: VecDeque<ActorReport>,
+    seen_at: f64,
+    gone_at: Option<f64>,
+}
+
+impl ActorRow {
+    /// Returns steps per second and the shares of its time over the last reports.
+    fn rates(&self) -> Option<(f64, [f64; SHARES.len()])> {
+        let (first, last) = (self.reports.front()?, self.reports.back()?);
+        let took = last.at - first.at;
+        if took <= 0.0 {
+            return None;
+        }
+        let share = |i: usize| ((last.seconds[i] - first.seconds[i]) / took).clamp(0.0, 1.0);
+        let shares = std::array::from_fn(share);
+        Some((((last.n_steps - first.n_steps) / took).max(0.0), shares))
+    }
+}
+
+/// Every actor that was seen lately.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ActorTable {
+    rows: BTreeMap<String, ActorRow>,
+    /// What the roster says of those that it does not list.
+    others: Value,
+}
+
+impl ActorTable {
+    /// Notes a start of an actor. Returns whether it was not there.
+    pub(crate) fn joined(&mut self, id: &str, incarnation: &str, now: f64) -> bool {
+        if self.rows.len() >= MAX_ACTORS && !self.rows.contains_key(id) {
+            return false;
+        }
+        let row = self.rows.entry(id.to_owned()).or_default();
+        let is_new = row.incarnation != incarnation || row.gone_at.is_some();
+        if is_new {
+            let incarnation = incarnation.to_owned();
+            *row = ActorRow { incarnation, seen_at: now, ..ActorRow::default() };
+        }
+        is_new
+    }
+
+    /// Notes the end of a start. Returns how many environments the actor had, if it was there.
+    pub(crate) fn left(&mut self, id: &str, incarnation: &str, now: f64) -> Option<u64> {
+        let row = self.rows.get_mut(id)?;
+        if row.incarnation != incarnation || row.gone_at.is_some() {
+            return None;
+        }
+        row.gone_at = Some(now);
+        Some(row.standing["envs"].as_u64().unwrap_or(0))
+    }
+
+    /// Takes in an actor's own sums.
+    pub(crate) fn report(&mut self, id: &str, incarnation: &str, told: Value, now: f64) {
+        self.joined(id, incarnation, now);
+        let Some(row) = self.rows.get_mut(id) else { return };
+        let number = |name: &str| told[name].as_f64().unwrap_or(0.0);
+        let seconds = SHARES.map(|share| number(&format!("{share}_s")));
+        let report = ActorReport { at: now, n_steps: number("n_steps"), seconds };
+        row.reports.push_back(report);
+        if row.reports.len() > N_REPORTS {
+            row.reports.pop_front();
+        }
+        row.told = told;
+        row.seen_at = now;
+    }
+
+    /// Takes in what the learner says of everybody.
+    pub(crate) fn roster(&mut self, roster: &Value, now: f64) {
+        for standing in roster["actors"].as_array().into_iter().flatten() {
+            let Some(id) = standing["id"].as_str() else { continue };
+            let incarnation = standing["incarnation"].as_str().unwrap_or_default();
+            self.joined(id, incarnation, now);
+            if let Some(row) = self.rows.get_mut(id) {
+                row.standing = standing.clone();
+            }
+        }
+        self.others = roster["others"].clone();
+        self.forget(now);
+    }
+
+    /// Forgets who is gone for long.
+    pub(crate) fn forget(&mut self, now: f64) {
+        self.rows.retain(|_, row| row.gone_at.is_none_or(|at| now - at < GONE_FOR));
+    }
+
+    /// Counts those that are shown.
+    pub(crate) fn n_shown(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Counts those that are here.
+    pub(crate) fn n_here(&self) -> usize {
+        self.rows.values().filter(|row| row.gone_at.is_none()).count()
+    }
+
+    /// Returns the mean share of their time that the actors which are here wait; `None` where none is known.
+    pub(crate) fn mean_wait(&self) -> Option<f64> {
+        let here = self.rows.values().filter(|row| row.gone_at.is_none());
+        let waits: Vec<f64> =
+            here.filter_map(|row| Some(row.rates()?.1[SHARES.len() - 1])).collect();
+        (!waits.is_empty()).then(|| waits.iter().sum::<f64>() / waits.len() as f64)
+    }
+
+    /// Writes the table as the page shows it.
+    pub(crate) fn json(&self, newest: u64, now: f64) -> Value {
+        let rows: Vec<Value> =
+            self.rows.iter().map(|(id, row)| row_json(id, row, newest, now)).collect();
+        rows.into()
+    }
+
+    /// Returns how many actors, environments and refusals the roster does not list one by one.
+    pub(crate) fn others(&self) -> &Value {
+        &self.others
+    }
+}
+
+fn row_json(id: &str, row: &ActorRow, newest: u64, now: f64) -> Value {
+    let standing = &row.standing;
+    let count = |of: &Value, name: &str| of[name].as_u64();
+    let acknowledged = count(standing, "acknowledged");
+    let behind = |limit: Option<u64>| Some(limit?.saturating_sub(acknowledged?));
+    let refused: u64 =
+        standing["refused"].as_object().into_iter().flatten().filter_map(|it| it.1.as_u64()).sum();
+    let silent = (now - row.seen_at).max(0.0);
+    let rates = row.rates();
+    let shares = rates.map(|(_, shares)| {
+        SHARES
+            .iter()
+            .zip(shares)
+            .map(|(name, share)| (*name, round(share)))
+            .collect::<BTreeMap<_, _>>()
+    });
+    let version = standing["iteration"].as_u64().zip(standing["staleness"].as_u64());
+    json!({
+        "id": id,
+        "incarnation": row.incarnation,
+        "envs": count(standing, "envs").unwrap_or(0),
+        "steps_per_second": rates.map(|(steps, _)| steps.round()),
+        "iteration": standing["iteration"],
+        "staleness": standing["staleness"],
+        "lag": version.map(|(iteration, _)| newest.saturating_sub(iteration)),
+        "credit": {
+            "used": behind(count(&row.told, "n_rollouts_published")),
+            "window": behind(count(standing, "limit")),
+        },
+        "refused": refused,
+        "refusals": standing["refused"],
+        "queued_bytes": standing["queued_bytes"],
+        "last_rollout_s": standing["silent_s"],
+        "silent_s": round(silent),
+        "is_silent": row.gone_at.is_none() && silent > SILENT,
+        "gone_s": row.gone_at.map(|at| round(now - at)),
+        "shares": shares,
+    })
+}
+
+/// Rounds to a thousandth.
+pub(crate) fn round(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sums(seconds: f64) -> Value {
+        json!({"n_steps": 100.0 * seconds, "wait_s": 0.75 * seconds, "infer_s": 0.1 * seconds, "n_rollouts_published": 9})
+    }
+
+    #[test]
+    fn rates_come_from_sums_and_credit_from_both_sides() {
+        let mut table = ActorTable::default();
+        assert!(table.joined("a", "01", 0.0) && !table.joined("a", "01", 1.0));
+        for second in 1..=20 {
+            table.report("a", "01", sums(f64::from(second)), f64::from(second));
+        }
+        let roster = json!({"actors": [{
+            "id": "a", "incarnation": "01", "envs": 4, "iteration": 10, "staleness": 1, "acknowledged": 6, "limit": 14,
+            "refused": {"credit": 2}, "silent_s": 0.5,
+        }]});
+        table.roster(&roster, 20.0);
+        let row = &table.json(12, 20.5)[0];
+        assert_eq!(row["steps_per_second"], 100.0);
+        assert_eq!(row["shares"]["wait"], 0.75);
+        assert_eq!(row["credit"], json!({"used": 3, "window": 8}));
+        assert_eq!(
+            (&row["lag"], &row["refused"], &row["is_silent"]),
+            (&json!(2), &json!(2), &json!(false))
+        );
+        assert_eq!(table.json(12, 22.5)[0]["is_silent"], true);
+        assert_eq!(table.mean_wait(), Some(0.75));
+    }
+
+    #[test]
+    fn who_is_gone_is_shown_for_a_minute_and_may_come_back() {
+        let mut table = ActorTable::default();
+        table.joined("a", "01", 0.0);
+        table.joined("b", "02", 0.0);
+        assert_eq!(table.left("a", "other", 1.0), None, "another start of it");
+        assert_eq!(table.left("a", "01", 1.0), Some(0));
+        assert_eq!(table.left("a", "01", 1.0), None, "told twice");
+        assert_eq!((table.n_here(), table.json(0, 2.0)[0]["gone_s"].clone()), (1, json!(1.0)));
+        assert!(table.joined("a", "03", 3.0));
+        assert_eq!(table.n_here(), 2);
+        table.left("a", "03", 4.0);
+        table.forget(63.9);
+        assert_eq!(table.json(0, 63.9).as_array().unwrap().len(), 2);
+        table.forget(64.1);
+        assert_eq!(table.json(0, 64.1).as_array().unwrap().len(), 1);
+    }
+}

@@ -1,0 +1,267 @@
+//! Events for pages: one bounded queue per client, nobody is waited for.
+//!
+//! ```text
+//! id: 413.0
+//! event: update
+//! data: {"update": 413, ...}
+//! ```
+//!
+//! A client that does not read is cut off: it reconnects by itself, and is told everything that it missed.
+
+use std::collections::BTreeSet;
+use std::convert::Infallible;
+use std::time::{Duration, Instant};
+
+use leadtime_web::axum::body::Bytes;
+
+/// Events that wait for one client.
+const QUEUED: usize = 256;
+/// The most clients at a time.
+pub const MAX_CLIENTS: usize = 32;
+/// A client that reads nothing for so long is cut off, if there is something to read.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// What an event stream yields.
+pub(crate) type EventBytes = Result<Bytes, Infallible>;
+
+/// The kinds of events.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum EventKind {
+    /// What the run is.
+    About,
+    /// The curves so far.
+    History,
+    /// An update.
+    Update,
+    /// The head line.
+    State,
+    /// The table of actors.
+    Actors,
+    /// An episode begins to be played: what stands still in it.
+    Flight,
+    /// A moment of it.
+    Frame,
+    /// A line of the log.
+    Log,
+    /// The server ends.
+    Bye,
+}
+
+impl EventKind {
+    /// Lists every kind.
+    pub const ALL: [Self; 9] = [
+        Self::About,
+        Self::History,
+        Self::Update,
+        Self::State,
+        Self::Actors,
+        Self::Flight,
+        Self::Frame,
+        Self::Log,
+        Self::Bye,
+    ];
+
+    /// Returns its name on the wire.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::About => "about",
+            Self::History => "history",
+            Self::Update => "update",
+            Self::State => "state",
+            Self::Actors => "actors",
+            Self::Flight => "flight",
+            Self::Frame => "frame",
+            Self::Log => "log",
+            Self::Bye => "bye",
+        }
+    }
+}
+
+/// Which kinds a client wants.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wanted(BTreeSet<EventKind>);
+
+impl Wanted {
+    /// Reads a list such as `update,actors`; nothing means everything.
+    ///
+    /// # Errors
+    ///
+    /// A sentence with the kinds that there are, if one of them is none.
+    pub fn parse(list: Option<&str>) -> Result<Self, String> {
+        let Some(list) = list.filter(|list| !list.is_empty()) else {
+            return Ok(Self(EventKind::ALL.into()));
+        };
+        let kind = |name: &str| EventKind::ALL.into_iter().find(|kind| kind.name() == name);
+        let kinds = list.split(',').map(kind).collect::<Option<BTreeSet<_>>>();
+        kinds.map(Self).ok_or_else(|| {
+            let names = EventKind::ALL.map(EventKind::name).join(", ");
+            format!("there is an event of another name in `only`; there are: {names}\n")
+        })
+    }
+
+    pub(crate) fn has(&self, kind: EventKind) -> bool {
+        self.0.contains(&kind)
+    }
+}
+
+/// Writes an event as it is sent.
+pub(crate) fn event(kind: EventKind, id: Option<&str>, data: &str) -> Bytes {
+    let id = id.map_or_else(String::new, |id| format!("id: {id}\n"));
+    // JSON has no line ends of its own.
+    format!("{id}event: {}\ndata: {data}\n\n", kind.name()).into()
+}
+
+/// One client.
+#[derive(Debug)]
+struct Client {
+    queue: flume::Sender<EventBytes>,
+    wanted: Wanted,
+    n_sent: u64,
+    n_taken: u64,
+    taken_at: Instant,
+}
+
+impl Client {
+    /// Sends an event if there is room. Returns whether the client may stay.
+    fn send(&mut self, event: &Bytes, now: Instant) -> bool {
+        if self.queue.is_disconnected() {
+            return false;
+        }
+        let n_taken = self.n_sent - self.queue.len() as u64;
+        if n_taken > self.n_taken || n_taken == self.n_sent {
+            (self.n_taken, self.taken_at) = (n_taken, now);
+        }
+        if now.saturating_duration_since(self.taken_at) > PATIENCE {
+            return false;
+        }
+        self.n_sent += 1;
+        self.queue.try_send(Ok(event.clone())).is_ok()
+    }
+}
+
+/// Everybody who listens.
+#[derive(Debug, Default)]
+pub struct EventHub {
+    clients: Vec<Client>,
+    is_closed: bool,
+}
+
+impl EventHub {
+    /// Counts those who listen.
+    pub fn n_clients(&mut self) -> usize {
+        self.clients.retain(|client| !client.queue.is_disconnected());
+        self.clients.len()
+    }
+
+    /// Takes in a client, who gets these events first; `None` if there are too many.
+    pub(crate) fn join(
+        &mut self,
+        wanted: Wanted,
+        first: Vec<Bytes>,
+        now: Instant,
+    ) -> Option<flume::Receiver<EventBytes>> {
+        if self.is_closed || self.n_clients() >= MAX_CLIENTS {
+            return None;
+        }
+        let (queue, events) = flume::bounded(QUEUED.max(first.len()));
+        let n_sent = first.len() as u64;
+        for event in first {
+            // There is room for all of them.
+            drop(queue.try_send(Ok(event)));
+        }
+        self.clients.push(Client { queue, wanted, n_sent, n_taken: 0, taken_at: now });
+        Some(events)
+    }
+
+    /// Sends an event to everyone who wants it; who does not keep up is cut off.
+    pub fn send(&mut self, kind: EventKind, id: Option<&str>, data: &str, now: Instant) {
+        if !self.clients.iter().any(|client| client.wanted.has(kind)) {
+            return;
+        }
+        let event = event(kind, id, data);
+        self.clients.retain_mut(|client| !client.wanted.has(kind) || client.send(&event, now));
+    }
+
+    /// Says goodbye to everyone, and takes nobody in any more.
+    pub fn close(&mut self, now: Instant) {
+        self.send(EventKind::Bye, None, "{}", now);
+        self.clients.clear();
+        self.is_closed = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(event: EventBytes) -> String {
+        let Ok(bytes) = event;
+        String::from_utf8(bytes.to_vec()).unwrap()
+    }
+
+    fn all() -> Wanted {
+        Wanted::parse(None).unwrap()
+    }
+
+    #[test]
+    fn a_client_gets_what_it_wants_and_what_came_before_it() {
+        let (mut hub, now) = (EventHub::default(), Instant::now());
+        let wanted = Wanted::parse(Some("update,actors")).unwrap();
+        let first = vec![event(EventKind::Update, Some("7.0"), "{\"update\":7}")];
+        let events = hub.join(wanted, first, now).unwrap();
+        hub.send(EventKind::Log, None, "{}", now);
+        hub.send(EventKind::Actors, None, "[]", now);
+        hub.close(now);
+        let heard: Vec<String> = events.drain().map(text).collect();
+        assert_eq!(heard[0], "id: 7.0\nevent: update\ndata: {\"update\":7}\n\n");
+        assert_eq!(heard[1..], ["event: actors\ndata: []\n\n"]);
+        assert!(events.is_disconnected() && hub.join(all(), Vec::new(), now).is_none());
+    }
+
+    #[test]
+    fn what_is_no_kind_of_event_is_told() {
+        let refused = Wanted::parse(Some("update,everything")).unwrap_err();
+        assert!(refused.contains("about, history, update"), "{refused}");
+        assert_eq!(Wanted::parse(Some("")).unwrap(), all());
+    }
+
+    #[test]
+    fn a_client_that_does_not_read_is_cut_off_and_the_others_stay() {
+        let (mut hub, start) = (EventHub::default(), Instant::now());
+        let slow = hub.join(all(), Vec::new(), start).unwrap();
+        let quick = hub.join(all(), Vec::new(), start).unwrap();
+        for second in 0..=6 {
+            hub.send(EventKind::State, None, "{}", start + Duration::from_secs(second));
+            assert_eq!(quick.drain().count(), 1);
+        }
+        assert_eq!((hub.n_clients(), slow.is_disconnected()), (1, true));
+        // One that is flooded is cut off at once.
+        for _ in 0..=QUEUED {
+            hub.send(EventKind::Frame, None, "{}", start + Duration::from_secs(7));
+        }
+        assert_eq!(hub.n_clients(), 0);
+    }
+
+    #[test]
+    fn a_client_that_reads_slowly_stays() {
+        let (mut hub, start) = (EventHub::default(), Instant::now());
+        let events = hub.join(all(), Vec::new(), start).unwrap();
+        for second in 0..60 {
+            for _ in 0..2 {
+                hub.send(EventKind::State, None, "{}", start + Duration::from_secs(second));
+            }
+            assert!(events.try_recv().is_ok());
+        }
+        assert_eq!(hub.n_clients(), 1);
+    }
+
+    #[test]
+    fn there_is_a_limit_and_who_leaves_makes_room() {
+        let (mut hub, now) = (EventHub::default(), Instant::now());
+        let mut clients: Vec<_> =
+            (0..MAX_CLIENTS).map(|_| hub.join(all(), Vec::new(), now).unwrap()).collect();
+        assert!(hub.join(all(), Vec::new(), now).is_none());
+        clients.pop();
+        assert!(hub.join(all(), Vec::new(), now).is_some());
+    }
+}

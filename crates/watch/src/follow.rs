@@ -1,0 +1,326 @@
+//! Following a run over the network: what an observer hears becomes what a page knows.
+
+use std::io::Read as _;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use flate2::read::GzDecoder;
+use leadtime_link::keys::Member;
+use leadtime_link::{ConnectSettings, Error as LinkError, Events, ObserverEvent, ObserverLink};
+use leadtime_proto::message::Announcement;
+use leadtime_proto::{DomainName, Incarnation, RunName};
+use serde_json::Value;
+use tokio::sync::mpsc;
+use tokio::time::{MissedTickBehavior, interval, sleep};
+use tokio_util::sync::CancellationToken;
+use tracing::debug;
+
+use crate::error::Error;
+use crate::flight::{FlightPlan, FlightThread};
+use crate::page::{EVENT_PAUSE, Page};
+
+/// Points per curve that are asked for.
+const N_POINTS: usize = 2_000;
+/// The largest history that is decompressed, in bytes.
+const MAX_HISTORY: u64 = 32 << 20;
+/// Pause before a question is asked again.
+const PAUSE: Duration = Duration::from_millis(500);
+/// The shortest time between two pulls of weights.
+const PULL_PAUSE: Duration = Duration::from_secs(10);
+/// Answers that wait to be taken in.
+const QUEUED: usize = 16;
+
+/// Makes what is played of a run's configuration, or says why nothing can be.
+pub type PlanMaker = dyn Fn(&str) -> Result<FlightPlan, String> + Send + Sync;
+
+/// A connection to the network of a run.
+#[derive(Debug)]
+pub struct Attachment {
+    /// The run.
+    pub run: RunName,
+    link: Arc<ObserverLink>,
+    events: Events<ObserverEvent>,
+}
+
+impl Attachment {
+    /// Connects, and finds the run: the one that is named, or the only one that is there.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Link`] with the runs that are there, if none or several can be meant.
+    pub async fn open(settings: &ConnectSettings, run: Option<RunName>) -> Result<Self, Error> {
+        let (link, events) = ObserverLink::open(settings).await?;
+        let run = link.find_run(settings, run).await?;
+        link.follow(&run)?;
+        Ok(Self { run, link: Arc::new(link), events })
+    }
+
+    /// Asks once what the run is and how it went, and listens for a moment to who is here.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Link`] if its learner does not answer, or is of another release.
+    pub async fn look_once(self, page: &Page, listen: Duration) -> Result<(), Error> {
+        let (incarnation, about) = ask_about(&self.link, &self.run).await?;
+        let history = ask_history(&self.link, &self.run, 0).await?;
+        page.with(|view, now| {
+            view.learner_joined(&hex(incarnation), now);
+            view.about(about, now);
+            view.history(&history, now);
+        });
+        let deadline = tokio::time::Instant::now() + listen;
+        while let Ok(Some(event)) = tokio::time::timeout_at(deadline, self.events.recv()).await {
+            take_in(page, event);
+        }
+        self.link.close().await?;
+        Ok(())
+    }
+
+    /// Follows the run until the token is cancelled.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Thread`] if no thread can be started for the playthrough.
+    pub async fn follow(
+        self,
+        page: Arc<Page>,
+        plan: Option<Arc<PlanMaker>>,
+        stop: CancellationToken,
+    ) -> Result<(), Error> {
+        let play = match plan {
+            Some(plan) => {
+                let watcher: Arc<Page> = Arc::clone(&page);
+                Some(Play {
+                    plan,
+                    flight: FlightThread::start(watcher)?,
+                    offered: None,
+                    pulled: 0,
+                    pulled_at: None,
+                    is_pulling: false,
+                })
+            }
+            None => None,
+        };
+        let (answers, answered) = mpsc::channel(QUEUED);
+        let link = Arc::clone(&self.link);
+        let follower = Follower {
+            run: self.run,
+            link: self.link,
+            page,
+            play,
+            answers,
+            is_asking: false,
+            is_known: false,
+        };
+        follower.run(self.events, answered, stop).await;
+        if let Err(error) = link.close().await {
+            debug!(%error, "network not closed in time");
+        }
+        Ok(())
+    }
+}
+
+fn hex(incarnation: Incarnation) -> String {
+    format!("{:016x}", incarnation.0)
+}
+
+async fn ask_about(link: &ObserverLink, run: &RunName) -> Result<(Incarnation, Value), Error> {
+    let (incarnation, json) = link.ask_about(run).await?;
+    let about = serde_json::from_slice(&json)
+        .map_err(|source| Error::Answer { question: "`about`", source })?;
+    Ok((incarnation, about))
+}
+
+async fn ask_history(link: &ObserverLink, run: &RunName, from: u64) -> Result<Value, Error> {
+    let (_, compressed) = link.ask_history(run, from, N_POINTS).await?;
+    let read = move || {
+        let mut text = Vec::new();
+        let mut decoder = GzDecoder::new(compressed.as_slice()).take(MAX_HISTORY);
+        decoder.read_to_end(&mut text).map_err(Error::Compression)?;
+        serde_json::from_slice(&text)
+            .map_err(|source| Error::Answer { question: "`history`", source })
+    };
+    match tokio::task::spawn_blocking(read).await {
+        Ok(read) => read,
+        Err(_panicked) => Err(LinkError::Panicked("read a history").into()),
+    }
+}
+
+/// Takes in what an observer hears, but for announcements. Returns whether a learner came that was not there.
+fn take_in(page: &Page, event: ObserverEvent) -> bool {
+    page.with(|view, now| match event {
+        ObserverEvent::Metrics { member, incarnation, json } => {
+            let Ok(told) = serde_json::from_slice::<Value>(&json) else { return false };
+            let incarnation = hex(incarnation);
+            match member {
+                Member::Learner => {
+                    let is_new = view.learner_joined(&incarnation, now);
+                    view.learner_says(&incarnation, told, now);
+                    return is_new;
+                }
+                Member::Actor(id) => view.actor_says(id.as_str(), &incarnation, told, now),
+            }
+            false
+        }
+        ObserverEvent::Joined(Member::Learner, incarnation) => {
+            view.learner_joined(&hex(incarnation), now)
+        }
+        ObserverEvent::Joined(Member::Actor(id), incarnation) => {
+            view.actor_joined(id.as_str(), &hex(incarnation), now);
+            false
+        }
+        ObserverEvent::Left(Member::Learner, incarnation) => {
+            view.learner_left(&hex(incarnation), now);
+            false
+        }
+        ObserverEvent::Left(Member::Actor(id), incarnation) => {
+            view.actor_left(id.as_str(), &hex(incarnation), now);
+            false
+        }
+        ObserverEvent::Announcement { .. } => false,
+    })
+}
+
+/// What comes back from a task.
+enum Answer {
+    /// What the run is, and how it went; or that it is to be asked again.
+    Asked(Option<(Value, Value)>),
+    /// A version of the weights, if it could be pulled.
+    Pulled(Option<(u64, Vec<u8>)>),
+}
+
+/// What it takes to show the policy at work.
+struct Play {
+    plan: Arc<PlanMaker>,
+    flight: FlightThread,
+    /// The newest announcement.
+    offered: Option<(DomainName, Announcement)>,
+    pulled: u64,
+    pulled_at: Option<Instant>,
+    is_pulling: bool,
+}
+
+struct Follower {
+    run: RunName,
+    link: Arc<ObserverLink>,
+    page: Arc<Page>,
+    play: Option<Play>,
+    answers: mpsc::Sender<Answer>,
+    is_asking: bool,
+    /// Whether the learner that is there now has been asked.
+    is_known: bool,
+}
+
+impl Follower {
+    async fn run(
+        mut self,
+        events: Events<ObserverEvent>,
+        mut answered: mpsc::Receiver<Answer>,
+        stop: CancellationToken,
+    ) {
+        let mut ticks = interval(EVENT_PAUSE);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                () = stop.cancelled() => return,
+                event = events.recv() => match event {
+                    Some(event) => self.event(event),
+                    None => return,
+                },
+                Some(answer) = answered.recv() => self.answer(answer),
+                _ = ticks.tick() => self.pull(),
+            }
+            let n_missed = self.link.n_missed();
+            self.page.with(|view, _| view.missed(n_missed));
+            self.page.flush(Instant::now());
+        }
+    }
+
+    fn event(&mut self, event: ObserverEvent) {
+        if let (ObserverEvent::Announcement { domain, announcement }, Some(play)) =
+            (&event, &mut self.play)
+        {
+            play.offered = Some((domain.clone(), announcement.clone()));
+            self.pull();
+        }
+        if take_in(&self.page, event) {
+            self.is_known = false;
+        }
+        self.ask();
+    }
+
+    /// Asks a learner that is new what its run is and how it went.
+    fn ask(&mut self) {
+        let is_there = self.page.with(|view, _| view.has_learner());
+        if self.is_known || self.is_asking || !is_there {
+            return;
+        }
+        self.is_asking = true;
+        let (link, run, answers) = (Arc::clone(&self.link), self.run.clone(), self.answers.clone());
+        tokio::spawn(async move {
+            let asked = async {
+                let (_, about) = ask_about(&link, &run).await?;
+                Ok::<_, Error>((about, ask_history(&link, &run, 0).await?))
+            };
+            let asked = asked.await;
+            if let Err(error) = &asked {
+                debug!(%error, "the learner has not answered");
+                sleep(PAUSE).await;
+            }
+            drop(answers.send(Answer::Asked(asked.ok())).await);
+        });
+    }
+
+    fn answer(&mut self, answer: Answer) {
+        match answer {
+            Answer::Asked(None) => {
+                self.is_asking = false;
+                self.ask();
+            }
+            Answer::Asked(Some((about, history))) => {
+                (self.is_asking, self.is_known) = (false, true);
+                let config = about["config"].as_str().map(str::to_owned);
+                self.page.with(|view, now| {
+                    view.about(about, now);
+                    view.history(&history, now);
+                });
+                if let Some(play) = &self.play {
+                    let config = config.ok_or("the learner tells no configuration".to_owned());
+                    play.flight.plan(config.and_then(|config| (play.plan)(&config)));
+                }
+                self.pull();
+            }
+            Answer::Pulled(pulled) => {
+                let Some(play) = &mut self.play else { return };
+                play.is_pulling = false;
+                if let Some((version, weights)) = pulled {
+                    play.pulled = version;
+                    play.flight.policy(version, weights);
+                }
+            }
+        }
+    }
+
+    /// Pulls the newest weights, if somebody looks and it is time.
+    fn pull(&mut self) {
+        let is_watched = self.page.n_clients() > 0;
+        let Some(play) = self.play.as_mut().filter(|_| is_watched) else { return };
+        let is_due = play.pulled_at.is_none_or(|at| at.elapsed() >= PULL_PAUSE);
+        let Some((domain, announcement)) = &play.offered else { return };
+        let Some(&(version, sha256)) = announcement.versions.last() else { return };
+        if play.is_pulling || !is_due || version.0 == play.pulled {
+            return;
+        }
+        (play.is_pulling, play.pulled_at) = (true, Some(Instant::now()));
+        let (link, run, domain) = (Arc::clone(&self.link), self.run.clone(), domain.clone());
+        let answers = self.answers.clone();
+        tokio::spawn(async move {
+            let pulled = link.pull_weights(&run, &domain, version, sha256).await;
+            if let Err(error) = &pulled {
+                debug!(%error, "weights not pulled");
+            }
+            let pulled = pulled.ok().map(|weights| (version.0, weights));
+            drop(answers.send(Answer::Pulled(pulled)).await);
+        });
+    }
+}

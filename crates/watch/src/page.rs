@@ -1,0 +1,188 @@
+//! What everybody shares: the run as it is seen, and who listens.
+
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use leadtime_web::axum::body::Bytes;
+use serde_json::Value;
+
+use crate::events::{EventBytes, EventHub, EventKind, Wanted, event};
+use crate::flight::FlightWatcher;
+use crate::state::{Changes, LogLine, RunView};
+
+/// The shortest time between two events of a kind that are told to pages.
+pub const EVENT_PAUSE: Duration = Duration::from_millis(200);
+/// The same for the table of actors and the head line, which say nothing new more often.
+const TABLE_PAUSE: Duration = Duration::from_secs(1);
+
+/// Reads the time, in seconds since the Unix epoch.
+pub type Clock = fn() -> f64;
+
+/// A run as it is seen, and its pages.
+pub struct Page {
+    clock: Clock,
+    shared: Mutex<Shared>,
+}
+
+struct Shared {
+    view: RunView,
+    hub: EventHub,
+    /// What has changed and was not told yet.
+    due: Changes,
+    updates_told_at: Option<Instant>,
+    tables_told_at: Option<Instant>,
+    n_log_told: u64,
+    /// The beginning of the episode that is being played, for those who come in the middle of it.
+    flight: Option<Bytes>,
+}
+
+impl fmt::Debug for Page {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Page").finish_non_exhaustive()
+    }
+}
+
+impl Page {
+    /// Starts with an empty view of a run.
+    pub fn new(run: &str, clock: Clock) -> Arc<Self> {
+        let shared = Shared {
+            view: RunView::new(run),
+            hub: EventHub::default(),
+            due: Changes::default(),
+            updates_told_at: None,
+            tables_told_at: None,
+            n_log_told: 0,
+            flight: None,
+        };
+        Arc::new(Self { clock, shared: Mutex::new(shared) })
+    }
+
+    fn shared(&self) -> MutexGuard<'_, Shared> {
+        // A panic while it was held left at worst one event untold.
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Looks at the view, or changes it; the function gets the time.
+    pub fn with<T>(&self, work: impl FnOnce(&mut RunView, f64) -> T) -> T {
+        let now = (self.clock)();
+        work(&mut self.shared().view, now)
+    }
+
+    /// Tells pages what has changed, as often as they are to be told. Call it after changes and at every
+    /// [`EVENT_PAUSE`].
+    pub fn flush(&self, now: Instant) {
+        let time = (self.clock)();
+        let mut shared = self.shared();
+        let Shared { view, hub, due, updates_told_at, tables_told_at, n_log_told, .. } =
+            &mut *shared;
+        let new = view.take_changes();
+        due.about |= new.about;
+        due.history |= new.history;
+        due.update |= new.update;
+        due.actors |= new.actors;
+        let is_due = |told_at: &Option<Instant>, pause: Duration| {
+            told_at.is_none_or(|at| now.saturating_duration_since(at) >= pause)
+        };
+        if std::mem::take(&mut due.about) {
+            hub.send(EventKind::About, None, &view.about_json().to_string(), now);
+        }
+        if std::mem::take(&mut due.history) {
+            hub.send(EventKind::History, None, &view.history_json(0).to_string(), now);
+        }
+        if due.update && is_due(updates_told_at, EVENT_PAUSE) {
+            due.update = false;
+            *updates_told_at = Some(now);
+            let update = view.update_json(time).to_string();
+            hub.send(EventKind::Update, Some(&event_id(view)), &update, now);
+        }
+        if is_due(tables_told_at, TABLE_PAUSE) {
+            *tables_told_at = Some(now);
+            hub.send(EventKind::State, None, &view.state_json(time).to_string(), now);
+            if std::mem::take(&mut due.actors) || view.n_shown_actors() > 0 {
+                hub.send(EventKind::Actors, None, &view.actors_json(time).to_string(), now);
+            }
+        }
+        let lines: Vec<Value> = view.log_after(*n_log_told).map(LogLine::json).collect();
+        if !lines.is_empty() {
+            *n_log_told = view.n_logged();
+            hub.send(EventKind::Log, None, &Value::from(lines).to_string(), now);
+        }
+    }
+
+    /// Takes in a page, which is told everything so far, or what came after an event that it knows.
+    pub(crate) fn join(
+        &self,
+        wanted: Wanted,
+        last_event: Option<&str>,
+        now: Instant,
+    ) -> Option<flume::Receiver<EventBytes>> {
+        let time = (self.clock)();
+        let mut shared = self.shared();
+        let Shared { view, hub, flight, .. } = &mut *shared;
+        let from = last_event.map_or(0, |id| known_until(id, view));
+        let id = event_id(view);
+        let log: Vec<Value> = view.log_after(0).map(LogLine::json).collect();
+        let mut first = Vec::new();
+        let mut tell = |kind: EventKind, id: Option<&str>, data: &dyn Fn() -> Value| {
+            if wanted.has(kind) {
+                first.push(event(kind, id, &data().to_string()));
+            }
+        };
+        tell(EventKind::About, None, &|| view.about_json());
+        tell(EventKind::State, None, &|| view.state_json(time));
+        tell(EventKind::History, None, &|| view.history_json(from));
+        tell(EventKind::Update, Some(&id), &|| view.update_json(time));
+        tell(EventKind::Actors, None, &|| view.actors_json(time));
+        tell(EventKind::Log, None, &|| log.clone().into());
+        if wanted.has(EventKind::Flight) {
+            first.extend(flight.clone());
+        }
+        hub.join(wanted, first, now)
+    }
+
+    /// Counts the pages.
+    pub fn n_clients(&self) -> usize {
+        self.shared().hub.n_clients()
+    }
+
+    /// Says goodbye to every page.
+    pub fn close(&self) {
+        self.shared().hub.close(Instant::now());
+    }
+}
+
+impl FlightWatcher for Page {
+    fn is_watched(&self) -> bool {
+        self.n_clients() > 0
+    }
+
+    fn tell(&self, kind: EventKind, data: &Value) {
+        let text = data.to_string();
+        let mut shared = self.shared();
+        if kind == EventKind::Flight {
+            shared.flight = Some(event(kind, None, &text));
+        }
+        shared.hub.send(kind, None, &text, Instant::now());
+    }
+}
+
+/// Names the newest update; the second number says how often updates may have been made again.
+fn event_id(view: &RunView) -> String {
+    format!("{}.{}", view.newest(), view.generation())
+}
+
+/// Returns the first update that a page lacks which knows an event; 0 where it may know some that were made again.
+fn known_until(id: &str, view: &RunView) -> u64 {
+    let parsed = id.split_once('.').and_then(|(update, generation)| {
+        Some((update.parse::<u64>().ok()?, generation.parse::<usize>().ok()?))
+    });
+    match parsed {
+        Some((update, generation))
+            if generation == view.generation() && update <= view.newest() =>
+        {
+            update
+        }
+        _ => 0,
+    }
+}

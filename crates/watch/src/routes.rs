@@ -1,0 +1,160 @@
+//! What is served: the page's files, the stream of events, and everything at once for scripts.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use leadtime_web::axum::Router;
+use leadtime_web::axum::body::Body;
+use leadtime_web::axum::extract::{RawQuery, State};
+use leadtime_web::axum::http::header::{
+    CACHE_CONTROL, CONTENT_TYPE, ETAG, IF_NONE_MATCH, RETRY_AFTER,
+};
+use leadtime_web::axum::http::{HeaderMap, HeaderValue, StatusCode};
+use leadtime_web::axum::response::{IntoResponse as _, Response};
+use leadtime_web::axum::routing::get;
+use sha2::{Digest as _, Sha256};
+
+use crate::events::{MAX_CLIENTS, Wanted};
+use crate::page::Page;
+
+/// Where a page asks for events.
+const EVENTS: &str = "/events";
+/// Where a script asks for everything.
+const STATE: &str = "/state.json";
+/// What the page's own file names are followed by, so that a changed program is not hidden by a browser's cache.
+const VERSION: &str = "?v=";
+
+/// One file of the page.
+#[derive(Clone, Copy, Debug)]
+struct Asset {
+    path: &'static str,
+    kind: &'static str,
+    bytes: &'static [u8],
+}
+
+const HTML: &str = "text/html; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const STYLE: &str = "text/css; charset=utf-8";
+const PLAIN: &str = "text/plain; charset=utf-8";
+
+const INDEX: &[u8] = include_bytes!("../assets/index.html");
+
+/// Every other file.
+const ASSETS: [Asset; 6] = [
+    Asset { path: "/watch.js", kind: SCRIPT, bytes: include_bytes!("../assets/watch.js") },
+    Asset { path: "/icon.svg", kind: "image/svg+xml", bytes: include_bytes!("../assets/icon.svg") },
+    Asset { path: "/watch.css", kind: STYLE, bytes: include_bytes!("../assets/watch.css") },
+    Asset {
+        path: "/vendor/uPlot-1.6.32.min.js",
+        kind: SCRIPT,
+        bytes: include_bytes!("../assets/vendor/uPlot-1.6.32.min.js"),
+    },
+    Asset {
+        path: "/vendor/uPlot.css",
+        kind: STYLE,
+        bytes: include_bytes!("../assets/vendor/uPlot.css"),
+    },
+    Asset {
+        path: "/vendor/LICENSE",
+        kind: PLAIN,
+        bytes: include_bytes!("../assets/vendor/LICENSE"),
+    },
+];
+
+/// Lists the paths that need no token: the page itself, which then asks with one.
+pub fn open_paths() -> impl Iterator<Item = &'static str> {
+    ["/"].into_iter().chain(ASSETS.iter().map(|asset| asset.path))
+}
+
+/// Serves a page.
+pub fn routes(page: Arc<Page>) -> Router {
+    let mut router = Router::new();
+    let all = digest(&ASSETS.iter().flat_map(|asset| asset.bytes).copied().collect::<Vec<_>>());
+    let index = String::from_utf8_lossy(INDEX).replace(VERSION, &format!("{VERSION}{all}"));
+    let tag = digest(index.as_bytes());
+    let index: Arc<str> = index.into();
+    router = router.route(
+        "/",
+        get(move |headers: HeaderMap| {
+            let index = index.as_bytes().to_vec();
+            let answer = file(&headers, HTML, &tag, "no-cache", index);
+            async move { answer }
+        }),
+    );
+    for asset in ASSETS {
+        let tag = digest(asset.bytes);
+        let serve = move |headers: HeaderMap| {
+            let answer = file(&headers, asset.kind, &tag, "max-age=3600", asset.bytes.to_vec());
+            async move { answer }
+        };
+        router = router.route(asset.path, get(serve));
+    }
+    router.route(EVENTS, get(events)).route(STATE, get(state)).with_state(page)
+}
+
+fn digest(bytes: &[u8]) -> String {
+    let digest = Sha256::digest(bytes);
+    digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Answers with a file, unless the browser has it.
+fn file(
+    headers: &HeaderMap,
+    kind: &'static str,
+    tag: &str,
+    cache: &'static str,
+    bytes: Vec<u8>,
+) -> Response {
+    let tag = format!("\"{tag}\"");
+    let is_known =
+        headers.get(IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes());
+    let mut answer = if is_known {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        ([(CONTENT_TYPE, HeaderValue::from_static(kind))], bytes).into_response()
+    };
+    answer.headers_mut().insert(CACHE_CONTROL, HeaderValue::from_static(cache));
+    if let Ok(tag) = HeaderValue::from_str(&tag) {
+        answer.headers_mut().insert(ETAG, tag);
+    }
+    answer
+}
+
+/// Returns a parameter of a query string as it is written: no value of ours needs to be escaped.
+fn parameter<'a>(query: Option<&'a str>, name: &str) -> Option<&'a str> {
+    let pairs = query?.split('&').filter_map(|pair| pair.split_once('='));
+    pairs.filter(|(key, _)| *key == name).map(|(_, value)| value).next_back()
+}
+
+async fn events(
+    State(page): State<Arc<Page>>,
+    RawQuery(query): RawQuery,
+    headers: HeaderMap,
+) -> Response {
+    let query = query.as_deref();
+    let only = parameter(query, "only").map(|only| only.replace("%2C", ","));
+    let wanted = match Wanted::parse(only.as_deref()) {
+        Ok(wanted) => wanted,
+        Err(sentence) => return (StatusCode::BAD_REQUEST, sentence).into_response(),
+    };
+    let last = headers.get("last-event-id").and_then(|id| id.to_str().ok());
+    let last = last.or_else(|| parameter(query, "after"));
+    let Some(events) = page.join(wanted, last, Instant::now()) else {
+        let sentence = format!("{MAX_CLIENTS} pages are open: close one\n");
+        let retry = [(RETRY_AFTER, HeaderValue::from_static("5"))];
+        return (StatusCode::SERVICE_UNAVAILABLE, retry, sentence).into_response();
+    };
+    let kind = HeaderValue::from_static("text/event-stream");
+    let mut answer = Response::new(Body::from_stream(events.into_stream()));
+    answer.headers_mut().insert(CONTENT_TYPE, kind);
+    answer
+}
+
+async fn state(State(page): State<Arc<Page>>) -> Response {
+    let text = page.with(|view, now| view.json(now)).to_string();
+    ([(CONTENT_TYPE, HeaderValue::from_static("application/json"))], text).into_response()
+}
+
+#[cfg(test)]
+#[path = "routes_tests.rs"]
+mod tests;

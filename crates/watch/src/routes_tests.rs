@@ -1,0 +1,156 @@
+//! The handlers, asked without a network.
+
+use leadtime_web::Guard;
+use leadtime_web::axum::body::to_bytes;
+use leadtime_web::axum::extract::Request;
+use serde_json::{Value, json};
+use tower::ServiceExt as _;
+
+use super::*;
+
+fn page() -> Arc<Page> {
+    let page = Page::new("r", || 1_000.0);
+    page.with(|view, now| {
+        view.about(json!({"domain": "lander", "total_updates": 9, "steps_per_update": 8}), now);
+        for update in 1..=5 {
+            let line = json!({"update": update, "steps": update * 8, "train/entropy": 1.0});
+            view.update(line.as_object().unwrap().clone(), now);
+        }
+    });
+    page
+}
+
+async fn ask(page: &Arc<Page>, path: &str, headers: &[(&str, &str)]) -> Response {
+    let mut request = Request::builder().uri(path).header("host", "localhost");
+    for (name, value) in headers {
+        request = request.header(*name, *value);
+    }
+    let router = Guard::new().protect(routes(Arc::clone(page)));
+    router.oneshot(request.body(Body::empty()).unwrap()).await.unwrap()
+}
+
+async fn text(answer: Response) -> String {
+    let bytes = to_bytes(answer.into_body(), 1 << 24).await.unwrap();
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// Reads what a new client is told first: the page is closed after it came.
+async fn told(page: &Arc<Page>, path: &str, headers: &[(&str, &str)]) -> Vec<(String, Value)> {
+    let answer = ask(page, path, headers).await;
+    assert_eq!(answer.headers()["content-type"], "text/event-stream");
+    assert_eq!(answer.headers()["cache-control"], "no-store");
+    page.close();
+    let text = text(answer).await;
+    let event = |block: &str| {
+        let field = |name: &str| block.lines().find_map(|line| line.strip_prefix(name)).unwrap();
+        (field("event: ").to_owned(), serde_json::from_str(field("data: ")).unwrap())
+    };
+    text.split("\n\n").filter(|block| !block.is_empty()).map(event).collect()
+}
+
+#[tokio::test]
+async fn every_file_of_the_page_is_served_and_known_by_its_tag() {
+    let page = page();
+    for path in open_paths() {
+        let answer = ask(&page, path, &[]).await;
+        assert_eq!(answer.status(), 200, "{path}");
+        let tag = answer.headers()["etag"].to_str().unwrap().to_owned();
+        let body = text(answer).await;
+        assert!(body.len() > 100, "{path}");
+        let known = ask(&page, path, &[("if-none-match", &tag)]).await;
+        assert_eq!(known.status(), 304, "{path}");
+        // Another program would have another tag.
+        let other = ask(&page, path, &[("if-none-match", "\"0123456789abcdef\"")]).await;
+        assert_eq!(other.status(), 200, "{path}");
+    }
+    let index = text(ask(&page, "/", &[]).await).await;
+    assert!(!index.contains("?v=\""), "every file is named with its version");
+    assert!(!index.contains("style=") && !index.contains("onclick"), "the policy forbids both");
+}
+
+#[tokio::test]
+async fn the_page_is_small() {
+    let sum: usize = ASSETS.iter().map(|asset| asset.bytes.len()).sum::<usize>() + INDEX.len();
+    assert!(sum <= 120_000, "{sum}");
+    let code = ASSETS.iter().find(|asset| asset.path == "/watch.js").unwrap();
+    assert!(String::from_utf8_lossy(code.bytes).lines().count() <= 900);
+}
+
+#[tokio::test]
+async fn a_new_page_is_told_everything_in_order() {
+    let kinds: Vec<String> =
+        told(&page(), "/events", &[]).await.into_iter().map(|it| it.0).collect();
+    assert_eq!(kinds, ["about", "state", "history", "update", "actors", "log", "bye"]);
+}
+
+#[tokio::test]
+async fn a_client_gets_what_it_asks_for() {
+    let events = told(&page(), "/events?only=update,history", &[]).await;
+    assert_eq!(events.iter().map(|it| it.0.as_str()).collect::<Vec<_>>(), ["history", "update"]);
+    assert_eq!(events[0].1["x"], json!([1, 2, 3, 4, 5]));
+    let events = told(&page(), "/events?only=history", &[("last-event-id", "4.0")]).await;
+    assert_eq!((&events[0].1["from"], &events[0].1["x"]), (&json!(4), &json!([4, 5])));
+    for unknown in ["99.0", "4.7", "4", "x.y", "-1.0"] {
+        let events = told(&page(), "/events?only=history", &[("last-event-id", unknown)]).await;
+        assert_eq!(events[0].1["from"], 0, "{unknown}");
+    }
+}
+
+#[tokio::test]
+async fn what_is_asked_wrongly_is_told() {
+    let page = page();
+    let answer = ask(&page, "/events?only=everything", &[]).await;
+    assert_eq!(answer.status(), 400);
+    assert!(text(answer).await.contains("about, history, update"));
+    for path in
+        ["/nothing", "/../Cargo.toml", "/vendor/../../Cargo.toml", "/%2e%2e/etc/passwd", "/vendor/"]
+    {
+        assert_eq!(ask(&page, path, &[]).await.status(), 404, "{path}");
+    }
+    // A part of a file is not served: the whole is small.
+    assert_eq!(ask(&page, "/watch.js", &[("range", "bytes=0-9")]).await.status(), 200);
+}
+
+#[tokio::test]
+async fn one_page_too_many_is_told_so_and_one_that_leaves_makes_room() {
+    let page = page();
+    let mut open = Vec::new();
+    for _ in 0..MAX_CLIENTS {
+        open.push(ask(&page, "/events", &[]).await);
+    }
+    let answer = ask(&page, "/events", &[]).await;
+    assert_eq!(answer.status(), 503);
+    assert!(text(answer).await.contains("32 pages are open"));
+    open.pop();
+    assert_eq!(ask(&page, "/events", &[]).await.status(), 200);
+}
+
+#[tokio::test]
+async fn scripts_get_everything_at_once() {
+    let answer = ask(&page(), "/state.json", &[]).await;
+    assert_eq!(answer.headers()["content-type"], "application/json");
+    let told: Value = serde_json::from_str(&text(answer).await).unwrap();
+    assert_eq!((&told["schema"], &told["state"]["update"]), (&json!(1), &json!(5)));
+}
+
+#[tokio::test]
+async fn any_query_is_answered() {
+    // A generator of its own: nothing here may depend on luck.
+    let mut state = 7_u64;
+    let mut next = || {
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize
+    };
+    let letters = b"only=after&%,.?update0123456789-+[]{}~abc";
+    let page = page();
+    for _ in 0..2_000 {
+        let query: String =
+            (0..next() % 60).map(|_| letters[next() % letters.len()] as char).collect();
+        let Ok(uri) = format!("/events?{query}").parse::<leadtime_web::axum::http::Uri>() else {
+            continue;
+        };
+        let status = ask(&page, &uri.to_string(), &[]).await.status();
+        assert!([200, 400].contains(&status.as_u16()), "{uri}: {status}");
+    }
+}

@@ -1,0 +1,27 @@
+//! A small HTTP server for what a process tells about itself: read-only, guarded, gone within a second.
+//!
+//! ```text
+//! TCP ── server: at most MAX_CONNECTIONS, header and shutdown deadlines ── guard: who may ask, and how ── routes
+//! ```
+//!
+//! It is the only crate that names axum and hyper; who serves something takes [`axum`] from here. It knows no page and no
+//! number: the routes are handed to it.
+//!
+//! # Invariants
+//!
+//! * Nothing can be changed through it: only GET and HEAD exist.
+//! * A page of another site cannot read it, whatever name it makes a browser believe in (DNS rebinding).
+//! * A cancelled token ends it within [`GRACE`], open event streams included.
+//!
+//! # Where to start
+//!
+//! [`HttpServer::bind`], then [`HttpServer::serve`] with a router and a [`Guard`].
+
+mod error;
+mod guard;
+mod server;
+
+pub use axum;
+pub use error::Error;
+pub use guard::{AccessToken, Guard, MAX_URL_BYTES};
+pub use server::{GRACE, HttpServer, MAX_CONNECTIONS, parse_address};

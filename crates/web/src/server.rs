@@ -1,0 +1,259 @@
+//! Accepting connections, and ending them in time.
+//!
+//! hyper waits for open event streams when it ends gracefully, for ever if need be (hyperium/hyper#2787). So every
+//! connection is a task of the server's own: when the token is cancelled they are asked to end, and after [`GRACE`] they
+//! are dropped. A handler that streams should end its stream on the same token, to say goodbye.
+
+use std::convert::Infallible;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
+use tokio_util::sync::CancellationToken;
+use tracing::debug;
+
+use crate::error::Error;
+use crate::guard::Guard;
+
+/// How many connections are served at a time; further ones wait to be accepted.
+pub const MAX_CONNECTIONS: usize = 64;
+/// How long open connections may take to end after the server was asked to.
+pub const GRACE: Duration = Duration::from_millis(700);
+/// How long a client may take to send the head of a request, and how long an idle connection stays open.
+const HEAD_TIME: Duration = Duration::from_secs(10);
+/// The longest head of a request, in bytes: more than an URL that the guard lets pass.
+const MAX_HEAD_BYTES: usize = 64 << 10;
+/// Pause after a connection could not be accepted: the system is out of files, say.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+/// Reads an address: `127.0.0.1:8080`, `[::1]:0`, `localhost:8080`. No name but `localhost` is looked up.
+///
+/// # Errors
+///
+/// [`Error::NotAnAddress`].
+///
+/// # Example
+///
+/// ```
+/// assert!(leadtime_web::parse_address("localhost:0")?.ip().is_loopback());
+/// assert!(leadtime_web::parse_address("8080").is_err());
+/// # Ok::<(), leadtime_web::Error>(())
+/// ```
+pub fn parse_address(text: &str) -> Result<SocketAddr, Error> {
+    let local = text.strip_prefix("localhost:").and_then(|port| port.parse().ok());
+    let local = local.map(|port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
+    local.or_else(|| text.parse().ok()).ok_or_else(|| Error::NotAnAddress(text.to_owned()))
+}
+
+/// A port that is taken, and not served yet.
+#[derive(Debug)]
+pub struct HttpServer {
+    listener: TcpListener,
+    address: SocketAddr,
+}
+
+impl HttpServer {
+    /// Takes an address; call it inside the async runtime.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::AddressInUse`], [`Error::Bind`].
+    pub async fn bind(address: SocketAddr) -> Result<Self, Error> {
+        let failed = |source: io::Error| match source.kind() {
+            io::ErrorKind::AddrInUse => Error::AddressInUse(address),
+            _ => Error::Bind { address, source },
+        };
+        let listener = TcpListener::bind(address).await.map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        Ok(Self { listener, address })
+    }
+
+    /// Returns the address, with the port that was taken.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Tells whether only this machine can reach it.
+    pub fn is_local(&self) -> bool {
+        self.address.ip().is_loopback()
+    }
+
+    /// Serves until the token is cancelled, and [`GRACE`] longer at most.
+    pub async fn serve(self, router: Router, guard: Guard, stop: CancellationToken) {
+        let router = guard.protect(router);
+        let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+        let mut connections = JoinSet::new();
+        loop {
+            let place = tokio::select! {
+                () = stop.cancelled() => break,
+                Ok(place) = Arc::clone(&places).acquire_owned() => place,
+            };
+            let accepted = tokio::select! {
+                () = stop.cancelled() => break,
+                accepted = self.listener.accept() => accepted,
+            };
+            // Those that have ended.
+            while connections.try_join_next().is_some() {}
+            match accepted {
+                Ok((stream, _peer)) => {
+                    let (router, stop) = (router.clone(), stop.clone());
+                    connections.spawn(async move {
+                        converse(stream, router, stop).await;
+                        drop(place);
+                    });
+                }
+                Err(error) => {
+                    debug!(%error, "a connection cannot be accepted");
+                    sleep(ACCEPT_PAUSE).await;
+                }
+            }
+        }
+        drop(self.listener);
+        let ended = timeout(GRACE, async { while connections.join_next().await.is_some() {} });
+        if ended.await.is_err() {
+            connections.shutdown().await;
+        }
+    }
+}
+
+/// Answers the requests of one connection.
+async fn converse(stream: TcpStream, router: Router, stop: CancellationToken) {
+    // Events are small, and wanted at once.
+    if let Err(error) = stream.set_nodelay(true) {
+        debug!(%error, "a connection stays slow");
+    }
+    let router = TowerToHyperService::new(router);
+    let answer = service_fn(move |request: hyper::Request<Incoming>| {
+        let router = router.clone();
+        async move {
+            let answer = hyper::service::Service::call(&router, request.map(Body::new)).await;
+            Ok::<_, Infallible>(answer.unwrap_or_else(|never| match never {}))
+        }
+    });
+    let mut protocol = http1::Builder::new();
+    protocol.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME).max_buf_size(MAX_HEAD_BYTES);
+    let mut connection = pin!(protocol.serve_connection(TokioIo::new(stream), answer));
+    let ended = tokio::select! {
+        ended = connection.as_mut() => ended,
+        () = stop.cancelled() => {
+            connection.as_mut().graceful_shutdown();
+            connection.await
+        }
+    };
+    if let Err(error) = ended {
+        debug!(%error, "a connection ended early");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+    use std::time::Instant;
+
+    use axum::body::Bytes;
+    use axum::response::Response;
+    use axum::routing::get;
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+
+    use super::*;
+
+    /// A route whose answers say something and never end by themselves.
+    fn endless() -> Router {
+        let open = Arc::new(Mutex::new(Vec::new()));
+        let answer = move || {
+            let (sender, events) = flume::bounded::<Result<Bytes, Infallible>>(1);
+            sender.send(Ok(Bytes::from_static(b"data: hello\n\n"))).unwrap();
+            open.lock().unwrap().push(sender);
+            async { Response::new(Body::from_stream(events.into_stream())) }
+        };
+        Router::new().route("/events", get(answer))
+    }
+
+    async fn started(
+        router: Router,
+    ) -> (SocketAddr, CancellationToken, tokio::task::JoinHandle<()>) {
+        let server = HttpServer::bind(parse_address("127.0.0.1:0").unwrap()).await.unwrap();
+        assert!(server.is_local());
+        let (address, stop) = (server.address(), CancellationToken::new());
+        let serving = tokio::spawn(server.serve(router, Guard::new(), stop.clone()));
+        (address, stop, serving)
+    }
+
+    /// Asks, and reads until the answer holds `expected`.
+    async fn ask(address: SocketAddr, request: &str, expected: &str) -> TcpStream {
+        let mut stream = TcpStream::connect(address).await.unwrap();
+        stream.write_all(request.as_bytes()).await.unwrap();
+        let mut answer = Vec::new();
+        while !String::from_utf8_lossy(&answer).contains(expected) {
+            let mut part = [0; 4096];
+            let n_read = timeout(Duration::from_secs(10), stream.read(&mut part)).await;
+            let n_read = n_read.expect("in time").unwrap();
+            assert!(n_read > 0, "no `{expected}` in {}", String::from_utf8_lossy(&answer));
+            answer.extend_from_slice(&part[..n_read]);
+        }
+        stream
+    }
+
+    #[test]
+    fn what_is_no_address_is_named() {
+        for text in ["", "8080", "localhost", "localhost:x", "127.0.0.1:99999", "example.org:80"] {
+            let error = parse_address(text).unwrap_err().to_string();
+            assert!(error.contains(&format!("`{text}` is not an address")), "{error}");
+        }
+    }
+
+    #[tokio::test]
+    async fn open_event_streams_do_not_keep_the_server() {
+        let (address, stop, serving) = started(endless()).await;
+        let request = "GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n";
+        let mut open = Vec::new();
+        for _ in 0..5 {
+            open.push(ask(address, request, "data: hello").await);
+        }
+        let asked = Instant::now();
+        stop.cancel();
+        timeout(Duration::from_secs(10), serving).await.unwrap().unwrap();
+        assert!(asked.elapsed() < Duration::from_secs(1), "{:?}", asked.elapsed());
+        assert!(TcpStream::connect(address).await.is_err());
+    }
+
+    #[tokio::test]
+    async fn an_address_in_use_is_told_as_such() {
+        let (address, stop, serving) = started(Router::new()).await;
+        let error = HttpServer::bind(address).await.unwrap_err();
+        assert!(matches!(error, Error::AddressInUse(it) if it == address), "{error}");
+        stop.cancel();
+        serving.await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn connections_beyond_the_limit_wait_for_a_place() {
+        let router = Router::new().route("/", get(|| async { "here" }));
+        let (address, stop, serving) = started(router).await;
+        let mut silent = Vec::new();
+        for _ in 0..MAX_CONNECTIONS {
+            silent.push(TcpStream::connect(address).await.unwrap());
+        }
+        let request = "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+        let waiting = ask(address, request, "here");
+        let mut waiting = pin!(waiting);
+        assert!(timeout(Duration::from_millis(100), waiting.as_mut()).await.is_err());
+        silent.pop();
+        waiting.await;
+        stop.cancel();
+        serving.await.unwrap();
+    }
+}

@@ -1,0 +1,156 @@
+//! Watching a run: on the network, on the disk, as text; what is wrong is one sentence, and nobody is disturbed.
+
+use std::fs;
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::support::{PATIENCE, Place, Running, result, signal, wait_until};
+
+/// A run that lasts until it is ended.
+const LONG: &str = "-c cartpole --steps 5e7 --set learner.n_steps=32 --set run.checkpoint_every=10";
+/// One that takes a second or two.
+const SHORT: &str = "-c cartpole --steps 1e4";
+
+/// A learner and an actor at a place, with the run at work.
+fn at_work(place: &Place, name: &str) -> [Running; 2] {
+    let endpoint = place.endpoint("l");
+    let learner = place.start(&[&format!("learner --name {name} {LONG} --listen {endpoint}")]);
+    let actor = place.start(&[&format!("actor --connect {endpoint} --id a")]);
+    [learner, actor]
+}
+
+/// Looks until a run has made this many updates.
+fn look(place: &Place, n_updates: u64) -> Value {
+    let deadline = Instant::now() + PATIENCE;
+    let command = format!("watch --connect {} --once --json", place.endpoint("l"));
+    loop {
+        let seen = place.finish(&[&command]).with_code(0).json();
+        if seen["state"]["update"].as_u64().is_some_and(|update| update >= n_updates) {
+            return seen;
+        }
+        assert!(Instant::now() < deadline, "{seen}");
+    }
+}
+
+#[test]
+fn a_run_at_work_is_seen_from_outside_as_text_and_as_json() {
+    let place = Place::new();
+    let _processes = at_work(&place, "r");
+    let seen = look(&place, 3);
+    assert_eq!((&seen["schema"], &seen["state"]["state"]), (&1.into(), &"training".into()));
+    assert_eq!(seen["about"]["domain"], "cartpole");
+    assert_eq!(seen["actors"][0]["id"], "a");
+    assert!(seen["actors"][0]["credit"]["window"].as_u64().is_some(), "{}", seen["actors"]);
+    assert_eq!(seen["update"]["books"]["balanced"], true);
+    let x = seen["history"]["x"].as_array().unwrap();
+    let newest = seen["state"]["update"].as_u64().unwrap();
+    assert!(x.len() as u64 + 3 >= newest.min(1_000), "{} points of {newest} updates", x.len());
+    let text =
+        place.finish(&[&format!("watch --connect {} --once", place.endpoint("l"))]).with_code(0);
+    for expected in ["r (cartpole): training", "books balanced", "explained variance", "iteration"]
+    {
+        assert!(text.stdout.contains(expected), "{expected} is not in: {}", text.stdout);
+    }
+}
+
+#[test]
+fn watchers_that_are_killed_change_no_bit() {
+    let place = Place::new();
+    let train = |name: &str| format!("up --name {name} {SHORT} --set learner.n_steps=32");
+    place.finish(&[&train("alone")]).with_code(0);
+    let run = place.start(&[&train("watched"), "--listen", &place.endpoint("l")]);
+    for _ in 0..5 {
+        let command = format!("watch --connect {} --http 127.0.0.1:0 --json", place.endpoint("l"));
+        let mut watcher = place.start(&[&command]);
+        // It serves, or the run was over before.
+        let served = || watcher.stdout().contains("http://") || !watcher.is_running();
+        wait_until("the page is served", PATIENCE, served);
+        watcher.kill();
+    }
+    let run = run.finish(PATIENCE).with_code(0);
+    assert!(run.stdout.contains("all accounted for"), "{}", run.stdout);
+    let weights = |name: &str| result(&place.run(name))["weights_sha256"].clone();
+    assert_eq!(weights("alone"), weights("watched"));
+}
+
+#[test]
+fn a_finished_run_is_shown_from_its_directory() {
+    let place = Place::new();
+    place.finish(&[&format!("up --name done {SHORT}")]).with_code(0);
+    let seen = place.finish(&["watch done --once --json"]).with_code(0).json();
+    assert_eq!(seen["state"]["state"], "finished");
+    assert_eq!(seen["state"]["update"], seen["state"]["total_updates"]);
+    // A torn last line is left out and counted; a directory without metrics has no update yet.
+    let metrics = place.run("done").join("metrics.jsonl");
+    let text = fs::read_to_string(&metrics).unwrap();
+    fs::write(&metrics, text + "{\"update\": 99999, \"st").unwrap();
+    let torn = place.finish(&["watch runs/done --once --json"]).with_code(0).json();
+    assert_eq!(
+        (&torn["state"]["skipped"], &torn["state"]["update"]),
+        (&1.into(), &seen["state"]["update"])
+    );
+    fs::remove_file(&metrics).unwrap();
+    let empty = place.finish(&["watch done --once"]).with_code(0);
+    assert!(empty.stdout.contains("update 0 of"), "{}", empty.stdout);
+}
+
+#[test]
+fn a_page_is_served_and_ends_within_a_second() {
+    let place = Place::new();
+    place.finish(&[&format!("up --name done {SHORT}")]).with_code(0);
+    let watcher = place.start(&["watch done --http 127.0.0.1:0 --json"]);
+    wait_until("the page is served", PATIENCE, || watcher.stdout().contains("http://"));
+    let said: Value = serde_json::from_str(&watcher.stdout()).unwrap();
+    let link = said["page"].as_str().unwrap();
+    let address = link.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let open: Vec<TcpStream> = (0..5).map(|_| first_event(&address, "about")).collect();
+    let asked = Instant::now();
+    signal("TERM", watcher.id());
+    watcher.finish(PATIENCE).with_code(130);
+    assert!(asked.elapsed() < Duration::from_secs(2), "{:?}", asked.elapsed());
+    for mut stream in open {
+        let mut rest = String::new();
+        stream.read_to_string(&mut rest).unwrap();
+        assert!(rest.contains("event: bye"), "the page is told");
+    }
+}
+
+/// Asks for events and reads until the first.
+fn first_event(address: &str, kind: &str) -> TcpStream {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+    let (mut read, mut byte) = (Vec::new(), [0]);
+    while !String::from_utf8_lossy(&read).contains(&format!("event: {kind}\n")) {
+        stream.read_exact(&mut byte).unwrap();
+        read.push(byte[0]);
+    }
+    stream
+}
+
+#[test]
+fn what_cannot_be_watched_is_one_sentence() {
+    let place = Place::new();
+    let _processes = at_work(&place, "r");
+    look(&place, 1);
+    let at = place.endpoint("l");
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = taken.local_addr().unwrap();
+    for (command, code, told) in [
+        ("watch".to_owned(), 2, "--connect"),
+        ("watch nothing".to_owned(), 2, "there is no run `nothing`"),
+        (format!("watch --connect {at} --run other --once"), 2, "there: `r`"),
+        ("watch --connect tcp/127.0.0.1:9 --connect-timeout 100ms --once".to_owned(), 3, "refused"),
+        (format!("watch --connect {at} --http 8080"), 2, "`8080` is not an address"),
+        (format!("watch --connect {at} --http {taken}"), 2, "is in use"),
+        (format!("watch --connect {at} --http 0.0.0.0:0"), 2, "--token auto"),
+        (format!("watch --connect {at} --token short"), 2, "--token"),
+        (format!("watch --connect {at} --once --http 127.0.0.1:0"), 2, "cannot be used with"),
+        ("up -c cartpole --watch 127.0.0.1".to_owned(), 2, "is not an address"),
+    ] {
+        place.finish(&[&command]).with_code(code).saying(&[told]);
+    }
+}

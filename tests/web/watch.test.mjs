@@ -1,0 +1,220 @@
+// The live page in a real browser: `LEADTIME=PROGRAM node --test`.
+import assert from 'node:assert/strict';
+import { createHash } from 'node:crypto';
+import { execFileSync } from 'node:child_process';
+import { readFileSync } from 'node:fs';
+import { join } from 'node:path';
+import { after, before, test } from 'node:test';
+import { Place, browse, until } from './support.mjs';
+
+const ASSETS = '../../crates/watch/assets';
+/** A run that lasts for minutes, unless it is ended. */
+const LONG = 'up -c cartpole --actors 2 --steps 5e7 --name long --set run.checkpoint_every=5 --set learner.n_steps=32';
+/** One that takes seconds. */
+const SHORT = 'up -c cartpole --actors 2 --steps 2e4 --name short';
+const PANELS = ['curves', 'flight', 'staleness', 'phases', 'actors', 'books', 'log'];
+
+let chrome;
+before(async () => (chrome = await browse()));
+after(() => chrome.close());
+
+const text = (page, id) => page.locator(`#${id}`).innerText();
+const state = (page) => text(page, 'state');
+const newest = (page) => page.evaluate(() => Number(document.documentElement.dataset.update ?? 0));
+
+/** Waits until the page shows a run at work. */
+async function complete(page, patience) {
+  await until('the page is complete', async () => {
+    const [updates, actors, books] = await Promise.all([newest(page), page.locator('#actors-rows tr').count(), page.locator('#books-rows tr').count()]);
+    return updates > 0 && actors > 0 && books > 0;
+  }, patience);
+}
+
+test('the vendored library is the one of the registry', () => {
+  const digest = (path) => createHash('sha256').update(readFileSync(path)).digest('hex');
+  for (const [ours, theirs] of [['uPlot-1.6.32.min.js', 'uPlot.iife.min.js'], ['uPlot.css', 'uPlot.min.css']]) {
+    assert.equal(digest(join(ASSETS, 'vendor', ours)), digest(join('node_modules/uplot/dist', theirs)));
+  }
+});
+
+test('a run at work: complete at once, on one screen, light and dark, wide and narrow', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  const link = await place.start(LONG, '--watch 127.0.0.1:0').page();
+  const first = await chrome.open(link);
+  await complete(first.page);
+  // Who comes in the middle sees all of it.
+  await until('some history', async () => (await newest(first.page)) > 40);
+  const opened = Date.now();
+  const { page, complaints } = await chrome.open(link);
+  await complete(page, 10_000);
+  t.diagnostic(`complete ${Date.now() - opened} ms after it was opened`);
+  const points = await page.evaluate(() => document.querySelectorAll('.chart canvas').length);
+  assert.equal(points, 8, 'eight charts');
+  assert.match(await state(page), /training/);
+  assert.match(await text(page, 'balance'), /^balanced$/);
+
+  await t.test('every panel is on the first screen', async () => {
+    for (const id of PANELS) {
+      const box = await page.locator(`#${id}`).boundingBox();
+      assert.ok(box && box.y >= 0 && box.y + box.height <= 720 && box.x + box.width <= 1280 && box.height > 80, `${id}: ${JSON.stringify(box)}`);
+    }
+    assert.equal(await page.evaluate(() => document.documentElement.scrollHeight > innerHeight), false);
+  });
+
+  await t.test('a narrow screen has no horizontal scroll', async () => {
+    for (const colorScheme of ['light', 'dark']) {
+      const narrow = await chrome.open(link, { viewport: { width: 390, height: 844 }, colorScheme });
+      await complete(narrow.page);
+      assert.equal(await narrow.page.evaluate(() => document.documentElement.scrollWidth), 390);
+      assert.deepEqual(narrow.complaints, []);
+      await narrow.context.close();
+    }
+  });
+
+  await t.test('text is legible in light and dark', async () => {
+    for (const colorScheme of ['light', 'dark']) {
+      const seen = await chrome.open(link, { colorScheme });
+      await complete(seen.page);
+      const faint = await seen.page.evaluate(illegible);
+      assert.deepEqual(faint, [], colorScheme);
+      await seen.context.close();
+    }
+  });
+
+  await t.test('the keyboard reaches everything', async () => {
+    const reached = new Set();
+    for (let i = 0; i < 40; i++) {
+      await page.keyboard.press('Tab');
+      reached.add(await page.evaluate(() => document.activeElement?.id || document.activeElement?.textContent || ''));
+    }
+    for (const wanted of ['axis', 'charts', 'zones', 'pause', 'log-lines', 'steps/s']) assert.ok(reached.has(wanted), `${wanted} in ${[...reached]}`);
+    await page.locator('#charts').focus();
+    await page.keyboard.press('+');
+    assert.equal(await page.locator('#unzoom').isVisible(), true, 'zoomed');
+    // Data that arrive move nothing.
+    const before = await newest(page);
+    const xs = () => page.evaluate(() => document.querySelector('.chart canvas') && document.querySelector('#unzoom').hidden);
+    await until('more updates', async () => (await newest(page)) > before + 3);
+    assert.equal(await xs(), false, 'still zoomed');
+    await page.keyboard.press('0');
+    assert.equal(await page.locator('#unzoom').isVisible(), false);
+  });
+
+  await t.test('curves are there as text', async () => {
+    await page.locator('button[data-text=curves]').click();
+    assert.ok((await page.locator('#curves-text tr').count()) > 5);
+    await page.locator('button[data-text=curves]').click();
+  });
+
+  await t.test('an update is soon on the page', async () => {
+    const ages = [];
+    for (let i = 0; i < 20; i++) {
+      const before = await newest(page);
+      await until('an update', async () => (await newest(page)) > before);
+      ages.push(await page.evaluate(() => Number(document.documentElement.dataset.age)));
+    }
+    ages.sort((a, b) => a - b);
+    t.diagnostic(`age of an update on the page: median ${ages[10]} ms, largest ${ages[19]} ms`);
+    assert.ok(ages[10] < 2_000, `${ages}`);
+  });
+  assert.deepEqual(complaints, []);
+  assert.deepEqual(first.complaints, []);
+});
+
+test('an actor that is killed is struck through, and a learner that is killed comes back without duplicates', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  const socket = `unixsock-stream/${join(place.path, 'z')}`;
+  const learner = `learner -c cartpole --steps 5e7 --name r --set run.checkpoint_every=5 --set learner.n_steps=32 --listen ${socket}`;
+  const first = place.start(learner);
+  const actors = ['a', 'b'].map((id) => place.start(`actor --connect ${socket} --id ${id}`));
+  const link = await place.start(`watch --connect ${socket} --http 127.0.0.1:0`).page();
+  const { page, complaints } = await chrome.open(link);
+  await complete(page);
+  await until('both actors', async () => (await page.locator('#actors-rows tr:not(.gone)').count()) === 2);
+  await actors[1].kill();
+  await page.locator('tr.gone[data-actor=b]').waitFor({ timeout: 5_000 });
+
+  await first.kill();
+  await until('the learner is missed', async () => (await state(page)).includes('lost'), 10_000);
+  place.start(learner);
+  await until('training again', async () => (await state(page)).includes('training'));
+  const before = await newest(page);
+  await until('more updates', async () => (await newest(page)) > before + 10);
+  const history = await page.evaluate(async () => {
+    const answer = await fetch('state.json');
+    return (await answer.json()).history;
+  });
+  assert.ok(history.x.every((x, i) => i === 0 || x > history.x[i - 1]), 'no update twice');
+  assert.ok(history.marks.length >= 1, 'the resume is marked');
+  assert.deepEqual(complaints, []);
+});
+
+test('a finished run: the page stays and says so, live and from the disk', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  const run = place.start(SHORT, '--watch 127.0.0.1:0');
+  const { page } = await chrome.open(await run.page());
+  assert.equal(await run.ended, 0, run.said);
+  await until('the end', async () => (await state(page)).includes('finished'));
+  assert.ok((await newest(page)) > 0, 'what it showed is still there');
+
+  const link = await place.start('watch runs/short --http 127.0.0.1:0').page();
+  const disk = await chrome.open(link);
+  await until('the run on the disk', async () => (await state(disk.page)) === 'finished' && (await newest(disk.page)) > 0);
+  assert.deepEqual(disk.complaints, []);
+});
+
+test('a token is needed where it is asked for', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(SHORT).ended, 0);
+  const link = await place.start('watch runs/short --http 127.0.0.1:0 --token auto').page();
+  assert.match(link, /#token=[0-9a-f]{32}$/);
+  const { page, complaints } = await chrome.open(link);
+  await until('the run', async () => (await newest(page)) > 0);
+  assert.deepEqual(complaints, []);
+  const without = await chrome.open(link.split('#')[0]);
+  await until('a refusal', async () => (await state(without.page)).includes('token'));
+});
+
+test('a playthrough speaks', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  const link = await place.start('up -c lander --actors 2 --name fly --watch 127.0.0.1:0').page();
+  const { page, complaints } = await chrome.open(link);
+  await until('words', async () => (await text(page, 'heard')).length > 3);
+  const painted = await page.evaluate(() => {
+    const canvas = document.querySelector('#stage');
+    const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+    return new Set(new Uint32Array(pixels.buffer)).size;
+  });
+  assert.ok(painted > 5, `${painted} colours`);
+  assert.match(await text(page, 'flight-note'), /version \d+, episode \d+/);
+  assert.deepEqual(complaints, []);
+});
+
+/** Lists texts whose contrast with what is behind them is below 4.5. */
+function illegible() {
+  const channel = (value) => ((value /= 255) <= 0.03928 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4);
+  const luminance = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
+  const numbers = (colour) => colour.match(/[\d.]+/g).map(Number);
+  const behind = (element) => {
+    for (let at = element; at; at = at.parentElement) {
+      const colour = numbers(getComputedStyle(at).backgroundColor);
+      if (colour.length < 4 || colour[3] === 1) return colour;
+    }
+    return [255, 255, 255];
+  };
+  const found = [];
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const parent = walker.currentNode.parentElement;
+    if (!walker.currentNode.textContent.trim() || !parent.checkVisibility() || parent.closest('noscript')) continue;
+    const [a, b] = [luminance(numbers(getComputedStyle(parent).color)), luminance(behind(parent))];
+    const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (contrast < 4.5) found.push(`${walker.currentNode.textContent.trim()}: ${contrast.toFixed(2)}`);
+  }
+  return found;
+}
