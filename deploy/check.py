@@ -94,12 +94,12 @@ def alerts(file):
 # Name, what it needs, what it checks, and a misspelling: in which file, which word becomes which.
 CHECKS = [
     ("units", lambda: shutil.which("systemd-analyze"), systemd, "systemd",
-     [("leadtime-learner@.service", "TimeoutStopSec", "TimeoutStopSecs"), ("leadtime-certs.timer", "OnCalendar=daily", "OnCalendar=dayly"),
+     [("leadtime-learner@.service", "TimeoutStopSec", "TimeoutStopSecs"), ("leadtime-certs.timer", "OnCalendar=daily", "OnCalendar=never"),
       ("leadtime-router.service", "CapabilityBoundingSet=\n", "")]),
     ("compose file", lambda: shutil.which("check-jsonschema"), compose, "compose.yaml", [("", "stop_grace_period", "stop_grace_periods")]),
     ("image file", lambda: shutil.which("hadolint"), image, "container/Containerfile", [("", "STOPSIGNAL", "STOPSIGNALS")]),
     ("manifests", lambda: find_spec("kubernetes_validate"), kubernetes, "kubernetes",
-     [("learner.yaml", "terminationGracePeriodSeconds", "terminationGracePeriodSecond"), ("actors.yaml", "readinessProbe", "readynessProbe"),
+     [("learner.yaml", "terminationGracePeriodSeconds", "terminationGracePeriodSecond"), ("actors.yaml", "readinessProbe", "readinessProbes"),
       ("autoscaler.yaml", "maxReplicas", "maxReplica"), ("network.yaml", "policyTypes", "policyType")]),
     ("names of metrics", lambda: True, names, "grafana",
      [("leadtime.json", "leadtime_wait_ratio", "leadtime_wait_ration"), ("alerts.yaml", "leadtime_books_imbalance", "leadtime_book_imbalance")]),

@@ -21,11 +21,15 @@ mod commands;
 mod crash;
 mod display;
 mod exit;
+mod log_file;
+mod log_line;
 mod logging;
 mod output;
 mod program;
+mod service;
 mod shutdown;
 mod sink;
+mod status;
 mod terminal;
 mod threads;
 

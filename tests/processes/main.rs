@@ -6,6 +6,7 @@
 //! | `bad_input` | wrong input is one sentence and a documented exit code |
 //! | `compare` | a study becomes its tables, also when it is killed on the way |
 //! | `help` | help fits a terminal, and its examples are read; so do lists of runs; the next command is said and works |
+//! | `operations` | status pages, logs, signals, the service manager, a full disk, old runs |
 //! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
 //! | `race` | a race stops who is behind, and changes nobody's weights |
 //! | `resilience` | killing anything changes no bit; the books balance |
@@ -21,6 +22,7 @@
 mod bad_input;
 mod compare;
 mod help;
+mod operations;
 mod probe;
 mod program;
 mod race;

@@ -128,6 +128,11 @@ impl RolloutIntake {
         std::mem::take(&mut lock(&self.uncounted))
     }
 
+    /// Returns how many bytes wait in the queue.
+    pub(crate) fn queued_bytes(&self) -> usize {
+        self.all.n_bytes.load(Ordering::Relaxed)
+    }
+
     /// Takes nothing more from this start of the actor.
     pub(crate) fn cut_off(&self, actor: &ActorId, incarnation: Incarnation) {
         lock(&self.senders).entry(Some(actor.clone())).or_default().cut_off = Some(incarnation);

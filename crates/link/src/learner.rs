@@ -227,6 +227,11 @@ impl LearnerLink {
         self.intake.take_uncounted()
     }
 
+    /// Returns how many bytes of messages were received and not looked at yet.
+    pub fn queued_bytes(&self) -> usize {
+        self.intake.queued_bytes()
+    }
+
     /// Leaves the network, within a limited time.
     ///
     /// # Errors

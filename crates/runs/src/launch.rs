@@ -26,6 +26,8 @@ pub struct Launch<'a> {
     pub fork: Option<&'a Path>,
     /// Updates in all after which the run stops with a checkpoint.
     pub stop_after: Option<u64>,
+    /// Where the learner serves its status.
+    pub status: Option<&'a str>,
     /// Whether the learner's results go to standard output.
     pub learner_stdout: bool,
     /// File that collects what the processes log, instead of standard error.
@@ -43,6 +45,7 @@ impl<'a> Launch<'a> {
             listen: &[],
             fork: None,
             stop_after: None,
+            status: None,
             learner_stdout: false,
             stderr_log: None,
             options: &[],
@@ -141,6 +144,9 @@ fn plan(
     }
     if let Some(updates) = launch.stop_after {
         learner.extend(text(&["--stop-after", &updates.to_string()]));
+    }
+    if let Some(address) = launch.status {
+        learner.extend(text(&["--status", address]));
     }
     let actor = |number: u32| {
         let id = format!("actor-{number}");

@@ -21,6 +21,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
         listen: &args.listen,
         fork: args.run.fork.as_deref(),
         stop_after: args.run.stop_after,
+        status: args.status.as_deref(),
         learner_stdout: true,
         options,
         ..Launch::new(Naming::Resume, args.actors)

@@ -1,8 +1,10 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use anyhow::Context as _;
 use leadtime_learner::{RunEnd, RunReport};
-use leadtime_link::ListenSettings;
+use leadtime_link::{Endpoint, ListenSettings};
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
 use leadtime_runs::policy_file::Fork;
@@ -14,12 +16,13 @@ use leadtime_runs::{
 use serde_json::json;
 
 use super::report;
-use crate::build;
 use crate::cli::{LearnerArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE};
-use crate::shutdown::{Watch, watch};
+use crate::shutdown::{Watch, drain_on_request, watch};
 use crate::sink::{RunSink, held_out_sentence};
+use crate::status::{LearnerFacts, LearnerStatus, StatusServer};
+use crate::{build, log_line, service};
 
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
@@ -29,10 +32,14 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let fork = args.run.fork.as_deref().map(|from| Fork::read(&config, from));
     let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
     let listen = listen_settings(&args.listen).blame(ExitCode::WrongInput)?;
+    let status = bind_status(args.status.as_deref()).await?;
+    let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let build = build::this_build()?;
     let (mut run_dir, state) =
         RunDir::open(&config, fork.as_ref(), &build).blame(ExitCode::WrongInput)?;
+    log_line::is_about_run(run_dir.name.as_str());
     if state == RunState::Finished {
+        service::ready();
         let (name, path) = (&run_dir.name, run_dir.path.display());
         output::say(&format!(
             "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
@@ -49,6 +56,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         );
     }
     tracing::info!("run opened: {}", run_dir.path.display());
+    let certificate = listen.endpoints.iter().find_map(Endpoint::certificate);
     let learner = learner_config(&config, &run_dir, listen, build).blame(ExitCode::WrongInput)?;
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
@@ -56,14 +64,24 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     // At the end of the run there is nothing to stop, and a last evaluation to wait for.
     let stop = args.run.stop_after.filter(|n_updates| *n_updates < config.learner.n_updates());
     let stop = stop.map(|n_updates| (n_updates, shutdown.clone()));
-    let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
+    let status = status.map(|server| {
+        let facts = LearnerFacts {
+            run: run_dir.name.to_string(),
+            directory: run_dir.path.clone(),
+            checkpoint_interval: config.run.checkpoints.time,
+            certificate,
+        };
+        LearnerStatus::serve(server, facts)
+    });
+    let sink = RunSink::new(run_dir.path.clone(), recorder, stop).with_status(status);
     let held_out = held_out_evaluation(&config, &tasks.registry);
     let report = leadtime_learner::run(learner, Box::new(sink), held_out, shutdown.clone()).await;
+    service::stopping();
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
         // A supervisor that lives removes it itself; if it was killed nobody else would.
         scratch::remove_if_abandoned(scratch);
     }
-    let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args);
+    let concluded = conclude(&mut run_dir, &report.map_err(failure)?, args, &drained);
     let files = RunFiles::read(&run_dir.path).map_err(anyhow::Error::from);
     let written = files.and_then(|run| {
         let findings = Findings::of_training(&config, &run, &output::program());
@@ -73,6 +91,14 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         tracing::warn!("report.html cannot be written: {error:#}");
     }
     concluded
+}
+
+/// Takes the address of `--status`, before anything of the run is touched.
+pub(super) async fn bind_status(address: Option<&str>) -> Result<Option<StatusServer>, Failure> {
+    match address {
+        Some(address) => StatusServer::bind(address).await.map(Some),
+        None => Ok(None),
+    }
 }
 
 fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
@@ -104,7 +130,12 @@ fn failure(error: leadtime_learner::Error) -> Failure {
 }
 
 /// Records and prints how the run ended.
-fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Result<(), Failure> {
+fn conclude(
+    run_dir: &mut RunDir,
+    report: &RunReport,
+    args: &LearnerArgs,
+    drained: &AtomicBool,
+) -> Result<(), Failure> {
     let digest = digest::hex(&report.digest);
     let books = &report.books;
     // As the record keeps them.
@@ -154,6 +185,7 @@ fn conclude(run_dir: &mut RunDir, report: &RunReport, args: &LearnerArgs) -> Res
         output::next_resumes("learner", path, name, &listen.collect::<Vec<_>>());
         output::note("The actors have to be started again, too.");
     }
-    let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates);
+    let asked = args.run.stop_after.is_some_and(|updates| n_updates >= updates)
+        || drained.load(Ordering::Relaxed);
     if asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
 }
