@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use leadtime_link::ConnectSettings;
-use leadtime_proto::{ActorId, Incarnation, RunName, Sequence};
+use leadtime_proto::{ActorId, Incarnation, PolicyVersion, RunName, Sequence};
 
 /// Everything an actor needs before it meets a learner; the rest comes with the welcome.
 #[derive(Clone, Debug)]
@@ -23,6 +23,23 @@ pub struct ActorSettings {
     pub program: String,
     /// CPU fingerprint: equal fingerprints give equal bits.
     pub cpu: String,
+}
+
+/// How an actor stands at a moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ActorStanding {
+    /// Environment steps simulated.
+    pub n_steps: u64,
+    /// Rollouts sent and not acknowledged.
+    pub n_unacknowledged: u64,
+    /// The newest version of the weights that is here.
+    pub version: Option<PolicyVersion>,
+    /// Hellos after the first.
+    pub n_reconnects: u64,
+    /// Whether it has environments to step.
+    pub is_assigned: bool,
+    /// Whether it looks for a learner that was lost.
+    pub is_searching: bool,
 }
 
 /// Why an actor left in good order.

@@ -25,9 +25,9 @@ mod state;
 mod weight_cache;
 mod worker;
 
-pub use config::{ActorEnd, ActorReport, ActorSettings};
+pub use config::{ActorEnd, ActorReport, ActorSettings, ActorStanding};
 pub use error::Error;
 pub use outbox::EncodedRollout;
-pub use run::run;
+pub use run::{run, run_watched};
 pub use state::{Actor, ActorInput, ActorOutput, PUBLISHING};
 pub use worker::{Phase, Stopwatch, Worker};

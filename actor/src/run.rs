@@ -19,7 +19,7 @@ use leadtime_policy::Parameters;
 use leadtime_proto::message::{Assignment, Hello, Welcome};
 use leadtime_proto::{EnvId, PolicySpec, PolicyVersion};
 use leadtime_sims::Registry;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep_until, timeout_at};
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, info};
@@ -29,7 +29,7 @@ use crate::job_thread::JobThread;
 use crate::metrics::Metrics;
 use crate::outbox::EncodedRollout;
 use crate::state::{Actor, ActorInput, ActorOutput, PUBLISHING};
-use crate::{ActorEnd, ActorReport, ActorSettings, Error};
+use crate::{ActorEnd, ActorReport, ActorSettings, ActorStanding, Error};
 
 /// How often time-outs are looked at and metrics are published.
 const TICK: Duration = Duration::from_secs(1);
@@ -37,6 +37,8 @@ const TICK: Duration = Duration::from_secs(1);
 const HELLO_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long a leaving actor waits for the acknowledgement of what it sent.
 const FAREWELL: Duration = Duration::from_secs(1);
+/// How long an actor that is asked to stop may take to finish the rollout that it is at.
+const LAST_ROLLOUT: Duration = Duration::from_secs(1);
 
 type LiveActor = Actor<Arc<Parameters>, ControlResponder, RestoredEnvs>;
 type LiveInput = ActorInput<Arc<Parameters>, ControlResponder, RestoredEnvs>;
@@ -78,13 +80,27 @@ pub async fn run(
     registry: Registry,
     stop: CancellationToken,
 ) -> Result<ActorReport, Error> {
+    run_watched(settings, registry, stop, watch::channel(None).0).await
+}
+
+/// As [`run`], and says once a second how the actor stands: nothing before the first welcome.
+///
+/// # Errors
+///
+/// As [`run`].
+pub async fn run_watched(
+    settings: ActorSettings,
+    registry: Registry,
+    stop: CancellationToken,
+    standing: watch::Sender<Option<ActorStanding>>,
+) -> Result<ActorReport, Error> {
     let opened = ActorLink::open(&settings.connect, &settings.actor, settings.incarnation);
     let (link, events) = tokio::select! {
         opened = opened => opened?,
         () = stop.cancelled() => return Err(Error::CancelledEarly),
     };
     let link = Arc::new(link);
-    let result = live(settings, registry, &link, &events, &stop).await;
+    let result = live(settings, registry, &link, &events, &stop, standing).await;
     if let Err(error) = link.close().await {
         debug!(%error, "network not closed in time");
     }
@@ -97,6 +113,7 @@ async fn live(
     link: &Arc<ActorLink>,
     events: &Events<ActorEvent>,
     stop: &CancellationToken,
+    standing: watch::Sender<Option<ActorStanding>>,
 ) -> Result<ActorReport, Error> {
     let hello = LiveActor::first_hello(&settings);
     let greeting = link.hello(settings.run.as_ref(), &hello, settings.connect.timeout);
@@ -105,7 +122,7 @@ async fn live(
         () = stop.cancelled() => return Err(Error::CancelledEarly),
     };
     info!(run = %welcome.run, domain = welcome.spec.task.domain, "joined");
-    let mut process = Process::new(settings, registry, Arc::clone(link), welcome)?;
+    let mut process = Process::new(settings, registry, Arc::clone(link), welcome, standing)?;
     let end = process.work(events, stop).await?;
     process.farewell(events).await;
     match &end {
@@ -127,6 +144,7 @@ struct Process {
     tasks: (mpsc::Sender<ActorWake>, mpsc::Receiver<ActorWake>),
     n_steps: u32,
     metrics: Metrics,
+    standing: watch::Sender<Option<ActorStanding>>,
 }
 
 impl Process {
@@ -135,6 +153,7 @@ impl Process {
         registry: Registry,
         link: Arc<ActorLink>,
         welcome: Welcome,
+        standing: watch::Sender<Option<ActorStanding>>,
     ) -> Result<Self, Error> {
         // What the learner says of the run is checked before anything is built by it.
         let (incarnation, spec) = (settings.incarnation, welcome.spec.clone());
@@ -156,6 +175,7 @@ impl Process {
             tasks: mpsc::channel(2),
             n_steps: spec.n_steps,
             metrics: Metrics::default(),
+            standing,
         })
     }
 
@@ -168,13 +188,39 @@ impl Process {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             let wake = self.next_wake(events, &mut ticks, stop).await?;
-            let Some(input) = self.input(wake)? else { return Ok(ActorEnd::Cancelled) };
+            let Some(input) = self.input(wake)? else {
+                self.finish_rollout(events, &mut ticks).await?;
+                return Ok(ActorEnd::Cancelled);
+            };
             for output in self.actor.handle(Instant::now(), input) {
                 if let Some(end) = self.carry_out(output)? {
                     return Ok(end);
                 }
             }
         }
+    }
+
+    /// Lets the rollout that is being made come to its end and sends it, if that does not take too long: else another
+    /// actor makes it again.
+    async fn finish_rollout(
+        &mut self,
+        events: &Events<ActorEvent>,
+        ticks: &mut Interval,
+    ) -> Result<(), Error> {
+        self.actor.begin_leaving();
+        let never = CancellationToken::new();
+        let deadline = tokio::time::Instant::now() + LAST_ROLLOUT;
+        while self.actor.is_busy() {
+            let wake = self.next_wake(events, ticks, &never);
+            let Ok(wake) = timeout_at(deadline, wake).await else { break };
+            let Some(input) = self.input(wake?)? else { break };
+            for output in self.actor.handle(Instant::now(), input) {
+                if self.carry_out(output)?.is_some() {
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
     }
 
     async fn next_wake(
@@ -281,6 +327,7 @@ impl Process {
     }
 
     fn report_metrics(&self) {
+        self.standing.send_replace(Some(self.actor.standing(self.metrics.n_steps)));
         let report = self.metrics.report(&self.actor);
         if let Err(error) = self.link.publish_metrics(report.as_bytes()) {
             debug!(%error, "metrics not published");

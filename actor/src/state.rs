@@ -33,7 +33,7 @@ use tracing::{debug, info, warn};
 
 use crate::outbox::{EncodedRollout, Outbox};
 use crate::weight_cache::WeightCache;
-use crate::{ActorEnd, ActorSettings, Error};
+use crate::{ActorEnd, ActorSettings, ActorStanding, Error};
 
 /// Rollouts that may be with the publishing thread.
 pub const PUBLISHING: usize = 4;
@@ -198,6 +198,7 @@ pub struct Actor<W, R, E> {
     credit_timeout: Duration,
     /// How often hello was said again.
     pub(crate) n_reconnects: u64,
+    is_leaving: bool,
     has_ended: bool,
     outputs: Vec<ActorOutput<W, R, E>>,
 }
@@ -232,6 +233,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             last_credit: now,
             credit_timeout: CREDIT_TIMEOUT.0,
             n_reconnects: 0,
+            is_leaving: false,
             has_ended: false,
             outputs: Vec::new(),
         };
@@ -298,6 +300,28 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         match &self.greeting {
             Some(greeting) => greeting.retry_at,
             None => self.wants_weights().map(|_| self.may_pull_from),
+        }
+    }
+
+    /// Begins no rollout any more, because the actor is about to leave: those that are done are still sent.
+    pub(crate) fn begin_leaving(&mut self) {
+        self.is_leaving = true;
+    }
+
+    /// Tells whether a rollout is being made, or handed to the network.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.greeting.is_none() && (self.job.is_some() || self.n_publishing > 0)
+    }
+
+    /// Returns how the actor stands, with what its process has counted.
+    pub(crate) fn standing(&self, n_steps: u64) -> ActorStanding {
+        ActorStanding {
+            n_steps,
+            n_unacknowledged: self.outbox.sent.0 - self.outbox.acknowledged.0,
+            version: self.weights.newest_kept(),
+            n_reconnects: self.n_reconnects,
+            is_assigned: self.next.is_some(),
+            is_searching: self.greeting.is_some(),
         }
     }
 
@@ -502,6 +526,9 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
                 self.outputs.push(ActorOutput::Hello(hello));
             }
             return;
+        }
+        if self.is_leaving {
+            return self.publish();
         }
         self.restore();
         self.publish();

@@ -20,6 +20,11 @@ impl<W: Clone> WeightCache<W> {
         Self { schedule, announced, versions: BTreeMap::new() }
     }
 
+    /// Returns the newest version that is here.
+    pub(crate) fn newest_kept(&self) -> Option<PolicyVersion> {
+        self.versions.last_key_value().map(|(&version, _)| version)
+    }
+
     /// Notes which versions there are. Older news than the last are late and ignored.
     pub(crate) fn announce(&mut self, news: &Announcement) {
         if news.newest() >= self.newest_announced() {

@@ -17,8 +17,10 @@ use leadtime_studies::{EPISODES, EVAL_SEED};
 
 use crate::exit::EXIT_CODE_HELP;
 
+mod operations;
 mod taxonomy;
 
+pub(crate) use operations::{HealthArgs, PruneArgs, VersionArgs};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
@@ -32,6 +34,40 @@ pub(crate) struct Cli {
     pub command: Command,
     #[command(flatten)]
     pub verbosity: Verbosity,
+    #[command(flatten)]
+    pub logs: LogArgs,
+}
+
+/// How the log is written.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct LogArgs {
+    /// How lines of the log are written.
+    #[arg(long, global = true, value_name = "FORMAT", value_enum, default_value_t)]
+    pub log: LogFormat,
+    /// Write the log to the end of this file instead of standard error. It is opened again when it was moved away, and on
+    /// SIGHUP.
+    #[arg(long, global = true, value_name = "FILE")]
+    pub log_file: Option<PathBuf>,
+}
+
+/// How lines of the log are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object per line: time, level, target, message, run, actor, fields.
+    Json,
+}
+
+impl LogArgs {
+    /// Returns the options that give another process of ours the same.
+    pub(crate) fn options(&self) -> Vec<String> {
+        let format = (self.log == LogFormat::Json).then(|| ["--log".to_owned(), "json".to_owned()]);
+        let file = self.log_file.as_ref().map(|file| file.display().to_string());
+        let file = file.map(|file| ["--log-file".to_owned(), file]);
+        format.into_iter().chain(file).flatten().collect()
+    }
 }
 
 /// How much is said on standard error.
@@ -156,6 +192,10 @@ pub(crate) enum Command {
     Check(CheckArgs),
     /// Make a crate for a world of your own, which builds outside of Leadtime's source.
     New(NewArgs),
+    /// Ask a learner or an actor with --status whether it is well: exit code 0 if so, 1 if not, 3 if nobody answers.
+    Health(HealthArgs),
+    /// Print the versions of the program, of its protocol and of its checkpoints.
+    Version(VersionArgs),
     /// Print shell completions.
     Completions {
         /// The shell.
@@ -307,6 +347,9 @@ pub(crate) struct UpArgs {
     /// Also listen here, so that actors elsewhere can join: `tcp/0.0.0.0:7447`.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
+    /// Serve the learner's /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
+    #[arg(long, value_name = "ADDRESS")]
+    pub status: Option<String>,
     /// Also serve a live page of the run here: `127.0.0.1:8080`; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS")]
     pub watch: Option<String>,
@@ -395,6 +438,9 @@ pub(crate) struct LearnerArgs {
     /// Where to listen: `tcp/127.0.0.1:7447`, `tcp/0.0.0.0:7447`, `unixsock-stream//tmp/learner.sock`.
     #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
     pub listen: Vec<String>,
+    /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
+    #[arg(long, value_name = "ADDRESS")]
+    pub status: Option<String>,
     /// Stop when standard input closes: whoever started this process holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
@@ -421,6 +467,9 @@ pub(crate) struct ActorArgs {
     /// How long to look for a learner that was lost: networks fail for longer than typing errors last.
     #[arg(long, value_name = "DURATION", default_value = "30m", value_parser = duration)]
     pub reconnect_timeout: Duration,
+    /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
+    #[arg(long, value_name = "ADDRESS")]
+    pub status: Option<String>,
     /// Stop when standard input closes: whoever started this process holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
@@ -737,6 +786,8 @@ pub(crate) enum RunsCommand {
         /// Another run.
         second: String,
     },
+    /// List the old runs, and with --yes remove them; never one that is in use.
+    Prune(PruneArgs),
 }
 
 /// `leadtime check`
@@ -798,6 +849,14 @@ fn changeable(text: &str) -> Result<Override, String> {
          the weights",
         change.key()
     ))
+}
+
+/// Reads `30d` or `12h`; a day has 24 hours.
+fn age(text: &str) -> Result<Duration, String> {
+    let days = text.strip_suffix('d').and_then(|days| days.trim().parse::<u32>().ok());
+    let days = days.map(|days| Duration::from_hours(24 * u64::from(days)));
+    days.map_or_else(|| duration(text), Ok)
+        .map_err(|_no_days| "write a number with its unit: 30d or 12h".to_owned())
 }
 
 /// Reads a number of steps: `200000` or `1e6`.

@@ -21,12 +21,16 @@ mod commands;
 mod crash;
 mod display;
 mod exit;
+mod log_file;
+mod log_line;
 mod logging;
 mod metrics_pipe;
 mod output;
 mod program;
+mod service;
 mod shutdown;
 mod sink;
+mod status;
 mod terminal;
 mod threads;
 

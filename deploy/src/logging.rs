@@ -1,31 +1,44 @@
-//! Logging: tracing events on standard error.
+//! Logging: tracing events on standard error, or in a file.
 
 use std::env::{self, VarError};
 use std::fmt;
 use std::io::{self, Write};
 
+use anyhow::Context as _;
 use leadtime_runs::clock;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
 
-use crate::exit::Failure;
-use crate::terminal;
+use crate::cli::{LogArgs, LogFormat};
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::log_line::JsonLine;
+use crate::{log_file, terminal};
 
 /// The variable that says what to log.
 const VARIABLE: &str = "RUST_LOG";
 
-/// Starts logging at `level` (`info`, `warn`) unless `RUST_LOG` says otherwise; refuses what is not a filter.
-pub(crate) fn start(level: &str) -> Result<(), Failure> {
-    let colour = terminal::is_watched() && env::var_os("NO_COLOR").is_none();
-    let started = tracing_subscriber::fmt()
-        .with_env_filter(filter(level, env::var(VARIABLE))?)
-        .with_writer(Terminal)
-        .with_timer(TimeStamp)
-        .with_ansi(colour)
-        .with_target(false)
-        .try_init();
+/// Starts logging at `level` (`info`, `warn`) unless `RUST_LOG` says otherwise; refuses what is not a filter, and a file
+/// that cannot be opened.
+pub(crate) fn start(level: &str, how: &LogArgs) -> Result<(), Failure> {
+    let filter = filter(level, env::var(VARIABLE))?;
+    if let Some(path) = &how.log_file {
+        let opened = log_file::open(path);
+        opened
+            .with_context(|| format!("--log-file {}", path.display()))
+            .blame(ExitCode::WrongInput)?;
+    }
+    let is_watched = terminal::is_watched() && how.log_file.is_none();
+    let colour = is_watched && env::var_os("NO_COLOR").is_none();
+    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(LogOutput);
+    let started = match how.log {
+        LogFormat::Json => lines.event_format(JsonLine).try_init(),
+        LogFormat::Text => {
+            let lines = lines.with_timer(TimeStamp { is_watched });
+            lines.with_ansi(colour).with_target(false).try_init()
+        }
+    };
     if started.is_err() {
         tracing::debug!("logging was started by the embedding program");
     }
@@ -46,11 +59,13 @@ fn filter(level: &str, wanted: Result<String, VarError>) -> Result<EnvFilter, Fa
 
 /// Writes the time of day for a person who watches, the date and time where they read it later.
 #[derive(Clone, Copy, Debug)]
-struct TimeStamp;
+struct TimeStamp {
+    is_watched: bool,
+}
 
 impl FormatTime for TimeStamp {
     fn format_time(&self, out: &mut Writer<'_>) -> fmt::Result {
-        out.write_str(&if terminal::is_watched() { clock::time_of_day() } else { clock::utc_now() })
+        out.write_str(&if self.is_watched { clock::time_of_day() } else { clock::utc_now() })
     }
 }
 
@@ -59,11 +74,12 @@ pub(crate) fn is_chatty() -> bool {
     tracing::enabled!(tracing::Level::INFO)
 }
 
-/// Writes to standard error; a line that cannot be written, on a full disk for one, is dropped and ends nothing.
+/// Writes to the log file, or to standard error; a line that cannot be written, on a full disk for one, is dropped and ends
+/// nothing.
 #[derive(Clone, Copy, Debug)]
-struct Terminal;
+struct LogOutput;
 
-impl<'a> MakeWriter<'a> for Terminal {
+impl<'a> MakeWriter<'a> for LogOutput {
     type Writer = Self;
 
     fn make_writer(&'a self) -> Self {
@@ -71,10 +87,12 @@ impl<'a> MakeWriter<'a> for Terminal {
     }
 }
 
-impl Write for Terminal {
+impl Write for LogOutput {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         // No error is returned: the subscriber would answer it with `eprintln!`, which panics for the same reason.
-        terminal::print(&String::from_utf8_lossy(bytes));
+        if !log_file::write(bytes) {
+            terminal::print(&String::from_utf8_lossy(bytes));
+        }
         Ok(bytes.len())
     }
 

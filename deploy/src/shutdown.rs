@@ -3,13 +3,18 @@
 //! Ctrl-C, SIGTERM, SIGHUP (the terminal was closed) and, for a supervised process, the end of standard input all cancel
 //! the same token; everything that works watches it, writes its checkpoint and books, and returns. If that takes longer than
 //! [`DEADLINE`] the process ends anyway, and a second Ctrl-C ends it at once. A supervisor has a little longer
-//! ([`SUPERVISOR_DEADLINE`]): it must outlive its children to kill those that hang.
+//! ([`SUPERVISOR_DEADLINE`]): it must outlive its children to kill those that hang. A learner that cannot save what it has
+//! learned may go on trying for [`UNSAVED_TIME`].
+//!
+//! With a log file SIGHUP opens that anew, and ends nothing. SIGUSR1 drains a learner: it ends as on SIGTERM, with success.
 //!
 //! A supervised process reads its standard input and does nothing with it: the supervisor holds the other end and
 //! never writes. When the supervisor closes it, or dies in whatever way, the read ends: so there are no orphans.
 
 use std::fs;
 use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
@@ -18,6 +23,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::log_file;
 
 /// How long a process may take to end after it was asked to.
 pub(crate) const DEADLINE: Duration = Duration::from_millis(4_400);
@@ -27,6 +33,32 @@ const _: () = assert!(
     DEADLINE.as_millis() < GRACE.as_millis() && GRACE.as_millis() < SUPERVISOR_DEADLINE.as_millis(),
     "a child ends by itself first, then it is killed, then the supervisor ends"
 );
+
+/// How much longer a process may take that tries to save what it has learned.
+const UNSAVED_TIME: Duration = Duration::from_mins(1);
+/// Whether the process holds what it could not save.
+static IS_UNSAVED: AtomicBool = AtomicBool::new(false);
+
+/// Gives the process [`UNSAVED_TIME`] more to end, because it holds what it cannot save; its exit code says so.
+pub(crate) fn wait_for_unsaved() {
+    IS_UNSAVED.store(true, Ordering::Relaxed);
+}
+
+/// Asks the process to end on SIGUSR1, too; returns whether that was the reason.
+pub(crate) fn drain_on_request(shutdown: &CancellationToken) -> io::Result<Arc<AtomicBool>> {
+    let mut asked = signal(SignalKind::user_defined1())?;
+    let drained = Arc::new(AtomicBool::new(false));
+    let (note, shutdown) = (Arc::clone(&drained), shutdown.clone());
+    tokio::spawn(async move {
+        asked.recv().await;
+        if !shutdown.is_cancelled() {
+            tracing::info!("asked to drain: finishing");
+            note.store(true, Ordering::Relaxed);
+            shutdown.cancel();
+        }
+    });
+    Ok(drained)
+}
 
 /// Who may ask a process to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,7 +77,8 @@ pub(crate) fn watch(who: Watch) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
-    let mut hangup = (!ignores_hangup()).then(|| signal(SignalKind::hangup())).transpose()?;
+    let ends_with_terminal = !ignores_hangup() && !log_file::reopen_on_hangup()?;
+    let mut hangup = ends_with_terminal.then(|| signal(SignalKind::hangup())).transpose()?;
     let cancel = token.clone();
     tokio::spawn(async move {
         tokio::select! {
@@ -75,6 +108,9 @@ pub(crate) fn watch(who: Watch) -> io::Result<CancellationToken> {
         // A thread, because the runtime itself may be what does not end.
         let spawned = timer.spawn(move || {
             thread::sleep(deadline);
+            if IS_UNSAVED.load(Ordering::Relaxed) {
+                thread::sleep(UNSAVED_TIME);
+            }
             end_now();
         });
         if spawned.is_err() {
@@ -118,5 +154,7 @@ fn wait_for_end_of_input() {
 
 #[expect(clippy::exit, reason = "the deadline has passed, or the person insists")]
 fn end_now() {
-    std::process::exit(ExitCode::Interrupted as i32);
+    let is_unsaved = IS_UNSAVED.load(Ordering::Relaxed);
+    let code = if is_unsaved { ExitCode::WrongInput } else { ExitCode::Interrupted };
+    std::process::exit(code as i32);
 }

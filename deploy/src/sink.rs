@@ -3,15 +3,20 @@
 use std::io;
 use std::path::PathBuf;
 
-use leadtime_learner::{HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, UpdateProgress};
+use leadtime_learner::{
+    HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, Standing, UpdateProgress,
+};
 use leadtime_link::Archive;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
 use tokio_util::sync::CancellationToken;
-use tracing::{debug, info, warn};
+use tracing::{debug, error, info, warn};
 
 use crate::display::Display;
 use crate::metrics_pipe::MetricsPipe;
+use crate::service::{self, Service};
+use crate::shutdown;
+use crate::status::LearnerStatus;
 
 /// Records a run's progress and shows it.
 #[derive(Debug)]
@@ -22,6 +27,9 @@ pub(crate) struct RunSink {
     has_warned: bool,
     /// Whether it was told that policies cannot be evaluated.
     has_told_failure: bool,
+    /// Who serves what the run reports, if somebody does.
+    status: Option<LearnerStatus>,
+    service: Service,
     /// After how many updates in all the run is asked to stop, and by what.
     stop: Option<(u64, CancellationToken)>,
     /// Who else gets the metrics.
@@ -41,6 +49,8 @@ impl RunSink {
             display: Display::new(),
             has_warned: false,
             has_told_failure: false,
+            status: None,
+            service: Service::new(),
             stop,
             pipe: None,
         }
@@ -49,6 +59,11 @@ impl RunSink {
     /// Hands every update's metrics on to a command, too.
     pub(crate) fn hand_on(&mut self, pipe: MetricsPipe) {
         self.pipe = Some(pipe);
+    }
+
+    /// Also serves what the run reports.
+    pub(crate) fn with_status(self, status: Option<LearnerStatus>) -> Self {
+        Self { status, ..self }
     }
 
     /// Asks the run to stop if it has made as many updates as it was to make.
@@ -62,10 +77,11 @@ impl RunSink {
 
     /// Warns once that a file cannot be written; the run goes on, because its checkpoints are what it needs.
     fn warn(&mut self, result: io::Result<()>) {
-        if let Err(error) = result
-            && !self.has_warned
-        {
-            self.has_warned = true;
+        let Err(error) = result else { return };
+        if let Some(status) = &self.status {
+            status.dropped();
+        }
+        if !std::mem::replace(&mut self.has_warned, true) {
             warn!(directory = %self.directory.display(), "metrics or policies cannot be written: {error:#}");
         }
     }
@@ -80,6 +96,9 @@ impl ProgressSink for RunSink {
             pipe.line(format!("{line}\n"));
         }
         self.display.update(progress);
+        if let Some(status) = &mut self.status {
+            status.update(progress);
+        }
         self.stop_after(progress.n_updates);
     }
 
@@ -94,7 +113,22 @@ impl ProgressSink for RunSink {
         {
             return;
         }
+        if let Some(status) = &self.status {
+            status.event(event);
+        }
+        if let RunEvent::Unsaved { kept, .. } = event {
+            shutdown::wait_for_unsaved();
+            // And what the last try takes.
+            service::extend(*kept + shutdown::DEADLINE);
+        }
         log(event);
+    }
+
+    fn on_tick(&mut self, standing: &Standing) {
+        self.service.tick(standing.has_enough_actors);
+        if let Some(status) = &self.status {
+            status.tick(standing);
+        }
     }
 
     fn on_policies(&mut self, last: &RatedPolicy, best: &RatedPolicy) {
@@ -132,9 +166,10 @@ pub(crate) fn held_out_sentence(means: &HeldOutMeans) -> String {
 
 fn log(event: &RunEvent) {
     use RunEvent::{
-        ActorJoined, ActorLeft, Assigned, CheckpointDamaged, CheckpointWritten, CutOff, Distrusted,
-        Evaluating, EvaluationFailed, Listening, OtherBuild, Refused, Resumed, SnapshotLost,
-        SnapshotRefused, Stopping, TooManyActors, WaitingForActors, WaitingForRollouts,
+        ActorJoined, ActorLeft, Assigned, CheckpointDamaged, CheckpointFailed, CheckpointRecovered,
+        CheckpointWritten, CutOff, Distrusted, Evaluating, EvaluationFailed, Listening, OtherBuild,
+        Paused, Refused, Resumed, SnapshotLost, SnapshotRefused, Stopping, TooManyActors, Unsaved,
+        WaitingForActors, WaitingForRollouts,
     };
     match event {
         Listening { locators } => info!(at = %locators.join(", "), "listening"),
@@ -186,6 +221,24 @@ fn log(event: &RunEvent) {
         }
         CheckpointWritten { path, n_updates } => {
             debug!(n_updates, checkpoint = %path.display(), "checkpointed");
+        }
+        CheckpointFailed { reason, retry } => {
+            warn!("{reason}; training goes on, and it is tried again every {}", duration(*retry));
+        }
+        CheckpointRecovered { unsaved } => {
+            info!("checkpoints can be written again, after {}", duration(*unsaved));
+        }
+        Paused { unsaved } => {
+            warn!(
+                "no checkpoint could be written for {}: training waits until there is room on the disk",
+                duration(*unsaved)
+            );
+        }
+        Unsaved { reason, kept } => {
+            error!(
+                "the end of the run cannot be saved: {reason}; it is tried again for {}, or until you ask once more to stop",
+                duration(*kept)
+            );
         }
         Evaluating => info!("training is done; evaluating on held-out episodes"),
         EvaluationFailed { version, reason } => {

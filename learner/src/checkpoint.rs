@@ -11,7 +11,7 @@
 //!
 //! # Invariants
 //!
-//! * The newest [`KEPT`] whole files stay. Damaged ones do not count, and go when the run has passed them.
+//! * The newest whole files stay, as many as [`Retention`] says. Damaged ones do not count, and go when the run has passed them.
 //! * A file of a format that this release does not read is not damaged: it is refused, and nothing is removed.
 //! * The directory is locked as long as a [`CheckpointStore`] lives, so two learners cannot share a run.
 
@@ -33,8 +33,10 @@ use crate::held_out_record::MAX_WAITING;
 
 /// The version of what a checkpoint holds; no other one is read.
 pub const FORMAT_VERSION: u32 = 3;
-/// How many checkpoints are kept.
+/// How many checkpoints are kept where nothing else is wanted.
 pub const KEPT: usize = 3;
+/// The most of the newest checkpoints that can be kept.
+pub const MAX_KEPT: usize = 1_000;
 const MAGIC: [u8; 4] = *b"LTCK";
 const FRONT_BYTES: usize = 48;
 /// The largest state that a checkpoint holds, in bytes.
@@ -55,6 +57,29 @@ pub fn max_payload_bytes(settings: &LearnerSettings, weights: usize, snapshot: u
     (3 + 2 + MAX_WAITING + n_older) * weights
         + settings.n_envs * (snapshot + ENV_BYTES)
         + RECORDS_BYTES
+}
+
+/// Which checkpoints stay when a new one is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Retention {
+    /// How many of the newest, 1..=[`MAX_KEPT`].
+    pub newest: usize,
+    /// Also those after a multiple of so many updates; 0: none.
+    pub every_updates: u64,
+}
+
+impl Default for Retention {
+    fn default() -> Self {
+        Self { newest: KEPT, every_updates: 0 }
+    }
+}
+
+impl Retention {
+    /// Tells whether a checkpoint stays for good.
+    fn is_for_good(self, path: &Path) -> bool {
+        let number = || path.file_stem()?.to_str()?.parse::<u64>().ok();
+        self.every_updates > 0 && number().is_some_and(|n| n.is_multiple_of(self.every_updates))
+    }
 }
 
 /// Why checkpoints cannot be written or read.
@@ -123,6 +148,7 @@ pub struct Loaded<T> {
 #[derive(Debug)]
 pub struct CheckpointStore {
     directory: PathBuf,
+    retention: Retention,
     /// Files that [`Self::newest`] found damaged.
     damaged: BTreeSet<PathBuf>,
     _lock: File,
@@ -135,7 +161,7 @@ impl CheckpointStore {
     ///
     /// [`CheckpointError::Write`] if it cannot be made or written, [`CheckpointError::InUse`] if another learner
     /// has it.
-    pub fn open(directory: &Path) -> Result<Self, CheckpointError> {
+    pub fn open(directory: &Path, retention: Retention) -> Result<Self, CheckpointError> {
         let failed = |source| CheckpointError::Write { path: directory.to_owned(), source };
         fs::create_dir_all(directory).map_err(failed)?;
         let lock = OpenOptions::new()
@@ -151,7 +177,8 @@ impl CheckpointStore {
             }
             Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
-        Ok(Self { directory: directory.to_owned(), damaged: BTreeSet::new(), _lock: lock })
+        let directory = directory.to_owned();
+        Ok(Self { directory, retention, damaged: BTreeSet::new(), _lock: lock })
     }
 
     /// Writes the state after `n_updates` updates and removes what is no longer needed.
@@ -185,18 +212,20 @@ impl CheckpointStore {
         Ok(path)
     }
 
-    /// Removes whole files beyond the newest [`KEPT`], and damaged ones that the run has passed.
+    /// Removes whole files that need not be kept, and damaged ones that the run has passed.
     ///
     /// A file that cannot be removed, or is gone already, is no reason to end a run whose state has just been saved.
     fn clean_up(&self, newest: &Path) {
         let Ok(files) = self.files() else { return };
         let (damaged, whole): (Vec<_>, Vec<_>) =
             files.into_iter().partition(|path| self.damaged.contains(path));
-        let n_old = whole.len().saturating_sub(KEPT);
+        let n_old = whole.len().saturating_sub(self.retention.newest);
+        let old = whole.into_iter().take(n_old);
+        let old = old.filter(|path| !self.retention.is_for_good(path));
         let passed = damaged.into_iter().filter(|path| path.as_path() < newest);
         // What a crash while writing left.
         let torn = self.entries(|name| replaced_name(name).is_some()).unwrap_or_default();
-        for path in whole.into_iter().take(n_old).chain(passed).chain(torn) {
+        for path in old.chain(passed).chain(torn) {
             if let Err(error) = fs::remove_file(&path)
                 && error.kind() != io::ErrorKind::NotFound
             {
@@ -284,8 +313,12 @@ mod tests {
 
     fn store() -> (tempfile::TempDir, CheckpointStore) {
         let directory = tempfile::tempdir().unwrap();
-        let store = CheckpointStore::open(&directory.path().join("checkpoints")).unwrap();
+        let store = open(&directory.path().join("checkpoints")).unwrap();
         (directory, store)
+    }
+
+    fn open(path: &Path) -> Result<CheckpointStore, CheckpointError> {
+        CheckpointStore::open(path, Retention::default())
     }
 
     fn newest(store: &mut CheckpointStore) -> Loaded<Vec<u64>> {
@@ -314,6 +347,15 @@ mod tests {
         assert_eq!(newest(&mut store).state, [12]);
         write(&mut store, [13]);
         assert!(!torn.exists());
+    }
+
+    #[test]
+    fn those_of_every_so_many_updates_stay_for_good() {
+        let directory = tempfile::tempdir().unwrap();
+        let retention = Retention { newest: 2, every_updates: 5 };
+        let mut store = CheckpointStore::open(directory.path(), retention).unwrap();
+        write(&mut store, 1..=13);
+        assert_eq!(store.files().unwrap(), [5, 10, 12, 13].map(|n| path(&store, n)));
     }
 
     #[test]
@@ -394,10 +436,10 @@ mod tests {
     fn a_second_learner_is_kept_out_until_the_first_is_gone_and_an_unwritable_place_is_named() {
         let (_directory, store) = store();
         let path = store.directory.clone();
-        assert!(matches!(CheckpointStore::open(&path), Err(CheckpointError::InUse(_))));
+        assert!(matches!(open(&path), Err(CheckpointError::InUse(_))));
         drop(store);
-        CheckpointStore::open(&path).unwrap();
-        let error = CheckpointStore::open(&path.join("lock/run")).unwrap_err();
+        open(&path).unwrap();
+        let error = open(&path.join("lock/run")).unwrap_err();
         assert!(error.to_string().contains("lock/run"), "{error}");
     }
 }

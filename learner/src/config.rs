@@ -9,6 +9,7 @@ use leadtime_ppo::LearnerSettings;
 use leadtime_proto::{Incarnation, RunName, RunSpec};
 
 use crate::builds::{Build, Builds};
+use crate::checkpoint::Retention;
 
 /// How often the state of a run goes to the disk; whichever comes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +43,10 @@ pub struct LearnerConfig {
     pub checkpoints: PathBuf,
     /// How often to write one.
     pub checkpoint_interval: CheckpointInterval,
+    /// Which checkpoints stay.
+    pub retention: Retention,
+    /// How long training goes on while no checkpoint can be written.
+    pub checkpoint_patience: Duration,
     /// Weights (safetensors) that a new run starts from, as a fork of another run does; `None`: fresh ones.
     pub initial: Option<Arc<[u8]>>,
     /// Hash over what must not change when a run is resumed.

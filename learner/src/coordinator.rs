@@ -479,6 +479,11 @@ impl Coordinator {
         self.queue.len() as u64 + self.in_training
     }
 
+    /// Counts the environments of which no rollout waits.
+    pub fn n_envs_waiting(&self) -> usize {
+        self.queue.lacking().count()
+    }
+
     /// Returns the actors that are here.
     pub fn members(&self) -> &BTreeMap<ActorId, Incarnation> {
         self.roster.members()

@@ -9,7 +9,7 @@ use crate::books::Books;
 use crate::builds::Builds;
 use crate::coordinator::CoordinatorStart;
 use crate::evaluation_thread::Evaluations;
-use crate::report::{ProgressSink, RatedPolicy, RunEnd, RunReport};
+use crate::report::{ProgressSink, RatedPolicy, RunEnd, RunReport, Standing};
 use crate::resume::{ResumePoint, TrainingRecord};
 use crate::{Error, LearnerConfig};
 
@@ -26,7 +26,8 @@ pub(crate) async fn already_trained(
     let mut last = RatedPolicy { version, score, held_out: None, weights };
     let mut end = RunEnd::AlreadyFinished;
     if let (Some(evaluations), Some(_)) = (&mut evaluations, point.record.held_out.next()) {
-        if !evaluations.finish(&mut point.record.held_out, sink, stop).await {
+        let standing = Standing::default();
+        if !evaluations.finish(&mut point.record.held_out, sink, stop, &standing).await {
             end = RunEnd::Stopped;
         }
         last.held_out = point.record.held_out.of(version);

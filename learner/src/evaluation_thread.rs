@@ -7,12 +7,14 @@ use std::thread;
 
 use leadtime_ppo::LearnerSettings;
 use tokio::sync::mpsc;
+use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use crate::Error;
+use crate::coordinator::TICK;
 use crate::held_out::{HeldOutEpisode, HeldOutEvaluation, PolicyEvaluator};
 use crate::held_out_record::{EvaluationPlan, HeldOutRecord, WaitingPolicy};
-use crate::report::{ProgressSink, RunEvent};
+use crate::report::{ProgressSink, RunEvent, Standing};
 
 /// One policy and one result may be under way.
 const DEPTH: usize = 1;
@@ -110,13 +112,17 @@ impl Evaluations {
         Ok(Self { plan, thread: EvaluationThread::start(evaluator)? })
     }
 
-    /// Evaluates every policy that waits. Returns false if it was asked to stop before.
+    /// Evaluates every policy that waits, telling how the run stands meanwhile. Returns false if it was asked to stop
+    /// before.
     pub(crate) async fn finish(
         &mut self,
         record: &mut HeldOutRecord,
         sink: &mut dyn ProgressSink,
         stop: &CancellationToken,
+        standing: &Standing,
     ) -> bool {
+        let mut ticks = tokio::time::interval(TICK);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         sink.on_event(&RunEvent::Evaluating);
         record.keep_comparable(&self.plan);
         while let Some(next) = record.next() {
@@ -124,6 +130,7 @@ impl Evaluations {
             tokio::select! {
                 biased;
                 () = stop.cancelled() => return false,
+                _ = ticks.tick() => sink.on_tick(standing),
                 evaluated = self.thread.evaluated() => take_in(evaluated, record, sink),
             }
         }

@@ -5,7 +5,7 @@
 //! assign   who steps which environment  rollout_queue  rollouts that wait       roster, stragglers        who is here, or late
 //! books    where every rollout went     checkpoint, resume  the disk            episodes, report, builds  what it reports
 //! held_out what evaluates a policy       held_out_record  which one is the best  evaluation_thread   beside the training
-//! ending   how a run ends          bulletin       what observers are told
+//! ending   how a run ends          bulletin       what observers are told      saving   while the disk is full
 //! ```
 //!
 //! # What it does not know
@@ -37,6 +37,7 @@ mod resume;
 pub mod rollout_queue;
 mod roster;
 pub mod run;
+mod saving;
 mod stragglers;
 mod training;
 
@@ -48,7 +49,7 @@ pub use error::Error;
 pub use files::{replaced_name, write_atomically};
 pub use held_out::{HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, PolicyEvaluator};
 pub use report::{
-    ActorStanding, PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport,
+    ActorStanding, PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, Standing,
     UpdateProgress,
 };
 pub use run::run;

@@ -22,6 +22,29 @@ pub struct PhaseTimes {
     pub wait: Duration,
     /// Training.
     pub train: Duration,
+    /// Checkpoints were written.
+    pub checkpoint: Duration,
+    /// The new weights were put on offer.
+    pub weights: Duration,
+}
+
+/// How a run stands at a moment, whether it makes updates or not.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Standing {
+    /// Actors connected.
+    pub n_actors: usize,
+    /// Whether they are enough for the run to go on.
+    pub has_enough_actors: bool,
+    /// Environments of which no rollout waits.
+    pub n_envs_waiting: usize,
+    /// Rollouts waiting.
+    pub n_queued: usize,
+    /// Bytes of messages that were received and not looked at yet.
+    pub queued_bytes: usize,
+    /// For how long the newest state could not be saved; `None` if it can be.
+    pub unsaved: Option<Duration>,
+    /// Updates wait until the state can be saved.
+    pub is_paused: bool,
 }
 
 /// One update, and how the run stands after it.
@@ -200,6 +223,30 @@ pub enum RunEvent {
         /// Updates that it holds.
         n_updates: u64,
     },
+    /// A checkpoint cannot be written: training goes on, and it is tried again.
+    CheckpointFailed {
+        /// What is wrong, and what to do.
+        reason: String,
+        /// Pause between two tries.
+        retry: Duration,
+    },
+    /// No further update is begun until a checkpoint can be written.
+    Paused {
+        /// For how long none could be.
+        unsaved: Duration,
+    },
+    /// A checkpoint could be written again.
+    CheckpointRecovered {
+        /// For how long none could be.
+        unsaved: Duration,
+    },
+    /// The end of the run cannot be saved: it is kept in memory for a while, and tried again.
+    Unsaved {
+        /// What is wrong, and what to do.
+        reason: String,
+        /// For how long it is kept.
+        kept: Duration,
+    },
     /// A policy could not be evaluated on held-out episodes; the run goes on without.
     EvaluationFailed {
         /// The policy's version.
@@ -258,6 +305,11 @@ pub trait ProgressSink: Send {
     /// Returns what observers may ask for; asked once, before the first update.
     fn archive(&self) -> Option<Archive> {
         None
+    }
+
+    /// Takes in how the run stands; called about twice a second, for as long as the run's loop goes round.
+    fn on_tick(&mut self, standing: &Standing) {
+        let _unused = standing;
     }
 }
 

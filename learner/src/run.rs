@@ -30,16 +30,17 @@ use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
 use crate::bulletin::{Bulletin, RunStanding, roster};
-use crate::checkpoint::CheckpointStore;
+use crate::checkpoint::{CheckpointError, CheckpointStore};
 use crate::control_outbox::{ControlFailure, ControlOutbox};
 use crate::coordinator::{Coordinator, CoordinatorSettings, Effect, HelloRefusal, TICK};
 use crate::ending;
 use crate::evaluation_thread::{Evaluated, Evaluations, take_in};
 use crate::held_out::HeldOutEvaluation;
 use crate::report::{
-    PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
+    PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, Standing, UpdateProgress,
 };
 use crate::resume::{self, Checkpoint, ResumePoint, TrainingRecord};
+use crate::saving::Saving;
 use crate::training::{TrainingThread, Updated};
 use crate::{Error, LearnerConfig};
 
@@ -49,6 +50,8 @@ const EVENTS_AT_ONCE: usize = 256;
 const WAITING_EVERY: Duration = Duration::from_secs(30);
 /// How long the end of a run waits for actors to leave and for the update under way.
 const FAREWELL: Duration = Duration::from_millis(2_500);
+/// How long the end of a run that cannot be saved is kept in memory, and the pause between two tries.
+const KEPT: (Duration, Duration) = (Duration::from_mins(1), TICK);
 
 /// Everything that can wake a learner.
 #[derive(Debug)]
@@ -82,7 +85,7 @@ pub async fn run(
     held_out: Option<HeldOutEvaluation>,
     stop: CancellationToken,
 ) -> Result<RunReport, Error> {
-    let mut store = CheckpointStore::open(&config.checkpoints)?;
+    let mut store = CheckpointStore::open(&config.checkpoints, config.retention)?;
     let mut point = resume::begin(&config, &mut store)?;
     for event in point.events.drain(..) {
         sink.on_event(&event);
@@ -135,7 +138,9 @@ struct RunLoop {
     record: TrainingRecord,
     last_update: Instant,
     last_checkpoint: (Instant, u64),
-    wait: Duration,
+    saving: Saving,
+    /// Where the time since the last update went so far.
+    phases: PhaseTimes,
     idle_since: Instant,
     /// Observers are told who is here at every other tick.
     is_even_tick: bool,
@@ -174,6 +179,7 @@ impl RunLoop {
             training: TrainingThread::start(trainer)?,
             is_training: false,
             evaluations,
+            saving: Saving::new(config.checkpoint_patience),
             config,
             store,
             sink,
@@ -182,7 +188,7 @@ impl RunLoop {
             record,
             last_update: now,
             last_checkpoint: (now, version.0),
-            wait: Duration::ZERO,
+            phases: PhaseTimes::default(),
             idle_since: now,
             warned_waiting_at: None,
         })
@@ -298,7 +304,8 @@ impl RunLoop {
         if self.is_even_tick {
             self.tell_roster();
         }
-        Ok(())
+        self.sink.on_tick(&self.standing());
+        self.mind_the_disk()
     }
 
     /// Tells observers who is here.
@@ -330,13 +337,14 @@ impl RunLoop {
     /// Hands the next batch to the training thread, if it is idle and the batch is there, and not too many policies wait to
     /// be evaluated.
     fn train(&mut self) -> Result<(), Error> {
-        if self.is_training || (self.evaluations.is_some() && self.record.held_out.is_full()) {
+        let must_wait = self.evaluations.is_some() && self.record.held_out.is_full();
+        if self.is_training || must_wait || self.saving.is_paused(Instant::now()) {
             return Ok(());
         }
         let Some(batch) = self.coordinator.next_batch() else { return Ok(()) };
         self.training.begin(batch)?;
         self.is_training = true;
-        self.wait = self.idle_since.elapsed();
+        self.phases.wait = self.idle_since.elapsed().saturating_sub(self.phases.checkpoint);
         Ok(())
     }
 
@@ -347,6 +355,7 @@ impl RunLoop {
         self.coordinator.trained(updated.version);
         self.link.offer_weights(updated.version, Arc::clone(&updated.weights))?;
         self.link.retire_weights(self.oldest_needed());
+        self.phases.weights = self.idle_since.elapsed();
         let ends = updated.rollouts.iter().flat_map(|rollout| &rollout.ends);
         self.record.episodes.extend(&self.config.spec.env, ends.map(|end| &end.summary));
         for (&staleness, &n_rollouts) in &updated.report.staleness {
@@ -360,7 +369,8 @@ impl RunLoop {
         let is_due = self.version.0 >= self.config.settings.n_updates()
             || self.version.0 - n_then >= interval.updates
             || since.elapsed() >= interval.time;
-        if is_due { self.checkpoint() } else { Ok(()) }
+        // While it fails, the clock says when to try again.
+        if is_due && self.saving.unsaved(Instant::now()).is_none() { self.save() } else { Ok(()) }
     }
 
     /// Queues the newest policy to be evaluated, if its version is due.
@@ -392,7 +402,7 @@ impl RunLoop {
             n_updates_total: self.config.settings.n_updates(),
             n_steps: self.version.0 * n_steps,
             steps_per_second: n_steps as f64 / elapsed.as_secs_f64().max(f64::EPSILON),
-            phases: PhaseTimes { wait: self.wait, train: updated.took },
+            phases: PhaseTimes { train: updated.took, ..std::mem::take(&mut self.phases) },
             episodes: self.record.episodes.means(),
             held_out: self.record.held_out.history().last().copied(),
             n_actors: self.coordinator.n_actors(),
@@ -462,13 +472,85 @@ impl RunLoop {
             builds: self.coordinator.builds().clone(),
         };
         let (store, n_updates) = (&mut self.store, self.version.0);
+        let started = Instant::now();
         let path = tokio::task::block_in_place(|| store.write(n_updates, &checkpoint))?;
+        self.phases.checkpoint += started.elapsed();
         self.last_checkpoint = (Instant::now(), n_updates);
         let last = self.last();
         let best = ending::best(&self.record, self.evaluations.as_ref(), &last);
         self.sink.on_policies(&last, best);
         self.sink.on_event(&RunEvent::CheckpointWritten { path, n_updates });
         Ok(())
+    }
+
+    fn standing(&self) -> Standing {
+        let now = Instant::now();
+        Standing {
+            n_actors: self.coordinator.n_actors(),
+            has_enough_actors: self.coordinator.n_actors_needed().is_none(),
+            n_envs_waiting: self.coordinator.n_envs_waiting(),
+            n_queued: self.coordinator.n_pending() as usize,
+            queued_bytes: self.link.n_queued_bytes(),
+            unsaved: self.saving.unsaved(now),
+            is_paused: self.saving.is_paused(now),
+        }
+    }
+
+    /// Writes a checkpoint; that it cannot be written is no reason to end the run.
+    fn save(&mut self) -> Result<(), Error> {
+        match self.checkpoint() {
+            Err(Error::Checkpoint(error @ CheckpointError::Write { .. })) => {
+                if self.saving.failed(Instant::now()) {
+                    let (reason, retry) = (with_cause(&error), self.saving.retry());
+                    self.sink.on_event(&RunEvent::CheckpointFailed { reason, retry });
+                }
+                Ok(())
+            }
+            written => {
+                if let (Ok(()), Some(unsaved)) = (&written, self.saving.succeeded(Instant::now())) {
+                    self.sink.on_event(&RunEvent::CheckpointRecovered { unsaved });
+                }
+                written
+            }
+        }
+    }
+
+    /// Tries again what could not be saved, and says when updates begin to wait for it.
+    fn mind_the_disk(&mut self) -> Result<(), Error> {
+        if self.saving.is_retry_due(Instant::now()) {
+            self.save()?;
+        }
+        if let Some(unsaved) = self.saving.begins_to_pause(Instant::now()) {
+            self.sink.on_event(&RunEvent::Paused { unsaved });
+        }
+        Ok(())
+    }
+
+    /// Saves the end of the run. If that fails, tries again until it is asked to stop meanwhile, or [`KEPT`] is over.
+    async fn save_end(&mut self, stop: &CancellationToken) -> Result<(), Error> {
+        let (kept, pause) = KEPT;
+        let deadline = Instant::now() + kept;
+        let was_stopped = stop.is_cancelled();
+        let mut is_told = false;
+        loop {
+            let written = self.checkpoint();
+            let Err(Error::Checkpoint(error @ CheckpointError::Write { .. })) = &written else {
+                return written;
+            };
+            if !std::mem::replace(&mut is_told, true) {
+                let reason = with_cause(error);
+                self.sink.on_event(&RunEvent::Unsaved { reason, kept });
+            }
+            let asked = stop.is_cancelled() && !was_stopped;
+            if asked || Instant::now() >= deadline {
+                return written;
+            }
+            self.sink.on_tick(&self.standing());
+            tokio::select! {
+                () = tokio::time::sleep(pause) => {}
+                () = stop.cancelled(), if !was_stopped => {}
+            }
+        }
     }
 
     async fn end(
@@ -486,15 +568,16 @@ impl RunLoop {
         self.act();
         self.farewell(events).await?;
         self.coordinator.close();
-        self.checkpoint()?;
+        self.save_end(stop).await?;
+        let standing = self.standing();
         if let (RunEnd::Finished, Some(evaluations), Some(_)) =
             (end, &mut self.evaluations, self.record.held_out.next())
         {
             let (record, sink) = (&mut self.record.held_out, self.sink.as_mut());
-            if !evaluations.finish(record, sink, stop).await {
+            if !evaluations.finish(record, sink, stop, &standing).await {
                 end = RunEnd::Stopped;
             }
-            self.checkpoint()?;
+            self.save_end(stop).await?;
         }
         let (books, builds) = (self.coordinator.books().clone(), self.coordinator.builds().clone());
         let policies =
@@ -518,6 +601,12 @@ impl RunLoop {
         }
         Ok(())
     }
+}
+
+/// Writes an error and what the system says of it as one sentence.
+fn with_cause(error: &CheckpointError) -> String {
+    std::error::Error::source(error)
+        .map_or_else(|| error.to_string(), |cause| format!("{error}: {cause}"))
 }
 
 /// Waits for the evaluation under way; `None` if there is none.

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use leadtime_episodes::Choice;
 use leadtime_learner::CheckpointInterval;
-use leadtime_learner::checkpoint::{MAX_PAYLOAD_BYTES, max_payload_bytes};
+use leadtime_learner::checkpoint::{MAX_KEPT, MAX_PAYLOAD_BYTES, Retention, max_payload_bytes};
 use leadtime_learner::held_out::{MAX_EVALUATIONS, MAX_HELD_OUT_EPISODES};
 use leadtime_policy::parameters;
 use leadtime_ppo::LearnerSettings;
@@ -59,6 +59,10 @@ pub struct RunSettings {
     pub actors_min: u32,
     /// How often checkpoints are written.
     pub checkpoints: CheckpointInterval,
+    /// How long training goes on while none can be written.
+    pub checkpoint_patience: Duration,
+    /// Which of them stay.
+    pub keep: Retention,
 }
 
 /// How policies are evaluated.
@@ -295,6 +299,9 @@ fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {
     ensure(updates >= 1, "run.checkpoint_every", updates, "at least 1 update")?;
     let seconds = run.checkpoint_seconds;
     ensure(seconds >= 1, "run.checkpoint_seconds", seconds, "at least 1 second")?;
+    let patience = run.checkpoint_patience;
+    ensure(patience >= 1, "run.checkpoint_patience", patience, "at least 1 second")?;
+    within("run.keep.newest", run.keep.newest, 1, MAX_KEPT)?;
     ensure(!run.directory.is_empty(), "run.directory", "empty", "a path")?;
     let name = (!run.name.is_empty()).then(|| RunName::new(&run.name)).transpose();
     Ok(RunSettings {
@@ -302,6 +309,8 @@ fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {
         directory: PathBuf::from(&run.directory),
         actors_min,
         checkpoints: CheckpointInterval { updates, time: Duration::from_secs(seconds) },
+        checkpoint_patience: Duration::from_secs(patience),
+        keep: Retention { newest: run.keep.newest, every_updates: run.keep.every_updates },
     })
 }
 

@@ -32,6 +32,16 @@ pub(crate) struct RunSection {
     pub(crate) actors_min: u32,
     pub(crate) checkpoint_every: u64,
     pub(crate) checkpoint_seconds: u64,
+    pub(crate) checkpoint_patience: u64,
+    pub(crate) keep: KeepSection,
+}
+
+/// `[run.keep]`: which checkpoints stay.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct KeepSection {
+    pub(crate) newest: usize,
+    pub(crate) every_updates: u64,
 }
 
 /// `[policy]`: the networks.

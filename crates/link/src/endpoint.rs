@@ -4,7 +4,7 @@ use std::fmt;
 use std::fs::File;
 use std::os::unix::fs::FileTypeExt as _;
 use std::os::unix::net::UnixStream;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use zenoh::config::EndPoint;
@@ -57,6 +57,14 @@ impl Endpoint {
             "tls" => !settings.split(';').any(|setting| setting == "enable_mtls=true"),
             _ => false,
         }
+    }
+
+    /// Returns the file of the certificate that a process shows here, if its settings name one.
+    pub fn certificate(&self) -> Option<PathBuf> {
+        let (_, _, settings) = self.parts();
+        let files = settings.split(';').filter_map(|setting| setting.split_once('='));
+        let ours = ["listen_certificate_file", "connect_certificate_file"];
+        files.filter(|(name, _)| ours.contains(name)).map(|(_, path)| path.into()).next()
     }
 
     /// Checks what is at the address before anybody listens there: the network library removes whatever stands where

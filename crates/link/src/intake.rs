@@ -137,6 +137,11 @@ impl RolloutIntake {
         named.filter(|(_, n_bytes)| *n_bytes > 0).collect()
     }
 
+    /// Returns how many bytes wait in the queue, all senders' together.
+    pub(crate) fn n_queued_bytes(&self) -> usize {
+        self.all.n_bytes.load(Ordering::Relaxed)
+    }
+
     /// Takes nothing more from this start of the actor.
     pub(crate) fn cut_off(&self, actor: &ActorId, incarnation: Incarnation) {
         lock(&self.senders).entry(Some(actor.clone())).or_default().cut_off = Some(incarnation);

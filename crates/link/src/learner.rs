@@ -252,6 +252,11 @@ impl LearnerLink {
         self.intake.queued_bytes()
     }
 
+    /// Returns how many bytes of messages were received and not looked at yet.
+    pub fn n_queued_bytes(&self) -> usize {
+        self.intake.n_queued_bytes()
+    }
+
     /// Leaves the network, within a limited time.
     ///
     /// # Errors

@@ -32,6 +32,17 @@ pub fn utc_now() -> String {
     now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
+/// Returns how long ago a file was changed; nothing if that is in the future.
+pub fn time_since(changed: SystemTime) -> Duration {
+    let nanoseconds = now().as_nanosecond() - at(changed).as_nanosecond();
+    Duration::from_nanos(u64::try_from(nanoseconds).unwrap_or(0))
+}
+
+/// Returns this moment in UTC, as a log for machines bears it: `2026-01-31T12:00:00.123Z`.
+pub fn utc_millis() -> String {
+    now().strftime("%Y-%m-%dT%H:%M:%S.%3fZ").to_string()
+}
+
 /// Returns today's date in UTC, as tables bear it: `2026-01-31`.
 pub fn utc_date() -> String {
     now().strftime("%Y-%m-%d").to_string()

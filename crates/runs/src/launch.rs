@@ -32,6 +32,8 @@ pub struct Launch<'a> {
     pub changes: Vec<String>,
     /// A command that gets every update's metrics, the learner's `--metrics-to`.
     pub metrics_to: Option<&'a str>,
+    /// Where the learner serves its status.
+    pub status: Option<&'a str>,
     /// Whether the learner's results go to standard output.
     pub learner_stdout: bool,
     /// File that collects what the processes log, instead of standard error.
@@ -62,6 +64,7 @@ impl<'a> Launch<'a> {
             stop_after: None,
             changes: Vec::new(),
             metrics_to: None,
+            status: None,
             learner_stdout: false,
             stderr_log: None,
             options: &[],
@@ -171,6 +174,9 @@ fn plan(
     }
     if let Some(command) = launch.metrics_to {
         learner.extend(text(&["--metrics-to", command]));
+    }
+    if let Some(address) = launch.status {
+        learner.extend(text(&["--status", address]));
     }
     let actor = |number: u32| {
         let id = format!("actor-{number}");

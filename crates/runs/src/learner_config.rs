@@ -37,6 +37,8 @@ pub fn learner_config(
         build: Build { program: build.program, cpu: build.cpu },
         checkpoints: run_dir.checkpoints(),
         checkpoint_interval: config.run.checkpoints,
+        retention: config.run.keep,
+        checkpoint_patience: config.run.checkpoint_patience,
         initial: run_dir.initial(config)?,
         identity: identity::of_run(&config.table),
         earlier: run_dir.record.changes.iter().filter_map(|it| from_hex(&it.identity)).collect(),

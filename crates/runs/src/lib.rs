@@ -10,6 +10,7 @@
 //! race         several seeds of a configuration, the hopeless stopped on the way
 //! scratch      the short-lived directory of a launch        tasks           what there is to train on
 //! find         a run by its name                            listing         all runs in a directory
+//! prune        which old runs may go
 //! ```
 //!
 //! It reads no command line, prints nothing and decides no exit code: it returns what happened, and the program words
@@ -40,6 +41,7 @@ mod listing;
 mod metrics;
 mod naming;
 pub mod policy_file;
+pub mod prune;
 pub mod race;
 pub mod record;
 mod recorder;

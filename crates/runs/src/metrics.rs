@@ -25,6 +25,8 @@ pub(crate) fn scalars(progress: &UpdateProgress) -> Vec<(String, f64)> {
         ("system/steps_per_second", Some(progress.steps_per_second)),
         ("system/wait_seconds", Some(phases.wait.as_secs_f64())),
         ("system/train_seconds", Some(phases.train.as_secs_f64())),
+        ("system/checkpoint_seconds", Some(phases.checkpoint.as_secs_f64())),
+        ("system/weights_seconds", Some(phases.weights.as_secs_f64())),
         ("system/actors", Some(progress.n_actors as f64)),
         ("system/queued", Some(progress.n_queued as f64)),
         ("books/published", Some(books.published as f64)),

@@ -4,26 +4,37 @@ use std::fs;
 
 use anyhow::Context as _;
 use leadtime_actor::{ActorEnd, ActorSettings, Error};
-use leadtime_link::{ConnectSettings, Error as LinkError};
+use leadtime_link::{ConnectSettings, Endpoint, Error as LinkError};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RunName};
 use leadtime_runs::{ProgramBuild, Tasks, clock};
 use serde_json::json;
+use tokio::sync::watch;
+
+use super::learner::bind_status;
 
 use crate::cli::{ActorArgs, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::shutdown::{Watch, watch};
-use crate::{build, output};
+use crate::shutdown::{self, Watch};
+use crate::status::ActorStatus;
+use crate::{build, log_line, output};
 
 /// The longest part of a host's name that becomes part of an actor's.
 const HOST_CHARS: usize = 24;
 
 pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
-    let shutdown = watch(watched).blame(ExitCode::Failed)?;
+    let shutdown = shutdown::watch(watched).blame(ExitCode::Failed)?;
     let settings = settings(args, build::this_build()?).blame(ExitCode::WrongInput)?;
+    let status = bind_status(args.status.as_deref()).await?;
+    let (standing, told) = watch::channel(None);
+    let certificate = settings.connect.endpoints.iter().find_map(Endpoint::certificate);
+    let actor = settings.actor.as_str();
+    log_line::is_about_actor(actor);
+    let _status = status.map(|server| ActorStatus::serve(server, actor, certificate, told));
     tracing::info!(actor = %settings.actor, at = %args.connect.join(", "), "looking for a learner");
-    let report = leadtime_actor::run(settings, tasks.registry.clone(), shutdown).await;
+    let report =
+        leadtime_actor::run_watched(settings, tasks.registry.clone(), shutdown, standing).await;
     let report = report.map_err(failure)?;
     // The actor's own account of what it did; the learner's books must agree with it.
     if args.json {

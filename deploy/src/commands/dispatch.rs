@@ -4,8 +4,8 @@ use leadtime_runs::Tasks;
 use tokio::runtime;
 
 use super::{
-    actor, check, compare, config, conformance, describe, eval, launch, learner, new, pilot, play,
-    probe, race, report, runs, script_search, smoke, taxonomy, watch,
+    actor, check, compare, config, conformance, describe, eval, health, launch, learner, new,
+    pilot, play, probe, race, report, runs, script_search, smoke, taxonomy, version, watch,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -13,14 +13,18 @@ use crate::{logging, output};
 
 /// Carries out one command.
 pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
-    let Cli { command, verbosity } = cli;
+    let Cli { command, verbosity, logs } = cli;
     let is_one_of_many = matches!(&command, Command::Actor(args) if args.supervised);
-    logging::start(match verbosity {
+    let level = match verbosity {
         Verbosity { verbose: true, .. } => "info,leadtime=debug",
         Verbosity { quiet, .. } if quiet || is_one_of_many => "warn",
         _ => "info",
-    })?;
-    let options = verbosity.options();
+    };
+    logging::start(level, &logs)?;
+    let log_options = logs.options();
+    let options = verbosity.options().iter().copied();
+    let options: Vec<&str> = options.chain(log_options.iter().map(String::as_str)).collect();
+    let options = options.as_slice();
     match command {
         Command::Smoke(args) => block_on(smoke::run(tasks, &args, options)),
         Command::Up(args) => block_on(launch::up(tasks, &args, options)),
@@ -48,6 +52,11 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         Command::Describe(args) => describe::run(tasks, &args),
         Command::Runs(args) => runs::run(&args),
         Command::Check(args) => block_on(check::run(tasks, &args)),
+        Command::Health(args) => health::run(&args),
+        Command::Version(args) => {
+            version::run(&args);
+            Ok(())
+        }
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::documented(), "leadtime", &mut script);

@@ -43,6 +43,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
         stop_after: args.run.stop_after.map(|amount| amount.to_string()),
         changes: args.run.change.iter().map(ToString::to_string).collect(),
         metrics_to: args.run.metrics_to.as_deref(),
+        status: args.status.as_deref(),
         learner_stdout: true,
         options,
         ..Launch::new(Naming::Resume, args.actors)

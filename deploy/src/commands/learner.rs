@@ -1,9 +1,11 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use anyhow::Context as _;
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
-use leadtime_link::ListenSettings;
+use leadtime_link::{Endpoint, ListenSettings};
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
 use leadtime_runs::policy_file::Fork;
@@ -16,13 +18,14 @@ use serde_json::json;
 use tokio_util::sync::CancellationToken;
 
 use super::report;
-use crate::build;
 use crate::cli::{LearnerArgs, StopAfter, endpoints};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::metrics_pipe::MetricsPipe;
 use crate::output::{self, DRAW, EVALUATE};
-use crate::shutdown::{Watch, watch};
+use crate::shutdown::{Watch, drain_on_request, watch};
 use crate::sink::{RunSink, held_out_sentence};
+use crate::status::{LearnerFacts, LearnerStatus, StatusServer};
+use crate::{build, log_line, service};
 
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
@@ -33,13 +36,17 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let fork = args.run.fork.as_deref().map(|from| Fork::read(&config, from));
     let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
     let listen = listen_settings(&args.listen).blame(ExitCode::WrongInput)?;
+    let status = bind_status(args.status.as_deref()).await?;
+    let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let build = build::this_build()?;
     let opened = match args.run.changed_keys().as_slice() {
         [] => RunDir::open(&config, fork.as_ref(), &build),
         keys => RunDir::open_changed(&config, keys, &build),
     };
     let (mut run_dir, state) = opened.blame(ExitCode::WrongInput)?;
+    log_line::is_about_run(run_dir.name.as_str());
     if state == RunState::Finished {
+        service::ready();
         let (name, path) = (&run_dir.name, run_dir.path.display());
         output::say(&format!(
             "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
@@ -51,6 +58,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     }
     tell_changes(&run_dir, &config);
     tracing::info!("run opened: {}", run_dir.path.display());
+    let certificate = listen.endpoints.iter().find_map(Endpoint::certificate);
     let learner = learner_config(&config, &run_dir, listen, build).blame(ExitCode::WrongInput)?;
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
@@ -63,18 +71,30 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     // At the end of the run there is nothing to stop, and a last evaluation to wait for.
     let stop = n_asked.filter(|n_updates| *n_updates < config.learner.n_updates());
     let stop = stop.map(|n_updates| (n_updates, shutdown.clone()));
-    let mut sink = RunSink::new(run_dir.path.clone(), recorder, stop);
+    let status = status.map(|server| {
+        let facts = LearnerFacts {
+            run: run_dir.name.to_string(),
+            directory: run_dir.path.clone(),
+            checkpoint_interval: config.run.checkpoints.time,
+            certificate,
+        };
+        LearnerStatus::serve(server, facts)
+    });
+    let mut sink = RunSink::new(run_dir.path.clone(), recorder, stop).with_status(status);
     if let Some(command) = &args.run.metrics_to {
         sink.hand_on(MetricsPipe::start(command).context("--metrics-to").blame(ExitCode::Failed)?);
     }
     let held_out = held_out_evaluation(&config, &tasks.registry);
     let report = leadtime_learner::run(learner, Box::new(sink), held_out, shutdown.clone()).await;
+    service::stopping();
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
         // A supervisor that lives removes it itself; if it was killed nobody else would.
         scratch::remove_if_abandoned(scratch);
     }
     let report = report.map_err(failure)?;
-    let is_asked = time_is_up.is_cancelled() || n_asked.is_some_and(|n| report.n_updates >= n);
+    let is_asked = time_is_up.is_cancelled()
+        || drained.load(Ordering::Relaxed)
+        || n_asked.is_some_and(|n| report.n_updates >= n);
     let concluded = conclude(&mut run_dir, &report, is_asked, args);
     let files = RunFiles::read(&run_dir.path).map_err(anyhow::Error::from);
     let written = files.and_then(|run| {
@@ -112,6 +132,14 @@ fn tell_changes(run_dir: &RunDir, config: &Config) {
     }
     for change in &run_dir.record.changes {
         tracing::info!("changed while it went on: {change}");
+    }
+}
+
+/// Takes the address of `--status`, before anything of the run is touched.
+pub(super) async fn bind_status(address: Option<&str>) -> Result<Option<StatusServer>, Failure> {
+    match address {
+        Some(address) => StatusServer::bind(address).await.map(Some),
+        None => Ok(None),
     }
 }
 

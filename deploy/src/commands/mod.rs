@@ -10,6 +10,7 @@ mod dispatch;
 mod episode;
 mod eval;
 mod evaluation;
+mod health;
 mod launch;
 mod learner;
 mod new;
@@ -23,6 +24,7 @@ mod runs;
 mod script_search;
 mod smoke;
 mod taxonomy;
+mod version;
 mod watch;
 
 pub(crate) use dispatch::dispatch;

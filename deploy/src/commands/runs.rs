@@ -2,11 +2,13 @@
 
 use anyhow::Context as _;
 use leadtime_config::identity::difference;
+use leadtime_proto::phrase::counted;
 use leadtime_runs::layout::read_config;
+use leadtime_runs::prune::{self, OldRun, PruneRule, StaysBecause, old_runs};
 use leadtime_runs::{ListedRun, RunRecord, find_run};
 use serde_json::json;
 
-use crate::cli::{RunsArgs, RunsCommand};
+use crate::cli::{PruneArgs, RunsArgs, RunsCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
 
@@ -14,6 +16,7 @@ pub(super) fn run(args: &RunsArgs) -> Result<(), Failure> {
     match &args.command {
         None | Some(RunsCommand::List) => list(args),
         Some(RunsCommand::Compare { first, second }) => compare(args, first, second),
+        Some(RunsCommand::Prune(which)) => prune(args, *which),
     }
     .blame(ExitCode::WrongInput)
 }
@@ -32,6 +35,44 @@ fn list(args: &RunsArgs) -> anyhow::Result<()> {
                 output::say(&format!("{name}: {problem}"));
             }
         }
+    }
+    Ok(())
+}
+
+/// Lists the old runs, and removes them if that is wanted.
+fn prune(args: &RunsArgs, which: PruneArgs) -> anyhow::Result<()> {
+    let runs = &args.runs;
+    let rule = PruneRule { older: which.older, keep_best: which.keep_best };
+    let mut old = if runs.exists() {
+        old_runs(runs, rule).with_context(|| format!("reading {}", runs.display()))?
+    } else {
+        Vec::new()
+    };
+    for run in old.iter_mut().filter(|run| which.yes && run.stays.is_none()) {
+        let removed = prune::remove(runs, run);
+        if !removed.with_context(|| format!("removing {}", runs.join(&run.name).display()))? {
+            run.stays = Some(StaysBecause::InUse);
+        }
+    }
+    if args.json {
+        output::json(&old);
+        return Ok(());
+    }
+    let gone = if which.yes { "removed" } else { "would be removed" };
+    for OldRun { name, days, bytes, stays } in &old {
+        let fate = match stays {
+            None => gone,
+            Some(StaysBecause::InUse) => "stays: it is in use",
+            Some(StaysBecause::Best) => "stays: it is the best of its configuration",
+        };
+        let (size, age) = (*bytes as f64 / 1e6, counted(*days, "day"));
+        output::line(&format!("{name}  {size:.1} MB, {age} old: {fate}"));
+    }
+    let n_going = old.iter().filter(|run| run.stays.is_none()).count();
+    if n_going == 0 {
+        output::say("no run is to be removed");
+    } else if !which.yes {
+        output::note("Nothing was removed; --yes does it.");
     }
     Ok(())
 }

@@ -1,0 +1,142 @@
+"""Checks the files under deploy/ and the checks themselves: each has to find a misspelling in a copy. See check.sh."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+DEPLOY = Path(__file__).resolve().parent
+# The exposure of a unit that `systemd-analyze security` still calls good.
+MAX_EXPOSURE = 2.5
+# What no schema of Kubernetes itself describes.
+FOREIGN = {"kustomization.yaml", "podmonitor.yaml"}
+
+
+def run(*command, **more):
+    return subprocess.run([str(part) for part in command], capture_output=True, text=True, **more)
+
+
+def systemd(folder):
+    """An unknown key is only a warning with exit code 0, so whatever is printed is a finding."""
+    with tempfile.TemporaryDirectory() as scratch:
+        names = []
+        for unit in sorted(folder.iterdir()):
+            text = unit.read_text().replace("/usr/bin/leadtime", "/bin/true")
+            name = unit.name.replace("@.", "@x.")
+            (Path(scratch) / unit.name).write_text(text)
+            names.append(Path(scratch) / name if unit.name == name else Path(scratch) / name)
+            if unit.name != name:
+                (Path(scratch) / name).write_text(text)
+        done = run("systemd-analyze", "verify", "--man=no", *names)
+        found = [line for line in (done.stdout + done.stderr).splitlines() if line.strip()]
+        for unit in names:
+            if unit.suffix != ".service" or unit.name.startswith("leadtime-new-certs"):
+                continue
+            done = run("systemd-analyze", "security", "--offline=true", "--no-pager", unit)
+            exposure = re.search(r"exposure level for \S+: ([\d.]+)", done.stdout)
+            if not exposure or float(exposure[1]) > MAX_EXPOSURE:
+                found.append(f"{unit.name}: exposure {exposure and exposure[1]}, at most {MAX_EXPOSURE}")
+        return found
+
+
+def compose(file):
+    """The published schema, as check-jsonschema brings it."""
+    done = run("check-jsonschema", "--builtin-schema", "vendor.compose-spec", file)
+    return [] if done.returncode == 0 else (done.stdout + done.stderr).splitlines()
+
+
+def image(file):
+    done = run("hadolint", file)
+    return done.stdout.splitlines() + done.stderr.splitlines()
+
+
+def kubernetes(folder):
+    import kubernetes_validate
+    import yaml
+
+    found = []
+    for file in sorted(folder.glob("*.yaml")):
+        for document in yaml.safe_load_all(file.read_text()):
+            if file.name in FOREIGN:
+                continue
+            try:
+                kubernetes_validate.validate(document, "1.37", strict=True)
+            except Exception as error:
+                found.append(f"{file.name}: {str(error).splitlines()[0]}")
+    listed = yaml.safe_load((folder / "kustomization.yaml").read_text())["resources"]
+    found += [f"kustomization.yaml: no file {name}" for name in listed if not (folder / name).exists()]
+    return found
+
+
+def names(folder):
+    """Every name that the dashboard and the alerts ask for has a row in docs/metrics.md."""
+    page = (DEPLOY.parent / "docs/metrics.md").read_text()
+    known = set(re.findall(r"^\| `(leadtime_\w+)`", page, flags=re.M))
+    known |= {f"leadtime_staleness_{end}" for end in ("bucket", "sum", "count")}
+    found = []
+    for file in (folder / "leadtime.json", folder / "alerts.yaml"):
+        asked = set(re.findall(r"leadtime_\w+", file.read_text()))
+        found += [f"{file.name}: there is no {name}" for name in sorted(asked - known)]
+    panels = json.loads((folder / "leadtime.json").read_text())["panels"]
+    found += [f"leadtime.json: panel {it['title']} asks for nothing" for it in panels if not it["targets"]]
+    return found
+
+
+def alerts(file):
+    done = run("promtool", "check", "rules", file)
+    return [] if done.returncode == 0 else (done.stdout + done.stderr).splitlines()
+
+
+# Name, what it needs, what it checks, and a misspelling: in which file, which word becomes which.
+CHECKS = [
+    ("units", lambda: shutil.which("systemd-analyze"), systemd, "systemd",
+     [("leadtime-learner@.service", "TimeoutStopSec", "TimeoutStopSecs"), ("leadtime-certs.timer", "OnCalendar=daily", "OnCalendar=never"),
+      ("leadtime-router.service", "CapabilityBoundingSet=\n", "")]),
+    ("compose file", lambda: shutil.which("check-jsonschema"), compose, "compose.yaml", [("", "stop_grace_period", "stop_grace_periods")]),
+    ("image file", lambda: shutil.which("hadolint"), image, "container/Containerfile", [("", "STOPSIGNAL", "STOPSIGNALS")]),
+    ("manifests", lambda: find_spec("kubernetes_validate"), kubernetes, "kubernetes",
+     [("learner.yaml", "terminationGracePeriodSeconds", "terminationGracePeriodSecond"), ("actors.yaml", "readinessProbe", "readinessProbes"),
+      ("autoscaler.yaml", "maxReplicas", "maxReplica"), ("network.yaml", "policyTypes", "policyType")]),
+    ("names of metrics", lambda: True, names, "grafana",
+     [("leadtime.json", "leadtime_wait_ratio", "leadtime_wait_ration"), ("alerts.yaml", "leadtime_books_imbalance", "leadtime_book_imbalance")]),
+    ("alerts", lambda: shutil.which("promtool"), alerts, "grafana/alerts.yaml", [("", "increase(", "increases("), ("", "severity", "severity:")]),
+]
+
+
+def misspelt(path, file, word, wrong, scratch):
+    """Returns a copy in which one word is wrong."""
+    copy = Path(scratch) / path.name
+    if path.is_dir():
+        shutil.copytree(path, copy)
+    else:
+        shutil.copy(path, copy)
+    target = copy / file if file else copy
+    text = target.read_text()
+    assert word in text, f"{target.name} has no {word}"
+    target.write_text(text.replace(word, wrong, 1))
+    return copy
+
+
+def main():
+    failures = 0
+    for name, is_there, check, path, misspellings in CHECKS:
+        if not is_there():
+            print(f"skipped: {name}: its tool is not here")
+            continue
+        path = DEPLOY / path
+        found = check(path)
+        for file, word, wrong in misspellings:
+            with tempfile.TemporaryDirectory() as scratch:
+                if not check(misspelt(path, file, word, wrong, scratch)):
+                    found.append(f"the check does not find `{wrong.strip()}` for `{word.strip()}` in {file or path.name}")
+        failures += len(found)
+        print(f"{'FAILED' if found else 'valid'}: {name}, {len(misspellings)} misspellings tried")
+        print("".join(f"  {line}\n" for line in found), end="")
+    sys.exit(1 if failures else 0)
+
+
+main()

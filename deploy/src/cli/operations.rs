@@ -1,0 +1,41 @@
+//! Arguments of the commands for whoever keeps runs going.
+
+use std::time::Duration;
+
+use clap::Args;
+
+/// `leadtime health`
+#[derive(Debug, Args)]
+pub(crate) struct HealthArgs {
+    /// The status address of a learner or an actor (`--status`).
+    #[arg(value_name = "ADDRESS", default_value = "127.0.0.1:9464")]
+    pub address: String,
+    /// Ask only whether it is alive, not whether it is ready.
+    #[arg(long)]
+    pub live: bool,
+}
+
+/// `leadtime version`
+#[derive(Debug, Args)]
+pub(crate) struct VersionArgs {
+    /// Print only the version of the protocol between processes: two programs can work together if it is the same.
+    #[arg(long)]
+    pub protocol: bool,
+    /// Print the versions as JSON.
+    #[arg(long, conflicts_with = "protocol")]
+    pub json: bool,
+}
+
+/// `leadtime runs prune`
+#[derive(Clone, Copy, Debug, Args)]
+pub(crate) struct PruneArgs {
+    /// Only runs in which nothing has happened for so long: 30d.
+    #[arg(long, value_name = "DURATION", value_parser = super::age)]
+    pub older: Duration,
+    /// Keep the best run of each configuration, whatever its seed.
+    #[arg(long)]
+    pub keep_best: bool,
+    /// Remove them; without this they are only listed.
+    #[arg(long)]
+    pub yes: bool,
+}

@@ -1,0 +1,45 @@
+//! `leadtime health`: whether a learner or an actor is well, as its status address says. For containers without a shell.
+
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use leadtime_proto::text::printable;
+
+use crate::cli::HealthArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output;
+
+/// How long the answer may take.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// The longest answer that is read, in bytes.
+const MAX_ANSWER: u64 = 64 << 10;
+
+pub(super) fn run(args: &HealthArgs) -> Result<(), Failure> {
+    let address = leadtime_web::parse_address(&args.address).blame(ExitCode::WrongInput)?;
+    let path = if args.live { "/live" } else { "/ready" };
+    let answer = ask(address, path).with_context(|| {
+        format!("nobody answers at {address}: start a learner or an actor with --status {address}")
+    });
+    let answer = answer.blame(ExitCode::PeerLost)?;
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));
+    let status = head.split(' ').nth(1).unwrap_or_default();
+    let sentence = printable(body.trim());
+    if status == "200" {
+        output::line(&sentence);
+        return Ok(());
+    }
+    output::say(&format!("{path}: {sentence}"));
+    Err(Failure::silent(ExitCode::Failed))
+}
+
+fn ask(address: SocketAddr, path: &str) -> std::io::Result<String> {
+    let mut stream = TcpStream::connect_timeout(&address, PATIENCE)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n")?;
+    let mut answer = Vec::new();
+    stream.take(MAX_ANSWER).read_to_end(&mut answer)?;
+    Ok(String::from_utf8_lossy(&answer).into_owned())
+}

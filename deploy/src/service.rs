@@ -1,0 +1,57 @@
+//! What a service manager is told through the socket that it names in `NOTIFY_SOCKET`; nothing where there is none.
+//!
+//! READY: the first complete roster is here. WATCHDOG: the run's loop goes round. STOPPING: the process is about to end.
+
+use std::time::{Duration, Instant};
+
+use sd_notify::{NotifyState, notify, watchdog_enabled};
+
+/// The run's side of the service manager.
+#[derive(Debug)]
+pub(crate) struct Service {
+    is_ready: bool,
+    /// How often the watchdog wants to hear something, at least.
+    watchdog: Option<Duration>,
+    last_sign: Option<Instant>,
+}
+
+impl Service {
+    /// Looks whether there is a service manager, and whether it watches.
+    pub(crate) fn new() -> Self {
+        Self { is_ready: false, watchdog: watchdog_enabled(), last_sign: None }
+    }
+
+    /// Notes that the run's loop went round, with or without enough actors.
+    pub(crate) fn tick(&mut self, is_complete: bool) {
+        if is_complete && !std::mem::replace(&mut self.is_ready, true) {
+            tell(NotifyState::Ready);
+        }
+        let Some(watchdog) = self.watchdog else { return };
+        if self.last_sign.is_none_or(|at| at.elapsed() >= watchdog / 3) {
+            self.last_sign = Some(Instant::now());
+            tell(NotifyState::Watchdog);
+        }
+    }
+}
+
+/// Says that the process needs nothing more: a manager that waits for it to be ready would take its end for a failure.
+pub(crate) fn ready() {
+    tell(NotifyState::Ready);
+}
+
+/// Says that the process is about to end.
+pub(crate) fn stopping() {
+    tell(NotifyState::Stopping);
+}
+
+/// Asks for more time to end.
+pub(crate) fn extend(time: Duration) {
+    let micros = u32::try_from(time.as_micros()).unwrap_or(u32::MAX);
+    tell(NotifyState::ExtendTimeoutUsec(micros));
+}
+
+fn tell(state: NotifyState<'_>) {
+    if let Err(error) = notify(&[state]) {
+        tracing::debug!(%error, "the service manager cannot be told anything");
+    }
+}

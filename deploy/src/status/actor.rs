@@ -1,0 +1,94 @@
+//! An actor's status: what its loop last said, read by whoever asks.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use leadtime_actor::ActorStanding;
+use tokio::sync::watch;
+use tokio_util::sync::DropGuard;
+
+use super::health::Liveness;
+use super::machine;
+use super::names::{Metric, MetricPage};
+use super::numbers::PageNumbers;
+use super::server::{StatusServer, StatusSource};
+
+/// An actor's status page, which is served for as long as this lives.
+#[derive(Debug)]
+pub(crate) struct ActorStatus {
+    _served: DropGuard,
+}
+
+#[derive(Debug)]
+struct ActorPage {
+    actor: String,
+    /// The file of the actor's certificate.
+    certificate: Option<PathBuf>,
+    numbers: Arc<PageNumbers>,
+    liveness: Arc<Liveness>,
+    standing: watch::Receiver<Option<ActorStanding>>,
+}
+
+impl ActorStatus {
+    /// Begins to serve what the actor's loop says.
+    pub(crate) fn serve(
+        server: StatusServer,
+        actor: &str,
+        certificate: Option<PathBuf>,
+        standing: watch::Receiver<Option<ActorStanding>>,
+    ) -> Self {
+        let liveness = Liveness::new();
+        let shared = Arc::new(ActorPage {
+            actor: actor.to_owned(),
+            certificate,
+            numbers: PageNumbers::new(MetricPage::Actor),
+            liveness: Arc::clone(&liveness),
+            standing: standing.clone(),
+        });
+        tokio::spawn(async move {
+            let mut standing = standing;
+            while standing.changed().await.is_ok() {
+                liveness.tick();
+            }
+            // The loop is over.
+            liveness.end();
+        });
+        Self { _served: server.serve(shared) }
+    }
+}
+
+impl StatusSource for ActorPage {
+    fn metrics(&self) -> Result<String, std::fmt::Error> {
+        let Self { numbers, .. } = self;
+        let set = |metric, value: Option<f64>| numbers.set(metric, value.unwrap_or(f64::NAN));
+        if let Some(standing) = &*self.standing.borrow() {
+            numbers.set(Metric::ActorSteps, standing.n_steps as f64);
+            numbers.set(Metric::Unacknowledged, standing.n_unacknowledged as f64);
+            numbers.set(Metric::Reconnects, standing.n_reconnects as f64);
+            set(Metric::WeightsVersion, standing.version.map(|version| version.0 as f64));
+        }
+        set(Metric::Resident, machine::resident_bytes());
+        let certificate = self.certificate.as_deref().and_then(machine::certificate_end);
+        set(Metric::CertificateEnd, certificate);
+        numbers.text(("actor", &self.actor))
+    }
+
+    fn live(&self) -> Result<(), String> {
+        // Before the first welcome there is no loop: the search for a learner has a limit of its own.
+        if self.standing.borrow().is_none() { Ok(()) } else { self.liveness.check() }
+    }
+
+    fn ready(&self) -> Result<(), String> {
+        self.live()?;
+        match &*self.standing.borrow() {
+            None => Err("no learner has been found yet".to_owned()),
+            Some(standing) if standing.is_searching => {
+                Err("the learner is being looked for".to_owned())
+            }
+            Some(standing) if !standing.is_assigned => {
+                Err("the learner has given no environments".to_owned())
+            }
+            Some(_) => Ok(()),
+        }
+    }
+}

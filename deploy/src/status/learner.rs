@@ -1,0 +1,284 @@
+//! A learner's status: fed by what its run reports, read by whoever asks.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use leadtime_learner::{RunEvent, Standing, UpdateProgress};
+use leadtime_proto::RefusalCause;
+use tokio_util::sync::DropGuard;
+
+use super::health::{Liveness, Occasion};
+use super::machine;
+use super::names::{Metric, MetricPage};
+use super::numbers::PageNumbers;
+use super::server::{StatusServer, StatusSource};
+
+/// The span that the share of waiting is about.
+const WINDOW: Duration = Duration::from_mins(1);
+/// Updates closer together than this share an entry, so that a window has few.
+const ENTRY: Duration = Duration::from_secs(1);
+
+/// What a learner's page needs to know of its run once.
+#[derive(Debug)]
+pub(crate) struct LearnerFacts {
+    pub run: String,
+    pub directory: PathBuf,
+    /// The configured time between checkpoints.
+    pub checkpoint_interval: Duration,
+    /// The file of the learner's certificate.
+    pub certificate: Option<PathBuf>,
+}
+
+/// The writing end of a learner's status page, which is served for as long as this lives.
+#[derive(Debug)]
+pub(crate) struct LearnerStatus {
+    shared: Arc<LearnerPage>,
+    window: WaitWindow,
+    _served: DropGuard,
+}
+
+#[derive(Debug)]
+struct LearnerPage {
+    facts: LearnerFacts,
+    numbers: Arc<PageNumbers>,
+    liveness: Arc<Liveness>,
+    is_listening: AtomicBool,
+    has_enough_actors: AtomicBool,
+    is_paused: AtomicBool,
+    n_actors: AtomicU64,
+    last_checkpoint: Occasion,
+    last_update: Occasion,
+    /// Waiting within the window up to the last update, the window's length, and the time of the last training; in
+    /// milliseconds.
+    waited: AtomicU64,
+    spanned: AtomicU64,
+    trained: AtomicU64,
+}
+
+impl LearnerStatus {
+    /// Begins to serve.
+    pub(crate) fn serve(server: StatusServer, facts: LearnerFacts) -> Self {
+        let liveness = Liveness::new();
+        let start = liveness.start();
+        let shared = Arc::new(LearnerPage {
+            numbers: PageNumbers::new(MetricPage::Learner),
+            is_listening: AtomicBool::new(false),
+            has_enough_actors: AtomicBool::new(false),
+            is_paused: AtomicBool::new(false),
+            n_actors: AtomicU64::new(0),
+            last_checkpoint: Occasion::never(start),
+            last_update: Occasion::never(start),
+            waited: AtomicU64::new(0),
+            spanned: AtomicU64::new(0),
+            trained: AtomicU64::new(0),
+            liveness,
+            facts,
+        });
+        let served = server.serve(Arc::clone(&shared) as Arc<dyn StatusSource>);
+        Self { shared, window: WaitWindow::new(start), _served: served }
+    }
+
+    /// Takes in an update.
+    pub(crate) fn update(&mut self, progress: &UpdateProgress) {
+        let shared = &self.shared;
+        let numbers = &shared.numbers;
+        let UpdateProgress { update, episodes, phases, books, n_queued, .. } = progress;
+        numbers.set(Metric::Steps, progress.n_steps as f64);
+        numbers.set(Metric::Updates, progress.n_updates as f64);
+        numbers.set(Metric::Episodes, episodes.n_finished as f64);
+        let entries = [
+            books.published,
+            books.trained,
+            books.dropped_stale,
+            books.refused,
+            books.superseded,
+            books.rolled_back,
+            books.duplicates,
+        ];
+        numbers.set_all(Metric::Books, entries.map(|n| n as f64));
+        let refused = |cause| books.refusals.get(cause).copied().unwrap_or(0) as f64;
+        numbers.set_all(Metric::Refusals, RefusalCause::ALL.iter().map(refused));
+        for (&staleness, &n) in &update.staleness {
+            numbers.observe_staleness(staleness, n);
+        }
+        numbers.set(Metric::SuccessRatio, episodes.success.unwrap_or(f64::NAN));
+        numbers.set(Metric::Return, episodes.episode_return.unwrap_or(f64::NAN));
+        numbers.set(Metric::Entropy, update.entropy);
+        numbers.set(Metric::Kl, update.approx_kl);
+        numbers.set(Metric::ExplainedVariance, update.explained_variance);
+        numbers.set(Metric::LearningRate, update.learning_rate);
+        let spent = [phases.wait, phases.train, phases.checkpoint, phases.weights];
+        for (index, spent) in spent.into_iter().enumerate() {
+            numbers.add(Metric::PhaseSeconds, index, spent.as_secs_f64());
+        }
+        let accounted = books.trained + books.dropped_stale + books.refused + books.superseded;
+        let owed = books.published as f64 - books.rolled_back as f64;
+        numbers.set(Metric::BooksImbalance, owed - accounted as f64 - *n_queued as f64);
+        self.window.add(Instant::now(), phases.wait);
+        let millis = |duration: Duration| duration.as_millis() as u64;
+        shared.waited.store(millis(self.window.waited()), Ordering::Relaxed);
+        shared.spanned.store(millis(self.window.span()), Ordering::Relaxed);
+        shared.trained.store(millis(phases.train), Ordering::Relaxed);
+        shared.last_update.note();
+    }
+
+    /// Takes in how the run stands.
+    pub(crate) fn tick(&self, standing: &Standing) {
+        let LearnerPage { numbers, liveness, .. } = &*self.shared;
+        liveness.tick();
+        numbers.set(Metric::Actors, standing.n_actors as f64);
+        numbers.set(Metric::EnvironmentsWaiting, standing.n_envs_waiting as f64);
+        numbers.set(Metric::QueuedRollouts, standing.n_queued as f64);
+        numbers.set(Metric::QueuedBytes, standing.queued_bytes as f64);
+        self.shared.n_actors.store(standing.n_actors as u64, Ordering::Relaxed);
+        self.shared.has_enough_actors.store(standing.has_enough_actors, Ordering::Relaxed);
+        self.shared.is_paused.store(standing.is_paused, Ordering::Relaxed);
+    }
+
+    /// Takes in what happened.
+    pub(crate) fn event(&self, event: &RunEvent) {
+        match event {
+            RunEvent::Listening { .. } => self.shared.is_listening.store(true, Ordering::Relaxed),
+            RunEvent::CheckpointWritten { .. } => self.shared.last_checkpoint.note(),
+            _ => {}
+        }
+    }
+
+    /// Counts something that could not be written.
+    pub(crate) fn dropped(&self) {
+        self.shared.numbers.add(Metric::LinesDropped, 0, 1.0);
+    }
+}
+
+impl Drop for LearnerStatus {
+    fn drop(&mut self) {
+        self.shared.liveness.end();
+    }
+}
+
+impl StatusSource for LearnerPage {
+    fn metrics(&self) -> Result<String, std::fmt::Error> {
+        let Self { numbers, facts, liveness, .. } = self;
+        let set = |metric, value: Option<f64>| numbers.set(metric, value.unwrap_or(f64::NAN));
+        let age = self.last_checkpoint.elapsed().unwrap_or_else(|| liveness.start().elapsed());
+        numbers.set(Metric::CheckpointAge, age.as_secs_f64());
+        numbers.set(Metric::CheckpointInterval, facts.checkpoint_interval.as_secs_f64());
+        numbers.set(Metric::WaitRatio, self.wait_ratio());
+        if numbers.get(Metric::LinesDropped, 0).is_nan() {
+            numbers.set(Metric::LinesDropped, 0.0);
+        }
+        let disk = machine::disk_bytes(&facts.directory);
+        set(Metric::DiskFree, disk.map(|(free, _)| free));
+        set(Metric::DiskSize, disk.map(|(_, size)| size));
+        set(Metric::Resident, machine::resident_bytes());
+        let certificate = facts.certificate.as_deref().and_then(machine::certificate_end);
+        set(Metric::CertificateEnd, certificate);
+        numbers.text(("run", &facts.run))
+    }
+
+    fn live(&self) -> Result<(), String> {
+        self.liveness.check()
+    }
+
+    fn ready(&self) -> Result<(), String> {
+        self.live()?;
+        let load = |flag: &AtomicBool| flag.load(Ordering::Relaxed);
+        let directory = &self.facts.directory;
+        if self.liveness.is_ending() {
+            Err("the run is over".to_owned())
+        } else if !load(&self.is_listening) {
+            Err("the learner does not listen yet".to_owned())
+        } else if load(&self.is_paused) {
+            Err(format!(
+                "no checkpoint can be written: free some space on the disk of {}",
+                directory.display()
+            ))
+        } else if !machine::is_writable(directory) {
+            Err(format!("the run directory {} cannot be written", directory.display()))
+        } else if !load(&self.has_enough_actors) {
+            let n_actors = self.n_actors.load(Ordering::Relaxed);
+            Err(format!("actors are missing: {n_actors} are here"))
+        } else {
+            Ok(())
+        }
+    }
+}
+
+impl LearnerPage {
+    /// Returns the share of the window that was waited; since the last update, all that is longer than a training.
+    fn wait_ratio(&self) -> f64 {
+        let load = |millis: &AtomicU64| Duration::from_millis(millis.load(Ordering::Relaxed));
+        let since = self.last_update.elapsed();
+        let since = since.unwrap_or_else(|| self.liveness.start().elapsed()).min(WINDOW);
+        let waiting = since.saturating_sub(load(&self.trained));
+        // What the window still holds of the time before the last update.
+        let spanned = load(&self.spanned);
+        let left = spanned.min(WINDOW - since);
+        let share = if spanned.is_zero() { 0.0 } else { left.div_duration_f64(spanned) };
+        let waited = load(&self.waited).mul_f64(share) + waiting;
+        let all = left + since;
+        if all.is_zero() { 0.0 } else { waited.div_duration_f64(all).min(1.0) }
+    }
+}
+
+/// How long the trainer waited during the last minute.
+#[derive(Debug)]
+struct WaitWindow {
+    /// When each entry began, and the waiting in it.
+    entries: VecDeque<(Instant, Duration)>,
+    end: Instant,
+}
+
+impl WaitWindow {
+    fn new(now: Instant) -> Self {
+        Self { entries: VecDeque::from([(now, Duration::ZERO)]), end: now }
+    }
+
+    /// Adds what was waited between the last call and this one.
+    fn add(&mut self, now: Instant, waited: Duration) {
+        match self.entries.back_mut() {
+            Some((begun, sum)) if now.duration_since(*begun) < ENTRY => *sum += waited,
+            _ => self.entries.push_back((self.end, waited)),
+        }
+        self.end = now;
+        // The oldest entry goes when the others fill the window by themselves.
+        while self.entries.get(1).is_some_and(|(begun, _)| now.duration_since(*begun) >= WINDOW) {
+            self.entries.pop_front();
+        }
+    }
+
+    fn waited(&self) -> Duration {
+        self.entries.iter().map(|(_, waited)| *waited).sum::<Duration>().min(self.span())
+    }
+
+    fn span(&self) -> Duration {
+        self.entries.front().map_or(Duration::ZERO, |(begun, _)| self.end.duration_since(*begun))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_share_of_waiting_is_that_of_the_last_minute() {
+        let start = Instant::now();
+        let mut window = WaitWindow::new(start);
+        // Two minutes of nothing but waiting, then one and a half of updates that wait a quarter of the time.
+        for second in 1..=120 {
+            window.add(start + Duration::from_secs(second), Duration::from_secs(1));
+        }
+        assert!(window.waited() >= window.span().mul_f64(0.99));
+        for quarter in 1..=360 {
+            let now = start + Duration::from_secs(120) + quarter * Duration::from_millis(250);
+            window.add(now, Duration::from_micros(62_500));
+        }
+        let share = window.waited().div_duration_f64(window.span());
+        assert!((0.24..0.27).contains(&share), "{share}");
+        assert!(window.entries.len() < 70, "{}", window.entries.len());
+        assert!((60.0..63.0).contains(&window.span().as_secs_f64()), "{:?}", window.span());
+    }
+}

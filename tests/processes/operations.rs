@@ -1,0 +1,320 @@
+//! Keeping a run going: status pages, logs, signals, the service manager, a full disk, old runs.
+
+use std::fs;
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::support::{
+    PATIENCE, Place, Running, record, signal, updates, wait_for_updates, wait_for_words, wait_until,
+};
+
+/// A CartPole run that ends by a signal only.
+const LONG: &str = "learner --name r -c cartpole --seed 3 --set learner.n_steps=64 --set learner.total_steps=1000000000 \
+                    --set learner.anneal=false --set run.checkpoint_every=4 --status 127.0.0.1:0 --listen";
+
+fn learner(place: &Place, extra: &str) -> Running {
+    place.start(&[LONG, &place.endpoint("learner"), extra])
+}
+
+fn actor(place: &Place, extra: &str) -> Running {
+    let endpoint = place.endpoint("learner");
+    place.start(&["actor --connect-timeout 10s --id a --connect", &endpoint, extra])
+}
+
+/// Waits until a process says where its status page is.
+fn address(process: &Running) -> String {
+    wait_for_words(process, "status at http://");
+    let said = process.stderr();
+    let (_, rest) = said.split_once("status at http://").unwrap();
+    rest.split('/').next().unwrap().to_owned()
+}
+
+/// Asks a status page; returns the status code, the head and the body.
+fn ask(address: &str, path: &str, host: &str) -> (u16, String, String) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    let code = head.split(' ').nth(1).unwrap().parse().unwrap();
+    (code, head.to_owned(), body.to_owned())
+}
+
+fn get(address: &str, path: &str) -> (u16, String) {
+    let (code, _, body) = ask(address, path, address);
+    (code, body)
+}
+
+/// Returns the value of a sample whose name and labels begin like this.
+fn sample(page: &str, start: &str) -> Option<f64> {
+    let line = page.lines().find(|line| line.starts_with(start))?;
+    line.rsplit(' ').next()?.parse().ok()
+}
+
+#[test]
+fn a_status_page_tells_what_a_run_does_and_whether_it_is_well() {
+    let place = Place::new();
+    let learner = learner(&place, "");
+    let at = address(&learner);
+    assert_eq!(get(&at, "/live").0, 200);
+    wait_until("the learner listens", PATIENCE, || {
+        get(&at, "/ready").1.contains("actors are missing")
+    });
+    assert_eq!(get(&at, "/ready"), (503, "actors are missing: 0 are here\n".to_owned()));
+    place.finish(&["health", &at]).with_code(1).saying(&["/ready: actors are missing"]);
+    let actor = actor(&place, "--status localhost:0");
+    let actor_at = address(&actor);
+    wait_for_updates(&place.run("r"), 4);
+    wait_until("the learner is ready", PATIENCE, || get(&at, "/ready").0 == 200);
+    wait_until("the actor is ready", PATIENCE, || get(&actor_at, "/ready").0 == 200);
+    place.finish(&["health --live", &at]).with_code(0);
+
+    let (code, head, page) = ask(&at, "/metrics", "localhost");
+    assert_eq!(code, 200);
+    assert!(head.contains("application/openmetrics-text; version=1.0.0; charset=utf-8"), "{head}");
+    assert!(page.len() < 20_000, "{} bytes", page.len());
+    let n_updates = sample(&page, "leadtime_updates_total{run=\"r\"}").unwrap();
+    assert!(n_updates >= 4.0, "{page}");
+    assert!(
+        sample(&page, "leadtime_books_total{run=\"r\",entry=\"trained\"").unwrap() > 0.0,
+        "{page}"
+    );
+    assert_eq!(sample(&page, "leadtime_books_imbalance"), Some(0.0), "{page}");
+    assert!(sample(&page, "leadtime_disk_size_bytes").unwrap() > 0.0, "{page}");
+    assert_eq!(sample(&page, "leadtime_lines_dropped_total"), Some(0.0), "{page}");
+    let (_, actor_page) = get(&actor_at, "/metrics");
+    assert!(
+        sample(&actor_page, "leadtime_actor_steps_total{actor=\"a\"}").unwrap() > 0.0,
+        "{actor_page}"
+    );
+    for page in [&page, &actor_page] {
+        read_strictly(&place, page);
+    }
+
+    let (_, version) = get(&at, "/version");
+    let version: Value = serde_json::from_str(&version).unwrap();
+    let told = place.finish(&["version --protocol"]).with_code(0).stdout;
+    assert_eq!(version["protocol"].to_string(), told.trim());
+    assert_eq!(ask(&at, "/metrics", "evil.example").0, 421, "a name that is not ours");
+
+    // Asked to stop, an actor ends soon, and everything that it sent is acknowledged.
+    let asked = Instant::now();
+    signal("TERM", actor.id());
+    let said = actor.finish(PATIENCE).with_code(130).stdout;
+    assert!(asked.elapsed() < Duration::from_secs(3), "{:?}", asked.elapsed());
+    let counts: Vec<u64> = said.split([' ', ',']).filter_map(|word| word.parse().ok()).collect();
+    assert_eq!(counts[1], counts[2], "sent and acknowledged: {said}");
+
+    // Drained, a learner ends well and can be resumed.
+    signal("USR1", learner.id());
+    learner.finish(PATIENCE).with_code(0).saying(&["asked to drain", "To go on from update"]);
+    assert_eq!(record(&place.run("r"))["result"], Value::Null);
+    place.finish(&["health", &at]).with_code(3).saying(&["nobody answers at"]);
+}
+
+/// Has Python's strict parser read a page, where it is installed.
+fn read_strictly(place: &Place, page: &str) {
+    let file = place.write("page.txt", page);
+    let program = "import sys\nfrom prometheus_client.openmetrics.parser import text_string_to_metric_families as read\n\
+                   found = list(read(open(sys.argv[1]).read()))\nassert len(found) > 4, found\n\
+                   assert all(it.type != 'unknown' for it in found), found\n";
+    let read = |file: &str| Command::new("python3").args(["-c", program, file]).output();
+    match read(&file) {
+        Ok(done) if done.status.success() => {}
+        Ok(done) => {
+            let error = String::from_utf8_lossy(&done.stderr).into_owned();
+            assert!(error.contains("No module named"), "{error}\n{page}");
+            println!("not read strictly: prometheus_client is not installed");
+        }
+        Err(error) => println!("not read strictly: {error}"),
+    }
+}
+
+#[test]
+fn a_status_address_that_cannot_be_had_is_wrong_input() {
+    let place = Place::new();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = taken.local_addr().unwrap().to_string();
+    for (address, said) in [
+        (taken.as_str(), "is in use"),
+        ("here", "is not an address"),
+        ("host:1", "is not an address"),
+    ] {
+        let endpoint = place.endpoint("learner");
+        let learner = ["learner -c cartpole --listen", &endpoint, "--status", address];
+        place.finish(&learner).with_code(2).saying(&["--status", said]);
+        let actor = ["actor --connect", &endpoint, "--status", address];
+        place.finish(&actor).with_code(2).saying(&["--status", said]);
+    }
+    assert!(!place.path().join("runs").exists(), "nothing was begun");
+}
+
+#[test]
+fn a_log_for_machines_goes_to_a_file_that_is_opened_again_on_hangup() {
+    let place = Place::new();
+    let log = place.file("log");
+    let up = place.start(&[
+        "up --name r -c cartpole --set learner.total_steps=1000000000 --log json --log-file",
+        &log,
+    ]);
+    let run = place.run("r");
+    wait_for_updates(&run, 2);
+    fs::rename(&log, place.file("log.1")).unwrap();
+    signal("HUP", up.id());
+    wait_until("the file is made again", PATIENCE, || Path::new(&log).exists());
+    signal("TERM", up.id());
+    let done = up.finish(PATIENCE).with_code(130);
+    assert!(!done.stderr.contains("\"level\""), "{}", done.stderr);
+    let mut runs = 0;
+    for file in ["log.1", "log"] {
+        let text = fs::read_to_string(place.file(file)).unwrap();
+        assert!(!text.is_empty(), "{file}");
+        for line in text.lines() {
+            let line: Value = serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {line}"));
+            assert!(line["message"].is_string() && line["fields"].is_object(), "{line}");
+            runs += usize::from(line["run"] == "r");
+        }
+    }
+    assert!(runs > 0, "the learner says which run it is about");
+    let nowhere = place.file("no/log");
+    place.finish(&["runs --log-file", &nowhere]).with_code(2).saying(&["--log-file"]);
+}
+
+#[test]
+fn a_service_manager_hears_that_a_learner_is_ready_alive_and_about_to_end() {
+    let place = Place::new();
+    let path = place.file("notify");
+    let socket = UnixDatagram::bind(&path).unwrap();
+    socket.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut command = place.program(&[LONG, &place.endpoint("learner")]);
+    command.env("NOTIFY_SOCKET", &path).env("WATCHDOG_USEC", "600000");
+    let learner = place.start_with(command);
+    let hear = |wanted: &str| {
+        let mut heard = Vec::new();
+        while heard.last().is_none_or(|last: &String| last != wanted) {
+            let mut bytes = [0; 256];
+            let n_bytes = socket.recv(&mut bytes).unwrap_or_else(|e| panic!("{e}: {heard:?}"));
+            heard.push(String::from_utf8_lossy(&bytes[..n_bytes]).trim().to_owned());
+        }
+        heard
+    };
+    let before = hear("WATCHDOG=1");
+    assert!(!before.contains(&"READY=1".to_owned()), "nobody is there: {before:?}");
+    let actor = actor(&place, "");
+    hear("READY=1");
+    hear("WATCHDOG=1");
+    signal("TERM", learner.id());
+    hear("STOPPING=1");
+    learner.finish(PATIENCE).with_code(130);
+    actor.finish(PATIENCE).with_code(0);
+    // One that is finished is ready at once: its manager would take its end for a failure.
+    let short =
+        "up --name short -c cartpole --set learner.n_steps=32 --set learner.total_steps=512";
+    place.finish(&[short]).with_code(0);
+    let again = short.replace("up ", "learner ");
+    let mut command = place.program(&[&again]);
+    command.env("NOTIFY_SOCKET", &path);
+    let learner = place.start_with(command);
+    hear("READY=1");
+    learner.finish(PATIENCE).with_code(0);
+}
+
+/// A disk of four megabytes, taken away when dropped; `None` where none can be made.
+struct SmallDisk(PathBuf);
+
+impl SmallDisk {
+    fn mount(place: &Place) -> Option<Self> {
+        let path = place.path().join("runs");
+        fs::create_dir(&path).unwrap();
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", "size=4m", "tmpfs"])
+            .arg(&path)
+            .output();
+        if mounted.is_ok_and(|done| done.status.success()) {
+            return Some(Self(path));
+        }
+        println!("skipped: no small disk can be mounted here");
+        None
+    }
+
+    /// Takes all room, and gives back a little that no checkpoint fits into.
+    fn fill(&self) {
+        let mut filler = fs::File::create(self.0.join("filler")).unwrap();
+        while filler.write_all(&[1; 4_096]).is_ok() {}
+    }
+
+    fn free(&self) {
+        fs::remove_file(self.0.join("filler")).unwrap();
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        drop(Command::new("umount").arg("-l").arg(&self.0).output());
+    }
+}
+
+#[test]
+fn a_full_disk_stops_no_training_until_patience_ends_and_nothing_is_lost() {
+    let place = Place::new();
+    let Some(disk) = SmallDisk::mount(&place) else { return };
+    let learner = learner(&place, "--set run.checkpoint_patience=3");
+    let at = address(&learner);
+    let actor = actor(&place, "");
+    wait_for_updates(&place.run("r"), 8);
+    disk.fill();
+    wait_for_words(&learner, "training goes on");
+    let n_updates = || sample(&get(&at, "/metrics").1, "leadtime_updates_total").unwrap();
+    let before = n_updates();
+    wait_until("training goes on", PATIENCE, || n_updates() > before + 2.0);
+    wait_for_words(&learner, "training waits until there is room");
+    wait_until("it is not ready", PATIENCE, || get(&at, "/ready").1.contains("free some space"));
+    let (paused, dropped) =
+        (n_updates(), sample(&get(&at, "/metrics").1, "leadtime_lines_dropped_total"));
+    assert!(dropped.unwrap() > 0.0, "{dropped:?}");
+    disk.free();
+    wait_for_words(&learner, "checkpoints can be written again");
+    wait_until("training goes on", PATIENCE, || n_updates() > paused + 2.0);
+    let said = learner.stderr();
+    assert_eq!(said.matches("training goes on").count(), 1, "told once: {said}");
+    // An end that cannot be saved is kept until somebody insists.
+    disk.fill();
+    signal("TERM", learner.id());
+    wait_for_words(&learner, "the end of the run cannot be saved");
+    signal("TERM", learner.id());
+    learner.finish(PATIENCE).with_code(2);
+    actor.finish(PATIENCE).with_code(0);
+    disk.free();
+    let resumed = self::learner(&place, "--stop-after 1");
+    resumed.finish(PATIENCE).with_code(0).saying(&["resumed from update"]);
+    assert!(updates(&place.run("r")) > 0);
+}
+
+#[test]
+fn old_runs_are_listed_and_removed_only_when_that_is_wanted() {
+    let place = Place::new();
+    let short = "up -c cartpole --set learner.n_steps=32 --set learner.total_steps=512 --name";
+    for name in ["a", "b"] {
+        place.finish(&[short, name]).with_code(0);
+    }
+    let prune = |more: &str| place.finish(&["runs prune --older", more]).with_code(0);
+    prune("30d").saying(&["no run is to be removed"]);
+    let listed = prune("0d");
+    assert!(
+        listed.stdout.contains("a ") && listed.stdout.contains("would be removed"),
+        "{}",
+        listed.stdout
+    );
+    assert!(place.run("a").exists() && place.run("b").exists());
+    prune("0s --keep-best --yes");
+    assert_eq!(fs::read_dir(place.path().join("runs")).unwrap().count(), 1, "the best one");
+    place.finish(&["runs prune --older soon"]).with_code(2).saying(&["30d or 12h"]);
+}
