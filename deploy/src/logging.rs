@@ -6,12 +6,15 @@ use std::io::{self, Write};
 
 use leadtime_runs::clock;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::Layer as _;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::exit::Failure;
-use crate::terminal;
+use crate::{refused, terminal};
 
 /// The variable that says what to log.
 const VARIABLE: &str = "RUST_LOG";
@@ -19,13 +22,13 @@ const VARIABLE: &str = "RUST_LOG";
 /// Starts logging at `level` (`info`, `warn`) unless `RUST_LOG` says otherwise; refuses what is not a filter.
 pub(crate) fn start(level: &str) -> Result<(), Failure> {
     let colour = terminal::is_watched() && env::var_os("NO_COLOR").is_none();
-    let started = tracing_subscriber::fmt()
-        .with_env_filter(filter(level, env::var(VARIABLE))?)
+    let shown = tracing_subscriber::fmt::layer()
         .with_writer(Terminal)
         .with_timer(TimeStamp)
         .with_ansi(colour)
         .with_target(false)
-        .try_init();
+        .with_filter(filter(level, env::var(VARIABLE))?);
+    let started = tracing_subscriber::registry().with(shown).with(refused::layer()).try_init();
     if started.is_err() {
         tracing::debug!("logging was started by the embedding program");
     }

@@ -24,7 +24,8 @@ pub(crate) const INCARNATION: &str = "incarnation";
 /// The parameter of a pull that says which version is wanted.
 pub(crate) const VERSION: &str = "version";
 
-const ROOT: &str = "leadtime/1";
+/// What every key of ours begins with.
+pub(crate) const ROOT: &str = "leadtime/1";
 const LEARNER: &str = "learner";
 const ACTOR: &str = "actor";
 
@@ -109,6 +110,8 @@ pub enum Keys<'a> {
     RolloutsOf(&'a RunName, &'a DomainName),
     /// Announcements of all domains.
     AnnouncementsOf(&'a RunName),
+    /// Where weights of whatever domain are pulled.
+    PullsOf(&'a RunName),
     /// Metrics of everyone.
     MetricsOf(&'a RunName),
 }
@@ -122,6 +125,7 @@ impl fmt::Display for Keys<'_> {
             Self::MembersOf(run) => write!(f, "{ROOT}/{run}/alive/*/*/*"),
             Self::RolloutsOf(run, domain) => write!(f, "{ROOT}/{run}/traj/{domain}/*"),
             Self::AnnouncementsOf(run) => write!(f, "{ROOT}/{run}/weights/*"),
+            Self::PullsOf(run) => write!(f, "{ROOT}/{run}/weights/*/latest"),
             Self::MetricsOf(run) => write!(f, "{ROOT}/{run}/metrics/*/*"),
         }
     }

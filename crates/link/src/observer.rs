@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use leadtime_proto::message::Announcement;
 use leadtime_proto::receive::{self, ANNOUNCEMENT, METRICS};
@@ -114,6 +115,15 @@ impl ObserverLink {
         sha256: [u8; 32],
     ) -> Result<Vec<u8>> {
         ask::pull(&self.session, run, domain, Incarnation(0), version, sha256).await
+    }
+
+    /// Measures how long a short question to a run's learner and its answer take.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoAnswer`](crate::Error::NoAnswer) if nobody answers, or an access list is in the way.
+    pub async fn round_trip(&self, run: &RunName) -> Result<Duration> {
+        ask::round_trip(&self.session, run).await
     }
 
     /// Leaves the network, within a limited time.

@@ -22,6 +22,8 @@ pub struct Launch<'a> {
     pub n_actors: u32,
     /// Further addresses for the learner.
     pub listen: &'a [String],
+    /// Options of the learner that say whom it lets in there.
+    pub guard: &'a [OsString],
     /// The run or file whose weights a new run starts from.
     pub fork: Option<&'a Path>,
     /// Updates in all after which the run stops with a checkpoint.
@@ -41,6 +43,7 @@ impl<'a> Launch<'a> {
             naming,
             n_actors,
             listen: &[],
+            guard: &[],
             fork: None,
             stop_after: None,
             learner_stdout: false,
@@ -139,6 +142,7 @@ fn plan(
     for extra in launch.listen {
         learner.extend(text(&["--listen", extra]));
     }
+    learner.extend(launch.guard.iter().cloned());
     if let Some(updates) = launch.stop_after {
         learner.extend(text(&["--stop-after", &updates.to_string()]));
     }

@@ -4,8 +4,8 @@ use leadtime_runs::Tasks;
 use tokio::runtime;
 
 use super::{
-    actor, check, compare, config, conformance, describe, eval, launch, learner, new, pilot, play,
-    probe, race, report, runs, script_search, smoke, taxonomy,
+    actor, certs, check, compare, config, conformance, describe, eval, launch, learner, new, pilot,
+    play, probe, race, report, router, runs, script_search, smoke, taxonomy,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -27,6 +27,8 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         Command::Race(args) => block_on(race::run(tasks, &args, options)),
         Command::Learner(args) => block_on(learner::run(tasks, &args)),
         Command::Actor(args) => block_on(actor::run(tasks, &args)),
+        Command::Router(args) => block_on(router::run(&args)),
+        Command::Certs { command } => certs::run(&command),
         Command::Eval(args) => eval::run(tasks, &args),
         Command::Probe(args) => probe::run(tasks, &args),
         Command::Play(args) => play::run(tasks, &args),

@@ -9,6 +9,7 @@ use leadtime_runs::{Naming, RunRecord, Tasks};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::UpArgs;
+use crate::credentials::guard_options;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT};
 use crate::shutdown::{Watch, watch};
@@ -17,8 +18,10 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
     let name = args.run.name.as_deref();
     let config = args.source.load(tasks, name).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let guard = guard_options(&args.guard);
     let what = Launch {
         listen: &args.listen,
+        guard: &guard,
         fork: args.run.fork.as_deref(),
         stop_after: args.run.stop_after,
         learner_stdout: true,
@@ -35,8 +38,9 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
 /// Says how a run goes on, and returns true, if it was begun and has not reached its end.
 fn goes_on(run: &Path, what: &Launch<'_>) -> bool {
     let Ok(RunRecord { name, result: None, .. }) = RunRecord::read(run) else { return false };
-    let mut options = vec!["--actors".to_owned(), what.n_actors.to_string()];
-    options.extend(what.listen.iter().flat_map(|listen| ["--listen".to_owned(), listen.clone()]));
+    let mut options = vec!["--actors".into(), what.n_actors.to_string().into()];
+    options.extend(what.listen.iter().flat_map(|listen| ["--listen".into(), listen.into()]));
+    options.extend(what.guard.iter().cloned());
     output::next_resumes("up", run, &name, &options);
     true
 }
