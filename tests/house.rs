@@ -13,7 +13,7 @@ use serde_json::Value;
 /// Crates by layer, lowest first. A crate may depend only on crates of a lower layer.
 const LAYERS: &[&[&str]] = &[
     &["leadtime-numerics", "leadtime-table"],
-    &["leadtime-proto"],
+    &["leadtime-proto", "leadtime-certs"],
     &["leadtime-taxonomy", "leadtime-link", "leadtime-policy"],
     &["leadtime-sims", "leadtime-ppo"],
     &["leadtime-lander", "leadtime-highway", "leadtime-steakhouse"],
@@ -148,6 +148,9 @@ fn heavy_dependencies_belong_to_few_crates() {
         ("rapier2d", &["leadtime-lander"]),
         ("candle-core", &["leadtime-policy", "leadtime-ppo", "leadtime-taxonomy"]),
         ("candle-nn", &["leadtime-policy", "leadtime-ppo", "leadtime-taxonomy"]),
+        ("rcgen", &["leadtime-certs"]),
+        ("rustls", &["leadtime-certs"]),
+        ("x509-parser", &["leadtime-certs"]),
         ("anyhow", &["leadtime"]),
         ("clap", &["leadtime"]),
         ("tracing-subscriber", &["leadtime"]),
@@ -423,7 +426,7 @@ fn nothing_unfinished_is_left_in_the_sources() {
 #[test]
 fn licences_are_permissive() {
     // Packages whose licence would bind whoever builds on Leadtime, or that bring a second TLS stack.
-    let banned = ["kmedoids", "gifski", "openssl", "openssl-sys", "native-tls"];
+    let banned = ["kmedoids", "gifski", "openssl", "openssl-sys", "native-tls", "aws-lc-rs"];
     let lock = fs::read_to_string(root().join("Cargo.lock")).expect("Cargo.lock is there");
     let names: BTreeSet<&str> =
         lock.lines().filter_map(|line| line.strip_prefix("name = \"")?.strip_suffix('"')).collect();

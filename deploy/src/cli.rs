@@ -17,9 +17,14 @@ use leadtime_studies::{EPISODES, EVAL_SEED};
 
 use crate::exit::EXIT_CODE_HELP;
 
+mod network;
 mod operations;
 mod taxonomy;
 
+pub(crate) use network::{
+    CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
+    GuardArgs, RouterArgs, TlsArgs,
+};
 pub(crate) use operations::{HealthArgs, PruneArgs, VersionArgs};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
@@ -149,6 +154,13 @@ pub(crate) enum Command {
     Actor(ActorArgs),
     /// Watch a run in a browser while it trains, from anywhere, or one on this disk; with --once as text.
     Watch(WatchArgs),
+    /// Run a router: it passes on what others send, where the learner cannot be dialled by everybody.
+    Router(RouterArgs),
+    /// Make and renew the certificates by which processes on several machines know each other.
+    Certs {
+        #[command(subcommand)]
+        command: CertsCommand,
+    },
     /// Evaluate a policy over many episodes, with 95 % intervals.
     Eval(EvalArgs),
     /// Probe a policy: how well can the reaction delay be decoded from its activations?
@@ -344,7 +356,7 @@ pub(crate) struct UpArgs {
     /// Actor processes.
     #[arg(long, default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
-    /// Also listen here, so that actors elsewhere can join: `tcp/0.0.0.0:7447`.
+    /// Also listen here, so that actors elsewhere can join: `tls/0.0.0.0:7447`.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
     /// Serve the learner's /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
@@ -355,6 +367,8 @@ pub(crate) struct UpArgs {
     pub watch: Option<String>,
     #[command(flatten)]
     pub access: AccessArgs,
+    #[command(flatten)]
+    pub guard: GuardArgs,
 }
 
 /// Who may see a page.
@@ -435,9 +449,15 @@ pub(crate) struct LearnerArgs {
     pub source: SourceArgs,
     #[command(flatten)]
     pub run: RunChoice,
-    /// Where to listen: `tcp/127.0.0.1:7447`, `tcp/0.0.0.0:7447`, `unixsock-stream//tmp/learner.sock`.
-    #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
+    /// Where to listen: `tls/0.0.0.0:7447`, `unixsock-stream//tmp/learner.sock` (default: 127.0.0.1:7447, unless --connect
+    /// is given).
+    #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
+    /// Routers to connect to: `tls/HOST:7447`.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
+    #[command(flatten)]
+    pub guard: GuardArgs,
     /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
     #[arg(long, value_name = "ADDRESS")]
     pub status: Option<String>,
@@ -452,13 +472,15 @@ pub(crate) struct LearnerArgs {
 /// `leadtime actor`
 #[derive(Debug, Args)]
 pub(crate) struct ActorArgs {
-    /// Address of the learner (or of a router): `tcp/HOST:7447`.
+    /// Address of the learner (or of a router): `tls/HOST:7447`, `tcp/HOST:7447`.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub connect: Vec<String>,
+    #[command(flatten)]
+    pub tls: TlsArgs,
     /// The run, where several share the address.
     #[arg(long, value_name = "NAME")]
     pub run: Option<String>,
-    /// Name of this actor (default: host and process id).
+    /// Name of this actor (default: its certificate's, or host and process id).
     #[arg(long)]
     pub id: Option<String>,
     /// How long to look for a learner at the start.
@@ -798,6 +820,8 @@ pub(crate) struct CheckArgs {
     /// Also connect to the learner at this address.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
+    #[command(flatten)]
+    pub tls: TlsArgs,
     /// How long to look for it.
     #[arg(long, value_name = "DURATION", default_value = "5s", value_parser = duration)]
     pub connect_timeout: Duration,

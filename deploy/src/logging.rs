@@ -7,14 +7,17 @@ use std::io::{self, Write};
 use anyhow::Context as _;
 use leadtime_runs::clock;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::Layer as _;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::cli::{LogArgs, LogFormat};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::log_line::JsonLine;
-use crate::{log_file, terminal};
+use crate::{log_file, refused, terminal};
 
 /// The variable that says what to log.
 const VARIABLE: &str = "RUST_LOG";
@@ -31,14 +34,16 @@ pub(crate) fn start(level: &str, how: &LogArgs) -> Result<(), Failure> {
     }
     let is_watched = terminal::is_watched() && how.log_file.is_none();
     let colour = is_watched && env::var_os("NO_COLOR").is_none();
-    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(LogOutput);
-    let started = match how.log {
-        LogFormat::Json => lines.event_format(JsonLine).try_init(),
+    let lines = tracing_subscriber::fmt::layer().with_writer(LogOutput);
+    let lines = match how.log {
+        LogFormat::Json => lines.event_format(JsonLine).boxed(),
         LogFormat::Text => {
             let lines = lines.with_timer(TimeStamp { is_watched });
-            lines.with_ansi(colour).with_target(false).try_init()
+            lines.with_ansi(colour).with_target(false).boxed()
         }
     };
+    let shown = lines.with_filter(filter);
+    let started = tracing_subscriber::registry().with(shown).with(refused::layer()).try_init();
     if started.is_err() {
         tracing::debug!("logging was started by the embedding program");
     }

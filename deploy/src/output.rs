@@ -100,10 +100,10 @@ pub(crate) fn next(policy: &Path, hints: &[Hint]) {
 }
 
 /// Says how a run goes on that was stopped: `command` is `up` or `learner`, with options of its own.
-pub(crate) fn next_resumes(command: &str, run: &Path, name: &str, options: &[String]) {
+pub(crate) fn next_resumes(command: &str, run: &Path, name: &str, options: &[OsString]) {
     let (n_updates, config) = (journal::last_update(run), run.join("config.toml"));
     let mut args = vec![command.into(), "-c".into(), config.into(), "--name".into(), name.into()];
-    args.extend(options.iter().map(OsString::from));
+    args.extend(options.iter().cloned());
     note(&format!("\nTo go on from update {n_updates}:\n  {}", self::command(args)));
 }
 

@@ -172,6 +172,9 @@ fn log(event: &RunEvent) {
         WaitingForActors, WaitingForRollouts,
     };
     match event {
+        Listening { locators } if locators.is_empty() => {
+            info!("connected to a router; actors find the run there");
+        }
         Listening { locators } => info!(at = %locators.join(", "), "listening"),
         Resumed { path, n_updates } => info!("resumed from update {n_updates}: {}", path.display()),
         CheckpointDamaged { path, damage } => {

@@ -41,6 +41,8 @@ const N_ANSWERING: usize = 1;
 const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
 /// How long it is waited for another start of this actor to go.
 const TAKEN_GRACE: Duration = Duration::from_secs(2);
+/// How long hellos that reach nobody are repeated before an access list is blamed: longer than a learner that died is seen.
+const HELLO_GRACE: Duration = Duration::from_secs(5);
 /// First and longest pause between attempts to find a run.
 const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_millis(500));
 
@@ -67,6 +69,8 @@ struct Membership {
 #[derive(Debug)]
 pub struct ActorLink {
     endpoints: String,
+    /// The name in our certificate, if we have one.
+    name: Option<String>,
     actor: ActorId,
     incarnation: Incarnation,
     events: EventQueue<ActorEvent>,
@@ -94,6 +98,7 @@ impl ActorLink {
         let link = Self {
             session,
             endpoints: session::describe(&settings.endpoints),
+            name: settings.identity.as_ref().and_then(|identity| identity.shown.name.clone()),
             actor: actor.clone(),
             incarnation,
             events,
@@ -117,6 +122,7 @@ impl ActorLink {
     /// * [`Error::Refused`] if the learner does not want this actor, for instance for its protocol version.
     /// * [`Error::Taken`] if another start of an actor of this name is there.
     /// * [`Error::NoAnswer`] if a learner is there but does not answer in time.
+    /// * [`Error::NotAllowed`] or [`Error::Unlisted`] if an access list seems to be in the way.
     pub async fn hello(
         &self,
         run: Option<&RunName>,
@@ -124,6 +130,7 @@ impl ActorLink {
         timeout: Duration,
     ) -> Result<Welcome> {
         let started = Instant::now();
+        let mut unheard = None;
         loop {
             let run = self.find(run, started, timeout).await?;
             self.join(&run)?;
@@ -147,6 +154,13 @@ impl ActorLink {
                 InquiryEnd::Good(reply) => return self.answered(run, reply),
                 InquiryEnd::Rejected(reason) => {
                     return Err(Error::Refused { run, actor: self.actor.clone(), reason });
+                }
+                // A refused question ends at once with nothing, and the learner is there.
+                InquiryEnd::Nobody
+                    if self.name.is_some()
+                        && unheard.get_or_insert_with(Instant::now).elapsed() > HELLO_GRACE =>
+                {
+                    return Err(Error::NotAllowed { run, actor: self.actor.clone() });
                 }
                 InquiryEnd::Nobody if started.elapsed() < timeout => {
                     debug!(%run, "the learner did not answer the hello, trying again");
@@ -251,7 +265,10 @@ impl ActorLink {
                         let present = runs.into_iter().collect();
                         Error::RunNotFound { run: run.clone(), endpoints, present }
                     }
-                    _ => Error::NoLearner { endpoints, timeout },
+                    _ => match self.name.clone() {
+                        Some(name) => Error::Unlisted { endpoints, name, timeout },
+                        None => Error::NoLearner { endpoints, timeout },
+                    },
                 });
             }
             tokio::time::sleep(pause.min(patience.saturating_sub(waited))).await;

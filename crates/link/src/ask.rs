@@ -13,7 +13,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Sample;
 use zenoh::session::Session;
 
-use crate::keys::{self, Key, VERSION};
+use crate::keys::{self, Key, Keys, VERSION};
 use crate::wire::{self, Qos};
 use crate::{Error, Result};
 
@@ -21,6 +21,10 @@ use crate::{Error, Result};
 const MAX_ANSWERS: usize = 64;
 /// How long a pull of weights may take.
 const PULL_TIMEOUT: Duration = Duration::from_secs(10);
+/// How often the way to a learner and back is measured; the first time finds caches cold.
+const N_PROBES: usize = 5;
+/// How long one of them may take.
+const PROBE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long after our own limit the network may clean up.
 const NETWORK_SLACK: Duration = Duration::from_secs(1);
 
@@ -133,6 +137,35 @@ pub(crate) async fn ask_bytes(
         InquiryEnd::Rejected(reason) => Err(Error::Rejected { key, reason }),
         InquiryEnd::Nobody | InquiryEnd::TimedOut => Err(Error::NoAnswer { key, timeout }),
     }
+}
+
+/// Measures the way to a run's learner and back: the shortest of a few short questions.
+///
+/// It asks for weights without saying which, which every learner answers with a sentence.
+pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Duration> {
+    let key = Keys::PullsOf(run).to_string();
+    let mut shortest: Option<Duration> = None;
+    for _ in 0..N_PROBES {
+        let question = Inquiry {
+            key: key.clone(),
+            parameters: String::new(),
+            header: Header::plain(Schema::Weights, Incarnation(0), &[]),
+            payload: Vec::new(),
+            qos: wire::CONTROL,
+            timeout: PROBE_TIMEOUT,
+        };
+        let asked = Instant::now();
+        match ask(session, question, |_| Ok(())).await? {
+            InquiryEnd::Good(()) | InquiryEnd::Rejected(_) => {
+                let took = asked.elapsed();
+                shortest = Some(shortest.map_or(took, |shortest| shortest.min(took)));
+            }
+            InquiryEnd::Nobody | InquiryEnd::TimedOut => {
+                return Err(Error::NoAnswer { key, timeout: PROBE_TIMEOUT });
+            }
+        }
+    }
+    Ok(shortest.unwrap_or_default())
 }
 
 /// Asks everyone at the key, and reads answers until one can be used; else what is wrong with the last one counts.

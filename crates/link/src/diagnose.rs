@@ -6,6 +6,7 @@ use std::net::{TcpStream, ToSocketAddrs as _};
 use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
+use leadtime_certs::{HandshakeRefusal, Identity};
 use thiserror::Error;
 
 use crate::Endpoint;
@@ -39,30 +40,46 @@ pub(crate) enum Obstacle {
          for a certificate of ours"
     )]
     NoTls,
+    #[error(transparent)]
+    Handshake(#[from] HandshakeRefusal),
 }
 
-/// Finds out why nobody can be reached; takes a few seconds at most.
-pub(crate) fn diagnose(endpoint: &Endpoint) -> Obstacle {
+/// Finds out why nobody can be reached, by this process or by one without a certificate; takes a few seconds at most.
+pub(crate) fn diagnose(endpoint: &Endpoint, identity: Option<&Identity>) -> Obstacle {
     let (protocol, address, _) = endpoint.parts();
     match protocol {
         "unixsock-stream" => UnixStream::connect(address)
             .map_or_else(|error| obstacle(&error), |_| Obstacle::NoLearner),
-        "tls" => tcp(address).unwrap_or(Obstacle::NoTls),
-        _ => tcp(address).unwrap_or(Obstacle::NoLearner),
+        "tls" => match (tcp(address), identity) {
+            (Err(obstacle), _) => obstacle,
+            (Ok(_), None) => Obstacle::NoTls,
+            (Ok(stream), Some(identity)) => handshake(address, identity, stream),
+        },
+        _ => tcp(address).err().unwrap_or(Obstacle::NoLearner),
     }
 }
 
-/// Tries to connect; `None` if that works.
-fn tcp(address: &str) -> Option<Obstacle> {
-    let Ok(addresses) = address.to_socket_addrs() else { return Some(Obstacle::Unresolved) };
+/// Shakes hands as this process would.
+fn handshake(address: &str, identity: &Identity, stream: TcpStream) -> Obstacle {
+    let limited = stream.set_read_timeout(Some(ATTEMPT));
+    if let Err(error) = limited.and_then(|()| stream.set_write_timeout(Some(ATTEMPT))) {
+        return Obstacle::Other(error.to_string());
+    }
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    identity.probe(host, stream).map_or_else(Obstacle::Handshake, |()| Obstacle::NoLearner)
+}
+
+/// Tries to connect.
+fn tcp(address: &str) -> Result<TcpStream, Obstacle> {
+    let Ok(addresses) = address.to_socket_addrs() else { return Err(Obstacle::Unresolved) };
     let mut last = Obstacle::Unresolved;
     for address in addresses.take(MAX_ADDRESSES) {
         match TcpStream::connect_timeout(&address, ATTEMPT) {
-            Ok(_) => return None,
+            Ok(stream) => return Ok(stream),
             Err(error) => last = obstacle(&error),
         }
     }
-    Some(last)
+    Err(last)
 }
 
 fn obstacle(error: &std::io::Error) -> Obstacle {
@@ -81,7 +98,7 @@ mod tests {
     use super::*;
 
     fn at(address: &str) -> Obstacle {
-        diagnose(&address.parse().unwrap())
+        diagnose(&address.parse().unwrap(), None)
     }
 
     #[test]

@@ -22,7 +22,8 @@ const ODD_CHARACTER: &str =
 
 /// An address that can be listened on or connected to, such as `tcp/127.0.0.1:7447` (or `127.0.0.1:7447` for short).
 ///
-/// `tls/` takes its certificates from behind a `#`, as `tls/host:7447#root_ca_certificate_file=ca.pem`.
+/// `tls/` takes its certificates from the settings of the session, or from behind a `#`, as
+/// `tls/host:7447#root_ca_certificate_file=ca.pem`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint(String);
 
@@ -44,8 +45,17 @@ impl Endpoint {
         self.0.split('#').next().unwrap_or_default()
     }
 
+    /// Reads an address as a person writes it whose process has a certificate: without a protocol it is TLS.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Endpoint`].
+    pub fn encrypted(text: &str) -> Result<Self, Error> {
+        if text.contains('/') { text.parse() } else { format!("tls/{text}").parse() }
+    }
+
     /// Tells whether other machines can reach this address without showing who they are: neither local nor TLS with
-    /// certificates on both sides.
+    /// certificates on both sides, which every session with a certificate of its own asks for.
     pub fn is_open_to_strangers(&self) -> bool {
         let (protocol, address, settings) = self.parts();
         match protocol {

@@ -60,6 +60,50 @@ pub enum Error {
         /// What the system says.
         source: std::io::Error,
     },
+    /// A certificate was given, and an address that does not use it.
+    #[error(
+        "`{0}` is not encrypted, although a certificate is given: write `tls/` instead of `tcp/`"
+    )]
+    NotEncrypted(String),
+    /// An address with TLS, and no certificate.
+    #[error(
+        "`{0}` needs a certificate: give --tls DIR/ID with the files that `leadtime certs issue` makes"
+    )]
+    NoCertificate(String),
+    /// An address with certificates of its own, and another one for the whole session.
+    #[error(
+        "`{0}` brings TLS settings of its own, and --tls gives others: leave out what follows the `#`"
+    )]
+    TlsTwice(String),
+    /// A path that the network library cannot take.
+    #[error("{}: a path of TLS files may hold none of ; = | # and no quotation mark", .0.display())]
+    TlsPath(PathBuf),
+    /// Not a list of who may do what.
+    #[error("this is no access list: {0}; `leadtime certs acl` writes one")]
+    AccessList(String),
+    /// The hello of this actor goes to nobody, although a learner is there.
+    #[error(
+        "the access list there does not let `{actor}` say hello to run `{run}`: issue a certificate of role actor to it, write the          list again, and start what reads it again"
+    )]
+    NotAllowed {
+        /// The run.
+        run: RunName,
+        /// The actor.
+        actor: ActorId,
+    },
+    /// With a certificate no learner is seen.
+    #[error(
+        "no learner is to be seen at {endpoints} (waited {}): none is running there, or the access list there does not name `{name}`",
+        duration(*timeout)
+    )]
+    Unlisted {
+        /// The addresses.
+        endpoints: String,
+        /// The name in our certificate.
+        name: String,
+        /// For how long it was waited.
+        timeout: Duration,
+    },
     /// Listening failed for another reason.
     #[error("cannot listen on `{endpoint}`")]
     Listen {

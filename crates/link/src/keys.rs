@@ -30,7 +30,8 @@ pub(crate) const FROM: &str = "from";
 /// The parameter of such a question that says how many points the answer may have.
 pub(crate) const POINTS: &str = "points";
 
-const ROOT: &str = "leadtime/1";
+/// What every key of ours begins with.
+pub(crate) const ROOT: &str = "leadtime/1";
 const LEARNER: &str = "learner";
 const ACTOR: &str = "actor";
 
@@ -121,6 +122,8 @@ pub enum Keys<'a> {
     RolloutsOf(&'a RunName, &'a DomainName),
     /// Announcements of all domains.
     AnnouncementsOf(&'a RunName),
+    /// Where weights of whatever domain are pulled.
+    PullsOf(&'a RunName),
     /// Metrics of everyone.
     MetricsOf(&'a RunName),
 }
@@ -134,6 +137,7 @@ impl fmt::Display for Keys<'_> {
             Self::MembersOf(run) => write!(f, "{ROOT}/{run}/alive/*/*/*"),
             Self::RolloutsOf(run, domain) => write!(f, "{ROOT}/{run}/traj/{domain}/*"),
             Self::AnnouncementsOf(run) => write!(f, "{ROOT}/{run}/weights/*"),
+            Self::PullsOf(run) => write!(f, "{ROOT}/{run}/weights/*/latest"),
             Self::MetricsOf(run) => write!(f, "{ROOT}/{run}/metrics/*/*"),
         }
     }

@@ -19,6 +19,7 @@
 //! * **Weights are what was announced.** A pull accepts only bytes with the announced digest, from any peer.
 //! * Nothing relies on the network's congestion control as flow control; the credit window does that.
 //! * Topology is a star, dialled one way: actors and observers are clients of the learner or of a router.
+//! * A session with a certificate listens and dials by TLS alone (and on unix sockets, whose files guard them), and never falls back.
 //! * Every wait has a limit and every error names the address, key, actor or run it is about.
 //!
 //! | flow | priority | when the network is congested |
@@ -33,11 +34,12 @@
 //!
 //! # Where to start
 //!
-//! [`LearnerLink::open`] and [`ActorLink::open`]; the keys are in [`keys`], the order of the receiver's checks in
+//! [`LearnerLink::open`] and [`ActorLink::open`]; who is let in is in [`AccessList`]; the keys are in [`keys`], the order of the receiver's checks in
 //! [`leadtime_proto::receive`].
 
 pub mod keys;
 
+mod access;
 mod actor;
 mod answer;
 mod archive;
@@ -54,10 +56,13 @@ mod lock;
 mod observer;
 mod pubsub;
 mod queue;
+mod router;
+mod security;
 mod session;
 mod weights;
 mod wire;
 
+pub use access::AccessList;
 pub use actor::ActorLink;
 pub use answer::{ControlResponder, HelloResponder, Responder};
 pub use archive::{Archive, HistoryMaker};
@@ -68,4 +73,5 @@ pub use intake::RefusalCounts;
 pub use latest::Events;
 pub use learner::LearnerLink;
 pub use observer::{ObserverEvent, ObserverLink};
+pub use router::RouterLink;
 pub use session::{ConnectSettings, ListenSettings};

@@ -197,6 +197,15 @@ impl ObserverLink {
         self.n_missed.load(Ordering::Relaxed)
     }
 
+    /// Measures how long a short question to a run's learner and its answer take.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoAnswer`](crate::Error::NoAnswer) if nobody answers, or an access list is in the way.
+    pub async fn round_trip(&self, run: &RunName) -> Result<Duration> {
+        ask::round_trip(&self.session, run).await
+    }
+
     /// Leaves the network, within a limited time.
     ///
     /// # Errors

@@ -4,6 +4,7 @@
 
 use std::time::{Duration, Instant};
 
+use leadtime_certs::Identity;
 use leadtime_proto::limits;
 use leadtime_proto::phrase::duration;
 use tracing::{debug, info};
@@ -13,7 +14,7 @@ use zenoh::session::Session;
 
 use crate::diagnose::diagnose;
 use crate::error::NetworkFault;
-use crate::{Endpoint, Error, Result};
+use crate::{AccessList, Endpoint, Error, Result, security};
 
 /// After this silence a peer counts as gone (frozen host, cut cable); a killed process is noticed at once.
 const LEASE_MS: u64 = 2_000;
@@ -42,6 +43,10 @@ pub struct ListenSettings {
     pub connect: Vec<Endpoint>,
     /// How long to try to reach a router that the learner depends on. Default: 30 s.
     pub timeout: Duration,
+    /// The certificate of this process; with one, everything is encrypted and everybody has to show theirs. Default: none.
+    pub identity: Option<Identity>,
+    /// Who may do what, enforced here. Default: everybody everything.
+    pub access: Option<AccessList>,
     /// The most rollouts of one actor that wait in the event queue, at least the run's window. Default: 64.
     pub rollouts_per_actor: usize,
     /// The most actors whose rollouts wait in the event queue at once. Default: 256.
@@ -58,6 +63,8 @@ impl ListenSettings {
             endpoints,
             connect: Vec::new(),
             timeout: Duration::from_secs(30),
+            identity: None,
+            access: None,
             rollouts_per_actor: 64,
             max_actors: 256,
             max_queued_bytes: 256 << 20,
@@ -72,12 +79,14 @@ pub struct ConnectSettings {
     pub endpoints: Vec<Endpoint>,
     /// How long to try before giving up. Default: 30 s.
     pub timeout: Duration,
+    /// The certificate of this process; with one, everything is encrypted. Default: none.
+    pub identity: Option<Identity>,
 }
 
 impl ConnectSettings {
     /// Connects to these addresses, everything else as documented.
     pub fn new(endpoints: Vec<Endpoint>) -> Self {
-        Self { endpoints, timeout: Duration::from_secs(30) }
+        Self { endpoints, timeout: Duration::from_secs(30), identity: None }
     }
 }
 
@@ -90,21 +99,41 @@ pub(crate) fn describe(endpoints: &[Endpoint]) -> String {
 /// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on.
 pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
-        return dial(&settings.connect, settings.timeout, LEARNER_WAIT_BEFORE_CLOSE_US).await;
+        let settings = ConnectSettings {
+            endpoints: settings.connect.clone(),
+            timeout: settings.timeout,
+            identity: settings.identity.clone(),
+        };
+        return dial(&settings, LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
+    listen_as("peer", settings).await
+}
+
+/// Opens a session that listens: a `peer`, or a `router`.
+pub(crate) async fn listen_as(mode: &str, settings: &ListenSettings) -> Result<Session> {
     settings.endpoints.iter().try_for_each(Endpoint::check_listen)?;
     settings.connect.iter().try_for_each(Endpoint::check_files)?;
+    let identity = settings.identity.as_ref();
+    let all = [&settings.endpoints, &settings.connect];
+    all.into_iter().try_for_each(|endpoints| security::check(endpoints, identity))?;
+    let has_socket = security::has_socket(all.into_iter().flatten());
     // Twice the largest rollout, so that what is a little too large is refused and counted by us.
-    let config = config(&[
-        ("mode", "\"peer\"".to_owned()),
+    let mut special = vec![
+        ("mode", format!("\"{mode}\"")),
         ("listen/endpoints", json_list(&settings.endpoints)),
         ("connect/endpoints", json_list(&settings.connect)),
         ("transport/unicast/accept_pending", ACCEPT.0.to_string()),
         ("transport/unicast/accept_timeout", ACCEPT.1.to_string()),
         max_message(2 * limits::MAX_ROLLOUT_BYTES),
         wait_before_close(LEARNER_WAIT_BEFORE_CLOSE_US),
-    ]);
-    open(config).await?.map_err(|source| {
+    ];
+    if let Some(identity) = identity {
+        special.extend(security::settings(identity, has_socket)?);
+    }
+    if let Some(access) = &settings.access {
+        special.push(access.setting(has_socket));
+    }
+    open(config(&special)).await?.map_err(|source| {
         let endpoint = describe(&settings.endpoints).trim_matches('`').to_owned();
         let text = source.to_string();
         // The library has no codes, only words: the kernel's for a port, its own for a socket's lock file.
@@ -118,19 +147,25 @@ pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
 
 /// Opens a client's session, trying again with growing pauses until the time-out.
 pub(crate) async fn connect(settings: &ConnectSettings) -> Result<Session> {
-    dial(&settings.endpoints, settings.timeout, ACTOR_WAIT_BEFORE_CLOSE_US).await
+    dial(settings, ACTOR_WAIT_BEFORE_CLOSE_US).await
 }
 
-async fn dial(endpoints: &[Endpoint], timeout: Duration, wait_us: u64) -> Result<Session> {
+async fn dial(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
+    let ConnectSettings { endpoints, timeout, identity } = settings;
+    let (timeout, identity) = (*timeout, identity.as_ref());
     if endpoints.is_empty() {
         return Err(Error::NoEndpoint);
     }
     endpoints.iter().try_for_each(Endpoint::check_files)?;
+    security::check(endpoints, identity)?;
+    let has_socket = security::has_socket(endpoints.iter());
+    let encryption = identity.map(|identity| security::settings(identity, has_socket));
+    let encryption = encryption.transpose()?.unwrap_or_default();
     let deadline = Instant::now() + timeout;
     let mut reported = false;
     loop {
         let round = deadline.saturating_duration_since(Instant::now()).min(ROUND);
-        let config = config(&[
+        let mut special = vec![
             ("mode", "\"client\"".to_owned()),
             ("connect/endpoints", json_list(endpoints)),
             // 0 would mean a single attempt without a limit of its own.
@@ -138,18 +173,20 @@ async fn dial(endpoints: &[Endpoint], timeout: Duration, wait_us: u64) -> Result
             ("connect/exit_on_failure", "true".to_owned()),
             max_message(limits::MAX_MESSAGE_BYTES),
             wait_before_close(wait_us),
-        ]);
-        let source = match open(config).await? {
+        ];
+        special.extend(encryption.iter().cloned());
+        let source = match open(config(&special)).await? {
             Ok(session) => return Ok(session),
             Err(source) => source,
         };
         debug!(%source, "round of attempts to connect failed");
         if Instant::now() >= deadline {
-            return Err(Error::Unreachable { obstacles: obstacles(endpoints).await, timeout });
+            let obstacles = obstacles(endpoints, identity).await;
+            return Err(Error::Unreachable { obstacles, timeout });
         }
         if !reported {
             reported = true;
-            let obstacles = obstacles(endpoints).await;
+            let obstacles = obstacles(endpoints, identity).await;
             let timeout = duration(timeout);
             info!("no learner can be reached yet, trying for {timeout}: {obstacles}");
         }
@@ -157,10 +194,12 @@ async fn dial(endpoints: &[Endpoint], timeout: Duration, wait_us: u64) -> Result
 }
 
 /// Finds out what is in the way at each address.
-async fn obstacles(endpoints: &[Endpoint]) -> String {
-    let endpoints = endpoints.to_vec();
+async fn obstacles(endpoints: &[Endpoint], identity: Option<&Identity>) -> String {
+    let (endpoints, identity) = (endpoints.to_vec(), identity.cloned());
     let look = move || {
-        let told = endpoints.iter().map(|e| format!("at `{}`, {}", e.plain(), diagnose(e)));
+        let identity = identity.as_ref();
+        let told =
+            endpoints.iter().map(|e| format!("at `{}`, {}", e.plain(), diagnose(e, identity)));
         told.collect::<Vec<_>>().join("; ")
     };
     tokio::task::spawn_blocking(look).await.unwrap_or_default()

@@ -7,8 +7,9 @@ use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use leadtime_proto::Incarnation;
 
+/// Returns this moment.
 #[expect(clippy::disallowed_methods, reason = "this is the one file that reads the wall clock")]
-fn now() -> Timestamp {
+pub fn now() -> Timestamp {
     at(SystemTime::now())
 }
 

@@ -24,6 +24,8 @@ pub struct Launch<'a> {
     pub n_actors: u32,
     /// Further addresses for the learner.
     pub listen: &'a [String],
+    /// Options of the learner that say whom it lets in there.
+    pub guard: &'a [OsString],
     /// The run or file whose weights a new run starts from.
     pub fork: Option<&'a Path>,
     /// After how much the run stops with a checkpoint, as the learner's `--stop-after` has it.
@@ -60,6 +62,7 @@ impl<'a> Launch<'a> {
             naming,
             n_actors,
             listen: &[],
+            guard: &[],
             fork: None,
             stop_after: None,
             changes: Vec::new(),
@@ -166,6 +169,7 @@ fn plan(
     for extra in launch.listen {
         learner.extend(text(&["--listen", extra]));
     }
+    learner.extend(launch.guard.iter().cloned());
     if let Some(stop_after) = &launch.stop_after {
         learner.extend(text(&["--stop-after", stop_after]));
     }

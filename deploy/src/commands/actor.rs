@@ -2,8 +2,9 @@
 
 use std::fs;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use leadtime_actor::{ActorEnd, ActorSettings, Error};
+use leadtime_certs::Role;
 use leadtime_link::{ConnectSettings, Endpoint, Error as LinkError};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RunName};
@@ -13,7 +14,8 @@ use tokio::sync::watch;
 
 use super::learner::bind_status;
 
-use crate::cli::{ActorArgs, endpoints};
+use crate::cli::ActorArgs;
+use crate::credentials::{connect_settings, is_wrong_input};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{self, Watch};
 use crate::status::ActorStatus;
@@ -64,10 +66,18 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
 }
 
 fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettings> {
-    let mut connect = ConnectSettings::new(endpoints(&args.connect).context("--connect")?);
+    let mut connect = connect_settings(&args.connect, &args.tls, &[Role::Actor])?;
     connect.timeout = args.connect_timeout;
     let run = args.run.clone().map(RunName::new).transpose().context("--run")?;
-    let id = args.id.clone().unwrap_or_else(|| default_id(&host()));
+    let shown = connect.identity.as_ref().and_then(|identity| identity.shown.name.clone());
+    let id = match (&args.id, shown) {
+        (Some(id), Some(shown)) if *id != shown => {
+            bail!("--id: the certificate is for `{shown}`, and nobody else can take part with it")
+        }
+        (Some(id), _) => id.clone(),
+        (None, Some(shown)) => shown,
+        (None, None) => default_id(&host()),
+    };
     Ok(ActorSettings {
         actor: ActorId::new(id).context("--id")?,
         incarnation: clock::incarnation(),
@@ -98,12 +108,10 @@ fn default_id(host: &str) -> String {
 fn failure(error: Error) -> Failure {
     let code = match &error {
         Error::CancelledEarly => return Failure::silent(ExitCode::Interrupted),
+        Error::Link(error) if is_wrong_input(error) => ExitCode::WrongInput,
         Error::Task(_)
         | Error::Link(
-            LinkError::Endpoint { .. }
-            | LinkError::NoEndpoint
-            | LinkError::TlsFile { .. }
-            | LinkError::Name(_)
+            LinkError::Name(_)
             | LinkError::SeveralRuns { .. }
             | LinkError::Taken { .. }
             | LinkError::RunNotFound { .. },

@@ -2,17 +2,20 @@
 
 use std::path::Path;
 use std::thread::available_parallelism;
+use std::time::Duration;
 
 use anyhow::Context as _;
+use leadtime_certs::Role;
 use leadtime_config::Config;
-use leadtime_link::{ConnectSettings, ObserverLink};
+use leadtime_link::ObserverLink;
 use leadtime_proto::TaskSpec;
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{Tasks, build};
 use leadtime_sims::env_check::check_environment;
 use leadtime_table::wrapped;
 
-use crate::cli::{CheckArgs, endpoints};
+use crate::cli::CheckArgs;
+use crate::credentials::{connect_settings, is_wrong_input};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
 use crate::threads;
@@ -40,8 +43,9 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
     writable(&config).blame(ExitCode::WrongInput)?;
     report("runs", &format!("{} can be written", config.run.directory.display()));
     if !args.connect.is_empty() {
-        let runs = look(args).await?;
+        let (runs, round_trip) = look(args).await?;
         report("learner", &format!("runs at {}: {}", args.connect.join(", "), runs.join(", ")));
+        round_trip.iter().for_each(|time| report("round trip", &advice(*time)));
     }
     if n_defects > 0 {
         let error = format!("domain {domain} has defects: its runs are not reproducible, or fail");
@@ -78,17 +82,68 @@ fn writable(config: &Config) -> anyhow::Result<()> {
     tempfile::tempfile_in(directory).with_context(refused).map(|_file| ())
 }
 
-/// Lists the runs at an address.
-async fn look(args: &CheckArgs) -> Result<Vec<String>, Failure> {
-    let mut settings = ConnectSettings::new(endpoints(&args.connect).blame(ExitCode::WrongInput)?);
+/// The share of its speed that a run may lose to the network.
+const LOSS: f64 = 0.1;
+/// Round trips shorter than this cost nothing worth a word.
+const SHORT: Duration = Duration::from_millis(5);
+
+/// Says what a round trip means for a run.
+fn advice(round_trip: Duration) -> String {
+    let time = format!("{:.1} ms", round_trip.as_secs_f64() * 1e3);
+    if round_trip < SHORT {
+        return time;
+    }
+    let needed = |rate: u32| format!("{} for {rate}", lag_needed(round_trip, f64::from(rate)));
+    let (slow, fast, faster) = (needed(2), needed(10), needed(50));
+    format!(
+        "{time}; an actor here costs the run less than a tenth of its speed if learner.lag is at least {slow} updates a second \
+         (without the delay), {fast}, {faster}"
+    )
+}
+
+/// Computes the lag at which a run of so many updates a second loses no more than [`LOSS`] to a round trip.
+///
+/// A version is announced, pulled, acted with and sent back: two round trips, the acting, and the update. With lag k there
+/// are k + 1 versions on the way, so an update takes that time by k + 1 at least. Acting takes no longer than an update,
+/// or it would be what the run waits for.
+fn lag_needed(round_trip: Duration, updates_per_second: f64) -> u64 {
+    let in_updates = 2.0 * round_trip.as_secs_f64() * updates_per_second + 2.0;
+    (in_updates / (1.0 + LOSS) - 1.0).ceil().max(1.0) as u64
+}
+
+/// Lists the runs at an address, and measures the way to the first one's learner, as far as we may ask it.
+async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<Duration>), Failure> {
+    let settings = connect_settings(&args.connect, &args.tls, &Role::ALL);
+    let mut settings = settings.blame(ExitCode::WrongInput)?;
     settings.timeout = args.connect_timeout;
-    let (link, _events) = ObserverLink::open(&settings).await.blame(ExitCode::PeerLost)?;
+    let failure = |error| {
+        let is_input = is_wrong_input(&error);
+        Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
+    };
+    let (link, _events) = ObserverLink::open(&settings).await.map_err(failure)?;
     let runs = link.runs().await.blame(ExitCode::PeerLost)?;
+    let mut round_trip = None;
+    if let Some(run) = runs.first() {
+        round_trip = link.round_trip(run).await.ok();
+    }
     link.close().await.blame(ExitCode::PeerLost)?;
     if runs.is_empty() {
         let at = args.connect.join(", ");
         let error = anyhow::anyhow!("someone answers at {at}, but no learner is there");
         return Err(Failure::of(ExitCode::PeerLost, error));
     }
-    Ok(runs.iter().map(ToString::to_string).collect())
+    Ok((runs.iter().map(ToString::to_string).collect(), round_trip))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_longer_way_needs_more_lag() {
+        let lag = |ms, rate| lag_needed(Duration::from_millis(ms), rate);
+        assert_eq!([lag(0, 10.0), lag(100, 2.0), lag(100, 10.0), lag(100, 50.0)], [1, 2, 3, 10]);
+        assert_eq!(advice(Duration::from_micros(400)), "0.4 ms");
+        assert!(advice(Duration::from_millis(100)).contains("2 for 2 updates a second"));
+    }
 }

@@ -4,8 +4,9 @@ use leadtime_runs::Tasks;
 use tokio::runtime;
 
 use super::{
-    actor, check, compare, config, conformance, describe, eval, health, launch, learner, new,
-    pilot, play, probe, race, report, runs, script_search, smoke, taxonomy, version, watch,
+    actor, certs, check, compare, config, conformance, describe, eval, health, launch, learner,
+    new, pilot, play, probe, race, report, router, runs, script_search, smoke, taxonomy, version,
+    watch,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -32,6 +33,8 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         Command::Learner(args) => block_on(learner::run(tasks, &args)),
         Command::Actor(args) => block_on(actor::run(tasks, &args)),
         Command::Watch(args) => block_on(watch::run(tasks, &args)),
+        Command::Router(args) => block_on(router::run(&args)),
+        Command::Certs { command } => certs::run(&command),
         Command::Eval(args) => eval::run(tasks, &args),
         Command::Probe(args) => probe::run(tasks, &args),
         Command::Play(args) => play::run(tasks, &args),

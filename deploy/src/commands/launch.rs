@@ -14,6 +14,7 @@ use tokio_util::task::TaskTracker;
 
 use super::watch::{PageServer, beside};
 use crate::cli::{AccessArgs, UpArgs};
+use crate::credentials::guard_options;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT};
 use crate::shutdown::{Watch, watch};
@@ -36,9 +37,11 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
             beside.begin(endpoint, run);
         }
     };
+    let guard = guard_options(&args.guard);
     let what = Launch {
         observer: beside.is_some().then_some(&observe as &LearnerPlace),
         listen: &args.listen,
+        guard: &guard,
         fork: args.run.fork.as_deref(),
         stop_after: args.run.stop_after.map(|amount| amount.to_string()),
         changes: args.run.change.iter().map(ToString::to_string).collect(),
@@ -98,8 +101,9 @@ impl BesidePage {
 /// Says how a run goes on, and returns true, if it was begun and has not reached its end.
 fn goes_on(run: &Path, what: &Launch<'_>) -> bool {
     let Ok(RunRecord { name, result: None, .. }) = RunRecord::read(run) else { return false };
-    let mut options = vec!["--actors".to_owned(), what.n_actors.to_string()];
-    options.extend(what.listen.iter().flat_map(|listen| ["--listen".to_owned(), listen.clone()]));
+    let mut options = vec!["--actors".into(), what.n_actors.to_string().into()];
+    options.extend(what.listen.iter().flat_map(|listen| ["--listen".into(), listen.into()]));
+    options.extend(what.guard.iter().cloned());
     output::next_resumes("up", run, &name, &options);
     true
 }

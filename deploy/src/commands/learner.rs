@@ -1,11 +1,13 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::ffi::OsString;
+use std::sync::atomic::Ordering;
 
 use anyhow::Context as _;
+use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
-use leadtime_link::{Endpoint, ListenSettings};
+use leadtime_link::Endpoint;
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
 use leadtime_runs::policy_file::Fork;
@@ -18,7 +20,8 @@ use serde_json::json;
 use tokio_util::sync::CancellationToken;
 
 use super::report;
-use crate::cli::{LearnerArgs, StopAfter, endpoints};
+use crate::cli::{LearnerArgs, StopAfter};
+use crate::credentials::{guard_options, is_wrong_input, listen_settings};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::metrics_pipe::MetricsPipe;
 use crate::output::{self, DRAW, EVALUATE};
@@ -26,6 +29,9 @@ use crate::shutdown::{Watch, drain_on_request, watch};
 use crate::sink::{RunSink, held_out_sentence};
 use crate::status::{LearnerFacts, LearnerStatus, StatusServer};
 use crate::{build, log_line, service};
+
+/// Where a learner listens if nothing else is said; with a certificate by TLS, else by TCP.
+const DEFAULT_ADDRESS: &str = "127.0.0.1:7447";
 
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
@@ -35,7 +41,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
     let fork = args.run.fork.as_deref().map(|from| Fork::read(&config, from));
     let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
-    let listen = listen_settings(&args.listen).blame(ExitCode::WrongInput)?;
+    let listen = listen_settings(&addresses(args), &args.connect, &args.guard, Role::Learner)
+        .blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
     let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let build = build::this_build()?;
@@ -143,12 +150,18 @@ pub(super) async fn bind_status(address: Option<&str>) -> Result<Option<StatusSe
     }
 }
 
-fn listen_settings(listen: &[String]) -> anyhow::Result<ListenSettings> {
-    let endpoints = endpoints(listen).context("--listen")?;
-    for endpoint in endpoints.iter().filter(|endpoint| endpoint.is_open_to_strangers()) {
-        tracing::warn!(%endpoint, "whoever reaches this address can take part: it asks for no certificate");
-    }
-    Ok(ListenSettings::new(endpoints))
+/// Returns where to listen: on this machine, unless a router is to be dialled instead.
+fn addresses(args: &LearnerArgs) -> Vec<String> {
+    let is_reached = !args.listen.is_empty() || !args.connect.is_empty();
+    if is_reached { args.listen.clone() } else { vec![DEFAULT_ADDRESS.to_owned()] }
+}
+
+/// Returns the options that give another learner the same addresses.
+fn network_options(args: &LearnerArgs) -> Vec<OsString> {
+    let option = |name: &str, address: &String| [name.into(), address.into()];
+    let listen = args.listen.iter().flat_map(|address| option("--listen", address));
+    let connect = args.connect.iter().flat_map(|address| option("--connect", address));
+    listen.chain(connect).chain(guard_options(&args.guard)).collect()
 }
 
 /// Chooses the exit code for a learner's error.
@@ -156,14 +169,13 @@ fn failure(error: leadtime_learner::Error) -> Failure {
     use leadtime_learner::Error;
     use leadtime_link::Error as LinkError;
     let code = match &error {
+        Error::Link(error) if is_wrong_input(error) => ExitCode::WrongInput,
         Error::Checkpoint(_)
         | Error::ConfigurationChanged { .. }
         | Error::Link(
             LinkError::AddressInUse { .. }
             | LinkError::NotASocket { .. }
-            | LinkError::TlsFile { .. }
-            | LinkError::Listen { .. }
-            | LinkError::NoEndpoint,
+            | LinkError::Listen { .. },
         ) => ExitCode::WrongInput,
         Error::Link(_) => ExitCode::PeerLost,
         _ => ExitCode::Failed,
@@ -222,9 +234,8 @@ fn conclude(
         return Ok(());
     }
     if !args.supervised {
-        let listen = args.listen.iter().flat_map(|listen| ["--listen".to_owned(), listen.clone()]);
         let (path, name) = (&run_dir.path, run_dir.name.as_str());
-        output::next_resumes("learner", path, name, &listen.collect::<Vec<_>>());
+        output::next_resumes("learner", path, name, &network_options(args));
         output::note("The actors have to be started again, too.");
     }
     if is_asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }

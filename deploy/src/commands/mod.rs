@@ -1,6 +1,7 @@
 //! One module per command; each turns checked arguments into calls of the crates below, and errors into exit codes.
 
 mod actor;
+mod certs;
 mod check;
 mod compare;
 mod config;
@@ -20,6 +21,7 @@ mod play;
 mod probe;
 mod race;
 mod report;
+mod router;
 mod runs;
 mod script_search;
 mod smoke;

@@ -5,6 +5,8 @@
 
 #![expect(clippy::unwrap_used, reason = "the tests' helpers fail as their tests do")]
 
+mod access;
+mod certificates;
 mod joining;
 mod messages;
 mod presence;

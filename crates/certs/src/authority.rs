@@ -1,0 +1,274 @@
+//! Making certificates: the authority, one for each process, and the same again before they end.
+
+use std::fs::{self, File};
+use std::io::{Read as _, Seek as _, Write as _};
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use jiff::Timestamp;
+use rcgen::{
+    BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,
+    Issuer, KeyPair, KeyUsagePurpose, PublicKeyData, SerialNumber, SubjectPublicKeyInfo,
+};
+use time::OffsetDateTime;
+
+use crate::files::{self, Durability, Readers, failed};
+use crate::{Certificate, Error, PeerName, Result, Role};
+
+/// How long an authority lasts.
+const AUTHORITY_LIFETIME: Duration = Duration::from_hours(24 * 3650);
+/// The longest life of a certificate that can be asked for.
+const MAX_LIFETIME: Duration = Duration::from_hours(24 * 36_500);
+/// A certificate begins so long before it is made: the clocks of two machines differ.
+const CLOCK_SKEW: Duration = Duration::from_mins(5);
+
+/// A certificate that was made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Issued {
+    /// The name of its process.
+    pub name: PeerName,
+    /// Its file.
+    pub path: PathBuf,
+    /// What it says.
+    pub certificate: Certificate,
+}
+
+/// An authority in its directory; no other process can issue from it meanwhile.
+#[derive(Debug)]
+pub struct Authority {
+    directory: PathBuf,
+    ends: Timestamp,
+    issuer: Issuer<'static, KeyPair>,
+    /// Holds the last serial number, and the lock.
+    serial: File,
+}
+
+impl Authority {
+    /// Makes an authority in a directory, which is made if it is not there.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::AuthorityExists`], or [`Error::File`] if the directory cannot be written.
+    pub fn create(directory: &Path, name: &str, now: Timestamp) -> Result<Certificate> {
+        let [certificate, key, serial] = paths(directory);
+        if certificate.exists() || key.exists() {
+            return Err(Error::AuthorityExists(directory.to_owned()));
+        }
+        fs::create_dir_all(directory).map_err(failed("write", directory))?;
+        let key_pair = KeyPair::generate()?;
+        let mut params = CertificateParams::default();
+        params.distinguished_name = DistinguishedName::new();
+        params.distinguished_name.push(DnType::CommonName, name);
+        params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
+        params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+        limit(&mut params, now, add(now, AUTHORITY_LIFETIME)?)?;
+        let signed = params.self_signed(&key_pair)?;
+        // The key first: a certificate says that everything is there.
+        let flushed = Durability::Flushed;
+        files::write(&serial, "0\n", Readers::Owner, flushed)?;
+        files::write(&key, &key_pair.serialize_pem(), Readers::Owner, flushed)?;
+        files::write(&certificate, &signed.pem(), Readers::Everybody, flushed)?;
+        Certificate::read(&certificate)
+    }
+
+    /// Opens the authority of a directory.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::File`] if it is not there, [`Error::OpenKey`], [`Error::Content`], [`Error::AuthorityEnded`], or
+    /// [`Error::Busy`] if another process has it.
+    pub fn open(directory: &Path, now: Timestamp) -> Result<Self> {
+        let [certificate, key, serial] = paths(directory);
+        let text = |path: &Path| {
+            let no_text = |_odd| "bytes that are no text".to_owned();
+            String::from_utf8(files::read(path)?).map_err(no_text).map_err(content(path))
+        };
+        let pem = text(&certificate)?;
+        files::check_key_is_secret(&key)?;
+        let pair = KeyPair::from_pem(&text(&key)?).map_err(|_odd| "no private key".to_owned());
+        let pair = pair.map_err(content(&key))?;
+        // With two authorities in the file, during a change from one to the other, the first one signs.
+        let read = Certificate::parse(pem.as_bytes()).map_err(content(&certificate))?;
+        if read.public_key != pair.subject_public_key_info() {
+            let found = "the key of another authority than ca.pem".to_owned();
+            return Err(content(&key)(found));
+        }
+        if read.ends <= now {
+            let (directory, ended) = (directory.to_owned(), read.ends);
+            return Err(Error::AuthorityEnded { directory, ended });
+        }
+        let issuer = Issuer::from_ca_cert_pem(&pem, pair)?;
+        let serial = files::lock(&serial, directory)?;
+        Ok(Self { directory: directory.to_owned(), ends: read.ends, issuer, serial })
+    }
+
+    /// Makes key and certificate of a process.
+    ///
+    /// `hosts` are the names and addresses under which it is dialled; who only dials others needs none. The certificate ends
+    /// after `lifetime`, or with the authority.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Taken`], [`Error::Host`], [`Error::Lifetime`], or [`Error::File`].
+    pub fn issue(
+        &mut self,
+        role: Role,
+        name: &PeerName,
+        hosts: &[String],
+        lifetime: Duration,
+        now: Timestamp,
+    ) -> Result<Issued> {
+        let path = self.directory.join(format!("{name}.pem"));
+        let key_path = path.with_extension("key");
+        if let Some(there) = [&path, &key_path].into_iter().find(|path| path.exists()) {
+            return Err(Error::Taken(there.clone()));
+        }
+        let key = KeyPair::generate()?;
+        let pem = self.sign(role, name, hosts, lifetime, now, &key)?;
+        files::write(&key_path, &key.serialize_pem(), Readers::Owner, Durability::Eventual)?;
+        files::write(&path, &pem, Readers::Everybody, Durability::Eventual)?;
+        let certificate = Certificate::read(&path)?;
+        Ok(Issued { name: name.clone(), path, certificate })
+    }
+
+    /// Makes the certificates anew that end within `before`: for the same role, hosts and time, and for the same key, which
+    /// need not be here.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::File`] or [`Error::Content`] if a certificate of the directory cannot be read or written.
+    pub fn renew(&mut self, before: Duration, now: Timestamp) -> Result<Vec<Issued>> {
+        let soon = add(now, before)?;
+        let mut renewed = issued(&self.directory)?;
+        renewed.retain(|(_, issued)| issued.certificate.ends <= soon);
+        let mut made = Vec::new();
+        for (role, Issued { name, path, certificate: old }) in renewed {
+            let key = SubjectPublicKeyInfo::from_der(&old.public_key)?;
+            let lifetime = Duration::try_from(old.ends.duration_since(old.begins));
+            let lifetime = lifetime.map_err(|_negative| Error::Lifetime)?;
+            let lifetime = lifetime.saturating_sub(CLOCK_SKEW).max(Duration::from_secs(1));
+            let pem = self.sign(role, &name, &old.hosts, lifetime, now, &key)?;
+            files::write(&path, &pem, Readers::Everybody, Durability::Flushed)?;
+            made.push(Issued { certificate: Certificate::read(&path)?, name, path });
+        }
+        Ok(made)
+    }
+
+    /// Lists every certificate of a directory with its role, by name.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::File`] or [`Error::Content`].
+    pub fn list(directory: &Path) -> Result<Vec<(Role, Issued)>> {
+        issued(directory)
+    }
+
+    fn sign(
+        &mut self,
+        role: Role,
+        name: &PeerName,
+        hosts: &[String],
+        lifetime: Duration,
+        now: Timestamp,
+        key: &impl PublicKeyData,
+    ) -> Result<String> {
+        if !(Duration::from_secs(1)..=MAX_LIFETIME).contains(&lifetime) {
+            return Err(Error::Lifetime);
+        }
+        hosts.iter().try_for_each(|host| check_host(host))?;
+        let mut params = CertificateParams::new(hosts.to_vec())?;
+        params.distinguished_name = DistinguishedName::new();
+        params.distinguished_name.push(DnType::OrganizationalUnitName, role.as_str());
+        params.distinguished_name.push(DnType::CommonName, name.as_str());
+        params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+        params.extended_key_usages =
+            vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
+        params.use_authority_key_identifier_extension = true;
+        limit(&mut params, now, add(now, lifetime)?.min(self.ends))?;
+        params.serial_number = Some(SerialNumber::from(self.next_serial()?));
+        Ok(params.signed_by(key, &self.issuer)?.pem())
+    }
+
+    /// Counts up the serial number, in its file first: no number is given twice.
+    fn next_serial(&mut self) -> Result<u64> {
+        let path = self.directory.join("serial");
+        let mut text = String::new();
+        let mut read = || {
+            self.serial.rewind()?;
+            self.serial.read_to_string(&mut text)
+        };
+        read().map_err(failed("read", &path))?;
+        let last = text.trim();
+        let last = if last.is_empty() { Ok(0) } else { last.parse::<u64>() };
+        let next = last.ok().and_then(|last| last.checked_add(1));
+        let next = next.ok_or_else(|| content(&path)("no serial number".to_owned()))?;
+        let mut write = || {
+            self.serial.rewind()?;
+            // A number never has fewer digits than the one before it.
+            self.serial.write_all(format!("{next}\n").as_bytes())
+        };
+        write().map_err(failed("write", &path))?;
+        Ok(next)
+    }
+}
+
+/// Lists the certificates of a directory that have a role and a name of ours, by name.
+fn issued(directory: &Path) -> Result<Vec<(Role, Issued)>> {
+    let entries = fs::read_dir(directory).map_err(failed("read", directory))?;
+    let mut found = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(failed("read", directory))?.path();
+        let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        let Ok(name) = stem.parse::<PeerName>() else { continue };
+        if path.extension().is_none_or(|extension| extension != "pem") {
+            continue;
+        }
+        let certificate = Certificate::read(&path)?;
+        if certificate.name.as_deref() != Some(name.as_str()) {
+            let of = certificate.name.as_deref().unwrap_or("nobody");
+            let of: String = of.escape_debug().take(80).collect();
+            return Err(content(&path)(format!("a certificate of `{of}`, not of `{name}`")));
+        }
+        let Some(role) = certificate.role else { continue };
+        found.push((role, Issued { name, path, certificate }));
+    }
+    found.sort_by(|(_, one), (_, other)| one.name.cmp(&other.name));
+    Ok(found)
+}
+
+fn paths(directory: &Path) -> [PathBuf; 3] {
+    ["ca.pem", "ca.key", "serial"].map(|name| directory.join(name))
+}
+
+fn content(path: &Path) -> impl FnOnce(String) -> Error + use<> {
+    let path = path.to_owned();
+    move |found| Error::Content { path, found }
+}
+
+/// Gives a certificate its beginning and its end; without them it would last from 1975 to 4096.
+fn limit(params: &mut CertificateParams, now: Timestamp, end: Timestamp) -> Result<()> {
+    let date = |moment: Timestamp| {
+        OffsetDateTime::from_unix_timestamp(moment.as_second()).map_err(|_beyond| Error::Lifetime)
+    };
+    params.not_before = date(now.checked_sub(CLOCK_SKEW).map_err(|_beyond| Error::Lifetime)?)?;
+    params.not_after = date(end)?;
+    Ok(())
+}
+
+fn add(now: Timestamp, time: Duration) -> Result<Timestamp> {
+    now.checked_add(time).map_err(|_beyond| Error::Lifetime)
+}
+
+/// Refuses what no one can be dialled under.
+fn check_host(host: &str) -> Result<()> {
+    let label = |label: &str| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        (1..=63).contains(&label.len()) && label.chars().all(plain)
+    };
+    let is_name = host.len() <= 253 && host.split('.').all(label);
+    if is_name || host.parse::<IpAddr>().is_ok() {
+        return Ok(());
+    }
+    Err(Error::Host(host.chars().take(80).collect()))
+}

@@ -1,0 +1,109 @@
+//! What can be wrong with certificates, with what a person needs to put it right.
+
+use std::io;
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// A result of this crate.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Why something about certificates could not be done.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file that cannot be read or written.
+    #[error("cannot {action} {}", path.display())]
+    File {
+        /// `read`, `write` or `lock`.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        #[source]
+        source: io::Error,
+    },
+    /// An authority is there already.
+    #[error("{} holds an authority already: issue from it, or take another directory", .0.display())]
+    AuthorityExists(PathBuf),
+    /// Another process is issuing.
+    #[error("another `leadtime certs` is at work in {}: try again when it is done", .0.display())]
+    Busy(PathBuf),
+    /// This name has a certificate.
+    #[error("{} is there already: `certs renew` makes it anew, or remove it first", .0.display())]
+    Taken(PathBuf),
+    /// Not a role.
+    #[error("`{0}` is not a role: router, learner, actor, observer, recorder or robot")]
+    Role(String),
+    /// Not a name.
+    #[error(
+        "`{0}` is not a name for a certificate: use 1 to 48 of a-z, 0-9 and `-`, starting with a letter or digit, but not `ca`"
+    )]
+    Name(String),
+    /// Not a host.
+    #[error("`{0}` is neither a host's name nor an address")]
+    Host(String),
+    /// A lifetime that is no lifetime.
+    #[error("a certificate has to last at least a second, and at most 100 years")]
+    Lifetime,
+    /// The authority's own certificate has ended.
+    #[error("the authority in {} ended at {ended}: make another one with `certs init`, and issue anew", directory.display())]
+    AuthorityEnded {
+        /// Its directory.
+        directory: PathBuf,
+        /// When.
+        ended: jiff::Timestamp,
+    },
+    /// A file that is not what it should be.
+    #[error("{} holds {found}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What it holds instead.
+        found: String,
+    },
+    /// A certificate that cannot be used, and why.
+    #[error("{} cannot be used: {reason}", path.display())]
+    Unfit {
+        /// The certificate.
+        path: PathBuf,
+        /// Why.
+        reason: Unfit,
+    },
+    /// A key that others can read.
+    #[error("{} can be read by everybody (mode {mode:03o}): `chmod 600` it, and issue a new one if somebody may have", path.display())]
+    OpenKey {
+        /// The key.
+        path: PathBuf,
+        /// Its permissions.
+        mode: u32,
+    },
+    /// A certificate could not be made.
+    #[error("cannot make a certificate")]
+    Make(#[from] rcgen::Error),
+}
+
+/// Why a certificate cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum Unfit {
+    /// It is over.
+    #[error("it ended at {0}; `leadtime certs renew` makes it anew")]
+    Expired(jiff::Timestamp),
+    /// It has not begun.
+    #[error("it begins at {0}; is this machine's clock right?")]
+    NotYetValid(jiff::Timestamp),
+    /// Not signed by the authority beside it.
+    #[error("it is not signed by the authority in {}", .0.display())]
+    OtherAuthority(PathBuf),
+    /// The key is another certificate's.
+    #[error("{} is the key of another certificate", .0.display())]
+    OtherKey(PathBuf),
+    /// Good for one end of a connection only.
+    #[error(
+        "it has to be for both ends of a connection (extended key usage serverAuth and clientAuth)"
+    )]
+    OneEnd,
+    /// It names nobody.
+    #[error("its subject has no common name")]
+    Nameless,
+}

@@ -1,0 +1,163 @@
+//! Making certificates, reading them, and refusing what peers would refuse.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+use std::time::Duration;
+
+use jiff::Timestamp;
+use leadtime_certs::{Authority, Certificate, Error, Identity, Issued, Role, Unfit};
+
+const DAY: Duration = Duration::from_hours(24);
+
+fn now() -> Timestamp {
+    "2026-01-31T12:00:00Z".parse().unwrap()
+}
+
+fn later(time: Duration) -> Timestamp {
+    now() + time
+}
+
+fn authority(directory: &Path) -> Authority {
+    Authority::create(directory, "Test", now()).unwrap();
+    Authority::open(directory, now()).unwrap()
+}
+
+fn issue(authority: &mut Authority, role: Role, name: &str) -> Issued {
+    let hosts = ["box.example".to_owned(), "10.0.0.1".to_owned(), "fe80::1".to_owned()];
+    authority.issue(role, &name.parse().unwrap(), &hosts, 90 * DAY, now()).unwrap()
+}
+
+fn mode(path: &Path) -> u32 {
+    fs::metadata(path).unwrap().permissions().mode() & 0o777
+}
+
+#[test]
+fn a_certificate_says_who_where_and_how_long() {
+    let dir = tempfile::tempdir().unwrap();
+    let pki = dir.path().join("pki");
+    let mut authority = authority(&pki);
+    let Issued { certificate, path, .. } = issue(&mut authority, Role::Actor, "a7");
+    assert_eq!(certificate, Certificate::read(&path).unwrap());
+    assert_eq!((certificate.name.as_deref(), certificate.role), (Some("a7"), Some(Role::Actor)));
+    assert_eq!(certificate.hosts, ["box.example", "10.0.0.1", "fe80::1"]);
+    assert_eq!(certificate.begins, now() - Duration::from_mins(5));
+    assert_eq!(certificate.ends, later(90 * DAY));
+    assert!(certificate.is_for_both_ends && !certificate.is_authority);
+    let modes = ["ca.key", "a7.key", "ca.pem", "a7.pem"].map(|name| mode(&pki.join(name)));
+    assert_eq!(modes, [0o600, 0o600, 0o644, 0o644]);
+    let ca = Certificate::read(&pki.join("ca.pem")).unwrap();
+    assert!(ca.is_authority && ca.role.is_none());
+    let identity = Identity::read(&pki.join("a7"), now()).unwrap();
+    assert_eq!(identity, Identity::read(&path, now()).unwrap(), "with or without `.pem`");
+    assert_eq!(identity.shown, certificate);
+}
+
+#[test]
+fn a_fleet_of_certificates_has_a_number_each_and_is_listed() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut authority = authority(dir.path());
+    for number in 0..200 {
+        issue(&mut authority, Role::Actor, &format!("a{number}"));
+    }
+    assert_eq!(fs::read_to_string(dir.path().join("serial")).unwrap(), "200\n");
+    let listed = Authority::list(dir.path()).unwrap();
+    assert_eq!(listed.len(), 200);
+}
+
+#[test]
+fn what_is_there_is_not_overwritten() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut first = authority(dir.path());
+    issue(&mut first, Role::Learner, "l1");
+    let again = first.issue(Role::Actor, &"l1".parse().unwrap(), &[], DAY, now());
+    assert!(matches!(again.unwrap_err(), Error::Taken(_)));
+    assert!(matches!(Authority::open(dir.path(), now()).unwrap_err(), Error::Busy(_)));
+    let another = Authority::create(dir.path(), "Test", now()).unwrap_err();
+    assert!(matches!(another, Error::AuthorityExists(_)));
+    for (hosts, lifetime) in [(vec!["a b".to_owned()], DAY), (Vec::new(), Duration::ZERO)] {
+        let name = "a1".parse().unwrap();
+        first.issue(Role::Actor, &name, &hosts, lifetime, now()).unwrap_err();
+    }
+}
+
+#[test]
+fn what_ends_soon_is_made_anew_with_its_key() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut authority = authority(dir.path());
+    let old = issue(&mut authority, Role::Actor, "a7");
+    let key = fs::read(dir.path().join("a7.key")).unwrap();
+    // Keys may be elsewhere: only the machine of the process needs it.
+    fs::remove_file(dir.path().join("a7.key")).unwrap();
+    let month = 30 * DAY;
+    assert_eq!(authority.renew(month, later(59 * DAY)).unwrap(), []);
+    let renewed = authority.renew(month, later(61 * DAY)).unwrap();
+    assert_eq!(renewed.len(), 1);
+    let new = &renewed[0].certificate;
+    assert_eq!(new.ends, later(151 * DAY));
+    assert_eq!((&new.hosts, new.role), (&old.certificate.hosts, Some(Role::Actor)));
+    fs::write(dir.path().join("a7.key"), key).unwrap();
+    fs::set_permissions(dir.path().join("a7.key"), fs::Permissions::from_mode(0o600)).unwrap();
+    Identity::read(&dir.path().join("a7"), later(149 * DAY)).unwrap();
+}
+
+#[test]
+fn a_certificate_never_outlives_its_authority() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut authority = authority(dir.path());
+    let name = "a1".parse().unwrap();
+    let long = authority.issue(Role::Actor, &name, &[], 36_500 * DAY, now()).unwrap();
+    let ends = Certificate::read(&dir.path().join("ca.pem")).unwrap().ends;
+    assert_eq!(long.certificate.ends, ends);
+    drop(authority);
+    let late = Authority::open(dir.path(), ends).unwrap_err();
+    assert!(matches!(late, Error::AuthorityEnded { .. }));
+}
+
+#[test]
+fn what_peers_would_refuse_is_refused_before() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut authority = authority(dir.path());
+    for name in ["a1", "a2"] {
+        issue(&mut authority, Role::Actor, name);
+    }
+    let at = |name: &str| dir.path().join(name);
+    let unfit = |moment| match Identity::read(&at("a1"), moment).unwrap_err() {
+        Error::Unfit { reason, .. } => reason,
+        other => panic!("{other}"),
+    };
+    assert_eq!(unfit(later(91 * DAY)), Unfit::Expired(later(90 * DAY)));
+    let begins = now() - Duration::from_mins(5);
+    assert_eq!(unfit(begins - Duration::from_secs(1)), Unfit::NotYetValid(begins));
+
+    let key = fs::read(at("a1.key")).unwrap();
+    fs::copy(at("a2.key"), at("a1.key")).unwrap();
+    assert_eq!(unfit(now()), Unfit::OtherKey(at("a1.key")));
+    fs::write(at("a1.key"), key).unwrap();
+    fs::set_permissions(at("a1.key"), fs::Permissions::from_mode(0o644)).unwrap();
+    let open = Identity::read(&at("a1"), now()).unwrap_err();
+    assert!(matches!(open, Error::OpenKey { mode: 0o644, .. }), "{open}");
+    fs::set_permissions(at("a1.key"), fs::Permissions::from_mode(0o640)).unwrap();
+    Identity::read(&at("a1"), now()).expect("its group may read it");
+
+    let other = tempfile::tempdir().unwrap();
+    Authority::create(other.path(), "Other", now()).unwrap();
+    let ours = fs::read(at("ca.pem")).unwrap();
+    let theirs = fs::read(other.path().join("ca.pem")).unwrap();
+    fs::write(at("ca.pem"), &theirs).unwrap();
+    assert_eq!(unfit(now()), Unfit::OtherAuthority(at("ca.pem")));
+    fs::write(at("ca.pem"), [theirs, ours].concat()).unwrap();
+    Identity::read(&at("a1"), now()).expect("one of two authorities is enough");
+
+    for (file, bytes) in [("a1.pem", "nothing"), ("a1.key", "nothing"), ("ca.pem", "")] {
+        let before = fs::read(at(file)).unwrap();
+        fs::write(at(file), bytes).unwrap();
+        let error = Identity::read(&at("a1"), now()).unwrap_err();
+        assert!(matches!(error, Error::Content { .. }), "{file}: {error}");
+        fs::write(at(file), before).unwrap();
+    }
+    let missing = Identity::read(&at("a9"), now()).unwrap_err();
+    assert!(matches!(missing, Error::File { .. }));
+}

@@ -1,0 +1,437 @@
+//! Who may do what, by the name in the certificate: the list that a router or a listening learner enforces.
+//!
+//! Everything that is not on the list is denied. Flows are seen from the process that enforces it: *in* is what a peer
+//! sends, *out* what it is sent. Whatever depends on an actor's own name is allowed to that name alone, so that no actor can
+//! deliver rollouts, show presence or read credit for another one.
+//!
+//! ```text
+//! actor      in   its presence, orders to it, its rollouts and metrics, its credit; asks hello and weights, hears news
+//!            out  the answers to that
+//! learner    in   presence of learners; answers hello and weights; orders, credit, news
+//!            out  everything that actors send
+//! observer   in   looks at presence, metrics, news and weights; asks for history and what the run is
+//! recorder   in   as an observer, and rollouts
+//! router     both everything of ours
+//! ```
+//!
+//! The keys come from [`crate::keys`], with placeholders for names, so the list follows the layout.
+
+use std::collections::BTreeMap;
+
+use leadtime_certs::{PeerName, Role};
+use leadtime_proto::{ActorId, DomainName, Incarnation, RunName};
+use serde_json::{Value, json};
+use zenoh::config::Config;
+
+use crate::keys::{Key, Member, ROOT};
+use crate::{Error, Result};
+
+/// What the file begins with.
+const HEADER: &str = "// Who may do what, by the common name of the certificate. Written by `leadtime certs acl`, which writes it \
+                      anew when a certificate\n// is issued or a name is to be taken out; a router or learner reads it when it starts.\n";
+/// The setting that holds the list.
+const SETTING: &str = "access_control";
+/// Every message that a list can name.
+const EVERYTHING: &[&str] = &[
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "declare_queryable",
+    "reply",
+    "liveliness_token",
+    "declare_liveliness_subscriber",
+    "liveliness_query",
+];
+
+/// Placeholders, which only become part of keys that are made here: every name of ours has other letters or another place.
+const RUN: &str = "0run";
+const DOMAIN: &str = "0domain";
+const ACTOR: &str = "0actor";
+
+/// A list of who may do what. Whoever is not on it may do nothing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AccessList(Value);
+
+impl AccessList {
+    /// Makes the list for these processes; `None` if there are none, or none whose role has keys here.
+    pub fn of(peers: &[(Role, PeerName)]) -> Option<Self> {
+        let mut names: BTreeMap<Role, Vec<&str>> = BTreeMap::new();
+        for (role, name) in peers {
+            names.entry(*role).or_default().push(name.as_str());
+        }
+        let mut list = Draft::default();
+        for (role, names) in &names {
+            let rules = rules_of(*role);
+            list.allow(role.as_str(), names, &rules);
+            if *role == Role::Actor {
+                for name in names {
+                    list.allow(&format!("actor {name}"), &[name], &rules_of_one_actor(name));
+                }
+            }
+        }
+        (!list.subjects.is_empty()).then(|| Self(list.finish()))
+    }
+
+    /// Reads a list as [`AccessList::to_text`] writes it, comments included.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::AccessList`] if it is not one.
+    pub fn parse(text: &str) -> Result<Self> {
+        let bad = |problem: String| Error::AccessList(leadtime_proto::text::sentence(&problem));
+        let plain = |error: zenoh::Error| bad(crate::error::NetworkFault(error).to_string());
+        let config = Config::from_json5(text).map_err(plain)?;
+        let list = config.get_json(SETTING).map_err(|error| bad(error.to_string()))?;
+        let list: Value = serde_json::from_str(&list).map_err(|error| bad(error.to_string()))?;
+        if list["enabled"] != true || list["default_permission"] != "deny" {
+            let problem = "`access_control` has to be enabled and to deny what it does not name";
+            return Err(bad(problem.to_owned()));
+        }
+        Ok(Self(list))
+    }
+
+    /// Returns the list as a file, which zenoh's own router reads as well.
+    pub fn to_text(&self) -> String {
+        let text = serde_json::to_string_pretty(&json!({ SETTING: self.0 }));
+        format!("{HEADER}{}\n", text.expect("a list is plain data"))
+    }
+
+    /// Returns the list as the network library takes it. A unix socket has no certificates; where one is listened on, whoever
+    /// may open its file is let in.
+    pub(crate) fn setting(&self, has_socket: bool) -> (&'static str, String) {
+        let mut list = self.0.clone();
+        if has_socket {
+            let mut local = Draft::default();
+            local.allow("socket", &[], &[rule("both", EVERYTHING, [format!("{ROOT}/**")])]);
+            let mut local = local.finish();
+            local["subjects"][0]["link_protocols"] = json!(["unixsock-stream"]);
+            for part in ["rules", "subjects", "policies"] {
+                let more = local[part].as_array().cloned().unwrap_or_default();
+                if let Some(all) = list[part].as_array_mut() {
+                    all.extend(more);
+                }
+            }
+        }
+        (SETTING, list.to_string())
+    }
+}
+
+/// What a subject may send or be sent.
+#[derive(Debug)]
+struct AccessRule {
+    flow: &'static str,
+    messages: Vec<&'static str>,
+    keys: Vec<String>,
+}
+
+fn rule(
+    flow: &'static str,
+    messages: &[&'static str],
+    keys: impl IntoIterator<Item = String>,
+) -> AccessRule {
+    AccessRule { flow, messages: messages.to_vec(), keys: keys.into_iter().collect() }
+}
+
+/// A list in the making.
+#[derive(Debug, Default)]
+struct Draft {
+    rules: Vec<Value>,
+    subjects: Vec<Value>,
+    policies: Vec<Value>,
+}
+
+impl Draft {
+    fn allow(&mut self, subject: &str, names: &[&str], rules: &[AccessRule]) {
+        if rules.is_empty() {
+            return;
+        }
+        let mut ids = Vec::new();
+        for AccessRule { flow, messages, keys } in rules {
+            let id = format!("{subject}, {flow}, {}", messages.join(" and "));
+            let flows = match *flow {
+                "in" => json!(["ingress"]),
+                "out" => json!(["egress"]),
+                _ => json!(["ingress", "egress"]),
+            };
+            self.rules.push(json!({
+                "id": id,
+                "messages": messages,
+                "flows": flows,
+                "permission": "allow",
+                "key_exprs": keys,
+            }));
+            ids.push(id);
+        }
+        let mut described = json!({ "id": subject });
+        if !names.is_empty() {
+            described["cert_common_names"] = json!(names);
+        }
+        self.subjects.push(described);
+        self.policies.push(json!({ "rules": ids, "subjects": [subject] }));
+    }
+
+    fn finish(self) -> Value {
+        json!({
+            "enabled": true,
+            "default_permission": "deny",
+            "rules": self.rules,
+            "subjects": self.subjects,
+            "policies": self.policies,
+        })
+    }
+}
+
+/// Every key of the layout with `*` for whatever is not fixed.
+#[derive(Debug)]
+struct Patterns {
+    run: RunName,
+    domain: DomainName,
+    actor: ActorId,
+}
+
+impl Patterns {
+    fn new() -> Self {
+        let is_name = "placeholders are names";
+        Self {
+            run: RunName::new(RUN).expect(is_name),
+            domain: DomainName::new(DOMAIN).expect(is_name),
+            actor: ActorId::new(ACTOR).expect(is_name),
+        }
+    }
+
+    /// Writes a key with `actor` in the actor's place.
+    fn of(key: Key<'_>, actor: &str) -> String {
+        let start = format!("{:016x}", Incarnation::default().0);
+        let chunk = |chunk: &str| match chunk {
+            RUN | DOMAIN => "*".to_owned(),
+            ACTOR => actor.to_owned(),
+            text if text == start => "*".to_owned(),
+            text => text.to_owned(),
+        };
+        key.to_string().split('/').map(chunk).collect::<Vec<_>>().join("/")
+    }
+
+    fn any(key: Key<'_>) -> String {
+        Self::of(key, "*")
+    }
+
+    fn hello(&self) -> String {
+        Self::any(Key::Hello(&self.run))
+    }
+
+    fn pulls(&self) -> String {
+        Self::any(Key::Weights(&self.run, &self.domain))
+    }
+
+    fn news(&self) -> String {
+        Self::any(Key::Announcement(&self.run, &self.domain))
+    }
+
+    fn learners(&self) -> String {
+        let key = Self::any(Key::Alive(&self.run, &Member::Learner, Incarnation::default()));
+        // The place of the id is free, as in the subscriptions of actors.
+        key.replace("/learner/learner/", "/learner/*/")
+    }
+
+    fn members(&self) -> String {
+        below(&self.learners(), "alive")
+    }
+
+    fn alive(&self, actor: &str) -> String {
+        let member = Member::Actor(self.actor.clone());
+        Self::of(Key::Alive(&self.run, &member, Incarnation::default()), actor)
+    }
+
+    fn orders(&self, actor: &str) -> String {
+        Self::of(Key::Control(&self.run, &self.actor), actor)
+    }
+
+    fn rollouts(&self, actor: &str) -> String {
+        Self::of(Key::Rollouts(&self.run, &self.domain, &self.actor), actor)
+    }
+
+    fn credit(&self, actor: &str) -> String {
+        Self::of(Key::Credit(&self.run, &self.actor), actor)
+    }
+
+    fn metrics(&self, actor: &str) -> String {
+        Self::of(Key::Metrics(&self.run, &Member::Actor(self.actor.clone())), actor)
+    }
+
+    fn learner_metrics(&self) -> String {
+        self.metrics("*").replace("/metrics/actor/", "/metrics/learner/")
+    }
+
+    fn all_metrics(&self) -> String {
+        below(&self.metrics("*"), "metrics")
+    }
+
+    fn all_rollouts(&self) -> String {
+        below(&self.rollouts("*"), "traj")
+    }
+
+    /// What observers ask of a learner beside weights.
+    fn about() -> [String; 2] {
+        ["history", "about"].map(|what| format!("{ROOT}/*/{what}"))
+    }
+}
+
+/// Returns everything below one of a run's branches, however a subscriber writes it.
+fn below(key: &str, branch: &str) -> String {
+    let chunks: Vec<&str> = key.split('/').take_while(|chunk| *chunk != branch).collect();
+    format!("{}/{branch}/**", chunks.join("/"))
+}
+
+/// Returns what everybody of a role may do.
+fn rules_of(role: Role) -> Vec<AccessRule> {
+    let keys = Patterns::new();
+    let [history, about] = Patterns::about();
+    let look: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
+    let serve: &[&str] = &["declare_queryable", "reply"];
+    match role {
+        Role::Router => vec![rule("both", EVERYTHING, [format!("{ROOT}/**")])],
+        Role::Learner => vec![
+            rule("in", &["liveliness_token"], [keys.learners()]),
+            rule("in", look, [keys.members()]),
+            rule("in", serve, [keys.hello(), keys.pulls(), history.clone(), about.clone()]),
+            rule("in", &["query"], [keys.orders("*")]),
+            rule("in", &["put"], [keys.credit("*"), keys.news(), keys.learner_metrics()]),
+            rule("in", &["declare_subscriber"], [keys.all_rollouts(), keys.all_metrics()]),
+            rule("out", &["put"], [keys.all_rollouts(), keys.all_metrics()]),
+            rule("out", &["query"], [keys.hello(), keys.pulls(), history, about]),
+            rule("out", &["reply", "declare_queryable"], [keys.orders("*")]),
+            rule("out", &["liveliness_token"], [keys.members()]),
+            rule(
+                "out",
+                &["declare_subscriber"],
+                [keys.credit("*"), keys.news(), keys.all_metrics()],
+            ),
+        ],
+        Role::Actor => vec![
+            rule("in", look, [keys.learners()]),
+            rule("in", &["query"], [keys.hello(), keys.pulls()]),
+            rule("in", &["declare_subscriber"], [keys.news()]),
+            rule("out", &["put"], [keys.news()]),
+            rule("out", &["reply", "declare_queryable"], [keys.hello(), keys.pulls()]),
+            rule("out", &["liveliness_token"], [keys.learners()]),
+            rule("out", &["declare_subscriber"], [keys.all_rollouts(), keys.all_metrics()]),
+        ],
+        Role::Observer => observer(&keys, false),
+        Role::Recorder => observer(&keys, true),
+        // What robots listen to is outside of runs.
+        Role::Robot => Vec::new(),
+    }
+}
+
+fn observer(keys: &Patterns, is_recorder: bool) -> Vec<AccessRule> {
+    let [history, about] = Patterns::about();
+    let rollouts = || is_recorder.then(|| keys.all_rollouts());
+    let told = || [keys.all_metrics(), keys.news()].into_iter().chain(rollouts());
+    let asked = || [keys.pulls(), history.clone(), about.clone()];
+    vec![
+        rule("in", &["liveliness_query", "declare_liveliness_subscriber"], [keys.members()]),
+        rule("in", &["query"], asked()),
+        rule("in", &["declare_subscriber"], told()),
+        rule("out", &["put"], told()),
+        rule("out", &["reply", "declare_queryable"], asked()),
+        rule("out", &["liveliness_token"], [keys.members()]),
+    ]
+}
+
+/// Returns what an actor may do under its own name.
+fn rules_of_one_actor(name: &str) -> Vec<AccessRule> {
+    let keys = Patterns::new();
+    vec![
+        rule("in", &["liveliness_token"], [keys.alive(name)]),
+        rule("in", &["declare_queryable", "reply"], [keys.orders(name)]),
+        rule("in", &["put"], [keys.rollouts(name), keys.metrics(name)]),
+        rule("in", &["declare_subscriber"], [keys.credit(name)]),
+        rule("out", &["put"], [keys.credit(name)]),
+        rule("out", &["query"], [keys.orders(name)]),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn list(peers: &[(Role, &str)]) -> AccessList {
+        let peers: Vec<_> =
+            peers.iter().map(|(role, name)| (*role, name.parse().unwrap())).collect();
+        AccessList::of(&peers).unwrap()
+    }
+
+    #[test]
+    fn the_keys_are_those_of_the_layout() {
+        let keys = Patterns::new();
+        let made = [
+            keys.hello(),
+            keys.pulls(),
+            keys.news(),
+            keys.learners(),
+            keys.members(),
+            keys.alive("a7"),
+            keys.orders("a7"),
+            keys.rollouts("a7"),
+            keys.credit("a7"),
+            keys.metrics("a7"),
+            keys.learner_metrics(),
+            keys.all_metrics(),
+            keys.all_rollouts(),
+        ];
+        let expected = [
+            "ctl/hello",
+            "weights/*/latest",
+            "weights/*",
+            "alive/learner/*/*",
+            "alive/**",
+            "alive/actor/a7/*",
+            "ctl/actor/a7",
+            "traj/*/a7",
+            "credit/a7",
+            "metrics/actor/a7",
+            "metrics/learner/*",
+            "metrics/**",
+            "traj/**",
+        ];
+        assert_eq!(made, expected.map(|key| format!("leadtime/1/*/{key}")));
+    }
+
+    #[test]
+    fn a_list_is_read_as_it_is_written_and_an_unknown_message_is_refused() {
+        let written = list(&[
+            (Role::Router, "r1"),
+            (Role::Learner, "l1"),
+            (Role::Actor, "a7"),
+            (Role::Actor, "a8"),
+            (Role::Observer, "o1"),
+            (Role::Recorder, "w1"),
+            (Role::Robot, "m1"),
+        ]);
+        let text = written.to_text();
+        let read = AccessList::parse(&text).unwrap();
+        assert_eq!(read.0["rules"].as_array().unwrap().len(), 43);
+        assert_eq!(AccessList::parse(&read.to_text()).unwrap(), read);
+        let error = AccessList::parse(&text.replace("\"query\"", "\"ask\"")).unwrap_err();
+        assert!(error.to_string().contains("ask"), "{error}");
+        let open = text.replace("\"deny\"", "\"allow\"");
+        AccessList::parse(&open).unwrap_err();
+        AccessList::parse("{}").unwrap_err();
+        let robots: (Role, PeerName) = (Role::Robot, "m1".parse().unwrap());
+        assert_eq!(AccessList::of(&[robots]), None, "nothing to allow");
+    }
+
+    #[test]
+    fn an_actor_gets_nothing_under_another_name() {
+        let list = list(&[(Role::Actor, "a7"), (Role::Actor, "0actor")]);
+        let rules = list.0["rules"].as_array().unwrap().clone();
+        let own = |rule: &&Value| rule["id"].as_str().unwrap().starts_with("actor a7");
+        let keys = rules.iter().filter(own).flat_map(|rule| rule["key_exprs"].as_array().unwrap());
+        assert!(keys.clone().count() > 0);
+        assert!(keys.clone().all(|key| key.as_str().unwrap().contains("a7")));
+        let odd = |rule: &&Value| rule["id"].as_str().unwrap().starts_with("actor 0actor");
+        let keys = rules.iter().filter(odd).flat_map(|rule| rule["key_exprs"].as_array().unwrap());
+        assert!(keys.clone().all(|key| key.as_str().unwrap().contains("0actor")), "no wildcard");
+    }
+}

@@ -1,0 +1,61 @@
+//! A router: it passes on what others send, where a learner cannot be dialled by everybody.
+//!
+//! Learner, actors and observers dial it; routers dial upwards only, so that they make a tree.
+
+use zenoh::session::Session;
+
+use crate::{Error, ListenSettings, Result, session};
+
+/// A router's place on the network.
+#[derive(Debug)]
+pub struct RouterLink {
+    locators: Vec<String>,
+    session: Session,
+}
+
+impl RouterLink {
+    /// Listens, and passes on from now on. A router above that is not there is looked for again and again.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoEndpoint`], [`Error::AddressInUse`], [`Error::NotASocket`] or [`Error::Listen`].
+    pub async fn open(settings: &ListenSettings) -> Result<Self> {
+        if settings.endpoints.is_empty() {
+            return Err(Error::NoEndpoint);
+        }
+        let session = session::listen_as("router", settings).await?;
+        let locators = session.info().locators().await;
+        Ok(Self { locators: locators.iter().map(ToString::to_string).collect(), session })
+    }
+
+    /// Returns the addresses at which it can be reached, with the ports that were taken.
+    pub fn locators(&self) -> &[String] {
+        &self.locators
+    }
+
+    /// Counts the routers and the other processes that are connected now.
+    pub async fn n_connected(&self) -> (usize, usize) {
+        let info = self.session.info();
+        (info.routers_zid().await.count(), info.peers_zid().await.count())
+    }
+
+    /// Checks that it can still be reached; to be asked now and then, because no event tells it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Dead`] if it cannot.
+    pub async fn health(&self) -> Result<()> {
+        // The library tells nobody that its listener ended; it only stops listing its address.
+        let is_deaf = self.session.info().locators().await.is_empty();
+        if is_deaf || self.session.is_closed() { Err(Error::Dead) } else { Ok(()) }
+    }
+
+    /// Leaves the network, within a limited time.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Close`] if it takes too long.
+    pub async fn close(&self) -> Result<()> {
+        session::close(&self.session).await
+    }
+}

@@ -1,0 +1,328 @@
+//! What each certificate may do: the access list line by line, enforced by a router and by a listening learner.
+//!
+//! What must be refused leaves no trace, so each forgery is followed by something that is allowed on the same connection:
+//! once that has arrived, the forgery would have arrived before it.
+
+use std::time::Duration;
+
+use leadtime_certs::Role;
+use leadtime_link::keys::{Key, Member};
+use leadtime_link::{
+    AccessList, ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, ObserverEvent,
+    ObserverLink, RouterLink,
+};
+use leadtime_proto::message::{Control, ControlReply, Credit};
+use leadtime_proto::{Epoch, Incarnation, PolicyVersion, Sequence};
+use zenoh::Session;
+use zenoh::qos::CongestionControl;
+
+use crate::certificates::{Pki, dialler};
+use crate::support::*;
+
+const PEERS: [(Role, &str); 8] = [
+    (Role::Router, "r1"),
+    (Role::Learner, "l1"),
+    (Role::Actor, "a7"),
+    (Role::Actor, "a8"),
+    (Role::Actor, "a9"),
+    (Role::Observer, "o1"),
+    (Role::Recorder, "w1"),
+    (Role::Learner, "l2"),
+];
+
+/// A learner and its address, with or without a router between it and everybody else.
+struct Guarded {
+    pki: Pki,
+    endpoint: leadtime_link::Endpoint,
+    learner: LearnerLink,
+    events: LearnerEvents,
+    _router: Option<RouterLink>,
+}
+
+impl Guarded {
+    async fn new(has_router: bool) -> Self {
+        let pki = Pki::new();
+        PEERS.iter().for_each(|(role, name)| pki.issue(*role, name));
+        // Of our authority, and in no list.
+        pki.issue(Role::Actor, "stranger");
+        let peers: Vec<_> =
+            PEERS.iter().map(|(role, name)| (*role, name.parse().unwrap())).collect();
+        let access = AccessList::parse(&AccessList::of(&peers).unwrap().to_text()).unwrap();
+        let open = |settings| async move {
+            LearnerLink::open(&run("one"), DOMAIN, LEARNER, &settings).await.unwrap()
+        };
+        let mut guard = pki.listen(if has_router { "r1" } else { "l1" });
+        guard.access = Some(access);
+        if !has_router {
+            let (learner, events) = open(guard).await;
+            let endpoint = learner.locators()[0].parse().unwrap();
+            return Self { pki, endpoint, learner, events, _router: None };
+        }
+        let router = RouterLink::open(&guard).await.unwrap();
+        let endpoint: leadtime_link::Endpoint = router.locators()[0].parse().unwrap();
+        let mut through = pki.listen("l1");
+        through.connect = vec![endpoint.clone()];
+        through.endpoints.clear();
+        let (learner, events) = open(through).await;
+        Self { pki, endpoint, learner, events, _router: Some(router) }
+    }
+
+    async fn actor(&self, id: &str) -> (ActorLink, ActorEvents) {
+        let settings = self.pki.connect(id, &self.endpoint);
+        let (actor, events) = ActorLink::open(&settings, &actor_id(id), ACTOR).await.unwrap();
+        say_hello(&actor, id, ACTOR, &self.events).await;
+        (actor, events)
+    }
+
+    /// A session outside the link that shows this certificate.
+    async fn raw(&self, name: &str) -> Session {
+        dialler(&self.pki, name, &self.endpoint).await.expect("its certificate is good")
+    }
+
+    async fn observer(&self, name: &str) -> (ObserverLink, leadtime_link::Events<ObserverEvent>) {
+        ObserverLink::open(&self.pki.connect(name, &self.endpoint)).await.unwrap()
+    }
+}
+
+fn credit(limit: u64) -> Credit {
+    Credit {
+        incarnation: ACTOR,
+        learner: LEARNER,
+        acknowledged: Sequence(0),
+        limit: Sequence(limit),
+    }
+}
+
+async fn put(session: &Session, key: Key<'_>, attachment: &[u8], payload: &[u8]) {
+    let put = session.put(key.to_string(), payload.to_vec()).attachment(attachment.to_vec());
+    put.congestion_control(CongestionControl::Block).await.unwrap();
+}
+
+/// Asks, and returns the number of answers; a refused question ends at once.
+async fn n_answers(session: &Session, key: Key<'_>) -> usize {
+    let answers = session.get(key.to_string()).timeout(SOON).await.unwrap();
+    let mut n = 0;
+    while answers.recv_async().await.is_ok() {
+        n += 1;
+    }
+    n
+}
+
+async fn everything_of_a_run_passes(guarded: &Guarded) {
+    let Guarded { learner, events, .. } = guarded;
+    let (observer, seen) = guarded.observer("o1").await;
+    observer.follow(&run("one")).unwrap();
+    let (actor, told) = guarded.actor("a7").await;
+    let joined = until(&seen, |event| match event {
+        ObserverEvent::Joined(Member::Actor(id), start) => Some((id, start)),
+        _ => None,
+    });
+    assert_eq!(joined.await, (actor_id("a7"), ACTOR));
+
+    for sequence in 1..=20 {
+        let (header, payload) = rollout(sequence);
+        actor.publish_rollout(&header, payload).unwrap();
+    }
+    for sequence in 1..=20 {
+        let (of, header, _) = next_rollout(events).await;
+        assert_eq!((of, header.sequence), (actor_id("a7"), Sequence(sequence)));
+    }
+    learner.send_credit(&actor_id("a7"), credit(24)).unwrap();
+    let limit = until(&told, |event| match event {
+        ActorEvent::Credit(credit) => Some(credit.limit),
+        _ => None,
+    });
+    assert_eq!(limit.await, Sequence(24));
+
+    let weights = vec![7; 200_000];
+    learner.offer_weights(PolicyVersion(3), weights.clone().into()).unwrap();
+    let news = until(&told, |event| match event {
+        ActorEvent::Announcement(news) => Some(news),
+        _ => None,
+    });
+    let sha256 = news.await.versions[0].1;
+    assert_eq!(actor.pull_weights(PolicyVersion(3), sha256).await.unwrap(), weights);
+    let news = until(&seen, |event| match event {
+        ObserverEvent::Announcement { announcement, .. } => Some(announcement.versions),
+        _ => None,
+    });
+    assert_eq!(news.await, [(PolicyVersion(3), sha256)]);
+    let pulled = observer.pull_weights(&run("one"), &domain(), PolicyVersion(3), sha256).await;
+    assert_eq!(pulled.unwrap(), weights);
+    assert!(observer.round_trip(&run("one")).await.unwrap() < SOON);
+
+    let order = Control::Stop { reason: "test".to_owned(), cut_off: false };
+    let followed = ControlReply::Followed { epoch: Epoch(1) };
+    let id = actor_id("a7");
+    let (answer, heard) =
+        tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey_next(&told, &followed));
+    assert_eq!((answer.unwrap(), heard), (followed, order));
+
+    learner.publish_metrics(b"{\"of\":\"learner\"}").unwrap();
+    actor.publish_metrics(b"{\"of\":\"actor\"}").unwrap();
+    let mut members = Vec::new();
+    while members.len() < 2 {
+        members.push(
+            until(&seen, |event| match event {
+                ObserverEvent::Metrics { member, .. } => Some(member),
+                _ => None,
+            })
+            .await,
+        );
+    }
+    members.sort();
+    assert_eq!(members, [Member::Learner, Member::Actor(actor_id("a7"))]);
+    actor.close().await.unwrap();
+    until(events, |event| {
+        matches!(event, LearnerEvent::Left(id, _) if id == actor_id("a7")).then_some(())
+    })
+    .await;
+}
+
+async fn nothing_under_another_name_passes(guarded: &Guarded) {
+    let Guarded { learner, events, .. } = guarded;
+    let (one, domain) = (run("one"), domain());
+    let [a8, a9] = ["a8", "a9"].map(actor_id);
+    let forger = guarded.raw("a8").await;
+    let (header, payload) = rollout(1);
+    let header = header.to_bytes();
+
+    // Rollouts and metrics.
+    put(&forger, Key::Rollouts(&one, &domain, &a9), &header, &payload).await;
+    put(&forger, Key::Rollouts(&one, &domain, &a8), &header, &payload).await;
+    assert_eq!(next_rollout(events).await.0, a8);
+
+    // Presence: an actor's, and a learner's.
+    let alive = |member: &Member| Key::Alive(&one, member, Incarnation(9)).to_string();
+    let (mine, others) = (Member::Actor(a8.clone()), Member::Actor(a9.clone()));
+    let mut tokens = Vec::new();
+    for member in [&others, &Member::Learner, &mine] {
+        tokens.push(forger.liveliness().declare_token(alive(member)).await.unwrap());
+    }
+    let joined = until(events, |event| match event {
+        LearnerEvent::Joined(id, Incarnation(9)) => Some(id),
+        _ => None,
+    });
+    assert_eq!(joined.await, a8);
+    let (observer, seen) = guarded.observer("o1").await;
+    observer.follow(&one).unwrap();
+    let mut present = Vec::new();
+    while present.len() < 2 {
+        present.push(
+            until(&seen, |event| match event {
+                ObserverEvent::Joined(member, start) => Some((member, start)),
+                _ => None,
+            })
+            .await,
+        );
+    }
+    present.sort_by_key(|(_, start)| start.0);
+    assert_eq!(present, [(mine, Incarnation(9)), (Member::Learner, LEARNER)]);
+
+    // Credit: that of another actor is not to be read.
+    let (sender, heard) = flume::bounded(8);
+    let listen = |key: Key<'_>| {
+        let sender = sender.clone();
+        let key = key.to_string();
+        let take = move |sample: zenoh::sample::Sample| {
+            drop(sender.send(sample.key_expr().to_string()));
+        };
+        forger.declare_subscriber(key).callback(take)
+    };
+    let _others = listen(Key::Credit(&one, &a9)).await.unwrap();
+    let _mine = listen(Key::Credit(&one, &a8)).await.unwrap();
+    let heard = async {
+        loop {
+            learner.send_credit(&a9, credit(1)).unwrap();
+            learner.send_credit(&a8, credit(1)).unwrap();
+            let wait = tokio::time::timeout(Duration::from_millis(50), heard.recv_async());
+            if let Ok(Ok(key)) = wait.await {
+                return key;
+            }
+        }
+    };
+    let heard = tokio::time::timeout(SOON, heard).await.expect("its own credit comes");
+    assert_eq!(heard, Key::Credit(&one, &a8).to_string());
+
+    // Orders come from the learner alone.
+    let (_obedient, _orders) = guarded.actor("a9").await;
+    for name in ["a8", "o1", "w1", "stranger"] {
+        let session = guarded.raw(name).await;
+        assert_eq!(n_answers(&session, Key::Control(&one, &a9)).await, 0, "{name} gives orders");
+    }
+    // Hello is for actors.
+    for name in ["o1", "w1", "l2", "stranger"] {
+        let session = guarded.raw(name).await;
+        assert_eq!(n_answers(&session, Key::Hello(&one)).await, 0, "{name} says hello");
+    }
+    // Weights and announcements are the learner's: what others put there reaches no observer.
+    for name in ["a8", "o1", "stranger"] {
+        let session = guarded.raw(name).await;
+        put(&session, Key::Announcement(&one, &domain), &header, b"forged").await;
+        // Nor do they answer pulls.
+        let key = Key::Weights(&one, &domain).to_string();
+        let _answers = session.declare_queryable(&key).complete(true).await.unwrap();
+        let pulled = observer.pull_weights(&one, &domain, PolicyVersion(99), [0; 32]).await;
+        assert!(matches!(pulled.unwrap_err(), Error::NotKept { .. }), "only the learner answers");
+    }
+    // A stranger sees nobody, and is told that.
+    let mut settings = guarded.pki.connect("stranger", &guarded.endpoint);
+    settings.timeout = Duration::from_secs(5);
+    let (stranger, _events) =
+        ActorLink::open(&settings, &actor_id("stranger"), ACTOR).await.unwrap();
+    let said = stranger.hello(None, &hello("stranger", ACTOR), Duration::from_millis(500)).await;
+    let error = said.unwrap_err();
+    assert!(matches!(&error, Error::Unlisted { name, .. } if name == "stranger"), "{error}");
+    // An observer who plays an actor sees the learner, and is told that it may not say hello.
+    let settings = guarded.pki.connect("o1", &guarded.endpoint);
+    let (player, _events) = ActorLink::open(&settings, &actor_id("o1"), ACTOR).await.unwrap();
+    let error = player.hello(None, &hello("o1", ACTOR), SOON).await.unwrap_err();
+    assert!(matches!(error, Error::NotAllowed { .. }), "{error}");
+}
+
+async fn rollouts_are_read_by_recorders_alone(guarded: &Guarded) {
+    let (one, domain) = (run("one"), domain());
+    let (sender, heard) = flume::bounded(64);
+    let mut held = Vec::new();
+    for name in ["o1", "a9", "w1"] {
+        let session = guarded.raw(name).await;
+        let sender = sender.clone();
+        let subscriber = session
+            .declare_subscriber(format!("leadtime/1/{one}/traj/**"))
+            .callback(move |_| sender.try_send(name).unwrap_or_default())
+            .await
+            .unwrap();
+        held.push((session, subscriber));
+    }
+    let source = guarded.raw("a8").await;
+    let (header, payload) = rollout(1);
+    let key = || Key::Rollouts(&one, &domain, &actor_id("a8")).to_string();
+    let wait = async {
+        loop {
+            let put = source.put(key(), payload.to_vec()).attachment(header.to_bytes().to_vec());
+            put.await.unwrap();
+            let wait = tokio::time::timeout(Duration::from_millis(50), heard.recv_async());
+            if let Ok(Ok(name)) = wait.await {
+                return name;
+            }
+        }
+    };
+    assert_eq!(tokio::time::timeout(SOON, wait).await.unwrap(), "w1");
+    assert!(heard.drain().all(|name| name == "w1"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_router_enforces_the_list() {
+    let guarded = Guarded::new(true).await;
+    everything_of_a_run_passes(&guarded).await;
+    nothing_under_another_name_passes(&guarded).await;
+    rollouts_are_read_by_recorders_alone(&guarded).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_listening_learner_enforces_the_list() {
+    let guarded = Guarded::new(false).await;
+    everything_of_a_run_passes(&guarded).await;
+    nothing_under_another_name_passes(&guarded).await;
+    rollouts_are_read_by_recorders_alone(&guarded).await;
+}

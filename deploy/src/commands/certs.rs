@@ -1,0 +1,155 @@
+//! `leadtime certs`: an authority of one's own, and a certificate for every process.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use jiff::{SignedDuration, Timestamp};
+use leadtime_certs::{Authority, Certificate, Issued, Role};
+use leadtime_link::AccessList;
+use leadtime_proto::phrase::counted;
+use leadtime_proto::text::quoted;
+use leadtime_runs::clock;
+use serde_json::json;
+
+use crate::cli::{
+    CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
+};
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output;
+
+const DAY: Duration = Duration::from_hours(24);
+
+pub(super) fn run(command: &CertsCommand) -> Result<(), Failure> {
+    let done = match command {
+        CertsCommand::Init(args) => init(args),
+        CertsCommand::Issue(args) => issue(args),
+        CertsCommand::Renew(args) => renew(args),
+        CertsCommand::Show(args) => show(args),
+        CertsCommand::Acl(args) => acl(args),
+    };
+    done.blame(ExitCode::WrongInput)
+}
+
+fn init(args: &CertsInitArgs) -> anyhow::Result<()> {
+    let CertsInitArgs { directory, name } = args;
+    let made = Authority::create(directory, name, clock::now())?;
+    let (pem, key) = (directory.join("ca.pem"), directory.join("ca.key"));
+    output::line(&format!("authority {} until {}", pem.display(), date(made.ends)));
+    output::note(&format!(
+        "Keep {} where nobody else can read it: it makes certificates for everybody.",
+        key.display()
+    ));
+    Ok(())
+}
+
+fn issue(args: &CertsIssueArgs) -> anyhow::Result<()> {
+    let now = clock::now();
+    let mut authority = Authority::open(&args.directory, now)?;
+    let lifetime = DAY * args.days;
+    let issued = authority.issue(args.role, &args.id, &args.host, lifetime, now)?;
+    output::line(&line("issued", args.role, &issued));
+    if args.host.is_empty() && matches!(args.role, Role::Router | Role::Learner) {
+        output::note("Without --host nobody can dial it; it can dial a router.");
+    }
+    let files = ["pem", "key"].map(|it| issued.path.with_extension(it).display().to_string());
+    let authority = args.directory.join("ca.pem");
+    output::note(&format!(
+        "Its machine needs {}, {} and {}. An access list knows it once `certs acl` has written it again.",
+        files[0],
+        files[1],
+        authority.display()
+    ));
+    Ok(())
+}
+
+fn renew(args: &CertsRenewArgs) -> anyhow::Result<()> {
+    let now = clock::now();
+    let renewed = Authority::open(&args.directory, now)?.renew(args.before, now)?;
+    for issued in &renewed {
+        let role = issued.certificate.role.unwrap_or(Role::Actor);
+        output::line(&line("renewed", role, issued));
+    }
+    if renewed.is_empty() {
+        output::line(&format!("no certificate in {} ends so soon", args.directory.display()));
+    }
+    Ok(())
+}
+
+fn show(args: &CertsShowArgs) -> anyhow::Result<()> {
+    let found = Certificate::read(&args.file)?;
+    let now = clock::now();
+    let left = found.ends.duration_since(now);
+    if args.json {
+        output::json(&json!({
+            "role": found.role.map(Role::as_str),
+            "id": found.name,
+            "hosts": found.hosts,
+            "begins": found.begins.to_string(),
+            "ends": found.ends.to_string(),
+            "seconds_left": left.as_secs(),
+            "authority": found.is_authority,
+        }));
+        return Ok(());
+    }
+    let role = match (found.role, found.is_authority) {
+        (Some(role), _) => role.as_str(),
+        (None, true) => "authority",
+        (None, false) => "none of ours",
+    };
+    // The texts are whoever's made the file.
+    let hosts: Vec<String> = found.hosts.iter().map(|host| quoted(host)).collect();
+    let hosts = if hosts.is_empty() { "none: it only dials".to_owned() } else { hosts.join(", ") };
+    output::line(&format!("role    {role}"));
+    output::line(&format!("id      {}", quoted(found.name.as_deref().unwrap_or("none"))));
+    if !found.is_authority {
+        output::line(&format!("hosts   {hosts}"));
+    }
+    output::line(&format!("begins  {}", date(found.begins)));
+    output::line(&format!("ends    {} ({})", date(found.ends), remaining(left)));
+    Ok(())
+}
+
+fn acl(args: &CertsAclArgs) -> anyhow::Result<()> {
+    let issued = Authority::list(&args.directory)?;
+    let peers: Vec<_> = issued.into_iter().map(|(role, issued)| (role, issued.name)).collect();
+    let list = AccessList::of(&peers).with_context(|| nobody(&args.directory))?;
+    match &args.out {
+        None => output::line(list.to_text().trim_end()),
+        Some(file) => {
+            output::file(file, list.to_text().as_bytes())?;
+            let file = file.display();
+            output::line(&format!(
+                "access list {file} for {}",
+                counted(peers.len(), "certificate")
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn nobody(directory: &Path) -> String {
+    let directory = directory.display();
+    format!(
+        "nobody has a certificate in {directory} yet: `leadtime certs issue {directory} learner NAME`"
+    )
+}
+
+fn line(what: &str, role: Role, issued: &Issued) -> String {
+    let (path, ends) = (issued.path.display(), date(issued.certificate.ends));
+    format!("{what} {path} ({role} `{}`) until {ends}", issued.name)
+}
+
+fn date(moment: Timestamp) -> String {
+    moment.strftime("%Y-%m-%d %H:%M:%S UTC").to_string()
+}
+
+fn remaining(left: SignedDuration) -> String {
+    let days = left.as_hours() / 24;
+    match left.as_secs() {
+        ..=0 => "it is over".to_owned(),
+        _ if days >= 2 => format!("in {days} days"),
+        seconds if seconds >= 7_200 => format!("in {} hours", seconds / 3_600),
+        seconds => format!("in {}", counted(seconds, "second")),
+    }
+}

@@ -1,0 +1,56 @@
+//! `leadtime router`: passes on what learners, actors and observers send, where they cannot dial each other.
+
+use std::time::Duration;
+
+use leadtime_certs::Role;
+use leadtime_link::{Error as LinkError, RouterLink};
+use tokio::time::interval;
+
+use crate::cli::RouterArgs;
+use crate::credentials::{is_wrong_input, listen_settings};
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::shutdown::{Watch, watch};
+
+/// Pause between two looks at the connections.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+pub(super) async fn run(args: &RouterArgs) -> Result<(), Failure> {
+    let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
+    let settings = listen_settings(&args.listen, &args.connect, &args.guard, Role::Router)
+        .blame(ExitCode::WrongInput)?;
+    let router = RouterLink::open(&settings).await.map_err(failure)?;
+    tracing::info!("router listens at {}", router.locators().join(", "));
+    let mut ticks = interval(LOOK_EVERY);
+    let mut is_linked = settings.connect.is_empty();
+    let above = args.connect.join(", ");
+    loop {
+        tokio::select! {
+            () = shutdown.cancelled() => break,
+            _ = ticks.tick() => {}
+        }
+        router.health().await.map_err(failure)?;
+        if settings.connect.is_empty() {
+            continue;
+        }
+        let (n_routers, _) = router.n_connected().await;
+        if is_linked != (n_routers > 0) {
+            is_linked = n_routers > 0;
+            if is_linked {
+                tracing::info!("connected to the router at {above}");
+            } else {
+                tracing::warn!("the router at {above} is gone; looking for it");
+            }
+        }
+    }
+    // It has no other way to end.
+    router.close().await.map_err(failure)
+}
+
+fn failure(error: LinkError) -> Failure {
+    let is_input = is_wrong_input(&error)
+        || matches!(
+            error,
+            LinkError::AddressInUse(_) | LinkError::NotASocket(_) | LinkError::Listen { .. }
+        );
+    Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
+}

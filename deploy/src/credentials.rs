@@ -1,0 +1,113 @@
+//! Who this process is on the network, and whom it lets in: from arguments to what the network's crate takes.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context as _, bail};
+use leadtime_certs::{Identity, Role};
+use leadtime_link::{AccessList, ConnectSettings, Endpoint, Error as LinkError, ListenSettings};
+use leadtime_runs::clock;
+
+use crate::cli::{self, GuardArgs, TlsArgs};
+
+/// Reads and checks the certificate of this process, which has to be of one of these roles; none is given, none is needed.
+pub(crate) fn identity(args: &TlsArgs, roles: &[Role]) -> anyhow::Result<Option<Identity>> {
+    let Some(prefix) = &args.tls else { return Ok(None) };
+    let identity = Identity::read(prefix, clock::now()).context("--tls")?;
+    // A certificate of somebody else's making may have no role of ours.
+    if let Some(role) = identity.shown.role
+        && !roles.contains(&role)
+    {
+        let roles: Vec<&str> = roles.iter().map(|role| role.as_str()).collect();
+        let (wanted, file) = (roles.join(" or "), identity.certificate().display());
+        bail!("--tls: {file} is for role {role}; this command needs one for role {wanted}");
+    }
+    Ok(Some(identity))
+}
+
+/// Reads addresses; without a protocol they are TLS for who has a certificate.
+pub(crate) fn endpoints(
+    texts: &[String],
+    identity: Option<&Identity>,
+) -> Result<Vec<Endpoint>, LinkError> {
+    match identity {
+        None => cli::endpoints(texts),
+        Some(_) => texts.iter().map(|text| Endpoint::encrypted(text)).collect(),
+    }
+}
+
+/// Returns how to dial these addresses.
+pub(crate) fn connect_settings(
+    connect: &[String],
+    args: &TlsArgs,
+    roles: &[Role],
+) -> anyhow::Result<ConnectSettings> {
+    let identity = identity(args, roles)?;
+    let endpoints = endpoints(connect, identity.as_ref()).context("--connect")?;
+    Ok(ConnectSettings { identity, ..ConnectSettings::new(endpoints) })
+}
+
+/// Returns how to listen at these addresses, and warns if strangers can reach one.
+pub(crate) fn listen_settings(
+    listen: &[String],
+    connect: &[String],
+    args: &GuardArgs,
+    role: Role,
+) -> anyhow::Result<ListenSettings> {
+    let identity = identity(&args.tls, &[role])?;
+    let listen = endpoints(listen, identity.as_ref()).context("--listen")?;
+    let connect = endpoints(connect, identity.as_ref()).context("--connect")?;
+    let access = args.acl.as_deref().map(access_list).transpose().context("--acl")?;
+    if !args.insecure {
+        warn_if_open(&listen, identity.as_ref());
+    }
+    if identity.is_some() && access.is_none() && !listen.is_empty() {
+        tracing::info!(
+            "whoever has a certificate of this authority may do everything; --acl FILE limits it"
+        );
+    }
+    Ok(ListenSettings { connect, identity, access, ..ListenSettings::new(listen) })
+}
+
+fn access_list(file: &Path) -> anyhow::Result<AccessList> {
+    let text = fs::read_to_string(file);
+    let text = text.with_context(|| format!("cannot read {}", file.display()))?;
+    AccessList::parse(&text).with_context(|| file.display().to_string())
+}
+
+fn warn_if_open(listen: &[Endpoint], identity: Option<&Identity>) {
+    let open = listen.iter().filter(|it| identity.is_none() && it.is_open_to_strangers());
+    let open: Vec<String> = open.map(|endpoint| format!("`{endpoint}`")).collect();
+    if !open.is_empty() {
+        tracing::warn!(
+            "whoever reaches {} can take part, read and change everything: it asks for no certificate. Listen on `tls/…` with --tls \
+             DIR/ID (`leadtime certs` makes the files), or say --insecure where everybody may",
+            open.join(", ")
+        );
+    }
+}
+
+/// Returns the arguments that give another process of ours the same.
+pub(crate) fn guard_options(args: &GuardArgs) -> Vec<std::ffi::OsString> {
+    let paths = [("--tls", &args.tls.tls), ("--acl", &args.acl)];
+    let given = paths.into_iter().filter_map(|(option, path)| Some((option, path.as_ref()?)));
+    let mut options: Vec<std::ffi::OsString> =
+        given.flat_map(|(option, path)| [option.into(), path.into()]).collect();
+    options.extend(args.insecure.then(|| "--insecure".into()));
+    options
+}
+
+/// Tells whether an error of the network is one of the arguments or files that were given.
+pub(crate) fn is_wrong_input(error: &LinkError) -> bool {
+    matches!(
+        error,
+        LinkError::Endpoint { .. }
+            | LinkError::NoEndpoint
+            | LinkError::TlsFile { .. }
+            | LinkError::NotEncrypted(_)
+            | LinkError::NoCertificate(_)
+            | LinkError::TlsTwice(_)
+            | LinkError::TlsPath(_)
+            | LinkError::AccessList(_)
+    )
+}

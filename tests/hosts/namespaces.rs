@@ -1,0 +1,108 @@
+//! Hosts of their own on one machine: a network namespace each, and a switch between them in another one.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+/// The first three parts of every address.
+const NETWORK: &str = "10.77.0";
+
+/// Hosts with a cable each to one switch. Everything is removed when it is dropped.
+pub(crate) struct Hosts {
+    names: Vec<&'static str>,
+    made: Vec<String>,
+}
+
+impl Hosts {
+    /// Makes them, or says why that cannot be done.
+    pub(crate) fn make(names: &[&'static str]) -> Result<Self, String> {
+        let mut hosts = Self { names: names.to_vec(), made: Vec::new() };
+        let switch = hosts.add("switch")?;
+        ip(&["-n", &switch, "link", "add", "br0", "type", "bridge"])?;
+        ip(&["-n", &switch, "link", "set", "br0", "up"])?;
+        for name in names {
+            let host = hosts.add(name)?;
+            let cable =
+                ["link", "add", "eth0", "netns", &host, "type", "veth", "peer", "name", name];
+            ip(&[&cable[..], &["netns", &switch]].concat())?;
+            ip(&["-n", &switch, "link", "set", name, "master", "br0", "up"])?;
+            let address = format!("{}/24", hosts.address(name));
+            ip(&["-n", &host, "addr", "add", &address, "dev", "eth0"])?;
+            ip(&["-n", &host, "link", "set", "eth0", "up"])?;
+            ip(&["-n", &host, "link", "set", "lo", "up"])?;
+        }
+        Ok(hosts)
+    }
+
+    fn add(&mut self, name: &str) -> Result<String, String> {
+        let namespace = namespace(name);
+        ip(&["netns", "add", &namespace])?;
+        self.made.push(namespace.clone());
+        Ok(namespace)
+    }
+
+    /// Returns the address of a host.
+    pub(crate) fn address(&self, name: &str) -> String {
+        let place = self.names.iter().position(|known| *known == name).expect("a host of ours");
+        format!("{NETWORK}.{}", place + 1)
+    }
+
+    /// Has a command run in a host.
+    pub(crate) fn program(&self, host: &str, inner: Command) -> Command {
+        let mut outer = Command::new("ip");
+        outer.args(["netns", "exec", &namespace(host)]).arg(inner.get_program());
+        outer.args(inner.get_args()).stdin(Stdio::null()).env_remove("RUST_LOG");
+        outer.current_dir(inner.get_current_dir().unwrap_or(Path::new(".")));
+        outer
+    }
+
+    /// Starts a slow line in a host, from an address there to one anywhere.
+    pub(crate) fn relay(&self, host: &str, listen: &str, target: &str) -> SlowLine {
+        let mut this = Command::new(std::env::current_exe().expect("this program has a path"));
+        this.args(["relay", listen, target]);
+        SlowLine(self.program(host, this).spawn().expect("the relay starts"))
+    }
+
+    /// Pulls out the cable of a host.
+    pub(crate) fn cut(&self, name: &str) {
+        ip(&["-n", &namespace("switch"), "link", "set", name, "down"]).expect("a cable of ours");
+    }
+
+    /// Puts it back.
+    pub(crate) fn mend(&self, name: &str) {
+        ip(&["-n", &namespace("switch"), "link", "set", name, "up"]).expect("a cable of ours");
+    }
+}
+
+impl Drop for Hosts {
+    fn drop(&mut self) {
+        // Cables and the switch go with their namespaces.
+        for namespace in &self.made {
+            drop(ip(&["netns", "del", namespace]));
+        }
+    }
+}
+
+/// A relay at work; it ends when this is dropped.
+pub(crate) struct SlowLine(Child);
+
+impl Drop for SlowLine {
+    fn drop(&mut self) {
+        drop(self.0.kill());
+        drop(self.0.wait());
+    }
+}
+
+/// Names a namespace so that two of these tests do not meet.
+fn namespace(name: &str) -> String {
+    format!("lt{}-{name}", std::process::id())
+}
+
+fn ip(arguments: &[&str]) -> Result<(), String> {
+    let done =
+        Command::new("ip").args(arguments).output().map_err(|error| format!("ip: {error}"))?;
+    if done.status.success() {
+        return Ok(());
+    }
+    let said = String::from_utf8_lossy(&done.stderr);
+    Err(format!("`ip {}`: {}", arguments.join(" "), said.trim()))
+}

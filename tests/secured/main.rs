@@ -1,0 +1,208 @@
+//! A run by certificate, as people set it up: authority, router, learner, actors, all started as programs. It ends with the
+//! weights of the same run over a unix socket; whoever has no good certificate gets nowhere and is told why.
+//!
+//! What each role may do, line by line, is in `crates/link/tests/network/access.rs`.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
+
+#[expect(dead_code, reason = "the other process tests use the rest")]
+#[path = "../processes/support.rs"]
+mod support;
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::time::{Duration, Instant};
+
+use leadtime_certs::{Authority, Role};
+use leadtime_runs::clock;
+use support::{
+    Finished, PATIENCE, Place, Running, result, signal, updates, wait_for_words, wait_until,
+};
+
+const RUN: &str =
+    "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=5120";
+/// A run that does not end by itself.
+const LONG_RUN: &str =
+    "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=1e8";
+const DAY: Duration = Duration::from_hours(24);
+
+/// Makes an authority and these certificates by the program.
+fn certificates(place: &Place, directory: &str, peers: &[(&str, &str)]) {
+    place.finish(&["certs init", directory]).with_code(0);
+    for (role, name) in peers {
+        let host = if matches!(*role, "router" | "learner") { "--host 127.0.0.1" } else { "" };
+        place.finish(&["certs issue", directory, role, name, host]).with_code(0);
+    }
+}
+
+/// Returns the address that a listener says it has.
+fn address(listener: &Running) -> String {
+    wait_for_words(listener, "tls/127.0.0.1:");
+    let said = listener.stderr();
+    let rest = said.split("tls/127.0.0.1:").nth(1).unwrap();
+    let port: String = rest.chars().take_while(char::is_ascii_digit).collect();
+    format!("tls/127.0.0.1:{port}")
+}
+
+/// Returns the weights and the number of updates that a learner prints at its end.
+fn outcome(learner: &Finished) -> (String, String) {
+    let line = |name: &str| {
+        let line = learner.stdout.lines().find_map(|line| line.strip_prefix(name));
+        line.unwrap_or_else(|| panic!("{}", learner.stdout)).trim().to_owned()
+    };
+    let updates = line("updates").split(' ').next().unwrap().to_owned();
+    (line("weights"), updates)
+}
+
+/// Runs the same in the clear over a unix socket, with one actor.
+fn reference(run: &[&str]) -> Finished {
+    let place = Place::new();
+    let endpoint = place.endpoint("z");
+    let learner = place.start(&[run, &["--listen", &endpoint]].concat());
+    let actor = place.start(&["actor --connect", &endpoint]);
+    let finished = learner.finish(PATIENCE).with_code(0);
+    actor.finish(PATIENCE).with_code(0);
+    finished
+}
+
+#[test]
+fn a_run_by_certificate_has_the_same_weights_and_strangers_get_nowhere() {
+    let place = Place::new();
+    let peers =
+        [("router", "r1"), ("learner", "l1"), ("actor", "a1"), ("actor", "a2"), ("observer", "o1")];
+    certificates(&place, "pki", &peers);
+    place.finish(&["certs acl pki -o router.json5"]).with_code(0);
+    // Issued after the list was written.
+    place.finish(&["certs issue pki actor a3"]).with_code(0);
+    certificates(&place, "other", &[("actor", "a1")]);
+
+    let router = place.start(&["router --listen tls/127.0.0.1:0 --acl router.json5 --tls pki/r1"]);
+    let there = address(&router);
+    let learner = place.start(&[RUN, "--set run.actors_min=2 --tls pki/l1 --connect", &there]);
+    let first = place.start(&["actor --tls pki/a1 --connect", &there]);
+    wait_for_words(&learner, "1 of 2");
+
+    let seen = place.finish(&["check --tls pki/o1 --connect", &there]).with_code(0);
+    assert!(seen.stdout.contains(": r"), "{}", seen.stdout);
+    let refused = |arguments: &str, code: i32, words: &str| {
+        let actor = ["actor --connect-timeout 2s", arguments, "--connect", &there];
+        place.finish(&actor).with_code(code).saying(&[words]);
+    };
+    refused("--tls other/a1", 3, "is not signed by our authority");
+    refused("", 2, "needs a certificate");
+    refused("--tls pki/o1", 2, "pki/o1.pem is for role observer");
+    refused("--tls pki/a1 --id a2", 2, "the certificate is for `a1`");
+    refused("--tls pki/a3", 3, "the access list there does not name `a3`");
+    // Two of one name are one too many.
+    refused("--tls pki/a1", 2, "`a1` is already here");
+    let clear = there.replace("tls/", "tcp/");
+    let told = place.finish(&["actor --connect-timeout 1s --connect", &clear]);
+    told.with_code(3).saying(&["does not answer as a learner does"]);
+    let told = place.finish(&["actor --tls pki/a2 --connect", &clear]);
+    told.with_code(2).saying(&["is not encrypted"]);
+
+    let second = place.start(&["actor --tls pki/a2 --connect", &there]);
+    let secured = learner.finish(PATIENCE).with_code(0);
+    first.finish(PATIENCE).with_code(0);
+    second.finish(PATIENCE).with_code(0);
+    signal("TERM", router.id());
+    router.finish(PATIENCE).with_code(0);
+    let calm = reference(&[RUN]);
+    assert_eq!(outcome(&secured), outcome(&calm));
+    assert_eq!(result(&place.run("r"))["books"]["balanced"], true);
+}
+
+#[test]
+fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
+    let place = Place::new();
+    certificates(&place, "pki", &[("learner", "l1"), ("actor", "a1")]);
+    let pki = place.path().join("pki");
+    let issue = |lifetime| {
+        for end in ["pem", "key"] {
+            drop(fs::remove_file(pki.join("a1").with_extension(end)));
+        }
+        let mut authority = Authority::open(&pki, clock::now()).unwrap();
+        authority.issue(Role::Actor, &"a1".parse().unwrap(), &[], lifetime, clock::now()).unwrap();
+    };
+    place.finish(&["certs acl pki -o acl.json5"]).with_code(0);
+    let learner = place.start(&[LONG_RUN, "--listen tls/127.0.0.1:0 --tls pki/l1 --acl acl.json5"]);
+    let there = address(&learner);
+    issue(Duration::from_secs(6));
+    let actor = place.start(&["actor --json --tls pki/a1 --connect", &there]);
+    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) > 0);
+    wait_for_words(&learner, "actor left");
+    issue(90 * DAY);
+    let replaced = Instant::now();
+    let before = updates(&place.run("r"));
+    wait_until("it goes on", PATIENCE, || updates(&place.run("r")) > before + 3);
+    println!("under way again {:?} after the files were replaced", replaced.elapsed());
+    signal("TERM", learner.id());
+    let stopped = learner.finish(PATIENCE).with_code(130);
+    let journal = actor.finish(PATIENCE).with_code(0).json();
+    assert_eq!(journal["reconnects"], 1, "{journal}");
+    let (weights, n_updates) = outcome(&stopped);
+    let calm = reference(&[LONG_RUN, "--stop-after", &n_updates]);
+    assert_eq!((weights, n_updates), outcome(&calm));
+}
+
+#[test]
+fn what_is_wrong_with_a_certificate_is_one_sentence() {
+    let place = Place::new();
+    certificates(&place, "pki", &[("learner", "l1"), ("actor", "a1"), ("actor", "a2")]);
+    let pki = place.path().join("pki");
+    let mut authority = Authority::open(&pki, clock::now()).unwrap();
+    for (name, made) in [("old", clock::now() - 10 * DAY), ("young", clock::now() + DAY)] {
+        authority.issue(Role::Actor, &name.parse().unwrap(), &[], DAY, made).unwrap();
+    }
+    drop(authority);
+    let refused = |arguments: &str, words: &str| {
+        let told = place.finish(&[arguments]).with_code(2).saying(&[words]);
+        assert_eq!(told.stderr.trim().lines().count(), 1, "{}", told.stderr);
+    };
+    let actor = |name: &str, words: &str| {
+        refused(&format!("-q actor --connect 127.0.0.1:1 --tls pki/{name}"), words);
+    };
+    actor("old", "it ended at");
+    actor("young", "is this machine's clock right?");
+    actor("nobody", "cannot read pki/nobody.pem");
+    let key = |name: &str| pki.join(name).with_extension("key");
+    let own = fs::read(key("a1")).unwrap();
+    fs::write(key("a1"), fs::read(key("a2")).unwrap()).unwrap();
+    actor("a1", "is the key of another certificate");
+    fs::write(key("a1"), own).unwrap();
+    fs::set_permissions(key("a1"), fs::Permissions::from_mode(0o604)).unwrap();
+    actor("a1", "can be read by everybody (mode 604)");
+    actor("l1", "is for role learner");
+
+    refused("-q certs issue pki actor a1", "pki/a1.pem is there already");
+    refused("-q certs init pki", "pki holds an authority already");
+    refused("-q certs show pki/a1.key", "no certificate");
+    refused("-q certs issue pki actor a4 --host a/b", "neither a host's name nor an address");
+    refused("-q router --listen tls/127.0.0.1:0", "needs a certificate");
+    refused("-q router --listen tcp/127.0.0.1:0 --tls pki/l1", "is for role learner");
+    refused("-q learner --listen tcp/127.0.0.1:0 --tls pki/l1", "is not encrypted");
+    place.write("acl.json5", "{ access_control: { enabled: true, messages: [] } }");
+    refused(
+        "-q learner --listen tls/127.0.0.1:0 --tls pki/l1 --acl acl.json5",
+        "this is no access list",
+    );
+    for wrong in ["certs issue pki king a5", "certs issue pki actor A", "certs issue pki actor"] {
+        place.finish(&[wrong]).with_code(2);
+    }
+    assert!(!place.run("r").exists());
+}
+
+#[test]
+fn an_open_address_is_warned_about_once_and_the_remedy_named() {
+    let place = Place::new();
+    let warned = |arguments: &str| {
+        let learner = place.start(&[RUN, arguments]);
+        wait_for_words(&learner, "waiting for actors");
+        signal("TERM", learner.id());
+        learner.finish(PATIENCE).with_code(130).stderr.matches("asks for no certificate").count()
+    };
+    assert_eq!(warned("--listen tcp/0.0.0.0:0"), 1);
+    assert_eq!(warned("--listen tcp/0.0.0.0:0 --listen tcp/0.0.0.0:0"), 1);
+    assert_eq!(warned("--listen tcp/0.0.0.0:0 --insecure"), 0);
+    assert_eq!(warned("--listen tcp/127.0.0.1:0"), 0);
+}
