@@ -391,6 +391,8 @@ pub(crate) struct WatchArgs {
     /// The run, where several share the address.
     #[arg(long, value_name = "NAME")]
     pub run: Option<String>,
+    #[command(flatten)]
+    pub tls: TlsArgs,
     /// Where to serve the page; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     pub http: String,

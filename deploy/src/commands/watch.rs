@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_link::{ConnectSettings, Error as LinkError};
 use leadtime_proto::RunName;
@@ -13,7 +14,8 @@ use leadtime_runs::{Tasks, clock};
 use leadtime_watch::{Attachment, Error, FlightPlan, Page, PlanMaker, screen};
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::{WatchArgs, endpoints};
+use crate::cli::WatchArgs;
+use crate::credentials::connect_settings;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 use crate::shutdown::{Watch, watch};
@@ -106,7 +108,8 @@ pub(super) async fn beside(
 }
 
 fn settings(args: &WatchArgs) -> anyhow::Result<ConnectSettings> {
-    let mut settings = ConnectSettings::new(endpoints(&args.connect).context("--connect")?);
+    let roles = [Role::Observer, Role::Recorder];
+    let mut settings = connect_settings(&args.connect, &args.tls, &roles)?;
     settings.timeout = args.connect_timeout;
     Ok(settings)
 }
