@@ -159,6 +159,7 @@ test('a finished run: the page stays and says so, live and from the disk', async
   assert.equal(await run.ended, 0, run.said);
   await until('the end', async () => (await state(page)).includes('finished'));
   assert.ok((await newest(page)) > 0, 'what it showed is still there');
+  assert.equal(await text(page, 'left'), 'none');
 
   const link = await place.start('watch runs/short --http 127.0.0.1:0').page();
   const disk = await chrome.open(link);

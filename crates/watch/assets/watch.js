@@ -822,7 +822,8 @@ async function follow() {
     } catch (error) {
       if (error instanceof Error && !(error instanceof TypeError)) reason = error.message;
     }
-    setState(ended && complete >= 1 ? 'finished' : 'offline', reason);
+    if (ended && complete >= 1) return setState('finished', reason);
+    setState('offline', reason);
     ended = false;
     await new Promise((resolve) => setTimeout(resolve, 2000));
   }

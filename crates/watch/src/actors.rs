@@ -17,7 +17,7 @@ const SHARES: [&str; 5] = ["infer", "simulate", "encode", "publish", "wait"];
 
 /// One report of an actor: when it came, and its sums.
 #[derive(Clone, Debug)]
-struct ActorReport {
+struct ActorSums {
     at: f64,
     n_steps: f64,
     seconds: [f64; SHARES.len()],
@@ -31,7 +31,7 @@ struct ActorRow {
     standing: Value,
     /// What it says of itself.
     told: Value,
-    reports: VecDeque<ActorReport>,
+    reports: VecDeque<ActorSums>,
     seen_at: f64,
     gone_at: Option<f64>,
 }
@@ -89,7 +89,7 @@ impl ActorTable {
         let Some(row) = self.rows.get_mut(id) else { return };
         let number = |name: &str| told[name].as_f64().unwrap_or(0.0);
         let seconds = SHARES.map(|share| number(&format!("{share}_s")));
-        let report = ActorReport { at: now, n_steps: number("n_steps"), seconds };
+        let report = ActorSums { at: now, n_steps: number("n_steps"), seconds };
         row.reports.push_back(report);
         if row.reports.len() > N_REPORTS {
             row.reports.pop_front();

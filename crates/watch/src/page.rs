@@ -146,9 +146,15 @@ impl Page {
         self.shared().hub.n_clients()
     }
 
-    /// Says goodbye to every page.
+    /// Tells every page how the run stands now, and says goodbye.
     pub fn close(&self) {
-        self.shared().hub.close(Instant::now());
+        let now = Instant::now();
+        {
+            let mut shared = self.shared();
+            (shared.updates_told_at, shared.tables_told_at) = (None, None);
+        }
+        self.flush(now);
+        self.shared().hub.close(now);
     }
 }
 

@@ -473,7 +473,13 @@ impl RunView {
         }
     }
 
-    /// Says the same in a sentence.
+    /// Tells whether the learner of the run has ended, in whatever way.
+    pub fn is_over(&self, now: f64) -> bool {
+        use RunPhase::{Failed, Finished, Lost, Stopped};
+        matches!(self.phase(now), Failed | Finished | Lost | Stopped)
+    }
+
+    /// Says how the run is, in a sentence.
     fn sentence(&self, now: f64) -> String {
         let since = |at: Option<f64>| at.map_or(0.0, |at| (now - at).max(0.0)).round();
         match self.phase(now) {
@@ -605,7 +611,10 @@ impl RunView {
         let (wait, train) = (wait / all, train / all);
         let actors_wait = self.actors.mean_wait();
         let percent = |share: f64| (share * 100.0).round();
-        let sentence = if wait > LEARNER_WAITS {
+        let sentence = if wait > LEARNER_WAITS && actors_wait.is_some_and(|it| it > ACTORS_WAIT) {
+            "learner and actors wait for each other: a lag, or more steps per update, would help"
+                .to_owned()
+        } else if wait > LEARNER_WAITS {
             format!("the learner waits {} % of the time: more actors would help", percent(wait))
         } else if let Some(share) = actors_wait.filter(|share| *share > ACTORS_WAIT) {
             format!("actors wait for the learner {} % of their time", percent(share))

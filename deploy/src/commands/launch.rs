@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use leadtime_config::Config;
 use leadtime_proto::RunName;
@@ -9,6 +10,7 @@ use leadtime_runs::launch::{self, Launch, LaunchError, LearnerPlace};
 use leadtime_runs::supervise::Ended;
 use leadtime_runs::{Naming, RunRecord, Tasks, clock};
 use leadtime_watch::Page;
+use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
@@ -62,12 +64,17 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
     Ok(())
 }
 
+/// How long the page waits for the learner's last words after it has ended, and the pause between two looks.
+const LAST_WORDS: Duration = Duration::from_millis(500);
+const LOOK_PAUSE: Duration = Duration::from_millis(20);
+
 /// The page that is served beside a run.
 struct BesidePage {
     tasks: Tasks,
     stop: CancellationToken,
     /// Taken when the run begins.
     server: Mutex<Option<PageServer>>,
+    page: Mutex<Option<Arc<Page>>>,
     working: TaskTracker,
 }
 
@@ -76,7 +83,8 @@ impl BesidePage {
         let server = PageServer::bind(http, access).await?;
         server.announce(false);
         let (stop, working) = (CancellationToken::new(), TaskTracker::new());
-        Ok(Self { tasks: tasks.clone(), stop, server: Mutex::new(Some(server)), working })
+        let (tasks, server, page) = (tasks.clone(), Mutex::new(Some(server)), Mutex::default());
+        Ok(Self { tasks, stop, server, page, working })
     }
 
     /// Serves the page of a run whose learner will be reached at this address.
@@ -84,6 +92,7 @@ impl BesidePage {
         let server = self.server.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some(server) = server else { return };
         let page = Page::new(run.as_str(), clock::unix_seconds);
+        *self.page.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&page));
         let serving = server.serve(&page, &self.stop);
         self.working.spawn(serving);
         let (tasks, stop) = (self.tasks.clone(), self.stop.clone());
@@ -92,6 +101,13 @@ impl BesidePage {
 
     /// Lets the page show how the run ended, and ends it.
     async fn end(&self) {
+        let page = self.page.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        if let Some(page) = page {
+            let deadline = Instant::now() + LAST_WORDS;
+            while Instant::now() < deadline && !page.with(|view, now| view.is_over(now)) {
+                sleep(LOOK_PAUSE).await;
+            }
+        }
         self.working.close();
         self.stop.cancel();
         self.working.wait().await;
