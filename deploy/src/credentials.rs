@@ -76,8 +76,11 @@ fn access_list(file: &Path) -> anyhow::Result<AccessList> {
 }
 
 fn warn_if_open(listen: &[Endpoint], identity: Option<&Identity>) {
-    let open = listen.iter().filter(|it| identity.is_none() && it.is_open_to_strangers());
-    let open: Vec<String> = open.map(|endpoint| format!("`{endpoint}`")).collect();
+    // TLS without any certificate is refused, not opened.
+    let is_refused = |it: &&Endpoint| it.as_str().starts_with("tls/") && !it.as_str().contains('#');
+    let open = listen.iter().filter(|it| it.is_open_to_strangers() && !is_refused(it));
+    let open: Vec<String> =
+        open.filter(|_| identity.is_none()).map(|endpoint| format!("`{endpoint}`")).collect();
     if !open.is_empty() {
         tracing::warn!(
             "whoever reaches {} can take part, read and change everything: it asks for no certificate. Listen on `tls/…` with --tls \

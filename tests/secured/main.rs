@@ -94,7 +94,8 @@ fn a_run_by_certificate_has_the_same_weights_and_strangers_get_nowhere() {
     refused("--tls pki/a1 --id a2", 2, "the certificate is for `a1`");
     refused("--tls pki/a3", 3, "the access list there does not name `a3`");
     // Two of one name are one too many.
-    refused("--tls pki/a1", 2, "`a1` is already here");
+    let twice = place.finish(&["actor --connect-timeout 20s --tls pki/a1 --connect", &there]);
+    twice.with_code(2).saying(&["`a1` is already here"]);
     let clear = there.replace("tls/", "tcp/");
     let told = place.finish(&["actor --connect-timeout 1s --connect", &clear]);
     told.with_code(3).saying(&["does not answer as a learner does"]);
@@ -139,7 +140,7 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
     signal("TERM", learner.id());
     let stopped = learner.finish(PATIENCE).with_code(130);
     let journal = actor.finish(PATIENCE).with_code(0).json();
-    assert_eq!(journal["reconnects"], 1, "{journal}");
+    assert!(journal["reconnects"].as_u64().unwrap() >= 1, "{journal}");
     let (weights, n_updates) = outcome(&stopped);
     let calm = reference(&[LONG_RUN, "--stop-after", &n_updates]);
     assert_eq!((weights, n_updates), outcome(&calm));
