@@ -5,7 +5,7 @@ use std::fs;
 use anyhow::{Context as _, bail};
 use leadtime_actor::{ActorEnd, ActorSettings, Error};
 use leadtime_certs::Role;
-use leadtime_link::{ConnectSettings, Endpoint, Error as LinkError};
+use leadtime_link::{Endpoint, Error as LinkError};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RunName};
 use leadtime_runs::{ProgramBuild, Tasks, clock};
