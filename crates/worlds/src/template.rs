@@ -66,7 +66,7 @@ pub(crate) fn template(
     match source {
         LeadtimeSource::Checkout { path, manifest: theirs } => {
             manifest = manifest.replace("{place}\n", "");
-            for folder in ["deploy", "crates/numerics", "sims"] {
+            for folder in ["deploy", "crates/numerics", "sims", "vendor/zenoh-link-tls"] {
                 let place = format!("path = {:?}", format!("{path}/{folder}"));
                 manifest = manifest.replacen("{source}", &place, 1);
             }
@@ -80,7 +80,7 @@ pub(crate) fn template(
             files.push((".cargo/config.toml", shared));
         }
         LeadtimeSource::Repository => {
-            let says = "# Write the address of the repository that you build Leadtime from in place of the three below.\n";
+            let says = "# Write the address of the repository that you build Leadtime from in place of those below.\n";
             manifest = manifest.replace("{place}\n", says);
             manifest = manifest.replace("{source}", "git = \"https://REPOSITORY\"");
         }
@@ -118,6 +118,7 @@ mod tests {
             r#"leadtime = { path = "/src/lead \"time\"/deploy" }"#,
             r#"leadtime-numerics = { path = "/src/lead \"time\"/crates/numerics" }"#,
             r#"leadtime-sims = { path = "/src/lead \"time\"/sims" }"#,
+            r#"zenoh-link-tls = { path = "/src/lead \"time\"/vendor/zenoh-link-tls" }"#,
             "\n[workspace]\n",
             "\n[profile.dev]\nopt-level = 1\n",
         ] {
@@ -127,7 +128,7 @@ mod tests {
         assert!(!text.contains("{place}") && !file(&files, "README.md").contains("{name}"));
         let files = template("my-world", LeadtimeSource::Repository).unwrap();
         let text = file(&files, "Cargo.toml");
-        assert_eq!(text.matches("git = \"https://REPOSITORY\"").count(), 3, "{text}");
+        assert_eq!(text.matches("git = \"https://REPOSITORY\"").count(), 4, "{text}");
         assert!(text.contains("# Write the address of the repository"), "{text}");
     }
 
