@@ -32,7 +32,7 @@ pub(crate) fn start(level: &str, how: &LogArgs) -> Result<(), Failure> {
     let is_watched = terminal::is_watched() && how.log_file.is_none();
     let colour = is_watched && env::var_os("NO_COLOR").is_none();
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(LogOutput);
-    let started = match how.log {
+    let started = match how.log_format {
         LogFormat::Json => lines.event_format(JsonLine).try_init(),
         LogFormat::Text => {
             let lines = lines.with_timer(TimeStamp { is_watched });
