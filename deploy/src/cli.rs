@@ -48,7 +48,7 @@ pub(crate) struct Cli {
 pub(crate) struct LogArgs {
     /// How lines of the log are written.
     #[arg(long, global = true, value_name = "FORMAT", value_enum, default_value_t)]
-    pub log: LogFormat,
+    pub log_format: LogFormat,
     /// Write the log to the end of this file instead of standard error. It is opened again when it was moved away, and on
     /// SIGHUP.
     #[arg(long, global = true, value_name = "FILE")]
@@ -68,7 +68,8 @@ pub(crate) enum LogFormat {
 impl LogArgs {
     /// Returns the options that give another process of ours the same.
     pub(crate) fn options(&self) -> Vec<String> {
-        let format = (self.log == LogFormat::Json).then(|| ["--log".to_owned(), "json".to_owned()]);
+        let format = (self.log_format == LogFormat::Json)
+            .then(|| ["--log-format".to_owned(), "json".to_owned()]);
         let file = self.log_file.as_ref().map(|file| file.display().to_string());
         let file = file.map(|file| ["--log-file".to_owned(), file]);
         format.into_iter().chain(file).flatten().collect()

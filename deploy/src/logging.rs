@@ -35,7 +35,7 @@ pub(crate) fn start(level: &str, how: &LogArgs) -> Result<(), Failure> {
     let is_watched = terminal::is_watched() && how.log_file.is_none();
     let colour = is_watched && env::var_os("NO_COLOR").is_none();
     let lines = tracing_subscriber::fmt::layer().with_writer(LogOutput);
-    let lines = match how.log {
+    let lines = match how.log_format {
         LogFormat::Json => lines.event_format(JsonLine).boxed(),
         LogFormat::Text => {
             let lines = lines.with_timer(TimeStamp { is_watched });

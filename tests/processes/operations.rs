@@ -162,7 +162,7 @@ fn a_log_for_machines_goes_to_a_file_that_is_opened_again_on_hangup() {
     let place = Place::new();
     let log = place.file("log");
     let up = place.start(&[
-        "up --name r -c cartpole --set learner.total_steps=1000000000 --log json --log-file",
+        "up --name r -c cartpole --set learner.total_steps=1000000000 --log-format json --log-file",
         &log,
     ]);
     let run = place.run("r");
