@@ -384,7 +384,7 @@ pub(crate) struct AccessArgs {
 #[derive(Debug, Args)]
 pub(crate) struct WatchArgs {
     /// A run on this disk, by name or directory.
-    #[arg(value_name = "RUN", required_unless_present = "connect", conflicts_with_all = ["connect", "run"])]
+    #[arg(value_name = "RUN", conflicts_with_all = ["connect", "run"])]
     pub directory: Option<String>,
     /// Address of a learner (or of a router): `tcp/HOST:7447`.
     #[arg(long, value_name = "ENDPOINT")]

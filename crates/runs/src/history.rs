@@ -100,7 +100,7 @@ fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8
 ///
 /// If the file is there and cannot be read.
 pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
-    let mut history = History::new(n_points);
+    let mut history = ThinHistory::new(n_points);
     match File::open(directory.join("metrics.jsonl")) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         file => history.read(BufReader::new(file?), from)?,
@@ -154,7 +154,7 @@ impl JournalTail {
 
 /// A history in the making.
 #[derive(Debug)]
-struct History {
+struct ThinHistory {
     series: ThinSeries,
     /// When the first update was made, in seconds since the Unix epoch.
     started: Option<f64>,
@@ -163,7 +163,7 @@ struct History {
     n_skipped: u64,
 }
 
-impl History {
+impl ThinHistory {
     fn new(n_points: usize) -> Self {
         Self {
             series: ThinSeries::new(n_points),

@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 
 use crate::error::Error;
 use crate::events::EventKind;
-use crate::scene::{Grid, still};
+use crate::scene::{SceneGrid, still};
 
 /// The time that a step takes on the page.
 const STEP: Duration = Duration::from_millis(100);
@@ -223,7 +223,7 @@ impl FlightLoop {
         let flight = self.index;
         self.watcher.tell(EventKind::Flight, &beginning(flight, version, spoken));
         let scenes = &spoken.played.scenes;
-        let grid = Grid::of(&scenes[0].view);
+        let grid = SceneGrid::of(&scenes[0].view);
         let still = still(scenes);
         let mut due = Instant::now();
         for step in 0..scenes.len() {
@@ -244,7 +244,7 @@ fn beginning(flight: u64, version: u64, spoken: &Spoken) -> Value {
     let played = &spoken.played;
     let scenes = &played.scenes;
     let first = &scenes[0];
-    let grid = Grid::of(&first.view);
+    let grid = SceneGrid::of(&first.view);
     let shapes: Vec<Value> = still(scenes).into_iter().map(|shape| grid.shape(shape)).collect();
     let gauges = scenes.iter().map(|scene| scene.gauge.value);
     let (low, high) = gauges.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
@@ -266,7 +266,7 @@ fn moment(
     flight: u64,
     step: usize,
     spoken: &Spoken,
-    grid: Grid,
+    grid: SceneGrid,
     still: &[&leadtime_sims::Shape],
 ) -> Value {
     let scenes = &spoken.played.scenes;

@@ -35,5 +35,5 @@ pub use flight::{FlightPlan, FlightThread, FlightWatcher, MakeTask};
 pub use follow::{Attachment, PlanMaker};
 pub use page::{Clock, EVENT_PAUSE, Page};
 pub use routes::{open_paths, routes};
-pub use state::{Changes, LogLine, RunPhase, RunView, SCHEMA};
+pub use state::{Changes, RunPhase, RunView, SCHEMA, WatchLine};
 pub use text::screen;

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::events::{EventBytes, EventHub, EventKind, Wanted, event};
 use crate::flight::FlightWatcher;
-use crate::state::{Changes, LogLine, RunView};
+use crate::state::{Changes, RunView, WatchLine};
 
 /// The shortest time between two events of a kind that are told to pages.
 pub const EVENT_PAUSE: Duration = Duration::from_millis(200);
@@ -22,10 +22,10 @@ pub type Clock = fn() -> f64;
 /// A run as it is seen, and its pages.
 pub struct Page {
     clock: Clock,
-    shared: Mutex<Shared>,
+    shared: Mutex<SharedView>,
 }
 
-struct Shared {
+struct SharedView {
     view: RunView,
     hub: EventHub,
     /// What has changed and was not told yet.
@@ -46,7 +46,7 @@ impl fmt::Debug for Page {
 impl Page {
     /// Starts with an empty view of a run.
     pub fn new(run: &str, clock: Clock) -> Arc<Self> {
-        let shared = Shared {
+        let shared = SharedView {
             view: RunView::new(run),
             hub: EventHub::default(),
             due: Changes::default(),
@@ -58,7 +58,7 @@ impl Page {
         Arc::new(Self { clock, shared: Mutex::new(shared) })
     }
 
-    fn shared(&self) -> MutexGuard<'_, Shared> {
+    fn shared(&self) -> MutexGuard<'_, SharedView> {
         // A panic while it was held left at worst one event untold.
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -74,7 +74,7 @@ impl Page {
     pub fn flush(&self, now: Instant) {
         let time = (self.clock)();
         let mut shared = self.shared();
-        let Shared { view, hub, due, updates_told_at, tables_told_at, n_log_told, .. } =
+        let SharedView { view, hub, due, updates_told_at, tables_told_at, n_log_told, .. } =
             &mut *shared;
         let new = view.take_changes();
         due.about |= new.about;
@@ -103,7 +103,7 @@ impl Page {
                 hub.send(EventKind::Actors, None, &view.actors_json(time).to_string(), now);
             }
         }
-        let lines: Vec<Value> = view.log_after(*n_log_told).map(LogLine::json).collect();
+        let lines: Vec<Value> = view.log_after(*n_log_told).map(WatchLine::json).collect();
         if !lines.is_empty() {
             *n_log_told = view.n_logged();
             hub.send(EventKind::Log, None, &Value::from(lines).to_string(), now);
@@ -119,10 +119,10 @@ impl Page {
     ) -> Option<flume::Receiver<EventBytes>> {
         let time = (self.clock)();
         let mut shared = self.shared();
-        let Shared { view, hub, flight, .. } = &mut *shared;
+        let SharedView { view, hub, flight, .. } = &mut *shared;
         let from = last_event.map_or(0, |id| known_until(id, view));
         let id = event_id(view);
-        let log: Vec<Value> = view.log_after(0).map(LogLine::json).collect();
+        let log: Vec<Value> = view.log_after(0).map(WatchLine::json).collect();
         let mut first = Vec::new();
         let mut tell = |kind: EventKind, id: Option<&str>, data: &dyn Fn() -> Value| {
             if wanted.has(kind) {

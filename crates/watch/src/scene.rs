@@ -13,9 +13,9 @@ const FINENESS: f64 = 4_000.0;
 
 /// Rounds coordinates to what can be seen.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Grid(f64);
+pub(crate) struct SceneGrid(f64);
 
-impl Grid {
+impl SceneGrid {
     /// Chooses the grid for a view.
     pub(crate) fn of(view: &View) -> Self {
         let width = (view.max[0] - view.min[0]).max(view.max[1] - view.min[1]).max(1e-6);
@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn shapes_are_short_texts() {
-        let grid = Grid::of(&View { min: [0.0, 0.0], max: [100.0, 50.0] });
+        let grid = SceneGrid::of(&View { min: [0.0, 0.0], max: [100.0, 50.0] });
         let line = Shape::Line { points: vec![[0.123_456, 1.0], [2.0, 3.0]], tone: Tone::Hint };
         assert_eq!(grid.shape(&line).to_string(), r#"["line","hint",[0.12,1.0,2.0,3.0]]"#);
         let label = Shape::Label { at: [1.0, 2.0], text: "steak".to_owned() };

@@ -74,7 +74,7 @@ impl RunPhase {
 
 /// One line of the log.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LogLine {
+pub struct WatchLine {
     /// Its number, from 1.
     pub number: u64,
     /// When, in seconds since the Unix epoch.
@@ -85,7 +85,7 @@ pub struct LogLine {
     pub text: String,
 }
 
-impl LogLine {
+impl WatchLine {
     /// Writes it as pages see it.
     pub fn json(&self) -> Value {
         json!({"number": self.number, "at": round(self.at), "level": self.level, "text": self.text})
@@ -133,6 +133,8 @@ pub struct RunView {
     learner: Option<String>,
     /// The first update that this start of the learner told of.
     first_told: Option<u64>,
+    /// Whether it told how the run went before.
+    knows_history: bool,
     lost_at: Option<f64>,
     ended: Option<&'static str>,
     n_needed: Option<u64>,
@@ -142,7 +144,7 @@ pub struct RunView {
     refusals: BTreeMap<String, u64>,
     n_missed: u64,
     n_skipped: u64,
-    log: VecDeque<LogLine>,
+    log: VecDeque<WatchLine>,
     n_logged: u64,
     changes: Changes,
 }
@@ -164,6 +166,7 @@ impl RunView {
             window: VecDeque::new(),
             learner: None,
             first_told: None,
+            knows_history: false,
             lost_at: None,
             ended: None,
             n_needed: None,
@@ -226,6 +229,7 @@ impl RunView {
             self.note_refusals(now);
             self.changes.update = true;
         }
+        self.knows_history = true;
         self.changes.history = true;
     }
 
@@ -273,7 +277,9 @@ impl RunView {
     /// Takes in one line of a run's metrics.
     pub fn update(&mut self, line: Map<String, Value>, now: f64) {
         let update = update_of(&line);
-        if update == 0 {
+        // What was on its way while the history was asked for is in it.
+        let is_known = self.knows_history && update <= self.series.last();
+        if update == 0 || is_known {
             return;
         }
         let number = |name: &str| line.get(name).and_then(Value::as_f64);
@@ -345,6 +351,7 @@ impl RunView {
         }
         self.learner = Some(incarnation.to_owned());
         (self.lost_at, self.ended, self.first_told) = (None, None, None);
+        self.knows_history = false;
         self.window.clear();
         true
     }
@@ -410,7 +417,7 @@ impl RunView {
         if is_checkpoint(&text) && self.log.back().is_some_and(|line| is_checkpoint(&line.text)) {
             self.log.pop_back();
         }
-        self.log.push_back(LogLine { number: self.n_logged, at: now, level, text });
+        self.log.push_back(WatchLine { number: self.n_logged, at: now, level, text });
         if self.log.len() > N_LOG {
             self.log.pop_front();
         }
@@ -428,7 +435,7 @@ impl RunView {
     }
 
     /// Returns the lines of the log after a number.
-    pub fn log_after(&self, number: u64) -> impl Iterator<Item = &LogLine> {
+    pub fn log_after(&self, number: u64) -> impl Iterator<Item = &WatchLine> {
         self.log.iter().filter(move |line| line.number > number)
     }
 
@@ -666,7 +673,7 @@ impl RunView {
             "actors": self.actors_json(now),
             "others": self.actors.others(),
             "history": self.history_json(0),
-            "log": self.log.iter().map(LogLine::json).collect::<Vec<_>>(),
+            "log": self.log.iter().map(WatchLine::json).collect::<Vec<_>>(),
         })
     }
 }

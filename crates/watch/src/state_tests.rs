@@ -77,6 +77,9 @@ fn who_comes_late_sees_the_whole_history_and_no_update_twice() {
     assert_eq!(late.history_json(0)["x"], early.history_json(0)["x"]);
     assert_eq!(late.newest(), 50);
     assert_eq!(late.history_json(45)["x"].as_array().unwrap().len(), 6);
+    // One that was on its way for longer is old news.
+    late.learner_says("01", line(30), 1051.0);
+    assert_eq!((late.newest(), late.history_json(0)["x"].as_array().unwrap().len()), (50, 50));
 }
 
 #[test]

@@ -43,6 +43,11 @@ async fn start(
     shutdown: &CancellationToken,
 ) -> Result<(), Failure> {
     let plays = args.play == "on";
+    if args.directory.is_none() && args.connect.is_empty() {
+        return Err(Failure::input(
+            "say which run: its name or directory on this disk, or --connect ADDRESS of its learner",
+        ));
+    }
     if let Some(name) = &args.directory {
         let run = leadtime_runs::find_run(&args.runs, name).blame(ExitCode::WrongInput)?;
         let source = directory::RunSource::open(tasks, &run)?;
