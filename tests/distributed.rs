@@ -198,7 +198,7 @@ impl Learner {
             build: Build { program: "test".to_owned(), cpu: "cpu".to_owned() },
             checkpoints: directory.join("checkpoints"),
             checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_mins(1) },
-            retention: Retention::default(),
+            retention: leadtime_learner::checkpoint::Retention::default(),
             checkpoint_patience: Duration::from_mins(10),
             initial: None,
             identity: [mode as u8; 32],

@@ -225,6 +225,22 @@ fn log(event: &RunEvent) {
         CheckpointWritten { path, n_updates } => {
             debug!(n_updates, checkpoint = %path.display(), "checkpointed");
         }
+        CheckpointFailed { .. } | CheckpointRecovered { .. } | Paused { .. } | Unsaved { .. } => {
+            log_saving(event);
+        }
+        Evaluating => info!("training is done; evaluating on held-out episodes"),
+        EvaluationFailed { version, reason } => {
+            let told = "the run goes on, and the best policy is chosen among the others";
+            warn!("the policy of update {version} cannot be evaluated: {reason}; {told}");
+        }
+        Stopping => info!("stopping: writing checkpoint and books"),
+    }
+}
+
+/// Says what becomes of a state that cannot be saved.
+fn log_saving(event: &RunEvent) {
+    use RunEvent::{CheckpointFailed, CheckpointRecovered, Paused, Unsaved};
+    match event {
         CheckpointFailed { reason, retry } => {
             warn!("{reason}; training goes on, and it is tried again every {}", duration(*retry));
         }
@@ -243,11 +259,6 @@ fn log(event: &RunEvent) {
                 duration(*kept)
             );
         }
-        Evaluating => info!("training is done; evaluating on held-out episodes"),
-        EvaluationFailed { version, reason } => {
-            let told = "the run goes on, and the best policy is chosen among the others";
-            warn!("the policy of update {version} cannot be evaluated: {reason}; {told}");
-        }
-        Stopping => info!("stopping: writing checkpoint and books"),
+        _ => {}
     }
 }

@@ -261,3 +261,20 @@ fn a_run_that_cannot_be_is_not_joined() {
     let refused = Actor::<(), u32, ()>::new(settings, impossible, Instant::now());
     assert!(matches!(refused.unwrap_err(), Error::Spec(_)));
 }
+
+#[test]
+fn who_is_about_to_leave_finishes_and_sends_its_rollout_and_begins_none() {
+    let mut bench = Bench::with_weights(0..=0);
+    assert_eq!(names(&bench.follow(1, 1, 0)), ["collect"]);
+    bench.actor.begin_leaving();
+    assert!(bench.actor.is_busy(), "a rollout is being made");
+    assert_eq!(names(&bench.assign(2, 2, &[0])), [""; 0], "nothing is begun any more");
+    assert_eq!(names(&bench.collected(1, Some(1))), ["publish"]);
+    assert!(bench.actor.is_busy(), "it is being sent");
+    assert!(bench.give(ActorInput::Published).is_empty());
+    assert!(!bench.actor.is_busy());
+    let standing = bench.actor.standing(7);
+    assert_eq!((standing.n_steps, standing.n_unacknowledged), (7, 1));
+    bench.credit(1, 9);
+    assert_eq!(bench.actor.standing(7).n_unacknowledged, 0);
+}
