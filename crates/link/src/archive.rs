@@ -59,7 +59,7 @@ pub(crate) fn serve(
     let (sender, questions) = flume::bounded::<Query>(MAX_WAITING);
     let answerer = answers.clone();
     let work = move || {
-        for query in questions.iter() {
+        for query in questions {
             answerer.give(answer(query, incarnation, history.as_ref()));
         }
     };

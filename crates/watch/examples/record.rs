@@ -4,6 +4,8 @@
 //! cargo run -p leadtime-watch --example record -- unixsock-stream//tmp/l.sock RUN > run.jsonl
 //! ```
 
+#![expect(clippy::print_stdout, reason = "it prints what it hears")]
+
 use std::time::Instant;
 
 use leadtime_link::{ConnectSettings, ObserverEvent, ObserverLink};

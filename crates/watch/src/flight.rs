@@ -64,7 +64,7 @@ pub trait FlightWatcher: Send + Sync {
 /// What reaches the thread.
 #[derive(Debug)]
 enum FlightInput {
-    Plan(Result<FlightPlan, String>),
+    Plan(Box<Result<FlightPlan, String>>),
     Policy(u64, Vec<u8>),
 }
 
@@ -90,7 +90,7 @@ impl FlightThread {
 
     /// Says what is played, or why nothing can be.
     pub fn plan(&self, plan: Result<FlightPlan, String>) {
-        self.give(FlightInput::Plan(plan));
+        self.give(FlightInput::Plan(Box::new(plan)));
     }
 
     /// Gives a newer policy, as safetensors.
@@ -173,12 +173,15 @@ impl FlightLoop {
     fn take_inputs(&mut self, until: Instant) -> Result<(), OwnerGone> {
         loop {
             match self.inputs.recv_deadline(until) {
-                Ok(FlightInput::Plan(Ok(plan))) => {
-                    (self.plan, self.player) = (Some(plan), None);
-                }
-                Ok(FlightInput::Plan(Err(reason))) => {
-                    (self.plan, self.player) = (None, None);
-                    self.tell_obstacle(reason);
+                Ok(FlightInput::Plan(plan)) => {
+                    self.player = None;
+                    match *plan {
+                        Ok(plan) => self.plan = Some(plan),
+                        Err(reason) => {
+                            self.plan = None;
+                            self.tell_obstacle(reason);
+                        }
+                    }
                 }
                 Ok(FlightInput::Policy(version, weights)) => {
                     self.weights = Some((version, weights))

@@ -62,16 +62,17 @@ impl Attachment {
     /// [`Error::Link`] if its learner does not answer, or is of another release.
     pub async fn look_once(self, page: &Page, listen: Duration) -> Result<(), Error> {
         let (incarnation, about) = ask_about(&self.link, &self.run).await?;
-        let history = ask_history(&self.link, &self.run, 0).await?;
         page.with(|view, now| {
             view.learner_joined(&hex(incarnation), now);
             view.about(about, now);
-            view.history(&history, now);
         });
         let deadline = tokio::time::Instant::now() + listen;
         while let Ok(Some(event)) = tokio::time::timeout_at(deadline, self.events.recv()).await {
             take_in(page, event);
         }
+        // Last, so that its curves have no gaps.
+        let history = ask_history(&self.link, &self.run, 0).await?;
+        page.with(|view, now| view.history(&history, now));
         self.link.close().await?;
         Ok(())
     }

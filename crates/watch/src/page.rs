@@ -77,26 +77,23 @@ impl Page {
         let SharedView { view, hub, due, updates_told_at, tables_told_at, n_log_told, .. } =
             &mut *shared;
         let new = view.take_changes();
-        due.about |= new.about;
         due.history |= new.history;
         due.update |= new.update;
         due.actors |= new.actors;
-        let is_due = |told_at: &Option<Instant>, pause: Duration| {
+        let is_due = |told_at: Option<Instant>, pause: Duration| {
             told_at.is_none_or(|at| now.saturating_duration_since(at) >= pause)
         };
-        if std::mem::take(&mut due.about) {
-            hub.send(EventKind::About, None, &view.about_json().to_string(), now);
-        }
         if std::mem::take(&mut due.history) {
+            hub.send(EventKind::About, None, &view.about_json().to_string(), now);
             hub.send(EventKind::History, None, &view.history_json(0).to_string(), now);
         }
-        if due.update && is_due(updates_told_at, EVENT_PAUSE) {
+        if due.update && is_due(*updates_told_at, EVENT_PAUSE) {
             due.update = false;
             *updates_told_at = Some(now);
             let update = view.update_json(time).to_string();
             hub.send(EventKind::Update, Some(&event_id(view)), &update, now);
         }
-        if is_due(tables_told_at, TABLE_PAUSE) {
+        if is_due(*tables_told_at, TABLE_PAUSE) {
             *tables_told_at = Some(now);
             hub.send(EventKind::State, None, &view.state_json(time).to_string(), now);
             if std::mem::take(&mut due.actors) || view.n_shown_actors() > 0 {

@@ -1,5 +1,6 @@
 //! What is served: the page's files, the stream of events, and everything at once for scripts.
 
+use std::future::{Ready, ready};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -126,12 +127,16 @@ fn parameter<'a>(query: Option<&'a str>, name: &str) -> Option<&'a str> {
     pairs.filter(|(key, _)| *key == name).map(|(_, value)| value).next_back()
 }
 
-async fn events(
+fn events(
     State(page): State<Arc<Page>>,
     RawQuery(query): RawQuery,
     headers: HeaderMap,
-) -> Response {
-    let query = query.as_deref();
+) -> Ready<Response> {
+    ready(stream(&page, query.as_deref(), &headers))
+}
+
+/// Takes a client in, and streams what it is told.
+fn stream(page: &Page, query: Option<&str>, headers: &HeaderMap) -> Response {
     let only = parameter(query, "only").map(|only| only.replace("%2C", ","));
     let wanted = match Wanted::parse(only.as_deref()) {
         Ok(wanted) => wanted,
@@ -150,9 +155,10 @@ async fn events(
     answer
 }
 
-async fn state(State(page): State<Arc<Page>>) -> Response {
+fn state(State(page): State<Arc<Page>>) -> Ready<Response> {
     let text = page.with(|view, now| view.json(now)).to_string();
-    ([(CONTENT_TYPE, HeaderValue::from_static("application/json"))], text).into_response()
+    let kind = [(CONTENT_TYPE, HeaderValue::from_static("application/json"))];
+    ready((kind, text).into_response())
 }
 
 #[cfg(test)]

@@ -95,9 +95,7 @@ impl WatchLine {
 /// What has changed since it was last asked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Changes {
-    /// What the run is.
-    pub about: bool,
-    /// The curves, as a whole.
+    /// What the run is, and the curves as a whole.
     pub history: bool,
     /// The newest update.
     pub update: bool,
@@ -189,7 +187,7 @@ impl RunView {
             self.mark(update, "resumed", now);
         }
         self.about = about;
-        self.changes.about = true;
+        self.changes.history = true;
     }
 
     /// Returns the configuration of the run, as TOML.

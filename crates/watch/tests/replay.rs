@@ -22,7 +22,9 @@ fn take_in(view: &mut RunView, line: &Value) {
         ("about", _) => view.about(told, now),
         ("metrics", "learner") => view.learner_says(start, told, now),
         ("metrics", _) => view.actor_says(id, start, told, now),
-        ("joined", "learner") => drop(view.learner_joined(start, now)),
+        ("joined", "learner") => {
+            view.learner_joined(start, now);
+        }
         ("joined", _) => view.actor_joined(id, start, now),
         ("left", "learner") => view.learner_left(start, now),
         ("left", _) => view.actor_left(id, start, now),

@@ -31,10 +31,7 @@ const LISTEN: Duration = Duration::from_millis(2_300);
 pub(super) async fn run(tasks: &Tasks, args: &WatchArgs) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let done = start(tasks, args, &shutdown).await;
-    match shutdown.is_cancelled() {
-        true => Err(Failure::silent(ExitCode::Interrupted)),
-        false => done,
-    }
+    if shutdown.is_cancelled() { Err(Failure::silent(ExitCode::Interrupted)) } else { done }
 }
 
 async fn start(
@@ -70,10 +67,8 @@ async fn start(
     let run = args.run.clone().map(RunName::new).transpose().context("--run");
     let run = run.blame(ExitCode::WrongInput)?;
     // The address first: it may be in use, and the run may be long to find.
-    let server = match args.once {
-        true => None,
-        false => Some(PageServer::bind(&args.http, &args.access).await?),
-    };
+    let server =
+        if args.once { None } else { Some(PageServer::bind(&args.http, &args.access).await?) };
     let attachment = tokio::select! {
         () = shutdown.cancelled() => return Ok(()),
         attached = Attachment::open(&settings, run) => attached.map_err(failure)?,

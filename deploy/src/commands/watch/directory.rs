@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -74,26 +75,23 @@ impl RunSource {
     fn ended(&self) -> Option<&'static str> {
         let is_finished = RunRecord::read(&self.directory).is_ok_and(|it| it.result.is_some());
         let age = clock::age(&self.directory.join("metrics.jsonl"));
-        match is_finished {
-            true => Some("finished"),
-            false => age.is_none_or(|age| age > QUIET).then_some("stopped"),
-        }
+        let is_quiet = age.is_none_or(|age| age > QUIET);
+        if is_finished { Some("finished") } else { is_quiet.then_some("stopped") }
     }
 
     /// Looks at the directory again and again.
     pub(super) async fn follow(
         mut self,
         tasks: &Tasks,
-        page: &std::sync::Arc<Page>,
+        page: &Arc<Page>,
         plays: bool,
     ) -> Result<(), Failure> {
         self.tail.skip_to_end();
-        let flight = match plays {
-            true => {
-                let watcher: std::sync::Arc<Page> = std::sync::Arc::clone(page);
-                Some(FlightThread::start(watcher).blame(ExitCode::Failed)?)
-            }
-            false => None,
+        let flight = if plays {
+            let watcher: Arc<Page> = Arc::clone(page);
+            Some(FlightThread::start(watcher).blame(ExitCode::Failed)?)
+        } else {
+            None
         };
         if let Some(flight) = &flight {
             let config = self.config.as_ref().ok_or("another release made this run".to_owned());

@@ -54,10 +54,9 @@ impl PageServer {
     fn link(&self) -> String {
         let address = self.server.address();
         // Where all addresses are listened on, the one that works here is told.
-        let shown = match address.ip().is_unspecified() {
-            true => SocketAddr::from(([127, 0, 0, 1], address.port())),
-            false => address,
-        };
+        let is_any = address.ip().is_unspecified();
+        let shown =
+            if is_any { SocketAddr::from(([127, 0, 0, 1], address.port())) } else { address };
         let token = self.token.as_ref().map_or(String::new(), |token| format!("#token={token}"));
         format!("http://{shown}/{token}")
     }
