@@ -10,7 +10,6 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker};
-use leadtime_learner::checkpoint::Retention;
 use leadtime_learner::{
     Build, CheckpointInterval, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, LearnerConfig,
     PolicyEvaluator, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
