@@ -16,7 +16,7 @@
 //!
 //! # Where to start
 //!
-//! [`Page`], which everything shares; [`Attachment`] fills it from the network, [`routes`] serves it.
+//! [`Page`], which everything shares; [`Attachment`] fills it from the network, [`routes()`] serves it.
 
 mod actors;
 mod error;

@@ -4,7 +4,7 @@ use std::fs;
 
 use anyhow::{Context as _, bail};
 use leadtime_actor::{ActorEnd, ActorSettings, Error};
-use leadtime_certs::Role;
+use leadtime_certs::{Identity, Role};
 use leadtime_link::{Endpoint, Error as LinkError};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RunName};
@@ -30,7 +30,9 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     let settings = settings(args, build::this_build()?).blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
     let (standing, told) = watch::channel(None);
-    let certificate = settings.connect.endpoints.iter().find_map(Endpoint::certificate);
+    let own = settings.connect.identity.as_ref().map(Identity::certificate);
+    let written = || settings.connect.endpoints.iter().find_map(Endpoint::certificate);
+    let certificate = own.or_else(written);
     let actor = settings.actor.as_str();
     log_line::is_about_actor(actor);
     let _status = status.map(|server| ActorStatus::serve(server, actor, certificate, told));
@@ -71,9 +73,10 @@ fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettin
     let run = args.run.clone().map(RunName::new).transpose().context("--run")?;
     let shown = connect.identity.as_ref().and_then(|identity| identity.shown.name.clone());
     let id = match (&args.id, shown) {
-        (Some(id), Some(shown)) if *id != shown => {
-            bail!("--id: the certificate is for `{shown}`, and nobody else can take part with it")
-        }
+        // One certificate for a group of actors, where nobody has a list of names.
+        (Some(id), Some(shown)) if *id != shown && !id.starts_with(&format!("{shown}-")) => bail!(
+            "--id: the certificate is for `{shown}`: take part as `{shown}`, or as `{shown}-...` where there is no list of names"
+        ),
         (Some(id), _) => id.clone(),
         (None, Some(shown)) => shown,
         (None, None) => default_id(&host()),

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::sync::atomic::Ordering;
 
 use anyhow::Context as _;
-use leadtime_certs::Role;
+use leadtime_certs::{Identity, Role};
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::Endpoint;
@@ -65,7 +65,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     }
     tell_changes(&run_dir, &config);
     tracing::info!("run opened: {}", run_dir.path.display());
-    let certificate = listen.endpoints.iter().find_map(Endpoint::certificate);
+    let own = listen.identity.as_ref().map(Identity::certificate);
+    let certificate = own.or_else(|| listen.endpoints.iter().find_map(Endpoint::certificate));
     let learner = learner_config(&config, &run_dir, listen, build).blame(ExitCode::WrongInput)?;
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
