@@ -5,6 +5,8 @@
 //! `UPDATE_FROZEN=1 cargo test -p leadtime --test frozen` then writes what there is of the new version, and overwrites
 //! nothing.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -42,7 +44,7 @@ fn sealed<T: Serialize + DeserializeOwned + PartialEq + std::fmt::Debug>(message
 }
 
 fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    bytes.iter().fold(String::new(), |text, byte| format!("{text}{byte:02x}"))
 }
 
 fn run_spec() -> RunSpec {

@@ -27,7 +27,7 @@ pub struct ActorSettings {
 
 /// How an actor stands at a moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ActorStanding {
+pub struct ActorProgress {
     /// Environment steps simulated.
     pub n_steps: u64,
     /// Rollouts sent and not acknowledged.

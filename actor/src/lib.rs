@@ -25,7 +25,7 @@ mod state;
 mod weight_cache;
 mod worker;
 
-pub use config::{ActorEnd, ActorReport, ActorSettings, ActorStanding};
+pub use config::{ActorEnd, ActorProgress, ActorReport, ActorSettings};
 pub use error::Error;
 pub use outbox::EncodedRollout;
 pub use run::{run, run_watched};

@@ -29,7 +29,7 @@ use crate::job_thread::JobThread;
 use crate::metrics::Metrics;
 use crate::outbox::EncodedRollout;
 use crate::state::{Actor, ActorInput, ActorOutput, PUBLISHING};
-use crate::{ActorEnd, ActorReport, ActorSettings, ActorStanding, Error};
+use crate::{ActorEnd, ActorProgress, ActorReport, ActorSettings, Error};
 
 /// How often time-outs are looked at and metrics are published.
 const TICK: Duration = Duration::from_secs(1);
@@ -92,7 +92,7 @@ pub async fn run_watched(
     settings: ActorSettings,
     registry: Registry,
     stop: CancellationToken,
-    standing: watch::Sender<Option<ActorStanding>>,
+    standing: watch::Sender<Option<ActorProgress>>,
 ) -> Result<ActorReport, Error> {
     let opened = ActorLink::open(&settings.connect, &settings.actor, settings.incarnation);
     let (link, events) = tokio::select! {
@@ -113,7 +113,7 @@ async fn live(
     link: &Arc<ActorLink>,
     events: &Events<ActorEvent>,
     stop: &CancellationToken,
-    standing: watch::Sender<Option<ActorStanding>>,
+    standing: watch::Sender<Option<ActorProgress>>,
 ) -> Result<ActorReport, Error> {
     let hello = LiveActor::first_hello(&settings);
     let greeting = link.hello(settings.run.as_ref(), &hello, settings.connect.timeout);
@@ -144,7 +144,7 @@ struct Process {
     tasks: (mpsc::Sender<ActorWake>, mpsc::Receiver<ActorWake>),
     n_steps: u32,
     metrics: Metrics,
-    standing: watch::Sender<Option<ActorStanding>>,
+    standing: watch::Sender<Option<ActorProgress>>,
 }
 
 impl Process {
@@ -153,7 +153,7 @@ impl Process {
         registry: Registry,
         link: Arc<ActorLink>,
         welcome: Welcome,
-        standing: watch::Sender<Option<ActorStanding>>,
+        standing: watch::Sender<Option<ActorProgress>>,
     ) -> Result<Self, Error> {
         // What the learner says of the run is checked before anything is built by it.
         let (incarnation, spec) = (settings.incarnation, welcome.spec.clone());

@@ -33,7 +33,7 @@ use tracing::{debug, info, warn};
 
 use crate::outbox::{EncodedRollout, Outbox};
 use crate::weight_cache::WeightCache;
-use crate::{ActorEnd, ActorSettings, ActorStanding, Error};
+use crate::{ActorEnd, ActorProgress, ActorSettings, Error};
 
 /// Rollouts that may be with the publishing thread.
 pub const PUBLISHING: usize = 4;
@@ -314,8 +314,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     }
 
     /// Returns how the actor stands, with what its process has counted.
-    pub(crate) fn standing(&self, n_steps: u64) -> ActorStanding {
-        ActorStanding {
+    pub(crate) fn standing(&self, n_steps: u64) -> ActorProgress {
+        ActorProgress {
             n_steps,
             n_unacknowledged: self.outbox.sent.0 - self.outbox.acknowledged.0,
             version: self.weights.newest_kept(),

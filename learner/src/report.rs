@@ -308,9 +308,7 @@ pub trait ProgressSink: Send {
     }
 
     /// Takes in how the run stands; called about twice a second, for as long as the run's loop goes round.
-    fn on_tick(&mut self, standing: &Standing) {
-        let _unused = standing;
-    }
+    fn on_tick(&mut self, _standing: &Standing) {}
 }
 
 /// How a run ended.

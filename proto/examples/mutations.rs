@@ -8,6 +8,8 @@
 //! lengthened. Half of them keep the checksum of the original, as damage on the way would; the others are sealed anew, as
 //! somebody who knows the format would, so that the decoder sees them.
 
+#![expect(clippy::print_stdout, clippy::expect_used, reason = "a program for people")]
+
 use std::collections::BTreeMap;
 use std::process::ExitCode;
 

@@ -4,7 +4,7 @@
 //! It needs root and `ip` (iproute2), so it runs only if asked: `cargo test -p leadtime --test hosts -- --ignored`. It has no
 //! harness, because this program is also the slow line: a process of its own in the host of an actor.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
+#![expect(clippy::print_stdout, reason = "it has no harness that says why it is skipped")]
 
 mod namespaces;
 mod relay;
@@ -58,7 +58,7 @@ fn the_weights_are_those_of_one_host() {
     certs("acl pki -o router.json5");
 
     let at = |host: &str, arguments: &[&str]| {
-        place.start_with(hosts.program(host, place.program(arguments)))
+        place.start_with(Hosts::program(host, &place.program(arguments)))
     };
     let router =
         at("router", &["router --listen tls/0.0.0.0:7447 --acl router.json5 --tls pki/r1"]);
@@ -67,19 +67,19 @@ fn the_weights_are_those_of_one_host() {
     let mut learner =
         at("learner", &[RUN, "--set run.actors_min=2 --tls pki/l1 --connect", &there]);
     let near = at("near", &["actor --json --tls pki/a1 --connect", &there]);
-    let line = hosts.relay("far", "127.0.0.1:7448", &format!("{router_host}:7447"));
+    let line = Hosts::relay("far", "127.0.0.1:7448", &format!("{router_host}:7447"));
     let far = at("far", &["actor --json --tls pki/a2 --connect tls/127.0.0.1:7448"]);
 
     let run = place.run("r");
     wait_for_updates(&run, 5);
     let before = updates(&run);
     let started = Instant::now();
-    hosts.cut("near");
+    Hosts::cut("near");
     wait_for_words(&learner, "actor left: a1");
     thread::sleep(CUT.saturating_sub(started.elapsed()));
     let during = updates(&run);
     assert!(learner.is_running(), "the run is over before the line is back: {}", learner.stderr());
-    hosts.mend("near");
+    Hosts::mend("near");
     let mended = Instant::now();
     support::wait_until("the actor that was cut off is back", PATIENCE, || {
         learner.stderr().matches("actor joined: a1").count() >= 2

@@ -47,7 +47,7 @@ impl Hosts {
     }
 
     /// Has a command run in a host.
-    pub(crate) fn program(&self, host: &str, inner: Command) -> Command {
+    pub(crate) fn program(host: &str, inner: &Command) -> Command {
         let mut outer = Command::new("ip");
         outer.args(["netns", "exec", &namespace(host)]).arg(inner.get_program());
         outer.args(inner.get_args()).stdin(Stdio::null()).env_remove("RUST_LOG");
@@ -56,19 +56,19 @@ impl Hosts {
     }
 
     /// Starts a slow line in a host, from an address there to one anywhere.
-    pub(crate) fn relay(&self, host: &str, listen: &str, target: &str) -> SlowLine {
+    pub(crate) fn relay(host: &str, listen: &str, target: &str) -> SlowLine {
         let mut this = Command::new(std::env::current_exe().expect("this program has a path"));
         this.args(["relay", listen, target]);
-        SlowLine(self.program(host, this).spawn().expect("the relay starts"))
+        SlowLine(Self::program(host, &this).spawn().expect("the relay starts"))
     }
 
     /// Pulls out the cable of a host.
-    pub(crate) fn cut(&self, name: &str) {
+    pub(crate) fn cut(name: &str) {
         ip(&["-n", &namespace("switch"), "link", "set", name, "down"]).expect("a cable of ours");
     }
 
     /// Puts it back.
-    pub(crate) fn mend(&self, name: &str) {
+    pub(crate) fn mend(name: &str) {
         ip(&["-n", &namespace("switch"), "link", "set", name, "up"]).expect("a cable of ours");
     }
 }

@@ -66,7 +66,8 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
 /// Refuses a key that everybody can read. Its group may: that is how secrets are handed to containers.
 pub(crate) fn check_key_is_secret(path: &Path) -> Result<()> {
     let mode = fs::metadata(path).map_err(failed("read", path))?.permissions().mode() & 0o777;
-    if mode & 0o007 == 0 {
+    let everybody = mode & 0o007;
+    if everybody == 0 {
         return Ok(());
     }
     Err(Error::OpenKey { path: path.to_owned(), mode })

@@ -92,6 +92,10 @@ impl AccessList {
     }
 
     /// Returns the list as a file, which zenoh's own router reads as well.
+    ///
+    /// # Panics
+    ///
+    /// Never: a list is plain data.
     pub fn to_text(&self) -> String {
         let text = serde_json::to_string_pretty(&json!({ SETTING: self.0 }));
         format!("{HEADER}{}\n", text.expect("a list is plain data"))

@@ -76,7 +76,7 @@ impl ObserverLink {
         let session = session::connect(settings).await?;
         let (events, latest, receiver) = Events::new(N_BULK);
         let (followed, n_missed) = (Mutex::default(), Arc::default());
-        Ok((Self { session, events, latest, followed, n_missed }, receiver))
+        Ok((Self { events, latest, followed, n_missed, session }, receiver))
     }
 
     /// Lists the runs that are there now.

@@ -298,7 +298,8 @@ mod tests {
         GzDecoder::new(bytes.as_slice()).read_to_string(&mut text).unwrap();
         assert_eq!(
             serde_json::from_str::<Value>(&text).unwrap(),
-            read(run.path(), 0, 100).unwrap()
+            // Through text, too: a number that is read back may differ in its last bit.
+            serde_json::from_str::<Value>(&read(run.path(), 0, 100).unwrap().to_string()).unwrap()
         );
     }
 }

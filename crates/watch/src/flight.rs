@@ -184,7 +184,7 @@ impl FlightLoop {
                     }
                 }
                 Ok(FlightInput::Policy(version, weights)) => {
-                    self.weights = Some((version, weights))
+                    self.weights = Some((version, weights));
                 }
                 Err(flume::RecvTimeoutError::Timeout) => return Ok(()),
                 Err(flume::RecvTimeoutError::Disconnected) => return Err(OwnerGone),

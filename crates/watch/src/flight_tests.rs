@@ -22,7 +22,7 @@ impl Audience {
     }
 
     fn wait(&self) -> Vec<(EventKind, Value)> {
-        self.full.1.recv_timeout(Duration::from_secs(60)).expect("events come");
+        self.full.1.recv_timeout(Duration::from_mins(1)).expect("events come");
         self.told.lock().unwrap().clone()
     }
 }

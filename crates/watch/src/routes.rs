@@ -95,7 +95,7 @@ pub fn routes(page: Arc<Page>) -> Router {
 
 fn digest(bytes: &[u8]) -> String {
     let digest = Sha256::digest(bytes);
-    digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+    digest.iter().take(8).fold(String::new(), |text, byte| format!("{text}{byte:02x}"))
 }
 
 /// Answers with a file, unless the browser has it.
@@ -127,6 +127,7 @@ fn parameter<'a>(query: Option<&'a str>, name: &str) -> Option<&'a str> {
     pairs.filter(|(key, _)| *key == name).map(|(_, value)| value).next_back()
 }
 
+#[expect(clippy::needless_pass_by_value, reason = "what a handler is given is its own")]
 fn events(
     State(page): State<Arc<Page>>,
     RawQuery(query): RawQuery,

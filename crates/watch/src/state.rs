@@ -222,7 +222,7 @@ impl RunView {
         if let Some(last) = history["last"].as_object()
             && update_of(last) > update_of(&self.last)
         {
-            self.last = last.clone();
+            self.last.clone_from(last);
             self.version = self.version.max(update_of(last));
             self.note_refusals(now);
             self.changes.update = true;

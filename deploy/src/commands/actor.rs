@@ -4,7 +4,7 @@ use std::fs;
 
 use anyhow::{Context as _, bail};
 use leadtime_actor::{ActorEnd, ActorSettings, Error};
-use leadtime_certs::{Identity, Role};
+use leadtime_certs::Role;
 use leadtime_link::{Endpoint, Error as LinkError};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RunName};
@@ -30,7 +30,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     let settings = settings(args, build::this_build()?).blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
     let (standing, told) = watch::channel(None);
-    let own = settings.connect.identity.as_ref().map(Identity::certificate);
+    let own = settings.connect.identity.as_ref().map(|identity| identity.certificate().to_owned());
     let written = || settings.connect.endpoints.iter().find_map(Endpoint::certificate);
     let certificate = own.or_else(written);
     let actor = settings.actor.as_str();

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::sync::atomic::Ordering;
 
 use anyhow::Context as _;
-use leadtime_certs::{Identity, Role};
+use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::Endpoint;
@@ -13,8 +13,8 @@ use leadtime_runs::held_out::held_out_evaluation;
 use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
 use leadtime_runs::{
-    RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock, digest, learner_config,
-    scratch,
+    ProgramBuild, RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock, digest,
+    learner_config, scratch,
 };
 use serde_json::json;
 use tokio_util::sync::CancellationToken;
@@ -39,18 +39,12 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let name = args.run.name.as_deref();
     let source = args.source.changed(&args.run.change);
     let config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
-    let fork = args.run.fork.as_deref().map(|from| Fork::read(&config, from));
-    let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
     let listen = listen_settings(&addresses(args), &args.connect, &args.guard, Role::Learner)
         .blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
     let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let build = build::this_build()?;
-    let opened = match args.run.changed_keys().as_slice() {
-        [] => RunDir::open(&config, fork.as_ref(), &build),
-        keys => RunDir::open_changed(&config, keys, &build),
-    };
-    let (mut run_dir, state) = opened.blame(ExitCode::WrongInput)?;
+    let (mut run_dir, state) = open(&config, args, &build)?;
     log_line::is_about_run(run_dir.name.as_str());
     if state == RunState::Finished {
         service::ready();
@@ -65,7 +59,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     }
     tell_changes(&run_dir, &config);
     tracing::info!("run opened: {}", run_dir.path.display());
-    let own = listen.identity.as_ref().map(Identity::certificate);
+    let own = listen.identity.as_ref().map(|identity| identity.certificate().to_owned());
     let certificate = own.or_else(|| listen.endpoints.iter().find_map(Endpoint::certificate));
     let learner = learner_config(&config, &run_dir, listen, build).blame(ExitCode::WrongInput)?;
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
@@ -79,15 +73,13 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     // At the end of the run there is nothing to stop, and a last evaluation to wait for.
     let stop = n_asked.filter(|n_updates| *n_updates < config.learner.n_updates());
     let stop = stop.map(|n_updates| (n_updates, shutdown.clone()));
-    let status = status.map(|server| {
-        let facts = LearnerFacts {
-            run: run_dir.name.to_string(),
-            directory: run_dir.path.clone(),
-            checkpoint_interval: config.run.checkpoints.time,
-            certificate,
-        };
-        LearnerStatus::serve(server, facts)
-    });
+    let facts = LearnerFacts {
+        run: run_dir.name.to_string(),
+        directory: run_dir.path.clone(),
+        checkpoint_interval: config.run.checkpoints.time,
+        certificate,
+    };
+    let status = status.map(|server| LearnerStatus::serve(server, facts));
     let mut sink = RunSink::new(run_dir.path.clone(), recorder, stop).with_status(status);
     if let Some(command) = &args.run.metrics_to {
         sink.hand_on(MetricsPipe::start(command).context("--metrics-to").blame(ExitCode::Failed)?);
@@ -104,15 +96,35 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         || drained.load(Ordering::Relaxed)
         || n_asked.is_some_and(|n| report.n_updates >= n);
     let concluded = conclude(&mut run_dir, &report, is_asked, args);
+    write_report(tasks, &config, &run_dir);
+    concluded
+}
+
+/// Opens the run, with other settings where the command line asks for them.
+fn open(
+    config: &Config,
+    args: &LearnerArgs,
+    build: &ProgramBuild,
+) -> Result<(RunDir, RunState), Failure> {
+    let fork = args.run.fork.as_deref().map(|from| Fork::read(config, from));
+    let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
+    let opened = match args.run.changed_keys().as_slice() {
+        [] => RunDir::open(config, fork.as_ref(), build),
+        keys => RunDir::open_changed(config, keys, build),
+    };
+    opened.blame(ExitCode::WrongInput)
+}
+
+/// Writes the page of a run that has ended.
+fn write_report(tasks: &Tasks, config: &Config, run_dir: &RunDir) {
     let files = RunFiles::read(&run_dir.path).map_err(anyhow::Error::from);
     let written = files.and_then(|run| {
-        let findings = Findings::of_training(&config, &run, &output::program());
+        let findings = Findings::of_training(config, &run, &output::program());
         report::write(tasks, run, findings)
     });
     if let Err(error) = written {
         tracing::warn!("report.html cannot be written: {error:#}");
     }
-    concluded
 }
 
 /// Asks the run to stop when its time is over; the token says that it was.

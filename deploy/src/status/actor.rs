@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use leadtime_actor::ActorStanding;
+use leadtime_actor::ActorProgress;
 use tokio::sync::watch;
 use tokio_util::sync::DropGuard;
 
@@ -26,7 +26,7 @@ struct ActorPage {
     certificate: Option<PathBuf>,
     numbers: Arc<PageNumbers>,
     liveness: Arc<Liveness>,
-    standing: watch::Receiver<Option<ActorStanding>>,
+    standing: watch::Receiver<Option<ActorProgress>>,
 }
 
 impl ActorStatus {
@@ -35,7 +35,7 @@ impl ActorStatus {
         server: StatusServer,
         actor: &str,
         certificate: Option<PathBuf>,
-        standing: watch::Receiver<Option<ActorStanding>>,
+        standing: watch::Receiver<Option<ActorProgress>>,
     ) -> Self {
         let liveness = Liveness::new();
         let shared = Arc::new(ActorPage {

@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_loop_that_stands_still_is_not_alive() {
-        let liveness = started(Duration::from_secs(60));
+        let liveness = started(Duration::from_mins(1));
         liveness.check().expect("it may take its time to start");
         liveness.last_tick.millis.store(45_000, Ordering::Relaxed);
         let wrong = liveness.check().unwrap_err();

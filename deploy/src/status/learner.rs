@@ -216,7 +216,7 @@ impl LearnerPage {
         let waiting = since.saturating_sub(load(&self.trained));
         // What the window still holds of the time before the last update.
         let spanned = load(&self.spanned);
-        let left = spanned.min(WINDOW - since);
+        let left = spanned.min(WINDOW.saturating_sub(since));
         let share = if spanned.is_zero() { 0.0 } else { left.div_duration_f64(spanned) };
         let waited = load(&self.waited).mul_f64(share) + waiting;
         let all = left + since;
@@ -273,7 +273,7 @@ mod tests {
         }
         assert!(window.waited() >= window.span().mul_f64(0.99));
         for quarter in 1..=360 {
-            let now = start + Duration::from_secs(120) + quarter * Duration::from_millis(250);
+            let now = start + Duration::from_mins(2) + quarter * Duration::from_millis(250);
             window.add(now, Duration::from_micros(62_500));
         }
         let share = window.waited().div_duration_f64(window.span());

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+use leadtime_certs::Certificate;
 use rustix::fs::{Access, access, statvfs};
-use x509_parser::pem::parse_x509_pem;
 
 /// Returns the memory of this process in bytes.
 pub(super) fn resident_bytes() -> Option<f64> {
@@ -28,10 +28,7 @@ pub(super) fn is_writable(directory: &Path) -> bool {
 
 /// Returns when a certificate ends, in seconds since 1970.
 pub(super) fn certificate_end(path: &Path) -> Option<f64> {
-    let bytes = fs::read(path).ok()?;
-    let (_, pem) = parse_x509_pem(&bytes).ok()?;
-    let certificate = pem.parse_x509().ok()?;
-    Some(certificate.validity().not_after.timestamp() as f64)
+    Some(Certificate::read(path).ok()?.ends.as_second() as f64)
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The numbers of one page as atomics, and their text in the OpenMetrics format.
+//! The numbers of one page as atomics, and their text in the `OpenMetrics` format.
 //!
 //! A number that does not exist yet, such as the mean of no episodes, is left out of the text. A scrape may see some numbers
 //! of an update and some of the one before; each by itself is whole.
@@ -75,7 +75,7 @@ impl PageNumbers {
         f64::from_bits(self.slots[metric as usize][index].load(Ordering::Relaxed))
     }
 
-    /// Writes the page in the OpenMetrics text format 1.0; `label` is in every sample.
+    /// Writes the page in the `OpenMetrics` text format 1.0; `label` is in every sample.
     pub(crate) fn text(
         self: &Arc<Self>,
         label: (&'static str, &str),

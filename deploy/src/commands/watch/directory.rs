@@ -117,7 +117,9 @@ impl RunSource {
     ) -> Result<(), Failure> {
         match self.tail.new_lines() {
             Ok(Some(lines)) => page.with(|view, now| {
-                lines.into_iter().for_each(|line| view.update(line, now));
+                for line in lines {
+                    view.update(line, now);
+                }
             }),
             // It was rewound: a learner went on from an earlier checkpoint.
             Ok(None) => self.show(page)?,

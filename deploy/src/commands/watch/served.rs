@@ -103,7 +103,7 @@ fn token(text: &str) -> Result<String, Failure> {
         let mut bytes = [0; TOKEN_BYTES];
         let read = File::open("/dev/urandom").and_then(|mut file| file.read_exact(&mut bytes));
         read.blame(ExitCode::Failed)?;
-        return Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect());
+        return Ok(leadtime_runs::digest::hex(&bytes));
     }
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-._~".contains(c);
     if text.len() < MIN_TOKEN || !text.chars().all(is_plain) {
