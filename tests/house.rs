@@ -220,6 +220,7 @@ fn no_source_file_is_endless() {
 /// Type names that two product types share, and why that does not mislead.
 const SHARED_NAMES: &[(&str, &str)] = &[
     ("Error", "each library's own error, always written with its crate: `link::Error`"),
+    ("Result", "a library's result with its own error, written like that"),
     ("Layer", "of a network and of a configuration: the standard word of either field"),
 ];
 
