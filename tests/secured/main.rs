@@ -24,6 +24,8 @@ const RUN: &str =
 /// A run that does not end by itself.
 const LONG_RUN: &str =
     "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=1e8";
+/// How long the certificate lasts that is replaced: long enough that the run is under way before, also on a busy machine.
+const SHORT_LIFE: Duration = Duration::from_secs(15);
 const DAY: Duration = Duration::from_hours(24);
 
 /// Makes an authority and these certificates by the program.
@@ -128,7 +130,7 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
     place.finish(&["certs acl pki -o acl.json5"]).with_code(0);
     let learner = place.start(&[LONG_RUN, "--listen tls/127.0.0.1:0 --tls pki/l1 --acl acl.json5"]);
     let there = address(&learner);
-    issue(Duration::from_secs(6));
+    issue(SHORT_LIFE);
     let actor = place.start(&["actor --json --tls pki/a1 --connect", &there]);
     wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) > 0);
     wait_for_words(&learner, "actor left");

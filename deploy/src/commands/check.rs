@@ -46,7 +46,7 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
         let (runs, round_trip) = look(args).await?;
         report("learner", &format!("runs at {}: {}", args.connect.join(", "), runs.join(", ")));
         if let Some(time) = round_trip {
-            report("round trip", &advice(time));
+            report("round trip", &format!("{:.1} ms", time.as_secs_f64() * 1e3));
         }
     }
     if n_defects > 0 {
@@ -84,35 +84,6 @@ fn writable(config: &Config) -> anyhow::Result<()> {
     tempfile::tempfile_in(directory).with_context(refused).map(|_file| ())
 }
 
-/// The share of its speed that a run may lose to the network.
-const LOSS: f64 = 0.1;
-/// Round trips shorter than this cost nothing worth a word.
-const SHORT: Duration = Duration::from_millis(5);
-
-/// Says what a round trip means for a run.
-fn advice(round_trip: Duration) -> String {
-    let time = format!("{:.1} ms", round_trip.as_secs_f64() * 1e3);
-    if round_trip < SHORT {
-        return time;
-    }
-    let needed = |rate: u32| format!("{} for {rate}", lag_needed(round_trip, f64::from(rate)));
-    let (slow, fast, faster) = (needed(2), needed(10), needed(50));
-    format!(
-        "{time}; an actor here costs the run less than a tenth of its speed if learner.lag is at least {slow} updates a second \
-         (without the delay), {fast}, {faster}"
-    )
-}
-
-/// Computes the lag at which a run of so many updates a second loses no more than [`LOSS`] to a round trip.
-///
-/// A version is announced, pulled, acted with and sent back: two round trips, the acting, and the update. With lag k there
-/// are k + 1 versions on the way, so an update takes that time by k + 1 at least. Acting takes no longer than an update,
-/// or it would be what the run waits for.
-fn lag_needed(round_trip: Duration, updates_per_second: f64) -> u64 {
-    let in_updates = 2.0 * round_trip.as_secs_f64() * updates_per_second + 2.0;
-    (in_updates / (1.0 + LOSS) - 1.0).ceil().max(1.0) as u64
-}
-
 /// Lists the runs at an address, and measures the way to the first one's learner, as far as we may ask it.
 async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<Duration>), Failure> {
     let settings = connect_settings(&args.connect, &args.tls, &Role::ALL);
@@ -135,17 +106,4 @@ async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<Duration>), Failu
         return Err(Failure::of(ExitCode::PeerLost, error));
     }
     Ok((runs.iter().map(ToString::to_string).collect(), round_trip))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_longer_way_needs_more_lag() {
-        let lag = |ms, rate| lag_needed(Duration::from_millis(ms), rate);
-        assert_eq!([lag(0, 10.0), lag(100, 2.0), lag(100, 10.0), lag(100, 50.0)], [1, 2, 3, 10]);
-        assert_eq!(advice(Duration::from_micros(400)), "0.4 ms");
-        assert!(advice(Duration::from_millis(100)).contains("2 for 2 updates a second"));
-    }
 }
