@@ -10,7 +10,7 @@
 //!
 //! # Invariants
 //!
-//! * At most one job is with the collecting thread, one assignment with the restoring one, one pull and one hello under
+//! * At most one job is with the collecting thread, one assignment with the restoring one, [`MAX_PULLS`] pulls and one hello under
 //!   way; everything else waits here. What was begun under an earlier learner is let go when it is done.
 //! * An order is answered once its outcome is known, and every repetition gets the same answer.
 //!
@@ -21,7 +21,7 @@
 //! [`Actor::is_greeting`], what comes from the network waits with the driver: an order of a new learner must not be
 //! followed before its welcome. After [`Actor::wakes_at`] a [`ActorInput::Tick`] is due, and one now and then anyway.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
 use leadtime_proto::limits::MAX_WINDOW;
@@ -44,6 +44,8 @@ const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long an actor without credit waits before it says hello again, the first time and at most: a learner credits its
 /// members twice a second, so no credit means that it is none.
 const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
+/// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 40 a second.
+const MAX_PULLS: usize = 4;
 /// First and longest pause between hellos that failed; the first one also after a pull that failed.
 const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
 
@@ -183,9 +185,10 @@ pub struct Actor<W, R, E> {
     orders: VecDeque<(Assignment, R)>,
     restoring: Option<Restoration<R>>,
     adoptions: VecDeque<Adoption<E>>,
-    /// The generation of the job, and of the pull, that is under way.
+    /// The generation of the job that is under way.
     job: Option<u64>,
-    pull: Option<u64>,
+    /// The generation of every pull that is under way, by its version.
+    pulls: BTreeMap<PolicyVersion, u64>,
     may_pull_from: Instant,
     n_publishing: usize,
     /// The assignment that is followed, and what of it cannot be.
@@ -223,7 +226,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             restoring: None,
             adoptions: VecDeque::new(),
             job: None,
-            pull: None,
+            pulls: BTreeMap::new(),
             may_pull_from: now,
             n_publishing: 0,
             epoch: Epoch(0),
@@ -272,13 +275,13 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             ActorInput::Collected { rollouts, next } => self.collected(now, rollouts, next),
             ActorInput::Published => self.n_publishing -= 1,
             ActorInput::Pulled { version, weights } => {
-                if self.pull.take() == Some(self.generation) {
+                if self.pulls.remove(&version) == Some(self.generation) {
                     self.weights.put(version, weights);
                 }
             }
             ActorInput::PullFailed { version, not_kept } => {
                 self.may_pull_from = now + BACK_OFF.0;
-                if self.pull.take() == Some(self.generation)
+                if self.pulls.remove(&version) == Some(self.generation)
                     && self.weights.failed(version, not_kept, self.next)
                 {
                     self.let_go(now);
@@ -581,15 +584,18 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     }
 
     fn wants_weights(&self) -> Option<(PolicyVersion, [u8; 32])> {
-        self.weights.wanted(self.next).filter(|_| self.pull.is_none())
+        if self.pulls.len() >= MAX_PULLS {
+            return None;
+        }
+        self.weights.wanted(self.next, |version| self.pulls.contains_key(&version))
     }
 
-    /// Begins to pull the weights that are missing, unless a pull is under way.
+    /// Begins to pull the weights that are missing, as many versions at once as may be under way.
     fn pull(&mut self, now: Instant) {
-        if let Some((version, sha256)) = self.wants_weights()
-            && now >= self.may_pull_from
+        while now >= self.may_pull_from
+            && let Some((version, sha256)) = self.wants_weights()
         {
-            self.pull = Some(self.generation);
+            self.pulls.insert(version, self.generation);
             self.outputs.push(ActorOutput::Pull { version, sha256 });
         }
     }

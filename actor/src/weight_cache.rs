@@ -1,4 +1,4 @@
-//! The versions of the weights that an actor has, and which one it should pull.
+//! The versions of the weights that an actor has, and which ones it should pull.
 
 use std::collections::BTreeMap;
 
@@ -70,23 +70,36 @@ impl<W: Clone> WeightCache<W> {
         found.map(|(&version, weights)| (version, weights.clone()))
     }
 
-    /// Returns what should be pulled now, given the rollout to be acted next, and the digest that it must have.
+    /// Returns what should be pulled next, given the rollout to be acted next and what is being pulled already, and the digest
+    /// that it must have: what that rollout needs, and then what the rollouts after it will need. So over a slow line a
+    /// version is on its way long before it is needed.
     ///
     /// A version that is needed, but announced no more, is asked for without hope ([`Self::failed`] hears the answer): an
     /// announcement alone is no proof, because anyone can send one.
-    pub(crate) fn wanted(&self, next: Option<Iteration>) -> Option<(PolicyVersion, [u8; 32])> {
-        let required = self.required(next).filter(|version| !self.versions.contains_key(version));
+    pub(crate) fn wanted(
+        &self,
+        next: Option<Iteration>,
+        is_coming: impl Fn(PolicyVersion) -> bool,
+    ) -> Option<(PolicyVersion, [u8; 32])> {
+        let is_missing =
+            |version: PolicyVersion| !self.versions.contains_key(&version) && !is_coming(version);
+        let required = self.required(next);
         if let Some(required) = required {
             let oldest = self.announced.first_key_value();
             let is_past = oldest.is_some_and(|(oldest, _)| required < *oldest);
             let announced = self.announced.get(&required).copied();
-            if let Some(sha256) = announced.or(is_past.then_some([0; 32])) {
+            let sha256 = announced.or(is_past.then_some([0; 32]));
+            if let Some(sha256) = sha256.filter(|_| is_missing(required)) {
                 return Some((required, sha256));
             }
+            let mut later = self.announced.range(required..).skip_while(|(it, _)| **it == required);
+            let later = later.find(|(version, _)| is_missing(**version));
+            return later.map(|(&version, &sha256)| (version, sha256));
         }
         let newest_here = self.versions.last_key_value().map(|(version, _)| version);
         let newest = self.announced.last_key_value();
         let ahead = newest.filter(|(version, _)| newest_here.is_none_or(|here| here < *version));
+        let ahead = ahead.filter(|(version, _)| is_missing(**version));
         ahead.map(|(&version, &sha256)| (version, sha256))
     }
 
@@ -114,7 +127,7 @@ mod tests {
     }
 
     fn wanted(cache: &WeightCache<()>, next: Option<u64>) -> Option<u64> {
-        let (version, sha256) = cache.wanted(next.map(Iteration))?;
+        let (version, sha256) = cache.wanted(next.map(Iteration), |_| false)?;
         let is_announced = cache.announced.contains_key(&version);
         assert_eq!(sha256, [version.0 as u8 * u8::from(is_announced); 32]);
         Some(version.0)
@@ -134,6 +147,18 @@ mod tests {
     }
 
     #[test]
+    fn what_will_be_needed_is_pulled_while_what_is_needed_is_on_its_way() {
+        let cache: WeightCache<()> = WeightCache::new(Schedule::Lag(3), &news(4..=8));
+        let mut coming = Vec::new();
+        while let Some((version, _)) =
+            cache.wanted(Some(Iteration(9)), |version| coming.contains(&version.0))
+        {
+            coming.push(version.0);
+        }
+        assert_eq!(coming, [6, 7, 8], "the rollout of iteration 9 needs version 6");
+    }
+
+    #[test]
     fn async_acts_with_the_newest_it_has() {
         let mut cache = WeightCache::new(Schedule::Async { staleness_max: 8 }, &news(0..=0));
         assert_eq!(wanted(&cache, None), Some(0));
@@ -150,10 +175,11 @@ mod tests {
         let mut cache = WeightCache::new(Schedule::Lag(0), &news(3..=4));
         cache.put(PolicyVersion(4), ());
         cache.announce(&news(4..=200));
-        assert_eq!(wanted(&cache, Some(4)), Some(200));
+        assert_eq!(wanted(&cache, Some(4)), Some(5));
         cache.announce(&news(4..=5));
-        assert_eq!(wanted(&cache, Some(4)), Some(200), "true news are older");
-        assert!(!cache.failed(PolicyVersion(200), true, Some(Iteration(4))));
+        let third = cache.wanted(Some(Iteration(4)), |version| version.0 < 7);
+        assert_eq!(third.unwrap().0, PolicyVersion(7), "true news are older, and not heard");
+        assert!(!cache.failed(PolicyVersion(7), true, Some(Iteration(4))));
         assert_eq!(wanted(&cache, Some(5)), Some(5), "and what is left of the false ones is tried");
         assert!(!cache.failed(PolicyVersion(5), false, Some(Iteration(5))));
         // News that leave out what is needed are no proof that it is gone: it is asked for.

@@ -20,6 +20,9 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
 use crate::threads;
 
+/// A round trip that limits nobody.
+const SHORT_TRIP: Duration = Duration::from_millis(5);
+
 pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> {
     let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
     let (domain, n_updates, n_envs) =
@@ -46,7 +49,7 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
         let (runs, round_trip) = look(args).await?;
         report("learner", &format!("runs at {}: {}", args.connect.join(", "), runs.join(", ")));
         if let Some(time) = round_trip {
-            report("round trip", &format!("{:.1} ms", time.as_secs_f64() * 1e3));
+            report("round trip", &advice(time));
         }
     }
     if n_defects > 0 {
@@ -54,6 +57,22 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
         return Err(Failure::of(ExitCode::Failed, anyhow::Error::msg(error)));
     }
     Ok(())
+}
+
+/// Says how long the way is, and, where that limits a run, which lag makes up for it.
+///
+/// An update needs rollouts that were made with the weights of `lag` updates before. Weights and rollouts take a round trip
+/// each, so `lag` updates take two round trips at least.
+fn advice(round_trip: Duration) -> String {
+    let shown = format!("{:.1} ms", round_trip.as_secs_f64() * 1e3);
+    if round_trip < SHORT_TRIP {
+        return shown;
+    }
+    let rate = 1.0 / (2.0 * round_trip.as_secs_f64());
+    let (one, eight) = (rate, 8.0 * rate);
+    format!(
+        "{shown}: with learner.lag = 1 at most {one:.0} updates a second, with 8 at most {eight:.0}; same seed, same bits as well"
+    )
 }
 
 /// Plays a task, and prints what it showed; returns the number of defects.
