@@ -77,6 +77,8 @@ export async function browse() {
     async open(link, options = {}) {
       const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, ...options });
       const page = await context.newPage();
+      // The machine may be busy with the run itself.
+      page.setDefaultTimeout(120_000);
       const complaints = [];
       const host = new URL(link).host;
       await page.route('**', (route) => {
