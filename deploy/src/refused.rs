@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_librarys_words_are_understood() {
+    fn words_of_the_library_are_understood() {
         let hint = "Hint: increase the system open file limit.";
         for (words, cause) in [
             ("invalid peer certificate: UnknownIssuer", Some(DoorCause::Foreign)),

@@ -201,7 +201,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NoAnswer`](crate::Error::NoAnswer) if nobody answers, or an access list is in the way.
+    /// [`Error::NoAnswer`] if nobody answers, or an access list is in the way.
     pub async fn round_trip(&self, run: &RunName) -> Result<Duration> {
         ask::round_trip(&self.session, run).await
     }
