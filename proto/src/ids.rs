@@ -152,6 +152,10 @@ slug! {
     /// possible, too.
     DomainName, "domain name", 48, &['-', '_']
 }
+slug! {
+    /// Names a region: the actors that one relay of weights serves.
+    RegionName, "region name", 48, &['-']
+}
 
 #[cfg(test)]
 mod tests {

@@ -22,6 +22,7 @@
 
 pub mod codec;
 pub mod header;
+pub mod hex;
 pub mod ids;
 pub mod limits;
 pub mod message;
@@ -36,8 +37,8 @@ pub mod text;
 
 pub use header::Header;
 pub use ids::{
-    ActorId, DomainName, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, Sequence,
-    Staleness,
+    ActorId, DomainName, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RegionName, RunName,
+    Sequence, Staleness,
 };
 pub use refusal::{Refusal, RefusalCause};
 pub use rollout::{CheckedRollout, EpisodeEnd, EpisodeSummary, Rollout};

@@ -19,7 +19,7 @@
 use std::collections::BTreeMap;
 
 use leadtime_certs::{PeerName, Role};
-use leadtime_proto::{ActorId, DomainName, Incarnation, RunName};
+use leadtime_proto::{ActorId, DomainName, Incarnation, RegionName, RunName};
 use serde_json::{Value, json};
 use zenoh::config::Config;
 
@@ -47,9 +47,10 @@ const EVERYTHING: &[&str] = &[
 /// Placeholders, which only become part of keys that are made here: every name of ours has other letters or another place.
 const RUN: &str = "0run";
 const DOMAIN: &str = "0domain";
+const REGION: &str = "0region";
 const ACTOR: &str = "0actor";
 
-/// A list of who may do what. Whoever is not on it may do nothing.
+/// A list of who may do what. A peer that is not on it may do nothing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AccessList(Value);
 
@@ -101,8 +102,8 @@ impl AccessList {
         format!("{HEADER}{}\n", text.expect("a list is plain data"))
     }
 
-    /// Returns the list as the network library takes it. A unix socket has no certificates; where one is listened on, whoever
-    /// may open its file is let in.
+    /// Returns the list as the network library takes it. A unix socket has no certificates; where one is listened on, every
+    /// process that may open its file is let in.
     pub(crate) fn setting(&self, has_socket: bool) -> (&'static str, String) {
         let mut list = self.0.clone();
         if has_socket {
@@ -191,6 +192,7 @@ impl Draft {
 struct Patterns {
     run: RunName,
     domain: DomainName,
+    region: RegionName,
     actor: ActorId,
 }
 
@@ -200,6 +202,7 @@ impl Patterns {
         Self {
             run: RunName::new(RUN).expect(is_name),
             domain: DomainName::new(DOMAIN).expect(is_name),
+            region: RegionName::new(REGION).expect(is_name),
             actor: ActorId::new(ACTOR).expect(is_name),
         }
     }
@@ -208,7 +211,7 @@ impl Patterns {
     fn of(key: Key<'_>, actor: &str) -> String {
         let start = format!("{:016x}", Incarnation::default().0);
         let chunk = |chunk: &str| match chunk {
-            RUN | DOMAIN => "*".to_owned(),
+            RUN | DOMAIN | REGION => "*".to_owned(),
             ACTOR => actor.to_owned(),
             text if text == start => "*".to_owned(),
             text => text.to_owned(),
@@ -226,6 +229,11 @@ impl Patterns {
 
     fn pulls(&self) -> String {
         Self::any(Key::Weights(&self.run, &self.domain))
+    }
+
+    /// What a region's relay is asked, which is a router.
+    fn relayed_pulls(&self) -> String {
+        Self::any(Key::RelayedWeights(&self.run, &self.region, &self.domain))
     }
 
     fn news(&self) -> String {
@@ -314,10 +322,14 @@ fn rules_of(role: Role) -> Vec<AccessRule> {
         ],
         Role::Actor => vec![
             rule("in", look, [keys.learners()]),
-            rule("in", &["query"], [keys.hello(), keys.pulls()]),
+            rule("in", &["query"], [keys.hello(), keys.pulls(), keys.relayed_pulls()]),
             rule("in", &["declare_subscriber"], [keys.news()]),
             rule("out", &["put"], [keys.news()]),
-            rule("out", &["reply", "declare_queryable"], [keys.hello(), keys.pulls()]),
+            rule(
+                "out",
+                &["reply", "declare_queryable"],
+                [keys.hello(), keys.pulls(), keys.relayed_pulls()],
+            ),
             rule("out", &["liveliness_token"], [keys.learners()]),
             rule("out", &["declare_subscriber"], [keys.all_rollouts(), keys.all_metrics()]),
         ],
@@ -372,6 +384,7 @@ mod tests {
         let made = [
             keys.hello(),
             keys.pulls(),
+            keys.relayed_pulls(),
             keys.news(),
             keys.learners(),
             keys.members(),
@@ -387,6 +400,7 @@ mod tests {
         let expected = [
             "ctl/hello",
             "weights/*/latest",
+            "region/*/weights/*/latest",
             "weights/*",
             "alive/learner/*/*",
             "alive/**",

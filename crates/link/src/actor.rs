@@ -16,8 +16,10 @@ use leadtime_proto::header::Schema;
 use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
 use leadtime_proto::message::{Announcement, Credit, Hello, HelloReply, Welcome};
 use leadtime_proto::receive::{ANNOUNCEMENT, CONTROL, CREDIT, HELLO_REPLY};
-use leadtime_proto::{ActorId, DomainName, Header, Incarnation, PolicyVersion, RunName};
-use tracing::{debug, warn};
+use leadtime_proto::{
+    ActorId, DomainName, Header, Incarnation, PolicyVersion, RegionName, RunName,
+};
+use tracing::{debug, info, warn};
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
@@ -43,6 +45,10 @@ const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
 const TAKEN_GRACE: Duration = Duration::from_secs(2);
 /// How long hellos that reach nobody are repeated before an access list is blamed: longer than a learner that died is seen.
 const HELLO_GRACE: Duration = Duration::from_secs(5);
+/// How long a relay may take to answer; after that the learner is asked.
+const RELAY_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long a relay that did not answer is left alone.
+const RELAY_PAUSE: Duration = Duration::from_secs(30);
 /// First and longest pause between attempts to find a run.
 const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_millis(500));
 
@@ -65,12 +71,21 @@ struct Membership {
     _announcements: Subscriber<()>,
 }
 
+/// The relay that is asked for weights before the learner.
+#[derive(Debug)]
+struct RelayOfRegion {
+    region: RegionName,
+    /// When it may be asked again, if it did not answer.
+    rests_until: Mutex<Option<Instant>>,
+}
+
 /// An actor's place on the network.
 #[derive(Debug)]
 pub struct ActorLink {
     endpoints: String,
     /// The name in our certificate, if we have one.
     name: Option<String>,
+    relay: Option<RelayOfRegion>,
     actor: ActorId,
     incarnation: Incarnation,
     events: EventQueue<ActorEvent>,
@@ -99,6 +114,10 @@ impl ActorLink {
             session,
             endpoints: session::describe(&settings.endpoints),
             name: settings.identity.as_ref().and_then(|identity| identity.shown.name.clone()),
+            relay: settings
+                .region
+                .clone()
+                .map(|region| RelayOfRegion { region, rests_until: Mutex::default() }),
             actor: actor.clone(),
             incarnation,
             events,
@@ -173,7 +192,8 @@ impl ActorLink {
         }
     }
 
-    /// Pulls a version of the weights: the bytes that have the digest which the learner announced.
+    /// Pulls a version of the weights, from the region's relay or from the learner: the bytes that have the digest which the
+    /// learner announced.
     ///
     /// # Errors
     ///
@@ -182,7 +202,49 @@ impl ActorLink {
     pub async fn pull_weights(&self, version: PolicyVersion, sha256: [u8; 32]) -> Result<Vec<u8>> {
         let entered = self.entered()?;
         let (run, domain) = (&entered.run, &entered.domain);
-        ask::pull(&self.session, run, domain, self.incarnation, version, sha256).await
+        if let Some(relay) = &self.relay
+            && let Some(weights) = self.pull_relayed(relay, &entered, version, sha256).await
+        {
+            return Ok(weights);
+        }
+        let key = Key::Weights(run, domain);
+        ask::pull(&self.session, key, self.incarnation, version, sha256, ask::PULL_TIMEOUT).await
+    }
+
+    /// Pulls from a relay; `None` if the learner has to be asked.
+    async fn pull_relayed(
+        &self,
+        relay: &RelayOfRegion,
+        entered: &Membership,
+        version: PolicyVersion,
+        sha256: [u8; 32],
+    ) -> Option<Vec<u8>> {
+        let RelayOfRegion { region, rests_until } = relay;
+        if lock(rests_until).is_some_and(|until| Instant::now() < until) {
+            return None;
+        }
+        let key = Key::RelayedWeights(&entered.run, region, &entered.domain);
+        let pull = ask::pull(&self.session, key, self.incarnation, version, sha256, RELAY_TIMEOUT);
+        let error = match pull.await {
+            Ok(weights) => {
+                if lock(rests_until).take().is_some() {
+                    info!(%region, "weights come from the region's relay again");
+                }
+                return Some(weights);
+            }
+            Err(error) => error,
+        };
+        if matches!(error, Error::NoAnswer { .. }) {
+            if lock(rests_until).replace(Instant::now() + RELAY_PAUSE).is_none() {
+                warn!(
+                    "no relay of region `{region}` answers, so weights come from the learner itself; \
+                     `leadtime router --region {region}` is one"
+                );
+            }
+        } else {
+            debug!(%error, "the relay has no weights; asking the learner");
+        }
+        None
     }
 
     /// Publishes a rollout: waits for the network, so call it from a thread of its own, never from a task.

@@ -1,7 +1,7 @@
 //! Answering questions on threads of their own.
 //!
 //! An answer waits for a slow connection (the network's replies have their question's congestion control, and hellos,
-//! orders and pulls wait), and neither a callback nor a loop that serves everybody may. So whoever owes an answer hands
+//! orders and pulls wait), and neither a callback nor a loop that serves everybody may. So what owes an answer hands
 //! it over here; even an answer that is never given, because ending a question sends a message, too.
 
 use std::marker::PhantomData;

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use leadtime_proto::header::Schema;
 use leadtime_proto::receive::{self, Expected, WEIGHTS};
-use leadtime_proto::{DomainName, Header, Incarnation, PolicyVersion, RunName, text};
+use leadtime_proto::{Header, Incarnation, PolicyVersion, RunName, hex, text};
 use serde::de::DeserializeOwned;
 use sha2::{Digest as _, Sha256};
 use zenoh::Wait as _;
@@ -13,14 +13,14 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Sample;
 use zenoh::session::Session;
 
-use crate::keys::{self, Key, Keys, VERSION};
+use crate::keys::{self, Key, Keys, SHA256, VERSION};
 use crate::wire::{self, Qos};
 use crate::{Error, Result};
 
 /// Most answers to one question that are looked at.
 const MAX_ANSWERS: usize = 64;
 /// How long a pull of weights may take.
-const PULL_TIMEOUT: Duration = Duration::from_secs(10);
+pub(crate) const PULL_TIMEOUT: Duration = Duration::from_secs(10);
 /// How often the way to a learner and back is measured; the first time finds caches cold.
 const N_PROBES: usize = 5;
 /// How long one of them may take.
@@ -66,26 +66,26 @@ pub(crate) async fn ask_for<T: DeserializeOwned>(
     ask(session, question, read).await
 }
 
-/// Pulls a version of the weights and returns its bytes.
+/// Pulls a version of the weights from a learner or a relay, and returns its bytes.
 ///
 /// Anyone in the network can answer, so every answer is looked at until one has the digest that the learner announced: a
 /// faster answer with something else in it keeps nobody from the learner's.
 pub(crate) async fn pull(
     session: &Session,
-    run: &RunName,
-    domain: &DomainName,
+    at: Key<'_>,
     incarnation: Incarnation,
     version: PolicyVersion,
     sha256: [u8; 32],
+    timeout: Duration,
 ) -> Result<Vec<u8>> {
-    let key = Key::Weights(run, domain).to_string();
+    let key = at.to_string();
     let question = Inquiry {
         key: key.clone(),
-        parameters: format!("{VERSION}={version}"),
+        parameters: format!("{VERSION}={version};{SHA256}={}", hex::encode(&sha256)),
         header: Header::plain(Schema::Weights, incarnation, &[]),
         payload: Vec::new(),
         qos: wire::BULK,
-        timeout: PULL_TIMEOUT,
+        timeout,
     };
     let read = |sample: &Sample| {
         let bad = |source| Error::BadAnswer { key: key.clone(), source };
@@ -101,9 +101,7 @@ pub(crate) async fn pull(
     match ask(session, question, read).await? {
         InquiryEnd::Good(bytes) => Ok(bytes),
         InquiryEnd::Rejected(reason) => Err(Error::NotKept { version, reason }),
-        InquiryEnd::Nobody | InquiryEnd::TimedOut => {
-            Err(Error::NoAnswer { key, timeout: PULL_TIMEOUT })
-        }
+        InquiryEnd::Nobody | InquiryEnd::TimedOut => Err(Error::NoAnswer { key, timeout }),
     }
 }
 

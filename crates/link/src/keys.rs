@@ -7,7 +7,8 @@
 //! leadtime/1/{run}/traj/{domain}/{id}                rollouts
 //! leadtime/1/{run}/credit/{id}                       acknowledgement and window
 //! leadtime/1/{run}/weights/{domain}                  announcements
-//! leadtime/1/{run}/weights/{domain}/latest           query for weights, `?version=N`
+//! leadtime/1/{run}/weights/{domain}/latest           query for weights, `?version=N;sha256=HEX`
+//! leadtime/1/{run}/region/{region}/weights/{domain}/latest   the same query to the relay of a region
 //! leadtime/1/{run}/metrics/{role}/{id}               metrics
 //! leadtime/1/{run}/about                             query: what the run is
 //! leadtime/1/{run}/history                           query: its updates so far, `?from=U&points=N`
@@ -18,13 +19,15 @@
 
 use std::fmt;
 
-use leadtime_proto::{ActorId, DomainName, Incarnation, RunName};
+use leadtime_proto::{ActorId, DomainName, Incarnation, RegionName, RunName};
 use zenoh::key_expr::OwnedKeyExpr;
 
 /// The parameter of an order that says for which start of the actor it is meant.
 pub(crate) const INCARNATION: &str = "incarnation";
 /// The parameter of a pull that says which version is wanted.
 pub(crate) const VERSION: &str = "version";
+/// The parameter of a pull that says which digest the weights have, as 64 hexadecimal digits: a relay knows them by it.
+pub(crate) const SHA256: &str = "sha256";
 /// The parameter of a question about a run's history that says from which update on.
 pub(crate) const FROM: &str = "from";
 /// The parameter of such a question that says how many points the answer may have.
@@ -80,6 +83,8 @@ pub enum Key<'a> {
     Announcement(&'a RunName, &'a DomainName),
     /// Where weights are pulled.
     Weights(&'a RunName, &'a DomainName),
+    /// Where they are pulled from the relay of a region.
+    RelayedWeights(&'a RunName, &'a RegionName, &'a DomainName),
     /// A member's metrics.
     Metrics(&'a RunName, &'a Member),
     /// Where it is asked what a run is.
@@ -100,6 +105,9 @@ impl fmt::Display for Key<'_> {
             Self::Credit(run, actor) => write!(f, "{ROOT}/{run}/credit/{actor}"),
             Self::Announcement(run, domain) => write!(f, "{ROOT}/{run}/weights/{domain}"),
             Self::Weights(run, domain) => write!(f, "{ROOT}/{run}/weights/{domain}/latest"),
+            Self::RelayedWeights(run, region, domain) => {
+                write!(f, "{ROOT}/{run}/region/{region}/weights/{domain}/latest")
+            }
             Self::Metrics(run, member) => write!(f, "{ROOT}/{run}/metrics/{member}"),
             Self::About(run) => write!(f, "{ROOT}/{run}/about"),
             Self::History(run) => write!(f, "{ROOT}/{run}/history"),
@@ -124,6 +132,8 @@ pub enum Keys<'a> {
     AnnouncementsOf(&'a RunName),
     /// Where weights of whatever domain are pulled.
     PullsOf(&'a RunName),
+    /// Where a region's relay is asked for weights of whatever run and domain.
+    PullsIn(&'a RegionName),
     /// Metrics of everyone.
     MetricsOf(&'a RunName),
 }
@@ -138,6 +148,7 @@ impl fmt::Display for Keys<'_> {
             Self::RolloutsOf(run, domain) => write!(f, "{ROOT}/{run}/traj/{domain}/*"),
             Self::AnnouncementsOf(run) => write!(f, "{ROOT}/{run}/weights/*"),
             Self::PullsOf(run) => write!(f, "{ROOT}/{run}/weights/*/latest"),
+            Self::PullsIn(region) => write!(f, "{ROOT}/*/region/{region}/weights/*/latest"),
             Self::MetricsOf(run) => write!(f, "{ROOT}/{run}/metrics/*/*"),
         }
     }
@@ -180,6 +191,12 @@ pub fn parse_announcement(key: &str) -> Option<DomainName> {
     DomainName::new(domain).ok()
 }
 
+/// Reads run and domain from a key at which a relay is asked for weights, `None` if it is none of ours.
+pub(crate) fn parse_relayed(key: &str) -> Option<(RunName, DomainName)> {
+    let [run, "region", _, "weights", domain, "latest"] = chunks(key)[..] else { return None };
+    Some((RunName::new(run).ok()?, DomainName::new(domain).ok()?))
+}
+
 /// Splits what follows the root, the run's name first.
 fn chunks(key: &str) -> Vec<&str> {
     let rest = key.strip_prefix(ROOT).and_then(|rest| rest.strip_prefix('/'));
@@ -205,6 +222,7 @@ mod tests {
     #[test]
     fn keys_read_as_documented_and_can_be_read_back() {
         let (run, domain, actor, member) = names();
+        let region = RegionName::new("eu").unwrap();
         for (key, text) in [
             (Key::Alive(&run, &member, Incarnation(255)), "alive/actor/a7/00000000000000ff"),
             (
@@ -217,6 +235,7 @@ mod tests {
             (Key::Credit(&run, &actor), "credit/a7"),
             (Key::Announcement(&run, &domain), "weights/cue_recall"),
             (Key::Weights(&run, &domain), "weights/cue_recall/latest"),
+            (Key::RelayedWeights(&run, &region, &domain), "region/eu/weights/cue_recall/latest"),
             (Key::Metrics(&run, &member), "metrics/actor/a7"),
             (Key::About(&run), "about"),
             (Key::History(&run), "history"),
@@ -226,6 +245,9 @@ mod tests {
             let sender = text.starts_with("traj").then(|| actor.clone());
             assert_eq!(parse_rollouts(&key), sender);
             assert_eq!(parse_metrics(&key), text.starts_with("metrics").then(|| member.clone()));
+            let is_relayed = text.starts_with("region");
+            assert_eq!(parse_relayed(&key), is_relayed.then(|| (run.clone(), domain.clone())));
+            assert_eq!(expr(Keys::PullsIn(&region)).includes(&key), is_relayed);
             let is_announcement = text == "weights/cue_recall";
             assert_eq!(parse_announcement(&key), is_announcement.then(|| domain.clone()));
         }

@@ -161,7 +161,8 @@ impl ObserverLink {
         version: PolicyVersion,
         sha256: [u8; 32],
     ) -> Result<Vec<u8>> {
-        ask::pull(&self.session, run, domain, Incarnation(0), version, sha256).await
+        let (key, timeout) = (Key::Weights(run, domain), ask::PULL_TIMEOUT);
+        ask::pull(&self.session, key, Incarnation(0), version, sha256, timeout).await
     }
 
     /// Asks a run's learner what the run is. Returns the learner's start and its answer, JSON.

@@ -81,14 +81,15 @@ pub(crate) fn watch(
         .map_err(Error::network("subscribe to", &members.to_string()))
 }
 
-/// Takes the questions at a key.
+/// Takes the questions at a key, or at every key of a set.
 pub(crate) fn take_questions(
     session: &Session,
-    key: Key<'_>,
+    keys: impl fmt::Display,
     take: impl Fn(Query) + Send + Sync + 'static,
 ) -> Result<Queryable<()>> {
-    let declared = session.declare_queryable(keys::expr(key)).complete(true).callback(take).wait();
-    declared.map_err(Error::network("declare", &key.to_string()))
+    let expr = keys::expr(&keys);
+    let declared = session.declare_queryable(expr).complete(true).callback(take).wait();
+    declared.map_err(Error::network("declare", &keys.to_string()))
 }
 
 /// Shows that a member is there.

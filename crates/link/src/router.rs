@@ -2,14 +2,18 @@
 //!
 //! Learner, actors and observers dial it; routers dial upwards only, so that they make a tree.
 
+use leadtime_proto::RegionName;
 use zenoh::session::Session;
 
+use crate::relay::{Relay, RelayCounts};
 use crate::{Error, ListenSettings, Result, session};
 
 /// A router's place on the network.
 #[derive(Debug)]
 pub struct RouterLink {
     locators: Vec<String>,
+    relay: Option<Relay>,
+    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
     session: Session,
 }
 
@@ -25,12 +29,31 @@ impl RouterLink {
         }
         let session = session::listen_as("router", settings).await?;
         let locators = session.info().locators().await;
-        Ok(Self { locators: locators.iter().map(ToString::to_string).collect(), session })
+        Ok(Self {
+            locators: locators.iter().map(ToString::to_string).collect(),
+            relay: None,
+            session,
+        })
     }
 
     /// Returns the addresses at which it can be reached, with the ports that were taken.
     pub fn locators(&self) -> &[String] {
         &self.locators
+    }
+
+    /// Also pulls weights for the actors of a region from now on: each version once, whatever the number of actors.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Thread`], or [`Error::Network`] if the questions' place cannot be declared.
+    pub fn relay_weights(&mut self, region: &RegionName) -> Result<()> {
+        self.relay = Some(Relay::start(&self.session, region)?);
+        Ok(())
+    }
+
+    /// Returns what the relay did since it started; zeros where there is none.
+    pub fn relay_counts(&self) -> RelayCounts {
+        self.relay.as_ref().map(Relay::counts).unwrap_or_default()
     }
 
     /// Counts the routers and the other processes that are connected now.

@@ -5,8 +5,8 @@
 use std::time::{Duration, Instant};
 
 use leadtime_certs::Identity;
-use leadtime_proto::limits;
 use leadtime_proto::phrase::duration;
+use leadtime_proto::{RegionName, limits};
 use tracing::{debug, info};
 use zenoh::Wait as _;
 use zenoh::config::Config;
@@ -28,7 +28,7 @@ const MESSAGE_SLACK: usize = 64 << 10;
 const RETRY_MS: (u64, u64) = (100, 1_000);
 /// Longest single round of attempts, after which it is told that nobody answers.
 const ROUND: Duration = Duration::from_secs(2);
-/// Connections that may be opening at once, and how long each may take, in milliseconds: whoever connects and says nothing
+/// Connections that may be opening at once, and how long each may take, in milliseconds: a peer that connects and says nothing
 /// must not keep out those who do.
 const ACCEPT: (u64, u64) = (1_000, 4_000);
 /// Longest time that closing may take.
@@ -81,12 +81,14 @@ pub struct ConnectSettings {
     pub timeout: Duration,
     /// The certificate of this process; with one, everything is encrypted. Default: none.
     pub identity: Option<Identity>,
+    /// Whose relay is asked for weights before the learner. Default: nobody's.
+    pub region: Option<RegionName>,
 }
 
 impl ConnectSettings {
     /// Connects to these addresses, everything else as documented.
     pub fn new(endpoints: Vec<Endpoint>) -> Self {
-        Self { endpoints, timeout: Duration::from_secs(30), identity: None }
+        Self { endpoints, timeout: Duration::from_secs(30), identity: None, region: None }
     }
 }
 
@@ -103,6 +105,7 @@ pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
             endpoints: settings.connect.clone(),
             timeout: settings.timeout,
             identity: settings.identity.clone(),
+            region: None,
         };
         return dial(&settings, LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
@@ -151,7 +154,7 @@ pub(crate) async fn connect(settings: &ConnectSettings) -> Result<Session> {
 }
 
 async fn dial(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
-    let ConnectSettings { endpoints, timeout, identity } = settings;
+    let ConnectSettings { endpoints, timeout, identity, .. } = settings;
     let (timeout, identity) = (*timeout, identity.as_ref());
     if endpoints.is_empty() {
         return Err(Error::NoEndpoint);

@@ -165,7 +165,7 @@ async fn a_listener_with_a_certificate_that_does_not_do_is_not_dialled() {
     let (plain, _events) = LearnerLink::open(&run("two"), DOMAIN, LEARNER, &plain).await.unwrap();
     let clear: Endpoint = plain.locators()[0].replace("tcp/", "tls/").parse().unwrap();
     let said = told(ours.identity("a1"), &clear).await;
-    assert!(said.contains("no TLS") || said.contains("does not answer a TLS"), "{said}");
+    assert!(said.contains("without --tls") || said.contains("does not answer a TLS"), "{said}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

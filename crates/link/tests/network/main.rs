@@ -11,6 +11,7 @@ mod joining;
 mod messages;
 mod presence;
 mod refusals;
+mod regions;
 mod stall;
 mod support;
 mod weights;

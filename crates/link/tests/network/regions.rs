@@ -1,0 +1,95 @@
+//! Regions: a router pulls each version once for all of its actors, and nobody depends on it.
+
+use std::time::Duration;
+
+use leadtime_link::{
+    ActorLink, ConnectSettings, Endpoint, LearnerEvent, LearnerLink, ListenSettings, RelayCounts,
+    RouterLink,
+};
+use leadtime_proto::{PolicyVersion, RegionName};
+
+use crate::support::*;
+
+const VERSIONS: u64 = 5;
+
+fn region(name: &str) -> RegionName {
+    RegionName::new(name).unwrap()
+}
+
+async fn router(above: Option<&Endpoint>) -> (RouterLink, Endpoint) {
+    let any = "tcp/127.0.0.1:0".parse().unwrap();
+    let settings = ListenSettings {
+        connect: above.into_iter().cloned().collect(),
+        ..ListenSettings::new(vec![any])
+    };
+    let router = RouterLink::open(&settings).await.unwrap();
+    let endpoint = router.locators()[0].parse().unwrap();
+    (router, endpoint)
+}
+
+async fn actor(
+    id: &str,
+    at: &Endpoint,
+    name: &str,
+    events: &flume::Receiver<LearnerEvent>,
+) -> ActorLink {
+    let settings = ConnectSettings {
+        timeout: SOON,
+        region: Some(region(name)),
+        ..ConnectSettings::new(vec![at.clone()])
+    };
+    let (actor, _events) = ActorLink::open(&settings, &actor_id(id), ACTOR).await.unwrap();
+    say_hello(&actor, id, ACTOR, events).await;
+    actor
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_version_is_pulled_once_for_a_region_and_without_its_relay_from_the_learner() {
+    let (top, at_top) = router(None).await;
+    let dial = ListenSettings { connect: vec![at_top.clone()], ..ListenSettings::new(Vec::new()) };
+    let opened = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &dial).await;
+    let (learner, events) = opened.unwrap();
+    let (mut routers, mut actors) = (Vec::new(), Vec::new());
+    for name in ["eu", "us"] {
+        let (mut router, endpoint) = router(Some(&at_top)).await;
+        router.relay_weights(&region(name)).unwrap();
+        for i in 0..3 {
+            actors.push(actor(&format!("{name}{i}"), &endpoint, name, &events).await);
+        }
+        routers.push(router);
+    }
+    for version in 1..=VERSIONS {
+        let weights = vec![version as u8; 70_000];
+        learner.offer_weights(PolicyVersion(version), weights.clone().into()).unwrap();
+        let sha256 = learner.announcement().versions.last().unwrap().1;
+        // All at once: those that are not first wait for the one pull.
+        let mut pulls = tokio::task::JoinSet::new();
+        for actor in actors.drain(..) {
+            pulls.spawn(async move {
+                let pulled = actor.pull_weights(PolicyVersion(version), sha256).await;
+                (actor, pulled.unwrap())
+            });
+        }
+        for (actor, pulled) in pulls.join_all().await {
+            assert_eq!(pulled, weights);
+            actors.push(actor);
+        }
+    }
+    for router in &routers {
+        let counts = RelayCounts { pulled: VERSIONS, answered: 3 * VERSIONS, refused: 0 };
+        assert_eq!(router.relay_counts(), counts);
+    }
+
+    // What the learner does not keep, the relay says no to, and the learner as well.
+    let error = actors[0].pull_weights(PolicyVersion(99), [0; 32]).await.unwrap_err();
+    assert!(error.to_string().contains("version 99 is not kept"), "{error}");
+    let refused: u64 = routers.iter().map(|router| router.relay_counts().refused).sum();
+    assert_eq!(refused, 1);
+
+    // A region without a relay costs nothing but a warning.
+    let stray = actor("stray", &at_top, "nowhere", &events).await;
+    let (version, sha256) = *learner.announcement().versions.last().unwrap();
+    let pulled = tokio::time::timeout(Duration::from_secs(5), stray.pull_weights(version, sha256));
+    assert_eq!(pulled.await.unwrap().unwrap(), vec![VERSIONS as u8; 70_000]);
+    drop(top);
+}
