@@ -464,7 +464,7 @@ pub(crate) struct LearnerArgs {
     /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
     #[arg(long, value_name = "ADDRESS")]
     pub status: Option<String>,
-    /// Stop when standard input closes: whoever started this process holds the other end.
+    /// Stop when standard input closes: the process that started this one holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
     /// The supervisor's own files, removed if it is gone when this process ends.
@@ -486,6 +486,9 @@ pub(crate) struct ActorArgs {
     /// Name of this actor (default: its certificate's, or host and process id).
     #[arg(long)]
     pub id: Option<String>,
+    /// Pull weights from the router of this region, which pulls each version once for all its actors.
+    #[arg(long, value_name = "NAME")]
+    pub region: Option<String>,
     /// How long to look for a learner at the start.
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = duration)]
     pub connect_timeout: Duration,
@@ -495,7 +498,7 @@ pub(crate) struct ActorArgs {
     /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
     #[arg(long, value_name = "ADDRESS")]
     pub status: Option<String>,
-    /// Stop when standard input closes: whoever started this process holds the other end.
+    /// Stop when standard input closes: the process that started this one holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
     /// Print what it did as JSON.
@@ -876,14 +879,6 @@ fn changeable(text: &str) -> Result<Override, String> {
          the weights",
         change.key()
     ))
-}
-
-/// Reads `30d` or `12h`; a day has 24 hours.
-fn age(text: &str) -> Result<Duration, String> {
-    let days = text.strip_suffix('d').and_then(|days| days.trim().parse::<u32>().ok());
-    let days = days.map(|days| Duration::from_hours(24 * u64::from(days)));
-    days.map_or_else(|| duration(text), Ok)
-        .map_err(|_no_days| "write a number with its unit: 30d or 12h".to_owned())
 }
 
 /// Reads a number of steps: `200000` or `1e6`.

@@ -26,6 +26,8 @@ const CLOCK_SKEW: Duration = Duration::from_mins(5);
 /// A certificate that was made.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Issued {
+    /// What its process does.
+    pub role: Role,
     /// The name of its process.
     pub name: PeerName,
     /// Its file.
@@ -129,7 +131,7 @@ impl Authority {
         files::write(&key_path, &key.serialize_pem(), Readers::Owner, Durability::Eventual)?;
         files::write(&path, &pem, Readers::Everybody, Durability::Eventual)?;
         let certificate = Certificate::read(&path)?;
-        Ok(Issued { name: name.clone(), path, certificate })
+        Ok(Issued { role, name: name.clone(), path, certificate })
     }
 
     /// Makes the certificates anew that end within `before`: for the same role, hosts and time, and for the same key, which
@@ -141,26 +143,26 @@ impl Authority {
     pub fn renew(&mut self, before: Duration, now: Timestamp) -> Result<Vec<Issued>> {
         let soon = add(now, before)?;
         let mut renewed = issued(&self.directory)?;
-        renewed.retain(|(_, issued)| issued.certificate.ends <= soon);
+        renewed.retain(|issued| issued.certificate.ends <= soon);
         let mut made = Vec::new();
-        for (role, Issued { name, path, certificate: old }) in renewed {
+        for Issued { role, name, path, certificate: old } in renewed {
             let key = SubjectPublicKeyInfo::from_der(&old.public_key)?;
             let lifetime = Duration::try_from(old.ends.duration_since(old.begins));
             let lifetime = lifetime.map_err(|_negative| Error::Lifetime)?;
             let lifetime = lifetime.saturating_sub(CLOCK_SKEW).max(Duration::from_secs(1));
             let pem = self.sign(role, &name, &old.hosts, lifetime, now, &key)?;
             files::write(&path, &pem, Readers::Everybody, Durability::Flushed)?;
-            made.push(Issued { certificate: Certificate::read(&path)?, name, path });
+            made.push(Issued { role, certificate: Certificate::read(&path)?, name, path });
         }
         Ok(made)
     }
 
-    /// Lists every certificate of a directory with its role, by name.
+    /// Lists every certificate of a directory that has one of our roles, by name.
     ///
     /// # Errors
     ///
     /// [`Error::File`] or [`Error::Content`].
-    pub fn list(directory: &Path) -> Result<Vec<(Role, Issued)>> {
+    pub fn list(directory: &Path) -> Result<Vec<Issued>> {
         issued(directory)
     }
 
@@ -214,7 +216,7 @@ impl Authority {
 }
 
 /// Lists the certificates of a directory that have a role and a name of ours, by name.
-fn issued(directory: &Path) -> Result<Vec<(Role, Issued)>> {
+fn issued(directory: &Path) -> Result<Vec<Issued>> {
     let entries = fs::read_dir(directory).map_err(failed("read", directory))?;
     let mut found = Vec::new();
     for entry in entries {
@@ -231,9 +233,9 @@ fn issued(directory: &Path) -> Result<Vec<(Role, Issued)>> {
             return Err(content(&path)(format!("a certificate of `{of}`, not of `{name}`")));
         }
         let Some(role) = certificate.role else { continue };
-        found.push((role, Issued { name, path, certificate }));
+        found.push(Issued { role, name, path, certificate });
     }
-    found.sort_by(|(_, one), (_, other)| one.name.cmp(&other.name));
+    found.sort_by(|one, other| one.name.cmp(&other.name));
     Ok(found)
 }
 

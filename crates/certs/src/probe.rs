@@ -25,6 +25,12 @@ pub enum HandshakeRefusal {
         "the program that listens there speaks no TLS: it was started without --tls, or is another one"
     )]
     NoTls,
+    /// The connection is closed before a handshake.
+    #[error(
+        "the connection is closed there before a TLS handshake: the program that listens was started without --tls, or passes \
+         on to one that is not running"
+    )]
+    Closed,
     /// Nothing comes.
     #[error(
         "the program that listens there does not answer a TLS handshake: is it the right port?"
@@ -87,7 +93,7 @@ impl Identity {
             .map_err(|error| broken(error.to_string()))?;
         while connection.is_handshaking() {
             match connection.complete_io(&mut stream) {
-                Ok((0, 0)) => return Err(HandshakeRefusal::NoTls),
+                Ok((0, 0)) => return Err(HandshakeRefusal::Closed),
                 Ok(_) => {}
                 Err(error) => return Err(refusal(&error, host)),
             }
@@ -125,7 +131,7 @@ fn refusal(error: &io::Error, host: &str) -> HandshakeRefusal {
     let Some(error) = error.get_ref().and_then(|error| error.downcast_ref::<rustls::Error>())
     else {
         return match error.kind() {
-            ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset => HandshakeRefusal::NoTls,
+            ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset => HandshakeRefusal::Closed,
             _ => HandshakeRefusal::Broken(error.to_string()),
         };
     };

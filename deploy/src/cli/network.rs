@@ -12,7 +12,7 @@ use super::duration;
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct TlsArgs {
     /// Encrypt, and show this certificate: DIR/ID.pem with its key DIR/ID.key and the authority DIR/ca.pem, as
-    /// `leadtime certs` makes them. Whoever shows none of that authority is refused.
+    /// `leadtime certs` makes them. A peer that shows none of that authority is refused.
     #[arg(long, value_name = "DIR/ID")]
     pub tls: Option<PathBuf>,
 }
@@ -40,6 +40,9 @@ pub(crate) struct RouterArgs {
     /// Routers above this one; routers make a tree.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
+    /// Also pull weights for the actors of this region, each version once: for actors started with the same --region.
+    #[arg(long, value_name = "NAME")]
+    pub region: Option<String>,
     #[command(flatten)]
     pub guard: GuardArgs,
 }
@@ -84,9 +87,9 @@ pub(crate) struct CertsIssueArgs {
     /// A host's name or address under which it is dialled; repeatable. Who only dials others needs none.
     #[arg(long, value_name = "NAME")]
     pub host: Vec<String>,
-    /// How many days it lasts.
-    #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..=36_500))]
-    pub days: u32,
+    /// How long it lasts.
+    #[arg(long, value_name = "DURATION", default_value = "90d", value_parser = duration_or_days)]
+    pub lifetime: Duration,
 }
 
 /// `leadtime certs renew`
@@ -121,9 +124,9 @@ pub(crate) struct CertsAclArgs {
     pub out: Option<PathBuf>,
 }
 
-/// Reads `30d`, or what [`duration`] reads.
-fn duration_or_days(text: &str) -> Result<Duration, String> {
-    let days = text.strip_suffix('d').and_then(|days| days.parse::<u32>().ok());
+/// Reads `30d`, or what [`duration`] reads; a day has 24 hours.
+pub(super) fn duration_or_days(text: &str) -> Result<Duration, String> {
+    let days = text.strip_suffix('d').and_then(|days| days.trim().parse::<u32>().ok());
     match days {
         Some(days) => Ok(Duration::from_hours(24 * u64::from(days))),
         None => {

@@ -1,4 +1,4 @@
-//! Arguments of the commands for whoever keeps runs going.
+//! Arguments of the commands for keeping runs going.
 
 use std::time::Duration;
 
@@ -30,7 +30,7 @@ pub(crate) struct VersionArgs {
 #[derive(Clone, Copy, Debug, Args)]
 pub(crate) struct PruneArgs {
     /// Only runs in which nothing has happened for so long: 30d.
-    #[arg(long, value_name = "DURATION", value_parser = super::age)]
+    #[arg(long, value_name = "DURATION", value_parser = super::network::duration_or_days)]
     pub older: Duration,
     /// Keep the best run of each configuration, whatever its seed.
     #[arg(long)]

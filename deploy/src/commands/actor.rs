@@ -7,7 +7,7 @@ use leadtime_actor::{ActorEnd, ActorSettings, Error};
 use leadtime_certs::Role;
 use leadtime_link::{Endpoint, Error as LinkError};
 use leadtime_proto::phrase::counted;
-use leadtime_proto::{ActorId, RunName};
+use leadtime_proto::{ActorId, RegionName, RunName};
 use leadtime_runs::{ProgramBuild, Tasks, clock};
 use serde_json::json;
 use tokio::sync::watch;
@@ -70,6 +70,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
 fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettings> {
     let mut connect = connect_settings(&args.connect, &args.tls, &[Role::Actor])?;
     connect.timeout = args.connect_timeout;
+    connect.region = args.region.clone().map(RegionName::new).transpose().context("--region")?;
     let run = args.run.clone().map(RunName::new).transpose().context("--run")?;
     let shown = connect.identity.as_ref().and_then(|identity| identity.shown.name.clone());
     let id = match (&args.id, shown) {

@@ -1,13 +1,12 @@
 //! `leadtime certs`: an authority of one's own, and a certificate for every process.
 
 use std::path::Path;
-use std::time::Duration;
 
 use anyhow::Context as _;
 use jiff::{SignedDuration, Timestamp};
 use leadtime_certs::{Authority, Certificate, Issued, Role};
 use leadtime_link::AccessList;
-use leadtime_proto::phrase::counted;
+use leadtime_proto::phrase::{counted, duration};
 use leadtime_proto::text::quoted;
 use leadtime_runs::clock;
 use serde_json::json;
@@ -17,8 +16,6 @@ use crate::cli::{
 };
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-
-const DAY: Duration = Duration::from_hours(24);
 
 pub(super) fn run(command: &CertsCommand) -> Result<(), Failure> {
     let done = match command {
@@ -46,9 +43,8 @@ fn init(args: &CertsInitArgs) -> anyhow::Result<()> {
 fn issue(args: &CertsIssueArgs) -> anyhow::Result<()> {
     let now = clock::now();
     let mut authority = Authority::open(&args.directory, now)?;
-    let lifetime = DAY * args.days;
-    let issued = authority.issue(args.role, &args.id, &args.host, lifetime, now)?;
-    output::line(&line("issued", args.role, &issued));
+    let issued = authority.issue(args.role, &args.id, &args.host, args.lifetime, now)?;
+    output::line(&line("issued", &issued));
     if args.host.is_empty() && matches!(args.role, Role::Router | Role::Learner) {
         output::note("Without --host nobody can dial it; it can dial a router.");
     }
@@ -67,11 +63,11 @@ fn renew(args: &CertsRenewArgs) -> anyhow::Result<()> {
     let now = clock::now();
     let renewed = Authority::open(&args.directory, now)?.renew(args.before, now)?;
     for issued in &renewed {
-        let role = issued.certificate.role.unwrap_or(Role::Actor);
-        output::line(&line("renewed", role, issued));
+        output::line(&line("renewed", issued));
     }
     if renewed.is_empty() {
-        output::line(&format!("no certificate in {} ends so soon", args.directory.display()));
+        let (directory, before) = (args.directory.display(), duration(args.before));
+        output::line(&format!("no certificate in {directory} ends within {before}"));
     }
     Ok(())
 }
@@ -97,7 +93,7 @@ fn show(args: &CertsShowArgs) -> anyhow::Result<()> {
         (None, true) => "authority",
         (None, false) => "none of ours",
     };
-    // The texts are whoever's made the file.
+    // The texts are those of the program that made the file.
     let hosts: Vec<String> = found.hosts.iter().map(|host| quoted(host)).collect();
     let hosts = if hosts.is_empty() { "none: it only dials".to_owned() } else { hosts.join(", ") };
     output::line(&format!("role    {role}"));
@@ -112,7 +108,7 @@ fn show(args: &CertsShowArgs) -> anyhow::Result<()> {
 
 fn acl(args: &CertsAclArgs) -> anyhow::Result<()> {
     let issued = Authority::list(&args.directory)?;
-    let peers: Vec<_> = issued.into_iter().map(|(role, issued)| (role, issued.name)).collect();
+    let peers: Vec<_> = issued.into_iter().map(|issued| (issued.role, issued.name)).collect();
     let list = AccessList::of(&peers).with_context(|| nobody(&args.directory))?;
     match &args.out {
         None => output::line(list.to_text().trim_end()),
@@ -135,9 +131,9 @@ fn nobody(directory: &Path) -> String {
     )
 }
 
-fn line(what: &str, role: Role, issued: &Issued) -> String {
-    let (path, ends) = (issued.path.display(), date(issued.certificate.ends));
-    format!("{what} {path} ({role} `{}`) until {ends}", issued.name)
+fn line(what: &str, Issued { role, name, path, certificate }: &Issued) -> String {
+    let (path, ends) = (path.display(), date(certificate.ends));
+    format!("{what} {path} ({role} `{name}`) until {ends}")
 }
 
 fn date(moment: Timestamp) -> String {

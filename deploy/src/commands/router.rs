@@ -2,8 +2,11 @@
 
 use std::time::Duration;
 
+use anyhow::Context as _;
 use leadtime_certs::Role;
-use leadtime_link::{Error as LinkError, RouterLink};
+use leadtime_link::{Error as LinkError, RelayCounts, RouterLink};
+use leadtime_proto::RegionName;
+use leadtime_proto::phrase::counted;
 use tokio::time::interval;
 
 use crate::cli::RouterArgs;
@@ -18,7 +21,12 @@ pub(super) async fn run(args: &RouterArgs) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let settings = listen_settings(&args.listen, &args.connect, &args.guard, Role::Router)
         .blame(ExitCode::WrongInput)?;
-    let router = RouterLink::open(&settings).await.map_err(failure)?;
+    let region = args.region.clone().map(RegionName::new).transpose();
+    let region = region.context("--region").blame(ExitCode::WrongInput)?;
+    let mut router = RouterLink::open(&settings).await.map_err(failure)?;
+    if let Some(region) = &region {
+        router.relay_weights(region).map_err(failure)?;
+    }
     tracing::info!("router listens at {}", router.locators().join(", "));
     let mut ticks = interval(LOOK_EVERY);
     let mut is_linked = settings.connect.is_empty();
@@ -41,6 +49,13 @@ pub(super) async fn run(args: &RouterArgs) -> Result<(), Failure> {
                 tracing::warn!("the router at {above} is gone; looking for it");
             }
         }
+    }
+    if let Some(region) = region {
+        let RelayCounts { pulled, answered, refused } = router.relay_counts();
+        let pulled = counted(pulled, "version");
+        tracing::info!(
+            "region {region}: {pulled} of weights pulled for {answered} questions of actors, {refused} refused"
+        );
     }
     // It has no other way to end.
     router.close().await.map_err(failure)
