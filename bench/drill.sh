@@ -6,7 +6,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 cargo build --release --locked -q
 place=$(mktemp -d)
-trap 'rm -rf "$place"' EXIT
+trap 'code=$?; if [ $code = 0 ]; then rm -rf "$place"; else echo "what it left: $place" >&2; fi' EXIT
 for mode in sync lag; do
     python3 bench/drill.py --program target/release/leadtime --place "$place/$mode" --mode "$mode" --minutes "${1:-10}"
 done
