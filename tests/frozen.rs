@@ -13,6 +13,7 @@ use std::process::{Command, Output};
 
 use leadtime_learner::checkpoint::FORMAT_VERSION;
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
+use leadtime_proto::hex;
 use leadtime_proto::message::{
     Announcement, Assignment, Control, ControlReply, Credit, EnvAssignment, Hello, HelloReply,
     Welcome,
@@ -40,11 +41,7 @@ fn sealed<T: Serialize + DeserializeOwned + PartialEq + std::fmt::Debug>(message
     let bytes = codec::encode(message).unwrap();
     let again: T = codec::decode(&bytes, MAX_BYTES).unwrap();
     assert_eq!(&again, message);
-    hex(&bytes)
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |text, byte| format!("{text}{byte:02x}"))
+    hex::encode(&bytes)
 }
 
 fn run_spec() -> RunSpec {
@@ -117,7 +114,7 @@ fn messages() -> String {
     };
     assert_eq!(Header::from_bytes(&header.to_bytes()).unwrap(), header);
     let lines = [
-        ("header", hex(&header.to_bytes())),
+        ("header", hex::encode(&header.to_bytes())),
         ("hello", sealed(&hello)),
         ("hello_reply.welcome", sealed(&welcome)),
         ("hello_reply.refused", sealed(&refused)),

@@ -7,11 +7,11 @@ use std::fs::File;
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
+use leadtime_proto::hex;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use crate::clock;
-use crate::digest::hex;
 
 /// The executable of this process as the system names it, even if its file was replaced or removed meanwhile.
 const RUNNING: &str = "/proc/self/exe";
@@ -76,7 +76,7 @@ pub fn cpu_class() -> String {
 }
 
 fn fingerprint() -> io::Result<String> {
-    let shown = hex(&executable()?[..SHOWN_BYTES]);
+    let shown = hex::encode(&executable()?[..SHOWN_BYTES]);
     Ok(format!("leadtime {} build {shown}", env!("CARGO_PKG_VERSION")))
 }
 
@@ -121,7 +121,7 @@ mod tests {
     fn the_bytes_of_the_executable_decide_its_fingerprint() {
         let own = std::fs::read(running_program().unwrap()).unwrap();
         assert_eq!(executable().unwrap(), Sha256::digest(&own));
-        let start = hex(&Sha256::digest(&own)[..SHOWN_BYTES]);
+        let start = hex::encode(&Sha256::digest(&own)[..SHOWN_BYTES]);
         assert!(fingerprint().unwrap().ends_with(&start));
     }
 }

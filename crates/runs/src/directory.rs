@@ -27,10 +27,9 @@ use std::sync::Arc;
 use leadtime_config::Config;
 use leadtime_config::identity::{self, Change, TOTAL_STEPS, difference};
 use leadtime_learner::write_atomically;
-use leadtime_proto::RunName;
+use leadtime_proto::{RunName, hex};
 use toml::Table;
 
-use crate::digest::hex;
 use crate::directory_error::RunDirError;
 use crate::held_out::HELD_OUT;
 use crate::layout::{
@@ -201,7 +200,7 @@ fn changed(
     allowed: &[String],
     after_update: u64,
 ) -> impl Iterator<Item = SettingChange> {
-    let identity = hex(&identity::of_run(before));
+    let identity = hex::encode(&identity::of_run(before));
     let changes = changes.into_iter().filter(|change| allowed.contains(&change.key));
     changes.map(move |Change { key, before, after }| {
         let identity = identity.clone();

@@ -3,9 +3,8 @@
 use leadtime_config::{Config, identity};
 use leadtime_learner::{Build, LearnerConfig};
 use leadtime_link::ListenSettings;
-use leadtime_proto::RunSpec;
+use leadtime_proto::{RunSpec, hex};
 
-use crate::digest::from_hex;
 use crate::{ProgramBuild, RunDir, RunDirError, clock};
 
 /// Tells a learner what to train, where to listen and what to go on from.
@@ -41,6 +40,6 @@ pub fn learner_config(
         checkpoint_patience: config.run.checkpoint_patience,
         initial: run_dir.initial(config)?,
         identity: identity::of_run(&config.table),
-        earlier: run_dir.record.changes.iter().filter_map(|it| from_hex(&it.identity)).collect(),
+        earlier: run_dir.record.changes.iter().filter_map(|it| hex::decode(&it.identity)).collect(),
     })
 }

@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 use leadtime_config::{Config, ConfigError, Override};
 use leadtime_eval::measure::{Choice, Player};
 use leadtime_policy::{Parameters, read_metadata};
-use leadtime_proto::PolicySpec;
+use leadtime_proto::{PolicySpec, hex};
 use leadtime_sims::registry::Registry;
 use serde_json::json;
 use thiserror::Error;
 
 use crate::ForkOrigin;
-use crate::digest::{hex, sha256};
+use crate::digest::sha256;
 use crate::directory_error::with_causes;
 use crate::find::did_you_mean_run;
 
@@ -146,7 +146,7 @@ pub(crate) fn weights_digest(
     bytes: &[u8],
     policy: &PolicySpec,
 ) -> Result<String, leadtime_policy::Error> {
-    Ok(hex(&Parameters::from_safetensors(bytes, policy)?.digest()?))
+    Ok(hex::encode(&Parameters::from_safetensors(bytes, policy)?.digest()?))
 }
 
 /// Returns how many optimiser iterations made a policy file; 0 if it is not there.

@@ -17,9 +17,10 @@ use leadtime_eval::Error;
 use leadtime_eval::measure::{PlaySettings, evaluate};
 use leadtime_learner::held_out::{lead, score, spread};
 use leadtime_learner::write_atomically;
+use leadtime_proto::hex;
 use serde::{Deserialize, Serialize};
 
-use crate::digest::{hex, sha256};
+use crate::digest::sha256;
 use crate::directory_error::RunDirError;
 use crate::evaluation::n_threads;
 use crate::held_out::{HeldOutUse, comparable, episodes, held_out_seed};
@@ -251,7 +252,9 @@ impl Race {
 
     /// Digest of what decides the episodes of all comparisons.
     fn episodes(&self) -> String {
-        self.racers.first().map_or_else(String::new, |racer| hex(&comparable(&racer.config)))
+        self.racers
+            .first()
+            .map_or_else(String::new, |racer| hex::encode(&comparable(&racer.config)))
     }
 
     /// Returns the file of the policy that a racer takes part with in a comparison.

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use leadtime_config::identity::{self, Change};
 use leadtime_config::{Config, ConfigSource, Layer, Override};
+use leadtime_proto::hex;
 use leadtime_runs::Tasks;
-use leadtime_runs::digest::hex;
 
 use crate::catalog::NamedStudy;
 use crate::error::{Error, Placed as _, ensure};
@@ -87,7 +87,7 @@ impl Profile {
 
 /// Computes the first digits of the hash over everything that decides what a training computes, its seed excepted.
 pub(crate) fn hash(config: &Config) -> String {
-    hex(&identity::of_training(&config.table)).chars().take(HASH_DIGITS).collect()
+    hex::encode(&identity::of_training(&config.table)).chars().take(HASH_DIGITS).collect()
 }
 
 /// Checks that every requested profile takes the place of some part's, and no two of the same.

@@ -8,13 +8,14 @@ use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::Endpoint;
+use leadtime_proto::hex;
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
 use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
 use leadtime_runs::{
-    ProgramBuild, RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock, digest,
-    learner_config, scratch,
+    ProgramBuild, RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock, learner_config,
+    scratch,
 };
 use serde_json::json;
 use tokio_util::sync::CancellationToken;
@@ -203,7 +204,7 @@ fn conclude(
     is_asked: bool,
     args: &LearnerArgs,
 ) -> Result<(), Failure> {
-    let digest = digest::hex(&report.digest);
+    let digest = hex::encode(&report.digest);
     let books = &report.books;
     // As the record keeps them.
     let books = json!({

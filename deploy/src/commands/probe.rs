@@ -6,7 +6,8 @@ use leadtime_eval::measure::{Choice, PlaySettings};
 use leadtime_eval::probe::{ProbeResult, probe};
 use leadtime_eval::report::Fact;
 use leadtime_numerics::stats::Bootstrap;
-use leadtime_runs::{LoadedPolicy, Tasks, digest};
+use leadtime_proto::hex;
+use leadtime_runs::{LoadedPolicy, Tasks};
 use leadtime_studies::program_facts;
 use serde_json::{Value, json};
 
@@ -72,7 +73,7 @@ fn write(
     action: Choice,
     known: &ProbeResult,
 ) -> Result<(), Failure> {
-    let mut weights = digest::hex(&loaded.parameters.digest().blame(ExitCode::Failed)?);
+    let mut weights = hex::encode(&loaded.parameters.digest().blame(ExitCode::Failed)?);
     weights.truncate(DIGEST_DIGITS);
     let mut facts = vec![
         Fact::new("command", format!("`{}`", output::this_command())),

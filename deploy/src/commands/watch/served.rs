@@ -4,11 +4,13 @@ use std::fs::File;
 use std::io::Read as _;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Instant;
 
-use leadtime_watch::{Page, open_paths, routes};
+use leadtime_watch::{EVENT_PAUSE, Page, open_paths, routes};
 use leadtime_web::{AccessToken, Guard, HttpServer, parse_address};
 use serde_json::json;
 use tokio::task::JoinHandle;
+use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::AccessArgs;
@@ -71,7 +73,7 @@ impl PageServer {
         }
     }
 
-    /// Serves a page until the token is cancelled.
+    /// Serves a page until the token is cancelled, and tells at every moment what is due.
     pub(in crate::commands) fn serve(
         self,
         page: &Arc<Page>,
@@ -87,12 +89,20 @@ impl PageServer {
         let router = routes(Arc::clone(page));
         let (page, stop) = (Arc::clone(page), stop.clone());
         tokio::spawn(async move {
-            let closing = async {
-                stop.cancelled().await;
+            let telling = async {
+                let mut ticks = interval(EVENT_PAUSE);
+                ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                let ticking = async {
+                    loop {
+                        ticks.tick().await;
+                        page.flush(Instant::now());
+                    }
+                };
+                stop.run_until_cancelled(ticking).await;
                 // Open streams end by that, and the server with them.
                 page.close();
             };
-            tokio::join!(closing, self.server.serve(router, guard, stop.clone()));
+            tokio::join!(telling, self.server.serve(router, guard, stop.clone()));
         })
     }
 }
@@ -103,7 +113,7 @@ fn token(text: &str) -> Result<String, Failure> {
         let mut bytes = [0; TOKEN_BYTES];
         let read = File::open("/dev/urandom").and_then(|mut file| file.read_exact(&mut bytes));
         read.blame(ExitCode::Failed)?;
-        return Ok(leadtime_runs::digest::hex(&bytes));
+        return Ok(leadtime_proto::hex::encode(&bytes));
     }
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-._~".contains(c);
     if text.len() < MIN_TOKEN || !text.chars().all(is_plain) {
