@@ -4,12 +4,13 @@
 //! counted, and one that ends or hangs costs the run nothing but its lines.
 
 use std::io::{self, Write as _};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use leadtime_proto::phrase::counted;
+use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 use tracing::warn;
 
 /// The most lines that wait to be read.
@@ -24,7 +25,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 pub(crate) struct MetricsPipe {
     lines: Option<SyncSender<String>>,
     writer: Option<JoinHandle<()>>,
-    child: Child,
+    child: Box<dyn ChildWrapper>,
     n_dropped: u64,
     /// The command reads no more.
     is_over: bool,
@@ -37,13 +38,12 @@ impl MetricsPipe {
     ///
     /// If no shell, or no thread, can be started.
     pub(crate) fn start(command: &str) -> io::Result<Self> {
-        let mut child = Command::new("sh")
-            .args(["-c", command])
-            .stdin(Stdio::piped())
-            // A learner's standard output has its results.
-            .stdout(Stdio::null())
-            .spawn()?;
-        let mut input = child.stdin.take().expect("the pipe was asked for");
+        let mut shell = Command::new("sh");
+        // A learner's standard output has its results.
+        shell.args(["-c", command]).stdin(Stdio::piped()).stdout(Stdio::null());
+        // In a group of its own: Ctrl-C is for the learner, whose last lines the command is still to get.
+        let mut child = CommandWrap::from(shell).wrap(ProcessGroup::leader()).spawn()?;
+        let mut input = child.stdin().take().expect("the pipe was asked for");
         let (lines, waiting) = sync_channel::<String>(MAX_LINES);
         let writer = thread::Builder::new().name("metrics-pipe".to_owned()).spawn(move || {
             for line in waiting {
@@ -118,6 +118,23 @@ mod tests {
         drop(pipe);
         let text = std::fs::read_to_string(file).unwrap();
         assert!(text.lines().eq((0..100).map(|i| i.to_string())), "{text}");
+    }
+
+    #[test]
+    fn what_a_command_has_started_ends_with_it() {
+        let place = tempfile::tempdir().unwrap();
+        let file = place.path().join("id");
+        let command = format!("sleep 600 & echo $! > '{}'; exec sleep 600", file.display());
+        let pipe = MetricsPipe::start(&command).unwrap();
+        let id = loop {
+            match std::fs::read_to_string(&file) {
+                Ok(text) if text.ends_with('\n') => break text.trim().to_owned(),
+                _ => thread::sleep(LOOK_EVERY),
+            }
+        };
+        drop(pipe);
+        let state = std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
+        assert!(state.is_empty() || state.contains(") Z "), "{state}");
     }
 
     #[test]
