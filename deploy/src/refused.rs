@@ -33,6 +33,7 @@ enum DoorCause {
     Missing,
     NoTls,
     RefusesUs,
+    OwnEnded,
     EndedMeanwhile,
 }
 
@@ -47,6 +48,7 @@ impl DoorCause {
             ("not valid yet", Self::NotYetValid),
             ("peer sent no certificates", Self::Missing),
             ("corrupt message", Self::NoTls),
+            ("received fatal alert: CertificateExpired", Self::OwnEnded),
             ("received fatal alert", Self::RefusesUs),
         ];
         words.into_iter().find(|(words, _)| warning.contains(words)).map(|(_, cause)| cause)
@@ -61,6 +63,9 @@ impl DoorCause {
             Self::NoTls => "it speaks no TLS; it needs `tls/` in its address and --tls DIR/ID",
             Self::RefusesUs => {
                 "it refuses our certificate: it has another authority, or dials a name that is not in it"
+            }
+            Self::OwnEnded => {
+                "it refuses our certificate, which has ended; `leadtime certs renew` makes it anew"
             }
             Self::EndedMeanwhile => "",
         }
@@ -91,7 +96,7 @@ impl<S: Subscriber> Layer<S> for RefusedPeers {
         if sender.is_none() {
             *sender = start();
         }
-        // What is logged here cannot be logged from here; and whoever refuses does not wait.
+        // What is logged here cannot be logged from here; and a refusal does not wait.
         if let Some(Err(TrySendError::Disconnected(_))) =
             sender.as_ref().map(|it| it.try_send(cause))
         {
@@ -172,6 +177,11 @@ mod tests {
             ),
             ("peer sent no certificates", Some(DoorCause::Missing)),
             ("received corrupt message of type InvalidContentType", Some(DoorCause::NoTls)),
+            ("invalid peer certificate: BadSignature", Some(DoorCause::Foreign)),
+            ("invalid peer certificate: certificate not valid yet", Some(DoorCause::NotYetValid)),
+            ("received fatal alert: CertificateExpired", Some(DoorCause::OwnEnded)),
+            ("received fatal alert: UnknownCA", Some(DoorCause::RefusesUs)),
+            ("certificate chain expired", Some(DoorCause::EndedMeanwhile)),
             ("tls handshake eof", None),
         ] {
             assert_eq!(DoorCause::of(&format!("{words}. {hint}")), cause, "{words}");
