@@ -40,7 +40,7 @@ SEEDS = 2**63
 
 def toml(value):
     """Writes a value as TOML."""
-    if isinstance(value, bool):
+    if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(str(key))} = {toml(inner)}" for key, inner in value.items()) + " }"
@@ -97,7 +97,8 @@ class LeadtimeEnv(gymnasium.Env):
         return observation, {"action_mask": mask}
 
     def step(self, action):
-        choices = [int(action)] if self._single else action.tolist() if isinstance(action, np.ndarray) else [int(x) for x in action]
+        # A policy of ours gives a list, also of a single choice.
+        choices = [int(action)] if np.ndim(action) == 0 else action.tolist() if isinstance(action, np.ndarray) else list(map(int, action))
         observation, reward, terminated, truncated, self._mask = self.world.step(choices)
         info = {"action_mask": self._mask}
         if terminated or truncated:
@@ -146,9 +147,11 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
         self._everywhere = np.ones(num_envs, bool)
 
     def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        if isinstance(seed, (list, tuple)):
+        if isinstance(seed, (list, tuple, np.ndarray)):
             raise ValueError("one seed names all environments: give a number")
+        if options:
+            raise ValueError(f"options {sorted(options)}: a vector takes none; a single environment takes `episode`")
+        super().reset(seed=seed)
         if seed is None and not self._began:
             seed = int(self.np_random.integers(SEEDS))
         self._began = True

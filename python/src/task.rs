@@ -35,12 +35,17 @@ impl PlayedTask {
         let catalog = Catalog::built_in();
         let set = set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>();
         let set = set.map_err(PyValueError::new_err)?;
-        let file = match fs::read_to_string(config) {
-            Ok(text) => Layer::text(format!("configuration {config}"), text),
-            Err(error) => built_in(config, &error, &catalog)?,
+        let place = format!("configuration {config}");
+        let (file, text) = match fs::read_to_string(config) {
+            Ok(text) => (Layer::text(place.clone(), text.clone()), Some(text)),
+            Err(error) => (built_in(config, &error, &catalog)?, None),
         };
         let source = ConfigSource { file: Some(file), set, ..ConfigSource::default() };
-        let read = Config::load(&source, &catalog, &registry).map_err(wrong)?;
+        let read = Config::load(&source, &catalog, &registry);
+        // A policy's own configuration may be older than this program, and is read as the program reads it.
+        let stored = |text: &String| Config::stored(&place, text, &source.set, &registry).ok();
+        let read =
+            read.or_else(|error| text.as_ref().and_then(stored).ok_or(error)).map_err(wrong)?;
         let spec = if evaluation { read.evaluation.task } else { read.task };
         Ok(Self { registry, spec })
     }

@@ -1,5 +1,6 @@
 //! One environment.
 
+use std::fmt::Debug;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use leadtime_proto::{EnvId, Mask};
@@ -87,9 +88,10 @@ impl World {
     }
 
     /// Takes one step, with a choice per head.
-    fn step<'py>(&self, py: Python<'py>, action: Vec<u8>) -> PyResult<OneStep<'py>> {
+    fn step<'py>(&self, py: Python<'py>, action: Vec<i64>) -> PyResult<OneStep<'py>> {
         let mut environment = self.lock();
         check(&n_choices(environment.as_ref()), &action)?;
+        let action: Vec<u8> = action.into_iter().map(|choice| choice as u8).collect();
         let mut observation = vec![0.0; environment.spec().obs_dim];
         let outcome = environment.step(&action, &mut observation);
         let [terminated, truncated] =
@@ -134,9 +136,14 @@ impl World {
 }
 
 /// Refuses an action that has not one choice of each of these heads.
-pub(crate) fn check(heads: &[usize], action: &[u8]) -> PyResult<()> {
-    let fits = action.len() == heads.len()
-        && action.iter().zip(heads).all(|(&choice, &n_choices)| usize::from(choice) < n_choices);
+pub(crate) fn check<T: Copy + Debug>(heads: &[usize], action: &[T]) -> PyResult<()>
+where
+    i64: From<T>,
+{
+    let is_one_of = |(&choice, &n_choices): (&T, &usize)| {
+        usize::try_from(i64::from(choice)).is_ok_and(|choice| choice < n_choices)
+    };
+    let fits = action.len() == heads.len() && action.iter().zip(heads).all(is_one_of);
     if fits {
         return Ok(());
     }

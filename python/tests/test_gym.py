@@ -104,11 +104,12 @@ class Gym(unittest.TestCase):
 
 class Policy(unittest.TestCase):
     def test_the_shipped_policies_decide_in_python_as_in_the_program(self):
-        for name, config in [("piloting", "paper_lander"), ("cooking", "steakhouse"), ("driving", "paper_highway")]:
+        for name in ["piloting", "cooking", "driving"]:
             with self.subTest(name), tempfile.TemporaryDirectory() as folder:
                 file = ROOT / f"deploy/policies/{name}.safetensors"
                 policy, state, n_same, far = load(file), None, 0, 0.0
                 steps = steps_of(file, folder)
+                self.assertGreater(len(steps), 100)
                 for step in steps:
                     state = policy.begin() if step["step"] == 0 else state
                     logits, _ = policy.logits(step["observation"], state)
@@ -120,15 +121,16 @@ class Policy(unittest.TestCase):
                 self.assertEqual(n_same, len(steps))
 
     def test_an_episode_in_python_is_that_of_the_program_bit_for_bit(self):
-        for name, config in [("piloting", "paper_lander"), ("cooking", "steakhouse"), ("driving", "paper_highway")]:
+        for name in ["piloting", "cooking", "driving"]:
             with self.subTest(name), tempfile.TemporaryDirectory() as folder:
                 file = ROOT / f"deploy/policies/{name}.safetensors"
                 text = load(file).metadata["config"]
-                (Path(folder) / "own.toml").write_text(text.replace("reason_from_words = 4\n", ""))
+                (Path(folder) / "own.toml").write_text(text)
                 steps = steps_of(file, folder)
                 env = leadtime.World(str(Path(folder) / "own.toml"), [], True)
                 observation, _ = env.reset(11, 0)
                 first = [step for step in steps if step["episode"] == 0]
+                self.assertGreater(len(first), 10)
                 for step in first:
                     self.assertTrue((observation == np.array(step["observation"], np.float32)).all())
                     observation, reward, *_ = env.step(step["action"])
