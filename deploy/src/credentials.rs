@@ -10,7 +10,7 @@ use leadtime_runs::clock;
 
 use crate::cli::{self, GuardArgs, TlsArgs};
 
-/// Reads and checks the certificate of this process, which has to be of one of these roles; none is given, none is needed.
+/// Reads and checks the certificate of this process, which has to be of one of these roles; `None` without --tls.
 pub(crate) fn identity(args: &TlsArgs, roles: &[Role]) -> anyhow::Result<Option<Identity>> {
     let Some(prefix) = &args.tls else { return Ok(None) };
     let identity = Identity::read(prefix, clock::now()).context("--tls")?;
@@ -25,7 +25,7 @@ pub(crate) fn identity(args: &TlsArgs, roles: &[Role]) -> anyhow::Result<Option<
     Ok(Some(identity))
 }
 
-/// Reads addresses; without a protocol they are TLS for who has a certificate.
+/// Reads addresses; without a protocol they are TLS where the process has a certificate.
 pub(crate) fn endpoints(
     texts: &[String],
     identity: Option<&Identity>,
@@ -63,7 +63,7 @@ pub(crate) fn listen_settings(
     }
     if identity.is_some() && access.is_none() && !listen.is_empty() {
         tracing::info!(
-            "whoever has a certificate of this authority may do everything; --acl FILE limits it"
+            "every process with a certificate of this authority may do everything; --acl FILE limits it"
         );
     }
     Ok(ListenSettings { connect, identity, access, ..ListenSettings::new(listen) })
@@ -83,7 +83,7 @@ fn warn_if_open(listen: &[Endpoint], identity: Option<&Identity>) {
         open.filter(|_| identity.is_none()).map(|endpoint| format!("`{endpoint}`")).collect();
     if !open.is_empty() {
         tracing::warn!(
-            "whoever reaches {} can take part, read and change everything: it asks for no certificate. Listen on `tls/…` with --tls \
+            "anyone who reaches {} can take part, read and change everything: it asks for no certificate. Listen on `tls/…` with --tls \
              DIR/ID (`leadtime certs` makes the files), or say --insecure where everybody may",
             open.join(", ")
         );

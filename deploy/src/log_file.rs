@@ -1,6 +1,6 @@
 //! The file that the log goes to, opened again when somebody has moved it away.
 //!
-//! Whoever rotates logs renames the file and may send SIGHUP; who does not is noticed at a line a second later. A line
+//! A program that rotates logs renames the file and may send SIGHUP. Without one the new file is noticed at a line a second later. A line
 //! that cannot be written is dropped.
 
 use std::fs::{self, File, OpenOptions};

@@ -1,4 +1,4 @@
-//! What a run needs to know before it starts; checked by whoever builds it.
+//! What a run needs to know before it starts; checked where it is built.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -7,7 +7,7 @@ use std::path::Path;
 /// How the name of a file ends that is being written.
 const PARTIAL: &str = ".partial";
 
-/// Replaces a file in one step: whoever reads it sees the old or the new content, whole, also after a power cut.
+/// Replaces a file in one step: a reader sees the old or the new content, whole, also after a power cut.
 ///
 /// The content is written beside its place as `<name>.<process id>.partial`, flushed to the disk and renamed, and the
 /// directory is flushed. So processes that replace one file at the same time do not disturb each other.

@@ -32,7 +32,7 @@ const SLOW: (u32, u32) = (3, 4);
 pub(crate) const BACK_OFF: u64 = 20;
 /// The longest time until a member is tried again, in ticks.
 const MAX_BACK_OFF: u64 = 1_200;
-/// The most names whose failures are remembered: whoever knocks chooses the names.
+/// The most names whose failures are remembered: a stranger chooses its own names.
 const MAX_NAMES: usize = 1_024;
 
 /// What a tick finds out.

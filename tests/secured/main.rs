@@ -1,5 +1,5 @@
 //! A run by certificate, as people set it up: authority, router, learner, actors, all started as programs. It ends with the
-//! weights of the same run over a unix socket; whoever has no good certificate gets nowhere and is told why.
+//! weights of the same run over a unix socket; a peer without a good certificate gets nowhere and is told why.
 //!
 //! What each role may do, line by line, is in `crates/link/tests/network/access.rs`.
 

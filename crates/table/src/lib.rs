@@ -1,7 +1,7 @@
 //! A table as aligned text, as Markdown and as HTML.
 //!
 //! Commands, result pages and reports say what stands in a table; how wide a column is and what must be escaped is
-//! decided here alone. What this crate does not know: numbers. Whoever has a number writes it with the digits that it
+//! decided here alone. What this crate does not know: numbers. The caller writes a number with the digits that it
 //! deserves.
 //!
 //! # Where to start

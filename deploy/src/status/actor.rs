@@ -1,4 +1,4 @@
-//! An actor's status: what its loop last said, read by whoever asks.
+//! An actor's status: what its loop last said, read on request.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! A learner's status: fed by what its run reports, read by whoever asks.
+//! A learner's status: fed by what its run reports, read on request.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;

@@ -49,7 +49,7 @@ impl StatusServer {
         let (stop, address) = (CancellationToken::new(), self.0.address());
         tracing::info!("status at http://{address}/metrics, /live, /ready, /version");
         if !self.0.is_local() {
-            tracing::info!("whoever reaches {address} can read the numbers of this process");
+            tracing::info!("anyone who reaches {address} can read the numbers of this process");
         }
         tokio::spawn(self.0.serve(routes(source), guard(address), stop.clone()));
         stop.drop_guard()

@@ -1,4 +1,4 @@
-//! From the command line to whoever writes, rates and compares.
+//! From the command line to the writer, the rater and the embedder.
 
 use std::env;
 use std::path::Path;
