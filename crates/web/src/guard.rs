@@ -20,7 +20,7 @@ use axum::response::{IntoResponse as _, Response};
 use sha2::{Digest as _, Sha256};
 
 /// The longest URL that is answered, in bytes.
-pub const MAX_URL_BYTES: usize = 8 << 10;
+const MAX_URL_BYTES: usize = 8 << 10;
 /// What is in front of a token.
 const SCHEME: &str = "Bearer ";
 /// Headers of every answer.
@@ -159,15 +159,14 @@ async fn guarded(State(guard): State<Arc<Guard>>, request: Request, next: Next) 
 }
 
 fn refusal(objection: Objection) -> Response {
+    let too_long = format!("the URL is too long: {MAX_URL_BYTES} bytes are allowed\n");
     let (status, sentence) = match objection {
         Objection::Method => (StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD are answered\n"),
-        Objection::Length => {
-            (StatusCode::URI_TOO_LONG, "the URL is too long: 8192 bytes are allowed\n")
-        }
+        Objection::Length => (StatusCode::URI_TOO_LONG, too_long.as_str()),
         Objection::NoHost => (StatusCode::BAD_REQUEST, "the request names no host\n"),
         Objection::ForeignHost => (
             StatusCode::MISDIRECTED_REQUEST,
-            "this server does not bear the name that was asked for: ask by its address, or as localhost\n",
+            "this server has another name than the one in the request: use its address, or localhost\n",
         ),
         Objection::ForeignOrigin => {
             (StatusCode::FORBIDDEN, "a page of another site may not ask this server\n")
@@ -177,7 +176,7 @@ fn refusal(objection: Objection) -> Response {
             "a token is needed: send it as `Authorization: Bearer TOKEN`\n",
         ),
     };
-    let mut answer = (status, sentence).into_response();
+    let mut answer = (status, sentence.to_owned()).into_response();
     match objection {
         Objection::Method => {
             answer.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));

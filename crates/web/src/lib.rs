@@ -1,17 +1,18 @@
 //! A small HTTP server for what a process tells about itself: read-only, guarded, gone within a second.
 //!
 //! ```text
-//! TCP ── server: at most MAX_CONNECTIONS, header and shutdown deadlines ── guard: who may ask, and how ── routes
+//! TCP ── server: at most MAX_CONNECTIONS, with deadlines to ask, read and end ── guard: who may ask, and how ── routes
 //! ```
 //!
-//! It is the only crate that names axum and hyper; who serves something takes [`axum`] from here. It knows no page and no
-//! number: the routes are handed to it.
+//! It is the only crate that names axum and hyper; crates that serve something take [`axum`] from here. It knows no page and
+//! no number: the routes are handed to it.
 //!
 //! # Invariants
 //!
 //! * Nothing can be changed through it: only GET and HEAD exist.
 //! * A page of another site cannot read it, whatever name it makes a browser believe in (DNS rebinding).
-//! * A cancelled token ends it within [`GRACE`], open event streams included.
+//! * A cancelled token ends it within a second, open event streams included.
+//! * A client that does not read loses its place.
 //!
 //! # Where to start
 //!
@@ -23,5 +24,5 @@ mod server;
 
 pub use axum;
 pub use error::Error;
-pub use guard::{AccessToken, Guard, MAX_URL_BYTES};
-pub use server::{GRACE, HttpServer, MAX_CONNECTIONS, parse_address};
+pub use guard::{AccessToken, Guard};
+pub use server::{HttpServer, parse_address};

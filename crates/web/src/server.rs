@@ -18,6 +18,7 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use rustix::net::sockopt::set_tcp_user_timeout;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
@@ -29,11 +30,13 @@ use crate::error::Error;
 use crate::guard::Guard;
 
 /// How many connections are served at a time; further ones wait to be accepted.
-pub const MAX_CONNECTIONS: usize = 64;
+const MAX_CONNECTIONS: usize = 64;
 /// How long open connections may take to end after the server was asked to.
-pub const GRACE: Duration = Duration::from_millis(700);
+const GRACE: Duration = Duration::from_millis(700);
 /// How long a client may take to send the head of a request, and how long an idle connection stays open.
 const HEAD_TIME: Duration = Duration::from_secs(10);
+/// How long an answer may wait for its client to take in more of it.
+const WRITE_TIME: Duration = Duration::from_secs(30);
 /// The longest head of a request, in bytes: more than an URL that the guard lets pass.
 const MAX_HEAD_BYTES: usize = 64 << 10;
 /// Pause after a connection could not be accepted: the system is out of files, say.
@@ -63,6 +66,7 @@ pub fn parse_address(text: &str) -> Result<SocketAddr, Error> {
 pub struct HttpServer {
     listener: TcpListener,
     address: SocketAddr,
+    write_time: Duration,
 }
 
 impl HttpServer {
@@ -78,7 +82,7 @@ impl HttpServer {
         };
         let listener = TcpListener::bind(address).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        Ok(Self { listener, address })
+        Ok(Self { listener, address, write_time: WRITE_TIME })
     }
 
     /// Returns the address, with the port that was taken.
@@ -109,6 +113,10 @@ impl HttpServer {
             while connections.try_join_next().is_some() {}
             match accepted {
                 Ok((stream, _peer)) => {
+                    if let Err(error) = prepare(&stream, self.write_time) {
+                        debug!(%error, "a connection cannot be prepared");
+                        continue;
+                    }
                     let (router, stop) = (router.clone(), stop.clone());
                     connections.spawn(async move {
                         converse(stream, router, stop).await;
@@ -129,12 +137,15 @@ impl HttpServer {
     }
 }
 
+/// Prepares a connection for events, which are small and wanted at once, and for clients that do not read: the system ends
+/// what waits for them for too long.
+fn prepare(stream: &TcpStream, write_time: Duration) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    Ok(set_tcp_user_timeout(stream, write_time.as_millis() as u32)?)
+}
+
 /// Answers the requests of one connection.
 async fn converse(stream: TcpStream, router: Router, stop: CancellationToken) {
-    // Events are small, and wanted at once.
-    if let Err(error) = stream.set_nodelay(true) {
-        debug!(%error, "a connection stays slow");
-    }
     let router = TowerToHyperService::new(router);
     let answer = service_fn(move |request: hyper::Request<Incoming>| {
         let router = router.clone();
@@ -228,6 +239,29 @@ mod tests {
         timeout(Duration::from_secs(10), serving).await.unwrap().unwrap();
         assert!(asked.elapsed() < Duration::from_secs(1), "{:?}", asked.elapsed());
         assert!(TcpStream::connect(address).await.is_err());
+    }
+
+    #[tokio::test]
+    async fn a_client_that_does_not_read_is_cut_off() {
+        let (sender, parts) = flume::bounded::<Result<Bytes, Infallible>>(1);
+        let parts = Arc::new(Mutex::new(Some(parts)));
+        let answer = move || {
+            let parts = parts.lock().unwrap().take().unwrap();
+            async { Response::new(Body::from_stream(parts.into_stream())) }
+        };
+        let mut server = HttpServer::bind(parse_address("127.0.0.1:0").unwrap()).await.unwrap();
+        server.write_time = Duration::from_millis(300);
+        let (address, stop) = (server.address(), CancellationToken::new());
+        let router = Router::new().route("/", get(answer));
+        let serving = tokio::spawn(server.serve(router, Guard::new(), stop.clone()));
+        let silent = ask(address, "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", "200 OK").await;
+        // The answer goes on until its connection has ended.
+        let part = Bytes::from(vec![0; 1 << 20]);
+        let told = async { while sender.send_async(Ok(part.clone())).await.is_ok() {} };
+        timeout(Duration::from_secs(10), told).await.expect("the connection ends");
+        drop(silent);
+        stop.cancel();
+        serving.await.unwrap();
     }
 
     #[tokio::test]
