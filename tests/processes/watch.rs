@@ -3,7 +3,7 @@
 use std::fs;
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 
@@ -13,6 +13,8 @@ use crate::support::{PATIENCE, Place, Running, result, signal, wait_until};
 const LONG: &str = "-c cartpole --steps 5e7 --set learner.n_steps=32 --set run.checkpoint_every=10";
 /// One that takes a second or two.
 const SHORT: &str = "-c cartpole --steps 1e4";
+/// One that takes ten times as long.
+const MEDIUM: &str = "-c cartpole --steps 1e5";
 
 /// A learner and an actor at a place, with the run at work.
 fn at_work(place: &Place, name: &str) -> [Running; 2] {
@@ -59,17 +61,20 @@ fn a_run_at_work_is_seen_from_outside_as_text_and_as_json() {
 #[test]
 fn watchers_that_are_killed_change_no_bit() {
     let place = Place::new();
-    let train = |name: &str| format!("up --name {name} {SHORT} --set learner.n_steps=32");
+    let train = |name: &str| format!("up --name {name} {MEDIUM} --set learner.n_steps=32");
     place.finish(&[&train("alone")]).with_code(0);
     let run = place.start(&[&train("watched"), "--listen", &place.endpoint("l")]);
+    let mut n_served = 0;
     for _ in 0..5 {
         let command = format!("watch --connect {} --http 127.0.0.1:0 --json", place.endpoint("l"));
         let mut watcher = place.start(&[&command]);
+        let is_served = |watcher: &Running| watcher.stdout().contains("http://");
         // It serves, or the run was over before.
-        let served = || watcher.stdout().contains("http://") || !watcher.is_running();
-        wait_until("the page is served", PATIENCE, served);
+        wait_until("the page is served", PATIENCE, || is_served(&watcher) || !watcher.is_running());
+        n_served += u32::from(is_served(&watcher));
         watcher.kill();
     }
+    assert!(n_served > 0, "every watcher came too late");
     let run = run.finish(PATIENCE).with_code(0);
     assert!(run.stdout.contains("all accounted for"), "{}", run.stdout);
     let weights = |name: &str| result(&place.run(name))["weights_sha256"].clone();
@@ -101,12 +106,11 @@ fn a_finished_run_is_shown_from_its_directory() {
 fn a_page_is_served_and_ends_within_a_second() {
     let place = Place::new();
     place.finish(&[&format!("up --name done {SHORT}")]).with_code(0);
-    let watcher = place.start(&["watch done --http 127.0.0.1:0 --json"]);
-    wait_until("the page is served", PATIENCE, || watcher.stdout().contains("http://"));
-    let said: Value = serde_json::from_str(&watcher.stdout()).unwrap();
-    let link = said["page"].as_str().unwrap();
-    let address = link.trim_start_matches("http://").trim_end_matches('/').to_owned();
-    let open: Vec<TcpStream> = (0..5).map(|_| first_event(&address, "about")).collect();
+    let (watcher, address) = page_of(&place, "done");
+    let mut open: Vec<TcpStream> = (0..5).map(|_| events(&address)).collect();
+    for stream in &mut open {
+        read_until(stream, "event: about\n");
+    }
     let asked = Instant::now();
     signal("TERM", watcher.id());
     watcher.finish(PATIENCE).with_code(130);
@@ -118,17 +122,107 @@ fn a_page_is_served_and_ends_within_a_second() {
     }
 }
 
-/// Asks for events and reads until the first.
-fn first_event(address: &str, kind: &str) -> TcpStream {
+/// Serves a page, and returns its address.
+fn page_of(place: &Place, what: &str) -> (Running, String) {
+    let watcher = place.start(&[&format!("watch {what} --http 127.0.0.1:0 --json")]);
+    wait_until("the page is served", PATIENCE, || watcher.stdout().contains("http://"));
+    let said: Value = serde_json::from_str(&watcher.stdout()).unwrap();
+    let link = said["page"].as_str().unwrap();
+    let address = link.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    (watcher, address)
+}
+
+/// Asks for events.
+fn events(address: &str) -> TcpStream {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+    stream
+}
+
+/// Reads on until a text came.
+fn read_until(stream: &mut TcpStream, text: &str) -> String {
     let (mut read, mut byte) = (Vec::new(), [0]);
-    while !String::from_utf8_lossy(&read).contains(&format!("event: {kind}\n")) {
+    while !read.ends_with(text.as_bytes()) {
         stream.read_exact(&mut byte).unwrap();
         read.push(byte[0]);
     }
-    stream
+    String::from_utf8_lossy(&read).into_owned()
+}
+
+#[test]
+fn a_run_on_this_disk_goes_on_where_its_learner_went_on() {
+    let place = Place::new();
+    place.finish(&[&format!("up --name back {SHORT} --set learner.n_steps=32")]).with_code(0);
+    let metrics = place.run("back").join("metrics.jsonl");
+    let text = fs::read_to_string(&metrics).unwrap();
+    let lines: Vec<&str> = text.split_inclusive('\n').collect();
+    let (n, back) = (lines.len(), lines.len() - 10);
+    let (_watcher, address) = page_of(&place, "back --play off");
+    let mut events = events(&address);
+    read_until(&mut events, "event: history\ndata: {");
+    assert!(read_until(&mut events, "\n").contains(&format!("\"to\":{n},")));
+    // What a learner does that goes on from an earlier update, and makes the one after it again.
+    fs::write(&metrics, lines[..back].concat()).unwrap();
+    read_until(&mut events, "event: history\ndata: {");
+    let told = read_until(&mut events, "\n");
+    assert!(told.contains(&format!("\"to\":{back},")), "{told}");
+    assert!(told.contains(&format!("\"update\":{back},")), "the mark: {told}");
+    fs::write(&metrics, lines[..=back].concat()).unwrap();
+    let newest = format!("\"update\":{},", back + 1);
+    read_until(&mut events, "event: update\ndata: {");
+    while !read_until(&mut events, "\n").contains(&newest) {}
+    // All that scripts get agrees.
+    let (state, newest) = (state(&address), Value::from(back + 1));
+    assert_eq!((&state["state"]["update"], &state["history"]["to"]), (&newest, &newest));
+}
+
+/// Asks for everything at once.
+fn state(address: &str) -> Value {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let head = format!("Host: {address}\r\nConnection: close");
+    write!(stream, "GET /state.json HTTP/1.1\r\n{head}\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (_, body) = answer.split_once("\r\n\r\n").unwrap();
+    serde_json::from_str(body).unwrap()
+}
+
+#[test]
+fn a_run_that_makes_no_update_is_not_stopped_while_its_learner_is_there() {
+    let place = Place::new();
+    let learner = format!("learner --name quiet {SHORT} --listen {}", place.endpoint("l"));
+    let learner = place.start(&[&learner]);
+    look(&place, 0);
+    let metrics = fs::File::options().write(true).open(place.run("quiet").join("metrics.jsonl"));
+    metrics.unwrap().set_modified(UNIX_EPOCH).unwrap();
+    let seen = || place.finish(&["watch quiet --once --json"]).with_code(0).json();
+    assert_ne!(seen()["state"]["state"], "stopped");
+    learner.kill();
+    assert_eq!(seen()["state"]["state"], "stopped");
+}
+
+#[test]
+fn an_untrained_policy_plays_and_so_does_one_that_follows_an_unreadable_one() {
+    let place = Place::new();
+    // Nobody acts, so the learner stays at version 0.
+    let learner = format!("learner --name r {SHORT} --listen {}", place.endpoint("l"));
+    let learner = place.start(&[&learner]);
+    let (_watcher, address) = page_of(&place, &format!("--connect {}", place.endpoint("l")));
+    let mut stream = events(&address);
+    assert!(read_until(&mut stream, "event: frame\n").contains("\"version\":0"));
+    drop(learner);
+
+    place.finish(&[&format!("up --name done {SHORT}")]).with_code(0);
+    let policy = place.run("done").join("policy.safetensors");
+    let bytes = fs::read(&policy).unwrap();
+    fs::write(&policy, "torn").unwrap();
+    let (_watcher, address) = page_of(&place, "done");
+    let mut stream = events(&address);
+    read_until(&mut stream, "\"problem\":\"the policy cannot be read");
+    fs::write(&policy, bytes).unwrap();
+    read_until(&mut stream, "event: frame\n");
 }
 
 #[test]
@@ -144,6 +238,11 @@ fn what_cannot_be_watched_is_one_sentence() {
         ("watch nothing".to_owned(), 2, "there is no run `nothing`"),
         (format!("watch --connect {at} --run other --once"), 2, "there: `r`"),
         ("watch --connect tcp/127.0.0.1:9 --connect-timeout 100ms --once".to_owned(), 3, "refused"),
+        (
+            "watch --connect tls/127.0.0.1:9 --connect-timeout 1s --once".to_owned(),
+            2,
+            "needs a certificate",
+        ),
         (format!("watch --connect {at} --http 8080"), 2, "`8080` is not an address"),
         (format!("watch --connect {at} --http {taken}"), 2, "is in use"),
         (format!("watch --connect {at} --http 0.0.0.0:0"), 2, "--token auto"),

@@ -115,7 +115,8 @@ fn age(path: &Path) -> Option<Duration> {
     SIGNS.iter().filter_map(modified).max().map(clock::time_since)
 }
 
-fn is_in_use(path: &Path) -> bool {
+/// Tells whether a learner, a supervisor or another process has a run open.
+pub fn is_in_use(path: &Path) -> bool {
     locks(path).is_none()
 }
 

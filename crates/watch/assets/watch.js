@@ -332,8 +332,7 @@ function table(head, rows) {
   return made;
 }
 
-let drawing = 0;
-let drawnAt = 0;
+let [drawing, drawnAt] = [0, 0];
 /** Draws the curves at most ten times a second, and not while nobody sees them. */
 function drawSoon() {
   if (drawing || document.hidden) return;
@@ -407,6 +406,8 @@ function setState(name, sentence) {
 
 // ---------------------------------------------------------------------------------------------- update
 
+/** The highest staleness that the picture has room for; the text has all. */
+const MAX_STALENESS = 64;
 /** @type {any} */
 let update = null;
 /** @param {any} told */
@@ -444,7 +445,7 @@ function drawHistogram() {
   if (!update || document.hidden) return;
   const { context, width, height } = prepared(/** @type {HTMLCanvasElement} */ ($('histogram')));
   const [now, before] = [shares(update.staleness), shares(update.staleness_100)];
-  const last = Math.max(3, ...now.keys(), ...before.keys());
+  const last = Math.min(MAX_STALENESS, Math.max(3, ...now.keys(), ...before.keys()));
   const slot = width / (last + 1);
   const floor = height - 16;
   context.font = '11px system-ui';
@@ -621,17 +622,15 @@ function takeLog(lines) {
 
 // ---------------------------------------------------------------------------------------------- playthrough
 
-/** @type {any} */
-let flight = null;
-/** @type {any} */
-let frame = null;
+/** @type {any[]} */
+let [flight, frame] = [null, null];
 /** Where the person has been, with what they did on the way. @type {{at: number[], colour: string}[]} */
 let trail = [];
 let paused = false;
 let zones = true;
 /** @type {Record<string, string>} */
 const ACTIVITIES = { 'own plan': 'neutral', 'hearing, not yet understood': 'orange', 'reaction delay': 'purple', 'follows through': 'blue' };
-/** A world is drawn at most and at least so much higher than wide. */
+/** The least and the greatest height of the picture, as a share of its width. */
 const RATIOS = [0.25, 0.75];
 
 /** @param {any} told */
@@ -704,7 +703,6 @@ function drawStage() {
 
 /** @param {CanvasRenderingContext2D} context @param {(x: number, y: number) => [number, number]} at */
 function drawTrail(context, at) {
-  context.lineWidth = 2;
   for (let i = 1; i < trail.length; i++) {
     context.strokeStyle = colours.of(trail[i].colour);
     context.lineWidth = trail[i].colour === 'neutral' ? 1.5 : 3;
@@ -757,9 +755,21 @@ function drawShape(context, [kind, tone, numbers, text], at) {
 
 // ---------------------------------------------------------------------------------------------- events
 
+/** When the watcher started: another one has another log and other episodes. */
+let watcher = 0;
+/** @param {any} told */
+function takeAbout(told) {
+  if (told.watcher === watcher) return;
+  watcher = told.watcher;
+  $('log-lines').replaceChildren();
+  [flight, frame, trail] = [null, null, []];
+  for (const id of ['flight-note', 'heard', 'unheard', 'doing']) $(id).textContent = '';
+  drawStage();
+}
+
 /** @type {Record<string, (told: any) => void>} */
 const HANDLERS = {
-  about: () => {},
+  about: takeAbout,
   history: takeHistory,
   update: takeUpdate,
   state: takeState,
@@ -771,9 +781,7 @@ const HANDLERS = {
   flight: takeFlight,
   frame: takeFrame,
   log: takeLog,
-  bye: () => {
-    ended = true;
-  },
+  bye: () => void (ended = true),
 };
 let lastId = '';
 /** The watcher has said goodbye. */
@@ -790,13 +798,23 @@ function takeEvent(block) {
   if (kind in HANDLERS) HANDLERS[kind](JSON.parse(data));
 }
 
+/** A watcher tells how the run is once a second. One that is silent for so long is lost; in milliseconds. */
+const PATIENCE = 10_000;
+
 /** Reads the stream until it ends. `EventSource` would send no headers, and so no token. */
 async function listen() {
+  const control = new AbortController();
+  let timer = 0;
+  const heard = () => {
+    window.clearTimeout(timer);
+    timer = window.setTimeout(() => control.abort(), PATIENCE);
+  };
+  heard();
   /** @type {Record<string, string>} */
   const headers = lastId ? { 'Last-Event-ID': lastId } : {};
   const token = new URLSearchParams(location.hash.slice(1)).get('token');
   if (token) headers.Authorization = `Bearer ${token}`;
-  const answer = await fetch('events', { headers, cache: 'no-store' });
+  const answer = await fetch('events', { headers, cache: 'no-store', signal: control.signal });
   if (!answer.ok || !answer.body) throw new Error((await answer.text()).trim());
   const reader = answer.body.getReader();
   const decoder = new TextDecoder();
@@ -804,12 +822,11 @@ async function listen() {
   for (;;) {
     const { done, value } = await reader.read();
     if (done) return;
+    heard();
     text += decoder.decode(value, { stream: true });
-    let end;
-    while ((end = text.indexOf('\n\n')) >= 0) {
-      takeEvent(text.slice(0, end));
-      text = text.slice(end + 2);
-    }
+    const blocks = text.split('\n\n');
+    text = blocks.pop() ?? '';
+    blocks.forEach(takeEvent);
   }
 }
 
@@ -820,7 +837,8 @@ async function follow() {
       await listen();
       if (ended) reason = complete >= 1 ? 'finished; the watcher has ended' : 'the watcher has ended; trying again';
     } catch (error) {
-      if (error instanceof Error && !(error instanceof TypeError)) reason = error.message;
+      if (error instanceof DOMException) reason = 'the watcher is silent; trying again';
+      else if (error instanceof Error && !(error instanceof TypeError)) reason = error.message;
     }
     if (ended && complete >= 1) return setState('finished', reason);
     setState('offline', reason);

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use leadtime_proto::ActorId;
 use serde_json::{Value, json};
 
 /// How long an actor that is gone is still shown, in seconds.
@@ -73,6 +74,17 @@ impl ActorTable {
         is_new
     }
 
+    /// Notes that a start of an actor was heard of. Returns whether it is there: one that has left comes back only when it
+    /// joins, for what is heard of it may have been said before.
+    fn heard(&mut self, id: &str, incarnation: &str, now: f64) -> bool {
+        let has_left = |row: &ActorRow| row.incarnation == incarnation && row.gone_at.is_some();
+        if self.rows.get(id).is_some_and(has_left) {
+            return false;
+        }
+        self.joined(id, incarnation, now);
+        true
+    }
+
     /// Notes the end of a start. Returns how many environments the actor had, if it was there.
     pub(crate) fn left(&mut self, id: &str, incarnation: &str, now: f64) -> Option<u64> {
         let row = self.rows.get_mut(id)?;
@@ -85,7 +97,9 @@ impl ActorTable {
 
     /// Takes in an actor's own sums.
     pub(crate) fn report(&mut self, id: &str, incarnation: &str, told: Value, now: f64) {
-        self.joined(id, incarnation, now);
+        if !self.heard(id, incarnation, now) {
+            return;
+        }
         let Some(row) = self.rows.get_mut(id) else { return };
         let number = |name: &str| told[name].as_f64().unwrap_or(0.0);
         let seconds = SHARES.map(|share| number(&format!("{share}_s")));
@@ -101,25 +115,21 @@ impl ActorTable {
     /// Takes in what the learner says of everybody.
     pub(crate) fn roster(&mut self, roster: &Value, now: f64) {
         for standing in roster["actors"].as_array().into_iter().flatten() {
-            let Some(id) = standing["id"].as_str() else { continue };
+            let id = standing["id"].as_str().unwrap_or_default();
             let incarnation = standing["incarnation"].as_str().unwrap_or_default();
-            self.joined(id, incarnation, now);
+            if ActorId::new(id.to_owned()).is_err() || !self.heard(id, incarnation, now) {
+                continue;
+            }
             if let Some(row) = self.rows.get_mut(id) {
                 row.standing = standing.clone();
             }
         }
         self.others = roster["others"].clone();
-        self.forget(now);
     }
 
-    /// Forgets who is gone for long.
+    /// Forgets those that are gone for long.
     pub(crate) fn forget(&mut self, now: f64) {
         self.rows.retain(|_, row| row.gone_at.is_none_or(|at| now - at < GONE_FOR));
-    }
-
-    /// Counts those that are shown.
-    pub(crate) fn n_shown(&self) -> usize {
-        self.rows.len()
     }
 
     /// Counts those that are here.
@@ -153,8 +163,8 @@ fn row_json(id: &str, row: &ActorRow, newest: u64, now: f64) -> Value {
     let count = |of: &Value, name: &str| of[name].as_u64();
     let acknowledged = count(standing, "acknowledged");
     let behind = |limit: Option<u64>| Some(limit?.saturating_sub(acknowledged?));
-    let refused: u64 =
-        standing["refused"].as_object().into_iter().flatten().filter_map(|it| it.1.as_u64()).sum();
+    let refused = standing["refused"].as_object().into_iter().flatten();
+    let refused = refused.filter_map(|it| it.1.as_u64()).fold(0, u64::saturating_add);
     let silent = (now - row.seen_at).max(0.0);
     let rates = row.rates();
     let shares = rates.map(|(_, shares)| {
@@ -241,5 +251,31 @@ mod tests {
         assert_eq!(table.json(0, 63.9).as_array().unwrap().len(), 2);
         table.forget(64.1);
         assert_eq!(table.json(0, 64.1).as_array().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn who_has_left_comes_back_only_by_joining() {
+        let mut table = ActorTable::default();
+        table.joined("a", "01", 0.0);
+        table.left("a", "01", 1.0);
+        // Its last words, and the roster of a learner that has not seen it leave.
+        table.report("a", "01", sums(1.0), 1.1);
+        table.roster(&json!({"actors": [{"id": "a", "incarnation": "01"}]}), 1.2);
+        assert_eq!(table.n_here(), 0);
+        assert!(table.joined("a", "01", 2.0));
+        assert_eq!(table.n_here(), 1);
+        table.left("a", "01", 3.0);
+        table.report("a", "02", sums(1.0), 4.0);
+        assert_eq!(table.n_here(), 1, "another start of it");
+    }
+
+    #[test]
+    fn what_is_no_actors_name_is_left_out_and_sums_have_an_end() {
+        let mut table = ActorTable::default();
+        let refused = json!({"credit": u64::MAX, "non_finite": 2});
+        let actor = |id: &str| json!({"id": id, "incarnation": "01", "refused": refused});
+        table.roster(&json!({"actors": [actor("\u{1b}[2J"), actor(""), actor("a")]}), 0.0);
+        let rows = table.json(0, 0.0);
+        assert_eq!((rows.as_array().unwrap().len(), &rows[0]["refused"]), (1, &json!(u64::MAX)));
     }
 }

@@ -1,7 +1,7 @@
 //! Events for pages: one bounded queue per client, nobody is waited for.
 //!
 //! ```text
-//! id: 413.0
+//! id: 413.0.1769860800000
 //! event: update
 //! data: {"update": 413, ...}
 //! ```
@@ -17,7 +17,7 @@ use leadtime_web::axum::body::Bytes;
 /// Events that wait for one client.
 const QUEUED: usize = 256;
 /// The most clients at a time.
-pub const MAX_CLIENTS: usize = 32;
+pub(crate) const MAX_CLIENTS: usize = 32;
 /// A client that reads nothing for so long is cut off, if there is something to read.
 const PATIENCE: Duration = Duration::from_secs(5);
 
@@ -49,7 +49,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Lists every kind.
-    pub const ALL: [Self; 9] = [
+    pub(crate) const ALL: [Self; 9] = [
         Self::About,
         Self::History,
         Self::Update,
@@ -62,7 +62,7 @@ impl EventKind {
     ];
 
     /// Returns its name on the wire.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::About => "about",
             Self::History => "history",
@@ -79,7 +79,7 @@ impl EventKind {
 
 /// Which kinds a client wants.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Wanted(BTreeSet<EventKind>);
+pub(crate) struct Wanted(BTreeSet<EventKind>);
 
 impl Wanted {
     /// Reads a list such as `update,actors`; nothing means everything.
@@ -87,7 +87,7 @@ impl Wanted {
     /// # Errors
     ///
     /// A sentence with the kinds that there are, if one of them is none.
-    pub fn parse(list: Option<&str>) -> Result<Self, String> {
+    pub(crate) fn parse(list: Option<&str>) -> Result<Self, String> {
         let Some(list) = list.filter(|list| !list.is_empty()) else {
             return Ok(Self(EventKind::ALL.into()));
         };
@@ -139,29 +139,52 @@ impl Client {
     }
 }
 
+/// Why a client is not taken in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum NoPlace {
+    /// There are as many as there may be.
+    Full,
+    /// The watcher ends.
+    Closed,
+}
+
 /// Everybody who listens.
 #[derive(Debug, Default)]
-pub struct EventHub {
+pub(crate) struct EventHub {
     clients: Vec<Client>,
     is_closed: bool,
 }
 
 impl EventHub {
     /// Counts those who listen.
-    pub fn n_clients(&mut self) -> usize {
+    fn n_clients(&mut self) -> usize {
         self.clients.retain(|client| !client.queue.is_disconnected());
         self.clients.len()
     }
 
-    /// Takes in a client, who gets these events first; `None` if there are too many.
+    /// Counts those who look at the policy at work.
+    pub(crate) fn n_watching(&self) -> usize {
+        let is_there = |client: &&Client| !client.queue.is_disconnected();
+        let there = self.clients.iter().filter(is_there);
+        there.filter(|client| client.wanted.has(EventKind::Frame)).count()
+    }
+
+    /// Takes in a client, who gets these events first.
+    ///
+    /// # Errors
+    ///
+    /// [`NoPlace::Closed`] after [`Self::close`], [`NoPlace::Full`] if there are too many.
     pub(crate) fn join(
         &mut self,
         wanted: Wanted,
         first: Vec<Bytes>,
         now: Instant,
-    ) -> Option<flume::Receiver<EventBytes>> {
-        if self.is_closed || self.n_clients() >= MAX_CLIENTS {
-            return None;
+    ) -> Result<flume::Receiver<EventBytes>, NoPlace> {
+        if self.is_closed {
+            return Err(NoPlace::Closed);
+        }
+        if self.n_clients() >= MAX_CLIENTS {
+            return Err(NoPlace::Full);
         }
         let (queue, events) = flume::bounded(QUEUED.max(first.len()));
         let n_sent = first.len() as u64;
@@ -170,11 +193,11 @@ impl EventHub {
             drop(queue.try_send(Ok(event)));
         }
         self.clients.push(Client { queue, wanted, n_sent, n_taken: 0, taken_at: now });
-        Some(events)
+        Ok(events)
     }
 
     /// Sends an event to everyone who wants it; who does not keep up is cut off.
-    pub fn send(&mut self, kind: EventKind, id: Option<&str>, data: &str, now: Instant) {
+    pub(crate) fn send(&mut self, kind: EventKind, id: Option<&str>, data: &str, now: Instant) {
         if !self.clients.iter().any(|client| client.wanted.has(kind)) {
             return;
         }
@@ -183,7 +206,7 @@ impl EventHub {
     }
 
     /// Says goodbye to everyone, and takes nobody in any more.
-    pub fn close(&mut self, now: Instant) {
+    pub(crate) fn close(&mut self, now: Instant) {
         self.send(EventKind::Bye, None, "{}", now);
         self.clients.clear();
         self.is_closed = true;
@@ -215,7 +238,8 @@ mod tests {
         let heard: Vec<String> = events.drain().map(text).collect();
         assert_eq!(heard[0], "id: 7.0\nevent: update\ndata: {\"update\":7}\n\n");
         assert_eq!(heard[1..], ["event: actors\ndata: []\n\n"]);
-        assert!(events.is_disconnected() && hub.join(all(), Vec::new(), now).is_none());
+        assert!(events.is_disconnected());
+        assert_eq!(hub.join(all(), Vec::new(), now).unwrap_err(), NoPlace::Closed);
     }
 
     #[test]
@@ -260,8 +284,20 @@ mod tests {
         let (mut hub, now) = (EventHub::default(), Instant::now());
         let mut clients: Vec<_> =
             (0..MAX_CLIENTS).map(|_| hub.join(all(), Vec::new(), now).unwrap()).collect();
-        assert!(hub.join(all(), Vec::new(), now).is_none());
+        assert_eq!(hub.join(all(), Vec::new(), now).unwrap_err(), NoPlace::Full);
         clients.pop();
-        assert!(hub.join(all(), Vec::new(), now).is_some());
+        assert!(hub.join(all(), Vec::new(), now).is_ok());
+    }
+
+    #[test]
+    fn only_who_wants_moments_looks_at_the_policy() {
+        let (mut hub, now) = (EventHub::default(), Instant::now());
+        let wanted = Wanted::parse(Some("state,update")).unwrap();
+        let _script = hub.join(wanted, Vec::new(), now).unwrap();
+        assert_eq!(hub.n_watching(), 0);
+        let page = hub.join(all(), Vec::new(), now).unwrap();
+        assert_eq!(hub.n_watching(), 1);
+        drop(page);
+        assert_eq!((hub.n_watching(), hub.n_clients()), (0, 1));
     }
 }

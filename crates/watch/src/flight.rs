@@ -115,7 +115,7 @@ impl Drop for FlightThread {
     }
 }
 
-/// The thread ends: whoever started it is gone.
+/// The thread ends: its owner is gone.
 struct OwnerGone;
 
 struct FlightLoop {
@@ -151,7 +151,7 @@ impl FlightLoop {
     fn turn(&mut self) -> Result<(), OwnerGone> {
         self.take_inputs(Instant::now())?;
         if !self.watcher.is_watched() {
-            // Whoever looks next is told at once.
+            // The next page is told at once.
             self.obstacle.clear();
             return self.take_inputs(Instant::now() + PAUSE);
         }

@@ -18,9 +18,8 @@ use tracing::debug;
 use crate::error::Error;
 use crate::flight::{FlightPlan, FlightThread};
 use crate::page::{EVENT_PAUSE, Page};
+use crate::state::MAX_POINTS;
 
-/// Points per curve that are asked for.
-const N_POINTS: usize = 2_000;
 /// The largest history that is decompressed, in bytes.
 const MAX_HISTORY: u64 = 32 << 20;
 /// Pause before a question is asked again.
@@ -47,7 +46,8 @@ impl Attachment {
     ///
     /// # Errors
     ///
-    /// [`Error::Link`] with the runs that are there, if none or several can be meant.
+    /// [`Error::Link`] if the network cannot be reached or asked, if no learner is there in time, or if it is not clear
+    /// which run is meant: with the runs that are there.
     pub async fn open(settings: &ConnectSettings, run: Option<RunName>) -> Result<Self, Error> {
         let (link, events) = ObserverLink::open(settings).await?;
         let run = link.find_run(settings, run).await?;
@@ -59,7 +59,8 @@ impl Attachment {
     ///
     /// # Errors
     ///
-    /// [`Error::Link`] if its learner does not answer, or is of another release.
+    /// [`Error::Link`] if its learner does not answer or is of another release, or if the network is not left in time;
+    /// [`Error::Answer`] or [`Error::Compression`] if an answer cannot be read.
     pub async fn look_once(self, page: &Page, listen: Duration) -> Result<(), Error> {
         let (incarnation, about) = ask_about(&self.link, &self.run).await?;
         page.with(|view, now| {
@@ -71,7 +72,7 @@ impl Attachment {
             take_in(page, event);
         }
         // Last, so that its curves have no gaps.
-        let history = ask_history(&self.link, &self.run, 0).await?;
+        let history = ask_history(&self.link, &self.run).await?;
         page.with(|view, now| view.history(&history, now));
         self.link.close().await?;
         Ok(())
@@ -95,7 +96,7 @@ impl Attachment {
                     plan,
                     flight: FlightThread::start(watcher)?,
                     offered: None,
-                    pulled: 0,
+                    pulled: None,
                     pulled_at: None,
                     is_pulling: false,
                 })
@@ -132,8 +133,8 @@ async fn ask_about(link: &ObserverLink, run: &RunName) -> Result<(Incarnation, V
     Ok((incarnation, about))
 }
 
-async fn ask_history(link: &ObserverLink, run: &RunName, from: u64) -> Result<Value, Error> {
-    let (_, compressed) = link.ask_history(run, from, N_POINTS).await?;
+async fn ask_history(link: &ObserverLink, run: &RunName) -> Result<Value, Error> {
+    let (_, compressed) = link.ask_history(run, 0, MAX_POINTS).await?;
     let read = move || {
         let mut text = Vec::new();
         let mut decoder = GzDecoder::new(compressed.as_slice()).take(MAX_HISTORY);
@@ -154,14 +155,12 @@ fn take_in(page: &Page, event: ObserverEvent) -> bool {
             let Ok(told) = serde_json::from_slice::<Value>(&json) else { return false };
             let incarnation = hex(incarnation);
             match member {
-                Member::Learner => {
-                    let is_new = view.learner_joined(&incarnation, now);
-                    view.learner_says(&incarnation, told, now);
-                    return is_new;
+                Member::Learner => view.learner_says(&incarnation, told, now),
+                Member::Actor(id) => {
+                    view.actor_says(id.as_str(), &incarnation, told, now);
+                    false
                 }
-                Member::Actor(id) => view.actor_says(id.as_str(), &incarnation, told, now),
             }
-            false
         }
         ObserverEvent::Joined(Member::Learner, incarnation) => {
             view.learner_joined(&hex(incarnation), now)
@@ -196,7 +195,8 @@ struct Play {
     flight: FlightThread,
     /// The newest announcement.
     offered: Option<(DomainName, Announcement)>,
-    pulled: u64,
+    /// The version that plays.
+    pulled: Option<u64>,
     pulled_at: Option<Instant>,
     is_pulling: bool,
 }
@@ -261,7 +261,7 @@ impl Follower {
         tokio::spawn(async move {
             let asked = async {
                 let (_, about) = ask_about(&link, &run).await?;
-                Ok::<_, Error>((about, ask_history(&link, &run, 0).await?))
+                Ok::<_, Error>((about, ask_history(&link, &run).await?))
             };
             let asked = asked.await;
             if let Err(error) = &asked {
@@ -285,7 +285,9 @@ impl Follower {
                     view.about(about, now);
                     view.history(&history, now);
                 });
-                if let Some(play) = &self.play {
+                if let Some(play) = &mut self.play {
+                    // A plan that is new plays nothing yet, and a learner that is new makes versions again.
+                    play.pulled = None;
                     let config = config.ok_or("the learner tells no configuration".to_owned());
                     play.flight.plan(config.and_then(|config| (play.plan)(&config)));
                 }
@@ -295,21 +297,21 @@ impl Follower {
                 let Some(play) = &mut self.play else { return };
                 play.is_pulling = false;
                 if let Some((version, weights)) = pulled {
-                    play.pulled = version;
+                    play.pulled = Some(version);
                     play.flight.policy(version, weights);
                 }
             }
         }
     }
 
-    /// Pulls the newest weights, if somebody looks and it is time.
+    /// Pulls the newest weights, if they are looked at and it is time.
     fn pull(&mut self) {
-        let is_watched = self.page.n_clients() > 0;
+        let is_watched = self.page.n_watching() > 0;
         let Some(play) = self.play.as_mut().filter(|_| is_watched) else { return };
         let is_due = play.pulled_at.is_none_or(|at| at.elapsed() >= PULL_PAUSE);
         let Some((domain, announcement)) = &play.offered else { return };
         let Some(&(version, sha256)) = announcement.versions.last() else { return };
-        if play.is_pulling || !is_due || version.0 == play.pulled {
+        if play.is_pulling || !is_due || play.pulled == Some(version.0) {
             return;
         }
         (play.is_pulling, play.pulled_at) = (true, Some(Instant::now()));

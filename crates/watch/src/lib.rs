@@ -30,10 +30,9 @@ mod state;
 mod text;
 
 pub use error::Error;
-pub use events::{EventHub, EventKind, MAX_CLIENTS, Wanted};
 pub use flight::{FlightPlan, FlightThread, FlightWatcher, MakeTask};
 pub use follow::{Attachment, PlanMaker};
 pub use page::{Clock, EVENT_PAUSE, Page};
 pub use routes::{open_paths, routes};
-pub use state::{Changes, RunPhase, RunView, SCHEMA, WatchLine};
+pub use state::{MAX_POINTS, RunView};
 pub use text::screen;

@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 use leadtime_web::axum::body::Bytes;
 use serde_json::Value;
 
-use crate::events::{EventBytes, EventHub, EventKind, Wanted, event};
+use crate::events::{EventBytes, EventHub, EventKind, NoPlace, Wanted, event};
 use crate::flight::FlightWatcher;
 use crate::state::{Changes, RunView, WatchLine};
 
 /// The shortest time between two events of a kind that are told to pages.
 pub const EVENT_PAUSE: Duration = Duration::from_millis(200);
-/// The same for the table of actors and the head line, which say nothing new more often.
+/// The same for the table of actors and the head line, which say nothing new more often, and for the curves as a whole.
 const TABLE_PAUSE: Duration = Duration::from_secs(1);
 
 /// Reads the time, in seconds since the Unix epoch.
@@ -22,6 +22,8 @@ pub type Clock = fn() -> f64;
 /// A run as it is seen, and its pages.
 pub struct Page {
     clock: Clock,
+    /// When the watcher started, in milliseconds since the Unix epoch: it tells this one from others at the same address.
+    epoch: u64,
     shared: Mutex<SharedView>,
 }
 
@@ -30,6 +32,7 @@ struct SharedView {
     hub: EventHub,
     /// What has changed and was not told yet.
     due: Changes,
+    history_told_at: Option<Instant>,
     updates_told_at: Option<Instant>,
     tables_told_at: Option<Instant>,
     n_log_told: u64,
@@ -50,12 +53,13 @@ impl Page {
             view: RunView::new(run),
             hub: EventHub::default(),
             due: Changes::default(),
+            history_told_at: None,
             updates_told_at: None,
             tables_told_at: None,
             n_log_told: 0,
             flight: None,
         };
-        Arc::new(Self { clock, shared: Mutex::new(shared) })
+        Arc::new(Self { clock, epoch: (clock() * 1e3) as u64, shared: Mutex::new(shared) })
     }
 
     fn shared(&self) -> MutexGuard<'_, SharedView> {
@@ -69,36 +73,45 @@ impl Page {
         work(&mut self.shared().view, now)
     }
 
-    /// Tells pages what has changed, as often as they are to be told. Call it after changes and at every
-    /// [`EVENT_PAUSE`].
+    /// Tells pages what has changed, as often as they are to be told. Call it at every [`EVENT_PAUSE`], and after changes
+    /// that are wanted at once.
     pub fn flush(&self, now: Instant) {
         let time = (self.clock)();
         let mut shared = self.shared();
-        let SharedView { view, hub, due, updates_told_at, tables_told_at, n_log_told, .. } =
-            &mut *shared;
+        let SharedView {
+            view,
+            hub,
+            due,
+            history_told_at,
+            updates_told_at,
+            tables_told_at,
+            n_log_told,
+            ..
+        } = &mut *shared;
+        view.forget_gone(time);
         let new = view.take_changes();
         due.history |= new.history;
         due.update |= new.update;
-        due.actors |= new.actors;
         let is_due = |told_at: Option<Instant>, pause: Duration| {
             told_at.is_none_or(|at| now.saturating_duration_since(at) >= pause)
         };
-        if std::mem::take(&mut due.history) {
-            hub.send(EventKind::About, None, &view.about_json().to_string(), now);
+        if due.history && is_due(*history_told_at, TABLE_PAUSE) {
+            due.history = false;
+            *history_told_at = Some(now);
+            hub.send(EventKind::About, None, &about_json(view, self.epoch).to_string(), now);
             hub.send(EventKind::History, None, &view.history_json(0).to_string(), now);
         }
-        if due.update && is_due(*updates_told_at, EVENT_PAUSE) {
+        // An update that follows a resume goes on from curves that a page must have.
+        if due.update && !due.history && is_due(*updates_told_at, EVENT_PAUSE) {
             due.update = false;
             *updates_told_at = Some(now);
-            let update = view.update_json(time).to_string();
-            hub.send(EventKind::Update, Some(&event_id(view)), &update, now);
+            let id = event_id(view.newest(), view, self.epoch);
+            hub.send(EventKind::Update, Some(&id), &view.update_json(time).to_string(), now);
         }
         if is_due(*tables_told_at, TABLE_PAUSE) {
             *tables_told_at = Some(now);
             hub.send(EventKind::State, None, &view.state_json(time).to_string(), now);
-            if std::mem::take(&mut due.actors) || view.n_shown_actors() > 0 {
-                hub.send(EventKind::Actors, None, &view.actors_json(time).to_string(), now);
-            }
+            hub.send(EventKind::Actors, None, &view.actors_json(time).to_string(), now);
         }
         let lines: Vec<Value> = view.log_after(*n_log_told).map(WatchLine::json).collect();
         if !lines.is_empty() {
@@ -108,17 +121,21 @@ impl Page {
     }
 
     /// Takes in a page, which is told everything so far, or what came after an event that it knows.
+    ///
+    /// # Errors
+    ///
+    /// [`NoPlace`].
     pub(crate) fn join(
         &self,
         wanted: Wanted,
         last_event: Option<&str>,
         now: Instant,
-    ) -> Option<flume::Receiver<EventBytes>> {
+    ) -> Result<flume::Receiver<EventBytes>, NoPlace> {
         let time = (self.clock)();
         let mut shared = self.shared();
         let SharedView { view, hub, flight, .. } = &mut *shared;
-        let from = last_event.map_or(0, |id| known_until(id, view));
-        let id = event_id(view);
+        let from = last_event.map_or(0, |id| known_until(id, view, self.epoch));
+        let id = event_id(view.newest(), view, self.epoch);
         let log: Vec<Value> = view.log_after(0).map(WatchLine::json).collect();
         let mut first = Vec::new();
         let mut tell = |kind: EventKind, id: Option<&str>, data: &dyn Fn() -> Value| {
@@ -126,7 +143,7 @@ impl Page {
                 first.push(event(kind, id, &data().to_string()));
             }
         };
-        tell(EventKind::About, None, &|| view.about_json());
+        tell(EventKind::About, None, &|| about_json(view, self.epoch));
         tell(EventKind::State, None, &|| view.state_json(time));
         tell(EventKind::History, None, &|| view.history_json(from));
         tell(EventKind::Update, Some(&id), &|| view.update_json(time));
@@ -138,9 +155,9 @@ impl Page {
         hub.join(wanted, first, now)
     }
 
-    /// Counts the pages.
-    pub fn n_clients(&self) -> usize {
-        self.shared().hub.n_clients()
+    /// Counts the pages on which the policy is seen at work.
+    pub fn n_watching(&self) -> usize {
+        self.shared().hub.n_watching()
     }
 
     /// Tells every page how the run stands now, and says goodbye.
@@ -148,7 +165,8 @@ impl Page {
         let now = Instant::now();
         {
             let mut shared = self.shared();
-            (shared.updates_told_at, shared.tables_told_at) = (None, None);
+            (shared.history_told_at, shared.updates_told_at, shared.tables_told_at) =
+                (None, None, None);
         }
         self.flush(now);
         self.shared().hub.close(now);
@@ -157,7 +175,7 @@ impl Page {
 
 impl FlightWatcher for Page {
     fn is_watched(&self) -> bool {
-        self.n_clients() > 0
+        self.n_watching() > 0
     }
 
     fn tell(&self, kind: EventKind, data: &Value) {
@@ -170,22 +188,21 @@ impl FlightWatcher for Page {
     }
 }
 
-/// Names the newest update; the second number says how often updates may have been made again.
-fn event_id(view: &RunView) -> String {
-    format!("{}.{}", view.newest(), view.generation())
+/// Writes what the run is, and who tells it.
+fn about_json(view: &RunView, epoch: u64) -> Value {
+    let mut about = view.about_json();
+    about["watcher"] = epoch.into();
+    about
 }
 
-/// Returns the first update that a page lacks which knows an event; 0 where it may know some that were made again.
-fn known_until(id: &str, view: &RunView) -> u64 {
-    let parsed = id.split_once('.').and_then(|(update, generation)| {
-        Some((update.parse::<u64>().ok()?, generation.parse::<usize>().ok()?))
-    });
-    match parsed {
-        Some((update, generation))
-            if generation == view.generation() && update <= view.newest() =>
-        {
-            update
-        }
-        _ => 0,
-    }
+/// Names an update by its number, how often updates may have been made again before, and the watcher that tells it.
+fn event_id(update: u64, view: &RunView, epoch: u64) -> String {
+    format!("{update}.{}.{epoch}", view.generation())
+}
+
+/// Returns the update up to which a client knows the curves, by the last event that it got; 0 where the event is another
+/// watcher's, or updates may have been made again since.
+fn known_until(id: &str, view: &RunView, epoch: u64) -> u64 {
+    let update = id.split('.').next().and_then(|update| update.parse().ok()).unwrap_or(0);
+    if update <= view.newest() && id == event_id(update, view, epoch) { update } else { 0 }
 }

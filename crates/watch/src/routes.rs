@@ -4,6 +4,7 @@ use std::future::{Ready, ready};
 use std::sync::Arc;
 use std::time::Instant;
 
+use leadtime_proto::hex;
 use leadtime_web::axum::Router;
 use leadtime_web::axum::body::Body;
 use leadtime_web::axum::extract::{RawQuery, State};
@@ -15,7 +16,7 @@ use leadtime_web::axum::response::{IntoResponse as _, Response};
 use leadtime_web::axum::routing::get;
 use sha2::{Digest as _, Sha256};
 
-use crate::events::{MAX_CLIENTS, Wanted};
+use crate::events::{MAX_CLIENTS, NoPlace, Wanted};
 use crate::page::Page;
 
 /// Where a page asks for events.
@@ -94,8 +95,7 @@ pub fn routes(page: Arc<Page>) -> Router {
 }
 
 fn digest(bytes: &[u8]) -> String {
-    let digest = Sha256::digest(bytes);
-    digest.iter().take(8).fold(String::new(), |text, byte| format!("{text}{byte:02x}"))
+    hex::encode(&Sha256::digest(bytes)[..8])
 }
 
 /// Answers with a file, unless the browser has it.
@@ -145,10 +145,16 @@ fn stream(page: &Page, query: Option<&str>, headers: &HeaderMap) -> Response {
     };
     let last = headers.get("last-event-id").and_then(|id| id.to_str().ok());
     let last = last.or_else(|| parameter(query, "after"));
-    let Some(events) = page.join(wanted, last, Instant::now()) else {
-        let sentence = format!("{MAX_CLIENTS} pages are open: close one\n");
-        let retry = [(RETRY_AFTER, HeaderValue::from_static("5"))];
-        return (StatusCode::SERVICE_UNAVAILABLE, retry, sentence).into_response();
+    let events = match page.join(wanted, last, Instant::now()) {
+        Ok(events) => events,
+        Err(no_place) => {
+            let sentence = match no_place {
+                NoPlace::Full => format!("{MAX_CLIENTS} pages are open: close one\n"),
+                NoPlace::Closed => "the watcher has ended\n".to_owned(),
+            };
+            let retry = [(RETRY_AFTER, HeaderValue::from_static("5"))];
+            return (StatusCode::SERVICE_UNAVAILABLE, retry, sentence).into_response();
+        }
     };
     let kind = HeaderValue::from_static("text/event-stream");
     let mut answer = Response::new(Body::from_stream(events.into_stream()));

@@ -1,5 +1,8 @@
 //! The handlers, asked without a network.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
 use leadtime_web::Guard;
 use leadtime_web::axum::body::to_bytes;
 use leadtime_web::axum::extract::Request;
@@ -84,7 +87,7 @@ async fn a_new_page_is_told_everything_in_order() {
         told(&page(), "/events", &[]).await.into_iter().map(|it| it.0).collect();
     assert_eq!(kinds[..6], ["about", "state", "history", "update", "actors", "log"]);
     // How the run stands at the end, and goodbye.
-    assert_eq!(kinds[6..], ["state", "bye"]);
+    assert_eq!(kinds[6..], ["state", "actors", "bye"]);
 }
 
 #[tokio::test]
@@ -92,12 +95,59 @@ async fn a_client_gets_what_it_asks_for() {
     let events = told(&page(), "/events?only=update,history", &[]).await;
     assert_eq!(events.iter().map(|it| it.0.as_str()).collect::<Vec<_>>(), ["history", "update"]);
     assert_eq!(events[0].1["x"], json!([1, 2, 3, 4, 5]));
-    let events = told(&page(), "/events?only=history", &[("last-event-id", "4.0")]).await;
+    let events = told(&page(), "/events?only=history", &[("last-event-id", "4.0.1000000")]).await;
     assert_eq!((&events[0].1["from"], &events[0].1["x"]), (&json!(4), &json!([4, 5])));
-    for unknown in ["99.0", "4.7", "4", "x.y", "-1.0"] {
+    for unknown in ["99.0.1000000", "4.7.1000000", "4.0.7", "4.0", "4", "x.y.z", "4.0.1000000.0"] {
         let events = told(&page(), "/events?only=history", &[("last-event-id", unknown)]).await;
         assert_eq!(events[0].1["from"], 0, "{unknown}");
     }
+}
+
+#[tokio::test]
+async fn watchers_are_told_apart() {
+    let events = told(&page(), "/events?only=about", &[]).await;
+    assert_eq!(events[0].1["watcher"], 1_000_000, "when it started, in milliseconds");
+    // One on a port that another had before.
+    let next = Page::new("r", || 2_000.0);
+    next.with(|view, now| view.update(json!({"update": 7}).as_object().unwrap().clone(), now));
+    let events = told(&next, "/events?only=history", &[("last-event-id", "4.0.1000000")]).await;
+    assert_eq!(events[0].1["from"], 0);
+}
+
+#[tokio::test]
+async fn curves_as_a_whole_are_told_once_a_second_at_most() {
+    let (page, start) = (Page::new("r", || 1_000.0), Instant::now());
+    let events = page.join(Wanted::parse(Some("history,update")).unwrap(), None, start).unwrap();
+    events.drain();
+    let mut n_histories = 0;
+    for tick in 0..50 {
+        // A learner that starts again and again.
+        page.with(|view, now| {
+            let told = json!({"kind": "update", "update": tick + 1});
+            view.learner_says(&tick.to_string(), told, now);
+        });
+        page.flush(start + Duration::from_millis(100 * tick));
+        let told = events.drain().map(|event| String::from_utf8(event.unwrap().to_vec()).unwrap());
+        n_histories += told.filter(|text| text.contains("event: history\n")).count();
+    }
+    assert_eq!(n_histories, 5);
+}
+
+#[tokio::test]
+async fn an_actor_that_is_gone_for_long_leaves_the_table_without_a_roster() {
+    static NOW: AtomicU64 = AtomicU64::new(1_000);
+    let page = Page::new("r", || NOW.load(Ordering::Relaxed) as f64);
+    page.with(|view, now| {
+        view.actor_joined("a", "01", now);
+        view.actor_left("a", "01", now);
+    });
+    let actors =
+        |page: &Page| page.with(|view, now| view.actors_json(now)).as_array().unwrap().len();
+    page.flush(Instant::now());
+    assert_eq!(actors(&page), 1);
+    NOW.store(1_061, Ordering::Relaxed);
+    page.flush(Instant::now());
+    assert_eq!(actors(&page), 0);
 }
 
 #[tokio::test]
@@ -127,6 +177,12 @@ async fn one_page_too_many_is_told_so_and_one_that_leaves_makes_room() {
     assert!(text(answer).await.contains("32 pages are open"));
     open.pop();
     assert_eq!(ask(&page, "/events", &[]).await.status(), 200);
+    page.close();
+    let answer = ask(&page, "/events", &[]).await;
+    assert_eq!(
+        (answer.status().as_u16(), text(answer).await.as_str()),
+        (503, "the watcher has ended\n")
+    );
 }
 
 #[tokio::test]

@@ -3,17 +3,29 @@
 //! Pure: times are handed in, as seconds since the Unix epoch. What comes over the network is believed as far as it can
 //! be read; what cannot is left out.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use leadtime_numerics::thin::ThinSeries;
+use leadtime_proto::text::quoted;
+use serde::Deserialize as _;
 use serde_json::{Map, Value, json};
 
 use crate::actors::{ActorTable, round};
 
 /// The layout of what is told to pages and scripts.
-pub const SCHEMA: u32 = 1;
+const SCHEMA: u32 = 1;
 /// The most points of a curve.
-const MAX_POINTS: usize = 2_000;
+pub const MAX_POINTS: usize = 2_000;
+/// The most curves that are kept.
+const MAX_CURVES: usize = 256;
+/// The most updates that a learner's curves may have per point.
+const MAX_STRIDE: u64 = 1 << 40;
+/// The most marks at which a learner went on; the newest stay.
+const MAX_MARKS: usize = 256;
+/// The most causes of refusals that are logged.
+const MAX_CAUSES: usize = 64;
+/// The most kinds of staleness that are kept of an update.
+const MAX_STALENESS: usize = 64;
 /// Updates over which staleness is summed.
 const N_STALENESS: usize = 100;
 /// Lines of the log.
@@ -37,7 +49,7 @@ const NO_CURVES: [&str; 5] =
 
 /// How a run is, in a word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RunPhase {
+pub(crate) enum RunPhase {
     /// Its learner has not been seen.
     Unknown,
     /// Too few actors.
@@ -58,7 +70,7 @@ pub enum RunPhase {
 
 impl RunPhase {
     /// Returns the name that pages and scripts see.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Unknown => "unknown",
             Self::Gathering => "gathering",
@@ -74,33 +86,31 @@ impl RunPhase {
 
 /// One line of the log.
 #[derive(Clone, Debug, PartialEq)]
-pub struct WatchLine {
+pub(crate) struct WatchLine {
     /// Its number, from 1.
-    pub number: u64,
+    number: u64,
     /// When, in seconds since the Unix epoch.
-    pub at: f64,
+    at: f64,
     /// `info` or `warn`.
-    pub level: &'static str,
+    level: &'static str,
     /// A sentence.
     pub text: String,
 }
 
 impl WatchLine {
     /// Writes it as pages see it.
-    pub fn json(&self) -> Value {
+    pub(crate) fn json(&self) -> Value {
         json!({"number": self.number, "at": round(self.at), "level": self.level, "text": self.text})
     }
 }
 
 /// What has changed since it was last asked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Changes {
+pub(crate) struct Changes {
     /// What the run is, and the curves as a whole.
     pub history: bool,
     /// The newest update.
     pub update: bool,
-    /// The actors.
-    pub actors: bool,
 }
 
 /// One update of the window, for phases and speed.
@@ -119,7 +129,9 @@ pub struct RunView {
     run: String,
     about: Value,
     series: ThinSeries,
-    marks: Vec<(u64, String)>,
+    /// The update at which a learner went on, and why, the oldest first.
+    marks: VecDeque<(u64, &'static str)>,
+    generation: u64,
     last: Map<String, Value>,
     last_at: Option<f64>,
     /// When the newest update was made, as its learner's clock says.
@@ -129,6 +141,8 @@ pub struct RunView {
     actors: ActorTable,
     window: VecDeque<UpdateTimes>,
     learner: Option<String>,
+    /// The start of the learner before that one.
+    previous: Option<String>,
     /// The first update that this start of the learner told of.
     first_told: Option<u64>,
     /// Whether it told how the run went before.
@@ -139,7 +153,8 @@ pub struct RunView {
     total_updates: u64,
     checkpoint: u64,
     version: u64,
-    refusals: BTreeMap<String, u64>,
+    /// The causes of refusals that were logged.
+    refusals: BTreeSet<String>,
     n_missed: u64,
     n_skipped: u64,
     log: VecDeque<WatchLine>,
@@ -154,7 +169,8 @@ impl RunView {
             run: run.to_owned(),
             about: Value::Null,
             series: ThinSeries::new(MAX_POINTS),
-            marks: Vec::new(),
+            marks: VecDeque::new(),
+            generation: 0,
             last: Map::new(),
             last_at: None,
             made: None,
@@ -163,6 +179,7 @@ impl RunView {
             actors: ActorTable::default(),
             window: VecDeque::new(),
             learner: None,
+            previous: None,
             first_told: None,
             knows_history: false,
             lost_at: None,
@@ -171,7 +188,7 @@ impl RunView {
             total_updates: 0,
             checkpoint: 0,
             version: 0,
-            refusals: BTreeMap::new(),
+            refusals: BTreeSet::new(),
             n_missed: 0,
             n_skipped: 0,
             log: VecDeque::new(),
@@ -183,35 +200,34 @@ impl RunView {
     /// Takes in what the run is.
     pub fn about(&mut self, about: Value, now: f64) {
         self.total_updates = about["total_updates"].as_u64().unwrap_or(self.total_updates);
-        if let (Some(update), true) = (about["resumed_from"].as_u64(), self.about.is_null()) {
-            self.mark(update, "resumed", now);
+        if let Some(update) = about["resumed_from"].as_u64() {
+            match self.marks.back_mut() {
+                Some((at, _)) if *at == update => {}
+                // When it was started anew, nobody knew from which checkpoint.
+                Some((at, _)) => {
+                    *at = update;
+                    self.say("info", format!("the learner goes on after update {update}"), now);
+                }
+                None => self.mark(update, "resumed", now),
+            }
         }
         self.about = about;
         self.changes.history = true;
     }
 
-    /// Returns the configuration of the run, as TOML.
-    pub fn config(&self) -> Option<&str> {
-        self.about["config"].as_str()
-    }
-
-    /// Takes in the history from an update on; what is known of later updates than it tells stays.
+    /// Takes in the history; what the learner told of later updates stays.
     pub fn history(&mut self, history: &Value, now: f64) {
-        let from = history["from"].as_u64().unwrap_or(0);
-        let Ok(told) = serde_json::from_value::<ThinSeries>(history.clone()) else { return };
+        let Some(told) = told_series(history) else { return };
         self.started = history["started"].as_f64().or(self.started);
         let newer = self.points_after(told.last());
-        let mut series = if from == 0 { told.resume(MAX_POINTS) } else { self.series.clone() };
-        if from > 0 {
-            // A part of it: joined point by point.
-            for (x, numbers) in points(&told_series(history)) {
-                series.push(x, numbers.iter().map(|(name, value)| (name.as_str(), *value)));
-            }
-        }
+        let mut series = told.resume(MAX_POINTS);
         for (x, numbers) in newer {
             series.push(x, numbers.iter().map(|(name, value)| (name.as_str(), *value)));
         }
         series.scalars.retain(|name, _| is_curve(name));
+        while series.scalars.len() > MAX_CURVES {
+            series.scalars.pop_last();
+        }
         self.series = series;
         self.n_skipped = history["skipped"].as_u64().unwrap_or(0);
         for line in history["staleness"].as_array().into_iter().flatten() {
@@ -234,13 +250,36 @@ impl RunView {
     /// Returns the points after an update that the learner which is there now told of: those of one before it may have
     /// been rolled back.
     fn points_after(&self, update: u64) -> Vec<(u64, Vec<(String, f64)>)> {
-        let first = self.first_told.map(|first| first.max(update + 1));
+        let first = self.first_told.map(|first| first.max(update.saturating_add(1)));
         first.map_or_else(Vec::new, |first| points(&self.series.since(first)))
     }
 
-    /// Takes in what a learner publishes: an update, its roster, or its end.
-    pub fn learner_says(&mut self, incarnation: &str, told: Value, now: f64) {
-        self.learner_joined(incarnation, now);
+    /// Notes that a run on the disk went back to an update and goes on from there; its history is to be told again.
+    pub fn rewound(&mut self, to: u64, now: f64) {
+        self.mark(to, "resumed", now);
+        self.forget_newest();
+    }
+
+    /// Forgets what may have been rolled back, but for the curves, which the history replaces.
+    fn forget_newest(&mut self) {
+        (self.first_told, self.knows_history) = (None, false);
+        (self.made, self.version) = (None, 0);
+        self.last.clear();
+        self.staleness.clear();
+        self.window.clear();
+    }
+
+    /// Takes in what a learner publishes: an update, its roster, or its end. Returns whether it is another start than
+    /// before.
+    pub fn learner_says(&mut self, incarnation: &str, told: Value, now: f64) -> bool {
+        // Words may come after the end of the start that said them was seen: they bring no learner back.
+        if self.previous.as_deref() == Some(incarnation) {
+            return false;
+        }
+        let is_new = self.learner.as_deref() != Some(incarnation);
+        if is_new {
+            self.learner_joined(incarnation, now);
+        }
         match told["kind"].as_str() {
             Some("update") => {
                 if let Value::Object(line) = told {
@@ -257,7 +296,6 @@ impl RunView {
                 }
                 self.checkpoint = checkpoint;
                 self.actors.roster(&told, now);
-                self.changes.actors = true;
             }
             Some("end") => {
                 let (ended, sentence) = match told["how"].as_str() {
@@ -270,6 +308,7 @@ impl RunView {
             }
             _ => {}
         }
+        is_new
     }
 
     /// Takes in one line of a run's metrics.
@@ -287,7 +326,11 @@ impl RunView {
         let elapsed = self.made.map_or(now, |made| made) - started;
         let curves = line.iter().filter(|(name, _)| name.contains('/') && is_curve(name));
         let numbers = curves.filter_map(|(name, value)| Some((name.as_str(), value.as_f64()?)));
-        self.series.push(update, numbers.chain([(ELAPSED, elapsed.max(0.0))]));
+        let numbers = [(ELAPSED, elapsed.max(0.0))].into_iter().chain(numbers);
+        let is_known = |(name, _): &(&str, f64)| self.series.scalars.contains_key(*name);
+        let (known, new): (Vec<_>, Vec<_>) = numbers.partition(is_known);
+        let room = MAX_CURVES.saturating_sub(self.series.scalars.len());
+        self.series.push(update, known.into_iter().chain(new.into_iter().take(room)));
         self.window.retain(|times| times.update < update);
         let steps_per_update =
             self.about["steps_per_update"].as_f64().or_else(|| number("train/samples"));
@@ -328,11 +371,12 @@ impl RunView {
         let told =
             self.last.get("refusals").and_then(Value::as_object).cloned().unwrap_or_default();
         for (cause, n) in told {
-            let n = n.as_u64().unwrap_or(0);
-            if n > 0 && !self.refusals.contains_key(&cause) {
-                self.say("warn", format!("messages are refused: {}", cause.replace('_', " ")), now);
+            let is_new = n.as_u64() > Some(0) && !self.refusals.contains(&cause);
+            if is_new && self.refusals.len() < MAX_CAUSES {
+                let shown = quoted(&cause.replace('_', " "));
+                self.say("warn", format!("messages are refused: {shown}"), now);
+                self.refusals.insert(cause);
             }
-            self.refusals.insert(cause, n);
         }
     }
 
@@ -347,10 +391,9 @@ impl RunView {
         } else {
             self.say("info", "the learner is there".to_owned(), now);
         }
-        self.learner = Some(incarnation.to_owned());
-        (self.lost_at, self.ended, self.first_told) = (None, None, None);
-        self.knows_history = false;
-        self.window.clear();
+        self.previous = self.learner.replace(incarnation.to_owned());
+        (self.lost_at, self.ended) = (None, None);
+        self.forget_newest();
         true
     }
 
@@ -370,7 +413,6 @@ impl RunView {
         if self.actors.joined(id, incarnation, now) {
             let n_actors = self.actors.n_here();
             self.say("info", format!("actor {id} joined ({n_actors} now)"), now);
-            self.changes.actors = true;
         }
     }
 
@@ -383,14 +425,17 @@ impl RunView {
                 _ => format!("; its {n_envs} environments move"),
             };
             self.say("warn", format!("actor {id} left{moved}"), now);
-            self.changes.actors = true;
         }
     }
 
     /// Takes in an actor's own sums.
     pub fn actor_says(&mut self, id: &str, incarnation: &str, told: Value, now: f64) {
         self.actors.report(id, incarnation, told, now);
-        self.changes.actors = true;
+    }
+
+    /// Forgets the actors that are gone for long.
+    pub(crate) fn forget_gone(&mut self, now: f64) {
+        self.actors.forget(now);
     }
 
     /// Says how many messages there was no room for.
@@ -408,7 +453,7 @@ impl RunView {
     }
 
     /// Writes a line into the log.
-    pub fn say(&mut self, level: &'static str, text: String, now: f64) {
+    fn say(&mut self, level: &'static str, text: String, now: f64) {
         self.n_logged += 1;
         // One checkpoint after the other would push out everything else.
         let is_checkpoint = |text: &str| text.starts_with(CHECKPOINT);
@@ -421,49 +466,48 @@ impl RunView {
         }
     }
 
-    fn mark(&mut self, update: u64, what: &str, now: f64) {
-        self.marks.push((update, what.to_owned()));
+    fn mark(&mut self, update: u64, what: &'static str, now: f64) {
+        self.generation += 1;
+        self.marks.push_back((update, what));
+        if self.marks.len() > MAX_MARKS {
+            self.marks.pop_front();
+        }
         self.say("info", format!("{what} at update {update}"), now);
         self.changes.history = true;
     }
 
     /// Returns what has changed since the last call.
-    pub fn take_changes(&mut self) -> Changes {
+    pub(crate) fn take_changes(&mut self) -> Changes {
         std::mem::take(&mut self.changes)
     }
 
     /// Returns the lines of the log after a number.
-    pub fn log_after(&self, number: u64) -> impl Iterator<Item = &WatchLine> {
+    pub(crate) fn log_after(&self, number: u64) -> impl Iterator<Item = &WatchLine> {
         self.log.iter().filter(move |line| line.number > number)
     }
 
     /// Returns the number of the newest line of the log.
-    pub fn n_logged(&self) -> u64 {
+    pub(crate) fn n_logged(&self) -> u64 {
         self.n_logged
     }
 
-    /// Counts the actors that are shown, those that are gone included.
-    pub fn n_shown_actors(&self) -> usize {
-        self.actors.n_shown()
-    }
-
     /// Returns the number of the newest update.
-    pub fn newest(&self) -> u64 {
+    pub(crate) fn newest(&self) -> u64 {
         update_of(&self.last)
     }
 
     /// Tells whether a learner is there.
-    pub fn has_learner(&self) -> bool {
+    pub(crate) fn has_learner(&self) -> bool {
         self.learner.is_some() && self.lost_at.is_none()
     }
 
-    /// Counts how often the learner was started anew while it was watched: updates before that may have been made again.
-    pub fn generation(&self) -> usize {
-        self.marks.len()
+    /// Counts how often the run was seen to go on from an update: those told before may have been made again.
+    pub(crate) fn generation(&self) -> u64 {
+        self.generation
     }
 
     /// Says how the run is.
-    pub fn phase(&self, now: f64) -> RunPhase {
+    pub(crate) fn phase(&self, now: f64) -> RunPhase {
         let is_complete = self.total_updates > 0 && self.newest() >= self.total_updates;
         match (self.ended, &self.learner) {
             (Some("finished"), _) => RunPhase::Finished,
@@ -495,11 +539,11 @@ impl RunView {
             }
             RunPhase::Training if self.newest() == 0 => "waiting for the first update".to_owned(),
             RunPhase::Training => "training".to_owned(),
-            RunPhase::Stalled => format!("no update since {} s", since(self.last_at)),
+            RunPhase::Stalled => format!("no update for {} s", since(self.last_at)),
             RunPhase::Finished => "finished".to_owned(),
             RunPhase::Stopped => "stopped; it can be resumed".to_owned(),
             RunPhase::Failed => "the learner ended with an error".to_owned(),
-            RunPhase::Lost => format!("learner lost since {} s", since(self.lost_at)),
+            RunPhase::Lost => format!("learner lost for {} s", since(self.lost_at)),
         }
     }
 
@@ -586,7 +630,8 @@ impl RunView {
         let newest = self.staleness.back().map(|(_, counts)| counts.clone()).unwrap_or_default();
         let mut sum: BTreeMap<u64, u64> = BTreeMap::new();
         for (staleness, n) in self.staleness.iter().flat_map(|(_, counts)| counts) {
-            *sum.entry(*staleness).or_default() += n;
+            let sum = sum.entry(*staleness).or_default();
+            *sum = sum.saturating_add(*n);
         }
         let elapsed =
             self.made.or(self.last_at).zip(self.started).map(|(made, started)| made - started);
@@ -646,7 +691,7 @@ impl RunView {
         let names = ["trained", "dropped_stale", "refused", "superseded", "rolled_back"];
         let mut entries: Vec<Value> = names.iter().map(|name| json!([name, count(name)])).collect();
         entries.push(json!(["on_their_way", waiting]));
-        let accounted = names.iter().map(|name| count(name)).sum::<i64>() + waiting;
+        let accounted = names.iter().map(|name| count(name)).fold(waiting, i64::saturating_add);
         json!({
             "published": count("published"),
             "entries": entries,
@@ -676,8 +721,10 @@ impl RunView {
     }
 }
 
-fn told_series(history: &Value) -> ThinSeries {
-    serde_json::from_value(history.clone()).unwrap_or_else(|_unreadable| ThinSeries::new(2))
+/// Reads a learner's curves, if their points are in order.
+fn told_series(history: &Value) -> Option<ThinSeries> {
+    let told = ThinSeries::deserialize(history).ok()?;
+    (told.x.is_sorted_by(|a, b| a < b) && told.stride() <= MAX_STRIDE).then_some(told)
 }
 
 /// Takes a series apart: the largest value of every number at every point.
@@ -696,7 +743,7 @@ fn update_of(line: &Map<String, Value>) -> u64 {
 }
 
 fn staleness_of(counts: &Value) -> Option<BTreeMap<u64, u64>> {
-    let counts = counts.as_object()?.iter();
+    let counts = counts.as_object()?.iter().take(MAX_STALENESS);
     Some(counts.filter_map(|(staleness, n)| Some((staleness.parse().ok()?, n.as_u64()?))).collect())
 }
 

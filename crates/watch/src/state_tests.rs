@@ -27,7 +27,9 @@ fn at_update(n: u64) -> RunView {
     let mut view = RunView::new("r");
     view.learner_joined("01", 1000.0);
     view.about(about(), 1000.0);
-    (1..=n).for_each(|update| view.learner_says("01", line(update), 1000.0 + update as f64));
+    for update in 1..=n {
+        view.learner_says("01", line(update), 1000.0 + update as f64);
+    }
     view
 }
 
@@ -71,7 +73,9 @@ fn who_comes_late_sees_the_whole_history_and_no_update_twice() {
     late.learner_joined("01", 1050.0);
     late.about(about(), 1050.0);
     // Two updates arrive while the history is on its way.
-    (49..=50).for_each(|update| late.learner_says("01", line(update), 1050.0));
+    for update in 49..=50 {
+        late.learner_says("01", line(update), 1050.0);
+    }
     let mut history = at_update(48).history_json(0);
     history["last"] = line(48);
     late.history(&history, 1050.5);
@@ -88,7 +92,7 @@ fn after_a_resume_what_was_rolled_back_is_gone() {
     let mut view = at_update(30);
     view.learner_left("01", 1031.0);
     assert_eq!(view.phase(1040.0), RunPhase::Lost);
-    assert!(view.sentence(1040.0).ends_with("lost since 9 s"), "{}", view.sentence(1040.0));
+    assert!(view.sentence(1040.0).ends_with("lost for 9 s"), "{}", view.sentence(1040.0));
     assert!(view.learner_joined("02", 1045.0) && view.generation() == 1);
     let mut history = at_update(20).history_json(0);
     history["last"] = line(20);
@@ -98,6 +102,116 @@ fn after_a_resume_what_was_rolled_back_is_gone() {
     assert_eq!((view.newest(), view.phase(1046.0)), (21, RunPhase::Training));
     view.learner_left("01", 1047.0);
     assert!(view.has_learner(), "the end of the older start is old news");
+}
+
+#[test]
+fn a_run_on_the_disk_that_was_rewound_goes_on_from_there() {
+    let mut view = RunView::new("r");
+    view.about(about(), 1000.0);
+    let mut history = at_update(10).history_json(0);
+    history["last"] = line(10);
+    view.history(&history, 1010.0);
+    (11..=30).for_each(|update| view.update(object(line(update)), 1000.0 + update as f64));
+    assert_eq!(view.history_json(0)["to"], 30);
+    // A learner went on from update 20.
+    let mut history = at_update(20).history_json(0);
+    history["last"] = line(20);
+    history["staleness"] = json!([[20, {"0": 32}]]);
+    view.rewound(20, 1031.0);
+    view.history(&history, 1031.0);
+    assert_eq!((&view.history_json(0)["to"], view.newest()), (&json!(20), 20));
+    assert_eq!(view.history_json(0)["marks"], json!([{"update": 20, "what": "resumed"}]));
+    assert_eq!((view.generation(), view.staleness.len()), (1, 1));
+    let mut again = line(21);
+    again["train/entropy"] = json!(7.0);
+    view.update(object(again), 1032.0);
+    let history = view.history_json(0);
+    assert_eq!((&history["to"], view.newest()), (&json!(21), 21));
+    assert_eq!(history["scalars"]["train/entropy"]["max"][20], 7.0, "the one that was made again");
+}
+
+#[test]
+fn a_restart_is_marked_where_the_learner_went_on() {
+    let mut view = at_update(30);
+    view.learner_joined("02", 1045.0);
+    assert_eq!((view.newest(), view.state_json(1045.0)["update"].clone()), (0, json!(0)));
+    let mut resumed = about();
+    resumed["resumed_from"] = json!(20);
+    view.about(resumed.clone(), 1045.5);
+    let marks = json!([{"update": 20, "what": "learner restarted"}]);
+    assert_eq!(view.history_json(0)["marks"], marks);
+    // It is asked once more.
+    view.about(resumed.clone(), 1046.0);
+    assert_eq!((&view.history_json(0)["marks"], view.generation()), (&marks, 1));
+    // Who comes after it sees the same.
+    let mut late = RunView::new("r");
+    late.about(resumed, 1050.0);
+    assert_eq!(late.history_json(0)["marks"][0]["update"], 20);
+}
+
+#[test]
+fn last_words_bring_no_learner_back() {
+    let mut view = at_update(3);
+    view.learner_left("01", 1004.0);
+    view.learner_says("01", line(4), 1004.1);
+    assert_eq!((view.phase(1004.1), view.newest()), (RunPhase::Lost, 4));
+    view.learner_says("01", json!({"kind": "end", "how": "stopped"}), 1004.2);
+    assert_eq!(view.phase(1004.2), RunPhase::Stopped);
+    view.learner_joined("02", 1005.0);
+    assert!(!view.learner_says("01", line(5), 1005.1), "the older start is old news");
+    assert_eq!((view.generation(), view.newest(), view.has_learner()), (1, 0, true));
+    assert!(view.learner_says("03", line(4), 1006.0), "its presence was not told yet");
+}
+
+#[test]
+fn no_number_of_a_peer_is_too_large() {
+    let mut view = at_update(1);
+    let mut told = line(1);
+    told["update"] = json!(u64::MAX);
+    told["staleness"] = json!({"0": u64::MAX});
+    for name in ["books/trained", "books/superseded", "system/queued"] {
+        told[name] = json!(f64::MAX);
+    }
+    view.learner_says("01", told.clone(), 1002.0);
+    view.history(&json!({"x": [u64::MAX], "scalars": {}, "last": told}), 1002.0);
+    view.history(
+        &json!({"x": [1], "scalars": {}, "staleness": [[1, {"0": u64::MAX}], [2, {"0": 9}]]}),
+        1003.0,
+    );
+    let x: Vec<u64> = (1..=3_000).collect();
+    view.history(&json!({"x": x, "scalars": {}, "stride": u64::MAX}), 1003.0);
+    assert_eq!(view.json(1003.0)["update"]["staleness_100"]["0"], u64::MAX);
+}
+
+#[test]
+fn what_a_peer_tells_has_limits() {
+    let mut view = at_update(1);
+    let many = |prefix: &str, n: usize| -> Map<String, Value> {
+        (0..n).map(|i| (format!("{prefix}{i}"), json!(1))).collect()
+    };
+    let mut told = line(2);
+    told.as_object_mut().unwrap().extend(many("x/", 1_000));
+    told["refusals"] = many("cause", 1_000).into();
+    told["staleness"] = many("", 1_000).into();
+    view.learner_says("01", told, 1002.0);
+    let mut next = line(3);
+    next.as_object_mut().unwrap().extend(many("y/", 1_000));
+    view.learner_says("01", next, 1003.0);
+    let scalars = |view: &RunView| view.history_json(0)["scalars"].as_object().unwrap().clone();
+    assert_eq!(scalars(&view).len(), MAX_CURVES);
+    assert!(scalars(&view).contains_key("train/entropy"), "the first that came stay");
+    let refused = view.log_after(0).filter(|line| line.text.contains("refused")).count();
+    assert_eq!((refused, view.staleness[1].1.len()), (MAX_CAUSES, MAX_STALENESS));
+    let extremes = json!({"min": [1.0], "max": [1.0]});
+    let told: Map<String, Value> =
+        many("x/", 1_000).into_iter().map(|it| (it.0, extremes.clone())).collect();
+    view.history(&json!({"x": [9], "scalars": told}), 1004.0);
+    assert_eq!(scalars(&view).len(), MAX_CURVES);
+    for start in 0..1_000 {
+        view.learner_joined(&start.to_string(), 1005.0);
+    }
+    let marks = view.history_json(0)["marks"].as_array().unwrap().len();
+    assert_eq!((marks, view.generation()), (MAX_MARKS, 1_000));
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use leadtime_proto::phrase::duration;
+use leadtime_proto::phrase::{counted, duration};
+use leadtime_proto::text::{printable, quoted};
 use serde_json::Value;
 
 use crate::state::RunView;
@@ -24,7 +25,7 @@ const CURVES: [(&str, &str); 6] = [
 const N_ACTORS: usize = 12;
 const N_LOG: usize = 5;
 
-/// Writes how a run stands.
+/// Writes how a run stands, as a terminal can print it.
 pub fn screen(view: &RunView, now: f64) -> String {
     let (state, update) = (view.state_json(now), view.update_json(now));
     let mut lines = vec![head(&state), progress(&state)];
@@ -38,7 +39,7 @@ pub fn screen(view: &RunView, now: f64) -> String {
         lines.push(String::new());
         lines.extend(log.iter().rev().take(N_LOG).cloned());
     }
-    lines.join("\n")
+    printable(&lines.join("\n"))
 }
 
 fn text(value: &Value) -> &str {
@@ -46,7 +47,8 @@ fn text(value: &Value) -> &str {
 }
 
 fn head(state: &Value) -> String {
-    let domain = state["domain"].as_str().map(|domain| format!(" ({domain})")).unwrap_or_default();
+    let domain = state["domain"].as_str();
+    let domain = domain.map(|domain| format!(" ({})", quoted(domain))).unwrap_or_default();
     format!("{}{domain}: {}", text(&state["run"]), text(&state["sentence"]))
 }
 
@@ -54,7 +56,8 @@ fn progress(state: &Value) -> String {
     let count = |name: &str| state[name].as_u64().unwrap_or(0);
     let mut parts = vec![format!("update {} of {}", count("update"), count("total_updates"))];
     if let Some(seconds) = state["seconds_left"].as_f64() {
-        parts.push(format!("{} left", duration(Duration::from_secs_f64(seconds.max(0.0)))));
+        let left = Duration::try_from_secs_f64(seconds.max(0.0)).unwrap_or(Duration::MAX);
+        parts.push(format!("{} left", duration(left)));
     }
     if let Some(rate) = state["steps_per_second"].as_f64() {
         parts.push(format!("{rate:.0} steps/s"));
@@ -65,9 +68,9 @@ fn progress(state: &Value) -> String {
     if let Some(total) = state["return"].as_f64() {
         parts.push(format!("return {total:.1}"));
     }
-    parts.push(format!("{} actors", count("n_actors")));
+    parts.push(counted(count("n_actors"), "actor"));
     if count("missed") > 0 {
-        parts.push(format!("{} messages missed", count("missed")));
+        parts.push(format!("{} missed", counted(count("missed"), "message")));
     }
     parts.join(", ")
 }
@@ -185,6 +188,8 @@ fn actors(actors: &Value) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     #[test]
@@ -194,6 +199,22 @@ mod tests {
         assert_eq!(drawn.chars().count(), WIDTH);
         assert!(drawn.starts_with('▁') && drawn.ends_with('█'), "{drawn}");
         assert_eq!(spark(&[1.0, 1.0]).trim_end(), "▅▅");
+    }
+
+    #[test]
+    fn no_peer_writes_to_the_terminal_and_no_number_is_too_large() {
+        let mut view = RunView::new("r");
+        let evil = "\u{1b}[2J\nfaked";
+        view.about(json!({"domain": evil, "total_updates": u64::MAX}), 0.0);
+        for update in [1, 2] {
+            let told = json!({"kind": "update", "update": update, "refusals": {evil: update}});
+            view.learner_says("01", told, update as f64);
+        }
+        view.learner_says("01", json!({"kind": "roster", "actors": [{"id": evil}]}), 2.0);
+        let told = screen(&view, 2.0);
+        assert!(!told.contains('\u{1b}') && !told.lines().any(|line| line == "faked"), "{told}");
+        assert!(told.contains("h 00m left"), "{told}");
+        assert!(told.contains("messages are refused"), "{told}");
     }
 
     #[test]

@@ -18,7 +18,9 @@ fn take_in(view: &mut RunView, line: &Value) {
     let told = line["told"].clone();
     match (line["event"].as_str().unwrap(), role) {
         ("about", _) => view.about(told, now),
-        ("metrics", "learner") => view.learner_says(start, told, now),
+        ("metrics", "learner") => {
+            view.learner_says(start, told, now);
+        }
         ("metrics", _) => view.actor_says(id, start, told, now),
         ("joined", "learner") => {
             view.learner_joined(start, now);

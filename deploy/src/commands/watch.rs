@@ -15,7 +15,7 @@ use leadtime_watch::{Attachment, Error, FlightPlan, Page, PlanMaker, screen};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::WatchArgs;
-use crate::credentials::connect_settings;
+use crate::credentials::{connect_settings, is_wrong_input};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 use crate::shutdown::{Watch, watch};
@@ -47,7 +47,7 @@ async fn start(
     }
     if let Some(name) = &args.directory {
         let run = leadtime_runs::find_run(&args.runs, name).blame(ExitCode::WrongInput)?;
-        let source = directory::RunSource::open(tasks, &run)?;
+        let mut source = directory::RunSource::open(tasks, &run)?;
         let page = Page::new(source.name(), clock::unix_seconds);
         source.show(&page)?;
         if args.once {
@@ -59,7 +59,7 @@ async fn start(
         let serving = server.serve(&page, shutdown);
         tokio::select! {
             () = shutdown.cancelled() => {}
-            followed = source.follow(tasks, &page, plays) => followed?,
+            followed = source.follow(tasks, &page, plays) => match followed? {},
         }
         return serving.await.blame(ExitCode::Failed);
     }
@@ -155,13 +155,9 @@ fn flight_plan(tasks: &Tasks, config: &Config) -> Result<FlightPlan, String> {
 /// Chooses the exit code for an error of watching.
 fn failure(error: Error) -> Failure {
     let code = match &error {
+        Error::Link(error) if is_wrong_input(error) => ExitCode::WrongInput,
         Error::Link(
-            LinkError::Endpoint { .. }
-            | LinkError::NoEndpoint
-            | LinkError::TlsFile { .. }
-            | LinkError::Name(_)
-            | LinkError::SeveralRuns { .. }
-            | LinkError::RunNotFound { .. },
+            LinkError::Name(_) | LinkError::SeveralRuns { .. } | LinkError::RunNotFound { .. },
         ) => ExitCode::WrongInput,
         Error::Thread(_) => ExitCode::Failed,
         _ => ExitCode::PeerLost,
