@@ -39,7 +39,8 @@ export class Running {
   }
 
   async stop() {
-    if (this.child.exitCode === null) this.child.kill('SIGTERM');
+    // One that is halted goes on, to end.
+    if (this.child.exitCode === null) for (const signal of ['SIGTERM', 'SIGCONT']) this.child.kill(signal);
     return await this.ended;
   }
 

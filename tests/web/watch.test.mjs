@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { createHash } from 'node:crypto';
 import { execFileSync } from 'node:child_process';
-import { readFileSync } from 'node:fs';
+import { readFileSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { after, before, test } from 'node:test';
 import { Place, browse, until } from './support.mjs';
@@ -12,6 +12,8 @@ const ASSETS = '../../crates/watch/assets';
 const LONG = 'up -c cartpole --actors 2 --steps 5e7 --name long --set run.checkpoint_every=5 --set learner.n_steps=32';
 /** One that takes seconds. */
 const SHORT = 'up -c cartpole --actors 2 --steps 2e4 --name short';
+/** One that lasts for longer than a page takes to open. */
+const MEDIUM = 'up -c cartpole --actors 2 --steps 2e5 --name medium';
 const PANELS = ['curves', 'flight', 'staleness', 'phases', 'actors', 'books', 'log'];
 
 let chrome;
@@ -94,9 +96,8 @@ test('a run at work: complete at once, on one screen, light and dark, wide and n
     assert.equal(await page.locator('#unzoom').isVisible(), true, 'zoomed');
     // Data that arrive move nothing.
     const before = await newest(page);
-    const xs = () => page.evaluate(() => document.querySelector('.chart canvas') && document.querySelector('#unzoom').hidden);
     await until('more updates', async () => (await newest(page)) > before + 3);
-    assert.equal(await xs(), false, 'still zoomed');
+    assert.equal(await page.locator('#unzoom').isVisible(), true, 'still zoomed');
     await page.keyboard.press('0');
     assert.equal(await page.locator('#unzoom').isVisible(), false);
   });
@@ -154,17 +155,58 @@ test('an actor that is killed is struck through, and a learner that is killed co
 test('a finished run: the page stays and says so, live and from the disk', async (t) => {
   const place = new Place();
   t.after(() => place.clean());
-  const run = place.start(SHORT, '--watch 127.0.0.1:0');
+  const run = place.start(MEDIUM, '--watch 127.0.0.1:0');
   const { page } = await chrome.open(await run.page());
+  await complete(page);
   assert.equal(await run.ended, 0, run.said);
   await until('the end', async () => (await state(page)).includes('finished'));
   assert.ok((await newest(page)) > 0, 'what it showed is still there');
   assert.equal(await text(page, 'left'), 'none');
 
-  const link = await place.start('watch runs/short --http 127.0.0.1:0').page();
+  const link = await place.start('watch runs/medium --http 127.0.0.1:0').page();
   const disk = await chrome.open(link);
   await until('the run on the disk', async () => (await state(disk.page)) === 'finished' && (await newest(disk.page)) > 0);
   assert.deepEqual(disk.complaints, []);
+});
+
+test('a watcher that is silent is told, and one that comes after it on the same port begins anew', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(SHORT).ended, 0);
+  const first = place.start(LONG, '--watch 127.0.0.1:0');
+  const link = await first.page();
+  const { page } = await chrome.open(link);
+  await complete(page);
+  await until('a log', async () => (await page.locator('#log-lines li').count()) > 2);
+  first.child.kill('SIGSTOP');
+  await until('silence', async () => (await state(page)).includes('silent'), 20_000);
+  first.child.kill('SIGCONT');
+  await until('training again', async () => (await state(page)) === 'training');
+
+  assert.equal(await first.stop(), 130);
+  place.start(`watch runs/short --http ${new URL(link).host}`);
+  await until('the other run', async () => (await text(page, 'run')) === 'short' && (await newest(page)) > 0);
+  assert.deepEqual(await page.locator('#log-lines li').evaluateAll((lines) => lines.map((line) => line.lastChild.textContent)), ['the run is finished']);
+  // The curves are those of the other run, to its last step.
+  await page.locator('button[data-text=curves]').click();
+  const last = Number((await page.locator('#curves-text tr:last-child td').first().innerText()).replaceAll(',', ''));
+  const told = await page.evaluate(async () => (await (await fetch('state.json')).json()).state.steps);
+  assert.equal(last, told);
+});
+
+test('a number that is far too large does not stop the page', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(SHORT).ended, 0);
+  const metrics = join(place.path, 'runs/short/metrics.jsonl');
+  const lines = readFileSync(metrics, 'utf8').trimEnd().split('\n').map((line) => JSON.parse(line));
+  lines.at(-1).staleness = { 0: 3, 1000000000: 1 };
+  writeFileSync(metrics, lines.map((line) => `${JSON.stringify(line)}\n`).join(''));
+  const { page, complaints } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
+  await until('the run', async () => (await newest(page)) > 0);
+  await page.locator('button[data-text=staleness]').click();
+  assert.match(await text(page, 'staleness-text'), /1000000000/);
+  assert.deepEqual(complaints, []);
 });
 
 test('a token is needed where it is asked for', async (t) => {
