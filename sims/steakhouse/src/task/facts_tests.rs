@@ -79,9 +79,10 @@ fn what_one_is_sent_for_lies_on_that_side() {
     let clean = [E, E, E, E, E, W(2)];
     assert!(holds("plate_clean_right", &ring(clean, SINKS, false)));
     assert!(!holds("plate_clean_right", &ring(clean, CORNER, false)));
-    // The ring's plates are in its lowest row, those of the other kitchen at its top.
+    // The ring's plates are in its lowest row, and its onions at its right; those of the other kitchen are at its top.
     let mut other = open("steak_mid_2");
-    let start = KitchenStart::new(&other.plan.grid).unwrap();
+    let mut start = KitchenStart::new(&other.plan.grid).unwrap();
+    start.pose.place = other.plan.grid.place(10, 3).unwrap();
     other.begin(&start, false);
     for name in ["plates_up", "onion_needed_left"] {
         assert!(holds(name, &other), "{name}");
