@@ -35,7 +35,7 @@ if not CORRIDOR.exists():
 # What a command must print where the page does not show it.
 EXPECTED = {"leadtime runs compare one four": "weights: equal", "leadtime check ": "configuration",
             "leadtime describe ": "bservation", "python3 examples/decide.py": "decisions reproduced",
-            "leadtime conformance ": "passed", "leadtime eval ": "success", "leadtime probe ": "d_r",
+            "leadtime conformance ": "passed", "leadtime eval --truth": "in turn, if true", "leadtime eval ": "success", "leadtime probe ": "d_r",
             "leadtime smoke": "mechanics work", "leadtime report ": "Report:", "leadtime compare ": "trainings", "leadtime race": "whole trainings"}
 SECONDS = 300
 

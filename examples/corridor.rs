@@ -23,7 +23,7 @@ use leadtime_numerics::Purpose;
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_sims::notifier::NotifierWorld;
 use leadtime_sims::{
-    Advance, Domain, DomainEntry, End, EpisodeSeed, Gauge, Message, Quantity, ReactionStatus,
+    Advance, Domain, DomainEntry, End, EpisodeSeed, Fact, Gauge, Message, Quantity, ReactionStatus,
     ReactionStep, RewardTerm, Scene, SettingError, Shape, SnapshotError, Tone, View,
 };
 use serde::{Deserialize, Serialize};
@@ -115,6 +115,16 @@ impl Domain for Corridor {
             RewardTerm::new("reaching the goal", goal, "world.goal_reward"),
             RewardTerm::new("slipping", -goal, "world.goal_reward"),
         ]
+    }
+
+    /// What sentences may presuppose: "wet floor ahead" is said only where it is so.
+    fn facts(&self) -> Vec<Fact> {
+        let meaning = "a wet floor is in sight, in the walker's lane";
+        vec![Fact { name: "wet_ahead", meaning }]
+    }
+
+    fn observe_facts(&self, holds: &mut [bool]) {
+        holds[0] = self.ahead().is_some_and(|(_, lane)| lane == self.state.lane);
     }
 
     fn reset(&mut self, seed: EpisodeSeed) {

@@ -11,6 +11,7 @@ use std::alloc::System;
 use leadtime_actor::{Phase, Stopwatch, Worker};
 use leadtime_episodes::{Choice, EnvSlot, EpisodeObserver, Observer, PlaySettings, Player};
 use leadtime_eval::measure::evaluate_with;
+use leadtime_numerics::Pcg64;
 use leadtime_policy::{Parameters, Policy};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{
@@ -18,6 +19,7 @@ use leadtime_proto::{
     TaskSpec,
 };
 use leadtime_sims::{End, StepOutcome};
+use leadtime_taxonomy::{Loss, Request, Rotation, shipped};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Stats, StatsAlloc};
 
 #[global_allocator]
@@ -29,6 +31,7 @@ fn main() {
     for (domain, n_steps) in [("lander", 8), ("highway", 16), ("steakhouse", 24)] {
         collecting_allocates_nothing(domain, n_steps / 2);
         evaluating_allocates_nothing(domain, u64::from(n_steps));
+        saying_allocates_nothing(domain);
     }
 }
 
@@ -131,6 +134,28 @@ impl EpisodeObserver for FirstSteps {
     fn finish(self, _slot: &EnvSlot, _end: End) -> Meter {
         self.meter
     }
+}
+
+/// Asks for every message twice: with nothing told, and with everything.
+fn saying_allocates_nothing(domain: &str) {
+    let words = shipped(domain).expect("the words come with the program");
+    let mut rotation = Rotation::new(&words, &mut Pcg64::seed_from_u64(1));
+    let facts: Vec<String> = words.facts().to_vec();
+    let names: Vec<&str> = facts.iter().map(String::as_str).collect();
+    let mut meter = Meter::default();
+    for told in [&[][..], &names] {
+        for topic in 0..words.topics().len() {
+            for cell in words.feasible() {
+                let (request, holding) =
+                    (Request { topic, cell }, words.facts_named(told.iter().copied()));
+                let found = words.retrieve_true(request, &Loss::default(), holding);
+                let found = found.expect("there is such a topic");
+                assert!(found.and_then(|found| rotation.next(&found)).is_some());
+                meter.mark();
+            }
+        }
+    }
+    meter.check(domain, "speaking", 2 * 10 * words.topics().len());
 }
 
 fn evaluating_allocates_nothing(domain: &str, n_steps: u64) {

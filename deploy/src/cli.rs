@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
+use clap::{
+    ArgGroup, Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum,
+};
 use leadtime_config::identity::CHANGEABLE;
 use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
 use leadtime_eval::measure::Choice;
@@ -508,6 +510,7 @@ pub(crate) struct ActorArgs {
 
 /// `leadtime eval`
 #[derive(Debug, Args)]
+#[command(group = ArgGroup::new("spoken").args(["transcript", "truth"]))]
 pub(crate) struct EvalArgs {
     /// A policy file, a run directory or the name of a run.
     pub policy: PathBuf,
@@ -517,8 +520,12 @@ pub(crate) struct EvalArgs {
     /// Print the episodes as the listener hears them, word by word, instead of evaluating them.
     #[arg(long, conflicts_with = "json")]
     pub transcript: bool,
-    /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
-    #[arg(long, value_name = "DATABASE", requires = "transcript")]
+    /// Count the sentences that are false when they are begun, instead of evaluating the policy.
+    #[arg(long, conflicts_with_all = ["transcript", "each", "save", "episodes_to", "measure"])]
+    pub truth: bool,
+    /// With --transcript or --truth, speak in these sentences: a database file, or a domain (default: those that come with
+    /// the policy's domain).
+    #[arg(long, value_name = "DATABASE", requires = "spoken")]
     pub words: Option<String>,
     /// Also evaluate this scripted policy: one of the task's, such as `unaided` or `heuristic`, a script in a file
     /// (`script.toml`), or `oracle`, which plans on the episode itself; repeatable.

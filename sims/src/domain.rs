@@ -16,6 +16,7 @@
 
 use crate::description::{Quantity, RewardTerm};
 use crate::environment::{End, Entities, EpisodeSeed, SnapshotError};
+use crate::fact::Fact;
 use crate::scene::Scene;
 
 /// A notification: what to do, when it can be understood, how long it takes to say.
@@ -75,7 +76,7 @@ pub struct Delivery {
 /// |---|---|
 /// | start of an episode | `reset`, `observe` |
 /// | each step, of one word | `reaction_over` if a reaction was cut short, `started` if a message starts, `advance`, `reaction_over` and `deliver` where they are due, `observe`; then `metrics` and `success` |
-/// | for the mask, a script, a picture | `script`, `observe_for_scripts` and `scene`: at any moment, in any number, and perhaps never; they must change nothing |
+/// | for the mask, a script, a picture, a sentence | `script`, `observe_for_scripts`, `observe_facts` and `scene`: at any moment, in any number, and perhaps never; they must change nothing |
 /// | when a rollout is sent | `snapshot`, which must change nothing either |
 /// | when a process has died | `restore`, into a world that may be in the middle of another episode; no `reset` and no `observe` before the next `advance` |
 ///
@@ -264,6 +265,17 @@ pub trait Domain: Send {
 
     /// Writes them, at any moment of an episode. Shape `[script_quantities().len()]`.
     fn observe_for_scripts(&self, _out: &mut [f32]) {}
+
+    /// Lists the facts that the world can tell, for sentences that must be true: at most 64. A world that lists none lets the
+    /// listener hear only sentences that presuppose nothing.
+    fn facts(&self) -> Vec<Fact> {
+        Vec::new()
+    }
+
+    /// Tells which of them hold, at any moment of an episode; what is not written does not hold. Shape `[facts().len()]`.
+    ///
+    /// It decides about words only: no observation, reward or end depends on it.
+    fn observe_facts(&self, _holds: &mut [bool]) {}
 
     /// Tells whether the episode so far counts as a success; meaningful at its end.
     fn success(&self) -> bool;

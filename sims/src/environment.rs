@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::description::Description;
+use crate::fact::Fact;
 use crate::scene::{Scene, Speech};
 use crate::scriptable::Scriptable;
 
@@ -223,6 +224,11 @@ pub trait Environment: Send {
     /// A step that was taken before a snapshot was restored is not remembered: no reaction began in it.
     fn insight(&self) -> Option<Insight> {
         None
+    }
+
+    /// Lists the facts that the task can tell, if there is a listener who hears sentences; a scene names those that hold.
+    fn facts(&self) -> Vec<Fact> {
+        Vec::new()
     }
 
     /// Describes the present moment for a picture, if there is anything to draw.

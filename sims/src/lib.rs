@@ -18,6 +18,7 @@ pub mod domain;
 pub mod env_check;
 pub mod environment;
 mod error;
+pub mod fact;
 pub mod human;
 pub mod notifier;
 pub mod registry;
@@ -31,6 +32,7 @@ pub use environment::{
     End, Entities, EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome,
 };
 pub use error::TaskError;
+pub use fact::Fact;
 pub use notifier::NotifierEnv;
 pub use registry::{DomainEntry, Registry};
 pub use scene::{Gauge, Listener, Scene, Shape, Speech, Tone, View};

@@ -120,6 +120,8 @@ pub struct Scene {
     pub others: Vec<[f64; 2]>,
     /// What the person hears and does; filled in by the notifier environment.
     pub listener: Listener,
+    /// Names of the facts that hold; filled in by the notifier environment.
+    pub facts: Vec<&'static str>,
     /// How the episode stands, in a word or two: `landed`, `entered a danger zone`; empty while it goes on.
     pub outcome: String,
 }

@@ -165,6 +165,77 @@ fn what_a_database_lacks_is_listed_and_fails_only_if_asked() {
 }
 
 #[test]
+fn facts_and_words_are_checked_against_each_other() {
+    let place = Place::new();
+    let shipped = fs::read_to_string(data("lander/taxonomy.toml")).unwrap();
+    let with = |entry: &str| {
+        let added = format!("{shipped}\n[[utterance]]\ntopic = \"ascend\"\n{entry}\n");
+        place.write("mine.toml", &added)
+    };
+    // What the domain does not tell is refused, whether it was written or is what the words presuppose.
+    for (entry, says) in [
+        (
+            "text = \"Moon up, climb.\"\nfacts = [\"moon_up\"]",
+            "\"Moon up, climb.\" presupposes `moon_up`, which the domain does not tell; it tells zone_near,",
+        ),
+        ("text = \"Climb again.\"", "\"Climb again.\" presupposes `again`, which"),
+    ] {
+        taxonomy(&place, &["validate", &with(entry)]).with_code(WRONG_INPUT).saying(&[says]);
+    }
+    // Words without their facts are listed.
+    for (entry, says) in [
+        (
+            "text = \"Zone below, climb now.\"\nfacts = []",
+            "\"Zone below, climb now.\": its words presuppose `zone_below`, its `facts` do not",
+        ),
+        (
+            "text = \"Sun is low, climb.\"\nfacts = []",
+            "\"Sun is low, climb.\": it gives a reason and presupposes no fact",
+        ),
+    ] {
+        let file = with(entry);
+        let listed = taxonomy(&place, &["validate", &file]).with_code(0).stdout;
+        assert!(listed.contains(says), "{listed}");
+        taxonomy(&place, &["validate --strict", &file]).with_code(FAILED);
+    }
+    // The words alone are enough.
+    let file = with("text = \"Zone just below, climb.\"");
+    taxonomy(&place, &["validate --strict", &file]).with_code(0);
+    // A fact that nobody needs, and a cell that may have nothing true to say.
+    let unused = shipped.replace("[\"zone_just_above\"]", "[\"zone_above\"]");
+    let listed = taxonomy(&place, &["validate", &place.write("mine.toml", &unused)]).with_code(0);
+    assert!(listed.stdout.contains("no sentence presupposes zone_just_above\n"), "{listed:?}");
+    let always =
+        "text = \"Pull up for safety.\"\nspans = [[\"what\", 0, 2], [\"why\", 2, 4]]\nfacts = []";
+    assert!(shipped.contains(always));
+    let sometimes = always.replace("facts = []", "facts = [\"too_low\"]");
+    let file = place.write("mine.toml", &shipped.replace(always, &sometimes));
+    let listed = taxonomy(&place, &["validate", &file]).with_code(0).stdout;
+    let says = "topic `ascend` has no utterance at (k, l) = (2, 4) that is always true";
+    assert!(listed.contains(says), "{listed}");
+}
+
+#[test]
+fn what_the_shipped_policies_say_is_true() {
+    let place = Place::new();
+    for policy in ["piloting", "driving", "cooking"] {
+        let path = repository(&format!("deploy/policies/{policy}.safetensors"));
+        let truth = place.finish(&["eval --truth --json --episodes 4", &path]).with_code(0).json();
+        let (any, if_true) = (&truth[0]["in_turn"], &truth[0]["true_in_turn"]);
+        assert!(any["false_at_start"].as_u64() > Some(0), "{policy}: {truth}");
+        assert_eq!(any["said"], if_true["said"]);
+        for counted in ["false_at_start", "stand_ins", "without_words"] {
+            assert_eq!(if_true[counted], 0, "{policy}: {truth}");
+        }
+    }
+    let none = place.finish(&[
+        "eval --truth --words lander",
+        &repository("deploy/policies/driving.safetensors"),
+    ]);
+    none.with_code(WRONG_INPUT).saying(&["the database speaks of [ascend,"]);
+}
+
+#[test]
 fn a_wrong_database_is_told_by_line_or_sentence() {
     let place = Place::new();
     let cases: &[(&str, &str, &[&str])] = &[

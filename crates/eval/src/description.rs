@@ -1,10 +1,16 @@
 //! What a task shows, offers and pays, as text.
 
-use leadtime_sims::{Description, ObservationLayout, Quantity};
-use leadtime_table::Table;
+use leadtime_sims::{Description, Fact, ObservationLayout, Quantity};
+use leadtime_table::{Table, wrapped};
 
-/// Describes a task in three parts, with tables written by `write`.
-pub fn describe(description: &Description, write: fn(&Table) -> String) -> String {
+/// Describes a task in three parts, and the facts that it tells in a fourth, with tables written by `write`; where there is a
+/// `width`, in characters, facts are broken to fit it.
+pub fn describe(
+    description: &Description,
+    facts: &[Fact],
+    write: fn(&Table) -> String,
+    width: Option<usize>,
+) -> String {
     let Description { observation, actions, rewards } = description;
     let ObservationLayout { n_frames, frame, rest } = observation;
     let n = observation.quantities().len();
@@ -28,9 +34,25 @@ pub fn describe(description: &Description, write: fn(&Table) -> String) -> Strin
     let paid = "Reward of a step: the sum of each amount times what it is for";
     let paid = (!rewards.is_empty()).then_some((paid, terms));
     let parts = [(size.as_str(), quantities(frame))].into_iter().chain(now);
-    let parts = parts.chain([("Action: one choice per head, in this order", heads)]).chain(paid);
+    let told = ("Facts that a sentence may presuppose", told(facts, width));
+    let told = (!facts.is_empty()).then_some(told);
+    let parts = parts.chain([("Action: one choice per head, in this order", heads)]);
+    let parts = parts.chain(paid).chain(told);
     let texts = parts.map(|(title, table)| format!("{title}\n\n{}", write(&table)));
     texts.collect::<Vec<_>>().join("\n")
+}
+
+/// Lists facts, each on as many lines as it takes.
+fn told(facts: &[Fact], width: Option<usize>) -> Table {
+    let mut table = Table::new(["fact", "holds when"]).left(&[0, 1]);
+    let longest = facts.iter().map(|fact| fact.name.len()).max().unwrap_or_default();
+    let room = width.map_or(usize::MAX, |width| width.saturating_sub(longest + 2));
+    for Fact { name, meaning } in facts {
+        for (i, line) in wrapped(meaning, room, 0).lines().enumerate() {
+            table.push([if i == 0 { *name } else { "" }, line]);
+        }
+    }
+    table
 }
 
 /// Numbers in a row that are alike but for one number in their names, such as `car1.x` to `car9.x`.
@@ -98,6 +120,13 @@ fn decimals(x: f64, digits: i32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_long_fact_takes_lines() {
+        let fact = Fact { name: "wet", meaning: "the floor in front is wet" };
+        let lines = |width| told(&[fact], width).text().lines().count();
+        assert_eq!((lines(None), lines(Some(20))), (3, 4));
+    }
 
     #[test]
     fn numbers_in_a_row_share_a_line_and_others_do_not() {

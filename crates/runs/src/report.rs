@@ -6,7 +6,7 @@ use leadtime_config::identity::{Change, difference};
 use leadtime_config::{Config, ConfigSource, Override};
 use leadtime_eval::figure::{Band, BandPanel, ShareRow};
 use leadtime_eval::playthrough::Spoken;
-use leadtime_eval::report::{Book, Fact, Picture, Provenance, Report};
+use leadtime_eval::report::{Book, Picture, Provenance, ProvenanceDetail, Report};
 use leadtime_table::Table;
 use serde_json::{Map, Value};
 
@@ -134,47 +134,48 @@ fn provenance(
 ) -> Provenance {
     Provenance {
         run: run.name().to_owned(),
-        facts: facts(run),
+        details: details(run),
         command: command(tasks, run, nearest, program),
         settings: run.config.to_string(),
     }
 }
 
-fn facts(run: &RunFiles) -> Vec<Fact> {
+fn details(run: &RunFiles) -> Vec<ProvenanceDetail> {
     let record = &run.record;
-    let mut facts = vec![
-        Fact::new("domain", &record.domain),
-        Fact::new("seed", record.seed.to_string()),
-        Fact::new("started", &record.started),
+    let mut details = vec![
+        ProvenanceDetail::new("domain", &record.domain),
+        ProvenanceDetail::new("seed", record.seed.to_string()),
+        ProvenanceDetail::new("started", &record.started),
     ];
     if let Some(origin) = &record.origin {
-        facts.push(Fact::new("forked from", &origin.run));
-        facts.push(Fact::new("SHA-256 of the starting weights", &origin.weights_sha256));
+        details.push(ProvenanceDetail::new("forked from", &origin.run));
+        details
+            .push(ProvenanceDetail::new("SHA-256 of the starting weights", &origin.weights_sha256));
     }
     for build in &record.builds {
         let ProgramBuild { since, program, commit, cpu, threads } = build;
         let commit = commit.as_deref().unwrap_or("unknown");
         let text =
             format!("{program}, commit {commit}, on {cpu} with {threads} threads per process");
-        facts.push(Fact::new(format!("program since {since}"), text));
+        details.push(ProvenanceDetail::new(format!("program since {since}"), text));
     }
     for change in &record.changes {
-        facts.push(Fact::new("changed while it went on", change.to_string()));
+        details.push(ProvenanceDetail::new("changed while it went on", change.to_string()));
     }
     if let Some(result) = &record.result {
-        facts.push(Fact::new("finished", &result.finished));
-        facts.push(Fact::new("updates", result.updates.to_string()));
-        facts.push(Fact::new("steps", result.steps.to_string()));
-        facts.push(Fact::new("SHA-256 of the weights", &result.weights_sha256));
-        facts.extend(best(run));
+        details.push(ProvenanceDetail::new("finished", &result.finished));
+        details.push(ProvenanceDetail::new("updates", result.updates.to_string()));
+        details.push(ProvenanceDetail::new("steps", result.steps.to_string()));
+        details.push(ProvenanceDetail::new("SHA-256 of the weights", &result.weights_sha256));
+        details.extend(best(run));
         let same = record.is_reproducible(&run.directory).unwrap_or(false);
-        facts.push(Fact::new("same weights again", if same { "yes" } else { "no" }));
+        details.push(ProvenanceDetail::new("same weights again", if same { "yes" } else { "no" }));
     }
-    facts
+    details
 }
 
 /// Says which policy is the best, and by what; nothing where none was evaluated while the run trained.
-fn best(run: &RunFiles) -> Option<Fact> {
+fn best(run: &RunFiles) -> Option<ProvenanceDetail> {
     let line = held_out::of_best(&run.directory)?;
     let number = |key: &str| line.get(key).and_then(Value::as_f64);
     let (measure, score) = match number("held_out/success") {
@@ -187,7 +188,7 @@ fn best(run: &RunFiles) -> Option<Fact> {
         number("held_out/error")?,
         number("held_out/episodes")?
     );
-    Some(Fact::new("best policy", text))
+    Some(ProvenanceDetail::new("best policy", text))
 }
 
 /// The built-in configuration that a run's own is nearest to.

@@ -6,7 +6,7 @@ use std::{fs, io};
 use leadtime_config::{Catalog, Config, ConfigError, ConfigSource, Layer};
 use leadtime_proto::phrase::no_such;
 use leadtime_proto::{EnvId, TaskSpec};
-use leadtime_sims::{DomainEntry, Environment, EpisodeSeed, Registry, TaskError};
+use leadtime_sims::{DomainEntry, Environment, EpisodeSeed, Fact, Registry, TaskError};
 use thiserror::Error;
 
 /// Why a configuration cannot be loaded.
@@ -108,5 +108,10 @@ impl Tasks {
         let first = EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 };
         environment.reset(first, &mut observation);
         environment.scene().map(|scene| scene.listener.topics).unwrap_or_default()
+    }
+
+    /// Lists the facts that a task tells; none if it tells none, or if it cannot be built.
+    pub fn facts(&self, task: &TaskSpec) -> Vec<Fact> {
+        self.registry.build(task).map(|environment| environment.facts()).unwrap_or_default()
     }
 }

@@ -1,7 +1,7 @@
 //! A study's results as a page of Markdown: tables, differences, pictures, provenance.
 
 use leadtime_eval::measure::{Choice, Measure, names_in, title, written};
-use leadtime_eval::report::Fact;
+use leadtime_eval::report::ProvenanceDetail;
 use leadtime_numerics::stats::Interval;
 use leadtime_table::Table;
 
@@ -33,7 +33,7 @@ impl StudyResult {
         }
         page.push_str("## Where these numbers are from\n\n");
         let facts = self.provenance.iter();
-        page.extend(facts.map(|Fact { name, value }| format!("* {name}: {value}\n")));
+        page.extend(facts.map(|ProvenanceDetail { name, value }| format!("* {name}: {value}\n")));
         page.push('\n');
         page.extend(self.parts.iter().map(PartResult::runs));
         page

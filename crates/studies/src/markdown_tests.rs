@@ -77,8 +77,8 @@ fn result(layout: Layout) -> StudyResult {
         warnings: vec!["Quick: do not quote.".to_owned()],
         bootstrap,
         provenance: vec![
-            Fact::new("command", "`leadtime compare timing`"),
-            Fact::new("program", "leadtime 0.1.0, commit c0ffee"),
+            ProvenanceDetail::new("command", "`leadtime compare timing`"),
+            ProvenanceDetail::new("program", "leadtime 0.1.0, commit c0ffee"),
         ],
         parts: vec![PartResult {
             name: "piloting".to_owned(),

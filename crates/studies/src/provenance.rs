@@ -1,6 +1,6 @@
 //! Where a study's numbers are from.
 
-use leadtime_eval::report::Fact;
+use leadtime_eval::report::ProvenanceDetail;
 use leadtime_runs::{ProgramBuild, RunRecord, clock, journal};
 
 use crate::error::Error;
@@ -99,7 +99,11 @@ fn range(seeds: &[u64]) -> String {
 }
 
 /// Lists where a study's numbers are from.
-pub(crate) fn facts(plan: &StudyPlan, request: &StudyRequest, runs: &[TrainedRun]) -> Vec<Fact> {
+pub(crate) fn facts(
+    plan: &StudyPlan,
+    request: &StudyRequest,
+    runs: &[TrainedRun],
+) -> Vec<ProvenanceDetail> {
     let steps: u64 = runs.iter().map(|run| run.steps).sum();
     let minutes: f64 = runs.iter().map(|run| run.minutes).sum();
     let profiles = plan.parts.iter().map(|part| {
@@ -115,23 +119,26 @@ pub(crate) fn facts(plan: &StudyPlan, request: &StudyRequest, runs: &[TrainedRun
         request.episodes, request.eval_seed
     );
     let facts = [
-        Fact::new(COMMAND, format!("`{}`", request.command)),
-        Fact::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
-        Fact::new("training seeds", seeds(&plan.parts)),
-        Fact::new("evaluation", evaluation),
-        Fact::new("evaluated policy", policy),
-        Fact::new("training", format!("{} runs, {steps} steps, {minutes:.1} minutes", runs.len())),
+        ProvenanceDetail::new(COMMAND, format!("`{}`", request.command)),
+        ProvenanceDetail::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
+        ProvenanceDetail::new("training seeds", seeds(&plan.parts)),
+        ProvenanceDetail::new("evaluation", evaluation),
+        ProvenanceDetail::new("evaluated policy", policy),
+        ProvenanceDetail::new(
+            "training",
+            format!("{} runs, {steps} steps, {minutes:.1} minutes", runs.len()),
+        ),
     ];
     facts.into_iter().chain(program_facts(&request.build)).collect()
 }
 
 /// Describes the program, the processor and the day: the last lines of where numbers are from.
-pub fn program_facts(build: &ProgramBuild) -> [Fact; 3] {
+pub fn program_facts(build: &ProgramBuild) -> [ProvenanceDetail; 3] {
     let commit = build.commit.as_deref().unwrap_or("unknown");
     [
-        Fact::new(PROGRAM, format!("{}, commit {commit}", build.program)),
-        Fact::new("processor", &build.cpu),
-        Fact::new("date", clock::utc_date()),
+        ProvenanceDetail::new(PROGRAM, format!("{}, commit {commit}", build.program)),
+        ProvenanceDetail::new("processor", &build.cpu),
+        ProvenanceDetail::new("date", clock::utc_date()),
     ]
 }
 

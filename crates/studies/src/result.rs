@@ -1,7 +1,7 @@
 //! What a study found, as data.
 
 use leadtime_eval::measure::{Choice, Difference, Summary};
-use leadtime_eval::report::Fact;
+use leadtime_eval::report::ProvenanceDetail;
 use leadtime_numerics::stats::Bootstrap;
 use serde::{Deserialize, Serialize};
 
@@ -20,7 +20,7 @@ pub(crate) struct StudyResult {
     /// How intervals were made.
     pub(crate) bootstrap: Bootstrap,
     /// Where the numbers come from.
-    pub(crate) provenance: Vec<Fact>,
+    pub(crate) provenance: Vec<ProvenanceDetail>,
     pub(crate) parts: Vec<PartResult>,
 }
 

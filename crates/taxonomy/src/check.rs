@@ -1,16 +1,26 @@
-//! What a readable database may still lack: cells without sentences, or with too few to take turns.
+//! What a readable database may still lack: cells without sentences, with too few to take turns, or with none that is always
+//! true.
 
 use thiserror::Error;
 
 use crate::database::Taxonomy;
+use crate::facts::FactSet;
 
-/// Something that a person should know before they use a database: an empty cell, a thin one, or a sentence whose
-/// rating and structure disagree by more than a word.
+/// Something that a person should know before they use a database: an empty cell, a thin one, one that may have nothing
+/// true to say, or a sentence whose rating and structure disagree by more than a word.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("topic `{topic}`{says}")]
 pub struct Finding {
     topic: String,
     says: String,
+}
+
+impl Finding {
+    /// Says something of a topic, or of one of its sentences.
+    #[cfg(feature = "pipeline")]
+    pub(crate) fn new(topic: &str, says: String) -> Self {
+        Self { topic: topic.to_owned(), says }
+    }
 }
 
 /// Lists what a database lacks; `wanted` is the number of sentences that every feasible cell should have.
@@ -25,6 +35,10 @@ pub fn check(taxonomy: &Taxonomy, wanted: usize) -> Vec<Finding> {
                     find(format!(" has {n} of {wanted} utterances at (k, l) = {cell}"));
                 }
                 _ => {}
+            }
+            let said = topic.cell(cell);
+            if !said.is_empty() && said.iter().all(|it| it.facts != FactSet::NONE) {
+                find(format!(" has no utterance at (k, l) = {cell} that is always true"));
             }
         }
         for utterance in topic.utterances() {
@@ -76,5 +90,12 @@ curve = [5, 80, 85, 95]
             "topic `merge_left`, \"Truck ahead, merge left.\": understood at word 2, its directive ends with word 4"
         );
         assert_eq!(check(&taxonomy, 1).len(), 10);
+        let text = TEXT.replace("curve =", "facts = [\"truck_ahead\"]\ncurve =");
+        let findings = check(&Taxonomy::from_toml(&text).unwrap(), 1);
+        assert_eq!(findings.len(), 11);
+        assert_eq!(
+            findings[2].to_string(),
+            "topic `merge_left` has no utterance at (k, l) = (2, 4) that is always true"
+        );
     }
 }

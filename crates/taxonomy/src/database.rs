@@ -8,6 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use crate::error::TaxonomyError;
+use crate::facts::{self, FactSet, MAX_FACTS};
 use crate::raw::{RawDatabase, RawUtterance, SCHEMA};
 use crate::utterance::{Cell, Fidelity, SpanKind, Utterance};
 use crate::words;
@@ -76,11 +77,6 @@ impl Topic {
     pub fn cells(&self) -> impl Iterator<Item = (Cell, &[Utterance])> {
         self.cells.iter().map(|(cell, range)| (*cell, &self.utterances[range.clone()]))
     }
-
-    /// Returns the place of a filled cell among the filled cells.
-    pub(crate) fn cell_idx(&self, cell: Cell) -> Option<usize> {
-        self.cells.binary_search_by_key(&cell, |(cell, _)| *cell).ok()
-    }
 }
 
 /// Sentences by topic and cell.
@@ -88,6 +84,8 @@ impl Topic {
 pub struct Taxonomy {
     header: DatabaseHeader,
     topics: Vec<Topic>,
+    /// Names of what sentences presuppose, in the order of the alphabet.
+    facts: Vec<String>,
 }
 
 impl Taxonomy {
@@ -111,6 +109,7 @@ impl Taxonomy {
     /// Checks a database as it was written.
     pub(crate) fn from_raw(raw: RawDatabase) -> Result<Self, TaxonomyError> {
         check_header(&raw)?;
+        let facts = fact_names(&raw)?;
         let mut seen = BTreeMap::new();
         let mut topics: Vec<Vec<Utterance>> = raw.topics.iter().map(|_| Vec::new()).collect();
         for (index, utterance) in raw.utterance.iter().enumerate() {
@@ -122,7 +121,7 @@ impl Taxonomy {
             if let Some(other) = seen.insert(words::normalised(text), topic.clone()) {
                 return Err(fail(format!("the same words stand under topic `{other}` already")));
             }
-            topics[topic_idx].push(checked(utterance, &raw).map_err(fail)?);
+            topics[topic_idx].push(checked(utterance, &raw, &facts).map_err(fail)?);
         }
         let topics = raw.topics.into_iter().zip(topics);
         let topics: Vec<Topic> = topics.map(|(name, list)| Topic::new(name, list)).collect();
@@ -133,7 +132,7 @@ impl Taxonomy {
         }
         let RawDatabase { domain, fidelity, generator, rater, theta, words, .. } = raw;
         let header = DatabaseHeader { domain, fidelity, generator, rater, theta, words };
-        Ok(Self { header, topics })
+        Ok(Self { header, topics, facts })
     }
 
     /// Returns what the file says of itself.
@@ -144,6 +143,24 @@ impl Taxonomy {
     /// Returns the topics, in the order of their ids.
     pub fn topics(&self) -> &[Topic] {
         &self.topics
+    }
+
+    /// Returns the names of all facts that some sentence presupposes, in the order of the alphabet.
+    pub fn facts(&self) -> &[String] {
+        &self.facts
+    }
+
+    /// Finds which of its facts are among some names: those of the facts that hold now, or are told at all.
+    ///
+    /// A name that no sentence needs is passed over. Allocates nothing.
+    pub fn facts_named<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> FactSet {
+        let place = |name: &str| self.facts.binary_search_by(|fact| fact.as_str().cmp(name)).ok();
+        names.into_iter().filter_map(place).fold(FactSet::NONE, FactSet::with)
+    }
+
+    /// Lists the names of some of its facts.
+    pub fn fact_names(&self, facts: FactSet) -> impl Iterator<Item = &str> {
+        facts.places().filter_map(|place| self.facts.get(place)).map(String::as_str)
     }
 
     /// Lists the cells that a notifier could choose, filled or not.
@@ -165,6 +182,48 @@ impl Taxonomy {
         let (found, expected) = (found.join(", "), expected.join(", "));
         Err(TaxonomyError(format!("the database speaks of [{found}], the domain of [{expected}]")))
     }
+
+    /// Makes sure that a domain tells every fact that a sentence presupposes.
+    ///
+    /// # Errors
+    ///
+    /// [`TaxonomyError`] with the sentence, the fact, and those that the domain tells.
+    pub fn expect_facts(&self, told: &[&str]) -> Result<(), TaxonomyError> {
+        let known = self.facts_named(told.iter().copied());
+        let mut all = self.topics.iter().flat_map(|topic| &topic.utterances);
+        let Some(sentence) = all.find(|utterance| !known.includes(utterance.facts)) else {
+            return Ok(());
+        };
+        let mut names = self.fact_names(sentence.facts);
+        let fact = names.find(|name| !told.contains(name)).unwrap_or_default();
+        let text = &sentence.text;
+        let told = if told.is_empty() { "nothing".to_owned() } else { told.join(", ") };
+        Err(TaxonomyError(format!(
+            "\"{text}\" presupposes `{fact}`, which the domain does not tell; it tells {told}"
+        )))
+    }
+}
+
+/// Lists what the sentences of a file presuppose.
+fn fact_names(raw: &RawDatabase) -> Result<Vec<String>, TaxonomyError> {
+    let mut names = BTreeSet::new();
+    for (index, utterance) in raw.utterance.iter().enumerate() {
+        for name in utterance.facts.iter().flatten() {
+            if !facts::is_name(name) {
+                let defect =
+                    format!("`{name}` is no name of a fact; allowed: a to z, 0 to 9 and _");
+                return Err(utterance.wrong(index, &defect));
+            }
+            names.insert(name.clone());
+        }
+    }
+    if names.len() > MAX_FACTS {
+        let n_facts = names.len();
+        return Err(TaxonomyError(format!(
+            "the sentences presuppose {n_facts} facts; allowed: at most {MAX_FACTS}"
+        )));
+    }
+    Ok(names.into_iter().collect())
 }
 
 fn check_header(raw: &RawDatabase) -> Result<(), TaxonomyError> {
@@ -189,7 +248,11 @@ fn check_header(raw: &RawDatabase) -> Result<(), TaxonomyError> {
 }
 
 /// Checks one sentence on its own; an error says what is wrong with it.
-fn checked(raw: &RawUtterance, database: &RawDatabase) -> Result<Utterance, String> {
+fn checked(
+    raw: &RawUtterance,
+    database: &RawDatabase,
+    facts: &[String],
+) -> Result<Utterance, String> {
     let lacks = raw.lacks();
     if !lacks.is_empty() {
         return Err(format!("it lacks `{}`", lacks.join("`, `")));
@@ -209,8 +272,10 @@ fn checked(raw: &RawUtterance, database: &RawDatabase) -> Result<Utterance, Stri
         check_list("word_end_ms", &raw.word_end_ms, stated)?;
         check_rise("word_end_ms", &raw.word_end_ms, |a, b| b <= a)?;
     }
+    let presupposed = raw.facts.iter().flatten().filter_map(|name| facts.binary_search(name).ok());
+    let facts = presupposed.fold(FactSet::NONE, FactSet::with);
     let RawUtterance { text, spans, curve, clamped, word_end_ms, medoid, source, .. } = raw.clone();
-    Ok(Utterance { text, cell, spans, curve, clamped, word_end_ms, medoid, source })
+    Ok(Utterance { text, cell, spans, facts, curve, clamped, word_end_ms, medoid, source })
 }
 
 fn check_list<T>(list: &str, values: &[T], allowed: u32) -> Result<(), String> {

@@ -88,6 +88,33 @@ fn what_is_wrong_with_a_file_is_named() {
 }
 
 #[test]
+fn what_sentences_presuppose_is_named_once_and_must_be_told() {
+    let facts = "[45, 95]\nfacts = [\"wet_road\", \"car_ahead\"]";
+    let text = format!("{HEADER}{GOOD}").replacen("[45, 95]", facts, 1);
+    let taxonomy = Taxonomy::from_toml(&text).unwrap();
+    assert_eq!(taxonomy.facts(), ["car_ahead", "wet_road"]);
+    let [slow_down] = taxonomy.topics()[1].utterances() else { panic!("one sentence") };
+    let names: Vec<&str> = taxonomy.fact_names(slow_down.facts).collect();
+    assert_eq!(names, ["car_ahead", "wet_road"]);
+    assert_eq!(taxonomy.topics()[0].utterances()[0].facts, FactSet::NONE);
+    let told = taxonomy.facts_named(["wet_road", "moonlight"]);
+    assert!(!told.includes(slow_down.facts));
+    taxonomy.expect_facts(&["wet_road", "car_ahead", "moonlight"]).unwrap();
+    let error = taxonomy.expect_facts(&["wet_road"]).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "\"Slow down.\" presupposes `car_ahead`, which the domain does not tell; it tells wet_road"
+    );
+    let error = Taxonomy::from_toml(&text.replace("wet_road", "wet road")).unwrap_err().to_string();
+    assert!(error.contains("`wet road` is no name of a fact; allowed: a to z, 0 to 9 and _"));
+    let many: Vec<String> = (0..65).map(|i| format!("fact{i}")).collect();
+    let text =
+        format!("{HEADER}{GOOD}").replacen("[45, 95]", &format!("[45, 95]\nfacts = {many:?}"), 1);
+    let error = Taxonomy::from_toml(&text).unwrap_err().to_string();
+    assert_eq!(error, "the sentences presuppose 65 facts; allowed: at most 64");
+}
+
+#[test]
 fn the_same_words_under_two_topics_are_refused() {
     let again = r#"
 [[utterance]]

@@ -14,7 +14,8 @@
 //!
 //! # Where to start
 //!
-//! [`Taxonomy`] is the database, [`Taxonomy::retrieve`] its one question. With the feature `pipeline`,
+//! [`Taxonomy`] is the database, [`Taxonomy::retrieve_true`] its one question: which sentences say this message, and are
+//! true now. [`Rotation`] lets them take turns. With the feature `pipeline`,
 //! [`pipeline`] makes databases from a language model, from an annotator's log or from a grammar.
 //!
 //! # Source
@@ -25,6 +26,7 @@
 pub mod check;
 pub mod database;
 pub mod error;
+pub mod facts;
 #[cfg(feature = "pipeline")]
 pub mod pipeline;
 mod raw;
@@ -38,6 +40,7 @@ pub mod words;
 pub use check::{Finding, check};
 pub use database::{DatabaseHeader, Taxonomy, Topic};
 pub use error::TaxonomyError;
+pub use facts::FactSet;
 pub use retrieve::{Loss, Request, Retrieved};
 pub use rotation::Rotation;
 pub use shipped::shipped;

@@ -39,6 +39,9 @@ pub(crate) struct RawUtterance {
     pub(crate) text: String,
     #[serde(default)]
     pub(crate) spans: Vec<WordSpan>,
+    /// What it presupposes; left out, nobody has said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) facts: Option<Vec<String>>,
     #[serde(default)]
     pub(crate) curve: Vec<u8>,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]

@@ -1,11 +1,14 @@
-//! From (c, k, l) to a sentence: the exact cell, or the one that loses least time.
+//! From (c, k, l) and the facts that hold to a sentence: one that is true, of the exact cell or of the one that loses
+//! least time.
 //!
 //! A notifier may choose a cell that no sentence fills. It never hears another topic for that: it gets the cell of
 //! the same topic whose sentences cost least, and is told which, because what the person hears is that cell's k
-//! and l.
+//! and l. The same goes for a cell of which every sentence is false now. The shipped databases have no such cell: each
+//! has a sentence that presupposes nothing.
 
 use crate::database::Taxonomy;
 use crate::error::TaxonomyError;
+use crate::facts::FactSet;
 use crate::utterance::{Cell, Utterance};
 
 /// What a notifier wants to say.
@@ -58,16 +61,25 @@ pub struct Retrieved<'a> {
     pub cell: Cell,
     /// The cell's place among the filled cells of its topic.
     pub(crate) cell_idx: usize,
-    /// At least one sentence, by rank.
+    /// All sentences of the cell, by rank; at least one of them is true.
     pub utterances: &'a [Utterance],
+    /// What holds.
+    pub holding: FactSet,
     /// Another cell than the one asked for.
     pub fallback: bool,
     /// What that costs, in seconds.
     pub seconds_lost: f64,
 }
 
+impl Retrieved<'_> {
+    /// Tells whether everything holds that a sentence presupposes.
+    pub fn is_true(&self, utterance: &Utterance) -> bool {
+        self.holding.includes(utterance.facts)
+    }
+}
+
 impl Taxonomy {
-    /// Finds the sentences for a request.
+    /// Finds the sentences for a request, whether they are true or not.
     ///
     /// An empty cell gives the cell of the same topic that loses least; of equals, the smaller k', then the
     /// smaller l'. Allocates nothing.
@@ -76,29 +88,74 @@ impl Taxonomy {
     ///
     /// [`TaxonomyError`] if there is no such topic.
     pub fn retrieve(&self, request: Request, loss: &Loss) -> Result<Retrieved<'_>, TaxonomyError> {
-        let unknown = || {
-            let (topic, n_topics) = (request.topic, self.topics().len());
-            TaxonomyError(format!(
-                "there is no topic {topic}; the database has {n_topics}, numbered from 0"
-            ))
-        };
-        let topic = self.topics().get(request.topic).ok_or_else(unknown)?;
+        // Every topic has a sentence, and every sentence is true where everything holds.
+        let found = self.retrieve_true(request, loss, FactSet::ALL)?;
+        found.ok_or_else(|| self.no_topic(request))
+    }
+
+    /// Finds the sentences for a request of which at least one is true; `None` if nothing true can be said on the topic.
+    ///
+    /// The cell asked for is taken if one of its sentences is true, else the one with a true sentence that loses least.
+    /// [`Rotation::next`](crate::Rotation::next) takes one of the true ones. Depends on its arguments alone, and allocates
+    /// nothing; neither do [`Taxonomy::facts_named`] and `next`.
+    ///
+    /// # Errors
+    ///
+    /// [`TaxonomyError`] if there is no such topic.
+    ///
+    /// # Example
+    ///
+    /// What a live assistant says, message by message: the facts come from whoever sees the world, and what they do not
+    /// tell does not hold.
+    ///
+    /// ```
+    /// use leadtime_numerics::Pcg64;
+    /// use leadtime_taxonomy::{Cell, Loss, Request, Rotation, shipped};
+    ///
+    /// let words = shipped("lander")?;
+    /// let mut rotation = Rotation::new(&words, &mut Pcg64::seed_from_u64(1));
+    /// let ascend = Request { topic: 0, cell: Cell::new(2, 4) };
+    /// let mut say = |told: &[&str]| {
+    ///     let holding = words.facts_named(told.iter().copied());
+    ///     let found = words.retrieve_true(ascend, &Loss::default(), holding)?;
+    ///     let sentence = found.and_then(|found| rotation.next(&found));
+    ///     Ok::<_, leadtime_taxonomy::TaxonomyError>(sentence.map(|it| it.text.as_str()))
+    /// };
+    /// assert_eq!(say(&[])?, Some("Pull up for safety."));
+    /// assert!(say(&["zone_below"])?.is_some());
+    /// # Ok::<(), leadtime_taxonomy::TaxonomyError>(())
+    /// ```
+    pub fn retrieve_true(
+        &self,
+        request: Request,
+        loss: &Loss,
+        holding: FactSet,
+    ) -> Result<Option<Retrieved<'_>>, TaxonomyError> {
+        let topic = self.topics().get(request.topic).ok_or_else(|| self.no_topic(request))?;
+        let is_other = |cell: Cell| cell != request.cell;
+        let can_be_said = |said: &[Utterance]| said.iter().any(|it| holding.includes(it.facts));
         // Cells come ordered by k, then l, so the first of the least is the one that is wanted.
-        let nearest = topic.cells().enumerate().min_by(|(_, (a, _)), (_, (b, _))| {
-            loss.seconds(request.cell, *a).total_cmp(&loss.seconds(request.cell, *b))
+        let cells = topic.cells().enumerate().filter(|(_, (_, said))| can_be_said(said));
+        let nearest = cells.min_by(|(_, (a, _)), (_, (b, _))| {
+            let (lost_a, lost_b) = (loss.seconds(request.cell, *a), loss.seconds(request.cell, *b));
+            is_other(*a).cmp(&is_other(*b)).then(lost_a.total_cmp(&lost_b))
         });
-        let (cell_idx, (cell, utterances)) = match topic.cell_idx(request.cell) {
-            Some(exact) => (exact, (request.cell, topic.cell(request.cell))),
-            None => nearest.ok_or_else(unknown)?,
-        };
-        Ok(Retrieved {
+        Ok(nearest.map(|(cell_idx, (cell, utterances))| Retrieved {
             topic: request.topic,
             cell,
             cell_idx,
             utterances,
-            fallback: cell != request.cell,
+            holding,
+            fallback: is_other(cell),
             seconds_lost: loss.seconds(request.cell, cell),
-        })
+        }))
+    }
+
+    fn no_topic(&self, request: Request) -> TaxonomyError {
+        let (topic, n_topics) = (request.topic, self.topics().len());
+        TaxonomyError(format!(
+            "there is no topic {topic}; the database has {n_topics}, numbered from 0"
+        ))
     }
 }
 
@@ -106,8 +163,12 @@ impl Taxonomy {
 mod tests {
     use proptest::prelude::*;
 
+    use std::collections::BTreeSet;
+
+    use leadtime_numerics::Pcg64;
+
     use super::*;
-    use crate::words;
+    use crate::{Rotation, words};
 
     /// Writes a database of two topics with one sentence in each of the listed cells.
     fn with_cells(cells: &[(usize, Cell)]) -> Taxonomy {
@@ -130,6 +191,33 @@ mod tests {
             .unwrap();
         }
         Taxonomy::from_toml(&text).unwrap()
+    }
+
+    /// Writes a database of one topic: sentences, each in a cell, with some of the facts `f0` to `f3` by bits.
+    fn with_facts(sentences: &[(Cell, u8)]) -> Taxonomy {
+        use std::fmt::Write as _;
+        let mut text = String::from(
+            "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
+             embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = [\"a\"]\nconfig = \"\"\n",
+        );
+        for (i, (Cell { comprehension: k, conveyance: l }, bits)) in sentences.iter().enumerate() {
+            let spoken: Vec<String> = (0..*l).map(|word| format!("w{i}x{word}")).collect();
+            let curve: Vec<u32> = (1..=*l).map(|word| if word < *k { 10 } else { 90 }).collect();
+            let facts: Vec<String> = names(*bits).map(str::to_owned).collect();
+            writeln!(
+                text,
+                "[[utterance]]\ntopic = \"a\"\ncomprehension = {k}\nconveyance = {l}\ntext = \"{}\"\n\
+                 spans = [[\"what\", 0, {k}]]\nfacts = {facts:?}\ncurve = {curve:?}",
+                spoken.join(" ")
+            )
+            .unwrap();
+        }
+        Taxonomy::from_toml(&text).unwrap()
+    }
+
+    fn names(bits: u8) -> impl Iterator<Item = &'static str> {
+        let all = ["f0", "f1", "f2", "f3"].into_iter().enumerate();
+        all.filter(move |(i, _)| bits >> i & 1 == 1).map(|(_, name)| name)
     }
 
     fn request(topic: usize, k: u32, l: u32) -> Request {
@@ -171,7 +259,58 @@ mod tests {
         assert_eq!(taxonomy.retrieve(request(0, 5, 5), &free).unwrap().cell, Cell::new(3, 4));
     }
 
+    #[test]
+    fn a_cell_whose_sentences_are_false_gives_its_place_to_the_nearest_with_a_true_one() {
+        let [asked, near, far] = [Cell::new(3, 3), Cell::new(3, 4), Cell::new(5, 5)];
+        let taxonomy = with_facts(&[(asked, 1), (asked, 3), (near, 2), (far, 0)]);
+        let find = |holding: u8| {
+            let holding = taxonomy.facts_named(names(holding));
+            let request = Request { topic: 0, cell: asked };
+            taxonomy.retrieve_true(request, &Loss::default(), holding).unwrap().unwrap()
+        };
+        let cells = [0, 1, 2, 3].map(|holding| find(holding).cell);
+        assert_eq!(cells, [far, asked, near, asked]);
+        assert_eq!([0, 1, 2, 3].map(|holding| find(holding).fallback), [true, false, true, false]);
+        // Without a fact that everybody tells, the cell alone decides.
+        let request = Request { topic: 0, cell: asked };
+        assert_eq!(taxonomy.retrieve(request, &Loss::default()).unwrap().cell, asked);
+        let taxonomy = with_facts(&[(asked, 1)]);
+        let none = taxonomy.retrieve_true(request, &Loss::default(), FactSet::NONE).unwrap();
+        assert_eq!(none, None);
+    }
+
     proptest! {
+        #[test]
+        fn what_is_said_is_true_and_everything_true_has_its_turn(
+            sentences in proptest::collection::vec((0_usize..10, 0_u8..16), 1..24),
+            asked in 0_usize..10, holding in 0_u8..16, seed in 0_u64..100,
+        ) {
+            let cells: Vec<Cell> = Cell::feasible(2, 5).collect();
+            let list: Vec<(Cell, u8)> =
+                sentences.iter().map(|&(cell, bits)| (cells[cell], bits)).collect();
+            let taxonomy = with_facts(&list);
+            let request = Request { topic: 0, cell: cells[asked] };
+            let told = taxonomy.facts_named(names(holding));
+            let found = taxonomy.retrieve_true(request, &Loss::default(), told).unwrap();
+            let is_true = |bits: u8| bits & !holding == 0;
+            let sayable = list.iter().filter(|(_, bits)| is_true(*bits));
+            let lost = |cell: Cell| Loss::default().seconds(request.cell, cell);
+            let least = sayable.clone().map(|(cell, _)| lost(*cell)).min_by(f64::total_cmp);
+            prop_assert_eq!(found.map(|found| found.seconds_lost), least);
+            let Some(found) = found else { return Ok(()) };
+            let n_true = sayable.filter(|(cell, _)| *cell == found.cell).count();
+            let mut rotation = Rotation::new(&taxonomy, &mut Pcg64::seed_from_u64(seed));
+            let mut said = BTreeSet::new();
+            for _ in 0..n_true {
+                let sentence = rotation.next(&found).unwrap();
+                let presupposed: Vec<&str> = taxonomy.fact_names(sentence.facts).collect();
+                prop_assert!(presupposed.iter().all(|fact| names(holding).any(|it| it == *fact)));
+                prop_assert_eq!(sentence.cell, found.cell);
+                said.insert(sentence.text.clone());
+            }
+            prop_assert_eq!(said.len(), n_true);
+        }
+
         #[test]
         fn retrieval_keeps_the_topic_and_the_order_of_k_and_l(
             filled in proptest::collection::btree_set((0_usize..2, 0_usize..10), 1..20),

@@ -8,7 +8,7 @@ use crate::utterance::Utterance;
 
 /// Goes through the sentences of each cell in turn, from a start that a seeded generator draws.
 ///
-/// Every sentence of a cell is said once before any is said again.
+/// Every sentence of a cell is said once before any is said again. One that is false now loses its turn.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rotation {
     /// Per topic and filled cell, how many sentences were passed.
@@ -24,12 +24,15 @@ impl Rotation {
         Self { passed: taxonomy.topics().iter().map(cells).collect() }
     }
 
-    /// Takes the next sentence of what was retrieved; none if that is another database's. Allocates nothing.
+    /// Takes the next sentence of what was retrieved that is true; none if there is no such sentence, or if that is another
+    /// database's. Allocates nothing.
     pub fn next<'a>(&mut self, retrieved: &Retrieved<'a>) -> Option<&'a Utterance> {
         let passed = self.passed.get_mut(retrieved.topic)?.get_mut(retrieved.cell_idx)?;
-        let utterance = retrieved.utterances.get(*passed as usize % retrieved.utterances.len())?;
-        *passed = (*passed + 1) % retrieved.utterances.len() as u32;
-        Some(utterance)
+        let n = retrieved.utterances.len();
+        let mut turns = (0..n).map(|i| (*passed as usize + i) % n);
+        let turn = turns.find(|&i| retrieved.is_true(&retrieved.utterances[i]))?;
+        *passed = ((turn + 1) % n) as u32;
+        Some(&retrieved.utterances[turn])
     }
 }
 

@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::facts::FactSet;
+
 /// When a sentence is understood and when it is over: the place of an utterance within its topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -105,6 +107,8 @@ pub struct Utterance {
     pub cell: Cell,
     /// What, How and Why, in order; words in none of them are fillers.
     pub spans: Vec<WordSpan>,
+    /// What must hold for it to be true; [`Taxonomy::fact_names`](crate::Taxonomy::fact_names) names it.
+    pub facts: FactSet,
     /// Comprehension after each word, in percent; never falls. Shape `[l]`.
     pub curve: Vec<u8>,
     /// The threshold was crossed before the least k that a notifier can choose.
@@ -147,7 +151,18 @@ mod tests {
         let (l, text, source) = (crate::words::count(text), text.to_owned(), "test".to_owned());
         let spans = spans.iter().map(|span| WordSpan::from(*span)).collect();
         let (curve, word_end_ms, cell) = (vec![100; l as usize], Vec::new(), Cell::new(l, l));
-        Utterance { text, cell, spans, curve, clamped: false, word_end_ms, medoid: 0, source }
+        let facts = FactSet::NONE;
+        Utterance {
+            text,
+            cell,
+            spans,
+            facts,
+            curve,
+            clamped: false,
+            word_end_ms,
+            medoid: 0,
+            source,
+        }
     }
 
     #[test]

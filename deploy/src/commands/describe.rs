@@ -6,7 +6,7 @@ use anyhow::{Context as _, Error};
 use leadtime_config::{Config, ConfigSource, Override};
 use leadtime_eval::describe;
 use leadtime_runs::{LoadedPolicy, Tasks};
-use leadtime_table::Table;
+use leadtime_table::{Table, WIDTH};
 use serde_json::json;
 
 use crate::cli::DescribeArgs;
@@ -15,6 +15,7 @@ use crate::output;
 
 pub(super) fn run(tasks: &Tasks, args: &DescribeArgs) -> Result<(), Failure> {
     let config = load(tasks, &args.task, &args.set, &args.runs)?;
+    let facts = tasks.facts(&config.task);
     if args.json {
         let Config { domain, description, env, .. } = &config;
         output::json(&json!({
@@ -25,11 +26,13 @@ pub(super) fn run(tasks: &Tasks, args: &DescribeArgs) -> Result<(), Failure> {
             "conditionals": env.actions.conditionals,
             "rewards": description.rewards,
             "metrics": env.metrics,
+            "facts": facts.iter().map(|it| json!({"name": it.name, "meaning": it.meaning})).collect::<Vec<_>>(),
         }));
         return Ok(());
     }
     let write = if args.markdown { Table::markdown } else { Table::text };
-    output::line(describe(&config.description, write).trim_end());
+    let width = (!args.markdown).then_some(WIDTH);
+    output::line(describe(&config.description, &facts, write, width).trim_end());
     Ok(())
 }
 

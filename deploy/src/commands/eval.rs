@@ -1,5 +1,7 @@
 //! `leadtime eval`: evaluates a policy over many episodes, and scripted players on the same ones.
 
+mod truth;
+
 use std::fs::File;
 use std::io::Write as _;
 use std::path::Path;
@@ -24,6 +26,9 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         let task = EvalTask::load(tasks, args, None)?;
         if args.transcript {
             return transcript(tasks, args, &task);
+        }
+        if args.truth {
+            return truth::run(tasks, args, &task);
         }
         let kept_in = args.save.then(|| task.run()).transpose()?;
         if let Some(path) = &args.episodes_to {

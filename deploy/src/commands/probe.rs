@@ -4,7 +4,7 @@ use std::path::Path;
 
 use leadtime_eval::measure::{Choice, PlaySettings};
 use leadtime_eval::probe::{ProbeResult, probe};
-use leadtime_eval::report::Fact;
+use leadtime_eval::report::ProvenanceDetail;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::hex;
 use leadtime_runs::{LoadedPolicy, Tasks};
@@ -76,12 +76,15 @@ fn write(
     let mut weights = hex::encode(&loaded.parameters.digest().blame(ExitCode::Failed)?);
     weights.truncate(DIGEST_DIGITS);
     let mut facts = vec![
-        Fact::new("command", format!("`{}`", output::this_command())),
-        Fact::new("policy", format!("`{}`, weights `{weights}`", args.policy.display())),
-        Fact::new("domain", format!("`{}`", loaded.config.domain)),
-        Fact::new("reaction delay", format!("`{}`", reaction_delay(loaded))),
-        Fact::new("choices", format!("{action:?}").to_lowercase()),
-        Fact::new("evaluation seed", args.acting.choosing.eval_seed.to_string()),
+        ProvenanceDetail::new("command", format!("`{}`", output::this_command())),
+        ProvenanceDetail::new(
+            "policy",
+            format!("`{}`, weights `{weights}`", args.policy.display()),
+        ),
+        ProvenanceDetail::new("domain", format!("`{}`", loaded.config.domain)),
+        ProvenanceDetail::new("reaction delay", format!("`{}`", reaction_delay(loaded))),
+        ProvenanceDetail::new("choices", format!("{action:?}").to_lowercase()),
+        ProvenanceDetail::new("evaluation seed", args.acting.choosing.eval_seed.to_string()),
     ];
     facts.extend(program_facts(&this_build()?));
     let title = format!("What `{}` knows of its listener's reaction delay", args.policy.display());

@@ -14,6 +14,7 @@ use crate::environment::{
     write_snapshot,
 };
 use crate::error::TaskError;
+use crate::fact::Fact;
 use crate::human::{
     BlockedInitiation, Human, HumanSettings, HumanState, Initiation, ReactionReward, ReasonTable,
     SpeechAct,
@@ -215,6 +216,15 @@ impl<D: Domain> NotifierEnv<D> {
         }
     }
 
+    /// Names the facts that hold now.
+    fn holding(&self) -> Vec<&'static str> {
+        let facts = self.domain.facts();
+        let mut holds = vec![false; facts.len()];
+        self.domain.observe_facts(&mut holds);
+        let told = facts.iter().zip(holds).filter(|(_, holds)| *holds);
+        told.map(|(fact, _)| fact.name).collect()
+    }
+
     fn speech(&self) -> Option<Speech> {
         self.human.speech().map(|(message, heard)| Speech {
             topic: message.topic,
@@ -393,6 +403,10 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         })
     }
 
+    fn facts(&self) -> Vec<Fact> {
+        self.domain.facts()
+    }
+
     fn scene(&self) -> Option<Scene> {
         let listener = Listener {
             topics: self.domain.topics().to_vec(),
@@ -400,7 +414,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             pending: self.human.pending().map(|message| message.topic),
             reacting: self.last.reacting,
         };
-        Some(Scene { listener, ..self.domain.scene() })
+        Some(Scene { listener, facts: self.holding(), ..self.domain.scene() })
     }
 }
 

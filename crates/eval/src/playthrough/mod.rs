@@ -3,7 +3,8 @@
 //! ```text
 //! record        Player + environment --> Playthrough (a scene per step)
 //! timeline      scenes --> what the person was doing in each step, utterances and reactions as spans of time
-//! voice         topic, k, l of each utterance --> the sentence that says it: Spoken
+//! voice         topic, k, l of each utterance, and the facts that hold --> a true sentence that says it: Spoken
+//! truth         many episodes --> how many of their sentences are false
 //! transcript    a spoken episode as text, word by word
 //! ```
 
@@ -11,12 +12,14 @@ mod demonstration;
 mod record;
 mod timeline;
 mod transcript;
+mod truth;
 mod voice;
 
 pub use record::Playthrough;
 pub(crate) use timeline::topic_name;
 pub use timeline::{Activity, Span, Timeline};
-pub use voice::{Sentence, Spoken, Voice};
+pub use truth::{FalseSentence, Truthfulness};
+pub use voice::{Choosing, Sentence, Spoken, Voice};
 
 #[cfg(test)]
 pub(crate) mod synthetic;

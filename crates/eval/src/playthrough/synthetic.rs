@@ -57,6 +57,7 @@ fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene
         gauge: Gauge { label: "height", value: at[1] },
         others: vec![[at[0], 0.5 * at[1]]],
         listener,
+        facts: vec!["zone_ahead", "zone_near"],
         outcome: String::new(),
     }
 }

@@ -1,26 +1,30 @@
 //! The sentences of an episode: from topic, k and l of each message to the words that a person would hear.
 //!
+//! A sentence is said only if everything that it presupposes holds at the moment at which it starts.
+//!
 //! Which of a cell's sentences comes first is drawn from a stream named by (evaluation seed, episode), and after that
 //! they take turns: the same episode always gets the same sentences.
 
 use std::fmt;
 
 use leadtime_numerics::Purpose;
-use leadtime_taxonomy::{Cell, Loss, Request, Rotation, Taxonomy, shipped, words};
+use leadtime_taxonomy::{
+    Cell, FactSet, Loss, Request, Rotation, Taxonomy, Utterance, shipped, words,
+};
 
 use super::record::Playthrough;
-use super::timeline::Timeline;
+use super::timeline::{Timeline, topic_name};
 use crate::error::Error;
-use crate::measure::episode_seed;
+use crate::measure::{LoggedMessage, episode_seed};
 
 /// A message in words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sentence {
-    /// As it is spoken: `Zone ahead, go up.`
+    /// As it is spoken: `Zone ahead, go up.`; the topic in brackets, if nothing true can be said on it.
     pub text: String,
     /// The cell that it stands in.
     pub cell: Cell,
-    /// No sentence has exactly the message's k and l; this one stands in.
+    /// No true sentence has exactly the message's k and l; this one stands in.
     pub fallback: bool,
 }
 
@@ -42,6 +46,24 @@ impl fmt::Display for Sentence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "\u{201c}{}\u{201d}", self.text)
     }
+}
+
+/// Which of the sentences for a message take turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Choosing {
+    /// All of them, true or not.
+    InTurn,
+    /// Those of which everything holds.
+    TrueInTurn,
+}
+
+/// What is said for a message.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Chosen<'a> {
+    /// The sentence.
+    pub(super) utterance: &'a Utterance,
+    /// It stands for a message of another k or l.
+    pub(super) fallback: bool,
 }
 
 /// Speaks a domain's messages, in the sentences of a database.
@@ -70,19 +92,58 @@ impl Voice {
     ///
     /// [`Error::Words`] if the episode speaks of a topic that the database does not know.
     pub fn speak(&self, played: Playthrough) -> Result<Spoken, Error> {
-        let mut generator = episode_seed(played.seed, played.index).stream(Purpose::Words);
-        let mut rotation = Rotation::new(&self.0, &mut generator);
-        let mut spoken = Spoken::from(played);
-        for utterance in &spoken.timeline.utterances {
-            let (k, l) = (utterance.comprehension as u32, utterance.conveyance as u32);
-            let request = Request { topic: utterance.topic, cell: Cell::new(k, l) };
-            let found = self.0.retrieve(request, &Loss::default())?;
-            let text = rotation.next(&found).map(|utterance| utterance.text.clone());
-            let (text, cell, fallback) = (text.unwrap_or_default(), found.cell, found.fallback);
-            spoken.sentences.push(Sentence { text, cell, fallback });
-        }
-        Ok(spoken)
+        let spoken = Spoken::from(played);
+        let (played, messages) = (&spoken.played, &spoken.timeline.utterances);
+        let told = messages.iter().map(|it| (it, &played.scenes[it.start].facts[..]));
+        let told: Vec<(&LoggedMessage, &[&str])> = told.collect();
+        let chosen = self.choose(played.seed, played.index, &told, Choosing::TrueInTurn)?;
+        let sentence = |(message, chosen): (&LoggedMessage, Option<Chosen<'_>>)| match chosen {
+            Some(Chosen { utterance, fallback }) => {
+                Sentence { text: utterance.text.clone(), cell: utterance.cell, fallback }
+            }
+            None => {
+                let text = format!("[{}]", topic_name(&played.scenes[0], message.topic));
+                Sentence { text, cell: cell(message), fallback: false }
+            }
+        };
+        let sentences = messages.iter().zip(chosen).map(sentence).collect();
+        Ok(Spoken { sentences, ..spoken })
     }
+
+    /// Returns the sentences.
+    pub(super) fn taxonomy(&self) -> &Taxonomy {
+        &self.0
+    }
+
+    /// Chooses a sentence for each message of an episode, given the facts that hold when it is begun; none where nothing true
+    /// can be said.
+    pub(super) fn choose(
+        &self,
+        seed: u64,
+        index: u64,
+        told: &[(&LoggedMessage, &[&str])],
+        choosing: Choosing,
+    ) -> Result<Vec<Option<Chosen<'_>>>, Error> {
+        let mut generator = episode_seed(seed, index).stream(Purpose::Words);
+        let mut rotation = Rotation::new(&self.0, &mut generator);
+        let mut say = |(message, facts): &(&LoggedMessage, &[&str])| {
+            let request = Request { topic: message.topic, cell: cell(message) };
+            let holding = match choosing {
+                Choosing::InTurn => FactSet::ALL,
+                Choosing::TrueInTurn => self.0.facts_named(facts.iter().copied()),
+            };
+            let Some(found) = self.0.retrieve_true(request, &Loss::default(), holding)? else {
+                return Ok(None);
+            };
+            let utterance = rotation.next(&found);
+            Ok(utterance.map(|utterance| Chosen { utterance, fallback: found.fallback }))
+        };
+        told.iter().map(&mut say).collect()
+    }
+}
+
+fn cell(message: &LoggedMessage) -> Cell {
+    Cell::new(message.comprehension as u32, message.conveyance as u32)
 }
 
 /// An episode with the words of its messages, ready to be drawn and written out.

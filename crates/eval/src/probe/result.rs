@@ -5,7 +5,7 @@ use leadtime_table::{Table, TableCell};
 use serde::{Deserialize, Serialize};
 
 use crate::measure::{Difference, cell};
-use crate::report::Fact;
+use crate::report::ProvenanceDetail;
 
 /// A stage that fewer episodes of either half reached is not scored.
 pub const MIN_EPISODES: usize = 20;
@@ -90,9 +90,11 @@ impl ProbeResult {
     }
 
     /// Writes a section of a page: tables, how to read them, and where they are from.
-    pub fn markdown(&self, title: &str, provenance: &[Fact]) -> String {
+    pub fn markdown(&self, title: &str, provenance: &[ProvenanceDetail]) -> String {
         let [errors, exact] = self.tables().map(|table| table.markdown());
-        let facts = provenance.iter().map(|Fact { name, value }| format!("* {name}: {value}\n"));
+        let facts = provenance
+            .iter()
+            .map(|ProvenanceDetail { name, value }| format!("* {name}: {value}\n"));
         let results = self.results().map(|line| format!("* {line}\n"));
         let (results, facts): (String, String) = (results.collect(), facts.collect());
         format!(
@@ -207,7 +209,7 @@ mod tests {
 
     #[test]
     fn a_section_has_the_tables_and_says_where_they_are_from() {
-        let command = Fact::new("command", "`leadtime probe r`");
+        let command = ProvenanceDetail::new("command", "`leadtime probe r`");
         insta::assert_snapshot!(knowledge().markdown("What `r` knows", &[command]));
     }
 }

@@ -82,7 +82,7 @@ pub struct Provenance {
     /// The run's name.
     pub run: String,
     /// What is known of it.
-    pub facts: Vec<Fact>,
+    pub details: Vec<ProvenanceDetail>,
     /// The command that trains it.
     pub command: String,
     /// The whole configuration, as TOML.
@@ -102,15 +102,15 @@ pub struct Book {
 
 /// A name and a value.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Fact {
+pub struct ProvenanceDetail {
     /// What it is.
     pub name: String,
     /// Its value.
     pub value: String,
 }
 
-impl Fact {
-    /// States a fact.
+impl ProvenanceDetail {
+    /// States a detail.
     pub fn new(name: impl Into<String>, value: impl Into<String>) -> Self {
         Self { name: name.into(), value: value.into() }
     }

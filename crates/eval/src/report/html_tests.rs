@@ -9,7 +9,7 @@ use crate::draw::inspect::{LEGIBLE, contrast};
 use crate::figure::{Band, BandPanel, ShareRow};
 use crate::measure::{Comparison, Evaluation};
 use crate::playthrough::{Spoken, synthetic};
-use crate::report::{Book, Fact, Picture, Provenance, Report, Verdict, player};
+use crate::report::{Book, Picture, Provenance, ProvenanceDetail, Report, Verdict, player};
 
 /// What every text of the report under test contains.
 const NASTY: &str = "<script>alert('&')</script>\"";
@@ -34,7 +34,7 @@ fn report() -> Report {
     changed.push([text("learner.clip"), "0.2".to_owned(), text("0.3")]);
     let provenance = Provenance {
         run: text("run"),
-        facts: vec![Fact::new(text("seed"), text("1"))],
+        details: vec![ProvenanceDetail::new(text("seed"), text("1"))],
         command: text("leadtime up -c lander"),
         settings: text("seed = 1"),
     };

@@ -9,5 +9,5 @@ mod html;
 mod player;
 mod sections;
 
-pub use contents::{Book, Fact, Picture, Provenance, Report, Verdict};
+pub use contents::{Book, Picture, Provenance, ProvenanceDetail, Report, Verdict};
 pub use player::player;

@@ -3,7 +3,7 @@
 use leadtime_proto::phrase::counted;
 use leadtime_table::{Table, escape};
 
-use super::contents::{Book, Fact, Picture, Provenance, Report, Verdict};
+use super::contents::{Book, Picture, Provenance, ProvenanceDetail, Report, Verdict};
 use crate::figure;
 use crate::measure::{Comparison, main_measures, meaning, names_in, title};
 
@@ -183,9 +183,9 @@ fn heading(report: &Report, run: &str) -> String {
 }
 
 pub(super) fn provenance(report: &Report) -> String {
-    let of_run = |Provenance { run, facts, command, .. }: &Provenance| {
+    let of_run = |Provenance { run, details, command, .. }: &Provenance| {
         let mut table = Table::new(["", ""]);
-        for Fact { name, value } in facts {
+        for ProvenanceDetail { name, value } in details {
             table.push([name, value]);
         }
         let command = match command.as_str() {

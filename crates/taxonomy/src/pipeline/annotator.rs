@@ -68,7 +68,9 @@ impl Annotator {
                         .ok_or_else(|| wrong("one percentage from 0 to 100 per word is needed"))?;
                     let cell = match section.cell {
                         // Where it lands is measured again; here it decides under which cell it is proposed.
-                        None => Some(completer.cell(&curve).map_err(|what| wrong(&what))?),
+                        None if !section.is_control => {
+                            Some(completer.cell(&curve).map_err(|what| wrong(&what))?)
+                        }
                         cell => cell,
                     };
                     annotator.add(section, cell, text, curve);
@@ -299,8 +301,11 @@ mod tests {
 
     #[test]
     fn controls_are_rated_and_never_proposed() {
-        let control = "# ascend control\nInstruction: ahead up zone go\nComprehension after each word: 5, 10, 20, 80\n";
+        let control = "# ascend control\nInstruction: ahead up zone go\nComprehension after each word: 5, 10, 20, 80\n\
+            Instruction: zone up\nComprehension after each word: 5, 10\n";
         let annotator = parse(&format!("{TEXT}\n{control}")).unwrap();
+        // Not understood at all, it has no cell; it needs none.
+        assert_eq!(annotator.rate("ascend", "zone up", Some(2)).unwrap().text, "10");
         assert_eq!(annotator.rate("ascend", "ahead up zone go", Some(4)).unwrap().text, "80");
         let reply = annotator.generate("ascend", Cell::new(2, 4), 0);
         assert_eq!(reply.text, "Go up, zone ahead.");

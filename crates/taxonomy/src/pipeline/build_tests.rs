@@ -41,7 +41,8 @@ fn every_cell_of_the_shipped_databases_has_three_sentences() {
         let taxonomy = shipped::shipped(domain).unwrap();
         taxonomy.expect_topics(topics).unwrap();
         assert_eq!(taxonomy.header().fidelity, Fidelity::Authored);
-        let findings = crate::check(&taxonomy, 3);
+        let mut findings = crate::check(&taxonomy, 3);
+        findings.extend(job::check_words(&taxonomy));
         assert!(findings.is_empty(), "{domain}: {}", findings[0]);
         for topic in taxonomy.topics() {
             assert!(topic.utterances().iter().all(|utterance| !utterance.clamped));

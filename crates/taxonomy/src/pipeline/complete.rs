@@ -4,6 +4,7 @@ use super::curve::listen;
 use super::error::PipelineError;
 use super::grammar::understood;
 use super::plan::DatabasePlan;
+use super::presuppose::Presuppositions;
 use super::structure::Lexicon;
 use crate::raw::RawUtterance;
 use crate::utterance::{Cell, WordSpan};
@@ -51,6 +52,14 @@ impl<'a> Completer<'a> {
         let heard = listen(curve, settings.theta, *from, settings.max_drop);
         let heard = heard.map_err(|reason| format!("it has no cell (`{reason}`)"))?;
         Ok(Cell::new(heard.comprehension, n_words))
+    }
+}
+
+/// Fills in what sentences presuppose that do not say so, by the phrases of the plan of their domain.
+pub(super) fn presuppose(utterances: &mut [RawUtterance], plan: &DatabasePlan) {
+    let presupposed = Presuppositions::new(plan);
+    for raw in utterances.iter_mut().filter(|raw| raw.facts.is_none()) {
+        raw.facts = plan.topic_idx(&raw.topic).map(|topic| presupposed.facts(topic, &raw.text));
     }
 }
 

@@ -7,6 +7,7 @@ use serde_json::json;
 use super::candidate::Candidate;
 use super::log::LogHeader;
 use super::plan::DatabasePlan;
+use super::presuppose::Presuppositions;
 use crate::database::Taxonomy;
 use crate::raw::{RawDatabase, RawUtterance, SCHEMA};
 use crate::utterance::{Fidelity, Utterance};
@@ -34,6 +35,7 @@ fn claim(fidelity: Fidelity) -> &'static str {
 /// Writes the file of the chosen sentences.
 pub(super) fn database(plan: &DatabasePlan, header: &LogHeader, kept: &[Candidate]) -> String {
     let LogHeader { fidelity, generator, rater, embedder, .. } = header.clone();
+    let presupposed = Presuppositions::new(plan);
     let raw = RawDatabase {
         schema: SCHEMA,
         domain: plan.domain.clone(),
@@ -45,7 +47,10 @@ pub(super) fn database(plan: &DatabasePlan, header: &LogHeader, kept: &[Candidat
         words: plan.words,
         topics: plan.topic.iter().map(|topic| topic.id.clone()).collect(),
         config: plan.hash(),
-        utterance: kept.iter().filter_map(|candidate| utterance(plan, candidate)).collect(),
+        utterance: kept
+            .iter()
+            .filter_map(|candidate| utterance(plan, &presupposed, candidate))
+            .collect(),
     };
     format!(
         "# What is said in the domain `{}`, by topic, comprehension time k and conveyance time l, in words.\n# {}\n\
@@ -57,7 +62,11 @@ pub(super) fn database(plan: &DatabasePlan, header: &LogHeader, kept: &[Candidat
     )
 }
 
-fn utterance(plan: &DatabasePlan, candidate: &Candidate) -> Option<RawUtterance> {
+fn utterance(
+    plan: &DatabasePlan,
+    presupposed: &Presuppositions,
+    candidate: &Candidate,
+) -> Option<RawUtterance> {
     let cell = candidate.landed?;
     Some(RawUtterance {
         topic: plan.topic[candidate.topic].id.clone(),
@@ -65,6 +74,7 @@ fn utterance(plan: &DatabasePlan, candidate: &Candidate) -> Option<RawUtterance>
         conveyance: cell.conveyance,
         text: candidate.text.clone(),
         spans: candidate.spans.clone(),
+        facts: Some(presupposed.facts(candidate.topic, &candidate.text)),
         curve: candidate.curve.clone(),
         clamped: candidate.clamped,
         word_end_ms: Vec::new(),
@@ -75,7 +85,8 @@ fn utterance(plan: &DatabasePlan, candidate: &Candidate) -> Option<RawUtterance>
 
 /// Writes a database as a table, one sentence per line.
 pub(super) fn csv(taxonomy: &Taxonomy) -> String {
-    let mut out = String::from("topic,comprehension,conveyance,text,reason,curve,medoid,source\n");
+    let mut out =
+        String::from("topic,comprehension,conveyance,text,reason,facts,curve,medoid,source\n");
     for topic in taxonomy.topics() {
         for utterance in topic.utterances() {
             let Utterance { cell, text, medoid, source, .. } = utterance;
@@ -83,12 +94,13 @@ pub(super) fn csv(taxonomy: &Taxonomy) -> String {
             // Writing to a string cannot fail.
             let _written = writeln!(
                 out,
-                "{},{},{},\"{}\",{},{},{medoid},\"{}\"",
+                "{},{},{},\"{}\",{},{},{},{medoid},\"{}\"",
                 topic.name(),
                 cell.comprehension,
                 cell.conveyance,
                 text.replace('"', "\"\""),
                 utterance.states_reason(),
+                taxonomy.fact_names(utterance.facts).collect::<Vec<_>>().join(" "),
                 curve.join(" "),
                 source.replace('"', "\"\"")
             );
@@ -104,7 +116,9 @@ pub(super) fn json(taxonomy: &Taxonomy) -> String {
         .topics()
         .iter()
         .map(|topic| {
-            let list: Vec<serde_json::Value> = topic.utterances().iter().map(object).collect();
+            let said = topic.utterances().iter();
+            let list: Vec<serde_json::Value> =
+                said.map(|utterance| object(taxonomy, utterance)).collect();
             json!({"topic": topic.name(), "utterances": list})
         })
         .collect();
@@ -115,10 +129,11 @@ pub(super) fn json(taxonomy: &Taxonomy) -> String {
     format!("{whole:#}\n")
 }
 
-fn object(utterance: &Utterance) -> serde_json::Value {
+fn object(taxonomy: &Taxonomy, utterance: &Utterance) -> serde_json::Value {
     json!({
         "comprehension": utterance.cell.comprehension, "conveyance": utterance.cell.conveyance,
         "text": utterance.text, "spans": utterance.spans, "curve": utterance.curve,
+        "facts": taxonomy.fact_names(utterance.facts).collect::<Vec<_>>(),
         "medoid": utterance.medoid, "source": utterance.source,
     })
 }

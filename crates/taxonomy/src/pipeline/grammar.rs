@@ -5,6 +5,7 @@ use leadtime_numerics::Pcg64;
 use super::backend::{Call, Input, Model, Reply};
 use super::error::BackendError;
 use super::plan::{DatabasePlan, hash};
+use super::presuppose::Presuppositions;
 use super::reply::joined;
 use super::structure::Lexicon;
 use crate::utterance::{Cell, Fidelity, SpanKind, WordSpan};
@@ -31,19 +32,20 @@ const UNDERSTOOD: u8 = 95;
 pub(super) struct Grammar {
     plan: DatabasePlan,
     lexicon: Lexicon,
+    presupposed: Presuppositions,
 }
 
 impl Grammar {
     /// Takes a plan's phrases.
     pub(super) fn new(plan: &DatabasePlan) -> Self {
-        Self { plan: plan.clone(), lexicon: Lexicon::new(plan) }
+        let presupposed = Presuppositions::new(plan);
+        Self { plan: plan.clone(), lexicon: Lexicon::new(plan), presupposed }
     }
 
-    /// Lists every sentence of a topic that lands in a cell, in a fixed order without a pattern.
+    /// Lists every sentence of a topic that lands in a cell, in a fixed order without a pattern; first one that is always true.
     fn sentences(&self, topic: &str, cell: Cell) -> Vec<String> {
-        let Some(topic) = self.plan.topic.iter().find(|plan| plan.id == topic) else {
-            return Vec::new();
-        };
+        let Some(topic_idx) = self.plan.topic_idx(topic) else { return Vec::new() };
+        let topic = &self.plan.topic[topic_idx];
         let nothing = [String::new()];
         let hows = if topic.how.is_empty() { &self.plan.how } else { &topic.how };
         let mut found = Vec::new();
@@ -62,6 +64,10 @@ impl Grammar {
         let name = hash(format!("{} {} {cell}", self.plan.domain, topic.id).as_bytes());
         let seed = u64::from_str_radix(&name[..16], 16).unwrap_or_default();
         Pcg64::seed_from_u64(seed).shuffle(&mut found);
+        let is_always_true = |text: &String| self.presupposed.facts(topic_idx, text).is_empty();
+        if let Some(place) = found.iter().position(is_always_true) {
+            found[..=place].rotate_right(1);
+        }
         found
     }
 

@@ -6,7 +6,7 @@ use super::annotator::Annotator;
 use super::backend::{CallStage, Embedder, LoggedBackend, Model};
 use super::build::{Built, build};
 use super::caller::{Backends, CallMode, Caller, not_in_log};
-use super::complete::complete;
+use super::complete::{complete, presuppose};
 use super::error::PipelineError;
 use super::export;
 use super::grammar::Grammar;
@@ -14,12 +14,14 @@ use super::http::{Http, HttpSettings};
 use super::lexical::Lexical;
 use super::log::{CallLog, LogHeader};
 use super::plan::DatabasePlan;
+use super::presuppose::Presuppositions;
 use super::prompts::{PromptWriter, Prompts};
 use super::rating::Rating;
+use crate::check::Finding;
 use crate::database::Taxonomy;
 use crate::error::TaxonomyError;
 use crate::raw::RawDatabase;
-use crate::utterance::Fidelity;
+use crate::utterance::{Fidelity, SpanKind, WordSpan};
 
 /// What comes with the crate for one domain: its plan, and the annotations and call log of its database.
 #[derive(Clone, Copy, Debug)]
@@ -199,7 +201,8 @@ pub fn rate_texts(
 /// Reads a database in which a sentence needs no more than its topic and its text.
 ///
 /// `spans`, `curve`, `comprehension` and `conveyance` are made where they are missing, as [`rate_texts`] makes them with
-/// [`Backend::Grammar`]; spans need a domain whose plan comes with the crate.
+/// [`Backend::Grammar`]; spans need a domain whose plan comes with the crate. For such a domain `facts` are made as well,
+/// by the plan's phrases.
 ///
 /// # Errors
 ///
@@ -213,7 +216,39 @@ pub fn database(text: &str) -> Result<Taxonomy, TaxonomyError> {
                 .map_err(|defect| utterance.wrong(index, &defect))?;
         }
     }
+    if let Ok(plan) = &plan {
+        presuppose(&mut raw.utterance, plan);
+    }
     Taxonomy::from_raw(raw)
+}
+
+/// Lists what is wrong between the words of sentences and the facts that they presuppose: a reason that names no fact, and
+/// a phrase of the domain's plan whose fact is left out.
+pub fn check_words(taxonomy: &Taxonomy) -> Vec<Finding> {
+    let presupposed = plan(&taxonomy.header().domain).ok().map(|plan| Presuppositions::new(&plan));
+    let mut findings = Vec::new();
+    for (topic_idx, topic) in taxonomy.topics().iter().enumerate() {
+        for utterance in topic.utterances() {
+            let stated: Vec<&str> = taxonomy.fact_names(utterance.facts).collect();
+            let phrases = presupposed.as_ref().map(|known| known.named(topic_idx, &utterance.text));
+            let phrases = phrases.unwrap_or_default();
+            let mut named = phrases.iter().flat_map(|phrase| phrase.facts);
+            let mut find = |says: &str| {
+                let says = format!(", \"{}\": {says}", utterance.text);
+                findings.push(Finding::new(topic.name(), says));
+            };
+            let mut reasons = utterance.spans.iter().filter(|span| span.part == SpanKind::Why);
+            let is_known = |span: &WordSpan| {
+                phrases.iter().any(|it| it.from < span.to as usize && span.from < it.to as u32)
+            };
+            if let Some(left_out) = named.find(|fact| !stated.contains(&fact.as_str())) {
+                find(&format!("its words presuppose `{left_out}`, its `facts` do not"));
+            } else if stated.is_empty() && reasons.any(|span| !is_known(span)) {
+                find("it gives a reason and presupposes no fact");
+            }
+        }
+    }
+    findings
 }
 
 /// A form for other tools.

@@ -46,6 +46,7 @@ mod medoids;
 #[cfg(feature = "minilm")]
 pub mod minilm;
 pub mod plan;
+mod presuppose;
 mod progress;
 mod prompts;
 mod rating;

@@ -1,5 +1,6 @@
 //! What a database is to be made of: the domain, its topics, the phrases that say them, and the settings of a run.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
@@ -8,6 +9,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::error::PipelineError;
 use crate::database::MAX_WORDS;
+use crate::facts;
 use crate::raw;
 use crate::words;
 
@@ -118,6 +120,9 @@ pub struct TopicPlan {
     pub how: Vec<String>,
     /// Reasons for it (Why), for the grammar.
     pub why: Vec<String>,
+    /// What phrases presuppose on this topic, where that is something else than in general.
+    #[serde(default)]
+    pub presupposes: BTreeMap<String, Vec<String>>,
     /// Worked examples of a rating.
     pub rated: Vec<RatedSentence>,
 }
@@ -151,6 +156,9 @@ pub struct DatabasePlan {
     /// Sentences that a person has turned down.
     #[serde(default)]
     pub reject: Vec<String>,
+    /// What a phrase presupposes: facts of the domain. None: it can never be false.
+    #[serde(default)]
+    pub presupposes: BTreeMap<String, Vec<String>>,
     /// The settings of a run.
     #[serde(default)]
     pub settings: PlanSettings,
@@ -180,9 +188,11 @@ impl DatabasePlan {
         let fits = 1 <= from && from <= to && to <= MAX_WORDS;
         require(fits, "words", format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
         require(!self.topic.is_empty(), "topic", "[]", "at least one topic")?;
+        check_facts("presupposes", &self.presupposes)?;
         for topic in &self.topic {
             let key = |name: &str| format!("topic.{}.{name}", topic.id);
             require(!topic.what.is_empty(), &key("what"), "[]", "at least one phrase")?;
+            check_facts(&key("presupposes"), &topic.presupposes)?;
             for rated in &topic.rated {
                 let (given, words) = (rated.curve.len(), words::count(&rated.text) as usize);
                 let says = format!("{words} percentages, one per word of \"{}\"", rated.text);
@@ -232,6 +242,15 @@ impl PlanSettings {
         share("top_p", self.top_p)?;
         within("max_tokens", self.max_tokens.into(), 16.0..=4096.0, "16 to 4096 tokens")
     }
+}
+
+fn check_facts(key: &str, phrases: &BTreeMap<String, Vec<String>>) -> Result<(), PipelineError> {
+    let mut all =
+        phrases.iter().flat_map(|(phrase, facts)| facts.iter().map(move |fact| (phrase, fact)));
+    let wrong = all.find(|(_, fact)| !facts::is_name(fact));
+    let given =
+        wrong.map(|(phrase, fact)| format!("`{fact}` for \"{phrase}\"")).unwrap_or_default();
+    require(wrong.is_none(), key, given, "names of facts, of a to z, 0 to 9 and _")
 }
 
 fn require(

@@ -1,4 +1,4 @@
-//! Which sentences of a cell are kept: near-duplicates go, medoids stay.
+//! Which sentences of a cell are kept: near-duplicates go, medoids stay, and one that is always true.
 
 use std::collections::BTreeMap;
 
@@ -8,6 +8,7 @@ use super::embedding::Embedding;
 use super::error::PipelineError;
 use super::medoids::{Distances, medoids};
 use super::plan::DatabasePlan;
+use super::presuppose::Presuppositions;
 use crate::utterance::Cell;
 
 /// Chooses the representatives of every cell, and marks them; in the order of the file.
@@ -22,6 +23,7 @@ pub(super) fn choose(
             cells.entry((candidate.topic, cell)).or_default().push(i);
         }
     }
+    let presupposed = Presuppositions::new(plan);
     let mut kept = Vec::new();
     for mut members in cells.into_values() {
         let is_pinned = |i: &usize| plan.pinned.contains(&candidates[*i].text);
@@ -38,7 +40,17 @@ pub(super) fn choose(
                 distinct.push((i, embedding));
             }
         }
-        let chosen = representatives(&distinct, n_pinned, plan.settings.keep);
+        let keep = plan.settings.keep;
+        let mut chosen = representatives(&distinct, n_pinned, keep);
+        let is_always_true =
+            |i: usize| presupposed.facts(candidates[i].topic, &candidates[i].text).is_empty();
+        if n_pinned < keep && !chosen.iter().any(|&i| is_always_true(i)) {
+            // There must be something to say when nothing else holds: the first that was proposed is kept like a pinned one.
+            if let Some(place) = distinct.iter().position(|(i, _)| is_always_true(*i)) {
+                distinct[n_pinned..=place].rotate_right(1);
+                chosen = representatives(&distinct, n_pinned + 1, keep);
+            }
+        }
         for (rank, i) in chosen.into_iter().enumerate() {
             candidates[i].medoid = Some(rank as u32);
             kept.push(candidates[i].clone());

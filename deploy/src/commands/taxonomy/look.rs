@@ -95,9 +95,12 @@ pub(in crate::commands) fn validate(
     args: &TaxonomyValidateArgs,
 ) -> Result<(), Failure> {
     let taxonomy = source::database(&args.database)?;
-    fits(tasks, &taxonomy).with_context(|| args.database.clone()).blame(ExitCode::WrongInput)?;
-    let findings: Vec<String> =
-        check(&taxonomy, args.wanted).iter().map(Finding::to_string).collect();
+    let told = fits(tasks, &taxonomy).with_context(|| args.database.clone());
+    let told = told.blame(ExitCode::WrongInput)?;
+    let mut findings = check(&taxonomy, args.wanted);
+    findings.extend(job::check_words(&taxonomy));
+    let findings: Vec<String> = findings.iter().map(Finding::to_string).collect();
+    let unused: Vec<&str> = told.into_iter().filter(|fact| !names(&taxonomy, fact)).collect();
     let header = taxonomy.header();
     let n_kept: usize = taxonomy.topics().iter().map(|topic| topic.utterances().len()).sum();
     let n_topics = taxonomy.topics().len();
@@ -109,12 +112,16 @@ pub(in crate::commands) fn validate(
             "topics": n_topics,
             "sentences": n_kept,
             "findings": findings,
+            "unused_facts": unused,
         }));
     } else {
         let (database, domain, fidelity) = (&args.database, &header.domain, header.fidelity.name());
         let sentences = format!("{n_kept} sentences on {n_topics} topics");
         output::line(&format!("{database}: domain {domain}, {sentences}, fidelity {fidelity}"));
         findings.iter().map(String::as_str).for_each(output::line);
+        if !unused.is_empty() {
+            output::line(&format!("no sentence presupposes {}", unused.join(", ")));
+        }
     }
     if args.strict && !findings.is_empty() {
         return Err(Failure::silent(ExitCode::Failed));
@@ -122,12 +129,22 @@ pub(in crate::commands) fn validate(
     Ok(())
 }
 
-/// Makes sure that a database of a domain that the program knows speaks of its topics.
-fn fits(tasks: &Tasks, taxonomy: &Taxonomy) -> anyhow::Result<()> {
+/// Tells whether some sentence presupposes a fact.
+fn names(taxonomy: &Taxonomy, fact: &str) -> bool {
+    taxonomy.facts().iter().any(|name| name == fact)
+}
+
+/// Makes sure that a database of a domain that the program knows speaks of its topics and presupposes what it tells; returns
+/// the names of that.
+fn fits(tasks: &Tasks, taxonomy: &Taxonomy) -> anyhow::Result<Vec<&'static str>> {
     let domain = taxonomy.header().domain.clone();
-    let topics = tasks.topics(&TaskSpec { domain, settings: "{}".to_owned() });
+    let task = TaskSpec { domain, settings: "{}".to_owned() };
+    let topics = tasks.topics(&task);
     if topics.is_empty() {
-        return Ok(());
+        return Ok(Vec::new());
     }
-    Ok(taxonomy.expect_topics(&topics)?)
+    taxonomy.expect_topics(&topics)?;
+    let told: Vec<&str> = tasks.facts(&task).iter().map(|fact| fact.name).collect();
+    taxonomy.expect_facts(&told)?;
+    Ok(told)
 }

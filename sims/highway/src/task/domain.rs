@@ -9,12 +9,13 @@ use leadtime_sims::human::{FollowThrough, HumanSettings};
 use leadtime_sims::notifier::{NotifierSettings, NotifierWorld, TaskSettings};
 use leadtime_sims::scene::Scene;
 use leadtime_sims::{
-    Advance, Domain, DomainEntry, Entities, Message, Quantity, ReactionStatus, ReactionStep,
+    Advance, Domain, DomainEntry, Entities, Fact, Message, Quantity, ReactionStatus, ReactionStep,
     RewardTerm,
 };
 use serde::{Deserialize, Serialize};
 
 use super::admit::{merging_car, populate};
+use super::facts::{self, DriveMoment};
 use super::heuristic::advise;
 use super::overview;
 use super::picture::picture;
@@ -273,6 +274,15 @@ impl Domain for HighwayDomain {
 
     fn observe_for_scripts(&self, out: &mut [f32]) {
         overview::observe(&self.traffic, out);
+    }
+
+    fn facts(&self) -> Vec<Fact> {
+        facts::facts()
+    }
+
+    fn observe_facts(&self, holds: &mut [bool]) {
+        let desired_speed = self.settings.ego.desired_speed;
+        facts::observe(DriveMoment { traffic: &self.traffic, desired_speed }, holds);
     }
 
     fn success(&self) -> bool {

@@ -20,6 +20,7 @@
 
 mod admit;
 mod domain;
+mod facts;
 mod heuristic;
 mod overview;
 mod picture;

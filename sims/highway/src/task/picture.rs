@@ -2,7 +2,7 @@
 //!
 //! Pictures have y upwards, roads have theirs to the right of the driver; so y is negated.
 
-use leadtime_sims::scene::{Gauge, Listener, Scene, Shape, Tone, View};
+use leadtime_sims::scene::{Gauge, Scene, Shape, Tone, View};
 
 use super::reaction::EGO;
 use crate::world::constants::OBSTACLE;
@@ -42,8 +42,8 @@ pub(super) fn picture(traffic: &Traffic, goal: f64, outcome: &str) -> Scene {
         position: [x, -y],
         gauge: Gauge { label: "speed (m/s)", value: traffic.vehicles[EGO].speed },
         others: others.map(|[x, y]| [x, -y]).collect(),
-        listener: Listener::default(),
         outcome: outcome.to_owned(),
+        ..Scene::default()
     }
 }
 

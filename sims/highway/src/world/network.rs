@@ -132,6 +132,12 @@ impl RoadNetwork {
         self.road_of[a] == self.road_of[b]
     }
 
+    /// Tells whether a lane ends where one beside it goes on.
+    pub fn ends(&self, lane: LaneId) -> bool {
+        let goes_on = |lane: LaneId| (0..self.lanes.len()).any(|next| self.follows(next, lane));
+        !goes_on(lane) && self.roads[self.road_of[lane]].lanes.clone().any(goes_on)
+    }
+
     /// Returns how far along a lane a driver on it sees a point, if it lies in their view.
     pub fn seen_along(&self, lane: LaneId, point: [f64; 2]) -> Option<f64> {
         self.views[lane].iter().find_map(|&(segment, offset)| {

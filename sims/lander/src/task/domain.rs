@@ -6,10 +6,11 @@ use leadtime_sims::check::SettingError;
 use leadtime_sims::environment::{End, EpisodeSeed, SnapshotError, read_snapshot, write_snapshot};
 use leadtime_sims::notifier::{NotifierWorld, TaskSettings};
 use leadtime_sims::scene::{Gauge, Scene, Shape, Tone};
-use leadtime_sims::{Advance, Domain, Message, Quantity, ReactionStep, RewardTerm};
+use leadtime_sims::{Advance, Domain, Fact, Message, Quantity, ReactionStep, RewardTerm};
 use serde::{Deserialize, Serialize};
 
 use super::describe;
+use super::facts::{self, FlightMoment};
 use super::maneuver::{Maneuver, TOPICS, listens, maneuver, raw};
 use super::safe_path::direct;
 use super::settings::{
@@ -284,6 +285,18 @@ impl Domain for LanderDomain {
         let is_near = |zone: &Zone| zone.distance(place) < self.settings.heuristic_distance;
         let speaks = self.zones.iter().any(is_near);
         speaks.then(|| direct(place, &self.settings.safe_path)).flatten()
+    }
+
+    fn facts(&self) -> Vec<Fact> {
+        facts::facts()
+    }
+
+    fn observe_facts(&self, holds: &mut [bool]) {
+        let [x, y, vx, vy, ..] = self.lander.observation().map(f64::from);
+        facts::observe(
+            &FlightMoment { place: [x, y], velocity: [vx, vy], zones: &self.zones },
+            holds,
+        );
     }
 
     fn success(&self) -> bool {

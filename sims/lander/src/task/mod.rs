@@ -21,6 +21,7 @@
 
 mod describe;
 mod domain;
+mod facts;
 mod maneuver;
 mod safe_path;
 mod settings;

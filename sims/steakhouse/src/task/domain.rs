@@ -11,14 +11,14 @@ use leadtime_sims::human::{
 use leadtime_sims::notifier::{NotifierSettings, NotifierWorld, TaskSettings};
 use leadtime_sims::scene::Scene;
 use leadtime_sims::{
-    Advance, Delivery, Domain, DomainEntry, Message, Quantity, ReactionStatus, ReactionStep,
+    Advance, Delivery, Domain, DomainEntry, Fact, Message, Quantity, ReactionStatus, ReactionStep,
     RewardTerm,
 };
 use serde::{Deserialize, Serialize};
 
 use super::settings::{SteakhouseWorldSettings, TieRule};
 use super::topics::{INFORM, TOPICS, direction, topic};
-use super::{describe, draw};
+use super::{describe, draw, facts};
 use crate::world::{
     Action, Direction, Floorplan, Kitchen, KitchenStart, KitchenState, StartFamily, StationPhase,
     Subtask, Ties, interactions_left, is_misled, is_redundant, random_pose,
@@ -362,6 +362,14 @@ impl Domain for SteakhouseDomain {
             "heuristic" => self.heuristic(),
             _ => None,
         }
+    }
+
+    fn facts(&self) -> Vec<Fact> {
+        facts::facts()
+    }
+
+    fn observe_facts(&self, holds: &mut [bool]) {
+        facts::observe(&self.kitchen, holds);
     }
 
     fn success(&self) -> bool {

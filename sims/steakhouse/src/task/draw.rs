@@ -1,6 +1,6 @@
 //! The kitchen as a picture's ingredients: a unit square per tile, north up.
 
-use leadtime_sims::scene::{Gauge, Listener, Scene, Shape, Tone, View};
+use leadtime_sims::scene::{Gauge, Scene, Shape, Tone, View};
 
 use crate::world::{Content, FieldOfView, Grid, GridPlace, Item, Kitchen, Subtask, Tile};
 
@@ -40,9 +40,8 @@ pub(super) fn scene(kitchen: &Kitchen, field_of_view: FieldOfView, outcome: &str
         shapes,
         position,
         gauge: Gauge { label: "y (tiles)", value: position[1] },
-        others: Vec::new(),
-        listener: Listener::default(),
         outcome: outcome.to_owned(),
+        ..Scene::default()
     }
 }
 

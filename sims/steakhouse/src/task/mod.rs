@@ -15,6 +15,7 @@
 mod describe;
 mod domain;
 mod draw;
+mod facts;
 mod settings;
 mod topics;
 
