@@ -36,8 +36,8 @@ pub mod text;
 
 pub use header::Header;
 pub use ids::{
-    ActorId, DomainName, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, Sequence,
-    Staleness,
+    ActorId, ClientName, DomainName, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName,
+    Sequence, ServiceName, Staleness,
 };
 pub use refusal::{Refusal, RefusalCause};
 pub use rollout::{CheckedRollout, EpisodeEnd, EpisodeSummary, Rollout};
