@@ -190,8 +190,8 @@ fn serving_allocates_nothing(domain: &str, n_steps: usize) {
     let policy = policy.expect("somebody is spoken to");
     let question = format!(r#"{{"protocol":1,"domain":"{domain}","clock":"observation"}}"#);
     let plan = SessionPlan::read(question.as_bytes(), &policy, 1).expect("the question is sound");
-    let mut mind = policy.mind();
-    let mut session = LiveSession::new("s".to_owned(), plan, &policy, &mind, STEP);
+    let mut decider = policy.decider();
+    let mut session = LiveSession::new("s".to_owned(), plan, &policy, &decider, STEP);
     let values = vec![0.1; policy.obs_dim()];
     let head = |seq: u64| ObservationHead { seq, t: seq as f64, episode: 0, end: false };
     let json: Vec<_> = (0..n_steps as u64).map(|i| write_json(&head(2 * i + 1), &values)).collect();
@@ -200,10 +200,10 @@ fn serving_allocates_nothing(domain: &str, n_steps: usize) {
     for (i, (json, (numbers, beside))) in json.iter().zip(&raw).enumerate() {
         let now = (i as u64 + 2) * STEP;
         let written = (&ArrivalEncoding::Json, json.as_slice(), None);
-        session.arrive(now, now, written, &mut mind, &mut ear);
+        session.arrive(now, now, written, &mut decider, &mut ear);
         let sent = (&ArrivalEncoding::Binary, numbers.as_slice(), Some(beside.as_slice()));
-        session.arrive(now + STEP / 2, now + STEP / 2, sent, &mut mind, &mut ear);
-        session.tick(now + STEP / 2, &mut mind, &mut ear);
+        session.arrive(now + STEP / 2, now + STEP / 2, sent, &mut decider, &mut ear);
+        session.tick(now + STEP / 2, &mut decider, &mut ear);
         meter.mark();
     }
     meter.check(domain, "serving", n_steps);

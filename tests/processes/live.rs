@@ -8,7 +8,7 @@ use leadtime_proto::{ClientName, Incarnation, ServiceName};
 use leadtime_serve::observation::{ObservationHead, write_json, write_raw};
 use leadtime_serve::{HeardSay, SayEvent};
 use serde_json::{Value, json};
-use tokio::runtime::Runtime;
+use tokio::runtime::{Builder, Runtime};
 
 use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words, wait_until};
 
@@ -45,8 +45,7 @@ struct Client {
 
 impl Client {
     fn connect(place: &Place, name: &str, start: u64) -> Self {
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all();
-        let runtime = { runtime }.build().unwrap();
+        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
         let endpoint = place.endpoint("n").parse().unwrap();
         let settings =
             ConnectSettings { timeout: PATIENCE, ..ConnectSettings::new(vec![endpoint]) };
@@ -133,7 +132,8 @@ impl Client {
         let deadline = Instant::now() + PATIENCE;
         let holds = |status: &Value| status[key].as_str().is_some_and(|text| text.contains(words));
         while !self.statuses.iter().any(holds) {
-            assert!(Instant::now() < deadline, "no `{words}` in {:?}", self.statuses);
+            let last = self.statuses.last();
+            assert!(Instant::now() < deadline, "no `{words}`; the last: {last:?}");
             self.listen(Duration::from_millis(20));
         }
     }
@@ -177,16 +177,22 @@ fn over_the_network_a_policy_is_as_good_as_in_its_evaluation_message_by_message(
     assert_eq!(measures(&driven.json()), measures(&evaluated.json()));
     let messages = std::fs::read_to_string(place.path().join("m.jsonl")).unwrap();
     assert!(messages.lines().count() > 40, "{messages}");
-    // The same as raw numbers, and in the words of the transcript.
+    // The same as raw numbers.
     let raw = format!("--connect {to} --max-speed --binary --episodes 20 --json");
     let raw = place.finish(&["drive", &policy(), &raw]).with_code(0);
     assert_eq!(measures(&raw.json()), measures(&evaluated.json()));
+    // And in the words of the transcript, of which the table has a column.
     let heard = place.finish(&["eval", &policy(), "--episodes 1 --transcript"]).with_code(0).stdout;
-    let first = messages.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-    for said in first.filter(|said| said["episode"] == 0) {
-        let text = said["text"].as_str().unwrap();
-        assert!(heard.contains(text), "{text} is not in {heard}");
-    }
+    let head = heard.lines().find(|line| line.contains("understands")).unwrap();
+    let (from, to) = (head.find("hears").unwrap(), head.find("understands").unwrap());
+    let column = |line: &str| line.chars().skip(from).take(to - from).collect::<String>();
+    let rows = heard.lines().skip_while(|line| *line != head).skip(1);
+    let words: Vec<String> = rows.map(|line| column(line).trim().to_owned()).collect();
+    let heard = words.iter().filter(|word| !word.is_empty()).cloned().collect::<Vec<_>>().join(" ");
+    let said = messages.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let said = said.filter(|said| said["episode"] == 0).take(3);
+    let said: Vec<String> = said.map(|said| said["text"].as_str().unwrap().to_owned()).collect();
+    assert!(heard.starts_with(&said.join(" ")), "{said:?} is not what is heard: {heard}");
 }
 
 #[test]
@@ -260,12 +266,12 @@ fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
     client.listen_for("told", "the checksum of the observation is wrong");
     client.port.observe_as("text/csv", b"0,1", None).unwrap();
     client.listen_for("told", "an observation of encoding `text/csv`; known: application/json");
-    client.seq += 10;
-    client.observe();
-    client.seq -= 5;
-    client.observe();
-    client.seq += 4;
-    client.observe();
+    // One at a time: of several that wait only the newest is looked at.
+    for count_on in [10, -5, 3] {
+        client.seq = client.seq.strict_add_signed(count_on);
+        client.observe();
+        client.listen(Duration::from_millis(60));
+    }
     client.listen_for("told", "came twice, with other content");
     let last = client.statuses.last().unwrap();
     assert_eq!((&last["out_of_order"], &last["missed"]), (&json!(1), &json!(12)), "{last}");
@@ -293,7 +299,7 @@ fn nothing_stale_is_said_under_a_flood_to_a_frozen_client_or_after_a_kill() {
     assert!(n_started > 0, "something was said");
 
     // Somebody else floods.
-    let mut rogue = Client::connect(&place, "rogue", 9);
+    let rogue = Client::connect(&place, "rogue", 9);
     rogue.open(&json!({})).unwrap();
     let until = Instant::now() + Duration::from_secs(2);
     while Instant::now() < until {

@@ -40,7 +40,7 @@ pub struct SaidMessage {
 
 /// What the players of one client share.
 #[derive(Debug)]
-struct Shared {
+struct SharedClient {
     client: LiveClient,
     failure: Option<ClientError>,
     said: Vec<SaidMessage>,
@@ -51,7 +51,7 @@ struct Shared {
 /// A player whose decisions come over the network.
 #[derive(Clone, Debug)]
 pub struct BusPlayer {
-    shared: Arc<Mutex<Shared>>,
+    shared: Arc<Mutex<SharedClient>>,
     clock: StepClock,
     step: Duration,
     now: Vec<f32>,
@@ -62,12 +62,12 @@ impl BusPlayer {
     /// Plays as a client's notifier says.
     pub fn new(client: LiveClient, clock: StepClock, seconds_per_step: f64) -> Self {
         let (failure, said, began) = (None, Vec::new(), Instant::now());
-        let shared = Arc::new(Mutex::new(Shared { client, failure, said, began }));
+        let shared = Arc::new(Mutex::new(SharedClient { client, failure, said, began }));
         let step = Duration::from_secs_f64(seconds_per_step);
         Self { shared, clock, step, now: Vec::new(), before: Vec::new() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Shared> {
+    fn lock(&self) -> MutexGuard<'_, SharedClient> {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -122,7 +122,7 @@ impl BusPlayer {
 
 /// Sends what is observed at the pace of words, and hears until the middle of the step.
 fn in_time(
-    shared: &mut Shared,
+    shared: &mut SharedClient,
     step: Duration,
     n_steps: u32,
     values: &[f32],

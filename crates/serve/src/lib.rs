@@ -46,4 +46,4 @@ pub use open::{OpenRefusal, SayForm, SessionAnswer, SessionPlan, StepClock};
 pub use say::{HeardSay, SayEvent};
 pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};
 pub use status::{LiveCounts, LiveState, Silence};
-pub use working_policy::{Mind, UnfitPolicy, WorkingPolicy};
+pub use working_policy::{LiveDecider, UnfitPolicy, WorkingPolicy};

@@ -35,11 +35,11 @@ use crate::heard::{HeardEvent, HeardReport};
 use crate::latency::LatencyHistogram;
 use crate::observation::{BadObservation, LiveObservation};
 use crate::open::{SayForm, SessionPlan, StepClock};
-use crate::phrases::{PhraseTurns, Phrases, spoken_words};
+use crate::phrases::{PhraseBook, PhraseTurns, spoken_words};
 use crate::say::{self, SaidUtterance, SayEvent, SayLine};
 use crate::status::{LiveCounts, LiveState, Silence, StatusLine, seconds};
 use crate::travel::TravelTime;
-use crate::working_policy::{Mind, WorkingPolicy};
+use crate::working_policy::{LiveDecider, WorkingPolicy};
 
 /// How many unusable messages in a row end a session.
 pub const MAX_REFUSED: u32 = 16;
@@ -71,7 +71,7 @@ pub trait SayTo {
 
 /// What is being said, or was said last.
 #[derive(Clone, Debug)]
-struct Utterance {
+struct RunningUtterance {
     number: u32,
     message: Message,
     text: String,
@@ -109,7 +109,7 @@ pub struct LiveSession {
     stale_ns: u64,
     lost_ns: u64,
     notifier: Session,
-    phrases: Phrases,
+    phrases: PhraseBook,
     ranges: Arc<[Quantity]>,
     // The episode.
     is_begun: bool,
@@ -131,7 +131,7 @@ pub struct LiveSession {
     was_strange: Vec<bool>,
     is_gone: bool,
     // What is said.
-    utterance: Utterance,
+    utterance: RunningUtterance,
     /// The sentence of the message that is about to start.
     next_text: String,
     next_stands_in: bool,
@@ -160,7 +160,7 @@ impl LiveSession {
         id: String,
         plan: SessionPlan,
         policy: &WorkingPolicy,
-        mind: &Mind,
+        decider: &LiveDecider,
         now: u64,
     ) -> Self {
         let notifier = policy.session.clone();
@@ -171,13 +171,13 @@ impl LiveSession {
             step_ns: ns(plan.seconds_per_step),
             stale_ns: ns(plan.stale_after),
             lost_ns: ns(plan.lost_after),
-            phrases: Phrases::new(policy.taxonomy()),
+            phrases: PhraseBook::new(policy.taxonomy()),
             ranges: policy.observation().into(),
             is_begun: false,
             episode: 0,
             step: 0,
             draws: Pcg64::seed_from_u64(0),
-            recurrent: vec![0.0; mind.recurrent_dim()],
+            recurrent: vec![0.0; decider.recurrent_dim()],
             incoming: LiveObservation::new(obs_dim),
             newest: LiveObservation::new(obs_dim),
             newest_at: None,
@@ -188,7 +188,7 @@ impl LiveSession {
             told: String::new(),
             was_strange: vec![false; obs_dim],
             is_gone: false,
-            utterance: Utterance {
+            utterance: RunningUtterance {
                 number: 0,
                 message: Message { topic: 0, comprehension: 0, conveyance: 0 },
                 text: String::with_capacity(TEXT),
@@ -205,7 +205,7 @@ impl LiveSession {
             why: Silence::NoObservation,
             next_step: None,
             row: vec![0.0; notifier.row_dim()],
-            choices: vec![0; mind.n_heads()],
+            choices: vec![0; decider.n_heads()],
             held: Vec::with_capacity(2 * TEXT),
             status: Vec::with_capacity(2 * TEXT),
             is_held: false,
@@ -292,7 +292,7 @@ impl LiveSession {
         now: u64,
         at: u64,
         (encoding, payload, beside): (&ArrivalEncoding, &[u8], Option<&[u8]>),
-        mind: &mut Mind,
+        decider: &mut LiveDecider,
         out: &mut impl SayTo,
     ) {
         if self.state == LiveState::Closed {
@@ -304,7 +304,7 @@ impl LiveSession {
             ArrivalEncoding::Other(name) => Err(BadObservation::Encoding(name.clone())),
         };
         match read.and_then(|()| self.check_order()) {
-            Ok(true) => self.take(now, at, mind, out),
+            Ok(true) => self.take(now, at, decider, out),
             Ok(false) => self.counts.out_of_order += 1,
             Err(error) => self.refuse(now, &error, out),
         }
@@ -340,7 +340,7 @@ impl LiveSession {
         }
     }
 
-    fn take(&mut self, now: u64, at: u64, mind: &mut Mind, out: &mut impl SayTo) {
+    fn take(&mut self, now: u64, at: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
         let head = self.incoming.head;
         let gap = self.last_seq.map_or(0, |last| head.seq - last - 1);
         self.counts.taken += 1;
@@ -370,10 +370,10 @@ impl LiveSession {
             self.next_step = None;
             self.become_state(now, LiveState::Ended, Silence::Ended);
         } else if is_new {
-            self.begin(now, mind, out);
+            self.begin(now, decider, out);
         } else if goes_on && (is_stepped || self.next_step.is_none()) {
             // By the clock: back again. The time in between is no time of the conversation.
-            self.step(now, mind, out);
+            self.step(now, decider, out);
             self.next_step = (!is_stepped).then_some(now + self.step_ns);
         }
         if is_stepped {
@@ -404,7 +404,7 @@ impl LiveSession {
     }
 
     /// Starts an episode with the newest observation.
-    fn begin(&mut self, now: u64, mind: &mut Mind, out: &mut impl SayTo) {
+    fn begin(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
         let seed = episode_seed(self.plan.seed, self.episode);
         self.draws = seed.stream(Purpose::Act);
         self.phrases.begin(&mut seed.stream(Purpose::Words));
@@ -414,15 +414,15 @@ impl LiveSession {
         self.notifier.begin(|observation| observation.copy_from_slice(newest));
         let is_timed = self.plan.clock != StepClock::Observation;
         self.next_step = is_timed.then_some(now + self.step_ns);
-        self.decide_if_fresh(now, mind, out);
+        self.decide_if_fresh(now, decider, out);
     }
 
     /// Takes a step: a word was heard, the notifier observes, the policy decides.
-    fn step(&mut self, now: u64, mind: &mut Mind, out: &mut impl SayTo) {
+    fn step(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
         self.step += 1;
         self.pass_word(now, out);
         self.observe();
-        self.decide_if_fresh(now, mind, out);
+        self.decide_if_fresh(now, decider, out);
     }
 
     /// Lets a step pass in which nothing new was seen and nothing is decided.
@@ -446,9 +446,9 @@ impl LiveSession {
     }
 
     /// Nothing new is said on what is stale, whatever brought it here.
-    fn decide_if_fresh(&mut self, now: u64, mind: &mut Mind, out: &mut impl SayTo) {
+    fn decide_if_fresh(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
         if self.age(now) <= self.stale_ns {
-            self.decide(now, mind, out);
+            self.decide(now, decider, out);
         } else {
             self.become_stale(now, out);
             self.go_on_speaking(now, out);
@@ -491,10 +491,10 @@ impl LiveSession {
         }
     }
 
-    fn decide(&mut self, now: u64, mind: &mut Mind, out: &mut impl SayTo) {
+    fn decide(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
         self.notifier.write_row(&mut self.row);
         let (mask, draws) = (self.notifier.mask(), &mut self.draws);
-        mind.decide(&self.row, mask, &mut self.recurrent, draws, &mut self.choices);
+        decider.decide(&self.row, mask, &mut self.recurrent, draws, &mut self.choices);
         let act = self.notifier.speech_act(&self.choices);
         let mut initiation = self.notifier.judge(act);
         let mut why = match initiation {
@@ -563,7 +563,13 @@ impl LiveSession {
     }
 
     /// Takes a client's report of what its loudspeaker really did.
-    pub fn hear(&mut self, now: u64, report: &[u8], mind: &mut Mind, out: &mut impl SayTo) {
+    pub fn hear(
+        &mut self,
+        now: u64,
+        report: &[u8],
+        decider: &mut LiveDecider,
+        out: &mut impl SayTo,
+    ) {
         let Ok(report) = HeardReport::read(report) else {
             self.counts.refused += 1;
             return;
@@ -589,7 +595,7 @@ impl LiveSession {
         if has_moved && self.plan.clock == StepClock::Word && self.state == LiveState::Speaking {
             self.step += 1;
             self.observe();
-            self.decide_if_fresh(now, mind, out);
+            self.decide_if_fresh(now, decider, out);
             self.next_step = Some(now + self.step_ns);
         } else {
             self.go_on_speaking(now, out);
@@ -608,14 +614,14 @@ impl LiveSession {
     }
 
     /// Does what is due: the watchdog, a step by the clock, a status.
-    pub fn tick(&mut self, now: u64, mind: &mut Mind, out: &mut impl SayTo) {
+    pub fn tick(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
         self.watch(now, out);
         if let Some(due) = self.next_step.filter(|due| *due <= now) {
             self.counts.late_steps += u64::from(now - due > LATE);
             if self.state == LiveState::Stale {
                 self.pass(now, out);
             } else {
-                self.step(now, mind, out);
+                self.step(now, decider, out);
             }
             self.release(true, out);
             // Steps that were missed are missed: nobody is spoken to faster to make up for them.

@@ -43,7 +43,7 @@ fn policy(talks: bool) -> WorkingPolicy {
 /// A session with its client.
 struct Bench {
     session: LiveSession,
-    mind: Mind,
+    decider: LiveDecider,
     told: Told,
     seq: u64,
     n: usize,
@@ -57,10 +57,10 @@ impl Bench {
             whole[key] = value.clone();
         }
         let plan = SessionPlan::read(whole.to_string().as_bytes(), &policy, 7).unwrap();
-        let mind = policy.mind();
-        let session = LiveSession::new("s1".to_owned(), plan, &policy, &mind, OPENED);
+        let decider = policy.decider();
+        let session = LiveSession::new("s1".to_owned(), plan, &policy, &decider, OPENED);
         let told = Told { now: OPENED, ..Told::default() };
-        Self { session, mind, told, seq: 0, n: policy.obs_dim() }
+        Self { session, decider, told, seq: 0, n: policy.obs_dim() }
     }
 
     /// Lets everything happen that is due until a moment, in milliseconds after the opening.
@@ -69,15 +69,15 @@ impl Bench {
         while self.session.next_deadline() <= end {
             let now = self.session.next_deadline().max(self.told.now);
             self.told.now = now;
-            self.session.tick(now, &mut self.mind, &mut self.told);
+            self.session.tick(now, &mut self.decider, &mut self.told);
         }
         self.told.now = end;
     }
 
     fn arrive(&mut self, encoding: &ArrivalEncoding, bytes: &[u8], beside: Option<&[u8]>) {
         let now = self.told.now;
-        self.session.arrive(now, now, (encoding, bytes, beside), &mut self.mind, &mut self.told);
-        self.session.tick(now, &mut self.mind, &mut self.told);
+        self.session.arrive(now, now, (encoding, bytes, beside), &mut self.decider, &mut self.told);
+        self.session.tick(now, &mut self.decider, &mut self.told);
     }
 
     fn json(&mut self, bytes: &[u8]) {
@@ -206,7 +206,7 @@ fn a_client_that_is_gone_is_not_spoken_to_and_may_come_back() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe_from_to(0, 100);
     bench.session.note_presence(false);
-    bench.session.tick(bench.told.now, &mut bench.mind, &mut bench.told);
+    bench.session.tick(bench.told.now, &mut bench.decider, &mut bench.told);
     assert_eq!(bench.events().last(), Some(&SayEvent::Cut));
     assert_eq!((bench.state(), bench.session.why()), (LiveState::Lost, &Silence::ClientGone));
     bench.until(20_000);
@@ -217,7 +217,7 @@ fn a_client_that_is_gone_is_not_spoken_to_and_may_come_back() {
     assert!(step > 0, "the past is kept");
     bench.session.note_presence(false);
     bench.until(20_001);
-    bench.session.tick(bench.told.now, &mut bench.mind, &mut bench.told);
+    bench.session.tick(bench.told.now, &mut bench.decider, &mut bench.told);
     bench.until(60_000);
     let n = bench.told.says.len();
     bench.observe();
@@ -380,7 +380,7 @@ fn what_the_loudspeaker_reports_counts_instead_of_the_clock() {
         let report = json!({"utterance": number, "event": event, "word": word, "t": 0.1});
         let now = bench.told.now;
         let text = report.to_string();
-        bench.session.hear(now, text.as_bytes(), &mut bench.mind, &mut bench.told);
+        bench.session.hear(now, text.as_bytes(), &mut bench.decider, &mut bench.told);
     };
     report(&mut bench, "start", 0);
     bench.observe_from_to(50, 950);
@@ -393,7 +393,7 @@ fn what_the_loudspeaker_reports_counts_instead_of_the_clock() {
     assert_eq!(bench.told.says.last().unwrap().1.event, SayEvent::End);
     assert_eq!(bench.told.says.last().unwrap().1.heard, l);
     report(&mut bench, "end", 0);
-    bench.session.hear(bench.told.now, b"noise", &mut bench.mind, &mut bench.told);
+    bench.session.hear(bench.told.now, b"noise", &mut bench.decider, &mut bench.told);
     assert_eq!(bench.session.counts().refused, 1);
     bench.observe_from_to(1_000, 1_250);
     let n = bench.told.says.iter().filter(|(_, say)| say.event == SayEvent::Start).count();
@@ -408,7 +408,7 @@ fn with_the_clock_of_words_a_step_is_taken_where_a_word_begins() {
     bench.until(120);
     let report = json!({"utterance": number, "event": "word", "word": 1}).to_string();
     let now = bench.told.now;
-    bench.session.hear(now, report.as_bytes(), &mut bench.mind, &mut bench.told);
+    bench.session.hear(now, report.as_bytes(), &mut bench.decider, &mut bench.told);
     assert_eq!(bench.session.counts().steps, 2);
     bench.until(419);
     assert_eq!(bench.session.counts().steps, 2);

@@ -12,7 +12,7 @@ use tracing::debug;
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot, SayTo};
 use crate::status::{LiveState, Silence};
-use crate::working_policy::Mind;
+use crate::working_policy::LiveDecider;
 
 /// The most sessions of a thread.
 pub(crate) const SESSIONS_PER_THREAD: usize = 16;
@@ -27,7 +27,7 @@ const SNAPSHOT_EVERY: u64 = 1_000_000_000;
 
 /// What a thread is told.
 #[derive(Debug)]
-pub(crate) enum Order {
+pub(crate) enum ThreadOrder {
     /// Speak for one more client.
     Add(Box<Hosted>),
     /// This start of a client is there, or not any more.
@@ -40,7 +40,7 @@ pub(crate) enum Order {
 
 /// What a thread reports.
 #[derive(Debug)]
-pub(crate) enum Report {
+pub(crate) enum ThreadReport {
     /// How a session could go on in another process.
     State { client: ClientName, id: String, state: LiveState, snapshot: Box<LiveSnapshot> },
     /// A session is over.
@@ -59,7 +59,7 @@ pub(crate) struct Hosted {
 /// A running thread.
 #[derive(Debug)]
 pub(crate) struct LiveThread {
-    orders: SyncSender<Order>,
+    orders: SyncSender<ThreadOrder>,
     handle: JoinHandle<()>,
 }
 
@@ -67,22 +67,22 @@ impl LiveThread {
     /// Starts one.
     pub(crate) fn start(
         name: String,
-        mind: Mind,
+        decider: LiveDecider,
         clock: LiveClock,
         spins: bool,
-        reports: flume::Sender<Report>,
+        reports: flume::Sender<ThreadReport>,
     ) -> std::io::Result<Self> {
         let (orders, receiver) = sync_channel(MAX_WAITING);
         let work = move || {
             let hosted = Vec::with_capacity(SESSIONS_PER_THREAD);
-            Loop { hosted, mind, clock, spins, reports, snapshots_due: 0 }.run(&receiver);
+            Loop { hosted, decider, clock, spins, reports, snapshots_due: 0 }.run(&receiver);
         };
         let handle = thread::Builder::new().name(name).spawn(work)?;
         Ok(Self { orders, handle })
     }
 
     /// Gives an order, without waiting; `false` if the thread has ended, or has too many already.
-    pub(crate) fn order(&self, order: Order) -> bool {
+    pub(crate) fn order(&self, order: ThreadOrder) -> bool {
         let given = self.orders.try_send(order).is_ok();
         self.handle.thread().unpark();
         given
@@ -96,7 +96,7 @@ impl LiveThread {
 
     /// Ends the thread and waits for it.
     pub(crate) fn stop(self) {
-        self.order(Order::Stop);
+        self.order(ThreadOrder::Stop);
         drop(self.handle.join());
     }
 }
@@ -120,28 +120,30 @@ impl SayTo for ToPort<'_> {
 
 struct Loop {
     hosted: Vec<Hosted>,
-    mind: Mind,
+    decider: LiveDecider,
     clock: LiveClock,
     spins: bool,
-    reports: flume::Sender<Report>,
+    reports: flume::Sender<ThreadReport>,
     snapshots_due: u64,
 }
 
 impl Loop {
-    fn run(mut self, orders: &Receiver<Order>) {
+    fn run(mut self, orders: &Receiver<ThreadOrder>) {
         loop {
             while let Ok(order) = orders.try_recv() {
                 match order {
-                    Order::Add(hosted) => self.hosted.push(*hosted),
-                    Order::Remove(client) => self.hosted.retain(|hosted| hosted.client != client),
-                    Order::Presence(client, start, is_here) => {
+                    ThreadOrder::Add(hosted) => self.hosted.push(*hosted),
+                    ThreadOrder::Remove(client) => {
+                        self.hosted.retain(|hosted| hosted.client != client)
+                    }
+                    ThreadOrder::Presence(client, start, is_here) => {
                         self.note_presence(&client, start, is_here);
                     }
-                    Order::Stop => return self.end(),
+                    ThreadOrder::Stop => return self.end(),
                 }
             }
             for hosted in &mut self.hosted {
-                serve(hosted, &mut self.mind, self.clock);
+                serve(hosted, &mut self.decider, self.clock);
             }
             self.report();
             self.sleep();
@@ -162,7 +164,7 @@ impl Loop {
             let is_over = hosted.session.is_over(now);
             if is_over {
                 let (client, id) = (hosted.client.clone(), hosted.session.id().to_owned());
-                drop(reports.try_send(Report::Over { client, id }));
+                drop(reports.try_send(ThreadReport::Over { client, id }));
             }
             !is_over
         });
@@ -173,7 +175,7 @@ impl Loop {
     }
 
     fn report_state(&self, hosted: &Hosted) {
-        let report = Report::State {
+        let report = ThreadReport::State {
             client: hosted.client.clone(),
             id: hosted.session.id().to_owned(),
             state: hosted.session.state(),
@@ -205,21 +207,21 @@ impl Loop {
 }
 
 /// Does for a client whatever is to be done now.
-fn serve(hosted: &mut Hosted, mind: &mut Mind, clock: LiveClock) {
+fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
     let Hosted { session, port, .. } = hosted;
     let out = &mut ToPort(port);
     while let Some(report) = port.take_heard() {
-        session.hear(clock.now(), &report, mind, out);
+        session.hear(clock.now(), &report, decider, out);
     }
     if let Some(arrival) = port.take() {
         let (payload, beside, at) = (arrival.payload(), arrival.attachment(), clock.at(arrival.at));
         session.note_overwritten(port.n_overwritten());
         let parts = (&arrival.encoding(), &*payload, beside.as_deref());
-        session.arrive(clock.now(), at, parts, mind, out);
+        session.arrive(clock.now(), at, parts, decider, out);
         session.record_latency(clock.now().saturating_sub(at));
     }
     let now = clock.now();
     if session.next_deadline() <= now {
-        session.tick(now, mind, out);
+        session.tick(now, decider, out);
     }
 }

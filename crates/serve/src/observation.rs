@@ -87,7 +87,7 @@ pub struct ObservationHead {
     pub end: bool,
 }
 
-/// Names of what is the case now, for sentences that state reasons.
+/// FactNames of what is the case now, for sentences that state reasons.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FactList {
     /// All names, one after the other: the memory of one observation serves the next.
@@ -295,13 +295,13 @@ impl<'de> Visitor<'de> for Fields<'_> {
                 1 => into.head.t = map.next_value()?,
                 2 => {
                     let room = into.obs_dim;
-                    map.next_value_seed(Numbers { into: &mut into.values, room, found })?;
+                    map.next_value_seed(NumberList { into: &mut into.values, room, found })?;
                 }
                 3 => into.head.episode = map.next_value()?,
                 4 => into.head.end = map.next_value()?,
                 _ => {
                     into.facts = Some(());
-                    map.next_value_seed(Names(&mut into.names))?;
+                    map.next_value_seed(FactNames(&mut into.names))?;
                 }
             }
         }
@@ -336,13 +336,13 @@ impl Visitor<'_> for FieldName {
 }
 
 /// A list of numbers, of which no more are kept than there is room for.
-struct Numbers<'a> {
+struct NumberList<'a> {
     into: &'a mut Vec<f32>,
     room: usize,
     found: &'a mut usize,
 }
 
-impl<'de> DeserializeSeed<'de> for Numbers<'_> {
+impl<'de> DeserializeSeed<'de> for NumberList<'_> {
     type Value = ();
 
     fn deserialize<D: de::Deserializer<'de>>(self, list: D) -> Result<(), D::Error> {
@@ -350,7 +350,7 @@ impl<'de> DeserializeSeed<'de> for Numbers<'_> {
     }
 }
 
-impl<'de> Visitor<'de> for Numbers<'_> {
+impl<'de> Visitor<'de> for NumberList<'_> {
     type Value = ();
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -369,9 +369,9 @@ impl<'de> Visitor<'de> for Numbers<'_> {
 }
 
 /// A list of names, of which no more are kept than there is room for.
-struct Names<'a>(&'a mut FactList);
+struct FactNames<'a>(&'a mut FactList);
 
-impl<'de> DeserializeSeed<'de> for Names<'_> {
+impl<'de> DeserializeSeed<'de> for FactNames<'_> {
     type Value = ();
 
     fn deserialize<D: de::Deserializer<'de>>(self, list: D) -> Result<(), D::Error> {
@@ -379,7 +379,7 @@ impl<'de> DeserializeSeed<'de> for Names<'_> {
     }
 }
 
-impl<'de> Visitor<'de> for Names<'_> {
+impl<'de> Visitor<'de> for FactNames<'_> {
     type Value = ();
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

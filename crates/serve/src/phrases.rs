@@ -20,7 +20,7 @@ pub struct Phrase<'a> {
 
 /// The sentences of a session, in turn.
 #[derive(Clone, Debug)]
-pub struct Phrases {
+pub struct PhraseBook {
     taxonomy: Option<Arc<Taxonomy>>,
     /// Whose turn it is in each cell; nothing without words.
     rotation: Option<Rotation>,
@@ -30,7 +30,7 @@ pub struct Phrases {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PhraseTurns(Option<Rotation>);
 
-impl Phrases {
+impl PhraseBook {
     /// Takes the sentences of a database, or none.
     pub fn new(taxonomy: Option<Arc<Taxonomy>>) -> Self {
         Self { taxonomy, rotation: None }
@@ -128,19 +128,19 @@ mod tests {
     #[test]
     fn sentences_take_turns_and_go_on_from_a_snapshot() {
         let taxonomy = Arc::new(leadtime_taxonomy::shipped("lander").unwrap());
-        let mut phrases = Phrases::new(Some(taxonomy));
+        let mut phrases = PhraseBook::new(Some(taxonomy));
         phrases.begin(&mut Pcg64::seed_from_u64(3));
         let message = Message { topic: 1, comprehension: 2, conveyance: 4 };
         let first = phrases.find(message, None).unwrap().text.to_owned();
         let turns = phrases.turns();
         let second = phrases.find(message, None).unwrap().text.to_owned();
         assert_ne!(first, second);
-        let mut restored = Phrases::new(phrases.taxonomy.clone());
+        let mut restored = PhraseBook::new(phrases.taxonomy.clone());
         assert!(restored.restore(&turns));
         assert_eq!(restored.find(message, None).unwrap().text, second);
         let steakhouse = Arc::new(leadtime_taxonomy::shipped("steakhouse").unwrap());
-        assert!(!Phrases::new(Some(steakhouse)).restore(&turns));
-        let mut wordless = Phrases::new(None);
+        assert!(!PhraseBook::new(Some(steakhouse)).restore(&turns));
+        let mut wordless = PhraseBook::new(None);
         assert_eq!(wordless.find(message, None), Some(Phrase { text: "", stand_in: false }));
     }
 }

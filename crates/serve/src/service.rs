@@ -13,10 +13,10 @@ use tracing::{info, warn};
 
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot};
-use crate::live_thread::{Hosted, LiveThread, Order, Report, SESSIONS_PER_THREAD};
+use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
 use crate::open::{OpenRefusal, SessionAnswer, SessionPlan};
 use crate::status::LiveState;
-use crate::working_policy::{Mind, WorkingPolicy};
+use crate::working_policy::{LiveDecider, WorkingPolicy};
 
 /// The most sessions of a notifier.
 pub const MAX_SESSIONS: usize = 64;
@@ -81,7 +81,7 @@ struct KeptSession {
 #[derive(Debug)]
 pub struct LiveService {
     policy: WorkingPolicy,
-    mind: Mind,
+    decider: LiveDecider,
     settings: ServiceSettings,
     link: LiveServiceLink,
     events: flume::Receiver<LiveEvent>,
@@ -91,7 +91,7 @@ pub struct LiveService {
     n_opened: u64,
     open: BTreeMap<ClientName, Registered>,
     present: BTreeMap<ClientName, BTreeSet<Incarnation>>,
-    reports: flume::Receiver<Report>,
+    reports: flume::Receiver<ThreadReport>,
     is_store_told: bool,
 }
 
@@ -108,16 +108,16 @@ impl LiveService {
         own: Incarnation,
     ) -> Result<Self, ServiceError> {
         let (sender, reports) = flume::bounded(MAX_REPORTS);
-        let (mind, clock) = (policy.mind(), LiveClock::start());
+        let (decider, clock) = (policy.decider(), LiveClock::start());
         let n_threads = settings.max_sessions.div_ceil(SESSIONS_PER_THREAD).max(1);
         let start = |i| {
-            let (mind, sender) = (mind.clone(), sender.clone());
-            LiveThread::start(format!("live-{i}"), mind, clock, settings.spins, sender)
+            let (decider, sender) = (decider.clone(), sender.clone());
+            LiveThread::start(format!("live-{i}"), decider, clock, settings.spins, sender)
         };
         let threads = (0..n_threads).map(start).collect::<Result<_, _>>();
         Ok(Self {
             threads: threads.map_err(ServiceError::Thread)?,
-            mind,
+            decider,
             policy,
             settings,
             link,
@@ -182,7 +182,7 @@ impl LiveService {
 
     fn tell_thread(&self, client: ClientName, start: Incarnation, is_here: bool) {
         if let Some(registered) = self.open.get(&client) {
-            self.threads[registered.thread].order(Order::Presence(client, start, is_here));
+            self.threads[registered.thread].order(ThreadOrder::Presence(client, start, is_here));
         }
     }
 
@@ -212,10 +212,10 @@ impl LiveService {
                 return Err(OpenRefusal::Taken(client.to_string()));
             }
             let thread = registered.thread;
-            self.threads[thread].order(Order::Remove(client.clone()));
+            self.threads[thread].order(ThreadOrder::Remove(client.clone()));
             self.open.remove(client);
         }
-        if self.open.len() >= self.settings.max_sessions {
+        if self.open.len() >= self.settings.max_sessions && !self.make_room() {
             return Err(OpenRefusal::Full(self.open.len()));
         }
         let (session, notes) = self.session(client, &question, plan.clone());
@@ -228,12 +228,24 @@ impl LiveService {
         let (client, id) = (client.clone(), session.id().to_owned());
         info!(%client, session = id, "a session is open");
         let hosted = Hosted { client: client.clone(), incarnation: start, session, port };
-        self.threads[thread].order(Order::Add(Box::new(hosted)));
+        if !self.threads[thread].order(ThreadOrder::Add(Box::new(hosted))) {
+            return Err(OpenRefusal::Full(self.open.len()));
+        }
         let state = LiveState::Waiting;
         let registered =
             Registered { incarnation: start, id, thread, state, question, answer: answer.clone() };
         self.open.insert(client, registered);
         Ok(answer)
+    }
+
+    /// Ends the session of a client that is not there any more; `false` if all are.
+    fn make_room(&mut self) -> bool {
+        let mut gone = self.open.iter().filter(|(client, it)| !self.is_there(client, it));
+        let Some(client) = gone.next().map(|(client, _)| client.clone()) else { return false };
+        if let Some(registered) = self.open.remove(&client) {
+            self.threads[registered.thread].order(ThreadOrder::Remove(client));
+        }
+        true
     }
 
     /// Makes a session, or goes on with the one that was kept.
@@ -252,7 +264,7 @@ impl LiveService {
                 && plan.incarnation.is_some()
         };
         let now = self.clock.now();
-        let make = |id, plan| LiveSession::new(id, plan, &self.policy, &self.mind, now);
+        let make = |id, plan| LiveSession::new(id, plan, &self.policy, &self.decider, now);
         if let Some(kept) = kept.filter(is_same) {
             let mut session = make(kept.id, plan.clone());
             if session.restore(kept.snapshot) {
@@ -282,15 +294,15 @@ impl LiveService {
         (0..self.threads.len()).min_by_key(n_of).unwrap_or(0)
     }
 
-    fn note(&mut self, report: Report) {
+    fn note(&mut self, report: ThreadReport) {
         match report {
-            Report::Over { client, id } => {
+            ThreadReport::Over { client, id } => {
                 if self.open.get(&client).is_some_and(|registered| registered.id == id) {
                     self.open.remove(&client);
                     info!(%client, session = id, "a session is over");
                 }
             }
-            Report::State { client, id, state, snapshot } => {
+            ThreadReport::State { client, id, state, snapshot } => {
                 let Some(registered) = self.open.get_mut(&client) else { return };
                 if registered.id != id {
                     return;

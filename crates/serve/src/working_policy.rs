@@ -39,7 +39,7 @@ pub struct WorkingPolicy {
     /// One observation's numbers.
     observation: Vec<Quantity>,
     taxonomy: Option<Arc<Taxonomy>>,
-    mind: Mind,
+    decider: LiveDecider,
 }
 
 impl WorkingPolicy {
@@ -67,7 +67,7 @@ impl WorkingPolicy {
         observation.truncate(session.obs_dim());
         Ok(Self {
             domain: domain.to_owned(),
-            mind: Mind::new(spec, parameters, choice)?,
+            decider: LiveDecider::new(spec, parameters, choice)?,
             session,
             sha256: String::new(),
             n_updates: 0,
@@ -103,21 +103,21 @@ impl WorkingPolicy {
     }
 
     /// Returns what decides: one per thread, because it thinks in memory of its own.
-    pub fn mind(&self) -> Mind {
-        self.mind.clone()
+    pub fn decider(&self) -> LiveDecider {
+        self.decider.clone()
     }
 }
 
 /// What decides.
 #[derive(Clone, Debug)]
-pub struct Mind {
+pub struct LiveDecider {
     policy: Policy,
     distribution: ActionDistribution,
     choice: Choice,
     logits: Vec<f32>,
 }
 
-impl Mind {
+impl LiveDecider {
     fn new(
         spec: &PolicySpec,
         parameters: &Parameters,

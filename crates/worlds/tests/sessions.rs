@@ -56,7 +56,7 @@ fn compare(domain: &str, settings: &str) -> usize {
     assert_eq!(session.row_dim(), spec.obs_dim, "{domain}");
     let mut draws = [0; 2].map(|_| stream(5, Purpose::Act, 0, 0));
     let mut n_started = 0;
-    let mut begin = |env: &mut dyn Environment, session: &mut Session, row: &mut [f32], episode| {
+    let begin = |env: &mut dyn Environment, session: &mut Session, row: &mut [f32], episode| {
         env.reset(EpisodeSeed { run_seed: 3, env_id: EnvId(0), episode }, row);
         let seen = observed(env);
         session.begin(|observation| observation.copy_from_slice(&seen));
