@@ -8,6 +8,8 @@
 //! cargo bench -p leadtime --bench live
 //! ```
 
+#![expect(clippy::print_stdout, reason = "a bench prints what it found")]
+
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -51,7 +53,7 @@ fn main() {
     drop(notifier.wait());
     let [p50, p99, max] = [0.5, 0.99, 1.0].map(|share| quiet.quantile_us(share));
     println!("{N_CLIENTS} clients, {} steps", quiet.n());
-    println!("notifier's part      p99 {:7.0} us (worst client)", part);
+    println!("notifier's part      p99 {part:7.0} us (worst client)");
     println!("round trip           p50 {p50:7.0} us, p99 {p99:7.0} us, max {max:7.0} us");
     let rate = n_junk as f64 / MEASURED.as_secs_f64();
     let [b50, b99, bmax] = [0.5, 0.99, 1.0].map(|share| beside.quantile_us(share));

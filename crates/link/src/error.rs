@@ -160,7 +160,7 @@ pub enum Error {
         reason: String,
     },
     /// No notifier of that name is at work there.
-    #[error("no notifier `{service}` is at work at {endpoints} (waited {}); there: {}", duration(*timeout), there(present))]
+    #[error("no notifier `{service}` is at work at {endpoints}; there: {}", there(present))]
     NoService {
         /// As named.
         service: ServiceName,
@@ -168,8 +168,6 @@ pub enum Error {
         endpoints: String,
         /// Those that are there.
         present: Vec<ServiceName>,
-        /// For how long it was waited.
-        timeout: Duration,
     },
     /// A name that is a part of keys already.
     #[error("a client cannot be called `{0}`: the keys of presence are; choose another name")]

@@ -133,7 +133,7 @@ fn in_time(
         while shared.client.next(Duration::ZERO)?.is_some() {}
         shared.began = Instant::now();
     } else {
-        std::thread::sleep(until(shared.began + step * n_steps - step / 4));
+        std::thread::sleep(until(shared.began + step * (n_steps - 1) + step * 3 / 4));
     }
     shared.client.observe(values, episode, false)?;
     let mut events = Vec::new();

@@ -102,6 +102,10 @@ pub struct LiveSnapshot {
 
 /// A notifier at work for one client.
 #[derive(Clone, Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "each is a fact of its own, and none excludes another"
+)]
 pub struct LiveSession {
     id: String,
     plan: SessionPlan,
@@ -703,7 +707,7 @@ impl LiveSession {
     /// Puts the event that was written, if there is one.
     fn release(&mut self, is_last: bool, out: &mut impl SayTo) {
         if std::mem::take(&mut self.is_held) {
-            say::finish(&mut self.held, self.plan.form == SayForm::Binary, is_last);
+            say::finish(&mut self.held, self.plan.form, is_last);
             out.say(&self.held);
         }
     }

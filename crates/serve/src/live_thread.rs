@@ -134,12 +134,15 @@ impl Loop {
                 match order {
                     ThreadOrder::Add(hosted) => self.hosted.push(*hosted),
                     ThreadOrder::Remove(client) => {
-                        self.hosted.retain(|hosted| hosted.client != client)
+                        self.hosted.retain(|hosted| hosted.client != client);
                     }
                     ThreadOrder::Presence(client, start, is_here) => {
                         self.note_presence(&client, start, is_here);
                     }
-                    ThreadOrder::Stop => return self.end(),
+                    ThreadOrder::Stop => {
+                        self.end();
+                        return;
+                    }
                 }
             }
             for hosted in &mut self.hosted {
@@ -192,7 +195,7 @@ impl Loop {
         if !self.spins {
             thread::park_timeout(left);
         } else if left > SPIN {
-            thread::park_timeout(left - SPIN);
+            thread::park_timeout(left.saturating_sub(SPIN));
         } else {
             std::hint::spin_loop();
         }

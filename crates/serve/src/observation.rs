@@ -87,7 +87,7 @@ pub struct ObservationHead {
     pub end: bool,
 }
 
-/// FactNames of what is the case now, for sentences that state reasons.
+/// Names of what is the case now, for sentences that state reasons.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FactList {
     /// All names, one after the other: the memory of one observation serves the next.

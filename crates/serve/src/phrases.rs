@@ -65,7 +65,7 @@ impl PhraseBook {
     /// Goes on from there; `false` if the turns are another database's.
     pub fn restore(&mut self, turns: &PhraseTurns) -> bool {
         let fits = match (&self.taxonomy, &turns.0) {
-            (None, None) | (Some(_), None) => true,
+            (None | Some(_), None) => true,
             (Some(taxonomy), Some(rotation)) => rotation.fits(taxonomy),
             (None, Some(_)) => false,
         };

@@ -13,6 +13,7 @@
 use serde::ser::{SerializeMap as _, SerializeSeq as _};
 use serde::{Deserialize, Serialize, Serializer};
 
+use crate::open::SayForm;
 use crate::phrases::spoken_words;
 
 /// Bytes of a raw event.
@@ -110,8 +111,8 @@ impl SayLine<'_> {
 }
 
 /// Ends a line that was written, as the last one about an observation or not.
-pub fn finish(line: &mut Vec<u8>, is_raw: bool, is_last: bool) {
-    if is_raw {
+pub fn finish(line: &mut Vec<u8>, form: SayForm, is_last: bool) {
+    if form == SayForm::Binary {
         line[9] = if is_last { LAST } else { 0 };
     } else {
         line.extend_from_slice(TAILS[usize::from(is_last)]);
@@ -283,7 +284,7 @@ mod tests {
     fn an_event_is_json_with_the_whole_utterance() {
         let mut out = Vec::new();
         line(SayEvent::Word).write_json(&mut out);
-        finish(&mut out, false, true);
+        finish(&mut out, SayForm::Json, true);
         let text = String::from_utf8(out.clone()).unwrap();
         assert_eq!(
             text,
@@ -293,7 +294,7 @@ mod tests {
         let heard = HeardSay::read(&out).unwrap();
         assert_eq!((heard.event, heard.heard, heard.l, heard.last), (SayEvent::Word, 1, 4, true));
         line(SayEvent::Silent).write_json(&mut out);
-        finish(&mut out, false, false);
+        finish(&mut out, SayForm::Json, false);
         let heard = HeardSay::read(&out).unwrap();
         assert_eq!((heard.event, heard.utterance, heard.last), (SayEvent::Silent, 0, false));
     }
@@ -303,7 +304,7 @@ mod tests {
         let mut out = Vec::new();
         for event in [SayEvent::Start, SayEvent::Word, SayEvent::End, SayEvent::Cut] {
             line(event).write_raw(&mut out);
-            finish(&mut out, true, true);
+            finish(&mut out, SayForm::Binary, true);
             assert_eq!(out.len(), RAW_SAY);
             let heard = HeardSay::read(&out).unwrap();
             assert_eq!(

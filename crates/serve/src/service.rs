@@ -162,7 +162,7 @@ impl LiveService {
     fn take(&mut self, event: LiveEvent) {
         match event {
             LiveEvent::Open { client, question, responder } => {
-                self.answer(client, question, responder);
+                self.answer(&client, question, responder);
             }
             LiveEvent::Here(client, start) => {
                 self.present.entry(client.clone()).or_default().insert(start);
@@ -186,8 +186,8 @@ impl LiveService {
         }
     }
 
-    fn answer(&mut self, client: ClientName, question: Vec<u8>, responder: OpenResponder) {
-        match self.open_session(&client, question) {
+    fn answer(&mut self, client: &ClientName, question: Vec<u8>, responder: OpenResponder) {
+        match self.open_session(client, question) {
             Ok(answer) => responder.reply(answer),
             Err(refusal) => {
                 info!(%client, %refusal, "a session was refused");
@@ -279,14 +279,12 @@ impl LiveService {
 
     /// Tells whether the client of a session is there.
     fn is_there(&self, client: &ClientName, registered: &Registered) -> bool {
-        match registered.incarnation {
-            Some(start) => self.present.get(client).is_some_and(|starts| starts.contains(&start)),
-            // One that shows no presence is there as long as it says something.
-            None => {
-                let quiet = [LiveState::Waiting, LiveState::Lost, LiveState::Closed];
-                !quiet.contains(&registered.state)
-            }
+        if let Some(start) = registered.incarnation {
+            return self.present.get(client).is_some_and(|starts| starts.contains(&start));
         }
+        // One that shows no presence is there as long as it says something.
+        let quiet = [LiveState::Waiting, LiveState::Lost, LiveState::Closed];
+        !quiet.contains(&registered.state)
     }
 
     fn idlest_thread(&self) -> usize {

@@ -26,7 +26,8 @@ use crate::shutdown::{Watch, watch};
 pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> {
     let policy = load(tasks, args)?;
     if args.describe {
-        return describe(&policy, args.json);
+        describe(&policy, args.json);
+        return Ok(());
     }
     let store = args.state.as_deref().map(StateDirectory::open).transpose();
     let store = store.context("--state").blame(ExitCode::WrongInput)?;
@@ -94,10 +95,10 @@ fn words(args: &ServeArgs, domain: &str) -> Result<Option<Taxonomy>, Failure> {
 }
 
 /// Says what an observation consists of, and what can be said.
-fn describe(policy: &WorkingPolicy, as_schema: bool) -> Result<(), Failure> {
+fn describe(policy: &WorkingPolicy, as_schema: bool) {
     if as_schema {
         output::json(&schema(policy));
-        return Ok(());
+        return;
     }
     let bound = |bound: f32| {
         if bound.is_finite() { bound.to_string() } else { String::new() }
@@ -112,7 +113,6 @@ fn describe(policy: &WorkingPolicy, as_schema: bool) -> Result<(), Failure> {
     output::line(&format!("One observation of {domain}: {}\n", counted(n, "number")));
     output::line(table.text().trim_end());
     output::line(&format!("\nTopics: {}", policy.session.topics().join(", ")));
-    Ok(())
 }
 
 /// Describes an observation as a JSON Schema.

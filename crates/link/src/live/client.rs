@@ -77,7 +77,6 @@ impl LiveClientLink {
                     service: service.clone(),
                     endpoints: session::describe(&self.settings.endpoints),
                     present: present.into_iter().map(|(name, _)| name).collect(),
-                    timeout,
                 });
             }
             tokio::time::sleep(LOOK_PAUSE).await;

@@ -48,7 +48,7 @@ pub struct Arrival {
 }
 
 impl Arrival {
-    fn new(sample: Sample) -> Self {
+    fn new(sample: &Sample) -> Self {
         let at = Instant::now();
         let (payload, attachment) = (sample.payload().clone(), sample.attachment().cloned());
         Self { at, encoding: sample.encoding().clone(), payload, attachment }
@@ -128,7 +128,7 @@ impl LivePort {
                     arrivals.n_overwritten.fetch_add(1, Ordering::Relaxed);
                     return;
                 }
-                let arrival = Arrival::new(sample);
+                let arrival = Arrival::new(&sample);
                 if lock(&arrivals.newest).replace(arrival).is_some() {
                     arrivals.n_overwritten.fetch_add(1, Ordering::Relaxed);
                 }
