@@ -19,7 +19,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-lander", "leadtime-highway", "leadtime-steakhouse"],
     &["leadtime-worlds", "leadtime-conformance"],
     &["leadtime-episodes"],
-    &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts"],
+    &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts", "leadtime-serve"],
     &["leadtime-config", "leadtime-web"],
     &["leadtime-runs", "leadtime-watch", "leadtime-python"],
     &["leadtime-studies"],

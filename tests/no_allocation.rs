@@ -1,5 +1,6 @@
 //! What production runs allocates nothing per step: not the driver, not the actor's recorder, not the evaluation's
-//! measures, not the listener, the history or the batch.
+//! measures, not the listener, the history or the batch, and not a notifier at work from the bytes of an observation to those of
+//! what is said about it.
 //!
 //! It steps the lander in free flight (the contact world near the ground belongs to the physics engine, which keeps
 //! its own memory), the highway past its first merge, and the steakhouse through words, directions and disclosures. An
@@ -11,6 +12,7 @@ use std::alloc::System;
 use leadtime_actor::{Phase, Stopwatch, Worker};
 use leadtime_episodes::{Choice, EnvSlot, EpisodeObserver, Observer, PlaySettings, Player};
 use leadtime_eval::measure::evaluate_with;
+use leadtime_link::live::ArrivalEncoding;
 use leadtime_numerics::Pcg64;
 use leadtime_policy::{Parameters, Policy};
 use leadtime_proto::message::EnvAssignment;
@@ -18,6 +20,8 @@ use leadtime_proto::{
     Encoder, EnvId, EnvSpec, HeadCredit, Iteration, PolicySpec, PolicyVersion, RunSpec, Schedule,
     TaskSpec,
 };
+use leadtime_serve::observation::{ObservationHead, write_json, write_raw};
+use leadtime_serve::{LiveSession, SayTo, SessionPlan, WorkingPolicy};
 use leadtime_sims::{End, StepOutcome};
 use leadtime_taxonomy::{Loss, Request, Rotation, shipped};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Stats, StatsAlloc};
@@ -32,6 +36,7 @@ fn main() {
         collecting_allocates_nothing(domain, n_steps / 2);
         evaluating_allocates_nothing(domain, u64::from(n_steps));
         saying_allocates_nothing(domain);
+        serving_allocates_nothing(domain, n_steps as usize);
     }
 }
 
@@ -172,4 +177,61 @@ fn evaluating_allocates_nothing(domain: &str, n_steps: u64) {
             meter.check(domain, player.name(), n_steps as usize - 1);
         }
     }
+}
+
+/// Counts what a session tells.
+#[derive(Default)]
+struct Ear {
+    n_says: usize,
+    n_statuses: usize,
+}
+
+impl SayTo for Ear {
+    fn say(&mut self, bytes: &[u8]) {
+        self.n_says += usize::from(!bytes.is_empty());
+    }
+
+    fn status(&mut self, bytes: &[u8]) {
+        self.n_statuses += usize::from(!bytes.is_empty());
+    }
+}
+
+fn serving_allocates_nothing(domain: &str, n_steps: usize) {
+    /// How long a step takes, in nanoseconds.
+    const STEP: u64 = 300_000_000;
+    let environment = leadtime_worlds::builtin().build(&task(domain));
+    let environment = environment.expect("the default task can be built");
+    let spec = policy_spec(environment.spec());
+    let parameters = Parameters::initialize(&spec, 1).expect("the architecture is sound");
+    let words = leadtime_taxonomy::shipped(domain).expect("there are sentences");
+    let policy = WorkingPolicy::new(
+        domain,
+        environment.as_ref(),
+        &spec,
+        &parameters,
+        Choice::Sample,
+        Some(words),
+    );
+    let policy = policy.expect("somebody is spoken to");
+    let question = format!(r#"{{"protocol":1,"domain":"{domain}","clock":"observation"}}"#);
+    let plan = SessionPlan::read(question.as_bytes(), &policy, 1).expect("the question is sound");
+    let mut decider = policy.decider();
+    let mut session = LiveSession::new("s".to_owned(), plan, &policy, &decider, STEP);
+    let values = vec![0.1; policy.obs_dim()];
+    let head = |seq: u64| ObservationHead { seq, t: seq as f64, episode: 0, end: false };
+    let json: Vec<_> = (0..n_steps as u64).map(|i| write_json(&head(2 * i + 1), &values)).collect();
+    let raw: Vec<_> = (0..n_steps as u64).map(|i| write_raw(&head(2 * i + 2), &values)).collect();
+    let (mut ear, mut meter) = (Ear::default(), Meter::default());
+    for (i, (json, (numbers, beside))) in json.iter().zip(&raw).enumerate() {
+        let now = (i as u64 + 2) * STEP;
+        let written = (&ArrivalEncoding::Json, json.as_slice(), None);
+        session.arrive(now, now, written, &mut decider, &mut ear);
+        let sent = (&ArrivalEncoding::Binary, numbers.as_slice(), Some(beside.as_slice()));
+        session.arrive(now + STEP / 2, now + STEP / 2, sent, &mut decider, &mut ear);
+        session.tick(now + STEP / 2, &mut decider, &mut ear);
+        meter.mark();
+    }
+    meter.check(domain, "serving", n_steps);
+    assert!(ear.n_says >= 2 * n_steps && ear.n_statuses > 1, "{domain}");
+    assert!(session.counts().utterances > 0, "{domain}");
 }

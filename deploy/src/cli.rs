@@ -19,10 +19,12 @@ use leadtime_studies::{EPISODES, EVAL_SEED};
 
 use crate::exit::EXIT_CODE_HELP;
 
+mod live;
 mod network;
 mod operations;
 mod taxonomy;
 
+pub(crate) use live::{DriveArgs, ServeArgs, VoiceKind};
 pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,
@@ -159,6 +161,12 @@ pub(crate) enum Command {
     Watch(WatchArgs),
     /// Run a router: it passes on what others send, where the learner cannot be dialled by everybody.
     Router(RouterArgs),
+    /// Let a policy work: it speaks to robots, cars and simulators over the network, word by word.
+    ///
+    /// A client sends observations and is told what is said, and why nothing is. Nothing is said on what is stale.
+    Serve(ServeArgs),
+    /// Let one of the worlds, its listener included, hear a notifier at work, and evaluate that.
+    Drive(DriveArgs),
     /// Make and renew the certificates by which processes on several machines know each other.
     Certs {
         #[command(subcommand)]

@@ -148,6 +148,14 @@ slug! {
     RunName, "run name", 64, &['-']
 }
 slug! {
+    /// Names a notifier at work: part of every key of its listeners.
+    ServiceName, "service name", 48, &['-']
+}
+slug! {
+    /// Names a client of a notifier at work: a robot, a car, a simulator.
+    ClientName, "client name", 48, &['-']
+}
+slug! {
     /// Names a domain (`lander`, `cue_recall`, one of the user's own) where it is part of a key or a file name: `_` is
     /// possible, too.
     DomainName, "domain name", 48, &['-', '_']

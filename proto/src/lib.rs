@@ -37,8 +37,8 @@ pub mod text;
 
 pub use header::Header;
 pub use ids::{
-    ActorId, DomainName, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RegionName, RunName,
-    Sequence, Staleness,
+    ActorId, ClientName, DomainName, EnvId, Epoch, Incarnation, Iteration, PolicyVersion,
+    RegionName, RunName, Sequence, ServiceName, Staleness,
 };
 pub use refusal::{Refusal, RefusalCause};
 pub use rollout::{CheckedRollout, EpisodeEnd, EpisodeSummary, Rollout};

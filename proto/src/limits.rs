@@ -10,6 +10,8 @@ pub const MAX_HELLO_BYTES: usize = 64 << 10;
 pub const MAX_NOTICE_BYTES: usize = 4 << 10;
 /// The largest report of metrics, in bytes.
 pub const MAX_METRICS_BYTES: usize = 1 << 20;
+/// The largest message of a client to a notifier at work, or back, in bytes.
+pub const MAX_LIVE_BYTES: usize = 64 << 10;
 /// The most points per number that an answer about a run's history has.
 pub const MAX_HISTORY_POINTS: usize = 4_000;
 /// The largest set of policy parameters, in bytes.

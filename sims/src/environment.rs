@@ -12,6 +12,7 @@ use thiserror::Error;
 
 use crate::description::Description;
 use crate::fact::Fact;
+use crate::notifier::Session;
 use crate::scene::{Scene, Speech};
 use crate::scriptable::Scriptable;
 
@@ -216,6 +217,12 @@ pub trait Environment: Send {
 
     /// Returns what a script of named numbers and messages needs, if messages are sent in this task.
     fn scriptable(&self) -> Option<&dyn Scriptable> {
+        None
+    }
+
+    /// Returns the notifier of this task without its world and its listener, if messages are sent in it: what speaks to
+    /// somebody who is no simulation. It has to begin an episode before anything else.
+    fn session(&self) -> Option<Session> {
         None
     }
 

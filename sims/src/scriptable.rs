@@ -5,6 +5,7 @@
 
 use crate::description::Quantity;
 use crate::domain::Message;
+use crate::human::SpeechAct;
 
 /// The name of the number that counts the steps of the episode so far; every task has it.
 pub const STEP: &str = "step";
@@ -27,6 +28,9 @@ pub trait Scriptable {
     ///
     /// A message that cannot be said becomes the nearest one that can; one of an unknown topic becomes silence.
     fn write_action(&self, message: Option<Message>, action: &mut [u8]);
+
+    /// Writes the action that carries out a speech act; one that is not among the choices becomes silence. Shape `[n_heads]`.
+    fn write_act(&self, act: SpeechAct, action: &mut [u8]);
 
     /// Says what the numbers are: those of the world's observation, those that the world adds for scripts, and [`STEP`].
     fn quantities(&self) -> Vec<Quantity>;

@@ -6,6 +6,7 @@
 //! | `bad_input` | wrong input is one sentence and a documented exit code |
 //! | `compare` | a study becomes its tables, also when it is killed on the way |
 //! | `help` | help fits a terminal, and its examples are read; so do lists of runs; the next command is said and works |
+//! | `live` | a notifier at work: who is let in, what is said, and that nothing stale ever is |
 //! | `long_run` | a run stops where it is told, goes on with other settings, and hands its metrics on |
 //! | `operations` | status pages, logs, signals, the service manager, a full disk, old runs |
 //! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
@@ -24,6 +25,7 @@
 mod bad_input;
 mod compare;
 mod help;
+mod live;
 mod long_run;
 mod operations;
 mod probe;

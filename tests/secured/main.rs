@@ -16,7 +16,8 @@ use std::time::{Duration, Instant};
 use leadtime_certs::{Authority, Role};
 use leadtime_runs::clock;
 use support::{
-    Finished, PATIENCE, Place, Running, result, signal, updates, wait_for_words, wait_until,
+    Finished, PATIENCE, Place, Running, repository, result, signal, updates, wait_for_words,
+    wait_until,
 };
 
 const RUN: &str =
@@ -32,7 +33,8 @@ const DAY: Duration = Duration::from_hours(24);
 fn certificates(place: &Place, directory: &str, peers: &[(&str, &str)]) {
     place.finish(&["certs init", directory]).with_code(0);
     for (role, name) in peers {
-        let host = if matches!(*role, "router" | "learner") { "--host 127.0.0.1" } else { "" };
+        let host =
+            if matches!(*role, "router" | "learner" | "service") { "--host 127.0.0.1" } else { "" };
         place.finish(&["certs issue", directory, role, name, host]).with_code(0);
     }
 }
@@ -208,4 +210,36 @@ fn an_open_address_is_warned_about_once_and_the_remedy_named() {
     assert_eq!(warned("--listen tcp/0.0.0.0:0 --listen tcp/0.0.0.0:0"), 1);
     assert_eq!(warned("--listen tcp/0.0.0.0:0 --insecure"), 0);
     assert_eq!(warned("--listen tcp/127.0.0.1:0"), 0);
+}
+
+#[test]
+fn a_robot_is_spoken_to_under_its_own_name_only_directly_and_behind_a_router() {
+    let place = Place::new();
+    let peers = [("router", "r1"), ("service", "n1"), ("robot", "car-1"), ("actor", "a1")];
+    certificates(&place, "pki", &peers);
+    place.finish(&["certs acl pki -o acl.json5"]).with_code(0);
+    let policy = repository("deploy/policies/piloting.safetensors");
+    let serve = |arguments: &str| place.start(&["serve", &policy, "--tls pki/n1", arguments]);
+    let drive = |there: &str, arguments: &str| {
+        let more = "--max-speed --episodes 2 --json --connect-timeout 3s";
+        place.finish(&["drive", &policy, more, "--connect", there, arguments])
+    };
+    let router = place.start(&["router --listen tls/127.0.0.1:0 --acl acl.json5 --tls pki/r1"]);
+    let behind = address(&router);
+    let direct = serve("--service near --listen tls/127.0.0.1:0 --acl acl.json5");
+    let away = serve(&format!("--service far --connect {behind}"));
+    wait_for_words(&direct, "is at work");
+    wait_for_words(&away, "is at work");
+    for (there, service) in [(address(&direct), "near"), (behind, "far")] {
+        let as_itself = format!("--tls pki/car-1 --service {service}");
+        let measures = drive(&there, &as_itself).with_code(0).json();
+        assert_eq!(measures["comparison"]["summaries"][0]["n_episodes"], 2);
+        let as_another = format!("--tls pki/car-1 --client car-2 --service {service}");
+        drive(&there, &as_another).with_code(3).saying(&["no answer"]);
+        let in_a_run = format!("--tls pki/a1 --service {service}");
+        drive(&there, &in_a_run).with_code(2).saying(&["is for role actor"]);
+    }
+    let told = place.finish(&["serve", &policy, "--tls pki/car-1 --listen tls/127.0.0.1:0"]);
+    told.with_code(2).saying(&["is for role robot; this command needs one for role service"]);
+    drop((direct, away, router));
 }

@@ -33,7 +33,7 @@ pub enum Error {
     #[error("{} is there already: `certs renew` makes it anew, or remove it first", .0.display())]
     Taken(PathBuf),
     /// Not a role.
-    #[error("`{0}` is not a role: router, learner, actor, observer, recorder or robot")]
+    #[error("`{0}` is not a role: router, learner, actor, observer, recorder, service or robot")]
     Role(String),
     /// Not a name.
     #[error(

@@ -18,14 +18,23 @@ pub enum Role {
     Observer,
     /// An observer that may also read rollouts.
     Recorder,
+    /// A notifier at work.
+    Service,
     /// Takes notifications for a machine.
     Robot,
 }
 
 impl Role {
     /// Every role.
-    pub const ALL: [Self; 6] =
-        [Self::Router, Self::Learner, Self::Actor, Self::Observer, Self::Recorder, Self::Robot];
+    pub const ALL: [Self; 7] = [
+        Self::Router,
+        Self::Learner,
+        Self::Actor,
+        Self::Observer,
+        Self::Recorder,
+        Self::Service,
+        Self::Robot,
+    ];
 
     /// Returns the role's name.
     pub fn as_str(self) -> &'static str {
@@ -35,6 +44,7 @@ impl Role {
             Self::Actor => "actor",
             Self::Observer => "observer",
             Self::Recorder => "recorder",
+            Self::Service => "service",
             Self::Robot => "robot",
         }
     }

@@ -11,6 +11,8 @@
 //!            out  everything that actors send
 //! observer   in   looks at presence, metrics, news and weights; asks for history and what the run is
 //! recorder   in   as an observer, and rollouts
+//! service    in   its presence, that of its clients; answers who asks for a session; says, and takes what is observed
+//! robot      in   its presence; asks for a session, observes, hears, under its own name alone
 //! router     both everything of ours
 //! ```
 //!
@@ -19,11 +21,14 @@
 use std::collections::BTreeMap;
 
 use leadtime_certs::{PeerName, Role};
-use leadtime_proto::{ActorId, DomainName, Incarnation, RegionName, RunName};
+use leadtime_proto::{
+    ActorId, ClientName, DomainName, Incarnation, RegionName, RunName, ServiceName,
+};
 use serde_json::{Value, json};
 use zenoh::config::Config;
 
 use crate::keys::{Key, Member, ROOT};
+use crate::live::{LIVE_ROOT, LiveKey};
 use crate::{Error, Result};
 
 /// What the file begins with.
@@ -49,13 +54,15 @@ const RUN: &str = "0run";
 const DOMAIN: &str = "0domain";
 const REGION: &str = "0region";
 const ACTOR: &str = "0actor";
+const SERVICE: &str = "0service";
+const CLIENT: &str = "0client";
 
 /// A list of who may do what. A peer that is not on it may do nothing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AccessList(Value);
 
 impl AccessList {
-    /// Makes the list for these processes; `None` if there are none, or none whose role has keys here.
+    /// Makes the list for these processes; `None` if there are none.
     pub fn of(peers: &[(Role, PeerName)]) -> Option<Self> {
         let mut names: BTreeMap<Role, Vec<&str>> = BTreeMap::new();
         for (role, name) in peers {
@@ -68,6 +75,11 @@ impl AccessList {
             if *role == Role::Actor {
                 for name in names {
                     list.allow(&format!("actor {name}"), &[name], &rules_of_one_actor(name));
+                }
+            }
+            if *role == Role::Robot {
+                for name in names {
+                    list.allow(&format!("robot {name}"), &[name], &rules_of_one_robot(name));
                 }
             }
         }
@@ -108,7 +120,7 @@ impl AccessList {
         let mut list = self.0.clone();
         if has_socket {
             let mut local = Draft::default();
-            local.allow("socket", &[], &[rule("both", EVERYTHING, [format!("{ROOT}/**")])]);
+            local.allow("socket", &[], &[rule("both", EVERYTHING, everywhere())]);
             let mut local = local.finish();
             local["subjects"][0]["link_protocols"] = json!(["unixsock-stream"]);
             for part in ["rules", "subjects", "policies"] {
@@ -295,6 +307,105 @@ fn below(key: &str, branch: &str) -> String {
     format!("{}/{branch}/**", chunks.join("/"))
 }
 
+/// Returns every key of ours.
+fn everywhere() -> [String; 2] {
+    [format!("{ROOT}/**"), format!("{LIVE_ROOT}/**")]
+}
+
+/// Every key of a notifier at work with `*` for whatever is not fixed.
+#[derive(Debug)]
+struct LivePatterns {
+    service: ServiceName,
+    client: ClientName,
+    name: String,
+}
+
+impl LivePatterns {
+    /// Writes keys with `client` in the client's place.
+    fn new(client: &str) -> Self {
+        let is_name = "placeholders are names";
+        Self {
+            service: ServiceName::new(SERVICE).expect(is_name),
+            client: ClientName::new(CLIENT).expect(is_name),
+            name: client.to_owned(),
+        }
+    }
+
+    fn of(&self, key: LiveKey<'_>) -> String {
+        let start = format!("{:016x}", Incarnation::default().0);
+        let chunk = |chunk: &str| match chunk {
+            SERVICE => "*".to_owned(),
+            CLIENT => self.name.clone(),
+            text if text == start => "*".to_owned(),
+            text => text.to_owned(),
+        };
+        key.to_string().split('/').map(chunk).collect::<Vec<_>>().join("/")
+    }
+
+    fn notifiers(&self) -> String {
+        self.of(LiveKey::Service(&self.service, Incarnation::default()))
+    }
+
+    fn presence(&self) -> String {
+        self.of(LiveKey::Client(&self.service, &self.client, Incarnation::default()))
+    }
+
+    fn open(&self) -> String {
+        self.of(LiveKey::Open(&self.service, &self.client))
+    }
+
+    /// What a client sends.
+    fn sent(&self) -> [String; 2] {
+        let (service, client) = (&self.service, &self.client);
+        [LiveKey::Observations(service, client), LiveKey::Heard(service, client)]
+            .map(|key| self.of(key))
+    }
+
+    /// What a client is sent.
+    fn told(&self) -> [String; 2] {
+        let (service, client) = (&self.service, &self.client);
+        [LiveKey::Say(service, client), LiveKey::Status(service, client)].map(|key| self.of(key))
+    }
+}
+
+/// Returns what a notifier at work may do.
+fn service() -> Vec<AccessRule> {
+    let keys = LivePatterns::new("*");
+    let presence = || [keys.notifiers(), keys.presence()];
+    let look: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
+    vec![
+        rule("in", &["liveliness_token"], [keys.notifiers()]),
+        rule("in", look, presence()),
+        rule("in", &["declare_queryable", "reply"], [keys.open()]),
+        rule("in", &["put"], keys.told()),
+        rule("in", &["declare_subscriber"], keys.sent()),
+        rule("out", &["liveliness_token"], presence()),
+        rule("out", &["query"], [keys.open()]),
+        rule("out", &["put"], keys.sent()),
+        rule("out", &["declare_subscriber"], keys.told()),
+    ]
+}
+
+/// Returns what a robot may do under its own name.
+fn rules_of_one_robot(name: &str) -> Vec<AccessRule> {
+    let keys = LivePatterns::new(name);
+    let look: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
+    // A notifier declares one place for the questions of all clients.
+    let places = LivePatterns::new("*").open();
+    vec![
+        rule("in", &["liveliness_token"], [keys.presence()]),
+        rule("in", look, [keys.notifiers()]),
+        rule("in", &["query"], [keys.open()]),
+        rule("in", &["put"], keys.sent()),
+        rule("in", &["declare_subscriber"], keys.told()),
+        rule("out", &["liveliness_token"], [keys.notifiers()]),
+        rule("out", &["declare_queryable"], [places]),
+        rule("out", &["reply"], [keys.open()]),
+        rule("out", &["put"], keys.told()),
+        rule("out", &["declare_subscriber"], keys.sent()),
+    ]
+}
+
 /// Returns what everybody of a role may do.
 fn rules_of(role: Role) -> Vec<AccessRule> {
     let keys = Patterns::new();
@@ -302,7 +413,7 @@ fn rules_of(role: Role) -> Vec<AccessRule> {
     let look: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
     let serve: &[&str] = &["declare_queryable", "reply"];
     match role {
-        Role::Router => vec![rule("both", EVERYTHING, [format!("{ROOT}/**")])],
+        Role::Router => vec![rule("both", EVERYTHING, everywhere())],
         Role::Learner => vec![
             rule("in", &["liveliness_token"], [keys.learners()]),
             rule("in", look, [keys.members()]),
@@ -335,7 +446,8 @@ fn rules_of(role: Role) -> Vec<AccessRule> {
         ],
         Role::Observer => observer(&keys, false),
         Role::Recorder => observer(&keys, true),
-        // What robots listen to is outside of runs.
+        Role::Service => service(),
+        // What a robot may do, it may do under its own name.
         Role::Robot => Vec::new(),
     }
 }
@@ -425,19 +537,43 @@ mod tests {
             (Role::Actor, "a8"),
             (Role::Observer, "o1"),
             (Role::Recorder, "w1"),
+            (Role::Service, "s1"),
             (Role::Robot, "m1"),
         ]);
         let text = written.to_text();
         let read = AccessList::parse(&text).unwrap();
-        assert_eq!(read.0["rules"].as_array().unwrap().len(), 43);
+        assert_eq!(read.0["rules"].as_array().unwrap().len(), 62);
         assert_eq!(AccessList::parse(&read.to_text()).unwrap(), read);
         let error = AccessList::parse(&text.replace("\"query\"", "\"ask\"")).unwrap_err();
         assert!(error.to_string().contains("ask"), "{error}");
         let open = text.replace("\"deny\"", "\"allow\"");
         AccessList::parse(&open).unwrap_err();
         AccessList::parse("{}").unwrap_err();
-        let robots: (Role, PeerName) = (Role::Robot, "m1".parse().unwrap());
-        assert_eq!(AccessList::of(&[robots]), None, "nothing to allow");
+        assert_eq!(AccessList::of(&[]), None, "nothing to allow");
+    }
+
+    #[test]
+    fn the_keys_of_a_notifier_at_work_are_those_of_its_layout() {
+        let keys = LivePatterns::new("m1");
+        let [observations, heard] = keys.sent();
+        let [say, status] = keys.told();
+        let made =
+            [keys.notifiers(), keys.presence(), keys.open(), observations, heard, say, status];
+        let expected =
+            ["alive/*", "m1/alive/*", "m1/open", "m1/obs", "m1/heard", "m1/say", "m1/status"];
+        assert_eq!(made, expected.map(|key| format!("leadtime/live/1/*/{key}")));
+    }
+
+    #[test]
+    fn a_robot_gets_nothing_under_another_name() {
+        let list = list(&[(Role::Robot, "m1"), (Role::Robot, "m2"), (Role::Service, "s1")]);
+        let rules = list.0["rules"].as_array().unwrap().clone();
+        let own = |rule: &&Value| rule["id"].as_str().unwrap().starts_with("robot m1");
+        let keys = rules.iter().filter(own).flat_map(|rule| rule["key_exprs"].as_array().unwrap());
+        let keys: Vec<&str> = keys.filter_map(Value::as_str).collect();
+        let foreign = ["leadtime/live/1/*/alive/*", "leadtime/live/1/*/*/open"];
+        assert!(keys.iter().all(|key| key.contains("/m1/") || foreign.contains(key)), "{keys:?}");
+        assert!(keys.len() > foreign.len());
     }
 
     #[test]

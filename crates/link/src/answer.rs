@@ -31,6 +31,8 @@ pub(crate) enum PendingReply {
     Message(Query, Header, ZBytes),
     /// Whatever of these weights the question asks for.
     Weights(Query, Arc<WeightStore>),
+    /// Text without a header of ours.
+    Json(Query, Vec<u8>),
     /// A sentence that says no.
     Refusal(Query, String),
     /// Nothing but the end of the question.
@@ -76,6 +78,7 @@ fn answer(reply: PendingReply) {
             Ok((header, payload)) => send(&query, &header, payload),
             Err(reason) => refuse(&query, reason),
         },
+        PendingReply::Json(query, text) => send_json(&query, text),
         PendingReply::Refusal(query, reason) => refuse(&query, reason),
         PendingReply::Nothing(query) => return drop(query),
     };
@@ -90,6 +93,10 @@ fn send(query: &Query, header: &Header, payload: ZBytes) -> zenoh::Result<()> {
         .attachment(header.to_bytes())
         .encoding(Encoding::APPLICATION_OCTET_STREAM)
         .wait()
+}
+
+fn send_json(query: &Query, text: Vec<u8>) -> zenoh::Result<()> {
+    query.reply(query.key_expr().clone(), text).encoding(Encoding::APPLICATION_JSON).wait()
 }
 
 fn refuse(query: &Query, reason: String) -> zenoh::Result<()> {

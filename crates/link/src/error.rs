@@ -7,7 +7,7 @@ use std::time::Duration;
 use leadtime_proto::codec::CodecError;
 use leadtime_proto::ids::InvalidId;
 use leadtime_proto::phrase::duration;
-use leadtime_proto::{ActorId, PolicyVersion, Refusal, RunName};
+use leadtime_proto::{ActorId, ClientName, PolicyVersion, Refusal, RunName, ServiceName};
 use thiserror::Error;
 
 /// A result of this crate.
@@ -44,7 +44,7 @@ pub enum Error {
     NoEndpoint,
     /// Someone else listens at this address.
     #[error(
-        "address `{0}` is in use: another learner listens there; choose another port or path, or stop it"
+        "address `{0}` is in use: another process listens there; choose another port or path, or stop it"
     )]
     AddressInUse(String),
     /// A file is where a socket is to be; listening there would remove it.
@@ -114,8 +114,10 @@ pub enum Error {
         source: NetworkFault,
     },
     /// Nobody can be reached, with the reason for every address.
-    #[error("no learner can be reached (tried for {}): {obstacles}", duration(*timeout))]
+    #[error("no {whom} can be reached (tried for {}): {obstacles}", duration(*timeout))]
     Unreachable {
+        /// Who was looked for.
+        whom: &'static str,
         /// Every address with what is in the way.
         obstacles: String,
         /// For how long it was tried.
@@ -157,6 +159,19 @@ pub enum Error {
         /// The learner's sentence.
         reason: String,
     },
+    /// No notifier of that name is at work there.
+    #[error("no notifier `{service}` is at work at {endpoints}; there: {}", there(present))]
+    NoService {
+        /// As named.
+        service: ServiceName,
+        /// The addresses.
+        endpoints: String,
+        /// Those that are there.
+        present: Vec<ServiceName>,
+    },
+    /// A name that is a part of keys already.
+    #[error("a client cannot be called `{0}`: the keys of presence are; choose another name")]
+    ReservedName(ClientName),
     /// An actor of the same name is there, alive.
     #[error("`{0}` is already here; choose another --id")]
     Taken(ActorId),
@@ -248,6 +263,11 @@ impl Error {
     pub(crate) fn network(action: &'static str, key: &str) -> impl FnOnce(zenoh::Error) -> Self {
         move |source| Self::Network { action, key: key.to_owned(), source: NetworkFault(source) }
     }
+}
+
+fn there(services: &[ServiceName]) -> String {
+    let quoted: Vec<String> = services.iter().map(|service| format!("`{service}`")).collect();
+    if quoted.is_empty() { "none".to_owned() } else { quoted.join(", ") }
 }
 
 fn list(runs: &[RunName]) -> String {

@@ -30,6 +30,8 @@
 //! | metrics | `Background` | dropped |
 //! | about, history | `Background` | waits; answered by threads of their own |
 //!
+//! A notifier at work speaks to its clients beside all that, on a tree of keys of its own: [`live`].
+//!
 //! Needs tokio's multi-threaded runtime.
 //!
 //! # Where to start
@@ -38,6 +40,7 @@
 //! [`leadtime_proto::receive`].
 
 pub mod keys;
+pub mod live;
 
 mod access;
 mod actor;

@@ -83,12 +83,15 @@ pub struct ConnectSettings {
     pub identity: Option<Identity>,
     /// Whose relay is asked for weights before the learner. Default: nobody's.
     pub region: Option<RegionName>,
+    /// Who is looked for, as a sentence names it. Default: `learner`.
+    pub whom: &'static str,
 }
 
 impl ConnectSettings {
     /// Connects to these addresses, everything else as documented.
     pub fn new(endpoints: Vec<Endpoint>) -> Self {
-        Self { endpoints, timeout: Duration::from_secs(30), identity: None, region: None }
+        let timeout = Duration::from_secs(30);
+        Self { endpoints, timeout, identity: None, region: None, whom: "learner" }
     }
 }
 
@@ -101,33 +104,49 @@ pub(crate) fn describe(endpoints: &[Endpoint]) -> String {
 /// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on.
 pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
-        let settings = ConnectSettings {
-            endpoints: settings.connect.clone(),
-            timeout: settings.timeout,
-            identity: settings.identity.clone(),
-            region: None,
-        };
-        return dial(&settings, LEARNER_WAIT_BEFORE_CLOSE_US).await;
+        return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
     listen_as("peer", settings).await
 }
 
+/// Opens the session of a notifier at work, as [`listen`]: it takes small messages only.
+pub(crate) async fn listen_live(settings: &ListenSettings) -> Result<Session> {
+    if settings.endpoints.is_empty() {
+        return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;
+    }
+    listen_with("peer", settings, limits::MAX_LIVE_BYTES).await
+}
+
+/// Returns how a process that listens nowhere reaches a router.
+fn upwards(settings: &ListenSettings) -> ConnectSettings {
+    ConnectSettings {
+        timeout: settings.timeout,
+        identity: settings.identity.clone(),
+        whom: "router",
+        ..ConnectSettings::new(settings.connect.clone())
+    }
+}
+
 /// Opens a session that listens: a `peer`, or a `router`.
 pub(crate) async fn listen_as(mode: &str, settings: &ListenSettings) -> Result<Session> {
+    // Twice the largest rollout, so that what is a little too large is refused and counted by us.
+    listen_with(mode, settings, 2 * limits::MAX_ROLLOUT_BYTES).await
+}
+
+async fn listen_with(mode: &str, settings: &ListenSettings, max_bytes: usize) -> Result<Session> {
     settings.endpoints.iter().try_for_each(Endpoint::check_listen)?;
     settings.connect.iter().try_for_each(Endpoint::check_files)?;
     let identity = settings.identity.as_ref();
     let all = [&settings.endpoints, &settings.connect];
     all.into_iter().try_for_each(|endpoints| security::check(endpoints, identity))?;
     let has_socket = security::has_socket(all.into_iter().flatten());
-    // Twice the largest rollout, so that what is a little too large is refused and counted by us.
     let mut special = vec![
         ("mode", format!("\"{mode}\"")),
         ("listen/endpoints", json_list(&settings.endpoints)),
         ("connect/endpoints", json_list(&settings.connect)),
         ("transport/unicast/accept_pending", ACCEPT.0.to_string()),
         ("transport/unicast/accept_timeout", ACCEPT.1.to_string()),
-        max_message(2 * limits::MAX_ROLLOUT_BYTES),
+        max_message(max_bytes),
         wait_before_close(LEARNER_WAIT_BEFORE_CLOSE_US),
     ];
     if let Some(identity) = identity {
@@ -154,7 +173,7 @@ pub(crate) async fn connect(settings: &ConnectSettings) -> Result<Session> {
 }
 
 async fn dial(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
-    let ConnectSettings { endpoints, timeout, identity, .. } = settings;
+    let ConnectSettings { endpoints, timeout, identity, whom, .. } = settings;
     let (timeout, identity) = (*timeout, identity.as_ref());
     if endpoints.is_empty() {
         return Err(Error::NoEndpoint);
@@ -185,13 +204,13 @@ async fn dial(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
         debug!(%source, "round of attempts to connect failed");
         if Instant::now() >= deadline {
             let obstacles = obstacles(endpoints, identity).await;
-            return Err(Error::Unreachable { obstacles, timeout });
+            return Err(Error::Unreachable { whom, obstacles, timeout });
         }
         if !reported {
             reported = true;
             let obstacles = obstacles(endpoints, identity).await;
             let timeout = duration(timeout);
-            info!("no learner can be reached yet, trying for {timeout}: {obstacles}");
+            info!("no {whom} can be reached yet, trying for {timeout}: {obstacles}");
         }
     }
 }

@@ -23,6 +23,9 @@ pub(crate) struct Qos {
 /// Hello and orders: first of all, never lost.
 pub(crate) const CONTROL: Qos =
     Qos { priority: Priority::RealTime, congestion: CongestionControl::Block, express: true };
+/// Observations and what is said about them: first of all, and never waited for, because the next one says more.
+pub(crate) const SPEECH: Qos =
+    Qos { priority: Priority::RealTime, congestion: CongestionControl::Drop, express: true };
 /// Credit and announcements. Dropped rather than waited for: they are repeated, and waiting for one slow peer would hold
 /// up what the others live on.
 pub(crate) const NOTICE: Qos =

@@ -1,6 +1,7 @@
 //! Who takes turns: so that a person does not hear the same sentence again and again.
 
 use leadtime_numerics::Pcg64;
+use serde::{Deserialize, Serialize};
 
 use crate::database::Taxonomy;
 use crate::retrieve::Retrieved;
@@ -9,7 +10,7 @@ use crate::utterance::Utterance;
 /// Goes through the sentences of each cell in turn, from a start that a seeded generator draws.
 ///
 /// Every sentence of a cell is said once before any is said again. One that is false now loses its turn.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Rotation {
     /// Per topic and filled cell, how many sentences were passed.
     passed: Vec<Vec<u32>>,
@@ -22,6 +23,13 @@ impl Rotation {
         let cells =
             |topic: &crate::Topic| topic.cells().map(|(_, list)| start(list.len())).collect();
         Self { passed: taxonomy.topics().iter().map(cells).collect() }
+    }
+
+    /// Tells whether it could be a rotation of this database.
+    pub fn fits(&self, taxonomy: &Taxonomy) -> bool {
+        let topics = taxonomy.topics();
+        let n_cells = topics.iter().map(|topic| topic.cells().count());
+        self.passed.iter().map(Vec::len).eq(n_cells)
     }
 
     /// Takes the next sentence of what was retrieved that is true; none if there is no such sentence, or if that is another

@@ -79,10 +79,10 @@ pub(crate) struct CertsIssueArgs {
     /// The directory of the authority.
     #[arg(value_name = "DIR")]
     pub directory: PathBuf,
-    /// What the process is: router, learner, actor, observer (reads metrics and weights), recorder (also rollouts) or
-    /// robot.
+    /// What the process is: router, learner, actor, observer (reads metrics and weights), recorder (also rollouts), service
+    /// (a notifier at work) or robot (one of its clients).
     pub role: Role,
-    /// Its name: a-z, 0-9 and `-`; an actor takes part under it.
+    /// Its name: a-z, 0-9 and `-`; an actor takes part under it, and a robot is a client of that name.
     pub id: PeerName,
     /// A host's name or address under which it is dialled; repeatable. Who only dials others needs none.
     #[arg(long, value_name = "NAME")]

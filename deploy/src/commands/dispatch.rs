@@ -4,9 +4,9 @@ use leadtime_runs::Tasks;
 use tokio::runtime;
 
 use super::{
-    actor, certs, check, compare, config, conformance, describe, eval, health, launch, learner,
-    new, pilot, play, probe, race, report, router, runs, script_search, smoke, taxonomy, version,
-    watch,
+    actor, certs, check, compare, config, conformance, describe, drive, eval, health, launch,
+    learner, new, pilot, play, probe, race, report, router, runs, script_search, serve, smoke,
+    taxonomy, version, watch,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -34,6 +34,8 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         Command::Actor(args) => block_on(actor::run(tasks, &args)),
         Command::Watch(args) => block_on(watch::run(tasks, &args)),
         Command::Router(args) => block_on(router::run(&args)),
+        Command::Serve(args) => block_on(serve::run(tasks, &args)),
+        Command::Drive(args) => block_on(drive::run(tasks, &args)),
         Command::Certs { command } => certs::run(&command),
         Command::Eval(args) => eval::run(tasks, &args),
         Command::Probe(args) => probe::run(tasks, &args),

@@ -59,9 +59,8 @@ use serde::{Deserialize, Serialize};
 
 use super::delay::DelaySource;
 use super::reasons::ReasonTable;
-use super::settings::{
-    HumanSettings, Interrupt, MAX_WORDS, PendingRule, ReactionReward, Repeat, RunningRule,
-};
+use super::settings::{HumanSettings, PendingRule, ReactionReward, Repeat, RunningRule};
+use super::speech::SpokenMessage;
 use super::tally::Tally;
 use crate::{Message, ReactionStatus, ReactionStep};
 
@@ -103,14 +102,6 @@ pub enum Initiation {
     Stopped,
 }
 
-/// A message while it is spoken.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-struct SpokenMessage {
-    message: Message,
-    heard: u32,
-    understood: bool,
-}
-
 /// A message that was understood, and the time of its reaction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Pending {
@@ -143,21 +134,22 @@ pub struct HumanState {
 }
 
 impl HumanState {
+    /// Returns the running utterance.
+    pub(crate) fn speech(&self) -> Option<SpokenMessage> {
+        self.speech
+    }
+
     /// Tells whether a listener of `n_topics` topics could be in this state.
     ///
     /// States come back from other processes, so nothing about them is taken on trust.
     pub fn fits(&self, n_topics: usize) -> bool {
-        let known = |message: Message| {
-            message.topic < n_topics
-                && message.comprehension <= message.conveyance
-                && message.conveyance <= MAX_WORDS
-        };
+        let known = |message: Message| message.fits(n_topics);
         let mut pending = self.pending.iter();
         self.pending.len() <= MAX_PENDING
             && self.now <= MAX_TIME
             && self.tally.is_plausible()
             && pending.all(|pending| known(pending.message) && pending.due <= 2 * MAX_TIME)
-            && self.speech.is_none_or(|speech| known(speech.message) && speech.heard <= MAX_WORDS)
+            && self.speech.is_none_or(|speech| speech.fits(n_topics))
             && self.running.is_none_or(|running| known(running.message) && running.steps_left > 0)
     }
 }
@@ -233,6 +225,11 @@ impl Human {
         self.state.speech.map(|utterance| (utterance.message, utterance.heard))
     }
 
+    /// Returns the running utterance, and whether it is understood.
+    pub(crate) fn spoken(&self) -> Option<SpokenMessage> {
+        self.state.speech
+    }
+
     /// Returns the message that will be acted upon next.
     pub fn pending(&self) -> Option<Message> {
         self.state.pending.front().map(|pending| pending.message)
@@ -254,16 +251,12 @@ impl Human {
 
     /// Tells whether a message (of another topic) would start now.
     pub fn may_start(&self) -> bool {
-        match (self.state.speech, self.settings.interrupt) {
-            (None, _) | (Some(_), Interrupt::Replace) => true,
-            (Some(utterance), Interrupt::UntilComprehended) => utterance.understood,
-            (Some(_), Interrupt::Finish) => false,
-        }
+        self.settings.may_start(self.state.speech)
     }
 
     /// Tells whether there is an utterance that may be broken off.
     pub fn may_stop(&self) -> bool {
-        self.settings.can_stop && self.state.speech.is_some()
+        self.settings.may_stop(self.state.speech)
     }
 
     /// Tells whether a reaction ended since this was last asked.
@@ -332,10 +325,10 @@ impl Human {
         tally.sum_k += message.comprehension;
         tally.sum_l += message.conveyance;
         tally.long += u32::from(message.conveyance >= LONG_FROM_WORDS);
-        let understood = self.settings.effective_comprehension(message) == 0;
-        self.state.speech = Some(SpokenMessage { message, heard: 0, understood });
+        let speech = SpokenMessage::new(message, &self.settings);
+        self.state.speech = Some(speech);
         // Row I9: `begin_step` of this step is past, so a reaction that is due at once starts here, and not a step late.
-        if understood {
+        if speech.understood {
             self.comprehend(message);
             self.begin_step();
         }
@@ -397,16 +390,13 @@ impl Human {
         // Time moves even in silence, and before comprehension: a delay counts from the end of the k-th word's step.
         self.state.now += 1;
         let utterance = self.state.speech.as_mut()?;
-        utterance.heard += 1;
-        let SpokenMessage { message, heard, understood } = *utterance;
-        let comprehension = self.settings.effective_comprehension(message);
-        let length = if self.settings.occupies { message.conveyance } else { comprehension.max(1) };
+        let word = utterance.hear_word(&self.settings);
+        let message = utterance.message;
         // Comprehension comes first: with k = l the message is pending before its delivery may cancel a reaction.
-        if !understood && heard >= comprehension {
-            utterance.understood = true;
+        if word.understood {
             self.comprehend(message);
         }
-        (heard >= length).then(|| {
+        word.is_last.then(|| {
             self.state.speech = None;
             self.state.tally.delivered += 1;
             self.state.tally.followed += u32::from(self.only_informs(message));

@@ -6,7 +6,7 @@ use proptest::sample::select;
 use super::*;
 use crate::ReactionStatus::{Ended, Followed, Refused};
 use crate::human::{
-    BlockedInitiation, Comprehension, FollowThrough, FollowThroughEnd, ReactionDelay,
+    BlockedInitiation, Comprehension, FollowThrough, FollowThroughEnd, Interrupt, ReactionDelay,
 };
 
 const A: usize = 0;

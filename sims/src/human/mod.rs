@@ -25,6 +25,7 @@ mod delay;
 pub mod machine;
 mod reasons;
 mod settings;
+mod speech;
 mod tally;
 
 pub use machine::{Human, HumanState, Initiation, SpeechAct};
@@ -34,4 +35,5 @@ pub use settings::{
     Informativeness, Interrupt, MAX_WORDS, PendingRule, ReactionDelay, ReactionReward, Repeat,
     RunningRule,
 };
+pub use speech::SpokenMessage;
 pub use tally::Tally;

@@ -203,6 +203,17 @@ impl Actions {
         }
     }
 
+    /// Writes the action that carries out a speech act; silence if it is not among the choices.
+    pub(super) fn write_act(&self, act: SpeechAct, action: &mut [u8]) {
+        match act {
+            SpeechAct::Start(message) => self.write(Some(message), action),
+            SpeechAct::Continue | SpeechAct::Stop => self.write(None, action),
+        }
+        if act == SpeechAct::Stop && self.can_stop {
+            action[0] = STOP;
+        }
+    }
+
     fn nearest(&self, words: u32) -> u8 {
         let distance = |&i: &usize| self.words[i].abs_diff(words);
         (0..self.words.len()).min_by_key(distance).unwrap_or(0) as u8

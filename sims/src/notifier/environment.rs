@@ -4,8 +4,7 @@ use leadtime_numerics::Purpose;
 use leadtime_proto::{EnvSpec, Mask};
 use serde::{Deserialize, Serialize};
 
-use super::actions::{Actions, Offered};
-use super::history::History;
+use super::session::Session;
 use super::settings::NotifierSettings;
 use crate::check::SettingError;
 use crate::description::{Description, ObservationLayout, Quantity, RewardTerm};
@@ -79,9 +78,8 @@ pub struct NotifierEnv<D> {
     spec: EnvSpec,
     domain: D,
     human: Human,
-    actions: Actions,
-    history: History,
-    observe_utterance: bool,
+    /// What it would be without the world and the listener.
+    session: Session,
     initiation_cost: f64,
     blocked: BlockedInitiation,
     last: StepMemory,
@@ -101,13 +99,11 @@ impl<D: Domain> NotifierEnv<D> {
         notifier: &NotifierSettings,
     ) -> Result<Self, TaskError> {
         human.check()?;
-        let actions = Actions::new(notifier, domain.topics(), human.can_stop)?;
+        let session = Session::new(domain.obs_dim(), domain.topics(), human, notifier)?;
         let reasons = reasons(human, notifier, domain.topics())?;
-        let history = History::new(notifier.history, domain.obs_dim(), actions.encoded_dim());
-        let status_dim = if notifier.observe_utterance { 1 + actions.n_topics() } else { 0 };
-        let obs_dim = history.row().len() + status_dim;
         let metrics = METRICS.iter().chain(domain.metric_names()).map(|&name| name.to_owned());
-        let spec = EnvSpec { obs_dim, actions: actions.spec(), metrics: metrics.collect() };
+        let (obs_dim, actions) = (session.row_dim(), session.actions().spec());
+        let spec = EnvSpec { obs_dim, actions, metrics: metrics.collect() };
         spec.actions.check()?;
         let informs = |topic: &usize| !domain.asks_for_action(*topic);
         let informative = (0..domain.topics().len()).filter(informs).collect();
@@ -115,9 +111,7 @@ impl<D: Domain> NotifierEnv<D> {
             spec,
             human: Human::new(human, informative, reasons),
             domain,
-            actions,
-            history,
-            observe_utterance: notifier.observe_utterance,
+            session,
             initiation_cost: notifier.initiation_cost,
             blocked: human.blocked_initiation,
             last: StepMemory::default(),
@@ -147,10 +141,7 @@ impl<D: Domain> NotifierEnv<D> {
         self.report_reaction_over();
         let initiation = self.human.apply(act);
         self.report_reaction_over();
-        let started = match (act, initiation) {
-            (SpeechAct::Start(message), Initiation::Started) => Some(message),
-            _ => None,
-        };
+        let started = self.session.carry_out(act, initiation);
         if let Some(message) = started {
             self.domain.started(message);
         }
@@ -170,12 +161,9 @@ impl<D: Domain> NotifierEnv<D> {
             started: started.is_some(),
             reacting: reaction.map(|reaction| reaction.topic),
         };
-        // What the world looks like now, and what was really started or stopped.
-        let (domain, actions) = (&self.domain, &self.actions);
-        let encode =
-            |out: &mut [f32]| actions.encode(started, initiation == Initiation::Stopped, out);
-        self.history.push(|out| domain.observe(out), encode);
-        self.write_observation(observation);
+        let domain = &self.domain;
+        self.session.observe(|out| domain.observe(out));
+        self.session.write_row(observation);
         let reward = advance.reward + reaction_reward - self.cost(initiation);
         (StepOutcome { reward: reward as f32, end: advance.end }, initiation)
     }
@@ -188,6 +176,8 @@ impl<D: Domain> NotifierEnv<D> {
 
     fn hear_word(&mut self) {
         let delivered = self.human.hear_word();
+        self.session.hear_word();
+        debug_assert_eq!(self.session.speech(), self.human.spoken(), "both count the same words");
         self.report_reaction_over();
         if delivered.is_some_and(|message| self.domain.deliver(message).cancels_reaction) {
             self.human.cancel_reaction();
@@ -201,18 +191,6 @@ impl<D: Domain> NotifierEnv<D> {
             Initiation::Started => self.initiation_cost,
             Initiation::Blocked if charges_blocked => self.initiation_cost,
             _ => 0.0,
-        }
-    }
-
-    fn write_observation(&self, observation: &mut [f32]) {
-        let (row, status) = observation.split_at_mut(self.history.row().len());
-        row.copy_from_slice(self.history.row());
-        status.fill(0.0);
-        if self.observe_utterance
-            && let Some((message, heard)) = self.human.speech()
-        {
-            status[0] = heard as f32 / message.conveyance as f32;
-            self.actions.encode_topic(message.topic, &mut status[1..]);
         }
     }
 
@@ -268,14 +246,8 @@ impl<D: Domain> Environment for NotifierEnv<D> {
     fn describe(&self) -> Description {
         let topics = self.domain.topics();
         let mut frame = self.domain.quantities();
-        frame.extend(self.actions.quantities(topics));
-        let rest = if self.observe_utterance {
-            let spoken = "share of the running message spoken so far";
-            let topic = self.actions.topic_quantities("utterance", "the running message", topics);
-            [Quantity::flag("utterance.spoken", spoken)].into_iter().chain(topic).collect()
-        } else {
-            Vec::new()
-        };
+        frame.extend(self.session.actions().quantities(topics));
+        let rest = self.session.utterance_quantities(topics);
         let mut rewards = self.domain.reward_terms();
         let reaction = match self.human.reaction_reward() {
             ReactionReward::Off => None,
@@ -288,13 +260,14 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             _ => "a message that is started",
         };
         rewards.push(RewardTerm::new(charged, -self.initiation_cost, "notifier.initiation_cost"));
-        let n_frames = self.history.n_pairs();
+        let n_frames = self.session.history().n_pairs();
         let observation = ObservationLayout { n_frames, frame, rest };
-        Description { observation, actions: self.actions.heads(topics), rewards }
+        Description { observation, actions: self.session.actions().heads(topics), rewards }
     }
 
     fn entity_history(&self) -> Option<EntityHistory> {
-        let (n_frames, action_dim) = (self.history.n_pairs(), self.actions.encoded_dim());
+        let n_frames = self.session.history().n_pairs();
+        let action_dim = self.session.actions().encoded_dim();
         let entities = self.domain.entities()?;
         Some(EntityHistory { n_frames, entities, action_dim })
     }
@@ -305,17 +278,16 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         self.last = StepMemory::default();
         self.reaction_began = false;
         let domain = &self.domain;
-        self.history.begin(|out| domain.observe(out));
-        self.write_observation(observation);
+        self.session.begin(|out| domain.observe(out));
+        self.session.write_row(observation);
     }
 
     fn mask(&self) -> Mask {
-        let start = self.blocked != BlockedInitiation::Mask || self.human.may_start();
-        self.actions.mask(Offered { start, stop: self.human.may_stop() })
+        self.session.mask()
     }
 
     fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
-        self.step_with(self.actions.speech_act(action), observation).0
+        self.step_with(self.session.speech_act(action), observation).0
     }
 
     fn metrics(&self, out: &mut [f32]) {
@@ -351,7 +323,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         let mut domain = Vec::new();
         self.domain.snapshot(&mut domain);
         let human = self.human.state().clone();
-        let history = self.history.row().to_vec();
+        let history = self.session.history().row().to_vec();
         write_snapshot(&NotifierSnapshot { domain, human, history, last: self.last }, out);
     }
 
@@ -363,16 +335,16 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         if !snapshot.human.fits(n_topics) || !known {
             return Err(SnapshotError::Mismatch { what: "topics or words" });
         }
-        let finite = snapshot.history.iter().all(|value| value.is_finite());
         let counts_on = n_steps < MAX_STEPS && first_start <= n_steps;
-        if !finite || !counts_on || !self.history.restore(&snapshot.history) {
+        let speech = snapshot.human.speech();
+        if !counts_on || !self.session.resume(&snapshot.history, speech) {
             return Err(SnapshotError::Mismatch { what: "history" });
         }
         self.domain.restore(&snapshot.domain)?;
         self.human.restore(snapshot.human);
         self.last = snapshot.last;
         self.reaction_began = false;
-        self.write_observation(observation);
+        self.session.write_row(observation);
         Ok(())
     }
 
@@ -385,13 +357,17 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         if known {
             // What a scripted notifier starts now, if the listener lets it.
             let message = self.human.may_start().then(|| self.domain.script(name)).flatten();
-            self.actions.write(message, action);
+            self.session.actions().write(message, action);
         }
         known
     }
 
     fn scriptable(&self) -> Option<&dyn Scriptable> {
         Some(self)
+    }
+
+    fn session(&self) -> Option<Session> {
+        Some(self.session.clone())
     }
 
     fn insight(&self) -> Option<Insight> {
@@ -424,7 +400,7 @@ impl<D: Domain> Scriptable for NotifierEnv<D> {
     }
 
     fn messages(&self) -> Vec<Message> {
-        self.actions.messages()
+        self.session.actions().messages()
     }
 
     fn may_start(&self) -> bool {
@@ -436,7 +412,11 @@ impl<D: Domain> Scriptable for NotifierEnv<D> {
     }
 
     fn write_action(&self, message: Option<Message>, action: &mut [u8]) {
-        self.actions.write(message, action);
+        self.session.actions().write(message, action);
+    }
+
+    fn write_act(&self, act: SpeechAct, action: &mut [u8]) {
+        self.session.actions().write_act(act, action);
     }
 
     fn quantities(&self) -> Vec<Quantity> {
@@ -453,7 +433,7 @@ impl<D: Domain> Scriptable for NotifierEnv<D> {
 
     fn write_quantities(&self, now: &mut [f32], before: &mut [f32]) {
         let (n_observed, step) = (self.domain.obs_dim(), now.len() - 1);
-        let (last, previous) = self.history.last_two();
+        let (last, previous) = self.session.history().last_two();
         now[..n_observed].copy_from_slice(last);
         self.domain.observe_for_scripts(&mut now[n_observed..step]);
         now[step] = self.last.n_steps as f32;

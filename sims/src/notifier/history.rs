@@ -22,6 +22,10 @@ impl History {
         self.pairs.len() / self.pair_dim
     }
 
+    pub(super) fn obs_dim(&self) -> usize {
+        self.obs_dim
+    }
+
     /// Forgets the past; `observe` writes the first observation.
     pub(super) fn begin(&mut self, observe: impl FnOnce(&mut [f32])) {
         self.pairs.fill(0.0);

@@ -1,0 +1,290 @@
+//! The client's end: asks for a session, puts observations, takes what is said.
+
+use std::fmt;
+use std::time::{Duration, Instant};
+
+use leadtime_proto::{ClientName, Incarnation, ServiceName, text};
+use zenoh::Wait as _;
+use zenoh::bytes::Encoding;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::sample::SampleKind;
+use zenoh::session::Session;
+
+use super::keys::{LiveKey, check_name, parse_alive};
+use super::port::{publisher, raw};
+use crate::pubsub::subscribe;
+use crate::{ConnectSettings, Error, Result, keys, session, wire};
+
+/// How long the answer to one question may take.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
+/// Longest wait for one answer to "who is there?".
+const LOOK: Duration = Duration::from_millis(500);
+/// Pause between two looks for a notifier.
+const LOOK_PAUSE: Duration = Duration::from_millis(50);
+/// The most notifiers that are looked at.
+const MAX_SERVICES: usize = 256;
+/// The most messages that wait for a client; a newer one beyond them is dropped.
+const MAX_MESSAGES: usize = 1_024;
+
+/// What a client is told.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LiveMessage {
+    /// An event of what is said.
+    Say(Vec<u8>),
+    /// What the notifier does.
+    Status(Vec<u8>),
+    /// This start of the notifier is there.
+    ServiceHere(Incarnation),
+    /// This start of the notifier is gone.
+    ServiceGone(Incarnation),
+}
+
+/// A client's connection.
+#[derive(Debug)]
+pub struct LiveClientLink {
+    settings: ConnectSettings,
+    session: Session,
+}
+
+impl LiveClientLink {
+    /// Connects to a notifier or a router.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Unreachable`] if nobody answers within the settings' time-out.
+    pub async fn open(settings: &ConnectSettings) -> Result<Self> {
+        let settings = ConnectSettings { whom: "notifier", ..settings.clone() };
+        let session = session::connect(&settings).await?;
+        Ok(Self { settings, session })
+    }
+
+    /// Waits until a notifier of this name is there, for the settings' time-out; returns its start.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoService`] if there is none.
+    pub async fn find(&self, service: &ServiceName) -> Result<Incarnation> {
+        let (started, timeout) = (Instant::now(), self.settings.timeout);
+        loop {
+            let present = present(&self.session, LiveKey::Services).await?;
+            if let Some((_, start)) = present.iter().find(|(name, _)| name == service) {
+                return Ok(*start);
+            }
+            if started.elapsed() >= timeout {
+                return Err(Error::NoService {
+                    service: service.clone(),
+                    endpoints: session::describe(&self.settings.endpoints),
+                    present: present.into_iter().map(|(name, _)| name).collect(),
+                });
+            }
+            tokio::time::sleep(LOOK_PAUSE).await;
+        }
+    }
+
+    /// Shows that this client is there, and takes what is said to it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::ReservedName`], or [`Error::Network`] if it cannot be declared.
+    pub fn port(
+        &self,
+        service: &ServiceName,
+        client: &ClientName,
+        incarnation: Incarnation,
+    ) -> Result<ClientPort> {
+        check_name(client)?;
+        ClientPort::open(&self.session, service, client, incarnation)
+    }
+
+    /// Leaves the network, within a limited time.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Close`] if it takes too long.
+    pub async fn close(&self) -> Result<()> {
+        session::close(&self.session).await
+    }
+}
+
+/// A client's place: where it puts observations, and what it is told.
+pub struct ClientPort {
+    service: ServiceName,
+    client: ClientName,
+    observations: Publisher<'static>,
+    heard: Publisher<'static>,
+    messages: flume::Receiver<LiveMessage>,
+    _token: LivelinessToken,
+    _subscribers: [Subscriber<()>; 3],
+    session: Session,
+}
+
+impl fmt::Debug for ClientPort {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ClientPort").field("client", &self.client).finish_non_exhaustive()
+    }
+}
+
+impl ClientPort {
+    fn open(
+        session: &Session,
+        service: &ServiceName,
+        client: &ClientName,
+        incarnation: Incarnation,
+    ) -> Result<Self> {
+        let (sender, messages) = flume::bounded(MAX_MESSAGES);
+        let take = |wrap: fn(Vec<u8>) -> LiveMessage| {
+            let sender = sender.clone();
+            move |sample: zenoh::sample::Sample| {
+                drop(sender.try_send(wrap(sample.payload().to_bytes().into_owned())));
+            }
+        };
+        let say = subscribe(session, LiveKey::Say(service, client), take(LiveMessage::Say))?;
+        let key = LiveKey::Status(service, client);
+        let status = subscribe(session, key, take(LiveMessage::Status))?;
+        let own = service.clone();
+        let key = LiveKey::Services;
+        let presence = session
+            .liveliness()
+            .declare_subscriber(keys::expr(key))
+            .history(true)
+            .callback(move |sample| {
+                let Some(alive) = parse_alive(sample.key_expr()) else { return };
+                if alive.service != own || alive.client.is_some() {
+                    return;
+                }
+                let message = match sample.kind() {
+                    SampleKind::Put => LiveMessage::ServiceHere(alive.incarnation),
+                    SampleKind::Delete => LiveMessage::ServiceGone(alive.incarnation),
+                };
+                drop(sender.try_send(message));
+            })
+            .wait()
+            .map_err(Error::network("subscribe to", &key.to_string()))?;
+        let key = LiveKey::Client(service, client, incarnation);
+        let token = session.liveliness().declare_token(keys::expr(key)).wait();
+        let token = token.map_err(Error::network("declare", &key.to_string()))?;
+        let key = LiveKey::Observations(service, client);
+        let observations = publisher(session, key, wire::SPEECH, Encoding::APPLICATION_JSON)?;
+        let key = LiveKey::Heard(service, client);
+        let heard = publisher(session, key, wire::SPEECH, Encoding::APPLICATION_JSON)?;
+        Ok(Self {
+            service: service.clone(),
+            client: client.clone(),
+            observations,
+            heard,
+            messages,
+            _token: token,
+            _subscribers: [say, status, presence],
+            session: session.clone(),
+        })
+    }
+
+    /// Asks for a session; the question and the answer are JSON.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Rejected`] with the notifier's sentence, or [`Error::NoAnswer`].
+    pub async fn ask(&self, question: Vec<u8>) -> Result<Vec<u8>> {
+        let key = LiveKey::Open(&self.service, &self.client).to_string();
+        let (sender, answers) = flume::bounded(1);
+        self.session
+            .get(keys::expr(&key))
+            .payload(question)
+            .encoding(Encoding::APPLICATION_JSON)
+            .priority(wire::CONTROL.priority)
+            .target(QueryTarget::BestMatching)
+            .consolidation(ConsolidationMode::None)
+            .timeout(ANSWER_TIMEOUT)
+            .callback(move |reply| drop(sender.try_send(reply)))
+            .wait()
+            .map_err(Error::network("ask", &key))?;
+        let timeout = ANSWER_TIMEOUT;
+        match tokio::time::timeout(timeout, answers.recv_async()).await {
+            Ok(Ok(reply)) => match reply.into_result() {
+                Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
+                Err(error) => {
+                    let reason = error.payload().to_bytes();
+                    let reason = text::sentence(&String::from_utf8_lossy(&reason));
+                    Err(Error::Rejected { key, reason })
+                }
+            },
+            _ => Err(Error::NoAnswer { key, timeout }),
+        }
+    }
+
+    /// Puts an observation, JSON.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn observe(&self, json: &[u8]) -> Result<()> {
+        let put = self.observations.put(json).wait();
+        put.map_err(Error::network("publish on", self.observations.key_expr()))
+    }
+
+    /// Puts a raw observation with the bytes beside it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn observe_raw(&self, numbers: &[u8], beside: &[u8]) -> Result<()> {
+        let put = self.observations.put(numbers).attachment(beside).encoding(raw()).wait();
+        put.map_err(Error::network("publish on", self.observations.key_expr()))
+    }
+
+    /// Puts an observation in a form of the caller's.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn observe_as(&self, form: &str, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
+        let put = self.observations.put(bytes).encoding(form);
+        let put = if let Some(beside) = beside { put.attachment(beside) } else { put };
+        put.wait().map_err(Error::network("publish on", self.observations.key_expr()))
+    }
+
+    /// Puts a report of what was heard, JSON.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn report(&self, json: &[u8]) -> Result<()> {
+        let put = self.heard.put(json).wait();
+        put.map_err(Error::network("publish on", self.heard.key_expr()))
+    }
+
+    /// Waits for the next message; `None` once `timeout` is over.
+    pub fn next(&self, timeout: Duration) -> Option<LiveMessage> {
+        self.messages.recv_timeout(timeout).ok()
+    }
+}
+
+/// Lists the notifiers that are there now.
+pub(super) async fn present(
+    session: &Session,
+    key: LiveKey<'_>,
+) -> Result<Vec<(ServiceName, Incarnation)>> {
+    let (sender, answers) = flume::bounded(MAX_SERVICES);
+    session
+        .liveliness()
+        .get(keys::expr(key))
+        .timeout(LOOK)
+        .callback(move |reply| {
+            // More than anyone looks at are let go.
+            drop(sender.try_send(reply));
+        })
+        .wait()
+        .map_err(Error::network("look for notifiers on", &key.to_string()))?;
+    let mut found = Vec::new();
+    let look = async {
+        while let Ok(reply) = answers.recv_async().await {
+            let alive = reply.into_result().ok().and_then(|it| parse_alive(it.key_expr()));
+            found.extend(alive.map(|alive| (alive.service, alive.incarnation)));
+        }
+    };
+    // Running out of time leaves what was found.
+    drop(tokio::time::timeout(2 * LOOK, look).await);
+    Ok(found)
+}

@@ -1,0 +1,137 @@
+//! The keys of notifiers at work, built from checked names.
+
+use std::fmt;
+
+use leadtime_proto::{ClientName, Incarnation, ServiceName};
+
+use crate::{Error, Result};
+
+/// What every key of a notifier at work begins with. The `1` is the layout of the keys.
+pub(crate) const LIVE_ROOT: &str = "leadtime/live/1";
+/// The part of a key that no client can be called.
+const ALIVE: &str = "alive";
+
+/// One key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LiveKey<'a> {
+    /// Presence of one start of a notifier.
+    Service(&'a ServiceName, Incarnation),
+    /// Presence of one start of a client.
+    Client(&'a ServiceName, &'a ClientName, Incarnation),
+    /// Where a client asks for a session.
+    Open(&'a ServiceName, &'a ClientName),
+    /// A client's observations.
+    Observations(&'a ServiceName, &'a ClientName),
+    /// What is said to a client.
+    Say(&'a ServiceName, &'a ClientName),
+    /// What a client has heard.
+    Heard(&'a ServiceName, &'a ClientName),
+    /// What the notifier does for a client.
+    Status(&'a ServiceName, &'a ClientName),
+    /// Every notifier that is there.
+    Services,
+    /// Every client of a notifier that is there.
+    Clients(&'a ServiceName),
+    /// Where any client asks for a session.
+    Opens(&'a ServiceName),
+}
+
+impl fmt::Display for LiveKey<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(LIVE_ROOT)?;
+        match self {
+            Self::Service(service, Incarnation(start)) => {
+                write!(f, "/{service}/{ALIVE}/{start:016x}")
+            }
+            Self::Client(service, client, Incarnation(start)) => {
+                write!(f, "/{service}/{client}/{ALIVE}/{start:016x}")
+            }
+            Self::Open(service, client) => write!(f, "/{service}/{client}/open"),
+            Self::Observations(service, client) => write!(f, "/{service}/{client}/obs"),
+            Self::Say(service, client) => write!(f, "/{service}/{client}/say"),
+            Self::Heard(service, client) => write!(f, "/{service}/{client}/heard"),
+            Self::Status(service, client) => write!(f, "/{service}/{client}/status"),
+            Self::Services => write!(f, "/*/{ALIVE}/*"),
+            Self::Clients(service) => write!(f, "/{service}/*/{ALIVE}/*"),
+            Self::Opens(service) => write!(f, "/{service}/*/open"),
+        }
+    }
+}
+
+/// Who is alive, as read from a key.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LiveAlive {
+    /// The notifier, or whose client it is.
+    pub service: ServiceName,
+    /// The client; `None` for the notifier itself.
+    pub client: Option<ClientName>,
+    /// Its start.
+    pub incarnation: Incarnation,
+}
+
+/// Reads a key of presence, `None` if it is none of ours.
+pub(crate) fn parse_alive(key: &str) -> Option<LiveAlive> {
+    let rest = key.strip_prefix(LIVE_ROOT)?.strip_prefix('/')?;
+    let (service, client, digits) = match rest.split('/').collect::<Vec<_>>()[..] {
+        [service, ALIVE, digits] => (service, None, digits),
+        [service, client, ALIVE, digits] => (service, Some(ClientName::new(client).ok()?), digits),
+        _ => return None,
+    };
+    let start = u64::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 16)?;
+    let (service, incarnation) = (ServiceName::new(service).ok()?, Incarnation(start));
+    Some(LiveAlive { service, client, incarnation })
+}
+
+/// Reads the client from the key of a question, `None` if it is none of ours.
+pub(crate) fn parse_open(key: &str) -> Option<ClientName> {
+    let rest = key.strip_prefix(LIVE_ROOT)?.strip_prefix('/')?;
+    let [_, client, "open"] = rest.split('/').collect::<Vec<_>>()[..] else { return None };
+    ClientName::new(client).ok()
+}
+
+/// Checks that a client may be called so.
+pub(crate) fn check_name(client: &ClientName) -> Result<()> {
+    if client.as_str() == ALIVE { Err(Error::ReservedName(client.clone())) } else { Ok(()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::keys::expr;
+
+    #[test]
+    fn keys_read_as_documented_and_can_be_read_back() {
+        let service = ServiceName::new("notifier").unwrap();
+        let client = ClientName::new("car-1").unwrap();
+        let start = Incarnation(255);
+        for (key, text) in [
+            (LiveKey::Service(&service, start), "alive/00000000000000ff"),
+            (LiveKey::Client(&service, &client, start), "car-1/alive/00000000000000ff"),
+            (LiveKey::Open(&service, &client), "car-1/open"),
+            (LiveKey::Observations(&service, &client), "car-1/obs"),
+            (LiveKey::Say(&service, &client), "car-1/say"),
+            (LiveKey::Heard(&service, &client), "car-1/heard"),
+            (LiveKey::Status(&service, &client), "car-1/status"),
+        ] {
+            let key = expr(key);
+            assert_eq!(key.as_str(), format!("leadtime/live/1/notifier/{text}"));
+            let alive = text.contains("alive").then(|| LiveAlive {
+                service: service.clone(),
+                client: text.contains("car-1").then(|| client.clone()),
+                incarnation: start,
+            });
+            assert_eq!(parse_alive(&key), alive);
+            assert_eq!(parse_open(&key), text.contains("open").then(|| client.clone()));
+        }
+        assert!(expr(LiveKey::Services).includes(&expr(LiveKey::Service(&service, start))));
+        let own = expr(LiveKey::Client(&service, &client, start));
+        assert!(expr(LiveKey::Clients(&service)).includes(&own));
+        assert!(!expr(LiveKey::Services).includes(&own));
+        assert!(expr(LiveKey::Opens(&service)).includes(&expr(LiveKey::Open(&service, &client))));
+        for key in ["", "leadtime/1/a/alive/00000000000000ff", "leadtime/live/1/a/alive/ff"] {
+            assert_eq!(parse_alive(key), None, "{key}");
+        }
+        check_name(&client).unwrap();
+        check_name(&ClientName::new("alive").unwrap()).unwrap_err();
+    }
+}

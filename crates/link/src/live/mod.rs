@@ -1,0 +1,34 @@
+//! A notifier at work and its clients: robots, cars, simulators.
+//!
+//! ```text
+//! leadtime/live/1/{service}/alive/{incarnation}             presence of the notifier
+//! leadtime/live/1/{service}/{client}/alive/{incarnation}    presence of a client
+//! leadtime/live/1/{service}/{client}/open                   query: what the client is; the answer is its session
+//! leadtime/live/1/{service}/{client}/obs                    observations, client to notifier
+//! leadtime/live/1/{service}/{client}/say                    what is said, word by word
+//! leadtime/live/1/{service}/{client}/heard                  what the loudspeaker really did
+//! leadtime/live/1/{service}/{client}/status                 what the notifier does, and why it is silent
+//! ```
+//!
+//! The keys lie beside those of runs, and their messages are not ours alone: JSON for everybody, a few raw bytes for
+//! microcontrollers. What is in them this crate does not know.
+//!
+//! # Invariants
+//!
+//! * Of a client's observations only the newest waits ([`LivePort::take`]): a flood costs nobody else anything.
+//! * What is said is put with priority, at once, and dropped where a client does not read: the next event repeats it.
+//!
+//! # Where to start
+//!
+//! [`LiveServiceLink::open`] and [`LiveClientLink::open`].
+
+mod client;
+mod keys;
+mod port;
+mod service;
+
+pub use client::{ClientPort, LiveClientLink, LiveMessage};
+pub(crate) use keys::LIVE_ROOT;
+pub use keys::{LiveAlive, LiveKey};
+pub use port::{Arrival, ArrivalEncoding, LivePort};
+pub use service::{LiveEvent, LiveServiceLink, OpenResponder};

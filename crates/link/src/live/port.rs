@@ -1,0 +1,208 @@
+//! A notifier's place for one client: its newest observation, what it heard, and where to speak.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use leadtime_proto::limits::MAX_LIVE_BYTES;
+use leadtime_proto::{ClientName, ServiceName};
+use zenoh::Wait as _;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::sample::Sample;
+use zenoh::session::Session;
+
+use super::keys::LiveKey;
+use crate::keys;
+use crate::lock::lock;
+use crate::pubsub::subscribe;
+use crate::wire::Qos;
+use crate::{Error, Result};
+
+/// The most reports of what was heard that wait.
+const MAX_HEARD: usize = 64;
+/// The schema of raw observations.
+const RAW: &str = "leadtime.obs/1";
+
+/// How an observation is written, by what its sample says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ArrivalEncoding {
+    /// JSON; also what says nothing.
+    Json,
+    /// `application/octet-stream;leadtime.obs/1`.
+    Binary,
+    /// Something else, as it is called.
+    Other(String),
+}
+
+/// An observation as it arrived.
+#[derive(Debug)]
+pub struct Arrival {
+    /// When.
+    pub at: Instant,
+    encoding: Encoding,
+    payload: ZBytes,
+    attachment: Option<ZBytes>,
+}
+
+impl Arrival {
+    fn new(sample: &Sample) -> Self {
+        let at = Instant::now();
+        let (payload, attachment) = (sample.payload().clone(), sample.attachment().cloned());
+        Self { at, encoding: sample.encoding().clone(), payload, attachment }
+    }
+
+    /// Returns what its sample says of its form.
+    pub fn encoding(&self) -> ArrivalEncoding {
+        let plain = [
+            Encoding::APPLICATION_JSON,
+            Encoding::TEXT_JSON,
+            Encoding::ZENOH_BYTES,
+            Encoding::ZENOH_STRING,
+        ];
+        if plain.contains(&self.encoding) {
+            ArrivalEncoding::Json
+        } else if self.encoding == raw() {
+            ArrivalEncoding::Binary
+        } else {
+            ArrivalEncoding::Other(self.encoding.to_string())
+        }
+    }
+
+    /// Returns its bytes.
+    pub fn payload(&self) -> Cow<'_, [u8]> {
+        self.payload.to_bytes()
+    }
+
+    /// Returns the bytes beside them.
+    pub fn attachment(&self) -> Option<Cow<'_, [u8]>> {
+        self.attachment.as_ref().map(ZBytes::to_bytes)
+    }
+}
+
+/// The encoding of raw observations.
+pub(super) fn raw() -> Encoding {
+    Encoding::APPLICATION_OCTET_STREAM.with_schema(RAW)
+}
+
+/// What arrived and was not taken yet.
+#[derive(Debug, Default)]
+struct Inbox {
+    newest: Mutex<Option<Arrival>>,
+    /// How many were replaced by a newer one, or were too large.
+    n_overwritten: AtomicU64,
+}
+
+/// A notifier's place for one client.
+pub struct LivePort {
+    inbox: Arc<Inbox>,
+    heard: flume::Receiver<Vec<u8>>,
+    say: Publisher<'static>,
+    status: Publisher<'static>,
+    /// Dropped last: what arrives finds the rest of this.
+    _subscribers: [Subscriber<()>; 2],
+}
+
+impl fmt::Debug for LivePort {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("LivePort").finish_non_exhaustive()
+    }
+}
+
+impl LivePort {
+    /// Listens to a client; `wake` is called whenever something has arrived, on a thread that must not wait.
+    pub(super) fn open(
+        session: &Session,
+        service: &ServiceName,
+        client: &ClientName,
+        say_raw: bool,
+        wake: Arc<dyn Fn() + Send + Sync>,
+    ) -> Result<Self> {
+        let inbox = Arc::new(Inbox::default());
+        let (arrivals, woken) = (Arc::clone(&inbox), Arc::clone(&wake));
+        let observations =
+            subscribe(session, LiveKey::Observations(service, client), move |sample| {
+                if sample.payload().len() > MAX_LIVE_BYTES {
+                    arrivals.n_overwritten.fetch_add(1, Ordering::Relaxed);
+                    return;
+                }
+                let arrival = Arrival::new(&sample);
+                if lock(&arrivals.newest).replace(arrival).is_some() {
+                    arrivals.n_overwritten.fetch_add(1, Ordering::Relaxed);
+                }
+                woken();
+            })?;
+        let (sender, heard) = flume::bounded(MAX_HEARD);
+        let hearing = subscribe(session, LiveKey::Heard(service, client), move |sample| {
+            let bytes = sample.payload().to_bytes();
+            // A report that nobody has room for is as good as lost: the clock of words counts.
+            if bytes.len() <= MAX_LIVE_BYTES && sender.try_send(bytes.into_owned()).is_ok() {
+                wake();
+            }
+        })?;
+        let qos = crate::wire::SPEECH;
+        let form =
+            if say_raw { Encoding::APPLICATION_OCTET_STREAM } else { Encoding::APPLICATION_JSON };
+        let say = publisher(session, LiveKey::Say(service, client), qos, form)?;
+        let key = LiveKey::Status(service, client);
+        let status = publisher(session, key, crate::wire::NOTICE, Encoding::APPLICATION_JSON)?;
+        Ok(Self { inbox, heard, say, status, _subscribers: [observations, hearing] })
+    }
+
+    /// Takes the newest observation, if one has arrived since the last time.
+    pub fn take(&self) -> Option<Arrival> {
+        lock(&self.inbox.newest).take()
+    }
+
+    /// Tells whether an observation waits.
+    pub fn has_arrival(&self) -> bool {
+        lock(&self.inbox.newest).is_some()
+    }
+
+    /// Takes the next report of what was heard.
+    pub fn take_heard(&self) -> Option<Vec<u8>> {
+        self.heard.try_recv().ok()
+    }
+
+    /// Returns how many observations were never taken: a newer one replaced them, or they were too large.
+    pub fn n_overwritten(&self) -> u64 {
+        self.inbox.n_overwritten.load(Ordering::Relaxed)
+    }
+
+    /// Puts an event of what is said.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn say(&self, bytes: &[u8]) -> Result<()> {
+        self.say.put(bytes).wait().map_err(Error::network("publish on", self.say.key_expr()))
+    }
+
+    /// Puts a status.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn status(&self, bytes: &[u8]) -> Result<()> {
+        self.status.put(bytes).wait().map_err(Error::network("publish on", self.status.key_expr()))
+    }
+}
+
+/// Declares that messages of one form will be put on a key.
+pub(super) fn publisher(
+    session: &Session,
+    key: LiveKey<'_>,
+    qos: Qos,
+    form: Encoding,
+) -> Result<Publisher<'static>> {
+    session
+        .declare_publisher(keys::expr(key))
+        .encoding(form)
+        .priority(qos.priority)
+        .congestion_control(qos.congestion)
+        .express(qos.express)
+        .wait()
+        .map_err(Error::network("declare", &key.to_string()))
+}

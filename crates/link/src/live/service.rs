@@ -1,0 +1,206 @@
+//! The notifier's end: who asks for a session, who is there, and a place for each client.
+
+use std::sync::Arc;
+
+use leadtime_proto::limits::MAX_LIVE_BYTES;
+use leadtime_proto::{ClientName, Incarnation, ServiceName};
+use zenoh::Wait as _;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Subscriber;
+use zenoh::query::{Query, Queryable};
+use zenoh::sample::SampleKind;
+use zenoh::session::Session;
+
+use super::keys::{LiveKey, check_name, parse_alive, parse_open};
+use super::port::LivePort;
+use crate::answer::{Answers, PendingReply};
+use crate::keys;
+use crate::{Error, ListenSettings, Result, session};
+
+/// The most questions and news of clients that wait; a question beyond is told to come again.
+const MAX_EVENTS: usize = 1_024;
+/// Threads that answer questions.
+const N_ANSWERERS: usize = 1;
+
+/// What happens to a notifier at work.
+#[derive(Debug)]
+pub enum LiveEvent {
+    /// A client asks for a session.
+    Open {
+        /// Its name.
+        client: ClientName,
+        /// Its question, JSON.
+        question: Vec<u8>,
+        /// The way to the answer.
+        responder: OpenResponder,
+    },
+    /// This start of a client is there (may be told more than once).
+    Here(ClientName, Incarnation),
+    /// This start of a client is gone.
+    Gone(ClientName, Incarnation),
+}
+
+/// The way to the answer of one question; dropped, it ends the question without one.
+#[derive(Debug)]
+pub struct OpenResponder {
+    query: Option<Query>,
+    answers: Answers,
+}
+
+impl OpenResponder {
+    /// Gives the answer, JSON.
+    pub fn reply(mut self, json: Vec<u8>) {
+        if let Some(query) = self.query.take() {
+            self.answers.give(PendingReply::Json(query, json));
+        }
+    }
+
+    /// Says no, with a sentence.
+    pub fn refuse(mut self, sentence: String) {
+        if let Some(query) = self.query.take() {
+            self.answers.give(PendingReply::Refusal(query, sentence));
+        }
+    }
+}
+
+impl Drop for OpenResponder {
+    fn drop(&mut self) {
+        if let Some(query) = self.query.take() {
+            self.answers.give(PendingReply::Nothing(query));
+        }
+    }
+}
+
+/// A notifier's place on the network.
+#[derive(Debug)]
+pub struct LiveServiceLink {
+    service: ServiceName,
+    locators: Vec<String>,
+    token: LivelinessToken,
+    _questions: Queryable<()>,
+    _clients: Subscriber<()>,
+    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    session: Session,
+}
+
+impl LiveServiceLink {
+    /// Listens, or connects to a router, and answers from now on.
+    ///
+    /// # Errors
+    ///
+    /// As [`LearnerLink::open`](crate::LearnerLink::open).
+    pub async fn open(
+        settings: &ListenSettings,
+        service: &ServiceName,
+        incarnation: Incarnation,
+    ) -> Result<(Self, flume::Receiver<LiveEvent>)> {
+        let session = session::listen_live(settings).await?;
+        let locators = session.info().locators().await;
+        let (events, receiver) = flume::bounded(MAX_EVENTS);
+        let answers = Answers::start(N_ANSWERERS)?;
+        let asked = events.clone();
+        let key = LiveKey::Opens(service);
+        let questions = session
+            .declare_queryable(keys::expr(key))
+            .complete(true)
+            .callback(move |query| on_question(query, &answers, &asked))
+            .wait()
+            .map_err(Error::network("declare", &key.to_string()))?;
+        let key = LiveKey::Clients(service);
+        let clients = session
+            .liveliness()
+            .declare_subscriber(keys::expr(key))
+            .history(true)
+            .callback(move |sample| {
+                let Some(alive) = parse_alive(sample.key_expr()) else { return };
+                let Some(client) = alive.client else { return };
+                let event = match sample.kind() {
+                    SampleKind::Put => LiveEvent::Here(client, alive.incarnation),
+                    SampleKind::Delete => LiveEvent::Gone(client, alive.incarnation),
+                };
+                drop(events.try_send(event));
+            })
+            .wait()
+            .map_err(Error::network("subscribe to", &key.to_string()))?;
+        let key = LiveKey::Service(service, incarnation);
+        let token = session.liveliness().declare_token(keys::expr(key)).wait();
+        let token = token.map_err(Error::network("declare", &key.to_string()))?;
+        let locators = locators.iter().map(ToString::to_string).collect();
+        let service = service.clone();
+        let link =
+            Self { service, locators, token, _questions: questions, _clients: clients, session };
+        Ok((link, receiver))
+    }
+
+    /// Returns the addresses at which it can be reached, with the ports that were taken.
+    pub fn locators(&self) -> &[String] {
+        &self.locators
+    }
+
+    /// Lists the other notifiers of this name that are there: two of them would speak at once.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network cannot be asked.
+    pub async fn others(&self, own: Incarnation) -> Result<Vec<Incarnation>> {
+        let present = super::client::present(&self.session, LiveKey::Services).await?;
+        let same = present.into_iter().filter(|(service, _)| *service == self.service);
+        Ok(same.map(|(_, start)| start).filter(|start| *start != own).collect())
+    }
+
+    /// Opens a place for a client; `wake` is called whenever something has arrived, and must not wait.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if it cannot be declared; [`Error::ReservedName`].
+    pub fn port(
+        &self,
+        client: &ClientName,
+        say_raw: bool,
+        wake: Arc<dyn Fn() + Send + Sync>,
+    ) -> Result<LivePort> {
+        check_name(client)?;
+        LivePort::open(&self.session, &self.service, client, say_raw, wake)
+    }
+
+    /// Checks that it can still be reached; to be asked now and then, because no event tells it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Dead`] if it cannot.
+    pub async fn health(&self) -> Result<()> {
+        let listened = !self.locators.is_empty();
+        let is_deaf = listened && self.session.info().locators().await.is_empty();
+        if is_deaf || self.session.is_closed() { Err(Error::Dead) } else { Ok(()) }
+    }
+
+    /// Leaves the network, within a limited time.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Close`] if it takes too long.
+    pub async fn close(self) -> Result<()> {
+        drop(self.token.undeclare().wait());
+        session::close(&self.session).await
+    }
+}
+
+fn on_question(query: Query, answers: &Answers, events: &flume::Sender<LiveEvent>) {
+    let client = parse_open(query.key_expr());
+    let question = query.payload().map(|payload| payload.to_bytes().into_owned());
+    let responder = OpenResponder { query: Some(query), answers: answers.clone() };
+    let Some(client) = client else {
+        return responder.refuse("the name of a client is 1 to 48 of a-z, 0-9 and `-`".to_owned());
+    };
+    let question = question.unwrap_or_default();
+    if question.len() > MAX_LIVE_BYTES {
+        let n = question.len();
+        return responder.refuse(format!("this question has {n} bytes; {MAX_LIVE_BYTES} at most"));
+    }
+    let event = LiveEvent::Open { client, question, responder };
+    if let Err(full) = events.try_send(event)
+        && let LiveEvent::Open { responder, .. } = full.into_inner()
+    {
+        responder.refuse("too many questions at once: ask again".to_owned());
+    }
+}

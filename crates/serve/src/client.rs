@@ -1,0 +1,196 @@
+//! A client in Rust: opens a session, sends observations, hears what is said.
+
+use std::time::{Duration, Instant};
+
+use leadtime_link::live::{ClientPort, LiveClientLink, LiveMessage};
+use leadtime_proto::{ClientName, Incarnation, ServiceName};
+use serde_json::{Value, json};
+use thiserror::Error;
+
+use crate::observation::{ObservationHead, write_json, write_json_with_facts, write_raw};
+use crate::open::{LIVE_PROTOCOL, SayForm, StepClock};
+use crate::say::HeardSay;
+
+/// Why a client cannot go on.
+#[derive(Debug, Error)]
+pub enum ClientError {
+    /// The network, or the notifier's refusal.
+    #[error(transparent)]
+    Link(#[from] leadtime_link::Error),
+    /// What the notifier said is no answer.
+    #[error("the notifier's answer cannot be read")]
+    Answer(#[source] serde_json::Error),
+    /// Nothing was said about an observation.
+    #[error(
+        "no answer to observation {seq} within {seconds} s; the notifier's last status: {status}"
+    )]
+    NoAnswer {
+        /// Its number.
+        seq: u64,
+        /// For how long it was waited.
+        seconds: u64,
+        /// What the notifier told last.
+        status: String,
+    },
+    /// The notifier is gone.
+    #[error("the notifier is gone")]
+    Gone,
+}
+
+/// What a client asks for.
+#[derive(Clone, Debug)]
+pub struct ClientSettings {
+    /// The notifier.
+    pub service: ServiceName,
+    /// The client's name.
+    pub client: ClientName,
+    /// This start of it.
+    pub incarnation: Incarnation,
+    /// The task.
+    pub domain: String,
+    /// When steps are taken.
+    pub clock: StepClock,
+    /// How long a step takes, in seconds.
+    pub seconds_per_step: f64,
+    /// Seed of every draw.
+    pub seed: u64,
+    /// In which form observations go and events come.
+    pub form: SayForm,
+}
+
+/// A client with a session.
+#[derive(Debug)]
+pub struct LiveClient {
+    port: ClientPort,
+    settings: ClientSettings,
+    answer: Value,
+    started: Instant,
+    seq: u64,
+    status: String,
+    /// What holds now, as the next observations tell it.
+    facts: Option<Vec<&'static str>>,
+}
+
+impl LiveClient {
+    /// Finds the notifier and opens a session.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::Link`] if there is none, or if it refuses; the sentence is its own.
+    pub async fn open(
+        link: &LiveClientLink,
+        settings: ClientSettings,
+    ) -> Result<Self, ClientError> {
+        link.find(&settings.service).await?;
+        let port = link.port(&settings.service, &settings.client, settings.incarnation)?;
+        let question = json!({
+            "protocol": LIVE_PROTOCOL,
+            "domain": settings.domain,
+            "clock": settings.clock,
+            "seconds_per_step": settings.seconds_per_step,
+            "seed": settings.seed,
+            "encoding": settings.form,
+            "incarnation": format!("{:016x}", settings.incarnation.0),
+        });
+        let answer = port.ask(question.to_string().into_bytes()).await?;
+        let answer: Value = serde_json::from_slice(&answer).map_err(ClientError::Answer)?;
+        let seq = answer["last_seq"].as_u64().unwrap_or(0);
+        let started = Instant::now();
+        Ok(Self { port, settings, answer, started, seq, status: String::new(), facts: None })
+    }
+
+    /// Returns the notifier's answer.
+    pub fn answer(&self) -> &Value {
+        &self.answer
+    }
+
+    /// Returns the number of the newest observation.
+    pub fn seq(&self) -> u64 {
+        self.seq
+    }
+
+    /// Returns the notifier's last status, JSON.
+    pub fn status(&self) -> &str {
+        &self.status
+    }
+
+    /// Says which facts hold from now on; the next observations tell them, as far as their form has a place for it (JSON has).
+    pub fn now_holds(&mut self, facts: Vec<&'static str>) {
+        self.facts = Some(facts);
+    }
+
+    /// Sends an observation; returns its number.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::Link`] if the network has ended.
+    pub fn observe(&mut self, values: &[f32], episode: u64, end: bool) -> Result<u64, ClientError> {
+        self.seq += 1;
+        let t = self.started.elapsed().as_secs_f64();
+        let head = ObservationHead { seq: self.seq, t, episode, end };
+        match self.settings.form {
+            SayForm::Json => self.port.observe(&match &self.facts {
+                Some(facts) => write_json_with_facts(&head, values, facts),
+                None => write_json(&head, values),
+            })?,
+            SayForm::Binary => {
+                let (numbers, beside) = write_raw(&head, values);
+                self.port.observe_raw(&numbers, &beside)?;
+            }
+        }
+        Ok(self.seq)
+    }
+
+    /// Waits for the next event of what is said; `None` once `timeout` is over.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::Gone`] if the notifier is not there any more.
+    pub fn next(&mut self, timeout: Duration) -> Result<Option<HeardSay>, ClientError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match self.port.next(left) {
+                None => return Ok(None),
+                Some(LiveMessage::Say(bytes)) => {
+                    if let Some(event) = HeardSay::read(&bytes) {
+                        return Ok(Some(event));
+                    }
+                }
+                Some(LiveMessage::Status(bytes)) => {
+                    self.status = String::from_utf8_lossy(&bytes).into_owned();
+                }
+                Some(LiveMessage::ServiceHere(_)) => {}
+                Some(LiveMessage::ServiceGone(_)) => return Err(ClientError::Gone),
+            }
+        }
+    }
+
+    /// Sends an observation and waits for all events about it: `clock = "observation"`.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::NoAnswer`] if they do not come in time.
+    pub fn step(
+        &mut self,
+        values: &[f32],
+        episode: u64,
+        timeout: Duration,
+    ) -> Result<Vec<HeardSay>, ClientError> {
+        let seq = self.observe(values, episode, false)?;
+        let mut events = Vec::new();
+        loop {
+            let Some(event) = self.next(timeout)? else {
+                let (seconds, status) = (timeout.as_secs(), self.status.clone());
+                return Err(ClientError::NoAnswer { seq, seconds, status });
+            };
+            let is_last = event.seq == seq && event.last;
+            if event.seq == seq {
+                events.push(event);
+            }
+            if is_last {
+                return Ok(events);
+            }
+        }
+    }
+}

@@ -1,0 +1,791 @@
+//! One session: from observations to words. Pure: time comes in as a number, what is said goes out as bytes.
+//!
+//! ```text
+//! arrive(observation)   order, content, age  ->  the newest one; with `clock = "observation"` also a step
+//! hear(report)          what the loudspeaker really did
+//! tick                  staleness, the watchdog, steps by the clock, the status once a second
+//! ```
+//!
+//! A step: a word of what is said has been heard; the notifier observes; the policy decides; what starts, goes on, ends or is cut
+//! is told. It is the order of training ([`Session`]), so the policy sees what it has learned with.
+//!
+//! # What must happen
+//!
+//! | event | then |
+//! |---|---|
+//! | a number not above the last | dropped, `out_of_order`; the same number with other content is refused |
+//! | a gap in the numbers | `missed`; with `clock = "observation"` the steps in between are taken in silence, on what was seen last |
+//! | the newest is older than `stale_after` | an utterance is cut unless it is understood; nothing new starts |
+//! | older than `lost_after`, or the client gone | silence; the past is kept for 30 s; the next observation goes on |
+//! | `end`, or another `episode` | the utterance is cut, the past forgotten |
+//! | what cannot be used | refused and told; 16 in a row end the session |
+//! | a number three widths outside of its range | taken, `strange`, told once per number |
+
+use std::sync::Arc;
+
+use leadtime_episodes::episode_seed;
+use leadtime_link::live::ArrivalEncoding;
+use leadtime_numerics::{Pcg64, Purpose};
+use leadtime_sims::human::{Initiation, SpeechAct};
+use leadtime_sims::notifier::{Session, SessionState};
+use leadtime_sims::{Message, Quantity};
+use serde::{Deserialize, Serialize};
+
+use crate::heard::{HeardEvent, HeardReport};
+use crate::latency::LatencyHistogram;
+use crate::observation::{BadObservation, LiveObservation};
+use crate::open::{SayForm, SessionPlan, StepClock};
+use crate::phrases::{PhraseBook, PhraseTurns, spoken_words};
+use crate::say::{self, SaidUtterance, SayEvent, SayLine};
+use crate::status::{LiveCounts, LiveState, Silence, StatusLine, seconds};
+use crate::travel::TravelTime;
+use crate::working_policy::{LiveDecider, WorkingPolicy};
+
+/// How many unusable messages in a row end a session.
+pub const MAX_REFUSED: u32 = 16;
+/// How long the past of a lost client is kept, in nanoseconds.
+const KEPT: u64 = 30_000_000_000;
+/// After how long a lost client's session is over, in nanoseconds.
+const FORGOTTEN: u64 = 600_000_000_000;
+/// How late a step may be, in nanoseconds.
+const LATE: u64 = 20_000_000;
+/// How often a status is told, in nanoseconds, and how soon after a change another one may be.
+const STATUS_EVERY: u64 = 1_000_000_000;
+const STATUS_PAUSE: u64 = 20_000_000;
+/// The most steps that are taken for observations that never came: more leave no trace in any history.
+const MAX_GAP: u64 = 256;
+/// How far outside of its range a number may be, in widths of the range.
+const WIDTHS: f64 = 3.0;
+/// The longest sentence that is spoken without further memory, in bytes.
+const TEXT: usize = 512;
+/// Numbers of utterances that a restarted notifier passes over: some may have been said after its last snapshot.
+const UTTERANCES_PASSED: u32 = 16;
+
+/// Where a session's events go.
+pub trait SayTo {
+    /// Puts an event of what is said.
+    fn say(&mut self, bytes: &[u8]);
+    /// Puts a status.
+    fn status(&mut self, bytes: &[u8]);
+}
+
+/// What is being said, or was said last.
+#[derive(Clone, Debug)]
+struct RunningUtterance {
+    number: u32,
+    message: Message,
+    text: String,
+    stand_in: bool,
+    /// Words that have ended.
+    heard: u32,
+    /// The client reports what it hears: the clock does not count.
+    is_reported: bool,
+    started: u64,
+}
+
+/// Everything that a session's future depends on but the time, for a restarted notifier.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LiveSnapshot {
+    session: SessionState,
+    turns: PhraseTurns,
+    draws: Pcg64,
+    recurrent: Vec<f32>,
+    episode: u64,
+    step: u32,
+    last_seq: Option<u64>,
+    last_t: f64,
+    is_begun: bool,
+    has_ended: bool,
+    last_utterance: u32,
+    counts: LiveCounts,
+}
+
+/// A notifier at work for one client.
+#[derive(Clone, Debug)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "each is a fact of its own, and none excludes another"
+)]
+pub struct LiveSession {
+    id: String,
+    plan: SessionPlan,
+    step_ns: u64,
+    stale_ns: u64,
+    lost_ns: u64,
+    notifier: Session,
+    phrases: PhraseBook,
+    ranges: Arc<[Quantity]>,
+    // The episode.
+    is_begun: bool,
+    episode: u64,
+    /// The step of the episode, from 0.
+    step: u32,
+    draws: Pcg64,
+    recurrent: Vec<f32>,
+    // What arrives.
+    incoming: LiveObservation,
+    newest: LiveObservation,
+    newest_at: Option<u64>,
+    last_seq: Option<u64>,
+    last_t: f64,
+    travel: TravelTime,
+    n_refused_in_a_row: u32,
+    told: String,
+    /// Which numbers were strange before.
+    was_strange: Vec<bool>,
+    is_gone: bool,
+    // What is said.
+    utterance: RunningUtterance,
+    /// The sentence of the message that is about to start.
+    next_text: String,
+    next_stands_in: bool,
+    is_word_due: bool,
+    state: LiveState,
+    since: u64,
+    why: Silence,
+    next_step: Option<u64>,
+    // Memory that is used again.
+    row: Vec<f32>,
+    choices: Vec<u8>,
+    held: Vec<u8>,
+    status: Vec<u8>,
+    is_held: bool,
+    // What is told of it.
+    counts: LiveCounts,
+    latency: LatencyHistogram,
+    status_due: u64,
+    status_put: u64,
+    has_news: bool,
+}
+
+impl LiveSession {
+    /// Opens a session at `now`, in nanoseconds of the notifier's own clock.
+    pub fn new(
+        id: String,
+        plan: SessionPlan,
+        policy: &WorkingPolicy,
+        decider: &LiveDecider,
+        now: u64,
+    ) -> Self {
+        let notifier = policy.session.clone();
+        let obs_dim = notifier.obs_dim();
+        let ns = |seconds: f64| (seconds * 1e9) as u64;
+        Self {
+            id,
+            step_ns: ns(plan.seconds_per_step),
+            stale_ns: ns(plan.stale_after),
+            lost_ns: ns(plan.lost_after),
+            phrases: PhraseBook::new(policy.taxonomy()),
+            ranges: policy.observation().into(),
+            is_begun: false,
+            episode: 0,
+            step: 0,
+            draws: Pcg64::seed_from_u64(0),
+            recurrent: vec![0.0; decider.recurrent_dim()],
+            incoming: LiveObservation::new(obs_dim),
+            newest: LiveObservation::new(obs_dim),
+            newest_at: None,
+            last_seq: None,
+            last_t: 0.0,
+            travel: TravelTime::default(),
+            n_refused_in_a_row: 0,
+            told: String::new(),
+            was_strange: vec![false; obs_dim],
+            is_gone: false,
+            utterance: RunningUtterance {
+                number: 0,
+                message: Message { topic: 0, comprehension: 0, conveyance: 0 },
+                text: String::with_capacity(TEXT),
+                stand_in: false,
+                heard: 0,
+                is_reported: false,
+                started: 0,
+            },
+            next_text: String::with_capacity(TEXT),
+            next_stands_in: false,
+            is_word_due: false,
+            state: LiveState::Waiting,
+            since: now,
+            why: Silence::NoObservation,
+            next_step: None,
+            row: vec![0.0; notifier.row_dim()],
+            choices: vec![0; decider.n_heads()],
+            held: Vec::with_capacity(2 * TEXT),
+            status: Vec::with_capacity(2 * TEXT),
+            is_held: false,
+            counts: LiveCounts::default(),
+            latency: LatencyHistogram::default(),
+            status_due: now,
+            status_put: 0,
+            has_news: true,
+            notifier,
+            plan,
+        }
+    }
+
+    /// Returns the session's name.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// Returns what the session does.
+    pub fn state(&self) -> LiveState {
+        self.state
+    }
+
+    /// Returns why nothing is said.
+    pub fn why(&self) -> &Silence {
+        &self.why
+    }
+
+    /// Returns what has happened to the client's messages.
+    pub fn counts(&self) -> LiveCounts {
+        self.counts
+    }
+
+    /// Returns the number of the newest observation; 0 before the first.
+    pub fn last_seq(&self) -> u64 {
+        self.last_seq.unwrap_or(0)
+    }
+
+    /// Returns how long things have taken.
+    pub fn latency(&self) -> &LatencyHistogram {
+        &self.latency
+    }
+
+    /// Counts how long it took from what caused an event to the end of telling it, in nanoseconds.
+    pub fn record_latency(&mut self, nanoseconds: u64) {
+        self.latency.record(nanoseconds);
+    }
+
+    /// Notes how many messages nobody looked at.
+    pub fn note_overwritten(&mut self, n: u64) {
+        self.counts.overwritten = n;
+    }
+
+    /// Tells whether the session is over: closed, or lost for long.
+    pub fn is_over(&self, now: u64) -> bool {
+        let quiet_since = self.newest_at.map_or(self.since, |at| at.max(self.since));
+        let is_quiet = now.saturating_sub(quiet_since) > FORGOTTEN;
+        match self.state {
+            LiveState::Closed => true,
+            LiveState::Waiting | LiveState::Lost | LiveState::Ended => is_quiet,
+            LiveState::Silent | LiveState::Speaking | LiveState::Stale => false,
+        }
+    }
+
+    /// Returns when [`LiveSession::tick`] has something to do.
+    pub fn next_deadline(&self) -> u64 {
+        let watched = match self.state {
+            LiveState::Silent | LiveState::Speaking => Some(self.stale_ns),
+            LiveState::Stale => Some(self.lost_ns),
+            _ => None,
+        };
+        let watched = watched.zip(self.newest_at).map(|(after, at)| at + after + 1);
+        let status = if self.has_news {
+            (self.status_put + STATUS_PAUSE).min(self.status_due)
+        } else {
+            self.status_due
+        };
+        [self.next_step, watched].into_iter().flatten().fold(status, u64::min)
+    }
+
+    /// Takes an observation that arrived at `at`, in nanoseconds, as `now`.
+    pub fn arrive(
+        &mut self,
+        now: u64,
+        at: u64,
+        (encoding, payload, beside): (&ArrivalEncoding, &[u8], Option<&[u8]>),
+        decider: &mut LiveDecider,
+        out: &mut impl SayTo,
+    ) {
+        if self.state == LiveState::Closed {
+            return;
+        }
+        let read = match encoding {
+            ArrivalEncoding::Json => self.incoming.read_json(payload),
+            ArrivalEncoding::Binary => self.incoming.read_raw(payload, beside.unwrap_or_default()),
+            ArrivalEncoding::Other(name) => Err(BadObservation::Encoding(name.clone())),
+        };
+        match read.and_then(|()| self.check_order()) {
+            Ok(true) => self.take(now, at, decider, out),
+            Ok(false) => self.counts.out_of_order += 1,
+            Err(error) => self.refuse(now, &error, out),
+        }
+        self.tell(now, out);
+    }
+
+    /// Tells whether the incoming observation is newer than the newest.
+    fn check_order(&mut self) -> Result<bool, BadObservation> {
+        let Some(last) = self.last_seq else { return Ok(true) };
+        let head = self.incoming.head;
+        if head.seq < last {
+            return Ok(false);
+        }
+        if head.seq == last {
+            // After a restart the content of the last one is not known any more.
+            let is_same = self.newest_at.is_none() || self.incoming == self.newest;
+            return if is_same { Ok(false) } else { Err(BadObservation::SameSequence(last)) };
+        }
+        if head.t < self.last_t {
+            return Err(BadObservation::BackInTime { before: self.last_t, after: head.t });
+        }
+        Ok(true)
+    }
+
+    fn refuse(&mut self, now: u64, error: &BadObservation, out: &mut impl SayTo) {
+        self.counts.refused += 1;
+        self.n_refused_in_a_row += 1;
+        self.told = error.to_string();
+        self.has_news = true;
+        if self.n_refused_in_a_row >= MAX_REFUSED {
+            let why = Silence::Refused(self.n_refused_in_a_row, self.told.clone());
+            self.close(now, why, out);
+        }
+    }
+
+    fn take(&mut self, now: u64, at: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
+        let head = self.incoming.head;
+        let gap = self.last_seq.map_or(0, |last| head.seq - last - 1);
+        self.counts.taken += 1;
+        self.counts.missed += gap;
+        self.n_refused_in_a_row = 0;
+        (self.last_seq, self.last_t) = (Some(head.seq), head.t);
+        self.look_for_strange_numbers();
+        let is_stepped = self.plan.clock == StepClock::Observation;
+        // A simulator's time is its own affair.
+        let delay = if is_stepped { 0 } else { self.travel.delay(at, head.t) };
+        let lost_for = if self.state == LiveState::Lost { now - self.since } else { 0 };
+        let is_new = !self.is_begun || head.episode != self.episode || lost_for > KEPT;
+        let goes_on = !is_new && !matches!(self.state, LiveState::Ended);
+        if goes_on && is_stepped {
+            (0..gap.min(MAX_GAP)).for_each(|_| self.pass(now, out));
+        }
+        std::mem::swap(&mut self.newest, &mut self.incoming);
+        self.newest_at = Some(at.saturating_sub(delay));
+        self.is_gone = false;
+        if is_new {
+            self.cut(now, out);
+            self.episode = head.episode;
+            self.is_begun = true;
+        }
+        if head.end {
+            self.cut(now, out);
+            self.next_step = None;
+            self.become_state(now, LiveState::Ended, Silence::Ended);
+        } else if is_new {
+            self.begin(now, decider, out);
+        } else if goes_on && (is_stepped || self.next_step.is_none()) {
+            // By the clock: back again. The time in between is no time of the conversation.
+            self.step(now, decider, out);
+            self.next_step = (!is_stepped).then_some(now + self.step_ns);
+        }
+        if is_stepped {
+            self.answer(now, out);
+        } else {
+            self.release(true, out);
+        }
+    }
+
+    fn look_for_strange_numbers(&mut self) {
+        let mut is_strange = false;
+        for (i, (value, quantity)) in self.incoming.values.iter().zip(&*self.ranges).enumerate() {
+            let [low, high] = quantity.range.map(f64::from);
+            let (value, slack) = (f64::from(*value), WIDTHS * (high - low));
+            // Where there is no bound, the comparison with infinity never holds.
+            if value < low - slack || value > high + slack {
+                is_strange = true;
+                if !std::mem::replace(&mut self.was_strange[i], true) {
+                    self.told = format!(
+                        "`{}` is {value}, far from its range {low} to {high}: is it in another unit?",
+                        quantity.name
+                    );
+                    self.has_news = true;
+                }
+            }
+        }
+        self.counts.strange += u64::from(is_strange);
+    }
+
+    /// Starts an episode with the newest observation.
+    fn begin(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
+        let seed = episode_seed(self.plan.seed, self.episode);
+        self.draws = seed.stream(Purpose::Act);
+        self.phrases.begin(&mut seed.stream(Purpose::Words));
+        self.recurrent.fill(0.0);
+        self.step = 0;
+        let newest = &self.newest.values;
+        self.notifier.begin(|observation| observation.copy_from_slice(newest));
+        let is_timed = self.plan.clock != StepClock::Observation;
+        self.next_step = is_timed.then_some(now + self.step_ns);
+        self.decide_if_fresh(now, decider, out);
+    }
+
+    /// Takes a step: a word was heard, the notifier observes, the policy decides.
+    fn step(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
+        self.step += 1;
+        self.pass_word(now, out);
+        self.observe();
+        self.decide_if_fresh(now, decider, out);
+    }
+
+    /// Lets a step pass in which nothing new was seen and nothing is decided.
+    fn pass(&mut self, now: u64, out: &mut impl SayTo) {
+        self.step += 1;
+        self.pass_word(now, out);
+        self.observe();
+        self.go_on_speaking(now, out);
+    }
+
+    /// Tells that a further word begins, if one does.
+    fn go_on_speaking(&mut self, now: u64, out: &mut impl SayTo) {
+        if std::mem::take(&mut self.is_word_due) {
+            self.emit(now, SayEvent::Word, out);
+        }
+    }
+
+    /// Returns the age of the newest observation, in nanoseconds.
+    fn age(&self, now: u64) -> u64 {
+        self.newest_at.map_or(u64::MAX, |at| now.saturating_sub(at))
+    }
+
+    /// Nothing new is said on what is stale, whatever brought it here.
+    fn decide_if_fresh(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
+        if self.age(now) <= self.stale_ns {
+            self.decide(now, decider, out);
+        } else {
+            self.become_stale(now, out);
+            self.go_on_speaking(now, out);
+        }
+    }
+
+    /// Cuts what is said unless it is understood.
+    fn become_stale(&mut self, now: u64, out: &mut impl SayTo) {
+        if self.notifier.speech().is_some_and(|speech| !speech.understood) {
+            self.cut(now, out);
+        }
+        self.become_state(now, LiveState::Stale, Silence::Stale(self.plan.stale_after));
+    }
+
+    fn observe(&mut self) {
+        let newest = &self.newest.values;
+        self.notifier.observe(|observation| observation.copy_from_slice(newest));
+    }
+
+    /// A step of speech is over, if the client does not say itself what it hears.
+    fn pass_word(&mut self, now: u64, out: &mut impl SayTo) {
+        let usual = u64::from(self.utterance.message.conveyance) * self.step_ns;
+        let is_overdue = now.saturating_sub(self.utterance.started) > 2 * usual + self.lost_ns;
+        if !self.utterance.is_reported || is_overdue {
+            self.hear_word(now, out);
+        }
+    }
+
+    fn hear_word(&mut self, now: u64, out: &mut impl SayTo) {
+        if self.notifier.speech().is_none() {
+            return;
+        }
+        self.utterance.heard += 1;
+        if self.notifier.hear_word().is_some() {
+            self.is_word_due = false;
+            self.emit(now, SayEvent::End, out);
+        } else {
+            // Told once it is clear that the utterance goes on.
+            self.is_word_due = true;
+        }
+    }
+
+    fn decide(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
+        self.notifier.write_row(&mut self.row);
+        let (mask, draws) = (self.notifier.mask(), &mut self.draws);
+        decider.decide(&self.row, mask, &mut self.recurrent, draws, &mut self.choices);
+        let act = self.notifier.speech_act(&self.choices);
+        let mut initiation = self.notifier.initiation_of(act);
+        let mut why = match initiation {
+            Initiation::Blocked => Silence::Blocked,
+            _ => Silence::Policy,
+        };
+        if let (SpeechAct::Start(message), Initiation::Started) = (act, initiation)
+            && !self.find_words(message)
+        {
+            (initiation, why) = (Initiation::None, Silence::NoSentence);
+        }
+        let cuts = matches!(initiation, Initiation::Started | Initiation::Stopped);
+        if cuts && self.notifier.speech().is_some() {
+            self.is_word_due = false;
+            self.emit(now, SayEvent::Cut, out);
+        }
+        self.go_on_speaking(now, out);
+        if let Some(message) = self.notifier.carry_out(act, initiation) {
+            self.start(now, message, out);
+        }
+        self.counts.steps += 1;
+        if self.notifier.speech().is_some() {
+            self.become_state(now, LiveState::Speaking, Silence::None);
+        } else {
+            self.become_state(now, LiveState::Silent, why);
+        }
+    }
+
+    /// Finds the sentence of a message that is about to start.
+    fn find_words(&mut self, message: Message) -> bool {
+        let Some(phrase) = self.phrases.find(message, self.newest.facts()) else { return false };
+        self.next_text.clear();
+        self.next_text.push_str(phrase.text);
+        self.next_stands_in = phrase.stand_in;
+        true
+    }
+
+    fn start(&mut self, now: u64, message: Message, out: &mut impl SayTo) {
+        let utterance = &mut self.utterance;
+        std::mem::swap(&mut utterance.text, &mut self.next_text);
+        utterance.number += 1;
+        utterance.message = message;
+        utterance.stand_in = self.next_stands_in;
+        (utterance.heard, utterance.is_reported, utterance.started) = (0, false, now);
+        self.counts.utterances += 1;
+        self.emit(now, SayEvent::Start, out);
+    }
+
+    /// Cuts what is said, because nobody should be spoken to.
+    fn cut(&mut self, now: u64, out: &mut impl SayTo) {
+        if self.notifier.speech().is_some() {
+            self.notifier.fall_silent();
+            self.is_word_due = false;
+            self.emit(now, SayEvent::Cut, out);
+        }
+    }
+
+    /// Ends the session.
+    pub fn close(&mut self, now: u64, why: Silence, out: &mut impl SayTo) {
+        self.cut(now, out);
+        self.release(true, out);
+        self.next_step = None;
+        self.become_state(now, LiveState::Closed, why);
+        self.status_due = now;
+        self.tell(now, out);
+    }
+
+    /// Takes a client's report of what its loudspeaker really did.
+    pub fn hear(
+        &mut self,
+        now: u64,
+        report: &[u8],
+        decider: &mut LiveDecider,
+        out: &mut impl SayTo,
+    ) {
+        let Ok(report) = HeardReport::read(report) else {
+            self.counts.refused += 1;
+            return;
+        };
+        let is_about_this = report.utterance == self.utterance.number;
+        let Some(speech) = self.notifier.speech().filter(|_| is_about_this) else { return };
+        self.utterance.is_reported = true;
+        let (l, before) = (speech.message.conveyance, self.utterance.heard);
+        let n_words = match spoken_words(&self.utterance.text).count() as u32 {
+            0 => l,
+            n => n,
+        };
+        let ended = match report.event {
+            HeardEvent::Start => 0,
+            HeardEvent::Word => report.word.min(n_words) * l / n_words,
+            HeardEvent::End => l,
+            HeardEvent::Cut => return self.fall_silent(now, out),
+        };
+        while self.utterance.heard < ended && self.notifier.speech().is_some() {
+            self.hear_word(now, out);
+        }
+        let has_moved = self.utterance.heard > before;
+        if has_moved && self.plan.clock == StepClock::Word && self.state == LiveState::Speaking {
+            self.step += 1;
+            self.observe();
+            self.decide_if_fresh(now, decider, out);
+            self.next_step = Some(now + self.step_ns);
+        } else {
+            self.go_on_speaking(now, out);
+        }
+        self.release(self.plan.clock != StepClock::Observation, out);
+    }
+
+    fn fall_silent(&mut self, now: u64, out: &mut impl SayTo) {
+        self.cut(now, out);
+        self.release(self.plan.clock != StepClock::Observation, out);
+    }
+
+    /// This start of the client is there, or not any more.
+    pub fn note_presence(&mut self, is_here: bool) {
+        self.is_gone = !is_here;
+    }
+
+    /// Does what is due: the watchdog, a step by the clock, a status.
+    pub fn tick(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
+        self.watch(now, out);
+        if let Some(due) = self.next_step.filter(|due| *due <= now) {
+            self.counts.late_steps += u64::from(now - due > LATE);
+            if self.state == LiveState::Stale {
+                self.pass(now, out);
+            } else {
+                self.step(now, decider, out);
+            }
+            self.release(true, out);
+            // Steps that were missed are missed: nobody is spoken to faster to make up for them.
+            let next = due + self.step_ns;
+            self.next_step = Some(if next > now { next } else { now + self.step_ns });
+        }
+        self.tell(now, out);
+    }
+
+    /// Looks how old the newest observation is.
+    fn watch(&mut self, now: u64, out: &mut impl SayTo) {
+        let is_watched =
+            matches!(self.state, LiveState::Silent | LiveState::Speaking | LiveState::Stale);
+        if !is_watched {
+            return;
+        }
+        let age = self.age(now);
+        if self.is_gone || age > self.lost_ns {
+            self.next_step = None;
+            let quiet = Silence::Quiet(self.plan.lost_after);
+            let why = if self.is_gone { Silence::ClientGone } else { quiet };
+            self.fall_silent(now, out);
+            self.become_state(now, LiveState::Lost, why);
+        } else if age > self.stale_ns {
+            self.become_stale(now, out);
+            self.release(self.plan.clock != StepClock::Observation, out);
+        } else if self.state == LiveState::Stale {
+            if self.notifier.speech().is_some() {
+                self.become_state(now, LiveState::Speaking, Silence::None);
+            } else {
+                self.become_state(now, LiveState::Silent, Silence::Policy);
+            }
+        }
+    }
+
+    fn become_state(&mut self, now: u64, state: LiveState, why: Silence) {
+        if self.state != state {
+            (self.state, self.since) = (state, now);
+            self.has_news = true;
+        }
+        if self.why != why {
+            self.why = why;
+            self.has_news = true;
+        }
+    }
+
+    /// Writes an event, and puts the one before it, which was not the last.
+    fn emit(&mut self, now: u64, event: SayEvent, out: &mut impl SayTo) {
+        self.release(false, out);
+        let utterance = &self.utterance;
+        let message = utterance.message;
+        let said = SaidUtterance {
+            number: utterance.number,
+            topic: message.topic,
+            topic_name: self.notifier.topics().get(message.topic).copied().unwrap_or_default(),
+            comprehension: message.comprehension,
+            conveyance: message.conveyance,
+            heard: utterance.heard,
+            text: &utterance.text,
+            stand_in: utterance.stand_in,
+            seconds: f64::from(message.conveyance) * self.plan.seconds_per_step,
+        };
+        let age = self.newest_at.map_or(0, |at| now.saturating_sub(at));
+        let line = SayLine {
+            seq: self.last_seq.unwrap_or(0),
+            step: self.step,
+            episode: self.episode,
+            event,
+            utterance: (event != SayEvent::Silent).then_some(said),
+            age: seconds(age),
+        };
+        match self.plan.form {
+            SayForm::Json => line.write_json(&mut self.held),
+            SayForm::Binary => line.write_raw(&mut self.held),
+        }
+        self.is_held = true;
+    }
+
+    /// Puts the event that was written, if there is one.
+    fn release(&mut self, is_last: bool, out: &mut impl SayTo) {
+        if std::mem::take(&mut self.is_held) {
+            say::finish(&mut self.held, self.plan.form, is_last);
+            out.say(&self.held);
+        }
+    }
+
+    /// Ends the answer to an observation.
+    fn answer(&mut self, now: u64, out: &mut impl SayTo) {
+        if !self.is_held {
+            self.emit(now, SayEvent::Silent, out);
+        }
+        self.release(true, out);
+    }
+
+    /// Tells the status, if it is time or there is news.
+    fn tell(&mut self, now: u64, out: &mut impl SayTo) {
+        let has_news = self.has_news && now >= self.status_put + STATUS_PAUSE;
+        if !has_news && now < self.status_due {
+            return;
+        }
+        let line = StatusLine {
+            session: &self.id,
+            state: self.state,
+            since: seconds(now.saturating_sub(self.since)),
+            why: &self.why,
+            last_seq: self.last_seq.unwrap_or(0),
+            age: self.newest_at.map(|at| seconds(now.saturating_sub(at))),
+            told: &self.told,
+            counts: self.counts,
+            latency_us: (&self.latency).into(),
+        };
+        line.write(&mut self.status);
+        out.status(&self.status);
+        self.told.clear();
+        self.has_news = false;
+        (self.status_put, self.status_due) = (now, now + STATUS_EVERY);
+    }
+
+    /// Returns everything that the future depends on but the time.
+    pub fn snapshot(&self) -> LiveSnapshot {
+        LiveSnapshot {
+            session: self.notifier.state(),
+            turns: self.phrases.turns(),
+            draws: self.draws.clone(),
+            recurrent: self.recurrent.clone(),
+            episode: self.episode,
+            step: self.step,
+            last_seq: self.last_seq,
+            last_t: self.last_t,
+            is_begun: self.is_begun,
+            has_ended: self.state == LiveState::Ended,
+            last_utterance: self.utterance.number,
+            counts: self.counts,
+        }
+    }
+
+    /// Goes on from a snapshot, silent: whatever was being said has been cut with the process that said it. `false` if it is
+    /// another notifier's; the session is of no use then.
+    pub fn restore(&mut self, snapshot: LiveSnapshot) -> bool {
+        let finite = snapshot.recurrent.iter().all(|value| value.is_finite());
+        let fits = finite && snapshot.recurrent.len() == self.recurrent.len();
+        let begun = !snapshot.is_begun || self.phrases.restore(&snapshot.turns);
+        if !fits || !begun || !self.notifier.restore(&snapshot.session) {
+            return false;
+        }
+        self.notifier.fall_silent();
+        self.draws = snapshot.draws;
+        self.recurrent = snapshot.recurrent;
+        (self.episode, self.step) = (snapshot.episode, snapshot.step);
+        (self.last_seq, self.last_t) = (snapshot.last_seq, snapshot.last_t);
+        self.is_begun = snapshot.is_begun;
+        self.utterance.number = snapshot.last_utterance.saturating_add(UTTERANCES_PASSED);
+        self.counts = snapshot.counts;
+        if snapshot.has_ended {
+            (self.state, self.why) = (LiveState::Ended, Silence::Ended);
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+#[path = "live_session_tests.rs"]
+mod tests;

@@ -1,0 +1,230 @@
+//! A thread that speaks for up to 16 sessions: it sleeps until something arrives or is due, and never waits for anything else.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use leadtime_link::live::LivePort;
+use leadtime_proto::{ClientName, Incarnation};
+use tracing::debug;
+
+use crate::live_clock::LiveClock;
+use crate::live_session::{LiveSession, LiveSnapshot, SayTo};
+use crate::status::{LiveState, Silence};
+use crate::working_policy::LiveDecider;
+
+/// The most sessions of a thread.
+pub(crate) const SESSIONS_PER_THREAD: usize = 16;
+/// The most orders to a thread, and reports of it, that wait.
+const MAX_WAITING: usize = 256;
+/// The last part of a sleep that is waited awake, because a sleeper wakes up late.
+const SPIN: Duration = Duration::from_micros(300);
+/// The longest sleep.
+const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+/// How often the state of every session is reported, in nanoseconds.
+const SNAPSHOT_EVERY: u64 = 1_000_000_000;
+
+/// What a thread is told.
+#[derive(Debug)]
+pub(crate) enum ThreadOrder {
+    /// Speak for one more client.
+    Add(Box<Hosted>),
+    /// This start of a client is there, or not any more.
+    Presence(ClientName, Incarnation, bool),
+    /// A client's session is replaced by another one.
+    Remove(ClientName),
+    /// End.
+    Stop,
+}
+
+/// What a thread reports.
+#[derive(Debug)]
+pub(crate) enum ThreadReport {
+    /// How a session could go on in another process.
+    State { client: ClientName, id: String, state: LiveState, snapshot: Box<LiveSnapshot> },
+    /// A session is over.
+    Over { client: ClientName, id: String },
+}
+
+/// A session with its client.
+#[derive(Debug)]
+pub(crate) struct Hosted {
+    pub(crate) client: ClientName,
+    pub(crate) incarnation: Option<Incarnation>,
+    pub(crate) session: LiveSession,
+    pub(crate) port: LivePort,
+}
+
+/// A running thread.
+#[derive(Debug)]
+pub(crate) struct LiveThread {
+    orders: SyncSender<ThreadOrder>,
+    handle: JoinHandle<()>,
+}
+
+impl LiveThread {
+    /// Starts one.
+    pub(crate) fn start(
+        name: String,
+        decider: LiveDecider,
+        clock: LiveClock,
+        spins: bool,
+        reports: flume::Sender<ThreadReport>,
+    ) -> std::io::Result<Self> {
+        let (orders, receiver) = sync_channel(MAX_WAITING);
+        let work = move || {
+            let hosted = Vec::with_capacity(SESSIONS_PER_THREAD);
+            Loop { hosted, decider, clock, spins, reports, snapshots_due: 0 }.run(&receiver);
+        };
+        let handle = thread::Builder::new().name(name).spawn(work)?;
+        Ok(Self { orders, handle })
+    }
+
+    /// Gives an order, without waiting; `false` if the thread has ended, or has too many already.
+    pub(crate) fn order(&self, order: ThreadOrder) -> bool {
+        let given = self.orders.try_send(order).is_ok();
+        self.handle.thread().unpark();
+        given
+    }
+
+    /// Returns what wakes the thread.
+    pub(crate) fn waker(&self) -> Arc<dyn Fn() + Send + Sync> {
+        let thread = self.handle.thread().clone();
+        Arc::new(move || thread.unpark())
+    }
+
+    /// Ends the thread and waits for it.
+    pub(crate) fn stop(self) {
+        self.order(ThreadOrder::Stop);
+        drop(self.handle.join());
+    }
+}
+
+/// Puts a session's events at its port.
+struct ToPort<'a>(&'a LivePort);
+
+impl SayTo for ToPort<'_> {
+    fn say(&mut self, bytes: &[u8]) {
+        if let Err(error) = self.0.say(bytes) {
+            debug!(%error, "an event could not be put");
+        }
+    }
+
+    fn status(&mut self, bytes: &[u8]) {
+        if let Err(error) = self.0.status(bytes) {
+            debug!(%error, "a status could not be put");
+        }
+    }
+}
+
+struct Loop {
+    hosted: Vec<Hosted>,
+    decider: LiveDecider,
+    clock: LiveClock,
+    spins: bool,
+    reports: flume::Sender<ThreadReport>,
+    snapshots_due: u64,
+}
+
+impl Loop {
+    fn run(mut self, orders: &Receiver<ThreadOrder>) {
+        loop {
+            while let Ok(order) = orders.try_recv() {
+                match order {
+                    ThreadOrder::Add(hosted) => self.hosted.push(*hosted),
+                    ThreadOrder::Remove(client) => {
+                        self.hosted.retain(|hosted| hosted.client != client);
+                    }
+                    ThreadOrder::Presence(client, start, is_here) => {
+                        self.note_presence(&client, start, is_here);
+                    }
+                    ThreadOrder::Stop => {
+                        self.end();
+                        return;
+                    }
+                }
+            }
+            for hosted in &mut self.hosted {
+                serve(hosted, &mut self.decider, self.clock);
+            }
+            self.report();
+            self.sleep();
+        }
+    }
+
+    fn note_presence(&mut self, client: &ClientName, start: Incarnation, is_here: bool) {
+        let of_client = self.hosted.iter_mut().filter(|hosted| hosted.client == *client);
+        for hosted in of_client.filter(|hosted| hosted.incarnation == Some(start)) {
+            hosted.session.note_presence(is_here);
+        }
+    }
+
+    fn report(&mut self) {
+        let now = self.clock.now();
+        let reports = &self.reports;
+        self.hosted.retain(|hosted| {
+            let is_over = hosted.session.is_over(now);
+            if is_over {
+                let (client, id) = (hosted.client.clone(), hosted.session.id().to_owned());
+                drop(reports.try_send(ThreadReport::Over { client, id }));
+            }
+            !is_over
+        });
+        if now >= self.snapshots_due {
+            self.snapshots_due = now + SNAPSHOT_EVERY;
+            self.hosted.iter().for_each(|hosted| self.report_state(hosted));
+        }
+    }
+
+    fn report_state(&self, hosted: &Hosted) {
+        let report = ThreadReport::State {
+            client: hosted.client.clone(),
+            id: hosted.session.id().to_owned(),
+            state: hosted.session.state(),
+            snapshot: Box::new(hosted.session.snapshot()),
+        };
+        // One that nobody has room for is followed by another.
+        drop(self.reports.try_send(report));
+    }
+
+    fn sleep(&self) {
+        let deadlines = self.hosted.iter().map(|hosted| hosted.session.next_deadline());
+        let next = deadlines.fold(self.snapshots_due, u64::min);
+        let left = self.clock.until(next).min(LONGEST_SLEEP);
+        if !self.spins {
+            thread::park_timeout(left);
+        } else if left > SPIN {
+            thread::park_timeout(left.saturating_sub(SPIN));
+        } else {
+            std::hint::spin_loop();
+        }
+    }
+
+    fn end(mut self) {
+        let now = self.clock.now();
+        for hosted in &mut self.hosted {
+            hosted.session.close(now, Silence::Closing, &mut ToPort(&hosted.port));
+        }
+    }
+}
+
+/// Does for a client whatever is to be done now.
+fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
+    let Hosted { session, port, .. } = hosted;
+    let out = &mut ToPort(port);
+    while let Some(report) = port.take_heard() {
+        session.hear(clock.now(), &report, decider, out);
+    }
+    if let Some(arrival) = port.take() {
+        let (payload, beside, at) = (arrival.payload(), arrival.attachment(), clock.at(arrival.at));
+        session.note_overwritten(port.n_overwritten());
+        let parts = (&arrival.encoding(), &*payload, beside.as_deref());
+        session.arrive(clock.now(), at, parts, decider, out);
+        session.record_latency(clock.now().saturating_sub(at));
+    }
+    let now = clock.now();
+    if session.next_deadline() <= now {
+        session.tick(now, decider, out);
+    }
+}

@@ -1,0 +1,269 @@
+//! What a client asks for a session with, and what it is answered.
+
+use leadtime_sims::Quantity;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use thiserror::Error;
+
+use crate::working_policy::WorkingPolicy;
+
+/// The version of the messages between a notifier at work and its clients.
+pub const LIVE_PROTOCOL: u32 = 1;
+/// The longest step, in seconds.
+pub const MAX_STEP: f64 = 5.0;
+/// The longest patience with a client that says nothing, in seconds.
+const MAX_PATIENCE: f64 = 600.0;
+/// The pace of words, in seconds.
+const STEP: f64 = 0.3;
+/// How old observations may be, and when a client counts as lost, where steps are taken by the clock, in seconds.
+const TIMED_PATIENCE: (f64, f64) = (0.5, 1.0);
+/// The same where every observation is a step, in seconds: a simulator may think.
+const STEPPED_PATIENCE: (f64, f64) = (10.0, 30.0);
+
+/// When a step is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StepClock {
+    /// Every `seconds_per_step`, on the newest observation.
+    #[default]
+    Timer,
+    /// With every observation: for simulators.
+    Observation,
+    /// Where a word begins that the client reports as heard; without reports as [`StepClock::Timer`].
+    Word,
+}
+
+/// In which form a client wants to be told what is said.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SayForm {
+    /// JSON.
+    #[default]
+    Json,
+    /// 24 bytes without text.
+    Binary,
+}
+
+/// A client's question, as it is written.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct OpenRequest {
+    protocol: u32,
+    domain: String,
+    obs_dim: Option<usize>,
+    seconds_per_step: Option<f64>,
+    #[serde(default)]
+    clock: StepClock,
+    stale_after: Option<f64>,
+    lost_after: Option<f64>,
+    seed: Option<u64>,
+    words: Option<String>,
+    person: Option<Value>,
+    incarnation: Option<String>,
+    #[serde(default)]
+    encoding: SayForm,
+}
+
+/// What a session is to be, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SessionPlan {
+    /// When steps are taken.
+    pub clock: StepClock,
+    /// How long a step (a word) takes, in seconds.
+    pub seconds_per_step: f64,
+    /// From which age on an observation is stale, in seconds.
+    pub stale_after: f64,
+    /// After which silence a client counts as lost, in seconds.
+    pub lost_after: f64,
+    /// Seed of every draw.
+    pub seed: u64,
+    /// The form of what is said.
+    pub form: SayForm,
+    /// Which start of the client asks; `None` from one that does not say.
+    pub incarnation: Option<u64>,
+    /// What the client should know.
+    pub notes: Vec<String>,
+}
+
+/// Why a session is refused.
+#[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
+pub enum OpenRefusal {
+    #[error("the question cannot be read: {0}")]
+    Json(#[from] serde_json::Error),
+    #[error("protocol {0} is asked for; this notifier speaks protocol {LIVE_PROTOCOL}")]
+    Protocol(u32),
+    #[error(
+        "this notifier is for {served}, with {served_dim} numbers per observation; the client is of {asked}{}",
+        asked_dim.map_or(String::new(), |n| format!(", with {n}"))
+    )]
+    Task { served: String, served_dim: usize, asked: String, asked_dim: Option<usize> },
+    #[error("`{key}` is {given}; allowed: {allowed}")]
+    Setting { key: &'static str, given: String, allowed: String },
+    #[error("a client named `{0}` is here already; choose another name, or wait until it is gone")]
+    Taken(String),
+    #[error("{0} sessions are open already; --max-sessions allows no more")]
+    Full(usize),
+    #[error("the session could not be opened: {0}")]
+    Network(#[from] leadtime_link::Error),
+}
+
+impl SessionPlan {
+    /// Reads a question and checks it against the policy; `seed` counts where the client names none.
+    ///
+    /// # Errors
+    ///
+    /// [`OpenRefusal`] with the sentence for the client.
+    pub fn read(question: &[u8], policy: &WorkingPolicy, seed: u64) -> Result<Self, OpenRefusal> {
+        let asked: OpenRequest = serde_json::from_slice(question)?;
+        if asked.protocol != LIVE_PROTOCOL {
+            return Err(OpenRefusal::Protocol(asked.protocol));
+        }
+        let served_dim = policy.obs_dim();
+        let fits_dim = asked.obs_dim.is_none_or(|n| n == served_dim);
+        if asked.domain != policy.domain || !fits_dim {
+            let (served, asked_dim) = (policy.domain.clone(), asked.obs_dim);
+            return Err(OpenRefusal::Task { served, served_dim, asked: asked.domain, asked_dim });
+        }
+        let patience = match asked.clock {
+            StepClock::Observation => STEPPED_PATIENCE,
+            StepClock::Timer | StepClock::Word => TIMED_PATIENCE,
+        };
+        let seconds_per_step = asked.seconds_per_step.unwrap_or(STEP);
+        require("seconds_per_step", seconds_per_step, 1e-3, MAX_STEP)?;
+        let stale_after = asked.stale_after.unwrap_or(patience.0.max(2.0 * seconds_per_step));
+        require("stale_after", stale_after, 1e-3, MAX_PATIENCE)?;
+        let lost_after = asked.lost_after.unwrap_or(patience.1.max(2.0 * stale_after));
+        require("lost_after", lost_after, stale_after, MAX_PATIENCE)?;
+        let wrong = |key, given: &str, allowed: &str| OpenRefusal::Setting {
+            key,
+            given: leadtime_proto::text::quoted(given),
+            allowed: allowed.to_owned(),
+        };
+        if let Some(words) = asked.words.filter(|words| words != "shipped") {
+            return Err(wrong("words", &words, "shipped"));
+        }
+        let start = |text: &String| {
+            let number = u64::from_str_radix(text, 16).ok().filter(|_| text.len() == 16);
+            number.ok_or_else(|| wrong("incarnation", text, "16 hexadecimal digits"))
+        };
+        let incarnation = asked.incarnation.as_ref().map(start).transpose()?;
+        let mut notes = Vec::new();
+        if asked.person.is_some() {
+            let note = "`person` is not used: this policy does not observe its listener";
+            notes.push(note.to_owned());
+        }
+        if policy.session.is_blind_to_repeats() {
+            let note = "the policy was trained with a listener who does not hear again what they are doing already; \
+                        whether a person is doing it is not known here, so it may be said again";
+            notes.push(note.to_owned());
+        }
+        Ok(Self {
+            clock: asked.clock,
+            seconds_per_step,
+            stale_after,
+            lost_after,
+            seed: asked.seed.unwrap_or(seed),
+            form: asked.encoding,
+            incarnation,
+            notes,
+        })
+    }
+}
+
+fn require(key: &'static str, value: f64, low: f64, high: f64) -> Result<(), OpenRefusal> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    let (given, allowed) = (value.to_string(), format!("{low} to {high} seconds"));
+    Err(OpenRefusal::Setting { key, given, allowed })
+}
+
+/// One number of an observation, for clients.
+#[derive(Clone, Debug, Serialize)]
+pub struct ObservationName {
+    name: String,
+    meaning: String,
+    /// `None` where there is no bound.
+    low: Option<f32>,
+    high: Option<f32>,
+}
+
+impl From<&Quantity> for ObservationName {
+    fn from(quantity: &Quantity) -> Self {
+        let [low, high] = quantity.range.map(|bound| bound.is_finite().then_some(bound));
+        Self { name: quantity.name.clone(), meaning: quantity.meaning.clone(), low, high }
+    }
+}
+
+/// The policy of a session, for clients.
+#[derive(Clone, Debug, Serialize)]
+pub struct PolicyNote {
+    /// SHA-256 over its file, in hexadecimal.
+    pub sha256: String,
+    /// Optimiser iterations that made it; 0 where its file does not say.
+    pub updates: u64,
+}
+
+/// The answer to a client's question.
+#[derive(Clone, Debug, Serialize)]
+pub struct SessionAnswer<'a> {
+    /// The session's name.
+    pub session: &'a str,
+    /// The version of the messages.
+    pub protocol: u32,
+    /// The task.
+    pub domain: &'a str,
+    /// How many numbers an observation has.
+    pub obs_dim: usize,
+    /// Each of them.
+    pub observation: Vec<ObservationName>,
+    /// The topics, by number.
+    pub topics: &'a [&'static str],
+    /// When steps are taken.
+    pub clock: StepClock,
+    /// How long a step takes.
+    pub seconds_per_step: f64,
+    /// From which age on an observation is stale, in seconds.
+    pub stale_after: f64,
+    /// After which silence a client counts as lost, in seconds.
+    pub lost_after: f64,
+    /// Seed of every draw.
+    pub seed: u64,
+    /// The number that the next observation has to exceed; 0 for a new session.
+    pub last_seq: u64,
+    /// The policy.
+    pub policy: PolicyNote,
+    /// How many sentences there are.
+    pub sentences: usize,
+    /// What the client should know.
+    pub notes: &'a [String],
+}
+
+impl<'a> SessionAnswer<'a> {
+    /// Puts the answer together.
+    pub fn new(
+        session: &'a str,
+        plan: &'a SessionPlan,
+        policy: &'a WorkingPolicy,
+        last_seq: u64,
+    ) -> Self {
+        Self {
+            session,
+            protocol: LIVE_PROTOCOL,
+            domain: &policy.domain,
+            obs_dim: policy.obs_dim(),
+            observation: policy.observation().iter().map(ObservationName::from).collect(),
+            topics: policy.session.topics(),
+            clock: plan.clock,
+            seconds_per_step: plan.seconds_per_step,
+            stale_after: plan.stale_after,
+            lost_after: plan.lost_after,
+            seed: plan.seed,
+            last_seq,
+            policy: PolicyNote { sha256: policy.sha256.clone(), updates: policy.n_updates },
+            sentences: policy.n_sentences(),
+            notes: &plan.notes,
+        }
+    }
+}

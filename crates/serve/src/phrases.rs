@@ -1,0 +1,184 @@
+//! From a message to a sentence: the one place where words are found.
+
+use std::sync::Arc;
+
+use leadtime_numerics::Pcg64;
+use leadtime_sims::Message;
+use leadtime_taxonomy::{Cell, FactSet, Loss, Request, Rotation, Taxonomy};
+use serde::{Deserialize, Serialize};
+
+use crate::observation::FactList;
+
+/// A sentence for a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Phrase<'a> {
+    /// As it is spoken; empty for a notifier without words.
+    pub text: &'a str,
+    /// No sentence has exactly the message's k and l; this one stands in.
+    pub stand_in: bool,
+}
+
+/// The sentences of a session, in turn.
+#[derive(Clone, Debug)]
+pub struct PhraseBook {
+    taxonomy: Option<Arc<Taxonomy>>,
+    /// Whose turn it is in each cell; nothing without words.
+    rotation: Option<Rotation>,
+}
+
+/// Whose turn it is, as a snapshot keeps it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PhraseTurns(Option<Rotation>);
+
+impl PhraseBook {
+    /// Takes the sentences of a database, or none.
+    pub fn new(taxonomy: Option<Arc<Taxonomy>>) -> Self {
+        Self { taxonomy, rotation: None }
+    }
+
+    /// Starts an episode, whose generator draws which sentence of each cell comes first.
+    pub fn begin(&mut self, generator: &mut Pcg64) {
+        let taxonomy = self.taxonomy.as_ref();
+        self.rotation = taxonomy.map(|taxonomy| Rotation::new(taxonomy, generator));
+    }
+
+    /// Finds a true sentence for a message; `None` if there is none.
+    ///
+    /// `facts` is what the client says to be the case. Without it nothing is known to hold, so only what presupposes nothing
+    /// is said; the shipped databases have such a sentence for every message.
+    pub fn find(&mut self, message: Message, facts: Option<&FactList>) -> Option<Phrase<'_>> {
+        let (Some(taxonomy), Some(rotation)) = (&self.taxonomy, &mut self.rotation) else {
+            return Some(Phrase { text: "", stand_in: false });
+        };
+        let cell = Cell::new(message.comprehension, message.conveyance);
+        let request = Request { topic: message.topic, cell };
+        let holding = facts.map_or(FactSet::NONE, |facts| taxonomy.facts_named(facts.iter()));
+        let found = taxonomy.retrieve_true(request, &Loss::default(), holding).ok()??;
+        let text = rotation.next(&found)?.text.as_str();
+        Some(Phrase { text, stand_in: found.fallback })
+    }
+
+    /// Returns whose turn it is.
+    pub fn turns(&self) -> PhraseTurns {
+        PhraseTurns(self.rotation.clone())
+    }
+
+    /// Goes on from there; `false` if the turns are another database's.
+    pub fn restore(&mut self, turns: &PhraseTurns) -> bool {
+        let fits = match (&self.taxonomy, &turns.0) {
+            (None | Some(_), None) => true,
+            (Some(taxonomy), Some(rotation)) => rotation.fits(taxonomy),
+            (None, Some(_)) => false,
+        };
+        if fits {
+            self.rotation.clone_from(&turns.0);
+        }
+        fits
+    }
+}
+
+/// Cuts a sentence into the pieces in which it is spoken, one a word: `Zone`, `ahead -`, `go`, `up!`.
+pub fn spoken_words(text: &str) -> impl Iterator<Item = &str> {
+    let mut rest = text.trim();
+    std::iter::from_fn(move || {
+        let mut end = next_gap(rest, 0)?;
+        // A mark that stands alone belongs to the word before it.
+        while let Some(further) = next_gap(rest, end) {
+            if rest[end..further].chars().any(char::is_alphanumeric) {
+                break;
+            }
+            end = further;
+        }
+        let piece = rest[..end].trim();
+        rest = rest[end..].trim_start();
+        Some(piece)
+    })
+}
+
+/// Returns where the word ends that begins at or after `from`; `None` if there is none.
+fn next_gap(text: &str, from: usize) -> Option<usize> {
+    let begin = from + text[from..].find(|c: char| !c.is_whitespace())?;
+    let length = text[begin..].find(char::is_whitespace).unwrap_or(text.len() - begin);
+    Some(begin + length)
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_taxonomy::{shipped, words};
+
+    use super::*;
+    use crate::observation::LiveObservation;
+
+    #[test]
+    fn a_sentence_has_as_many_pieces_as_words() {
+        let pieces = |text| spoken_words(text).collect::<Vec<_>>();
+        assert_eq!(pieces("Zone ahead - go  up!"), ["Zone", "ahead -", "go", "up!"]);
+        assert_eq!(pieces("  "), [""; 0]);
+        for domain in shipped::domains() {
+            let taxonomy = leadtime_taxonomy::shipped(domain).unwrap();
+            for (_, utterances) in
+                taxonomy.topics().iter().flat_map(leadtime_taxonomy::Topic::cells)
+            {
+                for utterance in utterances {
+                    let n = spoken_words(&utterance.text).count();
+                    assert_eq!(n as u32, words::count(&utterance.text), "{}", utterance.text);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_said_is_true_and_without_facts_presupposes_nothing() {
+        for domain in shipped::domains() {
+            let taxonomy = Arc::new(leadtime_taxonomy::shipped(domain).unwrap());
+            let told = format!("{:?}", &taxonomy.facts()[..1]);
+            let json = format!("{{\"seq\":1,\"t\":0,\"obs\":[0],\"facts\":{told}}}");
+            let mut observation = LiveObservation::new(1);
+            observation.read_json(json.as_bytes()).unwrap();
+            let mut phrases = PhraseBook::new(Some(Arc::clone(&taxonomy)));
+            phrases.begin(&mut Pcg64::seed_from_u64(5));
+            let mut said = |facts: Option<&FactList>| {
+                let mut n_presupposing = 0;
+                for (topic, cell) in (0..taxonomy.topics().len())
+                    .flat_map(|topic| taxonomy.feasible().map(move |cell| (topic, cell)))
+                {
+                    let Cell { comprehension, conveyance } = cell;
+                    let message = Message { topic, comprehension, conveyance };
+                    for _ in 0..20 {
+                        let Phrase { text, stand_in } = phrases.find(message, facts).unwrap();
+                        assert!(!stand_in, "{domain}, {topic}, {cell}: {text}");
+                        let sentences = taxonomy.topics()[topic].cell(cell);
+                        let sentence = sentences.iter().find(|it| it.text == text).unwrap();
+                        let told = |fact: &str| facts.is_some_and(|facts| facts.contains(fact));
+                        for fact in taxonomy.fact_names(sentence.facts) {
+                            assert!(told(fact), "{domain}: {text}");
+                            n_presupposing += 1;
+                        }
+                    }
+                }
+                n_presupposing
+            };
+            assert_eq!(said(None), 0, "{domain}");
+            assert!(said(observation.facts()) > 0, "{domain}");
+        }
+    }
+
+    #[test]
+    fn sentences_take_turns_and_go_on_from_a_snapshot() {
+        let taxonomy = Arc::new(leadtime_taxonomy::shipped("lander").unwrap());
+        let mut phrases = PhraseBook::new(Some(taxonomy));
+        phrases.begin(&mut Pcg64::seed_from_u64(3));
+        let message = Message { topic: 1, comprehension: 2, conveyance: 4 };
+        let first = phrases.find(message, None).unwrap().text.to_owned();
+        let turns = phrases.turns();
+        let second = phrases.find(message, None).unwrap().text.to_owned();
+        assert_ne!(first, second);
+        let mut restored = PhraseBook::new(phrases.taxonomy.clone());
+        assert!(restored.restore(&turns));
+        assert_eq!(restored.find(message, None).unwrap().text, second);
+        let steakhouse = Arc::new(leadtime_taxonomy::shipped("steakhouse").unwrap());
+        assert!(!PhraseBook::new(Some(steakhouse)).restore(&turns));
+        let mut wordless = PhraseBook::new(None);
+        assert_eq!(wordless.find(message, None), Some(Phrase { text: "", stand_in: false }));
+    }
+}

@@ -1,0 +1,326 @@
+//! Who gets a session, on which thread; what becomes of it when its client, or this process, ends.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::sync::Arc;
+
+use leadtime_link::live::{LiveEvent, LiveServiceLink, OpenResponder};
+use leadtime_proto::{ClientName, Incarnation};
+use leadtime_sims::environment::{read_snapshot, write_snapshot};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use tracing::{info, warn};
+
+use crate::live_clock::LiveClock;
+use crate::live_session::{LiveSession, LiveSnapshot};
+use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
+use crate::open::{OpenRefusal, SessionAnswer, SessionPlan};
+use crate::status::LiveState;
+use crate::working_policy::{LiveDecider, WorkingPolicy};
+
+/// The most sessions of a notifier.
+pub const MAX_SESSIONS: usize = 64;
+/// The most reports of threads that wait.
+const MAX_REPORTS: usize = 1_024;
+
+/// Where the state of sessions is kept, so that a restarted notifier goes on with them.
+pub trait StateStore: Send + Sync + fmt::Debug {
+    /// Keeps the state of a client's session, instead of what was kept of it.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the disk says.
+    fn keep(&self, client: &ClientName, state: &[u8]) -> std::io::Result<()>;
+
+    /// Returns what was kept.
+    fn find(&self, client: &ClientName) -> Option<Vec<u8>>;
+}
+
+/// How a notifier works.
+#[derive(Clone, Debug)]
+pub struct ServiceSettings {
+    /// The most sessions at once, up to [`MAX_SESSIONS`].
+    pub max_sessions: usize,
+    /// Seed of sessions whose client names none.
+    pub seed: u64,
+    /// Whether threads wait awake for the last fraction of a millisecond.
+    pub spins: bool,
+    /// Where states are kept; nowhere by default.
+    pub store: Option<Arc<dyn StateStore>>,
+}
+
+/// Why a notifier cannot work.
+#[derive(Debug, Error)]
+pub enum ServiceError {
+    /// A thread could not be started.
+    #[error("cannot start a thread for sessions")]
+    Thread(#[source] std::io::Error),
+}
+
+/// What is known of an open session.
+#[derive(Debug)]
+struct Registered {
+    incarnation: Option<Incarnation>,
+    id: String,
+    thread: usize,
+    state: LiveState,
+    question: Vec<u8>,
+    answer: Vec<u8>,
+}
+
+/// A session's state as it is kept.
+#[derive(Serialize, Deserialize)]
+struct KeptSession {
+    id: String,
+    policy: String,
+    question: Vec<u8>,
+    snapshot: LiveSnapshot,
+}
+
+/// A notifier at work.
+#[derive(Debug)]
+pub struct LiveService {
+    policy: WorkingPolicy,
+    decider: LiveDecider,
+    settings: ServiceSettings,
+    link: LiveServiceLink,
+    events: flume::Receiver<LiveEvent>,
+    own: Incarnation,
+    clock: LiveClock,
+    threads: Vec<LiveThread>,
+    n_opened: u64,
+    open: BTreeMap<ClientName, Registered>,
+    present: BTreeMap<ClientName, BTreeSet<Incarnation>>,
+    reports: flume::Receiver<ThreadReport>,
+    is_store_told: bool,
+}
+
+impl LiveService {
+    /// Prepares a notifier; it works once [`LiveService::run`] is called.
+    ///
+    /// # Errors
+    ///
+    /// [`ServiceError::Thread`].
+    pub fn new(
+        policy: WorkingPolicy,
+        settings: ServiceSettings,
+        (link, events): (LiveServiceLink, flume::Receiver<LiveEvent>),
+        own: Incarnation,
+    ) -> Result<Self, ServiceError> {
+        let (sender, reports) = flume::bounded(MAX_REPORTS);
+        let (decider, clock) = (policy.decider(), LiveClock::start());
+        let n_threads = settings.max_sessions.div_ceil(SESSIONS_PER_THREAD).max(1);
+        let start = |i| {
+            let (decider, sender) = (decider.clone(), sender.clone());
+            LiveThread::start(format!("live-{i}"), decider, clock, settings.spins, sender)
+        };
+        let threads = (0..n_threads).map(start).collect::<Result<_, _>>();
+        Ok(Self {
+            threads: threads.map_err(ServiceError::Thread)?,
+            decider,
+            policy,
+            settings,
+            link,
+            events,
+            own,
+            clock,
+            n_opened: 0,
+            open: BTreeMap::new(),
+            present: BTreeMap::new(),
+            reports,
+            is_store_told: false,
+        })
+    }
+
+    /// Works until it is told to stop, then tells every client and leaves.
+    ///
+    /// # Errors
+    ///
+    /// [`leadtime_link::Error`] if the network ends, or leaving it takes too long.
+    pub async fn run(mut self, stop: impl Future<Output = ()>) -> leadtime_link::Result<()> {
+        let mut stop = std::pin::pin!(stop);
+        let mut looks = tokio::time::interval(std::time::Duration::from_secs(1));
+        let (events, reports) = (self.events.clone(), self.reports.clone());
+        loop {
+            tokio::select! {
+                () = &mut stop => break,
+                event = events.recv_async() => match event {
+                    Ok(event) => self.take(event),
+                    Err(_ended) => break,
+                },
+                report = reports.recv_async() => match report {
+                    Ok(report) => self.note(report),
+                    Err(_ended) => break,
+                },
+                _ = looks.tick() => self.link.health().await?,
+            }
+        }
+        self.threads.into_iter().for_each(LiveThread::stop);
+        self.link.close().await
+    }
+
+    fn take(&mut self, event: LiveEvent) {
+        match event {
+            LiveEvent::Open { client, question, responder } => {
+                self.answer(&client, question, responder);
+            }
+            LiveEvent::Here(client, start) => {
+                self.present.entry(client.clone()).or_default().insert(start);
+                self.tell_thread(client, start, true);
+            }
+            LiveEvent::Gone(client, start) => {
+                if let Some(starts) = self.present.get_mut(&client) {
+                    starts.remove(&start);
+                    if starts.is_empty() {
+                        self.present.remove(&client);
+                    }
+                }
+                self.tell_thread(client, start, false);
+            }
+        }
+    }
+
+    fn tell_thread(&self, client: ClientName, start: Incarnation, is_here: bool) {
+        if let Some(registered) = self.open.get(&client) {
+            self.threads[registered.thread].order(ThreadOrder::Presence(client, start, is_here));
+        }
+    }
+
+    fn answer(&mut self, client: &ClientName, question: Vec<u8>, responder: OpenResponder) {
+        match self.open_session(client, question) {
+            Ok(answer) => responder.reply(answer),
+            Err(refusal) => {
+                info!(%client, %refusal, "a session was refused");
+                responder.refuse(refusal.to_string());
+            }
+        }
+    }
+
+    fn open_session(
+        &mut self,
+        client: &ClientName,
+        question: Vec<u8>,
+    ) -> Result<Vec<u8>, OpenRefusal> {
+        let plan = SessionPlan::read(&question, &self.policy, self.settings.seed)?;
+        let start = plan.incarnation.map(Incarnation);
+        if let Some(registered) = self.open.get(client) {
+            let is_same = start.is_some() && start == registered.incarnation;
+            if is_same && registered.question == question {
+                return Ok(registered.answer.clone());
+            }
+            if !is_same && self.is_there(client, registered) {
+                return Err(OpenRefusal::Taken(client.to_string()));
+            }
+            let thread = registered.thread;
+            self.threads[thread].order(ThreadOrder::Remove(client.clone()));
+            self.open.remove(client);
+        }
+        if self.open.len() >= self.settings.max_sessions && !self.make_room() {
+            return Err(OpenRefusal::Full(self.open.len()));
+        }
+        let (session, notes) = self.session(client, &question, plan.clone());
+        let answered = SessionPlan { notes, ..plan };
+        let answer = SessionAnswer::new(session.id(), &answered, &self.policy, session.last_seq());
+        let answer = serde_json::to_vec(&answer)?;
+        let thread = self.idlest_thread();
+        let is_raw = answered.form == crate::open::SayForm::Binary;
+        let port = self.link.port(client, is_raw, self.threads[thread].waker())?;
+        let (client, id) = (client.clone(), session.id().to_owned());
+        info!(%client, session = id, "a session is open");
+        let hosted = Hosted { client: client.clone(), incarnation: start, session, port };
+        if !self.threads[thread].order(ThreadOrder::Add(Box::new(hosted))) {
+            return Err(OpenRefusal::Full(self.open.len()));
+        }
+        let state = LiveState::Waiting;
+        let registered =
+            Registered { incarnation: start, id, thread, state, question, answer: answer.clone() };
+        self.open.insert(client, registered);
+        Ok(answer)
+    }
+
+    /// Ends the session of a client that is not there any more; `false` if all are.
+    fn make_room(&mut self) -> bool {
+        let mut gone = self.open.iter().filter(|(client, it)| !self.is_there(client, it));
+        let Some(client) = gone.next().map(|(client, _)| client.clone()) else { return false };
+        if let Some(registered) = self.open.remove(&client) {
+            self.threads[registered.thread].order(ThreadOrder::Remove(client));
+        }
+        true
+    }
+
+    /// Makes a session, or goes on with the one that was kept.
+    fn session(
+        &mut self,
+        client: &ClientName,
+        question: &[u8],
+        plan: SessionPlan,
+    ) -> (LiveSession, Vec<String>) {
+        let mut notes = plan.notes.clone();
+        let kept = self.settings.store.as_ref().and_then(|store| store.find(client));
+        let kept: Option<KeptSession> = kept.and_then(|bytes| read_snapshot(&bytes).ok());
+        let is_same = |kept: &KeptSession| {
+            kept.policy == self.policy.sha256
+                && kept.question == question
+                && plan.incarnation.is_some()
+        };
+        let now = self.clock.now();
+        let make = |id, plan| LiveSession::new(id, plan, &self.policy, &self.decider, now);
+        if let Some(kept) = kept.filter(is_same) {
+            let mut session = make(kept.id, plan.clone());
+            if session.restore(kept.snapshot) {
+                notes.push("the session goes on where it was".to_owned());
+                return (session, notes);
+            }
+        }
+        self.n_opened += 1;
+        let id = self.own.0.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(self.n_opened);
+        (make(format!("{:08x}", id as u32), plan), notes)
+    }
+
+    /// Tells whether the client of a session is there.
+    fn is_there(&self, client: &ClientName, registered: &Registered) -> bool {
+        if let Some(start) = registered.incarnation {
+            return self.present.get(client).is_some_and(|starts| starts.contains(&start));
+        }
+        // One that shows no presence is there as long as it says something.
+        let quiet = [LiveState::Waiting, LiveState::Lost, LiveState::Closed];
+        !quiet.contains(&registered.state)
+    }
+
+    fn idlest_thread(&self) -> usize {
+        let n_of = |thread: &usize| self.open.values().filter(|it| it.thread == *thread).count();
+        (0..self.threads.len()).min_by_key(n_of).unwrap_or(0)
+    }
+
+    fn note(&mut self, report: ThreadReport) {
+        match report {
+            ThreadReport::Over { client, id } => {
+                if self.open.get(&client).is_some_and(|registered| registered.id == id) {
+                    self.open.remove(&client);
+                    info!(%client, session = id, "a session is over");
+                }
+            }
+            ThreadReport::State { client, id, state, snapshot } => {
+                let Some(registered) = self.open.get_mut(&client) else { return };
+                if registered.id != id {
+                    return;
+                }
+                registered.state = state;
+                let Some(store) = &self.settings.store else { return };
+                let kept = KeptSession {
+                    id,
+                    policy: self.policy.sha256.clone(),
+                    question: registered.question.clone(),
+                    snapshot: *snapshot,
+                };
+                let mut bytes = Vec::new();
+                write_snapshot(&kept, &mut bytes);
+                if let Err(error) = store.keep(&client, &bytes)
+                    && !std::mem::replace(&mut self.is_store_told, true)
+                {
+                    warn!(%error, "the state of sessions cannot be kept; they will not survive this process");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! A policy with everything that it needs to speak: its half of the task, its choices, its words.
+
+use std::sync::Arc;
+
+use leadtime_episodes::Choice;
+use leadtime_numerics::Pcg64;
+use leadtime_policy::{ActionDistribution, Parameters, Policy};
+use leadtime_proto::{Mask, PolicySpec};
+use leadtime_sims::notifier::Session;
+use leadtime_sims::{Environment, Quantity};
+use leadtime_taxonomy::{Taxonomy, Topic};
+use thiserror::Error;
+
+/// Why a policy cannot go to work.
+#[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
+pub enum UnfitPolicy {
+    #[error(
+        "nobody is spoken to in `{0}`: a notifier of the piloting, driving or cooking task, or of your own, is needed"
+    )]
+    NoNotifier(String),
+    #[error("there are no sentences for the topics of `{0}`; --voice none works without words")]
+    NoWords(String),
+    #[error(transparent)]
+    Policy(#[from] leadtime_policy::Error),
+}
+
+/// A policy that is ready to speak.
+#[derive(Clone, Debug)]
+pub struct WorkingPolicy {
+    /// The task's name.
+    pub domain: String,
+    /// The notifier before its first episode.
+    pub session: Session,
+    /// SHA-256 over its file, in hexadecimal.
+    pub sha256: String,
+    /// Optimiser iterations that made it.
+    pub n_updates: u64,
+    /// One observation's numbers.
+    observation: Vec<Quantity>,
+    taxonomy: Option<Arc<Taxonomy>>,
+    decider: LiveDecider,
+}
+
+impl WorkingPolicy {
+    /// Joins a policy with its task and its words; `taxonomy` is `None` for a notifier without words.
+    ///
+    /// # Errors
+    ///
+    /// [`UnfitPolicy`] if nobody is spoken to in the task, if the words are about other topics, or if the parameters are of
+    /// another network.
+    pub fn new(
+        domain: &str,
+        environment: &dyn Environment,
+        spec: &PolicySpec,
+        parameters: &Parameters,
+        choice: Choice,
+        taxonomy: Option<Taxonomy>,
+    ) -> Result<Self, UnfitPolicy> {
+        let session = environment.session();
+        let session = session.ok_or_else(|| UnfitPolicy::NoNotifier(domain.to_owned()))?;
+        if let Some(taxonomy) = &taxonomy {
+            let about = taxonomy.expect_topics(session.topics());
+            about.map_err(|_other| UnfitPolicy::NoWords(domain.to_owned()))?;
+        }
+        let mut observation = environment.describe().observation.frame;
+        observation.truncate(session.obs_dim());
+        Ok(Self {
+            domain: domain.to_owned(),
+            decider: LiveDecider::new(spec, parameters, choice)?,
+            session,
+            sha256: String::new(),
+            n_updates: 0,
+            observation,
+            taxonomy: taxonomy.map(Arc::new),
+        })
+    }
+
+    /// Says which file it is of, and how many optimiser iterations made it.
+    pub fn of_file(self, sha256: String, n_updates: u64) -> Self {
+        Self { sha256, n_updates, ..self }
+    }
+
+    /// Returns how many numbers an observation has.
+    pub fn obs_dim(&self) -> usize {
+        self.session.obs_dim()
+    }
+
+    /// Says what each number of an observation is.
+    pub fn observation(&self) -> &[Quantity] {
+        &self.observation
+    }
+
+    /// Returns the words, if there are any.
+    pub fn taxonomy(&self) -> Option<Arc<Taxonomy>> {
+        self.taxonomy.clone()
+    }
+
+    /// Counts the sentences.
+    pub fn n_sentences(&self) -> usize {
+        let of_topic = |topic: &Topic| topic.cells().map(|(_, list)| list.len()).sum::<usize>();
+        self.taxonomy.iter().flat_map(|taxonomy| taxonomy.topics()).map(of_topic).sum()
+    }
+
+    /// Returns what decides: one per thread, because it thinks in memory of its own.
+    pub fn decider(&self) -> LiveDecider {
+        self.decider.clone()
+    }
+}
+
+/// What decides.
+#[derive(Clone, Debug)]
+pub struct LiveDecider {
+    policy: Policy,
+    distribution: ActionDistribution,
+    choice: Choice,
+    logits: Vec<f32>,
+}
+
+impl LiveDecider {
+    fn new(
+        spec: &PolicySpec,
+        parameters: &Parameters,
+        choice: Choice,
+    ) -> Result<Self, leadtime_policy::Error> {
+        let policy = Policy::new(spec, parameters)?;
+        let distribution = ActionDistribution::new(&spec.actions, spec.head_credit);
+        let logits = vec![0.0; policy.n_choices()];
+        Ok(Self { policy, distribution, choice, logits })
+    }
+
+    /// Returns the width of the state that a session carries from step to step.
+    pub fn recurrent_dim(&self) -> usize {
+        self.policy.recurrent_dim()
+    }
+
+    /// Returns how many choices a decision has.
+    pub fn n_heads(&self) -> usize {
+        self.distribution.n_heads()
+    }
+
+    /// Decides, as in training and evaluation, bit for bit. Shapes: `row` `[row_dim]`, `choices` `[n_heads]`.
+    pub fn decide(
+        &mut self,
+        row: &[f32],
+        mask: Mask,
+        recurrent: &mut [f32],
+        draws: &mut Pcg64,
+        choices: &mut [u8],
+    ) {
+        self.policy.evaluate(row, recurrent, &mut self.logits, &mut [0.0]);
+        match self.choice {
+            Choice::Sample => self.distribution.sample(&self.logits, mask, draws, choices),
+            Choice::Greedy => self.distribution.greedy(&self.logits, mask, choices),
+        };
+    }
+}

@@ -1,0 +1,188 @@
+//! `leadtime serve`: a policy at work, speaking to robots, cars and simulators over the network.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use leadtime_certs::Role;
+use leadtime_link::live::LiveServiceLink;
+use leadtime_link::{Error as LinkError, ListenSettings};
+use leadtime_proto::ClientName;
+use leadtime_proto::phrase::counted;
+use leadtime_runs::{LoadedPolicy, Tasks, clock, write_atomically};
+use leadtime_serve::{LiveService, ServiceSettings, StateStore, WorkingPolicy};
+use leadtime_table::Table;
+use leadtime_taxonomy::{Taxonomy, shipped};
+use serde_json::{Value, json};
+
+use super::taxonomy;
+use crate::cli::{ServeArgs, VoiceKind};
+use crate::credentials::{is_wrong_input, listen_settings};
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output;
+use crate::shutdown::{Watch, watch};
+
+pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> {
+    let policy = load(tasks, args)?;
+    if args.describe {
+        describe(&policy, args.json);
+        return Ok(());
+    }
+    let store = args.state.as_deref().map(StateDirectory::open).transpose();
+    let store = store.context("--state").blame(ExitCode::WrongInput)?;
+    let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
+    let settings = listen_settings(&args.listen, &args.connect, &args.guard, Role::Service);
+    let settings: ListenSettings = settings.blame(ExitCode::WrongInput)?;
+    let own = clock::incarnation();
+    let opened = LiveServiceLink::open(&settings, &args.service, own).await;
+    let (link, events) = opened.map_err(failure)?;
+    if !link.others(own).await.map_err(failure)?.is_empty() {
+        let name = &args.service;
+        let sentence =
+            format!("a notifier `{name}` is at work there already: choose another --service");
+        return Err(Failure::input(sentence));
+    }
+    let (domain, service) = (policy.domain.clone(), &args.service);
+    let sentences = counted(policy.n_sentences(), "sentence");
+    let locators = link.locators().join(", ");
+    let service_settings = ServiceSettings {
+        max_sessions: args.max_sessions as usize,
+        seed: args.seed,
+        spins: !args.no_spin,
+        store,
+    };
+    let notifier = LiveService::new(policy, service_settings, (link, events), own);
+    let notifier = notifier.blame(ExitCode::Failed)?;
+    let place = if locators.is_empty() { args.connect.join(", ") } else { locators };
+    tracing::info!("notifier `{service}` for {domain}, with {sentences}, is at work at {place}");
+    notifier.run(shutdown.cancelled_owned()).await.map_err(failure)
+}
+
+/// Loads the policy with its words.
+fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Failure> {
+    let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, &args.policy, &args.set)
+        .blame(ExitCode::WrongInput)?;
+    let config = &loaded.config;
+    let environment = tasks.registry.build(&config.evaluation.task);
+    let environment = environment.blame(ExitCode::WrongInput)?;
+    let domain = config.domain.as_str();
+    let choice = args.action.unwrap_or(config.evaluation.action);
+    let words = words(args, domain)?;
+    let policy = WorkingPolicy::new(
+        domain,
+        environment.as_ref(),
+        &config.policy,
+        &loaded.parameters,
+        choice,
+        words,
+    );
+    let policy = policy.blame(ExitCode::WrongInput)?;
+    if args.voice == VoiceKind::Text && policy.n_sentences() == 0 {
+        let error = leadtime_serve::UnfitPolicy::NoWords(domain.to_owned());
+        return Err(error).blame(ExitCode::WrongInput);
+    }
+    Ok(policy.of_file(loaded.sha256.clone(), loaded.n_updates))
+}
+
+/// Returns the sentences that are asked for, or those of the domain.
+fn words(args: &ServeArgs, domain: &str) -> Result<Option<Taxonomy>, Failure> {
+    match (&args.words, args.voice) {
+        (_, VoiceKind::None) => Ok(None),
+        (Some(name), VoiceKind::Text) => taxonomy::database(name).map(Some),
+        (None, VoiceKind::Text) => Ok(shipped(domain).ok()),
+    }
+}
+
+/// Says what an observation consists of, and what can be said.
+fn describe(policy: &WorkingPolicy, as_schema: bool) {
+    if as_schema {
+        output::json(&schema(policy));
+        return;
+    }
+    let bound = |bound: f32| {
+        if bound.is_finite() { bound.to_string() } else { String::new() }
+    };
+    let head = ["#", "number", "least", "greatest", "meaning"];
+    let mut table = Table::new(head).left(&[1, 4]).elastic(4);
+    for (i, quantity) in policy.observation().iter().enumerate() {
+        let [low, high] = quantity.range.map(bound);
+        table.push([i.to_string(), quantity.name.clone(), low, high, quantity.meaning.clone()]);
+    }
+    let (domain, n) = (&policy.domain, policy.obs_dim());
+    output::line(&format!("One observation of {domain}: {}\n", counted(n, "number")));
+    output::line(table.text().trim_end());
+    output::line(&format!("\nTopics: {}", policy.session.topics().join(", ")));
+}
+
+/// Describes an observation as a JSON Schema.
+fn schema(policy: &WorkingPolicy) -> Value {
+    let number = |quantity: &leadtime_sims::Quantity| {
+        let mut number =
+            json!({"type": "number", "title": quantity.name, "description": quantity.meaning});
+        for (key, bound) in ["x-low", "x-high"].into_iter().zip(quantity.range) {
+            if bound.is_finite() {
+                number[key] = json!(bound);
+            }
+        }
+        number
+    };
+    let n = policy.obs_dim();
+    json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": format!("observation of {}", policy.domain),
+        "type": "object",
+        "required": ["seq", "t", "obs"],
+        "additionalProperties": false,
+        "properties": {
+            "seq": {"type": "integer", "minimum": 0},
+            "t": {"type": "number", "minimum": 0, "description": "the client's own clock, in seconds"},
+            "obs": {
+                "type": "array",
+                "prefixItems": policy.observation().iter().map(number).collect::<Vec<_>>(),
+                "minItems": n,
+                "maxItems": n,
+            },
+            "episode": {"type": "integer", "minimum": 0},
+            "end": {"type": "boolean"},
+            "facts": {"type": "array", "items": {"type": "string"}, "maxItems": 64},
+        },
+    })
+}
+
+/// A directory with a file for every client.
+#[derive(Debug)]
+struct StateDirectory(PathBuf);
+
+impl StateDirectory {
+    fn open(path: &Path) -> anyhow::Result<Arc<dyn StateStore>> {
+        fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))?;
+        let probe = path.join(".probe");
+        let written = fs::write(&probe, b"").and_then(|()| fs::remove_file(&probe));
+        written.with_context(|| format!("cannot write into {}", path.display()))?;
+        Ok(Arc::new(Self(path.to_owned())))
+    }
+
+    fn file(&self, client: &ClientName) -> PathBuf {
+        self.0.join(format!("{client}.session"))
+    }
+}
+
+impl StateStore for StateDirectory {
+    fn keep(&self, client: &ClientName, state: &[u8]) -> std::io::Result<()> {
+        write_atomically(&self.file(client), state)
+    }
+
+    fn find(&self, client: &ClientName) -> Option<Vec<u8>> {
+        fs::read(self.file(client)).ok()
+    }
+}
+
+fn failure(error: LinkError) -> Failure {
+    let is_input = is_wrong_input(&error)
+        || matches!(
+            error,
+            LinkError::AddressInUse(_) | LinkError::NotASocket(_) | LinkError::Listen { .. }
+        );
+    Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
+}

@@ -1,0 +1,57 @@
+"""A robot that is spoken to: sends what it sees, prints what its person is told, and why nobody speaks.
+
+    pip install eclipse-zenoh==1.10.2
+    leadtime serve deploy/policies/piloting.safetensors --listen tcp/127.0.0.1:7448
+    python3 examples/live/client.py tcp/127.0.0.1:7448
+"""
+import json
+import math
+import random
+import sys
+import time
+
+import zenoh
+
+ENDPOINT = sys.argv[1]
+STEP = float(sys.argv[2]) if len(sys.argv) > 2 else 0.3
+CLIENT, KEY = "robot-1", "leadtime/live/1/notifier/robot-1"
+START = f"{random.getrandbits(64):016x}"
+
+
+def seen(step):
+    """What a lander sees that drifts down: x, y, their speeds, tilt, spin, legs."""
+    x = 0.4 * math.sin(step / 15)
+    return [x, max(0.0, 1.4 - step / 80), 0.1 * math.cos(step / 15), -0.2, 0.0, 0.0, 0.0, 0.0]
+
+
+def on_say(sample):
+    said = json.loads(sample.payload.to_string())
+    if said["event"] == "start":
+        print(f"{said['step']:3}  {said['text']}  ({said['topic']}, understood after {said['k']} of {said['l']} words)")
+    elif said["event"] == "cut":
+        print(f"{said['step']:3}  ... cut after {said['heard']} words")
+
+
+def on_status(sample):
+    status = json.loads(sample.payload.to_string())
+    if status["state"] in ("stale", "lost", "closed") or status["told"]:
+        print(f"     {status['state']}: {status['why']} {status['told']}")
+
+
+config = zenoh.Config.from_json5(json.dumps({
+    "mode": "client", "connect": {"endpoints": [ENDPOINT]}, "scouting": {"multicast": {"enabled": False}}}))
+with zenoh.open(config) as session:
+    session.liveliness().declare_token(f"{KEY}/alive/{START}")
+    session.declare_subscriber(f"{KEY}/say", on_say)
+    session.declare_subscriber(f"{KEY}/status", on_status)
+    question = {"protocol": 1, "domain": "lander", "seconds_per_step": STEP, "incarnation": START, "seed": 1}
+    (reply,) = session.get(f"{KEY}/open", payload=json.dumps(question))
+    if reply.ok is None:
+        sys.exit(f"refused: {reply.err.payload.to_string()}")
+    answer = json.loads(reply.ok.payload.to_string())
+    print(f"session {answer['session']}: {answer['obs_dim']} numbers, topics {', '.join(answer['topics'])}")
+    sights = session.declare_publisher(
+        f"{KEY}/obs", encoding="application/json", priority=zenoh.Priority.REAL_TIME, express=True)
+    for step in range(100):
+        sights.put(json.dumps({"seq": step + 1, "t": time.monotonic(), "obs": seen(step), "end": step == 99}))
+        time.sleep(STEP)

@@ -1,0 +1,420 @@
+//! A notifier at work, through the program: who is let in, what is said, and that nothing stale ever is.
+
+use std::time::{Duration, Instant};
+
+use leadtime_link::live::{ClientPort, LiveClientLink, LiveMessage};
+use leadtime_link::{ConnectSettings, Error as LinkError};
+use leadtime_proto::{ClientName, Incarnation, ServiceName};
+use leadtime_serve::observation::{ObservationHead, write_json, write_raw};
+use leadtime_serve::{HeardSay, SayEvent};
+use serde_json::{Value, json};
+use tokio::runtime::{Builder, Runtime};
+
+use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words, wait_until};
+
+/// The exit codes of wrong input and of a peer that is not there.
+const WRONG_INPUT: i32 = 2;
+const PEER_LOST: i32 = 3;
+/// How long a step takes, in seconds, where nothing depends on it.
+const STEP: f64 = 0.05;
+
+fn policy() -> String {
+    repository("deploy/policies/piloting.safetensors")
+}
+
+/// Starts a notifier and waits until it is at work.
+fn serve(place: &Place, more: &str) -> Running {
+    let notifier = place.start(&["serve", &policy(), "--listen", &place.endpoint("n"), more]);
+    wait_for_words(&notifier, "is at work");
+    notifier
+}
+
+/// A client that does what a test wants.
+struct Client {
+    runtime: Runtime,
+    link: LiveClientLink,
+    port: ClientPort,
+    start: Incarnation,
+    began: Instant,
+    seq: u64,
+    /// What was sent under a number, and when.
+    sent: Vec<(u64, Instant)>,
+    says: Vec<(Instant, HeardSay)>,
+    statuses: Vec<Value>,
+}
+
+impl Client {
+    fn connect(place: &Place, name: &str, start: u64) -> Self {
+        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let endpoint = place.endpoint("n").parse().unwrap();
+        let settings =
+            ConnectSettings { timeout: PATIENCE, ..ConnectSettings::new(vec![endpoint]) };
+        let (service, name) =
+            (ServiceName::new("notifier").unwrap(), ClientName::new(name).unwrap());
+        let (link, port) = runtime.block_on(async {
+            let link = LiveClientLink::open(&settings).await.unwrap();
+            link.find(&service).await.unwrap();
+            let port = link.port(&service, &name, Incarnation(start)).unwrap();
+            (link, port)
+        });
+        let (start, began) = (Incarnation(start), Instant::now());
+        let (sent, says, statuses) = (Vec::new(), Vec::new(), Vec::new());
+        Self { runtime, link, port, start, began, seq: 0, sent, says, statuses }
+    }
+
+    /// Asks for a session; returns the answer, or the sentence that says no.
+    fn open(&self, more: &Value) -> Result<Value, String> {
+        let mut question = json!({
+            "protocol": 1,
+            "domain": "lander",
+            "seconds_per_step": STEP,
+            "incarnation": format!("{:016x}", self.start.0),
+        });
+        for (key, value) in more.as_object().unwrap() {
+            question[key] = value.clone();
+        }
+        match self.runtime.block_on(self.port.ask(question.to_string().into_bytes())) {
+            Ok(answer) => Ok(serde_json::from_slice(&answer).unwrap()),
+            Err(LinkError::Rejected { reason, .. }) => Err(reason),
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    fn head(&mut self) -> ObservationHead {
+        self.seq += 1;
+        self.sent.push((self.seq, Instant::now()));
+        let t = self.began.elapsed().as_secs_f64();
+        ObservationHead { seq: self.seq, t, episode: 0, end: false }
+    }
+
+    /// Sends what a lander sees that comes down beside the pad.
+    fn observe(&mut self) {
+        let values = self.values();
+        let head = self.head();
+        self.port.observe(&write_json(&head, &values)).unwrap();
+    }
+
+    fn values(&self) -> [f32; 8] {
+        let step = self.seq as f32;
+        let y = (1.4 - step / 400.0).max(0.0);
+        [0.4 * (step / 15.0).sin(), y, 0.0, -0.2, 0.0, 0.0, 0.0, 0.0]
+    }
+
+    /// Takes what is told for a while.
+    fn listen(&mut self, time: Duration) {
+        let deadline = Instant::now() + time;
+        while let Some(message) = self.port.next(deadline.saturating_duration_since(Instant::now()))
+        {
+            match message {
+                LiveMessage::Say(bytes) => {
+                    self.says.push((Instant::now(), HeardSay::read(&bytes).expect("an event")));
+                }
+                LiveMessage::Status(bytes) => {
+                    self.statuses.push(serde_json::from_slice(&bytes).expect("a status"));
+                }
+                LiveMessage::ServiceHere(_) | LiveMessage::ServiceGone(_) => {}
+            }
+        }
+    }
+
+    /// Sends observations at 50 Hz for a while, and takes what is told.
+    fn watch(&mut self, time: Duration) {
+        let deadline = Instant::now() + time;
+        while Instant::now() < deadline {
+            self.observe();
+            self.listen(Duration::from_millis(20));
+        }
+    }
+
+    /// Takes what is told until a status says something.
+    #[track_caller]
+    fn listen_for(&mut self, key: &str, words: &str) {
+        let deadline = Instant::now() + PATIENCE;
+        let holds = |status: &Value| status[key].as_str().is_some_and(|text| text.contains(words));
+        while !self.statuses.iter().any(holds) {
+            let last = self.statuses.last();
+            assert!(Instant::now() < deadline, "no `{words}`; the last: {last:?}");
+            self.listen(Duration::from_millis(20));
+        }
+    }
+
+    /// Asserts of every word that was said that it was said on what was fresh, or went on because it was understood.
+    #[track_caller]
+    fn assert_fresh(&self, stale_after: f64) {
+        // What the way there and back, and a busy machine, may add.
+        const SLACK: f64 = 0.15;
+        for (at, say) in &self.says {
+            let is_word = matches!(say.event, SayEvent::Start | SayEvent::Word);
+            if !is_word {
+                continue;
+            }
+            let may_finish = say.event == SayEvent::Word && say.heard >= say.k;
+            assert!(say.age <= stale_after || may_finish, "{say:?}");
+            let sent = self.sent.iter().find(|(seq, _)| *seq == say.seq).expect("we sent it").1;
+            let age = (*at - sent).as_secs_f64();
+            assert!(age <= stale_after + SLACK || may_finish, "{age} s: {say:?}");
+        }
+    }
+
+    fn started(&self) -> usize {
+        self.says.iter().filter(|(_, say)| say.event == SayEvent::Start).count()
+    }
+}
+
+#[test]
+fn over_the_network_a_policy_is_as_good_as_in_its_evaluation_message_by_message() {
+    let place = Place::new();
+    let _notifier = serve(&place, "");
+    let to = place.endpoint("n");
+    let drive = format!("--connect {to} --clock observation --episodes 20 --json");
+    let driven = place.finish(&["drive", &policy(), &drive, "--messages-to m.jsonl"]).with_code(0);
+    let evaluated = place.finish(&["eval", &policy(), "--episodes 20 --json"]).with_code(0);
+    let measures = |of: &Value| {
+        let measures = of["comparison"]["summaries"][0]["measures"].as_array().unwrap().clone();
+        // What a policy wanted to say and could not is no message.
+        measures.into_iter().filter(|it| it["name"] != "ignored_initiations").collect::<Vec<_>>()
+    };
+    assert_eq!(measures(&driven.json()), measures(&evaluated.json()));
+    let messages = std::fs::read_to_string(place.path().join("m.jsonl")).unwrap();
+    assert!(messages.lines().count() > 40, "{messages}");
+    // The same as raw numbers.
+    let raw = format!("--connect {to} --max-speed --binary --episodes 20 --json");
+    let raw = place.finish(&["drive", &policy(), &raw]).with_code(0);
+    assert_eq!(measures(&raw.json()), measures(&evaluated.json()));
+    // And in the words of the transcript, of which the table has a column.
+    let heard = place.finish(&["eval", &policy(), "--episodes 1 --transcript"]).with_code(0).stdout;
+    let head = heard.lines().find(|line| line.contains("understands")).unwrap();
+    let (from, to) = (head.find("hears").unwrap(), head.find("understands").unwrap());
+    let column = |line: &str| line.chars().skip(from).take(to - from).collect::<String>();
+    let rows = heard.lines().skip_while(|line| *line != head).skip(1);
+    let words: Vec<String> = rows.map(|line| column(line).trim().to_owned()).collect();
+    let heard = words.iter().filter(|word| !word.is_empty()).cloned().collect::<Vec<_>>().join(" ");
+    let said = messages.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let said = said.filter(|said| said["episode"] == 0).take(3);
+    let said: Vec<String> = said.map(|said| said["text"].as_str().unwrap().to_owned()).collect();
+    assert!(heard.starts_with(&said.join(" ")), "{said:?} is not what is heard: {heard}");
+}
+
+#[test]
+fn a_world_that_goes_by_the_clock_is_kept_up_with() {
+    let place = Place::new();
+    let _notifier = serve(&place, "");
+    let to = place.endpoint("n");
+    let drive = format!("--connect {to} --seconds-per-step 0.04 --episodes 3 --json");
+    let driven = place.finish(&["drive", &policy(), &drive]).with_code(0).json();
+    let measures = driven["comparison"]["summaries"][0]["measures"].as_array().unwrap().clone();
+    let said = measures.iter().find(|it| it["name"] == "notifications").unwrap();
+    assert!(said["interval"]["estimate"].as_f64().unwrap() > 1.0, "{said}");
+}
+
+#[test]
+fn who_is_not_let_in_is_told_why() {
+    let place = Place::new();
+    let notifier = serve(&place, "--max-sessions 2");
+    let first = Client::connect(&place, "car-1", 1);
+    let answer = first.open(&json!({})).unwrap();
+    assert_eq!((&answer["obs_dim"], &answer["topics"][0]), (&json!(8), &json!("ascend")));
+    assert_eq!(answer["observation"][0]["name"], "x");
+    assert_eq!(first.open(&json!({})).unwrap()["session"], answer["session"], "asked again");
+    let second = Client::connect(&place, "car-1", 2);
+    let told = second.open(&json!({})).unwrap_err();
+    assert_eq!(
+        told,
+        "a client named `car-1` is here already; choose another name, or wait until it is gone"
+    );
+    for (question, told) in [
+        (
+            json!({"domain": "highway"}),
+            "this notifier is for lander, with 8 numbers per observation; the client is of highway",
+        ),
+        (json!({"obs_dim": 30}), "the client is of lander, with 30"),
+        (json!({"seconds_per_step": 0}), "`seconds_per_step` is 0; allowed: 0.001 to 5 seconds"),
+        (json!({"seconds_per_step": 6}), "`seconds_per_step` is 6"),
+        (json!({"protocol": 9}), "protocol 9 is asked for"),
+        (json!({"clok": "timer"}), "unknown field `clok`"),
+    ] {
+        let sentence = second.open(&question).unwrap_err();
+        assert!(sentence.contains(told), "{sentence}");
+    }
+    let other = Client::connect(&place, "car-2", 3);
+    other.open(&json!({})).unwrap();
+    let third = Client::connect(&place, "car-3", 4);
+    let told = third.open(&json!({})).unwrap_err();
+    assert_eq!(told, "2 sessions are open already; --max-sessions allows no more");
+    // The first one goes, and its name is free.
+    drop(first);
+    wait_until("the name is free", PATIENCE, || second.open(&json!({})).is_ok());
+    drop((second, other, third, notifier));
+}
+
+#[test]
+fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
+    let place = Place::new();
+    let _notifier = serve(&place, "");
+    let mut client = Client::connect(&place, "car-1", 1);
+    client.open(&json!({})).unwrap();
+    client.observe();
+    client.listen_for("state", "s");
+    let head = client.head();
+    client.port.observe(&write_json(&head, &[0.0; 7])).unwrap();
+    client.listen_for("told", "the observation has 7 numbers; 8 are expected");
+    client.port.observe(b"{\"seq\":9,\"t\":1,\"obs\":[NaN]}").unwrap();
+    client.listen_for("told", "the observation holds NaN or Infinity");
+    let (numbers, mut beside) = write_raw(&client.head(), &[0.0; 8]);
+    beside[32] ^= 1;
+    client.port.observe_raw(&numbers, &beside).unwrap();
+    client.listen_for("told", "the checksum of the observation is wrong");
+    client.port.observe_as("text/csv", b"0,1", None).unwrap();
+    client.listen_for("told", "an observation of encoding `text/csv`; known: application/json");
+    // One at a time: of several that wait only the newest is looked at.
+    for count_on in [10, -5, 3] {
+        client.seq = client.seq.strict_add_signed(count_on);
+        client.observe();
+        client.listen(Duration::from_millis(60));
+    }
+    client.listen_for("told", "came twice, with other content");
+    let last = client.statuses.last().unwrap();
+    assert_eq!((&last["out_of_order"], &last["missed"]), (&json!(1), &json!(12)), "{last}");
+    let deadline = Instant::now() + PATIENCE;
+    while client.statuses.last().unwrap()["state"] != "closed" {
+        assert!(Instant::now() < deadline);
+        client.port.observe(b"noise").unwrap();
+        client.listen(Duration::from_millis(2));
+    }
+    let why = client.statuses.last().unwrap()["why"].as_str().unwrap().to_owned();
+    assert!(why.contains("messages in a row could not be used; open a new session"), "{why}");
+    client.open(&json!({"seed": 2})).unwrap();
+}
+
+#[test]
+fn nothing_stale_is_said_under_a_flood_to_a_frozen_client_or_after_a_kill() {
+    const STALE: f64 = 0.4;
+    let place = Place::new();
+    let notifier = serve(&place, "--state state --set human.interrupt=replace");
+    let mut client = Client::connect(&place, "car-1", 1);
+    let question = json!({"stale_after": STALE, "lost_after": 1.0, "seed": 5});
+    let session = client.open(&question).unwrap()["session"].clone();
+    client.watch(Duration::from_secs(2));
+    let n_started = client.started();
+    assert!(n_started > 0, "something was said");
+
+    // Somebody else floods.
+    let rogue = Client::connect(&place, "rogue", 9);
+    rogue.open(&json!({})).unwrap();
+    let until = Instant::now() + Duration::from_secs(2);
+    while Instant::now() < until {
+        for _ in 0..200 {
+            rogue.port.observe(b"{\"seq\":1,\"t\":0,\"obs\":[]}").unwrap();
+        }
+        client.observe();
+        client.listen(Duration::from_millis(10));
+    }
+    assert!(client.started() > n_started, "it is still spoken to");
+    client.assert_fresh(STALE);
+
+    // Silence: no observation for longer than a client may be silent.
+    let last = client.sent.last().unwrap().1;
+    client.listen(Duration::from_secs(2));
+    client.assert_fresh(STALE);
+    let words = client.says.iter().filter(|(_, say)| say.event != SayEvent::End);
+    let late = words.filter(|(at, _)| (*at - last).as_secs_f64() > 1.0 + 2.0 * STEP + 0.2);
+    assert_eq!(late.count(), 0, "{:?}", client.says.last());
+    client.listen_for("state", "lost");
+
+    // The notifier is frozen: what waits in its buffers is old when it goes on.
+    client.watch(Duration::from_millis(500));
+    signal("STOP", notifier.id());
+    client.watch(Duration::from_millis(700));
+    std::thread::sleep(Duration::from_millis(900));
+    let resumed = Instant::now();
+    signal("CONT", notifier.id());
+    client.listen(Duration::from_secs(1));
+    let is_new = |(at, say): &&(Instant, HeardSay)| *at > resumed && say.event == SayEvent::Start;
+    assert_eq!(client.says.iter().find(is_new), None);
+
+    // Killed and started again, it goes on with the same session.
+    client.watch(Duration::from_millis(1_500));
+    notifier.kill();
+    drop(client.link);
+    let _again = serve(&place, "--state state --set human.interrupt=replace");
+    let seq = client.seq;
+    let mut client = Client::connect(&place, "car-1", 1);
+    let answer = client.open(&question).unwrap();
+    assert_eq!(answer["session"], session);
+    let last_seq = answer["last_seq"].as_u64().unwrap();
+    assert!(last_seq > 0 && last_seq <= seq, "{last_seq} of {seq}");
+    client.seq = seq;
+    // The client's own clock goes on.
+    client.began -= Duration::from_mins(1);
+    client.listen(Duration::from_millis(300));
+    assert_eq!(client.says, [], "nobody is spoken to before there is something new");
+    client.watch(Duration::from_secs(2));
+    assert!(client.started() > 0);
+    client.assert_fresh(STALE);
+}
+
+#[test]
+fn a_frozen_client_is_lost_and_a_restarted_one_has_a_new_session() {
+    let place = Place::new();
+    let notifier = serve(&place, "");
+    let endpoint = place.endpoint("n");
+    let drive = ["drive", &policy(), "--connect", &endpoint, "--seconds-per-step 0.1"];
+    let frozen = place.start(&drive);
+    wait_for_words(&frozen, "the notifier listens");
+    // Another client sees what is told to it.
+    let mut witness = Client::connect(&place, "drive", 7);
+    witness.listen_for("state", "speaking");
+    signal("STOP", frozen.id());
+    let stopped = Instant::now();
+    witness.statuses.clear();
+    witness.says.clear();
+    witness.listen_for("state", "stale");
+    assert!(stopped.elapsed() < Duration::from_millis(1_500), "{:?}", stopped.elapsed());
+    witness.listen_for("state", "lost");
+    for (_, say) in &witness.says {
+        let may = say.age <= 0.5 || say.event != SayEvent::Start;
+        assert!(may, "{say:?}");
+    }
+    // Its presence lasts until the network notices, and so does its name.
+    wait_until("it is gone", PATIENCE, || witness.open(&json!({})).is_ok());
+    assert!(stopped.elapsed() < Duration::from_secs(8), "{:?}", stopped.elapsed());
+    signal("CONT", frozen.id());
+    drop((frozen, notifier));
+}
+
+#[test]
+fn a_notifier_that_cannot_work_says_so_in_one_sentence() {
+    let place = Place::new();
+    let refused = |args: &[&str], told: &[&str]| {
+        place.finish(args).with_code(WRONG_INPUT).saying(told);
+    };
+    let listen = format!("--listen {}", place.endpoint("n"));
+    let file = place.write("p.safetensors", "no policy");
+    refused(&["serve", &file, &listen], &["is not a policy of Leadtime: it is text"]);
+    refused(&["serve nothing", &listen], &["`nothing` is no policy file"]);
+    refused(&["serve", &policy()], &["--listen"]);
+    refused(&["serve", &policy(), &listen, "--max-sessions 65"], &["65", "1..=64"]);
+    refused(&["serve", &policy(), &listen, "--service A/b"], &["not a valid service name"]);
+    refused(&["serve", &policy(), &listen, "--words highway"], &["no sentences for the topics"]);
+    let state = place.write("state", "a file");
+    refused(&["serve", &policy(), &listen, "--state", &state], &["--state", "cannot make"]);
+    place.finish(&["up -c cartpole --steps 2000 --name pole"]).with_code(0);
+    refused(&["serve pole", &listen], &["nobody is spoken to in `cartpole`"]);
+    place
+        .finish(&["drive lander --connect 127.0.0.1:1 --connect-timeout 200ms"])
+        .with_code(PEER_LOST)
+        .saying(&["no notifier can be reached"]);
+
+    let _notifier = serve(&place, "");
+    refused(&["serve", &policy(), &listen], &["is in use"]);
+    let to = place.endpoint("n");
+    let told = ["this notifier is for lander", "the client is of highway"];
+    place.finish(&["drive highway --connect", &to]).with_code(PEER_LOST).saying(&told);
+    let told = ["no notifier `other` is at work", "there: `notifier`"];
+    let other = "--service other --connect-timeout 300ms";
+    place.finish(&["drive lander --connect", &to, other]).with_code(PEER_LOST).saying(&told);
+    let described = place.finish(&["serve", &policy(), "--describe --json"]).with_code(0).json();
+    assert_eq!(described["properties"]["obs"]["maxItems"], 8);
+    let quiet = place.finish(&["serve", &policy(), "--describe"]).with_code(0).stdout;
+    assert!(quiet.contains("Topics: ascend, shift_left, shift_right, descend"), "{quiet}");
+}
