@@ -31,7 +31,6 @@ import sys
 import threading
 import time
 import traceback
-import warnings
 
 VERSION = 1
 HELLO, BEGIN, STEP, STEPPED, SNAPSHOT, SNAPSHOTTED, LOG, FAILED, ALIVE = range(1, 10)
@@ -108,7 +107,7 @@ def sentence(error):
     where = "".join(f" ({os.path.basename(frame.filename)}:{frame.lineno})" for frame in place)
     if isinstance(error, ImportError) and not own:
         where = ""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
+    return ": ".join(filter(None, (type(error).__name__, " ".join(str(error).split())))) + where
 
 
 # --- What environments look like -----------------------------------------------------------------------------------------
@@ -463,7 +462,6 @@ def main(arguments):
     logging.getLogger().addHandler(LogHandler(connection))
     logging.getLogger().setLevel(logging.INFO)
     logging.captureWarnings(True)
-    warnings.simplefilter("once")
     try:
         config = json.loads(os.environ["LEADTIME_WORKER_CONFIG"])
         try:

@@ -169,6 +169,11 @@ impl Registry {
         self.entries.get(domain).is_some_and(|entry| entry.has_map)
     }
 
+    /// Tells whether a task may have to find out what it is before it is built.
+    pub fn asks(&self, domain: &str) -> bool {
+        self.entries.get(domain).is_some_and(|entry| entry.completer.is_some())
+    }
+
     /// Returns a task with complete settings, where something is missing that only the task itself can say.
     ///
     /// # Errors

@@ -92,6 +92,11 @@ impl Catalog {
         Some(Layer::text(format!("built-in configuration `{name}`"), text))
     }
 
+    /// Returns the domain that a configuration is about; `None` if there is none of that name.
+    pub fn domain(&self, name: &str) -> Option<String> {
+        domain_of(&self.chain(name, "domain").ok()?).ok()
+    }
+
     /// Returns a configuration as one complete file, with comments; `None` if there is none of that name.
     ///
     /// # Errors

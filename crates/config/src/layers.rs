@@ -232,7 +232,10 @@ fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Resu
         let is_table = value.get_ref().is_table();
         match (base.get_mut(name.as_ref()).map(Spanned::get_mut), value.into_inner()) {
             (Some(DeValue::Table(below)), DeValue::Table(above))
-                if is_root || name == SUBSECTION || name == OPEN || !is_other_choice(below, &above) =>
+                if is_root
+                    || name == SUBSECTION
+                    || name == OPEN
+                    || !is_other_choice(below, &above) =>
             {
                 overlay(below, above, false)?;
             }

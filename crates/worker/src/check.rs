@@ -159,7 +159,8 @@ fn difference(first: &[StepRow], second: &[StepRow]) -> Option<(usize, String)> 
     let bits = |values: &[f32]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
     let mut rows = first.iter().zip(second).enumerate();
     rows.find_map(|(step, (a, b))| {
-        let observed = bits(&a.observation).iter().zip(&bits(&b.observation)).position(|(a, b)| a != b);
+        let observed =
+            bits(&a.observation).iter().zip(&bits(&b.observation)).position(|(a, b)| a != b);
         let what = if let Some(i) = observed {
             format!("observation[{i}], {} and {},", a.observation[i], b.observation[i])
         } else if a.reward.to_bits() != b.reward.to_bits() {

@@ -24,7 +24,7 @@ fn build(workers: &Workers, text: &str) -> Result<Box<dyn Environment>, TaskErro
     let settings = settings(text)?;
     let launch = workers.launch(&settings);
     let world = match &settings.spec {
-        SpecSetting::Ask => workers.start(&launch?)?,
+        SpecSetting::Ask => workers.ask(&launch?)?,
         SpecSetting::Known(world) => {
             let world = world.clone();
             if workers.starts_at_once() {
@@ -44,7 +44,7 @@ fn complete(workers: &Workers, text: &str) -> Result<Option<String>, TaskError> 
     if world.spec != SpecSetting::Ask {
         return Ok(None);
     }
-    world.spec = SpecSetting::Known(workers.start(&workers.launch(&world)?)?);
+    world.spec = SpecSetting::Known(workers.ask(&workers.launch(&world)?)?);
     let written = serde_json::to_string(&WorldOnly { world });
     written.map(Some).map_err(|source| TaskError::Settings { domain: DOMAIN, source })
 }

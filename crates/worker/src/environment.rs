@@ -57,9 +57,10 @@ impl PythonEnvironment {
     /// Finds a worker, unless there is one.
     fn find_place(&mut self) -> Option<&Place> {
         if self.place.is_none() && self.failure.is_none() {
-            let found = self.launch.as_ref().map_err(Clone::clone).and_then(|launch| {
-                self.workers.reserve(launch).map_err(|error| error.to_string())
-            });
+            let found =
+                self.launch.as_ref().map_err(Clone::clone).and_then(|launch| {
+                    self.workers.reserve(launch).map_err(|error| error.to_string())
+                });
             match found {
                 Ok(place) => self.place = Some(place),
                 Err(reason) => self.failure = Some(reason),

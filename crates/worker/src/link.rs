@@ -54,8 +54,8 @@ impl Link {
     /// [`Error`] if it does not begin, or steps other environments than it should.
     pub(crate) fn start(launch: Launch) -> Result<Self, Error> {
         let started = WorkerProcess::start(&launch)?;
-        let (process, hello) = started
-            .map_err(|reason| Error::Start { command: launch.command.clone(), reason })?;
+        let (process, hello) =
+            started.map_err(|reason| Error::Start { command: launch.command.clone(), reason })?;
         let shape = launch.check(&hello)?;
         Ok(Self {
             hello,
@@ -350,8 +350,7 @@ impl Link {
         let now = Instant::now();
         self.deaths.push_back(now);
         self.deaths.retain(|death| now.saturating_duration_since(*death) < DEATH_WINDOW);
-        let (n_deaths, can_go_on) =
-            (self.deaths.len(), self.launch.snapshot != SnapshotKind::None);
+        let (n_deaths, can_go_on) = (self.deaths.len(), self.launch.snapshot != SnapshotKind::None);
         if can_go_on && n_deaths < MAX_DEATHS {
             return true;
         }

@@ -105,20 +105,20 @@ impl Workers {
         Ok(Launch::new(settings, command))
     }
 
-    /// Makes sure that there is a worker, and returns what its environments look like.
-    pub(crate) fn start(&self, launch: &Launch) -> Result<WorldSpec, Error> {
+    /// Makes sure that there is a worker.
+    pub(crate) fn start(&self, launch: &Launch) -> Result<(), Error> {
         let mut links = lock(&self.0.links);
-        for link in links.iter() {
-            let link = lock(link);
-            if link.launch().is_like(launch) {
-                launch.check(link.hello())?;
-                return Ok(link.hello().world.clone());
-            }
+        if let Some(world) = known(&links, launch) {
+            return world.map(drop);
         }
-        let link = start(launch)?;
-        let world = link.hello().world.clone();
-        links.push(Arc::new(Mutex::new(link)));
-        Ok(world)
+        links.push(Arc::new(Mutex::new(start(launch)?)));
+        Ok(())
+    }
+
+    /// Asks a worker what its environments look like; one that had to be started for it is not kept.
+    pub(crate) fn ask(&self, launch: &Launch) -> Result<WorldSpec, Error> {
+        let known = known(&lock(&self.0.links), launch);
+        known.unwrap_or_else(|| Ok(start(launch)?.hello().world.clone()))
     }
 
     /// Reserves an environment: of the worker that has the fewest, or of a new one.
@@ -157,6 +157,14 @@ impl Workers {
     pub fn process_ids(&self) -> Vec<u32> {
         lock(&self.0.links).iter().filter_map(|link| lock(link).process_id()).collect()
     }
+}
+
+/// Returns what the environments of a worker look like that is there already.
+fn known(links: &[SharedLink], launch: &Launch) -> Option<Result<WorldSpec, Error>> {
+    links.iter().map(|link| lock(link)).find(|link| link.launch().is_like(launch)).map(|link| {
+        launch.check(link.hello())?;
+        Ok(link.hello().world.clone())
+    })
 }
 
 /// Starts a worker, and sees whether pickles of its environments are what they seem.

@@ -25,14 +25,17 @@ use crate::protocol::{
 const SOCKET_VARIABLE: &str = "LEADTIME_WORKER_SOCKET";
 /// How it learns what to make.
 const CONFIG_VARIABLE: &str = "LEADTIME_WORKER_CONFIG";
+/// Under which name the log has what workers say.
+const LOG_TARGET: &str = "leadtime::worker";
 /// How often time-outs are looked at while nothing comes.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Pause between two looks whether a worker has connected.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
 /// Lines that are kept.
 const KEPT_LINES: usize = 20;
-/// Lines that are logged in a second; a program that prints in every step is not to fill a disk.
-const LINES_PER_SECOND: u32 = 10;
+/// Lines that are logged in a second: a program that prints in every step is not to fill a disk, and one that fails is to be
+/// quoted whole.
+const LINES_PER_SECOND: u32 = 40;
 /// How long a dead worker's last words are waited for.
 const LAST_WORDS: Duration = Duration::from_millis(500);
 /// The longest temporary directory that leaves room for a socket's name.
@@ -150,9 +153,9 @@ impl WorkerProcess {
         let (limit, id) = (&mut self.limit, self.child.id());
         let aside = |aside| match aside {
             Aside::Log { level, text } if limit.admits() => match level {
-                0 => debug!(worker = id, "{text}"),
-                1 => info!(worker = id, "{text}"),
-                _ => warn!(worker = id, "{text}"),
+                0 => debug!(target: LOG_TARGET, worker = id, "{text}"),
+                1 => info!(target: LOG_TARGET, worker = id, "{text}"),
+                _ => warn!(target: LOG_TARGET, worker = id, "{text}"),
             },
             Aside::Log { .. } => {}
             Aside::Failed { slot, text } => failed((slot, text)),
@@ -241,7 +244,7 @@ impl Words {
                     continue;
                 }
                 if limit.admits() {
-                    info!(target: "leadtime::worker", "{text}");
+                    info!(target: LOG_TARGET, "{text}");
                 }
                 let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
                 if kept.len() == KEPT_LINES {

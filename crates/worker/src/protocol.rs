@@ -241,7 +241,8 @@ pub fn read_stepped(
         let of_row = &observations[i * 4 * shape.obs_dim..][..4 * shape.obs_dim];
         floats(of_row, &mut row.observation);
         row.reward = float(&rewards[4 * i..]);
-        row.mask = masks[8 * i..][..8].iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
+        row.mask =
+            masks[8 * i..][..8].iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
         (row.end, row.has_failed) = match ends[i] {
             0 => (None, false),
             1 => (Some(End::Terminated), false),
@@ -400,7 +401,12 @@ impl<R: Read> FrameReader<R> {
     }
 
     /// Reads until the next `n` bytes are there.
-    fn fill(&mut self, n: usize, deadline: Instant, timeout: Duration) -> Result<(), ProtocolError> {
+    fn fill(
+        &mut self,
+        n: usize,
+        deadline: Instant,
+        timeout: Duration,
+    ) -> Result<(), ProtocolError> {
         if self.at > 0 && self.buffer.len() - self.at < n {
             self.buffer.drain(..self.at);
             self.at = 0;
@@ -488,7 +494,10 @@ mod tests {
     #[test]
     fn an_answer_is_read_to_the_last_byte() {
         let rows = rows(&stepped()).unwrap();
-        assert_eq!((&*rows[0].observation, rows[0].reward, rows[0].end), (&[1.0, 2.0][..], 0.5, None));
+        assert_eq!(
+            (&*rows[0].observation, rows[0].reward, rows[0].end),
+            (&[1.0, 2.0][..], 0.5, None)
+        );
         assert_eq!((rows[0].mask, rows[1].mask), (u64::MAX, 5));
         assert_eq!(rows[1].end, Some(End::Truncated));
         assert_eq!((&*rows[1].last_observation, &*rows[1].metrics), (&[7.0, 8.0][..], &[1.0][..]));

@@ -154,7 +154,10 @@ impl WorldSpec {
             heads.collect::<Vec<_>>().join(", ")
         };
         if self.obs_dim != found.obs_dim {
-            return Some(format!("observations of {} numbers, not {}", found.obs_dim, self.obs_dim));
+            return Some(format!(
+                "observations of {} numbers, not {}",
+                found.obs_dim, self.obs_dim
+            ));
         }
         if self.heads != found.heads {
             return Some(format!("heads {}, not {}", heads(found), heads(self)));
@@ -199,7 +202,8 @@ mod tests {
         assert_eq!(refused(|it| it.metrics = vec![String::new()]), "world.metrics");
         let heads = |it: &mut PythonSettings| {
             let heads = vec![Head { name: "a".to_owned(), n_choices: 65 }];
-            it.spec = SpecSetting::Known(WorldSpec { obs_dim: 1, heads, versions: BTreeMap::new() });
+            it.spec =
+                SpecSetting::Known(WorldSpec { obs_dim: 1, heads, versions: BTreeMap::new() });
         };
         assert_eq!(refused(heads), "world.spec.heads");
     }

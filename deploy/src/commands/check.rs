@@ -85,7 +85,8 @@ fn compare_workers(tasks: &Tasks, task: &TaskSpec) -> anyhow::Result<usize> {
     if task.domain != leadtime_worker::DOMAIN {
         return Ok(0);
     }
-    let settings: WorldOnly<PythonSettings> = registry::read(leadtime_worker::DOMAIN, &task.settings)?;
+    let settings: WorldOnly<PythonSettings> =
+        registry::read(leadtime_worker::DOMAIN, &task.settings)?;
     let found = check_worker(&tasks.workers, &settings.world)?;
     report("packages", &found.versions.join(", "));
     let n_steps = found.n_steps;
