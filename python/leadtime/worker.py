@@ -164,46 +164,47 @@ def decoder(space, spaces, np):
 
 
 class Flattener:
-    """Writes observations as rows of numbers."""
+    """Makes rows of 32-bit numbers of observations."""
 
     def __init__(self, space, spaces, np):
-        self.space, self.np, self.told = space, np, set()
+        self.space, self.np, self.dtype = space, np, np.dtype(np.float32)
         try:
             self.dim = spaces.flatdim(space)
         except (NotImplementedError, ValueError):
             raise Refused(f"the observation space is {space}; possible are Box, Discrete, MultiDiscrete, MultiBinary, and Dict or "
                           "Tuple of these") from None
-        self.flatten = None if isinstance(space, spaces.Box) else spaces.flatten
-        self.bounds = None
-        if isinstance(space, spaces.Box):
-            self.bounds = space.low.flatten().astype(np.float32), space.high.flatten().astype(np.float32)
+        is_box = isinstance(space, spaces.Box)
+        self.flatten = None if is_box else spaces.flatten
+        self.shape, self.nothing = (self.dim,), np.zeros(self.dim, np.float32)
+        self.watches, self.told = is_box, False
+        if is_box:
+            self.low, self.high = (bound.flatten().astype(np.float32) for bound in (space.low, space.high))
+            self.watches = bool(np.isfinite(self.low).any() or np.isfinite(self.high).any())
             if len(space.shape) != 1:
                 logging.info("observations of shape %s are flattened to %d numbers", space.shape, self.dim)
 
-    def write(self, observation, row):
+    def row(self, observation):
         np = self.np
-        if self.flatten is None:
-            values = np.asarray(observation)
-            if values.shape != self.space.shape:
-                raise Refused(f"an observation has shape {values.shape}, not {self.space.shape}")
-            if values.dtype.kind not in "fiub":
-                raise Refused(f"an observation has dtype {values.dtype}, which is no number")
-            if values.dtype == np.float64 and "float64" not in self.told:
-                self.told.add("float64")
-                logging.info("observations are float64; they are used as float32")
-            row[:] = values if values.ndim == 1 else values.ravel()
-        else:
-            row[:] = self.flatten(self.space, observation)
+        if self.flatten is not None:
+            return np.asarray(self.flatten(self.space, observation), np.float32)
+        values = np.asarray(observation)
+        if values.shape != self.space.shape:
+            raise Refused(f"an observation has shape {values.shape}, not {self.space.shape}")
+        if values.dtype.kind not in "fiub":
+            raise Refused(f"an observation has dtype {values.dtype}, which is no number")
+        if values.dtype == np.float64 and not self.told:
+            self.told = True
+            logging.info("observations are float64; they are used as float32")
+        # A copy: the environment may go on writing into its own.
+        return np.array(values.ravel(), np.float32)
 
     def look(self, rows):
         """Tells once that observations leave their Box, which costs them nothing."""
-        if self.bounds is not None and "bounds" not in self.told:
-            low, high = self.bounds
-            outside = (rows < low) | (rows > high)
-            if outside.any():
-                self.told.add("bounds")
-                i = int(outside.any(axis=0).argmax())
-                logging.warning("observation[%d] leaves its Box (%g to %g), which is not told again", i, low[i], high[i])
+        outside = (rows < self.low) | (rows > self.high)
+        if outside.any():
+            self.watches = False
+            i = int(outside.any(axis=0).argmax())
+            logging.warning("observation[%d] leaves its Box (%g to %g), which is not told again", i, self.low[i], self.high[i])
 
 
 # --- How environments are made ------------------------------------------------------------------------------------------
@@ -315,12 +316,6 @@ class Worker:
                 raise Refused(f"the {kind} space is {own}, and was {space} at first")
         return told
 
-    def advance(self, env, choices):
-        told = env.step(self.decode(choices))
-        if len(told) != 5:
-            raise Refused(f"`step` returns {len(told)} values, not five: the environment needs Gymnasium 0.26 or newer")
-        return told
-
     def mask(self, info):
         offered = info.get("action_mask")
         if offered is None:
@@ -343,77 +338,98 @@ class Worker:
 
     def begin(self, body):
         n, at = struct.unpack_from("<H", body)[0], 2
-        rows, masks, ends = self.np.zeros((n, self.observe.dim), self.np.float32), [], bytearray(n)
+        rows, masks, ends = [], [], bytearray(n)
         for i in range(n):
             slot, seed, length, pickled = struct.unpack_from("<HIII", body, at)
             base, actions = body[at + 14 : at + 14 + pickled], body[at + 14 + pickled : at + 10 + length]
             at += 10 + length
-            mask = EVERYTHING
             try:
-                mask = self.restore(slot, seed, base, actions, rows[i])
+                row, mask = self.restore(slot, seed, base, actions)
             except Exception as error:
                 self.tell(slot, error)
-                ends[i] = DID_FAIL
+                row, mask, ends[i] = self.observe.nothing, EVERYTHING, DID_FAIL
+            rows.append(row)
             masks.append(mask)
-            self.rows[slot] = rows[i].copy(), mask
+            self.rows[slot] = row, mask
             self.connection.live()
-        self.connection.send(STEPPED, struct.pack("<H", n), rows.tobytes(), bytes(4 * n), bytes(ends),
-                             struct.pack(f"<{n}Q", *masks))
+        self.answer(rows, [0.0] * n, ends, masks, [])
 
-    def restore(self, slot, seed, base, actions, row):
+    def restore(self, slot, seed, base, actions):
         if base:
-            env, observation, mask = pickle.loads(base)
-            self.envs[slot] = env
-            row[:] = self.np.frombuffer(observation, self.np.float32)
+            self.envs[slot], row, mask = pickle.loads(base)
         else:
             observation, info = self.reset(slot, seed)
-            self.observe.write(observation, row)
-            mask = self.mask(info)
+            row, mask = self.observe.row(observation), self.mask(info)
         env, n_heads = self.envs[slot], len(self.heads)
         n_steps = len(actions) // n_heads
         for step in range(n_steps):
-            observation, _, terminated, truncated, info = self.advance(env, actions[step * n_heads : (step + 1) * n_heads])
+            choices = actions[step * n_heads : (step + 1) * n_heads]
+            observation, _, terminated, truncated, info = env.step(self.decode(choices))
             if terminated or truncated:
                 raise Refused(f"an episode that is played again ends after {step + 1} of {n_steps} steps: the environment does not "
                               "depend on its seed and its actions alone")
             self.connection.live()
         if n_steps:
-            self.observe.write(observation, row)
-            mask = self.mask(info)
-        return mask
+            row, mask = self.observe.row(observation), self.mask(info)
+        return row, mask
 
     def step(self, body):
         n = struct.unpack_from("<H", body)[0]
-        np = self.np
-        rows, rewards, ends, masks, rest = np.zeros((n, self.observe.dim), np.float32), [0.0] * n, bytearray(n), [EVERYTHING] * n, []
+        envs, decode, row_of, shape, monotonic = self.envs, self.decode, self.observe.row, self.observe.shape, time.monotonic
+        ndarray, float32 = self.np.ndarray, self.observe.dtype
+        rows, rewards, ends, masks, rest, last = [], [], bytearray(n), [EVERYTHING] * n, [], self.connection.last
         for i, (slot, seed, choices) in enumerate(self.step_layout.iter_unpack(memoryview(body)[2:])):
             try:
-                observation, reward, terminated, truncated, info = self.advance(self.envs[slot], choices)
-                rewards[i] = float(reward)
-                self.observe.write(observation, rows[i])
+                told = envs[slot].step(decode(choices))
+                if len(told) != 5:
+                    raise Refused(f"`step` returns {len(told)} values, not five: the environment needs Gymnasium 0.26 or newer")
+                observation, reward, terminated, truncated, info = told
+                # What most environments return is sent as it is.
+                if observation.__class__ is ndarray and observation.dtype is float32 and observation.shape == shape:
+                    row = observation
+                else:
+                    row = row_of(observation)
+                reward, ended = float(reward), b""
                 if terminated or truncated:
-                    ended = rows[i].tobytes() + self.summary(info)
+                    ended = row.tobytes() + self.summary(info)
                     observation, info = self.reset(slot, seed)
-                    self.observe.write(observation, rows[i])
+                    row = row_of(observation)
+                if "action_mask" in info:
+                    masks[i] = self.mask(info)
+                if ended:
                     rest.append(ended)
                     ends[i] = TERMINATED if terminated else TRUNCATED
-                masks[i] = self.mask(info) if "action_mask" in info else EVERYTHING
-                self.rows[slot] = rows[i], masks[i]
             except Exception as error:
                 self.tell(slot, error)
-                if ends[i]:
-                    rest.pop()
-                ends[i] = DID_FAIL
-            self.connection.live()
-        self.observe.look(rows)
-        self.connection.send(STEPPED, struct.pack("<H", n), rows.tobytes(), struct.pack(f"<{n}f", *map(within, rewards)), ends,
-                             struct.pack(f"<{n}Q", *masks), *rest)
+                row, reward, ends[i] = self.observe.nothing, 0.0, DID_FAIL
+            rows.append(row)
+            rewards.append(reward)
+            self.rows[slot] = row, masks[i]
+            if monotonic() - last > SIGN_OF_LIFE:
+                self.connection.send(ALIVE)
+                last = self.connection.last
+        self.answer(rows, rewards, ends, masks, rest)
+
+    def answer(self, rows, rewards, ends, masks, rest):
+        n = len(rows)
+        try:
+            seen = b"".join(rows)
+        except BufferError:
+            seen = b"".join(row.tobytes() for row in rows)
+        if self.observe.watches:
+            self.observe.look(self.np.frombuffer(seen, self.np.float32).reshape(n, -1))
+        try:
+            paid = struct.pack(f"<{n}f", *rewards)
+        except OverflowError:
+            # More than a 32-bit number holds; the actor refuses it by name.
+            paid = struct.pack(f"<{n}f", *(max(min(reward, 3e38), -3e38) if reward == reward else reward for reward in rewards))
+        self.connection.send(STEPPED, struct.pack("<H", n), seen, paid, ends, struct.pack(f"<{n}Q", *masks), *rest)
 
     def snapshot(self, body):
         slot = struct.unpack_from("<H", body)[0]
         row, mask = self.rows[slot]
         try:
-            pickled = pickle.dumps((self.envs[slot], row.tobytes(), mask), pickle.HIGHEST_PROTOCOL)
+            pickled = pickle.dumps((self.envs[slot], self.np.array(row), mask), pickle.HIGHEST_PROTOCOL)
         except Exception as error:
             self.tell(slot, error)
             pickled = b""
@@ -432,11 +448,6 @@ class Worker:
             if kind is None:
                 return
             answers[kind](body)
-
-
-def within(reward):
-    """Keeps what no 32-bit number can hold from ending the worker; the actor refuses it by name."""
-    return max(min(reward, 3e38), -3e38) if reward == reward else reward
 
 
 def end_with_the_actor():

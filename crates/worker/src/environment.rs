@@ -187,7 +187,7 @@ impl Environment for PythonEnvironment {
         let possible = |action: &[u8]| {
             action.iter().zip(heads).all(|(choice, head)| usize::from(*choice) < head.n_choices)
         };
-        let fits = state.actions.len() % n_heads == 0
+        let fits = state.actions.len().is_multiple_of(n_heads)
             && state.actions.chunks_exact(n_heads).all(possible)
             && (state.base.is_empty() || self.snapshot == SnapshotKind::Pickle);
         if !fits {

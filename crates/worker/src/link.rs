@@ -105,7 +105,7 @@ impl Link {
 
     /// Lets go of one.
     pub(crate) fn release(&mut self, place: usize) {
-        if self.slots[place].progress == StepProgress::Sent {
+        if self.sent.contains(&place) {
             // The answer has to be read before anything else.
             self.settle();
         }
@@ -203,7 +203,7 @@ impl Link {
             let slot = &mut self.slots[place];
             if !row.has_failed {
                 slot.stepped(row);
-            } else if slot.is_tried_again {
+            } else if slot.progress == StepProgress::SentAgain {
                 slot.fail(failed);
             } else {
                 self.sent.push(place);
@@ -215,7 +215,7 @@ impl Link {
         }
         for &place in &self.sent {
             let slot = &mut self.slots[place];
-            slot.is_tried_again = true;
+            slot.progress = StepProgress::SentAgain;
             warn!("environment {}: {}; its step is taken again", slot.seed.env_id, slot.exception);
         }
         let again = self.sent.clone();

@@ -130,16 +130,14 @@ impl Workers {
         let free = of_kind.into_iter().filter(|link| lock(link).has_room());
         let free = free.min_by_key(|link| lock(link).n_used());
         // Another worker, as long as there are too few, unless one has nothing to do.
-        let link = match free.filter(|link| is_complete || lock(link).n_used() == 0) {
-            Some(link) => {
-                launch.check(lock(&link).hello())?;
-                link
-            }
-            None => {
-                let link = Arc::new(Mutex::new(start(launch)?));
-                links.push(Arc::clone(&link));
-                link
-            }
+        let free = free.filter(|link| is_complete || lock(link).n_used() == 0);
+        let link = if let Some(link) = free {
+            launch.check(lock(&link).hello())?;
+            link
+        } else {
+            let link = Arc::new(Mutex::new(start(launch)?));
+            links.push(Arc::clone(&link));
+            link
         };
         let index = lock(&link).reserve();
         // It has room: nobody reserves without the lock on all links.

@@ -19,6 +19,8 @@ pub(crate) enum StepProgress {
     Announced,
     /// It is with the worker.
     Sent,
+    /// It is with the worker once more, after an exception.
+    SentAgain,
     /// The row has what it has shown, and nobody has looked yet.
     Shown,
 }
@@ -45,8 +47,6 @@ pub(crate) struct Slot {
     pub(crate) progress: StepProgress,
     /// The row's observation begins an episode that nobody has asked for yet.
     pub(crate) is_ahead: bool,
-    /// The step that is under way has failed once.
-    pub(crate) is_tried_again: bool,
     /// The exception of the step that failed last.
     pub(crate) exception: String,
     /// Why it cannot be stepped any more.
@@ -66,7 +66,6 @@ impl Slot {
             row: StepRow::default(),
             progress: StepProgress::Idle,
             is_ahead: false,
-            is_tried_again: false,
             exception: String::new(),
             failure: None,
         }
@@ -96,7 +95,6 @@ impl Slot {
     pub(crate) fn stepped(&mut self, row: &mut StepRow) {
         std::mem::swap(&mut self.row, row);
         self.progress = StepProgress::Shown;
-        self.is_tried_again = false;
         self.failure = self.implausible();
         if self.row.end.is_some() {
             self.begin(self.next_seed());
@@ -116,7 +114,8 @@ impl Slot {
 
     /// Names the first number that cannot be, if there is one.
     fn implausible(&self) -> Option<String> {
-        let odd = |x: &f32| !(f64::from(*x).abs() <= MAX_MAGNITUDE);
+        let possible = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
+        let odd = |x: &f32| !possible.contains(&f64::from(*x));
         let row = &self.row;
         let named = |name: &str, values: &[f32]| {
             let i = values.iter().position(odd)?;
