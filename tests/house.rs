@@ -17,7 +17,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-taxonomy", "leadtime-link", "leadtime-policy"],
     &["leadtime-sims", "leadtime-ppo"],
     &["leadtime-lander", "leadtime-highway", "leadtime-steakhouse"],
-    &["leadtime-worlds", "leadtime-conformance"],
+    &["leadtime-worlds", "leadtime-conformance", "leadtime-worker"],
     &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts", "leadtime-serve"],
     &["leadtime-config", "leadtime-web"],

@@ -13,7 +13,7 @@ use leadtime_proto::message::{Assignment, EnvAssignment};
 use leadtime_proto::{
     EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, RunSpec, codec,
 };
-use leadtime_sims::{Environment, Registry};
+use leadtime_sims::{Environment, Registry, SnapshotError};
 use tracing::debug;
 
 use crate::Error;
@@ -65,6 +65,7 @@ impl EnvBuilder {
             }
             match ready_slot(&self.spec, self.build()?, &given) {
                 Ok(slot) => envs.restored.push((given.iteration, slot)),
+                Err(SnapshotError::Outside(reason)) => return Err(Error::Outside { reason }),
                 Err(error) => {
                     debug!(env_id = %given.env_id, %error, "snapshot not restored");
                     failed.push(given.env_id);
@@ -157,6 +158,9 @@ impl CollectWorker {
             }
             CollectJob::Collect { version, weights } => self.collect(version, &weights)?,
         };
+        if let Some((_, reason)) = self.worker.failure() {
+            return Err(Error::Outside { reason });
+        }
         let next = self.worker.next_iteration();
         Ok(Collected { rollouts, next, times: self.timer.times })
     }

@@ -38,6 +38,12 @@ pub enum Error {
         /// What is wrong with the snapshot.
         source: SnapshotError,
     },
+    /// What steps an environment outside of this process has failed.
+    #[error("{reason}")]
+    Outside {
+        /// Which environment, and what failed.
+        reason: String,
+    },
     /// The weights do not fit the policy's shape.
     #[error("the learner's weights cannot be used")]
     Policy(#[from] leadtime_policy::Error),

@@ -99,6 +99,11 @@ impl Worker {
         self.slots.values().map(|(iteration, _)| *iteration).min()
     }
 
+    /// Returns an environment that cannot be stepped any more, and why, if there is one: the rollouts of its batch mean nothing.
+    pub fn failure(&self) -> Option<(EnvId, String)> {
+        self.slots.iter().find_map(|(env_id, (_, slot))| Some((*env_id, slot.env().failure()?)))
+    }
+
     /// Collects one rollout from every environment that is at the lowest iteration.
     ///
     /// The rollouts are in the order of environment ids, and stay until the next call.

@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -16,6 +16,7 @@ use leadtime_link::Endpoint;
 use leadtime_runs::tasks::ConfigureError;
 use leadtime_runs::{Tasks, evaluation};
 use leadtime_studies::{EPISODES, EVAL_SEED};
+use leadtime_worker::{Permission, WorkerRules};
 
 use crate::exit::EXIT_CODE_HELP;
 
@@ -259,7 +260,38 @@ impl SourceArgs {
         let Self { config, set, steps, seed, runs } = self.clone();
         let name = name.map(str::to_owned);
         let source = ConfigSource { file: None, set, seed, steps, runs, name };
+        // The file and the command line are this user's own.
+        tasks.workers.permit_configured();
         tasks.configure(config.as_deref(), source)
+    }
+}
+
+/// What is executed to step the environments of a world in Python.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct WorkerArgs {
+    /// For a world in Python: start this command to step environments, instead of the configuration's.
+    #[arg(long, value_name = "COMMAND")]
+    pub worker: Option<String>,
+    /// Start the command that somebody else's configuration names, and read their pickles.
+    #[arg(long)]
+    pub trust_worker: bool,
+}
+
+impl WorkerArgs {
+    /// Returns which command is executed; `is_own` tells whether the configuration is this user's.
+    pub(crate) fn permission(&self, is_own: bool) -> Permission {
+        match &self.worker {
+            Some(command) => Permission::Own(command.clone()),
+            None if self.trust_worker || is_own => Permission::Configured,
+            None => Permission::Refused,
+        }
+    }
+
+    /// Allows what a policy needs to be played: the command of a run on this disk, but not that of a file that may come from
+    /// anywhere.
+    pub(crate) fn permit(&self, tasks: &Tasks, policy: &Path) {
+        let permission = self.permission(!policy.is_file());
+        tasks.workers.follow(WorkerRules { permission, ..WorkerRules::default() });
     }
 }
 
@@ -508,6 +540,11 @@ pub(crate) struct ActorArgs {
     /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
     #[arg(long, value_name = "ADDRESS")]
     pub status: Option<String>,
+    #[command(flatten)]
+    pub worker: WorkerArgs,
+    /// For a world in Python: workers that this actor starts, at least.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = n_processes())]
+    pub workers: u32,
     /// Stop when standard input closes: the process that started this one holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
@@ -571,6 +608,8 @@ pub(crate) struct ChoosingArgs {
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,
+    #[command(flatten)]
+    pub worker: WorkerArgs,
 }
 
 /// How a policy acts in an evaluation, and in which task.
@@ -838,6 +877,9 @@ pub(crate) enum RunsCommand {
 pub(crate) struct CheckArgs {
     #[command(flatten)]
     pub source: SourceArgs,
+    /// For a world in Python: start this command to step environments (as `--set world.worker=COMMAND`).
+    #[arg(long, value_name = "COMMAND")]
+    pub worker: Option<String>,
     /// Also connect to the learner at this address.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,

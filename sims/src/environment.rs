@@ -124,6 +124,9 @@ pub enum SnapshotError {
     /// The snapshot is of another world, or of other settings.
     #[error("snapshot does not fit this environment: {what}")]
     Mismatch { what: &'static str },
+    /// What steps the environment, outside of this process, has failed; the snapshot may be sound.
+    #[error("{0}")]
+    Outside(String),
 }
 
 /// A task that a policy can learn.
@@ -149,11 +152,26 @@ pub trait Environment: Send {
         Mask::ALL
     }
 
+    /// Told the action of the coming step, before any environment beside this one takes its own. One that is stepped in another
+    /// process sends it there, so that the steps of a batch are taken together; all others need not know.
+    fn announce(&mut self, _action: &[u8]) {}
+
     /// Takes one step (one choice per head) and writes the observation after it: the final one, if the episode ended.
     fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome;
 
     /// Writes the metrics of the episode so far, in the order of [`EnvSpec::metrics`].
     fn metrics(&self, out: &mut [f32]);
+
+    /// Says why the environment cannot be stepped any more, if what steps it outside of this process has failed. Each of its
+    /// episodes is over after one step then, and nothing that it has shown since counts.
+    fn failure(&self) -> Option<String> {
+        None
+    }
+
+    /// Tells whether a restored environment goes on where it was. One that does not begins an episode instead.
+    fn is_restorable(&self) -> bool {
+        true
+    }
 
     /// Appends everything the future depends on.
     fn write_state(&self, out: &mut Vec<u8>);

@@ -18,6 +18,9 @@ pub enum TaskError {
     /// A well-formed setting that is impossible.
     #[error(transparent)]
     Setting(#[from] SettingError),
+    /// What steps the environment, outside of this process, cannot be had.
+    #[error(transparent)]
+    Outside(Box<dyn std::error::Error + Send + Sync>),
     /// An action space that is impossible, for instance with too many choices.
     #[error("the task's action space is impossible")]
     Actions(#[from] SpecError),

@@ -20,6 +20,9 @@ use crate::notifier::{NotifierWorld, TaskSettings};
 /// Makes an environment from settings, given as JSON text.
 type Builder = Arc<dyn Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync>;
 
+/// Writes into settings what only the task itself can say; `None` if nothing is missing.
+type Completer = Arc<dyn Fn(&str) -> Result<Option<String>, TaskError> + Send + Sync>;
+
 /// The settings of a task that has nothing but a world.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -33,6 +36,7 @@ pub struct WorldOnly<W: Default> {
 pub struct DomainEntry {
     name: String,
     builder: Builder,
+    completer: Option<Completer>,
     /// Its settings with their defaults, where the entry knows their type.
     defaults: Option<fn() -> Value>,
     /// Keys of `[world]` that differ while a policy is evaluated, as TOML.
@@ -54,7 +58,18 @@ impl DomainEntry {
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
     {
         let builder: Builder = Arc::new(builder);
-        Self { name: name.to_owned(), builder, defaults: None, evaluation: "", has_map: false }
+        let (name, completer, defaults) = (name.to_owned(), None, None);
+        Self { name, builder, completer, defaults, evaluation: "", has_map: false }
+    }
+
+    /// Says how settings are completed before they are kept and sent: with what has to be found out once and then holds for
+    /// all processes of a run.
+    pub fn completed_by<F>(mut self, complete: F) -> Self
+    where
+        F: Fn(&str) -> Result<Option<String>, TaskError> + Send + Sync + 'static,
+    {
+        self.completer = Some(Arc::new(complete));
+        self
     }
 
     /// Describes the notifier task of a world.
@@ -152,6 +167,23 @@ impl Registry {
     /// Tells whether the scenes of a domain are maps with zones, over which trajectories can be drawn.
     pub fn has_map(&self, domain: &str) -> bool {
         self.entries.get(domain).is_some_and(|entry| entry.has_map)
+    }
+
+    /// Tells whether a task may have to find out what it is before it is built.
+    pub fn asks(&self, domain: &str) -> bool {
+        self.entries.get(domain).is_some_and(|entry| entry.completer.is_some())
+    }
+
+    /// Returns a task with complete settings, where something is missing that only the task itself can say.
+    ///
+    /// # Errors
+    ///
+    /// [`TaskError`] if the settings are wrong, or what is missing cannot be found out.
+    pub fn complete(&self, task: &TaskSpec) -> Result<Option<TaskSpec>, TaskError> {
+        let completer = self.entries.get(&task.domain).and_then(|it| it.completer.as_ref());
+        let Some(complete) = completer else { return Ok(None) };
+        let settings = complete(&task.settings)?;
+        Ok(settings.map(|settings| TaskSpec { settings, ..task.clone() }))
     }
 
     /// Builds the environment of a task; it must be reset before the first step.

@@ -10,6 +10,7 @@
 //! | `long_run` | a run stops where it is told, goes on with other settings, and hands its metrics on |
 //! | `operations` | status pages, logs, signals, the service manager, a full disk, old runs |
 //! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
+//! | `python` | whatever happens to a worker in Python, the weights are the same, and nobody executes what others wrote |
 //! | `race` | a race stops who is behind, and changes nobody's weights |
 //! | `resilience` | killing anything changes no bit; the books balance |
 //! | `streams` | output that cannot be written, limits, names that are not text: a sentence, and nothing is lost |
@@ -30,6 +31,7 @@ mod long_run;
 mod operations;
 mod probe;
 mod program;
+mod python;
 mod race;
 mod resilience;
 mod rogue;

@@ -10,7 +10,7 @@ use crate::error::{ConfigError, ensure};
 use crate::layers::{Layer, word};
 
 /// Files that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 16] = [
+const BUILT_IN: [(&str, &str); 17] = [
     ("cartpole", include_str!("../configs/cartpole.toml")),
     ("cue_recall", include_str!("../configs/cue_recall.toml")),
     ("highway", include_str!("../configs/highway.toml")),
@@ -25,6 +25,7 @@ const BUILT_IN: [(&str, &str); 16] = [
     ("paper_letter_lander_hard", include_str!("../configs/paper_letter_lander_hard.toml")),
     ("paper_letter_steakhouse", include_str!("../configs/paper_letter_steakhouse.toml")),
     ("pilot", include_str!("../configs/pilot.toml")),
+    ("python", include_str!("../configs/python.toml")),
     ("steakhouse", include_str!("../configs/steakhouse.toml")),
     ("steakhouse_timing", include_str!("../configs/steakhouse_timing.toml")),
 ];
@@ -89,6 +90,11 @@ impl Catalog {
     pub fn file(&self, name: &str) -> Option<Layer> {
         let text = if name == GENERAL { GENERAL_TEXT } else { self.texts.get(name)? };
         Some(Layer::text(format!("built-in configuration `{name}`"), text))
+    }
+
+    /// Returns the domain that a configuration is about; `None` if there is none of that name.
+    pub fn domain(&self, name: &str) -> Option<String> {
+        domain_of(&self.chain(name, "domain").ok()?).ok()
     }
 
     /// Returns a configuration as one complete file, with comments; `None` if there is none of that name.

@@ -8,7 +8,7 @@ use leadtime_learner::CheckpointInterval;
 use leadtime_learner::checkpoint::{MAX_KEPT, MAX_PAYLOAD_BYTES, Retention, max_payload_bytes};
 use leadtime_learner::held_out::{MAX_EVALUATIONS, MAX_HELD_OUT_EPISODES};
 use leadtime_policy::parameters;
-use leadtime_ppo::LearnerSettings;
+use leadtime_ppo::{LearnerSettings, Mode};
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
 use leadtime_proto::phrase::{counted, nearest};
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
@@ -193,7 +193,11 @@ impl Config {
         let written: WrittenConfig = layers.read(root)?;
         let domain = DomainName::new(&written.domain);
         let domain = domain.map_err(|error| ConfigError::of(error).at("`domain`"))?;
-        let task = sections::read(domain.as_str(), &layers, sections.clone())?;
+        let read = |sections| {
+            let task = sections::read(domain.as_str(), &layers, sections)?;
+            sections::complete(task, registry)
+        };
+        let task = read(sections.clone())?;
         // What the task itself does otherwise in evaluation comes first, what the user wants on top.
         let evaluation = DeTable::parse(registry.evaluation_world(domain.as_str()));
         let mut evaluation = evaluation.map_err(ConfigError::of)?.into_inner();
@@ -208,7 +212,7 @@ impl Config {
             if let Some(DeValue::Table(world)) = world {
                 layers.overlay(world, evaluation)?;
             }
-            sections::read(domain.as_str(), &layers, sections)?.spec
+            read(sections)?.spec
         };
         let mut table = Table::try_from(&written).map_err(ConfigError::of)?;
         table.extend(task.table);
@@ -216,6 +220,10 @@ impl Config {
         let policy = check_policy(&written.policy, environment.as_ref())?;
         written.learner.check().map_err(ConfigError::of)?;
         check_sizes(environment.as_mut(), &policy, &written.learner)?;
+        let goes_on = environment.is_restorable() || written.learner.mode == Mode::Async;
+        let given = "\"none\", with which an environment that moves begins an episode";
+        let allowed = "\"replay\", \"pickle\", or `learner.mode` \"async\"";
+        ensure(goes_on, "world.snapshot", given, allowed)?;
         if evaluated != task.spec {
             let built = registry.build(&evaluated);
             built.map_err(|error| ConfigError::of(error).at("`evaluation.world`"))?;

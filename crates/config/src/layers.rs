@@ -25,6 +25,8 @@ use crate::overrides::Override;
 const STRIDE: usize = 1 << 40;
 /// The one table inside a section that is a section itself: `[evaluation.world]`.
 const SUBSECTION: &str = "world";
+/// The table inside a section whose keys are a user's own, and no choices: `world.env`.
+const OPEN: &str = "env";
 /// The key that names what a file starts from.
 pub(crate) const BASE: &str = "base";
 /// Characters of a line that are shown on each side of an error.
@@ -230,7 +232,10 @@ fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Resu
         let is_table = value.get_ref().is_table();
         match (base.get_mut(name.as_ref()).map(Spanned::get_mut), value.into_inner()) {
             (Some(DeValue::Table(below)), DeValue::Table(above))
-                if is_root || name == SUBSECTION || !is_other_choice(below, &above) =>
+                if is_root
+                    || name == SUBSECTION
+                    || name == OPEN
+                    || !is_other_choice(below, &above) =>
             {
                 overlay(below, above, false)?;
             }

@@ -4,13 +4,16 @@ use leadtime_highway::task::HighwayWorldSettings;
 use leadtime_lander::pilot::PilotTaskSettings;
 use leadtime_lander::task::LanderWorldSettings;
 use leadtime_proto::TaskSpec;
+use leadtime_sims::Registry;
 use leadtime_sims::classic::{CartPoleSettings, CueRecallSettings};
 use leadtime_sims::human::HumanSettings;
 use leadtime_sims::notifier::NotifierSettings;
 use leadtime_sims::registry::WorldOnly;
 use leadtime_steakhouse::task::SteakhouseWorldSettings;
+use leadtime_worker::{DOMAIN, PythonSettings};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use toml::Table;
 use toml::de::{DeTable, DeValue};
 
@@ -60,10 +63,20 @@ pub(crate) fn read<'a>(
         "pilot" => typed::<WorldOnly<PilotTaskSettings>>,
         "cartpole" => typed::<WorldOnly<CartPoleSettings>>,
         "cue_recall" => typed::<WorldOnly<CueRecallSettings>>,
+        DOMAIN => typed::<WorldOnly<PythonSettings>>,
         // A domain of the user's own checks its sections itself.
         _ => typed::<Table>,
     };
     typed(domain, layers, sections)
+}
+
+/// Completes a task with what it has to find out itself; all others stay as they are.
+pub(crate) fn complete(task: Task, registry: &Registry) -> Result<Task, ConfigError> {
+    let Some(spec) = registry.complete(&task.spec).map_err(ConfigError::of)? else {
+        return Ok(task);
+    };
+    let sections: Value = serde_json::from_str(&spec.settings).map_err(ConfigError::of)?;
+    Ok(Task { table: Table::try_from(&sections).map_err(ConfigError::of)?, spec })
 }
 
 fn typed<'a, S: Serialize + DeserializeOwned>(

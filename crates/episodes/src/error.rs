@@ -48,6 +48,14 @@ pub enum Error {
         /// Number of steps after which it was given up.
         n_steps: u64,
     },
+    /// What steps an environment outside of this process has failed.
+    #[error("episode {index} could not be played: {reason}")]
+    Outside {
+        /// Index of the episode.
+        index: u64,
+        /// What failed.
+        reason: String,
+    },
     /// The caller stopped it ([`crate::PlaySettings::stop`]).
     #[error("the evaluation was interrupted")]
     Interrupted,

@@ -5,6 +5,8 @@
 //! advance  an action each ──► one step each ──► which episodes ended, and how
 //! ```
 //!
+//! All actions are announced before the first step is taken, so that environments in another process take theirs together.
+//!
 //! An episode that ended keeps its final observation until its slot begins another one, so whoever drives the slots sees
 //! both. Which slots are stepped together makes no difference to the bits: every slot draws from its own stream, and
 //! inference is row-invariant.
@@ -177,9 +179,14 @@ impl Lockstep {
         observers: &mut [O],
     ) {
         self.ended.clear();
+        let (choices, n_heads) = (&self.choices, self.n_heads);
+        let action = |row: usize| &choices[row * n_heads..][..n_heads];
+        for (row, slot) in slots.iter_mut().map(S::borrow_mut).enumerate() {
+            slot.env.announce(action(row));
+        }
         let rows = slots.iter_mut().map(S::borrow_mut).zip(observers).enumerate();
         for (row, (slot, observer)) in rows {
-            let outcome = slot.step(&self.choices[row * self.n_heads..][..self.n_heads]);
+            let outcome = slot.step(action(row));
             observer.on_step(slot, outcome);
             self.ended.extend(outcome.end.map(|end| (row, end)));
         }

@@ -106,7 +106,8 @@ pub fn episode_seed(seed: u64, index: u64) -> EpisodeSeed {
 /// # Errors
 ///
 /// [`Error::Task`] if an environment cannot be made, [`Error::PolicyShape`] or [`Error::UnknownBaseline`] if the
-/// player cannot play it, [`Error::Endless`] if an episode does not end, [`Error::Interrupted`] if it was stopped.
+/// player cannot play it, [`Error::Endless`] if an episode does not end, [`Error::Outside`] if an environment in another
+/// process has failed, [`Error::Interrupted`] if it was stopped.
 pub fn play<O: EpisodeObserver>(
     make: &MakeEnvironment<'_>,
     player: &Player,
@@ -198,6 +199,7 @@ impl<'a, O: EpisodeObserver> Shift<'a, O> {
             }
             self.lockstep.act(&mut self.player.decider(), &mut self.slots, &mut self.observers);
             self.lockstep.advance(&mut self.slots, &mut self.observers);
+            self.check_failures()?;
             let n_ended = self.lockstep.ended().len();
             // From the back, so that removing a slot leaves the slots before it in place.
             for i in (0..n_ended).rev() {
@@ -231,6 +233,16 @@ impl<'a, O: EpisodeObserver> Shift<'a, O> {
         slot.begin(seed);
         slot.draw_from(seed.stream(Purpose::Act));
         self.observers[row].on_reset(slot);
+    }
+
+    /// Looks at the episodes that have ended: those of an environment that has failed end at once.
+    fn check_failures(&self) -> Result<(), Error> {
+        for (row, _) in self.lockstep.ended() {
+            if let Some(reason) = self.slots[*row].env.failure() {
+                return Err(Error::Outside { index: self.indices[*row], reason });
+            }
+        }
+        Ok(())
     }
 
     fn check_lengths(&self) -> Result<(), Error> {

@@ -184,7 +184,8 @@ fn plan(
     }
     let actor = |number: u32| {
         let id = format!("actor-{number}");
-        let own = ["actor", "--supervised", "--connect", endpoint, "--id", &id];
+        // The configuration is this user's own, and so is the learner.
+        let own = ["actor", "--supervised", "--connect", endpoint, "--id", &id, "--trust-worker"];
         text(&[&own, launch.options].concat())
     };
     Ok(ProcessPlan {

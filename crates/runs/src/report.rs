@@ -203,13 +203,17 @@ struct NearestBuiltIn {
 impl NearestBuiltIn {
     fn of(tasks: &Tasks, config: &toml::Table) -> Self {
         let domain = config.get("domain").and_then(toml::Value::as_str);
+        // What such a task is has to be found out by starting what steps it.
+        if domain.is_none_or(|domain| tasks.registry.asks(domain)) {
+            return Self::default();
+        }
         let changes = |name: &str| {
             let file = tasks.catalog.file(name);
             let source = ConfigSource { file, ..ConfigSource::default() };
-            let built_in = Config::load(&source, &tasks.catalog, &tasks.registry).ok()?;
-            if Some(built_in.domain.as_str()) != domain {
+            if tasks.catalog.domain(name).as_deref() != domain {
                 return None;
             }
+            let built_in = Config::load(&source, &tasks.catalog, &tasks.registry).ok()?;
             let mut changes = difference(&built_in.table, config);
             changes.retain(|change| !NOT_SETTINGS.contains(&change.key.as_str()));
             Some(Self { name: Some(name.to_owned()), changes })

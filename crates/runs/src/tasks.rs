@@ -7,6 +7,7 @@ use leadtime_config::{Catalog, Config, ConfigError, ConfigSource, Layer};
 use leadtime_proto::phrase::no_such;
 use leadtime_proto::{EnvId, TaskSpec};
 use leadtime_sims::{DomainEntry, Environment, EpisodeSeed, Fact, Registry, TaskError};
+use leadtime_worker::Workers;
 use thiserror::Error;
 
 /// Why a configuration cannot be loaded.
@@ -35,6 +36,8 @@ pub struct Tasks {
     pub registry: Registry,
     /// The built-in configurations.
     pub catalog: Catalog,
+    /// The processes that step worlds in Python, and what may be executed for them: nothing, unless a command says so.
+    pub workers: Workers,
 }
 
 impl Default for Tasks {
@@ -46,7 +49,9 @@ impl Default for Tasks {
 impl Tasks {
     /// Returns the built-in tasks.
     pub fn new() -> Self {
-        Self { registry: leadtime_worlds::builtin(), catalog: Catalog::built_in() }
+        let workers = Workers::default();
+        let registry = leadtime_worlds::builtin().with_domain(leadtime_worker::entry(&workers));
+        Self { registry, catalog: Catalog::built_in(), workers }
     }
 
     /// Adds a task that reads its settings itself.

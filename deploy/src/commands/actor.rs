@@ -9,6 +9,7 @@ use leadtime_link::{Endpoint, Error as LinkError};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RegionName, RunName};
 use leadtime_runs::{ProgramBuild, Tasks, clock};
+use leadtime_worker::WorkerRules;
 use serde_json::json;
 use tokio::sync::watch;
 
@@ -28,6 +29,12 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = shutdown::watch(watched).blame(ExitCode::Failed)?;
     let settings = settings(args, build::this_build()?).blame(ExitCode::WrongInput)?;
+    tasks.workers.follow(WorkerRules {
+        permission: args.worker.permission(false),
+        refuses_pickles: !args.worker.trust_worker,
+        starts_at_once: true,
+        n_workers: args.workers as usize,
+    });
     let status = bind_status(args.status.as_deref()).await?;
     let (standing, told) = watch::channel(None);
     let own = settings.connect.identity.as_ref().map(|identity| identity.certificate().to_owned());

@@ -6,13 +6,15 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
-use leadtime_config::Config;
+use leadtime_config::{Config, Override};
 use leadtime_link::ObserverLink;
 use leadtime_proto::TaskSpec;
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{Tasks, build};
 use leadtime_sims::env_check::check_environment;
+use leadtime_sims::registry::{self, WorldOnly};
 use leadtime_table::wrapped;
+use leadtime_worker::{PythonSettings, check_worker};
 
 use crate::cli::CheckArgs;
 use crate::credentials::{connect_settings, is_wrong_input};
@@ -24,7 +26,9 @@ use crate::threads;
 const SHORT_TRIP: Duration = Duration::from_millis(5);
 
 pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> {
-    let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
+    let worker = args.worker.iter().map(|command| Override::new("world.worker", command.as_str()));
+    let source = args.source.changed(&worker.collect::<Vec<_>>());
+    let config = source.load(tasks, None).blame(ExitCode::WrongInput)?;
     let (domain, n_updates, n_envs) =
         (&config.domain, config.learner.n_updates(), config.learner.n_envs);
     let (updates, envs) = (counted(n_updates, "update"), counted(n_envs, "environment"));
@@ -35,6 +39,7 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
         heads.iter().map(|head| format!("{} {}", head.name, head.n_choices)).collect();
     report("task", &format!("{obs_dim} inputs, heads: {}", heads.join(", ")));
     let mut n_defects = play(tasks, &config.task).blame(ExitCode::WrongInput)?;
+    n_defects += compare_workers(tasks, &config.task).blame(ExitCode::WrongInput)?;
     if config.evaluation.task != config.task {
         report("evaluation", "its task differs from that of training");
         n_defects += play(tasks, &config.evaluation.task).blame(ExitCode::WrongInput)?;
@@ -75,8 +80,29 @@ fn advice(round_trip: Duration) -> String {
     )
 }
 
+/// Has two workers of a world in Python take the same steps, if it is one; returns the number of defects.
+fn compare_workers(tasks: &Tasks, task: &TaskSpec) -> anyhow::Result<usize> {
+    if task.domain != leadtime_worker::DOMAIN {
+        return Ok(0);
+    }
+    let settings: WorldOnly<PythonSettings> =
+        registry::read(leadtime_worker::DOMAIN, &task.settings)?;
+    let found = check_worker(&tasks.workers, &settings.world)?;
+    report("packages", &found.versions.join(", "));
+    let n_steps = found.n_steps;
+    if found.defects.is_empty() {
+        report("workers", &format!("two processes, {n_steps} steps, equal in every byte"));
+    }
+    found.defects.iter().for_each(|defect| report("defect", defect));
+    Ok(found.defects.len())
+}
+
 /// Plays a task, and prints what it showed; returns the number of defects.
 fn play(tasks: &Tasks, task: &TaskSpec) -> anyhow::Result<usize> {
+    if !tasks.registry.build(task)?.is_restorable() {
+        report("played", "not at all: an environment that moves begins an episode");
+        return Ok(0);
+    }
     let found = check_environment(|| tasks.registry.build(task))?;
     let (episodes, steps, restored) = (found.n_episodes, found.n_steps, found.n_restored);
     report("played", &format!("{episodes} episodes, {steps} steps, restored {restored} times"));

@@ -47,6 +47,7 @@ pub(super) fn load(
     let is_text = task.extension().is_some_and(|extension| extension == "toml");
     let is_built_in = task.to_str().is_some_and(|name| tasks.catalog.file(name).is_some());
     let configure = |set| {
+        tasks.workers.permit_configured();
         let source = ConfigSource { set, ..ConfigSource::default() };
         tasks.configure(Some(task), source).map_err(Error::new)
     };

@@ -18,7 +18,9 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
     let is_one_of_many = matches!(&command, Command::Actor(args) if args.supervised);
     let level = match verbosity {
         Verbosity { verbose: true, .. } => "info,leadtime=debug",
-        Verbosity { quiet, .. } if quiet || is_one_of_many => "warn",
+        Verbosity { quiet: true, .. } => "warn",
+        // What an environment of the user's own prints is theirs to see.
+        _ if is_one_of_many => "warn,leadtime::worker=info",
         _ => "info",
     };
     logging::start(level, &logs)?;

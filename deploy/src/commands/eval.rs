@@ -22,6 +22,7 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, HEAR};
 
 pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
+    args.acting.choosing.worker.permit(tasks, &args.policy);
     let Some(each) = &args.each else {
         let task = EvalTask::load(tasks, args, None)?;
         if args.transcript {

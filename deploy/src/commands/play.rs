@@ -44,6 +44,7 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     }
     let name = args.policy.as_deref().unwrap_or(Path::new(""));
     let acting = &args.acting;
+    acting.choosing.worker.permit(tasks, name);
     let loaded = LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, name, &acting.set)
         .blame(ExitCode::WrongInput)?;
     let environment = tasks.registry.build(&loaded.config.evaluation.task);

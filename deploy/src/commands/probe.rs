@@ -21,6 +21,7 @@ const DIGEST_DIGITS: usize = 12;
 
 pub(super) fn run(tasks: &Tasks, args: &ProbeArgs) -> Result<(), Failure> {
     let acting = &args.acting;
+    acting.choosing.worker.permit(tasks, &args.policy);
     let loaded =
         LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, &args.policy, &acting.set)
             .blame(ExitCode::WrongInput)?;

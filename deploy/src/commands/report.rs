@@ -15,7 +15,8 @@ use crate::output::{self, DRAW};
 pub(super) const PAGE: &str = "report.html";
 
 pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
-    let ChoosingArgs { eval_seed, action, runs } = &args.choosing;
+    let ChoosingArgs { eval_seed, action, runs, worker } = &args.choosing;
+    worker.permit(tasks, runs);
     let find = |name: &String| find_run(runs, name);
     let directories: Vec<PathBuf> =
         args.names.iter().map(find).collect::<Result<_, _>>().blame(ExitCode::WrongInput)?;

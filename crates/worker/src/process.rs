@@ -1,0 +1,272 @@
+//! One worker process: started, spoken to, listened to, and killed with everything that it has started.
+//!
+//! Its standard output and error go to the log, a few lines a second; what it said last is kept for whoever has to explain why
+//! it died. Its standard input closes when this process ends, and then it ends too.
+
+use std::collections::VecDeque;
+use std::io::{self, BufRead as _, BufReader, PipeReader, Read as _, Write as _};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::process::{ChildStdin, Command, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use leadtime_proto::text::printable;
+use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
+use tracing::{debug, info, warn};
+
+use crate::launch::Launch;
+use crate::protocol::{
+    Aside, FrameKind, FrameReader, MAX_HELLO_BYTES, MAX_TEXT_BYTES, ProtocolError, WorkerHello,
+    read_hello,
+};
+
+/// How the worker learns where to connect.
+const SOCKET_VARIABLE: &str = "LEADTIME_WORKER_SOCKET";
+/// How it learns what to make.
+const CONFIG_VARIABLE: &str = "LEADTIME_WORKER_CONFIG";
+/// Under which name the log has what workers say.
+const LOG_TARGET: &str = "leadtime::worker";
+/// How often time-outs are looked at while nothing comes.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Pause between two looks whether a worker has connected.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
+/// Lines that are kept.
+const KEPT_LINES: usize = 20;
+/// Lines that are logged in a second: a program that prints in every step is not to fill a disk, and one that fails is to be
+/// quoted whole.
+const LINES_PER_SECOND: u32 = 40;
+/// How long a dead worker's last words are waited for.
+const LAST_WORDS: Duration = Duration::from_millis(500);
+/// The longest temporary directory that leaves room for a socket's name.
+const MAX_BASE_BYTES: usize = 60;
+
+/// Lets a few lines a second pass.
+#[derive(Debug)]
+pub(crate) struct LineLimit {
+    since: Instant,
+    n_lines: u32,
+}
+
+impl LineLimit {
+    pub(crate) fn new() -> Self {
+        Self { since: Instant::now(), n_lines: 0 }
+    }
+
+    /// Tells whether one more line may be logged.
+    pub(crate) fn admits(&mut self) -> bool {
+        if self.since.elapsed() >= Duration::from_secs(1) {
+            *self = Self::new();
+        }
+        self.n_lines += 1;
+        self.n_lines <= LINES_PER_SECOND
+    }
+}
+
+/// A running worker; dropping it kills its group.
+#[derive(Debug)]
+pub(crate) struct WorkerProcess {
+    child: Box<dyn ChildWrapper>,
+    /// The worker ends when this closes.
+    _lifeline: Option<ChildStdin>,
+    reader: FrameReader<UnixStream>,
+    writer: UnixStream,
+    words: Words,
+    limit: LineLimit,
+}
+
+/// What a worker prints.
+#[derive(Debug)]
+struct Words {
+    lines: Arc<Mutex<VecDeque<String>>>,
+    listener: JoinHandle<()>,
+}
+
+impl WorkerProcess {
+    /// Starts a worker and waits for its hello; an error is what it said, or what was missing.
+    pub(crate) fn start(launch: &Launch) -> io::Result<Result<(Self, WorkerHello), String>> {
+        let preferred = std::env::temp_dir();
+        let fits = preferred.as_os_str().len() <= MAX_BASE_BYTES;
+        let base = if fits { preferred } else { "/tmp".into() };
+        // Only this user can look into it; it is gone as soon as the worker has connected.
+        let place = tempfile::Builder::new().prefix("leadtime-worker-").tempdir_in(base)?;
+        let socket = place.path().join("socket");
+        let listener = UnixListener::bind(&socket)?;
+        listener.set_nonblocking(true)?;
+        let (printed, output) = io::pipe()?;
+        let mut command = Command::new("sh");
+        command.args(["-c", &launch.command]);
+        command.env(SOCKET_VARIABLE, &socket).env(CONFIG_VARIABLE, &launch.config);
+        command.stdin(Stdio::piped()).stdout(output.try_clone()?).stderr(output);
+        let mut wrapped = CommandWrap::from(command);
+        let mut child = wrapped.wrap(ProcessGroup::leader()).spawn()?;
+        // Or the pipe would never end: it holds the other end too.
+        drop(wrapped);
+        let lifeline = child.stdin().take();
+        let words = Words::listen(printed)?;
+        let deadline = Instant::now() + launch.start_timeout();
+        let stream = match accept(&listener, child.as_mut(), deadline) {
+            Ok(stream) => stream,
+            Err(how) => {
+                kill(child.as_mut());
+                return Ok(Err(words.explain(how)));
+            }
+        };
+        stream.set_nonblocking(false)?;
+        stream.set_read_timeout(Some(LOOK_EVERY))?;
+        stream.set_write_timeout(Some(launch.step_timeout))?;
+        let writer = stream.try_clone()?;
+        let reader = FrameReader::new(stream);
+        let limit = LineLimit::new();
+        let mut worker = Self { child, _lifeline: lifeline, reader, writer, words, limit };
+        let times = (launch.start_timeout(), launch.start_timeout());
+        let hello = worker.answer((FrameKind::Hello, "a hello"), MAX_HELLO_BYTES, times, |_| {});
+        Ok(match hello.and_then(|body| read_hello(&body)) {
+            Ok(hello) => Ok((worker, hello)),
+            // Its own sentence needs no further words.
+            Err(ProtocolError::GaveUp(sentence)) => Err(sentence),
+            Err(error) => Err(worker.end(&error)),
+        })
+    }
+
+    /// Returns the number of the process: that of the shell, which most shells replace by the command.
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Sends a frame.
+    pub(crate) fn send(&mut self, frame: &[u8]) -> Result<(), ProtocolError> {
+        self.writer.write_all(frame).map_err(|error| match error.kind() {
+            io::ErrorKind::BrokenPipe | io::ErrorKind::ConnectionReset => ProtocolError::Closed,
+            _ => error.into(),
+        })
+    }
+
+    /// Waits for an answer and logs what is said beside it; failures are handed to `failed`.
+    pub(crate) fn answer(
+        &mut self,
+        kind: (FrameKind, &'static str),
+        most: usize,
+        times: (Duration, Duration),
+        mut failed: impl FnMut((u16, String)),
+    ) -> Result<Vec<u8>, ProtocolError> {
+        let (limit, id) = (&mut self.limit, self.child.id());
+        let aside = |aside| match aside {
+            Aside::Log { level, text } if limit.admits() => match level {
+                0 => debug!(target: LOG_TARGET, worker = id, "{text}"),
+                1 => info!(target: LOG_TARGET, worker = id, "{text}"),
+                _ => warn!(target: LOG_TARGET, worker = id, "{text}"),
+            },
+            Aside::Log { .. } => {}
+            Aside::Failed { slot, text } => failed((slot, text)),
+        };
+        self.reader.answer(kind, most, times, aside).map(<[u8]>::to_vec)
+    }
+
+    /// Kills the worker and says how it ended: what was noticed, and its last words.
+    pub(crate) fn end(mut self, noticed: &ProtocolError) -> String {
+        let ended = match noticed {
+            // It takes a moment from closing the connection to being gone.
+            ProtocolError::Closed => wait_for_end(self.child.as_mut()),
+            _ => None,
+        };
+        kill(self.child.as_mut());
+        self.words.explain(ended.unwrap_or_else(|| noticed.to_string()))
+    }
+}
+
+impl Drop for WorkerProcess {
+    fn drop(&mut self) {
+        kill(self.child.as_mut());
+    }
+}
+
+/// Kills a process group and waits for its leader.
+fn kill(child: &mut dyn ChildWrapper) {
+    // Also where the leader is gone: others of the group may not be.
+    drop(child.start_kill());
+    if let Err(error) = child.wait() {
+        debug!(%error, "a worker could not be waited for");
+    }
+}
+
+/// Waits a moment for the end of a process, and says how it ended.
+fn wait_for_end(child: &mut dyn ChildWrapper) -> Option<String> {
+    let deadline = Instant::now() + LAST_WORDS;
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return Some(format!("it ended ({status})")),
+            Ok(None) if Instant::now() < deadline => thread::sleep(ACCEPT_PAUSE),
+            _ => return None,
+        }
+    }
+}
+
+/// Waits until the worker connects; an error says why it never will.
+fn accept(
+    listener: &UnixListener,
+    child: &mut dyn ChildWrapper,
+    deadline: Instant,
+) -> Result<UnixStream, String> {
+    loop {
+        match listener.accept() {
+            Ok((stream, _)) => return Ok(stream),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            Err(error) => return Err(error.to_string()),
+        }
+        if let Ok(Some(status)) = child.try_wait() {
+            return Err(format!("it ended before it said hello ({status})"));
+        }
+        if Instant::now() >= deadline {
+            return Err("it did not say hello in time".to_owned());
+        }
+        thread::sleep(ACCEPT_PAUSE);
+    }
+}
+
+impl Words {
+    fn listen(printed: PipeReader) -> io::Result<Self> {
+        let lines = Arc::new(Mutex::new(VecDeque::new()));
+        let kept = Arc::clone(&lines);
+        let listen = move || {
+            let (mut printed, mut line) = (BufReader::new(printed), Vec::new());
+            let mut limit = LineLimit::new();
+            loop {
+                line.clear();
+                // A line without an end is cut.
+                let most = MAX_TEXT_BYTES as u64;
+                match printed.by_ref().take(most).read_until(b'\n', &mut line) {
+                    Ok(0) | Err(_) => return,
+                    Ok(_) => {}
+                }
+                let text = printable(String::from_utf8_lossy(&line).trim_end());
+                if text.trim().is_empty() {
+                    continue;
+                }
+                if limit.admits() {
+                    info!(target: LOG_TARGET, "{text}");
+                }
+                let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+                if kept.len() == KEPT_LINES {
+                    kept.pop_front();
+                }
+                kept.push_back(text);
+            }
+        };
+        let listener = thread::Builder::new().name("worker-words".to_owned()).spawn(listen)?;
+        Ok(Self { lines, listener })
+    }
+
+    /// Adds the last words of a worker that is dead to how it ended.
+    fn explain(&self, how: String) -> String {
+        let deadline = Instant::now() + LAST_WORDS;
+        while !self.listener.is_finished() && Instant::now() < deadline {
+            thread::sleep(ACCEPT_PAUSE);
+        }
+        let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        match lines.back() {
+            Some(last) => format!("{how}; its last words: {last}"),
+            None => how,
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! One environment of a worker, as this process knows it: enough to put it back where it was in another worker.
+
+use leadtime_numerics::Purpose;
+use leadtime_proto::EnvId;
+use leadtime_proto::limits::MAX_MAGNITUDE;
+use leadtime_sims::EpisodeSeed;
+
+use crate::protocol::StepRow;
+
+/// The bits of a seed that Gymnasium gets.
+const SEED_BITS: u32 = 31;
+
+/// How far a step has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StepProgress {
+    /// None is under way.
+    Idle,
+    /// Its action is known.
+    Announced,
+    /// It is with the worker.
+    Sent,
+    /// It is with the worker once more, after an exception.
+    SentAgain,
+    /// The row has what it has shown, and nobody has looked yet.
+    Shown,
+}
+
+/// An environment of a worker.
+#[derive(Debug)]
+pub(crate) struct Slot {
+    /// Somebody steps it.
+    pub(crate) is_used: bool,
+    /// An episode has begun, here and in the worker.
+    pub(crate) is_begun: bool,
+    /// The episode that the worker is in.
+    pub(crate) seed: EpisodeSeed,
+    /// A pickle of the environment; empty where the episode's seed is where it goes on from.
+    pub(crate) base: Vec<u8>,
+    /// Steps of the episode before the base.
+    pub(crate) n_before: u32,
+    /// Actions since then. Shape `[n, H]`.
+    pub(crate) actions: Vec<u8>,
+    /// The action of the step that is announced. Shape `[H]`.
+    pub(crate) action: Vec<u8>,
+    /// What the latest step has shown.
+    pub(crate) row: StepRow,
+    pub(crate) progress: StepProgress,
+    /// The row's observation begins an episode that nobody has asked for yet.
+    pub(crate) is_ahead: bool,
+    /// The exception of the step that failed last.
+    pub(crate) exception: String,
+    /// Why it cannot be stepped any more.
+    pub(crate) failure: Option<String>,
+}
+
+impl Slot {
+    pub(crate) fn new() -> Self {
+        Self {
+            is_used: false,
+            is_begun: false,
+            seed: EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 },
+            base: Vec::new(),
+            n_before: 0,
+            actions: Vec::new(),
+            action: Vec::new(),
+            row: StepRow::default(),
+            progress: StepProgress::Idle,
+            is_ahead: false,
+            exception: String::new(),
+            failure: None,
+        }
+    }
+
+    /// Notes that an episode begins, from its seed.
+    pub(crate) fn begin(&mut self, seed: EpisodeSeed) {
+        self.seed = seed;
+        self.base.clear();
+        self.actions.clear();
+        self.n_before = 0;
+        self.is_begun = true;
+    }
+
+    /// Returns the seed of the next episode of the same environment.
+    pub(crate) fn next_seed(&self) -> EpisodeSeed {
+        EpisodeSeed { episode: self.seed.episode + 1, ..self.seed }
+    }
+
+    /// Returns how many steps of the episode were taken.
+    pub(crate) fn n_steps(&self) -> usize {
+        let n_heads = self.action.len().max(1);
+        self.n_before as usize + self.actions.len() / n_heads
+    }
+
+    /// Notes what the step that was under way has shown; `row` is exchanged for the one before.
+    pub(crate) fn stepped(&mut self, row: &mut StepRow) {
+        std::mem::swap(&mut self.row, row);
+        self.progress = StepProgress::Shown;
+        self.failure = self.implausible();
+        if self.row.end.is_some() {
+            self.begin(self.next_seed());
+            self.is_ahead = true;
+        } else {
+            self.actions.extend_from_slice(&self.action);
+        }
+    }
+
+    /// Takes note that the environment cannot be stepped any more.
+    pub(crate) fn fail(&mut self, reason: impl FnOnce(&Self) -> String) {
+        if self.failure.is_none() {
+            self.failure = Some(reason(self));
+        }
+        self.progress = StepProgress::Shown;
+    }
+
+    /// Names the first number that cannot be, if there is one.
+    fn implausible(&self) -> Option<String> {
+        let possible = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
+        let odd = |x: &f32| !possible.contains(&f64::from(*x));
+        let row = &self.row;
+        let named = |name: &str, values: &[f32]| {
+            let i = values.iter().position(odd)?;
+            Some(format!("{name}[{i}] is {}", shown(values[i])))
+        };
+        let in_end = || {
+            row.end?;
+            named("the last observation", &row.last_observation)
+                .or_else(|| named("metric", &row.metrics))
+        };
+        let what = named("observation", &row.observation)
+            .or_else(|| odd(&row.reward).then(|| format!("the reward is {}", shown(row.reward))))
+            .or_else(in_end)?;
+        let Self { seed: EpisodeSeed { env_id, episode, .. }, action, .. } = self;
+        let step = self.n_steps() + 1;
+        Some(format!(
+            "environment {env_id}: {what} after action {action:?} in episode {episode}, step {step}"
+        ))
+    }
+}
+
+/// Writes a number that cannot be as Python does.
+fn shown(x: f32) -> String {
+    if x.is_nan() { "nan".to_owned() } else { format!("{x:e}") }
+}
+
+/// Draws the number with which an environment begins an episode.
+pub(crate) fn reset_seed(seed: EpisodeSeed) -> u32 {
+    (seed.stream(Purpose::World).next_u64() >> (64 - SEED_BITS)) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_sims::End;
+
+    use super::*;
+
+    fn slot() -> Slot {
+        let mut slot = Slot::new();
+        slot.begin(EpisodeSeed { run_seed: 1, env_id: EnvId(17), episode: 12 });
+        slot.action = vec![1, 0];
+        slot
+    }
+
+    #[test]
+    fn a_number_that_cannot_be_is_named_with_its_place() {
+        let mut slot = slot();
+        slot.actions = vec![0; 2 * 39];
+        let mut row = StepRow { observation: vec![0.0, 1.0, 2.0, f32::NAN], ..StepRow::default() };
+        slot.stepped(&mut row);
+        let expected =
+            "environment 17: observation[3] is nan after action [1, 0] in episode 12, step 40";
+        assert_eq!(slot.failure.as_deref(), Some(expected));
+        let mut row = StepRow { reward: -2e9, ..StepRow::default() };
+        slot.stepped(&mut row);
+        assert!(slot.failure.unwrap().contains("the reward is -2e9 after"));
+    }
+
+    #[test]
+    fn an_episode_that_ends_is_followed_by_the_next_one() {
+        let mut slot = slot();
+        slot.stepped(&mut StepRow::default());
+        assert_eq!((slot.n_steps(), slot.is_ahead), (1, false));
+        let end = Some(End::Terminated);
+        slot.stepped(&mut StepRow { end, ..StepRow::default() });
+        assert_eq!((slot.n_steps(), slot.is_ahead, slot.seed.episode), (0, true, 13));
+    }
+
+    #[test]
+    fn seeds_have_31_bits_and_depend_on_all_that_names_them() {
+        let of = |run_seed, env_id, episode| {
+            reset_seed(EpisodeSeed { run_seed, env_id: EnvId(env_id), episode })
+        };
+        let seeds = [of(1, 0, 0), of(2, 0, 0), of(1, 1, 0), of(1, 0, 1)];
+        let all: std::collections::BTreeSet<u32> = seeds.into_iter().collect();
+        assert!(all.len() == 4 && all.iter().all(|seed| *seed < 1 << 31));
+    }
+}

@@ -1,0 +1,501 @@
+"""Steps Gymnasium environments for Leadtime, which starts this program by itself:
+
+    [world]
+    worker = "python3 -m leadtime.worker my_envs:make"       # my_envs.make(config, index) -> gymnasium.Env
+    worker = "python3 -m leadtime.worker CartPole-v1"        # an id that Gymnasium knows
+    worker = "python3 -m leadtime.worker"                    # the id is in env = { id = "CartPole-v1" }
+
+``config`` is the table ``env`` of the configuration; ``index`` tells environments of one worker apart, for ports and files: what
+an environment computes must not depend on it. ``info["action_mask"]`` (a bool per choice, heads concatenated) says what is
+offered; ``info["success"]`` and the numbers that ``metrics`` names are read at the end of an episode.
+
+An observation is flattened as ``gymnasium.spaces.flatten`` does. An action is one choice per head: a Discrete is a head, a
+MultiDiscrete one per dimension, a MultiBinary one of two choices per bit; Dict and Tuple have those of their parts. The protocol
+is described in ``crates/worker/src/protocol.rs``.
+"""
+
+import hashlib
+import importlib
+import inspect
+import json
+import logging
+import math
+import os
+import pickle
+import platform
+import random
+import re
+import socket
+import struct
+import sys
+import threading
+import time
+import traceback
+
+VERSION = 1
+HELLO, BEGIN, STEP, STEPPED, SNAPSHOT, SNAPSHOTTED, LOG, FAILED, ALIVE = range(1, 10)
+ITSELF = 0xFFFF
+MOST_TEXT = 8 << 10
+MOST_HEADS, MOST_CHOICES = 8, 64
+EVERYTHING = 2**64 - 1
+SIGN_OF_LIFE = 1.0  # Seconds of silence after which the actor is told that environments still work.
+LINES_PER_SECOND = 10
+ENGINES = ("Box2D", "mujoco", "ale_py", "pettingzoo", "torch", "jax")  # What computes may decide what is computed.
+NONE, TERMINATED, TRUNCATED, DID_FAIL = range(4)
+
+
+class Refused(Exception):
+    """Something about the environment that Leadtime cannot work with; the text is for people."""
+
+
+class Connection:
+    """The way to the actor. Frames are written whole, also by other threads."""
+
+    def __init__(self, path):
+        self.socket = socket.socket(socket.AF_UNIX)
+        self.socket.connect(path)
+        self.incoming = self.socket.makefile("rb", 1 << 16)
+        self.lock = threading.Lock()
+        self.last = time.monotonic()
+
+    def receive(self):
+        header = self.incoming.read(5)
+        if len(header) < 5:
+            return None, b""
+        length, kind = struct.unpack("<IB", header)
+        return kind, self.incoming.read(length)
+
+    def send(self, kind, *parts):
+        body = b"".join(parts)
+        with self.lock:
+            self.socket.sendall(struct.pack("<IB", len(body), kind) + body)
+        self.last = time.monotonic()
+
+    def failed(self, slot, error):
+        self.send(FAILED, struct.pack("<H", slot), sentence(error).encode()[:MOST_TEXT])
+
+    def live(self):
+        """Tells the actor now and then that it is worth waiting."""
+        if time.monotonic() - self.last > SIGN_OF_LIFE:
+            self.send(ALIVE)
+
+
+class LogHandler(logging.Handler):
+    """Sends what is logged to the actor's log, a few lines a second."""
+
+    def __init__(self, connection):
+        super().__init__()
+        self.connection, self.second, self.n_lines = connection, 0, 0
+
+    def emit(self, record):
+        second = int(time.monotonic())
+        self.n_lines = self.n_lines + 1 if second == self.second else 1
+        self.second = second
+        if self.n_lines <= LINES_PER_SECOND:
+            level = min(max(record.levelno // 10 - 1, 0), 3)
+            self.connection.send(LOG, bytes([level]), self.format(record).encode()[:MOST_TEXT])
+
+
+def sentence(error):
+    """Writes an exception as one line, with the file and the line of the user's own code where there is one."""
+    if isinstance(error, Refused):
+        return str(error)
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "site-packages" not in frame.filename and frame.filename != __file__
+           and not frame.filename.startswith(("<", os.path.dirname(os.__file__)))]
+    place = (own or frames)[-1:]
+    where = "".join(f" ({os.path.basename(frame.filename)}:{frame.lineno})" for frame in place)
+    if isinstance(error, ImportError) and not own:
+        where = ""
+    return ": ".join(filter(None, (type(error).__name__, " ".join(str(error).split())))) + where
+
+
+# --- What environments look like -----------------------------------------------------------------------------------------
+
+
+def count(space, spaces):
+    """Returns the heads of an action space: pairs of a name and a number of choices."""
+    if isinstance(space, spaces.Discrete):
+        return [("", int(space.n))]
+    if isinstance(space, spaces.MultiDiscrete):
+        return [(str(i), int(n)) for i, n in enumerate(space.nvec.flatten())]
+    if isinstance(space, spaces.MultiBinary):
+        return [(str(i), 2) for i in range(math.prod(space.shape))]
+    if isinstance(space, (spaces.Dict, spaces.Tuple)):
+        parts = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
+        return [("_".join(filter(None, (str(key), name))), n) for key, part in parts for name, n in count(part, spaces)]
+    if isinstance(space, spaces.Box):
+        raise Refused("the action space is a Box: Leadtime's policies choose among choices and have no continuous actions; a wrapper "
+                      "can offer some values of each number as a MultiDiscrete")
+    raise Refused(f"the action space is {space}; possible are Discrete, MultiDiscrete, MultiBinary, and Dict or Tuple of these")
+
+
+def heads_of(space, spaces):
+    heads = [("_".join(filter(None, ("action", name))), n) for name, n in count(space, spaces)]
+    if not 1 <= len(heads) <= MOST_HEADS:
+        raise Refused(f"an action has {len(heads)} heads; 1 to {MOST_HEADS} are possible")
+    total = 0
+    for name, n in heads:
+        total += n
+        if total > MOST_CHOICES:
+            raise Refused(f"`{name}` has {n} choices, which makes {total} in all; at most {MOST_CHOICES} are possible")
+    return heads
+
+
+def decoder(space, spaces, np):
+    """Returns what makes the environment's action of the choices of its heads."""
+    if isinstance(space, spaces.Discrete):
+        start = int(space.start)
+        return lambda choices: choices[0] + start
+    if isinstance(space, spaces.MultiDiscrete):
+        start = np.asarray(getattr(space, "start", np.zeros_like(space.nvec)))
+        return lambda choices: (np.frombuffer(choices, np.uint8).reshape(space.nvec.shape) + start).astype(space.dtype)
+    if isinstance(space, spaces.MultiBinary):
+        return lambda choices: np.frombuffer(choices, np.uint8).reshape(space.shape).astype(space.dtype)
+    keys = list(space.spaces) if isinstance(space, spaces.Dict) else None
+    parts, first = [], 0
+    for part in space.spaces.values() if keys is not None else space.spaces:
+        n = len(count(part, spaces))
+        parts.append((slice(first, first + n), decoder(part, spaces, np)))
+        first += n
+    if keys is not None:
+        return lambda choices: {key: decode(choices[of]) for key, (of, decode) in zip(keys, parts)}
+    return lambda choices: tuple(decode(choices[of]) for of, decode in parts)
+
+
+class Flattener:
+    """Makes rows of 32-bit numbers of observations."""
+
+    def __init__(self, space, spaces, np):
+        self.space, self.np, self.dtype = space, np, np.dtype(np.float32)
+        try:
+            self.dim = spaces.flatdim(space)
+        except (NotImplementedError, ValueError):
+            raise Refused(f"the observation space is {space}; possible are Box, Discrete, MultiDiscrete, MultiBinary, and Dict or "
+                          "Tuple of these") from None
+        is_box = isinstance(space, spaces.Box)
+        self.flatten = None if is_box else spaces.flatten
+        self.shape, self.nothing = (self.dim,), np.zeros(self.dim, np.float32)
+        self.watches, self.told = is_box, False
+        if is_box:
+            self.low, self.high = (bound.flatten().astype(np.float32) for bound in (space.low, space.high))
+            self.watches = bool(np.isfinite(self.low).any() or np.isfinite(self.high).any())
+            if len(space.shape) != 1:
+                logging.info("observations of shape %s are flattened to %d numbers", space.shape, self.dim)
+
+    def row(self, observation):
+        np = self.np
+        if self.flatten is not None:
+            return np.asarray(self.flatten(self.space, observation), np.float32)
+        values = np.asarray(observation)
+        if values.shape != self.space.shape:
+            raise Refused(f"an observation has shape {values.shape}, not {self.space.shape}")
+        if values.dtype.kind not in "fiub":
+            raise Refused(f"an observation has dtype {values.dtype}, which is no number")
+        if values.dtype == np.float64 and not self.told:
+            self.told = True
+            logging.info("observations are float64; they are used as float32")
+        # A copy: the environment may go on writing into its own.
+        return np.array(values.ravel(), np.float32)
+
+    def look(self, rows):
+        """Tells once that observations leave their Box, which costs them nothing."""
+        outside = (rows < self.low) | (rows > self.high)
+        if outside.any():
+            self.watches = False
+            i = int(outside.any(axis=0).argmax())
+            logging.warning("observation[%d] leaves its Box (%g to %g), which is not told again", i, self.low[i], self.high[i])
+
+
+# --- How environments are made ------------------------------------------------------------------------------------------
+
+
+def maker(target, config):
+    """Returns what makes an environment of an index."""
+    import gymnasium
+
+    if target is None:
+        if "id" not in config:
+            raise Refused("which environment? Name a function (`python3 -m leadtime.worker my_envs:make`) or an id of Gymnasium "
+                          "(`env = { id = \"CartPole-v1\" }`)")
+        return from_registry(config["id"], {key: value for key, value in config.items() if key != "id"})
+    module, colon, name = target.partition(":")
+    if not colon or re.search(r"-v\d+$", name):
+        return from_registry(target, config)
+    make = importlib.import_module(module)
+    for part in name.split("."):
+        if not hasattr(make, part):
+            raise Refused(f"module `{module}` has no `{name}`")
+        make = getattr(make, part)
+    if inspect.isclass(make) and issubclass(make, gymnasium.Env):
+        return lambda index: make(**config)
+    takes = len([p for p in inspect.signature(make).parameters.values() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)])
+    return lambda index: make(*(config, index)[:takes])
+
+
+def from_registry(name, arguments):
+    import gymnasium
+
+    def make(index):
+        try:
+            return gymnasium.make(name, disable_env_checker=True, **arguments)
+        except gymnasium.error.Error as error:
+            raise Refused(f"{type(error).__name__}: {' '.join(str(error).split())}") from None
+
+    return make
+
+
+def versions_of(env):
+    """Returns what decides what is computed: versions of packages, and of the user's own file its digest."""
+    from importlib import metadata
+
+    import gymnasium
+    import numpy
+
+    found = {"python": platform.python_version(), "numpy": numpy.__version__, "gymnasium": gymnasium.__version__}
+    top = type(env.unwrapped).__module__.partition(".")[0]
+    for name in {top, *(engine for engine in ENGINES if engine in sys.modules)} - {"gymnasium"}:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            file = getattr(sys.modules.get(name), "__file__", None)
+            if file and os.path.exists(file):
+                with open(file, "rb") as source:
+                    found[name] = "sha256 " + hashlib.sha256(source.read()).hexdigest()[:12]
+    return dict(sorted(found.items()))
+
+
+# --- The worker ----------------------------------------------------------------------------------------------------------
+
+
+class Worker:
+    def __init__(self, connection, make, config):
+        import gymnasium
+        import numpy
+
+        self.connection, self.make, self.np, self.gymnasium = connection, make, numpy, gymnasium
+        self.metrics, self.batch = config["metrics"], config["batch"]
+        self.envs, self.rows = {}, {}
+        first = self.new(0)
+        self.envs[0] = first
+        spaces = gymnasium.spaces
+        self.heads = heads_of(first.action_space, spaces)
+        self.decode = decoder(first.action_space, spaces, numpy)
+        self.observe = Flattener(first.observation_space, spaces, numpy)
+        self.action_space, self.observation_space = first.action_space, first.observation_space
+        self.n_choices = sum(n for _, n in self.heads)
+        self.step_layout = struct.Struct(f"<HI{len(self.heads)}s")
+        self.metric_layout = struct.Struct(f"<{len(self.metrics)}f")
+
+    def hello(self):
+        names = {"heads": [name for name, _ in self.heads], "metrics": self.metrics, "versions": versions_of(self.envs[0])}
+        fixed = struct.pack("<4sHHIB", b"LDWK", VERSION, self.batch, self.observe.dim, len(self.heads))
+        self.connection.send(HELLO, fixed, bytes(n for _, n in self.heads), b"\0", json.dumps(names).encode())
+
+    def new(self, slot):
+        env = self.make(slot)
+        if not isinstance(env, self.gymnasium.Env):
+            raise Refused(f"what should make an environment returned {type(env).__name__}, which is no gymnasium.Env")
+        return env
+
+    def reset(self, slot, seed):
+        env = self.envs.get(slot)
+        if env is None:
+            env = self.envs[slot] = self.new(slot)
+        try:
+            told = env.reset(seed=seed)
+        except TypeError as error:
+            if "seed" in str(error):
+                raise Refused("`reset` takes no seed: the environment needs Gymnasium 0.26 or newer") from error
+            raise
+        if not (isinstance(told, tuple) and len(told) == 2):
+            raise Refused("`reset` does not return (observation, info): the environment needs Gymnasium 0.26 or newer")
+        for kind, space in (("action", self.action_space), ("observation", self.observation_space)):
+            own = getattr(env, kind + "_space")
+            if own is not space and own != space:
+                raise Refused(f"the {kind} space is {own}, and was {space} at first")
+        return told
+
+    def mask(self, info):
+        offered = info.get("action_mask")
+        if offered is None:
+            return EVERYTHING
+        np = self.np
+        parts = offered if isinstance(offered, (tuple, list)) else [offered]
+        flat = np.concatenate([np.ravel(part) for part in parts]).astype(bool)
+        if flat.shape != (self.n_choices,):
+            raise Refused(f"info[\"action_mask\"] has {flat.size} entries for {self.n_choices} choices")
+        return int.from_bytes(np.packbits(flat, bitorder="little").tobytes(), "little")
+
+    def summary(self, info):
+        values = []
+        for name in self.metrics:
+            value = info.get(name, info.get("is_success") if name == "success" else None)
+            if value is None:
+                raise Refused(f"info has no `{name}` at the end of an episode, which `world.metrics` names")
+            values.append(float(value))
+        return self.metric_layout.pack(*values)
+
+    def begin(self, body):
+        n, at = struct.unpack_from("<H", body)[0], 2
+        rows, masks, ends = [], [], bytearray(n)
+        for i in range(n):
+            slot, seed, length, pickled = struct.unpack_from("<HIII", body, at)
+            base, actions = body[at + 14 : at + 14 + pickled], body[at + 14 + pickled : at + 10 + length]
+            at += 10 + length
+            try:
+                row, mask = self.restore(slot, seed, base, actions)
+            except Exception as error:
+                self.tell(slot, error)
+                row, mask, ends[i] = self.observe.nothing, EVERYTHING, DID_FAIL
+            rows.append(row)
+            masks.append(mask)
+            self.rows[slot] = row, mask
+            self.connection.live()
+        self.answer(rows, [0.0] * n, ends, masks, [])
+
+    def restore(self, slot, seed, base, actions):
+        if base:
+            self.envs[slot], row, mask = pickle.loads(base)
+        else:
+            observation, info = self.reset(slot, seed)
+            row, mask = self.observe.row(observation), self.mask(info)
+        env, n_heads = self.envs[slot], len(self.heads)
+        n_steps = len(actions) // n_heads
+        for step in range(n_steps):
+            choices = actions[step * n_heads : (step + 1) * n_heads]
+            observation, _, terminated, truncated, info = env.step(self.decode(choices))
+            if terminated or truncated:
+                raise Refused(f"an episode that is played again ends after {step + 1} of {n_steps} steps: the environment does not "
+                              "depend on its seed and its actions alone")
+            self.connection.live()
+        if n_steps:
+            row, mask = self.observe.row(observation), self.mask(info)
+        return row, mask
+
+    def step(self, body):
+        n = struct.unpack_from("<H", body)[0]
+        envs, decode, row_of, shape, monotonic = self.envs, self.decode, self.observe.row, self.observe.shape, time.monotonic
+        ndarray, float32 = self.np.ndarray, self.observe.dtype
+        rows, rewards, ends, masks, rest, last = [], [], bytearray(n), [EVERYTHING] * n, [], self.connection.last
+        for i, (slot, seed, choices) in enumerate(self.step_layout.iter_unpack(memoryview(body)[2:])):
+            try:
+                told = envs[slot].step(decode(choices))
+                if len(told) != 5:
+                    raise Refused(f"`step` returns {len(told)} values, not five: the environment needs Gymnasium 0.26 or newer")
+                observation, reward, terminated, truncated, info = told
+                # What most environments return is sent as it is.
+                if observation.__class__ is ndarray and observation.dtype is float32 and observation.shape == shape:
+                    row = observation
+                else:
+                    row = row_of(observation)
+                reward, ended = float(reward), b""
+                if terminated or truncated:
+                    ended = row.tobytes() + self.summary(info)
+                    observation, info = self.reset(slot, seed)
+                    row = row_of(observation)
+                if "action_mask" in info:
+                    masks[i] = self.mask(info)
+                if ended:
+                    rest.append(ended)
+                    ends[i] = TERMINATED if terminated else TRUNCATED
+            except Exception as error:
+                self.tell(slot, error)
+                row, reward, ends[i] = self.observe.nothing, 0.0, DID_FAIL
+            rows.append(row)
+            rewards.append(reward)
+            self.rows[slot] = row, masks[i]
+            if monotonic() - last > SIGN_OF_LIFE:
+                self.connection.send(ALIVE)
+                last = self.connection.last
+        self.answer(rows, rewards, ends, masks, rest)
+
+    def answer(self, rows, rewards, ends, masks, rest):
+        n = len(rows)
+        try:
+            seen = b"".join(rows)
+        except BufferError:
+            seen = b"".join(row.tobytes() for row in rows)
+        if self.observe.watches:
+            self.observe.look(self.np.frombuffer(seen, self.np.float32).reshape(n, -1))
+        try:
+            paid = struct.pack(f"<{n}f", *rewards)
+        except OverflowError:
+            # More than a 32-bit number holds; the actor refuses it by name.
+            paid = struct.pack(f"<{n}f", *(max(min(reward, 3e38), -3e38) if reward == reward else reward for reward in rewards))
+        self.connection.send(STEPPED, struct.pack("<H", n), seen, paid, ends, struct.pack(f"<{n}Q", *masks), *rest)
+
+    def snapshot(self, body):
+        slot = struct.unpack_from("<H", body)[0]
+        row, mask = self.rows[slot]
+        try:
+            pickled = pickle.dumps((self.envs[slot], self.np.array(row), mask), pickle.HIGHEST_PROTOCOL)
+        except Exception as error:
+            self.tell(slot, error)
+            pickled = b""
+        self.connection.send(SNAPSHOTTED, pickled)
+
+    def tell(self, slot, error):
+        if not isinstance(error, Refused):
+            traceback.print_exception(type(error), error, error.__traceback__)
+            sys.stderr.flush()
+        self.connection.failed(slot, error)
+
+    def work(self):
+        answers = {BEGIN: self.begin, STEP: self.step, SNAPSHOT: self.snapshot}
+        while True:
+            kind, body = self.connection.receive()
+            if kind is None:
+                return
+            answers[kind](body)
+
+
+def end_with_the_actor():
+    """The actor holds the other end of our standard input; when it is gone, so are we, whatever an environment does."""
+    try:
+        while os.read(0, 1024):
+            pass
+    except OSError:
+        pass
+    os._exit(0)
+
+
+def main(arguments):
+    path = os.environ.get("LEADTIME_WORKER_SOCKET")
+    if path is None:
+        print("leadtime.worker is started by Leadtime: write `worker = \"python3 -m leadtime.worker ...\"` in [world]", file=sys.stderr)
+        return 2
+    # What environments print is for people, and never part of the protocol.
+    os.dup2(2, 1)
+    sys.stdout.reconfigure(line_buffering=True)
+    threading.Thread(target=end_with_the_actor, daemon=True).start()
+    connection = Connection(path)
+    logging.getLogger().addHandler(LogHandler(connection))
+    logging.getLogger().setLevel(logging.INFO)
+    logging.captureWarnings(True)
+    try:
+        config = json.loads(os.environ["LEADTIME_WORKER_CONFIG"])
+        try:
+            import gymnasium  # noqa: F401
+            import numpy
+        except ImportError as error:
+            raise Refused(f"{type(error).__name__}: {error}: `pip install gymnasium` here, with {sys.executable}") from None
+        # Of a process that others start anew, no environment may depend on them.
+        random.seed(0)
+        numpy.random.seed(0)
+        worker = Worker(connection, maker(arguments[0] if arguments else None, config["env"]), config)
+        worker.hello()
+    except Exception as error:
+        connection.failed(ITSELF, error)
+        return 1
+    try:
+        worker.work()
+    except (BrokenPipeError, ConnectionResetError):
+        pass
+    return 0
+
+
+if __name__ == "__main__":
+    if sys.path[0] == os.path.dirname(os.path.abspath(__file__)):
+        sys.path[0] = os.getcwd()
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,242 @@
+"""Checks of leadtime.worker: run with the package, gymnasium and the program `leadtime` installed.
+
+What a space becomes and what is refused is checked by speaking the protocol; the page of docs/worlds/python.md is trained by the program.
+"""
+
+import json
+import os
+import re
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from leadtime import worker
+
+PAGE = Path(__file__).resolve().parents[2] / "docs/worlds/python.md"
+
+
+class Toy(gymnasium.Env):
+    """Shows the seed and the number of steps; what is wrong with it is said when it is made."""
+
+    def __init__(self, action_space=None, observation_space=None, fault=None, length=5):
+        self.action_space = action_space or spaces.Discrete(3, start=-1)
+        self.observation_space = observation_space or spaces.Box(-np.inf, np.inf, (2,), np.float32)
+        self.fault, self.length = fault, length
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.first, self.n, self.seen = float(self.np_random.random()), 0, []
+        if self.fault == "space":
+            self.action_space = spaces.Discrete(4)
+        return self.look(), {"action_mask": np.array([1, 0, 1])} if self.fault == "mask" else {}
+
+    def look(self):
+        if isinstance(self.observation_space, spaces.Box):
+            wrong = {"shape": np.zeros(3), "dtype": np.array(["a", "b"]), "nan": np.array([0, np.nan])}
+            return wrong.get(self.fault, np.array([self.first, self.n]))
+        self.observation_space.seed(self.n)
+        return self.observation_space.sample()
+
+    def step(self, action):
+        self.seen.append(action)
+        self.n += 1
+        if self.fault == "raise" and self.n == 2:
+            raise IndexError("nothing there")
+        over = self.n >= self.length
+        info = {"success": True, "fuel": 0.5, "action_mask": (np.array([0, 1, 1]),)} if self.fault != "no-fuel" else {"success": True}
+        return self.look(), 1, over, over, info
+
+
+class Pair:
+    """A worker in a thread, and the actor's end of its connection."""
+
+    def __init__(self, make, config=None):
+        self.place = tempfile.TemporaryDirectory()
+        path = self.place.name + "/socket"
+        listener = socket.socket(socket.AF_UNIX)
+        listener.bind(path)
+        listener.listen()
+        self.connection = worker.Connection(path)
+        self.end = listener.accept()[0].makefile("rwb")
+        self.worker = worker.Worker(self.connection, make, config or {"metrics": ["success", "fuel"], "batch": 4})
+        threading.Thread(target=self.worker.work, daemon=True).start()
+
+    def ask(self, kind, body):
+        self.end.write(struct.pack("<IB", len(body), kind) + body)
+        self.end.flush()
+        failures = []
+        while True:
+            length, kind = struct.unpack("<IB", self.end.read(5))
+            body = self.end.read(length)
+            if kind == worker.FAILED:
+                failures.append(body[2:].decode())
+            elif kind != worker.ALIVE:
+                return body, failures
+
+    def begin(self, slot=0, seed=7, base=b"", actions=b""):
+        length = 4 + len(base) + len(actions)
+        body, failures = self.ask(worker.BEGIN, struct.pack("<HHIII", 1, slot, seed, length, len(base)) + base + actions)
+        return self.read(body), failures
+
+    def step(self, choices, slot=0, seed=8):
+        body, failures = self.ask(worker.STEP, struct.pack("<HHI", 1, slot, seed) + bytes(choices))
+        return self.read(body), failures
+
+    def read(self, body):
+        n = self.worker.observe.dim
+        row, at = np.frombuffer(body, "<f4", n, 2), 2 + 4 * n
+        reward, end, mask = struct.unpack_from("<fBQ", body, at)
+        return row, reward, end, mask, np.frombuffer(body[at + 13 :], "<f4")
+
+
+def refused(make, config=None):
+    try:
+        Pair(make, config)
+    except worker.Refused as error:
+        return str(error)
+    raise AssertionError("it was not refused")
+
+
+def test_an_action_is_a_choice_per_head_in_whatever_space():
+    multi = spaces.MultiDiscrete([2, 3])
+    for space, heads, choices, action in [
+        (spaces.Discrete(3, start=-1), [("action", 3)], [2], 1),
+        (multi, [("action_0", 2), ("action_1", 3)], [1, 2], [1, 2]),
+        (spaces.MultiBinary(3), [("action_0", 2), ("action_1", 2), ("action_2", 2)], [1, 0, 1], [1, 0, 1]),
+        (spaces.Tuple([spaces.Discrete(2), multi]), [("action_0", 2), ("action_1_0", 2), ("action_1_1", 3)], [1, 0, 2], (1, [0, 2])),
+        (spaces.Dict(a=spaces.Discrete(2), b=spaces.Discrete(4, start=1)), [("action_a", 2), ("action_b", 4)], [1, 3], {"a": 1, "b": 4}),
+    ]:
+        pair = Pair(lambda index: Toy(action_space=space))
+        assert pair.worker.heads == heads, pair.worker.heads
+        pair.begin()
+        pair.step(choices)
+        taken = pair.worker.envs[0].seen[0]
+        assert space.contains(taken), taken
+        flat = json.loads(json.dumps(taken, default=lambda x: x.tolist()))
+        assert flat == json.loads(json.dumps(action)), (flat, action)
+
+
+def test_an_observation_is_what_gymnasium_flattens():
+    for space in [spaces.Box(0, 1, (2, 3), np.float64), spaces.Discrete(4), spaces.MultiDiscrete([2, 3]), spaces.MultiBinary(2),
+                  spaces.Dict(b=spaces.Discrete(2), a=spaces.Box(0, 1, (2,), np.float32)), spaces.Tuple([spaces.Discrete(2), spaces.MultiBinary(2)])]:
+        flattener = worker.Flattener(space, spaces, np)
+        space.seed(3)
+        sample = space.sample()
+        assert np.array_equal(flattener.row(sample), spaces.flatten(space, sample).astype(np.float32)), space
+
+
+def test_what_cannot_be_is_said_in_a_sentence():
+    too_many = spaces.MultiDiscrete([40, 30])
+    assert "no continuous actions" in refused(lambda index: Toy(action_space=spaces.Box(0, 1, (2,))))
+    assert "`action_1` has 30 choices, which makes 70" in refused(lambda index: Toy(action_space=too_many))
+    assert "9 heads" in refused(lambda index: Toy(action_space=spaces.MultiBinary(9)))
+    assert "no gymnasium.Env" in refused(lambda index: "an environment")
+    assert "the observation space is" in refused(lambda index: Toy(observation_space=spaces.Sequence(spaces.Discrete(2))))
+    for fault, told in [("shape", "shape (3,), not (2,)"), ("dtype", "which is no number"), ("space", "the action space is Discrete(4), and was")]:
+        (_, _, end, _, _), failures = Pair(lambda index: Toy(fault=fault)).begin()
+        assert end == worker.DID_FAIL and told in failures[0], failures
+
+    class Old(Toy):
+        def reset(self):
+            return np.zeros(2)
+
+    _, failures = Pair(lambda index: Old()).begin()
+    assert "needs Gymnasium 0.26 or newer" in failures[0], failures
+
+
+def test_the_end_of_an_episode_has_its_last_observation_metrics_and_the_next_first_one():
+    pair = Pair(lambda index: Toy(length=2))
+    (first, _, _, mask, _), _ = pair.begin(seed=1)
+    assert mask == worker.EVERYTHING and first[1] == 0
+    (row, reward, end, mask, _), _ = pair.step([0])
+    assert (row[1], reward, end, mask) == (1, 1, 0, 0b110)
+    (row, _, end, mask, rest), _ = pair.step([0], seed=1)
+    # Terminated wins over truncated.
+    assert end == worker.TERMINATED and mask == worker.EVERYTHING
+    assert np.array_equal(row, first), "the next episode has the seed that came with the step"
+    assert rest.tolist() == [first[0], 2.0, 1.0, 0.5]
+    _, failures = Pair(lambda index: Toy(fault="no-fuel", length=1)).begin()
+    pair = Pair(lambda index: Toy(fault="no-fuel", length=1))
+    pair.begin()
+    (_, _, end, _, _), failures = pair.step([0])
+    assert end == worker.DID_FAIL and "`fuel`" in failures[0], failures
+
+
+def test_an_exception_is_one_line_with_file_and_line():
+    pair = Pair(lambda index: Toy(fault="raise"))
+    pair.begin()
+    pair.step([0])
+    (_, _, end, _, _), failures = pair.step([0])
+    assert end == worker.DID_FAIL
+    assert re.fullmatch(r"IndexError: nothing there \(test_worker.py:\d+\)", failures[0]), failures
+
+
+def test_an_environment_is_put_back_by_its_actions_and_by_a_pickle():
+    pair = Pair(lambda index: gymnasium.make("CartPole-v1"), {"metrics": [], "batch": 4})
+    pair.begin(seed=3)
+    rows = [pair.step([choice])[0][0] for choice in (0, 1, 1)]
+    (again, *_), failures = pair.begin(slot=1, seed=3, actions=bytes([0, 1, 1]))
+    assert not failures and again.tobytes() == rows[-1].tobytes()
+    pickled, _ = pair.ask(worker.SNAPSHOT, struct.pack("<H", 0))
+    further = pair.step([0])[0][0]
+    (again, *_), failures = pair.begin(slot=2, seed=3, base=pickled, actions=bytes([0]))
+    assert not failures and again.tobytes() == further.tobytes()
+    (*_,), failures = pair.begin(slot=2, seed=3, actions=bytes([1] * 60))
+    assert "ends after" in failures[0], failures
+
+
+def run(directory, *arguments, code=0):
+    finished = subprocess.run(["leadtime", *arguments], cwd=directory, capture_output=True, text=True, timeout=300)
+    assert finished.returncode == code, (arguments, finished.returncode, finished.stdout, finished.stderr)
+    return finished
+
+
+def test_the_page_of_the_documents_trains():
+    text = PAGE.read_text()
+    code, settings = (re.search(f"```{kind}\n(.*?)```", text, re.S)[1] for kind in ("python", "toml"))
+    with tempfile.TemporaryDirectory() as place:
+        Path(place, "crossing.py").write_text(code)
+        Path(place, "crossing.toml").write_text(settings)
+        checked = run(place, "check", "-c", "crossing.toml").stdout
+        assert "equal in every byte" in checked and "crossing sha256" in checked, checked
+        for name, actors in (("one", "1"), ("three", "3")):
+            run(place, "up", "-c", "crossing.toml", "--actors", actors, "--steps", "8192", "--name", name)
+        compared = run(place, "runs", "compare", "one", "three").stdout
+        assert "weights: equal" in compared, compared
+        evaluated = json.loads(run(place, "eval", "one", "--episodes", "50", "--json").stdout)
+        assert "success" in json.dumps(evaluated)
+        # What is wrong is one sentence, and the worker's own.
+        Path(place, "crossing.py").write_text(code.replace("import numpy as np", "import numpy as np, nobody_has_this"))
+        failed = run(place, "up", "-c", "crossing.toml", code=2).stderr
+        assert "ModuleNotFoundError: No module named 'nobody_has_this' (crossing.py:2)" in failed, failed
+
+
+def test_gymnasiums_own_environments_keep_the_promise():
+    with tempfile.TemporaryDirectory() as place:
+        found = run(place, "check", "-c", "python", "--set", "world.env.id=CartPole-v1").stdout
+        assert "equal in every byte" in found, found
+        try:
+            import Box2D  # noqa: F401
+        except ImportError:
+            print("LunarLander is skipped: no Box2D here")
+            return
+        lander = ["check", "-c", "python", "--set", "world.env.id=LunarLander-v3"]
+        assert "equal in every byte" in run(place, *lander).stdout
+        refused = run(place, *lander, "--set", "world.snapshot=pickle", code=2).stderr
+        assert "a pickle of the environment is not all of it" in refused, refused
+
+
+if __name__ == "__main__":
+    os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["PATH"]
+    for name, test in list(globals().items()):
+        if name.startswith("test_"):
+            test()
+            print(f"{name.removeprefix('test_').replace('_', ' ')}: ok")

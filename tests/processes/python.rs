@@ -1,0 +1,214 @@
+//! Worlds in Python, stepped by a worker in Python's standard library: whatever happens to workers, the weights are the same; what
+//! is wrong with an environment is one sentence; and nobody executes what somebody else wrote.
+
+use std::fs;
+use std::process::Command;
+
+use crate::support::{
+    Finished, PATIENCE, Place, arguments, children, repository, result, signal, updates,
+    wait_for_updates, wait_for_words, wait_until,
+};
+
+/// Short enough to be trained again and again.
+const SETTINGS: &str = "
+[learner]
+n_envs = 4
+n_steps = 32
+total_steps = 2560
+";
+
+/// What the environments look like.
+const SPEC: &str = "spec = { obs_dim = 4, heads = [{ name = \"action\", n_choices = 2 }] }";
+
+fn fake(mode: &str) -> String {
+    format!("python3 {} {mode}", repository("tests/worker/fake.py"))
+}
+
+/// Writes the configuration of a run whose worker has a mode.
+fn config(place: &Place, name: &str, mode: &str, more: &str) -> String {
+    let worker = fake(mode);
+    let text = format!(
+        "domain = \"python\"\n[world]\nworker = \"{worker}\"\nenv = {{}}\nmetrics = [\"success\"]\nstep_timeout = \"1s\"\n\
+         {more}\n{SETTINGS}"
+    );
+    place.write(&format!("{name}.toml"), &text)
+}
+
+/// Trains with one actor and returns the digest of the weights.
+fn train(place: &Place, name: &str, mode: &str, more: &str) -> (String, Finished) {
+    // Only the actor starts a worker.
+    let file = config(place, name, mode, &format!("{SPEC}\n{more}"));
+    let finished = place.finish(&["up --actors 1 --name", name, "-c", &file]).with_code(0);
+    (weights(place, name), finished)
+}
+
+fn weights(place: &Place, name: &str) -> String {
+    result(&place.run(name))["weights_sha256"].as_str().unwrap().to_owned()
+}
+
+/// Tells whether a process is a worker, and not the shell that started it.
+fn is_worker(id: u32) -> bool {
+    let arguments = arguments(id);
+    arguments.contains("fake.py") && !arguments.starts_with("sh ")
+}
+
+/// Lists the worker processes below a process.
+fn workers_of(id: u32) -> Vec<u32> {
+    let below = children(id).into_iter().flat_map(|child| {
+        let further = workers_of(child);
+        std::iter::once(child).chain(further).collect::<Vec<_>>()
+    });
+    below.filter(|id| is_worker(*id)).collect()
+}
+
+#[test]
+fn the_same_seed_gives_the_same_weights_however_many_workers_and_whoever_is_killed() {
+    let place = Place::new();
+    let file = config(&place, "several", "", "batch = 2");
+    let long = "--set learner.total_steps=25600";
+    place.finish(&["up --actors 1 --name alone -c", &file, long]).with_code(0);
+    let up = place.start(&["up --actors 3 --name several -c", &file, long]);
+    wait_for_updates(&place.run("several"), 5);
+    let workers = workers_of(up.id());
+    assert!(workers.len() >= 3, "{workers:?}");
+    signal("KILL", workers[0]);
+    let now = updates(&place.run("several"));
+    wait_for_updates(&place.run("several"), now + 5);
+    let actor = children(up.id()).into_iter().find(|id| arguments(*id).contains("--id actor-2"));
+    signal("KILL", actor.unwrap());
+    up.finish(PATIENCE).with_code(0).saying(&["is started again"]);
+    let compared = place.finish(&["runs compare alone several"]).with_code(0);
+    assert!(compared.stdout.contains("weights: equal"), "{}", compared.stdout);
+}
+
+#[test]
+fn a_worker_that_fails_once_is_replaced_and_no_bit_changes() {
+    let place = Place::new();
+    let (expected, clean) = train(&place, "clean", "", "");
+    assert!(clean.stderr.contains("a worker prints this"), "{}", clean.stderr);
+    for (mode, told) in [
+        ("exits", "out of fuel"),
+        ("hangs", "it said nothing for 1s"),
+        ("garbage", "started again"),
+        ("huge-frame", "a frame of 2147483648 bytes"),
+        ("raises", "its step is taken again"),
+    ] {
+        let flag = place.file(&format!("{mode}.flag"));
+        let (found, finished) = train(&place, mode, &format!("{mode} {flag}"), "");
+        finished.saying(&[told]);
+        assert_eq!(found, expected, "{mode}");
+    }
+    let (pickled, _) = train(&place, "pickled", "", "snapshot = \"pickle\"");
+    assert_eq!(pickled, expected, "a pickle puts an environment where its actions do");
+}
+
+/// Runs a learner, and an actor that is expected to end.
+fn actor_of(place: &Place, name: &str, mode: &str, options: &str) -> Finished {
+    // The learner is told what the environments look like, and starts no worker.
+    let file = config(place, name, mode, SPEC);
+    let at = place.endpoint(name);
+    let learner = place.start(&["learner --listen", &at, "--name", name, "-c", &file]);
+    wait_for_words(&learner, "run opened");
+    let mut command = place.program(&["actor --connect", &at]);
+    command.args(options.split('|').filter(|option| !option.is_empty()));
+    let actor = place.start_with(command).finish(PATIENCE);
+    assert!(workers_of(learner.id()).is_empty(), "a learner starts no worker");
+    actor
+}
+
+#[test]
+fn an_environment_that_keeps_failing_ends_its_actor_with_a_sentence() {
+    let place = Place::new();
+    let words = "environment 0 fails: IndexError: list index out of range (my_envs.py:40)";
+    actor_of(&place, "raises", "raises", "--trust-worker").with_code(1).saying(&[words]);
+    let nan = "observation[3] is nan after action [";
+    actor_of(&place, "nan", "nan", "--trust-worker").with_code(1).saying(&[nan, "step "]);
+    let huge = "the reward is 2e9 after action [";
+    actor_of(&place, "huge", "huge-reward", "--trust-worker").with_code(1).saying(&[huge]);
+    let exits = ["died 3 times within a minute", "its last words: out of fuel"];
+    actor_of(&place, "exits", "exits", "--trust-worker").with_code(1).saying(&exits);
+}
+
+#[test]
+fn a_worker_that_does_not_begin_is_wrong_input() {
+    let place = Place::new();
+    for (mode, told) in [
+        ("cannot-import", "ModuleNotFoundError: No module named 'my_envs'"),
+        ("ends-at-once", "its last words: no module named my_envs"),
+        ("garbage-hello", "it sent a frame"),
+    ] {
+        actor_of(&place, mode, mode, "--trust-worker").with_code(2).saying(&[told]);
+    }
+    let missing = "--worker|nobody-has-this-program";
+    actor_of(&place, "missing", "", missing).with_code(2).saying(&["nobody-has-this-program"]);
+    let file = config(&place, "asked", "cannot-import", "");
+    let told = ["ModuleNotFoundError: No module named 'my_envs'"];
+    place.finish(&["up --actors 1 -c", &file]).with_code(2).saying(&told);
+}
+
+#[test]
+fn nobody_executes_what_somebody_else_wrote() {
+    let place = Place::new();
+    let flag = place.file("executed");
+    let text = format!(
+        "domain = \"python\"\n[world]\nworker = \"touch {flag}\"\nmetrics = [\"success\"]\n{SPEC}\n{SETTINGS}"
+    );
+    let file = place.write("theirs.toml", &text);
+    let at = place.endpoint("theirs");
+    let learner = place.start(&["learner --listen", &at, "--name theirs -c", &file]);
+    wait_for_words(&learner, "run opened");
+    let refused = place.finish(&["actor --connect", &at]).with_code(2);
+    refused.saying(&["--worker COMMAND", "--trust-worker"]);
+    // With a command of its own it takes part.
+    let mut command = place.program(&["actor --connect", &at]);
+    command.args(["--worker", &fake("")]);
+    place.start_with(command).finish(PATIENCE).with_code(0);
+    learner.finish(PATIENCE).with_code(0);
+    assert!(!fs::exists(&flag).unwrap(), "the learner's command was executed");
+    // A policy that may come from anywhere is not evaluated with its own command; the run on this disk is.
+    let policy = place.file("policy.safetensors");
+    fs::copy(place.run("theirs").join("policy.safetensors"), &policy).unwrap();
+    let eval = |what: &str, options: &[&str]| {
+        let mut command: Command = place.program(&["eval --episodes 4", what]);
+        command.args(options);
+        place.start_with(command).finish(PATIENCE)
+    };
+    eval(&policy, &[]).with_code(1).saying(&["--trust-worker"]);
+    assert!(!fs::exists(&flag).unwrap(), "a policy's command was executed");
+    eval(&policy, &["--worker", &fake("")]).with_code(0);
+}
+
+#[test]
+fn check_compares_two_processes_and_a_pickle_with_what_it_stands_for() {
+    let place = Place::new();
+    let check = |name: &str, mode: &str, more: &str| {
+        let file = config(&place, name, mode, more);
+        place.finish(&["check -c", &file])
+    };
+    let good = check("good", "", "").with_code(0);
+    assert!(good.stdout.contains("200 steps, equal in every byte"), "{}", good.stdout);
+    let random = check("random", "random", "");
+    assert_eq!(random.code, Some(1), "{}", random.stderr);
+    assert!(random.stdout.contains("two processes differ in observation[0]"), "{}", random.stdout);
+    check("empty", "empty-pickle", "snapshot = \"pickle\"")
+        .with_code(2)
+        .saying(&["a pickle of the environment is not all of it", "snapshot = \"replay\""]);
+    check("none", "", "snapshot = \"none\"").with_code(2).saying(&["learner.mode", "async"]);
+    let file = config(&place, "async", "", "snapshot = \"none\"");
+    place.finish(&["check --set learner.mode=async -c", &file]).with_code(0);
+}
+
+#[test]
+fn a_worker_ends_with_its_actor() {
+    let place = Place::new();
+    let file = config(&place, "killed", "", "");
+    let up = place.start(&["up --actors 1 --name killed --steps 1e9 -c", &file]);
+    wait_for_updates(&place.run("killed"), 2);
+    let workers = workers_of(up.id());
+    assert!(!workers.is_empty());
+    for id in children(up.id()) {
+        signal("KILL", id);
+    }
+    up.kill();
+    wait_until("the workers are gone", PATIENCE, || !workers.iter().any(|id| is_worker(*id)));
+}
