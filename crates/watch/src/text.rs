@@ -208,7 +208,7 @@ mod tests {
         view.about(json!({"domain": evil, "total_updates": u64::MAX}), 0.0);
         for update in [1, 2] {
             let told = json!({"kind": "update", "update": update, "refusals": {evil: update}});
-            view.learner_says("01", told, update as f64);
+            view.learner_says("01", told, f64::from(update));
         }
         view.learner_says("01", json!({"kind": "roster", "actors": [{"id": evil}]}), 2.0);
         let told = screen(&view, 2.0);

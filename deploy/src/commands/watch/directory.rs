@@ -42,7 +42,7 @@ pub(super) struct RunSource {
 }
 
 /// The thread that plays the run's policies, and what it plays.
-struct Play {
+struct PlannedFlight {
     flight: FlightThread,
     plan: Result<FlightPlan, String>,
 }
@@ -118,7 +118,7 @@ impl RunSource {
             let config = self.config.as_ref().ok_or("another release made this run".to_owned());
             let plan = config.and_then(|config| flight_plan(tasks, config));
             flight.plan(plan.clone());
-            Some(Play { flight, plan })
+            Some(PlannedFlight { flight, plan })
         } else {
             None
         };
@@ -130,7 +130,12 @@ impl RunSource {
         }
     }
 
-    fn look(&mut self, tasks: &Tasks, page: &Page, play: Option<&Play>) -> Result<(), Failure> {
+    fn look(
+        &mut self,
+        tasks: &Tasks,
+        page: &Page,
+        play: Option<&PlannedFlight>,
+    ) -> Result<(), Failure> {
         match self.tail.new_lines() {
             Ok(Some(lines)) => page.with(|view, now| {
                 for line in lines {
@@ -156,8 +161,8 @@ impl RunSource {
     }
 
     /// Gives the newest policy to the playthrough, if it is another one than before.
-    fn offer_policy(&mut self, tasks: &Tasks, play: &Play) {
-        let Play { flight, plan } = play;
+    fn offer_policy(&mut self, tasks: &Tasks, play: &PlannedFlight) {
+        let PlannedFlight { flight, plan } = play;
         let files = [LAST_POLICY, BEST_POLICY].map(|name| self.directory.join(name));
         let Some(path) = files.iter().find(|path| path.is_file()) else { return };
         let Ok(found) = fs::metadata(path) else { return };

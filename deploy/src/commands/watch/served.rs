@@ -89,22 +89,20 @@ impl PageServer {
         let router = routes(Arc::clone(page));
         let (page, stop) = (Arc::clone(page), stop.clone());
         tokio::spawn(async move {
-            let telling = async {
-                let mut ticks = interval(EVENT_PAUSE);
-                ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-                let ticking = async {
-                    loop {
-                        ticks.tick().await;
-                        page.flush(Instant::now());
-                    }
-                };
-                stop.run_until_cancelled(ticking).await;
-                // Open streams end by that, and the server with them.
-                page.close();
-            };
-            tokio::join!(telling, self.server.serve(router, guard, stop.clone()));
+            tokio::join!(tell(&page, &stop), self.server.serve(router, guard, stop.clone()));
         })
     }
+}
+
+/// Tells pages what is due until the token is cancelled, and then says goodbye.
+async fn tell(page: &Page, stop: &CancellationToken) {
+    let mut ticks = interval(EVENT_PAUSE);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    while stop.run_until_cancelled(ticks.tick()).await.is_some() {
+        page.flush(Instant::now());
+    }
+    // Open streams end by that, and the server with them.
+    page.close();
 }
 
 /// Makes a token, or checks one.
