@@ -39,13 +39,9 @@ fn main() {
 }
 
 fn the_weights_are_those_of_one_host() {
-    let hosts = match Hosts::make(&["learner", "router", "near", "far"]) {
-        Ok(hosts) => hosts,
-        Err(reason) => {
-            eprintln!("no network namespaces can be made here: {reason}");
-            std::process::exit(1);
-        }
-    };
+    let hosts = Hosts::make(&["learner", "router", "near", "far"]);
+    let hosts =
+        hosts.unwrap_or_else(|reason| panic!("no network namespaces can be made here: {reason}"));
     let place = Place::new();
     let certs = |arguments: &str| {
         place.finish(&["certs", arguments]).with_code(0);

@@ -229,20 +229,22 @@ fn a_service_manager_hears_that_a_learner_is_ready_alive_and_about_to_end() {
     learner.finish(PATIENCE).with_code(0);
 }
 
-/// A disk of four megabytes, taken away when dropped.
+/// A disk of four megabytes, taken away when dropped; `None` where none can be made, which needs root.
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    fn mount(place: &Place) -> Self {
+    fn mount(place: &Place) -> Option<Self> {
         let path = place.path().join("runs");
         fs::create_dir(&path).unwrap();
         let mounted = Command::new("mount")
             .args(["-t", "tmpfs", "-o", "size=4m", "tmpfs"])
             .arg(&path)
-            .output()
-            .unwrap();
-        assert!(mounted.status.success(), "{}", String::from_utf8_lossy(&mounted.stderr));
-        Self(path)
+            .output();
+        if mounted.is_ok_and(|done| done.status.success()) {
+            return Some(Self(path));
+        }
+        println!("skipped: no small disk can be mounted here");
+        None
     }
 
     /// Takes all room, and gives back a little that no checkpoint fits into.
@@ -263,10 +265,9 @@ impl Drop for SmallDisk {
 }
 
 #[test]
-#[ignore = "mounts a small disk, as root"]
 fn a_full_disk_stops_no_training_until_patience_ends_and_nothing_is_lost() {
     let place = Place::new();
-    let disk = SmallDisk::mount(&place);
+    let Some(disk) = SmallDisk::mount(&place) else { return };
     let learner = learner(&place, "--set run.checkpoint_patience=3");
     let at = address(&learner);
     let actor = actor(&place, "");

@@ -151,7 +151,7 @@ impl ThinSeries {
     fn join_pairs(&mut self) {
         self.x = self.x.chunks(2).filter_map(|pair| pair.last().copied()).collect();
         self.scalars.values_mut().for_each(Extremes::join_pairs);
-        self.stride *= 2;
+        self.stride = self.stride.saturating_mul(2);
     }
 
     /// Returns the points of updates from this one on.
