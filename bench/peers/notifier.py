@@ -1,0 +1,221 @@
+"""The piloting notifier, trained to .9 success by Leadtime and by its peers: environment steps, seconds, steps per second.
+
+    python3 bench/peers/notifier.py leadtime|cleanrl|sb3 [--seed 1] [--steps 2400000] [--program target/release/leadtime]
+
+The task, the network and the settings are those of `leadtime config lander`. `leadtime` is `leadtime up` with one actor;
+`cleanrl` a single file in the manner of CleanRL's `ppo.py`, on the native vector of 64 environments; `sb3` MaskablePPO of
+sb3-contrib on 64 single ones. .9 success means: of the last 100 training episodes, 90 were successes. Seconds count from
+the start of the training, without imports. Prints one JSON line.
+
+Needs: the package `leadtime` (python/build.sh), and for the peers: pip install torch stable-baselines3 sb3-contrib.
+"""
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from pathlib import Path
+
+TASK, N_ENVS, N_STEPS, N_MINIBATCHES, N_EPOCHS = "leadtime/Lander-v0", 64, 64, 16, 4
+GAMMA, LAMBDA, CLIP, ENTROPY, VALUE, MAX_NORM, LR = 0.999, 0.95, 0.2, 0.004, 0.5, 0.5, 1.5e-3
+REWARD_SCALE, INITIATE_BIAS, WANTED, LAST = 0.01, -1.0, 0.9, 100
+
+
+class Progress:
+    """Notes when the last episodes were successful enough."""
+
+    def __init__(self):
+        self.started, self.steps = time.time(), 0
+        self.last, self.reached = deque(maxlen=LAST), None
+
+    def episode(self, success):
+        self.last.append(bool(success))
+        if self.reached is None and len(self.last) == LAST and sum(self.last) >= WANTED * LAST:
+            self.reached = (self.steps, time.time() - self.started)
+
+    def result(self, name, seed):
+        seconds = time.time() - self.started
+        steps, needed = self.reached or (None, None)
+        return {"system": name, "seed": seed, "steps_to_.9": steps, "seconds_to_.9": needed and round(needed, 1),
+                "steps": self.steps, "seconds": round(seconds, 1), "steps_per_second": round(self.steps / seconds),
+                "last_success": sum(self.last) / max(1, len(self.last))}
+
+
+def leadtime(args):
+    with tempfile.TemporaryDirectory() as folder:
+        command = [args.program, "up", "-c", "lander", "--actors", "1", "--seed", str(args.seed), "--runs", folder,
+                   "--name", "r", "--set", f"learner.total_steps={args.steps}", "--set", "evaluation.during_training=0"]
+        started = time.time()
+        child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        journal, reached, lines, file = Path(folder) / "r/metrics.jsonl", None, [], None
+        while True:
+            is_over = child.poll() is not None
+            if file is None and journal.exists():
+                file = open(journal)
+            for line in file or []:
+                if not line.endswith("\n"):
+                    break
+                lines.append(json.loads(line))
+                if reached is None and lines[-1].get("episodes/success", 0) >= WANTED and lines[-1]["update"] > 1:
+                    reached = (lines[-1]["steps"], time.time() - started)
+            if is_over:
+                break
+            time.sleep(0.05)
+        seconds = time.time() - started
+        steps, needed = reached or (None, None)
+        return {"system": "leadtime up", "seed": args.seed, "steps_to_.9": steps, "seconds_to_.9": needed and round(needed, 1),
+                "steps": lines[-1]["steps"], "seconds": round(seconds, 1),
+                "steps_per_second": round(lines[-1]["steps"] / seconds), "last_success": lines[-1]["episodes/success"]}
+
+
+def cleanrl(args):
+    import gymnasium as gym
+    import numpy as np
+    import torch
+    from torch import nn
+
+    import leadtime.gym  # noqa: F401
+
+    def layer(n_in, n_out, gain=2 ** 0.5):
+        linear = nn.Linear(n_in, n_out)
+        nn.init.orthogonal_(linear.weight, gain)
+        nn.init.constant_(linear.bias, 0.0)
+        return linear
+
+    envs = gym.make_vec(TASK, num_envs=N_ENVS, vectorization_mode="vector_entry_point")
+    sizes = envs.single_action_space.nvec.tolist()
+    n_in = envs.single_observation_space.shape[0]
+    torch.manual_seed(args.seed)
+    np.random.seed(args.seed)
+
+    def network(n_out, gain):
+        return nn.Sequential(layer(n_in, 64), nn.Tanh(), layer(64, 64), nn.Tanh(), layer(64, n_out, gain))
+
+    actor, critic = network(sum(sizes), 0.01), network(1, 1.0)
+    with torch.no_grad():
+        actor[-1].bias[1] = INITIATE_BIAS
+    parameters = [*actor.parameters(), *critic.parameters()]
+    optimizer = torch.optim.Adam(parameters, lr=LR, eps=1e-5)
+
+    def decide(x, mask, action=None):
+        logits = torch.where(mask, actor(x), torch.tensor(-1e8))
+        heads = [torch.distributions.Categorical(logits=part) for part in logits.split(sizes, dim=-1)]
+        if action is None:
+            action = torch.stack([head.sample() for head in heads], dim=-1)
+        log_prob = sum(head.log_prob(action[..., i]) for i, head in enumerate(heads))
+        return action, log_prob, sum(head.entropy() for head in heads), critic(x).squeeze(-1)
+
+    obs = torch.zeros(N_STEPS, N_ENVS, n_in)
+    actions = torch.zeros(N_STEPS, N_ENVS, len(sizes), dtype=torch.long)
+    masks = torch.zeros(N_STEPS, N_ENVS, sum(sizes), dtype=torch.bool)
+    log_probs, rewards, dones, values = (torch.zeros(N_STEPS, N_ENVS) for _ in range(4))
+    progress = Progress()
+    seen, infos = envs.reset(seed=args.seed)
+    next_obs, next_mask, next_done = torch.tensor(seen), torch.tensor(infos["action_mask"], dtype=torch.bool), torch.zeros(N_ENVS)
+    n_updates = args.steps // (N_ENVS * N_STEPS)
+    for update in range(n_updates):
+        optimizer.param_groups[0]["lr"] = LR * (1 - update / n_updates)
+        for t in range(N_STEPS):
+            obs[t], masks[t], dones[t] = next_obs, next_mask, next_done
+            with torch.no_grad():
+                action, log_prob, _, value = decide(next_obs, next_mask)
+            actions[t], log_probs[t], values[t] = action, log_prob, value
+            seen, reward, terminated, truncated, infos = envs.step(action.numpy())
+            progress.steps += N_ENVS
+            ended = np.flatnonzero(terminated | truncated)
+            reward = reward * REWARD_SCALE
+            for i in ended:
+                progress.episode(infos["final_info"]["success"][i])
+                if truncated[i]:
+                    # The discounted value of what was cut off, as the program adds it.
+                    with torch.no_grad():
+                        reward[i] += GAMMA * critic(torch.tensor(infos["final_obs"][i])).item()
+            rewards[t] = torch.tensor(reward, dtype=torch.float32)
+            next_obs, next_mask = torch.tensor(seen), torch.tensor(infos["action_mask"], dtype=torch.bool)
+            next_done = torch.tensor(terminated | truncated, dtype=torch.float32)
+        with torch.no_grad():
+            next_value = critic(next_obs).squeeze(-1)
+            advantages, last = torch.zeros_like(rewards), torch.zeros(N_ENVS)
+            for t in reversed(range(N_STEPS)):
+                live = 1.0 - (next_done if t == N_STEPS - 1 else dones[t + 1])
+                following = next_value if t == N_STEPS - 1 else values[t + 1]
+                delta = rewards[t] + GAMMA * following * live - values[t]
+                advantages[t] = last = delta + GAMMA * LAMBDA * live * last
+            returns = advantages + values
+        flat = [x.reshape(-1, *x.shape[2:]) for x in (obs, masks, actions, log_probs, advantages, returns)]
+        order = np.arange(N_ENVS * N_STEPS)
+        for _ in range(N_EPOCHS):
+            np.random.shuffle(order)
+            for batch in order.reshape(N_MINIBATCHES, -1):
+                b_obs, b_mask, b_act, b_logp, b_adv, b_ret = (x[batch] for x in flat)
+                _, logp, entropy, value = decide(b_obs, b_mask, b_act)
+                ratio = (logp - b_logp).exp()
+                b_adv = (b_adv - b_adv.mean()) / (b_adv.std() + 1e-8)
+                policy_loss = torch.max(-b_adv * ratio, -b_adv * ratio.clamp(1 - CLIP, 1 + CLIP)).mean()
+                loss = policy_loss - ENTROPY * entropy.mean() + VALUE * 0.5 * ((value - b_ret) ** 2).mean()
+                optimizer.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(parameters, MAX_NORM)
+                optimizer.step()
+        if progress.reached and args.stop:
+            break
+    return progress.result("CleanRL-style PPO", args.seed)
+
+
+def sb3(args):
+    import gymnasium as gym
+    from sb3_contrib import MaskablePPO
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.env_util import make_vec_env
+    from torch import nn
+
+    import leadtime.gym  # noqa: F401
+
+    progress = None
+
+    class Told(BaseCallback):
+        def _on_step(self):
+            progress.steps = self.num_timesteps
+            for info in self.locals["infos"]:
+                if "success" in info:
+                    progress.episode(info["success"])
+            return not (progress.reached and args.stop)
+
+    class Scaled(gym.Wrapper):
+        def step(self, action):
+            observation, reward, terminated, truncated, info = self.env.step(action)
+            return observation, reward * REWARD_SCALE, terminated, truncated, info
+
+        def action_masks(self):
+            return self.env.unwrapped.action_masks()
+
+    envs = make_vec_env(lambda: Scaled(gym.make(TASK)), n_envs=N_ENVS, seed=args.seed)
+    model = MaskablePPO(
+        "MlpPolicy", envs, learning_rate=lambda left: LR * left, n_steps=N_STEPS, batch_size=N_ENVS * N_STEPS // N_MINIBATCHES,
+        n_epochs=N_EPOCHS, gamma=GAMMA, gae_lambda=LAMBDA, clip_range=CLIP, ent_coef=ENTROPY, vf_coef=VALUE / 2,
+        max_grad_norm=MAX_NORM, seed=args.seed, device="cpu",
+        policy_kwargs={"net_arch": {"pi": [64, 64], "vf": [64, 64]}, "activation_fn": nn.Tanh})
+    model.policy.action_net.bias.data[1] = INITIATE_BIAS
+    progress = Progress()
+    model.learn(args.steps, callback=Told())
+    return progress.result("Stable-Baselines3 MaskablePPO", args.seed)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("system", choices=["leadtime", "cleanrl", "sb3"])
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--steps", type=int, default=2_400_000)
+    parser.add_argument("--program", default="target/release/leadtime")
+    parser.add_argument("--stop", action="store_true", help="stop a peer once it has .9")
+    args = parser.parse_args()
+    try:
+        print(json.dumps({"leadtime": leadtime, "cleanrl": cleanrl, "sb3": sb3}[args.system](args)))
+    except ImportError as missing:
+        print(f"skipped: {missing}")
+        sys.exit(0)
+
+
+main()
