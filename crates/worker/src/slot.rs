@@ -27,7 +27,7 @@ pub(crate) enum StepProgress {
 
 /// An environment of a worker.
 #[derive(Debug)]
-pub(crate) struct Slot {
+pub(crate) struct WorkerSlot {
     /// Somebody steps it.
     pub(crate) is_used: bool,
     /// An episode has begun, here and in the worker.
@@ -53,7 +53,7 @@ pub(crate) struct Slot {
     pub(crate) failure: Option<String>,
 }
 
-impl Slot {
+impl WorkerSlot {
     pub(crate) fn new() -> Self {
         Self {
             is_used: false,
@@ -112,7 +112,7 @@ impl Slot {
         self.progress = StepProgress::Shown;
     }
 
-    /// Names the first number that cannot be, if there is one.
+    /// HelloNames the first number that cannot be, if there is one.
     fn implausible(&self) -> Option<String> {
         let possible = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
         let odd = |x: &f32| !possible.contains(&f64::from(*x));
@@ -153,8 +153,8 @@ mod tests {
 
     use super::*;
 
-    fn slot() -> Slot {
-        let mut slot = Slot::new();
+    fn slot() -> WorkerSlot {
+        let mut slot = WorkerSlot::new();
         slot.begin(EpisodeSeed { run_seed: 1, env_id: EnvId(17), episode: 12 });
         slot.action = vec![1, 0];
         slot
