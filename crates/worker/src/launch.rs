@@ -19,7 +19,7 @@ pub(crate) struct WorkerLaunch {
     pub(crate) command: String,
     /// What environments are made with, as JSON.
     pub(crate) config: String,
-    /// HelloNames of the metrics.
+    /// Names of the metrics.
     pub(crate) metrics: Vec<String>,
     pub(crate) snapshot: SnapshotKind,
     /// Environments per worker.

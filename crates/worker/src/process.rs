@@ -68,7 +68,7 @@ impl LineLimit {
 pub(crate) struct WorkerProcess {
     child: Box<dyn ChildWrapper>,
     /// The worker ends when this closes.
-    _lifeline: Option<ChildStdin>,
+    lifeline: Option<ChildStdin>,
     reader: FrameReader<UnixStream>,
     writer: UnixStream,
     words: Words,
@@ -120,8 +120,8 @@ impl WorkerProcess {
         let writer = stream.try_clone()?;
         let reader = FrameReader::new(stream);
         let limit = LineLimit::new();
-        let (_lifeline, is_over) = (lifeline, false);
-        let mut worker = Self { child, _lifeline, reader, writer, words, limit, is_over };
+        let is_over = false;
+        let mut worker = Self { child, lifeline, reader, writer, words, limit, is_over };
         let times = (launch.start_timeout(), launch.start_timeout());
         let hello = worker.answer((FrameKind::Hello, "a hello"), MAX_HELLO_BYTES, times, |_| {});
         Ok(match hello.and_then(|body| read_hello(&body)) {
@@ -181,6 +181,7 @@ impl WorkerProcess {
 
 impl Drop for WorkerProcess {
     fn drop(&mut self) {
+        self.lifeline = None;
         if !self.is_over {
             kill(self.child.as_mut());
         }

@@ -112,7 +112,7 @@ impl WorkerSlot {
         self.progress = StepProgress::Shown;
     }
 
-    /// HelloNames the first number that cannot be, if there is one.
+    /// Names the first number that cannot be, if there is one.
     fn implausible(&self) -> Option<String> {
         let possible = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
         let odd = |x: &f32| !possible.contains(&f64::from(*x));
