@@ -14,7 +14,7 @@
 //!
 //! # Where to start
 //!
-//! [`entry`] makes the domain; [`Workers`] holds the processes and says what may be executed; the protocol is
+//! [`entry()`] makes the domain; [`Workers`] holds the processes and says what may be executed; the protocol is
 //! [`protocol`]'s, and its other side is `python/leadtime/worker.py`.
 
 mod check;
