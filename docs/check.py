@@ -27,7 +27,8 @@ RECORDS = [ROOT / "ARCHITECTURE.md", ROOT / "bench/README.md", *sorted((ROOT / "
            *sorted((ROOT / "docs/decisions").glob("*.md"))]
 # What needs something that is not there, and why it is not run.
 SKIPPED = {"http://": "a language model's server", "<": "a form", "TASK": "a form", "tls/": "certificates", "$": "variables of a script",
-           "HOST": "another machine", "examples/live": "needs a notifier; .ci/run lets both meet"}
+           "HOST": "another machine", "examples/live": "needs a notifier; .ci/run lets both meet", "-m leadtime": "the Python package",
+           "-c python": "the Python package and Gymnasium"}
 if not find_spec("numpy"):
     SKIPPED["python3"] = "no numpy here"
 if not CORRIDOR.exists():

@@ -21,7 +21,7 @@ use crate::notifier::{NotifierWorld, TaskSettings};
 type Builder = Arc<dyn Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync>;
 
 /// Writes into settings what only the task itself can say; `None` if nothing is missing.
-type Completer = Arc<dyn Fn(&str) -> Result<Option<String>, TaskError> + Send + Sync>;
+type SettingsCompleter = Arc<dyn Fn(&str) -> Result<Option<String>, TaskError> + Send + Sync>;
 
 /// The settings of a task that has nothing but a world.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,7 +36,7 @@ pub struct WorldOnly<W: Default> {
 pub struct DomainEntry {
     name: String,
     builder: Builder,
-    completer: Option<Completer>,
+    completer: Option<SettingsCompleter>,
     /// Its settings with their defaults, where the entry knows their type.
     defaults: Option<fn() -> Value>,
     /// Keys of `[world]` that differ while a policy is evaluated, as TOML.

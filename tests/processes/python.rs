@@ -79,6 +79,15 @@ fn the_same_seed_gives_the_same_weights_however_many_workers_and_whoever_is_kill
     up.finish(PATIENCE).with_code(0).saying(&["is started again"]);
     let compared = place.finish(&["runs compare alone several"]).with_code(0);
     assert!(compared.stdout.contains("weights: equal"), "{}", compared.stdout);
+    // One actor with two workers.
+    let at = place.endpoint("two");
+    let learner = place.start(&["learner --name two --listen", &at, "-c", &file, long]);
+    wait_for_words(&learner, "run opened");
+    let actor = place.start(&["actor --trust-worker --workers 2 --connect", &at]);
+    wait_for_updates(&place.run("two"), 2);
+    assert_eq!(workers_of(actor.id()).len(), 2);
+    learner.finish(PATIENCE).with_code(0);
+    assert_eq!(weights(&place, "two"), weights(&place, "alone"));
 }
 
 #[test]

@@ -10,6 +10,8 @@ use toml::{Table, Value};
 
 /// Sections that say where and how a run is carried out, and not what it computes.
 const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
+/// Settings of the domain `python` that only say how its workers are kept; what these are named in another world decides there.
+const FREE_IN_PYTHON: [&str; 2] = ["world.batch", "world.step_timeout"];
 /// Settings of the learner that may change while a run goes on: they decide how it learns from there on. The others decide
 /// what its state is, such as the number of its environments.
 pub const CHANGEABLE: [&str; 14] = [
@@ -73,6 +75,9 @@ pub fn is_free(key: &str) -> bool {
 fn deciding(table: &Table) -> BTreeMap<String, String> {
     let mut leaves = flatten(table);
     leaves.retain(|key, value| !is_free(key) && !changes_nothing(key, value));
+    if table.get("domain").and_then(Value::as_str) == Some(leadtime_worker::DOMAIN) {
+        leaves.retain(|key, _| !FREE_IN_PYTHON.contains(&key.as_str()));
+    }
     if leaves.get(REASON_WEIGHT.0).is_some_and(|weight| weight == REASON_WEIGHT.1) {
         let (key, value) = RETIRED;
         leaves.insert(key.to_owned(), value.to_owned());
@@ -182,6 +187,15 @@ mod tests {
             let later = table(&format!("[{section}]\n{name} = {idle}"));
             assert!(difference(&table(""), &later).is_empty() && deciding(&later).is_empty());
         }
+    }
+
+    #[test]
+    fn how_workers_are_kept_decides_nothing() {
+        let run = |domain: &str, batch: u32| {
+            table(&format!("domain = \"{domain}\"\n[world]\nbatch = {batch}\nworker = \"w\""))
+        };
+        assert_eq!(of_run(&run("python", 8)), of_run(&run("python", 16)));
+        assert_ne!(of_run(&run("mine", 8)), of_run(&run("mine", 16)));
     }
 
     fn changes(before: &Table, after: &Table) -> Vec<String> {

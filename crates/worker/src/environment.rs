@@ -5,9 +5,9 @@ use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_sims::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
 use serde::{Deserialize, Serialize};
 
-use crate::launch::Launch;
+use crate::launch::WorkerLaunch;
 use crate::link::{MAX_STATE_BYTES, not_the_same};
-use crate::pool::{Place, Workers};
+use crate::pool::{WorkerPlace, Workers};
 use crate::settings::SnapshotKind;
 use crate::slot::StepProgress;
 
@@ -32,10 +32,10 @@ struct WorkerState {
 pub(crate) struct PythonEnvironment {
     workers: Workers,
     /// How the worker is started; why it must not be.
-    launch: Result<Launch, String>,
+    launch: Result<WorkerLaunch, String>,
     snapshot: SnapshotKind,
     spec: EnvSpec,
-    place: Option<Place>,
+    place: Option<WorkerPlace>,
     mask: u64,
     metrics: Vec<f32>,
     /// Why there is no place.
@@ -45,7 +45,7 @@ pub(crate) struct PythonEnvironment {
 impl PythonEnvironment {
     pub(crate) fn new(
         workers: Workers,
-        launch: Result<Launch, String>,
+        launch: Result<WorkerLaunch, String>,
         snapshot: SnapshotKind,
         spec: EnvSpec,
     ) -> Self {
@@ -55,7 +55,7 @@ impl PythonEnvironment {
     }
 
     /// Finds a worker, unless there is one.
-    fn find_place(&mut self) -> Option<&Place> {
+    fn find_place(&mut self) -> Option<&WorkerPlace> {
         if self.place.is_none() && self.failure.is_none() {
             let found =
                 self.launch.as_ref().map_err(Clone::clone).and_then(|launch| {
@@ -220,7 +220,7 @@ impl Environment for PythonEnvironment {
     }
 
     fn failure(&self) -> Option<String> {
-        let in_place = |place: &Place| place.link().slot(place.index()).failure.clone();
+        let in_place = |place: &WorkerPlace| place.link().slot(place.index()).failure.clone();
         self.failure.clone().or_else(|| self.place.as_ref().and_then(in_place))
     }
 

@@ -14,7 +14,7 @@ const START_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// How a kind of worker is started.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Launch {
+pub(crate) struct WorkerLaunch {
     /// The command of the shell.
     pub(crate) command: String,
     /// What environments are made with, as JSON.
@@ -29,7 +29,7 @@ pub(crate) struct Launch {
     pub(crate) expected: Option<WorldSpec>,
 }
 
-impl Launch {
+impl WorkerLaunch {
     /// Describes the workers of a configuration; `command` replaces the configuration's.
     pub(crate) fn new(settings: &PythonSettings, command: String) -> Self {
         let config = json!({

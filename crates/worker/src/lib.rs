@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! Lockstep ── announce, step ──► PythonEnvironment ─┐
-//! Lockstep ── announce, step ──► PythonEnvironment ─┼─► Link ══ unix socket ══► worker process: many environments
+//! Lockstep ── announce, step ──► PythonEnvironment ─┼─► WorkerLink ══ unix socket ══► worker process: many environments
 //! Lockstep ── announce, step ──► PythonEnvironment ─┘        one frame for the steps of a batch, one back
 //! ```
 //!
@@ -14,7 +14,7 @@
 //!
 //! # Where to start
 //!
-//! [`entry`] makes the domain; [`Workers`] holds the processes and says what may be executed; the protocol is
+//! [`entry()`] makes the domain; [`Workers`] holds the processes and says what may be executed; the protocol is
 //! [`protocol`]'s, and its other side is `python/leadtime/worker.py`.
 
 mod check;
@@ -23,11 +23,13 @@ mod environment;
 mod error;
 mod launch;
 mod link;
+mod pickle;
 mod pool;
 mod process;
 pub mod protocol;
 mod settings;
 mod slot;
+mod trial;
 
 pub use check::{WorkerReport, check_worker};
 pub use entry::entry;

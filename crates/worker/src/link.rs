@@ -1,7 +1,7 @@
 //! One worker with its environments: what is asked of it, and how it is replaced when it dies.
 //!
 //! A worker that ends, hangs or sends what cannot be read is killed and started again; its environments are put back by what
-//! their [`Slot`]s remember, and what was under way is asked once more. An environment whose step raises an exception is put
+//! their [`WorkerSlot`]s remember, and what was under way is asked once more. An environment whose step raises an exception is put
 //! back once, too; if it raises again it has failed.
 
 use std::collections::VecDeque;
@@ -12,13 +12,13 @@ use leadtime_sims::EpisodeSeed;
 use tracing::warn;
 
 use crate::error::Error;
-use crate::launch::Launch;
+use crate::launch::WorkerLaunch;
 use crate::process::WorkerProcess;
 use crate::protocol::{
     FrameKind, FrameShape, FrameWriter, ProtocolError, StepRow, WorkerHello, read_stepped,
 };
 use crate::settings::SnapshotKind;
-use crate::slot::{Slot, StepProgress, reset_seed};
+use crate::slot::{StepProgress, WorkerSlot, reset_seed};
 
 /// The most bytes of actions, or of a pickle, that a snapshot holds: it has to fit one of the run's.
 pub(crate) const MAX_STATE_BYTES: usize = MAX_SNAPSHOT_BYTES - (64 << 10);
@@ -29,12 +29,12 @@ const DEATH_WINDOW: Duration = Duration::from_mins(1);
 
 /// A worker and its environments.
 #[derive(Debug)]
-pub(crate) struct Link {
-    launch: Launch,
+pub(crate) struct WorkerLink {
+    launch: WorkerLaunch,
     hello: WorkerHello,
     shape: FrameShape,
     process: Option<WorkerProcess>,
-    slots: Vec<Slot>,
+    slots: Vec<WorkerSlot>,
     /// Slots whose steps are announced, and not sent yet.
     announced: Vec<usize>,
     /// Slots whose steps are sent, and not answered yet.
@@ -46,20 +46,20 @@ pub(crate) struct Link {
     rows: Vec<StepRow>,
 }
 
-impl Link {
+impl WorkerLink {
     /// Starts a worker.
     ///
     /// # Errors
     ///
     /// [`Error`] if it does not begin, or steps other environments than it should.
-    pub(crate) fn start(launch: Launch) -> Result<Self, Error> {
+    pub(crate) fn start(launch: WorkerLaunch) -> Result<Self, Error> {
         let started = WorkerProcess::start(&launch)?;
         let (process, hello) =
             started.map_err(|reason| Error::Start { command: launch.command.clone(), reason })?;
         let shape = launch.check(&hello)?;
         Ok(Self {
             hello,
-            slots: (0..launch.batch).map(|_| Slot::new()).collect(),
+            slots: (0..launch.batch).map(|_| WorkerSlot::new()).collect(),
             launch,
             shape,
             process: Some(process),
@@ -77,7 +77,7 @@ impl Link {
         &self.hello
     }
 
-    pub(crate) fn launch(&self) -> &Launch {
+    pub(crate) fn launch(&self) -> &WorkerLaunch {
         &self.launch
     }
 
@@ -99,7 +99,7 @@ impl Link {
     /// Reserves an environment.
     pub(crate) fn reserve(&mut self) -> Option<usize> {
         let place = self.slots.iter().position(|slot| !slot.is_used)?;
-        self.slots[place] = Slot { is_used: true, ..Slot::new() };
+        self.slots[place] = WorkerSlot { is_used: true, ..WorkerSlot::new() };
         Some(place)
     }
 
@@ -113,11 +113,11 @@ impl Link {
         self.slots[place].is_used = false;
     }
 
-    pub(crate) fn slot(&self, place: usize) -> &Slot {
+    pub(crate) fn slot(&self, place: usize) -> &WorkerSlot {
         &self.slots[place]
     }
 
-    pub(crate) fn slot_mut(&mut self, place: usize) -> &mut Slot {
+    pub(crate) fn slot_mut(&mut self, place: usize) -> &mut WorkerSlot {
         &mut self.slots[place]
     }
 
@@ -378,7 +378,7 @@ impl Link {
             return Err("it has other environments than before".to_owned());
         }
         self.process = Some(process);
-        let begun = |slot: &Slot| slot.is_used && slot.is_begun && slot.failure.is_none();
+        let begun = |slot: &WorkerSlot| slot.is_used && slot.is_begun && slot.failure.is_none();
         let places: Vec<usize> =
             (0..self.slots.len()).filter(|place| begun(&self.slots[*place])).collect();
         let again = if places.is_empty() { Ok(()) } else { self.ask_to_begin(&places) };
@@ -410,7 +410,7 @@ fn same(a: &[f32], b: &[f32]) -> bool {
 }
 
 /// Says what is wrong with an environment that raises an exception.
-fn failed(slot: &Slot) -> String {
+fn failed(slot: &WorkerSlot) -> String {
     format!("environment {} fails: {}", slot.seed.env_id, slot.exception)
 }
 

@@ -2,10 +2,10 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::check::check_pickle;
 use crate::error::Error;
-use crate::launch::Launch;
-use crate::link::Link;
+use crate::launch::WorkerLaunch;
+use crate::link::WorkerLink;
+use crate::pickle::check_pickle;
 use crate::settings::{PythonSettings, SnapshotKind, WorldSpec};
 
 /// Which command a process executes to step environments.
@@ -35,27 +35,27 @@ pub struct WorkerRules {
 
 /// What the handles share.
 #[derive(Debug, Default)]
-struct Shared {
+struct SharedWorkers {
     rules: Mutex<WorkerRules>,
     links: Mutex<Vec<SharedLink>>,
 }
 
 /// A link as several environments share it.
-pub(crate) type SharedLink = Arc<Mutex<Link>>;
+pub(crate) type SharedLink = Arc<Mutex<WorkerLink>>;
 
 /// The workers of a process; a copy is another handle.
 #[derive(Clone, Debug, Default)]
-pub struct Workers(Arc<Shared>);
+pub struct Workers(Arc<SharedWorkers>);
 
 /// An environment of a worker, released when dropped.
 #[derive(Debug)]
-pub(crate) struct Place {
+pub(crate) struct WorkerPlace {
     link: SharedLink,
     index: usize,
 }
 
-impl Place {
-    pub(crate) fn link(&self) -> MutexGuard<'_, Link> {
+impl WorkerPlace {
+    pub(crate) fn link(&self) -> MutexGuard<'_, WorkerLink> {
         lock(&self.link)
     }
 
@@ -64,7 +64,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for WorkerPlace {
     fn drop(&mut self) {
         lock(&self.link).release(self.index);
     }
@@ -90,7 +90,7 @@ impl Workers {
     }
 
     /// Returns how the workers of a configuration are started.
-    pub(crate) fn launch(&self, settings: &PythonSettings) -> Result<Launch, Error> {
+    pub(crate) fn launch(&self, settings: &PythonSettings) -> Result<WorkerLaunch, Error> {
         let rules = lock(&self.0.rules);
         let command = match &rules.permission {
             Permission::Refused => {
@@ -102,11 +102,11 @@ impl Workers {
         if rules.refuses_pickles && settings.snapshot == SnapshotKind::Pickle {
             return Err(Error::PickleNotTrusted);
         }
-        Ok(Launch::new(settings, command))
+        Ok(WorkerLaunch::new(settings, command))
     }
 
     /// Makes sure that there is a worker.
-    pub(crate) fn start(&self, launch: &Launch) -> Result<(), Error> {
+    pub(crate) fn start(&self, launch: &WorkerLaunch) -> Result<(), Error> {
         let mut links = lock(&self.0.links);
         if let Some(world) = known(&links, launch) {
             return world.map(drop);
@@ -116,13 +116,13 @@ impl Workers {
     }
 
     /// Asks a worker what its environments look like; one that had to be started for it is not kept.
-    pub(crate) fn ask(&self, launch: &Launch) -> Result<WorldSpec, Error> {
+    pub(crate) fn ask(&self, launch: &WorkerLaunch) -> Result<WorldSpec, Error> {
         let known = known(&lock(&self.0.links), launch);
         known.unwrap_or_else(|| Ok(start(launch)?.hello().world.clone()))
     }
 
     /// Reserves an environment: of the worker that has the fewest, or of a new one.
-    pub(crate) fn reserve(&self, launch: &Launch) -> Result<Place, Error> {
+    pub(crate) fn reserve(&self, launch: &WorkerLaunch) -> Result<WorkerPlace, Error> {
         let mut links = lock(&self.0.links);
         let mut of_kind: Vec<SharedLink> = links.clone();
         of_kind.retain(|link| lock(link).launch().is_like(launch));
@@ -142,7 +142,7 @@ impl Workers {
         let index = lock(&link).reserve();
         // It has room: nobody reserves without the lock on all links.
         let index = index.ok_or_else(|| std::io::Error::other("a worker has no room"))?;
-        Ok(Place { link, index })
+        Ok(WorkerPlace { link, index })
     }
 
     /// Sends the steps that are announced, to every worker, before any is waited for.
@@ -158,7 +158,7 @@ impl Workers {
 }
 
 /// Returns what the environments of a worker look like that is there already.
-fn known(links: &[SharedLink], launch: &Launch) -> Option<Result<WorldSpec, Error>> {
+fn known(links: &[SharedLink], launch: &WorkerLaunch) -> Option<Result<WorldSpec, Error>> {
     links.iter().map(|link| lock(link)).find(|link| link.launch().is_like(launch)).map(|link| {
         launch.check(link.hello())?;
         Ok(link.hello().world.clone())
@@ -166,8 +166,8 @@ fn known(links: &[SharedLink], launch: &Launch) -> Option<Result<WorldSpec, Erro
 }
 
 /// Starts a worker, and sees whether pickles of its environments are what they seem.
-fn start(launch: &Launch) -> Result<Link, Error> {
-    let mut link = Link::start(launch.clone())?;
+fn start(launch: &WorkerLaunch) -> Result<WorkerLink, Error> {
+    let mut link = WorkerLink::start(launch.clone())?;
     if launch.snapshot == SnapshotKind::Pickle
         && let Some(reason) = check_pickle(&mut link)
     {

@@ -15,7 +15,7 @@ use leadtime_proto::text::printable;
 use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 use tracing::{debug, info, warn};
 
-use crate::launch::Launch;
+use crate::launch::WorkerLaunch;
 use crate::protocol::{
     Aside, FrameKind, FrameReader, MAX_HELLO_BYTES, MAX_TEXT_BYTES, ProtocolError, WorkerHello,
     read_hello,
@@ -68,11 +68,13 @@ impl LineLimit {
 pub(crate) struct WorkerProcess {
     child: Box<dyn ChildWrapper>,
     /// The worker ends when this closes.
-    _lifeline: Option<ChildStdin>,
+    lifeline: Option<ChildStdin>,
     reader: FrameReader<UnixStream>,
     writer: UnixStream,
     words: Words,
     limit: LineLimit,
+    /// It was killed; its number may be another's by now.
+    is_over: bool,
 }
 
 /// What a worker prints.
@@ -84,7 +86,7 @@ struct Words {
 
 impl WorkerProcess {
     /// Starts a worker and waits for its hello; an error is what it said, or what was missing.
-    pub(crate) fn start(launch: &Launch) -> io::Result<Result<(Self, WorkerHello), String>> {
+    pub(crate) fn start(launch: &WorkerLaunch) -> io::Result<Result<(Self, WorkerHello), String>> {
         let preferred = std::env::temp_dir();
         let fits = preferred.as_os_str().len() <= MAX_BASE_BYTES;
         let base = if fits { preferred } else { "/tmp".into() };
@@ -118,7 +120,8 @@ impl WorkerProcess {
         let writer = stream.try_clone()?;
         let reader = FrameReader::new(stream);
         let limit = LineLimit::new();
-        let mut worker = Self { child, _lifeline: lifeline, reader, writer, words, limit };
+        let is_over = false;
+        let mut worker = Self { child, lifeline, reader, writer, words, limit, is_over };
         let times = (launch.start_timeout(), launch.start_timeout());
         let hello = worker.answer((FrameKind::Hello, "a hello"), MAX_HELLO_BYTES, times, |_| {});
         Ok(match hello.and_then(|body| read_hello(&body)) {
@@ -171,13 +174,17 @@ impl WorkerProcess {
             _ => None,
         };
         kill(self.child.as_mut());
+        self.is_over = true;
         self.words.explain(ended.unwrap_or_else(|| noticed.to_string()))
     }
 }
 
 impl Drop for WorkerProcess {
     fn drop(&mut self) {
-        kill(self.child.as_mut());
+        self.lifeline = None;
+        if !self.is_over {
+            kill(self.child.as_mut());
+        }
     }
 }
 

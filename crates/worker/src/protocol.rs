@@ -91,9 +91,9 @@ pub enum ProtocolError {
 }
 
 /// Reads from a body, piece by piece.
-struct Body<'a>(&'a [u8]);
+struct FrameBody<'a>(&'a [u8]);
 
-impl<'a> Body<'a> {
+impl<'a> FrameBody<'a> {
     fn take(&mut self, n: usize, what: &str) -> Result<&'a [u8], ProtocolError> {
         let short = || ProtocolError::Malformed(format!("it ends before {what}"));
         let (taken, rest) = self.0.split_at_checked(n).ok_or_else(short)?;
@@ -134,7 +134,7 @@ pub struct WorkerHello {
 
 /// The JSON at the end of a hello.
 #[derive(Deserialize)]
-struct Names {
+struct HelloNames {
     heads: Vec<String>,
     metrics: Vec<String>,
     versions: BTreeMap<String, String>,
@@ -146,7 +146,7 @@ struct Names {
 ///
 /// [`ProtocolError::Malformed`] if it is none, or one of another version.
 pub fn read_hello(body: &[u8]) -> Result<WorkerHello, ProtocolError> {
-    let mut body = Body(body);
+    let mut body = FrameBody(body);
     let malformed = |text: String| ProtocolError::Malformed(text);
     if body.array::<4>("the magic")? != MAGIC {
         return Err(malformed("it does not begin as a worker's hello does".to_owned()));
@@ -166,7 +166,7 @@ pub fn read_hello(body: &[u8]) -> Result<WorkerHello, ProtocolError> {
     let n_heads = usize::from(body.u8("the number of heads")?);
     let choices = body.take(n_heads, "the heads")?;
     body.u8("the flags")?;
-    let names: Names =
+    let names: HelloNames =
         serde_json::from_slice(body.0).map_err(|error| malformed(printable(&error.to_string())))?;
     if names.heads.len() != n_heads {
         return Err(malformed(format!("{} names for {n_heads} heads", names.heads.len())));
@@ -227,7 +227,7 @@ pub fn read_stepped(
     shape: FrameShape,
     rows: &mut [StepRow],
 ) -> Result<(), ProtocolError> {
-    let (mut body, n) = (Body(body), rows.len());
+    let (mut body, n) = (FrameBody(body), rows.len());
     let told = usize::from(body.u16("the number of environments")?);
     if told != n {
         let text = format!("it is about {told} environments, not {n}");
@@ -384,7 +384,7 @@ impl<R: Read> FrameReader<R> {
             if is_answer {
                 return Ok(&self.buffer[from..][..n_bytes]);
             }
-            let mut body = Body(&self.buffer[from..][..n_bytes]);
+            let mut body = FrameBody(&self.buffer[from..][..n_bytes]);
             if found == FrameKind::Log as u8 {
                 let level = body.u8("the level")?;
                 aside(Aside::Log { level, text: text(body.0) });

@@ -27,7 +27,7 @@ pub(crate) enum StepProgress {
 
 /// An environment of a worker.
 #[derive(Debug)]
-pub(crate) struct Slot {
+pub(crate) struct WorkerSlot {
     /// Somebody steps it.
     pub(crate) is_used: bool,
     /// An episode has begun, here and in the worker.
@@ -53,7 +53,7 @@ pub(crate) struct Slot {
     pub(crate) failure: Option<String>,
 }
 
-impl Slot {
+impl WorkerSlot {
     pub(crate) fn new() -> Self {
         Self {
             is_used: false,
@@ -153,8 +153,8 @@ mod tests {
 
     use super::*;
 
-    fn slot() -> Slot {
-        let mut slot = Slot::new();
+    fn slot() -> WorkerSlot {
+        let mut slot = WorkerSlot::new();
         slot.begin(EpisodeSeed { run_seed: 1, env_id: EnvId(17), episode: 12 });
         slot.action = vec![1, 0];
         slot
