@@ -220,7 +220,7 @@ fn what_the_shipped_policies_say_is_true() {
     let place = Place::new();
     for policy in ["piloting", "driving", "cooking"] {
         let path = repository(&format!("deploy/policies/{policy}.safetensors"));
-        let truth = place.finish(&["eval --truth --json --episodes 4", &path]).with_code(0).json();
+        let truth = place.finish(&["eval --truth --json --episodes 20", &path]).with_code(0).json();
         let (any, if_true) = (&truth[0]["in_turn"], &truth[0]["true_in_turn"]);
         assert!(any["false_at_start"].as_u64() > Some(0), "{policy}: {truth}");
         assert_eq!(any["said"], if_true["said"]);

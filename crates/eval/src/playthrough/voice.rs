@@ -97,11 +97,10 @@ impl Voice {
         let told = messages.iter().map(|it| (it, &played.scenes[it.start].facts[..]));
         let told: Vec<(&LoggedMessage, &[&str])> = told.collect();
         let chosen = self.choose(played.seed, played.index, &told, Choosing::TrueInTurn)?;
-        let sentence = |(message, chosen): (&LoggedMessage, Option<Chosen<'_>>)| match chosen {
-            Some(Chosen { utterance, fallback }) => {
+        let sentence = |(message, chosen): (&LoggedMessage, Option<Chosen<'_>>)| {
+            if let Some(Chosen { utterance, fallback }) = chosen {
                 Sentence { text: utterance.text.clone(), cell: utterance.cell, fallback }
-            }
-            None => {
+            } else {
                 let text = format!("[{}]", topic_name(&played.scenes[0], message.topic));
                 Sentence { text, cell: cell(message), fallback: false }
             }

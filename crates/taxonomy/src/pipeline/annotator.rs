@@ -66,11 +66,10 @@ impl Annotator {
                         pending.take().ok_or_else(|| wrong("there is no instruction"))?;
                     let curve = percentages(numbers, &text)
                         .ok_or_else(|| wrong("one percentage from 0 to 100 per word is needed"))?;
+                    let landed = || completer.cell(&curve).map_err(|what| wrong(&what));
                     let cell = match section.cell {
                         // Where it lands is measured again; here it decides under which cell it is proposed.
-                        None if !section.is_control => {
-                            Some(completer.cell(&curve).map_err(|what| wrong(&what))?)
-                        }
+                        None if !section.is_control => Some(landed()?),
                         cell => cell,
                     };
                     annotator.add(section, cell, text, curve);

@@ -74,18 +74,21 @@ fn text(player: &str, n_episodes: u32, found: &[Truthfulness; 2]) -> String {
         ]);
     }
     let episodes = counted(n_episodes as usize, "episode");
-    let mut text = format!("{player}, {episodes}\n\n{}", table.text());
+    let mut lines = vec![format!("{player}, {episodes}\n"), table.text()];
     for ((_, name), truth) in CHOICES.iter().zip(found) {
         if !truth.examples.is_empty() {
-            text += &format!("\nFalse, of those {name}:\n");
+            lines.push(format!("False, of those {name}:"));
         }
-        for FalseSentence { episode, step, text: said, fact } in &truth.examples {
-            text += &format!("  \"{said}\" at step {step} of episode {episode}: not {fact}\n");
-        }
+        lines.extend(truth.examples.iter().map(example));
         if truth.without_words > 0 {
             let silent = counted(truth.without_words, "message");
-            text += &format!("\nNothing true to say, of those {name}: {silent}\n");
+            lines.push(format!("Nothing true to say, of those {name}: {silent}"));
         }
     }
-    text
+    lines.join("\n") + "\n"
+}
+
+fn example(of: &FalseSentence) -> String {
+    let FalseSentence { episode, step, text, fact } = of;
+    format!("  \"{text}\" at step {step} of episode {episode}: not {fact}")
 }

@@ -91,7 +91,7 @@ impl<'a> DriveMoment<'a> {
     }
 
     /// Lists the cars that are on the next ramp, or have left it and not settled.
-    fn from_ramp(self) -> impl Iterator<Item = (&'a Vehicle, &'a Ramp)> {
+    fn cars_of_ramp(self) -> impl Iterator<Item = (&'a Vehicle, &'a Ramp)> {
         self.ramp().into_iter().flat_map(move |ramp| {
             let comes = move |car: &&Vehicle| {
                 let merges = car.role == CarRole::Merging && car.position[0] < ramp.end_x;
@@ -157,7 +157,7 @@ const TOLD: &[DriveFact] = &[
         "merge_gap_closing",
         "a car from the next ramp would merge at most 40 m behind the own car, and is faster by more than 1 m/s",
         |d| {
-            d.from_ramp().any(|(car, ramp)| {
+            d.cars_of_ramp().any(|(car, ramp)| {
                 let lead = lead_over(d.ego(), car, ramp);
                 ahead_within(lead, MERGE_GAP) && car.speed - d.ego().speed > FASTER
             })
@@ -185,7 +185,7 @@ const TOLD: &[DriveFact] = &[
         d.traffic.road.ramps.iter().any(|ramp| ahead_within(ramp.merge_x - x, NEXT_RAMP))
     }),
     ("car_on_ramp", "a car is on the next ramp, which joins the road within 200 m", |d| {
-        d.from_ramp().any(|(car, ramp)| ramp.lanes.contains(&car.lane))
+        d.cars_of_ramp().any(|(car, ramp)| ramp.lanes.contains(&car.lane))
     }),
     (
         "car_merging",
@@ -204,7 +204,7 @@ const TOLD: &[DriveFact] = &[
     (
         "danger_ahead",
         "a car ahead on the own lane is reached within 5 s, or a car from the next ramp comes within 20 m where it merges",
-        |d| d.closes_in() || d.from_ramp().any(|(car, ramp)| d.meets(car, ramp)),
+        |d| d.closes_in() || d.cars_of_ramp().any(|(car, ramp)| d.meets(car, ramp)),
     ),
     ("lane_ends", "the own lane ends within 200 m, and one beside it goes on", |d| {
         let (network, ego) = (d.traffic.network(), d.ego());

@@ -110,11 +110,7 @@ impl FlightMoment<'_> {
     fn is_free_beside(&self, sign: f64) -> bool {
         let ([x, y], to) = (self.place, self.place[0] + sign * REACH);
         let (x0, x1) = (x.min(to), x.max(to));
-        !self.any(|zone| zone.x0 <= x1 && x0 <= zone.x1 && self.at_height(zone, y))
-    }
-
-    fn at_height(&self, zone: &Zone, y: f64) -> bool {
-        zone.y0 <= y + HALF_WIDTH && y - HALF_WIDTH <= zone.y1
+        !self.any(|zone| zone.x0 <= x1 && x0 <= zone.x1 && is_at_height(zone, y))
     }
 
     fn is_beside_pad(&self) -> bool {
@@ -133,6 +129,11 @@ impl FlightMoment<'_> {
     fn asked_descent(&self) -> f64 {
         (0.1 + 0.6 * self.place[1].max(0.0)).min(0.6)
     }
+}
+
+/// Tells whether a zone overlaps the band of the lander's height.
+fn is_at_height(zone: &Zone, y: f64) -> bool {
+    zone.y0 <= y + HALF_WIDTH && y - HALF_WIDTH <= zone.y1
 }
 
 /// Tells whether a zone lies at the top left of the view.
@@ -220,6 +221,9 @@ mod tests {
 
     const STILL: [f64; 2] = [0.0, 0.0];
 
+    /// Where the lander is and how it moves.
+    type PlaceAndSpeed = ([f64; 2], [f64; 2]);
+
     fn holds(name: &str, place: [f64; 2], velocity: [f64; 2]) -> bool {
         let flight = FlightMoment { place, velocity, zones: &DEFAULT_ZONES };
         let told = TOLD.iter().find(|told| told.0 == name).unwrap_or_else(|| panic!("{name}"));
@@ -227,7 +231,7 @@ mod tests {
     }
 
     /// Of every fact, a moment in which it holds and the like of it in which it does not.
-    const MOMENTS: &[(&str, ([f64; 2], [f64; 2]), ([f64; 2], [f64; 2]))] = &[
+    const MOMENTS: &[(&str, PlaceAndSpeed, PlaceAndSpeed)] = &[
         ("zone_near", ([0.0, 0.85], STILL), ([0.0, 0.95], STILL)),
         ("zone_below", ([0.0, 0.9], STILL), ([0.0, 0.45], STILL)),
         ("zone_below", ([-0.35, 0.9], STILL), ([-0.45, 0.9], STILL)),
