@@ -161,6 +161,12 @@ impl Client {
     }
 }
 
+/// Returns the measures of the first player, but for what the policy wanted to say and could not: that is no message.
+fn measures(of: &Value) -> Vec<Value> {
+    let measures = of["comparison"]["summaries"][0]["measures"].as_array().unwrap().clone();
+    measures.into_iter().filter(|it| it["name"] != "ignored_initiations").collect()
+}
+
 #[test]
 fn over_the_network_a_policy_is_as_good_as_in_its_evaluation_message_by_message() {
     let place = Place::new();
@@ -169,11 +175,6 @@ fn over_the_network_a_policy_is_as_good_as_in_its_evaluation_message_by_message(
     let drive = format!("--connect {to} --clock observation --episodes 20 --json");
     let driven = place.finish(&["drive", &policy(), &drive, "--messages-to m.jsonl"]).with_code(0);
     let evaluated = place.finish(&["eval", &policy(), "--episodes 20 --json"]).with_code(0);
-    let measures = |of: &Value| {
-        let measures = of["comparison"]["summaries"][0]["measures"].as_array().unwrap().clone();
-        // What a policy wanted to say and could not is no message.
-        measures.into_iter().filter(|it| it["name"] != "ignored_initiations").collect::<Vec<_>>()
-    };
     assert_eq!(measures(&driven.json()), measures(&evaluated.json()));
     let messages = std::fs::read_to_string(place.path().join("m.jsonl")).unwrap();
     assert!(messages.lines().count() > 40, "{messages}");
@@ -193,6 +194,21 @@ fn over_the_network_a_policy_is_as_good_as_in_its_evaluation_message_by_message(
     let said = said.filter(|said| said["episode"] == 0).take(3);
     let said: Vec<String> = said.map(|said| said["text"].as_str().unwrap().to_owned()).collect();
     assert!(heard.starts_with(&said.join(" ")), "{said:?} is not what is heard: {heard}");
+}
+
+#[test]
+fn every_domain_goes_over_the_network_as_in_its_evaluation() {
+    for name in ["driving", "cooking"] {
+        let place = Place::new();
+        let policy = repository(&format!("deploy/policies/{name}.safetensors"));
+        let notifier = place.start(&["serve", &policy, "--listen", &place.endpoint("n")]);
+        wait_for_words(&notifier, "is at work");
+        let to = place.endpoint("n");
+        let drive = format!("--connect {to} --max-speed --episodes 6 --json");
+        let driven = place.finish(&["drive", &policy, &drive]).with_code(0).json();
+        let evaluated = place.finish(&["eval", &policy, "--episodes 6 --json"]).with_code(0).json();
+        assert_eq!(measures(&driven), measures(&evaluated), "{name}");
+    }
 }
 
 #[test]

@@ -176,7 +176,8 @@ impl Scripted for BusPlayer {
         task.write_quantities(&mut self.now, &mut self.before);
         let values = self.now[..task.n_observed()].to_vec();
         let facts = slot.env().scene().map(|scene| scene.facts).unwrap_or_default();
-        self.lock().client.now_holds(facts);
+        let facts = facts.into_iter().map(str::to_owned).collect();
+        self.lock().client.tell_facts(Some(facts));
         match self.ask(slot, &values, task.topics()) {
             Ok(act) => task.write_act(act, choices),
             Err(error) => self.lock().failure = Some(error),

@@ -7,7 +7,7 @@ use leadtime_proto::{ClientName, Incarnation, ServiceName};
 use serde_json::{Value, json};
 use thiserror::Error;
 
-use crate::observation::{ObservationHead, write_json, write_json_with_facts, write_raw};
+use crate::observation::{ObservationHead, write_json_with, write_raw};
 use crate::open::{LIVE_PROTOCOL, SayForm, StepClock};
 use crate::say::HeardSay;
 
@@ -66,9 +66,8 @@ pub struct LiveClient {
     answer: Value,
     started: Instant,
     seq: u64,
+    facts: Option<Vec<String>>,
     status: String,
-    /// What holds now, as the next observations tell it.
-    facts: Option<Vec<&'static str>>,
 }
 
 impl LiveClient {
@@ -96,7 +95,8 @@ impl LiveClient {
         let answer: Value = serde_json::from_slice(&answer).map_err(ClientError::Answer)?;
         let seq = answer["last_seq"].as_u64().unwrap_or(0);
         let started = Instant::now();
-        Ok(Self { port, settings, answer, started, seq, status: String::new(), facts: None })
+        let (facts, status) = (None, String::new());
+        Ok(Self { port, settings, answer, started, seq, facts, status })
     }
 
     /// Returns the notifier's answer.
@@ -114,9 +114,9 @@ impl LiveClient {
         &self.status
     }
 
-    /// Says which facts hold from now on; the next observations tell them, as far as their form has a place for it (JSON has).
-    pub fn now_holds(&mut self, facts: Vec<&'static str>) {
-        self.facts = Some(facts);
+    /// Says by name what is the case, with this and every further observation in JSON; `None` says nothing about it.
+    pub fn tell_facts(&mut self, facts: Option<Vec<String>>) {
+        self.facts = facts;
     }
 
     /// Sends an observation; returns its number.
@@ -129,10 +129,9 @@ impl LiveClient {
         let t = self.started.elapsed().as_secs_f64();
         let head = ObservationHead { seq: self.seq, t, episode, end };
         match self.settings.form {
-            SayForm::Json => self.port.observe(&match &self.facts {
-                Some(facts) => write_json_with_facts(&head, values, facts),
-                None => write_json(&head, values),
-            })?,
+            SayForm::Json => {
+                self.port.observe(&write_json_with(&head, values, self.facts.as_deref()))?;
+            }
             SayForm::Binary => {
                 let (numbers, beside) = write_raw(&head, values);
                 self.port.observe_raw(&numbers, &beside)?;

@@ -257,23 +257,26 @@ pub fn write_raw(head: &ObservationHead, values: &[f32]) -> (Vec<u8>, [u8; RAW_H
     (numbers, beside)
 }
 
-/// Writes an observation as JSON.
+/// Writes an observation as JSON, without facts.
 pub fn write_json(head: &ObservationHead, values: &[f32]) -> Vec<u8> {
-    object(head, values).to_string().into_bytes()
+    write_json_with(head, values, None)
 }
 
-/// Writes an observation as JSON, with the names of the facts that hold.
-pub fn write_json_with_facts(head: &ObservationHead, values: &[f32], facts: &[&str]) -> Vec<u8> {
-    let mut object = object(head, values);
-    object["facts"] = facts.into();
-    object.to_string().into_bytes()
-}
-
-fn object(head: &ObservationHead, values: &[f32]) -> serde_json::Value {
+/// Writes an observation as JSON, with the facts that hold, if the client tells any.
+pub fn write_json_with(
+    head: &ObservationHead,
+    values: &[f32],
+    facts: Option<&[String]>,
+) -> Vec<u8> {
     // As f64 a number reads back as the f32 that it was.
     let obs: Vec<f64> = values.iter().map(|value| f64::from(*value)).collect();
     let ObservationHead { seq, t, episode, end } = head;
-    serde_json::json!({"seq": seq, "t": t, "obs": obs, "episode": episode, "end": end})
+    let mut json =
+        serde_json::json!({"seq": seq, "t": t, "obs": obs, "episode": episode, "end": end});
+    if let Some(facts) = facts {
+        json["facts"] = facts.into();
+    }
+    json.to_string().into_bytes()
 }
 
 /// The fields of an observation, each once, in any order.
@@ -450,6 +453,9 @@ mod tests {
         assert_eq!(facts.iter().collect::<Vec<_>>(), ["zone_below", "low"]);
         assert!(facts.contains("low") && !facts.contains("zone"));
         assert_eq!(read(r#"{"seq":1,"t":0,"obs":[0,0]}"#).unwrap().facts(), None);
+        let told = ["zone_below".to_owned(), "low".to_owned()];
+        let crossed = write_json_with(&head, &found.values, Some(&told));
+        assert_eq!(read(str::from_utf8(&crossed).unwrap()).unwrap(), found);
         let none = read(r#"{"seq":1,"t":0,"obs":[0,0],"facts":[]}"#).unwrap();
         assert_eq!(none.facts().unwrap().iter().count(), 0);
     }
