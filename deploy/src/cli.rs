@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -16,7 +16,6 @@ use leadtime_link::Endpoint;
 use leadtime_runs::tasks::ConfigureError;
 use leadtime_runs::{Tasks, evaluation};
 use leadtime_studies::{EPISODES, EVAL_SEED};
-use leadtime_worker::{Permission, WorkerRules};
 
 use crate::exit::EXIT_CODE_HELP;
 
@@ -24,6 +23,7 @@ mod live;
 mod network;
 mod operations;
 mod taxonomy;
+mod worker;
 
 pub(crate) use live::{DriveArgs, ServeArgs, VoiceKind};
 pub(crate) use network::{
@@ -35,6 +35,7 @@ pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
 };
+pub(crate) use worker::WorkerArgs;
 
 /// Trains notifiers: policies that decide when and what to say to a listener who reacts late.
 #[derive(Debug, Parser)]
@@ -263,35 +264,6 @@ impl SourceArgs {
         // The file and the command line are this user's own.
         tasks.workers.permit_configured();
         tasks.configure(config.as_deref(), source)
-    }
-}
-
-/// What is executed to step the environments of a world in Python.
-#[derive(Clone, Debug, Default, Args)]
-pub(crate) struct WorkerArgs {
-    /// For a world in Python: start this command to step environments, instead of the configuration's.
-    #[arg(long, value_name = "COMMAND")]
-    pub worker: Option<String>,
-    /// Start the command that somebody else's configuration names, and read their pickles.
-    #[arg(long)]
-    pub trust_worker: bool,
-}
-
-impl WorkerArgs {
-    /// Returns which command is executed; `is_own` tells whether the configuration is this user's.
-    pub(crate) fn permission(&self, is_own: bool) -> Permission {
-        match &self.worker {
-            Some(command) => Permission::Own(command.clone()),
-            None if self.trust_worker || is_own => Permission::Configured,
-            None => Permission::Refused,
-        }
-    }
-
-    /// Allows what a policy needs to be played: the command of a run on this disk, but not that of a file that may come from
-    /// anywhere.
-    pub(crate) fn permit(&self, tasks: &Tasks, policy: &Path) {
-        let permission = self.permission(!policy.is_file());
-        tasks.workers.follow(WorkerRules { permission, ..WorkerRules::default() });
     }
 }
 

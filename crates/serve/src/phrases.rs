@@ -169,13 +169,19 @@ mod tests {
         let mut phrases = PhraseBook::new(Some(taxonomy));
         phrases.begin(&mut Pcg64::seed_from_u64(3));
         let message = Message { topic: 1, comprehension: 2, conveyance: 4 };
-        let first = phrases.find(message, None).unwrap().text.to_owned();
+        // Where everything holds, every sentence has its turn.
+        let all = format!("{:?}", phrases.taxonomy.as_ref().unwrap().facts());
+        let mut observation = LiveObservation::new(1);
+        let json = format!("{{\"seq\":1,\"t\":0,\"obs\":[0],\"facts\":{all}}}");
+        observation.read_json(json.as_bytes()).unwrap();
+        let facts = observation.facts();
+        let first = phrases.find(message, facts).unwrap().text.to_owned();
         let turns = phrases.turns();
-        let second = phrases.find(message, None).unwrap().text.to_owned();
+        let second = phrases.find(message, facts).unwrap().text.to_owned();
         assert_ne!(first, second);
         let mut restored = PhraseBook::new(phrases.taxonomy.clone());
         assert!(restored.restore(&turns));
-        assert_eq!(restored.find(message, None).unwrap().text, second);
+        assert_eq!(restored.find(message, facts).unwrap().text, second);
         let steakhouse = Arc::new(leadtime_taxonomy::shipped("steakhouse").unwrap());
         assert!(!PhraseBook::new(Some(steakhouse)).restore(&turns));
         let mut wordless = PhraseBook::new(None);
