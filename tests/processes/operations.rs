@@ -92,11 +92,12 @@ fn a_status_page_tells_what_a_run_does_and_whether_it_is_well() {
     assert_eq!(sample(&page, "leadtime_books_imbalance"), Some(0.0), "{page}");
     assert!(sample(&page, "leadtime_disk_size_bytes").unwrap() > 0.0, "{page}");
     assert_eq!(sample(&page, "leadtime_lines_dropped_total"), Some(0.0), "{page}");
+    // An actor says once a second how it stands.
+    wait_until("the actor counts its steps", PATIENCE, || {
+        let page = get(&actor_at, "/metrics").1;
+        sample(&page, "leadtime_actor_steps_total{actor=\"a\"}").is_some_and(|n| n > 0.0)
+    });
     let (_, actor_page) = get(&actor_at, "/metrics");
-    assert!(
-        sample(&actor_page, "leadtime_actor_steps_total{actor=\"a\"}").unwrap() > 0.0,
-        "{actor_page}"
-    );
     for page in [&page, &actor_page] {
         read_strictly(&place, page);
     }
