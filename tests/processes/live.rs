@@ -231,6 +231,8 @@ fn who_is_not_let_in_is_told_why() {
     let answer = first.open(&json!({})).unwrap();
     assert_eq!((&answer["obs_dim"], &answer["topics"][0]), (&json!(8), &json!("ascend")));
     assert_eq!(answer["observation"][0]["name"], "x");
+    let facts = answer["facts"].as_array().unwrap();
+    assert!(facts.iter().any(|fact| fact["name"] == "zone_below"), "{facts:?}");
     assert_eq!(first.open(&json!({})).unwrap()["session"], answer["session"], "asked again");
     let second = Client::connect(&place, "car-1", 2);
     let told = second.open(&json!({})).unwrap_err();

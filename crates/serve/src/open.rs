@@ -1,6 +1,6 @@
 //! What a client asks for a session with, and what it is answered.
 
-use leadtime_sims::Quantity;
+use leadtime_sims::{Fact, Quantity};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
@@ -205,6 +205,21 @@ pub struct PolicyNote {
     pub updates: u64,
 }
 
+/// A fact, as a client is told of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct FactNote {
+    /// Its name.
+    pub name: &'static str,
+    /// When it holds.
+    pub meaning: &'static str,
+}
+
+impl From<&Fact> for FactNote {
+    fn from(&Fact { name, meaning }: &Fact) -> Self {
+        Self { name, meaning }
+    }
+}
+
 /// The answer to a client's question.
 #[derive(Clone, Debug, Serialize)]
 pub struct SessionAnswer<'a> {
@@ -220,6 +235,8 @@ pub struct SessionAnswer<'a> {
     pub observation: Vec<ObservationName>,
     /// The topics, by number.
     pub topics: &'a [&'static str],
+    /// The facts that an observation may tell, with when each holds.
+    pub facts: Vec<FactNote>,
     /// When steps are taken.
     pub clock: StepClock,
     /// How long a step takes.
@@ -255,6 +272,7 @@ impl<'a> SessionAnswer<'a> {
             obs_dim: policy.obs_dim(),
             observation: policy.observation().iter().map(ObservationName::from).collect(),
             topics: policy.session.topics(),
+            facts: policy.facts().iter().map(FactNote::from).collect(),
             clock: plan.clock,
             seconds_per_step: plan.seconds_per_step,
             stale_after: plan.stale_after,

@@ -7,7 +7,7 @@ use leadtime_numerics::Pcg64;
 use leadtime_policy::{ActionDistribution, Parameters, Policy};
 use leadtime_proto::{Mask, PolicySpec};
 use leadtime_sims::notifier::Session;
-use leadtime_sims::{Environment, Quantity};
+use leadtime_sims::{Environment, Fact, Quantity};
 use leadtime_taxonomy::{Taxonomy, Topic};
 use thiserror::Error;
 
@@ -38,6 +38,8 @@ pub struct WorkingPolicy {
     pub n_updates: u64,
     /// One observation's numbers.
     observation: Vec<Quantity>,
+    /// What a client may say to be the case, as far as some sentence presupposes it.
+    facts: Vec<Fact>,
     taxonomy: Option<Arc<Taxonomy>>,
     decider: LiveDecider,
 }
@@ -63,6 +65,10 @@ impl WorkingPolicy {
             let about = taxonomy.expect_topics(session.topics());
             about.map_err(|_other| UnfitPolicy::NoWords(domain.to_owned()))?;
         }
+        let is_presupposed = |fact: &Fact| {
+            taxonomy.as_ref().is_some_and(|it| it.facts().iter().any(|name| name == fact.name))
+        };
+        let facts = environment.facts().into_iter().filter(is_presupposed).collect();
         let mut observation = environment.describe().observation.frame;
         observation.truncate(session.obs_dim());
         Ok(Self {
@@ -72,6 +78,7 @@ impl WorkingPolicy {
             sha256: String::new(),
             n_updates: 0,
             observation,
+            facts,
             taxonomy: taxonomy.map(Arc::new),
         })
     }
@@ -89,6 +96,11 @@ impl WorkingPolicy {
     /// Says what each number of an observation is.
     pub fn observation(&self) -> &[Quantity] {
         &self.observation
+    }
+
+    /// Lists the facts that a client may tell: those that some sentence presupposes.
+    pub fn facts(&self) -> &[Fact] {
+        &self.facts
     }
 
     /// Returns the words, if there are any.

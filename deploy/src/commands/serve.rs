@@ -113,6 +113,15 @@ fn describe(policy: &WorkingPolicy, as_schema: bool) {
     output::line(&format!("One observation of {domain}: {}\n", counted(n, "number")));
     output::line(table.text().trim_end());
     output::line(&format!("\nTopics: {}", policy.session.topics().join(", ")));
+    if policy.facts().is_empty() {
+        return;
+    }
+    let mut facts = Table::new(["fact", "holds when"]).left(&[0, 1]).elastic(1);
+    for fact in policy.facts() {
+        facts.push([fact.name.to_owned(), fact.meaning.to_owned()]);
+    }
+    output::line("\nFacts that an observation may tell, for sentences that presuppose them:\n");
+    output::line(facts.text().trim_end());
 }
 
 /// Describes an observation as a JSON Schema.
@@ -128,6 +137,7 @@ fn schema(policy: &WorkingPolicy) -> Value {
         number
     };
     let n = policy.obs_dim();
+    let facts: Vec<&str> = policy.facts().iter().map(|fact| fact.name).collect();
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": format!("observation of {}", policy.domain),
@@ -145,7 +155,7 @@ fn schema(policy: &WorkingPolicy) -> Value {
             },
             "episode": {"type": "integer", "minimum": 0},
             "end": {"type": "boolean"},
-            "facts": {"type": "array", "items": {"type": "string"}, "maxItems": 64},
+            "facts": {"type": "array", "items": {"type": "string"}, "examples": [facts], "maxItems": 64},
         },
     })
 }

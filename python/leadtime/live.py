@@ -1,0 +1,156 @@
+"""A notifier at work, as a robot, a car or a simulator sees it (needs the package ``eclipse-zenoh``, extra ``live``).
+
+::
+
+    from leadtime.live import Notifier
+
+    with Notifier("tcp/127.0.0.1:7448", "robot-1", domain="lander") as notifier:
+        for observation in sights:
+            for said in notifier.step(observation, facts=["zone_below"]):
+                if said["event"] == "start":
+                    print(said["text"])
+
+The messages and what happens when something is late, lost or broken: docs/live.md.
+"""
+import json
+import queue
+import random
+import time
+
+import zenoh
+
+# Events that wait to be read; beyond it the oldest go, because what was said long ago helps nobody.
+MAX_EVENTS = 1024
+# Seconds for which a notifier is looked for.
+PATIENCE = 10.0
+
+
+class Refused(RuntimeError):
+    """The notifier does not open a session; the sentence is its own."""
+
+
+class Lost(ConnectionError):
+    """The notifier is not there, or does not answer: fall back to your own rules."""
+
+
+class Notifier:
+    """A session with a notifier.
+
+    With ``clock="observation"`` (the default here) every observation is a step, and :meth:`step` returns what is said about it.
+    With ``clock="timer"`` send with :meth:`observe` as often as you like, and read :meth:`said`.
+    """
+
+    def __init__(self, endpoint, client, domain, *, service="notifier", clock="observation", seconds_per_step=0.3, seed=0,
+                 patience=PATIENCE, config=None):
+        self._key = f"leadtime/live/1/{service}/{client}"
+        self._said, self._status, self._is_here = queue.Queue(MAX_EVENTS), {}, False
+        self._patience, self._began = patience, time.monotonic()
+        settings = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
+        try:
+            self._session = zenoh.open(config or zenoh.Config.from_json5(json.dumps(settings)))
+        except zenoh.ZError as error:
+            raise Lost(f"nobody can be reached at {endpoint}: {error}") from None
+        try:
+            self.answer = self._open(service, domain, clock, seconds_per_step, seed)
+        except BaseException:
+            self._session.close()
+            raise
+        self._seq, self._clock = self.answer["last_seq"], clock
+        self._sights = self._session.declare_publisher(
+            f"{self._key}/obs", encoding="application/json", priority=zenoh.Priority.REAL_TIME, express=True)
+
+    def _open(self, service, domain, clock, seconds_per_step, seed):
+        start = f"{random.getrandbits(64):016x}"
+        self._token = self._session.liveliness().declare_token(f"{self._key}/alive/{start}")
+        alive = f"leadtime/live/1/{service}/alive/*"
+        self._watched = self._session.liveliness().declare_subscriber(alive, self._on_presence, history=True)
+        self._heard = self._session.declare_subscriber(f"{self._key}/say", self._on_say)
+        self._told = self._session.declare_subscriber(f"{self._key}/status", self._on_status)
+        question = {"protocol": 1, "domain": domain, "incarnation": start, "clock": clock,
+                    "seconds_per_step": seconds_per_step, "seed": seed}
+        deadline = time.monotonic() + self._patience
+        while time.monotonic() < deadline:
+            for reply in self._session.get(f"{self._key}/open", payload=json.dumps(question), timeout=self._patience):
+                if reply.ok is None:
+                    raise Refused(reply.err.payload.to_string())
+                return json.loads(reply.ok.payload.to_string())
+            time.sleep(0.05)
+        raise Lost(f"no notifier `{service}` answers within {self._patience:g} s")
+
+    def _on_presence(self, sample):
+        self._is_here = sample.kind == zenoh.SampleKind.PUT
+
+    def _on_say(self, sample):
+        event = json.loads(sample.payload.to_string())
+        while True:
+            try:
+                return self._said.put_nowait(event)
+            except queue.Full:
+                try:
+                    self._said.get_nowait()
+                except queue.Empty:
+                    pass
+
+    def _on_status(self, sample):
+        self._status = json.loads(sample.payload.to_string())
+
+    @property
+    def status(self):
+        """The notifier's last status: its state, and why nothing is said. Empty before the first."""
+        return self._status
+
+    @property
+    def is_here(self):
+        """Whether the notifier is there."""
+        return self._is_here
+
+    def observe(self, observation, *, facts=None, episode=0, end=False):
+        """Sends an observation, and returns its number.
+
+        ``facts`` names what holds now, for sentences that presuppose something; ``None`` says nothing about it.
+        """
+        self._seq += 1
+        message = {"seq": self._seq, "t": time.monotonic() - self._began, "obs": [float(x) for x in observation],
+                   "episode": int(episode), "end": bool(end)}
+        if facts is not None:
+            message["facts"] = list(facts)
+        self._sights.put(json.dumps(message))
+        return self._seq
+
+    def said(self, timeout=0.0):
+        """Yields what was said since the last call; waits so many seconds for the first event."""
+        try:
+            yield self._said.get(timeout=timeout) if timeout > 0 else self._said.get_nowait()
+            while True:
+                yield self._said.get_nowait()
+        except queue.Empty:
+            return
+
+    def step(self, observation, *, facts=None, episode=0, end=False, timeout=PATIENCE):
+        """Sends an observation and returns what is said about it: a list of events, which ends with the one marked ``last``.
+
+        Raises :class:`Lost` if no answer comes, with the notifier's last word on why.
+        """
+        if self._clock != "observation":
+            raise ValueError(f"clock {self._clock!r}: send with observe(), and read said()")
+        seq, events, deadline = self.observe(observation, facts=facts, episode=episode, end=end), [], time.monotonic() + timeout
+        while not (events and events[-1]["last"]):
+            left = deadline - time.monotonic()
+            try:
+                event = self._said.get(timeout=max(left, 0.001))
+            except queue.Empty:
+                why = self._status.get("told") or self._status.get("why") or "it is not there"
+                raise Lost(f"no answer to observation {seq} within {timeout:g} s: {why}") from None
+            if event["seq"] == seq:
+                events.append(event)
+        return events
+
+    def close(self):
+        """Ends the session: the notifier falls silent at once."""
+        self._session.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
