@@ -41,7 +41,8 @@ def on_status(sample):
 config = zenoh.Config.from_json5(json.dumps({
     "mode": "client", "connect": {"endpoints": [ENDPOINT]}, "scouting": {"multicast": {"enabled": False}}}))
 with zenoh.open(config) as session:
-    session.liveliness().declare_token(f"{KEY}/alive/{START}")
+    # Kept as long as it speaks: without it, nobody knows that this robot is there.
+    token = session.liveliness().declare_token(f"{KEY}/alive/{START}")
     session.declare_subscriber(f"{KEY}/say", on_say)
     session.declare_subscriber(f"{KEY}/status", on_status)
     question = {"protocol": 1, "domain": "lander", "seconds_per_step": STEP, "incarnation": START, "seed": 1}
