@@ -38,7 +38,7 @@ def arguments():
     parser.add_argument("--place", required=True, type=Path, help="an empty directory for everything that is made")
     parser.add_argument("--mode", choices=["sync", "lag"], default="lag")
     parser.add_argument("--task", default="lander")
-    parser.add_argument("--steps", type=int, default=5_000_000)
+    parser.add_argument("--steps", type=int, default=20_000_000)
     parser.add_argument("--actors", type=int, default=8)
     parser.add_argument("--minutes", type=float, default=10, help="how long the blows last")
     parser.add_argument("--pause", type=float, default=3, help="mean seconds between blows")
@@ -218,7 +218,7 @@ class Drill:
             "--acl", known / "access.json5"])
         self.actors = [Process(self, f"a{i}", [
             "actor", "--connect", f"tls/{HOST}:{self.relay.port}", "--id", f"a{i}", "--tls", known / f"a{i}",
-            "--connect-timeout", "30s"])
+            "--connect-timeout", "30s", "--reconnect-timeout", "45s"])
             for i in range(1, self.args.actors + 1)]
 
     def wild(self):
@@ -317,7 +317,8 @@ class Drill:
         for actor in self.actors:
             if actor.is_alive() and actor.stopped_until:
                 os.kill(actor.child.pid, signal.SIGCONT)
-        patience = time.time() + 60
+        # One that was stopped or cut off at the end has not heard of it, and looks for the learner a while.
+        patience = time.time() + 90
         while time.time() < patience and any(actor.is_alive() for actor in self.actors):
             time.sleep(0.1)
         stayed = [actor.name for actor in self.actors if actor.is_alive()]
