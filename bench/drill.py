@@ -350,13 +350,13 @@ class Drill:
 
 def fill(path):
     """Writes until the disk is full."""
-    with open(path, "wb") as file:
-        try:
+    try:
+        with open(path, "wb") as file:
             while True:
                 file.write(b"\0" * (1 << 16))
                 file.flush()
-        except OSError:
-            pass
+    except OSError:
+        pass
 
 
 def report(drill, books, record):
