@@ -9,6 +9,7 @@ use leadtime_link::{AccessList, ConnectSettings, Endpoint, Error as LinkError, L
 use leadtime_runs::clock;
 
 use crate::cli::{self, GuardArgs, TlsArgs};
+use crate::exit::{ExitCode, Failure};
 
 /// Reads and checks the certificate of this process, which has to be of one of these roles; `None` without --tls.
 pub(crate) fn identity(args: &TlsArgs, roles: &[Role]) -> anyhow::Result<Option<Identity>> {
@@ -98,6 +99,20 @@ pub(crate) fn guard_options(args: &GuardArgs) -> Vec<std::ffi::OsString> {
         given.flat_map(|(option, path)| [option.into(), path.into()]).collect();
     options.extend(args.insecure.then(|| "--insecure".into()));
     options
+}
+
+/// Chooses the exit code for an error of a process that does nothing but listen and pass on or answer.
+pub(crate) fn listening_failure(error: LinkError) -> Failure {
+    let is_input = is_wrong_input(&error) || is_wrong_address(&error);
+    Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
+}
+
+/// Tells whether it is an address at which nobody can listen here.
+pub(crate) fn is_wrong_address(error: &LinkError) -> bool {
+    matches!(
+        error,
+        LinkError::AddressInUse(_) | LinkError::NotASocket(_) | LinkError::Listen { .. }
+    )
 }
 
 /// Tells whether an error of the network is one of the arguments or files that were given.

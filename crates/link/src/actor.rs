@@ -21,6 +21,7 @@ use leadtime_proto::{
 };
 use tracing::{debug, info, warn};
 use zenoh::Wait as _;
+use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{Query, Queryable};
@@ -404,7 +405,7 @@ impl ActorLink {
             return Ok(());
         }
         let key = Key::Rollouts(&run, &domain, &self.actor);
-        let rollouts = pubsub::publisher(&self.session, key, wire::BULK)?;
+        let rollouts = pubsub::publisher(&self.session, key, wire::BULK, Encoding::default())?;
         let (key, latest) = (Key::Announcement(&run, &domain), Arc::clone(&self.latest));
         let announcements = subscribe(&self.session, key, move |sample| {
             let (attachment, payload) = (sample.attachment(), Some(sample.payload()));

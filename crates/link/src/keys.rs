@@ -165,7 +165,7 @@ pub struct Alive {
     pub incarnation: Incarnation,
 }
 
-/// Reads a key of presence, `None` if it is none of ours.
+/// Reads a key of presence, `None` if the key is not one of these.
 pub fn parse_alive(key: &str) -> Option<Alive> {
     let [run, "alive", role, id, digits] = chunks(key)[..] else { return None };
     let start = u64::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 16)?;
@@ -173,25 +173,25 @@ pub fn parse_alive(key: &str) -> Option<Alive> {
     Some(Alive { run, member, incarnation: Incarnation(start) })
 }
 
-/// Reads the sender from a key of rollouts, `None` if it is none of ours.
+/// Reads the sender from a key of rollouts, `None` if the key is not one of these.
 pub fn parse_rollouts(key: &str) -> Option<ActorId> {
     let [_, "traj", _, actor] = chunks(key)[..] else { return None };
     ActorId::new(actor).ok()
 }
 
-/// Reads the sender from a key of metrics, `None` if it is none of ours.
+/// Reads the sender from a key of metrics, `None` if the key is not one of these.
 pub fn parse_metrics(key: &str) -> Option<Member> {
     let [_, "metrics", role, id] = chunks(key)[..] else { return None };
     Member::parse(role, id)
 }
 
-/// Reads the domain from a key of announcements, `None` if it is none of ours.
+/// Reads the domain from a key of announcements, `None` if the key is not one of these.
 pub fn parse_announcement(key: &str) -> Option<DomainName> {
     let [_, "weights", domain] = chunks(key)[..] else { return None };
     DomainName::new(domain).ok()
 }
 
-/// Reads run and domain from a key at which a relay is asked for weights, `None` if it is none of ours.
+/// Reads run and domain from a key at which a relay is asked for weights, `None` if the key is not one of these.
 pub(crate) fn parse_relayed(key: &str) -> Option<(RunName, DomainName)> {
     let [run, "region", _, "weights", domain, "latest"] = chunks(key)[..] else { return None };
     Some((RunName::new(run).ok()?, DomainName::new(domain).ok()?))

@@ -11,6 +11,7 @@ use leadtime_proto::receive::{CONTROL_REPLY, HELLO};
 use leadtime_proto::{ActorId, DomainName, Incarnation, PolicyVersion, RefusalCause, RunName};
 use tokio::time::interval;
 use tracing::debug;
+use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{Query, Queryable};
@@ -75,7 +76,12 @@ impl LearnerLink {
         let (intake, events) = RolloutIntake::new(settings);
         let (intake, store) = (Arc::new(intake), Arc::new(WeightStore::new(incarnation)));
         let answers = Answers::start(N_ANSWERING)?;
-        let announcer = publisher(&session, Key::Announcement(run, &domain), wire::NOTICE)?;
+        let announcer = publisher(
+            &session,
+            Key::Announcement(run, &domain),
+            wire::NOTICE,
+            Encoding::default(),
+        )?;
         let announcer = Arc::new(announcer);
         let taker = Arc::clone(&intake);
         let rollouts = subscribe(&session, Keys::RolloutsOf(run, &domain), move |sample| {
@@ -285,9 +291,7 @@ async fn upkeep(
     let mut ticks = interval(weights::REPEAT);
     loop {
         ticks.tick().await;
-        // The library tells nobody that its listener ended; it only stops listing its address.
-        let is_deaf = listens && session.info().locators().await.is_empty();
-        if is_deaf || session.is_closed() {
+        if session::is_dead(&session, listens).await {
             is_dead.store(true, Ordering::Relaxed);
         }
         if !store.announcement().versions.is_empty()

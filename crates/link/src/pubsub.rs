@@ -5,6 +5,7 @@ use std::fmt;
 use leadtime_proto::header::Schema;
 use leadtime_proto::{Header, Incarnation, RunName};
 use zenoh::Wait as _;
+use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{Query, Queryable};
@@ -45,10 +46,16 @@ pub(crate) fn put_metrics(
     put(session, Key::Metrics(run, member), wire::METRICS, &header, json.to_vec())
 }
 
-/// Declares that messages will be published on a key.
-pub(crate) fn publisher(session: &Session, key: Key<'_>, qos: Qos) -> Result<Publisher<'static>> {
+/// Declares that messages of one form will be published on a key.
+pub(crate) fn publisher(
+    session: &Session,
+    key: impl fmt::Display,
+    qos: Qos,
+    form: Encoding,
+) -> Result<Publisher<'static>> {
     session
-        .declare_publisher(keys::expr(key))
+        .declare_publisher(keys::expr(&key))
+        .encoding(form)
         .priority(qos.priority)
         .congestion_control(qos.congestion)
         .express(qos.express)
@@ -72,13 +79,22 @@ pub(crate) fn watch(
     members: Keys<'_>,
     take: impl Fn(Option<Alive>, SampleKind) + Send + Sync + 'static,
 ) -> Result<Subscriber<()>> {
+    watch_tokens(session, members, move |key, kind| take(keys::parse_alive(key), kind))
+}
+
+/// Takes the keys of tokens that appear and go, beginning with those that are there.
+pub(crate) fn watch_tokens(
+    session: &Session,
+    keys: impl fmt::Display,
+    take: impl Fn(&str, SampleKind) + Send + Sync + 'static,
+) -> Result<Subscriber<()>> {
     session
         .liveliness()
-        .declare_subscriber(keys::expr(members))
+        .declare_subscriber(keys::expr(&keys))
         .history(true)
-        .callback(move |sample| take(keys::parse_alive(sample.key_expr()), sample.kind()))
+        .callback(move |sample| take(sample.key_expr(), sample.kind()))
         .wait()
-        .map_err(Error::network("subscribe to", &members.to_string()))
+        .map_err(Error::network("subscribe to", &keys.to_string()))
 }
 
 /// Takes the questions at a key, or at every key of a set.
@@ -93,7 +109,7 @@ pub(crate) fn take_questions(
 }
 
 /// Shows that a member is there.
-pub(crate) fn appear(session: &Session, alive: Key<'_>) -> Result<LivelinessToken> {
-    let declared = session.liveliness().declare_token(keys::expr(alive)).wait();
+pub(crate) fn appear(session: &Session, alive: impl fmt::Display) -> Result<LivelinessToken> {
+    let declared = session.liveliness().declare_token(keys::expr(&alive)).wait();
     declared.map_err(Error::network("declare", &alive.to_string()))
 }

@@ -68,9 +68,7 @@ impl RouterLink {
     ///
     /// [`Error::Dead`] if it cannot.
     pub async fn health(&self) -> Result<()> {
-        // The library tells nobody that its listener ended; it only stops listing its address.
-        let is_deaf = self.session.info().locators().await.is_empty();
-        if is_deaf || self.session.is_closed() { Err(Error::Dead) } else { Ok(()) }
+        if session::is_dead(&self.session, true).await { Err(Error::Dead) } else { Ok(()) }
     }
 
     /// Leaves the network, within a limited time.

@@ -127,6 +127,12 @@ fn upwards(settings: &ListenSettings) -> ConnectSettings {
     }
 }
 
+/// Tells whether a session has ended, or what listens for others, if it `listens`.
+pub(crate) async fn is_dead(session: &Session, listens: bool) -> bool {
+    // The library tells nobody that its listener ended; it only stops listing its address.
+    session.is_closed() || listens && session.info().locators().await.is_empty()
+}
+
 /// Opens a session that listens: a `peer`, or a `router`.
 pub(crate) async fn listen_as(mode: &str, settings: &ListenSettings) -> Result<Session> {
     // Twice the largest rollout, so that what is a little too large is refused and counted by us.

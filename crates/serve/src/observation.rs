@@ -12,6 +12,7 @@
 use std::fmt;
 
 use leadtime_proto::text::quoted;
+use leadtime_taxonomy::MAX_FACTS;
 use serde::de::{self, DeserializeSeed, Deserializer as _, MapAccess, SeqAccess, Visitor};
 use thiserror::Error;
 
@@ -19,8 +20,6 @@ use thiserror::Error;
 pub const MAX_NUMBER: f64 = 1e9;
 /// The latest time that an observation may have, in seconds: some thirty years.
 const MAX_TIME: f64 = 1e9;
-/// The most facts of one observation.
-pub const MAX_FACTS: usize = 64;
 /// The longest name of a fact, in bytes.
 const MAX_FACT: usize = 64;
 /// Bytes beside a raw observation.

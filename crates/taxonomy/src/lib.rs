@@ -40,7 +40,7 @@ pub mod words;
 pub use check::{Finding, check};
 pub use database::{DatabaseHeader, Taxonomy, Topic};
 pub use error::TaxonomyError;
-pub use facts::FactSet;
+pub use facts::{FactSet, MAX_FACTS};
 pub use retrieve::{Loss, Request, Retrieved};
 pub use rotation::Rotation;
 pub use shipped::shipped;

@@ -22,7 +22,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::report;
 use crate::cli::{LearnerArgs, StopAfter};
-use crate::credentials::{guard_options, is_wrong_input, listen_settings};
+use crate::credentials::{guard_options, is_wrong_address, is_wrong_input, listen_settings};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::metrics_pipe::MetricsPipe;
 use crate::output::{self, DRAW, EVALUATE};
@@ -181,16 +181,11 @@ fn network_options(args: &LearnerArgs) -> Vec<OsString> {
 /// Chooses the exit code for a learner's error.
 fn failure(error: leadtime_learner::Error) -> Failure {
     use leadtime_learner::Error;
-    use leadtime_link::Error as LinkError;
     let code = match &error {
-        Error::Link(error) if is_wrong_input(error) => ExitCode::WrongInput,
-        Error::Checkpoint(_)
-        | Error::ConfigurationChanged { .. }
-        | Error::Link(
-            LinkError::AddressInUse { .. }
-            | LinkError::NotASocket { .. }
-            | LinkError::Listen { .. },
-        ) => ExitCode::WrongInput,
+        Error::Link(error) if is_wrong_input(error) || is_wrong_address(error) => {
+            ExitCode::WrongInput
+        }
+        Error::Checkpoint(_) | Error::ConfigurationChanged { .. } => ExitCode::WrongInput,
         Error::Link(_) => ExitCode::PeerLost,
         _ => ExitCode::Failed,
     };

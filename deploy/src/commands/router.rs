@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
-use leadtime_link::{Error as LinkError, RelayCounts, RouterLink};
+use leadtime_link::{RelayCounts, RouterLink};
 use leadtime_proto::RegionName;
 use leadtime_proto::phrase::counted;
 use tokio::time::interval;
 
 use crate::cli::RouterArgs;
-use crate::credentials::{is_wrong_input, listen_settings};
+use crate::credentials::{listen_settings, listening_failure};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{Watch, watch};
 
@@ -23,9 +23,9 @@ pub(super) async fn run(args: &RouterArgs) -> Result<(), Failure> {
         .blame(ExitCode::WrongInput)?;
     let region = args.region.clone().map(RegionName::new).transpose();
     let region = region.context("--region").blame(ExitCode::WrongInput)?;
-    let mut router = RouterLink::open(&settings).await.map_err(failure)?;
+    let mut router = RouterLink::open(&settings).await.map_err(listening_failure)?;
     if let Some(region) = &region {
-        router.relay_weights(region).map_err(failure)?;
+        router.relay_weights(region).map_err(listening_failure)?;
     }
     tracing::info!("router listens at {}", router.locators().join(", "));
     let mut ticks = interval(LOOK_EVERY);
@@ -36,7 +36,7 @@ pub(super) async fn run(args: &RouterArgs) -> Result<(), Failure> {
             () = shutdown.cancelled() => break,
             _ = ticks.tick() => {}
         }
-        router.health().await.map_err(failure)?;
+        router.health().await.map_err(listening_failure)?;
         if settings.connect.is_empty() {
             continue;
         }
@@ -58,14 +58,5 @@ pub(super) async fn run(args: &RouterArgs) -> Result<(), Failure> {
         );
     }
     // It has no other way to end.
-    router.close().await.map_err(failure)
-}
-
-fn failure(error: LinkError) -> Failure {
-    let is_input = is_wrong_input(&error)
-        || matches!(
-            error,
-            LinkError::AddressInUse(_) | LinkError::NotASocket(_) | LinkError::Listen { .. }
-        );
-    Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
+    router.close().await.map_err(listening_failure)
 }

@@ -6,19 +6,19 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
+use leadtime_link::ListenSettings;
 use leadtime_link::live::LiveServiceLink;
-use leadtime_link::{Error as LinkError, ListenSettings};
 use leadtime_proto::ClientName;
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{LoadedPolicy, Tasks, clock, write_atomically};
 use leadtime_serve::{LiveService, ServiceSettings, StateStore, WorkingPolicy};
 use leadtime_table::Table;
-use leadtime_taxonomy::{Taxonomy, shipped};
+use leadtime_taxonomy::{MAX_FACTS, Taxonomy, shipped};
 use serde_json::{Value, json};
 
 use super::taxonomy;
 use crate::cli::{ServeArgs, VoiceKind};
-use crate::credentials::{is_wrong_input, listen_settings};
+use crate::credentials::{listen_settings, listening_failure};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 use crate::shutdown::{Watch, watch};
@@ -36,8 +36,8 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
     let settings: ListenSettings = settings.blame(ExitCode::WrongInput)?;
     let own = clock::incarnation();
     let opened = LiveServiceLink::open(&settings, &args.service, own).await;
-    let (link, events) = opened.map_err(failure)?;
-    if !link.others(own).await.map_err(failure)?.is_empty() {
+    let (link, events) = opened.map_err(listening_failure)?;
+    if !link.others(own).await.map_err(listening_failure)?.is_empty() {
         let name = &args.service;
         let sentence =
             format!("a notifier `{name}` is at work there already: choose another --service");
@@ -56,7 +56,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
     let notifier = notifier.blame(ExitCode::Failed)?;
     let place = if locators.is_empty() { args.connect.join(", ") } else { locators };
     tracing::info!("notifier `{service}` for {domain}, with {sentences}, is at work at {place}");
-    notifier.run(shutdown.cancelled_owned()).await.map_err(failure)
+    notifier.run(shutdown.cancelled_owned()).await.map_err(listening_failure)
 }
 
 /// Loads the policy with its words.
@@ -155,7 +155,7 @@ fn schema(policy: &WorkingPolicy) -> Value {
             },
             "episode": {"type": "integer", "minimum": 0},
             "end": {"type": "boolean"},
-            "facts": {"type": "array", "items": {"type": "string"}, "examples": [facts], "maxItems": 64},
+            "facts": {"type": "array", "items": {"type": "string"}, "examples": [facts], "maxItems": MAX_FACTS},
         },
     })
 }
@@ -186,13 +186,4 @@ impl StateStore for StateDirectory {
     fn find(&self, client: &ClientName) -> Option<Vec<u8>> {
         fs::read(self.file(client)).ok()
     }
-}
-
-fn failure(error: LinkError) -> Failure {
-    let is_input = is_wrong_input(&error)
-        || matches!(
-            error,
-            LinkError::AddressInUse(_) | LinkError::NotASocket(_) | LinkError::Listen { .. }
-        );
-    Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
 }

@@ -13,9 +13,9 @@ use zenoh::sample::SampleKind;
 use zenoh::session::Session;
 
 use super::keys::{LiveKey, check_name, parse_alive};
-use super::port::{publisher, raw};
-use crate::pubsub::subscribe;
-use crate::{ConnectSettings, Error, Result, keys, session, wire};
+use super::port::raw;
+use crate::pubsub::{appear, publisher, subscribe, watch_tokens};
+use crate::{ConnectSettings, Error, Result, discovery, keys, session, wire};
 
 /// How long the answer to one question may take.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
@@ -144,27 +144,18 @@ impl ClientPort {
         let key = LiveKey::Status(service, client);
         let status = subscribe(session, key, take(LiveMessage::Status))?;
         let own = service.clone();
-        let key = LiveKey::Services;
-        let presence = session
-            .liveliness()
-            .declare_subscriber(keys::expr(key))
-            .history(true)
-            .callback(move |sample| {
-                let Some(alive) = parse_alive(sample.key_expr()) else { return };
-                if alive.service != own || alive.client.is_some() {
-                    return;
-                }
-                let message = match sample.kind() {
-                    SampleKind::Put => LiveMessage::ServiceHere(alive.incarnation),
-                    SampleKind::Delete => LiveMessage::ServiceGone(alive.incarnation),
-                };
-                drop(sender.try_send(message));
-            })
-            .wait()
-            .map_err(Error::network("subscribe to", &key.to_string()))?;
-        let key = LiveKey::Client(service, client, incarnation);
-        let token = session.liveliness().declare_token(keys::expr(key)).wait();
-        let token = token.map_err(Error::network("declare", &key.to_string()))?;
+        let presence = watch_tokens(session, LiveKey::Services, move |key, kind| {
+            let Some(alive) = parse_alive(key) else { return };
+            if alive.service != own || alive.client.is_some() {
+                return;
+            }
+            let message = match kind {
+                SampleKind::Put => LiveMessage::ServiceHere(alive.incarnation),
+                SampleKind::Delete => LiveMessage::ServiceGone(alive.incarnation),
+            };
+            drop(sender.try_send(message));
+        })?;
+        let token = appear(session, LiveKey::Client(service, client, incarnation))?;
         let key = LiveKey::Observations(service, client);
         let observations = publisher(session, key, wire::SPEECH, Encoding::APPLICATION_JSON)?;
         let key = LiveKey::Heard(service, client);
@@ -266,25 +257,8 @@ pub(super) async fn present(
     session: &Session,
     key: LiveKey<'_>,
 ) -> Result<Vec<(ServiceName, Incarnation)>> {
-    let (sender, answers) = flume::bounded(MAX_SERVICES);
-    session
-        .liveliness()
-        .get(keys::expr(key))
-        .timeout(LOOK)
-        .callback(move |reply| {
-            // More than anyone looks at are let go.
-            drop(sender.try_send(reply));
-        })
-        .wait()
-        .map_err(Error::network("look for notifiers on", &key.to_string()))?;
-    let mut found = Vec::new();
-    let look = async {
-        while let Ok(reply) = answers.recv_async().await {
-            let alive = reply.into_result().ok().and_then(|it| parse_alive(it.key_expr()));
-            found.extend(alive.map(|alive| (alive.service, alive.incarnation)));
-        }
-    };
-    // Running out of time leaves what was found.
-    drop(tokio::time::timeout(2 * LOOK, look).await);
-    Ok(found)
+    let found =
+        discovery::tokens(session, key, "look for notifiers on", LOOK, MAX_SERVICES).await?;
+    let alive = found.iter().filter_map(|key| parse_alive(key));
+    Ok(alive.map(|alive| (alive.service, alive.incarnation)).collect())
 }

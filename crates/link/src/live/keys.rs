@@ -69,7 +69,7 @@ pub struct LiveAlive {
     pub incarnation: Incarnation,
 }
 
-/// Reads a key of presence, `None` if it is none of ours.
+/// Reads a key of presence, `None` if the key is not one of these.
 pub(crate) fn parse_alive(key: &str) -> Option<LiveAlive> {
     let rest = key.strip_prefix(LIVE_ROOT)?.strip_prefix('/')?;
     let (service, client, digits) = match rest.split('/').collect::<Vec<_>>()[..] {
@@ -82,7 +82,7 @@ pub(crate) fn parse_alive(key: &str) -> Option<LiveAlive> {
     Some(LiveAlive { service, client, incarnation })
 }
 
-/// Reads the client from the key of a question, `None` if it is none of ours.
+/// Reads the client from the key of a question, `None` if the key is not one of these.
 pub(crate) fn parse_open(key: &str) -> Option<ClientName> {
     let rest = key.strip_prefix(LIVE_ROOT)?.strip_prefix('/')?;
     let [_, client, "open"] = rest.split('/').collect::<Vec<_>>()[..] else { return None };

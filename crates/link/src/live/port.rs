@@ -15,10 +15,8 @@ use zenoh::sample::Sample;
 use zenoh::session::Session;
 
 use super::keys::LiveKey;
-use crate::keys;
 use crate::lock::lock;
-use crate::pubsub::subscribe;
-use crate::wire::Qos;
+use crate::pubsub::{publisher, subscribe};
 use crate::{Error, Result};
 
 /// The most reports of what was heard that wait.
@@ -156,11 +154,6 @@ impl LivePort {
         lock(&self.inbox.newest).take()
     }
 
-    /// Tells whether an observation waits.
-    pub fn has_arrival(&self) -> bool {
-        lock(&self.inbox.newest).is_some()
-    }
-
     /// Takes the next report of what was heard.
     pub fn take_heard(&self) -> Option<Vec<u8>> {
         self.heard.try_recv().ok()
@@ -188,21 +181,4 @@ impl LivePort {
     pub fn status(&self, bytes: &[u8]) -> Result<()> {
         self.status.put(bytes).wait().map_err(Error::network("publish on", self.status.key_expr()))
     }
-}
-
-/// Declares that messages of one form will be put on a key.
-pub(super) fn publisher(
-    session: &Session,
-    key: LiveKey<'_>,
-    qos: Qos,
-    form: Encoding,
-) -> Result<Publisher<'static>> {
-    session
-        .declare_publisher(keys::expr(key))
-        .encoding(form)
-        .priority(qos.priority)
-        .congestion_control(qos.congestion)
-        .express(qos.express)
-        .wait()
-        .map_err(Error::network("declare", &key.to_string()))
 }

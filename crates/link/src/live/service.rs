@@ -14,7 +14,7 @@ use zenoh::session::Session;
 use super::keys::{LiveKey, check_name, parse_alive, parse_open};
 use super::port::LivePort;
 use crate::answer::{Answers, PendingReply};
-use crate::keys;
+use crate::pubsub::{appear, take_questions, watch_tokens};
 use crate::{Error, ListenSettings, Result, session};
 
 /// The most questions and news of clients that wait; a question beyond is told to come again.
@@ -100,31 +100,18 @@ impl LiveServiceLink {
         let answers = Answers::start(N_ANSWERERS)?;
         let asked = events.clone();
         let key = LiveKey::Opens(service);
-        let questions = session
-            .declare_queryable(keys::expr(key))
-            .complete(true)
-            .callback(move |query| on_question(query, &answers, &asked))
-            .wait()
-            .map_err(Error::network("declare", &key.to_string()))?;
-        let key = LiveKey::Clients(service);
-        let clients = session
-            .liveliness()
-            .declare_subscriber(keys::expr(key))
-            .history(true)
-            .callback(move |sample| {
-                let Some(alive) = parse_alive(sample.key_expr()) else { return };
-                let Some(client) = alive.client else { return };
-                let event = match sample.kind() {
-                    SampleKind::Put => LiveEvent::Here(client, alive.incarnation),
-                    SampleKind::Delete => LiveEvent::Gone(client, alive.incarnation),
-                };
-                drop(events.try_send(event));
-            })
-            .wait()
-            .map_err(Error::network("subscribe to", &key.to_string()))?;
-        let key = LiveKey::Service(service, incarnation);
-        let token = session.liveliness().declare_token(keys::expr(key)).wait();
-        let token = token.map_err(Error::network("declare", &key.to_string()))?;
+        let questions =
+            take_questions(&session, key, move |query| on_question(query, &answers, &asked))?;
+        let clients = watch_tokens(&session, LiveKey::Clients(service), move |key, kind| {
+            let Some(alive) = parse_alive(key) else { return };
+            let Some(client) = alive.client else { return };
+            let event = match kind {
+                SampleKind::Put => LiveEvent::Here(client, alive.incarnation),
+                SampleKind::Delete => LiveEvent::Gone(client, alive.incarnation),
+            };
+            drop(events.try_send(event));
+        })?;
+        let token = appear(&session, LiveKey::Service(service, incarnation))?;
         let locators = locators.iter().map(ToString::to_string).collect();
         let service = service.clone();
         let link =
@@ -169,9 +156,8 @@ impl LiveServiceLink {
     ///
     /// [`Error::Dead`] if it cannot.
     pub async fn health(&self) -> Result<()> {
-        let listened = !self.locators.is_empty();
-        let is_deaf = listened && self.session.info().locators().await.is_empty();
-        if is_deaf || self.session.is_closed() { Err(Error::Dead) } else { Ok(()) }
+        let listens = !self.locators.is_empty();
+        if session::is_dead(&self.session, listens).await { Err(Error::Dead) } else { Ok(()) }
     }
 
     /// Leaves the network, within a limited time.
