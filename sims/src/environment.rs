@@ -251,8 +251,13 @@ pub trait Environment: Send {
         None
     }
 
-    /// Lists the facts that the task can tell, if there is a listener who hears sentences; a scene names those that hold.
+    /// Lists the facts that the task can tell, if there is a listener who hears sentences.
     fn facts(&self) -> Vec<Fact> {
+        Vec::new()
+    }
+
+    /// Names those that hold now; a scene has them, too.
+    fn facts_that_hold(&self) -> Vec<&'static str> {
         Vec::new()
     }
 

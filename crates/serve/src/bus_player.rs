@@ -175,8 +175,7 @@ impl Scripted for BusPlayer {
         self.before.resize(n, 0.0);
         task.write_quantities(&mut self.now, &mut self.before);
         let values = self.now[..task.n_observed()].to_vec();
-        let facts = slot.env().scene().map(|scene| scene.facts).unwrap_or_default();
-        let facts = facts.into_iter().map(str::to_owned).collect();
+        let facts = slot.env().facts_that_hold().into_iter().map(str::to_owned).collect();
         self.lock().client.tell_facts(Some(facts));
         match self.ask(slot, &values, task.topics()) {
             Ok(act) => task.write_act(act, choices),

@@ -194,15 +194,6 @@ impl<D: Domain> NotifierEnv<D> {
         }
     }
 
-    /// Names the facts that hold now.
-    fn holding(&self) -> Vec<&'static str> {
-        let facts = self.domain.facts();
-        let mut holds = vec![false; facts.len()];
-        self.domain.observe_facts(&mut holds);
-        let told = facts.iter().zip(holds).filter(|(_, holds)| *holds);
-        told.map(|(fact, _)| fact.name).collect()
-    }
-
     fn speech(&self) -> Option<Speech> {
         self.human.speech().map(|(message, heard)| Speech {
             topic: message.topic,
@@ -383,6 +374,14 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         self.domain.facts()
     }
 
+    fn facts_that_hold(&self) -> Vec<&'static str> {
+        let facts = self.domain.facts();
+        let mut holds = vec![false; facts.len()];
+        self.domain.observe_facts(&mut holds);
+        let told = facts.iter().zip(holds).filter(|(_, holds)| *holds);
+        told.map(|(fact, _)| fact.name).collect()
+    }
+
     fn scene(&self) -> Option<Scene> {
         let listener = Listener {
             topics: self.domain.topics().to_vec(),
@@ -390,7 +389,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             pending: self.human.pending().map(|message| message.topic),
             reacting: self.last.reacting,
         };
-        Some(Scene { listener, facts: self.holding(), ..self.domain.scene() })
+        Some(Scene { listener, facts: self.facts_that_hold(), ..self.domain.scene() })
     }
 }
 

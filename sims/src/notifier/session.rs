@@ -189,13 +189,6 @@ impl Session {
         self.speech = None;
     }
 
-    /// Takes back the message that [`Session::carry_out`] has just started: there are no words for it.
-    pub fn take_back(&mut self) {
-        if self.started.take().is_some() {
-            self.speech = None;
-        }
-    }
-
     /// Counts one more word as heard; returns the message that ends with it.
     pub fn hear_word(&mut self) -> Option<Message> {
         let utterance = self.speech.as_mut()?;

@@ -119,8 +119,8 @@ struct FactLog {
 
 impl FactLog {
     fn note(&mut self, slot: &EnvSlot) {
-        let scene = slot.env().scene();
-        self.moments.extend(scene.map(|scene| (scene.listener.speech, scene.facts)));
+        let insight = slot.env().insight();
+        self.moments.extend(insight.map(|insight| (insight.speech, slot.env().facts_that_hold())));
     }
 
     fn messages(&self) -> Vec<LoggedMessage> {
