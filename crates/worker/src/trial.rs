@@ -27,20 +27,26 @@ pub(crate) fn play(
     let mut draws = Pcg64::seed_from_u64(SEED);
     begin(link, place);
     let first = link.slot(place).row.clone();
-    let rest = (0..n_steps).map(|_| step(link, place, &mut draws));
-    let shown: Result<Vec<StepRow>, String> = [Ok(first)].into_iter().chain(rest).collect();
+    let rest = steps(link, place, n_steps, &mut draws);
+    // Also of no step at all: an episode that could not begin.
     match &link.slot(place).failure {
         Some(reason) => Err(reason.clone()),
-        None => shown,
+        None => Ok([vec![first], rest?].concat()),
     }
 }
 
-/// Takes a step with an action that is offered.
-pub(crate) fn step(
+/// Takes so many steps and returns what each has shown.
+pub(crate) fn steps(
     link: &mut WorkerLink,
     place: usize,
+    n_steps: usize,
     draws: &mut Pcg64,
-) -> Result<StepRow, String> {
+) -> Result<Vec<StepRow>, String> {
+    (0..n_steps).map(|_| step(link, place, draws)).collect()
+}
+
+/// Takes a step with an action that is offered.
+fn step(link: &mut WorkerLink, place: usize, draws: &mut Pcg64) -> Result<StepRow, String> {
     let (mask, mut first) = (link.slot(place).row.mask, 0);
     let heads = &link.hello().world.heads;
     let action: Vec<u8> = heads
