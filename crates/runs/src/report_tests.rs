@@ -38,7 +38,7 @@ fn a_report_of_one_run_names_its_command_and_what_differs() {
         "leadtime up -c cartpole --seed 7 --set learner.clip=0.1 --name a-again"
     );
     assert!(of.settings.contains("clip = 0.1") && of.settings.contains("gamma"));
-    assert!(of.details.iter().any(|fact| fact.name == "seed" && fact.value == "7"));
+    assert!(of.details.iter().any(|it| it.name == "seed" && it.value == "7"));
     let changed = page.changed.unwrap().text();
     assert!(changed.contains("learner.clip") && !changed.contains("run.name"), "{changed}");
     assert!(changed.lines().next().unwrap().contains("cartpole"), "{changed}");

@@ -46,7 +46,7 @@ pub use error::Error;
 pub use estimate::TrainingEstimate;
 pub use plan::PlannedTraining;
 pub use progress::{StudyObserver, TrainingProgress};
-pub use provenance::program_facts;
+pub use provenance::program_details;
 pub use request::{EPISODES, EVAL_SEED, StudyRequest};
 pub use session::StudySession;
 pub use study::{Study, StudyPart, StudyRow};

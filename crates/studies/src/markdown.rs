@@ -32,8 +32,8 @@ impl StudyResult {
             page.extend(part.rows.iter().map(details));
         }
         page.push_str("## Where these numbers are from\n\n");
-        let facts = self.provenance.iter();
-        page.extend(facts.map(|ProvenanceDetail { name, value }| format!("* {name}: {value}\n")));
+        let details = self.provenance.iter();
+        page.extend(details.map(|ProvenanceDetail { name, value }| format!("* {name}: {value}\n")));
         page.push('\n');
         page.extend(self.parts.iter().map(PartResult::runs));
         page

@@ -99,7 +99,7 @@ fn range(seeds: &[u64]) -> String {
 }
 
 /// Lists where a study's numbers are from.
-pub(crate) fn facts(
+pub(crate) fn details(
     plan: &StudyPlan,
     request: &StudyRequest,
     runs: &[TrainedRun],
@@ -118,7 +118,7 @@ pub(crate) fn facts(
         "{} episodes per training seed, under seed {} + training seed, the same for every notifier",
         request.episodes, request.eval_seed
     );
-    let facts = [
+    let details = [
         ProvenanceDetail::new(COMMAND, format!("`{}`", request.command)),
         ProvenanceDetail::new("profiles and their hashes", profiles.collect::<Vec<_>>().join(", ")),
         ProvenanceDetail::new("training seeds", seeds(&plan.parts)),
@@ -129,11 +129,11 @@ pub(crate) fn facts(
             format!("{} runs, {steps} steps, {minutes:.1} minutes", runs.len()),
         ),
     ];
-    facts.into_iter().chain(program_facts(&request.build)).collect()
+    details.into_iter().chain(program_details(&request.build)).collect()
 }
 
 /// Describes the program, the processor and the day: the last lines of where numbers are from.
-pub fn program_facts(build: &ProgramBuild) -> [ProvenanceDetail; 3] {
+pub fn program_details(build: &ProgramBuild) -> [ProvenanceDetail; 3] {
     let commit = build.commit.as_deref().unwrap_or("unknown");
     [
         ProvenanceDetail::new(PROGRAM, format!("{}, commit {commit}", build.program)),

@@ -111,7 +111,7 @@ impl<'a> StudySession<'a> {
             lead: study.lead.clone(),
             warnings: warnings(plan, &self.request),
             bootstrap: bootstrap(),
-            provenance: provenance::facts(plan, &self.request, &runs),
+            provenance: provenance::details(plan, &self.request, &runs),
             parts,
         })
     }

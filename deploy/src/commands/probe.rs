@@ -8,7 +8,7 @@ use leadtime_eval::report::ProvenanceDetail;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::hex;
 use leadtime_runs::{LoadedPolicy, Tasks};
-use leadtime_studies::program_facts;
+use leadtime_studies::program_details;
 use serde_json::{Value, json};
 
 use crate::build::this_build;
@@ -76,7 +76,7 @@ fn write(
 ) -> Result<(), Failure> {
     let mut weights = hex::encode(&loaded.parameters.digest().blame(ExitCode::Failed)?);
     weights.truncate(DIGEST_DIGITS);
-    let mut facts = vec![
+    let mut details = vec![
         ProvenanceDetail::new("command", format!("`{}`", output::this_command())),
         ProvenanceDetail::new(
             "policy",
@@ -87,7 +87,7 @@ fn write(
         ProvenanceDetail::new("choices", format!("{action:?}").to_lowercase()),
         ProvenanceDetail::new("evaluation seed", args.acting.choosing.eval_seed.to_string()),
     ];
-    facts.extend(program_facts(&this_build()?));
+    details.extend(program_details(&this_build()?));
     let title = format!("What `{}` knows of its listener's reaction delay", args.policy.display());
-    output::file(path, known.markdown(&title, &facts).as_bytes()).blame(ExitCode::WrongInput)
+    output::file(path, known.markdown(&title, &details).as_bytes()).blame(ExitCode::WrongInput)
 }

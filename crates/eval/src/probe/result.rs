@@ -92,14 +92,14 @@ impl ProbeResult {
     /// Writes a section of a page: tables, how to read them, and where they are from.
     pub fn markdown(&self, title: &str, provenance: &[ProvenanceDetail]) -> String {
         let [errors, exact] = self.tables().map(|table| table.markdown());
-        let facts = provenance
+        let details = provenance
             .iter()
             .map(|ProvenanceDetail { name, value }| format!("* {name}: {value}\n"));
         let results = self.results().map(|line| format!("* {line}\n"));
-        let (results, facts): (String, String) = (results.collect(), facts.collect());
+        let (results, details): (String, String) = (results.collect(), details.collect());
         format!(
             "## {title}\n\n{}\n\nMean absolute error of d_r, in steps:\n\n{errors}\nShare of exact predictions, rounded:\n\
-             \n{exact}\n{results}\n<details><summary>Where these numbers are from</summary>\n\n{facts}\n</details>\n",
+             \n{exact}\n{results}\n<details><summary>Where these numbers are from</summary>\n\n{details}\n</details>\n",
             self.reading()
         )
     }
