@@ -49,25 +49,24 @@ def leadtime(args):
                    "--name", "r", "--set", f"learner.total_steps={args.steps}", "--set", "evaluation.during_training=0"]
         started = time.time()
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        journal, reached, lines, file = Path(folder) / "r/metrics.jsonl", None, [], None
+        journal, reached, n_read = Path(folder) / "r/metrics.jsonl", None, 0
         while True:
             is_over = child.poll() is not None
-            if file is None and journal.exists():
-                file = open(journal)
-            for line in file or []:
-                if not line.endswith("\n"):
-                    break
-                lines.append(json.loads(line))
-                if reached is None and lines[-1].get("episodes/success", 0) >= WANTED and lines[-1]["update"] > 1:
-                    reached = (lines[-1]["steps"], time.time() - started)
+            # Whole lines only, and from its name every time: the file is replaced when the run begins.
+            text = journal.read_text() if journal.exists() else ""
+            lines = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()[n_read:]]
+            for line in lines:
+                n_read, last = n_read + 1, line
+                if reached is None and line.get("episodes/success", 0) >= WANTED and line["update"] > 1:
+                    reached = (line["steps"], time.time() - started)
             if is_over:
                 break
             time.sleep(0.05)
         seconds = time.time() - started
         steps, needed = reached or (None, None)
         return {"system": "leadtime up", "seed": args.seed, "steps_to_.9": steps, "seconds_to_.9": needed and round(needed, 1),
-                "steps": lines[-1]["steps"], "seconds": round(seconds, 1),
-                "steps_per_second": round(lines[-1]["steps"] / seconds), "last_success": lines[-1]["episodes/success"]}
+                "steps": last["steps"], "seconds": round(seconds, 1),
+                "steps_per_second": round(last["steps"] / seconds), "last_success": last["episodes/success"]}
 
 
 def cleanrl(args):
@@ -75,14 +74,9 @@ def cleanrl(args):
     import numpy as np
     import torch
     from torch import nn
+    from whole_cleanrl_style import estimate_advantages, layer
 
     import leadtime.gym  # noqa: F401
-
-    def layer(n_in, n_out, gain=2 ** 0.5):
-        linear = nn.Linear(n_in, n_out)
-        nn.init.orthogonal_(linear.weight, gain)
-        nn.init.constant_(linear.bias, 0.0)
-        return linear
 
     envs = gym.make_vec(TASK, num_envs=N_ENVS, vectorization_mode="vector_entry_point")
     sizes = envs.single_action_space.nvec.tolist()
@@ -137,12 +131,7 @@ def cleanrl(args):
             next_done = torch.tensor(terminated | truncated, dtype=torch.float32)
         with torch.no_grad():
             next_value = critic(next_obs).squeeze(-1)
-            advantages, last = torch.zeros_like(rewards), torch.zeros(N_ENVS)
-            for t in reversed(range(N_STEPS)):
-                live = 1.0 - (next_done if t == N_STEPS - 1 else dones[t + 1])
-                following = next_value if t == N_STEPS - 1 else values[t + 1]
-                delta = rewards[t] + GAMMA * following * live - values[t]
-                advantages[t] = last = delta + GAMMA * LAMBDA * live * last
+            advantages = estimate_advantages(rewards, values, dones, next_value, next_done, GAMMA, LAMBDA)
             returns = advantages + values
         flat = [x.reshape(-1, *x.shape[2:]) for x in (obs, masks, actions, log_probs, advantages, returns)]
         order = np.arange(N_ENVS * N_STEPS)

@@ -29,6 +29,18 @@ def layer(n_in, n_out, gain=2 ** 0.5):
     return linear
 
 
+def estimate_advantages(rewards, values, dones, next_value, next_done, gamma, lam):
+    """Generalised advantage estimation over rollouts of shape [steps, environments]."""
+    advantages, last = torch.zeros_like(rewards), torch.zeros_like(next_value)
+    for t in reversed(range(len(rewards))):
+        is_last = t == len(rewards) - 1
+        live = 1.0 - (next_done if is_last else dones[t + 1])
+        following = next_value if is_last else values[t + 1]
+        delta = rewards[t] + gamma * following * live - values[t]
+        advantages[t] = last = delta + gamma * lam * live * last
+    return advantages
+
+
 class Agent(nn.Module):
     def __init__(self, n_in, n_out):
         super().__init__()
@@ -64,12 +76,7 @@ def main():
             next_done = torch.tensor(np.logical_or(terminated, truncated), dtype=torch.float32)
         with torch.no_grad():
             next_value = agent.critic(next_obs).flatten()
-            advantages, last = torch.zeros_like(rewards), torch.zeros(N_ENVS)
-            for t in reversed(range(N_STEPS)):
-                live = 1.0 - (next_done if t == N_STEPS - 1 else dones[t + 1])
-                following = next_value if t == N_STEPS - 1 else values[t + 1]
-                delta = rewards[t] + GAMMA * following * live - values[t]
-                advantages[t] = last = delta + GAMMA * LAMBDA * live * last
+            advantages = estimate_advantages(rewards, values, dones, next_value, next_done, GAMMA, LAMBDA)
             returns = advantages + values
         flat = [x.reshape(-1, *x.shape[2:]) for x in (obs, actions, log_probs, advantages, returns, values)]
         order = np.arange(N_ENVS * N_STEPS)
