@@ -126,11 +126,13 @@ mod tests {
         let file = place.path().join("id");
         let command = format!("sleep 600 & echo $! > '{}'; exec sleep 600", file.display());
         let pipe = MetricsPipe::start(&command).unwrap();
+        let started = Instant::now();
         let id = loop {
             match std::fs::read_to_string(&file) {
                 Ok(text) if text.ends_with('\n') => break text.trim().to_owned(),
                 _ => thread::sleep(LOOK_EVERY),
             }
+            assert!(started.elapsed() < Duration::from_secs(60), "the command does not start");
         };
         drop(pipe);
         let state = std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();

@@ -1,6 +1,6 @@
 //! How long things take: counts in bins of one per cent, so that a quantile costs no memory and little time.
 
-/// The shortest time that is told apart, in microseconds.
+/// The time at which the first bin begins, in microseconds; shorter ones count there.
 const SHORTEST: f64 = 1.0;
 /// How much longer each bin's times are than those of the bin before.
 const STEP: f64 = 1.01;

@@ -1,7 +1,7 @@
 //! What a sentence presupposes: named facts of the world, and which of them hold.
 //!
 //! "Zone below, go up." is false where no zone is below. A sentence therefore names what must be so (`zone_below`), and
-//! is said only while whoever tells about the world says that it is. A fact that nobody tells does not hold.
+//! is said only while the world, or a client that sees it, tells that it holds. A fact that nobody tells does not hold.
 
 /// The most facts that the sentences of a database may name.
 pub const MAX_FACTS: usize = u64::BITS as usize;
@@ -13,7 +13,7 @@ pub struct FactSet(u64);
 impl FactSet {
     /// No fact: what a sentence presupposes that is always true.
     pub const NONE: Self = Self(0);
-    /// Every fact: what holds for whoever does not compare sentences with the world.
+    /// Every fact: what holds where sentences are not compared with the world.
     pub const ALL: Self = Self(u64::MAX);
 
     /// Adds the fact at a place; one beyond [`MAX_FACTS`] is no fact.

@@ -1,7 +1,7 @@
 //! One worker process: started, spoken to, listened to, and killed with everything that it has started.
 //!
-//! Its standard output and error go to the log, a few lines a second; what it said last is kept for whoever has to explain why
-//! it died. Its standard input closes when this process ends, and then it ends too.
+//! Its standard output and error go to the log, a few lines a second; what it said last is kept to
+//! explain why it died. Its standard input closes when this process ends, and then it ends too.
 
 use std::collections::VecDeque;
 use std::io::{self, BufRead as _, BufReader, PipeReader, Read as _, Write as _};
