@@ -109,6 +109,14 @@ impl Drop for MetricsPipe {
 mod tests {
     use super::*;
 
+    fn wait_until(mut holds: impl FnMut() -> bool) {
+        let started = Instant::now();
+        while !holds() {
+            assert!(started.elapsed() < Duration::from_mins(1), "it does not come to that");
+            thread::sleep(LOOK_EVERY);
+        }
+    }
+
     #[test]
     fn a_command_gets_every_line_and_the_end() {
         let place = tempfile::tempdir().unwrap();
@@ -126,17 +134,15 @@ mod tests {
         let file = place.path().join("id");
         let command = format!("sleep 600 & echo $! > '{}'; exec sleep 600", file.display());
         let pipe = MetricsPipe::start(&command).unwrap();
-        let started = Instant::now();
-        let id = loop {
-            match std::fs::read_to_string(&file) {
-                Ok(text) if text.ends_with('\n') => break text.trim().to_owned(),
-                _ => thread::sleep(LOOK_EVERY),
-            }
-            assert!(started.elapsed() < Duration::from_mins(1), "the command does not start");
-        };
+        let written = || std::fs::read_to_string(&file).unwrap_or_default();
+        wait_until(|| written().ends_with('\n'));
+        let stat = format!("/proc/{}/stat", written().trim());
         drop(pipe);
-        let state = std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
-        assert!(state.is_empty() || state.contains(") Z "), "{state}");
+        // It was killed, and is gone as soon as the system has seen to it.
+        wait_until(|| {
+            let state = std::fs::read_to_string(&stat).unwrap_or_default();
+            state.is_empty() || state.contains(") Z ")
+        });
     }
 
     #[test]
