@@ -209,6 +209,27 @@ test('a number that is far too large does not stop the page', async (t) => {
   assert.deepEqual(complaints, []);
 });
 
+test('a gap between the first updates takes no points from the curves', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(SHORT).ended, 0);
+  const { page } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
+  await until('the run', async () => (await newest(page)) > 0);
+  // A watcher that came at the first update, was told none for a while, and then ten.
+  const events = await page.evaluate(async () => {
+    const { update, history } = await (await fetch('state.json')).json();
+    const scalars = Object.fromEntries(Object.keys(history.scalars).map((name) => [name, { min: [0, 0], max: [0, 0] }]));
+    const told = [['history', { ...history, from: 0, to: 300, x: [1, 300], scalars }]];
+    for (let i = 1; i <= 10; i++) told.push(['update', { ...update, update: 300 + i }]);
+    return told.map(([kind, data]) => `event: ${kind}\ndata: ${JSON.stringify(data)}\n\n`).join('');
+  });
+  await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body: events }));
+  await page.reload();
+  await until('the last update', async () => (await newest(page)) === 310);
+  await page.locator('button[data-text=curves]').click();
+  assert.equal(await page.locator('#curves-text tbody tr').count(), 12);
+});
+
 test('a token is needed where it is asked for', async (t) => {
   const place = new Place();
   t.after(() => place.clean());

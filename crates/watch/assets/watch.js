@@ -99,7 +99,8 @@ function takeHistory(told) {
       ours.max.push(theirs ? theirs.max[i] : null);
     }
   }
-  if (told.from === 0) stride = told.x.length > 1 ? Math.max(1, told.x[1] - told.x[0]) : 1;
+  // Not the distance of two points: updates that were not told leave gaps.
+  if (told.from === 0) stride = told.stride || 1;
   inLast = stride;
   marks = told.marks;
   shorten();

@@ -613,6 +613,7 @@ impl RunView {
             "to": series.last(),
             "started": self.started,
             "steps_per_update": self.steps_per_update(),
+            "stride": series.stride(),
             "x": series.x,
             "scalars": series.scalars,
             "marks": marks,
