@@ -73,13 +73,16 @@ class LeadtimeEnv(gymnasium.Env):
     ``options={"episode": n}`` picks one. They are the episodes of the program's environment 0, bit for bit.
     """
 
-    metadata = {"render_modes": []}
+    # A step is a word.
+    metadata = {"render_modes": ["rgb_array", "ansi"], "render_fps": 3}
 
     def __init__(self, config="lander", set=None, evaluation=False, render_mode=None):
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r}: there is none; `leadtime play` draws episodes")
-        self.render_mode = None
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode {render_mode!r}; allowed: {self.metadata['render_modes']}")
+        self.render_mode = render_mode
         self.world = World(config, changes(set), evaluation)
+        if render_mode is not None:
+            self.world.film()
         self.observation_space, self.action_space, self._single = make_spaces(self.world)
         self._metrics = self.world.metric_names
         self._seed, self._episode = None, 0
@@ -105,13 +108,20 @@ class LeadtimeEnv(gymnasium.Env):
             info.update(ending(self._metrics, self.world.metrics()))
         return observation, float(reward), terminated, truncated, info
 
+    def render(self):
+        """Returns the present moment: as pixels of shape ``[height, width, 3]``, or in a line what is heard and done."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("nothing is drawn: make the environment with render_mode=\"rgb_array\" or \"ansi\"")
+            return None
+        return self.world.picture() if self.render_mode == "rgb_array" else self.world.caption()
+
     def action_masks(self):
         """Returns the offered choices as booleans, head after head (what sb3-contrib's MaskablePPO asks for)."""
         return self._mask.astype(bool)
 
     def baseline(self, name="heuristic"):
         """Returns the action that a scripted policy of the world takes now."""
-        choices = self.world.baseline(name)
+        choices = list(self.world.baseline(name))
         return choices[0] if self._single else np.array(choices)
 
 
@@ -134,7 +144,7 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
 
     def __init__(self, num_envs=1, config="lander", set=None, evaluation=False, render_mode=None):
         if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r}: there is none; `leadtime play` draws episodes")
+            raise ValueError(f"render_mode {render_mode!r}: a vector draws nothing; a single environment does")
         self.render_mode = None
         self.num_envs = num_envs
         self.worlds = Worlds(config, changes(set), evaluation, num_envs)

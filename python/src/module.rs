@@ -2,6 +2,7 @@
 
 use pyo3::prelude::*;
 
+use crate::pair::Pair;
 use crate::task;
 use crate::vector::Worlds;
 use crate::world::World;
@@ -11,6 +12,7 @@ use crate::world::World;
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_function(wrap_pyfunction!(task::configurations, module)?)?;
+    module.add_class::<Pair>()?;
     module.add_class::<World>()?;
     module.add_class::<Worlds>()
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use leadtime_config::{Catalog, Config, ConfigSource, Layer, Override};
 use leadtime_proto::TaskSpec;
 use leadtime_proto::phrase::no_such;
-use leadtime_sims::{Environment, Registry};
+use leadtime_sims::{Environment, Registry, TwoPlayers};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -48,6 +48,24 @@ impl PlayedTask {
             read.or_else(|error| text.as_ref().and_then(stored).ok_or(error)).map_err(wrong)?;
         let spec = if evaluation { read.evaluation.task } else { read.task };
         Ok(Self { registry, spec })
+    }
+
+    /// Names the domain.
+    pub(crate) fn domain(&self) -> &str {
+        &self.spec.domain
+    }
+
+    /// Builds an environment for two.
+    ///
+    /// # Errors
+    ///
+    /// `ValueError` if a setting is impossible, or nobody in the task listens.
+    pub(crate) fn build_pair(&self) -> PyResult<Box<dyn TwoPlayers>> {
+        let nobody = || {
+            let text = format!("`{}` has no person who could be played", self.spec.domain);
+            PyValueError::new_err(text)
+        };
+        self.registry.build_pair(&self.spec).map_err(wrong)?.ok_or_else(nobody)
     }
 
     /// Builds an environment.

@@ -5,11 +5,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use leadtime_proto::{EnvId, Mask};
 use leadtime_sims::{End, Environment, EpisodeSeed};
-use numpy::{IntoPyArray as _, PyArray1};
+use numpy::ndarray::Array3;
+use numpy::{IntoPyArray as _, PyArray1, PyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
+use crate::film::Film;
 use crate::task::{PlayedTask, wrong};
 
 /// An observation and what may be chosen in it. Shapes `[obs_dim]`, `[n_choices]`.
@@ -20,14 +22,26 @@ type OneStep<'py> = (Bound<'py, PyArray1<f32>>, f32, bool, bool, Bound<'py, PyAr
 /// A built-in world.
 #[pyclass(module = "leadtime._native", frozen)]
 pub(crate) struct World {
+    domain: String,
     environment: Mutex<Box<dyn Environment>>,
+    /// What is kept for drawing, where that is wanted. Locked after the environment.
+    film: Mutex<Option<Film>>,
 }
 
 impl World {
     fn lock(&self) -> MutexGuard<'_, Box<dyn Environment>> {
-        // What a panic has left is an environment that has to be reset, as after any error.
-        self.environment.lock().unwrap_or_else(PoisonError::into_inner)
+        unpoisoned(&self.environment)
     }
+
+    fn filmed<T>(&self, of: impl FnOnce(&Film) -> PyResult<T>) -> PyResult<T> {
+        let nothing = || PyValueError::new_err("nothing is kept to be drawn: call `film` first");
+        unpoisoned(&self.film).as_ref().ok_or_else(nothing).and_then(of)
+    }
+}
+
+/// Locks. What a panic has left is an environment that has to be reset, as after any error.
+pub(crate) fn unpoisoned<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[pymethods]
@@ -35,8 +49,28 @@ impl World {
     /// Makes the environment of a configuration; the changes are `section.key=value`.
     #[new]
     fn new(config: &str, set: Vec<String>, evaluation: bool) -> PyResult<Self> {
-        let environment = Mutex::new(PlayedTask::read(config, &set, evaluation)?.build()?);
-        Ok(Self { environment })
+        let task = PlayedTask::read(config, &set, evaluation)?;
+        let (domain, environment) = (task.domain().to_owned(), Mutex::new(task.build()?));
+        Ok(Self { domain, environment, film: Mutex::new(None) })
+    }
+
+    /// Keeps what is needed to draw, from the next episode on.
+    fn film(&self) -> PyResult<()> {
+        let environment = self.lock();
+        *unpoisoned(&self.film) = Some(Film::new(&self.domain, environment.as_ref())?);
+        Ok(())
+    }
+
+    /// Draws the present moment. Shape `[height, width, 3]`.
+    fn picture<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let drawn = self.filmed(Film::picture)?;
+        let shape = (drawn.height, drawn.width, 3);
+        Ok(Array3::from_shape_vec(shape, drawn.rgb).map_err(wrong)?.into_pyarray(py))
+    }
+
+    /// Says what the person hears and does now.
+    fn caption(&self) -> PyResult<String> {
+        self.filmed(Film::caption)
     }
 
     /// Length of an observation.
@@ -82,8 +116,11 @@ impl World {
     fn reset<'py>(&self, py: Python<'py>, seed: u64, episode: u64) -> OneView<'py> {
         let mut environment = self.lock();
         let mut observation = vec![0.0; environment.spec().obs_dim];
-        let seed = EpisodeSeed { run_seed: seed, env_id: EnvId(0), episode };
-        environment.reset(seed, &mut observation);
+        let named = EpisodeSeed { run_seed: seed, env_id: EnvId(0), episode };
+        environment.reset(named, &mut observation);
+        if let Some(film) = unpoisoned(&self.film).as_mut() {
+            film.begin(seed, episode, environment.as_ref());
+        }
         (observation.into_pyarray(py), offered(environment.as_ref()).into_pyarray(py))
     }
 
@@ -94,6 +131,9 @@ impl World {
         let action: Vec<u8> = action.into_iter().map(|choice| choice as u8).collect();
         let mut observation = vec![0.0; environment.spec().obs_dim];
         let outcome = environment.step(&action, &mut observation);
+        if let Some(film) = unpoisoned(&self.film).as_mut() {
+            film.step(outcome, environment.as_ref());
+        }
         let [terminated, truncated] =
             [End::Terminated, End::Truncated].map(|end| outcome.end == Some(end));
         let offered = offered(environment.as_ref()).into_pyarray(py);
@@ -131,6 +171,9 @@ impl World {
         let mut environment = self.lock();
         let mut observation = vec![0.0; environment.spec().obs_dim];
         environment.restore(snapshot, &mut observation).map_err(wrong)?;
+        if let Some(film) = unpoisoned(&self.film).as_mut() {
+            film.begin(0, 0, environment.as_ref());
+        }
         Ok((observation.into_pyarray(py), offered(environment.as_ref()).into_pyarray(py)))
     }
 }
@@ -158,7 +201,7 @@ pub(crate) fn n_choices(environment: &dyn Environment) -> Vec<usize> {
 }
 
 /// Returns what may be chosen now. Shape `[n_choices]`.
-fn offered(environment: &dyn Environment) -> Vec<i8> {
+pub(crate) fn offered(environment: &dyn Environment) -> Vec<i8> {
     let mut offered = vec![0; environment.spec().actions.n_choices()];
     write_offered(environment, &mut offered);
     offered

@@ -35,9 +35,55 @@ class Gym(unittest.TestCase):
             with self.subTest(name), warnings.catch_warnings(record=True) as told:
                 warnings.simplefilter("always")
                 env = gymnasium.make(name, disable_env_checker=True)
-                check_env(env.unwrapped, skip_render_check=True)
+                # What has no picture says so when it is made.
+                drawn = name != "leadtime/CueRecall-v0"
+                check_env(env.unwrapped, skip_render_check=not drawn)
                 texts = [str(warning.message) for warning in told if "gymnasium" in warning.filename]
                 self.assertEqual([text for text in texts if "infinity" not in text], [])
+
+    def test_stable_baselines_finds_nothing_wrong_in_any_world(self):
+        try:
+            from stable_baselines3.common.env_checker import check_env as check
+        except ImportError:
+            self.skipTest("stable-baselines3 is not installed: it needs torch, of 900 MB")
+        for name in IDS:
+            with self.subTest(name), warnings.catch_warnings():
+                warnings.simplefilter("error")
+                check(gymnasium.make(name, disable_env_checker=True).unwrapped)
+
+    def test_a_script_of_the_world_speaks_in_its_terms(self):
+        for name in ["leadtime/Lander-v0", "leadtime/Highway-v0", "leadtime/Steakhouse-v0"]:
+            env = gymnasium.make(name).unwrapped
+            spoke, done = False, False
+            env.reset(seed=2)
+            while not done:
+                action = env.baseline()
+                self.assertTrue(env.action_space.contains(action), name)
+                _, _, terminated, truncated, info = env.step(action)
+                spoke |= bool(action[0])
+                done = terminated or truncated
+            self.assertTrue(spoke and info["metrics"]["notifications"] > 0, name)
+
+    def test_a_moment_is_drawn_and_told(self):
+        env = gymnasium.make("leadtime/Lander-v0", render_mode="rgb_array")
+        line = gymnasium.make("leadtime/Lander-v0", render_mode="ansi")
+        pictures, lines = [], []
+        for drawn, told in [(env, pictures), (line, lines)]:
+            drawn.reset(seed=1)
+            told.append(drawn.render())
+            # Starts a message of the first topic, with the longest k and l.
+            start = [1, *(drawn.action_space.nvec[1:] - 1)]
+            for action in [start, [0, 0, 0, 0], [0, 0, 0, 0]]:
+                drawn.step(np.array(action))
+                told.append(drawn.render())
+        self.assertTrue(all(picture.shape == pictures[0].shape and picture.dtype == np.uint8 for picture in pictures))
+        self.assertTrue((pictures[0] != pictures[1]).any() and np.unique(pictures[0]).size > 20)
+        self.assertEqual(lines[0], "own plan")
+        # One more word with every step, in quotation marks.
+        words = [len(text.split("\u201c")[1].split()) for text in lines[1:]]
+        self.assertEqual(words, [1, 2, 3])
+        with self.assertRaisesRegex(ValueError, "cannot be drawn"):
+            gymnasium.make("leadtime/CueRecall-v0", render_mode="ansi")
 
     def test_the_same_seed_is_the_same_episode_and_the_next_one_is_another(self):
         env = gymnasium.make("leadtime/Lander-v0")

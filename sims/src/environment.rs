@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::description::Description;
+use crate::description::{Description, Quantity};
 use crate::fact::Fact;
 use crate::notifier::Session;
 use crate::scene::{Scene, Speech};
@@ -301,4 +301,48 @@ pub fn write_snapshot<T: Serialize>(state: &T, out: &mut Vec<u8>) {
 /// [`SnapshotError::Codec`] if the bytes are not such a state.
 pub fn read_snapshot<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SnapshotError> {
     Ok(leadtime_proto::codec::decode(bytes, leadtime_proto::limits::MAX_SNAPSHOT_BYTES)?)
+}
+
+/// What a step of [`TwoPlayers`] has brought to both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SharedOutcome {
+    /// The notifier's reward: the world's, what is paid for reactions, less the cost of messages.
+    pub notifier_reward: f32,
+    /// The person's reward: the world's. Words cost them nothing.
+    pub person_reward: f32,
+    /// Why the episode ended, if it did.
+    pub end: Option<End>,
+}
+
+/// A task for a notifier and a person, who both may learn.
+///
+/// In an [`Environment`] the person is the model of [`human`](crate::human). Here somebody else decides, step by step, whether
+/// the person carries out a topic or goes on by their own plan: a second policy, or a program that has another model of people.
+pub trait TwoPlayers: Send {
+    /// Returns the notifier's side: shapes, heads, mask, metrics. It is stepped here and nowhere else.
+    fn notifier(&self) -> &dyn Environment;
+
+    /// Names the topics that the person can carry out, by id.
+    fn topics(&self) -> &[&'static str];
+
+    /// Says what the numbers are that the person sees and remembers: those of the world, how much was heard of the message that
+    /// runs, the topic that was understood last, and how long ago that was.
+    fn person_quantities(&self) -> Vec<Quantity>;
+
+    /// Starts an episode and writes the first observation of both. Shapes `[obs_dim]`, `[person_quantities().len()]`.
+    fn reset(&mut self, seed: EpisodeSeed, notifier: &mut [f32], person: &mut [f32]);
+
+    /// Takes one step: the notifier's choices, one per head, and the topic that the person carries out, or `None` for their own
+    /// plan. Shapes as of [`TwoPlayers::reset`].
+    ///
+    /// # Panics
+    ///
+    /// If a choice is not one of its head's, or the topic is unknown.
+    fn step(
+        &mut self,
+        action: &[u8],
+        topic: Option<usize>,
+        notifier: &mut [f32],
+        person: &mut [f32],
+    ) -> SharedOutcome;
 }

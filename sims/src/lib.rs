@@ -29,7 +29,8 @@ pub use check::SettingError;
 pub use description::{Description, NamedHead, ObservationLayout, Quantity, RewardTerm};
 pub use domain::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};
 pub use environment::{
-    End, Entities, EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome,
+    End, Entities, EntityHistory, Environment, EpisodeSeed, Insight, SharedOutcome, SnapshotError,
+    StepOutcome, TwoPlayers,
 };
 pub use error::TaskError;
 pub use fact::Fact;

@@ -13,12 +13,15 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::check::SettingError;
-use crate::environment::Environment;
+use crate::environment::{Environment, TwoPlayers};
 use crate::error::TaskError;
-use crate::notifier::{NotifierWorld, TaskSettings};
+use crate::notifier::{NotifierWorld, PlayedByTwo, TaskSettings};
 
 /// Makes an environment from settings, given as JSON text.
 type Builder = Arc<dyn Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync>;
+
+/// Makes a task for two from the same settings.
+type PairBuilder = Arc<dyn Fn(&str) -> Result<Box<dyn TwoPlayers>, TaskError> + Send + Sync>;
 
 /// Writes into settings what only the task itself can say; `None` if nothing is missing.
 type SettingsCompleter = Arc<dyn Fn(&str) -> Result<Option<String>, TaskError> + Send + Sync>;
@@ -36,6 +39,8 @@ pub struct WorldOnly<W: Default> {
 pub struct DomainEntry {
     name: String,
     builder: Builder,
+    /// Where the person can be played, too.
+    pair_builder: Option<PairBuilder>,
     completer: Option<SettingsCompleter>,
     /// Its settings with their defaults, where the entry knows their type.
     defaults: Option<fn() -> Value>,
@@ -58,8 +63,15 @@ impl DomainEntry {
         F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
     {
         let builder: Builder = Arc::new(builder);
-        let (name, completer, defaults) = (name.to_owned(), None, None);
-        Self { name, builder, completer, defaults, evaluation: "", has_map: false }
+        Self {
+            name: name.to_owned(),
+            builder,
+            pair_builder: None,
+            completer: None,
+            defaults: None,
+            evaluation: "",
+            has_map: false,
+        }
     }
 
     /// Says how settings are completed before they are kept and sent: with what has to be found out once and then holds for
@@ -78,7 +90,15 @@ impl DomainEntry {
             let settings: TaskSettings<W> = read(name, settings)?;
             Ok(Box::new(settings.build()?) as Box<dyn Environment>)
         };
-        Self { defaults: Some(defaults::<TaskSettings<W>>), ..Self::from_builder(name, build) }
+        let build_pair: PairBuilder = Arc::new(move |settings| {
+            let settings: TaskSettings<W> = read(name, settings)?;
+            Ok(Box::new(PlayedByTwo::new(settings.build()?)))
+        });
+        Self {
+            defaults: Some(defaults::<TaskSettings<W>>),
+            pair_builder: Some(build_pair),
+            ..Self::from_builder(name, build)
+        }
     }
 
     /// Describes a task without people, which has nothing but a world.
@@ -199,6 +219,20 @@ impl Registry {
         let environment = (entry.builder)(&task.settings)?;
         environment.spec().actions.check()?;
         Ok(environment)
+    }
+
+    /// Builds a task for two, in which the person is played, too; `None` if there is nobody in it who listens.
+    ///
+    /// # Errors
+    ///
+    /// As [`Registry::build`].
+    pub fn build_pair(&self, task: &TaskSpec) -> Result<Option<Box<dyn TwoPlayers>>, TaskError> {
+        let builder = self.entries.get(&task.domain).and_then(|entry| entry.pair_builder.as_ref());
+        let Some(build) = builder else {
+            // A setting that is wrong is reported all the same.
+            return self.build(task).map(|_| None);
+        };
+        build(&task.settings).map(Some)
     }
 
     /// Returns what differs of a task's `[world]` while a policy is evaluated, as TOML; what a user sets in

@@ -46,6 +46,11 @@
 //! | L2 | delivery cancels | running | running over |
 //! | L3 | `l'`-th word | its topic only informs | followed |
 //!
+//! # When somebody else decides
+//!
+//! After [`Human::hand_over`] the model only hears: what was understood waits, in a queue, until [`Human::decide`] has the
+//! listener act upon its topic, and a reaction lasts for as long as that is so. Rows D, I7, I8, C2 and C4 never come to pass.
+//!
 //! # Invariants
 //!
 //! * started = preempted + comprehended + (1 if one is spoken and not understood yet);
@@ -165,6 +170,16 @@ pub struct Human {
     state: HumanState,
     /// A reaction ended since this was last asked.
     reaction_over: bool,
+    /// What somebody else has the listener do; `None` while the model decides.
+    chosen: Option<ChosenReaction>,
+}
+
+/// What somebody else has the listener do in a step.
+#[derive(Clone, Copy, Debug, Default)]
+struct ChosenReaction {
+    /// The topic that they carry out; `None` for their own plan.
+    topic: Option<usize>,
+    first: bool,
 }
 
 impl Human {
@@ -185,7 +200,8 @@ impl Human {
             tally: Tally::default(),
             explained: 0,
         };
-        Self { settings: settings.clone(), informative, reasons, state, reaction_over: false }
+        let (settings, reaction_over, chosen) = (settings.clone(), false, None);
+        Self { settings, informative, reasons, state, reaction_over, chosen }
     }
 
     fn only_informs(&self, message: Message) -> bool {
@@ -202,6 +218,39 @@ impl Human {
         self.state.tally = Tally::default();
         self.state.explained = 0;
         self.reaction_over = false;
+        self.chosen = self.chosen.map(|_| ChosenReaction::default());
+    }
+
+    /// Lets somebody else decide what the listener does, from the next episode on.
+    pub(crate) fn hand_over(&mut self) {
+        self.settings.pending = PendingRule::Queue;
+        self.settings.running = RunningRule::UntilNextDue;
+        self.chosen = Some(ChosenReaction::default());
+    }
+
+    /// Has the listener carry out a topic in this step, or act by their own plan. It takes the place of
+    /// [`Human::begin_step`] after [`Human::hand_over`], and comes after [`Human::apply`].
+    ///
+    /// The oldest message on the topic that was understood counts as acted upon, for as long as they keep to the topic. Without
+    /// one they act on their own, which no message is paid for.
+    pub(crate) fn decide(&mut self, topic: Option<usize>) {
+        let before = self.chosen.and_then(|chosen| chosen.topic);
+        let first = topic.is_some() && topic != before;
+        if topic != before {
+            // One that no message asked for has changed the world as well, and a plan may be invalid after it.
+            self.reaction_over |= before.is_some();
+            self.end_running();
+        }
+        self.chosen = Some(ChosenReaction { topic, first });
+        if self.state.running.is_some() {
+            return;
+        }
+        let mut pending = self.state.pending.iter();
+        let Some(i) = pending.position(|it| topic == Some(it.message.topic)) else { return };
+        if let Some(Pending { message, .. }) = self.state.pending.remove(i) {
+            let (begun, followed, steps_left) = (!first, false, MAX_TIME);
+            self.state.running = Some(RunningReaction { message, steps_left, begun, followed });
+        }
     }
 
     /// Returns the state between two steps.
@@ -266,6 +315,9 @@ impl Human {
 
     /// Begins a step: a reaction whose time has come starts, and replaces one that runs (rows D).
     pub fn begin_step(&mut self) {
+        if self.chosen.is_some() {
+            return;
+        }
         let now = self.state.now;
         let due = self.state.pending.pop_front_if(|pending| pending.due <= now);
         let Some(Pending { message, .. }) = due else { return };
@@ -336,6 +388,9 @@ impl Human {
 
     /// Returns what the person is to do in this step, if not what they planned themselves.
     pub fn reaction(&self) -> Option<ReactionStep> {
+        if let Some(ChosenReaction { topic, first }) = self.chosen {
+            return topic.map(|topic| ReactionStep { topic, first });
+        }
         let running = self.state.running?;
         Some(ReactionStep { topic: running.message.topic, first: !running.begun })
     }

@@ -9,8 +9,8 @@ use super::settings::NotifierSettings;
 use crate::check::SettingError;
 use crate::description::{Description, ObservationLayout, Quantity, RewardTerm};
 use crate::environment::{
-    EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome, read_snapshot,
-    write_snapshot,
+    End, EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome,
+    read_snapshot, write_snapshot,
 };
 use crate::error::TaskError;
 use crate::fact::Fact;
@@ -63,6 +63,21 @@ struct NotifierSnapshot {
     human: HumanState,
     history: Vec<f32>,
     last: StepMemory,
+}
+
+/// What a step of a [`NotifierEnv`] is worth.
+pub(super) struct StepRewards {
+    pub(super) world: f64,
+    reaction: f64,
+    cost: f64,
+    pub(super) end: Option<End>,
+}
+
+impl StepRewards {
+    /// Returns what the notifier gets.
+    pub(super) fn notifier(&self) -> f64 {
+        self.world + self.reaction - self.cost
+    }
 }
 
 /// The notifier problem of a domain, as an [`Environment`].
@@ -141,6 +156,39 @@ impl<D: Domain> NotifierEnv<D> {
         self.report_reaction_over();
         let initiation = self.human.apply(act);
         self.report_reaction_over();
+        let paid = self.finish_step(act, initiation, observation);
+        (StepOutcome { reward: paid.notifier() as f32, end: paid.end }, initiation)
+    }
+
+    /// Lets somebody else decide what the listener does, from the next episode on.
+    pub(super) fn hand_over(&mut self) {
+        self.human.hand_over();
+    }
+
+    /// Takes one step in which the listener does what somebody else has decided; after [`NotifierEnv::hand_over`].
+    pub(super) fn step_together(
+        &mut self,
+        act: SpeechAct,
+        topic: Option<usize>,
+        observation: &mut [f32],
+    ) -> (StepRewards, Initiation) {
+        let initiation = self.human.apply(act);
+        self.human.decide(topic);
+        self.report_reaction_over();
+        (self.finish_step(act, initiation, observation), initiation)
+    }
+
+    pub(super) fn session_ref(&self) -> &Session {
+        &self.session
+    }
+
+    /// Carries out what the listener does, advances the world and hears a word.
+    fn finish_step(
+        &mut self,
+        act: SpeechAct,
+        initiation: Initiation,
+        observation: &mut [f32],
+    ) -> StepRewards {
         let started = self.session.carry_out(act, initiation);
         if let Some(message) = started {
             self.domain.started(message);
@@ -164,8 +212,8 @@ impl<D: Domain> NotifierEnv<D> {
         let domain = &self.domain;
         self.session.observe(|out| domain.observe(out));
         self.session.write_row(observation);
-        let reward = advance.reward + reaction_reward - self.cost(initiation);
-        (StepOutcome { reward: reward as f32, end: advance.end }, initiation)
+        let cost = self.cost(initiation);
+        StepRewards { world: advance.reward, reaction: reaction_reward, cost, end: advance.end }
     }
 
     fn report_reaction_over(&mut self) {

@@ -21,6 +21,7 @@ mod history;
 mod session;
 mod settings;
 mod task;
+mod two_players;
 
 pub use actions::initial_bias;
 pub use cells::{CellTable, SayableCell};
@@ -28,3 +29,4 @@ pub use environment::NotifierEnv;
 pub use session::{Session, SessionState};
 pub use settings::{NotificationType, NotifierSettings};
 pub use task::{NotifierWorld, TaskSettings};
+pub(crate) use two_players::PlayedByTwo;

@@ -20,6 +20,17 @@ const LABEL_SIZE: f64 = 8.5;
 /// The last frame stays this long, in hundredths of a second.
 const LAST_DELAY: u16 = 250;
 
+/// A picture's pixels, row by row from the top; three bytes each: red, green, blue.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pixels {
+    /// Pixels of a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[height, width, 3]`.
+    pub rgb: Vec<u8>,
+}
+
 /// A moment of an episode, for a page.
 pub(crate) struct Still {
     pub(crate) step: usize,
@@ -41,10 +52,31 @@ impl Spoken {
         seconds: f64,
     ) -> Result<Vec<u8>, Error> {
         let moments = self.moments(max_frames);
-        let draw = |&i: &usize| rasterizer.pixmap(&self.frame(i).text, 1.0);
+        let draw = |&i: &usize| {
+            let svg = self.frame(i, &self.caption(i), self.is_end(i));
+            rasterizer.pixmap(&svg.text, 1.0)
+        };
         let frames = moments.iter().map(draw).collect::<Result<Vec<_>, _>>()?;
         let delay = (100.0 * seconds / moments.len().max(1) as f64).round().clamp(2.0, 200.0);
         gif(&frames, delay as u16, LAST_DELAY)
+    }
+
+    /// Draws the last scene, with what the person hears and does, for an episode that may go on.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoScene`] before the first scene; as [`Rasterizer::png`].
+    pub fn now(&self, rasterizer: &Rasterizer) -> Result<Pixels, Error> {
+        let last = self.played.scenes.len().checked_sub(1).ok_or(Error::NoScene)?;
+        let drawn = rasterizer.pixmap(&self.frame(last, &self.caption_now(), false).text, 1.0)?;
+        let (width, height) = (drawn.width() as usize, drawn.height() as usize);
+        let rgb = drawn.data().chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]);
+        Ok(Pixels { width, height, rgb: rgb.collect() })
+    }
+
+    /// Says in a line what the person hears and does in the last scene.
+    pub fn caption_now(&self) -> String {
+        self.caption_of(self.played.scenes.len().saturating_sub(1))
     }
 
     /// Draws at most `max_frames` moments for a page, with the step and the caption of each; their ids differ.
@@ -70,8 +102,8 @@ impl Spoken {
         moments
     }
 
-    /// Draws the moment of scene `i` with its caption.
-    fn frame(&self, i: usize) -> Svg {
+    /// Draws the moment of scene `i` with a caption.
+    fn frame(&self, i: usize, caption: &str, is_bold: bool) -> Svg {
         let scenes = &self.played.scenes;
         // A world that is seen in parts is seen where the person is.
         let seen = scenes.get(i).map_or(&scenes[..], std::slice::from_ref);
@@ -82,8 +114,8 @@ impl Spoken {
         let swatch = Area::new(MARGIN, 12.0, 14.0, 14.0);
         canvas.rectangle(swatch, 3.0, Paint::fill(marker::ink(self.activity(i))));
         let style = TextStyle::new(14.0, Ink::Text);
-        let style = if self.is_end(i) { style.bold() } else { style };
-        canvas.text([MARGIN + 22.0, 24.0], &self.caption(i), style);
+        let style = if is_bold { style.bold() } else { style };
+        canvas.text([MARGIN + 22.0, 24.0], caption, style);
         canvas.finish(&self.played.title())
     }
 
@@ -108,15 +140,18 @@ impl Spoken {
 
     /// Describes scene `i` in one line: what is heard and done, or how it ended.
     fn caption(&self, i: usize) -> String {
+        if self.is_end(i) { self.played.title() } else { self.caption_of(i) }
+    }
+
+    /// Describes scene `i` in one line: what is heard and done.
+    fn caption_of(&self, i: usize) -> String {
         let timeline = &self.timeline;
         let sentence = timeline.spoken(i).and_then(|said| {
             let (sentence, utterance) = (self.sentences.get(said)?, &timeline.utterances[said]);
             Some(sentence.so_far(i - utterance.start, utterance.conveyance))
         });
-        match self.played.scenes.get(i).filter(|_| !self.is_end(i)) {
-            Some(scene) => caption(scene, self.activity(i), sentence.as_deref()),
-            None => self.played.title(),
-        }
+        let scene = self.played.scenes.get(i);
+        scene.map_or_else(String::new, |it| caption(it, self.activity(i), sentence.as_deref()))
     }
 }
 

@@ -20,5 +20,6 @@ mod trajectories;
 mod whole;
 mod world_view;
 
+pub use animation::Pixels;
 pub(crate) use animation::Still;
 pub use trajectories::{TrajectoryPanel, maps, trajectories};
