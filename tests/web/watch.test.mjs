@@ -230,6 +230,20 @@ test('a gap between the first updates takes no points from the curves', async (t
   assert.equal(await page.locator('#curves-text tbody tr').count(), 12);
 });
 
+test('where the schedule is asynchronous, the clipped share stands by the staleness', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(`${SHORT} --set learner.mode=async`).ended, 0);
+  const { page, complaints } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
+  await until('the run', async () => (await newest(page)) > 0);
+  assert.match(await text(page, 'clip-shares'), /^clipped: \d+: \d+\.\d %/);
+  await page.locator('button[data-text=staleness]').click();
+  assert.match(await text(page, 'staleness-text'), /clipped/);
+  const box = await page.locator('#staleness').boundingBox();
+  assert.ok(box.y + box.height <= 720, JSON.stringify(box));
+  assert.deepEqual(complaints, []);
+});
+
 test('a token is needed where it is asked for', async (t) => {
   const place = new Place();
   t.after(() => place.clean());

@@ -17,6 +17,8 @@ pub(crate) struct UpdateBatch {
     pub(crate) samples: Samples,
     /// What a recurrent policy starts from in each rollout, and where episodes start.
     pub(crate) sequences: Sequences,
+    /// The staleness of every sample's rollout, where they may differ. `[N]`, or empty
+    pub(crate) staleness: Vec<u64>,
 }
 
 impl UpdateBatch {

@@ -136,6 +136,8 @@ impl LossReport {
 #[derive(Debug, Default)]
 struct LossPass {
     report: LossReport,
+    /// Whether the ratio left the clip range, sample by sample.
+    clipped: Vec<bool>,
     d_logits: Vec<f32>,
     d_values: Vec<f32>,
 }
@@ -166,12 +168,18 @@ impl PpoLoss {
         self.pass.lock().unwrap_or_else(PoisonError::into_inner).report
     }
 
+    /// Tells of which samples the ratio left the clip range in the last forward pass. Shape `[n]`.
+    pub(crate) fn clipped(&self) -> Vec<bool> {
+        self.pass.lock().unwrap_or_else(PoisonError::into_inner).clipped.clone()
+    }
+
     fn compute(&self, logits: &[f32], values: &[f32]) -> LossPass {
         let n_choices = self.distribution.n_choices();
         let n_heads = self.distribution.n_heads();
         let mut sums = LossReport::default();
         let mut d_logits = vec![0.0; logits.len()];
         let mut d_values = vec![0.0; values.len()];
+        let mut clipped = Vec::with_capacity(values.len());
         let share = 1.0 / self.n_samples as f32;
         let mut terms = ActionTerms::default();
         let rows = logits.chunks_exact(n_choices).zip(d_logits.chunks_exact_mut(n_choices));
@@ -180,7 +188,9 @@ impl PpoLoss {
             self.distribution.terms(logits, Mask(self.samples.masks[i]), action, &mut terms);
             let advantage = self.samples.advantages[i];
             let log_ratio = terms.log_prob - self.samples.log_probs[i];
+            let n_clipped = sums.clip_fraction;
             let d_log_prob = self.settings.policy_term(log_ratio, advantage, &mut sums);
+            clipped.push(sums.clip_fraction > n_clipped);
             sums.entropy += f64::from(terms.entropy);
             let d_entropy = -self.settings.entropy_coef * share;
             terms.gradient(&self.distribution, action, d_log_prob * share, d_entropy, d_logits);
@@ -188,7 +198,8 @@ impl PpoLoss {
             let slope = self.settings.value_term(values[i], old, target, &mut sums);
             d_values[i] = slope * self.settings.value_coef * share;
         }
-        LossPass { report: self.settings.means(sums, self.n_samples as f64), d_logits, d_values }
+        let report = self.settings.means(sums, self.n_samples as f64);
+        LossPass { report, clipped, d_logits, d_values }
     }
 }
 

@@ -61,6 +61,8 @@ pub struct UpdateReport {
     pub approx_kl: f64,
     /// Share of samples whose ratio left the clip range, over all minibatches.
     pub clip_fraction: f64,
+    /// The same by staleness in versions; empty unless the schedule is asynchronous, where rollouts of an update differ in it.
+    pub clip_by_staleness: BTreeMap<u64, f64>,
     /// Mean length of the gradient before clipping.
     pub gradient_norm: f64,
     /// Share of the targets' variance that the critic explained before the update.
@@ -173,8 +175,7 @@ impl Trainer {
         self.check_outputs(rollouts)?;
         let mut staleness = BTreeMap::new();
         for rollout in rollouts {
-            let Staleness(age) = Staleness::between(self.version, rollout.version);
-            *staleness.entry(age).or_default() += 1;
+            *staleness.entry(self.staleness(rollout)).or_default() += 1;
         }
         self.version = self.version.next();
         let (all, last) = (totals.all.mean(), totals.last_epoch.mean());
@@ -186,6 +187,7 @@ impl Trainer {
             old_approx_kl: last.old_approx_kl,
             approx_kl: last.approx_kl,
             clip_fraction: all.clip_fraction,
+            clip_by_staleness: totals.clipped.shares(),
             gradient_norm: totals.gradient_norm / totals.all.n as f64,
             explained_variance: batch.explained_variance(),
             learning_rate,
@@ -193,6 +195,11 @@ impl Trainer {
             n_samples: batch.n_samples() as u64,
             n_epochs: totals.n_epochs,
         })
+    }
+
+    fn staleness(&self, rollout: &CheckedRollout) -> u64 {
+        let Staleness(age) = Staleness::between(self.version, rollout.version);
+        age
     }
 
     /// Lays out the samples of an update with their targets.
@@ -205,6 +212,9 @@ impl Trainer {
         let mut batch = UpdateBatch::default();
         for (rollout, rewards) in rollouts.iter().zip(&rewards) {
             batch.push(rollout, frozen.as_ref());
+            if is_async {
+                batch.staleness.resize(batch.n_samples(), self.staleness(rollout));
+            }
             match &mut policy {
                 None => batch.push_gae(rollout, rewards, &self.settings),
                 Some(policy) => {
@@ -245,7 +255,8 @@ impl Trainer {
             totals.last_epoch = Mean::default();
             for minibatch in 0..n_minibatches {
                 order.indices(minibatch, &mut indices);
-                let (report, norm) = self.step(batch, &indices, learning_rate)?;
+                let (report, norm) =
+                    self.step(batch, &indices, learning_rate, &mut totals.clipped)?;
                 if !norm.is_finite() {
                     let minibatch = totals.all.n;
                     let says = format!("gradient norm of minibatch {minibatch} is {norm}");
@@ -264,12 +275,13 @@ impl Trainer {
         Ok(totals)
     }
 
-    /// Takes one optimiser step; returns the loss and the gradient's norm.
+    /// Takes one optimiser step; returns the loss and the gradient's norm, and counts what was clipped.
     fn step(
         &mut self,
         batch: &UpdateBatch,
         indices: &[usize],
         learning_rate: f64,
+        clipped: &mut ClipCounts,
     ) -> Result<(LossReport, f64), TrainError> {
         let advantages = indices.iter().map(|&i| batch.samples.advantages[i]);
         let scale = self.settings.normalize_advantages.then(|| AdvantageScale::of(advantages));
@@ -281,6 +293,9 @@ impl Trainer {
             let (total, loss) = self.loss(batch, rows, scale, indices.len())?;
             add_gradients(&mut gradients, self.network.gradients(&total)?)?;
             report.add(&loss.report());
+            if !batch.staleness.is_empty() {
+                clipped.count(rows.iter().map(|&row| batch.staleness[row]), &loss.clipped());
+            }
         }
         let norm = global_norm(&gradients)?;
         if norm.is_finite() {
@@ -407,9 +422,31 @@ impl Mean {
     }
 }
 
+/// Samples by staleness: how many, and how many of them were clipped.
+#[derive(Default)]
+struct ClipCounts(BTreeMap<u64, [u64; 2]>);
+
+impl ClipCounts {
+    fn count(&mut self, staleness: impl Iterator<Item = u64>, clipped: &[bool]) {
+        for (staleness, clipped) in staleness.zip(clipped) {
+            let [n, n_clipped] = self.0.entry(staleness).or_default();
+            *n += 1;
+            *n_clipped += u64::from(*clipped);
+        }
+    }
+
+    fn shares(&self) -> BTreeMap<u64, f64> {
+        let share = |(&staleness, &[n, n_clipped]): (&u64, &[u64; 2])| {
+            (staleness, n_clipped as f64 / n as f64)
+        };
+        self.0.iter().map(share).collect()
+    }
+}
+
 /// What the epochs of an update add up to.
 #[derive(Default)]
 struct Totals {
+    clipped: ClipCounts,
     all: Mean,
     last_epoch: Mean,
     gradient_norm: f64,

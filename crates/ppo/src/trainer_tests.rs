@@ -174,6 +174,28 @@ fn the_first_ratio_is_exactly_one() {
 }
 
 #[test]
+fn clipped_samples_are_counted_by_staleness_where_that_differs() {
+    let (policy, _) = specs();
+    let settings =
+        LearnerSettings { n_minibatches: 1, learning_rate: 0.03, ..settings(Mode::Async) };
+    let mut trainer = Trainer::new(&policy, &settings, 9).unwrap();
+    let (old, _) = collect(&trainer, 0);
+    let fresh = trainer.update(&old).unwrap();
+    assert_eq!(fresh.clip_by_staleness, BTreeMap::from([(0, fresh.clip_fraction)]));
+    // Half of the rollouts are a version older than the others.
+    let (new, _) = collect(&trainer, 1);
+    let mixed: Vec<_> = old[..2].iter().chain(&new[2..]).cloned().collect();
+    let report = trainer.update(&mixed).unwrap();
+    let by_staleness: Vec<_> = report.clip_by_staleness.iter().collect();
+    let [(0, fresh), (1, stale)] = by_staleness[..] else { panic!("{by_staleness:?}") };
+    assert!(((fresh + stale) / 2.0 - report.clip_fraction).abs() < 1e-12, "{report:?}");
+    assert!(*stale > 0.0 && stale != fresh, "{report:?}");
+
+    let report = self::trainer(Mode::Sync, 9).update(&collect(&self::trainer(Mode::Sync, 9), 0).0);
+    assert!(report.unwrap().clip_by_staleness.is_empty());
+}
+
+#[test]
 fn a_resumed_trainer_goes_on_bit_for_bit() {
     let mut straight = trainer(Mode::Sync, 7);
     let mut broken = trainer(Mode::Sync, 7);

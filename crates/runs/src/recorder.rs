@@ -163,6 +163,9 @@ fn line(progress: &UpdateProgress, scalars: &[(String, f64)]) -> Value {
         "staleness": progress.update.staleness,
         "refusals": progress.books.refusals,
     });
+    if !progress.update.clip_by_staleness.is_empty() {
+        line["clip_by_staleness"] = json!(progress.update.clip_by_staleness);
+    }
     for (name, value) in scalars {
         line[name] = (*value).into();
     }

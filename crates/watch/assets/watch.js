@@ -409,8 +409,7 @@ function setState(name, sentence) {
 
 /** The highest staleness that the picture has room for; the text has all. */
 const MAX_STALENESS = 64;
-/** @type {any} */
-let update = null;
+let update = /** @type {any} */ (null);
 /** @param {any} told */
 function takeUpdate(told) {
   update = told;
@@ -449,8 +448,7 @@ function drawHistogram() {
   const last = Math.min(MAX_STALENESS, Math.max(3, ...now.keys(), ...before.keys()));
   const slot = width / (last + 1);
   const floor = height - 16;
-  context.font = '11px system-ui';
-  context.textAlign = 'center';
+  Object.assign(context, { font: '11px system-ui', textAlign: 'center' });
   for (let staleness = 0; staleness <= last; staleness++) {
     const bar = (/** @type {number} */ share, /** @type {string} */ colour, /** @type {number} */ from, /** @type {number} */ part) => {
       context.fillStyle = colours.of(colour);
@@ -466,10 +464,13 @@ function drawHistogram() {
   }
   context.fillStyle = colours.of('axis');
   context.fillRect(0, floor, width, 1);
+  // Only where the schedule is asynchronous do rollouts of an update differ in staleness.
+  const clipped = Object.entries(update.clip_by_staleness ?? {}).map(([staleness, share]) => [staleness, `${(share * 100).toFixed(1)} %`]);
+  $('clip-shares').textContent = clipped.length ? `clipped: ${clipped.map((pair) => pair.join(': ')).join(', ')}` : '';
   if (!$('staleness-text').hidden) {
     const rows = [...new Set([...now.keys(), ...before.keys()])].sort((a, b) => a - b);
-    const count = (/** @type {Record<string, number>} */ counts, /** @type {number} */ key) => String(counts[key] ?? 0);
-    $('staleness-text').replaceChildren(table(['versions', 'last update', 'last 100'], rows.map((key) => [String(key), count(update.staleness, key), count(update.staleness_100, key)])));
+    const cells = [update.staleness, update.staleness_100, ...(clipped.length ? [Object.fromEntries(clipped)] : [])];
+    $('staleness-text').replaceChildren(table(['versions', 'last update', 'last 100', 'clipped'].slice(0, cells.length + 1), rows.map((key) => [String(key), ...cells.map((of) => String(of[key] ?? 0))])));
   }
 }
 
@@ -817,8 +818,7 @@ async function listen() {
   if (token) headers.Authorization = `Bearer ${token}`;
   const answer = await fetch('events', { headers, cache: 'no-store', signal: control.signal });
   if (!answer.ok || !answer.body) throw new Error((await answer.text()).trim());
-  const reader = answer.body.getReader();
-  const decoder = new TextDecoder();
+  const [reader, decoder] = [answer.body.getReader(), new TextDecoder()];
   let text = '';
   for (;;) {
     const { done, value } = await reader.read();

@@ -645,6 +645,7 @@ impl RunView {
             "scalars": scalars,
             "staleness": newest,
             "staleness_100": sum,
+            "clip_by_staleness": self.last.get("clip_by_staleness").and_then(shares_of),
             "refusals": self.last.get("refusals").cloned().unwrap_or_else(|| json!({})),
             "phases": self.phases(),
             "books": self.books(),
@@ -720,6 +721,15 @@ impl RunView {
             "log": self.log.iter().map(WatchLine::json).collect::<Vec<_>>(),
         })
     }
+}
+
+/// Reads shares by staleness, as many as are kept of an update.
+fn shares_of(told: &Value) -> Option<BTreeMap<u64, f64>> {
+    let told = told.as_object()?.iter().take(MAX_STALENESS);
+    let share = |(staleness, share): (&String, &Value)| {
+        Some((staleness.parse().ok()?, share.as_f64().filter(|it| (0.0..=1.0).contains(it))?))
+    };
+    Some(told.filter_map(share).collect())
 }
 
 /// Reads a learner's curves, if their points are in order.

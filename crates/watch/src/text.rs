@@ -32,6 +32,7 @@ pub fn screen(view: &RunView, now: f64) -> String {
     lines.extend(curves(&view.history_json(0)));
     lines.extend(phases(&update["phases"]));
     lines.extend(staleness(&update["staleness_100"]));
+    lines.extend(clipped(&update["clip_by_staleness"]));
     lines.extend(books(&update["books"]));
     lines.extend(actors(&view.actors_json(now)));
     let log: Vec<String> = view.log_after(0).map(|line| format!("  {}", line.text)).collect();
@@ -129,6 +130,15 @@ fn phases(phases: &Value) -> Vec<String> {
         line = format!("{line}; {sentence}");
     }
     vec![line]
+}
+
+fn clipped(shares: &Value) -> Option<String> {
+    let shares = shares.as_object()?.iter();
+    let parts: Vec<String> = shares
+        .filter_map(|(staleness, share)| Some((staleness, share.as_f64()?)))
+        .map(|(staleness, share)| format!("{staleness}: {:.1} %", share * 100.0))
+        .collect();
+    Some(format!("samples clipped in the last update, by staleness: {}", parts.join(", ")))
 }
 
 fn staleness(counts: &Value) -> Vec<String> {
