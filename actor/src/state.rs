@@ -28,6 +28,7 @@ use leadtime_proto::limits::MAX_WINDOW;
 use leadtime_proto::message::{
     Announcement, Assignment, Control, ControlReply, Credit, Hello, Welcome,
 };
+use leadtime_proto::phrase::duration;
 use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion};
 use tracing::{debug, info, warn};
 
@@ -46,6 +47,8 @@ const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
 /// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 40 a second.
 const MAX_PULLS: usize = 4;
+/// The pause between two lines in the log about a learner that does not answer.
+const LOG_PAUSE: Duration = Duration::from_mins(1);
 /// First and longest pause between hellos that failed; the first one also after a pull that failed.
 const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
 
@@ -147,6 +150,8 @@ pub enum ActorOutput<W, R, E> {
 #[derive(Debug)]
 struct Greeting {
     since: Instant,
+    /// When it was last logged that nobody answers.
+    logged: Instant,
     pause: Duration,
     /// When to say it again; `None` while one is under way.
     retry_at: Option<Instant>,
@@ -265,7 +270,9 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             }
             ActorInput::LearnerJoined(learner) if learner != self.learner() => self.greet(now),
             ActorInput::LearnerLeft(learner) if learner == self.learner() => {
-                warn!(run = %self.welcome.run, "the learner is gone; looking for it");
+                let wait = duration(self.settings.reconnect_timeout);
+                let run = &self.welcome.run;
+                warn!(%run, "the learner is gone; looking for it (--reconnect-timeout {wait})");
                 self.greet(now);
             }
             ActorInput::LearnerJoined(_) | ActorInput::LearnerLeft(_) => {}
@@ -459,7 +466,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     fn greet(&mut self, now: Instant) {
         if self.greeting.is_none() {
             self.n_reconnects += 1;
-            self.greeting = Some(Greeting { since: now, pause: BACK_OFF.0, retry_at: Some(now) });
+            let (since, pause, retry_at) = (now, BACK_OFF.0, Some(now));
+            self.greeting = Some(Greeting { since, logged: now, pause, retry_at });
         }
     }
 
@@ -474,6 +482,13 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         if now.saturating_duration_since(greeting.since) >= timeout {
             let run = self.welcome.run.clone();
             return self.end(Err(Error::LearnerLost { run, timeout, source: error }));
+        }
+        if now.saturating_duration_since(greeting.logged) >= LOG_PAUSE {
+            greeting.logged = now;
+            let gone = now.saturating_duration_since(greeting.since);
+            let left = timeout.saturating_sub(gone);
+            let (run, gone, left) = (&self.welcome.run, duration(gone), duration(left));
+            warn!(%run, "still looking for the learner, gone for {gone}; for {left} more");
         }
         greeting.retry_at = Some(now + greeting.pause);
         greeting.pause = (greeting.pause * 2).min(BACK_OFF.1);

@@ -1,5 +1,7 @@
 //! Why a run cannot be watched.
 
+use leadtime_link::Error as LinkError;
+use leadtime_proto::RunName;
 use thiserror::Error;
 
 /// Why a run cannot be watched.
@@ -7,7 +9,18 @@ use thiserror::Error;
 pub enum Error {
     /// The network.
     #[error(transparent)]
-    Link(#[from] leadtime_link::Error),
+    Link(#[from] LinkError),
+    /// The learner was there, and answers no longer.
+    #[error(
+        "run `{run}` has no learner any more: it has just ended, or was cut off; on its host, `leadtime watch DIRECTORY` shows \
+         what it left"
+    )]
+    LearnerGone {
+        /// The run.
+        run: RunName,
+        /// What was not answered.
+        source: LinkError,
+    },
     /// What a learner answers is not what this release reads.
     #[error(
         "the learner's answer to the question {question} cannot be read: run the same release on both sides"

@@ -59,10 +59,16 @@ impl Attachment {
     ///
     /// # Errors
     ///
-    /// [`Error::Link`] if its learner does not answer or is of another release, or if the network is not left in time;
-    /// [`Error::Answer`] or [`Error::Compression`] if an answer cannot be read.
+    /// [`Error::LearnerGone`] if its learner has ended in the meantime, [`Error::Link`] if it is of another release, or if the
+    /// network is not left in time; [`Error::Answer`] or [`Error::Compression`] if an answer cannot be read.
     pub async fn look_once(self, page: &Page, listen: Duration) -> Result<(), Error> {
-        let (incarnation, about) = ask_about(&self.link, &self.run).await?;
+        let gone = |error| match error {
+            Error::Link(source @ LinkError::NoAnswer { .. }) => {
+                Error::LearnerGone { run: self.run.clone(), source }
+            }
+            other => other,
+        };
+        let (incarnation, about) = ask_about(&self.link, &self.run).await.map_err(gone)?;
         page.with(|view, now| {
             view.learner_joined(&hex(incarnation), now);
             view.about(about, now);
@@ -71,9 +77,11 @@ impl Attachment {
         while let Ok(Some(event)) = tokio::time::timeout_at(deadline, self.events.recv()).await {
             take_in(page, event);
         }
-        // Last, so that its curves have no gaps.
-        let history = ask_history(&self.link, &self.run).await?;
-        page.with(|view, now| view.history(&history, now));
+        // Last, so that its curves have no gaps. Who has heard that the learner ended shows how.
+        if !page.with(|view, now| view.is_over(now)) {
+            let history = ask_history(&self.link, &self.run).await.map_err(gone)?;
+            page.with(|view, now| view.history(&history, now));
+        }
         self.link.close().await?;
         Ok(())
     }
