@@ -119,7 +119,8 @@ fn what_was_said_by_the_clock_is_replayed_exactly_and_who_comes_late_is_told_so(
     let recorder = record(&place, "whole.mcap", "");
     let drive = format!("--connect {to} --seconds-per-step 0.02 --episodes 1000");
     let driving = place.start(&["drive", &policy(), &drive]);
-    let is_long = |all: &[Value]| of(all, "drive").is_some_and(|it| it["events"].as_u64() > Some(40));
+    let is_long =
+        |all: &[Value]| of(all, "drive").is_some_and(|it| it["events"].as_u64() > Some(40));
     wait_for_sessions(&place, "whole.mcap", is_long);
     let late = record(&place, "late.mcap", "--live drive");
     // It can be compared from the next episode on.
@@ -199,7 +200,8 @@ fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
     nobody.saying(&["n.sock"]);
     assert!(!place.path().join("a.mcap").exists(), "nothing is left behind");
     let _notifier = serve(&place);
-    let record = |more: &str| place.finish(&["record --connect", &to, "--connect-timeout 1s", more]);
+    let record =
+        |more: &str| place.finish(&["record --connect", &to, "--connect-timeout 1s", more]);
     record("--service other -o a.mcap").with_code(PEER_LOST).saying(&["other", "notifier"]);
     let kept = place.write("kept.mcap", "something of value");
     record("-o kept.mcap").with_code(WRONG_INPUT).saying(&["kept.mcap", "is left as it is"]);

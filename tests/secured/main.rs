@@ -248,7 +248,10 @@ fn a_robot_is_spoken_to_under_its_own_name_only_directly_and_behind_a_router() {
         recorder.finish(PATIENCE).with_code(0);
         let replayed = place.finish(&["replay --json", &file]).with_code(0).json();
         let session = &replayed["sessions"][0];
-        assert_eq!((&session["client"], &session["gaps"]), (&format!("{service}/car-1").into(), &serde_json::json!([])));
+        assert_eq!(
+            (&session["client"], &session["gaps"]),
+            (&format!("{service}/car-1").into(), &serde_json::json!([]))
+        );
         assert!(session["events"].as_u64() > Some(0), "{session}");
         let robot = place.finish(&[&recorded[..6], &["other.mcap --tls pki/car-1"]].concat());
         robot.with_code(2).saying(&["is for role robot; this command needs one for role recorder"]);

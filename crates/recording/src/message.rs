@@ -141,9 +141,11 @@ mod tests {
     #[test]
     fn whatever_is_sent_is_recorded_as_an_object() {
         let other = ArrivalEncoding::Other("text/csv".to_owned());
-        for (encoding, bytes) in
-            [(&ArrivalEncoding::Json, &b"noise\xff"[..]), (&other, b"1,2"), (&ArrivalEncoding::Binary, b"odd")]
-        {
+        for (encoding, bytes) in [
+            (&ArrivalEncoding::Json, &b"noise\xff"[..]),
+            (&other, b"1,2"),
+            (&ArrivalEncoding::Binary, b"odd"),
+        ] {
             let recorded = record(RecordedTopic::Observations, encoding, bytes, None);
             let json: Value = serde_json::from_slice(&recorded).unwrap();
             assert_eq!(bytes_of(json[RAW].as_str().unwrap()).unwrap(), bytes);

@@ -3,7 +3,9 @@
 
 use std::ops::Range;
 
-use leadtime_eval::draw::{Anchor, Area, Canvas, Ink, Paint, Panel, Svg, TextStyle, Weight, text_width};
+use leadtime_eval::draw::{
+    Anchor, Area, Canvas, Ink, Paint, Panel, Svg, TextStyle, Weight, text_width,
+};
 
 use crate::course::{RecordedUtterance, SessionCourse};
 use crate::sessions::RecordedSession;
@@ -52,7 +54,7 @@ pub fn picture(session: &RecordedSession, asked: Option<Range<u64>>) -> Option<S
     if from > course.end || is_empty {
         return None;
     }
-    let names = curve_names(session);
+    let names = curve_names(session, &course);
     let curves_height = if names.is_empty() { 0.0 } else { CURVE_HEIGHT + GAP };
     let labels_height = N_LABEL_ROWS as f64 * LABEL_HEIGHT;
     let line_height =
@@ -76,13 +78,20 @@ pub fn picture(session: &RecordedSession, asked: Option<Range<u64>>) -> Option<S
     Some(canvas.finish(&format!("{}, session {}", session.client, session.id)))
 }
 
-/// Names the observation's first numbers that have bounds: place, name, bounds.
-fn curve_names(session: &RecordedSession) -> Vec<(usize, String, [f64; 2])> {
+/// Names the observation's first numbers that change: place, name, least and greatest.
+fn curve_names(
+    session: &RecordedSession,
+    course: &SessionCourse,
+) -> Vec<(usize, String, [f64; 2])> {
     let Some(note) = &session.note else { return Vec::new() };
     let all = note.answer["observation"].as_array().cloned().unwrap_or_default();
     let named = all.iter().enumerate().filter_map(|(i, number)| {
-        let bounds = [number["low"].as_f64()?, number["high"].as_f64()?];
-        Some((i, number["name"].as_str()?.to_owned(), bounds))
+        let values = || course.observations.iter().filter_map(|(_, all)| all.get(i)).copied();
+        let (low, high) =
+            (values().fold(f32::INFINITY, f32::min), values().fold(f32::NEG_INFINITY, f32::max));
+        let margin = 0.08 * f64::from(high - low);
+        let bounds = [f64::from(low) - margin, f64::from(high) + margin];
+        (high > low).then(|| Some((i, number["name"].as_str()?.to_owned(), bounds)))?
     });
     named.take(N_CURVES).collect()
 }
@@ -156,7 +165,8 @@ impl TimeLine<'_> {
                 self.name(canvas, curves.y + 22.0 + i as f64 * 18.0, name, curve_ink(i));
             }
         }
-        let axis = Panel::new(Area { height: lowest.height + 3.0, ..lowest }, self.span, [0.0, 1.0]);
+        let axis =
+            Panel::new(Area { height: lowest.height + 3.0, ..lowest }, self.span, [0.0, 1.0]);
         axis.draw_x(canvas, 12, Some(if self.is_last { "seconds" } else { "" }));
     }
 
@@ -179,6 +189,7 @@ impl TimeLine<'_> {
     fn draw_words(&self, canvas: &mut Canvas, row: Area) {
         // How far the labels of each row reach.
         let mut taken = [f64::MIN; N_LABEL_ROWS];
+        let mut labels = Vec::new();
         for utterance in &self.course.utterances {
             let end = utterance.end.unwrap_or(self.course.end);
             let Some(whole) = self.part(row, utterance.start, end) else { continue };
@@ -191,35 +202,15 @@ impl TimeLine<'_> {
                 strike(canvas, &whole);
             }
             if utterance.start >= self.span[0] {
-                self.label(canvas, whole, utterance, &mut taken);
+                labels.extend(label(whole, utterance, &mut taken));
             }
         }
-    }
-
-    /// Writes the sentence above its bar, in the first row that has room; the topic, where there is none.
-    fn label(
-        &self,
-        canvas: &mut Canvas,
-        bar: Area,
-        utterance: &RecordedUtterance,
-        taken: &mut [f64; N_LABEL_ROWS],
-    ) {
-        let message = &utterance.message;
-        let texts = [message.text.as_str(), message.topic.as_str()];
-        for text in texts.into_iter().filter(|text| !text.is_empty()) {
-            let width = text_width(text, LABEL_SIZE, Weight::Regular);
-            let x = bar.x.min(WIDTH - MARGIN - width);
-            let Some(row) = taken.iter().position(|reach| *reach + 8.0 <= x) else { continue };
-            taken[row] = x + width;
-            let above = row as f64 * LABEL_HEIGHT;
-            let y = bar.y - 4.0 - above;
-            if row > 0 {
-                let foot = [[bar.x + 0.5, y + 3.0], [bar.x + 0.5, bar.y]];
-                canvas.line(&foot, Paint::stroke(Ink::Grid, 1.0));
-            }
-            canvas.text([x, y], text, TextStyle::new(LABEL_SIZE, Ink::Text).haloed(Ink::Paper));
-            return;
+        for PlacedLabel { at: [_, y], foot, .. } in &labels {
+            let line = [[foot[0], y + 3.0], *foot];
+            canvas.line(&line, Paint::stroke(Ink::Grid, 1.0));
         }
+        let style = TextStyle::new(LABEL_SIZE, Ink::Text).haloed(Ink::Paper);
+        labels.iter().for_each(|label| canvas.text(label.at, label.text, style));
     }
 
     fn draw_episodes(&self, canvas: &mut Canvas, row: Area) {
@@ -275,6 +266,33 @@ impl TimeLine<'_> {
             canvas.line(&points, Paint::stroke(curve_ink(i), 1.5));
         }
     }
+}
+
+/// A sentence above its bar.
+struct PlacedLabel<'a> {
+    text: &'a str,
+    at: [f64; 2],
+    /// Where the line ends that leads to the bar.
+    foot: [f64; 2],
+}
+
+/// Places a sentence above its bar, in the first row that has room; the topic, where none has.
+fn label<'a>(
+    bar: Area,
+    utterance: &'a RecordedUtterance,
+    taken: &mut [f64; N_LABEL_ROWS],
+) -> Option<PlacedLabel<'a>> {
+    let message = &utterance.message;
+    let texts = [message.text.as_str(), message.topic.as_str()];
+    for text in texts.into_iter().filter(|text| !text.is_empty()) {
+        let width = text_width(text, LABEL_SIZE, Weight::Regular);
+        let x = bar.x.min(WIDTH - MARGIN - width);
+        let Some(row) = taken.iter().position(|reach| *reach + 8.0 <= x) else { continue };
+        taken[row] = x + width;
+        let at = [x, bar.y - 4.0 - row as f64 * LABEL_HEIGHT];
+        return Some(PlacedLabel { text, at, foot: [bar.x + 0.5, bar.y] });
+    }
+    None
 }
 
 fn curve_ink(i: usize) -> Ink {

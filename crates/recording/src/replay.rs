@@ -84,7 +84,8 @@ impl ReplayTarget for SessionAtHand {
             _ => {}
         }
         if ahead.is_none() {
-            let number = |events: &[HeardSay]| Some(events.iter().find(|it| it.utterance > 0)?.utterance);
+            let number =
+                |events: &[HeardSay]| Some(events.iter().find(|it| it.utterance > 0)?.utterance);
             let numbers = number(&input.events).zip(number(&out.0));
             *ahead = numbers.map(|(recorded, own)| recorded.wrapping_sub(own));
         }
@@ -280,7 +281,6 @@ fn is_same(one: &HeardSay, other: &HeardSay) -> bool {
     *one == HeardSay { utterance, age, ..other.clone() }
 }
 
-
 /// Tells whether a session can be replayed over the network, where a notifier has a clock of its own.
 ///
 /// # Errors
@@ -298,7 +298,8 @@ pub fn check_for_network(clock: StepClock, stretches: &[Stretch]) -> Result<(), 
         TakenInput::Tick => !input.events.is_empty(),
     };
     if inputs().any(is_timed) {
-        let why = "it depends on when something was heard, or nothing came: replay it without --connect";
+        let why =
+            "it depends on when something was heard, or nothing came: replay it without --connect";
         return Err(Error::NotOverNetwork(why));
     }
     Ok(())

@@ -280,14 +280,14 @@ mod tests {
 
     /// A client of whom observations and lines were recorded: the number, the episode, the line's number.
     fn client(taken: &[(u64, u64, u64)], without: &[u64]) -> RecordedClient {
-        let message = |topic, json: Value| {
-            RecordedMessage { topic, at: 7, json: json.to_string().into_bytes() }
+        let message = |topic, json: Value| RecordedMessage {
+            topic,
+            at: 7,
+            json: json.to_string().into_bytes(),
         };
         let mut messages = Vec::new();
         for (seq, episode, n) in taken {
-            let say = |event: &str, step: u64| {
-                json!({"seq": seq, "step": step, "episode": episode, "event": event, "last": true})
-            };
+            let say = |event: &str, step: u64| json!({"seq": seq, "step": step, "episode": episode, "event": event, "last": true});
             messages.push(message(RecordedTopic::Say, say("cut", 3)));
             messages.push(message(RecordedTopic::Say, say("silent", 0)));
             let line = json!({
@@ -328,7 +328,11 @@ mod tests {
         assert_eq!(numbers(late), [vec![6, 7]]);
         assert_eq!((late.gaps[&Gap::CameLate], late.n_apart), (1, 1));
         let first = &late.stretches[0].inputs[0];
-        assert_eq!((first.n_said, first.events.len()), (None, 1), "the cut is of the episode before");
+        assert_eq!(
+            (first.n_said, first.events.len()),
+            (None, 1),
+            "the cut is of the episode before"
+        );
         let torn = &sessions(&client(&[(1, 0, 1), (3, 0, 3), (4, 1, 4)], &[]))[0];
         assert_eq!(numbers(torn), [vec![1], vec![4]]);
         assert_eq!(torn.gaps[&Gap::LineMissing], 1);
@@ -338,10 +342,18 @@ mod tests {
         assert_eq!((missing.gaps[&Gap::ObservationMissing], missing.n_apart), (1, 2));
         // The same number in the next session is another observation.
         let mut twice = client(&[(1, 0, 1), (2, 0, 2)], &[]);
-        let again: Vec<_> = twice.messages.iter().map(|message| {
-            let text = String::from_utf8(message.json.clone()).unwrap().replace("\"s\"", "\"t\"");
-            RecordedMessage { json: text.replace("0.5", "0.25").into_bytes(), ..message.clone() }
-        }).collect();
+        let again: Vec<_> = twice
+            .messages
+            .iter()
+            .map(|message| {
+                let text =
+                    String::from_utf8(message.json.clone()).unwrap().replace("\"s\"", "\"t\"");
+                RecordedMessage {
+                    json: text.replace("0.5", "0.25").into_bytes(),
+                    ..message.clone()
+                }
+            })
+            .collect();
         twice.messages.extend(again);
         let found = sessions(&twice);
         let value = |i: usize| {

@@ -20,14 +20,8 @@ pub enum RecordedTopic {
 }
 
 impl RecordedTopic {
-    const ALL: [Self; 6] = [
-        Self::Observations,
-        Self::Say,
-        Self::Heard,
-        Self::Status,
-        Self::Taken,
-        Self::Session,
-    ];
+    const ALL: [Self; 6] =
+        [Self::Observations, Self::Say, Self::Heard, Self::Status, Self::Taken, Self::Session];
 
     /// Returns the last part of the channel's name, which is a key.
     pub fn as_str(self) -> &'static str {

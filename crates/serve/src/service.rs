@@ -167,7 +167,8 @@ impl LiveService {
             }
             LiveEvent::Describe(client, responder) => {
                 // Without a session nobody is answered, and asks again.
-                if let Some(note) = self.open.get(&client).and_then(|it| self.note_of(&client, it)) {
+                if let Some(note) = self.open.get(&client).and_then(|it| self.note_of(&client, it))
+                {
                     responder.reply(note);
                 }
             }

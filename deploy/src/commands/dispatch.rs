@@ -5,8 +5,8 @@ use tokio::runtime;
 
 use super::{
     actor, certs, check, compare, config, conformance, describe, drive, eval, health, launch,
-    learner, new, pilot, play, probe, race, record, replay, report, router, runs, script_search, serve, smoke,
-    taxonomy, version, watch,
+    learner, new, pilot, play, probe, race, record, replay, report, router, runs, script_search,
+    serve, smoke, taxonomy, version, watch,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};

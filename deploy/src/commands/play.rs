@@ -97,7 +97,8 @@ fn draw_recording(recording: &Path, args: &PlayArgs) -> Result<(), Failure> {
         }
         _ => {
             let shown = path.display();
-            let sentence = format!("{shown}: of a recording, the extension must be png, svg or txt");
+            let sentence =
+                format!("{shown}: of a recording, the extension must be png, svg or txt");
             return Err(Failure::input(sentence));
         }
     };

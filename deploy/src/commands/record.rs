@@ -55,7 +55,8 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
             stop.cancel();
         });
     }
-    let mut recording = RunningRecording { link, samples, recorder, asked: BTreeSet::new(), n_dropped: 0 };
+    let mut recording =
+        RunningRecording { link, samples, recorder, asked: BTreeSet::new(), n_dropped: 0 };
     let ended = recording.run(&shutdown).await;
     let (n_messages, n_sessions) = recording.recorder.counts();
     let failure = match ended {

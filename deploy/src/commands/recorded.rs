@@ -29,9 +29,8 @@ pub(super) fn read(
             tracing::warn!("{shown} is damaged and is read up to there: {why}");
         }
     }
-    let is_wanted = |name: &str| {
-        client.is_none_or(|client| name.rsplit('/').next() == Some(client.as_str()))
-    };
+    let is_wanted =
+        |name: &str| client.is_none_or(|client| name.rsplit('/').next() == Some(client.as_str()));
     let clients = recording.clients.iter().filter(|it| is_wanted(&it.name));
     let found: Vec<RecordedSession> = clients.flat_map(sessions).collect();
     if found.is_empty() {

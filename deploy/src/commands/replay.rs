@@ -335,9 +335,7 @@ fn shortened(text: &str, width: usize) -> String {
 
 fn as_json(played: &PlayedSession) -> Value {
     let PlayedSession { session, is_same, outcome } = played;
-    let tally = |of: &leadtime_recording::MessageTally| {
-        json!({"messages": of.n_messages, "cut": of.n_cut, "mean_k": of.mean_k(), "mean_l": of.mean_l()})
-    };
+    let tally = |of: &leadtime_recording::MessageTally| json!({"messages": of.n_messages, "cut": of.n_cut, "mean_k": of.mean_k(), "mean_l": of.mean_l()});
     let gaps: Vec<&str> = session.gaps.keys().map(|gap| gap.as_str()).collect();
     let difference = outcome.difference.as_ref().map(|it| {
         let list = |events: &[HeardSay]| events.iter().map(described).collect::<Vec<_>>();

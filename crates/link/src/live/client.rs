@@ -222,11 +222,7 @@ impl ClientPort {
 }
 
 /// Asks a notifier at a key; the question and the answer are JSON.
-pub(super) async fn ask(
-    session: &Session,
-    key: LiveKey<'_>,
-    question: Vec<u8>,
-) -> Result<Vec<u8>> {
+pub(super) async fn ask(session: &Session, key: LiveKey<'_>, question: Vec<u8>) -> Result<Vec<u8>> {
     let key = key.to_string();
     let (sender, answers) = flume::bounded(1);
     session

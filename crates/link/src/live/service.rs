@@ -118,8 +118,14 @@ impl LiveServiceLink {
         let token = appear(&session, LiveKey::Service(service, incarnation))?;
         let locators = locators.iter().map(ToString::to_string).collect();
         let service = service.clone();
-        let link =
-            Self { service, locators, token, _questions: [opens, sessions], _clients: clients, session };
+        let link = Self {
+            service,
+            locators,
+            token,
+            _questions: [opens, sessions],
+            _clients: clients,
+            session,
+        };
         Ok((link, receiver))
     }
 
