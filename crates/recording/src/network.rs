@@ -43,10 +43,10 @@ impl SessionOverNetwork {
 
 impl ReplayTarget for SessionOverNetwork {
     fn feed(&mut self, input: &RecordedInput) -> Result<Vec<HeardSay>, Error> {
-        let (TakenInput::Observation { seq, .. }, Some(sent)) = (input.input, &input.observation)
-        else {
+        let (TakenInput::Observation { .. }, Some(sent)) = (input.input, &input.observation) else {
             return Ok(Vec::new());
         };
+        let seq = sent.seq;
         let put = match &sent.beside {
             Some(beside) => self.port.observe_raw(&sent.payload, beside),
             None => self.port.observe(&sent.payload),

@@ -239,8 +239,8 @@ impl TimeLine<'_> {
     }
 
     fn band(&self, canvas: &mut Canvas, area: Area, ink: Ink, name: &str) {
-        canvas.rectangle(area, 2.0, Paint::fill(ink));
         const SIZE: f64 = 10.5;
+        canvas.rectangle(area, 2.0, Paint::fill(ink));
         if text_width(name, SIZE, Weight::Regular) + 6.0 <= area.width {
             let style = TextStyle::new(SIZE, ink.label()).anchored(Anchor::Middle);
             canvas.text([area.x + area.width / 2.0, area.y + 11.2], name, style);

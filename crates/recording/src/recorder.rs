@@ -13,10 +13,15 @@ use crate::message::record;
 use crate::topic::RecordedTopic;
 use crate::write::RecordingWriter;
 
+/// By how much a line's number goes back where lines are repeated, at most.
+const MAX_REPEATED: u64 = 64;
+
 /// What is known of a client's session.
 #[derive(Debug)]
 struct SeenSession {
     id: String,
+    /// The last line of what was taken in.
+    last_line: u64,
     /// Whether the recording has it from its first observation on.
     has_beginning: bool,
     is_recorded: bool,
@@ -45,33 +50,59 @@ impl<W: Write> LiveRecorder<W> {
     pub fn take(&mut self, at: u64, sample: &LiveSample) -> Result<(), Error> {
         let LiveSample { client, topic, arrival } = sample;
         let (payload, beside) = (arrival.payload(), arrival.attachment());
-        self.look(client, *topic, &payload);
+        match topic {
+            LiveTopic::Taken => return self.take_lines(at, client, &payload),
+            LiveTopic::Status => self.look_at_status(client, &payload),
+            LiveTopic::Observations | LiveTopic::Say | LiveTopic::Heard => {}
+        }
         let json = record((*topic).into(), &arrival.encoding(), &payload, beside.as_deref());
         let key = topic.key(&self.service, client).to_string();
         self.writer.write(&key, (*topic).into(), at, &json)
     }
 
-    /// Notices sessions, by what the notifier says about them.
-    fn look(&mut self, client: &ClientName, topic: LiveTopic, payload: &[u8]) {
-        let (id, has_beginning) = match topic {
-            LiveTopic::Taken => match serde_json::from_slice::<TakenLine<'_>>(payload) {
-                Ok(line) => (line.session.into_owned(), line.n == 1),
-                Err(_other) => return,
-            },
-            LiveTopic::Status => {
-                let status: Value = serde_json::from_slice(payload).unwrap_or_default();
-                let Some(id) = status["session"].as_str() else { return };
-                (id.to_owned(), status["taken"] == 0)
-            }
-            _ => return,
+    /// Writes the lines of a message that are new: each message repeats some.
+    fn take_lines(&mut self, at: u64, client: &ClientName, payload: &[u8]) -> Result<(), Error> {
+        let Ok(lines) = serde_json::from_slice::<Vec<TakenLine<'_>>>(payload) else {
+            return Ok(());
         };
-        match self.sessions.get_mut(client) {
-            Some(seen) if seen.id == id => seen.has_beginning |= has_beginning,
-            _ => {
-                let seen = SeenSession { id, has_beginning, is_recorded: false };
-                self.sessions.insert(client.clone(), seen);
+        let key = LiveKey::Taken(&self.service, client).to_string();
+        for line in lines {
+            let seen = self.see(client, &line.session);
+            // A notifier that was started again counts from 2 again.
+            let is_new = line.n > seen.last_line || line.n + MAX_REPEATED < seen.last_line;
+            if !is_new {
+                continue;
             }
+            seen.last_line = line.n;
+            seen.has_beginning |= line.n == 1;
+            // Plain data: it cannot fail.
+            let json = serde_json::to_vec(&line).unwrap_or_default();
+            self.writer.write(&key, RecordedTopic::Taken, at, &json)?;
         }
+        Ok(())
+    }
+
+    fn look_at_status(&mut self, client: &ClientName, payload: &[u8]) {
+        let status: Value = serde_json::from_slice(payload).unwrap_or_default();
+        if let Some(id) = status["session"].as_str() {
+            let is_new = status["taken"] == 0;
+            self.see(client, id).has_beginning |= is_new;
+        }
+    }
+
+    /// Notices a client's session.
+    fn see(&mut self, client: &ClientName, id: &str) -> &mut SeenSession {
+        let fresh = || SeenSession {
+            id: id.to_owned(),
+            last_line: 0,
+            has_beginning: false,
+            is_recorded: false,
+        };
+        let seen = self.sessions.entry(client.clone()).or_insert_with(fresh);
+        if seen.id != id {
+            *seen = fresh();
+        }
+        seen
     }
 
     /// Lists the clients whose session has to be asked for.

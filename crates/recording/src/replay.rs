@@ -69,7 +69,7 @@ impl ReplayTarget for SessionAtHand {
         let Self { session, decider, is_same, ahead } = self;
         let (now, mut out) = (input.now, KeptEvents::default());
         match (input.input, &input.observation) {
-            (TakenInput::Observation { at, .. }, Some(sent)) => {
+            (TakenInput::Observation { at }, Some(sent)) => {
                 let parts = (&sent.encoding, &*sent.payload, sent.beside.as_deref());
                 session.arrive(now, at, parts, decider, &mut out);
             }

@@ -9,7 +9,7 @@
 //! A **stretch** begins where nothing that came before matters: with the session, or with an episode. Where a line or an
 //! observation is missing, it ends, and the next one begins with the next episode.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use leadtime_serve::{HeardSay, SayEvent, SessionNote, StepClock, TakenInput, TakenLine};
 use serde_json::Value;
@@ -118,7 +118,7 @@ impl RecordedSession {
 pub fn sessions(client: &RecordedClient) -> Vec<RecordedSession> {
     let observations = Observations::new(&client.messages);
     let mut making = Making { client, observations, sessions: Vec::new(), run: None };
-    let mut said = Vec::new();
+    let mut said = VecDeque::new();
     let mut statuses = Vec::new();
     let mut notes: Vec<SessionNote> = Vec::new();
     for message in &client.messages {
@@ -128,7 +128,7 @@ pub fn sessions(client: &RecordedClient) -> Vec<RecordedSession> {
             }
             RecordedTopic::Taken => {
                 if let Ok(line) = serde_json::from_slice::<TakenLine<'_>>(&message.json) {
-                    making.take(message.at, &line, std::mem::take(&mut said));
+                    making.take(message.at, &line, &mut said);
                 }
             }
             RecordedTopic::Status => statuses.extend(status(message)),
@@ -139,7 +139,7 @@ pub fn sessions(client: &RecordedClient) -> Vec<RecordedSession> {
     let mut found = making.sessions;
     // What was said after the last line belongs to the last session; nothing tells on account of what.
     if let Some(last) = found.last_mut() {
-        last.events.append(&mut said);
+        last.events.extend(said);
     }
     for session in &mut found {
         session.note = notes.iter().find(|note| note.session == session.id).cloned();
@@ -183,6 +183,13 @@ impl Observations {
     }
 }
 
+/// Tells whether an event was said by the time that a line tells of.
+fn is_by(event: &HeardSay, line: &TakenLine<'_>) -> bool {
+    // What is cut by a new episode was said in a later step of the one before.
+    let is_of_step = event.step <= line.step || event.event == SayEvent::Cut;
+    event.seq < line.seq || event.seq == line.seq && is_of_step
+}
+
 /// Where the lines of a session are.
 struct LineRun {
     /// The last line's number, and how much had been said by then.
@@ -202,9 +209,15 @@ struct Making<'a> {
 }
 
 impl Making<'_> {
-    fn take(&mut self, at: u64, line: &TakenLine<'_>, events: Vec<(u64, HeardSay)>) {
+    fn take(&mut self, at: u64, line: &TakenLine<'_>, said: &mut VecDeque<(u64, HeardSay)>) {
         if self.sessions.last().is_none_or(|session| session.id != line.session) {
             self.run = None;
+            // What is said about later observations was said in the session before.
+            while said.front().is_some_and(|(_, event)| !is_by(event, line)) {
+                let events = self.sessions.last_mut().map(|session| &mut session.events);
+                let event = said.pop_front();
+                events.into_iter().for_each(|events| events.extend(event.clone()));
+            }
             self.sessions.push(RecordedSession {
                 client: self.client.name.clone(),
                 id: line.session.clone().into_owned(),
@@ -218,7 +231,6 @@ impl Making<'_> {
             });
         }
         let Some(session) = self.sessions.last_mut() else { return };
-        session.events.extend(events.iter().cloned());
         let follows = self.run.as_ref().is_some_and(|run| run.n + 1 == line.n);
         if !follows {
             let is_first = self.run.is_none();
@@ -235,17 +247,26 @@ impl Making<'_> {
         let Some(run) = &mut self.run else { return };
         let n_said = (follows || line.n == 1).then(|| line.said.saturating_sub(run.said));
         (run.n, run.said) = (line.n, line.said);
+        // What was said comes before the line, and in order; some of it may be lost.
+        let mut events = Vec::new();
+        while n_said.is_none_or(|n| (events.len() as u64) < n)
+            && said.front().is_some_and(|(_, event)| is_by(event, line))
+        {
+            let Some((at, event)) = said.pop_front() else { break };
+            session.events.push((at, event.clone()));
+            events.push(event);
+        }
         let mut input = RecordedInput {
             input: line.input,
             now: line.now,
             at,
             observation: None,
-            events: events.into_iter().map(|(_, event)| event).collect(),
+            events,
             n_said,
         };
-        if let TakenInput::Observation { seq, .. } = line.input {
+        if let TakenInput::Observation { .. } = line.input {
             session.n_observations += 1;
-            let Some(observation) = self.observations.take(seq) else {
+            let Some(observation) = self.observations.take(line.seq) else {
                 *session.gaps.entry(Gap::ObservationMissing).or_default() += 1;
                 session.n_apart += 1;
                 (run.is_in_stretch, run.episode) = (false, None);
@@ -258,7 +279,8 @@ impl Making<'_> {
                 run.is_in_stretch = true;
                 session.stretches.push(Stretch::default());
                 // What was cut was said in the episode before.
-                let is_later = |event: &HeardSay| event.event != SayEvent::Cut;
+                let is_later =
+                    |event: &HeardSay| event.seq == line.seq && event.event != SayEvent::Cut;
                 input.events.retain(is_later);
                 input.n_said = None;
             }
@@ -291,7 +313,7 @@ mod tests {
             messages.push(message(RecordedTopic::Say, say("cut", 3)));
             messages.push(message(RecordedTopic::Say, say("silent", 0)));
             let line = json!({
-                "session": "s", "n": n, "now": 10 * seq, "said": 2 * n, "what": "observation", "seq": seq, "at": 10 * seq
+                "session": "s", "n": n, "now": 10 * seq, "said": 2 * n, "what": "observation", "seq": seq, "step": 3, "at": 10 * seq
             });
             messages.push(message(RecordedTopic::Taken, line));
             // What the client sent may arrive after what it led to.

@@ -5,7 +5,14 @@ use std::fmt::Write as _;
 use crate::course::{RecordedUtterance, SessionCourse};
 use crate::sessions::RecordedSession;
 
+/// Why nothing can go wrong where text is written into text.
+const WRITTEN: &str = "a string takes what is written";
+
 /// Writes what was said when, a line each, with the notifier's states in between.
+///
+/// # Panics
+///
+/// Never: a string takes what is written.
 pub fn transcript(session: &RecordedSession) -> String {
     let mut text = format!("{}, session {}\n", session.client, session.id);
     if let Some(note) = &session.note {
@@ -13,10 +20,11 @@ pub fn transcript(session: &RecordedSession) -> String {
         let (domain, clock, seed) = (say("domain"), say("clock"), say("seed"));
         let (domain, clock) = (domain.trim_matches('"'), clock.trim_matches('"'));
         let (path, sha256) = (&note.policy.path, &note.policy.sha256);
-        drop(writeln!(text, "{domain}, clock {clock}, seed {seed}\n{path}, SHA-256 {sha256}"));
+        writeln!(text, "{domain}, clock {clock}, seed {seed}\n{path}, SHA-256 {sha256}")
+            .expect(WRITTEN);
     }
     for gap in session.gaps.keys() {
-        drop(writeln!(text, "{}", gap.as_str()));
+        writeln!(text, "{}", gap.as_str()).expect(WRITTEN);
     }
     text.push_str("\n     time  episode  step\n");
     let course = SessionCourse::of(session);
@@ -30,7 +38,7 @@ pub fn transcript(session: &RecordedSession) -> String {
     }
     lines.sort_by(|(one, _), (other, _)| one.total_cmp(other));
     for (time, line) in lines {
-        drop(writeln!(text, "{time:8.2}s  {line}"));
+        writeln!(text, "{time:8.2}s  {line}").expect(WRITTEN);
     }
     text
 }

@@ -62,8 +62,10 @@ pub(crate) struct Hosted {
 impl Hosted {
     /// Tells recorders what was taken in, after what was said on account of it.
     fn tell_taken(&mut self, now: u64, input: TakenInput) {
-        let line = self.taken.write(self.session.id(), now, input);
-        if let Err(error) = self.port.taken(line) {
+        let session = &self.session;
+        let place = (session.last_seq(), session.step_of_episode());
+        let message = self.taken.write(session.id(), now, place, input);
+        if let Err(error) = self.port.taken(message) {
             debug!(%error, "what was taken in could not be put");
         }
     }
@@ -244,8 +246,7 @@ fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
         session.arrive(now, at, parts, decider, &mut ToPort(port, taken));
         session.record_latency(clock.now().saturating_sub(at));
         if session.counts().taken > n_before {
-            let seq = session.last_seq();
-            hosted.tell_taken(now, TakenInput::Observation { seq, at });
+            hosted.tell_taken(now, TakenInput::Observation { at });
         }
     }
     let now = clock.now();

@@ -2,24 +2,28 @@
 //! observations themselves. With it a recorded session can be replayed exactly, whatever its clock.
 //!
 //! ```text
-//! {"session":"c52e5475","n":12,"now":3600412000000,"said":57,"what":"observation","seq":17,"at":3600411990000}
-//! {"session":"c52e5475","n":13,"now":3600700000000,"said":58,"what":"tick"}
+//! [{"session":"c52e5475","n":12,"now":3600412000000,"said":57,"seq":17,"step":9,"what":"observation","at":3600411990000},
+//!  {"session":"c52e5475","n":13,"now":3600700000000,"said":58,"seq":17,"step":10,"what":"tick"}]
 //! ```
+//!
+//! Every message repeats the lines before its last, so that a lost one heals with the next.
 
 use std::borrow::Cow;
+use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
 use crate::heard::HeardReport;
 
+/// How many lines a message has at most.
+const N_REPEATED: usize = 8;
+
 /// Something that a session took in.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "what", rename_all = "snake_case")]
 pub enum TakenInput {
-    /// An observation.
+    /// An observation, the newest now.
     Observation {
-        /// Its number.
-        seq: u64,
         /// When it arrived, in nanoseconds.
         at: u64,
     },
@@ -48,6 +52,10 @@ pub struct TakenLine<'a> {
     pub now: u64,
     /// How many events have been said since the session was opened, or went on.
     pub said: u64,
+    /// The newest observation, by its number; 0 before the first.
+    pub seq: u64,
+    /// The step of the episode.
+    pub step: u32,
     /// What was taken in.
     #[serde(flatten)]
     pub input: TakenInput,
@@ -58,13 +66,15 @@ pub struct TakenLine<'a> {
 pub(crate) struct TakenLog {
     n: u64,
     said: u64,
-    line: Vec<u8>,
+    recent: VecDeque<Vec<u8>>,
+    message: Vec<u8>,
 }
 
 impl TakenLog {
     /// Begins with a session; one that goes on after a restart has had a beginning that nobody hears of any more.
     pub(crate) fn new(goes_on: bool) -> Self {
-        Self { n: u64::from(goes_on), said: 0, line: Vec::with_capacity(256) }
+        let recent = VecDeque::with_capacity(N_REPEATED);
+        Self { n: u64::from(goes_on), said: 0, recent, message: Vec::new() }
     }
 
     /// Counts an event that is said.
@@ -72,15 +82,30 @@ impl TakenLog {
         self.said += 1;
     }
 
-    /// Writes the next line.
-    pub(crate) fn write(&mut self, session: &str, now: u64, input: TakenInput) -> &[u8] {
+    /// Writes a message with the next line: `input` was taken in, and led to the newest observation and the step.
+    pub(crate) fn write(
+        &mut self,
+        session: &str,
+        now: u64,
+        (seq, step): (u64, u32),
+        input: TakenInput,
+    ) -> &[u8] {
         self.n += 1;
         let session = Cow::Borrowed(session);
-        let line = TakenLine { session, n: self.n, now, said: self.said, input };
-        self.line.clear();
+        let line = TakenLine { session, n: self.n, now, said: self.said, seq, step, input };
+        let is_full = self.recent.len() >= N_REPEATED;
+        let mut text = if is_full { self.recent.pop_front() } else { None }.unwrap_or_default();
+        text.clear();
         // Plain data into memory: it cannot fail.
-        drop(serde_json::to_writer(&mut self.line, &line));
-        &self.line
+        drop(serde_json::to_writer(&mut text, &line));
+        self.recent.push_back(text);
+        self.message.clear();
+        for (i, text) in self.recent.iter().enumerate() {
+            self.message.push(if i == 0 { b'[' } else { b',' });
+            self.message.extend_from_slice(text);
+        }
+        self.message.push(b']');
+        &self.message
     }
 }
 
@@ -93,7 +118,7 @@ mod tests {
     fn a_line_is_read_as_it_is_written() {
         let report = HeardReport { utterance: 5, event: HeardEvent::Word, word: 2, t: None };
         let inputs = [
-            TakenInput::Observation { seq: 17, at: u64::MAX },
+            TakenInput::Observation { at: u64::MAX },
             TakenInput::Heard { report },
             TakenInput::Presence { is_here: false },
             TakenInput::Tick,
@@ -101,13 +126,26 @@ mod tests {
         let mut log = TakenLog::new(false);
         for (n, input) in (1..).zip(inputs) {
             log.count_said();
-            let line = log.write("c52e5475", 7, input);
-            let read: TakenLine<'_> = serde_json::from_slice(line).unwrap();
+            let message = log.write("c52e5475", 7, (17, 3), input);
+            let read: Vec<TakenLine<'_>> = serde_json::from_slice(message).unwrap();
+            assert_eq!(read.len() as u64, n);
             let session = Cow::Borrowed("c52e5475");
-            assert_eq!(read, TakenLine { session, n, now: 7, said: n, input });
+            let line = TakenLine { session, n, now: 7, said: n, seq: 17, step: 3, input };
+            assert_eq!(read.last(), Some(&line));
         }
-        let line = TakenLog::new(true).write("a", 9, TakenInput::Tick).to_vec();
-        let text = r#"{"session":"a","n":2,"now":9,"said":0,"what":"tick"}"#;
-        assert_eq!(String::from_utf8(line).unwrap(), text);
+        let message = TakenLog::new(true).write("a", 9, (0, 0), TakenInput::Tick).to_vec();
+        let text = r#"[{"session":"a","n":2,"now":9,"said":0,"seq":0,"step":0,"what":"tick"}]"#;
+        assert_eq!(String::from_utf8(message).unwrap(), text);
+    }
+
+    #[test]
+    fn what_was_lost_is_in_the_next_message() {
+        let mut log = TakenLog::new(false);
+        for n in 1..20 {
+            let message = log.write("a", n, (n, 0), TakenInput::Tick);
+            let read: Vec<TakenLine<'_>> = serde_json::from_slice(message).unwrap();
+            let numbers: Vec<u64> = read.iter().map(|line| line.n).collect();
+            assert_eq!(numbers, (n.saturating_sub(7).max(1)..=n).collect::<Vec<_>>());
+        }
     }
 }

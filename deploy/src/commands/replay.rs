@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_link::live::LiveClientLink;
-use leadtime_proto::ClientName;
 use leadtime_proto::phrase::counted;
 use leadtime_recording::{
     Error as RecordingError, RecordedInput, RecordedSession, ReplayDifference, ReplayOutcome,
