@@ -8,12 +8,12 @@ import json
 import sys
 
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader
 
 counts = {}
 with open(sys.argv[1], "rb") as file:
-    # In the order of the file: a file that was cut has no index, and its order of time is known only at its end.
-    messages = make_reader(file).iter_messages(log_time_order=False)
+    # From the front, in the order of the file: one whose recorder was killed has no index at its end.
+    messages = NonSeekingReader(file).iter_messages(log_time_order=False)
     try:
         for schema, channel, message in messages:
             counts[channel.topic] = counts.get(channel.topic, 0) + 1

@@ -2,14 +2,14 @@
 
 use leadtime_serve::{HeardSay, SayEvent, StepClock};
 
-use crate::replay::SpokenMessage;
+use crate::replay::StartedMessage;
 use crate::sessions::RecordedSession;
 
 /// An utterance with its times, in seconds from the beginning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedUtterance {
     /// What was said.
-    pub message: SpokenMessage,
+    pub message: StartedMessage,
     /// When it started.
     pub start: f64,
     /// When enough had been heard to understand it; `None` if that never came.
@@ -87,7 +87,7 @@ impl SessionCourse {
         match (event.event, running) {
             (SayEvent::Silent, _) => {}
             (SayEvent::Start, _) => self.utterances.push(RecordedUtterance {
-                message: SpokenMessage::of(event, event.episode),
+                message: StartedMessage::of(event, event.episode),
                 start: time,
                 understood: None,
                 end: None,

@@ -40,7 +40,7 @@ pub use picture::picture;
 pub use read::{RecordedClient, RecordedMessage, RecordingEnd, RecordingFile};
 pub use recorder::LiveRecorder;
 pub use replay::{
-    MessageTally, ReplayDifference, ReplayOutcome, ReplayTarget, SessionAtHand, SpokenMessage,
+    MessageTally, ReplayDifference, ReplayOutcome, ReplayTarget, SessionAtHand, StartedMessage,
     check_for_network, replay,
 };
 pub use sessions::{Gap, RecordedInput, RecordedSession, RecordedStatus, Stretch, sessions};

@@ -95,7 +95,7 @@ impl ReplayTarget for SessionAtHand {
 
 /// A message: an utterance as it was started.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SpokenMessage {
+pub struct StartedMessage {
     /// The client's episode.
     pub episode: u64,
     /// The step of the episode, from 0.
@@ -110,7 +110,7 @@ pub struct SpokenMessage {
     pub text: String,
 }
 
-impl SpokenMessage {
+impl StartedMessage {
     /// Reads it off an event; a raw one does not tell the episode.
     pub fn of(event: &HeardSay, episode: u64) -> Self {
         let topic = match event.topic_id {
@@ -196,7 +196,7 @@ pub struct ReplayOutcome {
     /// What is said now.
     pub replayed: MessageTally,
     /// Messages as recorded and as replayed, step by step: one of a pair is missing where only one of them spoke.
-    pub pairs: Vec<[Option<SpokenMessage>; 2]>,
+    pub pairs: Vec<[Option<StartedMessage>; 2]>,
     /// Where the two differ first.
     pub difference: Option<ReplayDifference>,
 }
@@ -238,9 +238,9 @@ pub fn replay(
         outcome.n_events += said.len() as u64;
         outcome.recorded.count(&input.events);
         outcome.replayed.count(&said);
-        let started = |events: &[HeardSay]| -> Vec<SpokenMessage> {
+        let started = |events: &[HeardSay]| -> Vec<StartedMessage> {
             let starts = events.iter().filter(|event| event.event == SayEvent::Start);
-            starts.map(|event| SpokenMessage::of(event, episode)).collect()
+            starts.map(|event| StartedMessage::of(event, episode)).collect()
         };
         let (mut ones, mut others) =
             (started(&input.events).into_iter(), started(&said).into_iter());

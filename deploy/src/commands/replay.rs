@@ -11,7 +11,7 @@ use leadtime_link::live::LiveClientLink;
 use leadtime_proto::phrase::counted;
 use leadtime_recording::{
     Error as RecordingError, RecordedInput, RecordedSession, ReplayDifference, ReplayOutcome,
-    ReplayTarget, SessionAtHand, SessionOverNetwork, SpokenMessage, Stretch, check_for_network,
+    ReplayTarget, SessionAtHand, SessionOverNetwork, StartedMessage, Stretch, check_for_network,
     replay,
 };
 use leadtime_runs::{Tasks, clock};
@@ -95,7 +95,7 @@ impl ReplayPace {
 /// Prints what was said, when it was said.
 fn say(input: &RecordedInput, after: Duration) {
     for event in input.events.iter().filter(|event| event.event == SayEvent::Start) {
-        let shown = cell(Some(&SpokenMessage::of(event, event.episode)), WIDTH - 12);
+        let shown = cell(Some(&StartedMessage::of(event, event.episode)), WIDTH - 12);
         output::line(&format!("{:9.2} s  {shown}", after.as_secs_f64()));
     }
 }
@@ -279,7 +279,7 @@ fn described(event: &HeardSay) -> String {
     if event.event == SayEvent::Silent {
         return format!("step {}: {name}", event.step);
     }
-    let message = cell(Some(&SpokenMessage::of(event, event.episode)), WIDTH);
+    let message = cell(Some(&StartedMessage::of(event, event.episode)), WIDTH);
     format!("step {}: {name} {message}, {} heard", event.step, event.heard)
 }
 
@@ -295,7 +295,7 @@ fn show_beside(outcome: &ReplayOutcome) {
     table.push(row("mean k", mean(recorded.mean_k()), mean(replayed.mean_k())));
     table.push(row("mean l", mean(recorded.mean_l()), mean(replayed.mean_l())));
     output::line(&format!("\n{}", table.text().trim_end()));
-    let is_other = |pair: &&[Option<SpokenMessage>; 2]| pair[0] != pair[1];
+    let is_other = |pair: &&[Option<StartedMessage>; 2]| pair[0] != pair[1];
     let others: Vec<_> = outcome.pairs.iter().filter(is_other).collect();
     let n_same = outcome.pairs.len() - others.len();
     output::line(&format!("\n{} the same, {} other:\n", counted(n_same, "message"), others.len()));
@@ -317,8 +317,8 @@ fn show_beside(outcome: &ReplayOutcome) {
 }
 
 /// Writes a message with its k and l, in so many characters at most.
-fn cell(message: Option<&SpokenMessage>, width: usize) -> String {
-    let Some(SpokenMessage { topic, k, l, text, .. }) = message else { return "-".to_owned() };
+fn cell(message: Option<&StartedMessage>, width: usize) -> String {
+    let Some(StartedMessage { topic, k, l, text, .. }) = message else { return "-".to_owned() };
     let numbers = format!(" ({k}, {l})");
     let text = if text.is_empty() { topic } else { &**text };
     shortened(text, width.saturating_sub(numbers.len())) + &numbers
