@@ -200,7 +200,7 @@ def main():
                 reason = next((why for what, why in SKIPPED.items() if what in line), None)
                 if re.match(r"leadtime (actor|learner)\b", line):
                     reason = reason or "run as a pair"
-                if re.match(r"leadtime (serve|drive|record)\b|.*--connect", line) and "--describe" not in line:
+                if re.match(r"leadtime (serve|drive|record|replay .*--connect)\b", line) and "--describe" not in line:
                     reason = reason or "run as a pair by the tests"
                 if reason:
                     skipped.append(f"{place} ({reason})")

@@ -267,7 +267,10 @@ impl Making<'_> {
         if let TakenInput::Observation { .. } = line.input {
             session.n_observations += 1;
             let Some(observation) = self.observations.take(line.seq) else {
-                *session.gaps.entry(Gap::ObservationMissing).or_default() += 1;
+                // Where the recorder came late, the first lines are about what was sent before.
+                if run.is_in_stretch || run.episode.is_some() {
+                    *session.gaps.entry(Gap::ObservationMissing).or_default() += 1;
+                }
                 session.n_apart += 1;
                 (run.is_in_stretch, run.episode) = (false, None);
                 return;

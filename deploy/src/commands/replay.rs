@@ -311,8 +311,8 @@ fn show_beside(outcome: &ReplayOutcome) {
         output::line(&format!("and {} more", others.len() - MAX_ROWS));
     }
     output::line(
-        "\nBoth are for the observations of the recording. Had the other one spoken, the listener would have\n\
-         done something else, and other observations would have followed.",
+        "\nBoth are for the observations of the recording. Had the other one spoken, the\n\
+         listener might have done something else, and seen something else.",
     );
 }
 
