@@ -85,7 +85,6 @@ impl SessionCourse {
         self.end = self.end.max(time);
         let running = self.utterances.last_mut().filter(|it| it.end.is_none());
         match (event.event, running) {
-            (SayEvent::Silent, _) => {}
             (SayEvent::Start, _) => self.utterances.push(RecordedUtterance {
                 message: StartedMessage::of(event, event.episode),
                 start: time,
@@ -94,7 +93,7 @@ impl SessionCourse {
                 is_cut: false,
                 n_heard: 0,
             }),
-            (what, Some(utterance)) => {
+            (what @ (SayEvent::Word | SayEvent::End | SayEvent::Cut), Some(utterance)) => {
                 utterance.n_heard = event.heard;
                 if event.heard >= event.k && utterance.understood.is_none() {
                     utterance.understood = Some(time);
@@ -103,7 +102,7 @@ impl SessionCourse {
                     (utterance.end, utterance.is_cut) = (Some(time), what == SayEvent::Cut);
                 }
             }
-            (SayEvent::Word | SayEvent::End | SayEvent::Cut, None) => {}
+            (SayEvent::Silent | SayEvent::Word | SayEvent::End | SayEvent::Cut, _) => {}
         }
     }
 }

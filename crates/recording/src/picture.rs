@@ -147,14 +147,14 @@ impl TimeLine<'_> {
         let bar = Area::new(LEFT, self.top + N_LABEL_ROWS as f64 * LABEL_HEIGHT, width, BAR_HEIGHT);
         let band = Area { y: bar.bottom() + GAP, height: BAND_HEIGHT, ..bar };
         let curves = Area { y: band.bottom() + GAP, height: CURVE_HEIGHT, ..bar };
-        self.name(canvas, bar.y + 13.0, "says", Ink::Muted);
+        name_row(canvas, bar.y + 13.0, "says", Ink::Muted);
         canvas.rectangle(bar, 0.0, Paint::fill(Ink::Panel));
         self.draw_words(canvas, bar);
         if self.course.states.is_empty() {
-            self.name(canvas, band.y + 11.5, "episode", Ink::Muted);
+            name_row(canvas, band.y + 11.5, "episode", Ink::Muted);
             self.draw_episodes(canvas, band);
         } else {
-            self.name(canvas, band.y + 11.5, "state", Ink::Muted);
+            name_row(canvas, band.y + 11.5, "state", Ink::Muted);
             self.draw_states(canvas, band);
         }
         let lowest = if self.names.is_empty() { band } else { curves };
@@ -162,17 +162,12 @@ impl TimeLine<'_> {
             canvas.rectangle(curves, 0.0, Paint::fill(Ink::Panel));
             canvas.clipped(curves, |canvas| self.draw_curves(canvas, curves));
             for (i, (_, name, _)) in self.names.iter().enumerate() {
-                self.name(canvas, curves.y + 22.0 + i as f64 * 18.0, name, curve_ink(i));
+                name_row(canvas, curves.y + 22.0 + i as f64 * 18.0, name, curve_ink(i));
             }
         }
         let axis =
             Panel::new(Area { height: lowest.height + 3.0, ..lowest }, self.span, [0.0, 1.0]);
         axis.draw_x(canvas, 12, Some(if self.is_last { "seconds" } else { "" }));
-    }
-
-    fn name(&self, canvas: &mut Canvas, y: f64, name: &str, ink: Ink) {
-        let style = TextStyle::new(11.5, ink).anchored(Anchor::End);
-        canvas.text([LEFT - 8.0, y], name, style);
     }
 
     fn x(&self, area: Area, time: f64) -> f64 {
@@ -210,7 +205,9 @@ impl TimeLine<'_> {
             canvas.line(&line, Paint::stroke(Ink::Grid, 1.0));
         }
         let style = TextStyle::new(LABEL_SIZE, Ink::Text).haloed(Ink::Paper);
-        labels.iter().for_each(|label| canvas.text(label.at, label.text, style));
+        for label in &labels {
+            canvas.text(label.at, label.text, style);
+        }
     }
 
     fn draw_episodes(&self, canvas: &mut Canvas, row: Area) {
@@ -219,7 +216,7 @@ impl TimeLine<'_> {
             let end = episodes.get(i + 1).map_or(self.course.end, |(next, _)| *next);
             let Some(area) = self.part(row, *start, end) else { continue };
             let ink = if i % 2 == 0 { Ink::Sky } else { Ink::Blue };
-            self.band(canvas, area, ink, &episode.to_string());
+            draw_band(canvas, area, ink, &episode.to_string());
         }
     }
 
@@ -234,16 +231,7 @@ impl TimeLine<'_> {
                 "lost" | "closed" => Ink::Purple,
                 _ => Ink::Neutral,
             };
-            self.band(canvas, area, ink, &state.state);
-        }
-    }
-
-    fn band(&self, canvas: &mut Canvas, area: Area, ink: Ink, name: &str) {
-        const SIZE: f64 = 10.5;
-        canvas.rectangle(area, 2.0, Paint::fill(ink));
-        if text_width(name, SIZE, Weight::Regular) + 6.0 <= area.width {
-            let style = TextStyle::new(SIZE, ink.label()).anchored(Anchor::Middle);
-            canvas.text([area.x + area.width / 2.0, area.y + 11.2], name, style);
+            draw_band(canvas, area, ink, &state.state);
         }
     }
 
@@ -293,6 +281,22 @@ fn label<'a>(
         return Some(PlacedLabel { text, at, foot: [bar.x + 0.5, bar.y] });
     }
     None
+}
+
+/// Names a row.
+fn name_row(canvas: &mut Canvas, y: f64, name: &str, ink: Ink) {
+    let style = TextStyle::new(11.5, ink).anchored(Anchor::End);
+    canvas.text([LEFT - 8.0, y], name, style);
+}
+
+/// Draws a part of a row, with its name if there is room.
+fn draw_band(canvas: &mut Canvas, area: Area, ink: Ink, name: &str) {
+    const SIZE: f64 = 10.5;
+    canvas.rectangle(area, 2.0, Paint::fill(ink));
+    if text_width(name, SIZE, Weight::Regular) + 6.0 <= area.width {
+        let style = TextStyle::new(SIZE, ink.label()).anchored(Anchor::Middle);
+        canvas.text([area.x + area.width / 2.0, area.y + 11.2], name, style);
+    }
 }
 
 fn curve_ink(i: usize) -> Ink {

@@ -90,8 +90,9 @@ impl RecordingFile {
                 Some(Err(error)) => error,
             };
             match failed {
-                McapError::BadMagic if !is_started => return Err(Error::NoMcap),
-                McapError::UnexpectedEof if !is_started => return Err(Error::NoMcap),
+                McapError::BadMagic | McapError::UnexpectedEof if !is_started => {
+                    return Err(Error::NoMcap);
+                }
                 McapError::UnexpectedEof | McapError::UnexpectedEoc => break RecordingEnd::Cut,
                 McapError::UnsupportedCompression(name) => return Err(Error::Compressed(name)),
                 other => break RecordingEnd::Damaged(other.to_string()),

@@ -9,7 +9,7 @@
 //! A **stretch** begins where nothing that came before matters: with the session, or with an episode. Where a line or an
 //! observation is missing, it ends, and the next one begins with the next episode.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 
 use leadtime_serve::{HeardSay, SayEvent, SessionNote, StepClock, TakenInput, TakenLine};
 use serde_json::Value;
@@ -159,7 +159,7 @@ fn status(message: &RecordedMessage) -> Option<(String, RecordedStatus)> {
 /// A client's observations, of which each is taken once and in order.
 struct Observations {
     all: Vec<SentObservation>,
-    by_number: HashMap<u64, Vec<usize>>,
+    by_number: BTreeMap<u64, Vec<usize>>,
     /// Those before this one have had their turn.
     next: usize,
 }
@@ -168,7 +168,7 @@ impl Observations {
     fn new(messages: &[RecordedMessage]) -> Self {
         let sent = messages.iter().filter(|message| message.topic == RecordedTopic::Observations);
         let all: Vec<_> = sent.filter_map(|message| sent_observation(&message.json)).collect();
-        let mut by_number: HashMap<u64, Vec<usize>> = HashMap::new();
+        let mut by_number: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
         for (i, observation) in all.iter().enumerate() {
             by_number.entry(observation.seq).or_default().push(i);
         }
@@ -180,6 +180,26 @@ impl Observations {
         let place = *places.iter().find(|place| **place >= self.next)?;
         self.next = place + 1;
         Some(self.all[place].clone())
+    }
+}
+
+impl RecordedSession {
+    /// Takes the events that come before a line: all that there were, or as many as are left of them.
+    fn hear(
+        &mut self,
+        line: &TakenLine<'_>,
+        n_said: Option<u64>,
+        said: &mut VecDeque<(u64, HeardSay)>,
+    ) -> Vec<HeardSay> {
+        let mut events = Vec::new();
+        while n_said.is_none_or(|n| (events.len() as u64) < n)
+            && said.front().is_some_and(|(_, event)| is_by(event, line))
+        {
+            let Some((at, event)) = said.pop_front() else { break };
+            self.events.push((at, event.clone()));
+            events.push(event);
+        }
+        events
     }
 }
 
@@ -211,24 +231,7 @@ struct Making<'a> {
 impl Making<'_> {
     fn take(&mut self, at: u64, line: &TakenLine<'_>, said: &mut VecDeque<(u64, HeardSay)>) {
         if self.sessions.last().is_none_or(|session| session.id != line.session) {
-            self.run = None;
-            // What is said about later observations was said in the session before.
-            while said.front().is_some_and(|(_, event)| !is_by(event, line)) {
-                let events = self.sessions.last_mut().map(|session| &mut session.events);
-                let event = said.pop_front();
-                events.into_iter().for_each(|events| events.extend(event.clone()));
-            }
-            self.sessions.push(RecordedSession {
-                client: self.client.name.clone(),
-                id: line.session.clone().into_owned(),
-                note: None,
-                stretches: Vec::new(),
-                n_observations: 0,
-                n_apart: 0,
-                events: Vec::new(),
-                statuses: Vec::new(),
-                gaps: BTreeMap::new(),
-            });
+            self.begin(line, said);
         }
         let Some(session) = self.sessions.last_mut() else { return };
         let follows = self.run.as_ref().is_some_and(|run| run.n + 1 == line.n);
@@ -247,15 +250,7 @@ impl Making<'_> {
         let Some(run) = &mut self.run else { return };
         let n_said = (follows || line.n == 1).then(|| line.said.saturating_sub(run.said));
         (run.n, run.said) = (line.n, line.said);
-        // What was said comes before the line, and in order; some of it may be lost.
-        let mut events = Vec::new();
-        while n_said.is_none_or(|n| (events.len() as u64) < n)
-            && said.front().is_some_and(|(_, event)| is_by(event, line))
-        {
-            let Some((at, event)) = said.pop_front() else { break };
-            session.events.push((at, event.clone()));
-            events.push(event);
-        }
+        let events = session.hear(line, n_said, said);
         let mut input = RecordedInput {
             input: line.input,
             now: line.now,
@@ -294,6 +289,29 @@ impl Making<'_> {
         {
             stretch.inputs.push(input);
         }
+    }
+
+    /// Begins a session with its first line.
+    fn begin(&mut self, line: &TakenLine<'_>, said: &mut VecDeque<(u64, HeardSay)>) {
+        self.run = None;
+        // What is said about later observations was said in the session before.
+        while said.front().is_some_and(|(_, event)| !is_by(event, line)) {
+            let event = said.pop_front();
+            if let Some(before) = self.sessions.last_mut() {
+                before.events.extend(event);
+            }
+        }
+        self.sessions.push(RecordedSession {
+            client: self.client.name.clone(),
+            id: line.session.clone().into_owned(),
+            note: None,
+            stretches: Vec::new(),
+            n_observations: 0,
+            n_apart: 0,
+            events: Vec::new(),
+            statuses: Vec::new(),
+            gaps: BTreeMap::new(),
+        });
     }
 }
 

@@ -75,16 +75,15 @@ impl<W: Write> RecordingWriter<W> {
         at: u64,
         json: &[u8],
     ) -> Result<(), Error> {
-        let channel = match self.channels.get_mut(key) {
-            Some(channel) => channel,
-            None => {
-                let (name, schema) = topic.schema();
-                let schema = self.file.add_schema(name, "jsonschema", schema.as_bytes());
-                let schema = schema.map_err(Error::writing)?;
-                let id = self.file.add_channel(schema, key, "json", &BTreeMap::new());
-                let channel = OpenChannel { id: id.map_err(Error::writing)?, n_messages: 0 };
-                self.channels.entry(key.to_owned()).or_insert(channel)
-            }
+        let channel = if let Some(channel) = self.channels.get_mut(key) {
+            channel
+        } else {
+            let (name, schema) = topic.schema();
+            let schema = self.file.add_schema(name, "jsonschema", schema.as_bytes());
+            let schema = schema.map_err(Error::writing)?;
+            let id = self.file.add_channel(schema, key, "json", &BTreeMap::new());
+            let channel = OpenChannel { id: id.map_err(Error::writing)?, n_messages: 0 };
+            self.channels.entry(key.to_owned()).or_insert(channel)
         };
         let sequence = channel.n_messages;
         channel.n_messages = sequence.wrapping_add(1);
