@@ -111,13 +111,12 @@ impl Policies {
     /// Returns the policy that a session is replayed with, and whether it is that of the recording.
     fn of(&mut self, note: &SessionNote) -> Result<(Arc<WorkingPolicy>, bool), Failure> {
         let found = self.known.iter().find(|(origin, _)| *origin == note.policy);
-        let policy = match found {
-            Some((_, policy)) => Arc::clone(policy),
-            None => {
-                let policy = Arc::new(self.load(&note.policy)?);
-                self.known.push((note.policy.clone(), Arc::clone(&policy)));
-                policy
-            }
+        let policy = if let Some((_, policy)) = found {
+            Arc::clone(policy)
+        } else {
+            let policy = Arc::new(self.load(&note.policy)?);
+            self.known.push((note.policy.clone(), Arc::clone(&policy)));
+            policy
         };
         let is_file = policy.sha256 == note.policy.sha256;
         let is_same = is_file && policy.words_checksum() == note.words_checksum;
