@@ -37,6 +37,7 @@ if not CORRIDOR.exists():
 EXPECTED = {"leadtime runs compare one four": "weights: equal", "leadtime serve ": "One observation of", "leadtime check ": "configuration",
             "leadtime describe ": "bservation", "python3 examples/decide.py": "decisions reproduced",
             "leadtime conformance ": "passed", "leadtime eval --truth": "in turn, if true", "leadtime eval ": "success", "leadtime probe ": "d_r",
+            "leadtime replay ": "replayed", "leadtime play examples/": "1 session",
             "leadtime smoke": "mechanics work", "leadtime report ": "Report:", "leadtime compare ": "trainings", "leadtime race": "whole trainings"}
 SECONDS = 300
 
@@ -199,7 +200,7 @@ def main():
                 reason = next((why for what, why in SKIPPED.items() if what in line), None)
                 if re.match(r"leadtime (actor|learner)\b", line):
                     reason = reason or "run as a pair"
-                if re.match(r"leadtime (serve|drive)\b", line) and "--describe" not in line:
+                if re.match(r"leadtime (serve|drive|record|replay .*--connect)\b", line) and "--describe" not in line:
                     reason = reason or "run as a pair by the tests"
                 if reason:
                     skipped.append(f"{place} ({reason})")

@@ -20,7 +20,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-worlds", "leadtime-conformance", "leadtime-worker"],
     &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts", "leadtime-serve"],
-    &["leadtime-config", "leadtime-web"],
+    &["leadtime-config", "leadtime-web", "leadtime-recording"],
     &["leadtime-runs", "leadtime-watch", "leadtime-python"],
     &["leadtime-studies"],
     &["leadtime"],
@@ -157,6 +157,7 @@ fn heavy_dependencies_belong_to_few_crates() {
         ("axum", &["leadtime-web"]),
         ("hyper", &["leadtime-web"]),
         ("hyper-util", &["leadtime-web"]),
+        ("mcap", &["leadtime-recording"]),
     ];
     let packages = packages();
     for (crate_name, owners) in rules {

@@ -25,7 +25,7 @@ mod operations;
 mod taxonomy;
 mod worker;
 
-pub(crate) use live::{DriveArgs, ServeArgs, VoiceKind};
+pub(crate) use live::{DriveArgs, RecordArgs, ReplayArgs, ReplaySpeed, ServeArgs, VoiceKind};
 pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,
@@ -169,6 +169,16 @@ pub(crate) enum Command {
     Serve(ServeArgs),
     /// Let one of the worlds, its listener included, hear a notifier at work, and evaluate that.
     Drive(DriveArgs),
+    /// Record what a notifier at work sees and says: an MCAP file for Foxglove, Python and `replay`.
+    ///
+    /// It reads and touches nothing. The file is readable up to the last second, whenever the recorder is killed; a file that
+    /// is there is never overwritten.
+    Record(RecordArgs),
+    /// Replay a recording: does the same policy say the same, what would another one have said?
+    ///
+    /// Every event is compared, bit for bit; a difference ends with exit code 1. With --policy of another policy, what both
+    /// say stands side by side.
+    Replay(ReplayArgs),
     /// Make and renew the certificates by which processes on several machines know each other.
     Certs {
         #[command(subcommand)]
@@ -632,16 +642,17 @@ pub(crate) struct ProbeArgs {
 /// `leadtime play`
 #[derive(Debug, Args)]
 pub(crate) struct PlayArgs {
-    /// A policy file, a run directory or the name of a run.
+    /// A policy file, a run directory or the name of a run; or a recording of `leadtime record`, FILE.mcap.
     #[arg(required_unless_present = "demonstration")]
     pub policy: Option<PathBuf>,
     /// Draw the paper's cooking demonstration instead: "Go down, all stations occupied", word by word.
     #[arg(long, conflicts_with_all = ["policy", "words", "baseline", "action", "set", "eval_seed"])]
     pub demonstration: bool,
-    /// Draw these steps side by side (B excluded), instead of the whole episode in one picture.
+    /// Draw these steps side by side (B excluded), instead of the whole episode in one picture. Of a recording: these seconds.
     #[arg(long, value_name = "A..B", value_parser = number_range)]
     pub frames: Option<Range<u64>>,
-    /// The picture; its extension decides: png, svg, gif, html with a slider over the moments, or mp4 (needs ffmpeg).
+    /// The picture; its extension decides: png, svg, gif, html with a slider over the moments, or mp4 (needs ffmpeg). Of a
+    /// recording: png, svg, or txt for what was said when.
     #[arg(short, long, value_name = "FILE", default_value = "playthrough.png")]
     pub output: PathBuf,
     /// Quote these sentences: a database file, or a domain (default: those that come with the policy's domain).

@@ -1,19 +1,42 @@
 #!/usr/bin/env bash
-# Lets the Python client be spoken to for 100 steps. Usage: examples/live/check.sh PROGRAM PYTHON
+# Lets the Python client be spoken to for 100 steps, and reads a recording of it. Usage: examples/live/check.sh PROGRAM PYTHON
 set -euo pipefail
 program=$(realpath "$1") python=$(realpath -s "$2")
 cd "$(dirname "$0")/../.."
 place=$(mktemp -d)
 "$program" serve deploy/policies/piloting.safetensors --listen tcp/127.0.0.1:0 2>"$place/log" &
-notifier=$!
-trap 'kill $notifier; wait $notifier || true; rm -rf "$place"' EXIT
-for _ in $(seq 100); do
-    grep -q "is at work at" "$place/log" && break
-    sleep 0.1
-done
+notifier=$! recorder=
+trap 'kill $notifier $recorder 2>/dev/null; wait || true; rm -rf "$place"' EXIT
+await() {
+    for _ in $(seq 100); do
+        grep -q "$1" "$2" && return
+        sleep 0.1
+    done
+    cat "$2"
+    exit 1
+}
+await "is at work at" "$place/log"
 endpoint=$(sed -n 's/.* is at work at \(tcp[^ ]*\).*/\1/p' "$place/log")
+"$program" record --connect "$endpoint" -o "$place/client.mcap" 2>"$place/recorded" &
+recorder=$!
+await "recording notifier" "$place/recorded"
 "$python" examples/live/client.py "$endpoint" 0.02 | tee "$place/said"
 grep -q "^session [0-9a-f]*: 8 numbers, topics ascend, " "$place/said"
 n=$(grep -c "understood after" "$place/said")
 [ "$n" -ge 3 ] || { echo "$n sentences in 100 steps"; exit 1; }
 if grep -E "stale|lost|closed" "$place/said"; then exit 1; fi
+
+# Two flushes later the recorder is killed: everything that the client was told can be read, and is said again.
+sleep 2.5
+kill -9 $recorder
+wait $recorder || true
+"$program" replay "$place/client.mcap" | tee "$place/replayed"
+grep -q "the same is said, event by event" "$place/replayed"
+if "$python" -c 'import mcap' 2>/dev/null; then
+    "$python" examples/live/recording.py "$place/client.mcap" | tee "$place/read"
+    heard=$(sed -n 's/^ *[0-9]*  \(.*\)  (.*understood after.*/\1/p' "$place/said")
+    told=$(sed -n 's/^[0-9.]*  \(.*\)  (.* words)$/\1/p' "$place/read")
+    [ "$heard" = "$told" ] || { echo "the recording holds something else than was heard"; exit 1; }
+else
+    echo "skipped: no package mcap for this Python"
+fi

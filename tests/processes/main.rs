@@ -12,6 +12,7 @@
 //! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
 //! | `python` | whatever happens to a worker in Python, the weights are the same, and nobody executes what others wrote |
 //! | `race` | a race stops who is behind, and changes nobody's weights |
+//! | `recording` | a recorded notifier says the same again; a killed recorder loses no more than a second |
 //! | `resilience` | killing anything changes no bit; the books balance |
 //! | `streams` | output that cannot be written, limits, names that are not text: a sentence, and nothing is lost |
 //! | `supervision` | processes live and die together |
@@ -33,6 +34,7 @@ mod probe;
 mod program;
 mod python;
 mod race;
+mod recording;
 mod resilience;
 mod rogue;
 mod shipped;

@@ -215,7 +215,13 @@ fn an_open_address_is_warned_about_once_and_the_remedy_named() {
 #[test]
 fn a_robot_is_spoken_to_under_its_own_name_only_directly_and_behind_a_router() {
     let place = Place::new();
-    let peers = [("router", "r1"), ("service", "n1"), ("robot", "car-1"), ("actor", "a1")];
+    let peers = [
+        ("router", "r1"),
+        ("service", "n1"),
+        ("robot", "car-1"),
+        ("actor", "a1"),
+        ("recorder", "w1"),
+    ];
     certificates(&place, "pki", &peers);
     place.finish(&["certs acl pki -o acl.json5"]).with_code(0);
     let policy = repository("deploy/policies/piloting.safetensors");
@@ -232,8 +238,23 @@ fn a_robot_is_spoken_to_under_its_own_name_only_directly_and_behind_a_router() {
     wait_for_words(&away, "is at work");
     for (there, service) in [(address(&direct), "near"), (behind, "far")] {
         let as_itself = format!("--tls pki/car-1 --service {service}");
+        let file = format!("{service}.mcap");
+        let recorded = ["record", "--connect", &there, "--service", service, "-o", &file];
+        let recorder = place.start(&[&recorded[..], &["--tls pki/w1"]].concat());
+        wait_for_words(&recorder, "recording notifier");
         let measures = drive(&there, &as_itself).with_code(0).json();
         assert_eq!(measures["comparison"]["summaries"][0]["n_episodes"], 2);
+        signal("INT", recorder.id());
+        recorder.finish(PATIENCE).with_code(0);
+        let replayed = place.finish(&["replay --json", &file]).with_code(0).json();
+        let session = &replayed["sessions"][0];
+        assert_eq!(
+            (&session["client"], &session["gaps"]),
+            (&format!("{service}/car-1").into(), &serde_json::json!([]))
+        );
+        assert!(session["events"].as_u64() > Some(0), "{session}");
+        let robot = place.finish(&[&recorded[..6], &["other.mcap --tls pki/car-1"]].concat());
+        robot.with_code(2).saying(&["is for role robot; this command needs one for role recorder"]);
         let as_another = format!("--tls pki/car-1 --client car-2 --service {service}");
         drive(&there, &as_another).with_code(3).saying(&["no answer"]);
         let in_a_run = format!("--tls pki/a1 --service {service}");

@@ -10,7 +10,7 @@
 //! learner    in   presence of learners; answers hello and weights; orders, credit, news
 //!            out  everything that actors send
 //! observer   in   looks at presence, metrics, news and weights; asks for history and what the run is
-//! recorder   in   as an observer, and rollouts
+//! recorder   in   as an observer, and rollouts; reads everything of notifiers at work, and asks for their sessions
 //! service    in   its presence, that of its clients; answers who asks for a session; says, and takes what is observed
 //! robot      in   its presence; asks for a session, observes, hears, under its own name alone
 //! router     both everything of ours
@@ -361,6 +361,21 @@ impl LivePatterns {
             .map(|key| self.of(key))
     }
 
+    /// What recorders are told beside what everybody is.
+    fn taken(&self) -> String {
+        self.of(LiveKey::Taken(&self.service, &self.client))
+    }
+
+    /// Where recorders ask.
+    fn session(&self) -> String {
+        self.of(LiveKey::Session(&self.service, &self.client))
+    }
+
+    /// Everything that is published about a client.
+    fn published(&self) -> impl Iterator<Item = String> {
+        self.sent().into_iter().chain(self.told()).chain([self.taken()])
+    }
+
     /// What a client is sent.
     fn told(&self) -> [String; 2] {
         let (service, client) = (&self.service, &self.client);
@@ -376,13 +391,13 @@ fn service() -> Vec<AccessRule> {
     vec![
         rule("in", &["liveliness_token"], [keys.notifiers()]),
         rule("in", look, presence()),
-        rule("in", &["declare_queryable", "reply"], [keys.open()]),
-        rule("in", &["put"], keys.told()),
+        rule("in", &["declare_queryable", "reply"], [keys.open(), keys.session()]),
+        rule("in", &["put"], keys.told().into_iter().chain([keys.taken()])),
         rule("in", &["declare_subscriber"], keys.sent()),
         rule("out", &["liveliness_token"], presence()),
-        rule("out", &["query"], [keys.open()]),
+        rule("out", &["query"], [keys.open(), keys.session()]),
         rule("out", &["put"], keys.sent()),
-        rule("out", &["declare_subscriber"], keys.told()),
+        rule("out", &["declare_subscriber"], keys.published()),
     ]
 }
 
@@ -454,16 +469,23 @@ fn rules_of(role: Role) -> Vec<AccessRule> {
 
 fn observer(keys: &Patterns, is_recorder: bool) -> Vec<AccessRule> {
     let [history, about] = Patterns::about();
-    let rollouts = || is_recorder.then(|| keys.all_rollouts());
-    let told = || [keys.all_metrics(), keys.news()].into_iter().chain(rollouts());
-    let asked = || [keys.pulls(), history.clone(), about.clone()];
+    let live = is_recorder.then(|| LivePatterns::new("*"));
+    let told = || {
+        let of_recorder = live.iter().flat_map(|it| it.published().chain([keys.all_rollouts()]));
+        [keys.all_metrics(), keys.news()].into_iter().chain(of_recorder)
+    };
+    let asked = || {
+        let of_run = [keys.pulls(), history.clone(), about.clone()];
+        of_run.into_iter().chain(live.iter().map(LivePatterns::session))
+    };
+    let seen = || [keys.members()].into_iter().chain(live.iter().map(LivePatterns::notifiers));
     vec![
-        rule("in", &["liveliness_query", "declare_liveliness_subscriber"], [keys.members()]),
+        rule("in", &["liveliness_query", "declare_liveliness_subscriber"], seen()),
         rule("in", &["query"], asked()),
         rule("in", &["declare_subscriber"], told()),
         rule("out", &["put"], told()),
         rule("out", &["reply", "declare_queryable"], asked()),
-        rule("out", &["liveliness_token"], [keys.members()]),
+        rule("out", &["liveliness_token"], seen()),
     ]
 }
 

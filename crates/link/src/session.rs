@@ -22,6 +22,9 @@ const LEASE_MS: u64 = 2_000;
 const ACTOR_WAIT_BEFORE_CLOSE_US: u64 = 60_000_000;
 /// The same for a learner, which must not wait long for one actor, in microseconds.
 const LEARNER_WAIT_BEFORE_CLOSE_US: u64 = 5_000_000;
+/// Messages that may wait for a link of a notifier at work (the most there can be; 2 by default): a recorder is sent several for each
+/// step, and where there is no room for a thousandth of a second, they are dropped.
+const LIVE_BATCHES: usize = 16;
 /// Room over the largest message for keys and headers.
 const MESSAGE_SLACK: usize = 64 << 10;
 /// First and longest pause between attempts to connect, in milliseconds.
@@ -114,7 +117,7 @@ pub(crate) async fn listen_live(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
         return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
-    listen_with("peer", settings, limits::MAX_LIVE_BYTES).await
+    listen_with("peer", settings, limits::MAX_LIVE_BYTES, Some(live_queue())).await
 }
 
 /// Returns how a process that listens nowhere reaches a router.
@@ -136,10 +139,16 @@ pub(crate) async fn is_dead(session: &Session, listens: bool) -> bool {
 /// Opens a session that listens: a `peer`, or a `router`.
 pub(crate) async fn listen_as(mode: &str, settings: &ListenSettings) -> Result<Session> {
     // Twice the largest rollout, so that what is a little too large is refused and counted by us.
-    listen_with(mode, settings, 2 * limits::MAX_ROLLOUT_BYTES).await
+    let passes_on = (mode == "router").then(live_queue);
+    listen_with(mode, settings, 2 * limits::MAX_ROLLOUT_BYTES, passes_on).await
 }
 
-async fn listen_with(mode: &str, settings: &ListenSettings, max_bytes: usize) -> Result<Session> {
+async fn listen_with(
+    mode: &str,
+    settings: &ListenSettings,
+    max_bytes: usize,
+    more: Option<(&'static str, String)>,
+) -> Result<Session> {
     settings.endpoints.iter().try_for_each(Endpoint::check_listen)?;
     settings.connect.iter().try_for_each(Endpoint::check_files)?;
     let identity = settings.identity.as_ref();
@@ -155,6 +164,7 @@ async fn listen_with(mode: &str, settings: &ListenSettings, max_bytes: usize) ->
         max_message(max_bytes),
         wait_before_close(LEARNER_WAIT_BEFORE_CLOSE_US),
     ];
+    special.extend(more);
     if let Some(identity) = identity {
         special.extend(security::settings(identity, has_socket)?);
     }
@@ -246,6 +256,11 @@ pub(crate) async fn close(session: &Session) -> Result<()> {
 async fn open(config: Config) -> Result<zenoh::Result<Session>> {
     let opened = tokio::task::spawn_blocking(move || zenoh::open(config).wait()).await;
     opened.map_err(|_panicked| Error::Panicked("open a connection"))
+}
+
+/// Returns how much of what is urgent may wait where notifiers at work are passed on.
+fn live_queue() -> (&'static str, String) {
+    ("transport/link/tx/queue/size/real_time", LIVE_BATCHES.to_string())
 }
 
 fn max_message(bytes: usize) -> (&'static str, String) {

@@ -1,9 +1,9 @@
 //! What a client reports of its loudspeaker: `{"utterance":5,"event":"word","word":2,"t":13.05}`.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// What the loudspeaker did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HeardEvent {
     /// The first word begins.
@@ -17,7 +17,7 @@ pub enum HeardEvent {
 }
 
 /// A report.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HeardReport {
     /// The utterance, by its number.
@@ -28,7 +28,7 @@ pub struct HeardReport {
     #[serde(default)]
     pub word: u32,
     /// The client's time, in seconds; it is kept in recordings and used for nothing.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub t: Option<f64>,
 }
 

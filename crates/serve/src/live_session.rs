@@ -248,6 +248,11 @@ impl LiveSession {
         self.last_seq.unwrap_or(0)
     }
 
+    /// Returns the step of the episode, from 0.
+    pub fn step_of_episode(&self) -> u32 {
+        self.step
+    }
+
     /// Returns how long things have taken.
     pub fn latency(&self) -> &LatencyHistogram {
         &self.latency

@@ -9,9 +9,11 @@ use leadtime_link::live::LivePort;
 use leadtime_proto::{ClientName, Incarnation};
 use tracing::debug;
 
+use crate::heard::HeardReport;
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot, SayTo};
 use crate::status::{LiveState, Silence};
+use crate::taken::{TakenInput, TakenLog};
 use crate::working_policy::LiveDecider;
 
 /// The most sessions of a thread.
@@ -54,6 +56,19 @@ pub(crate) struct Hosted {
     pub(crate) incarnation: Option<Incarnation>,
     pub(crate) session: LiveSession,
     pub(crate) port: LivePort,
+    pub(crate) taken: TakenLog,
+}
+
+impl Hosted {
+    /// Tells recorders what was taken in, after what was said on account of it.
+    fn tell_taken(&mut self, now: u64, input: TakenInput) {
+        let session = &self.session;
+        let place = (session.last_seq(), session.step_of_episode());
+        let message = self.taken.write(session.id(), now, place, input);
+        if let Err(error) = self.port.taken(message) {
+            debug!(%error, "what was taken in could not be put");
+        }
+    }
 }
 
 /// A running thread.
@@ -102,10 +117,11 @@ impl LiveThread {
 }
 
 /// Puts a session's events at its port.
-struct ToPort<'a>(&'a LivePort);
+struct ToPort<'a>(&'a LivePort, &'a mut TakenLog);
 
 impl SayTo for ToPort<'_> {
     fn say(&mut self, bytes: &[u8]) {
+        self.1.count_said();
         if let Err(error) = self.0.say(bytes) {
             debug!(%error, "an event could not be put");
         }
@@ -157,6 +173,7 @@ impl Loop {
         let of_client = self.hosted.iter_mut().filter(|hosted| hosted.client == *client);
         for hosted in of_client.filter(|hosted| hosted.incarnation == Some(start)) {
             hosted.session.note_presence(is_here);
+            hosted.tell_taken(self.clock.now(), TakenInput::Presence { is_here });
         }
     }
 
@@ -204,27 +221,38 @@ impl Loop {
     fn end(mut self) {
         let now = self.clock.now();
         for hosted in &mut self.hosted {
-            hosted.session.close(now, Silence::Closing, &mut ToPort(&hosted.port));
+            let out = &mut ToPort(&hosted.port, &mut hosted.taken);
+            hosted.session.close(now, Silence::Closing, out);
         }
     }
 }
 
 /// Does for a client whatever is to be done now.
 fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
-    let Hosted { session, port, .. } = hosted;
-    let out = &mut ToPort(port);
-    while let Some(report) = port.take_heard() {
-        session.hear(clock.now(), &report, decider, out);
+    while let Some(bytes) = hosted.port.take_heard() {
+        let Hosted { session, port, taken, .. } = hosted;
+        let now = clock.now();
+        session.hear(now, &bytes, decider, &mut ToPort(port, taken));
+        if let Ok(report) = HeardReport::read(&bytes) {
+            hosted.tell_taken(now, TakenInput::Heard { report });
+        }
     }
-    if let Some(arrival) = port.take() {
+    if let Some(arrival) = hosted.port.take() {
+        let Hosted { session, port, taken, .. } = hosted;
         let (payload, beside, at) = (arrival.payload(), arrival.attachment(), clock.at(arrival.at));
         session.note_overwritten(port.n_overwritten());
         let parts = (&arrival.encoding(), &*payload, beside.as_deref());
-        session.arrive(clock.now(), at, parts, decider, out);
+        let (now, n_before) = (clock.now(), session.counts().taken);
+        session.arrive(now, at, parts, decider, &mut ToPort(port, taken));
         session.record_latency(clock.now().saturating_sub(at));
+        if session.counts().taken > n_before {
+            hosted.tell_taken(now, TakenInput::Observation { at });
+        }
     }
     let now = clock.now();
-    if session.next_deadline() <= now {
-        session.tick(now, decider, out);
+    if hosted.session.next_deadline() <= now {
+        let Hosted { session, port, taken, .. } = hosted;
+        session.tick(now, decider, &mut ToPort(port, taken));
+        hosted.tell_taken(now, TakenInput::Tick);
     }
 }

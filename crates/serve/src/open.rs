@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use crate::working_policy::WorkingPolicy;
+use crate::working_policy::{PolicyOrigin, WorkingPolicy};
 
 /// The version of the messages between a notifier at work and its clients.
 pub const LIVE_PROTOCOL: u32 = 1;
@@ -218,6 +218,25 @@ impl From<&Fact> for FactNote {
     fn from(&Fact { name, meaning }: &Fact) -> Self {
         Self { name, meaning }
     }
+}
+
+/// What a recorder is told of a session: everything that is needed to open the same one again.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SessionNote {
+    /// The client.
+    pub client: String,
+    /// The session's name.
+    pub session: String,
+    /// This start of the notifier, 16 hexadecimal digits.
+    pub start: String,
+    /// What the client asked for.
+    pub question: Value,
+    /// What it was answered.
+    pub answer: Value,
+    /// The policy.
+    pub policy: PolicyOrigin,
+    /// A checksum over the sentences.
+    pub words_checksum: u32,
 }
 
 /// The answer to a client's question.

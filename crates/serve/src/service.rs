@@ -14,8 +14,9 @@ use tracing::{info, warn};
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot};
 use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
-use crate::open::{OpenRefusal, SessionAnswer, SessionPlan};
+use crate::open::{OpenRefusal, SessionAnswer, SessionNote, SessionPlan};
 use crate::status::LiveState;
+use crate::taken::TakenLog;
 use crate::working_policy::{LiveDecider, WorkingPolicy};
 
 /// The most sessions of a notifier.
@@ -164,6 +165,13 @@ impl LiveService {
             LiveEvent::Open { client, question, responder } => {
                 self.answer(&client, question, responder);
             }
+            LiveEvent::Describe(client, responder) => {
+                // Without a session nobody is answered, and asks again.
+                if let Some(note) = self.open.get(&client).and_then(|it| self.note_of(&client, it))
+                {
+                    responder.reply(note);
+                }
+            }
             LiveEvent::Here(client, start) => {
                 self.present.entry(client.clone()).or_default().insert(start);
                 self.tell_thread(client, start, true);
@@ -196,6 +204,20 @@ impl LiveService {
         }
     }
 
+    /// Returns what a recorder has to know of a session.
+    fn note_of(&self, client: &ClientName, registered: &Registered) -> Option<Vec<u8>> {
+        let note = SessionNote {
+            client: client.to_string(),
+            session: registered.id.clone(),
+            start: format!("{:016x}", self.own.0),
+            question: serde_json::from_slice(&registered.question).ok()?,
+            answer: serde_json::from_slice(&registered.answer).ok()?,
+            policy: self.policy.origin.clone(),
+            words_checksum: self.policy.words_checksum(),
+        };
+        serde_json::to_vec(&note).ok()
+    }
+
     fn open_session(
         &mut self,
         client: &ClientName,
@@ -219,6 +241,7 @@ impl LiveService {
             return Err(OpenRefusal::Full(self.open.len()));
         }
         let (session, notes) = self.session(client, &question, plan.clone());
+        let taken = TakenLog::new(session.counts().taken > 0);
         let answered = SessionPlan { notes, ..plan };
         let answer = SessionAnswer::new(session.id(), &answered, &self.policy, session.last_seq());
         let answer = serde_json::to_vec(&answer)?;
@@ -227,7 +250,7 @@ impl LiveService {
         let port = self.link.port(client, is_raw, self.threads[thread].waker())?;
         let (client, id) = (client.clone(), session.id().to_owned());
         info!(%client, session = id, "a session is open");
-        let hosted = Hosted { client: client.clone(), incarnation: start, session, port };
+        let hosted = Hosted { client: client.clone(), incarnation: start, session, port, taken };
         if !self.threads[thread].order(ThreadOrder::Add(Box::new(hosted))) {
             return Err(OpenRefusal::Full(self.open.len()));
         }

@@ -9,6 +9,7 @@ use leadtime_proto::{Mask, PolicySpec};
 use leadtime_sims::notifier::Session;
 use leadtime_sims::{Environment, Fact, Quantity};
 use leadtime_taxonomy::{Taxonomy, Topic};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Why a policy cannot go to work.
@@ -25,6 +26,21 @@ pub enum UnfitPolicy {
     Policy(#[from] leadtime_policy::Error),
 }
 
+/// Where a policy is from and how it was put to work: what a recording has to know to do the same again.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PolicyOrigin {
+    /// Its file, as the notifier was told to find it.
+    pub path: String,
+    /// SHA-256 over the file, in hexadecimal.
+    pub sha256: String,
+    /// Keys of the task that were changed, each as `key=value`.
+    pub changes: Vec<String>,
+    /// How it chooses.
+    pub action: Choice,
+    /// The words: a database, `shipped` or `none`.
+    pub words: String,
+}
+
 /// A policy that is ready to speak.
 #[derive(Clone, Debug)]
 pub struct WorkingPolicy {
@@ -36,6 +52,8 @@ pub struct WorkingPolicy {
     pub sha256: String,
     /// Optimiser iterations that made it.
     pub n_updates: u64,
+    /// How it was put to work.
+    pub origin: PolicyOrigin,
     /// One observation's numbers.
     observation: Vec<Quantity>,
     /// What a client may say to be the case, as far as some sentence presupposes it.
@@ -77,6 +95,7 @@ impl WorkingPolicy {
             session,
             sha256: String::new(),
             n_updates: 0,
+            origin: PolicyOrigin::default(),
             observation,
             facts,
             taxonomy: taxonomy.map(Arc::new),
@@ -86,6 +105,18 @@ impl WorkingPolicy {
     /// Says which file it is of, and how many optimiser iterations made it.
     pub fn of_file(self, sha256: String, n_updates: u64) -> Self {
         Self { sha256, n_updates, ..self }
+    }
+
+    /// Says how it was put to work, for recordings.
+    pub fn put_to_work(self, origin: PolicyOrigin) -> Self {
+        Self { origin, ..self }
+    }
+
+    /// Returns a checksum over every sentence in order: two databases with the same one say the same.
+    pub fn words_checksum(&self) -> u32 {
+        let topics = self.taxonomy.iter().flat_map(|taxonomy| taxonomy.topics());
+        let sentences = topics.flat_map(|topic| topic.cells().flat_map(|(_, list)| list));
+        sentences.fold(0, |sum, sentence| crc32c::crc32c_append(sum, sentence.text.as_bytes()))
     }
 
     /// Returns how many numbers an observation has.

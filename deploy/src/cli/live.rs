@@ -1,14 +1,15 @@
 //! The arguments of a notifier at work, and of what drives our own worlds with it.
 
-use std::path::PathBuf;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::{Args, FromArgMatches as _, ValueEnum};
 use leadtime_config::Override;
 use leadtime_eval::measure::Choice;
 use leadtime_proto::{ClientName, ServiceName};
 use leadtime_runs::evaluation;
-use leadtime_serve::{MAX_SESSIONS, SayForm, StepClock};
+use leadtime_serve::{MAX_SESSIONS, PolicyOrigin, SayForm, StepClock};
 
 use super::{GuardArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
 
@@ -63,6 +64,46 @@ pub(crate) struct ServeArgs {
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,
 }
+
+impl ServeArgs {
+    /// Returns the arguments that put a policy to work as it was, or the sentence that says what is wrong with them.
+    pub(crate) fn of_origin(
+        policy: &Path,
+        origin: &PolicyOrigin,
+        runs: &Path,
+    ) -> Result<Self, clap::Error> {
+        let action = match origin.action {
+            Choice::Sample => "sample",
+            Choice::Greedy => "greedy",
+        };
+        let mut args: Vec<OsString> = vec!["serve".into(), "--describe".into()];
+        args.extend(["--runs".into(), runs.into(), "--action".into(), action.into()]);
+        for change in &origin.changes {
+            args.extend([OsString::from("--set"), change.into()]);
+        }
+        match origin.words.as_str() {
+            NO_WORDS => args.extend(["--voice".into(), "none".into()]),
+            SHIPPED_WORDS => {}
+            database => args.extend(["--words".into(), database.into()]),
+        }
+        args.extend(["--".into(), policy.into()]);
+        let command = Self::augment_args(clap::Command::new("serve"));
+        Self::from_arg_matches(&command.try_get_matches_from(args)?)
+    }
+
+    /// Returns the words as recordings name them.
+    pub(crate) fn words_name(&self) -> String {
+        match (&self.words, self.voice) {
+            (_, VoiceKind::None) => NO_WORDS.to_owned(),
+            (Some(name), _) => name.clone(),
+            (None, _) => SHIPPED_WORDS.to_owned(),
+        }
+    }
+}
+
+/// How recordings call no words, and those that come with the domain.
+const NO_WORDS: &str = "none";
+const SHIPPED_WORDS: &str = "shipped";
 
 /// In what a client is told what is said.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -136,6 +177,80 @@ impl DriveArgs {
     pub(crate) fn form(&self) -> SayForm {
         if self.binary { SayForm::Binary } else { SayForm::Json }
     }
+}
+
+/// `leadtime record`
+#[derive(Debug, Args)]
+pub(crate) struct RecordArgs {
+    /// Where the notifier is, or a router.
+    #[arg(long, value_name = "ENDPOINT", required = true)]
+    pub connect: Vec<String>,
+    #[command(flatten)]
+    pub tls: TlsArgs,
+    /// How long to look for the notifier.
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
+    pub connect_timeout: Duration,
+    /// Name of the notifier.
+    #[arg(long, value_name = "NAME", default_value = "notifier")]
+    pub service: ServiceName,
+    /// Record this client alone (default: every client).
+    #[arg(long, value_name = "CLIENT")]
+    pub live: Option<ClientName>,
+    /// The recording, which must not be there yet.
+    #[arg(short, long, value_name = "FILE.mcap")]
+    pub output: PathBuf,
+    /// End after this time (default: on Ctrl-C).
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    pub stop_after: Option<Duration>,
+}
+
+/// `leadtime replay`
+#[derive(Clone, Debug, Args)]
+pub(crate) struct ReplayArgs {
+    /// The recording.
+    #[arg(value_name = "FILE.mcap")]
+    pub file: PathBuf,
+    /// The policy: a file, a run directory or the name of a run. Another one than the recording's is compared with it
+    /// (default: the recording's own, where it was).
+    #[arg(long, value_name = "POLICY", conflicts_with = "connect")]
+    pub policy: Option<PathBuf>,
+    /// Send the observations to this notifier instead of replaying them in this process.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
+    #[command(flatten)]
+    pub tls: TlsArgs,
+    /// How long to look for the notifier.
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
+    pub connect_timeout: Duration,
+    /// Name of the notifier.
+    #[arg(long, value_name = "NAME", default_value = "notifier")]
+    pub service: ServiceName,
+    /// Name of this client (default: that of its certificate, else `replay`).
+    #[arg(long, value_name = "NAME")]
+    pub client: Option<ClientName>,
+    /// Replay this client alone (default: every client).
+    #[arg(long, value_name = "CLIENT")]
+    pub live: Option<ClientName>,
+    /// As fast as it goes, or at the pace of the recording, with what was said when it was said.
+    #[arg(long, value_enum, default_value_t)]
+    pub speed: ReplaySpeed,
+    /// Print the results as JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// Directory that holds the runs.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
+}
+
+/// How fast a recording is replayed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ReplaySpeed {
+    /// As fast as it goes.
+    #[default]
+    Max,
+    /// At the pace of the recording.
+    #[value(name = "1")]
+    AsRecorded,
 }
 
 /// Reads when steps are taken.

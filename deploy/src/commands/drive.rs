@@ -34,7 +34,7 @@ pub(super) async fn run(tasks: &Tasks, args: &DriveArgs) -> Result<(), Failure> 
     let link = LiveClientLink::open(&settings).await.map_err(failure)?;
     let asked = ClientSettings {
         service: args.service.clone(),
-        client: client_name(args, &settings).blame(ExitCode::WrongInput)?,
+        client: own_name(args.client.as_ref(), &settings, "drive").blame(ExitCode::WrongInput)?,
         incarnation: clock::incarnation(),
         domain: config.domain.to_string(),
         clock: args.clock(),
@@ -69,11 +69,15 @@ pub(super) async fn run(tasks: &Tasks, args: &DriveArgs) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Returns the client's name: as asked for, or as its certificate says.
-fn client_name(args: &DriveArgs, settings: &ConnectSettings) -> Result<ClientName, InvalidId> {
+/// Returns a client's name: as asked for, or as its certificate says, or `usual`.
+pub(super) fn own_name(
+    asked: Option<&ClientName>,
+    settings: &ConnectSettings,
+    usual: &str,
+) -> Result<ClientName, InvalidId> {
     let shown = settings.identity.as_ref().and_then(|identity| identity.shown.name.clone());
-    let name = || ClientName::new(shown.unwrap_or_else(|| "drive".to_owned()));
-    args.client.clone().map_or_else(name, Ok)
+    let name = || ClientName::new(shown.unwrap_or_else(|| usual.to_owned()));
+    asked.cloned().map_or_else(name, Ok)
 }
 
 /// The episodes of a world, as a thread of their own plays them.
@@ -145,7 +149,7 @@ fn client_failure(error: ClientError) -> Failure {
     }
 }
 
-fn failure(error: LinkError) -> Failure {
+pub(super) fn failure(error: LinkError) -> Failure {
     let is_input = is_wrong_input(&error) || matches!(error, LinkError::ReservedName(_));
     Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
 }

@@ -9,10 +9,13 @@ use anyhow::{Context as _, bail, ensure};
 use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::player;
+use leadtime_proto::phrase::counted;
+use leadtime_recording::{picture, transcript};
 use leadtime_runs::{LoadedPolicy, Tasks};
 
 use super::episode;
 use super::opponent::opponents;
+use super::recorded;
 use crate::cli::PlayArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW_MORE, TRY};
@@ -29,6 +32,9 @@ const MAX_MOMENTS: usize = 150;
 const SECONDS: f64 = 12.0;
 
 pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
+    if let Some(recording) = args.policy.as_deref().filter(|path| extension(path) == "mcap") {
+        return draw_recording(recording, args);
+    }
     let kinds = ["png", "svg", "gif", "html", "mp4"];
     if !kinds.contains(&extension(&args.output).as_str()) {
         let shown = args.output.display();
@@ -71,6 +77,34 @@ fn write(spoken: &Spoken, frames: Option<Range<u64>>, path: &Path) -> Result<(),
     .blame(ExitCode::WrongInput)?;
     let (title, n_steps) = (spoken.played.title(), spoken.played.n_steps());
     output::line(&format!("{}: {title}, {n_steps} steps", path.display()));
+    Ok(())
+}
+
+/// Draws the sessions of a recording, or writes what was said in them.
+fn draw_recording(recording: &Path, args: &PlayArgs) -> Result<(), Failure> {
+    let sessions = recorded::read(recording, None)?;
+    let path = &args.output;
+    let bytes = match extension(path).as_str() {
+        "txt" => sessions.iter().map(transcript).collect::<Vec<_>>().join("\n").into_bytes(),
+        kind @ ("png" | "svg") => {
+            let shown = sessions.iter().find_map(|it| picture(it, args.frames.clone()));
+            let nothing = "nothing happens in these seconds of the recording";
+            let svg = shown.ok_or_else(|| Failure::input(nothing))?.text;
+            match kind {
+                "svg" => svg.into_bytes(),
+                _ => Rasterizer::new().png(&svg, PNG_SCALE).blame(ExitCode::Failed)?,
+            }
+        }
+        _ => {
+            let shown = path.display();
+            let sentence =
+                format!("{shown}: of a recording, the extension must be png, svg or txt");
+            return Err(Failure::input(sentence));
+        }
+    };
+    output::file(path, &bytes).blame(ExitCode::WrongInput)?;
+    let n = counted(sessions.len(), "session");
+    output::line(&format!("{}: {n} of {}", path.display(), recording.display()));
     Ok(())
 }
 

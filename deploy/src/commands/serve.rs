@@ -11,7 +11,7 @@ use leadtime_link::live::LiveServiceLink;
 use leadtime_proto::ClientName;
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{LoadedPolicy, Tasks, clock, write_atomically};
-use leadtime_serve::{LiveService, ServiceSettings, StateStore, WorkingPolicy};
+use leadtime_serve::{LiveService, PolicyOrigin, ServiceSettings, StateStore, WorkingPolicy};
 use leadtime_table::Table;
 use leadtime_taxonomy::{MAX_FACTS, Taxonomy, shipped};
 use serde_json::{Value, json};
@@ -60,7 +60,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
 }
 
 /// Loads the policy with its words.
-fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Failure> {
+pub(super) fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Failure> {
     let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, &args.policy, &args.set)
         .blame(ExitCode::WrongInput)?;
     let config = &loaded.config;
@@ -82,7 +82,14 @@ fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Failure> {
         let error = leadtime_serve::UnfitPolicy::NoWords(domain.to_owned());
         return Err(error).blame(ExitCode::WrongInput);
     }
-    Ok(policy.of_file(loaded.sha256.clone(), loaded.n_updates))
+    let origin = PolicyOrigin {
+        path: loaded.path.display().to_string(),
+        sha256: loaded.sha256.clone(),
+        changes: args.set.iter().map(ToString::to_string).collect(),
+        action: choice,
+        words: args.words_name(),
+    };
+    Ok(policy.of_file(loaded.sha256.clone(), loaded.n_updates).put_to_work(origin))
 }
 
 /// Returns the sentences that are asked for, or those of the domain.

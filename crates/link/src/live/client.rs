@@ -66,21 +66,7 @@ impl LiveClientLink {
     ///
     /// [`Error::NoService`] if there is none.
     pub async fn find(&self, service: &ServiceName) -> Result<Incarnation> {
-        let (started, timeout) = (Instant::now(), self.settings.timeout);
-        loop {
-            let present = present(&self.session, LiveKey::Services).await?;
-            if let Some((_, start)) = present.iter().find(|(name, _)| name == service) {
-                return Ok(*start);
-            }
-            if started.elapsed() >= timeout {
-                return Err(Error::NoService {
-                    service: service.clone(),
-                    endpoints: session::describe(&self.settings.endpoints),
-                    present: present.into_iter().map(|(name, _)| name).collect(),
-                });
-            }
-            tokio::time::sleep(LOOK_PAUSE).await;
-        }
+        find(&self.session, &self.settings, service).await
     }
 
     /// Shows that this client is there, and takes what is said to it.
@@ -112,6 +98,7 @@ impl LiveClientLink {
 pub struct ClientPort {
     service: ServiceName,
     client: ClientName,
+    incarnation: Incarnation,
     observations: Publisher<'static>,
     heard: Publisher<'static>,
     messages: flume::Receiver<LiveMessage>,
@@ -163,6 +150,7 @@ impl ClientPort {
         Ok(Self {
             service: service.clone(),
             client: client.clone(),
+            incarnation,
             observations,
             heard,
             messages,
@@ -172,37 +160,18 @@ impl ClientPort {
         })
     }
 
+    /// Returns this start of the client.
+    pub fn incarnation(&self) -> Incarnation {
+        self.incarnation
+    }
+
     /// Asks for a session; the question and the answer are JSON.
     ///
     /// # Errors
     ///
     /// [`Error::Rejected`] with the notifier's sentence, or [`Error::NoAnswer`].
     pub async fn ask(&self, question: Vec<u8>) -> Result<Vec<u8>> {
-        let key = LiveKey::Open(&self.service, &self.client).to_string();
-        let (sender, answers) = flume::bounded(1);
-        self.session
-            .get(keys::expr(&key))
-            .payload(question)
-            .encoding(Encoding::APPLICATION_JSON)
-            .priority(wire::CONTROL.priority)
-            .target(QueryTarget::BestMatching)
-            .consolidation(ConsolidationMode::None)
-            .timeout(ANSWER_TIMEOUT)
-            .callback(move |reply| drop(sender.try_send(reply)))
-            .wait()
-            .map_err(Error::network("ask", &key))?;
-        let timeout = ANSWER_TIMEOUT;
-        match tokio::time::timeout(timeout, answers.recv_async()).await {
-            Ok(Ok(reply)) => match reply.into_result() {
-                Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
-                Err(error) => {
-                    let reason = error.payload().to_bytes();
-                    let reason = text::sentence(&String::from_utf8_lossy(&reason));
-                    Err(Error::Rejected { key, reason })
-                }
-            },
-            _ => Err(Error::NoAnswer { key, timeout }),
-        }
+        ask(&self.session, LiveKey::Open(&self.service, &self.client), question).await
     }
 
     /// Puts an observation, JSON.
@@ -249,6 +218,58 @@ impl ClientPort {
     /// Waits for the next message; `None` once `timeout` is over.
     pub fn next(&self, timeout: Duration) -> Option<LiveMessage> {
         self.messages.recv_timeout(timeout).ok()
+    }
+}
+
+/// Asks a notifier at a key; the question and the answer are JSON.
+pub(super) async fn ask(session: &Session, key: LiveKey<'_>, question: Vec<u8>) -> Result<Vec<u8>> {
+    let key = key.to_string();
+    let (sender, answers) = flume::bounded(1);
+    session
+        .get(keys::expr(&key))
+        .payload(question)
+        .encoding(Encoding::APPLICATION_JSON)
+        .priority(wire::CONTROL.priority)
+        .target(QueryTarget::BestMatching)
+        .consolidation(ConsolidationMode::None)
+        .timeout(ANSWER_TIMEOUT)
+        .callback(move |reply| drop(sender.try_send(reply)))
+        .wait()
+        .map_err(Error::network("ask", &key))?;
+    let timeout = ANSWER_TIMEOUT;
+    match tokio::time::timeout(timeout, answers.recv_async()).await {
+        Ok(Ok(reply)) => match reply.into_result() {
+            Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
+            Err(error) => {
+                let reason = error.payload().to_bytes();
+                let reason = text::sentence(&String::from_utf8_lossy(&reason));
+                Err(Error::Rejected { key, reason })
+            }
+        },
+        _ => Err(Error::NoAnswer { key, timeout }),
+    }
+}
+
+/// Waits until a notifier of this name is there, for the settings' time-out; returns its start.
+pub(super) async fn find(
+    session: &Session,
+    settings: &ConnectSettings,
+    service: &ServiceName,
+) -> Result<Incarnation> {
+    let (started, timeout) = (Instant::now(), settings.timeout);
+    loop {
+        let present = present(session, LiveKey::Services).await?;
+        if let Some((_, start)) = present.iter().find(|(name, _)| name == service) {
+            return Ok(*start);
+        }
+        if started.elapsed() >= timeout {
+            return Err(Error::NoService {
+                service: service.clone(),
+                endpoints: session::describe(&settings.endpoints),
+                present: present.into_iter().map(|(name, _)| name).collect(),
+            });
+        }
+        tokio::time::sleep(LOOK_PAUSE).await;
     }
 }
 

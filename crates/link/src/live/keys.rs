@@ -10,6 +10,9 @@ use crate::{Error, Result};
 pub(crate) const LIVE_ROOT: &str = "leadtime/live/1";
 /// The part of a key that no client can be called.
 const ALIVE: &str = "alive";
+/// The last part of the keys at which a notifier is asked.
+const OPEN: &str = "open";
+const SESSION: &str = "session";
 
 /// One key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,12 +31,63 @@ pub enum LiveKey<'a> {
     Heard(&'a ServiceName, &'a ClientName),
     /// What the notifier does for a client.
     Status(&'a ServiceName, &'a ClientName),
+    /// What the notifier took in of a client, and when, for recorders.
+    Taken(&'a ServiceName, &'a ClientName),
+    /// Where a recorder asks what a client's session is.
+    Session(&'a ServiceName, &'a ClientName),
     /// Every notifier that is there.
     Services,
     /// Every client of a notifier that is there.
     Clients(&'a ServiceName),
     /// Where any client asks for a session.
     Opens(&'a ServiceName),
+    /// Where a recorder asks for the session of any client.
+    Sessions(&'a ServiceName),
+    /// What is published about any client: the last part of a key.
+    Any(&'a ServiceName, LiveTopic),
+}
+
+/// What is published about a client: the last part of a key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LiveTopic {
+    /// What it observes.
+    Observations,
+    /// What is said to it.
+    Say,
+    /// What it has heard.
+    Heard,
+    /// What the notifier does for it.
+    Status,
+    /// What the notifier took in of it, and when.
+    Taken,
+}
+
+impl LiveTopic {
+    /// Every topic.
+    pub const ALL: [Self; 5] =
+        [Self::Observations, Self::Say, Self::Heard, Self::Status, Self::Taken];
+
+    /// Returns it as it stands in keys.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Observations => "obs",
+            Self::Say => "say",
+            Self::Heard => "heard",
+            Self::Status => "status",
+            Self::Taken => "taken",
+        }
+    }
+
+    /// Returns its key for a client.
+    pub fn key<'a>(self, service: &'a ServiceName, client: &'a ClientName) -> LiveKey<'a> {
+        match self {
+            Self::Observations => LiveKey::Observations(service, client),
+            Self::Say => LiveKey::Say(service, client),
+            Self::Heard => LiveKey::Heard(service, client),
+            Self::Status => LiveKey::Status(service, client),
+            Self::Taken => LiveKey::Taken(service, client),
+        }
+    }
 }
 
 impl fmt::Display for LiveKey<'_> {
@@ -46,14 +100,18 @@ impl fmt::Display for LiveKey<'_> {
             Self::Client(service, client, Incarnation(start)) => {
                 write!(f, "/{service}/{client}/{ALIVE}/{start:016x}")
             }
-            Self::Open(service, client) => write!(f, "/{service}/{client}/open"),
+            Self::Open(service, client) => write!(f, "/{service}/{client}/{OPEN}"),
             Self::Observations(service, client) => write!(f, "/{service}/{client}/obs"),
             Self::Say(service, client) => write!(f, "/{service}/{client}/say"),
             Self::Heard(service, client) => write!(f, "/{service}/{client}/heard"),
             Self::Status(service, client) => write!(f, "/{service}/{client}/status"),
+            Self::Taken(service, client) => write!(f, "/{service}/{client}/taken"),
+            Self::Session(service, client) => write!(f, "/{service}/{client}/{SESSION}"),
             Self::Services => write!(f, "/*/{ALIVE}/*"),
             Self::Clients(service) => write!(f, "/{service}/*/{ALIVE}/*"),
-            Self::Opens(service) => write!(f, "/{service}/*/open"),
+            Self::Opens(service) => write!(f, "/{service}/*/{OPEN}"),
+            Self::Sessions(service) => write!(f, "/{service}/*/{SESSION}"),
+            Self::Any(service, topic) => write!(f, "/{service}/*/{}", topic.as_str()),
         }
     }
 }
@@ -82,11 +140,28 @@ pub(crate) fn parse_alive(key: &str) -> Option<LiveAlive> {
     Some(LiveAlive { service, client, incarnation })
 }
 
-/// Reads the client from the key of a question, `None` if the key is not one of these.
+/// Reads the client from the key of a question for a session, `None` if the key is not one of these.
 pub(crate) fn parse_open(key: &str) -> Option<ClientName> {
+    parse_of_client(key).filter(|(_, last)| *last == OPEN).map(|(client, _)| client)
+}
+
+/// Reads the client from the key of a recorder's question, `None` if the key is not one of these.
+pub(crate) fn parse_session(key: &str) -> Option<ClientName> {
+    parse_of_client(key).filter(|(_, last)| *last == SESSION).map(|(client, _)| client)
+}
+
+/// Reads the client from the key of what is published, `None` if the key is not one of these.
+pub(crate) fn parse_topic(key: &str) -> Option<(ClientName, LiveTopic)> {
+    let (client, last) = parse_of_client(key)?;
+    let topic = LiveTopic::ALL.into_iter().find(|topic| topic.as_str() == last)?;
+    Some((client, topic))
+}
+
+/// Reads client and last part from a key that belongs to a client.
+fn parse_of_client(key: &str) -> Option<(ClientName, &str)> {
     let rest = key.strip_prefix(LIVE_ROOT)?.strip_prefix('/')?;
-    let [_, client, "open"] = rest.split('/').collect::<Vec<_>>()[..] else { return None };
-    ClientName::new(client).ok()
+    let [_, client, last] = rest.split('/').collect::<Vec<_>>()[..] else { return None };
+    Some((ClientName::new(client).ok()?, last))
 }
 
 /// Checks that a client may be called so.
@@ -112,6 +187,8 @@ mod tests {
             (LiveKey::Say(&service, &client), "car-1/say"),
             (LiveKey::Heard(&service, &client), "car-1/heard"),
             (LiveKey::Status(&service, &client), "car-1/status"),
+            (LiveKey::Taken(&service, &client), "car-1/taken"),
+            (LiveKey::Session(&service, &client), "car-1/session"),
         ] {
             let key = expr(key);
             assert_eq!(key.as_str(), format!("leadtime/live/1/notifier/{text}"));
@@ -122,6 +199,13 @@ mod tests {
             });
             assert_eq!(parse_alive(&key), alive);
             assert_eq!(parse_open(&key), text.contains("open").then(|| client.clone()));
+            assert_eq!(parse_session(&key), text.contains("session").then(|| client.clone()));
+            let topic = LiveTopic::ALL.into_iter().find(|topic| text.ends_with(topic.as_str()));
+            assert_eq!(parse_topic(&key), topic.map(|topic| (client.clone(), topic)));
+            if let Some(topic) = topic {
+                assert_eq!(expr(topic.key(&service, &client)), key);
+                assert!(expr(LiveKey::Any(&service, topic)).includes(&key));
+            }
         }
         assert!(expr(LiveKey::Services).includes(&expr(LiveKey::Service(&service, start))));
         let own = expr(LiveKey::Client(&service, &client, start));

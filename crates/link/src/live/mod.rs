@@ -8,6 +8,8 @@
 //! leadtime/live/1/{service}/{client}/say                    what is said, word by word
 //! leadtime/live/1/{service}/{client}/heard                  what the loudspeaker really did
 //! leadtime/live/1/{service}/{client}/status                 what the notifier does, and why it is silent
+//! leadtime/live/1/{service}/{client}/taken                  what the notifier took in, and when, for recorders
+//! leadtime/live/1/{service}/{client}/session                query of a recorder: what the session is
 //! ```
 //!
 //! The keys lie beside those of runs, and their messages are not ours alone: JSON for everybody, a few raw bytes for
@@ -20,15 +22,17 @@
 //!
 //! # Where to start
 //!
-//! [`LiveServiceLink::open`] and [`LiveClientLink::open`].
+//! [`LiveServiceLink::open`], [`LiveClientLink::open`] and [`LiveRecorderLink::open`].
 
 mod client;
 mod keys;
 mod port;
+mod recorder;
 mod service;
 
 pub use client::{ClientPort, LiveClientLink, LiveMessage};
 pub(crate) use keys::LIVE_ROOT;
-pub use keys::{LiveAlive, LiveKey};
+pub use keys::{LiveAlive, LiveKey, LiveTopic};
 pub use port::{Arrival, ArrivalEncoding, LivePort};
+pub use recorder::{LiveRecorderLink, LiveSample, SessionAsker};
 pub use service::{LiveEvent, LiveServiceLink, OpenResponder};

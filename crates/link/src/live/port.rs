@@ -46,7 +46,7 @@ pub struct Arrival {
 }
 
 impl Arrival {
-    fn new(sample: &Sample) -> Self {
+    pub(super) fn new(sample: &Sample) -> Self {
         let at = Instant::now();
         let (payload, attachment) = (sample.payload().clone(), sample.attachment().cloned());
         Self { at, encoding: sample.encoding().clone(), payload, attachment }
@@ -99,6 +99,7 @@ pub struct LivePort {
     heard: flume::Receiver<Vec<u8>>,
     say: Publisher<'static>,
     status: Publisher<'static>,
+    taken: Publisher<'static>,
     /// Dropped last: what arrives finds the rest of this.
     _subscribers: [Subscriber<()>; 2],
 }
@@ -146,7 +147,10 @@ impl LivePort {
         let say = publisher(session, LiveKey::Say(service, client), qos, form)?;
         let key = LiveKey::Status(service, client);
         let status = publisher(session, key, crate::wire::NOTICE, Encoding::APPLICATION_JSON)?;
-        Ok(Self { inbox, heard, say, status, _subscribers: [observations, hearing] })
+        // As what is said, which it tells about: so it comes after that.
+        let key = LiveKey::Taken(service, client);
+        let taken = publisher(session, key, qos, Encoding::APPLICATION_JSON)?;
+        Ok(Self { inbox, heard, say, status, taken, _subscribers: [observations, hearing] })
     }
 
     /// Takes the newest observation, if one has arrived since the last time.
@@ -180,5 +184,14 @@ impl LivePort {
     /// [`Error::Network`] if the network has ended.
     pub fn status(&self, bytes: &[u8]) -> Result<()> {
         self.status.put(bytes).wait().map_err(Error::network("publish on", self.status.key_expr()))
+    }
+
+    /// Puts what was taken in, for recorders.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn taken(&self, bytes: &[u8]) -> Result<()> {
+        self.taken.put(bytes).wait().map_err(Error::network("publish on", self.taken.key_expr()))
     }
 }

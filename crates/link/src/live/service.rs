@@ -11,7 +11,7 @@ use zenoh::query::{Query, Queryable};
 use zenoh::sample::SampleKind;
 use zenoh::session::Session;
 
-use super::keys::{LiveKey, check_name, parse_alive, parse_open};
+use super::keys::{LiveKey, check_name, parse_alive, parse_open, parse_session};
 use super::port::LivePort;
 use crate::answer::{Answers, PendingReply};
 use crate::pubsub::{appear, take_questions, watch_tokens};
@@ -34,6 +34,8 @@ pub enum LiveEvent {
         /// The way to the answer.
         responder: OpenResponder,
     },
+    /// A recorder asks what a client's session is.
+    Describe(ClientName, OpenResponder),
     /// This start of a client is there (may be told more than once).
     Here(ClientName, Incarnation),
     /// This start of a client is gone.
@@ -77,7 +79,7 @@ pub struct LiveServiceLink {
     service: ServiceName,
     locators: Vec<String>,
     token: LivelinessToken,
-    _questions: Queryable<()>,
+    _questions: [Queryable<()>; 2],
     _clients: Subscriber<()>,
     /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
     session: Session,
@@ -98,10 +100,12 @@ impl LiveServiceLink {
         let locators = session.info().locators().await;
         let (events, receiver) = flume::bounded(MAX_EVENTS);
         let answers = Answers::start(N_ANSWERERS)?;
-        let asked = events.clone();
-        let key = LiveKey::Opens(service);
-        let questions =
-            take_questions(&session, key, move |query| on_question(query, &answers, &asked))?;
+        let (asked, told) = (events.clone(), events.clone());
+        let (key, owed) = (LiveKey::Opens(service), answers.clone());
+        let opens = take_questions(&session, key, move |query| on_question(query, &owed, &asked))?;
+        let key = LiveKey::Sessions(service);
+        let sessions =
+            take_questions(&session, key, move |query| on_recorder(query, &answers, &told))?;
         let clients = watch_tokens(&session, LiveKey::Clients(service), move |key, kind| {
             let Some(alive) = parse_alive(key) else { return };
             let Some(client) = alive.client else { return };
@@ -114,8 +118,14 @@ impl LiveServiceLink {
         let token = appear(&session, LiveKey::Service(service, incarnation))?;
         let locators = locators.iter().map(ToString::to_string).collect();
         let service = service.clone();
-        let link =
-            Self { service, locators, token, _questions: questions, _clients: clients, session };
+        let link = Self {
+            service,
+            locators,
+            token,
+            _questions: [opens, sessions],
+            _clients: clients,
+            session,
+        };
         Ok((link, receiver))
     }
 
@@ -188,5 +198,14 @@ fn on_question(query: Query, answers: &Answers, events: &flume::Sender<LiveEvent
         && let LiveEvent::Open { responder, .. } = full.into_inner()
     {
         responder.refuse("too many questions at once: ask again".to_owned());
+    }
+}
+
+fn on_recorder(query: Query, answers: &Answers, events: &flume::Sender<LiveEvent>) {
+    let client = parse_session(query.key_expr());
+    let responder = OpenResponder { query: Some(query), answers: answers.clone() };
+    // One that has no place is let go, which ends the question: a recorder asks again.
+    if let Some(client) = client {
+        drop(events.try_send(LiveEvent::Describe(client, responder)));
     }
 }

@@ -1,0 +1,121 @@
+//! The recorder's end: takes everything that is published about clients, and touches nothing.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use leadtime_proto::{ClientName, ServiceName};
+use zenoh::pubsub::Subscriber;
+use zenoh::session::Session;
+
+use super::client::{ask, find};
+use super::keys::{LiveKey, LiveTopic, parse_topic};
+use super::port::Arrival;
+use crate::pubsub::subscribe;
+use crate::{ConnectSettings, Error, Result, session};
+
+/// The most messages that wait to be recorded; newer ones beyond them are dropped and counted.
+const MAX_SAMPLES: usize = 65_536;
+
+/// A message about a client, as it was published.
+#[derive(Debug)]
+pub struct LiveSample {
+    /// The client.
+    pub client: ClientName,
+    /// What it is.
+    pub topic: LiveTopic,
+    /// Its form, its bytes, and when it arrived here.
+    pub arrival: Arrival,
+}
+
+/// A recorder's place on the network.
+#[derive(Debug)]
+pub struct LiveRecorderLink {
+    service: ServiceName,
+    n_dropped: Arc<AtomicU64>,
+    _subscribers: Vec<Subscriber<()>>,
+    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    session: Session,
+}
+
+impl LiveRecorderLink {
+    /// Connects to a notifier or a router, waits until the notifier is there, and takes everything that is published from
+    /// then on about one of its clients, or about all of them.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Unreachable`] if nobody answers within the settings' time-out; [`Error::NoService`].
+    pub async fn open(
+        settings: &ConnectSettings,
+        service: &ServiceName,
+        client: Option<&ClientName>,
+    ) -> Result<(Self, flume::Receiver<LiveSample>)> {
+        let settings = ConnectSettings { whom: "notifier", ..settings.clone() };
+        let session = session::connect(&settings).await?;
+        find(&session, &settings, service).await?;
+        let (sender, samples) = flume::bounded(MAX_SAMPLES);
+        let n_dropped = Arc::new(AtomicU64::new(0));
+        let subscribed = LiveTopic::ALL.into_iter().map(|topic| {
+            let (sender, n_dropped) = (sender.clone(), Arc::clone(&n_dropped));
+            let key = match client {
+                Some(client) => topic.key(service, client),
+                None => LiveKey::Any(service, topic),
+            };
+            subscribe(&session, key, move |sample| {
+                let Some((client, topic)) = parse_topic(sample.key_expr()) else { return };
+                let arrival = Arrival::new(&sample);
+                if sender.try_send(LiveSample { client, topic, arrival }).is_err() {
+                    n_dropped.fetch_add(1, Ordering::Relaxed);
+                }
+            })
+        });
+        let subscribers = subscribed.collect::<Result<Vec<_>>>()?;
+        let service = service.clone();
+        Ok((Self { service, n_dropped, _subscribers: subscribers, session }, samples))
+    }
+
+    /// Returns what asks for sessions: it can be used while messages are taken.
+    pub fn asker(&self) -> SessionAsker {
+        SessionAsker { service: self.service.clone(), session: self.session.clone() }
+    }
+
+    /// Returns how many messages nobody had room for.
+    pub fn n_dropped(&self) -> u64 {
+        self.n_dropped.load(Ordering::Relaxed)
+    }
+
+    /// Checks that the connection is there; to be asked now and then, because no event tells it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Dead`] if it is not.
+    pub async fn health(&self) -> Result<()> {
+        if session::is_dead(&self.session, false).await { Err(Error::Dead) } else { Ok(()) }
+    }
+
+    /// Leaves the network, within a limited time.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Close`] if it takes too long.
+    pub async fn close(&self) -> Result<()> {
+        session::close(&self.session).await
+    }
+}
+
+/// Asks a notifier what its sessions are.
+#[derive(Clone, Debug)]
+pub struct SessionAsker {
+    service: ServiceName,
+    session: Session,
+}
+
+impl SessionAsker {
+    /// Asks what a client's session is; the answer is JSON.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoAnswer`] if there is none.
+    pub async fn ask(&self, client: &ClientName) -> Result<Vec<u8>> {
+        ask(&self.session, LiveKey::Session(&self.service, client), Vec::new()).await
+    }
+}

@@ -1,0 +1,154 @@
+//! From what is published to a file: every message on its channel, and every session with what it is.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+
+use leadtime_link::live::{LiveKey, LiveSample, LiveTopic};
+use leadtime_proto::{ClientName, ServiceName};
+use leadtime_serve::TakenLine;
+use serde_json::Value;
+
+use crate::error::Error;
+use crate::message::record;
+use crate::topic::RecordedTopic;
+use crate::write::RecordingWriter;
+
+/// By how much a line's number goes back where lines are repeated, at most.
+const MAX_REPEATED: u64 = 64;
+
+/// What is known of a client's session.
+#[derive(Debug)]
+struct SeenSession {
+    id: String,
+    /// The last line of what was taken in.
+    last_line: u64,
+    /// Whether the recording has it from its first observation on.
+    has_beginning: bool,
+    is_recorded: bool,
+}
+
+/// Writes what is published about clients into a recording.
+#[derive(Debug)]
+pub struct LiveRecorder<W: Write> {
+    writer: RecordingWriter<W>,
+    service: ServiceName,
+    sessions: BTreeMap<ClientName, SeenSession>,
+    n_sessions: usize,
+}
+
+impl<W: Write> LiveRecorder<W> {
+    /// Records the clients of a notifier.
+    pub fn new(writer: RecordingWriter<W>, service: ServiceName) -> Self {
+        Self { writer, service, sessions: BTreeMap::new(), n_sessions: 0 }
+    }
+
+    /// Writes a message that arrived at `at`, in nanoseconds since 1970.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`] with what the disk says.
+    pub fn take(&mut self, at: u64, sample: &LiveSample) -> Result<(), Error> {
+        let LiveSample { client, topic, arrival } = sample;
+        let (payload, beside) = (arrival.payload(), arrival.attachment());
+        match topic {
+            LiveTopic::Taken => return self.take_lines(at, client, &payload),
+            LiveTopic::Status => self.look_at_status(client, &payload),
+            LiveTopic::Observations | LiveTopic::Say | LiveTopic::Heard => {}
+        }
+        let json = record((*topic).into(), &arrival.encoding(), &payload, beside.as_deref());
+        let key = topic.key(&self.service, client).to_string();
+        self.writer.write(&key, (*topic).into(), at, &json)
+    }
+
+    /// Writes the lines of a message that are new: each message repeats some.
+    fn take_lines(&mut self, at: u64, client: &ClientName, payload: &[u8]) -> Result<(), Error> {
+        let Ok(lines) = serde_json::from_slice::<Vec<TakenLine<'_>>>(payload) else {
+            return Ok(());
+        };
+        let key = LiveKey::Taken(&self.service, client).to_string();
+        for line in lines {
+            let seen = self.see(client, &line.session);
+            // A notifier that was started again counts from 2 again.
+            let is_new = line.n > seen.last_line || line.n + MAX_REPEATED < seen.last_line;
+            if !is_new {
+                continue;
+            }
+            seen.last_line = line.n;
+            seen.has_beginning |= line.n == 1;
+            // Plain data: it cannot fail.
+            let json = serde_json::to_vec(&line).unwrap_or_default();
+            self.writer.write(&key, RecordedTopic::Taken, at, &json)?;
+        }
+        Ok(())
+    }
+
+    fn look_at_status(&mut self, client: &ClientName, payload: &[u8]) {
+        let status: Value = serde_json::from_slice(payload).unwrap_or_default();
+        if let Some(id) = status["session"].as_str() {
+            let is_new = status["taken"] == 0;
+            self.see(client, id).has_beginning |= is_new;
+        }
+    }
+
+    /// Notices a client's session.
+    fn see(&mut self, client: &ClientName, id: &str) -> &mut SeenSession {
+        let fresh = || SeenSession {
+            id: id.to_owned(),
+            last_line: 0,
+            has_beginning: false,
+            is_recorded: false,
+        };
+        let seen = self.sessions.entry(client.clone()).or_insert_with(fresh);
+        if seen.id != id {
+            *seen = fresh();
+        }
+        seen
+    }
+
+    /// Lists the clients whose session has to be asked for.
+    pub fn unknown(&self) -> Vec<ClientName> {
+        let unknown = self.sessions.iter().filter(|(_, seen)| !seen.is_recorded);
+        unknown.map(|(client, _)| client.clone()).collect()
+    }
+
+    /// Writes what the notifier says a session is.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`] with what the disk says.
+    pub fn note(&mut self, at: u64, client: &ClientName, answer: &[u8]) -> Result<(), Error> {
+        let Ok(mut note) = serde_json::from_slice::<Value>(answer) else { return Ok(()) };
+        let Some(seen) = self.sessions.get_mut(client) else { return Ok(()) };
+        if note["session"] != seen.id.as_str() || seen.is_recorded {
+            return Ok(());
+        }
+        seen.is_recorded = true;
+        note["has_beginning"] = seen.has_beginning.into();
+        self.n_sessions += 1;
+        let key = LiveKey::Session(&self.service, client).to_string();
+        self.writer.write(&key, RecordedTopic::Session, at, note.to_string().as_bytes())
+    }
+
+    /// Returns how many messages of how many sessions there are.
+    pub fn counts(&self) -> (u64, usize) {
+        (self.writer.n_messages(), self.n_sessions)
+    }
+
+    /// As [`RecordingWriter::flush`].
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`] with what the disk says.
+    pub fn flush(&mut self) -> Result<(), Error> {
+        self.writer.flush()
+    }
+
+    /// As [`RecordingWriter::finish`].
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Write`] with what the disk says.
+    pub fn finish(&mut self) -> Result<(), Error> {
+        self.writer.finish()
+    }
+}

@@ -1,0 +1,100 @@
+//! What a channel of a recording holds, and its schema.
+
+use leadtime_link::live::LiveTopic;
+
+/// What a channel of a recording holds: what is published about a client, and what its session is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RecordedTopic {
+    /// What the client observes.
+    Observations,
+    /// What is said to it.
+    Say,
+    /// What it has heard.
+    Heard,
+    /// What the notifier does for it.
+    Status,
+    /// What the notifier took in, and when.
+    Taken,
+    /// What the session is.
+    Session,
+}
+
+impl RecordedTopic {
+    const ALL: [Self; 6] =
+        [Self::Observations, Self::Say, Self::Heard, Self::Status, Self::Taken, Self::Session];
+
+    /// Returns the last part of the channel's name, which is a key.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Observations => LiveTopic::Observations.as_str(),
+            Self::Say => LiveTopic::Say.as_str(),
+            Self::Heard => LiveTopic::Heard.as_str(),
+            Self::Status => LiveTopic::Status.as_str(),
+            Self::Taken => LiveTopic::Taken.as_str(),
+            Self::Session => "session",
+        }
+    }
+
+    /// Returns name and text of the JSON Schema.
+    pub(crate) fn schema(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Observations => {
+                ("leadtime.live.Observation", include_str!("../schemas/observation.json"))
+            }
+            Self::Say => ("leadtime.live.Say", include_str!("../schemas/say.json")),
+            Self::Heard => ("leadtime.live.Heard", include_str!("../schemas/heard.json")),
+            Self::Status => ("leadtime.live.Status", include_str!("../schemas/status.json")),
+            Self::Taken => ("leadtime.live.Taken", include_str!("../schemas/taken.json")),
+            Self::Session => ("leadtime.live.Session", include_str!("../schemas/session.json")),
+        }
+    }
+
+    /// Reads a channel's name, `leadtime/live/1/{service}/{client}/{topic}`: what comes before the topic, and the topic.
+    pub(crate) fn of_key(key: &str) -> Option<(&str, Self)> {
+        let (before, last) = key.rsplit_once('/')?;
+        let topic = Self::ALL.into_iter().find(|topic| topic.as_str() == last)?;
+        Some((before.strip_prefix(KEYS)?, topic))
+    }
+}
+
+/// What the name of every channel begins with.
+const KEYS: &str = "leadtime/live/1/";
+
+impl From<LiveTopic> for RecordedTopic {
+    fn from(topic: LiveTopic) -> Self {
+        match topic {
+            LiveTopic::Observations => Self::Observations,
+            LiveTopic::Say => Self::Say,
+            LiveTopic::Heard => Self::Heard,
+            LiveTopic::Status => Self::Status,
+            LiveTopic::Taken => Self::Taken,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::{ClientName, ServiceName};
+    use serde_json::Value;
+
+    use super::*;
+
+    #[test]
+    fn channels_are_named_by_keys_and_schemas_are_json() {
+        let (service, client) =
+            (ServiceName::new("notifier").unwrap(), ClientName::new("car-1").unwrap());
+        for topic in LiveTopic::ALL {
+            let key = topic.key(&service, &client).to_string();
+            let read = RecordedTopic::of_key(&key).unwrap();
+            assert_eq!(read, ("notifier/car-1", topic.into()));
+        }
+        for other in ["leadtime/1/run/obs", "obs", "leadtime/live/1/a/b/alive"] {
+            assert_eq!(RecordedTopic::of_key(other), None);
+        }
+        for topic in RecordedTopic::ALL {
+            let (name, text) = topic.schema();
+            let schema: Value = serde_json::from_str(text).unwrap();
+            assert_eq!(schema["title"], name);
+        }
+    }
+}

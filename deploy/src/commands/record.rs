@@ -1,0 +1,219 @@
+//! `leadtime record`: everything that a notifier at work sees and says, in a file.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use leadtime_certs::Role;
+use leadtime_link::live::{LiveRecorderLink, LiveSample, LiveTopic, SessionAsker};
+use leadtime_proto::ClientName;
+use leadtime_proto::phrase::counted;
+use leadtime_recording::{Error as RecordingError, LiveRecorder, RecordingWriter};
+use leadtime_runs::clock;
+use tokio::time::{MissedTickBehavior, interval, sleep};
+use tokio_util::sync::CancellationToken;
+
+use super::drive;
+use crate::cli::RecordArgs;
+use crate::credentials::connect_settings;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output;
+use crate::shutdown::{Watch, watch};
+
+/// How often what was recorded is handed to the disk: what a killed recorder may lose.
+const FLUSH_EVERY: Duration = Duration::from_secs(1);
+/// The most sessions that are asked for at once.
+const MAX_ASKED: usize = 64;
+
+pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
+    let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
+    let settings = connect_settings(&args.connect, &args.tls, &[Role::Recorder]);
+    let mut settings = settings.blame(ExitCode::WrongInput)?;
+    settings.timeout = args.connect_timeout;
+    let mut file = NewFile::create(&args.output).blame(ExitCode::WrongInput)?;
+    let open = LiveRecorderLink::open(&settings, &args.service, args.live.as_ref());
+    let (link, samples) = tokio::select! {
+        () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
+        opened = open => opened.map_err(drive::failure)?,
+    };
+    let program = concat!("leadtime ", env!("CARGO_PKG_VERSION"));
+    let out = BufWriter::new(file.handle().blame(ExitCode::WrongInput)?);
+    let place = || args.output.display().to_string();
+    let writer = RecordingWriter::new(out, program).with_context(place);
+    let writer = writer.blame(ExitCode::WrongInput)?;
+    file.keep();
+    let recorder = LiveRecorder::new(writer, args.service.clone());
+    let (shown, service) = (place(), &args.service);
+    tracing::info!("recording notifier `{service}` to {shown} until Ctrl-C");
+    if let Some(time) = args.stop_after {
+        let stop = shutdown.clone();
+        tokio::spawn(async move {
+            sleep(time).await;
+            stop.cancel();
+        });
+    }
+    let mut recording =
+        RunningRecording { link, samples, recorder, asked: BTreeSet::new(), n_dropped: 0 };
+    let ended = recording.run(&shutdown).await;
+    let (n_messages, n_sessions) = recording.recorder.counts();
+    let failure = match ended {
+        Ok(()) => recording.recorder.finish().err().map(RecordFailure::File),
+        Err(failure) => {
+            // What was recorded is kept, whatever went wrong: with its index, if the disk takes one.
+            drop(recording.recorder.finish());
+            Some(failure)
+        }
+    };
+    drop(recording.link.close().await);
+    let held = format!("{} of {}", counted(n_messages, "message"), counted(n_sessions, "session"));
+    match failure {
+        None => {
+            output::line(&format!("{shown}: {held}"));
+            Ok(())
+        }
+        Some(RecordFailure::File(error)) => {
+            let sentence = format!("{shown} ends here, with at most {held} that can be read");
+            let error = anyhow::Error::new(error).context(sentence);
+            Err(Failure::of(ExitCode::WrongInput, error))
+        }
+        Some(RecordFailure::Link(error)) => {
+            let error = anyhow::Error::new(error).context(format!("{shown} ends with {held}"));
+            Err(Failure::of(ExitCode::PeerLost, error))
+        }
+    }
+}
+
+/// Why a recording ends before it should.
+enum RecordFailure {
+    File(RecordingError),
+    Link(leadtime_link::Error),
+}
+
+impl From<RecordingError> for RecordFailure {
+    fn from(error: RecordingError) -> Self {
+        Self::File(error)
+    }
+}
+
+impl From<leadtime_link::Error> for RecordFailure {
+    fn from(error: leadtime_link::Error) -> Self {
+        Self::Link(error)
+    }
+}
+
+/// A client, and what the notifier says its session is; nothing if it did not answer.
+type AskedSession = (ClientName, Option<Vec<u8>>);
+
+/// A recording under way.
+struct RunningRecording {
+    link: LiveRecorderLink,
+    samples: flume::Receiver<LiveSample>,
+    recorder: LiveRecorder<BufWriter<File>>,
+    /// The clients whose session is being asked for.
+    asked: BTreeSet<ClientName>,
+    n_dropped: u64,
+}
+
+impl RunningRecording {
+    async fn run(&mut self, stop: &CancellationToken) -> Result<(), RecordFailure> {
+        let (sender, answers) = flume::bounded(MAX_ASKED);
+        let asker = self.link.asker();
+        let mut flushes = interval(FLUSH_EVERY);
+        flushes.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                () = stop.cancelled() => return Ok(()),
+                sample = self.samples.recv_async() => {
+                    let Ok(sample) = sample else { return Ok(()) };
+                    self.recorder.take(arrived(sample.arrival.at), &sample)?;
+                    if matches!(sample.topic, LiveTopic::Status | LiveTopic::Taken) {
+                        self.ask(&asker, &sender);
+                    }
+                }
+                answer = answers.recv_async() => {
+                    let Ok((client, answer)) = answer else { return Ok(()) };
+                    self.asked.remove(&client);
+                    if let Some(answer) = answer {
+                        self.recorder.note(arrived(Instant::now()), &client, &answer)?;
+                    }
+                }
+                _ = flushes.tick() => {
+                    self.recorder.flush()?;
+                    self.ask(&asker, &sender);
+                    self.tell_dropped();
+                    self.link.health().await?;
+                }
+            }
+        }
+    }
+
+    /// Asks for every session that is not known yet.
+    fn ask(&mut self, asker: &SessionAsker, sender: &flume::Sender<AskedSession>) {
+        for client in self.recorder.unknown() {
+            if self.asked.len() >= MAX_ASKED || !self.asked.insert(client.clone()) {
+                continue;
+            }
+            let (asker, sender) = (asker.clone(), sender.clone());
+            tokio::spawn(async move {
+                let answer = asker.ask(&client).await.ok();
+                drop(sender.send_async((client, answer)).await);
+            });
+        }
+    }
+
+    fn tell_dropped(&mut self) {
+        let n = self.link.n_dropped();
+        if n > self.n_dropped {
+            let n_new = counted(n - self.n_dropped, "message");
+            tracing::warn!("{n_new} came faster than they can be written: not recorded");
+            self.n_dropped = n;
+        }
+    }
+}
+
+/// Returns when something arrived, in nanoseconds since 1970.
+fn arrived(at: Instant) -> u64 {
+    let ago = i128::try_from(at.elapsed().as_nanos()).unwrap_or(0);
+    u64::try_from(clock::now().as_nanosecond() - ago).unwrap_or(0)
+}
+
+/// A file that was not there; removed again unless it is kept.
+struct NewFile {
+    path: PathBuf,
+    file: File,
+    is_kept: bool,
+}
+
+impl NewFile {
+    fn create(path: &Path) -> anyhow::Result<Self> {
+        let file = File::options().write(true).create_new(true).open(path);
+        let file = file.map_err(|error| match error.kind() {
+            io::ErrorKind::AlreadyExists => {
+                let sentence = "it is there already, and is left as it is: choose another name";
+                anyhow::Error::msg(sentence)
+            }
+            _ => error.into(),
+        });
+        let file = file.with_context(|| format!("cannot record to {}", path.display()))?;
+        Ok(Self { path: path.to_owned(), file, is_kept: false })
+    }
+
+    fn handle(&self) -> io::Result<File> {
+        self.file.try_clone()
+    }
+
+    fn keep(&mut self) {
+        self.is_kept = true;
+    }
+}
+
+impl Drop for NewFile {
+    fn drop(&mut self) {
+        if !self.is_kept {
+            drop(fs::remove_file(&self.path));
+        }
+    }
+}

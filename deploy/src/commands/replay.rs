@@ -1,0 +1,357 @@
+//! `leadtime replay`: the observations of a recording again, and whether the same is said.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use leadtime_certs::Role;
+use leadtime_link::live::LiveClientLink;
+use leadtime_proto::phrase::counted;
+use leadtime_recording::{
+    Error as RecordingError, RecordedInput, RecordedSession, ReplayDifference, ReplayOutcome,
+    ReplayTarget, SessionAtHand, SessionOverNetwork, StartedMessage, Stretch, check_for_network,
+    replay,
+};
+use leadtime_runs::{Tasks, clock};
+use leadtime_serve::{HeardSay, PolicyOrigin, SayEvent, SessionNote, WorkingPolicy};
+use leadtime_table::Table;
+use serde_json::{Value, json};
+use tokio::runtime::Handle;
+use tokio_util::sync::CancellationToken;
+
+use super::{drive, recorded, serve};
+use crate::cli::{ReplayArgs, ReplaySpeed, ServeArgs};
+use crate::credentials::connect_settings;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output::{self, WIDTH};
+use crate::shutdown::{Watch, unless_cancelled, watch};
+
+/// The most messages that stand side by side.
+const MAX_ROWS: usize = 24;
+/// How wide each of two messages beside each other may be.
+const MESSAGE_WIDTH: usize = 30;
+
+pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure> {
+    let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
+    let sessions = recorded::read(&args.file, args.live.as_ref())?;
+    let pace = ReplayPace { speed: args.speed, stop: shutdown.clone() };
+    let played = if args.connect.is_empty() {
+        let policies = Policies { tasks: tasks.clone(), args: args.clone(), known: Vec::new() };
+        unless_cancelled(&shutdown, move || at_hand(&sessions, policies, &pace)).await?
+    } else {
+        let settings = connect_settings(&args.connect, &args.tls, &[Role::Robot]);
+        let mut settings = settings.blame(ExitCode::WrongInput)?;
+        settings.timeout = args.connect_timeout;
+        let link = LiveClientLink::open(&settings).await.map_err(drive::failure)?;
+        link.find(&args.service).await.map_err(drive::failure)?;
+        let client = drive::own_name(args.client.as_ref(), &settings, "replay");
+        let client = client.blame(ExitCode::WrongInput)?;
+        let port = link.port(&args.service, &client, clock::incarnation());
+        let target = SessionOverNetwork::new(port.map_err(drive::failure)?);
+        let work = move || over_network(&sessions, target, &pace);
+        let played = unless_cancelled(&shutdown, work).await?;
+        drop(link.close().await);
+        played
+    };
+    show(&played, args)
+}
+
+/// A session that was replayed.
+struct PlayedSession {
+    session: RecordedSession,
+    /// The policy, its words and its settings are those of the recording.
+    is_same: bool,
+    outcome: ReplayOutcome,
+}
+
+/// How fast inputs follow each other.
+struct ReplayPace {
+    speed: ReplaySpeed,
+    stop: CancellationToken,
+}
+
+impl ReplayPace {
+    /// Replays a stretch.
+    fn replay(
+        &self,
+        stretch: &Stretch,
+        target: &mut impl ReplayTarget,
+    ) -> Result<ReplayOutcome, RecordingError> {
+        let began = Instant::now();
+        let first = stretch.inputs.first().map_or(0, |input| input.now);
+        replay(stretch, target, |input| {
+            if self.speed == ReplaySpeed::AsRecorded {
+                let after = Duration::from_nanos(input.now.saturating_sub(first));
+                thread::sleep((began + after).saturating_duration_since(Instant::now()));
+                say(input, after);
+            }
+            !self.stop.is_cancelled()
+        })
+    }
+}
+
+/// Prints what was said, when it was said.
+fn say(input: &RecordedInput, after: Duration) {
+    for event in input.events.iter().filter(|event| event.event == SayEvent::Start) {
+        let shown = cell(Some(&StartedMessage::of(event, event.episode)), WIDTH - 12);
+        output::line(&format!("{:9.2} s  {shown}", after.as_secs_f64()));
+    }
+}
+
+/// The policies that sessions are replayed with, each loaded once.
+struct Policies {
+    tasks: Tasks,
+    args: ReplayArgs,
+    known: Vec<(PolicyOrigin, Arc<WorkingPolicy>)>,
+}
+
+impl Policies {
+    /// Returns the policy that a session is replayed with, and whether it is that of the recording.
+    fn of(&mut self, note: &SessionNote) -> Result<(Arc<WorkingPolicy>, bool), Failure> {
+        let found = self.known.iter().find(|(origin, _)| *origin == note.policy);
+        let policy = if let Some((_, policy)) = found {
+            Arc::clone(policy)
+        } else {
+            let policy = Arc::new(self.load(&note.policy)?);
+            self.known.push((note.policy.clone(), Arc::clone(&policy)));
+            policy
+        };
+        let is_file = policy.sha256 == note.policy.sha256;
+        let is_same = is_file && policy.words_checksum() == note.words_checksum;
+        if self.args.policy.is_none() && !is_same {
+            let (path, sha256) = (&note.policy.path, &note.policy.sha256);
+            let what = if is_file { "its words are others" } else { "it is another policy" };
+            return Err(Failure::input(format!(
+                "{path}: {what} by now; the recording is of the one with SHA-256 {sha256}: name it with --policy"
+            )));
+        }
+        Ok((policy, is_same))
+    }
+
+    fn load(&self, origin: &PolicyOrigin) -> Result<WorkingPolicy, Failure> {
+        let path = self.args.policy.as_deref().unwrap_or(Path::new(&origin.path));
+        if self.args.policy.is_none() && !path.exists() {
+            let sha256 = &origin.sha256;
+            return Err(Failure::input(format!(
+                "the policy of the recording is not where it was, {}: name the file with SHA-256 {sha256} by --policy",
+                path.display()
+            )));
+        }
+        let args = ServeArgs::of_origin(path, origin, &self.args.runs);
+        let args = args.map_err(|error| Failure::input(error.kind().to_string()));
+        serve::load(&self.tasks, &args?)
+    }
+}
+
+fn at_hand(
+    sessions: &[RecordedSession],
+    mut policies: Policies,
+    pace: &ReplayPace,
+) -> Result<Vec<PlayedSession>, Failure> {
+    let play = |session: &RecordedSession| {
+        let Some(note) = &session.note else { return Ok(unplayed(session)) };
+        let (policy, is_same) = policies.of(note)?;
+        let mut outcome = ReplayOutcome::default();
+        for stretch in &session.stretches {
+            let target = SessionAtHand::open(note, &policy, stretch, is_same);
+            let mut target = target.blame(ExitCode::WrongInput)?;
+            outcome.add(pace.replay(stretch, &mut target).map_err(failure)?);
+        }
+        Ok(PlayedSession { session: session.clone(), is_same, outcome })
+    };
+    sessions.iter().map(play).collect()
+}
+
+fn over_network(
+    sessions: &[RecordedSession],
+    mut target: SessionOverNetwork,
+    pace: &ReplayPace,
+) -> Result<Vec<PlayedSession>, Failure> {
+    let (runtime, mut n_opened) = (Handle::current(), 0);
+    let play = |session: &RecordedSession| {
+        let (Some(note), Some(clock)) = (&session.note, session.clock()) else {
+            return Ok(unplayed(session));
+        };
+        let about = || format!("session {} of {}", session.id, session.client);
+        let check = check_for_network(clock, &session.stretches).with_context(about);
+        check.blame(ExitCode::WrongInput)?;
+        let (mut outcome, mut is_same) = (ReplayOutcome::default(), true);
+        for stretch in &session.stretches {
+            n_opened += 1;
+            let answer = runtime.block_on(target.open(note, n_opened)).map_err(failure)?;
+            is_same &= answer["policy"]["sha256"] == note.policy.sha256.as_str();
+            outcome.add(pace.replay(stretch, &mut target).map_err(failure)?);
+        }
+        Ok(PlayedSession { session: session.clone(), is_same, outcome })
+    };
+    sessions.iter().map(play).collect()
+}
+
+/// A session of which it is not known what it was.
+fn unplayed(session: &RecordedSession) -> PlayedSession {
+    let outcome = ReplayOutcome::default();
+    PlayedSession { session: session.clone(), is_same: false, outcome }
+}
+
+fn failure(error: RecordingError) -> Failure {
+    use leadtime_serve::ClientError;
+    match error {
+        RecordingError::Client(ClientError::Link(error)) => drive::failure(error),
+        error @ RecordingError::Client(_) => Failure::of(ExitCode::PeerLost, error),
+        error => Failure::of(ExitCode::WrongInput, error),
+    }
+}
+
+/// Prints what came out; a difference where none may be is a failed check.
+fn show(played: &[PlayedSession], args: &ReplayArgs) -> Result<(), Failure> {
+    if args.json {
+        let sessions: Vec<Value> = played.iter().map(as_json).collect();
+        output::json(&json!({ "sessions": sessions }));
+    } else {
+        played.iter().for_each(show_session);
+    }
+    let n_fed: u64 = played.iter().map(|it| it.outcome.n_observations).sum();
+    if n_fed == 0 {
+        let file = args.file.display();
+        return Err(Failure::input(format!("nothing in {file} can be replayed")));
+    }
+    let differs = |it: &&PlayedSession| it.is_same && it.outcome.difference.is_some();
+    match played.iter().filter(differs).count() {
+        0 => Ok(()),
+        n => {
+            let sentence =
+                format!("in {}, something else is said than was recorded", counted(n, "session"));
+            Err(Failure::of(ExitCode::Failed, anyhow::Error::msg(sentence)))
+        }
+    }
+}
+
+fn show_session(played: &PlayedSession) {
+    let PlayedSession { session, is_same, outcome } = played;
+    let n = counted(outcome.n_observations, "observation");
+    output::line(&format!("{}, session {}: {n} replayed", session.client, session.id));
+    for (gap, n) in &session.gaps {
+        let times = if *n > 1 { format!(" ({n} times)") } else { String::new() };
+        output::line(&format!("  {}{times}", gap.as_str()));
+    }
+    if session.note.is_none() {
+        output::line("  what the session was is not in the recording: nothing can be compared");
+        return;
+    }
+    if session.n_apart > 0 {
+        let n = counted(session.n_apart, "observation");
+        output::line(&format!("  {n} before the next beginning cannot be compared"));
+    }
+    if outcome.n_lost > 0 {
+        let n = counted(outcome.n_lost, "event");
+        output::line(&format!("  the recording lacks {n}"));
+    }
+    if *is_same {
+        show_check(outcome);
+    } else {
+        show_beside(outcome);
+    }
+}
+
+/// Says whether the same policy says the same.
+fn show_check(outcome: &ReplayOutcome) {
+    let messages = counted(outcome.replayed.n_messages, "message");
+    let events = counted(outcome.n_events, "event");
+    let Some(difference) = &outcome.difference else {
+        output::line(&format!("  the same is said, event by event: {messages}, {events}"));
+        return;
+    };
+    let ReplayDifference { seq, episode, recorded, replayed } = difference;
+    output::line(&format!("  the first difference: observation {seq}, episode {episode}"));
+    for (who, events) in [("recorded", recorded), ("replayed", replayed)] {
+        let events: Vec<String> = events.iter().map(described).collect();
+        let shown = if events.is_empty() { "nothing".to_owned() } else { events.join("; ") };
+        output::line(&format!("    {who}  {}", shortened(&shown, WIDTH - 14)));
+    }
+}
+
+fn described(event: &HeardSay) -> String {
+    let name = json!(event.event);
+    let name = name.as_str().unwrap_or_default();
+    if event.event == SayEvent::Silent {
+        return format!("step {}: {name}", event.step);
+    }
+    let message = cell(Some(&StartedMessage::of(event, event.episode)), WIDTH);
+    format!("step {}: {name} {message}, {} heard", event.step, event.heard)
+}
+
+/// Shows what another policy would have said beside what was said.
+fn show_beside(outcome: &ReplayOutcome) {
+    let mut table = Table::new(["", "recorded", "replayed"]);
+    let (recorded, replayed) = (&outcome.recorded, &outcome.replayed);
+    let mean = |mean: Option<f64>| mean.map_or_else(|| "-".to_owned(), |it| format!("{it:.2}"));
+    let row = |name: &str, a: String, b: String| [name.to_owned(), a, b];
+    let count = |n: u64| n.to_string();
+    table.push(row("messages", count(recorded.n_messages), count(replayed.n_messages)));
+    table.push(row("cut", count(recorded.n_cut), count(replayed.n_cut)));
+    table.push(row("mean k", mean(recorded.mean_k()), mean(replayed.mean_k())));
+    table.push(row("mean l", mean(recorded.mean_l()), mean(replayed.mean_l())));
+    output::line(&format!("\n{}", table.text().trim_end()));
+    let is_other = |pair: &&[Option<StartedMessage>; 2]| pair[0] != pair[1];
+    let others: Vec<_> = outcome.pairs.iter().filter(is_other).collect();
+    let n_same = outcome.pairs.len() - others.len();
+    output::line(&format!("\n{} the same, {} other:\n", counted(n_same, "message"), others.len()));
+    let mut table = Table::new(["episode", "step", "recorded (k, l)", "replayed (k, l)"]);
+    table = table.left(&[2, 3]);
+    for pair in others.iter().take(MAX_ROWS) {
+        let Some(one) = pair.iter().flatten().next() else { continue };
+        let [a, b] = pair.each_ref().map(|it| cell(it.as_ref(), MESSAGE_WIDTH));
+        table.push([one.episode.to_string(), one.step.to_string(), a, b]);
+    }
+    output::line(table.text_within(WIDTH).trim_end());
+    if others.len() > MAX_ROWS {
+        output::line(&format!("and {} more", others.len() - MAX_ROWS));
+    }
+    output::line(
+        "\nBoth are for the observations of the recording. Had the other one spoken, the\n\
+         listener might have done something else, and seen something else.",
+    );
+}
+
+/// Writes a message with its k and l, in so many characters at most.
+fn cell(message: Option<&StartedMessage>, width: usize) -> String {
+    let Some(StartedMessage { topic, k, l, text, .. }) = message else { return "-".to_owned() };
+    let numbers = format!(" ({k}, {l})");
+    let text = if text.is_empty() { topic } else { &**text };
+    shortened(text, width.saturating_sub(numbers.len())) + &numbers
+}
+
+fn shortened(text: &str, width: usize) -> String {
+    if text.chars().count() <= width {
+        return text.to_owned();
+    }
+    let start: String = text.chars().take(width.saturating_sub(1)).collect();
+    format!("{}\u{2026}", start.trim_end())
+}
+
+fn as_json(played: &PlayedSession) -> Value {
+    let PlayedSession { session, is_same, outcome } = played;
+    let tally = |of: &leadtime_recording::MessageTally| json!({"messages": of.n_messages, "cut": of.n_cut, "mean_k": of.mean_k(), "mean_l": of.mean_l()});
+    let gaps: Vec<&str> = session.gaps.keys().map(|gap| gap.as_str()).collect();
+    let difference = outcome.difference.as_ref().map(|it| {
+        let list = |events: &[HeardSay]| events.iter().map(described).collect::<Vec<_>>();
+        json!({
+            "seq": it.seq, "episode": it.episode, "recorded": list(&it.recorded), "replayed": list(&it.replayed),
+        })
+    });
+    json!({
+        "client": session.client,
+        "session": session.id,
+        "is_same_policy": is_same,
+        "observations": outcome.n_observations,
+        "observations_not_compared": session.n_apart,
+        "gaps": gaps,
+        "events": outcome.n_events,
+        "events_lost": outcome.n_lost,
+        "recorded": tally(&outcome.recorded),
+        "replayed": tally(&outcome.replayed),
+        "difference": difference,
+    })
+}

@@ -1,0 +1,234 @@
+//! Recordings of a notifier at work, through the program: nothing is lost to a kill, and a replay says the same.
+
+use std::fs;
+
+use leadtime_recording::{RecordedTopic, RecordingFile, RecordingWriter};
+use serde_json::{Value, json};
+
+use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words, wait_until};
+
+/// The exit codes of a failed check, of wrong input and of a peer that is not there.
+const FAILED: i32 = 1;
+const WRONG_INPUT: i32 = 2;
+const PEER_LOST: i32 = 3;
+
+fn policy() -> String {
+    repository("deploy/policies/piloting.safetensors")
+}
+
+/// Starts a notifier and waits until it is at work.
+fn serve(place: &Place) -> Running {
+    let notifier = place.start(&["serve", &policy(), "--listen", &place.endpoint("n")]);
+    wait_for_words(&notifier, "is at work");
+    notifier
+}
+
+/// Starts a recorder and waits until it takes everything.
+fn record(place: &Place, file: &str, more: &str) -> Running {
+    let recorder = place.start(&["record --connect", &place.endpoint("n"), "-o", file, more]);
+    wait_for_words(&recorder, "recording notifier");
+    recorder
+}
+
+/// Returns the sessions of a replay that found no difference.
+#[track_caller]
+fn replayed(place: &Place, file: &str) -> Vec<Value> {
+    let out = place.finish(&["replay", file, "--json"]).with_code(0).json();
+    let sessions = out["sessions"].as_array().unwrap().clone();
+    for session in &sessions {
+        assert_eq!(session["is_same_policy"], true, "{session}");
+        assert_eq!(session["difference"], Value::Null, "{session}");
+        assert_eq!(session["events_lost"], 0, "{session}");
+    }
+    sessions
+}
+
+/// Waits until what a recorder has written so far holds something.
+#[track_caller]
+fn wait_for_sessions(place: &Place, file: &str, holds: impl Fn(&[Value]) -> bool) {
+    wait_until("the recording holds it", PATIENCE, || {
+        let out = place.finish(&["replay", file, "--json"]);
+        let sessions = serde_json::from_str::<Value>(&out.stdout).unwrap_or_default();
+        sessions["sessions"].as_array().is_some_and(|sessions| holds(sessions))
+    });
+}
+
+fn of<'a>(sessions: &'a [Value], client: &str) -> Option<&'a Value> {
+    sessions.iter().find(|it| it["client"] == format!("notifier/{client}"))
+}
+
+#[test]
+fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_said_again() {
+    let place = Place::new();
+    let notifier = serve(&place);
+    let to = place.endpoint("n");
+    let recorder = record(&place, "r.mcap", "");
+    let drive = format!("--connect {to} --max-speed --episodes 6 --messages-to");
+    place.finish(&["drive", &policy(), &drive, "m.jsonl"]).with_code(0);
+    // Another client, as raw numbers, without an end; the recorder is killed while it is spoken to.
+    let raw = format!("--connect {to} --max-speed --binary --client raw --episodes 100000");
+    let driving = place.start(&["drive", &policy(), &raw]);
+    let n_fed = |it: &Value| it["observations"].as_u64().unwrap_or(0);
+    wait_for_sessions(&place, "r.mcap", |all| of(all, "raw").is_some_and(|it| n_fed(it) > 200));
+    recorder.kill();
+    drop((driving, notifier));
+
+    let sessions = replayed(&place, "r.mcap");
+    let driven = of(&sessions, "drive").unwrap();
+    let messages = fs::read_to_string(place.path().join("m.jsonl")).unwrap();
+    assert_eq!(driven["recorded"]["messages"], messages.lines().count());
+    assert_eq!(driven["replayed"], driven["recorded"]);
+    assert_eq!(driven["observations_not_compared"], 0);
+    let raw = of(&sessions, "raw").unwrap();
+    assert_eq!(raw["gaps"], json!([]));
+    assert!(n_fed(raw) > 200, "{raw}");
+
+    // Every message, in the words and in the order in which it was heard.
+    place.finish(&["play r.mcap -o said.txt"]).with_code(0);
+    let said = fs::read_to_string(place.path().join("said.txt")).unwrap();
+    let mut rest = said.as_str();
+    for line in messages.lines() {
+        let message: Value = serde_json::from_str(line).unwrap();
+        let text = message["text"].as_str().unwrap();
+        let (_, after) = rest.split_once(text).unwrap_or_else(|| panic!("no {line} in {said}"));
+        rest = after;
+    }
+    place.finish(&["play r.mcap -o said.svg --frames 0..24"]).with_code(0);
+    let drawn = fs::read_to_string(place.path().join("said.svg")).unwrap();
+    assert!(drawn.contains("what was said when") && drawn.contains(">says<"), "{drawn}");
+
+    // The same over the network, and what another policy would have said.
+    let notifier = serve(&place);
+    let sent = format!("replay r.mcap --connect {to} --live drive --json");
+    let sent = place.finish(&[&sent]).with_code(0).json();
+    assert_eq!(sent["sessions"][0]["replayed"], driven["recorded"]);
+    drop(notifier);
+    let other = repository("deploy/policies/piloting_hard.safetensors");
+    let beside = place.finish(&["replay r.mcap --live drive --policy", &other]).with_code(0).stdout;
+    assert!(beside.contains("messages") && beside.contains("recorded (k, l)"), "{beside}");
+    assert!(beside.lines().all(|line| line.chars().count() <= 80), "{beside}");
+    let own = place.finish(&["replay r.mcap --live drive --policy", &policy()]).with_code(0).stdout;
+    assert!(own.contains("the same is said, event by event"), "{own}");
+}
+
+#[test]
+fn what_was_said_by_the_clock_is_replayed_exactly_and_who_comes_late_is_told_so() {
+    let place = Place::new();
+    let notifier = serve(&place);
+    let to = place.endpoint("n");
+    let recorder = record(&place, "whole.mcap", "");
+    let drive = format!("--connect {to} --seconds-per-step 0.02 --episodes 1000");
+    let driving = place.start(&["drive", &policy(), &drive]);
+    let is_long =
+        |all: &[Value]| of(all, "drive").is_some_and(|it| it["events"].as_u64() > Some(40));
+    wait_for_sessions(&place, "whole.mcap", is_long);
+    let late = record(&place, "late.mcap", "--live drive");
+    // It can be compared from the next episode on.
+    wait_for_sessions(&place, "late.mcap", is_long);
+    for recorder in [recorder, late] {
+        signal("INT", recorder.id());
+        let ended = recorder.finish(PATIENCE).with_code(0);
+        assert!(ended.stdout.contains("messages of 1 session"), "{}", ended.stdout);
+    }
+    drop((driving, notifier));
+    let whole = replayed(&place, "whole.mcap");
+    let whole = of(&whole, "drive").unwrap();
+    assert_eq!((&whole["gaps"], &whole["observations_not_compared"]), (&json!([]), &json!(0)));
+    let late = replayed(&place, "late.mcap");
+    let late = of(&late, "drive").unwrap();
+    assert_eq!(late["gaps"], json!(["the recording begins in the middle of an episode"]));
+    assert!(late["observations_not_compared"].as_u64() > Some(0), "{late}");
+    // A notifier over the network has a clock of its own.
+    let refused = place.finish(&["replay whole.mcap --connect", &to, "--connect-timeout 1s"]);
+    refused.with_code(PEER_LOST);
+}
+
+#[test]
+fn another_word_in_a_recording_is_found() {
+    let place = Place::new();
+    let notifier = serve(&place);
+    let to = place.endpoint("n");
+    let recorder = record(&place, "r.mcap", "--stop-after 1m");
+    let drive = format!("--connect {to} --max-speed --episodes 2");
+    place.finish(&["drive", &policy(), &drive]).with_code(0);
+    signal("TERM", recorder.id());
+    recorder.finish(PATIENCE).with_code(0);
+    drop(notifier);
+    replayed(&place, "r.mcap");
+    let path = place.path().join("r.mcap");
+    let whole = fs::read(&path).unwrap();
+    // One sentence is another, in a file that is sound.
+    let read = RecordingFile::read(&*whole).unwrap();
+    let mut changed = RecordingWriter::new(Vec::new(), "a test").unwrap();
+    let mut same = RecordingWriter::new(Vec::new(), "a test").unwrap();
+    let mut n_changed = 0;
+    for client in &read.clients {
+        for message in &client.messages {
+            let text = String::from_utf8(message.json.clone()).unwrap();
+            let is_first = n_changed == 0 && message.topic == RecordedTopic::Say;
+            let is_silent = is_first && text.contains("\"event\":\"silent\"");
+            n_changed += usize::from(is_silent);
+            let other = if is_silent { "\"event\":\"end\"" } else { "\"event\":\"silent\"" };
+            let text = text.replace("\"event\":\"silent\"", other);
+            let key = format!("leadtime/live/1/{}/{}", client.name, message.topic.as_str());
+            changed.write(&key, message.topic, message.at, text.as_bytes()).unwrap();
+            same.write(&key, message.topic, message.at, &message.json).unwrap();
+            if same.n_messages() % 30 == 0 {
+                same.flush().unwrap();
+            }
+        }
+    }
+    assert_eq!(n_changed, 1, "there is silence in some step");
+    fs::write(place.path().join("other.mcap"), changed.into_written().unwrap()).unwrap();
+    let found = place.finish(&["replay other.mcap"]).with_code(FAILED);
+    assert!(found.stdout.contains("the first difference: observation "), "{}", found.stdout);
+    let line = |who: &str| {
+        let line = found.stdout.lines().find(|line| line.trim_start().starts_with(who));
+        line.unwrap_or_else(|| panic!("{}", found.stdout)).to_owned()
+    };
+    assert!(line("recorded").contains(": end "), "{}", found.stdout);
+    assert!(line("replayed").ends_with(": silent"), "{}", found.stdout);
+    found.saying(&["in 1 session, something else is said than was recorded"]);
+
+    // A file that was cut is read as far as it goes; one that is damaged up to there.
+    let whole = same.into_written().unwrap();
+    fs::write(place.path().join("cut.mcap"), &whole[..whole.len() * 2 / 3]).unwrap();
+    place.finish(&["replay cut.mcap"]).with_code(0).saying(&["ends in the middle"]);
+    let mut odd = whole.clone();
+    let half = whole.len() / 2;
+    let in_chunk = whole[half..].windows(5).position(|bytes| bytes == b"\"obs\"").unwrap();
+    odd[half + in_chunk] ^= 0x20;
+    fs::write(place.path().join("odd.mcap"), odd).unwrap();
+    place.finish(&["replay odd.mcap"]).with_code(0).saying(&["is damaged and is read up to there"]);
+    let nobody = place.finish(&["replay r.mcap --live nobody"]).with_code(WRONG_INPUT);
+    nobody.saying(&["holds no session of `nobody`; it is about: notifier/drive"]);
+}
+
+#[test]
+fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
+    let place = Place::new();
+    let to = place.endpoint("n");
+    let short = "--connect-timeout 1s -o";
+    let nobody = place.finish(&["record --connect", &to, short, "a.mcap"]).with_code(PEER_LOST);
+    nobody.saying(&["n.sock"]);
+    assert!(!place.path().join("a.mcap").exists(), "nothing is left behind");
+    let _notifier = serve(&place);
+    let record =
+        |more: &str| place.finish(&["record --connect", &to, "--connect-timeout 1s", more]);
+    record("--service other -o a.mcap").with_code(PEER_LOST).saying(&["other", "notifier"]);
+    let kept = place.write("kept.mcap", "something of value");
+    record("-o kept.mcap").with_code(WRONG_INPUT).saying(&["kept.mcap", "is left as it is"]);
+    assert_eq!(fs::read_to_string(kept).unwrap(), "something of value");
+    record("-o no/where.mcap").with_code(WRONG_INPUT).saying(&["cannot record to no/where.mcap"]);
+    record("-o /dev/full").with_code(WRONG_INPUT).saying(&["is left as it is"]);
+    let wrong = place.finish(&["record --connect nowhere -o a.mcap"]).with_code(WRONG_INPUT);
+    wrong.saying(&["--connect"]);
+
+    let replay = |file: &str| place.finish(&["replay", file]).with_code(WRONG_INPUT);
+    replay("none.mcap").saying(&["none.mcap"]);
+    replay("kept.mcap").saying(&["kept.mcap", "it is no MCAP file"]);
+    record("-o empty.mcap --stop-after 10ms").with_code(0);
+    replay("empty.mcap").saying(&["empty.mcap"]);
+    let drawn = place.finish(&["play kept.mcap -o a.png"]).with_code(WRONG_INPUT);
+    drawn.saying(&["it is no MCAP file"]);
+}
