@@ -18,6 +18,7 @@
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
 //! | `watch` | a run is seen from outside, and nobody is disturbed |
 //! | `words_server` | a language model's words are paid once, whatever is killed or breaks down |
+//! | `robot` | a robot that asks for nothing is spoken to on keys of its own, and over ROS 2's |
 //! | `rogue` | an actor that lies harms nobody |
 //! | `shipped` | the policies that come with the program do what their table says |
 
@@ -34,6 +35,7 @@ mod program;
 mod python;
 mod race;
 mod resilience;
+mod robot;
 mod rogue;
 mod shipped;
 mod streams;

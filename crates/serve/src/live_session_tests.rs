@@ -507,3 +507,65 @@ fn a_question_is_checked_against_the_policy() {
     assert!(plan.notes[0].starts_with("`person` is not used"), "{:?}", plan.notes);
     assert_eq!((plan.seed, plan.seconds_per_step), (7, 0.3));
 }
+
+#[test]
+fn an_unknown_fact_is_counted_and_told_once_with_the_one_that_was_meant() {
+    let mut bench = Bench::open(true, &json!({"clock": "observation"}));
+    let mut send = |facts: &str| {
+        let (head, n) = (bench.head(), bench.n);
+        let mut observation: Value =
+            serde_json::from_slice(&write_json(&head, &vec![0.1; n])).unwrap();
+        observation["facts"] = serde_json::from_str(facts).unwrap();
+        bench.until(bench.seq * 100);
+        bench.json(observation.to_string().as_bytes());
+        let status = bench.last_status();
+        (status["told"].as_str().unwrap().to_owned(), status["unknown_facts"].as_u64().unwrap())
+    };
+    let (told, n) = send(r#"["zone_belwo", "zone_below"]"#);
+    assert!(
+        told.starts_with("there is no fact `zone_belwo`; did you mean `zone_below`?"),
+        "{told}"
+    );
+    assert_eq!(n, 1);
+    let (told, n) = send(r#"["zone_belwo"]"#);
+    assert_eq!((told.as_str(), n), ("", 1), "the count is told with the next status");
+    let (told, n) = send(r#"["quite_another"]"#);
+    assert!(told.starts_with("there is no fact `quite_another`. Known: "), "{told}");
+    assert_eq!(n, 3);
+    assert_eq!(bench.session.counts().taken, 3, "the observations count all the same");
+}
+
+#[test]
+fn a_robot_that_cannot_ask_again_is_never_given_up() {
+    let mut bench = Bench::open(true, &json!({"seconds_per_step": 0.1}));
+    let policy = policy(true);
+    let question = json!({"protocol": 1, "domain": "lander", "seconds_per_step": 0.1});
+    let plan = SessionPlan::read(question.to_string().as_bytes(), &policy, 7).unwrap();
+    let plan = SessionPlan { source: ObservationSource::Robot(crate::RobotForm::F32), ..plan };
+    bench.session = LiveSession::new("s2".to_owned(), plan, &policy, &bench.decider, OPENED);
+    let numbers = vec![0; 4 * bench.n];
+    let other = ArrivalEncoding::Other("application/cdr".to_owned());
+    // What a sample says of its form does not matter: the command line has said it.
+    for ms in (0..1_000).step_by(50) {
+        bench.until(ms);
+        bench.arrive(&other, &numbers, None);
+    }
+    assert_eq!((bench.state(), bench.session.last_seq()), (LiveState::Speaking, 20));
+    // Nonsense, as much as ends anybody else's session, and then an hour of silence.
+    for _ in 0..2 * MAX_REFUSED {
+        bench.arrive(&ArrivalEncoding::Json, b"{}", None);
+    }
+    bench.until(3_000);
+    assert_eq!(bench.state(), LiveState::Lost);
+    assert!(!bench.session.is_over(OPENED + 3_600_000 * MS));
+    let n_said = bench.told.says.len();
+    bench.until(4_000);
+    assert_eq!(bench.told.says.len(), n_said, "nothing is said to a robot that is lost");
+    for ms in (4_000..5_000).step_by(50) {
+        bench.until(ms);
+        bench.arrive(&ArrivalEncoding::Json, &numbers, None);
+    }
+    assert_eq!(bench.state(), LiveState::Speaking);
+    assert_eq!(bench.session.counts().refused, u64::from(2 * MAX_REFUSED));
+    assert!(bench.told.says.len() > n_said);
+}

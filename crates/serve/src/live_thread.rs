@@ -11,6 +11,7 @@ use tracing::debug;
 
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot, SayTo};
+use crate::robot::RobotVoice;
 use crate::status::{LiveState, Silence};
 use crate::working_policy::LiveDecider;
 
@@ -54,6 +55,8 @@ pub(crate) struct Hosted {
     pub(crate) incarnation: Option<Incarnation>,
     pub(crate) session: LiveSession,
     pub(crate) port: LivePort,
+    /// What tells a robot on keys of its own the same.
+    pub(crate) voice: Option<RobotVoice>,
 }
 
 /// A running thread.
@@ -101,18 +104,28 @@ impl LiveThread {
     }
 }
 
-/// Puts a session's events at its port.
-struct ToPort<'a>(&'a LivePort);
+/// Puts a session's events at its port, and on the keys of its robot.
+struct ToPort<'a> {
+    port: &'a LivePort,
+    voice: Option<&'a mut RobotVoice>,
+    clock: LiveClock,
+}
 
 impl SayTo for ToPort<'_> {
     fn say(&mut self, bytes: &[u8]) {
-        if let Err(error) = self.0.say(bytes) {
+        if let Some(voice) = &mut self.voice {
+            voice.say(self.port, bytes, self.clock.now());
+        }
+        if let Err(error) = self.port.say(bytes) {
             debug!(%error, "an event could not be put");
         }
     }
 
     fn status(&mut self, bytes: &[u8]) {
-        if let Err(error) = self.0.status(bytes) {
+        if let Some(voice) = &mut self.voice {
+            voice.status(self.port, bytes, self.clock.now());
+        }
+        if let Err(error) = self.port.status(bytes) {
             debug!(%error, "a status could not be put");
         }
     }
@@ -204,15 +217,17 @@ impl Loop {
     fn end(mut self) {
         let now = self.clock.now();
         for hosted in &mut self.hosted {
-            hosted.session.close(now, Silence::Closing, &mut ToPort(&hosted.port));
+            let Hosted { session, port, voice, .. } = hosted;
+            let out = &mut ToPort { port, voice: voice.as_mut(), clock: self.clock };
+            session.close(now, Silence::Closing, out);
         }
     }
 }
 
 /// Does for a client whatever is to be done now.
 fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
-    let Hosted { session, port, .. } = hosted;
-    let out = &mut ToPort(port);
+    let Hosted { session, port, voice, .. } = hosted;
+    let out = &mut ToPort { port, voice: voice.as_mut(), clock };
     while let Some(report) = port.take_heard() {
         session.hear(clock.now(), &report, decider, out);
     }

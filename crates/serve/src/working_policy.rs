@@ -9,6 +9,7 @@ use leadtime_proto::{Mask, PolicySpec};
 use leadtime_sims::notifier::Session;
 use leadtime_sims::{Environment, Fact, Quantity};
 use leadtime_taxonomy::{Taxonomy, Topic};
+use serde_json::Value;
 use thiserror::Error;
 
 /// Why a policy cannot go to work.
@@ -36,10 +37,14 @@ pub struct WorkingPolicy {
     pub sha256: String,
     /// Optimiser iterations that made it.
     pub n_updates: u64,
+    /// The settings of the task that it was made for, where they are known.
+    pub task: Option<Value>,
     /// One observation's numbers.
     observation: Vec<Quantity>,
     /// What a client may say to be the case, as far as some sentence presupposes it.
     facts: Vec<Fact>,
+    /// Everything that a client of this task may say to be the case.
+    known_facts: Vec<Fact>,
     taxonomy: Option<Arc<Taxonomy>>,
     decider: LiveDecider,
 }
@@ -68,7 +73,8 @@ impl WorkingPolicy {
         let is_presupposed = |fact: &Fact| {
             taxonomy.as_ref().is_some_and(|it| it.facts().iter().any(|name| name == fact.name))
         };
-        let facts = environment.facts().into_iter().filter(is_presupposed).collect();
+        let known_facts = environment.facts();
+        let facts = known_facts.iter().copied().filter(is_presupposed).collect();
         let mut observation = environment.describe().observation.frame;
         observation.truncate(session.obs_dim());
         Ok(Self {
@@ -77,8 +83,10 @@ impl WorkingPolicy {
             session,
             sha256: String::new(),
             n_updates: 0,
+            task: None,
             observation,
             facts,
+            known_facts,
             taxonomy: taxonomy.map(Arc::new),
         })
     }
@@ -86,6 +94,11 @@ impl WorkingPolicy {
     /// Says which file it is of, and how many optimiser iterations made it.
     pub fn of_file(self, sha256: String, n_updates: u64) -> Self {
         Self { sha256, n_updates, ..self }
+    }
+
+    /// Says which settings its task has, JSON.
+    pub fn of_task(self, settings: &str) -> Self {
+        Self { task: serde_json::from_str(settings).ok(), ..self }
     }
 
     /// Returns how many numbers an observation has.
@@ -101,6 +114,11 @@ impl WorkingPolicy {
     /// Lists the facts that a client may tell: those that some sentence presupposes.
     pub fn facts(&self) -> &[Fact] {
         &self.facts
+    }
+
+    /// Lists all facts of the task, those that no sentence presupposes included.
+    pub fn known_facts(&self) -> &[Fact] {
+        &self.known_facts
     }
 
     /// Returns the words, if there are any.

@@ -10,7 +10,7 @@ use leadtime_proto::{ClientName, ServiceName};
 use leadtime_runs::evaluation;
 use leadtime_serve::{MAX_SESSIONS, SayForm, StepClock};
 
-use super::{GuardArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
+use super::{GuardArgs, RobotArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
 
 /// `leadtime serve`
 #[derive(Debug, Args)]
@@ -25,6 +25,8 @@ pub(crate) struct ServeArgs {
     pub connect: Vec<String>,
     #[command(flatten)]
     pub guard: GuardArgs,
+    #[command(flatten)]
+    pub robot: RobotArgs,
     /// Name of the notifier: part of every key.
     #[arg(long, value_name = "NAME", default_value = "notifier")]
     pub service: ServiceName,

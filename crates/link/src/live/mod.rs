@@ -10,6 +10,8 @@
 //! leadtime/live/1/{service}/{client}/status                 what the notifier does, and why it is silent
 //! ```
 //!
+//! A robot that knows nothing of ours has keys of its own instead ([`RobotKeys`]).
+//!
 //! The keys lie beside those of runs, and their messages are not ours alone: JSON for everybody, a few raw bytes for
 //! microcontrollers. What is in them this crate does not know.
 //!
@@ -25,10 +27,12 @@
 mod client;
 mod keys;
 mod port;
+mod robot;
 mod service;
 
-pub use client::{ClientPort, LiveClientLink, LiveMessage};
+pub use client::{ClientPort, LiveClientLink, LiveMessage, TakenAt};
 pub(crate) use keys::LIVE_ROOT;
 pub use keys::{LiveAlive, LiveKey};
 pub use port::{Arrival, ArrivalEncoding, LivePort};
+pub use robot::RobotKeys;
 pub use service::{LiveEvent, LiveServiceLink, OpenResponder};

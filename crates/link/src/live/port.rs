@@ -15,6 +15,7 @@ use zenoh::sample::Sample;
 use zenoh::session::Session;
 
 use super::keys::LiveKey;
+use super::robot::{RobotKeys, RobotPort};
 use crate::lock::lock;
 use crate::pubsub::{publisher, subscribe};
 use crate::{Error, Result};
@@ -99,6 +100,7 @@ pub struct LivePort {
     heard: flume::Receiver<Vec<u8>>,
     say: Publisher<'static>,
     status: Publisher<'static>,
+    robot: Option<RobotPort>,
     /// Dropped last: what arrives finds the rest of this.
     _subscribers: [Subscriber<()>; 2],
 }
@@ -116,12 +118,14 @@ impl LivePort {
         service: &ServiceName,
         client: &ClientName,
         say_raw: bool,
+        robot: Option<&RobotKeys>,
         wake: Arc<dyn Fn() + Send + Sync>,
     ) -> Result<Self> {
         let inbox = Arc::new(Inbox::default());
         let (arrivals, woken) = (Arc::clone(&inbox), Arc::clone(&wake));
+        let own = LiveKey::Observations(service, client).to_string();
         let observations =
-            subscribe(session, LiveKey::Observations(service, client), move |sample| {
+            subscribe(session, robot.map_or(&own, |robot| &robot.observations), move |sample| {
                 if sample.payload().len() > MAX_LIVE_BYTES {
                     arrivals.n_overwritten.fetch_add(1, Ordering::Relaxed);
                     return;
@@ -146,7 +150,8 @@ impl LivePort {
         let say = publisher(session, LiveKey::Say(service, client), qos, form)?;
         let key = LiveKey::Status(service, client);
         let status = publisher(session, key, crate::wire::NOTICE, Encoding::APPLICATION_JSON)?;
-        Ok(Self { inbox, heard, say, status, _subscribers: [observations, hearing] })
+        let robot = robot.map(|keys| RobotPort::open(session, keys)).transpose()?;
+        Ok(Self { inbox, heard, say, status, robot, _subscribers: [observations, hearing] })
     }
 
     /// Takes the newest observation, if one has arrived since the last time.
@@ -180,5 +185,23 @@ impl LivePort {
     /// [`Error::Network`] if the network has ended.
     pub fn status(&self, bytes: &[u8]) -> Result<()> {
         self.status.put(bytes).wait().map_err(Error::network("publish on", self.status.key_expr()))
+    }
+
+    /// Puts an event on the robot's own key, if it has one, with bytes beside it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn say_to_robot(&self, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
+        self.robot.as_ref().map_or(Ok(()), |robot| robot.say(bytes, beside))
+    }
+
+    /// Puts a status on the robot's own key, if it has one, with bytes beside it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn status_to_robot(&self, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
+        self.robot.as_ref().map_or(Ok(()), |robot| robot.status(bytes, beside))
     }
 }
