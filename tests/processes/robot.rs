@@ -116,7 +116,8 @@ fn text_event(message: &Message) -> HeardSay {
 #[test]
 fn a_robot_with_keys_of_its_own_is_told_what_to_say_and_is_never_given_up() {
     let place = Place::new();
-    let _notifier = serve(&place, "--obs-key robot1/obs --say-key robot1/say");
+    let arguments = "--obs-key robot1/obs --say-key robot1/say --state state";
+    let notifier = serve(&place, arguments);
     let mut robot = Robot::connect(&place);
     let said = robot.link.take_at("robot1/say").unwrap();
     let to = ("robot1/obs", &said);
@@ -140,6 +141,19 @@ fn a_robot_with_keys_of_its_own_is_told_what_to_say_and_is_never_given_up() {
     assert!(robot.statuses.iter().any(is_told), "{:?}", robot.statuses.last());
     robot.wait("lost", |status| status["state"] == "lost");
     robot.talk(0, to, |step| (numbers(step), None), event);
+    // Killed and started again, the notifier goes on with the same session, whose numbers go on.
+    robot.wait("kept", |status| status["state"] == "lost");
+    let kept = robot.statuses.last().unwrap().clone();
+    notifier.kill();
+    drop((robot, said));
+    let _again = serve(&place, arguments);
+    let robot = Robot::connect(&place);
+    let said = robot.link.take_at("robot1/say").unwrap();
+    let told = robot.talk(0, ("robot1/obs", &said), |step| (numbers(step), None), event);
+    assert!(event(&told[0]).seq > kept["last_seq"].as_u64().unwrap(), "{kept}: {told:?}");
+    let (status, _) = robot.status.next(PATIENCE).unwrap();
+    let status: Value = serde_json::from_slice(&status).unwrap();
+    assert_eq!(status["session"], kept["session"]);
 }
 
 #[test]

@@ -127,7 +127,7 @@ mod tests {
             (r#"{"n":1"#, "it is no JSON: it ends in the middle, after 6 bytes"),
             ("{\n\"n\": x}", "it is no JSON: `x` at line 2, column 6 is out of place"),
             ("[1,2]", "it has to be a JSON object with n, name; it is a list of 2"),
-            (r#"{"nam":"a"}"#, "`nam` is not known; did you mean `name`? Known: n, name"),
+            (r#"{"names":"a"}"#, "`names` is not known; did you mean `name`? Known: n, name"),
             (r#"{"zzz":"a"}"#, "`zzz` is not known. Known: n, name"),
             (r#"{"name":"a"}"#, "`n` is missing: a count"),
             (r#"{"n":-1.5}"#, "`n` has to be a count; it is -1.5"),

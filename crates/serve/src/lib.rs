@@ -47,7 +47,7 @@ pub use json_fault::JsonFault;
 pub use latency::LatencyHistogram;
 pub use live_session::{LiveSession, LiveSnapshot, SayTo};
 pub use open::{OpenRefusal, SayForm, SessionAnswer, SessionPlan, StepClock};
-pub use robot::{ObservationSource, RobotForm, RobotVoice, Standing};
+pub use robot::{ObservationSource, RobotForm, RobotVoice, StandingSession};
 pub use say::{HeardSay, SayEvent};
 pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};
 pub use status::{LiveCounts, LiveState, Silence};

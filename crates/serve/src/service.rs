@@ -15,7 +15,7 @@ use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot};
 use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
 use crate::open::{OpenRefusal, SessionAnswer, SessionPlan};
-use crate::robot::{ObservationSource, RobotVoice, Standing};
+use crate::robot::{ObservationSource, RobotVoice, StandingSession};
 use crate::status::LiveState;
 use crate::working_policy::{LiveDecider, WorkingPolicy};
 
@@ -229,10 +229,13 @@ impl LiveService {
     /// # Errors
     ///
     /// [`OpenRefusal`], as a client is told it.
-    pub fn stand(&mut self, standing: Standing) -> Result<(), OpenRefusal> {
+    pub fn stand(&mut self, standing: StandingSession) -> Result<(), OpenRefusal> {
         let plan = SessionPlan::read(&standing.question, &self.policy, self.settings.seed)?;
         let plan = SessionPlan { source: ObservationSource::Robot(standing.form), ..plan };
-        let Standing { client, question, keys, voice, .. } = standing;
+        let StandingSession { client, question, keys, voice, .. } = standing;
+        for note in &plan.notes {
+            info!(%client, note, "what the robot would be told");
+        }
         let voice = voice.started_at(self.clock.now());
         self.host(&client, question, plan, Some((keys, voice))).map(drop)
     }

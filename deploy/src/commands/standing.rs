@@ -4,7 +4,7 @@ use leadtime_link::live::RobotKeys;
 use leadtime_proto::{Incarnation, ServiceName};
 use leadtime_runs::clock;
 use leadtime_serve::robot::ros2::{BadTopic, Distro, Ros2Names};
-use leadtime_serve::{RobotForm, RobotVoice, SayForm, Standing};
+use leadtime_serve::{RobotForm, RobotVoice, SayForm, StandingSession};
 use serde_json::json;
 
 use crate::cli::{DistroName, ObsForm, RobotArgs, SayKeyForm};
@@ -20,7 +20,7 @@ pub(super) fn standing(
     domain: &str,
     (service, own): (&ServiceName, Incarnation),
     zid: &str,
-) -> Result<Option<(Standing, String)>, BadTopic> {
+) -> Result<Option<(StandingSession, String)>, BadTopic> {
     let client = args.client.clone();
     if let Some(ros_domain) = args.ros2 {
         let distro = match args.ros2_distro {
@@ -39,7 +39,7 @@ pub(super) fn standing(
         let unix = i64::try_from(clock::now().as_nanosecond()).unwrap_or(i64::MAX);
         let voice = RobotVoice::ros2(own.0, unix);
         let question = question(args, domain, SayForm::Json);
-        let standing = Standing { client, question, keys, form: RobotForm::Ros2, voice };
+        let standing = StandingSession { client, question, keys, form: RobotForm::Ros2, voice };
         return Ok(Some((standing, names.to_string())));
     }
     let Some(observations) = args.obs_key.clone() else { return Ok(None) };
@@ -58,7 +58,7 @@ pub(super) fn standing(
     let (say, status, tokens) = (args.say_key.clone(), None, Vec::new());
     let keys = RobotKeys { observations, say, status, tokens, encoding };
     let question = question(args, domain, say_form);
-    Ok(Some((Standing { client, question, keys, form, voice }, place)))
+    Ok(Some((StandingSession { client, question, keys, form, voice }, place)))
 }
 
 /// Asks what a client would ask.

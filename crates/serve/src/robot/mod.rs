@@ -5,12 +5,12 @@
 //! leadtime serve --ros2 DOMAIN      std_msgs/Float32MultiArray in, std_msgs/String out, as rmw_zenoh sends them
 //! ```
 //!
-//! Nobody asks for its session, so the command line does ([`Standing`]). Where a message has no number and no time of its own,
+//! Nobody asks for its session, so the command line does ([`StandingSession`]). Where a message has no number and no time of its own,
 //! [`RobotReader`] gives it those of its arrival.
 //!
 //! # Where to start
 //!
-//! [`Standing`]; then [`ros2`], for which [`cdr`] has the bytes.
+//! [`StandingSession`]; then [`ros2`], for which [`cdr`] has the bytes.
 
 pub mod cdr;
 mod form;
@@ -21,5 +21,5 @@ mod voice;
 
 pub use form::{ObservationSource, RobotForm};
 pub(crate) use reader::{Arrived, RobotReader};
-pub use standing::Standing;
+pub use standing::StandingSession;
 pub use voice::RobotVoice;

@@ -29,7 +29,7 @@ pub(crate) struct Arrived {
 
 /// A source whose observations are taken.
 #[derive(Clone, Copy, Debug)]
-struct Source {
+struct KnownSource {
     gid: Option<[u8; 16]>,
     /// What its own numbers have to be raised by.
     raise: i128,
@@ -43,7 +43,7 @@ pub(crate) struct RobotReader {
     form: RobotForm,
     /// After which silence another source may begin, in nanoseconds.
     patience: u64,
-    source: Option<Source>,
+    source: Option<KnownSource>,
 }
 
 impl RobotReader {
@@ -84,7 +84,7 @@ impl RobotReader {
             Some(source) if source.gid != gid && !is_quiet => {
                 return Err(BadObservation::TwoSources);
             }
-            Some(source) if source.gid == gid && (!is_quiet || mark.is_none()) => Some(source),
+            Some(source) if source.gid == gid => Some(source),
             _ => None,
         };
         let known = source.and_then(|source| {
@@ -92,14 +92,14 @@ impl RobotReader {
             let seq = u64::try_from(number + raise).unwrap_or(0);
             let (moment, t) = source.moment;
             let t = t + clock.saturating_sub(moment) as f64 * 1e-9;
-            // A clock that was set back begins anew.
-            let is_set_back = t < last.t && seq >= next;
+            // A clock that was set back begins anew, and so does a source that was silent and counts from where it was before.
+            let is_set_back = if seq < next { is_quiet } else { t < last.t };
             (!is_set_back).then_some((seq, t))
         });
         let is_first = known.is_none();
         let (seq, t) = known.unwrap_or_else(|| {
             let raise = i128::from(next) - number;
-            self.source = Some(Source { gid, raise, moment: (clock, last.t) });
+            self.source = Some(KnownSource { gid, raise, moment: (clock, last.t) });
             (next, last.t)
         });
         (into.head.seq, into.head.t) = (seq, t);
@@ -213,8 +213,10 @@ mod tests {
         // A clock that is set back by a minute makes nothing older.
         assert_eq!(bench.ros(620, OLD, 10, -60_000), Ok((6, 0.08, true)));
         assert_eq!(bench.ros(640, OLD, 11, -59_980), Ok((7, 0.1, false)));
+        // After a silence its clock still counts: what waited meanwhile is as old as it is.
+        assert_eq!(bench.ros(9_000, OLD, 12, -59_960), Ok((8, 0.12, false)));
         // Numbers from before the first one are old, whatever they are.
-        assert_eq!(bench.ros(650, OLD, i64::MIN, 0).map(|it| it.0), Ok(0));
+        assert_eq!(bench.ros(9_010, OLD, i64::MIN, 0).map(|it| it.0), Ok(0));
     }
 
     #[test]

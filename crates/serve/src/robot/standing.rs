@@ -8,7 +8,7 @@ use crate::robot::voice::RobotVoice;
 
 /// What is known of a robot that does not ask for its session. The session stays as long as the notifier.
 #[derive(Debug)]
-pub struct Standing {
+pub struct StandingSession {
     /// Under which name its status is told, and what it hears may be reported.
     pub client: ClientName,
     /// What it would ask, JSON: the same question as any client's.
