@@ -79,10 +79,9 @@ impl JsonFault {
 
     fn syntax(bytes: &[u8], error: &serde_json::Error) -> Self {
         let (line, column) = (error.line(), error.column());
-        let lines = bytes.split(|byte| *byte == b'\n');
-        let found = lines.skip(line.saturating_sub(1)).take(1);
-        let found = found.flat_map(|line| line.get(column.saturating_sub(1)..)).flatten().copied();
-        let found: Vec<u8> = found.take(1).collect();
+        let place = bytes.split(|byte| *byte == b'\n').nth(line.saturating_sub(1));
+        let found = place.and_then(|line| line.get(column.saturating_sub(1)));
+        let found: Vec<u8> = found.into_iter().copied().collect();
         Self::Syntax { found: quoted(&String::from_utf8_lossy(&found)), line, column }
     }
 }

@@ -221,7 +221,7 @@ impl LiveService {
         if self.open.len() >= self.settings.max_sessions && !self.make_room() {
             return Err(OpenRefusal::Full(self.open.len()));
         }
-        self.host(client, question, plan, None)
+        self.host(client, question, &plan, None)
     }
 
     /// Opens the session of a robot that does not ask for one; it stays as long as the notifier.
@@ -237,7 +237,7 @@ impl LiveService {
             info!(%client, note, "what the robot would be told");
         }
         let voice = voice.started_at(self.clock.now());
-        self.host(&client, question, plan, Some((keys, voice))).map(drop)
+        self.host(&client, question, &plan, Some((keys, voice))).map(drop)
     }
 
     /// Makes a session and gives it to a thread; returns the answer to its question.
@@ -245,12 +245,12 @@ impl LiveService {
         &mut self,
         client: &ClientName,
         question: Vec<u8>,
-        plan: SessionPlan,
+        plan: &SessionPlan,
         robot: Option<(RobotKeys, RobotVoice)>,
     ) -> Result<Vec<u8>, OpenRefusal> {
         let start = plan.incarnation.map(Incarnation);
         let (session, notes) = self.session(client, &question, plan.clone());
-        let answered = SessionPlan { notes, ..plan };
+        let answered = SessionPlan { notes, ..plan.clone() };
         let answer = SessionAnswer::new(session.id(), &answered, &self.policy, session.last_seq());
         let answer = serde_json::to_vec(&answer)?;
         let thread = self.idlest_thread();

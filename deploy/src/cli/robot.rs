@@ -15,13 +15,13 @@ pub(crate) struct RobotArgs {
     /// Tell it on this key what is said.
     #[arg(long, value_name = "KEY", requires = "obs_key", help_heading = HEADING)]
     pub say_key: Option<String>,
-    /// The form of its observations: numbers alone (f32, little-endian), our JSON, or the CDR of a Float32MultiArray.
+    /// The form of its observations: numbers alone (f32, little-endian), our JSON, or the CDR of a `Float32MultiArray`.
     #[arg(long, value_enum, default_value_t, requires = "obs_key", help_heading = HEADING)]
     pub obs_form: ObsForm,
     /// The form of what is said (default: JSON; with --obs-form cdr the CDR of a String that holds it).
     #[arg(long, value_enum, requires = "say_key", help_heading = HEADING)]
     pub say_form: Option<SayKeyForm>,
-    /// Speak to ROS 2 through rmw_zenoh, in this domain (experimental): Float32MultiArray in, String out.
+    /// Speak to ROS 2 through `rmw_zenoh`, in this domain (experimental): `Float32MultiArray` in, `String` out.
     #[arg(long, value_name = "DOMAIN", group = "robot", help_heading = HEADING)]
     #[arg(value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_DOMAIN)))]
     pub ros2: Option<u32>,
@@ -80,7 +80,7 @@ pub(crate) enum SayKeyForm {
 /// A distribution of ROS 2.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum DistroName {
-    /// With rmw_zenoh 0.2.4 or later; also Kilted and Rolling.
+    /// With `rmw_zenoh` 0.2.4 or later; also Kilted and Rolling.
     #[default]
     Jazzy,
     /// Which knows no hashes of types.

@@ -13,7 +13,7 @@
 //!
 //! # Source
 //!
-//! ros2/rmw_zenoh, `docs/design.md`, `liveliness_utils.cpp` and `attachment_helpers.cpp`, as of Jazzy 0.2.4 and Humble 0.1.2;
+//! `ros2/rmw_zenoh`: `docs/design.md`, `liveliness_utils.cpp` and `attachment_helpers.cpp`, as of Jazzy 0.2.4 and Humble 0.1.2;
 //! the hashes of the types are those of `rosbags` (`tests/data/ros2.py`).
 
 use std::fmt;
