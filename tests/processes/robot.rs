@@ -189,7 +189,8 @@ fn a_node_of_ros_is_spoken_to_as_rmw_zenoh_speaks() {
     let mut tokens = robot.runtime.block_on(robot.link.presence_at("@ros2_lv/7/**")).unwrap();
     let zid = tokens[0].split('/').nth(2).unwrap().to_owned();
     let mut expected = names.tokens(&zid).to_vec();
-    (tokens.sort(), expected.sort());
+    tokens.sort();
+    expected.sort();
     assert_eq!(tokens, expected);
     let (obs, say) = (names.observations(), names.say());
     let said = robot.link.take_at(&say).unwrap();
