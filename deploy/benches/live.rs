@@ -86,6 +86,7 @@ fn open(runtime: &Runtime, endpoint: &str, name: &str) -> LiveClient {
         client: ClientName::new(name).expect("a name"),
         incarnation: Incarnation(1),
         domain: "lander".to_owned(),
+        obs_dim: None,
         clock: StepClock::Observation,
         seconds_per_step: 0.3,
         seed: 1,

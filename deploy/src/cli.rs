@@ -22,6 +22,7 @@ use crate::exit::EXIT_CODE_HELP;
 mod live;
 mod network;
 mod operations;
+mod robot;
 mod taxonomy;
 mod worker;
 
@@ -31,6 +32,7 @@ pub(crate) use network::{
     GuardArgs, RouterArgs, TlsArgs,
 };
 pub(crate) use operations::{HealthArgs, PruneArgs, VersionArgs};
+pub(crate) use robot::{DistroName, ObsForm, RobotArgs, SayKeyForm};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
     TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,

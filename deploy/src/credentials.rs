@@ -63,9 +63,18 @@ pub(crate) fn listen_settings(
         warn_if_open(&listen, identity.as_ref());
     }
     if identity.is_some() && access.is_none() && !listen.is_empty() {
-        tracing::info!(
-            "every process with a certificate of this authority may do everything; --acl FILE limits it"
-        );
+        let told = "every process with a certificate of this authority may do everything; --acl FILE limits it";
+        // Everybody's messages go through a router: where other machines reach it, that is worth as much as an open address.
+        if role == Role::Router
+            && listen.iter().any(Endpoint::is_beyond_this_machine)
+            && !args.insecure
+        {
+            tracing::warn!(
+                "{told} (`leadtime certs acl` writes it), or say --insecure where everybody may"
+            );
+        } else {
+            tracing::info!("{told}");
+        }
     }
     Ok(ListenSettings { connect, identity, access, ..ListenSettings::new(listen) })
 }

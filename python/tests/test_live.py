@@ -1,15 +1,29 @@
 """``leadtime.live`` and a real notifier: LEADTIME names the program."""
+import json
 import os
+import queue
 import re
+import struct
 import subprocess
 import unittest
 from pathlib import Path
 
+import zenoh
 from leadtime.live import Lost, Notifier, Refused
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = os.environ.get("LEADTIME", "leadtime")
 FALLING = [[0.0, 1.4 - step / 40, 0.0, -0.3, 0.0, 0.0, 0.0, 0.0] for step in range(40)]
+
+
+def crc32c(data):
+    """CRC-32C as its definition has it, bit by bit."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x82F63B78 if crc & 1 else 0)
+    return crc ^ 0xFFFFFFFF
 
 
 class Live(unittest.TestCase):
@@ -52,6 +66,36 @@ class Live(unittest.TestCase):
             with self.assertRaisesRegex(Lost, "7 numbers; 8 are expected"):
                 notifier.step([0.0] * 7, timeout=1.0)
             self.assertTrue(notifier.is_here)
+
+    def test_the_raw_wire_is_what_struct_reads_and_writes(self):
+        with zenoh.open(zenoh.Config.from_json5(json.dumps(
+                {"mode": "client", "connect": {"endpoints": [self.endpoint]}, "scouting": {"multicast": {"enabled": False}}}
+        ))) as session:
+            key, said = "leadtime/live/1/notifier/raw", queue.Queue()
+            session.declare_subscriber(f"{key}/say", lambda sample: said.put(sample.payload.to_bytes()))
+            question = {"protocol": 1, "domain": "lander", "clock": "observation", "encoding": "binary", "seed": 7}
+            (reply,) = session.get(f"{key}/open", payload=json.dumps(question))
+            answer = reply.ok.payload.to_bytes()
+            self.assertLess(len(answer), 2_000)  # zenoh-pico has room for so much
+            topics = json.loads(answer)["topics"]
+            events = []
+            for seq, sight in enumerate(FALLING, start=1):
+                numbers = struct.pack("<8f", *sight)
+                head = struct.pack("<4sHHQQQ", b"LDLV", 1, 0, seq, seq * 300_000_000, 0)
+                beside = head + struct.pack("<II", crc32c(head + numbers), 0)
+                session.put(f"{key}/obs", numbers, attachment=beside, encoding="application/octet-stream;leadtime.obs/1")
+                last = False
+                while not last:
+                    event = struct.unpack("<IBBBBBBIQH", said.get(timeout=10))
+                    utterance, what, topic, k, l, heard, flags, _step, of_seq, word = event
+                    last = bool(flags & 1)
+                    self.assertEqual(of_seq, seq)
+                    if what:
+                        self.assertTrue(topic < len(topics) and 0 < k <= l and heard <= l and utterance > 0, event)
+                        events.append((what, utterance, heard, word))
+        starts = [event for event in events if event[0] == 1]
+        self.assertGreater(len(starts), 2)
+        self.assertEqual([event[1] for event in starts], list(range(1, len(starts) + 1)))
 
     def test_where_nobody_is_nobody_is_found(self):
         with self.assertRaises(Lost):

@@ -249,7 +249,9 @@ fn who_is_not_let_in_is_told_why() {
         (json!({"seconds_per_step": 0}), "`seconds_per_step` is 0; allowed: 0.001 to 5 seconds"),
         (json!({"seconds_per_step": 6}), "`seconds_per_step` is 6"),
         (json!({"protocol": 9}), "protocol 9 is asked for"),
-        (json!({"clok": "timer"}), "unknown field `clok`"),
+        (json!({"clok": "timer"}), "cannot be read: `clok` is not known; did you mean `clock`?"),
+        (json!({"clock": "tim"}), "`clock` has to be timer, observation or word; it is \"tim\""),
+        (json!({"seed": -1}), "`seed` has to be a whole number from 0; it is -1"),
     ] {
         let sentence = second.open(&question).unwrap_err();
         assert!(sentence.contains(told), "{sentence}");
@@ -276,6 +278,8 @@ fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
     let head = client.head();
     client.port.observe(&write_json(&head, &[0.0; 7])).unwrap();
     client.listen_for("told", "the observation has 7 numbers; 8 are expected");
+    client.port.observe(b"{\"seq\":\"9\",\"t\":1,\"obs\":[1]}").unwrap();
+    client.listen_for("told", "the observation cannot be read: `seq` has to be the number of");
     client.port.observe(b"{\"seq\":9,\"t\":1,\"obs\":[NaN]}").unwrap();
     client.listen_for("told", "the observation holds NaN or Infinity");
     let (numbers, mut beside) = write_raw(&client.head(), &[0.0; 8]);
@@ -421,16 +425,29 @@ fn a_notifier_that_cannot_work_says_so_in_one_sentence() {
     place
         .finish(&["drive lander --connect 127.0.0.1:1 --connect-timeout 200ms"])
         .with_code(PEER_LOST)
-        .saying(&["no notifier can be reached"]);
+        .saying(&[
+            "no notifier can be reached",
+            "start a service there: `leadtime serve POLICY --listen ENDPOINT`",
+        ]);
 
     let _notifier = serve(&place, "");
     refused(&["serve", &policy(), &listen], &["is in use"]);
     let to = place.endpoint("n");
-    let told = ["this notifier is for lander", "the client is of highway"];
+    let told = [
+        "this notifier is for lander, with 8 numbers",
+        "the client is of highway, with ",
+        "`leadtime drive` with that task's name, or with the policy's own file",
+    ];
     place.finish(&["drive highway --connect", &to]).with_code(PEER_LOST).saying(&told);
-    let told = ["no notifier `other` is at work", "there: `notifier`"];
+    let told = ["no notifier `other` is at work", "there: `notifier`", "with --service other"];
     let other = "--service other --connect-timeout 300ms";
     place.finish(&["drive lander --connect", &to, other]).with_code(PEER_LOST).saying(&told);
+    let another = "--max-speed --episodes 1 --set human.reaction_delay=4";
+    let told = ["this task is not the one", "human", "here and", "the policy's own file"];
+    place.finish(&["drive", &policy(), "--connect", &to, another]).with_code(0).saying(&told);
+    let same = place.finish(&["drive", &policy(), "--connect", &to, "--max-speed --episodes 1"]);
+    let same = same.with_code(0).stderr;
+    assert!(!same.contains("this task is not the one"), "{same}");
     let described = place.finish(&["serve", &policy(), "--describe --json"]).with_code(0).json();
     assert_eq!(described["properties"]["obs"]["maxItems"], 8);
     let quiet = place.finish(&["serve", &policy(), "--describe"]).with_code(0).stdout;

@@ -19,6 +19,7 @@
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
 //! | `watch` | a run is seen from outside, and nobody is disturbed |
 //! | `words_server` | a language model's words are paid once, whatever is killed or breaks down |
+//! | `robot` | a robot that asks for nothing is spoken to on keys of its own, and over ROS 2's |
 //! | `rogue` | an actor that lies harms nobody |
 //! | `shipped` | the policies that come with the program do what their table says |
 
@@ -36,6 +37,7 @@ mod python;
 mod race;
 mod recording;
 mod resilience;
+mod robot;
 mod rogue;
 mod shipped;
 mod streams;

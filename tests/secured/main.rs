@@ -13,7 +13,10 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::time::{Duration, Instant};
 
-use leadtime_certs::{Authority, Role};
+use leadtime_certs::{Authority, Identity, Role};
+use leadtime_link::live::LiveClientLink;
+use leadtime_link::{ConnectSettings, Error as LinkError};
+use leadtime_proto::{ClientName, Incarnation};
 use leadtime_runs::clock;
 use support::{
     Finished, PATIENCE, Place, Running, repository, result, signal, updates, wait_for_words,
@@ -213,6 +216,44 @@ fn an_open_address_is_warned_about_once_and_the_remedy_named() {
 }
 
 #[test]
+fn a_router_that_lets_everybody_do_everything_warns_as_a_learner_does() {
+    let place = Place::new();
+    certificates(&place, "pki", &[("router", "r1")]);
+    place.finish(&["certs acl pki -o acl.json5"]).with_code(0);
+    let warned = |arguments: &str, words: &str| {
+        let router = place.start(&["router", arguments]);
+        wait_for_words(&router, "router listens");
+        signal("TERM", router.id());
+        let told = router.finish(PATIENCE).stderr;
+        told.lines().filter(|line| line.contains("WARN") && line.contains(words)).count()
+    };
+    let open = "asks for no certificate";
+    assert_eq!(warned("--listen tcp/0.0.0.0:0", open), 1);
+    assert_eq!(warned("--listen tcp/127.0.0.1:0", open), 0);
+    let everything = "may do everything; --acl FILE limits it";
+    assert_eq!(warned("--listen tls/0.0.0.0:0 --tls pki/r1", everything), 1);
+    assert_eq!(warned("--listen tls/0.0.0.0:0 --tls pki/r1 --insecure", everything), 0);
+    assert_eq!(warned("--listen tls/0.0.0.0:0 --tls pki/r1 --acl acl.json5", everything), 0);
+    assert_eq!(warned("--listen tls/127.0.0.1:0 --tls pki/r1", everything), 0);
+}
+
+/// Asks for a session under a name that is not in the certificate of `car-1`; returns what comes of it.
+fn ask_as(place: &Place, there: &str, service: &str, client: &str) -> LinkError {
+    let identity = Identity::read(&place.path().join("pki/car-1"), clock::now()).unwrap();
+    let settings = ConnectSettings {
+        identity: Some(identity),
+        ..ConnectSettings::new(vec![there.parse().unwrap()])
+    };
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    runtime.block_on(async {
+        let link = LiveClientLink::open(&settings).await.unwrap();
+        let (service, client) = (service.parse().unwrap(), ClientName::new(client).unwrap());
+        let port = link.port(&service, &client, Incarnation(1)).unwrap();
+        port.ask(b"{}".to_vec()).await.unwrap_err()
+    })
+}
+
+#[test]
 fn a_robot_is_spoken_to_under_its_own_name_only_directly_and_behind_a_router() {
     let place = Place::new();
     let peers = [
@@ -255,8 +296,11 @@ fn a_robot_is_spoken_to_under_its_own_name_only_directly_and_behind_a_router() {
         assert!(session["events"].as_u64() > Some(0), "{session}");
         let robot = place.finish(&[&recorded[..6], &["other.mcap --tls pki/car-1"]].concat());
         robot.with_code(2).saying(&["is for role robot; this command needs one for role recorder"]);
+        // Another name is refused before anything is asked, and nothing is answered to who asks all the same.
         let as_another = format!("--tls pki/car-1 --client car-2 --service {service}");
-        drive(&there, &as_another).with_code(3).saying(&["no answer"]);
+        let told = ["--client car-2: the certificate is for `car-1`", "under its own name only"];
+        drive(&there, &as_another).with_code(2).saying(&told);
+        assert!(matches!(ask_as(&place, &there, service, "car-2"), LinkError::NoAnswer { .. }));
         let in_a_run = format!("--tls pki/a1 --service {service}");
         drive(&there, &in_a_run).with_code(2).saying(&["is for role actor"]);
     }

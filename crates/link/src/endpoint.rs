@@ -57,16 +57,20 @@ impl Endpoint {
     /// Tells whether other machines can reach this address without showing who they are: neither local nor TLS with
     /// certificates on both sides, which every session with a certificate of its own asks for.
     pub fn is_open_to_strangers(&self) -> bool {
-        let (protocol, address, settings) = self.parts();
+        let (protocol, _, settings) = self.parts();
         match protocol {
-            "tcp" => {
-                let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
-                let ip = host.trim_matches(['[', ']']).parse::<std::net::IpAddr>();
-                host != "localhost" && !ip.is_ok_and(|ip| ip.is_loopback())
-            }
+            "tcp" => self.is_beyond_this_machine(),
             "tls" => !settings.split(';').any(|setting| setting == "enable_mtls=true"),
             _ => false,
         }
+    }
+
+    /// Tells whether other machines can reach this address.
+    pub fn is_beyond_this_machine(&self) -> bool {
+        let (protocol, address, _) = self.parts();
+        let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+        let ip = host.trim_matches(['[', ']']).parse::<std::net::IpAddr>();
+        protocol != "unixsock-stream" && host != "localhost" && !ip.is_ok_and(|ip| ip.is_loopback())
     }
 
     /// Returns the file of the certificate that a process shows here, if its settings name one.

@@ -160,7 +160,10 @@ pub enum Error {
         reason: String,
     },
     /// No notifier of that name is at work there.
-    #[error("no notifier `{service}` is at work at {endpoints}; there: {}", there(present))]
+    #[error(
+        "no notifier `{service}` is at work at {endpoints}; there: {}. Start a service: `leadtime serve POLICY`, with --service {service}",
+        there(present)
+    )]
     NoService {
         /// As named.
         service: ServiceName,
@@ -168,6 +171,14 @@ pub enum Error {
         endpoints: String,
         /// Those that are there.
         present: Vec<ServiceName>,
+    },
+    /// A key that a robot cannot have.
+    #[error("`{key}` cannot be a robot's key: {problem}")]
+    RobotKey {
+        /// As given.
+        key: String,
+        /// What is wrong with it.
+        problem: &'static str,
     },
     /// A name that is a part of keys already.
     #[error("a client cannot be called `{0}`: the keys of presence are; choose another name")]

@@ -219,12 +219,12 @@ async fn dial(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
         };
         debug!(%source, "round of attempts to connect failed");
         if Instant::now() >= deadline {
-            let obstacles = obstacles(endpoints, identity).await;
+            let obstacles = obstacles(endpoints, identity, whom).await;
             return Err(Error::Unreachable { whom, obstacles, timeout });
         }
         if !reported {
             reported = true;
-            let obstacles = obstacles(endpoints, identity).await;
+            let obstacles = obstacles(endpoints, identity, whom).await;
             let timeout = duration(timeout);
             info!("no {whom} can be reached yet, trying for {timeout}: {obstacles}");
         }
@@ -232,12 +232,17 @@ async fn dial(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
 }
 
 /// Finds out what is in the way at each address.
-async fn obstacles(endpoints: &[Endpoint], identity: Option<&Identity>) -> String {
+async fn obstacles(
+    endpoints: &[Endpoint],
+    identity: Option<&Identity>,
+    whom: &'static str,
+) -> String {
     let (endpoints, identity) = (endpoints.to_vec(), identity.cloned());
     let look = move || {
         let identity = identity.as_ref();
-        let told =
-            endpoints.iter().map(|e| format!("at `{}`, {}", e.plain(), diagnose(e, identity)));
+        let told = endpoints
+            .iter()
+            .map(|e| format!("at `{}`, {}", e.plain(), diagnose(e, identity, whom)));
         told.collect::<Vec<_>>().join("; ")
     };
     tokio::task::spawn_blocking(look).await.unwrap_or_default()

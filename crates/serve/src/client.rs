@@ -48,6 +48,8 @@ pub struct ClientSettings {
     pub incarnation: Incarnation,
     /// The task.
     pub domain: String,
+    /// How many numbers an observation has; `None` asks for no certain one.
+    pub obs_dim: Option<usize>,
     /// When steps are taken.
     pub clock: StepClock,
     /// How long a step takes, in seconds.
@@ -85,6 +87,7 @@ impl LiveClient {
         let question = json!({
             "protocol": LIVE_PROTOCOL,
             "domain": settings.domain,
+            "obs_dim": settings.obs_dim,
             "clock": settings.clock,
             "seconds_per_step": settings.seconds_per_step,
             "seed": settings.seed,

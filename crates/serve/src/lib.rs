@@ -4,6 +4,7 @@
 //! client --obs-->  LivePort  -->  LiveSession  (sims' Session + policy + words)  --say, status-->  client
 //!                  newest wins     pure: order, staleness, steps, words
 //!        --open--> LiveService: who gets a session, on which thread
+//! robot  --its own key, or a topic of ROS 2-->  robot::RobotReader  -->  the same
 //! ```
 //!
 //! A live notifier advises a person. It never commands a machine: no key carries actions.
@@ -25,6 +26,7 @@
 mod bus_player;
 mod client;
 pub mod heard;
+mod json_fault;
 pub mod latency;
 mod live_clock;
 pub mod live_session;
@@ -32,6 +34,7 @@ mod live_thread;
 pub mod observation;
 pub mod open;
 pub mod phrases;
+pub mod robot;
 pub mod say;
 mod service;
 pub mod status;
@@ -41,9 +44,11 @@ pub mod working_policy;
 
 pub use bus_player::{BusPlayer, SaidMessage};
 pub use client::{ClientError, ClientSettings, LiveClient};
+pub use json_fault::JsonFault;
 pub use latency::LatencyHistogram;
 pub use live_session::{LiveSession, LiveSnapshot, SayTo};
 pub use open::{OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan, StepClock};
+pub use robot::{ObservationSource, RobotForm, RobotVoice, StandingSession};
 pub use say::{HeardSay, SayEvent};
 pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};
 pub use status::{LiveCounts, LiveState, Silence};

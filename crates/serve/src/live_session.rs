@@ -20,15 +20,19 @@
 //! | `end`, or another `episode` | the utterance is cut, the past forgotten |
 //! | what cannot be used | refused and told; 16 in a row end the session |
 //! | a number three widths outside of its range | taken, `strange`, told once per number |
+//! | a fact that is none of the task's | passed over, `unknown_facts`, told once per name |
+//!
+//! The session of a robot that cannot ask for another one ([`ObservationSource::Robot`]) is never ended by what it sends.
 
 use std::sync::Arc;
 
 use leadtime_episodes::episode_seed;
 use leadtime_link::live::ArrivalEncoding;
 use leadtime_numerics::{Pcg64, Purpose};
+use leadtime_proto::phrase::no_such;
 use leadtime_sims::human::{Initiation, SpeechAct};
 use leadtime_sims::notifier::{Session, SessionState};
-use leadtime_sims::{Message, Quantity};
+use leadtime_sims::{Fact, Message, Quantity};
 use serde::{Deserialize, Serialize};
 
 use crate::heard::{HeardEvent, HeardReport};
@@ -36,6 +40,7 @@ use crate::latency::LatencyHistogram;
 use crate::observation::{BadObservation, LiveObservation};
 use crate::open::{SayForm, SessionPlan, StepClock};
 use crate::phrases::{PhraseBook, PhraseTurns, spoken_words};
+use crate::robot::{Arrived, ObservationSource, RobotReader};
 use crate::say::{self, SaidUtterance, SayEvent, SayLine};
 use crate::status::{LiveCounts, LiveState, Silence, StatusLine, seconds};
 use crate::travel::TravelTime;
@@ -56,6 +61,8 @@ const STATUS_PAUSE: u64 = 20_000_000;
 const MAX_GAP: u64 = 256;
 /// How far outside of its range a number may be, in widths of the range.
 const WIDTHS: f64 = 3.0;
+/// The most unknown facts that are told by name.
+const MAX_UNKNOWN: usize = 16;
 /// The longest sentence that is spoken without further memory, in bytes.
 const TEXT: usize = 512;
 /// Numbers of utterances that a restarted notifier passes over: some may have been said after its last snapshot.
@@ -115,6 +122,7 @@ pub struct LiveSession {
     notifier: Session,
     phrases: PhraseBook,
     ranges: Arc<[Quantity]>,
+    facts: Arc<[Fact]>,
     // The episode.
     is_begun: bool,
     episode: u64,
@@ -123,6 +131,7 @@ pub struct LiveSession {
     draws: Pcg64,
     recurrent: Vec<f32>,
     // What arrives.
+    robot: Option<RobotReader>,
     incoming: LiveObservation,
     newest: LiveObservation,
     newest_at: Option<u64>,
@@ -133,6 +142,8 @@ pub struct LiveSession {
     told: String,
     /// Which numbers were strange before.
     was_strange: Vec<bool>,
+    /// Which facts were unknown before.
+    unknown: Vec<String>,
     is_gone: bool,
     // What is said.
     utterance: RunningUtterance,
@@ -177,11 +188,16 @@ impl LiveSession {
             lost_ns: ns(plan.lost_after),
             phrases: PhraseBook::new(policy.taxonomy()),
             ranges: policy.observation().into(),
+            facts: policy.known_facts().into(),
             is_begun: false,
             episode: 0,
             step: 0,
             draws: Pcg64::seed_from_u64(0),
             recurrent: vec![0.0; decider.recurrent_dim()],
+            robot: match plan.source {
+                ObservationSource::Client => None,
+                ObservationSource::Robot(form) => Some(RobotReader::new(form, ns(plan.lost_after))),
+            },
             incoming: LiveObservation::new(obs_dim),
             newest: LiveObservation::new(obs_dim),
             newest_at: None,
@@ -191,6 +207,7 @@ impl LiveSession {
             n_refused_in_a_row: 0,
             told: String::new(),
             was_strange: vec![false; obs_dim],
+            unknown: Vec::new(),
             is_gone: false,
             utterance: RunningUtterance {
                 number: 0,
@@ -271,7 +288,7 @@ impl LiveSession {
     /// Tells whether the session is over: closed, or lost for long.
     pub fn is_over(&self, now: u64) -> bool {
         let quiet_since = self.newest_at.map_or(self.since, |at| at.max(self.since));
-        let is_quiet = now.saturating_sub(quiet_since) > FORGOTTEN;
+        let is_quiet = now.saturating_sub(quiet_since) > FORGOTTEN && self.robot.is_none();
         match self.state {
             LiveState::Closed => true,
             LiveState::Waiting | LiveState::Lost | LiveState::Ended => is_quiet,
@@ -307,10 +324,17 @@ impl LiveSession {
         if self.state == LiveState::Closed {
             return;
         }
-        let read = match encoding {
-            ArrivalEncoding::Json => self.incoming.read_json(payload),
-            ArrivalEncoding::Binary => self.incoming.read_raw(payload, beside.unwrap_or_default()),
-            ArrivalEncoding::Other(name) => Err(BadObservation::Encoding(name.clone())),
+        let read = match (encoding, &mut self.robot) {
+            (_, Some(robot)) => {
+                let last = Arrived { seq: self.last_seq, t: self.last_t, at: self.newest_at };
+                let read = robot.read(&mut self.incoming, (payload, beside), at, last);
+                read.map(|is_first| self.travel.forget_if(is_first))
+            }
+            (ArrivalEncoding::Json, None) => self.incoming.read_json(payload),
+            (ArrivalEncoding::Binary, None) => {
+                self.incoming.read_raw(payload, beside.unwrap_or_default())
+            }
+            (ArrivalEncoding::Other(name), None) => Err(BadObservation::Encoding(name.clone())),
         };
         match read.and_then(|()| self.check_order()) {
             Ok(true) => self.take(now, at, decider, out),
@@ -343,7 +367,7 @@ impl LiveSession {
         self.n_refused_in_a_row += 1;
         self.told = error.to_string();
         self.has_news = true;
-        if self.n_refused_in_a_row >= MAX_REFUSED {
+        if self.n_refused_in_a_row >= MAX_REFUSED && self.robot.is_none() {
             let why = Silence::Refused(self.n_refused_in_a_row, self.told.clone());
             self.close(now, why, out);
         }
@@ -357,6 +381,7 @@ impl LiveSession {
         self.n_refused_in_a_row = 0;
         (self.last_seq, self.last_t) = (Some(head.seq), head.t);
         self.look_for_strange_numbers();
+        self.look_for_unknown_facts();
         let is_stepped = self.plan.clock == StepClock::Observation;
         // A simulator's time is its own affair.
         let delay = if is_stepped { 0 } else { self.travel.delay(at, head.t) };
@@ -410,6 +435,20 @@ impl LiveSession {
             }
         }
         self.counts.strange += u64::from(is_strange);
+    }
+
+    fn look_for_unknown_facts(&mut self) {
+        let Some(facts) = self.incoming.facts() else { return };
+        let names = || self.facts.iter().map(|fact| fact.name);
+        for fact in facts.iter().filter(|fact| names().all(|name| name != *fact)) {
+            self.counts.unknown_facts += 1;
+            let is_told = self.unknown.iter().any(|told| told == fact);
+            if !is_told && self.unknown.len() < MAX_UNKNOWN {
+                self.unknown.push(fact.to_owned());
+                self.told = no_such("fact", fact, names());
+                self.has_news = true;
+            }
+        }
     }
 
     /// Starts an episode with the newest observation.

@@ -478,8 +478,9 @@ fn a_question_is_checked_against_the_policy() {
         question
     };
     for (question, told) in [
-        (json!({}), "cannot be read: missing field `protocol`"),
-        (json!([]), "cannot be read"),
+        (json!({}), "cannot be read: `protocol` is missing: the version of the messages, 1"),
+        (json!([]), "cannot be read: it has to be a JSON object with protocol, domain, "),
+        (with("domain", json!(7)), "`domain` has to be the name of the task, as a text; it is 7"),
         (with("protocol", json!(2)), "protocol 2 is asked for; this notifier speaks protocol 1"),
         (
             with("domain", json!("highway")),
@@ -494,10 +495,13 @@ fn a_question_is_checked_against_the_policy() {
         (with("seconds_per_step", json!(5.1)), "`seconds_per_step` is 5.1"),
         (with("stale_after", json!(0)), "`stale_after` is 0"),
         (with("lost_after", json!(0.1)), "`lost_after` is 0.1; allowed: 0.6 to 600 seconds"),
-        (with("clock", json!("sun")), "unknown variant `sun`"),
+        (
+            with("clock", json!("sun")),
+            "`clock` has to be timer, observation or word; it is \"sun\"",
+        ),
         (with("words", json!("mine")), "`words` is mine; allowed: shipped"),
         (with("incarnation", json!("12")), "`incarnation` is 12; allowed: 16 hexadecimal digits"),
-        (with("sed", json!(1)), "unknown field `sed`"),
+        (with("sed", json!(1)), "`sed` is not known; did you mean `seed`?"),
     ] {
         let sentence = refused(question);
         assert!(sentence.contains(told), "{sentence}");
@@ -506,4 +510,65 @@ fn a_question_is_checked_against_the_policy() {
     let plan = SessionPlan::read(question.to_string().as_bytes(), &policy, 7).unwrap();
     assert!(plan.notes[0].starts_with("`person` is not used"), "{:?}", plan.notes);
     assert_eq!((plan.seed, plan.seconds_per_step), (7, 0.3));
+}
+
+#[test]
+fn an_unknown_fact_is_counted_and_told_once_with_the_one_that_was_meant() {
+    let mut bench = Bench::open(true, &json!({"clock": "observation"}));
+    for (i, facts) in
+        [r#"["zone_belwo", "zone_below"]"#, r#"["zone_belwo"]"#, r#"["quite_another"]"#]
+            .into_iter()
+            .enumerate()
+    {
+        bench.until(i as u64 * 100);
+        let (head, n) = (bench.head(), bench.n);
+        let mut observation: Value =
+            serde_json::from_slice(&write_json(&head, &vec![0.1; n])).unwrap();
+        observation["facts"] = serde_json::from_str(facts).unwrap();
+        bench.json(observation.to_string().as_bytes());
+    }
+    bench.until(2_000);
+    let told = bench.told.statuses.iter().map(|(_, status)| status["told"].as_str().unwrap());
+    let told: Vec<&str> = told.filter(|told| !told.is_empty()).collect();
+    let [first, second] = told[..] else { panic!("{told:?}") };
+    let meant = "there is no fact `zone_belwo`; did you mean `zone_below`? Known: ";
+    assert!(first.starts_with(meant), "{first}");
+    assert!(second.starts_with("there is no fact `quite_another`. Known: "), "{second}");
+    assert_eq!(bench.last_status()["unknown_facts"], 3);
+    assert_eq!(bench.session.counts().taken, 3, "the observations count all the same");
+}
+
+#[test]
+fn a_robot_that_cannot_ask_again_is_never_given_up() {
+    let mut bench = Bench::open(true, &json!({"seconds_per_step": 0.1}));
+    let policy = policy(true);
+    let question = json!({"protocol": 1, "domain": "lander", "seconds_per_step": 0.1});
+    let plan = SessionPlan::read(question.to_string().as_bytes(), &policy, 7).unwrap();
+    let plan = SessionPlan { source: ObservationSource::Robot(crate::RobotForm::F32), ..plan };
+    bench.session = LiveSession::new("s2".to_owned(), plan, &policy, &bench.decider, OPENED);
+    let numbers = vec![0; 4 * bench.n];
+    let other = ArrivalEncoding::Other("application/cdr".to_owned());
+    // What a sample says of its form does not matter: the command line has said it.
+    for ms in (0..1_000).step_by(50) {
+        bench.until(ms);
+        bench.arrive(&other, &numbers, None);
+    }
+    assert_eq!((bench.state(), bench.session.last_seq()), (LiveState::Speaking, 20));
+    // Nonsense, as much as ends anybody else's session, and then an hour of silence.
+    for _ in 0..2 * MAX_REFUSED {
+        bench.arrive(&ArrivalEncoding::Json, b"{}", None);
+    }
+    bench.until(3_000);
+    assert_eq!(bench.state(), LiveState::Lost);
+    assert!(!bench.session.is_over(OPENED + 3_600_000 * MS));
+    let n_said = bench.told.says.len();
+    bench.until(4_000);
+    assert_eq!(bench.told.says.len(), n_said, "nothing is said to a robot that is lost");
+    for ms in (4_000..5_000).step_by(50) {
+        bench.until(ms);
+        bench.arrive(&ArrivalEncoding::Json, &numbers, None);
+    }
+    assert_eq!(bench.state(), LiveState::Speaking);
+    assert_eq!(bench.session.counts().refused, u64::from(2 * MAX_REFUSED));
+    assert!(bench.told.says.len() > n_said);
 }

@@ -12,6 +12,7 @@ use tracing::debug;
 use crate::heard::HeardReport;
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot, SayTo};
+use crate::robot::RobotVoice;
 use crate::status::{LiveState, Silence};
 use crate::taken::{TakenInput, TakenLog};
 use crate::working_policy::LiveDecider;
@@ -56,10 +57,18 @@ pub(crate) struct Hosted {
     pub(crate) incarnation: Option<Incarnation>,
     pub(crate) session: LiveSession,
     pub(crate) port: LivePort,
+    /// What tells a robot on keys of its own the same.
+    pub(crate) voice: Option<RobotVoice>,
     pub(crate) taken: TakenLog,
 }
 
 impl Hosted {
+    /// Returns the session, and what it speaks to.
+    fn parts(&mut self, clock: LiveClock) -> (&mut LiveSession, ToPort<'_>) {
+        let Self { session, port, voice, taken, .. } = self;
+        (session, ToPort { port, voice: voice.as_mut(), taken, clock })
+    }
+
     /// Tells recorders what was taken in, after what was said on account of it.
     fn tell_taken(&mut self, now: u64, input: TakenInput) {
         let session = &self.session;
@@ -116,19 +125,30 @@ impl LiveThread {
     }
 }
 
-/// Puts a session's events at its port.
-struct ToPort<'a>(&'a LivePort, &'a mut TakenLog);
+/// Puts a session's events at its port, and on the keys of its robot.
+struct ToPort<'a> {
+    port: &'a LivePort,
+    voice: Option<&'a mut RobotVoice>,
+    taken: &'a mut TakenLog,
+    clock: LiveClock,
+}
 
 impl SayTo for ToPort<'_> {
     fn say(&mut self, bytes: &[u8]) {
-        self.1.count_said();
-        if let Err(error) = self.0.say(bytes) {
+        self.taken.count_said();
+        if let Some(voice) = &mut self.voice {
+            voice.say(self.port, bytes, self.clock.now());
+        }
+        if let Err(error) = self.port.say(bytes) {
             debug!(%error, "an event could not be put");
         }
     }
 
     fn status(&mut self, bytes: &[u8]) {
-        if let Err(error) = self.0.status(bytes) {
+        if let Some(voice) = &mut self.voice {
+            voice.status(self.port, bytes, self.clock.now());
+        }
+        if let Err(error) = self.port.status(bytes) {
             debug!(%error, "a status could not be put");
         }
     }
@@ -221,8 +241,8 @@ impl Loop {
     fn end(mut self) {
         let now = self.clock.now();
         for hosted in &mut self.hosted {
-            let out = &mut ToPort(&hosted.port, &mut hosted.taken);
-            hosted.session.close(now, Silence::Closing, out);
+            let (session, mut out) = hosted.parts(self.clock);
+            session.close(now, Silence::Closing, &mut out);
         }
     }
 }
@@ -230,20 +250,21 @@ impl Loop {
 /// Does for a client whatever is to be done now.
 fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
     while let Some(bytes) = hosted.port.take_heard() {
-        let Hosted { session, port, taken, .. } = hosted;
         let now = clock.now();
-        session.hear(now, &bytes, decider, &mut ToPort(port, taken));
+        let (session, mut out) = hosted.parts(clock);
+        session.hear(now, &bytes, decider, &mut out);
         if let Ok(report) = HeardReport::read(&bytes) {
             hosted.tell_taken(now, TakenInput::Heard { report });
         }
     }
     if let Some(arrival) = hosted.port.take() {
-        let Hosted { session, port, taken, .. } = hosted;
+        let n_overwritten = hosted.port.n_overwritten();
+        let (session, mut out) = hosted.parts(clock);
         let (payload, beside, at) = (arrival.payload(), arrival.attachment(), clock.at(arrival.at));
-        session.note_overwritten(port.n_overwritten());
+        session.note_overwritten(n_overwritten);
         let parts = (&arrival.encoding(), &*payload, beside.as_deref());
         let (now, n_before) = (clock.now(), session.counts().taken);
-        session.arrive(now, at, parts, decider, &mut ToPort(port, taken));
+        session.arrive(now, at, parts, decider, &mut out);
         session.record_latency(clock.now().saturating_sub(at));
         if session.counts().taken > n_before {
             hosted.tell_taken(now, TakenInput::Observation { at });
@@ -251,8 +272,8 @@ fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
     }
     let now = clock.now();
     if hosted.session.next_deadline() <= now {
-        let Hosted { session, port, taken, .. } = hosted;
-        session.tick(now, decider, &mut ToPort(port, taken));
+        let (session, mut out) = hosted.parts(clock);
+        session.tick(now, decider, &mut out);
         hosted.tell_taken(now, TakenInput::Tick);
     }
 }

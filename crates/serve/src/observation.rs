@@ -14,7 +14,12 @@ use std::fmt;
 use leadtime_proto::text::quoted;
 use leadtime_taxonomy::MAX_FACTS;
 use serde::de::{self, DeserializeSeed, Deserializer as _, MapAccess, SeqAccess, Visitor};
+use serde_json::Value;
 use thiserror::Error;
+
+use crate::json_fault::{FieldRule, JsonFault, described, no_count, no_number};
+use crate::robot::cdr::BadCdr;
+use crate::robot::ros2::ATTACHMENT;
 
 /// The greatest number that an observation may hold.
 pub const MAX_NUMBER: f64 = 1e9;
@@ -36,7 +41,21 @@ const CRC_AT: usize = 32;
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum BadObservation {
     #[error("the observation cannot be read: {0}")]
-    Json(#[from] serde_json::Error),
+    Json(#[from] JsonFault),
+    #[error(
+        "the observation has {found} bytes; {expected} numbers have {}{looks_like}", 4 * expected
+    )]
+    NumbersAlone { found: usize, expected: usize, looks_like: &'static str },
+    #[error(transparent)]
+    Cdr(#[from] BadCdr),
+    #[error(
+        "{0} bytes are beside the message; rmw_zenoh 0.2.4 or later puts {ATTACHMENT} there: number, time, 16 and the gid of the source"
+    )]
+    SourceMark(usize),
+    #[error(
+        "two sources send observations at once: the first one is listened to until it is silent"
+    )]
+    TwoSources,
     #[error("the observation holds NaN or Infinity, which JSON does not have: send finite numbers")]
     NotJsonNumber,
     #[error("the observation has {found} numbers; {expected} are expected")]
@@ -145,6 +164,11 @@ impl LiveObservation {
         }
     }
 
+    /// Returns how many numbers an observation has.
+    pub(crate) fn obs_dim(&self) -> usize {
+        self.obs_dim
+    }
+
     /// Returns the facts; `None` from a client that does not say any.
     pub fn facts(&self) -> Option<&FactList> {
         self.facts.map(|()| &self.names)
@@ -163,19 +187,53 @@ impl LiveObservation {
     ///
     /// [`BadObservation`]; what was there before is lost.
     pub fn read_json(&mut self, bytes: &[u8]) -> Result<(), BadObservation> {
+        match self.read_fields(bytes)? {
+            [true, true] => Ok(()),
+            [has_seq, _] => Err(missing(if has_seq { "t" } else { "seq" })),
+        }
+    }
+
+    /// Reads JSON that may have neither number nor time; tells whether it has both.
+    ///
+    /// # Errors
+    ///
+    /// [`BadObservation`], also if it has only one of them.
+    pub(crate) fn read_json_of_robot(&mut self, bytes: &[u8]) -> Result<bool, BadObservation> {
+        match self.read_fields(bytes)? {
+            [true, false] => Err(missing("t")),
+            [false, true] => Err(missing("seq")),
+            [has_both, _] => Ok(has_both),
+        }
+    }
+
+    /// Reads JSON; tells whether there were a number and a time.
+    fn read_fields(&mut self, bytes: &[u8]) -> Result<[bool; 2], BadObservation> {
         self.clear();
         let mut reader = serde_json::Deserializer::from_slice(bytes);
         let mut found = 0;
         let read = reader.deserialize_map(Fields { into: self, found: &mut found });
-        read.and_then(|()| reader.end()).map_err(|error| {
+        let has = read.and_then(|has| reader.end().map(|()| has)).map_err(|error| {
             let holds = |word: &[u8]| bytes.windows(word.len()).any(|window| window == word);
             if error.is_syntax() && (holds(b"NaN") || holds(b"Infinity")) {
                 BadObservation::NotJsonNumber
             } else {
-                BadObservation::Json(error)
+                JsonFault::find(bytes, &RULES, &error).into()
             }
         })?;
-        self.check(found)
+        self.check(found).map(|()| has)
+    }
+
+    /// Reads numbers alone, each as its four bytes, little-endian; number and time stay 0.
+    ///
+    /// # Errors
+    ///
+    /// [`BadObservation`]; what was there before is lost.
+    pub(crate) fn read_numbers(&mut self, numbers: &[[u8; 4]]) -> Result<(), BadObservation> {
+        self.clear();
+        if numbers.len() == self.obs_dim {
+            self.values.extend(numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)));
+        }
+        self.check(numbers.len())
     }
 
     /// Reads raw numbers and the bytes beside them.
@@ -287,14 +345,69 @@ struct Fields<'a> {
 
 const FIELDS: [&str; 6] = ["seq", "t", "obs", "episode", "end", "facts"];
 
+/// What each field has to be. The first two may be missing, as far as JSON is concerned.
+const RULES: [FieldRule; 6] = {
+    const fn rule(
+        name: &'static str,
+        expected: &'static str,
+        misfit: fn(&Value) -> Option<String>,
+    ) -> FieldRule {
+        FieldRule { name, expected, misfit, is_optional: true }
+    }
+    [
+        rule("seq", "the number of the observation, a whole number from 0", no_count),
+        rule("t", "the time by the client's own clock, in seconds", no_number),
+        FieldRule {
+            is_optional: false,
+            ..rule("obs", "the list of the observation's numbers", no_number_list)
+        },
+        rule("episode", "the number of the episode, a whole number from 0", no_count),
+        rule("end", "true or false", |value| {
+            (!value.is_boolean()).then(|| format!("it is {}", described(value)))
+        }),
+        rule("facts", "a list of names of facts", no_fact_list),
+    ]
+};
+
+/// Says which field is missing.
+fn missing(field: &str) -> BadObservation {
+    let rule = RULES.iter().find(|rule| rule.name == field).unwrap_or(&RULES[0]);
+    JsonFault::Missing { field: rule.name, expected: rule.expected }.into()
+}
+
+/// Says what is wrong with a list of numbers.
+fn no_number_list(value: &Value) -> Option<String> {
+    let Some(list) = value.as_array() else { return Some(format!("it is {}", described(value))) };
+    let place = list.iter().position(|number| !number.is_number())?;
+    Some(format!("number {place} is {}", described(&list[place])))
+}
+
+/// Says what is wrong with a list of facts.
+fn no_fact_list(value: &Value) -> Option<String> {
+    let Some(list) = value.as_array() else { return Some(format!("it is {}", described(value))) };
+    let is_name = |name: &str| (1..=MAX_FACT).contains(&name.len());
+    let place = list.iter().position(|name| !name.as_str().is_some_and(is_name));
+    match place {
+        Some(place) => {
+            let found = described(&list[place]);
+            Some(format!("name {place} is {found}, and one has 1 to {MAX_FACT} bytes"))
+        }
+        None if list.len() > MAX_FACTS => {
+            Some(format!("it has {}, and {MAX_FACTS} is the most", list.len()))
+        }
+        None => None,
+    }
+}
+
 impl<'de> Visitor<'de> for Fields<'_> {
-    type Value = ();
+    /// Whether there were a number and a time.
+    type Value = [bool; 2];
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("an observation: {\"seq\": 1, \"t\": 0.0, \"obs\": [...]}")
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<[bool; 2], A::Error> {
         let Fields { into, found } = self;
         let mut seen = [false; FIELDS.len()];
         while let Some(field) = map.next_key_seed(FieldName)? {
@@ -316,10 +429,7 @@ impl<'de> Visitor<'de> for Fields<'_> {
                 }
             }
         }
-        match seen[..3].iter().position(|seen| !seen) {
-            Some(missing) => Err(de::Error::missing_field(FIELDS[missing])),
-            None => Ok(()),
-        }
+        if seen[2] { Ok([seen[0], seen[1]]) } else { Err(de::Error::missing_field(FIELDS[2])) }
     }
 }
 
@@ -462,21 +572,34 @@ mod tests {
     #[test]
     fn what_is_wrong_is_one_sentence() {
         for (text, told) in [
-            ("", "cannot be read: EOF"),
-            ("[]", "an observation: {\"seq\""),
-            (r#"{"seq":1,"t":0}"#, "missing field `obs`"),
+            ("", "it is no JSON: it ends in the middle, after 0 bytes"),
+            (
+                "[]",
+                "it has to be a JSON object with seq, t, obs, episode, end, facts; it is a list",
+            ),
+            (r#"{"seq":1,"t":0}"#, "`obs` is missing: the list of the observation's numbers"),
+            (r#"{"t":0,"obs":[1,2]}"#, "`seq` is missing: the number of the observation"),
+            (r#"{"seq":1,"obs":[1,2]}"#, "`t` is missing: the time by the client's own clock"),
             (r#"{"seq":1,"t":0,"obs":[1]}"#, "has 1 numbers; 2 are expected"),
             (r#"{"seq":1,"t":0,"obs":[1,2,3]}"#, "has 3 numbers; 2 are expected"),
             (r#"{"seq":1,"t":0,"obs":[NaN,1]}"#, "NaN or Infinity"),
-            (r#"{"seq":1,"t":0,"obs":[null,1]}"#, "invalid type: null"),
+            (r#"{"seq":1,"t":0,"obs":[1,null]}"#, "numbers; number 1 is null"),
+            (r#"{"seq":1,"t":0,"obs":7}"#, "the list of the observation's numbers; it is 7"),
             (r#"{"seq":1,"t":0,"obs":[1e39,1]}"#, "number 0 of the observation is inf"),
             (r#"{"seq":1,"t":0,"obs":[1,-2e9]}"#, "number 1 of the observation is -2000000000"),
-            (r#"{"seq":-1,"t":0,"obs":[1,2]}"#, "invalid value"),
+            (r#"{"seq":-1,"t":0,"obs":[1,2]}"#, "a whole number from 0; it is -1"),
+            (r#"{"seq":"1","t":0,"obs":[1,2]}"#, "a whole number from 0; it is \"1\""),
+            (r#"{"seq":1,"t":"now","obs":[1,2]}"#, "`t` has to be the time"),
+            (r#"{"seq":1,"t":0,"obs":[1,2],"end":1}"#, "`end` has to be true or false; it is 1"),
             (r#"{"seq":1,"t":-1,"obs":[1,2]}"#, "`t` is -1; allowed: 0 to 1e9 seconds"),
-            (r#"{"seq":1,"t":0,"obs":[1,2],"ob":1}"#, "unknown field `ob`"),
-            (r#"{"seq":1,"seq":2,"t":0,"obs":[1,2]}"#, "duplicate field `seq`"),
-            (r#"{"seq":1,"t":0,"obs":[1,2]} x"#, "trailing characters"),
-            (r#"{"seq":1,"t":0,"obs":[1,2],"facts":[""]}"#, "the name of a fact"),
+            (r#"{"seq":1,"t":0,"obs":[1,2],"ob":1}"#, "`ob` is not known; did you mean `obs`?"),
+            (r#"{"seq":1,"seq":2,"t":0,"obs":[1,2]}"#, "`seq` is there twice"),
+            (r#"{"seq":1,"t":0,"obs":[1,2]} x"#, "`x` at line 1, column 29 is out of place"),
+            (
+                r#"{"seq":1,"t":0,"obs":[1,2],"facts":["a",""]}"#,
+                "name 1 is \"\", and one has 1 to 64",
+            ),
+            (r#"{"seq":1,"t":0,"obs":[1,2],"facts":"low"}"#, "a list of names of facts; it is"),
         ] {
             let error = read(text).unwrap_err();
             assert!(error.contains(told), "{text}: {error}");

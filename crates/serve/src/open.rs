@@ -5,10 +5,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
+use crate::json_fault::{FieldRule, JsonFault, described, no_count, no_number, no_text};
+use crate::robot::ObservationSource;
 use crate::working_policy::{PolicyOrigin, WorkingPolicy};
 
 /// The version of the messages between a notifier at work and its clients.
 pub const LIVE_PROTOCOL: u32 = 1;
+/// How the refusal of a client of another task begins.
+pub const WRONG_TASK: &str = "this notifier is for ";
 /// The longest step, in seconds.
 pub const MAX_STEP: f64 = 5.0;
 /// The longest patience with a client that says nothing, in seconds.
@@ -64,6 +68,46 @@ struct OpenRequest {
     encoding: SayForm,
 }
 
+/// What each key of a question has to be.
+const RULES: [FieldRule; 12] = {
+    const fn rule(
+        name: &'static str,
+        expected: &'static str,
+        misfit: fn(&Value) -> Option<String>,
+    ) -> FieldRule {
+        FieldRule { name, expected, misfit, is_optional: true }
+    }
+    const fn required(rule: FieldRule) -> FieldRule {
+        FieldRule { is_optional: false, ..rule }
+    }
+    /// A key that is `null` counts as left out.
+    fn or_null(value: &Value, misfit: fn(&Value) -> Option<String>) -> Option<String> {
+        if value.is_null() { None } else { misfit(value) }
+    }
+    [
+        required(rule("protocol", "the version of the messages, 1", no_count)),
+        required(rule("domain", "the name of the task, as a text", no_text)),
+        rule("obs_dim", "the number of an observation's numbers", |it| or_null(it, no_count)),
+        rule("seconds_per_step", "a time in seconds", |it| or_null(it, no_number)),
+        rule("clock", "timer, observation or word", |it| {
+            no_choice(it, &["timer", "observation", "word"])
+        }),
+        rule("stale_after", "a time in seconds", |it| or_null(it, no_number)),
+        rule("lost_after", "a time in seconds", |it| or_null(it, no_number)),
+        rule("seed", "a whole number from 0", |it| or_null(it, no_count)),
+        rule("words", "a text", |it| or_null(it, no_text)),
+        rule("person", "anything", |_| None),
+        rule("incarnation", "16 hexadecimal digits, as a text", |it| or_null(it, no_text)),
+        rule("encoding", "json or binary", |it| no_choice(it, &["json", "binary"])),
+    ]
+};
+
+/// Says what a value is that is none of these.
+fn no_choice(value: &Value, choices: &[&str]) -> Option<String> {
+    let is_choice = value.as_str().is_some_and(|text| choices.contains(&text));
+    (!is_choice).then(|| format!("it is {}", described(value)))
+}
+
 /// What a session is to be, checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SessionPlan {
@@ -81,6 +125,8 @@ pub struct SessionPlan {
     pub form: SayForm,
     /// Which start of the client asks; `None` from one that does not say.
     pub incarnation: Option<u64>,
+    /// Where observations come from.
+    pub source: ObservationSource,
     /// What the client should know.
     pub notes: Vec<String>,
 }
@@ -90,11 +136,13 @@ pub struct SessionPlan {
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum OpenRefusal {
     #[error("the question cannot be read: {0}")]
-    Json(#[from] serde_json::Error),
+    Question(#[from] JsonFault),
+    #[error("the answer cannot be written: {0}")]
+    Answer(#[from] serde_json::Error),
     #[error("protocol {0} is asked for; this notifier speaks protocol {LIVE_PROTOCOL}")]
     Protocol(u32),
     #[error(
-        "this notifier is for {served}, with {served_dim} numbers per observation; the client is of {asked}{}",
+        "{WRONG_TASK}{served}, with {served_dim} numbers per observation; the client is of {asked}{}",
         asked_dim.map_or(String::new(), |n| format!(", with {n}"))
     )]
     Task { served: String, served_dim: usize, asked: String, asked_dim: Option<usize> },
@@ -115,7 +163,8 @@ impl SessionPlan {
     ///
     /// [`OpenRefusal`] with the sentence for the client.
     pub fn read(question: &[u8], policy: &WorkingPolicy, seed: u64) -> Result<Self, OpenRefusal> {
-        let asked: OpenRequest = serde_json::from_slice(question)?;
+        let asked: OpenRequest = serde_json::from_slice(question)
+            .map_err(|error| JsonFault::find(question, &RULES, &error))?;
         if asked.protocol != LIVE_PROTOCOL {
             return Err(OpenRefusal::Protocol(asked.protocol));
         }
@@ -166,6 +215,7 @@ impl SessionPlan {
             seed: asked.seed.unwrap_or(seed),
             form: asked.encoding,
             incarnation,
+            source: ObservationSource::Client,
             notes,
         })
     }
@@ -250,11 +300,13 @@ pub struct SessionAnswer<'a> {
     pub domain: &'a str,
     /// How many numbers an observation has.
     pub obs_dim: usize,
-    /// Each of them.
+    /// Each of them; a client that takes 24 bytes per event is told no more than it has room for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub observation: Vec<ObservationName>,
     /// The topics, by number.
     pub topics: &'a [&'static str],
     /// The facts that an observation may tell, with when each holds.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub facts: Vec<FactNote>,
     /// When steps are taken.
     pub clock: StepClock,
@@ -272,6 +324,9 @@ pub struct SessionAnswer<'a> {
     pub policy: PolicyNote,
     /// How many sentences there are.
     pub sentences: usize,
+    /// The settings of the task that the policy was made for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<&'a Value>,
     /// What the client should know.
     pub notes: &'a [String],
 }
@@ -284,14 +339,17 @@ impl<'a> SessionAnswer<'a> {
         policy: &'a WorkingPolicy,
         last_seq: u64,
     ) -> Self {
+        let is_whole = plan.form == SayForm::Json;
+        let (observation, facts) =
+            if is_whole { (policy.observation(), policy.facts()) } else { Default::default() };
         Self {
             session,
             protocol: LIVE_PROTOCOL,
             domain: &policy.domain,
             obs_dim: policy.obs_dim(),
-            observation: policy.observation().iter().map(ObservationName::from).collect(),
+            observation: observation.iter().map(ObservationName::from).collect(),
             topics: policy.session.topics(),
-            facts: policy.facts().iter().map(FactNote::from).collect(),
+            facts: facts.iter().map(FactNote::from).collect(),
             clock: plan.clock,
             seconds_per_step: plan.seconds_per_step,
             stale_after: plan.stale_after,
@@ -300,6 +358,7 @@ impl<'a> SessionAnswer<'a> {
             last_seq,
             policy: PolicyNote { sha256: policy.sha256.clone(), updates: policy.n_updates },
             sentences: policy.n_sentences(),
+            task: policy.task.as_ref().filter(|_| is_whole),
             notes: &plan.notes,
         }
     }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-use leadtime_link::live::{LiveEvent, LiveServiceLink, OpenResponder};
+use leadtime_link::live::{LiveEvent, LiveServiceLink, OpenResponder, RobotKeys};
 use leadtime_proto::{ClientName, Incarnation};
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use serde::{Deserialize, Serialize};
@@ -15,6 +15,7 @@ use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot};
 use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
 use crate::open::{OpenRefusal, SessionAnswer, SessionNote, SessionPlan};
+use crate::robot::{ObservationSource, RobotVoice, StandingSession};
 use crate::status::LiveState;
 use crate::taken::TakenLog;
 use crate::working_policy::{LiveDecider, WorkingPolicy};
@@ -67,6 +68,8 @@ struct Registered {
     state: LiveState,
     question: Vec<u8>,
     answer: Vec<u8>,
+    /// The command line opened it, and nobody else may have its place.
+    is_standing: bool,
 }
 
 /// A session's state as it is kept.
@@ -240,23 +243,61 @@ impl LiveService {
         if self.open.len() >= self.settings.max_sessions && !self.make_room() {
             return Err(OpenRefusal::Full(self.open.len()));
         }
+        self.host(client, question, &plan, None)
+    }
+
+    /// Opens the session of a robot that does not ask for one; it stays as long as the notifier.
+    ///
+    /// # Errors
+    ///
+    /// [`OpenRefusal`], as a client is told it.
+    pub fn stand(&mut self, standing: StandingSession) -> Result<(), OpenRefusal> {
+        let plan = SessionPlan::read(&standing.question, &self.policy, self.settings.seed)?;
+        let plan = SessionPlan { source: ObservationSource::Robot(standing.form), ..plan };
+        let StandingSession { client, question, keys, voice, .. } = standing;
+        for note in &plan.notes {
+            info!(%client, note, "what the robot would be told");
+        }
+        let voice = voice.started_at(self.clock.now());
+        self.host(&client, question, &plan, Some((keys, voice))).map(drop)
+    }
+
+    /// Makes a session and gives it to a thread; returns the answer to its question.
+    fn host(
+        &mut self,
+        client: &ClientName,
+        question: Vec<u8>,
+        plan: &SessionPlan,
+        robot: Option<(RobotKeys, RobotVoice)>,
+    ) -> Result<Vec<u8>, OpenRefusal> {
+        let start = plan.incarnation.map(Incarnation);
         let (session, notes) = self.session(client, &question, plan.clone());
         let taken = TakenLog::new(session.counts().taken > 0);
-        let answered = SessionPlan { notes, ..plan };
+        let answered = SessionPlan { notes, ..plan.clone() };
         let answer = SessionAnswer::new(session.id(), &answered, &self.policy, session.last_seq());
         let answer = serde_json::to_vec(&answer)?;
         let thread = self.idlest_thread();
         let is_raw = answered.form == crate::open::SayForm::Binary;
-        let port = self.link.port(client, is_raw, self.threads[thread].waker())?;
+        let (keys, voice) = robot.unzip();
+        let port = self.link.port(client, is_raw, keys.as_ref(), self.threads[thread].waker())?;
         let (client, id) = (client.clone(), session.id().to_owned());
         info!(%client, session = id, "a session is open");
-        let hosted = Hosted { client: client.clone(), incarnation: start, session, port, taken };
+        let is_standing = voice.is_some();
+        let name = client.clone();
+        let hosted = Hosted { client: name, incarnation: start, session, port, voice, taken };
         if !self.threads[thread].order(ThreadOrder::Add(Box::new(hosted))) {
             return Err(OpenRefusal::Full(self.open.len()));
         }
         let state = LiveState::Waiting;
-        let registered =
-            Registered { incarnation: start, id, thread, state, question, answer: answer.clone() };
+        let registered = Registered {
+            incarnation: start,
+            id,
+            thread,
+            state,
+            question,
+            answer: answer.clone(),
+            is_standing,
+        };
         self.open.insert(client, registered);
         Ok(answer)
     }
@@ -282,9 +323,8 @@ impl LiveService {
         let kept = self.settings.store.as_ref().and_then(|store| store.find(client));
         let kept: Option<KeptSession> = kept.and_then(|bytes| read_snapshot(&bytes).ok());
         let is_same = |kept: &KeptSession| {
-            kept.policy == self.policy.sha256
-                && kept.question == question
-                && plan.incarnation.is_some()
+            let is_known = plan.incarnation.is_some() || plan.source != ObservationSource::Client;
+            kept.policy == self.policy.sha256 && kept.question == question && is_known
         };
         let now = self.clock.now();
         let make = |id, plan| LiveSession::new(id, plan, &self.policy, &self.decider, now);
@@ -302,6 +342,9 @@ impl LiveService {
 
     /// Tells whether the client of a session is there.
     fn is_there(&self, client: &ClientName, registered: &Registered) -> bool {
+        if registered.is_standing {
+            return true;
+        }
         if let Some(start) = registered.incarnation {
             return self.present.get(client).is_some_and(|starts| starts.contains(&start));
         }

@@ -103,6 +103,8 @@ pub struct LiveCounts {
     pub overwritten: u64,
     /// Observations far outside of the range of one of their numbers.
     pub strange: u64,
+    /// Names among the facts of observations that are none of the task's.
+    pub unknown_facts: u64,
     /// Steps that were taken late.
     pub late_steps: u64,
     /// Steps in all.

@@ -24,6 +24,13 @@ pub(crate) struct TravelTime {
 }
 
 impl TravelTime {
+    /// Forgets every difference, where the client's time is another one from now on.
+    pub(crate) fn forget_if(&mut self, is_other: bool) {
+        if is_other {
+            *self = Self::default();
+        }
+    }
+
     /// Returns by how much an observation that arrives `now` was delayed, in nanoseconds. `t` is the client's time in seconds.
     pub(crate) fn delay(&mut self, now: u64, t: f64) -> u64 {
         let found = ClockDifference { nanoseconds: now as i64 - (t * 1e9) as i64, at: now };

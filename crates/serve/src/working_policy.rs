@@ -10,6 +10,7 @@ use leadtime_sims::notifier::Session;
 use leadtime_sims::{Environment, Fact, Quantity};
 use leadtime_taxonomy::{Taxonomy, Topic};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use thiserror::Error;
 
 /// Why a policy cannot go to work.
@@ -54,10 +55,14 @@ pub struct WorkingPolicy {
     pub n_updates: u64,
     /// How it was put to work.
     pub origin: PolicyOrigin,
+    /// The settings of the task that it was made for, where they are known.
+    pub task: Option<Value>,
     /// One observation's numbers.
     observation: Vec<Quantity>,
     /// What a client may say to be the case, as far as some sentence presupposes it.
     facts: Vec<Fact>,
+    /// Everything that a client of this task may say to be the case.
+    known_facts: Vec<Fact>,
     taxonomy: Option<Arc<Taxonomy>>,
     decider: LiveDecider,
 }
@@ -86,7 +91,8 @@ impl WorkingPolicy {
         let is_presupposed = |fact: &Fact| {
             taxonomy.as_ref().is_some_and(|it| it.facts().iter().any(|name| name == fact.name))
         };
-        let facts = environment.facts().into_iter().filter(is_presupposed).collect();
+        let known_facts = environment.facts();
+        let facts = known_facts.iter().copied().filter(is_presupposed).collect();
         let mut observation = environment.describe().observation.frame;
         observation.truncate(session.obs_dim());
         Ok(Self {
@@ -96,8 +102,10 @@ impl WorkingPolicy {
             sha256: String::new(),
             n_updates: 0,
             origin: PolicyOrigin::default(),
+            task: None,
             observation,
             facts,
+            known_facts,
             taxonomy: taxonomy.map(Arc::new),
         })
     }
@@ -119,6 +127,11 @@ impl WorkingPolicy {
         sentences.fold(0, |sum, sentence| crc32c::crc32c_append(sum, sentence.text.as_bytes()))
     }
 
+    /// Says which settings its task has, JSON.
+    pub fn of_task(self, settings: &str) -> Self {
+        Self { task: serde_json::from_str(settings).ok(), ..self }
+    }
+
     /// Returns how many numbers an observation has.
     pub fn obs_dim(&self) -> usize {
         self.session.obs_dim()
@@ -132,6 +145,11 @@ impl WorkingPolicy {
     /// Lists the facts that a client may tell: those that some sentence presupposes.
     pub fn facts(&self) -> &[Fact] {
         &self.facts
+    }
+
+    /// Lists all facts of the task, those that no sentence presupposes included.
+    pub fn known_facts(&self) -> &[Fact] {
+        &self.known_facts
     }
 
     /// Returns the words, if there are any.

@@ -11,7 +11,7 @@ use leadtime_proto::{ClientName, ServiceName};
 use leadtime_runs::evaluation;
 use leadtime_serve::{MAX_SESSIONS, PolicyOrigin, SayForm, StepClock};
 
-use super::{GuardArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
+use super::{GuardArgs, RobotArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
 
 /// `leadtime serve`
 #[derive(Debug, Args)]
@@ -26,6 +26,8 @@ pub(crate) struct ServeArgs {
     pub connect: Vec<String>,
     #[command(flatten)]
     pub guard: GuardArgs,
+    #[command(flatten)]
+    pub robot: RobotArgs,
     /// Name of the notifier: part of every key.
     #[arg(long, value_name = "NAME", default_value = "notifier")]
     pub service: ServiceName,

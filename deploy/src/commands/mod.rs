@@ -30,6 +30,7 @@ mod runs;
 mod script_search;
 mod serve;
 mod smoke;
+mod standing;
 mod taxonomy;
 mod version;
 mod watch;

@@ -46,8 +46,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure>
         settings.timeout = args.connect_timeout;
         let link = LiveClientLink::open(&settings).await.map_err(drive::failure)?;
         link.find(&args.service).await.map_err(drive::failure)?;
-        let client = drive::own_name(args.client.as_ref(), &settings, "replay");
-        let client = client.blame(ExitCode::WrongInput)?;
+        let client = drive::own_name(args.client.as_ref(), &settings, "replay")?;
         let port = link.port(&args.service, &client, clock::incarnation());
         let target = SessionOverNetwork::new(port.map_err(drive::failure)?);
         let work = move || over_network(&sessions, target, &pace);

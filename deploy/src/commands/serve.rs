@@ -11,11 +11,14 @@ use leadtime_link::live::LiveServiceLink;
 use leadtime_proto::ClientName;
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{LoadedPolicy, Tasks, clock, write_atomically};
-use leadtime_serve::{LiveService, PolicyOrigin, ServiceSettings, StateStore, WorkingPolicy};
+use leadtime_serve::{
+    LiveService, OpenRefusal, PolicyOrigin, ServiceSettings, StateStore, WorkingPolicy,
+};
 use leadtime_table::Table;
 use leadtime_taxonomy::{MAX_FACTS, Taxonomy, shipped};
 use serde_json::{Value, json};
 
+use super::standing::standing;
 use super::taxonomy;
 use crate::cli::{ServeArgs, VoiceKind};
 use crate::credentials::{listen_settings, listening_failure};
@@ -52,8 +55,18 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
         spins: !args.no_spin,
         store,
     };
+    let standing = standing(&args.robot, &domain, (service, own), &link.zid());
+    let standing = standing.context("--ros2-topic").blame(ExitCode::WrongInput)?;
     let notifier = LiveService::new(policy, service_settings, (link, events), own);
-    let notifier = notifier.blame(ExitCode::Failed)?;
+    let mut notifier = notifier.blame(ExitCode::Failed)?;
+    if let Some((standing, robot)) = standing {
+        let client = standing.client.clone();
+        notifier.stand(standing).map_err(|refusal| match refusal {
+            OpenRefusal::Network(error) => Failure::of(ExitCode::WrongInput, error),
+            refusal => Failure::of(ExitCode::WrongInput, refusal),
+        })?;
+        tracing::info!("listens to robot `{client}` on {robot}");
+    }
     let place = if locators.is_empty() { args.connect.join(", ") } else { locators };
     tracing::info!("notifier `{service}` for {domain}, with {sentences}, is at work at {place}");
     notifier.run(shutdown.cancelled_owned()).await.map_err(listening_failure)
@@ -82,6 +95,7 @@ pub(super) fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Fai
         let error = leadtime_serve::UnfitPolicy::NoWords(domain.to_owned());
         return Err(error).blame(ExitCode::WrongInput);
     }
+    let policy = policy.of_task(&config.evaluation.task.settings);
     let origin = PolicyOrigin {
         path: loaded.path.display().to_string(),
         sha256: loaded.sha256.clone(),

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use leadtime_proto::{ClientName, Incarnation, ServiceName, text};
 use zenoh::Wait as _;
 use zenoh::bytes::Encoding;
+use zenoh::key_expr::OwnedKeyExpr;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{ConsolidationMode, QueryTarget};
@@ -84,6 +85,42 @@ impl LiveClientLink {
         ClientPort::open(&self.session, service, client, incarnation)
     }
 
+    /// Puts bytes on any key, as a robot does that knows nothing of ours.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn put_at(&self, key: &str, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
+        let put = self.session.put(any_key(key)?, bytes);
+        let put = if let Some(beside) = beside { put.attachment(beside) } else { put };
+        put.wait().map_err(Error::network("publish on", key))
+    }
+
+    /// Takes what is put on any key, with what is beside it, for as long as the answer is kept.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if it cannot be declared.
+    pub fn take_at(&self, key: &str) -> Result<TakenAt> {
+        let (sender, taken) = flume::bounded(MAX_MESSAGES);
+        let subscriber = subscribe(&self.session, any_key(key)?, move |sample| {
+            let beside = sample.attachment().map(|beside| beside.to_bytes().into_owned());
+            drop(sender.try_send((sample.payload().to_bytes().into_owned(), beside)));
+        })?;
+        Ok(TakenAt { taken, _subscriber: subscriber })
+    }
+
+    /// Lists who shows presence at keys now.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network cannot be asked.
+    pub async fn presence_at(&self, keys: &str) -> Result<Vec<String>> {
+        let (keys, action) = (any_key(keys)?, "look for presence on");
+        let found = discovery::tokens(&self.session, keys, action, LOOK, MAX_SERVICES).await?;
+        Ok(found.iter().map(ToString::to_string).collect())
+    }
+
     /// Leaves the network, within a limited time.
     ///
     /// # Errors
@@ -91,6 +128,20 @@ impl LiveClientLink {
     /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
         session::close(&self.session).await
+    }
+}
+
+/// What is put on a key of somebody else's.
+#[derive(Debug)]
+pub struct TakenAt {
+    taken: flume::Receiver<(Vec<u8>, Option<Vec<u8>>)>,
+    _subscriber: Subscriber<()>,
+}
+
+impl TakenAt {
+    /// Waits for the next message and what is beside it; `None` once `timeout` is over.
+    pub fn next(&self, timeout: Duration) -> Option<(Vec<u8>, Option<Vec<u8>>)> {
+        self.taken.recv_timeout(timeout).ok()
     }
 }
 
@@ -271,6 +322,10 @@ pub(super) async fn find(
         }
         tokio::time::sleep(LOOK_PAUSE).await;
     }
+}
+
+fn any_key(key: &str) -> Result<OwnedKeyExpr> {
+    OwnedKeyExpr::autocanonize(key.to_owned()).map_err(Error::network("use", key))
 }
 
 /// Lists the notifiers that are there now.

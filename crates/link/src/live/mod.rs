@@ -12,6 +12,8 @@
 //! leadtime/live/1/{service}/{client}/session                query of a recorder: what the session is
 //! ```
 //!
+//! A robot that knows nothing of ours has keys of its own instead ([`RobotKeys`]).
+//!
 //! The keys lie beside those of runs, and their messages are not ours alone: JSON for everybody, a few raw bytes for
 //! microcontrollers. What is in them this crate does not know.
 //!
@@ -28,11 +30,13 @@ mod client;
 mod keys;
 mod port;
 mod recorder;
+mod robot;
 mod service;
 
-pub use client::{ClientPort, LiveClientLink, LiveMessage};
+pub use client::{ClientPort, LiveClientLink, LiveMessage, TakenAt};
 pub(crate) use keys::LIVE_ROOT;
 pub use keys::{LiveAlive, LiveKey, LiveTopic};
 pub use port::{Arrival, ArrivalEncoding, LivePort};
 pub use recorder::{LiveRecorderLink, LiveSample, SessionAsker};
+pub use robot::RobotKeys;
 pub use service::{LiveEvent, LiveServiceLink, OpenResponder};

@@ -15,6 +15,7 @@ use zenoh::sample::Sample;
 use zenoh::session::Session;
 
 use super::keys::LiveKey;
+use super::robot::{RobotKeys, RobotPort};
 use crate::lock::lock;
 use crate::pubsub::{publisher, subscribe};
 use crate::{Error, Result};
@@ -100,6 +101,7 @@ pub struct LivePort {
     say: Publisher<'static>,
     status: Publisher<'static>,
     taken: Publisher<'static>,
+    robot: Option<RobotPort>,
     /// Dropped last: what arrives finds the rest of this.
     _subscribers: [Subscriber<()>; 2],
 }
@@ -117,12 +119,14 @@ impl LivePort {
         service: &ServiceName,
         client: &ClientName,
         say_raw: bool,
+        robot: Option<&RobotKeys>,
         wake: Arc<dyn Fn() + Send + Sync>,
     ) -> Result<Self> {
         let inbox = Arc::new(Inbox::default());
         let (arrivals, woken) = (Arc::clone(&inbox), Arc::clone(&wake));
+        let own = LiveKey::Observations(service, client).to_string();
         let observations =
-            subscribe(session, LiveKey::Observations(service, client), move |sample| {
+            subscribe(session, robot.map_or(&own, |robot| &robot.observations), move |sample| {
                 if sample.payload().len() > MAX_LIVE_BYTES {
                     arrivals.n_overwritten.fetch_add(1, Ordering::Relaxed);
                     return;
@@ -150,7 +154,8 @@ impl LivePort {
         // As what is said, which it tells about: so it comes after that.
         let key = LiveKey::Taken(service, client);
         let taken = publisher(session, key, qos, Encoding::APPLICATION_JSON)?;
-        Ok(Self { inbox, heard, say, status, taken, _subscribers: [observations, hearing] })
+        let robot = robot.map(|keys| RobotPort::open(session, keys)).transpose()?;
+        Ok(Self { inbox, heard, say, status, taken, robot, _subscribers: [observations, hearing] })
     }
 
     /// Takes the newest observation, if one has arrived since the last time.
@@ -193,5 +198,23 @@ impl LivePort {
     /// [`Error::Network`] if the network has ended.
     pub fn taken(&self, bytes: &[u8]) -> Result<()> {
         self.taken.put(bytes).wait().map_err(Error::network("publish on", self.taken.key_expr()))
+    }
+
+    /// Puts an event on the robot's own key, if it has one, with bytes beside it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn say_to_robot(&self, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
+        self.robot.as_ref().map_or(Ok(()), |robot| robot.say(bytes, beside))
+    }
+
+    /// Puts a status on the robot's own key, if it has one, with bytes beside it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn status_to_robot(&self, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
+        self.robot.as_ref().map_or(Ok(()), |robot| robot.status(bytes, beside))
     }
 }

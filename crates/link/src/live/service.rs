@@ -13,6 +13,7 @@ use zenoh::session::Session;
 
 use super::keys::{LiveKey, check_name, parse_alive, parse_open, parse_session};
 use super::port::LivePort;
+use super::robot::RobotKeys;
 use crate::answer::{Answers, PendingReply};
 use crate::pubsub::{appear, take_questions, watch_tokens};
 use crate::{Error, ListenSettings, Result, session};
@@ -145,19 +146,26 @@ impl LiveServiceLink {
         Ok(same.map(|(_, start)| start).filter(|start| *start != own).collect())
     }
 
-    /// Opens a place for a client; `wake` is called whenever something has arrived, and must not wait.
+    /// Returns the name of this session on the network.
+    pub fn zid(&self) -> String {
+        self.session.zid().to_string()
+    }
+
+    /// Opens a place for a client, or for a robot with keys of its own; `wake` is called whenever something has arrived, and must not wait.
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if it cannot be declared; [`Error::ReservedName`].
+    /// [`Error::Network`] if it cannot be declared; [`Error::ReservedName`], [`Error::RobotKey`].
     pub fn port(
         &self,
         client: &ClientName,
         say_raw: bool,
+        robot: Option<&RobotKeys>,
         wake: Arc<dyn Fn() + Send + Sync>,
     ) -> Result<LivePort> {
         check_name(client)?;
-        LivePort::open(&self.session, &self.service, client, say_raw, wake)
+        robot.map_or(Ok(()), RobotKeys::check)?;
+        LivePort::open(&self.session, &self.service, client, say_raw, robot, wake)
     }
 
     /// Checks that it can still be reached; to be asked now and then, because no event tells it.

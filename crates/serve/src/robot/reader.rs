@@ -1,0 +1,237 @@
+//! Reads what arrives on a robot's own key, and gives it the number and the time that it does not bring.
+//!
+//! | what is beside or in it | number | time |
+//! |---|---|---|
+//! | `seq` and `t` of our JSON | its own | its own |
+//! | what `rmw_zenoh` puts beside | its source's | its source's |
+//! | nothing | one more than the last: the order of arrival | that of its arrival |
+//!
+//! Without a time of its own, an observation that waited somewhere on its way cannot be told from a new one.
+//!
+//! Sources come and go: a robot's program is started again and counts from 1. So numbers and times are counted on from the
+//! last observation whenever another source begins. That may be once the one before has been silent; two at once would tear what
+//! is observed, so the second one is refused.
+
+use crate::observation::{BadObservation, LiveObservation};
+use crate::robot::form::RobotForm;
+use crate::robot::ros2::SourceMark;
+
+/// What a session knows of the observation before.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Arrived {
+    /// Its number; `None` before the first.
+    pub(crate) seq: Option<u64>,
+    /// Its time, in seconds.
+    pub(crate) t: f64,
+    /// When it arrived, in nanoseconds; `None` before the first of this process.
+    pub(crate) at: Option<u64>,
+}
+
+/// A source whose observations are taken.
+#[derive(Clone, Copy, Debug)]
+struct KnownSource {
+    gid: Option<[u8; 16]>,
+    /// What its own numbers have to be raised by.
+    raise: i128,
+    /// A moment of its clock in nanoseconds, and what it is in the session's time in seconds.
+    moment: (i64, f64),
+}
+
+/// Reads a robot's observations.
+#[derive(Clone, Debug)]
+pub(crate) struct RobotReader {
+    form: RobotForm,
+    /// After which silence another source may begin, in nanoseconds.
+    patience: u64,
+    source: Option<KnownSource>,
+}
+
+impl RobotReader {
+    pub(crate) fn new(form: RobotForm, patience: u64) -> Self {
+        Self { form, patience, source: None }
+    }
+
+    /// Reads an observation that arrived at `at`, in nanoseconds; tells whether it is the first of a source, with whose clock
+    /// nothing before can be compared.
+    ///
+    /// # Errors
+    ///
+    /// [`BadObservation`].
+    pub(crate) fn read(
+        &mut self,
+        into: &mut LiveObservation,
+        (payload, beside): (&[u8], Option<&[u8]>),
+        at: u64,
+        last: Arrived,
+    ) -> Result<bool, BadObservation> {
+        let is_numbered = self.form.read(into, payload)?;
+        if is_numbered {
+            return Ok(false);
+        }
+        let mark = match (self.form, beside) {
+            (RobotForm::Ros2, Some(beside)) => {
+                let mark = SourceMark::read(beside);
+                Some(mark.ok_or(BadObservation::SourceMark(beside.len()))?)
+            }
+            _ => None,
+        };
+        let gid = mark.map(|mark| mark.gid);
+        let next = last.seq.map_or(1, |seq| seq.saturating_add(1));
+        let number = mark.map_or(i128::from(next), |mark| i128::from(mark.number));
+        let clock = mark.map_or(i64::try_from(at).unwrap_or(i64::MAX), |mark| mark.time);
+        let is_quiet = last.at.is_none_or(|before| at.saturating_sub(before) > self.patience);
+        let source = match self.source {
+            Some(source) if source.gid != gid && !is_quiet => {
+                return Err(BadObservation::TwoSources);
+            }
+            Some(source) if source.gid == gid => Some(source),
+            _ => None,
+        };
+        let known = source.and_then(|source| {
+            let raise = if mark.is_some() { source.raise } else { 0 };
+            let seq = u64::try_from(number + raise).unwrap_or(0);
+            let (moment, t) = source.moment;
+            let t = t + clock.saturating_sub(moment) as f64 * 1e-9;
+            // A clock that was set back begins anew, and so does a source that was silent and counts from where it was before.
+            let is_set_back = if seq < next { is_quiet } else { t < last.t };
+            (!is_set_back).then_some((seq, t))
+        });
+        let is_first = known.is_none();
+        let (seq, t) = known.unwrap_or_else(|| {
+            let raise = i128::from(next) - number;
+            self.source = Some(KnownSource { gid, raise, moment: (clock, last.t) });
+            (next, last.t)
+        });
+        (into.head.seq, into.head.t) = (seq, t);
+        Ok(is_first)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+    const OLD: [u8; 16] = [1; 16];
+    const NEW: [u8; 16] = [2; 16];
+
+    /// Everything after an empty array of two numbers.
+    fn message() -> Vec<u8> {
+        [&[0, 1, 0, 0][..], &[0; 8], &[2, 0, 0, 0], &[0; 8]].concat()
+    }
+
+    struct Bench {
+        reader: RobotReader,
+        observation: LiveObservation,
+        last: Arrived,
+    }
+
+    impl Bench {
+        fn new(form: RobotForm) -> Self {
+            let reader = RobotReader::new(form, 1_000 * MS);
+            let last = Arrived { seq: None, t: 0.0, at: None };
+            Self { reader, observation: LiveObservation::new(2), last }
+        }
+
+        /// Reads a message and takes it, if it is newer than the last one, as a session does.
+        fn arrive(
+            &mut self,
+            ms: u64,
+            payload: &[u8],
+            beside: Option<&[u8]>,
+        ) -> Result<(u64, f64, bool), String> {
+            let at = 3_600_000 * MS + ms * MS;
+            let read = self.reader.read(&mut self.observation, (payload, beside), at, self.last);
+            let is_first = read.map_err(|error| error.to_string())?;
+            let head = self.observation.head;
+            if self.last.seq.is_none_or(|last| head.seq > last) {
+                self.last = Arrived { seq: Some(head.seq), t: head.t, at: Some(at) };
+            }
+            Ok((head.seq, (head.t * 1e3).round() / 1e3, is_first))
+        }
+
+        fn ros(
+            &mut self,
+            ms: u64,
+            gid: [u8; 16],
+            number: i64,
+            time_ms: i64,
+        ) -> Result<(u64, f64, bool), String> {
+            let time = 1_796_000_000_000_000_000 + time_ms * MS as i64;
+            let mark = SourceMark { number, time, gid };
+            self.arrive(ms, &message(), Some(&mark.write()))
+        }
+    }
+
+    #[test]
+    fn without_numbers_order_and_time_are_those_of_arrival() {
+        let numbers = [0_u8; 8];
+        let mut bench = Bench::new(RobotForm::F32);
+        assert_eq!(bench.arrive(0, &numbers, None), Ok((1, 0.0, true)));
+        assert_eq!(bench.arrive(50, &numbers, None), Ok((2, 0.05, false)));
+        assert_eq!(bench.arrive(9_000, &numbers, None), Ok((3, 9.0, false)));
+        // After a restart the numbers go on.
+        let mut bench = Bench::new(RobotForm::Cdr);
+        bench.last = Arrived { seq: Some(40), t: 12.5, at: None };
+        assert_eq!(bench.arrive(10, &message(), None), Ok((41, 12.5, true)));
+        assert_eq!(bench.arrive(20, &message(), None), Ok((42, 12.51, false)));
+        // JSON may bring its own.
+        let mut bench = Bench::new(RobotForm::Json);
+        assert_eq!(bench.arrive(0, br#"{"obs":[1,2]}"#, None), Ok((1, 0.0, true)));
+        let own = br#"{"obs":[1,2],"seq":7,"t":2.5}"#;
+        assert_eq!(bench.arrive(10, own, None), Ok((7, 2.5, false)));
+        let half = bench.arrive(20, br#"{"obs":[1,2],"seq":8}"#, None).unwrap_err();
+        assert!(half.ends_with("`t` is missing: the time by the client's own clock, in seconds"));
+    }
+
+    #[test]
+    fn what_a_robot_sends_in_another_form_is_told_with_the_option_that_reads_it() {
+        let mut bench = Bench::new(RobotForm::F32);
+        let told = bench.arrive(0, br#"{"obs":[1,2]}"#, None).unwrap_err();
+        assert_eq!(
+            told,
+            "the observation has 13 bytes; 2 numbers have 8; it looks like JSON: --obs-form json"
+        );
+        let told = bench.arrive(0, &message(), None).unwrap_err();
+        assert!(told.ends_with("a Float32MultiArray of ROS 2: --obs-form cdr"), "{told}");
+        let mut bench = Bench::new(RobotForm::Ros2);
+        let told = bench.arrive(0, &message(), Some(&[15; 77])).unwrap_err();
+        assert!(told.contains("rmw_zenoh 0.2.4 or later"), "{told}");
+    }
+
+    #[test]
+    fn the_numbers_and_times_of_a_source_count() {
+        let mut bench = Bench::new(RobotForm::Ros2);
+        assert_eq!(bench.ros(0, OLD, 5, 0), Ok((1, 0.0, true)));
+        assert_eq!(bench.ros(20, OLD, 6, 20), Ok((2, 0.02, false)));
+        // One is lost, one comes late, one comes twice.
+        assert_eq!(bench.ros(60, OLD, 8, 60), Ok((4, 0.06, false)));
+        assert_eq!(bench.ros(70, OLD, 7, 40), Ok((3, 0.04, false)));
+        assert_eq!(bench.ros(80, OLD, 8, 60), Ok((4, 0.06, false)));
+        // What waited on its way for half a second is half a second older than what did not.
+        assert_eq!(bench.ros(600, OLD, 9, 80), Ok((5, 0.08, false)));
+        // A clock that is set back by a minute makes nothing older.
+        assert_eq!(bench.ros(620, OLD, 10, -60_000), Ok((6, 0.08, true)));
+        assert_eq!(bench.ros(640, OLD, 11, -59_980), Ok((7, 0.1, false)));
+        // After a silence its clock still counts: what waited meanwhile is as old as it is.
+        assert_eq!(bench.ros(9_000, OLD, 12, -59_960), Ok((8, 0.12, false)));
+        // Numbers from before the first one are old, whatever they are.
+        assert_eq!(bench.ros(9_010, OLD, i64::MIN, 0).map(|it| it.0), Ok(0));
+    }
+
+    #[test]
+    fn a_second_source_has_to_wait_until_the_first_is_silent() {
+        let mut bench = Bench::new(RobotForm::Ros2);
+        bench.ros(0, OLD, 900, 0).unwrap();
+        let told = bench.ros(10, NEW, 1, 10).unwrap_err();
+        assert!(told.contains("two sources"), "{told}");
+        assert_eq!(bench.ros(20, OLD, 901, 20), Ok((2, 0.02, false)));
+        // Without anything beside it is yet another one.
+        bench.arrive(30, &message(), None).unwrap_err();
+        assert_eq!(bench.ros(1_100, NEW, 1, 1_100), Ok((3, 0.02, true)));
+        assert_eq!(bench.ros(1_120, NEW, 2, 1_120), Ok((4, 0.04, false)));
+        bench.ros(1_130, OLD, 902, 1_130).unwrap_err();
+        // A source that has counted too far is heard again after a silence.
+        assert_eq!(bench.ros(2_200, NEW, 1, 2_200), Ok((5, 0.04, true)));
+    }
+}

@@ -1,0 +1,22 @@
+//! A session that the command line opens, because the robot does not ask for one.
+
+use leadtime_link::live::RobotKeys;
+use leadtime_proto::ClientName;
+
+use crate::robot::form::RobotForm;
+use crate::robot::voice::RobotVoice;
+
+/// What is known of a robot that does not ask for its session. The session stays as long as the notifier.
+#[derive(Debug)]
+pub struct StandingSession {
+    /// Under which name its status is told, and what it hears may be reported.
+    pub client: ClientName,
+    /// What it would ask, JSON: the same question as any client's.
+    pub question: Vec<u8>,
+    /// Its own keys.
+    pub keys: RobotKeys,
+    /// The form of its observations.
+    pub form: RobotForm,
+    /// How it is told what is said.
+    pub voice: RobotVoice,
+}
