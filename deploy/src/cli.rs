@@ -25,7 +25,7 @@ mod operations;
 mod taxonomy;
 mod worker;
 
-pub(crate) use live::{DriveArgs, ServeArgs, VoiceKind};
+pub(crate) use live::{DriveArgs, ServeArgs};
 pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,
@@ -33,7 +33,8 @@ pub(crate) use network::{
 pub(crate) use operations::{HealthArgs, PruneArgs, VersionArgs};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
-    TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
+    TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomySpeakArgs,
+    TaxonomyValidateArgs,
 };
 pub(crate) use worker::WorkerArgs;
 

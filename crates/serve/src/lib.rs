@@ -42,7 +42,7 @@ pub use bus_player::{BusPlayer, SaidMessage};
 pub use client::{ClientError, ClientSettings, LiveClient};
 pub use latency::LatencyHistogram;
 pub use live_session::{LiveSession, LiveSnapshot, SayTo};
-pub use open::{OpenRefusal, SayForm, SessionAnswer, SessionPlan, StepClock};
+pub use open::{OpenRefusal, SayForm, SessionAnswer, SessionPlan, StepClock, WordClock};
 pub use say::{HeardSay, SayEvent};
 pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};
 pub use status::{LiveCounts, LiveState, Silence};

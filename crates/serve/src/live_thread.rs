@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use leadtime_link::live::LivePort;
 use leadtime_proto::{ClientName, Incarnation};
+use leadtime_voice::{Loudspeaker, SpokenSentence};
 use tracing::debug;
 
 use crate::live_clock::LiveClock;
@@ -70,12 +71,15 @@ impl LiveThread {
         decider: LiveDecider,
         clock: LiveClock,
         spins: bool,
+        loudspeaker: Option<Loudspeaker>,
         reports: flume::Sender<ThreadReport>,
     ) -> std::io::Result<Self> {
         let (orders, receiver) = sync_channel(MAX_WAITING);
         let work = move || {
             let hosted = Vec::with_capacity(SESSIONS_PER_THREAD);
-            Loop { hosted, decider, clock, spins, reports, snapshots_due: 0 }.run(&receiver);
+            let snapshots_due = 0;
+            Loop { hosted, decider, clock, spins, loudspeaker, reports, snapshots_due }
+                .run(&receiver);
         };
         let handle = thread::Builder::new().name(name).spawn(work)?;
         Ok(Self { orders, handle })
@@ -101,8 +105,8 @@ impl LiveThread {
     }
 }
 
-/// Puts a session's events at its port.
-struct ToPort<'a>(&'a LivePort);
+/// Puts a session's events at its port, and its sentences at the loudspeaker.
+struct ToPort<'a>(&'a LivePort, Option<&'a Loudspeaker>);
 
 impl SayTo for ToPort<'_> {
     fn say(&mut self, bytes: &[u8]) {
@@ -116,6 +120,14 @@ impl SayTo for ToPort<'_> {
             debug!(%error, "a status could not be put");
         }
     }
+
+    fn play(&mut self, sentence: &Arc<SpokenSentence>) {
+        self.1.inspect(|loudspeaker| loudspeaker.play(sentence));
+    }
+
+    fn hush(&mut self) {
+        self.1.inspect(|loudspeaker| loudspeaker.hush());
+    }
 }
 
 struct Loop {
@@ -123,6 +135,7 @@ struct Loop {
     decider: LiveDecider,
     clock: LiveClock,
     spins: bool,
+    loudspeaker: Option<Loudspeaker>,
     reports: flume::Sender<ThreadReport>,
     snapshots_due: u64,
 }
@@ -146,7 +159,7 @@ impl Loop {
                 }
             }
             for hosted in &mut self.hosted {
-                serve(hosted, &mut self.decider, self.clock);
+                serve(hosted, &mut self.decider, self.clock, self.loudspeaker.as_ref());
             }
             self.report();
             self.sleep();
@@ -204,15 +217,25 @@ impl Loop {
     fn end(mut self) {
         let now = self.clock.now();
         for hosted in &mut self.hosted {
-            hosted.session.close(now, Silence::Closing, &mut ToPort(&hosted.port));
+            hosted.session.close(
+                now,
+                Silence::Closing,
+                &mut ToPort(&hosted.port, self.loudspeaker.as_ref()),
+            );
         }
     }
 }
 
 /// Does for a client whatever is to be done now.
-fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
+fn serve(
+    hosted: &mut Hosted,
+    decider: &mut LiveDecider,
+    clock: LiveClock,
+    loudspeaker: Option<&Loudspeaker>,
+) {
     let Hosted { session, port, .. } = hosted;
-    let out = &mut ToPort(port);
+    let out = &mut ToPort(port, loudspeaker);
+    session.note_mute(loudspeaker.is_some_and(Loudspeaker::is_mute));
     while let Some(report) = port.take_heard() {
         session.hear(clock.now(), &report, decider, out);
     }

@@ -9,6 +9,7 @@ use leadtime_proto::{Mask, PolicySpec};
 use leadtime_sims::notifier::Session;
 use leadtime_sims::{Environment, Fact, Quantity};
 use leadtime_taxonomy::{Taxonomy, Topic};
+use leadtime_voice::VoiceBook;
 use thiserror::Error;
 
 /// Why a policy cannot go to work.
@@ -41,6 +42,7 @@ pub struct WorkingPolicy {
     /// What a client may say to be the case, as far as some sentence presupposes it.
     facts: Vec<Fact>,
     taxonomy: Option<Arc<Taxonomy>>,
+    voice: Option<Arc<VoiceBook>>,
     decider: LiveDecider,
 }
 
@@ -80,12 +82,23 @@ impl WorkingPolicy {
             observation,
             facts,
             taxonomy: taxonomy.map(Arc::new),
+            voice: None,
         })
     }
 
     /// Says which file it is of, and how many optimiser iterations made it.
     pub fn of_file(self, sha256: String, n_updates: u64) -> Self {
         Self { sha256, n_updates, ..self }
+    }
+
+    /// Speaks with a voice: words take the time that they take in its sound.
+    pub fn with_voice(self, voice: Option<VoiceBook>) -> Self {
+        Self { voice: voice.map(Arc::new), ..self }
+    }
+
+    /// Returns the voice, if it has one.
+    pub fn voice(&self) -> Option<Arc<VoiceBook>> {
+        self.voice.clone()
     }
 
     /// Returns how many numbers an observation has.
@@ -110,8 +123,13 @@ impl WorkingPolicy {
 
     /// Counts the sentences.
     pub fn n_sentences(&self) -> usize {
-        let of_topic = |topic: &Topic| topic.cells().map(|(_, list)| list.len()).sum::<usize>();
-        self.taxonomy.iter().flat_map(|taxonomy| taxonomy.topics()).map(of_topic).sum()
+        self.sentences().count()
+    }
+
+    /// Lists the sentences.
+    pub fn sentences(&self) -> impl Iterator<Item = &str> {
+        let topics = self.taxonomy.iter().flat_map(|taxonomy| taxonomy.topics());
+        topics.flat_map(Topic::utterances).map(|utterance| utterance.text.as_str())
     }
 
     /// Returns what decides: one per thread, because it thinks in memory of its own.

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use leadtime_config::Override;
 use leadtime_eval::measure::Choice;
 use leadtime_proto::{ClientName, ServiceName};
 use leadtime_runs::evaluation;
 use leadtime_serve::{MAX_SESSIONS, SayForm, StepClock};
+use leadtime_voice::VoiceChoice;
 
 use super::{GuardArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
 
@@ -28,19 +29,23 @@ pub(crate) struct ServeArgs {
     /// Name of the notifier: part of every key.
     #[arg(long, value_name = "NAME", default_value = "notifier")]
     pub service: ServiceName,
-    /// In what a client is told what is said.
-    #[arg(long, value_enum, default_value_t)]
-    pub voice: VoiceKind,
+    /// The voice: `shipped`; `text`, words without times of their own; `none`, no words; `flite[:VOICE]` or `espeak` if installed;
+    /// `recorded:DIR` of `leadtime taxonomy speak`; `pipe:COMMAND`, a helper of your own.
+    #[arg(long, value_name = "VOICE", default_value_t)]
+    pub voice: VoiceChoice,
+    /// Play what is said on this machine: by aplay, or by a command that takes raw 16-bit samples, `{rate}` a second. One client.
+    #[arg(long, value_name = "COMMAND", num_args = 0..=1, require_equals = true)]
+    pub play: Option<Option<String>>,
     /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
-    #[arg(long, value_name = "DATABASE", conflicts_with = "voice")]
+    #[arg(long, value_name = "DATABASE")]
     pub words: Option<String>,
     /// Keep the state of every session in this directory once a second; a notifier that is started again goes on with them.
     #[arg(long, value_name = "DIR")]
     pub state: Option<PathBuf>,
-    /// The most clients at once.
-    #[arg(long, value_name = "N", default_value_t = MAX_SESSIONS as u32)]
+    /// The most clients at once (default: 64; 1 with --play).
+    #[arg(long, value_name = "N", conflicts_with = "play")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=MAX_SESSIONS as i64))]
-    pub max_sessions: u32,
+    pub max_sessions: Option<u32>,
     /// Print what an observation consists of and what can be said, and end.
     #[arg(long)]
     pub describe: bool,
@@ -62,16 +67,6 @@ pub(crate) struct ServeArgs {
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub runs: PathBuf,
-}
-
-/// In what a client is told what is said.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum VoiceKind {
-    /// Topic, k and l alone: the client has words of its own.
-    None,
-    /// The sentence too, word by word.
-    #[default]
-    Text,
 }
 
 /// `leadtime drive`

@@ -11,13 +11,14 @@ use leadtime_link::live::LiveServiceLink;
 use leadtime_proto::ClientName;
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{LoadedPolicy, Tasks, clock, write_atomically};
-use leadtime_serve::{LiveService, ServiceSettings, StateStore, WorkingPolicy};
+use leadtime_serve::{LiveService, MAX_SESSIONS, ServiceSettings, StateStore, WorkingPolicy};
 use leadtime_table::Table;
 use leadtime_taxonomy::{MAX_FACTS, Taxonomy, shipped};
+use leadtime_voice::{Loudspeaker, VoiceChoice};
 use serde_json::{Value, json};
 
 use super::taxonomy;
-use crate::cli::{ServeArgs, VoiceKind};
+use crate::cli::ServeArgs;
 use crate::credentials::{listen_settings, listening_failure};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
@@ -29,6 +30,8 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
         describe(&policy, args.json);
         return Ok(());
     }
+    let policy = with_voice(policy, args)?;
+    let loudspeaker = loudspeaker(&policy, args)?;
     let store = args.state.as_deref().map(StateDirectory::open).transpose();
     let store = store.context("--state").blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
@@ -47,10 +50,16 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
     let sentences = counted(policy.n_sentences(), "sentence");
     let locators = link.locators().join(", ");
     let service_settings = ServiceSettings {
-        max_sessions: args.max_sessions as usize,
+        max_sessions: match (args.max_sessions, &args.play) {
+            (Some(n), _) => n as usize,
+            // What two clients are told at once nobody understands.
+            (None, Some(_)) => 1,
+            (None, None) => MAX_SESSIONS,
+        },
         seed: args.seed,
         spins: !args.no_spin,
         store,
+        loudspeaker,
     };
     let notifier = LiveService::new(policy, service_settings, (link, events), own);
     let notifier = notifier.blame(ExitCode::Failed)?;
@@ -78,7 +87,7 @@ fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Failure> {
         words,
     );
     let policy = policy.blame(ExitCode::WrongInput)?;
-    if args.voice == VoiceKind::Text && policy.n_sentences() == 0 {
+    if args.voice != VoiceChoice::None && policy.n_sentences() == 0 {
         let error = leadtime_serve::UnfitPolicy::NoWords(domain.to_owned());
         return Err(error).blame(ExitCode::WrongInput);
     }
@@ -87,11 +96,34 @@ fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Failure> {
 
 /// Returns the sentences that are asked for, or those of the domain.
 fn words(args: &ServeArgs, domain: &str) -> Result<Option<Taxonomy>, Failure> {
-    match (&args.words, args.voice) {
-        (_, VoiceKind::None) => Ok(None),
-        (Some(name), VoiceKind::Text) => taxonomy::database(name).map(Some),
-        (None, VoiceKind::Text) => Ok(shipped(domain).ok()),
+    match (&args.words, &args.voice) {
+        (Some(_), VoiceChoice::None) => Err(Failure::input(
+            "--voice none speaks no words: leave out --words, or choose another voice",
+        )),
+        (None, VoiceChoice::None) => Ok(None),
+        (Some(name), _) => taxonomy::database(name).map(Some),
+        (None, _) => Ok(shipped(domain).ok()),
     }
+}
+
+/// Lets the voice say every sentence, so that the times of their words, and with --play their sound, are known.
+fn with_voice(policy: WorkingPolicy, args: &ServeArgs) -> Result<WorkingPolicy, Failure> {
+    let texts: Vec<&str> = policy.sentences().collect();
+    let voice = leadtime_voice::prepare(&args.voice, &policy.domain, &texts, args.play.is_some());
+    let voice = voice.blame(ExitCode::WrongInput)?;
+    Ok(policy.with_voice(voice))
+}
+
+/// Starts what plays the sentences here, if that is asked for.
+fn loudspeaker(policy: &WorkingPolicy, args: &ServeArgs) -> Result<Option<Loudspeaker>, Failure> {
+    let Some(command) = &args.play else { return Ok(None) };
+    let rate = policy.voice().map_or(0, |voice| voice.rate);
+    if rate == 0 {
+        let told = format!("--play has nothing to play: --voice {} makes no sound", args.voice);
+        return Err(Failure::input(told));
+    }
+    let started = Loudspeaker::start(command.as_deref(), rate).blame(ExitCode::WrongInput)?;
+    Ok(Some(started))
 }
 
 /// Says what an observation consists of, and what can be said.
