@@ -122,11 +122,15 @@ impl SayTo for ToPort<'_> {
     }
 
     fn play(&mut self, sentence: &Arc<SpokenSentence>) {
-        self.1.inspect(|loudspeaker| loudspeaker.play(sentence));
+        if let Some(loudspeaker) = self.1 {
+            loudspeaker.play(sentence);
+        }
     }
 
     fn hush(&mut self) {
-        self.1.inspect(|loudspeaker| loudspeaker.hush());
+        if let Some(loudspeaker) = self.1 {
+            loudspeaker.hush();
+        }
     }
 }
 

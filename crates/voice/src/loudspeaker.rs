@@ -103,7 +103,9 @@ impl Loudspeaker {
 
     fn order(&self, order: SoundOrder) {
         // With so many orders waiting the thread hangs, and will be told that it is mute.
-        self.0.orders.as_ref().map(|orders| drop(orders.try_send(order)));
+        if let Some(orders) = &self.0.orders {
+            drop(orders.try_send(order));
+        }
     }
 }
 

@@ -76,8 +76,8 @@ impl Playback {
         let samples =
             |milliseconds: u32| (u64::from(self.rate) * u64::from(milliseconds) / 1_000) as usize;
         let latest = running.at + samples(CUT - LEAD);
-        let words = running.sentence.words.iter().map(|word| sound.sample_at(word.end));
-        let boundary = words.filter(|end| (running.at..=latest).contains(end)).next();
+        let mut ends = running.sentence.words.iter().map(|word| sound.sample_at(word.end));
+        let boundary = ends.find(|end| (running.at..=latest).contains(end));
         let n_fade = samples(FADE);
         let stop = boundary.unwrap_or(running.at + n_fade).min(running.stop);
         (running.stop, running.n_fade) = (stop, n_fade.min(stop.saturating_sub(running.at)));
