@@ -79,18 +79,15 @@ impl Flite {
         let mut counts = Vec::new();
         for piece in words::spoken(text) {
             let word = piece.trim_matches(|c: char| !c.is_alphanumeric());
-            let known = self.n_phones.get(word).copied();
-            let n = match known {
-                Some(n) => n,
-                None => {
-                    let mut command = self.command(word);
-                    command.args(["-ps", "-o", "none"]);
-                    let Ok(printed) = child::output(command, missing)? else { return Ok(None) };
-                    let n = printed.split_whitespace().filter(|phone| *phone != PAUSE).count();
-                    self.n_phones.insert(word.to_owned(), n);
-                    n
-                }
-            };
+            if let Some(n) = self.n_phones.get(word) {
+                counts.push(*n);
+                continue;
+            }
+            let mut command = self.command(word);
+            command.args(["-ps", "-o", "none"]);
+            let Ok(printed) = child::output(command, missing)? else { return Ok(None) };
+            let n = printed.split_whitespace().filter(|phone| *phone != PAUSE).count();
+            self.n_phones.insert(word.to_owned(), n);
             counts.push(n);
         }
         Ok(Some(counts))

@@ -65,7 +65,7 @@ impl Loudspeaker {
     ///
     /// [`VoiceError::Missing`] if there is no such command, [`VoiceError::Start`] if nothing can be started at all.
     pub fn start(command: Option<&str>, rate: u32) -> Result<Self, VoiceError> {
-        let program = Program { command: command.map(str::to_owned), rate };
+        let program = SoundCommand { command: command.map(str::to_owned), rate };
         let player = program.start()?;
         let is_mute = Arc::new(AtomicBool::new(false));
         let (orders, waiting) = sync_channel(MAX_ORDERS);
@@ -120,19 +120,19 @@ impl Drop for LoudspeakerThread {
 
 /// What plays.
 #[derive(Clone, Debug)]
-struct Program {
+struct SoundCommand {
     command: Option<String>,
     rate: u32,
 }
 
 /// A program that plays, with its standard input.
 #[derive(Debug)]
-struct Player {
+struct SoundPlayer {
     child: Box<dyn ChildWrapper>,
     input: ChildStdin,
 }
 
-impl Program {
+impl SoundCommand {
     fn name(&self) -> String {
         self.command.clone().unwrap_or_else(|| APLAY.to_owned())
     }
@@ -164,16 +164,16 @@ impl Program {
         }
     }
 
-    fn spawn(&self) -> io::Result<Player> {
+    fn spawn(&self) -> io::Result<SoundPlayer> {
         let mut command = self.command();
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
         let mut child = child::spawn(command)?;
         let input = child.stdin().take().ok_or(io::ErrorKind::BrokenPipe)?;
-        Ok(Player { child, input })
+        Ok(SoundPlayer { child, input })
     }
 
     /// Starts it, and waits a moment whether it is there at all.
-    fn start(&self) -> Result<Player, VoiceError> {
+    fn start(&self) -> Result<SoundPlayer, VoiceError> {
         let mut player = self.spawn().map_err(|source| match source.kind() {
             io::ErrorKind::NotFound => self.missing(),
             _ => VoiceError::Start { what: self.name(), source },
@@ -185,14 +185,14 @@ impl Program {
     }
 }
 
-impl Player {
+impl SoundPlayer {
     /// Returns how many bytes it has not taken yet.
     fn waiting(&self) -> u64 {
         rustix::io::ioctl_fionread(&self.input).unwrap_or(0)
     }
 }
 
-impl Drop for Player {
+impl Drop for SoundPlayer {
     fn drop(&mut self) {
         child::end(self.child.as_mut());
     }
@@ -201,9 +201,9 @@ impl Drop for Player {
 /// The thread's own.
 struct Playing {
     name: String,
-    program: Program,
+    program: SoundCommand,
     playback: Playback,
-    player: Option<Player>,
+    player: Option<SoundPlayer>,
     /// When the player was started, or was found to be gone.
     started: Instant,
     /// When the next block is due.

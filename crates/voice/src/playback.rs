@@ -10,7 +10,7 @@
 
 use std::sync::Arc;
 
-use crate::sentence::{Sound, SpokenSentence};
+use crate::sentence::SpokenSentence;
 
 /// How much sound is given to a loudspeaker at a time, in milliseconds.
 pub const BLOCK: u32 = 20;
@@ -41,8 +41,15 @@ struct RunningSound {
 }
 
 impl RunningSound {
-    fn sound(&self) -> Option<&Sound> {
-        self.sentence.sound.as_ref()
+    /// Writes its next samples, quieter where it fades out.
+    fn take(&mut self, out: &mut [i16]) {
+        let samples = self.sentence.sound.iter().flat_map(|sound| &sound.samples[self.at..]);
+        for (i, (out, sample)) in out.iter_mut().zip(samples).enumerate() {
+            let left = self.stop - (self.at + i);
+            let share = (left as f32 / self.n_fade.max(1) as f32).min(1.0);
+            *out = (f32::from(*sample) * share) as i16;
+        }
+        self.at += out.len();
     }
 }
 
@@ -95,15 +102,7 @@ impl Playback {
             }
             let Some(running) = &mut self.running else { return };
             let n = (running.stop - running.at).min(block.len() - n_done);
-            let (at, stop, n_fade) = (running.at, running.stop, running.n_fade);
-            if let Some(sound) = running.sound() {
-                for (i, out) in block[n_done..n_done + n].iter_mut().enumerate() {
-                    let left = stop - (at + i);
-                    let share = if left > n_fade { 1.0 } else { left as f32 / n_fade as f32 };
-                    *out = (f32::from(sound.samples[at + i]) * share) as i16;
-                }
-            }
-            running.at += n;
+            running.take(&mut block[n_done..n_done + n]);
             n_done += n;
             if running.at == running.stop {
                 self.running = None;
@@ -115,7 +114,7 @@ impl Playback {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sentence::WordTime;
+    use crate::sentence::{Sound, WordTime};
 
     const RATE: u32 = 8_000;
     const MS: usize = RATE as usize / 1_000;

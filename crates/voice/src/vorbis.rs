@@ -3,6 +3,7 @@
 use std::io::Cursor;
 
 use symphonia_codec_vorbis::VorbisDecoder;
+use symphonia_core::audio::Channels;
 use symphonia_core::codecs::audio::{AudioDecoder as _, AudioDecoderOptions};
 use symphonia_core::errors::Error as SymphoniaError;
 use symphonia_core::formats::{FormatOptions, FormatReader as _, TrackType};
@@ -24,7 +25,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<(u32, Vec<i16>), String> {
     let parameters = track.codec_params.as_ref().and_then(|it| it.audio());
     let parameters = parameters.ok_or("has no sound")?;
     let rate = parameters.sample_rate.ok_or("names no rate")?;
-    if parameters.channels.as_ref().map(|channels| channels.count()) != Some(1) {
+    if parameters.channels.as_ref().map(Channels::count) != Some(1) {
         return Err("has more than one channel".to_owned());
     }
     let mut decoder =
