@@ -255,7 +255,7 @@ fn a_database_is_spoken_once_and_served_from_its_recording() {
     let flite = place.write("bin/flite", FAKE_FLITE);
     fs::set_permissions(&flite, fs::Permissions::from_mode(0o755)).unwrap();
     let sound = place.file("sound.wav");
-    fs::write(&sound, leadtime_voice::wav::write(8_000, &[500; 40_000])).unwrap();
+    fs::write(&sound, leadtime_voice::wav::write(8_000, &vec![500; 40_000])).unwrap();
     let path = format!("{bin}:{}", std::env::var("PATH").unwrap());
     let mut command = place.program(&["taxonomy speak lander -o spoken"]);
     command.env("PATH", &path).env("FAKE_SOUND", &sound);

@@ -60,7 +60,7 @@ struct Bench {
 
 impl Bench {
     fn open(talks: bool, question: &Value) -> Self {
-        Self::open_with(policy(talks), question)
+        Self::open_with(&policy(talks), question)
     }
 
     /// A session whose notifier has a voice: the words of a sentence take 100, 200, 300 ms and so on, with a pause of 50 ms
@@ -84,17 +84,17 @@ impl Bench {
         let sentences: Vec<SpokenSentence> = policy.sentences().map(spoken).collect();
         assert!(sentences.iter().all(SpokenSentence::has_words_in_order));
         let book = VoiceBook::new("test".to_owned(), sentences);
-        Self::open_with(policy.with_voice(Some(book)), question)
+        Self::open_with(&policy.with_voice(Some(book)), question)
     }
 
-    fn open_with(policy: WorkingPolicy, question: &Value) -> Self {
+    fn open_with(policy: &WorkingPolicy, question: &Value) -> Self {
         let mut whole = json!({"protocol": 1, "domain": "lander"});
         for (key, value) in question.as_object().unwrap() {
             whole[key] = value.clone();
         }
-        let plan = SessionPlan::read(whole.to_string().as_bytes(), &policy, 7).unwrap();
+        let plan = SessionPlan::read(whole.to_string().as_bytes(), policy, 7).unwrap();
         let decider = policy.decider();
-        let session = LiveSession::new("s1".to_owned(), plan, &policy, &decider, OPENED);
+        let session = LiveSession::new("s1".to_owned(), plan, policy, &decider, OPENED);
         let told = Told { now: OPENED, ..Told::default() };
         Self { session, decider, told, seq: 0, n: policy.obs_dim() }
     }

@@ -79,3 +79,20 @@ pub(crate) fn output(
         _ => Err(format!("{name} ended with {status}")),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_program_that_hangs_fails_or_is_missing_is_told_in_words() {
+        let missing = || VoiceError::Unknown("missing".to_owned());
+        let run = |command: &str| output(shell(command), missing).unwrap();
+        assert_eq!(run("echo words").unwrap(), "words\n");
+        assert_eq!(run("exit 3").unwrap_err(), "sh ended with exit status: 3");
+        let began = Instant::now();
+        assert_eq!(run("sleep 60 & sleep 60").unwrap_err(), "sh took more than 2 s");
+        assert!(began.elapsed() < Duration::from_secs(30), "nobody waits for its children");
+        output(Command::new("no-such-program"), missing).unwrap_err();
+    }
+}

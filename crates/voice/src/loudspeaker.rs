@@ -25,7 +25,7 @@ use crate::playback::{BLOCK, LEAD, Playback};
 use crate::sentence::SpokenSentence;
 
 /// The program that plays unless another one is named.
-const APLAY: &str = "aplay";
+pub const APLAY: &str = "aplay";
 /// What stands for the rate in a command.
 const RATE: &str = "{rate}";
 /// The most orders that wait.

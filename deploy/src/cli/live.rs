@@ -10,6 +10,7 @@ use leadtime_proto::{ClientName, ServiceName};
 use leadtime_runs::evaluation;
 use leadtime_serve::{MAX_SESSIONS, SayForm, StepClock};
 use leadtime_voice::VoiceChoice;
+use leadtime_voice::loudspeaker::APLAY;
 
 use super::{GuardArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
 
@@ -34,8 +35,8 @@ pub(crate) struct ServeArgs {
     #[arg(long, value_name = "VOICE", default_value_t)]
     pub voice: VoiceChoice,
     /// Play what is said on this machine: by aplay, or by a command that takes raw 16-bit samples, `{rate}` a second. One client.
-    #[arg(long, value_name = "COMMAND", num_args = 0..=1, require_equals = true)]
-    pub play: Option<Option<String>>,
+    #[arg(long, value_name = "COMMAND", num_args = 0..=1, require_equals = true, default_missing_value = APLAY)]
+    pub play: Option<String>,
     /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE")]
     pub words: Option<String>,

@@ -14,6 +14,7 @@ use leadtime_runs::{LoadedPolicy, Tasks, clock, write_atomically};
 use leadtime_serve::{LiveService, MAX_SESSIONS, ServiceSettings, StateStore, WorkingPolicy};
 use leadtime_table::Table;
 use leadtime_taxonomy::{MAX_FACTS, Taxonomy, shipped};
+use leadtime_voice::loudspeaker::APLAY;
 use leadtime_voice::{Loudspeaker, VoiceChoice};
 use serde_json::{Value, json};
 
@@ -117,12 +118,13 @@ fn with_voice(policy: WorkingPolicy, args: &ServeArgs) -> Result<WorkingPolicy, 
 /// Starts what plays the sentences here, if that is asked for.
 fn loudspeaker(policy: &WorkingPolicy, args: &ServeArgs) -> Result<Option<Loudspeaker>, Failure> {
     let Some(command) = &args.play else { return Ok(None) };
+    let own = Some(command.as_str()).filter(|command| *command != APLAY);
     let rate = policy.voice().map_or(0, |voice| voice.rate);
     if rate == 0 {
         let told = format!("--play has nothing to play: --voice {} makes no sound", args.voice);
         return Err(Failure::input(told));
     }
-    let started = Loudspeaker::start(command.as_deref(), rate).blame(ExitCode::WrongInput)?;
+    let started = Loudspeaker::start(own, rate).blame(ExitCode::WrongInput)?;
     Ok(Some(started))
 }
 
