@@ -18,7 +18,7 @@
 //!
 //! # Where to start
 //!
-//! [`prepare`], then [`SpokenSentence`]; for sound, [`Playback`].
+//! [`prepare()`], then [`SpokenSentence`]; for sound, [`Playback`].
 
 pub mod book;
 mod child;

@@ -1,6 +1,6 @@
 //! WAV files of one channel and 16 bits, as speech programs write them.
 
-/// Length of the head that [`write`] writes.
+/// Length of the head that [`write()`] writes.
 const HEAD: usize = 44;
 
 /// Writes sound.
