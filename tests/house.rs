@@ -15,7 +15,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-numerics", "leadtime-table"],
     &["leadtime-proto", "leadtime-certs"],
     &["leadtime-taxonomy", "leadtime-link", "leadtime-policy"],
-    &["leadtime-sims", "leadtime-ppo"],
+    &["leadtime-sims", "leadtime-ppo", "leadtime-voice"],
     &["leadtime-lander", "leadtime-highway", "leadtime-steakhouse"],
     &["leadtime-worlds", "leadtime-conformance", "leadtime-worker"],
     &["leadtime-episodes"],
@@ -158,6 +158,9 @@ fn heavy_dependencies_belong_to_few_crates() {
         ("hyper", &["leadtime-web"]),
         ("hyper-util", &["leadtime-web"]),
         ("mcap", &["leadtime-recording"]),
+        ("symphonia-core", &["leadtime-voice"]),
+        ("symphonia-codec-vorbis", &["leadtime-voice"]),
+        ("symphonia-format-ogg", &["leadtime-voice"]),
     ];
     let packages = packages();
     for (crate_name, owners) in rules {

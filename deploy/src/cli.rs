@@ -26,7 +26,7 @@ mod robot;
 mod taxonomy;
 mod worker;
 
-pub(crate) use live::{DriveArgs, RecordArgs, ReplayArgs, ReplaySpeed, ServeArgs, VoiceKind};
+pub(crate) use live::{DriveArgs, RecordArgs, ReplayArgs, ReplaySpeed, ServeArgs};
 pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,
@@ -35,7 +35,8 @@ pub(crate) use operations::{HealthArgs, PruneArgs, VersionArgs};
 pub(crate) use robot::{DistroName, ObsForm, RobotArgs, SayKeyForm};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
-    TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomyValidateArgs,
+    TaxonomyExportArgs, TaxonomyRateArgs, TaxonomyReportArgs, TaxonomySpeakArgs,
+    TaxonomyValidateArgs,
 };
 pub(crate) use worker::WorkerArgs;
 

@@ -58,7 +58,9 @@ fn filter(level: &str, wanted: Result<String, VarError>) -> Result<EnvFilter, Fa
             .map_err(|error| refused(format!("is `{wanted}`, which is not a filter: {error}"))),
         Err(VarError::NotUnicode(_)) => Err(refused("is not text".to_owned())),
         // The network library explains every reconnect; its errors reach the person through ours.
-        Ok(_) | Err(VarError::NotPresent) => Ok(EnvFilter::new(format!("{level},zenoh=off"))),
+        Ok(_) | Err(VarError::NotPresent) => {
+            Ok(EnvFilter::new(format!("{level},zenoh=off,symphonia=warn")))
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use thiserror::Error;
 
 use crate::observation::{ObservationHead, write_json_with, write_raw};
-use crate::open::{LIVE_PROTOCOL, SayForm, StepClock};
+use crate::open::{LIVE_PROTOCOL, SayForm, StepClock, WordClock};
 use crate::say::HeardSay;
 
 /// Why a client cannot go on.
@@ -60,7 +60,7 @@ pub struct ClientSettings {
     pub form: SayForm,
 }
 
-/// A client with a session.
+/// A client with a session, in which a word takes a step.
 #[derive(Debug)]
 pub struct LiveClient {
     port: ClientPort,
@@ -89,6 +89,8 @@ impl LiveClient {
             "domain": settings.domain,
             "obs_dim": settings.obs_dim,
             "clock": settings.clock,
+            // Its listener is simulated, and hears a word a step.
+            "word_clock": WordClock::Steps,
             "seconds_per_step": settings.seconds_per_step,
             "seed": settings.seed,
             "encoding": settings.form,

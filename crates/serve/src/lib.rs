@@ -47,7 +47,9 @@ pub use client::{ClientError, ClientSettings, LiveClient};
 pub use json_fault::JsonFault;
 pub use latency::LatencyHistogram;
 pub use live_session::{LiveSession, LiveSnapshot, SayTo};
-pub use open::{OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan, StepClock};
+pub use open::{
+    OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan, StepClock, WordClock,
+};
 pub use robot::{ObservationSource, RobotForm, RobotVoice, StandingSession};
 pub use say::{HeardSay, SayEvent};
 pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};

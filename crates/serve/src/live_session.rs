@@ -3,11 +3,14 @@
 //! ```text
 //! arrive(observation)   order, content, age  ->  the newest one; with `clock = "observation"` also a step
 //! hear(report)          what the loudspeaker really did
-//! tick                  staleness, the watchdog, steps by the clock, the status once a second
+//! tick                  staleness, the watchdog, words and steps by the clock, the status once a second
 //! ```
 //!
 //! A step: a word of what is said has been heard; the notifier observes; the policy decides; what starts, goes on, ends or is cut
 //! is told. It is the order of training ([`Session`]), so the policy sees what it has learned with.
+//!
+//! How long a word takes: a step with `clock = "observation"` and without a voice; else as long as in the voice's sound. Words then
+//! end between steps, and a decision sees how many have ended. A client's reports count more than either.
 //!
 //! # What must happen
 //!
@@ -33,13 +36,15 @@ use leadtime_proto::phrase::no_such;
 use leadtime_sims::human::{Initiation, SpeechAct};
 use leadtime_sims::notifier::{Session, SessionState};
 use leadtime_sims::{Fact, Message, Quantity};
+use leadtime_taxonomy::words;
+use leadtime_voice::{SpokenSentence, VoiceBook};
 use serde::{Deserialize, Serialize};
 
 use crate::heard::{HeardEvent, HeardReport};
 use crate::latency::LatencyHistogram;
 use crate::observation::{BadObservation, LiveObservation};
-use crate::open::{SayForm, SessionPlan, StepClock};
-use crate::phrases::{PhraseBook, PhraseTurns, spoken_words};
+use crate::open::{SayForm, SessionPlan, StepClock, WordClock};
+use crate::phrases::{PhraseBook, PhraseTurns};
 use crate::robot::{Arrived, ObservationSource, RobotReader};
 use crate::say::{self, SaidUtterance, SayEvent, SayLine};
 use crate::status::{LiveCounts, LiveState, Silence, StatusLine, seconds};
@@ -52,6 +57,8 @@ pub const MAX_REFUSED: u32 = 16;
 const KEPT: u64 = 30_000_000_000;
 /// After how long a lost client's session is over, in nanoseconds.
 const FORGOTTEN: u64 = 600_000_000_000;
+/// A millisecond, in nanoseconds.
+const MILLISECOND: u64 = 1_000_000;
 /// How late a step may be, in nanoseconds.
 const LATE: u64 = 20_000_000;
 /// How often a status is told, in nanoseconds, and how soon after a change another one may be.
@@ -74,6 +81,10 @@ pub trait SayTo {
     fn say(&mut self, bytes: &[u8]);
     /// Puts a status.
     fn status(&mut self, bytes: &[u8]);
+    /// Plays a sentence, if there is a loudspeaker; what it plays is cut.
+    fn play(&mut self, _sentence: &Arc<SpokenSentence>) {}
+    /// Cuts what is played.
+    fn hush(&mut self) {}
 }
 
 /// What is being said, or was said last.
@@ -83,6 +94,8 @@ struct RunningUtterance {
     message: Message,
     text: String,
     stand_in: bool,
+    /// The sentence in the notifier's voice.
+    spoken: Option<Arc<SpokenSentence>>,
     /// Words that have ended.
     heard: u32,
     /// The client reports what it hears: the clock does not count.
@@ -121,6 +134,7 @@ pub struct LiveSession {
     lost_ns: u64,
     notifier: Session,
     phrases: PhraseBook,
+    voice: Option<Arc<VoiceBook>>,
     ranges: Arc<[Quantity]>,
     facts: Arc<[Fact]>,
     // The episode.
@@ -145,6 +159,7 @@ pub struct LiveSession {
     /// Which facts were unknown before.
     unknown: Vec<String>,
     is_gone: bool,
+    is_mute: bool,
     // What is said.
     utterance: RunningUtterance,
     /// The sentence of the message that is about to start.
@@ -187,6 +202,7 @@ impl LiveSession {
             stale_ns: ns(plan.stale_after),
             lost_ns: ns(plan.lost_after),
             phrases: PhraseBook::new(policy.taxonomy()),
+            voice: policy.voice(),
             ranges: policy.observation().into(),
             facts: policy.known_facts().into(),
             is_begun: false,
@@ -209,11 +225,13 @@ impl LiveSession {
             was_strange: vec![false; obs_dim],
             unknown: Vec::new(),
             is_gone: false,
+            is_mute: false,
             utterance: RunningUtterance {
                 number: 0,
                 message: Message { topic: 0, comprehension: 0, conveyance: 0 },
                 text: String::with_capacity(TEXT),
                 stand_in: false,
+                spoken: None,
                 heard: 0,
                 is_reported: false,
                 started: 0,
@@ -292,7 +310,7 @@ impl LiveSession {
         match self.state {
             LiveState::Closed => true,
             LiveState::Waiting | LiveState::Lost | LiveState::Ended => is_quiet,
-            LiveState::Silent | LiveState::Speaking | LiveState::Stale => false,
+            LiveState::Silent | LiveState::Speaking | LiveState::Mute | LiveState::Stale => false,
         }
     }
 
@@ -309,7 +327,7 @@ impl LiveSession {
         } else {
             self.status_due
         };
-        [self.next_step, watched].into_iter().flatten().fold(status, u64::min)
+        [self.next_step, watched, self.next_word()].into_iter().flatten().fold(status, u64::min)
     }
 
     /// Takes an observation that arrived at `at`, in nanoseconds, as `now`.
@@ -483,9 +501,59 @@ impl LiveSession {
 
     /// Tells that a further word begins, if one does.
     fn go_on_speaking(&mut self, now: u64, out: &mut impl SayTo) {
-        if std::mem::take(&mut self.is_word_due) {
+        let is_pause = self.next_word().is_some_and(|begins| begins > now);
+        if self.is_word_due && !is_pause {
+            self.is_word_due = false;
             self.emit(now, SayEvent::Word, out);
         }
+    }
+
+    /// Returns the running sentence, if its words take the time that they take in the voice.
+    fn timed(&self) -> Option<&SpokenSentence> {
+        let is_timed = self.plan.word_clock == WordClock::Voice && self.notifier.speech().is_some();
+        self.utterance.spoken.as_deref().filter(|_| is_timed)
+    }
+
+    /// Returns when the voice ends the running word, or begins the next one after a pause; `None` where a client reports it.
+    fn next_word(&self) -> Option<u64> {
+        let spoken = self.timed().filter(|_| !self.utterance.is_reported)?;
+        // A sentence of another length than the message's: k and l are parts of it.
+        let (n, l) = (spoken.words.len() as u32, self.utterance.message.conveyance);
+        let first_after = |heard: u32| (heard * n).div_ceil(l.max(1)) as usize;
+        let heard = self.utterance.heard;
+        let milliseconds = if self.is_word_due {
+            spoken.words.get(first_after(heard))?.begin
+        } else {
+            spoken.words.get(first_after(heard + 1).checked_sub(1)?)?.end
+        };
+        Some(self.utterance.started + u64::from(milliseconds) * MILLISECOND)
+    }
+
+    /// Hears what the voice has said by now.
+    fn hear_voice(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
+        let before = self.utterance.heard;
+        while self.next_word().is_some_and(|at| at <= now) {
+            if self.is_word_due {
+                self.go_on_speaking(now, out);
+            } else {
+                self.hear_word(now, out);
+            }
+        }
+        self.follow(before, now, decider, out);
+    }
+
+    /// Goes on after words have ended: with `clock = "word"` by a step.
+    fn follow(&mut self, before: u32, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
+        let has_moved = self.utterance.heard > before;
+        if has_moved && self.plan.clock == StepClock::Word && self.state == LiveState::Speaking {
+            self.step += 1;
+            self.observe();
+            self.decide_if_fresh(now, decider, out);
+            self.next_step = Some(now + self.step_ns);
+        } else {
+            self.go_on_speaking(now, out);
+        }
+        self.release(self.plan.clock != StepClock::Observation, out);
     }
 
     /// Returns the age of the newest observation, in nanoseconds.
@@ -518,9 +586,11 @@ impl LiveSession {
 
     /// A step of speech is over, if the client does not say itself what it hears.
     fn pass_word(&mut self, now: u64, out: &mut impl SayTo) {
-        let usual = u64::from(self.utterance.message.conveyance) * self.step_ns;
+        let steps = u64::from(self.utterance.message.conveyance) * self.step_ns;
+        let usual = self.timed().map_or(steps, |it| u64::from(it.end()) * MILLISECOND);
         let is_overdue = now.saturating_sub(self.utterance.started) > 2 * usual + self.lost_ns;
-        if !self.utterance.is_reported || is_overdue {
+        let is_timed = self.timed().is_some() && !self.utterance.is_reported;
+        if !is_timed && (!self.utterance.is_reported || is_overdue) {
             self.hear_word(now, out);
         }
     }
@@ -583,12 +653,17 @@ impl LiveSession {
     fn start(&mut self, now: u64, message: Message, out: &mut impl SayTo) {
         let utterance = &mut self.utterance;
         std::mem::swap(&mut utterance.text, &mut self.next_text);
+        let voice = self.voice.as_ref();
+        utterance.spoken = voice.and_then(|voice| voice.get(&utterance.text)).cloned();
         utterance.number += 1;
         utterance.message = message;
         utterance.stand_in = self.next_stands_in;
         (utterance.heard, utterance.is_reported, utterance.started) = (0, false, now);
         self.counts.utterances += 1;
         self.emit(now, SayEvent::Start, out);
+        if let Some(spoken) = &self.utterance.spoken {
+            out.play(spoken);
+        }
     }
 
     /// Cuts what is said, because nobody should be spoken to.
@@ -626,7 +701,7 @@ impl LiveSession {
         let Some(speech) = self.notifier.speech().filter(|_| is_about_this) else { return };
         self.utterance.is_reported = true;
         let (l, before) = (speech.message.conveyance, self.utterance.heard);
-        let n_words = match spoken_words(&self.utterance.text).count() as u32 {
+        let n_words = match words::spoken(&self.utterance.text).count() as u32 {
             0 => l,
             n => n,
         };
@@ -639,16 +714,7 @@ impl LiveSession {
         while self.utterance.heard < ended && self.notifier.speech().is_some() {
             self.hear_word(now, out);
         }
-        let has_moved = self.utterance.heard > before;
-        if has_moved && self.plan.clock == StepClock::Word && self.state == LiveState::Speaking {
-            self.step += 1;
-            self.observe();
-            self.decide_if_fresh(now, decider, out);
-            self.next_step = Some(now + self.step_ns);
-        } else {
-            self.go_on_speaking(now, out);
-        }
-        self.release(self.plan.clock != StepClock::Observation, out);
+        self.follow(before, now, decider, out);
     }
 
     fn fall_silent(&mut self, now: u64, out: &mut impl SayTo) {
@@ -661,9 +727,18 @@ impl LiveSession {
         self.is_gone = !is_here;
     }
 
+    /// The loudspeaker is gone, or not any more.
+    pub fn note_mute(&mut self, is_mute: bool) {
+        self.has_news |= self.is_mute != is_mute;
+        self.is_mute = is_mute;
+    }
+
     /// Does what is due: the watchdog, a step by the clock, a status.
     pub fn tick(&mut self, now: u64, decider: &mut LiveDecider, out: &mut impl SayTo) {
         self.watch(now, out);
+        if self.next_word().is_some_and(|at| at <= now) {
+            self.hear_voice(now, decider, out);
+        }
         if let Some(due) = self.next_step.filter(|due| *due <= now) {
             self.counts.late_steps += u64::from(now - due > LATE);
             if self.state == LiveState::Stale {
@@ -719,6 +794,9 @@ impl LiveSession {
     /// Writes an event, and puts the one before it, which was not the last.
     fn emit(&mut self, now: u64, event: SayEvent, out: &mut impl SayTo) {
         self.release(false, out);
+        if event == SayEvent::Cut {
+            out.hush();
+        }
         let utterance = &self.utterance;
         let message = utterance.message;
         let said = SaidUtterance {
@@ -731,6 +809,10 @@ impl LiveSession {
             text: &utterance.text,
             stand_in: utterance.stand_in,
             seconds: f64::from(message.conveyance) * self.plan.seconds_per_step,
+            spoken: utterance
+                .spoken
+                .as_deref()
+                .filter(|_| self.plan.word_clock == WordClock::Voice),
         };
         let age = self.newest_at.map_or(0, |at| now.saturating_sub(at));
         let line = SayLine {
@@ -770,11 +852,12 @@ impl LiveSession {
         if !has_news && now < self.status_due {
             return;
         }
+        let is_mute = self.is_mute && matches!(self.state, LiveState::Silent | LiveState::Speaking);
         let line = StatusLine {
             session: &self.id,
-            state: self.state,
+            state: if is_mute { LiveState::Mute } else { self.state },
             since: seconds(now.saturating_sub(self.since)),
-            why: &self.why,
+            why: if is_mute { &Silence::Mute } else { &self.why },
             last_seq: self.last_seq.unwrap_or(0),
             age: self.newest_at.map(|at| seconds(now.saturating_sub(at))),
             told: &self.told,

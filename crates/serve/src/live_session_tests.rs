@@ -1,6 +1,7 @@
 use leadtime_policy::Parameters;
 use leadtime_proto::{PolicySpec, TaskSpec};
 use leadtime_sims::notifier::initial_bias;
+use leadtime_voice::WordTime;
 use serde_json::{Value, json};
 
 use super::*;
@@ -17,6 +18,8 @@ struct Told {
     now: u64,
     says: Vec<(u64, HeardSay)>,
     statuses: Vec<(u64, Value)>,
+    played: Vec<String>,
+    n_hushed: usize,
 }
 
 impl SayTo for Told {
@@ -25,6 +28,12 @@ impl SayTo for Told {
     }
     fn status(&mut self, bytes: &[u8]) {
         self.statuses.push((self.now, serde_json::from_slice(bytes).expect("a status is JSON")));
+    }
+    fn play(&mut self, sentence: &Arc<SpokenSentence>) {
+        self.played.push(sentence.text.clone());
+    }
+    fn hush(&mut self) {
+        self.n_hushed += 1;
     }
 }
 
@@ -51,14 +60,41 @@ struct Bench {
 
 impl Bench {
     fn open(talks: bool, question: &Value) -> Self {
-        let policy = policy(talks);
+        Self::open_with(&policy(talks), question)
+    }
+
+    /// A session whose notifier has a voice: the words of a sentence take 100, 200, 300 ms and so on, with a pause of 50 ms
+    /// after the first.
+    fn open_with_voice(question: &Value) -> Self {
+        let policy = policy(true);
+        let spoken = |text: &str| {
+            let n = words::count(text);
+            let pause = |i: u32| if i > 0 { 50 } else { 0 };
+            let end = |i: u32| 50 * (i + 1) * (i + 2) + pause(i);
+            let time = |i: u32| WordTime {
+                begin: if i == 0 { 0 } else { end(i - 1) + 50 - pause(i - 1) },
+                end: end(i),
+            };
+            SpokenSentence {
+                words: (0..n).map(time).collect(),
+                is_estimated: false,
+                ..SpokenSentence::unheard(text)
+            }
+        };
+        let sentences: Vec<SpokenSentence> = policy.sentences().map(spoken).collect();
+        assert!(sentences.iter().all(SpokenSentence::has_words_in_order));
+        let book = VoiceBook::new("test".to_owned(), sentences);
+        Self::open_with(&policy.with_voice(Some(book)), question)
+    }
+
+    fn open_with(policy: &WorkingPolicy, question: &Value) -> Self {
         let mut whole = json!({"protocol": 1, "domain": "lander"});
         for (key, value) in question.as_object().unwrap() {
             whole[key] = value.clone();
         }
-        let plan = SessionPlan::read(whole.to_string().as_bytes(), &policy, 7).unwrap();
+        let plan = SessionPlan::read(whole.to_string().as_bytes(), policy, 7).unwrap();
         let decider = policy.decider();
-        let session = LiveSession::new("s1".to_owned(), plan, &policy, &decider, OPENED);
+        let session = LiveSession::new("s1".to_owned(), plan, policy, &decider, OPENED);
         let told = Told { now: OPENED, ..Told::default() };
         Self { session, decider, told, seq: 0, n: policy.obs_dim() }
     }
@@ -571,4 +607,100 @@ fn a_robot_that_cannot_ask_again_is_never_given_up() {
     assert_eq!(bench.state(), LiveState::Speaking);
     assert_eq!(bench.session.counts().refused, u64::from(2 * MAX_REFUSED));
     assert!(bench.told.says.len() > n_said);
+}
+
+/// Returns when the first words of the first utterance were told, in milliseconds after its start.
+fn first_words(bench: &Bench) -> Vec<u64> {
+    let said = bench.told.says.iter().filter(|(_, say)| say.utterance == 1);
+    let said = said.filter(|(_, say)| matches!(say.event, SayEvent::Start | SayEvent::Word));
+    said.map(|(at, _)| (at - OPENED) / MS).collect()
+}
+
+#[test]
+fn words_begin_and_end_as_in_the_voice() {
+    let mut bench = Bench::open_with_voice(&json!({"stale_after": 9, "lost_after": 99}));
+    bench.observe();
+    // Nothing new is said on one observation that is not stale, so the first utterance may run until it is understood.
+    bench.until(150);
+    let heard = |bench: &Bench| bench.session.notifier.speech().map(|speech| speech.heard);
+    assert_eq!(heard(&bench), Some(1), "the first word took 100 ms");
+    bench.until(349);
+    assert_eq!(heard(&bench), Some(1));
+    bench.until(350);
+    assert_eq!(heard(&bench), Some(2));
+    bench.until(3_000);
+    let begins = [0, 150, 350, 650, 1_050];
+    let told = first_words(&bench);
+    assert!(told.len() >= 2 && begins.starts_with(&told), "{told:?}");
+    // Decisions are made by the clock, whatever the words do.
+    assert_eq!(bench.session.counts().steps, 11);
+}
+
+#[test]
+fn with_a_voice_the_clock_of_words_takes_a_step_where_one_ends() {
+    let mut bench =
+        Bench::open_with_voice(&json!({"clock": "word", "stale_after": 9, "lost_after": 99}));
+    bench.observe();
+    bench.until(99);
+    assert_eq!(bench.session.counts().steps, 1);
+    bench.until(100);
+    assert_eq!(bench.session.counts().steps, 2);
+    bench.until(349);
+    assert_eq!(bench.session.counts().steps, 2);
+    bench.until(350);
+    assert_eq!(bench.session.counts().steps, 3);
+}
+
+#[test]
+fn with_the_clock_of_observations_nothing_depends_on_the_voice() {
+    let question = json!({"clock": "observation"});
+    let mut voiced = Bench::open_with_voice(&question);
+    let mut silent = Bench::open(true, &question);
+    for bench in [&mut voiced, &mut silent] {
+        for ms in (0..12_000).step_by(40) {
+            bench.until(ms);
+            bench.observe();
+        }
+    }
+    assert!(voiced.told.says.len() > 300);
+    assert_eq!(voiced.told.says, silent.told.says);
+    let counted_by_steps = json!({"word_clock": "steps"});
+    let mut voiced = Bench::open_with_voice(&counted_by_steps);
+    let mut silent = Bench::open(true, &counted_by_steps);
+    voiced.observe_from_to(0, 9_000);
+    silent.observe_from_to(0, 9_000);
+    assert_eq!(voiced.told.says, silent.told.says);
+}
+
+#[test]
+fn a_report_of_the_loudspeaker_counts_more_than_the_voice() {
+    let mut bench = Bench::open_with_voice(&json!({"stale_after": 9, "lost_after": 99}));
+    bench.observe();
+    let report = json!({"utterance": 1, "event": "start"}).to_string();
+    bench.session.hear(bench.told.now, report.as_bytes(), &mut bench.decider, &mut bench.told);
+    bench.until(2_000);
+    assert_eq!(first_words(&bench), [0]);
+    assert_eq!(bench.session.notifier.speech().unwrap().heard, 0);
+}
+
+#[test]
+fn what_starts_is_played_what_is_cut_falls_silent_and_a_mute_loudspeaker_is_told() {
+    let mut bench = Bench::open_with_voice(&json!({}));
+    bench.observe_from_to(0, 4_000);
+    let started = bench.told.says.iter().filter(|(_, say)| say.event == SayEvent::Start);
+    let started: Vec<String> = started.map(|(_, say)| say.text.clone()).collect();
+    assert!(started.len() > 2);
+    assert_eq!(bench.told.played, started);
+    let n_cut = bench.events().iter().filter(|event| **event == SayEvent::Cut).count();
+    assert!(n_cut > 0);
+    assert_eq!(bench.told.n_hushed, n_cut);
+    bench.session.note_mute(true);
+    bench.observe_from_to(4_050, 5_000);
+    assert_eq!(bench.last_status()["state"], "mute");
+    let why = "the loudspeaker is gone; what is said goes on in text";
+    assert_eq!(bench.last_status()["why"], why);
+    assert!(bench.told.played.len() > started.len(), "it goes on");
+    bench.session.note_mute(false);
+    bench.observe_from_to(5_050, 5_200);
+    assert_eq!(bench.last_status()["state"], "speaking");
 }

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use leadtime_link::live::LivePort;
 use leadtime_proto::{ClientName, Incarnation};
+use leadtime_voice::{Loudspeaker, SpokenSentence};
 use tracing::debug;
 
 use crate::heard::HeardReport;
@@ -64,9 +65,13 @@ pub(crate) struct Hosted {
 
 impl Hosted {
     /// Returns the session, and what it speaks to.
-    fn parts(&mut self, clock: LiveClock) -> (&mut LiveSession, ToPort<'_>) {
+    fn parts<'a>(
+        &'a mut self,
+        clock: LiveClock,
+        loudspeaker: Option<&'a Loudspeaker>,
+    ) -> (&'a mut LiveSession, ToPort<'a>) {
         let Self { session, port, voice, taken, .. } = self;
-        (session, ToPort { port, voice: voice.as_mut(), taken, clock })
+        (session, ToPort { port, voice: voice.as_mut(), taken, loudspeaker, clock })
     }
 
     /// Tells recorders what was taken in, after what was said on account of it.
@@ -94,12 +99,15 @@ impl LiveThread {
         decider: LiveDecider,
         clock: LiveClock,
         spins: bool,
+        loudspeaker: Option<Loudspeaker>,
         reports: flume::Sender<ThreadReport>,
     ) -> std::io::Result<Self> {
         let (orders, receiver) = sync_channel(MAX_WAITING);
         let work = move || {
             let hosted = Vec::with_capacity(SESSIONS_PER_THREAD);
-            Loop { hosted, decider, clock, spins, reports, snapshots_due: 0 }.run(&receiver);
+            let snapshots_due = 0;
+            Loop { hosted, decider, clock, spins, loudspeaker, reports, snapshots_due }
+                .run(&receiver);
         };
         let handle = thread::Builder::new().name(name).spawn(work)?;
         Ok(Self { orders, handle })
@@ -125,11 +133,12 @@ impl LiveThread {
     }
 }
 
-/// Puts a session's events at its port, and on the keys of its robot.
+/// Puts a session's events at its port and on the keys of its robot, and its sentences at the loudspeaker.
 struct ToPort<'a> {
     port: &'a LivePort,
     voice: Option<&'a mut RobotVoice>,
     taken: &'a mut TakenLog,
+    loudspeaker: Option<&'a Loudspeaker>,
     clock: LiveClock,
 }
 
@@ -152,6 +161,18 @@ impl SayTo for ToPort<'_> {
             debug!(%error, "a status could not be put");
         }
     }
+
+    fn play(&mut self, sentence: &Arc<SpokenSentence>) {
+        if let Some(loudspeaker) = self.loudspeaker {
+            loudspeaker.play(sentence);
+        }
+    }
+
+    fn hush(&mut self) {
+        if let Some(loudspeaker) = self.loudspeaker {
+            loudspeaker.hush();
+        }
+    }
 }
 
 struct Loop {
@@ -159,6 +180,7 @@ struct Loop {
     decider: LiveDecider,
     clock: LiveClock,
     spins: bool,
+    loudspeaker: Option<Loudspeaker>,
     reports: flume::Sender<ThreadReport>,
     snapshots_due: u64,
 }
@@ -182,7 +204,7 @@ impl Loop {
                 }
             }
             for hosted in &mut self.hosted {
-                serve(hosted, &mut self.decider, self.clock);
+                serve(hosted, &mut self.decider, self.clock, self.loudspeaker.as_ref());
             }
             self.report();
             self.sleep();
@@ -241,17 +263,23 @@ impl Loop {
     fn end(mut self) {
         let now = self.clock.now();
         for hosted in &mut self.hosted {
-            let (session, mut out) = hosted.parts(self.clock);
+            let (session, mut out) = hosted.parts(self.clock, self.loudspeaker.as_ref());
             session.close(now, Silence::Closing, &mut out);
         }
     }
 }
 
 /// Does for a client whatever is to be done now.
-fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
+fn serve(
+    hosted: &mut Hosted,
+    decider: &mut LiveDecider,
+    clock: LiveClock,
+    loudspeaker: Option<&Loudspeaker>,
+) {
+    hosted.session.note_mute(loudspeaker.is_some_and(Loudspeaker::is_mute));
     while let Some(bytes) = hosted.port.take_heard() {
         let now = clock.now();
-        let (session, mut out) = hosted.parts(clock);
+        let (session, mut out) = hosted.parts(clock, loudspeaker);
         session.hear(now, &bytes, decider, &mut out);
         if let Ok(report) = HeardReport::read(&bytes) {
             hosted.tell_taken(now, TakenInput::Heard { report });
@@ -259,7 +287,7 @@ fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
     }
     if let Some(arrival) = hosted.port.take() {
         let n_overwritten = hosted.port.n_overwritten();
-        let (session, mut out) = hosted.parts(clock);
+        let (session, mut out) = hosted.parts(clock, loudspeaker);
         let (payload, beside, at) = (arrival.payload(), arrival.attachment(), clock.at(arrival.at));
         session.note_overwritten(n_overwritten);
         let parts = (&arrival.encoding(), &*payload, beside.as_deref());
@@ -272,7 +300,7 @@ fn serve(hosted: &mut Hosted, decider: &mut LiveDecider, clock: LiveClock) {
     }
     let now = clock.now();
     if hosted.session.next_deadline() <= now {
-        let (session, mut out) = hosted.parts(clock);
+        let (session, mut out) = hosted.parts(clock, loudspeaker);
         session.tick(now, decider, &mut out);
         hosted.tell_taken(now, TakenInput::Tick);
     }

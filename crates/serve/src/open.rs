@@ -1,6 +1,7 @@
 //! What a client asks for a session with, and what it is answered.
 
 use leadtime_sims::{Fact, Quantity};
+use leadtime_voice::VoiceBook;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
@@ -37,6 +38,17 @@ pub enum StepClock {
     Word,
 }
 
+/// How long a word takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WordClock {
+    /// As long as in the notifier's voice, if it has one; a step each with [`StepClock::Observation`].
+    #[default]
+    Voice,
+    /// A step each.
+    Steps,
+}
+
 /// In which form a client wants to be told what is said.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -62,6 +74,8 @@ struct OpenRequest {
     lost_after: Option<f64>,
     seed: Option<u64>,
     words: Option<String>,
+    #[serde(default)]
+    word_clock: WordClock,
     person: Option<Value>,
     incarnation: Option<String>,
     #[serde(default)]
@@ -113,7 +127,9 @@ fn no_choice(value: &Value, choices: &[&str]) -> Option<String> {
 pub struct SessionPlan {
     /// When steps are taken.
     pub clock: StepClock,
-    /// How long a step (a word) takes, in seconds.
+    /// How long a word takes.
+    pub word_clock: WordClock,
+    /// How long a step takes, in seconds.
     pub seconds_per_step: f64,
     /// From which age on an observation is stale, in seconds.
     pub stale_after: f64,
@@ -209,6 +225,11 @@ impl SessionPlan {
         }
         Ok(Self {
             clock: asked.clock,
+            word_clock: match asked.clock {
+                // A simulator's time is its own: whatever the voice is, its decisions are the same.
+                StepClock::Observation => WordClock::Steps,
+                StepClock::Timer | StepClock::Word => asked.word_clock,
+            },
             seconds_per_step,
             stale_after,
             lost_after,
@@ -289,6 +310,26 @@ pub struct SessionNote {
     pub words_checksum: u32,
 }
 
+/// The voice of a notifier, for clients.
+#[derive(Clone, Debug, Serialize)]
+pub struct VoiceNote {
+    /// Its name.
+    pub name: String,
+    /// Samples per second; 0 where the notifier knows times without sound.
+    pub rate: u32,
+    /// Sentences that it has times for.
+    pub sentences: usize,
+    /// Those of them whose times nobody measured.
+    pub estimated: usize,
+}
+
+impl From<&VoiceBook> for VoiceNote {
+    fn from(voice: &VoiceBook) -> Self {
+        let (name, rate) = (voice.name.clone(), voice.rate);
+        Self { name, rate, sentences: voice.sentences().count(), estimated: voice.n_estimated() }
+    }
+}
+
 /// The answer to a client's question.
 #[derive(Clone, Debug, Serialize)]
 pub struct SessionAnswer<'a> {
@@ -327,6 +368,9 @@ pub struct SessionAnswer<'a> {
     /// The settings of the task that the policy was made for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<&'a Value>,
+    /// Who speaks them; nothing where words come without times of their own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub voice: Option<VoiceNote>,
     /// What the client should know.
     pub notes: &'a [String],
 }
@@ -359,6 +403,7 @@ impl<'a> SessionAnswer<'a> {
             policy: PolicyNote { sha256: policy.sha256.clone(), updates: policy.n_updates },
             sentences: policy.n_sentences(),
             task: policy.task.as_ref().filter(|_| is_whole),
+            voice: policy.voice().as_deref().map(VoiceNote::from),
             notes: &plan.notes,
         }
     }

@@ -77,55 +77,12 @@ impl PhraseBook {
     }
 }
 
-/// Cuts a sentence into the pieces in which it is spoken, one a word: `Zone`, `ahead -`, `go`, `up!`.
-pub fn spoken_words(text: &str) -> impl Iterator<Item = &str> {
-    let mut rest = text.trim();
-    std::iter::from_fn(move || {
-        let mut end = next_gap(rest, 0)?;
-        // A mark that stands alone belongs to the word before it.
-        while let Some(further) = next_gap(rest, end) {
-            if rest[end..further].chars().any(char::is_alphanumeric) {
-                break;
-            }
-            end = further;
-        }
-        let piece = rest[..end].trim();
-        rest = rest[end..].trim_start();
-        Some(piece)
-    })
-}
-
-/// Returns where the word ends that begins at or after `from`; `None` if there is none.
-fn next_gap(text: &str, from: usize) -> Option<usize> {
-    let begin = from + text[from..].find(|c: char| !c.is_whitespace())?;
-    let length = text[begin..].find(char::is_whitespace).unwrap_or(text.len() - begin);
-    Some(begin + length)
-}
-
 #[cfg(test)]
 mod tests {
-    use leadtime_taxonomy::{shipped, words};
+    use leadtime_taxonomy::shipped;
 
     use super::*;
     use crate::observation::LiveObservation;
-
-    #[test]
-    fn a_sentence_has_as_many_pieces_as_words() {
-        let pieces = |text| spoken_words(text).collect::<Vec<_>>();
-        assert_eq!(pieces("Zone ahead - go  up!"), ["Zone", "ahead -", "go", "up!"]);
-        assert_eq!(pieces("  "), [""; 0]);
-        for domain in shipped::domains() {
-            let taxonomy = leadtime_taxonomy::shipped(domain).unwrap();
-            for (_, utterances) in
-                taxonomy.topics().iter().flat_map(leadtime_taxonomy::Topic::cells)
-            {
-                for utterance in utterances {
-                    let n = spoken_words(&utterance.text).count();
-                    assert_eq!(n as u32, words::count(&utterance.text), "{}", utterance.text);
-                }
-            }
-        }
-    }
 
     /// An observation that tells these facts.
     fn telling(facts: &[String]) -> LiveObservation {

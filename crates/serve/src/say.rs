@@ -10,11 +10,12 @@
 //!   8  heard u8         9  flags u8 (1 = last)    10  step u32    14  seq u64    22  word u16
 //! ```
 
+use leadtime_taxonomy::words;
+use leadtime_voice::SpokenSentence;
 use serde::ser::{SerializeMap as _, SerializeSeq as _};
 use serde::{Deserialize, Serialize, Serializer};
 
 use crate::open::SayForm;
-use crate::phrases::spoken_words;
 
 /// Bytes of a raw event.
 pub const RAW_SAY: usize = 24;
@@ -56,8 +57,10 @@ pub struct SaidUtterance<'a> {
     pub text: &'a str,
     /// No sentence has exactly this k and l; this one stands in.
     pub stand_in: bool,
-    /// How long it takes, in seconds.
+    /// How long it takes where every word takes a step, in seconds.
     pub seconds: f64,
+    /// The sentence with the times of its words, where they count.
+    pub spoken: Option<&'a SpokenSentence>,
 }
 
 /// One event.
@@ -105,7 +108,7 @@ impl SayLine<'_> {
         out.push(0);
         out.extend_from_slice(&self.step.to_le_bytes());
         out.extend_from_slice(&self.seq.to_le_bytes());
-        let word = utterance.map_or(0, |it| it.word(spoken_words(it.text).count() as u32));
+        let word = utterance.map_or(0, |it| it.word(words::spoken(it.text).count() as u32));
         out.extend_from_slice(&(word as u16).to_le_bytes());
     }
 }
@@ -125,7 +128,12 @@ impl SaidUtterance<'_> {
     /// A sentence of another length than the message's keeps its pace: both end together.
     fn word(&self, n_words: u32) -> u32 {
         let n = if n_words == 0 { self.conveyance } else { n_words };
-        self.heard * n / self.conveyance.max(1)
+        let said = self.heard * n;
+        match self.spoken {
+            // Where words have times of their own, that part of the message has ended with a word.
+            Some(_) => said.div_ceil(self.conveyance.max(1)),
+            None => said / self.conveyance.max(1),
+        }
     }
 }
 
@@ -142,14 +150,19 @@ impl Serialize for SayLine<'_> {
             map.serialize_entry("k", &said.comprehension)?;
             map.serialize_entry("l", &said.conveyance)?;
             map.serialize_entry("heard", &said.heard)?;
-            let n_words = spoken_words(said.text).count() as u32;
+            let n_words = words::spoken(said.text).count() as u32;
             map.serialize_entry("word", &said.word(n_words))?;
             if n_words > 0 {
                 map.serialize_entry("text", said.text)?;
                 map.serialize_entry("words", &WordList(said.text))?;
-                map.serialize_entry("at", &WordTimes { n_words, seconds: said.seconds })?;
+                let (seconds, spoken) = (said.seconds, said.spoken);
+                map.serialize_entry("at", &WordTimes { n_words, seconds, spoken })?;
             }
-            map.serialize_entry("end", &milliseconds(said.seconds))?;
+            let end = said.spoken.map_or(said.seconds, |spoken| f64::from(spoken.end()) / 1e3);
+            map.serialize_entry("end", &milliseconds(end))?;
+            if said.spoken.is_some_and(|spoken| spoken.is_estimated) {
+                map.serialize_entry("estimated", &true)?;
+            }
             if said.stand_in {
                 map.serialize_entry("stand_in", &true)?;
             }
@@ -169,21 +182,26 @@ struct WordList<'a>(&'a str);
 impl Serialize for WordList<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut list = serializer.serialize_seq(None)?;
-        spoken_words(self.0).try_for_each(|word| list.serialize_element(word))?;
+        words::spoken(self.0).try_for_each(|word| list.serialize_element(word))?;
         list.end()
     }
 }
 
 /// When each word begins, in seconds from the start.
-struct WordTimes {
+struct WordTimes<'a> {
     n_words: u32,
     seconds: f64,
+    spoken: Option<&'a SpokenSentence>,
 }
 
-impl Serialize for WordTimes {
+impl Serialize for WordTimes<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut list = serializer.serialize_seq(None)?;
-        for word in 0..self.n_words {
+        for word in self.spoken.iter().flat_map(|spoken| &spoken.words) {
+            list.serialize_element(&(f64::from(word.begin) / 1e3))?;
+        }
+        let by_steps = if self.spoken.is_some() { 0..0 } else { 0..self.n_words };
+        for word in by_steps {
             let at = f64::from(word) * self.seconds / f64::from(self.n_words);
             list.serialize_element(&milliseconds(at))?;
         }
@@ -275,6 +293,7 @@ mod tests {
             text: "Climb now, zone \"ahead\".",
             stand_in: false,
             seconds: 1.2,
+            spoken: None,
         };
         let utterance = (event != SayEvent::Silent).then_some(utterance);
         SayLine { seq: 1 << 40, step: 52, episode: 3, event, utterance, age: 0.0041 }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use leadtime_link::live::{LiveEvent, LiveServiceLink, OpenResponder, RobotKeys};
 use leadtime_proto::{ClientName, Incarnation};
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
+use leadtime_voice::Loudspeaker;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use tracing::{info, warn};
@@ -49,6 +50,8 @@ pub struct ServiceSettings {
     pub spins: bool,
     /// Where states are kept; nowhere by default.
     pub store: Option<Arc<dyn StateStore>>,
+    /// What plays the sentences here; nothing by default.
+    pub loudspeaker: Option<Loudspeaker>,
 }
 
 /// Why a notifier cannot work.
@@ -116,7 +119,8 @@ impl LiveService {
         let n_threads = settings.max_sessions.div_ceil(SESSIONS_PER_THREAD).max(1);
         let start = |i| {
             let (decider, sender) = (decider.clone(), sender.clone());
-            LiveThread::start(format!("live-{i}"), decider, clock, settings.spins, sender)
+            let (spins, loudspeaker) = (settings.spins, settings.loudspeaker.clone());
+            LiveThread::start(format!("live-{i}"), decider, clock, spins, loudspeaker, sender)
         };
         let threads = (0..n_threads).map(start).collect::<Result<_, _>>();
         Ok(Self {

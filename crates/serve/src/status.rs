@@ -17,6 +17,8 @@ pub enum LiveState {
     Silent,
     /// An utterance runs.
     Speaking,
+    /// The loudspeaker is gone: what is said goes on in text. Told instead of silent and speaking.
+    Mute,
     /// The newest observation is too old: nothing new starts.
     Stale,
     /// The client is gone, or says nothing any more.
@@ -51,6 +53,8 @@ pub enum Silence {
     Ended,
     /// So many unusable messages in a row, and what was wrong with the last.
     Refused(u32, String),
+    /// The loudspeaker is gone.
+    Mute,
     /// The notifier goes.
     Closing,
 }
@@ -77,6 +81,7 @@ impl fmt::Display for Silence {
                     "{n} messages in a row could not be used; open a new session. The last one: {last}"
                 )
             }
+            Self::Mute => f.write_str("the loudspeaker is gone; what is said goes on in text"),
             Self::Closing => f.write_str("the notifier ends"),
         }
     }

@@ -9,6 +9,7 @@ use leadtime_proto::{Mask, PolicySpec};
 use leadtime_sims::notifier::Session;
 use leadtime_sims::{Environment, Fact, Quantity};
 use leadtime_taxonomy::{Taxonomy, Topic};
+use leadtime_voice::VoiceBook;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
@@ -40,6 +41,14 @@ pub struct PolicyOrigin {
     pub action: Choice,
     /// The words: a database, `shipped` or `none`.
     pub words: String,
+    /// The voice, whose words take the times that they take, as `--voice` names it.
+    #[serde(default = "silent")]
+    pub voice: String,
+}
+
+/// The voice of recordings that name none: words without sound.
+fn silent() -> String {
+    "text".to_owned()
 }
 
 /// A policy that is ready to speak.
@@ -64,6 +73,7 @@ pub struct WorkingPolicy {
     /// Everything that a client of this task may say to be the case.
     known_facts: Vec<Fact>,
     taxonomy: Option<Arc<Taxonomy>>,
+    voice: Option<Arc<VoiceBook>>,
     decider: LiveDecider,
 }
 
@@ -107,6 +117,7 @@ impl WorkingPolicy {
             facts,
             known_facts,
             taxonomy: taxonomy.map(Arc::new),
+            voice: None,
         })
     }
 
@@ -130,6 +141,16 @@ impl WorkingPolicy {
     /// Says which settings its task has, JSON.
     pub fn of_task(self, settings: &str) -> Self {
         Self { task: serde_json::from_str(settings).ok(), ..self }
+    }
+
+    /// Speaks with a voice: words take the time that they take in its sound.
+    pub fn with_voice(self, voice: Option<VoiceBook>) -> Self {
+        Self { voice: voice.map(Arc::new), ..self }
+    }
+
+    /// Returns the voice, if it has one.
+    pub fn voice(&self) -> Option<Arc<VoiceBook>> {
+        self.voice.clone()
     }
 
     /// Returns how many numbers an observation has.
@@ -159,8 +180,13 @@ impl WorkingPolicy {
 
     /// Counts the sentences.
     pub fn n_sentences(&self) -> usize {
-        let of_topic = |topic: &Topic| topic.cells().map(|(_, list)| list.len()).sum::<usize>();
-        self.taxonomy.iter().flat_map(|taxonomy| taxonomy.topics()).map(of_topic).sum()
+        self.sentences().count()
+    }
+
+    /// Lists the sentences.
+    pub fn sentences(&self) -> impl Iterator<Item = &str> {
+        let topics = self.taxonomy.iter().flat_map(|taxonomy| taxonomy.topics());
+        topics.flat_map(Topic::utterances).map(|utterance| utterance.text.as_str())
     }
 
     /// Returns what decides: one per thread, because it thinks in memory of its own.

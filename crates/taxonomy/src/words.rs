@@ -43,6 +43,39 @@ pub fn prefix(text: &str, n: usize) -> String {
     kept.join(" ")
 }
 
+/// Cuts a sentence into the pieces in which it is spoken, one a word.
+///
+/// # Example
+///
+/// ```
+/// use leadtime_taxonomy::words::spoken;
+///
+/// assert_eq!(spoken("Zone ahead - go up!").collect::<Vec<_>>(), ["Zone", "ahead -", "go", "up!"]);
+/// ```
+pub fn spoken(text: &str) -> impl Iterator<Item = &str> {
+    let mut rest = text.trim();
+    std::iter::from_fn(move || {
+        let mut end = next_gap(rest, 0)?;
+        // A mark that stands alone belongs to the word before it.
+        while let Some(further) = next_gap(rest, end) {
+            if rest[end..further].chars().any(char::is_alphanumeric) {
+                break;
+            }
+            end = further;
+        }
+        let piece = rest[..end].trim();
+        rest = rest[end..].trim_start();
+        Some(piece)
+    })
+}
+
+/// Returns where the word ends that begins at or after `from`; `None` if there is none.
+fn next_gap(text: &str, from: usize) -> Option<usize> {
+    let begin = from + text[from..].find(|c: char| !c.is_whitespace())?;
+    let length = text[begin..].find(char::is_whitespace).unwrap_or(text.len() - begin);
+    Some(begin + length)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -59,6 +92,17 @@ mod tests {
         assert_eq!(words("Zone ahead - go up !").len(), 4);
         assert_eq!(normalised("  Go   UP!! "), "go up");
         assert_eq!(count(""), 0);
+    }
+
+    #[test]
+    fn a_sentence_has_as_many_pieces_as_words() {
+        assert_eq!(spoken("  ").collect::<Vec<_>>(), [""; 0]);
+        for domain in crate::shipped::domains() {
+            let taxonomy = crate::shipped(domain).unwrap();
+            for utterance in taxonomy.topics().iter().flat_map(crate::Topic::utterances) {
+                assert_eq!(spoken(&utterance.text).count() as u32, count(&utterance.text));
+            }
+        }
     }
 
     #[test]

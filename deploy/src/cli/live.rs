@@ -10,6 +10,8 @@ use leadtime_eval::measure::Choice;
 use leadtime_proto::{ClientName, ServiceName};
 use leadtime_runs::evaluation;
 use leadtime_serve::{MAX_SESSIONS, PolicyOrigin, SayForm, StepClock};
+use leadtime_voice::VoiceChoice;
+use leadtime_voice::loudspeaker::APLAY;
 
 use super::{GuardArgs, RobotArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
 
@@ -31,19 +33,23 @@ pub(crate) struct ServeArgs {
     /// Name of the notifier: part of every key.
     #[arg(long, value_name = "NAME", default_value = "notifier")]
     pub service: ServiceName,
-    /// In what a client is told what is said.
-    #[arg(long, value_enum, default_value_t)]
-    pub voice: VoiceKind,
+    /// The voice: `shipped`; `text`, words without times of their own; `none`, no words; `flite[:VOICE]` or `espeak` if installed;
+    /// `recorded:DIR` of `leadtime taxonomy speak`; `pipe:COMMAND`, a helper of your own.
+    #[arg(long, value_name = "VOICE", default_value_t)]
+    pub voice: VoiceChoice,
+    /// Play what is said on this machine: by aplay, or by a command that takes raw 16-bit samples, `{rate}` a second. One client.
+    #[arg(long, value_name = "COMMAND", num_args = 0..=1, require_equals = true, default_missing_value = APLAY)]
+    pub play: Option<String>,
     /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
-    #[arg(long, value_name = "DATABASE", conflicts_with = "voice")]
+    #[arg(long, value_name = "DATABASE")]
     pub words: Option<String>,
     /// Keep the state of every session in this directory once a second; a notifier that is started again goes on with them.
     #[arg(long, value_name = "DIR")]
     pub state: Option<PathBuf>,
-    /// The most clients at once.
-    #[arg(long, value_name = "N", default_value_t = MAX_SESSIONS as u32)]
+    /// The most clients at once (default: 64; 1 with --play).
+    #[arg(long, value_name = "N", conflicts_with = "play")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=MAX_SESSIONS as i64))]
-    pub max_sessions: u32,
+    pub max_sessions: Option<u32>,
     /// Print what an observation consists of and what can be said, and end.
     #[arg(long)]
     pub describe: bool,
@@ -72,6 +78,7 @@ impl ServeArgs {
     pub(crate) fn of_origin(
         policy: &Path,
         origin: &PolicyOrigin,
+        voice: &VoiceChoice,
         runs: &Path,
     ) -> Result<Self, clap::Error> {
         let action = match origin.action {
@@ -83,10 +90,9 @@ impl ServeArgs {
         for change in &origin.changes {
             args.extend([OsString::from("--set"), change.into()]);
         }
-        match origin.words.as_str() {
-            NO_WORDS => args.extend(["--voice".into(), "none".into()]),
-            SHIPPED_WORDS => {}
-            database => args.extend(["--words".into(), database.into()]),
+        args.extend([OsString::from("--voice"), voice.to_string().into()]);
+        if ![NO_WORDS, SHIPPED_WORDS].contains(&origin.words.as_str()) {
+            args.extend([OsString::from("--words"), (&origin.words).into()]);
         }
         args.extend(["--".into(), policy.into()]);
         let command = Self::augment_args(clap::Command::new("serve"));
@@ -95,8 +101,8 @@ impl ServeArgs {
 
     /// Returns the words as recordings name them.
     pub(crate) fn words_name(&self) -> String {
-        match (&self.words, self.voice) {
-            (_, VoiceKind::None) => NO_WORDS.to_owned(),
+        match (&self.words, &self.voice) {
+            (_, VoiceChoice::None) => NO_WORDS.to_owned(),
             (Some(name), _) => name.clone(),
             (None, _) => SHIPPED_WORDS.to_owned(),
         }
@@ -106,16 +112,6 @@ impl ServeArgs {
 /// How recordings call no words, and those that come with the domain.
 const NO_WORDS: &str = "none";
 const SHIPPED_WORDS: &str = "shipped";
-
-/// In what a client is told what is said.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum VoiceKind {
-    /// Topic, k and l alone: the client has words of its own.
-    None,
-    /// The sentence too, word by word.
-    #[default]
-    Text,
-}
 
 /// `leadtime drive`
 #[derive(Debug, Args)]
@@ -216,6 +212,9 @@ pub(crate) struct ReplayArgs {
     /// (default: the recording's own, where it was).
     #[arg(long, value_name = "POLICY", conflicts_with = "connect")]
     pub policy: Option<PathBuf>,
+    /// The voice, in whose time words end (default: the recording's; a `pipe:` has to be given).
+    #[arg(long, value_name = "VOICE", conflicts_with = "connect")]
+    pub voice: Option<VoiceChoice>,
     /// Send the observations to this notifier instead of replaying them in this process.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,

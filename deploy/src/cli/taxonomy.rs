@@ -7,6 +7,7 @@ use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 
 use super::duration;
 use leadtime_config::Override;
+use leadtime_voice::VoiceChoice;
 
 /// `leadtime taxonomy ...`
 #[derive(Debug, Subcommand)]
@@ -21,6 +22,8 @@ pub(crate) enum TaxonomyCommand {
     Export(TaxonomyExportArgs),
     /// Check a database and list its empty cells.
     Validate(TaxonomyValidateArgs),
+    /// Speak every sentence of a database into a file of sound, with the time of each word, for `serve --voice recorded:DIR`.
+    Speak(TaxonomySpeakArgs),
 }
 
 /// Who writes and rates.
@@ -179,6 +182,19 @@ pub(crate) struct TaxonomyExportArgs {
     /// Write it here instead of printing it.
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
+}
+
+/// `leadtime taxonomy speak`
+#[derive(Debug, Args)]
+pub(crate) struct TaxonomySpeakArgs {
+    /// The database: a file, or the domain whose shipped one is meant.
+    pub database: String,
+    /// Who speaks: `flite[:VOICE]`, `espeak`, or a helper by `pipe:COMMAND`.
+    #[arg(long, value_name = "VOICE", default_value = "flite")]
+    pub voice: VoiceChoice,
+    /// Directory for `sound.wav` and `voice.json`.
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
 }
 
 /// `leadtime taxonomy validate`

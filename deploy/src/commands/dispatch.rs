@@ -53,6 +53,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
             TaxonomyCommand::Report(args) => taxonomy::report(&args),
             TaxonomyCommand::Export(args) => taxonomy::export(&args),
             TaxonomyCommand::Validate(args) => taxonomy::validate(tasks, &args),
+            TaxonomyCommand::Speak(args) => taxonomy::speak(&args),
         },
         Command::ScriptSearch(args) => script_search::run(tasks, &args),
         Command::Conformance(args) => conformance::run(&args),

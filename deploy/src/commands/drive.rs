@@ -39,7 +39,6 @@ pub(super) async fn run(tasks: &Tasks, args: &DriveArgs) -> Result<(), Failure> 
     let asked = ClientSettings {
         service: args.service.clone(),
         client,
-        client,
         incarnation: clock::incarnation(),
         domain: config.domain.to_string(),
         obs_dim: environment.session().map(|session| session.obs_dim()),

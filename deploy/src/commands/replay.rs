@@ -9,6 +9,7 @@ use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_link::live::LiveClientLink;
 use leadtime_proto::phrase::counted;
+use leadtime_proto::text::quoted;
 use leadtime_recording::{
     Error as RecordingError, RecordedInput, RecordedSession, ReplayDifference, ReplayOutcome,
     ReplayTarget, SessionAtHand, SessionOverNetwork, StartedMessage, Stretch, check_for_network,
@@ -17,6 +18,7 @@ use leadtime_recording::{
 use leadtime_runs::{Tasks, clock};
 use leadtime_serve::{HeardSay, PolicyOrigin, SayEvent, SessionNote, WorkingPolicy};
 use leadtime_table::Table;
+use leadtime_voice::VoiceChoice;
 use serde_json::{Value, json};
 use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
@@ -138,9 +140,22 @@ impl Policies {
                 path.display()
             )));
         }
-        let args = ServeArgs::of_origin(path, origin, &self.args.runs);
-        let args = args.map_err(|error| Failure::input(error.kind().to_string()));
-        serve::load(&self.tasks, &args?)
+        let recorded = origin.voice.parse::<VoiceChoice>().blame(ExitCode::WrongInput)?;
+        let voice = match (&self.args.voice, recorded) {
+            (Some(given), _) => given.clone(),
+            // A file must not be able to start a command.
+            (None, VoiceChoice::Pipe(command)) => {
+                return Err(Failure::input(format!(
+                    "the voice of the recording is the command {}, which is not started because a file says so: give it with --voice, \
+                     or `--voice text` if every observation was a step",
+                    quoted(&command)
+                )));
+            }
+            (None, recorded) => recorded,
+        };
+        let args = ServeArgs::of_origin(path, origin, &voice, &self.args.runs);
+        let args = args.map_err(|error| Failure::input(error.kind().to_string()))?;
+        serve::with_voice(serve::load(&self.tasks, &args)?, &args)
     }
 }
 

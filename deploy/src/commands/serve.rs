@@ -12,15 +12,18 @@ use leadtime_proto::ClientName;
 use leadtime_proto::phrase::counted;
 use leadtime_runs::{LoadedPolicy, Tasks, clock, write_atomically};
 use leadtime_serve::{
-    LiveService, OpenRefusal, PolicyOrigin, ServiceSettings, StateStore, WorkingPolicy,
+    LiveService, MAX_SESSIONS, OpenRefusal, PolicyOrigin, ServiceSettings, StateStore,
+    WorkingPolicy,
 };
 use leadtime_table::Table;
 use leadtime_taxonomy::{MAX_FACTS, Taxonomy, shipped};
+use leadtime_voice::loudspeaker::APLAY;
+use leadtime_voice::{Loudspeaker, VoiceChoice};
 use serde_json::{Value, json};
 
 use super::standing::standing;
 use super::taxonomy;
-use crate::cli::{ServeArgs, VoiceKind};
+use crate::cli::ServeArgs;
 use crate::credentials::{listen_settings, listening_failure};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
@@ -32,6 +35,8 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
         describe(&policy, args.json);
         return Ok(());
     }
+    let policy = with_voice(policy, args)?;
+    let loudspeaker = loudspeaker(&policy, args)?;
     let store = args.state.as_deref().map(StateDirectory::open).transpose();
     let store = store.context("--state").blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
@@ -50,10 +55,16 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
     let sentences = counted(policy.n_sentences(), "sentence");
     let locators = link.locators().join(", ");
     let service_settings = ServiceSettings {
-        max_sessions: args.max_sessions as usize,
+        max_sessions: match (args.max_sessions, &args.play) {
+            (Some(n), _) => n as usize,
+            // What two clients are told at once nobody understands.
+            (None, Some(_)) => 1,
+            (None, None) => MAX_SESSIONS,
+        },
         seed: args.seed,
         spins: !args.no_spin,
         store,
+        loudspeaker,
     };
     let standing = standing(&args.robot, &domain, (service, own), &link.zid());
     let standing = standing.context("--ros2-topic").blame(ExitCode::WrongInput)?;
@@ -91,7 +102,7 @@ pub(super) fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Fai
         words,
     );
     let policy = policy.blame(ExitCode::WrongInput)?;
-    if args.voice == VoiceKind::Text && policy.n_sentences() == 0 {
+    if args.voice != VoiceChoice::None && policy.n_sentences() == 0 {
         let error = leadtime_serve::UnfitPolicy::NoWords(domain.to_owned());
         return Err(error).blame(ExitCode::WrongInput);
     }
@@ -102,17 +113,45 @@ pub(super) fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Fai
         changes: args.set.iter().map(ToString::to_string).collect(),
         action: choice,
         words: args.words_name(),
+        voice: args.voice.to_string(),
     };
     Ok(policy.of_file(loaded.sha256.clone(), loaded.n_updates).put_to_work(origin))
 }
 
 /// Returns the sentences that are asked for, or those of the domain.
 fn words(args: &ServeArgs, domain: &str) -> Result<Option<Taxonomy>, Failure> {
-    match (&args.words, args.voice) {
-        (_, VoiceKind::None) => Ok(None),
-        (Some(name), VoiceKind::Text) => taxonomy::database(name).map(Some),
-        (None, VoiceKind::Text) => Ok(shipped(domain).ok()),
+    match (&args.words, &args.voice) {
+        (Some(_), VoiceChoice::None) => Err(Failure::input(
+            "--voice none speaks no words: leave out --words, or choose another voice",
+        )),
+        (None, VoiceChoice::None) => Ok(None),
+        (Some(name), _) => taxonomy::database(name).map(Some),
+        (None, _) => Ok(shipped(domain).ok()),
     }
+}
+
+/// Lets the voice say every sentence, so that the times of their words, and with --play their sound, are known.
+pub(super) fn with_voice(
+    policy: WorkingPolicy,
+    args: &ServeArgs,
+) -> Result<WorkingPolicy, Failure> {
+    let texts: Vec<&str> = policy.sentences().collect();
+    let voice = leadtime_voice::prepare(&args.voice, &policy.domain, &texts, args.play.is_some());
+    let voice = voice.blame(ExitCode::WrongInput)?;
+    Ok(policy.with_voice(voice))
+}
+
+/// Starts what plays the sentences here, if that is asked for.
+fn loudspeaker(policy: &WorkingPolicy, args: &ServeArgs) -> Result<Option<Loudspeaker>, Failure> {
+    let Some(command) = &args.play else { return Ok(None) };
+    let own = Some(command.as_str()).filter(|command| *command != APLAY);
+    let rate = policy.voice().map_or(0, |voice| voice.rate);
+    if rate == 0 {
+        let told = format!("--play has nothing to play: --voice {} makes no sound", args.voice);
+        return Err(Failure::input(told));
+    }
+    let started = Loudspeaker::start(own, rate).blame(ExitCode::WrongInput)?;
+    Ok(Some(started))
 }
 
 /// Says what an observation consists of, and what can be said.

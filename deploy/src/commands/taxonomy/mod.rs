@@ -3,6 +3,7 @@
 //! ```text
 //! plan --build--> calls.jsonl, taxonomy.toml, coverage.md, candidates.jsonl     (or by --replay from calls.jsonl)
 //! calls.jsonl --report--> coverage.md      taxonomy.toml --validate, export--> findings, tables
+//! taxonomy.toml --speak--> sound.wav, voice.json
 //! ```
 //!
 //! Where to start: [`mod@build`]; whose fault an error is: [`source`].
@@ -12,8 +13,10 @@ mod build;
 mod look;
 mod rate;
 mod source;
+mod speak;
 
 pub(super) use build::run as build;
 pub(super) use look::{export, report, validate};
 pub(super) use rate::run as rate;
 pub(super) use source::database;
+pub(super) use speak::run as speak;

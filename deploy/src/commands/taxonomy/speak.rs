@@ -1,0 +1,42 @@
+//! `leadtime taxonomy speak`: every sentence of a database as sound, with the time of each word.
+
+use anyhow::Context as _;
+use leadtime_proto::phrase::counted;
+use leadtime_taxonomy::Topic;
+use leadtime_voice::{SoundIndex, VoiceBook, recorded, wav};
+
+use super::source;
+use crate::cli::TaxonomySpeakArgs;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output;
+
+pub(in crate::commands) fn run(args: &TaxonomySpeakArgs) -> Result<(), Failure> {
+    let taxonomy = source::database(&args.database)?;
+    let utterances = taxonomy.topics().iter().flat_map(Topic::utterances);
+    let texts: Vec<&str> = utterances.map(|utterance| utterance.text.as_str()).collect();
+    let directory = &args.output;
+    std::fs::create_dir_all(directory)
+        .with_context(|| format!("cannot make {}", directory.display()))
+        .blame(ExitCode::WrongInput)?;
+    let (made_by, sentences) =
+        leadtime_voice::speak(&args.voice, &texts).blame(ExitCode::WrongInput)?;
+    let n_silent = sentences.iter().filter(|spoken| spoken.sound.is_none()).count();
+    if n_silent > 0 {
+        // The warning before has said why.
+        let told = format!("{} could not be spoken", counted(n_silent, "sentence"));
+        return Err(Failure::input(told));
+    }
+    let book = VoiceBook::new(args.voice.to_string(), sentences.iter().cloned());
+    let (index, sound) = SoundIndex::join(made_by, book.rate, &sentences);
+    for (file, bytes) in [
+        (recorded::WAV, wav::write(index.rate, &sound)),
+        (recorded::INDEX, index.write().into_bytes()),
+    ] {
+        output::file(&directory.join(file), &bytes).blame(ExitCode::WrongInput)?;
+    }
+    let (n, place) = (counted(index.n_sentences(), "sentence"), directory.display());
+    let seconds = sound.len() as f64 / f64::from(index.rate);
+    let mean = book.mean_word();
+    output::line(&format!("{n}, {seconds:.0} s of sound, {mean:.2} s a word, in {place}"));
+    Ok(())
+}

@@ -1,0 +1,282 @@
+//! The voice of a notifier at work, through the program: what is played, a cut, and helpers that are missing, hang or talk rubbish.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::time::{Duration, Instant};
+
+use leadtime_link::ConnectSettings;
+use leadtime_link::live::{ClientPort, LiveClientLink, LiveMessage};
+use leadtime_proto::{ClientName, Incarnation, ServiceName};
+use leadtime_serve::observation::{ObservationHead, write_json};
+use serde_json::{Value, json};
+use tokio::runtime::{Builder, Runtime};
+
+use crate::support::{PATIENCE, Place, Running, repository, wait_for_words, wait_until};
+
+/// The exit code of wrong input.
+const WRONG_INPUT: i32 = 2;
+/// Samples per second of the shipped sound.
+const RATE: usize = 16_000;
+
+/// Starts a notifier for the lander; each option is one argument.
+fn serve(place: &Place, options: &[&str]) -> Running {
+    let mut command = place.program(&["serve", &policy(), "--listen", &place.endpoint("n")]);
+    command.args(options);
+    let notifier = place.start_with(command);
+    wait_for_words(&notifier, "is at work");
+    notifier
+}
+
+fn policy() -> String {
+    repository("deploy/policies/piloting.safetensors")
+}
+
+/// A client that comes down beside the pad, and hears what is said.
+struct Listener {
+    _runtime: Runtime,
+    _link: LiveClientLink,
+    port: ClientPort,
+    answer: Value,
+    began: Instant,
+    seq: u64,
+    says: Vec<Value>,
+    statuses: Vec<Value>,
+}
+
+impl Listener {
+    fn open(place: &Place, more: &Value) -> Self {
+        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let endpoint = place.endpoint("n").parse().unwrap();
+        let settings =
+            ConnectSettings { timeout: PATIENCE, ..ConnectSettings::new(vec![endpoint]) };
+        let mut question = json!({"protocol": 1, "domain": "lander"});
+        for (key, value) in more.as_object().unwrap() {
+            question[key] = value.clone();
+        }
+        let (link, port, answer) = runtime.block_on(async {
+            let service = ServiceName::new("notifier").unwrap();
+            let link = LiveClientLink::open(&settings).await.unwrap();
+            link.find(&service).await.unwrap();
+            let name = ClientName::new("car-1").unwrap();
+            let port = link.port(&service, &name, Incarnation(1)).unwrap();
+            let answer = port.ask(question.to_string().into_bytes()).await.unwrap();
+            (link, port, serde_json::from_slice(&answer).unwrap())
+        });
+        let (says, statuses) = (Vec::new(), Vec::new());
+        let began = Instant::now();
+        Self { _runtime: runtime, _link: link, port, answer, began, seq: 0, says, statuses }
+    }
+
+    /// Sends an observation, and takes what is told within 20 ms.
+    fn step(&mut self, end: bool) {
+        self.seq += 1;
+        let t = self.began.elapsed().as_secs_f64();
+        let y = (1.4 - t as f32 / 8.0).max(0.0);
+        let head = ObservationHead { seq: self.seq, t, episode: 0, end };
+        let observation = [0.4 * (3.0 * t as f32).sin(), y, 0.0, -0.2, 0.0, 0.0, 0.0, 0.0];
+        self.port.observe(&write_json(&head, &observation)).unwrap();
+        let deadline = Instant::now() + Duration::from_millis(20);
+        while let Some(message) = self.port.next(deadline.saturating_duration_since(Instant::now()))
+        {
+            match message {
+                LiveMessage::Say(bytes) => self.says.push(serde_json::from_slice(&bytes).unwrap()),
+                LiveMessage::Status(bytes) => {
+                    self.statuses.push(serde_json::from_slice(&bytes).unwrap());
+                }
+                LiveMessage::ServiceHere(_) | LiveMessage::ServiceGone(_) => {}
+            }
+        }
+    }
+
+    /// Sends observations until something holds.
+    #[track_caller]
+    fn until(&mut self, what: &str, mut holds: impl FnMut(&Self) -> bool) {
+        let deadline = Instant::now() + PATIENCE;
+        while !holds(self) {
+            assert!(
+                Instant::now() < deadline,
+                "waited in vain: {what}; {:?}",
+                self.statuses.last()
+            );
+            self.step(false);
+        }
+    }
+
+    fn last(&self, event: &str) -> Option<&Value> {
+        self.says.iter().rev().find(|say| say["event"] == event)
+    }
+}
+
+/// Returns how many samples a fake loudspeaker has got, and how many of them are no silence.
+fn heard(file: &str) -> (usize, usize) {
+    let bytes = fs::read(file).unwrap_or_default();
+    let samples = bytes.as_chunks::<2>().0;
+    (samples.len(), samples.iter().filter(|sample| **sample != [0, 0]).count())
+}
+
+#[test]
+fn what_is_said_is_played_and_a_cut_is_silent_within_80_ms() {
+    let place = Place::new();
+    let file = place.file("heard");
+    let _notifier = serve(&place, &[&format!("--play=cat > {file}")]);
+    let mut listener = Listener::open(&place, &json!({"lost_after": 30, "stale_after": 30}));
+    let voice = listener.answer["voice"].clone();
+    assert_eq!(
+        (&voice["name"], &voice["rate"], &voice["estimated"]),
+        (&json!("shipped"), &json!(RATE), &json!(0))
+    );
+    listener.until("an utterance starts", |it| it.last("start").is_some());
+    let say = listener.last("start").unwrap().clone();
+    let (at, end) = (say["at"].as_array().unwrap(), say["end"].as_f64().unwrap());
+    let lengths: Vec<f64> =
+        at.windows(2).map(|pair| pair[1].as_f64().unwrap() - pair[0].as_f64().unwrap()).collect();
+    assert!(
+        lengths.iter().all(|seconds| (seconds - 0.3).abs() > 1e-9),
+        "words are not equally long: {say}"
+    );
+    assert!(end > at.last().unwrap().as_f64().unwrap());
+    assert!(say["estimated"].is_null());
+    listener.until("it is played", |_| heard(&file).1 > RATE / 50);
+    // In the middle of it the episode ends.
+    listener.until("an utterance has just started", |it| {
+        it.says.last().is_some_and(|say| say["event"] == "start")
+    });
+    let deadline = Instant::now() + PATIENCE;
+    while listener
+        .last("cut")
+        .is_none_or(|cut| cut["utterance"] != listener.last("start").unwrap()["utterance"])
+    {
+        assert!(Instant::now() < deadline);
+        listener.step(true);
+    }
+    // What the loudspeaker had not played of the 40 ms that it holds, and what it got after the cut was told: together 80 ms at most.
+    let (n, loud) = heard(&file);
+    wait_until("silence is played", PATIENCE, || heard(&file).0 > n + RATE / 2);
+    let after = heard(&file).1 - loud;
+    assert!(after <= RATE * 40 / 1_000, "{after} samples after the cut");
+    let (n, _) = heard(&file);
+    let bytes = fs::read(&file).unwrap();
+    assert!(bytes[2 * (n - RATE / 4)..2 * n].iter().all(|byte| *byte == 0), "it stays silent");
+}
+
+#[test]
+fn a_loudspeaker_that_is_gone_is_told_and_what_is_said_goes_on_in_text() {
+    let place = Place::new();
+    let notifier = serve(&place, &["--play=head -c 20000 > /dev/null"]);
+    let mut listener = Listener::open(&place, &json!({}));
+    listener.until("it is mute", |it| it.statuses.last().is_some_and(|it| it["state"] == "mute"));
+    let why = "the loudspeaker is gone; what is said goes on in text";
+    assert_eq!(listener.statuses.last().unwrap()["why"], why);
+    let n = listener.says.len();
+    listener.until("it goes on", |it| it.says.len() > n + 3);
+    assert!(notifier.stderr().contains("is gone"), "{}", notifier.stderr());
+}
+
+#[test]
+fn a_voice_that_cannot_be_had_is_one_sentence() {
+    let place = Place::new();
+    let refused = |options: &[&str], told: &str| {
+        let mut command = place.program(&["serve", &policy(), "--listen", &place.endpoint("n")]);
+        // Nothing is installed here but a shell.
+        let bin = place.file("bin");
+        fs::create_dir_all(&bin).unwrap();
+        drop(std::os::unix::fs::symlink("/bin/sh", format!("{bin}/sh")));
+        command.env("PATH", &bin).args(options);
+        place.start_with(command).finish(PATIENCE).with_code(WRONG_INPUT).saying(&[told]);
+    };
+    refused(&["--voice", "flite"], "`flite` is not there: install flite, or use --voice text");
+    refused(
+        &["--voice", "espeak"],
+        "`espeak-ng` is not there: install espeak-ng, or use --voice text",
+    );
+    refused(
+        &["--voice", "pipe:no-such-helper"],
+        "`no-such-helper` is not there: install it, or use --voice text",
+    );
+    refused(&["--voice", "loud"], "`loud` is no voice; known: none, text, shipped");
+    refused(&["--voice", "recorded:nowhere"], "nowhere/voice.json: No such file");
+    refused(&["--play"], "`aplay` is not there: install alsa-utils, or use --play=COMMAND");
+    refused(&["--play=no-such-player"], "`no-such-player` is not there");
+    refused(
+        &["--voice", "text", "--play"],
+        "--play has nothing to play: --voice text makes no sound",
+    );
+    refused(&["--voice", "none", "--words", "lander"], "--voice none speaks no words");
+    refused(&["--play", "--max-sessions", "3"], "--max-sessions");
+}
+
+#[test]
+fn a_helper_that_hangs_or_talks_rubbish_gives_estimated_times() {
+    for helper in ["pipe:cat > /dev/null", "pipe:while read line; do echo rubbish; done"] {
+        let place = Place::new();
+        let notifier = serve(&place, &["--voice", helper]);
+        let told = notifier.stderr();
+        assert!(
+            told.contains("sentences have no sound, and times in proportion to their letters"),
+            "{told}"
+        );
+        let mut listener = Listener::open(&place, &json!({}));
+        let voice = listener.answer["voice"].clone();
+        assert_eq!(
+            (&voice["estimated"], &voice["rate"]),
+            (&voice["sentences"], &json!(0)),
+            "{voice}"
+        );
+        listener.until("something is said", |it| it.last("start").is_some());
+        assert_eq!(listener.last("start").unwrap()["estimated"], true);
+    }
+}
+
+/// A flite of which every sentence takes half a second: two phones a word.
+const FAKE_FLITE: &str = r#"#!/bin/sh
+[ "$1" = -lv ] && { echo "Voices available: slt"; exit; }
+while [ $# -gt 0 ]; do
+    case $1 in -t) text=$2;; -o) file=$2;; -psdur) times=1;; esac
+    shift
+done
+n=0
+printf 'pau'
+[ "$times" ] && printf ':0.1'
+for word in $text; do
+    for phone in a b; do
+        n=$((n + 1))
+        printf ' %s' $phone
+        [ "$times" ] && printf ':%d.%02d' $((n / 4)) $((n % 4 * 25))
+    done
+done
+[ "$file" = none ] || cp "$FAKE_SOUND" "$file"
+"#;
+
+#[test]
+fn a_database_is_spoken_once_and_served_from_its_recording() {
+    let place = Place::new();
+    let bin = place.file("bin");
+    fs::create_dir_all(&bin).unwrap();
+    let flite = place.write("bin/flite", FAKE_FLITE);
+    fs::set_permissions(&flite, fs::Permissions::from_mode(0o755)).unwrap();
+    let sound = place.file("sound.wav");
+    fs::write(&sound, leadtime_voice::wav::write(8_000, &vec![500; 40_000])).unwrap();
+    let path = format!("{bin}:{}", std::env::var("PATH").unwrap());
+    let mut command = place.program(&["taxonomy speak lander -o spoken"]);
+    command.env("PATH", &path).env("FAKE_SOUND", &sound);
+    let spoken = place.start_with(command).finish(PATIENCE).with_code(0);
+    assert!(spoken.stdout.contains("160 sentences"), "{}", spoken.stdout);
+    let index = fs::read_to_string(place.file("spoken/voice.json")).unwrap();
+    let index: Value = serde_json::from_str(&index).unwrap();
+    assert!(
+        index["made_by"].as_str().unwrap().starts_with("flite, voice slt"),
+        "{}",
+        index["made_by"]
+    );
+    let _notifier = serve(&place, &["--voice", "recorded:spoken"]);
+    let mut listener = Listener::open(&place, &json!({}));
+    listener.until("something is said", |it| it.last("start").is_some());
+    let say = listener.last("start").unwrap();
+    let n = say["words"].as_array().unwrap().len();
+    assert_eq!(
+        (say["at"].as_array().unwrap().len(), &say["estimated"]),
+        (n, &Value::Null),
+        "{say}"
+    );
+    assert_eq!(say["end"].as_f64().unwrap(), 0.5 * n as f64 - 0.1, "{say}");
+}
