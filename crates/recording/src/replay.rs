@@ -326,9 +326,13 @@ mod tests {
         let said = [end.clone(), renumbered];
         let whole = input(&[end.clone(), start.clone()], Some(2));
         assert_eq!(lost(&whole, &said), Some(0));
-        assert_eq!(lost(&input(&[start.clone()], Some(2)), &said), Some(1));
-        assert_eq!(lost(&input(&[start.clone()], None), &said), Some(1));
-        assert_eq!(lost(&input(&[start.clone()], Some(1)), &said), None, "one too many");
+        assert_eq!(lost(&input(std::slice::from_ref(&start), Some(2)), &said), Some(1));
+        assert_eq!(lost(&input(std::slice::from_ref(&start), None), &said), Some(1));
+        assert_eq!(
+            lost(&input(std::slice::from_ref(&start), Some(1)), &said),
+            None,
+            "one too many"
+        );
         assert_eq!(lost(&whole, &said[..1]), None);
         let swapped = input(&[start.clone(), end], Some(2));
         assert_eq!(lost(&swapped, &said), None);
