@@ -27,7 +27,7 @@ def seen(step):
 def on_say(sample):
     said = json.loads(sample.payload.to_string())
     if said["event"] == "start":
-        print(f"{said['step']:3}  {said['text']}  ({said['topic']}, understood after {said['k']} of {said['l']} words)")
+        print(f"{said['step']:3}  {said.get('text', '')}  ({said['topic']}, understood after {said['k']} of {said['l']} words)")
     elif said["event"] == "cut":
         print(f"{said['step']:3}  ... cut after {said['heard']} words")
 

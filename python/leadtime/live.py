@@ -26,7 +26,7 @@ PATIENCE = 10.0
 
 
 class Refused(RuntimeError):
-    """The notifier does not open a session; the sentence is its own."""
+    """The notifier opens no session, or cannot use an observation; the sentence is its own."""
 
 
 class Lost(ConnectionError):
@@ -43,7 +43,8 @@ class Notifier:
     def __init__(self, endpoint, client, domain, *, service="notifier", clock="observation", seconds_per_step=0.3, seed=0,
                  patience=PATIENCE, config=None):
         self._key = f"leadtime/live/1/{service}/{client}"
-        self._said, self._status, self._is_here = queue.Queue(MAX_EVENTS), {}, False
+        # Whether the notifier is there is not known before its token was seen.
+        self._said, self._status, self._is_here = queue.Queue(MAX_EVENTS), {}, None
         self._patience, self._began = patience, time.monotonic()
         settings = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
         try:
@@ -102,7 +103,7 @@ class Notifier:
     @property
     def is_here(self):
         """Whether the notifier is there."""
-        return self._is_here
+        return bool(self._is_here)
 
     def observe(self, observation, *, facts=None, episode=0, end=False):
         """Sends an observation, and returns its number.
@@ -129,16 +130,23 @@ class Notifier:
     def step(self, observation, *, facts=None, episode=0, end=False, timeout=PATIENCE):
         """Sends an observation and returns what is said about it: a list of events, which ends with the one marked ``last``.
 
-        Raises :class:`Lost` if no answer comes, with the notifier's last word on why.
+        Raises :class:`Refused` with the notifier's sentence if it cannot use the observation, :class:`Lost` if no answer comes.
         """
         if self._clock != "observation":
             raise ValueError(f"clock {self._clock!r}: send with observe(), and read said()")
+        n_refused = self._status.get("refused", 0)
         seq, events, deadline = self.observe(observation, facts=facts, episode=episode, end=end), [], time.monotonic() + timeout
         while not (events and events[-1]["last"]):
             left = deadline - time.monotonic()
             try:
-                event = self._said.get(timeout=max(left, 0.001))
+                event = self._said.get(timeout=min(max(left, 0.001), 0.05))
             except queue.Empty:
+                if self._status.get("refused", 0) > n_refused and self._status.get("told"):
+                    raise Refused(self._status["told"]) from None
+                if self._is_here is False:
+                    raise Lost("the notifier is gone") from None
+                if left > 0:
+                    continue
                 why = self._status.get("told") or self._status.get("why") or "it is not there"
                 raise Lost(f"no answer to observation {seq} within {timeout:g} s: {why}") from None
             if event["seq"] == seq:

@@ -64,6 +64,11 @@ class parallel_env(ParallelEnv):
     def step(self, actions):
         if not self.agents:
             raise ValueError("the episode is over: reset() begins the next one")
+        for agent in self.possible_agents:
+            if agent not in actions:
+                raise ValueError(f"actions {sorted(actions)}: `{agent}` has none")
+        if not self.action_spaces[PERSON].contains(actions[PERSON]):
+            raise ValueError(f"the person's action {actions[PERSON]!r}; allowed: one of {self.action_spaces[PERSON]}")
         chosen = actions[NOTIFIER]
         choices = [int(chosen)] if np.ndim(chosen) == 0 else [int(choice) for choice in chosen]
         views, rewards, (terminated, truncated) = self.pair.step(choices, int(actions[PERSON]) - 1)

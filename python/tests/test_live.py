@@ -63,9 +63,13 @@ class Live(unittest.TestCase):
 
     def test_what_cannot_be_used_is_no_step(self):
         with Notifier(self.endpoint, "f", "lander") as notifier:
-            with self.assertRaisesRegex(Lost, "7 numbers; 8 are expected"):
-                notifier.step([0.0] * 7, timeout=1.0)
+            # It is told as soon as the notifier says so, long before an answer would be given up.
+            with self.assertRaisesRegex(Refused, "7 numbers; 8 are expected"):
+                notifier.step([0.0] * 7, timeout=600.0)
             self.assertTrue(notifier.is_here)
+            with self.assertRaisesRegex(Refused, "send finite numbers"):
+                notifier.step([float("nan")] * 8, timeout=600.0)
+            self.assertEqual(notifier.step([0.0] * 8)[-1]["seq"], 3)
 
     def test_the_raw_wire_is_what_struct_reads_and_writes(self):
         with zenoh.open(zenoh.Config.from_json5(json.dumps(

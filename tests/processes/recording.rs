@@ -232,3 +232,32 @@ fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
     let drawn = place.finish(&["play kept.mcap -o a.png"]).with_code(WRONG_INPUT);
     drawn.saying(&["it is no MCAP file"]);
 }
+
+#[test]
+fn what_is_told_of_a_run_is_recorded_until_it_is_finished() {
+    let place = Place::new();
+    let there = place.endpoint("l");
+    let learner = place.start(&["learner -c cartpole --steps 4096 --name r --listen", &there]);
+    let recorder =
+        place.start(&["record --run r --connect-timeout 60s -o run.mcap --connect", &there]);
+    wait_for_words(&recorder, "recording run `r`");
+    let actor = place.start(&["actor --id a1 --connect", &there]);
+    let recorded = recorder.finish(PATIENCE).with_code(0);
+    assert!(recorded.stdout.starts_with("run.mcap: "), "{}", recorded.stdout);
+    learner.finish(PATIENCE).with_code(0);
+    actor.finish(PATIENCE).with_code(0);
+    let bytes = fs::read(place.file("run.mcap")).unwrap();
+    let holds = |text: &str| bytes.windows(text.len()).any(|window| window == text.as_bytes());
+    for text in [
+        "leadtime/1/r/metrics/learner/learner",
+        "leadtime/1/r/metrics/actor/a1",
+        "\"kind\":\"update\"",
+        "\"how\":\"finished\"",
+    ] {
+        assert!(holds(text), "{text}");
+    }
+    place
+        .finish(&["replay run.mcap"])
+        .with_code(WRONG_INPUT)
+        .saying(&["it holds no messages of a notifier at work"]);
+}

@@ -17,7 +17,7 @@
 //!
 //! # Where to start
 //!
-//! [`LiveRecorder`] and [`RecordingFile::read`]; then [`sessions`] and [`replay`].
+//! [`LiveRecorder`] and [`RecordingFile::read`]; then [`sessions()`] and [`replay()`].
 
 mod course;
 mod error;

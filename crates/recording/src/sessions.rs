@@ -133,7 +133,7 @@ pub fn sessions(client: &RecordedClient) -> Vec<RecordedSession> {
             }
             RecordedTopic::Status => statuses.extend(status(message)),
             RecordedTopic::Session => notes.extend(serde_json::from_slice(&message.json).ok()),
-            RecordedTopic::Observations | RecordedTopic::Heard => {}
+            RecordedTopic::Observations | RecordedTopic::Heard | RecordedTopic::Metrics => {}
         }
     }
     let mut found = making.sessions;

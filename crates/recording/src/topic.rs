@@ -2,7 +2,7 @@
 
 use leadtime_link::live::LiveTopic;
 
-/// What a channel of a recording holds: what is published about a client, and what its session is.
+/// What a channel of a recording holds: what is published about a client and what its session is, or about a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RecordedTopic {
     /// What the client observes.
@@ -17,13 +17,16 @@ pub enum RecordedTopic {
     Taken,
     /// What the session is.
     Session,
+    /// What a learner or an actor tells of its run.
+    Metrics,
 }
 
 impl RecordedTopic {
-    const ALL: [Self; 6] =
+    /// Those about a client.
+    const LIVE: [Self; 6] =
         [Self::Observations, Self::Say, Self::Heard, Self::Status, Self::Taken, Self::Session];
 
-    /// Returns the last part of the channel's name, which is a key.
+    /// Returns the part of the channel's name that tells it from others; the name is a key.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Observations => LiveTopic::Observations.as_str(),
@@ -32,6 +35,7 @@ impl RecordedTopic {
             Self::Status => LiveTopic::Status.as_str(),
             Self::Taken => LiveTopic::Taken.as_str(),
             Self::Session => "session",
+            Self::Metrics => "metrics",
         }
     }
 
@@ -46,13 +50,14 @@ impl RecordedTopic {
             Self::Status => ("leadtime.live.Status", include_str!("../schemas/status.json")),
             Self::Taken => ("leadtime.live.Taken", include_str!("../schemas/taken.json")),
             Self::Session => ("leadtime.live.Session", include_str!("../schemas/session.json")),
+            Self::Metrics => ("leadtime.run.Metrics", include_str!("../schemas/metrics.json")),
         }
     }
 
     /// Reads a channel's name, `leadtime/live/1/{service}/{client}/{topic}`: what comes before the topic, and the topic.
     pub(crate) fn of_key(key: &str) -> Option<(&str, Self)> {
         let (before, last) = key.rsplit_once('/')?;
-        let topic = Self::ALL.into_iter().find(|topic| topic.as_str() == last)?;
+        let topic = Self::LIVE.into_iter().find(|topic| topic.as_str() == last)?;
         Some((before.strip_prefix(KEYS)?, topic))
     }
 }
@@ -88,10 +93,15 @@ mod tests {
             let read = RecordedTopic::of_key(&key).unwrap();
             assert_eq!(read, ("notifier/car-1", topic.into()));
         }
-        for other in ["leadtime/1/run/obs", "obs", "leadtime/live/1/a/b/alive"] {
+        for other in [
+            "leadtime/1/run/obs",
+            "obs",
+            "leadtime/live/1/a/b/alive",
+            "leadtime/1/r/metrics/actor/a",
+        ] {
             assert_eq!(RecordedTopic::of_key(other), None);
         }
-        for topic in RecordedTopic::ALL {
+        for topic in RecordedTopic::LIVE.into_iter().chain([RecordedTopic::Metrics]) {
             let (name, text) = topic.schema();
             let schema: Value = serde_json::from_str(text).unwrap();
             assert_eq!(schema["title"], name);

@@ -32,6 +32,8 @@ const RATE: &str = "{rate}";
 const MAX_ORDERS: usize = 64;
 /// How much sound may wait in the pipe, in milliseconds: one that takes less is not playing.
 const MAX_WAITING: u64 = 500;
+/// The most bytes that may wait in its pipe: well below what a pipe holds (64 KiB), or writing would wait for a player that hangs.
+const MAX_WAITING_BYTES: u64 = 32 << 10;
 /// When a loudspeaker that was gone is tried again, and from when on it counts as back.
 const TRY_AGAIN: Duration = Duration::from_secs(5);
 const IS_BACK: Duration = Duration::from_secs(1);
@@ -250,8 +252,8 @@ impl Playing {
         if was_silent && waiting >= n {
             return self.look_whether_it_is_back();
         }
-        let why = if waiting > n * MAX_WAITING / u64::from(BLOCK) {
-            format!("it has taken nothing for {MAX_WAITING} ms")
+        let why = if waiting > (n * MAX_WAITING / u64::from(BLOCK)).min(MAX_WAITING_BYTES) {
+            "it takes nothing any more".to_owned()
         } else if let Err(error) = player.input.write_all(&bytes) {
             error.to_string()
         } else {

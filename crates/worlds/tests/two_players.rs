@@ -127,6 +127,30 @@ fn a_message_is_followed_when_the_person_acts_upon_it_and_only_then() {
 }
 
 #[test]
+fn what_a_person_does_not_act_upon_may_be_said_again() {
+    for repeat in ["restart", "continue"] {
+        let mut together =
+            two_players("lander", &format!("{{\"human\": {{\"repeat\": \"{repeat}\"}}}}"));
+        let mut row = vec![0.0; together.notifier().spec().obs_dim];
+        let mut person = vec![0.0; together.person_quantities().len()];
+        together.reset(SEED, &mut row, &mut person);
+        let mut start = vec![0; together.notifier().spec().actions.heads.len()];
+        let message = leadtime_sims::Message { topic: 0, comprehension: 1, conveyance: 1 };
+        let script = together.notifier().scriptable().expect("messages are sent");
+        script.write_action(Some(message), &mut start);
+        // The shortest message has two words.
+        for _ in 0..8 {
+            together.step(&start, None, &mut row, &mut person);
+        }
+        let names = together.notifier().spec().metrics.clone();
+        let mut metrics = vec![0.0; names.len()];
+        together.notifier().metrics(&mut metrics);
+        let started = names.iter().position(|name| name == "notifications").expect("a metric");
+        assert_eq!(metrics[started], 4.0, "{repeat}");
+    }
+}
+
+#[test]
 fn other_motions_lead_elsewhere_and_the_same_ones_to_the_same_bits() {
     let fly = |stream_of: u64| {
         let mut together = two_players("lander", "{}");

@@ -194,6 +194,9 @@ pub(crate) struct RecordArgs {
     /// Record this client alone (default: every client).
     #[arg(long, value_name = "CLIENT")]
     pub live: Option<ClientName>,
+    /// Record instead what learner and actors of this run tell of it, until it ends.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["service", "live"])]
+    pub run: Option<String>,
     /// The recording, which must not be there yet.
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: PathBuf,

@@ -36,7 +36,7 @@ pub(crate) struct RobotArgs {
     #[arg(long, value_name = "NAME", default_value = "robot", requires = "robot")]
     #[arg(help_heading = HEADING)]
     pub client: ClientName,
-    /// When a step is taken: every --seconds-per-step, with every observation, or where a word begins that is reported.
+    /// When a step is taken: every --seconds-per-step, with every observation, or where a word ends.
     #[arg(long, value_name = "CLOCK", value_parser = clock(), default_value = "timer")]
     #[arg(requires = "robot", help_heading = HEADING)]
     pub clock: StepClock,

@@ -22,6 +22,7 @@ mod play;
 mod probe;
 mod race;
 mod record;
+mod record_run;
 mod recorded;
 mod replay;
 mod report;

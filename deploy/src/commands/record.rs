@@ -9,14 +9,14 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_link::live::{LiveRecorderLink, LiveSample, LiveTopic, SessionAsker};
-use leadtime_proto::ClientName;
-use leadtime_proto::phrase::counted;
+use leadtime_proto::phrase::{counted, duration};
+use leadtime_proto::{ClientName, RunName};
 use leadtime_recording::{Error as RecordingError, LiveRecorder, RecordingWriter};
 use leadtime_runs::clock;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 use tokio_util::sync::CancellationToken;
 
-use super::drive;
+use super::{drive, record_run};
 use crate::cli::RecordArgs;
 use crate::credentials::connect_settings;
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -24,37 +24,32 @@ use crate::output;
 use crate::shutdown::{Watch, watch};
 
 /// How often what was recorded is handed to the disk: what a killed recorder may lose.
-const FLUSH_EVERY: Duration = Duration::from_secs(1);
+pub(super) const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// The most sessions that are asked for at once.
 const MAX_ASKED: usize = 64;
 
 pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
-    let settings = connect_settings(&args.connect, &args.tls, &[Role::Recorder]);
+    let roles = [Role::Recorder, Role::Observer];
+    let roles = if args.run.is_some() { &roles[..] } else { &roles[..1] };
+    let settings = connect_settings(&args.connect, &args.tls, roles);
     let mut settings = settings.blame(ExitCode::WrongInput)?;
     settings.timeout = args.connect_timeout;
     let mut file = NewFile::create(&args.output).blame(ExitCode::WrongInput)?;
+    if let Some(run) = &args.run {
+        let run = RunName::new(run.as_str()).context("--run").blame(ExitCode::WrongInput)?;
+        return record_run::run(args, run, &settings, file, shutdown).await;
+    }
     let open = LiveRecorderLink::open(&settings, &args.service, args.live.as_ref());
     let (link, samples) = tokio::select! {
         () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
         opened = open => opened.map_err(drive::failure)?,
     };
-    let program = concat!("leadtime ", env!("CARGO_PKG_VERSION"));
-    let out = BufWriter::new(file.handle().blame(ExitCode::WrongInput)?);
-    let place = || args.output.display().to_string();
-    let writer = RecordingWriter::new(out, program).with_context(place);
-    let writer = writer.blame(ExitCode::WrongInput)?;
-    file.keep();
+    let writer = begin(&mut file)?;
     let recorder = LiveRecorder::new(writer, args.service.clone());
-    let (shown, service) = (place(), &args.service);
-    tracing::info!("recording notifier `{service}` to {shown} until Ctrl-C");
-    if let Some(time) = args.stop_after {
-        let stop = shutdown.clone();
-        tokio::spawn(async move {
-            sleep(time).await;
-            stop.cancel();
-        });
-    }
+    let (shown, service) = (args.output.display(), &args.service);
+    tracing::info!("recording notifier `{service}` to {shown} until {}", end(args));
+    stop_after(args, &shutdown);
     let mut recording =
         RunningRecording { link, samples, recorder, asked: BTreeSet::new(), n_dropped: 0 };
     let ended = recording.run(&shutdown).await;
@@ -69,6 +64,42 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     };
     drop(recording.link.close().await);
     let held = format!("{} of {}", counted(n_messages, "message"), counted(n_sessions, "session"));
+    close(args, &held, failure)
+}
+
+/// Begins the file, which stays from now on.
+pub(super) fn begin(file: &mut NewFile) -> Result<RecordingWriter<BufWriter<File>>, Failure> {
+    let program = concat!("leadtime ", env!("CARGO_PKG_VERSION"));
+    let out = BufWriter::new(file.handle().blame(ExitCode::WrongInput)?);
+    let writer = RecordingWriter::new(out, program);
+    let writer = writer.with_context(|| file.path.display().to_string());
+    let writer = writer.blame(ExitCode::WrongInput)?;
+    file.keep();
+    Ok(writer)
+}
+
+/// Says until when it is recorded.
+pub(super) fn end(args: &RecordArgs) -> String {
+    let after = args.stop_after.map(|time| format!("{} from now, or ", duration(time)));
+    format!("{}Ctrl-C", after.unwrap_or_default())
+}
+
+/// Ends the recording after the time that is asked for.
+pub(super) fn stop_after(args: &RecordArgs, shutdown: &CancellationToken) {
+    let (Some(time), stop) = (args.stop_after, shutdown.clone()) else { return };
+    tokio::spawn(async move {
+        sleep(time).await;
+        stop.cancel();
+    });
+}
+
+/// Says what the file holds, and why it ends if it should not.
+pub(super) fn close(
+    args: &RecordArgs,
+    held: &str,
+    failure: Option<RecordFailure>,
+) -> Result<(), Failure> {
+    let shown = args.output.display();
     match failure {
         None => {
             output::line(&format!("{shown}: {held}"));
@@ -87,7 +118,7 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
 }
 
 /// Why a recording ends before it should.
-enum RecordFailure {
+pub(super) enum RecordFailure {
     File(RecordingError),
     Link(leadtime_link::Error),
 }
@@ -175,13 +206,13 @@ impl RunningRecording {
 }
 
 /// Returns when something arrived, in nanoseconds since 1970.
-fn arrived(at: Instant) -> u64 {
+pub(super) fn arrived(at: Instant) -> u64 {
     let ago = i128::try_from(at.elapsed().as_nanos()).unwrap_or(0);
     u64::try_from(clock::now().as_nanosecond() - ago).unwrap_or(0)
 }
 
 /// A file that was not there; removed again unless it is kept.
-struct NewFile {
+pub(super) struct NewFile {
     path: PathBuf,
     file: File,
     is_kept: bool,

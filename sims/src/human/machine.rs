@@ -49,7 +49,7 @@
 //! # When somebody else decides
 //!
 //! After [`Human::hand_over`] the model only hears: what was understood waits, in a queue, until [`Human::decide`] has the
-//! listener act upon its topic, and a reaction lasts for as long as that is so. Rows D, I7, I8, C2 and C4 never come to pass.
+//! listener act upon its topic, and a reaction lasts for as long as that is so. Rows D, I6, I7, I8, C2 and C4 never come to pass.
 //!
 //! # Invariants
 //!
@@ -225,6 +225,8 @@ impl Human {
     pub(crate) fn hand_over(&mut self) {
         self.settings.pending = PendingRule::Queue;
         self.settings.running = RunningRule::UntilNextDue;
+        // What is understood waits for as long as somebody else likes, and has to be allowed to be said again.
+        self.settings.repeat = Repeat::Restart;
         self.chosen = Some(ChosenReaction::default());
     }
 

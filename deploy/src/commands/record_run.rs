@@ -1,0 +1,96 @@
+//! `leadtime record --run`: what learner and actors tell of a run, in a file.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::time::Instant;
+
+use leadtime_link::keys::Key;
+use leadtime_link::{ConnectSettings, Events, ObserverEvent, ObserverLink};
+use leadtime_proto::RunName;
+use leadtime_proto::phrase::counted;
+use leadtime_recording::{RecordedTopic, RecordingWriter};
+use serde_json::Value;
+use tokio::time::{MissedTickBehavior, interval};
+use tokio_util::sync::CancellationToken;
+
+use super::drive;
+use super::record::{FLUSH_EVERY, NewFile, RecordFailure, arrived, begin, close, end, stop_after};
+use crate::cli::RecordArgs;
+use crate::exit::{ExitCode, Failure};
+
+pub(super) async fn run(
+    args: &RecordArgs,
+    run: RunName,
+    settings: &ConnectSettings,
+    mut file: NewFile,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let opened = async {
+        let (link, events) = ObserverLink::open(settings).await?;
+        let run = link.find_run(settings, Some(run)).await?;
+        link.follow(&run)?;
+        Ok((link, events, run))
+    };
+    let (link, events, run) = tokio::select! {
+        () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
+        opened = opened => opened.map_err(drive::failure)?,
+    };
+    let mut writer = begin(&mut file)?;
+    let shown = args.output.display();
+    tracing::info!("recording run `{run}` to {shown} until it is finished, or {}", end(args));
+    stop_after(args, &shutdown);
+    let recorded = record(&run, &link, &events, &mut writer, &shutdown).await;
+    let failure = match recorded {
+        Ok(()) => writer.finish().err().map(RecordFailure::File),
+        Err(failure) => {
+            // What was recorded is kept, whatever went wrong: with its index, if the disk takes one.
+            drop(writer.finish());
+            Some(failure)
+        }
+    };
+    drop(link.close().await);
+    close(args, &counted(writer.n_messages(), "message"), failure)
+}
+
+/// Records until the run has ended, or the token is cancelled.
+async fn record(
+    run: &RunName,
+    link: &ObserverLink,
+    events: &Events<ObserverEvent>,
+    writer: &mut RecordingWriter<BufWriter<File>>,
+    stop: &CancellationToken,
+) -> Result<(), RecordFailure> {
+    let mut flushes = interval(FLUSH_EVERY);
+    flushes.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut n_missed = 0;
+    loop {
+        tokio::select! {
+            () = stop.cancelled() => return Ok(()),
+            event = events.recv() => match event {
+                Some(ObserverEvent::Metrics { member, json, .. }) => {
+                    let Ok(told) = serde_json::from_slice::<Value>(&json) else { continue };
+                    if !told.is_object() {
+                        continue;
+                    }
+                    let key = Key::Metrics(run, &member).to_string();
+                    writer.write(&key, RecordedTopic::Metrics, arrived(Instant::now()), &json)?;
+                    // A learner that was asked to stop may be started again.
+                    if told["kind"] == "end" && told["how"] == "finished" {
+                        return Ok(());
+                    }
+                }
+                Some(_) => {}
+                None => return Ok(()),
+            },
+            _ = flushes.tick() => {
+                writer.flush()?;
+                let missed = link.n_missed();
+                if missed > n_missed {
+                    let n_new = counted(missed - n_missed, "message");
+                    tracing::warn!("{n_new} came faster than they can be written: not recorded");
+                    n_missed = missed;
+                }
+            }
+        }
+    }
+}
