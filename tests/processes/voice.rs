@@ -268,6 +268,11 @@ fn a_database_is_spoken_once_and_served_from_its_recording() {
         "{}",
         index["made_by"]
     );
+    // It may be somebody's own voice by now: it is never replaced, and what cannot be spoken leaves nothing.
+    let again = place.finish(&["taxonomy speak lander -o spoken"]).with_code(2);
+    again.saying(&["spoken holds sound.wav already, which is left as it is: choose another -o"]);
+    place.finish(&["taxonomy speak lander --voice flite:nobody -o other"]).with_code(2);
+    assert!(!place.path().join("other").exists());
     let _notifier = serve(&place, &["--voice", "recorded:spoken"]);
     let mut listener = Listener::open(&place, &json!({}));
     listener.until("something is said", |it| it.last("start").is_some());

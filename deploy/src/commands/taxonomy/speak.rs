@@ -15,9 +15,15 @@ pub(in crate::commands) fn run(args: &TaxonomySpeakArgs) -> Result<(), Failure> 
     let utterances = taxonomy.topics().iter().flat_map(Topic::utterances);
     let texts: Vec<&str> = utterances.map(|utterance| utterance.text.as_str()).collect();
     let directory = &args.output;
-    std::fs::create_dir_all(directory)
-        .with_context(|| format!("cannot make {}", directory.display()))
-        .blame(ExitCode::WrongInput)?;
+    // What is there may be somebody's own voice.
+    if let Some(there) =
+        [recorded::WAV, recorded::INDEX].iter().find(|it| directory.join(it).exists())
+    {
+        let place = directory.display();
+        let told =
+            format!("{place} holds {there} already, which is left as it is: choose another -o");
+        return Err(Failure::input(told));
+    }
     let (made_by, sentences) =
         leadtime_voice::speak(&args.voice, &texts).blame(ExitCode::WrongInput)?;
     let n_silent = sentences.iter().filter(|spoken| spoken.sound.is_none()).count();
@@ -28,6 +34,9 @@ pub(in crate::commands) fn run(args: &TaxonomySpeakArgs) -> Result<(), Failure> 
     }
     let book = VoiceBook::new(args.voice.to_string(), sentences.iter().cloned());
     let (index, sound) = SoundIndex::join(made_by, book.rate, &sentences);
+    std::fs::create_dir_all(directory)
+        .with_context(|| format!("cannot make {}", directory.display()))
+        .blame(ExitCode::WrongInput)?;
     for (file, bytes) in [
         (recorded::WAV, wav::write(index.rate, &sound)),
         (recorded::INDEX, index.write().into_bytes()),
