@@ -13,6 +13,7 @@ use leadtime_config::identity::CHANGEABLE;
 use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
 use leadtime_eval::measure::Choice;
 use leadtime_link::Endpoint;
+use leadtime_proto::ClientName;
 use leadtime_runs::tasks::ConfigureError;
 use leadtime_runs::{Tasks, evaluation};
 use leadtime_studies::{EPISODES, EVAL_SEED};
@@ -654,6 +655,9 @@ pub(crate) struct PlayArgs {
     /// Draw these steps side by side (B excluded), instead of the whole episode in one picture. Of a recording: these seconds.
     #[arg(long, value_name = "A..B", value_parser = number_range)]
     pub frames: Option<Range<u64>>,
+    /// Of a recording: this client alone (default: every client in text, the first one with something to show in a picture).
+    #[arg(long, value_name = "CLIENT", conflicts_with = "demonstration")]
+    pub live: Option<ClientName>,
     /// The picture; its extension decides: png, svg, gif, html with a slider over the moments, or mp4 (needs ffmpeg). Of a
     /// recording: png, svg, or txt for what was said when.
     #[arg(short, long, value_name = "FILE", default_value = "playthrough.png")]

@@ -63,13 +63,15 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     let notifier = serve(&place);
     let to = place.endpoint("n");
     let recorder = record(&place, "r.mcap", "");
-    let drive = format!("--connect {to} --max-speed --episodes 6 --messages-to");
+    // At a pace: nobody waits for a recorder, and at full speed a busy machine may leave something out on the way to it.
+    let pace = "--clock observation --seconds-per-step 0.03";
+    let drive = format!("--connect {to} {pace} --episodes 4 --messages-to");
     place.finish(&["drive", &policy(), &drive, "m.jsonl"]).with_code(0);
     // Another client, as raw numbers, without an end; the recorder is killed while it is spoken to.
-    let raw = format!("--connect {to} --max-speed --binary --client raw --episodes 100000");
+    let raw = format!("--connect {to} {pace} --binary --client raw --episodes 100000");
     let driving = place.start(&["drive", &policy(), &raw]);
     let n_fed = |it: &Value| it["observations"].as_u64().unwrap_or(0);
-    wait_for_sessions(&place, "r.mcap", |all| of(all, "raw").is_some_and(|it| n_fed(it) > 200));
+    wait_for_sessions(&place, "r.mcap", |all| of(all, "raw").is_some_and(|it| n_fed(it) > 60));
     recorder.kill();
     drop((driving, notifier));
 
@@ -81,7 +83,7 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     assert_eq!(driven["observations_not_compared"], 0);
     let raw = of(&sessions, "raw").unwrap();
     assert_eq!(raw["gaps"], json!([]));
-    assert!(n_fed(raw) > 200, "{raw}");
+    assert!(n_fed(raw) > 60, "{raw}");
 
     // Every message, in the words and in the order in which it was heard.
     place.finish(&["play r.mcap -o said.txt"]).with_code(0);

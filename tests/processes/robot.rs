@@ -7,10 +7,10 @@ use leadtime_link::live::{LiveClientLink, TakenAt};
 use leadtime_serve::robot::cdr;
 use leadtime_serve::robot::ros2::{ATTACHMENT, Distro, Ros2Names, SourceMark};
 use leadtime_serve::{HeardSay, SayEvent};
-use serde_json::Value;
+use serde_json::{Value, json};
 use tokio::runtime::{Builder, Runtime};
 
-use crate::support::{PATIENCE, Place, Running, repository, wait_for_words};
+use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words};
 
 /// The exit code of wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -154,6 +154,57 @@ fn a_robot_with_keys_of_its_own_is_told_what_to_say_and_is_never_given_up() {
     let (status, _) = robot.status.next(PATIENCE).unwrap();
     let status: Value = serde_json::from_slice(&status).unwrap();
     assert_eq!(status["session"], kept["session"]);
+}
+
+#[test]
+fn what_a_robot_observes_on_its_own_key_is_recorded_and_a_restart_of_the_notifier_is_a_gap() {
+    let place = Place::new();
+    let to = place.endpoint("n");
+    let router = place.start(&["router --listen", &to]);
+    wait_for_words(&router, "router listens");
+    let start = || {
+        let arguments = "--obs-key robot1/obs --obs-form json --say-key robot1/say --client arm-1 \
+                         --state state --seconds-per-step 0.05";
+        let notifier = place.start(&["serve", &policy(), arguments, "--connect", &to]);
+        wait_for_words(&notifier, "is at work");
+        notifier
+    };
+    let observe = |step: i64| {
+        let numbers = numbers(step);
+        let values: Vec<f32> =
+            numbers.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        (json!({"obs": values, "episode": step / 20}).to_string().into_bytes(), None)
+    };
+    let notifier = start();
+    let recorder = place.start(&["record -o r.mcap --connect", &to]);
+    wait_for_words(&recorder, "recording notifier");
+    let mut robot = Robot::connect(&place);
+    let said = robot.link.take_at("robot1/say").unwrap();
+    // The recorder is told of the session before the robot comes.
+    robot.wait("at work", |status| status["state"] == "waiting");
+    robot.talk(0, ("robot1/obs", &said), observe, event);
+    robot.wait("lost", |status| status["state"] == "lost");
+    robot.wait("kept", |status| status["state"] == "lost");
+    notifier.kill();
+    let notifier = start();
+    robot.talk(1, ("robot1/obs", &said), observe, event);
+    robot.talk(20, ("robot1/obs", &said), observe, event);
+    signal("INT", recorder.id());
+    recorder.finish(PATIENCE).with_code(0);
+    drop((notifier, router));
+    let out = place.finish(&["replay r.mcap --json"]).with_code(0).json();
+    let [before, after] = &out["sessions"].as_array().unwrap()[..] else { panic!("{out}") };
+    assert_eq!(before["session"], after["session"]);
+    assert_ne!(before["notifier_start"], after["notifier_start"]);
+    for session in [before, after] {
+        assert_eq!(session["client"], "notifier/arm-1");
+        assert_eq!((&session["difference"], &session["events_lost"]), (&Value::Null, &json!(0)));
+        assert!(session["replayed"]["messages"].as_u64() > Some(1), "{session}");
+    }
+    assert_eq!((&before["gaps"], &before["observations_not_compared"]), (&json!([]), &json!(0)));
+    let told = "the notifier was started again, and what came before is not told";
+    assert_eq!(after["gaps"], json!([told]));
+    assert!(after["observations_not_compared"].as_u64() > Some(0), "{after}");
 }
 
 #[test]

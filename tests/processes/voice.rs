@@ -11,7 +11,7 @@ use leadtime_serve::observation::{ObservationHead, write_json};
 use serde_json::{Value, json};
 use tokio::runtime::{Builder, Runtime};
 
-use crate::support::{PATIENCE, Place, Running, repository, wait_for_words, wait_until};
+use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words, wait_until};
 
 /// The exit code of wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -284,4 +284,36 @@ fn a_database_is_spoken_once_and_served_from_its_recording() {
         "{say}"
     );
     assert_eq!(say["end"].as_f64().unwrap(), 0.5 * n as f64 - 0.1, "{say}");
+}
+
+#[test]
+fn what_is_said_in_the_time_of_a_voice_is_replayed_exactly() {
+    for clock in ["timer", "word"] {
+        let place = Place::new();
+        let notifier = serve(&place, &[]);
+        let recorder = place.start(&["record -o r.mcap --connect", &place.endpoint("n")]);
+        wait_for_words(&recorder, "recording notifier");
+        let mut listener = Listener::open(&place, &json!({"clock": clock}));
+        listener.until("sentences end", |it| {
+            it.says.iter().filter(|say| say["event"] == "end").count() > 2
+        });
+        signal("INT", recorder.id());
+        recorder.finish(PATIENCE).with_code(0);
+        drop((listener, notifier));
+        let own = place.finish(&["replay r.mcap --json"]).with_code(0).json();
+        let own = &own["sessions"][0];
+        assert_eq!((&own["difference"], &own["events_lost"]), (&Value::Null, &json!(0)), "{own}");
+        assert_eq!((&own["is_same_policy"], &own["is_same_voice"]), (&json!(true), &json!(true)));
+        assert_eq!((&own["gaps"], &own["replayed"]), (&json!([]), &own["recorded"]), "{own}");
+        // Words of another voice end at other times, for no fault of the policy.
+        let other = place.finish(&["replay r.mcap --voice text --json"]).with_code(0).json();
+        let other = &other["sessions"][0];
+        assert_eq!(
+            (&other["is_same_policy"], &other["is_same_voice"]),
+            (&json!(true), &json!(false))
+        );
+        assert_ne!(other["difference"], Value::Null, "{other}");
+        let told = place.finish(&["replay r.mcap --voice text"]).with_code(0).stdout;
+        assert!(told.contains("recorded with the voice shipped"), "{told}");
+    }
 }

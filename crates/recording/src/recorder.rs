@@ -13,18 +13,24 @@ use crate::message::record;
 use crate::topic::RecordedTopic;
 use crate::write::RecordingWriter;
 
-/// By how much a line's number goes back where lines are repeated, at most.
-const MAX_REPEATED: u64 = 64;
-
-/// What is known of a client's session.
+/// What is known of a client's session in one start of the notifier.
 #[derive(Debug)]
 struct SeenSession {
     id: String,
+    /// The start of the notifier; empty until something tells it.
+    start: String,
     /// The last line of what was taken in.
     last_line: u64,
     /// Whether the recording has it from its first observation on.
     has_beginning: bool,
     is_recorded: bool,
+}
+
+impl SeenSession {
+    fn new(id: &str) -> Self {
+        let (id, start) = (id.to_owned(), String::new());
+        Self { id, start, last_line: 0, has_beginning: false, is_recorded: false }
+    }
 }
 
 /// Writes what is published about clients into a recording.
@@ -68,13 +74,16 @@ impl<W: Write> LiveRecorder<W> {
         let key = LiveKey::Taken(&self.service, client).to_string();
         for line in lines {
             let seen = self.see(client, &line.session);
-            // A notifier that was started again counts from 2 again.
-            let is_new = line.n > seen.last_line || line.n + MAX_REPEATED < seen.last_line;
-            if !is_new {
+            // A notifier that was started again goes on with the session, but counts from the beginning.
+            if !seen.start.is_empty() && seen.start != line.start {
+                *seen = SeenSession::new(&line.session);
+            }
+            seen.start = line.start.clone().into_owned();
+            if line.n <= seen.last_line {
                 continue;
             }
             seen.last_line = line.n;
-            seen.has_beginning |= line.n == 1;
+            seen.has_beginning |= line.is_beginning();
             // Plain data: it cannot fail.
             let json = serde_json::to_vec(&line).unwrap_or_default();
             self.writer.write(&key, RecordedTopic::Taken, at, &json)?;
@@ -92,15 +101,9 @@ impl<W: Write> LiveRecorder<W> {
 
     /// Notices a client's session.
     fn see(&mut self, client: &ClientName, id: &str) -> &mut SeenSession {
-        let fresh = || SeenSession {
-            id: id.to_owned(),
-            last_line: 0,
-            has_beginning: false,
-            is_recorded: false,
-        };
-        let seen = self.sessions.entry(client.clone()).or_insert_with(fresh);
+        let seen = self.sessions.entry(client.clone()).or_insert_with(|| SeenSession::new(id));
         if seen.id != id {
-            *seen = fresh();
+            *seen = SeenSession::new(id);
         }
         seen
     }
@@ -119,9 +122,13 @@ impl<W: Write> LiveRecorder<W> {
     pub fn note(&mut self, at: u64, client: &ClientName, answer: &[u8]) -> Result<(), Error> {
         let Ok(mut note) = serde_json::from_slice::<Value>(answer) else { return Ok(()) };
         let Some(seen) = self.sessions.get_mut(client) else { return Ok(()) };
-        if note["session"] != seen.id.as_str() || seen.is_recorded {
+        let start = note["start"].as_str().unwrap_or_default();
+        let is_this =
+            note["session"] == seen.id.as_str() && (seen.start.is_empty() || seen.start == start);
+        if !is_this || seen.is_recorded {
             return Ok(());
         }
+        seen.start = start.to_owned();
         seen.is_recorded = true;
         note["has_beginning"] = seen.has_beginning.into();
         self.n_sessions += 1;

@@ -69,7 +69,8 @@ impl ReplayTarget for SessionAtHand {
         let Self { session, decider, is_same, ahead } = self;
         let (now, mut out) = (input.now, KeptEvents::default());
         match (input.input, &input.observation) {
-            (TakenInput::Observation { at }, Some(sent)) => {
+            (TakenInput::Observation { at, is_other_clock }, Some(sent)) => {
+                session.note_clock(is_other_clock);
                 let parts = (&sent.encoding, &*sent.payload, sent.beside.as_deref());
                 session.arrive(now, at, parts, decider, &mut out);
             }
@@ -281,7 +282,8 @@ fn is_same(one: &HeardSay, other: &HeardSay) -> bool {
     *one == HeardSay { utterance, age, ..other.clone() }
 }
 
-/// Tells whether a session can be replayed over the network, where a notifier has a clock of its own.
+/// Tells whether a session can be replayed over the network, where a notifier has a clock of its own. Of each stretch only what comes
+/// [up to its last observation](Stretch::up_to_last_observation) can be.
 ///
 /// # Errors
 ///
@@ -289,6 +291,10 @@ fn is_same(one: &HeardSay, other: &HeardSay) -> bool {
 pub fn check_for_network(clock: StepClock, stretches: &[Stretch]) -> Result<(), Error> {
     if clock != StepClock::Observation {
         let why = "its steps were taken by the notifier's clock: replay it without --connect";
+        return Err(Error::NotOverNetwork(why));
+    }
+    if stretches.iter().any(has_pause) {
+        let why = "after a long pause an episode began anew: replay it without --connect";
         return Err(Error::NotOverNetwork(why));
     }
     let inputs = || stretches.iter().flat_map(|stretch| &stretch.inputs);
@@ -305,9 +311,20 @@ pub fn check_for_network(clock: StepClock, stretches: &[Stretch]) -> Result<(), 
     Ok(())
 }
 
+/// Tells whether an episode began anew though its client said nothing of it: the past of one that was lost for long is forgotten.
+fn has_pause(stretch: &Stretch) -> bool {
+    let mut episode = None;
+    let mut sent =
+        stretch.inputs.iter().filter_map(|it| it.observation.as_ref().zip(Some(it.step)));
+    sent.any(|(sent, step)| episode.replace(sent.episode) == Some(sent.episode) && step == 0)
+}
+
 #[cfg(test)]
 mod tests {
+    use leadtime_link::live::ArrivalEncoding;
+
     use super::*;
+    use crate::message::SentObservation;
 
     fn event(step: u32, event: &str) -> HeardSay {
         let text = format!("{{\"seq\":4,\"step\":{step},\"event\":\"{event}\",\"utterance\":9}}");
@@ -316,7 +333,7 @@ mod tests {
 
     fn input(events: &[HeardSay], n_said: Option<u64>) -> RecordedInput {
         let (input, events) = (TakenInput::Tick, events.to_vec());
-        RecordedInput { input, now: 0, at: 0, observation: None, events, n_said }
+        RecordedInput { input, now: 0, step: 0, at: 0, observation: None, events, n_said }
     }
 
     #[test]
@@ -338,5 +355,37 @@ mod tests {
         assert_eq!(lost(&swapped, &said), None);
         let other = HeardSay { text: "Climb.".to_owned(), ..start };
         assert_eq!(lost(&input(&[other], Some(2)), &said), None);
+    }
+
+    fn observed(episode: u64, step: u32) -> RecordedInput {
+        let encoding = ArrivalEncoding::Json;
+        let (values, payload, beside) = (Vec::new(), Vec::new(), None);
+        let sent = SentObservation { seq: 1, episode, values, encoding, payload, beside };
+        let (input, observation) =
+            (TakenInput::Observation { at: 0, is_other_clock: false }, Some(sent));
+        RecordedInput { input, step, observation, ..self::input(&[], Some(0)) }
+    }
+
+    fn check(inputs: &[RecordedInput], is_cut: bool) -> Option<String> {
+        let stretch = Stretch { is_beginning: true, inputs: inputs.to_vec() };
+        let stretch = if is_cut { stretch.up_to_last_observation() } else { stretch };
+        let checked = check_for_network(StepClock::Observation, &[stretch]);
+        checked.err().map(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_depends_on_the_clock_alone_is_not_sent_over_a_network() {
+        let cut = input(&[event(3, "cut")], Some(1));
+        let flown = [observed(0, 0), observed(0, 1), input(&[], Some(0)), observed(1, 0)];
+        assert_eq!(check(&flown, false), None);
+        // A client that leaves without an end is cut off once it is missed.
+        let left = [&flown[..], std::slice::from_ref(&cut)].concat();
+        assert!(check(&left, false).unwrap().contains("or nothing came"));
+        assert_eq!(check(&left, true), None);
+        let in_between = [&left[..], &[observed(1, 1)]].concat();
+        assert!(check(&in_between, true).unwrap().contains("or nothing came"));
+        // One that was silent for long finds its past forgotten.
+        let paused = [&flown[..], &[observed(1, 0)]].concat();
+        assert!(check(&paused, true).unwrap().contains("an episode began anew"));
     }
 }

@@ -25,6 +25,8 @@ pub struct RecordedInput {
     pub input: TakenInput,
     /// The notifier's time, in nanoseconds.
     pub now: u64,
+    /// The step of the episode that it led to, from 0.
+    pub step: u32,
     /// When the recorder heard of it, in nanoseconds since 1970.
     pub at: u64,
     /// The observation, if it is one.
@@ -44,6 +46,16 @@ pub struct Stretch {
     pub inputs: Vec<RecordedInput>,
 }
 
+impl Stretch {
+    /// Returns what comes up to its last observation: what a notifier does once nobody is there any more is left out.
+    #[must_use]
+    pub fn up_to_last_observation(mut self) -> Self {
+        let n = self.inputs.iter().rposition(|input| input.observation.is_some());
+        self.inputs.truncate(n.map_or(0, |n| n + 1));
+        self
+    }
+}
+
 /// What a notifier did, as it told it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedStatus {
@@ -55,13 +67,15 @@ pub struct RecordedStatus {
     pub why: String,
 }
 
-/// A session as it was recorded.
+/// A session as it was recorded, in one start of the notifier: one that was started again and went on with it has another one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedSession {
     /// The notifier and the client: `notifier/car-1`.
     pub client: String,
     /// The session's name.
     pub id: String,
+    /// The start of the notifier; empty where the recording does not tell it.
+    pub start: String,
     /// What it is; `None` if the recorder could not learn it.
     pub note: Option<SessionNote>,
     /// What can be replayed.
@@ -83,6 +97,8 @@ pub struct RecordedSession {
 pub enum Gap {
     /// The recorder came in the middle of an episode.
     CameLate,
+    /// The notifier was started again and went on with the session.
+    Restarted,
     /// A line of what was taken in is missing.
     LineMissing,
     /// An observation that was taken in is missing.
@@ -94,6 +110,7 @@ impl Gap {
     pub fn as_str(self) -> &'static str {
         match self {
             Self::CameLate => "the recording begins in the middle of an episode",
+            Self::Restarted => "the notifier was started again, and what came before is not told",
             Self::LineMissing => "messages about what was taken in are missing",
             Self::ObservationMissing => "an observation is missing",
         }
@@ -131,7 +148,10 @@ pub fn sessions(client: &RecordedClient) -> Vec<RecordedSession> {
                     making.take(message.at, &line, &mut said);
                 }
             }
-            RecordedTopic::Status => statuses.extend(status(message)),
+            RecordedTopic::Status => {
+                let n_sessions = making.sessions.len();
+                statuses.extend(status(message).map(|(id, status)| (n_sessions, id, status)));
+            }
             RecordedTopic::Session => notes.extend(serde_json::from_slice(&message.json).ok()),
             RecordedTopic::Observations | RecordedTopic::Heard | RecordedTopic::Metrics => {}
         }
@@ -141,10 +161,20 @@ pub fn sessions(client: &RecordedClient) -> Vec<RecordedSession> {
     if let Some(last) = found.last_mut() {
         last.events.extend(said);
     }
+    for (n_begun, id, status) in statuses {
+        // The first status of a session comes before its first line.
+        let is_its = |session: &RecordedSession| session.id == id;
+        let place = found[..n_begun].iter().rposition(is_its);
+        if let Some(place) = place.or_else(|| found.iter().position(is_its)) {
+            found[place].statuses.push(status);
+        }
+    }
     for session in &mut found {
-        session.note = notes.iter().find(|note| note.session == session.id).cloned();
-        let own = statuses.iter().filter(|(id, _)| *id == session.id);
-        session.statuses = own.map(|(_, status)| status.clone()).collect();
+        let is_its = |note: &&SessionNote| {
+            let is_start = session.start.is_empty() || session.start == note.start;
+            note.session == session.id && is_start
+        };
+        session.note = notes.iter().find(is_its).cloned();
     }
     found
 }
@@ -219,6 +249,8 @@ struct LineRun {
     episode: Option<u64>,
     /// Inputs are taken into a stretch.
     is_in_stretch: bool,
+    /// The recorder was there before the last line: it should have every further observation.
+    has_begun: bool,
 }
 
 struct Making<'a> {
@@ -230,30 +262,38 @@ struct Making<'a> {
 
 impl Making<'_> {
     fn take(&mut self, at: u64, line: &TakenLine<'_>, said: &mut VecDeque<(u64, HeardSay)>) {
-        if self.sessions.last().is_none_or(|session| session.id != line.session) {
+        let is_other = |it: &RecordedSession| it.id != line.session || it.start != line.start;
+        if self.sessions.last().is_none_or(is_other) {
             self.begin(line, said);
         }
+        let goes_on = self.sessions.iter().rev().skip(1).any(|it| it.id == line.session);
         let Some(session) = self.sessions.last_mut() else { return };
+        let is_beginning = line.is_beginning();
         let follows = self.run.as_ref().is_some_and(|run| run.n + 1 == line.n);
         if !follows {
             let is_first = self.run.is_none();
-            if line.n == 1 {
+            if is_beginning {
                 session.stretches.push(Stretch { is_beginning: true, inputs: Vec::new() });
             } else {
-                let gap = if is_first { Gap::CameLate } else { Gap::LineMissing };
+                let at_first = if goes_on { Gap::Restarted } else { Gap::CameLate };
+                let gap = if is_first { at_first } else { Gap::LineMissing };
                 *session.gaps.entry(gap).or_default() += 1;
             }
-            let is_in_stretch = line.n == 1;
+            let is_in_stretch = is_beginning;
             // Before the first line nothing had been said.
-            self.run = Some(LineRun { n: line.n, said: 0, episode: None, is_in_stretch });
+            // The observations of a session that goes on come from a client that was heard before.
+            let has_begun = is_in_stretch || goes_on || !is_first;
+            let (n, said, episode) = (line.n, 0, None);
+            self.run = Some(LineRun { n, said, episode, is_in_stretch, has_begun });
         }
         let Some(run) = &mut self.run else { return };
-        let n_said = (follows || line.n == 1).then(|| line.said.saturating_sub(run.said));
+        let n_said = (follows || is_beginning).then(|| line.said.saturating_sub(run.said));
         (run.n, run.said) = (line.n, line.said);
         let events = session.hear(line, n_said, said);
         let mut input = RecordedInput {
             input: line.input,
             now: line.now,
+            step: line.step,
             at,
             observation: None,
             events,
@@ -263,7 +303,7 @@ impl Making<'_> {
             session.n_observations += 1;
             let Some(observation) = self.observations.take(line.seq) else {
                 // Where the recorder came late, the first lines are about what was sent before.
-                if run.is_in_stretch || run.episode.is_some() {
+                if run.has_begun {
                     *session.gaps.entry(Gap::ObservationMissing).or_default() += 1;
                 }
                 session.n_apart += 1;
@@ -271,7 +311,7 @@ impl Making<'_> {
                 return;
             };
             let is_new = run.episode.is_some_and(|episode| episode != observation.episode);
-            run.episode = Some(observation.episode);
+            (run.episode, run.has_begun) = (Some(observation.episode), true);
             input.observation = Some(observation);
             if !run.is_in_stretch && is_new {
                 run.is_in_stretch = true;
@@ -304,6 +344,7 @@ impl Making<'_> {
         self.sessions.push(RecordedSession {
             client: self.client.name.clone(),
             id: line.session.clone().into_owned(),
+            start: line.start.clone().into_owned(),
             note: None,
             stretches: Vec::new(),
             n_observations: 0,
@@ -365,6 +406,33 @@ mod tests {
         assert!(inputs.iter().all(|it| it.n_said == Some(2) && it.events.len() == 2));
     }
 
+    /// Lets the messages about observations from `seq` on be of another start of the notifier.
+    fn restarted(mut client: RecordedClient, from: u64) -> RecordedClient {
+        for message in &mut client.messages {
+            let mut json: Value = serde_json::from_slice(&message.json).unwrap();
+            if message.topic == RecordedTopic::Taken {
+                json["start"] = if json["seq"].as_u64() < Some(from) { "a" } else { "b" }.into();
+            }
+            message.json = json.to_string().into_bytes();
+        }
+        client
+    }
+
+    #[test]
+    fn two_starts_of_a_notifier_are_never_one_stretch() {
+        // The second one counts from 2 again, or goes on by chance where the first one ended.
+        for n in [2, 4] {
+            let taken = [(1, 0, 1), (2, 0, 2), (3, 0, 3), (4, 0, n), (5, 0, n + 1), (6, 1, n + 2)];
+            let found = sessions(&restarted(client(&taken, &[]), 4));
+            assert_eq!(found.len(), 2);
+            assert_eq!(numbers(&found[0]), [vec![1, 2, 3]]);
+            assert_eq!(numbers(&found[1]), [vec![6]]);
+            assert!(found[0].gaps.is_empty(), "{:?}", found[0].gaps);
+            assert_eq!(found[1].gaps, BTreeMap::from([(Gap::Restarted, 1)]));
+            assert_eq!((&*found[0].start, &*found[1].start, found[1].n_apart), ("a", "b", 2));
+        }
+    }
+
     #[test]
     fn what_has_no_beginning_is_replayed_from_the_next_episode_on() {
         let late = &sessions(&client(&[(5, 0, 5), (6, 1, 6), (7, 1, 7)], &[]))[0];
@@ -383,6 +451,9 @@ mod tests {
         let missing = &sessions(&client(&taken, &[2]))[0];
         assert_eq!(numbers(missing), [vec![1], vec![4]]);
         assert_eq!((missing.gaps[&Gap::ObservationMissing], missing.n_apart), (1, 2));
+        let taken: Vec<_> = (1..=9).map(|n| (n, 0, n)).collect();
+        let missing = &sessions(&client(&taken, &[4, 5, 6, 8]))[0];
+        assert_eq!((missing.gaps[&Gap::ObservationMissing], missing.n_apart), (4, 6));
         // The same number in the next session is another observation.
         let mut twice = client(&[(1, 0, 1), (2, 0, 2)], &[]);
         let again: Vec<_> = twice

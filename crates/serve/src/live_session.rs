@@ -42,7 +42,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::heard::{HeardEvent, HeardReport};
 use crate::latency::LatencyHistogram;
-use crate::observation::{BadObservation, LiveObservation};
+use crate::observation::{BadObservation, LiveObservation, write_json_with};
 use crate::open::{SayForm, SessionPlan, StepClock, WordClock};
 use crate::phrases::{PhraseBook, PhraseTurns};
 use crate::robot::{Arrived, ObservationSource, RobotReader};
@@ -146,6 +146,8 @@ pub struct LiveSession {
     recurrent: Vec<f32>,
     // What arrives.
     robot: Option<RobotReader>,
+    /// The last observation is the first of its source.
+    is_other_clock: bool,
     incoming: LiveObservation,
     newest: LiveObservation,
     newest_at: Option<u64>,
@@ -214,6 +216,7 @@ impl LiveSession {
                 ObservationSource::Client => None,
                 ObservationSource::Robot(form) => Some(RobotReader::new(form, ns(plan.lost_after))),
             },
+            is_other_clock: false,
             incoming: LiveObservation::new(obs_dim),
             newest: LiveObservation::new(obs_dim),
             newest_at: None,
@@ -346,7 +349,7 @@ impl LiveSession {
             (_, Some(robot)) => {
                 let last = Arrived { seq: self.last_seq, t: self.last_t, at: self.newest_at };
                 let read = robot.read(&mut self.incoming, (payload, beside), at, last);
-                read.map(|is_first| self.travel.forget_if(is_first))
+                read.map(|is_first| self.note_clock(is_first))
             }
             (ArrivalEncoding::Json, None) => self.incoming.read_json(payload),
             (ArrivalEncoding::Binary, None) => {
@@ -360,6 +363,25 @@ impl LiveSession {
             Err(error) => self.refuse(now, &error, out),
         }
         self.tell(now, out);
+    }
+
+    /// Notes whether the next observation's time is by another clock than those before.
+    pub fn note_clock(&mut self, is_other: bool) {
+        self.is_other_clock = is_other;
+        self.travel.forget_if(is_other);
+    }
+
+    /// Returns whether the last observation's time is by another clock than those before.
+    pub(crate) fn is_other_clock(&self) -> bool {
+        self.is_other_clock
+    }
+
+    /// Returns the newest observation as a client would have sent it; `None` where a client has sent it.
+    pub(crate) fn robot_observation(&self) -> Option<Vec<u8>> {
+        self.robot.as_ref()?;
+        let facts = self.newest.facts().map(|facts| facts.iter().map(str::to_owned).collect());
+        let facts: Option<Vec<String>> = facts;
+        Some(write_json_with(&self.newest.head, &self.newest.values, facts.as_deref()))
     }
 
     /// Tells whether the incoming observation is newer than the newest.

@@ -74,6 +74,14 @@ impl Hosted {
         (session, ToPort { port, voice: voice.as_mut(), taken, loudspeaker, clock })
     }
 
+    /// Tells recorders what a robot observed on a key of its own.
+    fn tell_robot_observation(&self) {
+        let Some(message) = self.session.robot_observation() else { return };
+        if let Err(error) = self.port.observed(&message) {
+            debug!(%error, "an observation could not be put");
+        }
+    }
+
     /// Tells recorders what was taken in, after what was said on account of it.
     fn tell_taken(&mut self, now: u64, input: TakenInput) {
         let session = &self.session;
@@ -295,7 +303,9 @@ fn serve(
         session.arrive(now, at, parts, decider, &mut out);
         session.record_latency(clock.now().saturating_sub(at));
         if session.counts().taken > n_before {
-            hosted.tell_taken(now, TakenInput::Observation { at });
+            let is_other_clock = session.is_other_clock();
+            hosted.tell_robot_observation();
+            hosted.tell_taken(now, TakenInput::Observation { at, is_other_clock });
         }
     }
     let now = clock.now();

@@ -276,7 +276,7 @@ impl LiveService {
     ) -> Result<Vec<u8>, OpenRefusal> {
         let start = plan.incarnation.map(Incarnation);
         let (session, notes) = self.session(client, &question, plan.clone());
-        let taken = TakenLog::new(session.counts().taken > 0);
+        let taken = TakenLog::new(self.own, session.counts().taken > 0);
         let answered = SessionPlan { notes, ..plan.clone() };
         let answer = SessionAnswer::new(session.id(), &answered, &self.policy, session.last_seq());
         let answer = serde_json::to_vec(&answer)?;

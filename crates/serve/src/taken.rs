@@ -2,8 +2,8 @@
 //! observations themselves. With it a recorded session can be replayed exactly, whatever its clock.
 //!
 //! ```text
-//! [{"session":"c52e5475","n":12,"now":3600412000000,"said":57,"seq":17,"step":9,"what":"observation","at":3600411990000},
-//!  {"session":"c52e5475","n":13,"now":3600700000000,"said":58,"seq":17,"step":10,"what":"tick"}]
+//! [{"session":"c52e5475","start":"9f0c2a7de1b84563","n":12,"now":3600412000000,"said":57,"seq":17,"step":9,"what":"observation","at":3600411990000},
+//!  {"session":"c52e5475","start":"9f0c2a7de1b84563","n":13,"now":3600700000000,"said":58,"seq":17,"step":10,"what":"tick"}]
 //! ```
 //!
 //! Every message repeats the lines before its last, so that a lost one heals with the next.
@@ -11,6 +11,7 @@
 use std::borrow::Cow;
 use std::collections::VecDeque;
 
+use leadtime_proto::Incarnation;
 use serde::{Deserialize, Serialize};
 
 use crate::heard::HeardReport;
@@ -26,6 +27,9 @@ pub enum TakenInput {
     Observation {
         /// When it arrived, in nanoseconds.
         at: u64,
+        /// Another program of a robot sends it: its time cannot be compared with times before.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        is_other_clock: bool,
     },
     /// A report of what the loudspeaker did.
     Heard {
@@ -46,6 +50,10 @@ pub enum TakenInput {
 pub struct TakenLine<'a> {
     /// The session's name.
     pub session: Cow<'a, str>,
+    /// This start of the notifier, 16 hexadecimal digits; empty where a recording does not tell it. Numbers, times and counts are
+    /// those of one start.
+    #[serde(default, skip_serializing_if = "str::is_empty")]
+    pub start: Cow<'a, str>,
     /// The line's number in the session, from 1; where a restarted notifier goes on with a session, from 2.
     pub n: u64,
     /// The notifier's time, in nanoseconds.
@@ -61,9 +69,18 @@ pub struct TakenLine<'a> {
     pub input: TakenInput,
 }
 
+impl TakenLine<'_> {
+    /// Tells whether nothing that the session took in before matters: there is nothing, or no observation yet.
+    pub fn is_beginning(&self) -> bool {
+        let is_observation = matches!(self.input, TakenInput::Observation { .. });
+        self.n == 1 || self.seq == 0 && self.said == 0 && !is_observation
+    }
+}
+
 /// Numbers the lines of a session, and counts what is said.
 #[derive(Clone, Debug)]
 pub(crate) struct TakenLog {
+    start: String,
     n: u64,
     said: u64,
     recent: VecDeque<Vec<u8>>,
@@ -71,10 +88,10 @@ pub(crate) struct TakenLog {
 }
 
 impl TakenLog {
-    /// Begins with a session; one that goes on after a restart has had a beginning that nobody hears of any more.
-    pub(crate) fn new(goes_on: bool) -> Self {
-        let recent = VecDeque::with_capacity(N_REPEATED);
-        Self { n: u64::from(goes_on), said: 0, recent, message: Vec::new() }
+    /// Begins with a session in this start of the notifier; one that goes on after a restart has had a beginning that nobody hears of any more.
+    pub(crate) fn new(start: Incarnation, goes_on: bool) -> Self {
+        let (start, recent) = (format!("{:016x}", start.0), VecDeque::with_capacity(N_REPEATED));
+        Self { start, n: u64::from(goes_on), said: 0, recent, message: Vec::new() }
     }
 
     /// Counts an event that is said.
@@ -91,8 +108,8 @@ impl TakenLog {
         input: TakenInput,
     ) -> &[u8] {
         self.n += 1;
-        let session = Cow::Borrowed(session);
-        let line = TakenLine { session, n: self.n, now, said: self.said, seq, step, input };
+        let (session, start) = (Cow::Borrowed(session), Cow::Borrowed(&*self.start));
+        let line = TakenLine { session, start, n: self.n, now, said: self.said, seq, step, input };
         let is_full = self.recent.len() >= N_REPEATED;
         let mut text = if is_full { self.recent.pop_front() } else { None }.unwrap_or_default();
         text.clear();
@@ -118,29 +135,31 @@ mod tests {
     fn a_line_is_read_as_it_is_written() {
         let report = HeardReport { utterance: 5, event: HeardEvent::Word, word: 2, t: None };
         let inputs = [
-            TakenInput::Observation { at: u64::MAX },
+            TakenInput::Observation { at: u64::MAX, is_other_clock: false },
+            TakenInput::Observation { at: 5, is_other_clock: true },
             TakenInput::Heard { report },
             TakenInput::Presence { is_here: false },
             TakenInput::Tick,
         ];
-        let mut log = TakenLog::new(false);
+        let mut log = TakenLog::new(Incarnation(0xa7), false);
         for (n, input) in (1..).zip(inputs) {
             log.count_said();
             let message = log.write("c52e5475", 7, (17, 3), input);
             let read: Vec<TakenLine<'_>> = serde_json::from_slice(message).unwrap();
             assert_eq!(read.len() as u64, n);
-            let session = Cow::Borrowed("c52e5475");
-            let line = TakenLine { session, n, now: 7, said: n, seq: 17, step: 3, input };
+            let (session, start) = (Cow::Borrowed("c52e5475"), Cow::Borrowed("00000000000000a7"));
+            let line = TakenLine { session, start, n, now: 7, said: n, seq: 17, step: 3, input };
             assert_eq!(read.last(), Some(&line));
         }
-        let message = TakenLog::new(true).write("a", 9, (0, 0), TakenInput::Tick).to_vec();
-        let text = r#"[{"session":"a","n":2,"now":9,"said":0,"seq":0,"step":0,"what":"tick"}]"#;
+        let message =
+            TakenLog::new(Incarnation(1), true).write("a", 9, (0, 0), TakenInput::Tick).to_vec();
+        let text = r#"[{"session":"a","start":"0000000000000001","n":2,"now":9,"said":0,"seq":0,"step":0,"what":"tick"}]"#;
         assert_eq!(String::from_utf8(message).unwrap(), text);
     }
 
     #[test]
     fn what_was_lost_is_in_the_next_message() {
-        let mut log = TakenLog::new(false);
+        let mut log = TakenLog::new(Incarnation(0), false);
         for n in 1..20 {
             let message = log.write("a", n, (n, 0), TakenInput::Tick);
             let read: Vec<TakenLine<'_>> = serde_json::from_slice(message).unwrap();

@@ -35,6 +35,9 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     if let Some(recording) = args.policy.as_deref().filter(|path| extension(path) == "mcap") {
         return draw_recording(recording, args);
     }
+    if args.live.is_some() {
+        return Err(Failure::input("--live chooses a client of a recording: name a FILE.mcap"));
+    }
     let kinds = ["png", "svg", "gif", "html", "mp4"];
     if !kinds.contains(&extension(&args.output).as_str()) {
         let shown = args.output.display();
@@ -82,14 +85,22 @@ fn write(spoken: &Spoken, frames: Option<Range<u64>>, path: &Path) -> Result<(),
 
 /// Draws the sessions of a recording, or writes what was said in them.
 fn draw_recording(recording: &Path, args: &PlayArgs) -> Result<(), Failure> {
-    let sessions = recorded::read(recording, None)?;
+    let sessions = recorded::read(recording, args.live.as_ref())?;
     let path = &args.output;
+    let n = counted(sessions.len(), "session");
+    let mut what = n.clone();
     let bytes = match extension(path).as_str() {
         "txt" => sessions.iter().map(transcript).collect::<Vec<_>>().join("\n").into_bytes(),
         kind @ ("png" | "svg") => {
-            let shown = sessions.iter().find_map(|it| picture(it, args.frames.clone()));
+            let draw = |it| Some((it, picture(it, args.frames.clone())?));
             let nothing = "nothing happens in these seconds of the recording";
-            let svg = shown.ok_or_else(|| Failure::input(nothing))?.text;
+            let shown = sessions.iter().find_map(draw);
+            let (session, svg) = shown.ok_or_else(|| Failure::input(nothing))?;
+            let svg = svg.text;
+            what = format!("session {} of {}", session.id, session.client);
+            if sessions.len() > 1 {
+                what += &format!(", the first of {n} with something to show,");
+            }
             match kind {
                 "svg" => svg.into_bytes(),
                 _ => Rasterizer::new().png(&svg, PNG_SCALE).blame(ExitCode::Failed)?,
@@ -103,8 +114,7 @@ fn draw_recording(recording: &Path, args: &PlayArgs) -> Result<(), Failure> {
         }
     };
     output::file(path, &bytes).blame(ExitCode::WrongInput)?;
-    let n = counted(sessions.len(), "session");
-    output::line(&format!("{}: {n} of {}", path.display(), recording.display()));
+    output::line(&format!("{}: {what} of {}", path.display(), recording.display()));
     Ok(())
 }
 

@@ -16,7 +16,9 @@ use leadtime_recording::{
     replay,
 };
 use leadtime_runs::{Tasks, clock};
-use leadtime_serve::{HeardSay, PolicyOrigin, SayEvent, SessionNote, WorkingPolicy};
+use leadtime_serve::{
+    HeardSay, PolicyOrigin, SayEvent, SessionNote, StepClock, WordClock, WorkingPolicy,
+};
 use leadtime_table::Table;
 use leadtime_voice::VoiceChoice;
 use serde_json::{Value, json};
@@ -62,9 +64,38 @@ pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure>
 /// A session that was replayed.
 struct PlayedSession {
     session: RecordedSession,
-    /// The policy, its words and its settings are those of the recording.
+    /// The policy, its words and its settings are those of the recording; of a notifier over the network, as far as it tells a client.
     is_same: bool,
+    /// The voice is another one, and words end in its time: what is said differs for no fault of the policy.
+    other_voice: Option<OtherVoice>,
     outcome: ReplayOutcome,
+}
+
+impl PlayedSession {
+    /// Tells whether the same has to be said.
+    fn is_comparable(&self) -> bool {
+        self.is_same && self.other_voice.is_none()
+    }
+}
+
+/// Two voices, as a person names them.
+struct OtherVoice {
+    recorded: String,
+    given: String,
+}
+
+impl OtherVoice {
+    /// Finds out whether a session is replayed with another voice than it was recorded with, and depends on it.
+    fn of(
+        session: &RecordedSession,
+        note: &SessionNote,
+        given: Option<&VoiceChoice>,
+    ) -> Option<Self> {
+        let (recorded, given) = (note.policy.voice.clone(), given?.to_string());
+        let is_by_steps = note.question["word_clock"] == json!(WordClock::Steps);
+        let is_timed = session.clock() != Some(StepClock::Observation) && !is_by_steps;
+        (is_timed && recorded != given).then_some(Self { recorded, given })
+    }
 }
 
 /// How fast inputs follow each other.
@@ -173,7 +204,8 @@ fn at_hand(
             let mut target = target.blame(ExitCode::WrongInput)?;
             outcome.add(pace.replay(stretch, &mut target).map_err(failure)?);
         }
-        Ok(PlayedSession { session: session.clone(), is_same, outcome })
+        let other_voice = OtherVoice::of(session, note, policies.args.voice.as_ref());
+        Ok(PlayedSession { session: session.clone(), is_same, other_voice, outcome })
     };
     sessions.iter().map(play).collect()
 }
@@ -189,16 +221,22 @@ fn over_network(
             return Ok(unplayed(session));
         };
         let about = || format!("session {} of {}", session.id, session.client);
-        let check = check_for_network(clock, &session.stretches).with_context(about);
+        let stretches = session.stretches.iter().cloned();
+        let stretches: Vec<_> = stretches.map(Stretch::up_to_last_observation).collect();
+        let check = check_for_network(clock, &stretches).with_context(about);
         check.blame(ExitCode::WrongInput)?;
         let (mut outcome, mut is_same) = (ReplayOutcome::default(), true);
-        for stretch in &session.stretches {
+        for stretch in &stretches {
             n_opened += 1;
             let answer = runtime.block_on(target.open(note, n_opened)).map_err(failure)?;
             is_same &= answer["policy"]["sha256"] == note.policy.sha256.as_str();
+            // What a client is told of the settings and of the words.
+            is_same &=
+                ["task", "topics", "sentences"].iter().all(|it| answer[it] == note.answer[it]);
             outcome.add(pace.replay(stretch, &mut target).map_err(failure)?);
         }
-        Ok(PlayedSession { session: session.clone(), is_same, outcome })
+        let other_voice = None;
+        Ok(PlayedSession { session: session.clone(), is_same, other_voice, outcome })
     };
     sessions.iter().map(play).collect()
 }
@@ -206,7 +244,7 @@ fn over_network(
 /// A session of which it is not known what it was.
 fn unplayed(session: &RecordedSession) -> PlayedSession {
     let outcome = ReplayOutcome::default();
-    PlayedSession { session: session.clone(), is_same: false, outcome }
+    PlayedSession { session: session.clone(), is_same: false, other_voice: None, outcome }
 }
 
 fn failure(error: RecordingError) -> Failure {
@@ -231,7 +269,7 @@ fn show(played: &[PlayedSession], args: &ReplayArgs) -> Result<(), Failure> {
         let file = args.file.display();
         return Err(Failure::input(format!("nothing in {file} can be replayed")));
     }
-    let differs = |it: &&PlayedSession| it.is_same && it.outcome.difference.is_some();
+    let differs = |it: &&PlayedSession| it.is_comparable() && it.outcome.difference.is_some();
     match played.iter().filter(differs).count() {
         0 => Ok(()),
         n => {
@@ -243,7 +281,7 @@ fn show(played: &[PlayedSession], args: &ReplayArgs) -> Result<(), Failure> {
 }
 
 fn show_session(played: &PlayedSession) {
-    let PlayedSession { session, is_same, outcome } = played;
+    let PlayedSession { session, outcome, .. } = played;
     let n = counted(outcome.n_observations, "observation");
     output::line(&format!("{}, session {}: {n} replayed", session.client, session.id));
     for (gap, n) in &session.gaps {
@@ -262,7 +300,14 @@ fn show_session(played: &PlayedSession) {
         let n = counted(outcome.n_lost, "event");
         output::line(&format!("  the recording lacks {n}"));
     }
-    if *is_same {
+    if outcome.n_observations == 0 {
+        return;
+    }
+    if let Some(OtherVoice { recorded, given }) = &played.other_voice {
+        let said = "is replayed with another voice, and words end in its time";
+        output::line(&format!("  what was recorded with the voice {recorded} {said}: {given}"));
+    }
+    if played.is_comparable() {
         show_check(outcome);
     } else {
         show_beside(outcome);
@@ -346,7 +391,7 @@ fn shortened(text: &str, width: usize) -> String {
 }
 
 fn as_json(played: &PlayedSession) -> Value {
-    let PlayedSession { session, is_same, outcome } = played;
+    let PlayedSession { session, is_same, other_voice, outcome } = played;
     let tally = |of: &leadtime_recording::MessageTally| json!({"messages": of.n_messages, "cut": of.n_cut, "mean_k": of.mean_k(), "mean_l": of.mean_l()});
     let gaps: Vec<&str> = session.gaps.keys().map(|gap| gap.as_str()).collect();
     let difference = outcome.difference.as_ref().map(|it| {
@@ -358,7 +403,9 @@ fn as_json(played: &PlayedSession) -> Value {
     json!({
         "client": session.client,
         "session": session.id,
+        "notifier_start": session.start,
         "is_same_policy": is_same,
+        "is_same_voice": other_voice.is_none(),
         "observations": outcome.n_observations,
         "observations_not_compared": session.n_apart,
         "gaps": gaps,

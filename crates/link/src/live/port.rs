@@ -101,6 +101,8 @@ pub struct LivePort {
     say: Publisher<'static>,
     status: Publisher<'static>,
     taken: Publisher<'static>,
+    /// What a robot observes on a key of its own, as a client would send it.
+    observed: Option<Publisher<'static>>,
     robot: Option<RobotPort>,
     /// Dropped last: what arrives finds the rest of this.
     _subscribers: [Subscriber<()>; 2],
@@ -154,8 +156,11 @@ impl LivePort {
         // As what is said, which it tells about: so it comes after that.
         let key = LiveKey::Taken(service, client);
         let taken = publisher(session, key, qos, Encoding::APPLICATION_JSON)?;
+        let declare = || publisher(session, own, qos, Encoding::APPLICATION_JSON);
+        let observed = robot.map(|_| declare()).transpose()?;
         let robot = robot.map(|keys| RobotPort::open(session, keys)).transpose()?;
-        Ok(Self { inbox, heard, say, status, taken, robot, _subscribers: [observations, hearing] })
+        let _subscribers = [observations, hearing];
+        Ok(Self { inbox, heard, say, status, taken, observed, robot, _subscribers })
     }
 
     /// Takes the newest observation, if one has arrived since the last time.
@@ -198,6 +203,16 @@ impl LivePort {
     /// [`Error::Network`] if the network has ended.
     pub fn taken(&self, bytes: &[u8]) -> Result<()> {
         self.taken.put(bytes).wait().map_err(Error::network("publish on", self.taken.key_expr()))
+    }
+
+    /// Puts an observation that was taken from a robot's own key where a client would have put it, for recorders.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Network`] if the network has ended.
+    pub fn observed(&self, bytes: &[u8]) -> Result<()> {
+        let Some(observed) = &self.observed else { return Ok(()) };
+        observed.put(bytes).wait().map_err(Error::network("publish on", observed.key_expr()))
     }
 
     /// Puts an event on the robot's own key, if it has one, with bytes beside it.
