@@ -309,6 +309,24 @@ fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
 }
 
 #[test]
+fn a_session_that_another_question_replaces_is_cut() {
+    let place = Place::new();
+    let _notifier = serve(&place, "--set human.interrupt=replace");
+    let mut client = Client::connect(&place, "car-1", 1);
+    let question =
+        |seed: u32| json!({"seconds_per_step": 0.5, "word_clock": "steps", "seed": seed});
+    client.open(&question(5)).unwrap();
+    let deadline = Instant::now() + PATIENCE;
+    while client.started() == 0 {
+        assert!(Instant::now() < deadline, "nothing is said");
+        client.watch(Duration::from_millis(20));
+    }
+    client.open(&question(6)).unwrap();
+    client.listen(Duration::from_secs(1));
+    assert_eq!(client.says.last().map(|(_, say)| say.event), Some(SayEvent::Cut));
+}
+
+#[test]
 fn nothing_stale_is_said_under_a_flood_to_a_frozen_client_or_after_a_kill() {
     const STALE: f64 = 0.4;
     let place = Place::new();

@@ -146,7 +146,7 @@ fn a_robot_with_keys_of_its_own_is_told_what_to_say_and_is_never_given_up() {
     let kept = robot.statuses.last().unwrap().clone();
     notifier.kill();
     drop((robot, said));
-    let _again = serve(&place, arguments);
+    let again = serve(&place, arguments);
     let robot = Robot::connect(&place);
     let said = robot.link.take_at("robot1/say").unwrap();
     let told = robot.talk(0, ("robot1/obs", &said), |step| (numbers(step), None), event);
@@ -154,6 +154,15 @@ fn a_robot_with_keys_of_its_own_is_told_what_to_say_and_is_never_given_up() {
     let (status, _) = robot.status.next(PATIENCE).unwrap();
     let status: Value = serde_json::from_slice(&status).unwrap();
     assert_eq!(status["session"], kept["session"]);
+    again.kill();
+    drop((robot, said));
+    // Another robot does not go on with what this one was told.
+    let _other = serve(&place, "--obs-key robot2/obs --say-key robot2/say --state state");
+    let robot = Robot::connect(&place);
+    let (status, _) = robot.status.next(PATIENCE).unwrap();
+    let status: Value = serde_json::from_slice(&status).unwrap();
+    assert_ne!(status["session"], kept["session"]);
+    assert_eq!(status["last_seq"], 0, "{status}");
 }
 
 #[test]
@@ -292,6 +301,8 @@ fn arguments_about_a_robot_that_cannot_be_are_told_in_one_sentence() {
         ("--ros2-distro humble", "--ros2"),
         ("--clock observation", "--obs-key"),
         ("--obs-key a --seconds-per-step 9", "`seconds_per_step` is 9; allowed: 0.001 to 5"),
+        ("--obs-key a --seconds-per-step nan", "write a number of seconds"),
+        ("--obs-key a --stale-after inf", "write a number of seconds"),
         ("--obs-key a --client Arm", "not a valid client name"),
     ] {
         place

@@ -50,9 +50,9 @@ pub use live_session::{LiveSession, LiveSnapshot, SayTo};
 pub use open::{
     OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan, StepClock, WordClock,
 };
-pub use robot::{ObservationSource, RobotForm, RobotVoice, StandingSession};
+pub use robot::{ObservationSource, RobotForm, RobotWriter, StandingSession};
 pub use say::{HeardSay, SayEvent};
 pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};
 pub use status::{LiveCounts, LiveState, Silence};
 pub use taken::{TakenInput, TakenLine};
-pub use working_policy::{LiveDecider, PolicyOrigin, UnfitPolicy, WorkingPolicy};
+pub use working_policy::{LiveDecider, PolicyOrigin, UnfitPolicy, WorkingPolicy, told_voice};

@@ -319,6 +319,9 @@ impl LiveSession {
 
     /// Returns when [`LiveSession::tick`] has something to do.
     pub fn next_deadline(&self) -> u64 {
+        if self.is_gone && self.is_watched() {
+            return 0;
+        }
         let watched = match self.state {
             LiveState::Silent | LiveState::Speaking => Some(self.stale_ns),
             LiveState::Stale => Some(self.lost_ns),
@@ -697,10 +700,15 @@ impl LiveSession {
         }
     }
 
-    /// Ends the session.
-    pub fn close(&mut self, now: u64, why: Silence, out: &mut impl SayTo) {
+    /// Cuts what is said, because another session takes the place of this one.
+    pub fn break_off(&mut self, now: u64, out: &mut impl SayTo) {
         self.cut(now, out);
         self.release(true, out);
+    }
+
+    /// Ends the session.
+    pub fn close(&mut self, now: u64, why: Silence, out: &mut impl SayTo) {
+        self.break_off(now, out);
         self.next_step = None;
         self.become_state(now, LiveState::Closed, why);
         self.status_due = now;
@@ -776,11 +784,14 @@ impl LiveSession {
         self.tell(now, out);
     }
 
+    /// Tells whether it matters how old the newest observation is.
+    fn is_watched(&self) -> bool {
+        matches!(self.state, LiveState::Silent | LiveState::Speaking | LiveState::Stale)
+    }
+
     /// Looks how old the newest observation is.
     fn watch(&mut self, now: u64, out: &mut impl SayTo) {
-        let is_watched =
-            matches!(self.state, LiveState::Silent | LiveState::Speaking | LiveState::Stale);
-        if !is_watched {
+        if !self.is_watched() {
             return;
         }
         let age = self.age(now);
@@ -909,6 +920,16 @@ impl LiveSession {
             last_utterance: self.utterance.number,
             counts: self.counts,
         }
+    }
+
+    /// Returns how long the past is kept of a client that says nothing, in nanoseconds.
+    pub fn kept_for(&self) -> u64 {
+        self.lost_ns + KEPT
+    }
+
+    /// Forgets the past, but not the numbers: the next observation begins an episode.
+    pub fn forget(&mut self) {
+        self.is_begun = false;
     }
 
     /// Goes on from a snapshot, silent: whatever was being said has been cut with the process that said it. `false` if it is

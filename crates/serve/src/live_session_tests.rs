@@ -242,7 +242,7 @@ fn a_client_that_is_gone_is_not_spoken_to_and_may_come_back() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe_from_to(0, 100);
     bench.session.note_presence(false);
-    bench.session.tick(bench.told.now, &mut bench.decider, &mut bench.told);
+    bench.until(100);
     assert_eq!(bench.events().last(), Some(&SayEvent::Cut));
     assert_eq!((bench.state(), bench.session.why()), (LiveState::Lost, &Silence::ClientGone));
     bench.until(20_000);
@@ -258,6 +258,18 @@ fn a_client_that_is_gone_is_not_spoken_to_and_may_come_back() {
     let n = bench.told.says.len();
     bench.observe();
     assert_eq!(bench.told.says[n].1.step, 0, "after 30 s it is a new episode");
+}
+
+#[test]
+fn a_simulator_that_is_gone_is_noticed_at_once() {
+    let mut bench = Bench::open(true, &json!({"clock": "observation"}));
+    bench.observe();
+    bench.until(400);
+    bench.session.note_presence(false);
+    bench.until(400);
+    assert_eq!((bench.events().last(), bench.state()), (Some(&SayEvent::Cut), LiveState::Lost));
+    bench.until(3_000);
+    assert_eq!(bench.events().last(), Some(&SayEvent::Cut));
 }
 
 #[test]
@@ -481,6 +493,13 @@ fn a_restarted_notifier_goes_on_with_the_same_decisions() {
     assert_eq!(said(&bench.told.says[n..]), said(&restarted.told.says));
     let first = restarted.told.says.iter().find(|(_, say)| say.utterance > 0).unwrap();
     assert!(first.1.utterance > bench.told.says[n - 1].1.utterance);
+    // Too late, only the numbers go on.
+    let mut late = Bench::open(true, &question);
+    assert!(late.session.restore(bench.session.snapshot()));
+    late.session.forget();
+    late.seq = bench.seq;
+    late.observe();
+    assert_eq!((late.told.says[0].1.step, late.session.last_seq()), (0, bench.seq + 1));
     let mut other = bench.session.snapshot();
     other.recurrent.push(0.0);
     assert!(!restarted.session.restore(other));

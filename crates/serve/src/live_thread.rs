@@ -13,7 +13,7 @@ use tracing::debug;
 use crate::heard::HeardReport;
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot, SayTo};
-use crate::robot::RobotVoice;
+use crate::robot::RobotWriter;
 use crate::status::{LiveState, Silence};
 use crate::taken::{TakenInput, TakenLog};
 use crate::working_policy::LiveDecider;
@@ -59,7 +59,7 @@ pub(crate) struct Hosted {
     pub(crate) session: LiveSession,
     pub(crate) port: LivePort,
     /// What tells a robot on keys of its own the same.
-    pub(crate) voice: Option<RobotVoice>,
+    pub(crate) writer: Option<RobotWriter>,
     pub(crate) taken: TakenLog,
 }
 
@@ -70,8 +70,8 @@ impl Hosted {
         clock: LiveClock,
         loudspeaker: Option<&'a Loudspeaker>,
     ) -> (&'a mut LiveSession, ToPort<'a>) {
-        let Self { session, port, voice, taken, .. } = self;
-        (session, ToPort { port, voice: voice.as_mut(), taken, loudspeaker, clock })
+        let Self { session, port, writer, taken, .. } = self;
+        (session, ToPort { port, writer: writer.as_mut(), taken, loudspeaker, clock })
     }
 
     /// Tells recorders what a robot observed on a key of its own.
@@ -144,7 +144,7 @@ impl LiveThread {
 /// Puts a session's events at its port and on the keys of its robot, and its sentences at the loudspeaker.
 struct ToPort<'a> {
     port: &'a LivePort,
-    voice: Option<&'a mut RobotVoice>,
+    writer: Option<&'a mut RobotWriter>,
     taken: &'a mut TakenLog,
     loudspeaker: Option<&'a Loudspeaker>,
     clock: LiveClock,
@@ -153,8 +153,8 @@ struct ToPort<'a> {
 impl SayTo for ToPort<'_> {
     fn say(&mut self, bytes: &[u8]) {
         self.taken.count_said();
-        if let Some(voice) = &mut self.voice {
-            voice.say(self.port, bytes, self.clock.now());
+        if let Some(writer) = &mut self.writer {
+            writer.say(self.port, bytes, self.clock.now());
         }
         if let Err(error) = self.port.say(bytes) {
             debug!(%error, "an event could not be put");
@@ -162,8 +162,8 @@ impl SayTo for ToPort<'_> {
     }
 
     fn status(&mut self, bytes: &[u8]) {
-        if let Some(voice) = &mut self.voice {
-            voice.status(self.port, bytes, self.clock.now());
+        if let Some(writer) = &mut self.writer {
+            writer.status(self.port, bytes, self.clock.now());
         }
         if let Err(error) = self.port.status(bytes) {
             debug!(%error, "a status could not be put");
@@ -199,9 +199,7 @@ impl Loop {
             while let Ok(order) = orders.try_recv() {
                 match order {
                     ThreadOrder::Add(hosted) => self.hosted.push(*hosted),
-                    ThreadOrder::Remove(client) => {
-                        self.hosted.retain(|hosted| hosted.client != client);
-                    }
+                    ThreadOrder::Remove(client) => self.remove(&client),
                     ThreadOrder::Presence(client, start, is_here) => {
                         self.note_presence(&client, start, is_here);
                     }
@@ -217,6 +215,19 @@ impl Loop {
             self.report();
             self.sleep();
         }
+    }
+
+    /// Cuts what a session says and forgets it. Its status is not told: the client has another session by now.
+    fn remove(&mut self, client: &ClientName) {
+        let (now, clock, loudspeaker) = (self.clock.now(), self.clock, self.loudspeaker.as_ref());
+        self.hosted.retain_mut(|hosted| {
+            let is_removed = hosted.client == *client;
+            if is_removed {
+                let (session, mut out) = hosted.parts(clock, loudspeaker);
+                session.break_off(now, &mut out);
+            }
+            !is_removed
+        });
     }
 
     fn note_presence(&mut self, client: &ClientName, start: Incarnation, is_here: bool) {

@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use crate::json_fault::{FieldRule, JsonFault, described, no_count, no_number, no_text};
 use crate::robot::ObservationSource;
-use crate::working_policy::{PolicyOrigin, WorkingPolicy};
+use crate::working_policy::{PolicyOrigin, WorkingPolicy, told_voice};
 
 /// The version of the messages between a notifier at work and its clients.
 pub const LIVE_PROTOCOL: u32 = 1;
@@ -83,7 +83,7 @@ struct OpenRequest {
 }
 
 /// What each key of a question has to be.
-const RULES: [FieldRule; 12] = {
+const RULES: [FieldRule; 13] = {
     const fn rule(
         name: &'static str,
         expected: &'static str,
@@ -110,6 +110,7 @@ const RULES: [FieldRule; 12] = {
         rule("lost_after", "a time in seconds", |it| or_null(it, no_number)),
         rule("seed", "a whole number from 0", |it| or_null(it, no_count)),
         rule("words", "a text", |it| or_null(it, no_text)),
+        rule("word_clock", "voice or steps", |it| no_choice(it, &["voice", "steps"])),
         rule("person", "anything", |_| None),
         rule("incarnation", "16 hexadecimal digits, as a text", |it| or_null(it, no_text)),
         rule("encoding", "json or binary", |it| no_choice(it, &["json", "binary"])),
@@ -313,7 +314,7 @@ pub struct SessionNote {
 /// The voice of a notifier, for clients.
 #[derive(Clone, Debug, Serialize)]
 pub struct VoiceNote {
-    /// Its name.
+    /// Its name; of a helper and of a directory the kind alone.
     pub name: String,
     /// Samples per second; 0 where the notifier knows times without sound.
     pub rate: u32,
@@ -325,7 +326,7 @@ pub struct VoiceNote {
 
 impl From<&VoiceBook> for VoiceNote {
     fn from(voice: &VoiceBook) -> Self {
-        let (name, rate) = (voice.name.clone(), voice.rate);
+        let (name, rate) = (told_voice(&voice.name).to_owned(), voice.rate);
         Self { name, rate, sentences: voice.sentences().count(), estimated: voice.n_estimated() }
     }
 }
@@ -406,5 +407,62 @@ impl<'a> SessionAnswer<'a> {
             voice: policy.voice().as_deref().map(VoiceNote::from),
             notes: &plan.notes,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_episodes::Choice;
+    use leadtime_policy::Parameters;
+    use leadtime_proto::{PolicySpec, TaskSpec};
+    use serde_json::json;
+
+    use super::*;
+
+    /// The longest answer to a client that takes 24 bytes per event, in bytes.
+    const MAX_BRIEF: usize = 2_000;
+
+    fn policy(domain: &str) -> WorkingPolicy {
+        let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
+        let env = leadtime_worlds::builtin().build(&task).unwrap();
+        let spec = PolicySpec::dense(env.spec(), &[8]);
+        let parameters = Parameters::initialize(&spec, 1).unwrap();
+        let words = leadtime_taxonomy::shipped(domain).unwrap();
+        let choice = Choice::Greedy;
+        WorkingPolicy::new(domain, env.as_ref(), &spec, &parameters, choice, Some(words)).unwrap()
+    }
+
+    #[test]
+    fn every_field_of_a_question_has_a_rule() {
+        let told = serde_json::from_str::<OpenRequest>(r#"{"?":1}"#).unwrap_err().to_string();
+        let fields: Vec<&str> = told.split('`').skip(3).step_by(2).collect();
+        assert_eq!(RULES.map(|rule| rule.name)[..], fields, "{told}");
+        let question = br#"{"protocol":1,"domain":"lander","word_clock":"steps","clock":"tmer"}"#;
+        let told = SessionPlan::read(question, &policy("lander"), 1).unwrap_err().to_string();
+        assert!(
+            told.ends_with("`clock` has to be timer, observation or word; it is \"tmer\""),
+            "{told}"
+        );
+    }
+
+    #[test]
+    fn a_brief_answer_is_brief_and_names_no_command() {
+        for domain in ["lander", "highway", "steakhouse"] {
+            let origin =
+                PolicyOrigin { voice: "pipe:say --key abc".to_owned(), ..Default::default() };
+            let book = VoiceBook::new(format!("pipe:say --key {}", "a".repeat(2_000)), Vec::new());
+            let policy = policy(domain).with_voice(Some(book)).put_to_work(origin);
+            assert_eq!(policy.origin.voice, "pipe");
+            let question =
+                json!({"protocol": 1, "domain": domain, "encoding": "binary", "person": {}});
+            let plan =
+                SessionPlan::read(question.to_string().as_bytes(), &policy, u64::MAX).unwrap();
+            let answer = SessionAnswer::new("0123abcd", &plan, &policy, u64::MAX);
+            let answer = serde_json::to_string(&answer).unwrap();
+            assert!(answer.len() < MAX_BRIEF, "{domain}: {} bytes", answer.len());
+            assert!(answer.contains(r#""name":"pipe""#) && !answer.contains("--key"), "{answer}");
+        }
+        assert_eq!(told_voice("recorded:/home/me/words"), "recorded");
+        assert_eq!(told_voice("flite:slt"), "flite:slt");
     }
 }

@@ -15,11 +15,11 @@ use tracing::{info, warn};
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot};
 use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
-use crate::open::{OpenRefusal, SessionAnswer, SessionNote, SessionPlan};
-use crate::robot::{ObservationSource, RobotVoice, StandingSession};
+use crate::open::{OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan};
+use crate::robot::{ObservationSource, RobotWriter, StandingSession};
 use crate::status::LiveState;
 use crate::taken::TakenLog;
-use crate::working_policy::{LiveDecider, WorkingPolicy};
+use crate::working_policy::{LiveDecider, PolicyOrigin, WorkingPolicy};
 
 /// The most sessions of a notifier.
 pub const MAX_SESSIONS: usize = 64;
@@ -52,6 +52,8 @@ pub struct ServiceSettings {
     pub store: Option<Arc<dyn StateStore>>,
     /// What plays the sentences here; nothing by default.
     pub loudspeaker: Option<Loudspeaker>,
+    /// What the wall clock shows now, in nanoseconds: how old a kept state is.
+    pub unix: i64,
 }
 
 /// Why a notifier cannot work.
@@ -71,6 +73,10 @@ struct Registered {
     state: LiveState,
     question: Vec<u8>,
     answer: Vec<u8>,
+    /// The same answer as a client is given it that has room for everything, for recorders.
+    whole: Vec<u8>,
+    /// The key and the form of a robot's observations.
+    place: Option<String>,
     /// The command line opened it, and nobody else may have its place.
     is_standing: bool,
 }
@@ -79,9 +85,19 @@ struct Registered {
 #[derive(Serialize, Deserialize)]
 struct KeptSession {
     id: String,
-    policy: String,
+    origin: PolicyOrigin,
+    words: u32,
+    voice: Option<String>,
+    place: Option<String>,
     question: Vec<u8>,
+    /// When, by the wall clock, in nanoseconds.
+    at: i64,
     snapshot: LiveSnapshot,
+}
+
+/// Returns a time in nanoseconds as a number that may be less than zero.
+fn signed(time: u64) -> i64 {
+    i64::try_from(time).unwrap_or(i64::MAX)
 }
 
 /// A notifier at work.
@@ -94,6 +110,8 @@ pub struct LiveService {
     events: flume::Receiver<LiveEvent>,
     own: Incarnation,
     clock: LiveClock,
+    /// What the wall clock showed when the notifier's own clock was at zero, in nanoseconds.
+    epoch: i64,
     threads: Vec<LiveThread>,
     n_opened: u64,
     open: BTreeMap<ClientName, Registered>,
@@ -123,7 +141,9 @@ impl LiveService {
             LiveThread::start(format!("live-{i}"), decider, clock, spins, loudspeaker, sender)
         };
         let threads = (0..n_threads).map(start).collect::<Result<_, _>>();
+        let epoch = settings.unix.saturating_sub(signed(clock.now()));
         Ok(Self {
+            epoch,
             threads: threads.map_err(ServiceError::Thread)?,
             decider,
             policy,
@@ -218,7 +238,7 @@ impl LiveService {
             session: registered.id.clone(),
             start: format!("{:016x}", self.own.0),
             question: serde_json::from_slice(&registered.question).ok()?,
-            answer: serde_json::from_slice(&registered.answer).ok()?,
+            answer: serde_json::from_slice(&registered.whole).ok()?,
             policy: self.policy.origin.clone(),
             words_checksum: self.policy.words_checksum(),
         };
@@ -258,12 +278,12 @@ impl LiveService {
     pub fn stand(&mut self, standing: StandingSession) -> Result<(), OpenRefusal> {
         let plan = SessionPlan::read(&standing.question, &self.policy, self.settings.seed)?;
         let plan = SessionPlan { source: ObservationSource::Robot(standing.form), ..plan };
-        let StandingSession { client, question, keys, voice, .. } = standing;
+        let StandingSession { client, question, keys, writer, .. } = standing;
         for note in &plan.notes {
             info!(%client, note, "what the robot would be told");
         }
-        let voice = voice.started_at(self.clock.now());
-        self.host(&client, question, &plan, Some((keys, voice))).map(drop)
+        let writer = writer.started_at(self.clock.now());
+        self.host(&client, question, &plan, Some((keys, writer))).map(drop)
     }
 
     /// Makes a session and gives it to a thread; returns the answer to its question.
@@ -272,23 +292,28 @@ impl LiveService {
         client: &ClientName,
         question: Vec<u8>,
         plan: &SessionPlan,
-        robot: Option<(RobotKeys, RobotVoice)>,
+        robot: Option<(RobotKeys, RobotWriter)>,
     ) -> Result<Vec<u8>, OpenRefusal> {
         let start = plan.incarnation.map(Incarnation);
-        let (session, notes) = self.session(client, &question, plan.clone());
+        let place =
+            robot.as_ref().map(|(keys, _)| format!("{} {:?}", keys.observations, plan.source));
+        let (session, notes) = self.session(client, &question, place.as_deref(), plan.clone());
         let taken = TakenLog::new(self.own, session.counts().taken > 0);
         let answered = SessionPlan { notes, ..plan.clone() };
         let answer = SessionAnswer::new(session.id(), &answered, &self.policy, session.last_seq());
         let answer = serde_json::to_vec(&answer)?;
+        let whole = SessionPlan { form: SayForm::Json, ..answered };
+        let whole = SessionAnswer::new(session.id(), &whole, &self.policy, session.last_seq());
+        let whole = serde_json::to_vec(&whole)?;
         let thread = self.idlest_thread();
-        let is_raw = answered.form == crate::open::SayForm::Binary;
-        let (keys, voice) = robot.unzip();
+        let is_raw = plan.form == SayForm::Binary;
+        let (keys, writer) = robot.unzip();
         let port = self.link.port(client, is_raw, keys.as_ref(), self.threads[thread].waker())?;
         let (client, id) = (client.clone(), session.id().to_owned());
         info!(%client, session = id, "a session is open");
-        let is_standing = voice.is_some();
+        let is_standing = writer.is_some();
         let name = client.clone();
-        let hosted = Hosted { client: name, incarnation: start, session, port, voice, taken };
+        let hosted = Hosted { client: name, incarnation: start, session, port, writer, taken };
         if !self.threads[thread].order(ThreadOrder::Add(Box::new(hosted))) {
             return Err(OpenRefusal::Full(self.open.len()));
         }
@@ -300,6 +325,8 @@ impl LiveService {
             state,
             question,
             answer: answer.clone(),
+            whole,
+            place,
             is_standing,
         };
         self.open.insert(client, registered);
@@ -321,6 +348,7 @@ impl LiveService {
         &mut self,
         client: &ClientName,
         question: &[u8],
+        place: Option<&str>,
         plan: SessionPlan,
     ) -> (LiveSession, Vec<String>) {
         let mut notes = plan.notes.clone();
@@ -328,20 +356,40 @@ impl LiveService {
         let kept: Option<KeptSession> = kept.and_then(|bytes| read_snapshot(&bytes).ok());
         let is_same = |kept: &KeptSession| {
             let is_known = plan.incarnation.is_some() || plan.source != ObservationSource::Client;
-            kept.policy == self.policy.sha256 && kept.question == question && is_known
+            let is_policy = kept.origin == self.policy.origin
+                && kept.words == self.policy.words_checksum()
+                && kept.voice == self.voice_name();
+            is_policy && kept.place.as_deref() == place && kept.question == question && is_known
         };
         let now = self.clock.now();
         let make = |id, plan| LiveSession::new(id, plan, &self.policy, &self.decider, now);
         if let Some(kept) = kept.filter(is_same) {
             let mut session = make(kept.id, plan.clone());
             if session.restore(kept.snapshot) {
-                notes.push("the session goes on where it was".to_owned());
+                let age = u64::try_from(self.unix(now).saturating_sub(kept.at));
+                if age.is_ok_and(|age| age <= session.kept_for()) {
+                    notes.push("the session goes on where it was".to_owned());
+                } else {
+                    session.forget();
+                    let note = "the numbers go on where they were; what was said is too long ago, so an episode begins";
+                    notes.push(note.to_owned());
+                }
                 return (session, notes);
             }
         }
         self.n_opened += 1;
         let id = self.own.0.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(self.n_opened);
         (make(format!("{:08x}", id as u32), plan), notes)
+    }
+
+    /// Returns what the wall clock shows when the notifier's own clock shows `now`, in nanoseconds.
+    fn unix(&self, now: u64) -> i64 {
+        self.epoch.saturating_add(signed(now))
+    }
+
+    /// Returns the name of the voice, with everything that belongs to it.
+    fn voice_name(&self) -> Option<String> {
+        self.policy.voice().map(|voice| voice.name.clone())
     }
 
     /// Tells whether the client of a session is there.
@@ -371,6 +419,7 @@ impl LiveService {
                 }
             }
             ThreadReport::State { client, id, state, snapshot } => {
+                let (at, voice) = (self.unix(self.clock.now()), self.voice_name());
                 let Some(registered) = self.open.get_mut(&client) else { return };
                 if registered.id != id {
                     return;
@@ -379,7 +428,11 @@ impl LiveService {
                 let Some(store) = &self.settings.store else { return };
                 let kept = KeptSession {
                     id,
-                    policy: self.policy.sha256.clone(),
+                    origin: self.policy.origin.clone(),
+                    words: self.policy.words_checksum(),
+                    voice,
+                    place: registered.place.clone(),
+                    at,
                     question: registered.question.clone(),
                     snapshot: *snapshot,
                 };

@@ -41,9 +41,18 @@ pub struct PolicyOrigin {
     pub action: Choice,
     /// The words: a database, `shipped` or `none`.
     pub words: String,
-    /// The voice, whose words take the times that they take, as `--voice` names it.
+    /// The voice, whose words take the times that they take, as `--voice` names it; of `pipe:COMMAND` and `recorded:DIR` the kind
+    /// alone.
     #[serde(default = "silent")]
     pub voice: String,
+}
+
+/// Returns how others are told of a voice that `--voice` names: commands and paths of this machine are no affair of theirs.
+pub fn told_voice(name: &str) -> &str {
+    match name.split_once(':') {
+        Some((kind @ ("pipe" | "recorded"), _)) => kind,
+        _ => name,
+    }
 }
 
 /// The voice of recordings that name none: words without sound.
@@ -128,7 +137,8 @@ impl WorkingPolicy {
 
     /// Says how it was put to work, for recordings.
     pub fn put_to_work(self, origin: PolicyOrigin) -> Self {
-        Self { origin, ..self }
+        let voice = told_voice(&origin.voice).to_owned();
+        Self { origin: PolicyOrigin { voice, ..origin }, ..self }
     }
 
     /// Returns a checksum over every sentence in order: two databases with the same one say the same.

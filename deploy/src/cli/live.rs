@@ -147,7 +147,7 @@ pub(crate) struct DriveArgs {
     #[arg(long, conflicts_with = "clock")]
     pub max_speed: bool,
     /// How long a step (a word) takes by the clock, in seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.3)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, default_value_t = 0.3)]
     pub seconds_per_step: f64,
     /// Send raw numbers and take 24 bytes per event instead of JSON.
     #[arg(long)]
@@ -262,4 +262,10 @@ fn clock() -> impl clap::builder::TypedValueParser<Value = StepClock> {
     use clap::builder::{PossibleValuesParser, TypedValueParser as _};
     let clock = |name| if name == "timer" { StepClock::Timer } else { StepClock::Observation };
     PossibleValuesParser::new(["timer", "observation"]).map(clock)
+}
+
+/// Reads a time in seconds: `nan` would count as left out where it is written as JSON.
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| "write a number of seconds, as 0.3".to_owned())
 }

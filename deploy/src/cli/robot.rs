@@ -6,6 +6,8 @@ use leadtime_proto::ClientName;
 use leadtime_serve::StepClock;
 use leadtime_serve::robot::ros2::MAX_DOMAIN;
 
+use super::live::seconds;
+
 /// A robot with keys of its own.
 #[derive(Debug, Args)]
 pub(crate) struct RobotArgs {
@@ -41,14 +43,14 @@ pub(crate) struct RobotArgs {
     #[arg(requires = "robot", help_heading = HEADING)]
     pub clock: StepClock,
     /// How long a step (a word) takes, in seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.3, requires = "robot")]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, default_value_t = 0.3, requires = "robot")]
     #[arg(help_heading = HEADING)]
     pub seconds_per_step: f64,
     /// From which age on an observation is too old, in seconds (default: as for any client).
-    #[arg(long, value_name = "SECONDS", requires = "robot", help_heading = HEADING)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, requires = "robot", help_heading = HEADING)]
     pub stale_after: Option<f64>,
     /// After which silence the robot counts as lost, in seconds (default: as for any client).
-    #[arg(long, value_name = "SECONDS", requires = "robot", help_heading = HEADING)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, requires = "robot", help_heading = HEADING)]
     pub lost_after: Option<f64>,
 }
 

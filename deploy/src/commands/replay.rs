@@ -9,7 +9,6 @@ use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_link::live::LiveClientLink;
 use leadtime_proto::phrase::counted;
-use leadtime_proto::text::quoted;
 use leadtime_recording::{
     Error as RecordingError, RecordedInput, RecordedSession, ReplayDifference, ReplayOutcome,
     ReplayTarget, SessionAtHand, SessionOverNetwork, StartedMessage, Stretch, check_for_network,
@@ -17,7 +16,7 @@ use leadtime_recording::{
 };
 use leadtime_runs::{Tasks, clock};
 use leadtime_serve::{
-    HeardSay, PolicyOrigin, SayEvent, SessionNote, StepClock, WordClock, WorkingPolicy,
+    HeardSay, PolicyOrigin, SayEvent, SessionNote, StepClock, WordClock, WorkingPolicy, told_voice,
 };
 use leadtime_table::Table;
 use leadtime_voice::VoiceChoice;
@@ -171,18 +170,16 @@ impl Policies {
                 path.display()
             )));
         }
-        let recorded = origin.voice.parse::<VoiceChoice>().blame(ExitCode::WrongInput)?;
-        let voice = match (&self.args.voice, recorded) {
+        // Of a command and of a directory a recording has the kind alone; one that has more must not be able to start a command.
+        let voice = match (&self.args.voice, told_voice(&origin.voice)) {
             (Some(given), _) => given.clone(),
-            // A file must not be able to start a command.
-            (None, VoiceChoice::Pipe(command)) => {
+            (None, kind @ ("pipe" | "recorded")) => {
                 return Err(Failure::input(format!(
-                    "the voice of the recording is the command {}, which is not started because a file says so: give it with --voice, \
-                     or `--voice text` if every observation was a step",
-                    quoted(&command)
+                    "the voice of the recording is of the kind `{kind}`, and what belongs to it is on the machine of its notifier: \
+                     give it with --voice, or `--voice text` if every observation was a step"
                 )));
             }
-            (None, recorded) => recorded,
+            (None, name) => name.parse::<VoiceChoice>().blame(ExitCode::WrongInput)?,
         };
         let args = ServeArgs::of_origin(path, origin, &voice, &self.args.runs);
         let args = args.map_err(|error| Failure::input(error.kind().to_string()))?;

@@ -65,6 +65,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
         spins: !args.no_spin,
         store,
         loudspeaker,
+        unix: i64::try_from(clock::now().as_nanosecond()).unwrap_or(i64::MAX),
     };
     let standing = standing(&args.robot, &domain, (service, own), &link.zid());
     let standing = standing.context("--ros2-topic").blame(ExitCode::WrongInput)?;

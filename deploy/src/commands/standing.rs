@@ -4,7 +4,7 @@ use leadtime_link::live::RobotKeys;
 use leadtime_proto::{Incarnation, ServiceName};
 use leadtime_runs::clock;
 use leadtime_serve::robot::ros2::{BadTopic, Distro, Ros2Names};
-use leadtime_serve::{RobotForm, RobotVoice, SayForm, StandingSession};
+use leadtime_serve::{RobotForm, RobotWriter, SayForm, StandingSession};
 use serde_json::json;
 
 use crate::cli::{DistroName, ObsForm, RobotArgs, SayKeyForm};
@@ -37,9 +37,9 @@ pub(super) fn standing(
             encoding: "zenoh/bytes",
         };
         let unix = i64::try_from(clock::now().as_nanosecond()).unwrap_or(i64::MAX);
-        let voice = RobotVoice::ros2(own.0, unix);
+        let writer = RobotWriter::ros2(own.0, unix);
         let question = question(args, domain, SayForm::Json);
-        let standing = StandingSession { client, question, keys, form: RobotForm::Ros2, voice };
+        let standing = StandingSession { client, question, keys, form: RobotForm::Ros2, writer };
         return Ok(Some((standing, names.to_string())));
     }
     let Some(observations) = args.obs_key.clone() else { return Ok(None) };
@@ -49,16 +49,16 @@ pub(super) fn standing(
         ObsForm::Cdr => RobotForm::Cdr,
     };
     let usual = if form == RobotForm::Cdr { SayKeyForm::Cdr } else { SayKeyForm::Json };
-    let (voice, say_form, encoding) = match args.say_form.unwrap_or(usual) {
-        SayKeyForm::Json => (RobotVoice::plain(), SayForm::Json, "application/json"),
-        SayKeyForm::Binary => (RobotVoice::plain(), SayForm::Binary, "application/octet-stream"),
-        SayKeyForm::Cdr => (RobotVoice::cdr(), SayForm::Json, "application/cdr"),
+    let (writer, say_form, encoding) = match args.say_form.unwrap_or(usual) {
+        SayKeyForm::Json => (RobotWriter::plain(), SayForm::Json, "application/json"),
+        SayKeyForm::Binary => (RobotWriter::plain(), SayForm::Binary, "application/octet-stream"),
+        SayKeyForm::Cdr => (RobotWriter::cdr(), SayForm::Json, "application/cdr"),
     };
     let place = format!("`{observations}`");
     let (say, status, tokens) = (args.say_key.clone(), None, Vec::new());
     let keys = RobotKeys { observations, say, status, tokens, encoding };
     let question = question(args, domain, say_form);
-    Ok(Some((StandingSession { client, question, keys, form, voice }, place)))
+    Ok(Some((StandingSession { client, question, keys, form, writer }, place)))
 }
 
 /// Asks what a client would ask.

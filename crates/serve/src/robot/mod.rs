@@ -17,9 +17,9 @@ mod form;
 mod reader;
 pub mod ros2;
 mod standing;
-mod voice;
+mod writer;
 
 pub use form::{ObservationSource, RobotForm};
 pub(crate) use reader::{Arrived, RobotReader};
 pub use standing::StandingSession;
-pub use voice::RobotVoice;
+pub use writer::RobotWriter;

@@ -2,7 +2,7 @@
 //!
 //! | what is beside or in it | number | time |
 //! |---|---|---|
-//! | `seq` and `t` of our JSON | its own | its own |
+//! | `seq` and `t` of our JSON | its own, counted on after a restart | the same |
 //! | what `rmw_zenoh` puts beside | its source's | its source's |
 //! | nothing | one more than the last: the order of arrival | that of its arrival |
 //!
@@ -12,7 +12,7 @@
 //! last observation whenever another source begins. That may be once the one before has been silent; two at once would tear what
 //! is observed, so the second one is refused.
 
-use crate::observation::{BadObservation, LiveObservation};
+use crate::observation::{BadObservation, LiveObservation, ObservationHead};
 use crate::robot::form::RobotForm;
 use crate::robot::ros2::SourceMark;
 
@@ -44,11 +44,13 @@ pub(crate) struct RobotReader {
     /// After which silence another source may begin, in nanoseconds.
     patience: u64,
     source: Option<KnownSource>,
+    /// What the numbers and times of a robot that counts itself are raised by.
+    raise: (i128, f64),
 }
 
 impl RobotReader {
     pub(crate) fn new(form: RobotForm, patience: u64) -> Self {
-        Self { form, patience, source: None }
+        Self { form, patience, source: None, raise: (0, 0.0) }
     }
 
     /// Reads an observation that arrived at `at`, in nanoseconds; tells whether it is the first of a source, with whose clock
@@ -65,8 +67,9 @@ impl RobotReader {
         last: Arrived,
     ) -> Result<bool, BadObservation> {
         let is_numbered = self.form.read(into, payload)?;
+        let is_quiet = last.at.is_none_or(|before| at.saturating_sub(before) > self.patience);
         if is_numbered {
-            return Ok(false);
+            return Ok(self.count_on(&mut into.head, last, is_quiet));
         }
         let mark = match (self.form, beside) {
             (RobotForm::Ros2, Some(beside)) => {
@@ -79,7 +82,6 @@ impl RobotReader {
         let next = last.seq.map_or(1, |seq| seq.saturating_add(1));
         let number = mark.map_or(i128::from(next), |mark| i128::from(mark.number));
         let clock = mark.map_or(i64::try_from(at).unwrap_or(i64::MAX), |mark| mark.time);
-        let is_quiet = last.at.is_none_or(|before| at.saturating_sub(before) > self.patience);
         let source = match self.source {
             Some(source) if source.gid != gid && !is_quiet => {
                 return Err(BadObservation::TwoSources);
@@ -104,6 +106,23 @@ impl RobotReader {
         });
         (into.head.seq, into.head.t) = (seq, t);
         Ok(is_first)
+    }
+
+    /// Raises the number and the time of a robot that counts itself. Once it was silent and is behind where it was, it has begun
+    /// anew; tells whether that is so.
+    fn count_on(&mut self, head: &mut ObservationHead, last: Arrived, is_quiet: bool) -> bool {
+        let own = (i128::from(head.seq), head.t);
+        let is_behind = last.seq.is_some_and(|before| {
+            own.0 + self.raise.0 <= i128::from(before) || own.1 + self.raise.1 < last.t
+        });
+        let is_first = is_quiet && is_behind;
+        if is_first {
+            let next = last.seq.map_or(1, |before| before.saturating_add(1));
+            self.raise = (i128::from(next) - own.0, last.t - own.1);
+        }
+        head.seq = u64::try_from((own.0 + self.raise.0).max(0)).unwrap_or(u64::MAX);
+        head.t = if is_first { last.t } else { own.1 + self.raise.1 };
+        is_first
     }
 }
 
@@ -182,6 +201,24 @@ mod tests {
         assert_eq!(bench.arrive(10, own, None), Ok((7, 2.5, false)));
         let half = bench.arrive(20, br#"{"obs":[1,2],"seq":8}"#, None).unwrap_err();
         assert!(half.ends_with("`t` is missing: the time by the client's own clock, in seconds"));
+    }
+
+    #[test]
+    fn a_robot_that_counts_itself_may_begin_anew_once_it_was_silent() {
+        let json = |seq: u64, t: f64| format!(r#"{{"obs":[1,2],"seq":{seq},"t":{t}}}"#);
+        let mut bench = Bench::new(RobotForm::Json);
+        let mut arrive = |ms, seq, t| bench.arrive(ms, json(seq, t).as_bytes(), None).unwrap();
+        assert_eq!(arrive(0, 400, 20.0), (400, 20.0, false));
+        // One that comes late is no new beginning.
+        assert_eq!(arrive(10, 399, 19.95), (399, 19.95, false));
+        assert_eq!(arrive(20, 1, 0.0), (1, 0.0, false));
+        assert_eq!(arrive(1_100, 2, 0.05), (401, 20.0, true));
+        assert_eq!(arrive(1_150, 3, 0.1), (402, 20.05, false));
+        // A silence alone changes nothing.
+        assert_eq!(arrive(9_000, 4, 8.0), (403, 27.95, false));
+        // It may count on, and have another clock.
+        assert_eq!(arrive(19_000, 9, 0.5), (404, 27.95, true));
+        assert_eq!(arrive(19_050, 10, 0.55), (405, 28.0, false));
     }
 
     #[test]

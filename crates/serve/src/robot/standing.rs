@@ -4,7 +4,7 @@ use leadtime_link::live::RobotKeys;
 use leadtime_proto::ClientName;
 
 use crate::robot::form::RobotForm;
-use crate::robot::voice::RobotVoice;
+use crate::robot::writer::RobotWriter;
 
 /// What is known of a robot that does not ask for its session. The session stays as long as the notifier.
 #[derive(Debug)]
@@ -18,5 +18,5 @@ pub struct StandingSession {
     /// The form of its observations.
     pub form: RobotForm,
     /// How it is told what is said.
-    pub voice: RobotVoice,
+    pub writer: RobotWriter,
 }

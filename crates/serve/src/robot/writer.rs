@@ -12,7 +12,7 @@ const STATUS: u8 = 3;
 
 /// How events and statuses are written for a robot.
 #[derive(Clone, Debug)]
-pub struct RobotVoice {
+pub struct RobotWriter {
     is_cdr: bool,
     /// Who says something, and as which message: of what is said, and of the status. `None` where nobody asks.
     marks: Option<[SourceMark; 2]>,
@@ -21,7 +21,7 @@ pub struct RobotVoice {
     written: Vec<u8>,
 }
 
-impl RobotVoice {
+impl RobotWriter {
     /// Writes what the session writes: JSON, or 24 bytes.
     pub fn plain() -> Self {
         Self { is_cdr: false, marks: None, epoch: 0, written: Vec::new() }
