@@ -128,7 +128,7 @@ impl<W: Write> LiveRecorder<W> {
         if !is_this || seen.is_recorded {
             return Ok(());
         }
-        seen.start = start.to_owned();
+        start.clone_into(&mut seen.start);
         seen.is_recorded = true;
         note["has_beginning"] = seen.has_beginning.into();
         self.n_sessions += 1;

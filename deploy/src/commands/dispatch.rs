@@ -5,8 +5,8 @@ use tokio::runtime;
 
 use super::{
     actor, certs, check, compare, config, conformance, describe, drive, eval, health, launch,
-    learner, new, pilot, play, probe, race, record, replay, report, router, runs, script_search,
-    serve, smoke, taxonomy, version, watch,
+    learner, new, pilot, play, probe, race, record, record_run, replay, report, router, runs,
+    script_search, serve, smoke, taxonomy, version, watch,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -38,7 +38,10 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         Command::Router(args) => block_on(router::run(&args)),
         Command::Serve(args) => block_on(serve::run(tasks, &args)),
         Command::Drive(args) => block_on(drive::run(tasks, &args)),
-        Command::Record(args) => block_on(record::run(&args)),
+        Command::Record(args) => match &args.run {
+            Some(run) => block_on(record_run::run(&args, run)),
+            None => block_on(record::run(&args)),
+        },
         Command::Replay(args) => block_on(replay::run(tasks, &args)),
         Command::Certs { command } => certs::run(&command),
         Command::Eval(args) => eval::run(tasks, &args),

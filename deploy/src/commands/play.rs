@@ -99,7 +99,7 @@ fn draw_recording(recording: &Path, args: &PlayArgs) -> Result<(), Failure> {
             let svg = svg.text;
             what = format!("session {} of {}", session.id, session.client);
             if sessions.len() > 1 {
-                what += &format!(", the first of {n} with something to show,");
+                what = format!("{what}, the first of {n} with something to show,");
             }
             match kind {
                 "svg" => svg.into_bytes(),

@@ -9,14 +9,14 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_link::live::{LiveRecorderLink, LiveSample, LiveTopic, SessionAsker};
+use leadtime_proto::ClientName;
 use leadtime_proto::phrase::{counted, duration};
-use leadtime_proto::{ClientName, RunName};
 use leadtime_recording::{Error as RecordingError, LiveRecorder, RecordingWriter};
 use leadtime_runs::clock;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 use tokio_util::sync::CancellationToken;
 
-use super::{drive, record_run};
+use super::drive;
 use crate::cli::RecordArgs;
 use crate::credentials::connect_settings;
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -30,16 +30,10 @@ const MAX_ASKED: usize = 64;
 
 pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
-    let roles = [Role::Recorder, Role::Observer];
-    let roles = if args.run.is_some() { &roles[..] } else { &roles[..1] };
-    let settings = connect_settings(&args.connect, &args.tls, roles);
+    let settings = connect_settings(&args.connect, &args.tls, &[Role::Recorder]);
     let mut settings = settings.blame(ExitCode::WrongInput)?;
     settings.timeout = args.connect_timeout;
     let mut file = NewFile::create(&args.output).blame(ExitCode::WrongInput)?;
-    if let Some(run) = &args.run {
-        let run = RunName::new(run.as_str()).context("--run").blame(ExitCode::WrongInput)?;
-        return record_run::run(args, run, &settings, file, shutdown).await;
-    }
     let open = LiveRecorderLink::open(&settings, &args.service, args.live.as_ref());
     let (link, samples) = tokio::select! {
         () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
@@ -219,7 +213,7 @@ pub(super) struct NewFile {
 }
 
 impl NewFile {
-    fn create(path: &Path) -> anyhow::Result<Self> {
+    pub(super) fn create(path: &Path) -> anyhow::Result<Self> {
         let file = File::options().write(true).create_new(true).open(path);
         let file = file.map_err(|error| match error.kind() {
             io::ErrorKind::AlreadyExists => {

@@ -4,8 +4,10 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::time::Instant;
 
+use anyhow::Context as _;
+use leadtime_certs::Role;
 use leadtime_link::keys::Key;
-use leadtime_link::{ConnectSettings, Events, ObserverEvent, ObserverLink};
+use leadtime_link::{Events, ObserverEvent, ObserverLink};
 use leadtime_proto::RunName;
 use leadtime_proto::phrase::counted;
 use leadtime_recording::{RecordedTopic, RecordingWriter};
@@ -16,18 +18,20 @@ use tokio_util::sync::CancellationToken;
 use super::drive;
 use super::record::{FLUSH_EVERY, NewFile, RecordFailure, arrived, begin, close, end, stop_after};
 use crate::cli::RecordArgs;
-use crate::exit::{ExitCode, Failure};
+use crate::credentials::connect_settings;
+use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::shutdown::{Watch, watch};
 
-pub(super) async fn run(
-    args: &RecordArgs,
-    run: RunName,
-    settings: &ConnectSettings,
-    mut file: NewFile,
-    shutdown: CancellationToken,
-) -> Result<(), Failure> {
+pub(super) async fn run(args: &RecordArgs, name: &str) -> Result<(), Failure> {
+    let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
+    let run = RunName::new(name).context("--run").blame(ExitCode::WrongInput)?;
+    let settings = connect_settings(&args.connect, &args.tls, &[Role::Recorder, Role::Observer]);
+    let mut settings = settings.blame(ExitCode::WrongInput)?;
+    settings.timeout = args.connect_timeout;
+    let mut file = NewFile::create(&args.output).blame(ExitCode::WrongInput)?;
     let opened = async {
-        let (link, events) = ObserverLink::open(settings).await?;
-        let run = link.find_run(settings, Some(run)).await?;
+        let (link, events) = ObserverLink::open(&settings).await?;
+        let run = link.find_run(&settings, Some(run)).await?;
         link.follow(&run)?;
         Ok((link, events, run))
     };

@@ -159,8 +159,8 @@ impl LivePort {
         let declare = || publisher(session, own, qos, Encoding::APPLICATION_JSON);
         let observed = robot.map(|_| declare()).transpose()?;
         let robot = robot.map(|keys| RobotPort::open(session, keys)).transpose()?;
-        let _subscribers = [observations, hearing];
-        Ok(Self { inbox, heard, say, status, taken, observed, robot, _subscribers })
+        let subscribers = [observations, hearing];
+        Ok(Self { inbox, heard, say, status, taken, observed, robot, _subscribers: subscribers })
     }
 
     /// Takes the newest observation, if one has arrived since the last time.
