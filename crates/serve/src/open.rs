@@ -34,7 +34,7 @@ pub enum StepClock {
     Timer,
     /// With every observation: for simulators.
     Observation,
-    /// Where a word begins that the client reports as heard; without reports as [`StepClock::Timer`].
+    /// Where a word ends, by the client's reports or the voice; without either as [`StepClock::Timer`].
     Word,
 }
 
