@@ -27,7 +27,7 @@ mod robot;
 mod taxonomy;
 mod worker;
 
-pub(crate) use live::{DriveArgs, RecordArgs, ReplayArgs, ReplaySpeed, ServeArgs};
+pub(crate) use live::{DriveArgs, NotifierArgs, RecordArgs, ReplayArgs, ReplaySpeed, ServeArgs};
 pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,

@@ -2,14 +2,15 @@
 
 use std::fs;
 use std::path::Path;
+use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use leadtime_certs::{Identity, Role};
 use leadtime_link::{AccessList, ConnectSettings, Endpoint, Error as LinkError, ListenSettings};
 use leadtime_runs::clock;
 
-use crate::cli::{self, GuardArgs, TlsArgs};
-use crate::exit::{ExitCode, Failure};
+use crate::cli::{self, GuardArgs, NotifierArgs, TlsArgs};
+use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// Reads and checks the certificate of this process, which has to be of one of these roles; `None` without --tls.
 pub(crate) fn identity(args: &TlsArgs, roles: &[Role]) -> anyhow::Result<Option<Identity>> {
@@ -37,15 +38,26 @@ pub(crate) fn endpoints(
     }
 }
 
-/// Returns how to dial these addresses.
+/// Returns how to dial these addresses, and for how long to look for who is wanted there.
 pub(crate) fn connect_settings(
     connect: &[String],
     args: &TlsArgs,
+    timeout: Duration,
     roles: &[Role],
 ) -> anyhow::Result<ConnectSettings> {
     let identity = identity(args, roles)?;
     let endpoints = endpoints(connect, identity.as_ref()).context("--connect")?;
-    Ok(ConnectSettings { identity, ..ConnectSettings::new(endpoints) })
+    Ok(ConnectSettings { identity, timeout, ..ConnectSettings::new(endpoints) })
+}
+
+/// Returns how to reach a notifier at work.
+pub(crate) fn notifier_settings(
+    connect: &[String],
+    args: &NotifierArgs,
+    roles: &[Role],
+) -> Result<ConnectSettings, Failure> {
+    let settings = connect_settings(connect, &args.tls, args.connect_timeout, roles);
+    settings.blame(ExitCode::WrongInput)
 }
 
 /// Returns how to listen at these addresses, and warns if strangers can reach one.

@@ -66,6 +66,29 @@ def make_spaces(world):
     return spaces.Box(low, high, dtype=np.float32), spaces.Discrete(sizes[0]) if single else spaces.MultiDiscrete(sizes), single
 
 
+def choices_of(action):
+    """Returns an action as a list with one choice per head."""
+    # A policy of ours gives a list, also of a single choice.
+    return [int(action)] if np.ndim(action) == 0 else action.tolist() if isinstance(action, np.ndarray) else list(map(int, action))
+
+
+class Episodes:
+    """Which episode comes next: the first of the run with a seed, and then its others in order."""
+
+    def __init__(self):
+        self._seed, self._next = None, 0
+
+    def begin(self, seed, options, draw):
+        """Returns run seed and number of the episode that begins; ``draw`` gives a seed where none was ever named."""
+        if seed is not None:
+            self._seed, self._next = seed % SEEDS, 0
+        elif self._seed is None:
+            self._seed = int(draw())
+        episode = int((options or {}).get("episode", self._next))
+        self._next = episode + 1
+        return self._seed, episode
+
+
 class LeadtimeEnv(gymnasium.Env):
     """One environment.
 
@@ -85,24 +108,16 @@ class LeadtimeEnv(gymnasium.Env):
             self.world.film()
         self.observation_space, self.action_space, self._single = make_spaces(self.world)
         self._metrics = self.world.metric_names
-        self._seed, self._episode = None, 0
+        self._episodes = Episodes()
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        if seed is not None:
-            self._seed, self._episode = seed % SEEDS, 0
-        elif self._seed is None:
-            self._seed, self._episode = int(self.np_random.integers(SEEDS)), 0
-        self._episode = int((options or {}).get("episode", self._episode))
-        observation, mask = self.world.reset(self._seed, self._episode)
-        self._episode += 1
+        observation, mask = self.world.reset(*self._episodes.begin(seed, options, lambda: self.np_random.integers(SEEDS)))
         self._mask = mask
         return observation, {"action_mask": mask}
 
     def step(self, action):
-        # A policy of ours gives a list, also of a single choice.
-        choices = [int(action)] if np.ndim(action) == 0 else action.tolist() if isinstance(action, np.ndarray) else list(map(int, action))
-        observation, reward, terminated, truncated, self._mask = self.world.step(choices)
+        observation, reward, terminated, truncated, self._mask = self.world.step(choices_of(action))
         info = {"action_mask": self._mask}
         if terminated or truncated:
             info.update(ending(self._metrics, self.world.metrics()))

@@ -21,7 +21,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from leadtime._native import Pair, World
-from leadtime.gym import SEEDS, changes, ending, make_spaces
+from leadtime.gym import SEEDS, Episodes, changes, choices_of, ending, make_spaces
 
 NOTIFIER, PERSON = "notifier", "person"
 
@@ -42,7 +42,7 @@ class parallel_env(ParallelEnv):
         self.action_spaces = {NOTIFIER: action, PERSON: spaces.Discrete(1 + len(self.pair.topics))}
         self._sizes = [len(choices) for _, choices in world.heads]
         self._metrics = world.metric_names
-        self._seed, self._episode = None, 0
+        self._episodes = Episodes()
 
     def observation_space(self, agent):
         return self.observation_spaces[agent]
@@ -51,13 +51,7 @@ class parallel_env(ParallelEnv):
         return self.action_spaces[agent]
 
     def reset(self, seed=None, options=None):
-        if seed is not None:
-            self._seed, self._episode = seed % SEEDS, 0
-        elif self._seed is None:
-            self._seed = int(seeding.np_random()[0].integers(SEEDS))
-        self._episode = int((options or {}).get("episode", self._episode))
-        views = self.pair.reset(self._seed, self._episode)
-        self._episode += 1
+        views = self.pair.reset(*self._episodes.begin(seed, options, lambda: seeding.np_random()[0].integers(SEEDS)))
         self.agents = list(self.possible_agents)
         return self._told(views)
 
@@ -69,9 +63,7 @@ class parallel_env(ParallelEnv):
                 raise ValueError(f"actions {sorted(actions)}: `{agent}` has none")
         if not self.action_spaces[PERSON].contains(actions[PERSON]):
             raise ValueError(f"the person's action {actions[PERSON]!r}; allowed: one of {self.action_spaces[PERSON]}")
-        chosen = actions[NOTIFIER]
-        choices = [int(chosen)] if np.ndim(chosen) == 0 else [int(choice) for choice in chosen]
-        views, rewards, (terminated, truncated) = self.pair.step(choices, int(actions[PERSON]) - 1)
+        views, rewards, (terminated, truncated) = self.pair.step(choices_of(actions[NOTIFIER]), int(actions[PERSON]) - 1)
         observations, infos = self._told(views)
         if terminated or truncated:
             told = ending(self._metrics, self.pair.metrics())

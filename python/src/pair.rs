@@ -20,6 +20,15 @@ type BothViews<'py> =
 #[pyclass(module = "leadtime._native", frozen)]
 pub(crate) struct Pair {
     both: Mutex<Box<dyn TwoPlayers>>,
+    /// Length of what the person sees.
+    person_dim: usize,
+}
+
+impl Pair {
+    /// Makes room for what both see.
+    fn rows(&self, both: &dyn TwoPlayers) -> (Vec<f32>, Vec<f32>) {
+        (vec![0.0; both.notifier().spec().obs_dim], vec![0.0; self.person_dim])
+    }
 }
 
 #[pymethods]
@@ -27,8 +36,9 @@ impl Pair {
     /// Makes the environment of a configuration; the changes are `section.key=value`.
     #[new]
     fn new(config: &str, set: Vec<String>, evaluation: bool) -> PyResult<Self> {
-        let both = Mutex::new(PlayedTask::read(config, &set, evaluation)?.build_pair()?);
-        Ok(Self { both })
+        let both = PlayedTask::read(config, &set, evaluation)?.build_pair()?;
+        let person_dim = both.person_quantities().len();
+        Ok(Self { both: Mutex::new(both), person_dim })
     }
 
     /// The topics that the person can carry out.
@@ -47,7 +57,7 @@ impl Pair {
     /// Starts an episode: the one of this index of the run with this seed, in its environment 0.
     fn reset<'py>(&self, py: Python<'py>, seed: u64, episode: u64) -> BothViews<'py> {
         let mut both = unpoisoned(&self.both);
-        let (mut notifier, mut person) = rows(both.as_ref());
+        let (mut notifier, mut person) = self.rows(both.as_ref());
         let seed = EpisodeSeed { run_seed: seed, env_id: EnvId(0), episode };
         both.reset(seed, &mut notifier, &mut person);
         views(py, both.as_ref(), notifier, person)
@@ -73,7 +83,7 @@ impl Pair {
             }
         };
         let action: Vec<u8> = action.into_iter().map(|choice| choice as u8).collect();
-        let (mut notifier, mut person) = rows(both.as_ref());
+        let (mut notifier, mut person) = self.rows(both.as_ref());
         let shared = both.step(&action, topic, &mut notifier, &mut person);
         let ends = [End::Terminated, End::Truncated].map(|end| shared.end == Some(end));
         let rewards = [shared.notifier_reward, shared.person_reward];
@@ -87,11 +97,6 @@ impl Pair {
         both.notifier().metrics(&mut metrics);
         metrics.into_pyarray(py)
     }
-}
-
-/// Makes room for what both see.
-fn rows(both: &dyn TwoPlayers) -> (Vec<f32>, Vec<f32>) {
-    (vec![0.0; both.notifier().spec().obs_dim], vec![0.0; both.person_quantities().len()])
 }
 
 fn views<'py>(

@@ -237,7 +237,7 @@ fn a_router_that_lets_everybody_do_everything_warns_as_a_learner_does() {
     assert_eq!(warned("--listen tls/127.0.0.1:0 --tls pki/r1", everything), 0);
 }
 
-/// Asks for a session under a name that is not in the certificate of `car-1`; returns what comes of it.
+/// Asks for a session with the certificate of `car-1` under another name; returns the error.
 fn ask_as(place: &Place, there: &str, service: &str, client: &str) -> LinkError {
     let identity = Identity::read(&place.path().join("pki/car-1"), clock::now()).unwrap();
     let settings = ConnectSettings {

@@ -11,10 +11,30 @@ pub(crate) struct FieldRule {
     pub(crate) name: &'static str,
     /// What it has to be, as a sentence goes on.
     pub(crate) expected: &'static str,
-    /// Says what a value is that does not fit; `None` if it fits.
+    /// Describes a value that does not fit; `None` if it fits.
     pub(crate) misfit: fn(&Value) -> Option<String>,
     /// It may be left out.
     pub(crate) is_optional: bool,
+}
+
+impl FieldRule {
+    /// Describes a field that may be left out.
+    pub(crate) const fn optional(
+        name: &'static str,
+        expected: &'static str,
+        misfit: fn(&Value) -> Option<String>,
+    ) -> Self {
+        Self { name, expected, misfit, is_optional: true }
+    }
+
+    /// Describes a field that has to be there.
+    pub(crate) const fn required(
+        name: &'static str,
+        expected: &'static str,
+        misfit: fn(&Value) -> Option<String>,
+    ) -> Self {
+        Self { is_optional: false, ..Self::optional(name, expected, misfit) }
+    }
 }
 
 /// What is wrong.
@@ -86,7 +106,7 @@ impl JsonFault {
     }
 }
 
-/// Says what a value is.
+/// Describes a value.
 pub(crate) fn described(value: &Value) -> String {
     match value {
         Value::Array(list) => format!("a list of {}", list.len()),
@@ -95,17 +115,17 @@ pub(crate) fn described(value: &Value) -> String {
     }
 }
 
-/// Says what a value is that is no number from 0 without a fraction.
+/// Describes a value that is not a whole number from 0.
 pub(crate) fn no_count(value: &Value) -> Option<String> {
     value.as_u64().is_none().then(|| format!("it is {}", described(value)))
 }
 
-/// Says what a value is that is no number.
+/// Describes a value that is not a number.
 pub(crate) fn no_number(value: &Value) -> Option<String> {
     (!value.is_number()).then(|| format!("it is {}", described(value)))
 }
 
-/// Says what a value is that is no text.
+/// Describes a value that is not a text.
 pub(crate) fn no_text(value: &Value) -> Option<String> {
     (!value.is_string()).then(|| format!("it is {}", described(value)))
 }
@@ -115,8 +135,8 @@ mod tests {
     use super::*;
 
     const RULES: [FieldRule; 2] = [
-        FieldRule { name: "n", expected: "a count", misfit: no_count, is_optional: false },
-        FieldRule { name: "name", expected: "a text", misfit: no_text, is_optional: true },
+        FieldRule::required("n", "a count", no_count),
+        FieldRule::optional("name", "a text", no_text),
     ];
 
     #[test]

@@ -23,7 +23,7 @@
 //! | `end`, or another `episode` | the utterance is cut, the past forgotten |
 //! | what cannot be used | refused and told; 16 in a row end the session |
 //! | a number three widths outside of its range | taken, `strange`, told once per number |
-//! | a fact that is none of the task's | passed over, `unknown_facts`, told once per name |
+//! | a fact that the task does not have | ignored, counted in `unknown_facts`, told once per name |
 //!
 //! The session of a robot that cannot ask for another one ([`ObservationSource::Robot`]) is never ended by what it sends.
 

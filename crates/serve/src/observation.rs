@@ -346,28 +346,16 @@ struct Fields<'a> {
 const FIELDS: [&str; 6] = ["seq", "t", "obs", "episode", "end", "facts"];
 
 /// What each field has to be. The first two may be missing, as far as JSON is concerned.
-const RULES: [FieldRule; 6] = {
-    const fn rule(
-        name: &'static str,
-        expected: &'static str,
-        misfit: fn(&Value) -> Option<String>,
-    ) -> FieldRule {
-        FieldRule { name, expected, misfit, is_optional: true }
-    }
-    [
-        rule("seq", "the number of the observation, a whole number from 0", no_count),
-        rule("t", "the time by the client's own clock, in seconds", no_number),
-        FieldRule {
-            is_optional: false,
-            ..rule("obs", "the list of the observation's numbers", no_number_list)
-        },
-        rule("episode", "the number of the episode, a whole number from 0", no_count),
-        rule("end", "true or false", |value| {
-            (!value.is_boolean()).then(|| format!("it is {}", described(value)))
-        }),
-        rule("facts", "a list of names of facts", no_fact_list),
-    ]
-};
+const RULES: [FieldRule; 6] = [
+    FieldRule::optional("seq", "the number of the observation, a whole number from 0", no_count),
+    FieldRule::optional("t", "the time by the client's own clock, in seconds", no_number),
+    FieldRule::required("obs", "the list of the observation's numbers", no_number_list),
+    FieldRule::optional("episode", "the number of the episode, a whole number from 0", no_count),
+    FieldRule::optional("end", "true or false", |value| {
+        (!value.is_boolean()).then(|| format!("it is {}", described(value)))
+    }),
+    FieldRule::optional("facts", "a list of names of facts", no_fact_list),
+];
 
 /// Says which field is missing.
 fn missing(field: &str) -> BadObservation {

@@ -83,41 +83,34 @@ struct OpenRequest {
 }
 
 /// What each key of a question has to be.
-const RULES: [FieldRule; 13] = {
-    const fn rule(
-        name: &'static str,
-        expected: &'static str,
-        misfit: fn(&Value) -> Option<String>,
-    ) -> FieldRule {
-        FieldRule { name, expected, misfit, is_optional: true }
-    }
-    const fn required(rule: FieldRule) -> FieldRule {
-        FieldRule { is_optional: false, ..rule }
-    }
-    /// A key that is `null` counts as left out.
-    fn or_null(value: &Value, misfit: fn(&Value) -> Option<String>) -> Option<String> {
-        if value.is_null() { None } else { misfit(value) }
-    }
-    [
-        required(rule("protocol", "the version of the messages, 1", no_count)),
-        required(rule("domain", "the name of the task, as a text", no_text)),
-        rule("obs_dim", "the number of an observation's numbers", |it| or_null(it, no_count)),
-        rule("seconds_per_step", "a time in seconds", |it| or_null(it, no_number)),
-        rule("clock", "timer, observation or word", |it| {
-            no_choice(it, &["timer", "observation", "word"])
-        }),
-        rule("stale_after", "a time in seconds", |it| or_null(it, no_number)),
-        rule("lost_after", "a time in seconds", |it| or_null(it, no_number)),
-        rule("seed", "a whole number from 0", |it| or_null(it, no_count)),
-        rule("words", "a text", |it| or_null(it, no_text)),
-        rule("word_clock", "voice or steps", |it| no_choice(it, &["voice", "steps"])),
-        rule("person", "anything", |_| None),
-        rule("incarnation", "16 hexadecimal digits, as a text", |it| or_null(it, no_text)),
-        rule("encoding", "json or binary", |it| no_choice(it, &["json", "binary"])),
-    ]
-};
+const RULES: [FieldRule; 13] = [
+    FieldRule::required("protocol", "the version of the messages, 1", no_count),
+    FieldRule::required("domain", "the name of the task, as a text", no_text),
+    FieldRule::optional("obs_dim", "the number of an observation's numbers", |it| {
+        or_null(it, no_count)
+    }),
+    FieldRule::optional("seconds_per_step", "a time in seconds", |it| or_null(it, no_number)),
+    FieldRule::optional("clock", "timer, observation or word", |it| {
+        no_choice(it, &["timer", "observation", "word"])
+    }),
+    FieldRule::optional("stale_after", "a time in seconds", |it| or_null(it, no_number)),
+    FieldRule::optional("lost_after", "a time in seconds", |it| or_null(it, no_number)),
+    FieldRule::optional("seed", "a whole number from 0", |it| or_null(it, no_count)),
+    FieldRule::optional("words", "a text", |it| or_null(it, no_text)),
+    FieldRule::optional("word_clock", "voice or steps", |it| no_choice(it, &["voice", "steps"])),
+    FieldRule::optional("person", "anything", |_| None),
+    FieldRule::optional("incarnation", "16 hexadecimal digits, as a text", |it| {
+        or_null(it, no_text)
+    }),
+    FieldRule::optional("encoding", "json or binary", |it| no_choice(it, &["json", "binary"])),
+];
 
-/// Says what a value is that is none of these.
+/// As a rule of its own, of a key that counts as left out where it is `null`.
+fn or_null(value: &Value, misfit: fn(&Value) -> Option<String>) -> Option<String> {
+    if value.is_null() { None } else { misfit(value) }
+}
+
+/// Describes a value that is not one of the choices.
 fn no_choice(value: &Value, choices: &[&str]) -> Option<String> {
     let is_choice = value.as_str().is_some_and(|text| choices.contains(&text));
     (!is_choice).then(|| format!("it is {}", described(value)))

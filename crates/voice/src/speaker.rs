@@ -5,7 +5,7 @@ use crate::sentence::SpokenSentence;
 
 /// Somebody else's program that speaks.
 pub(crate) trait Speaker {
-    /// Says what it is, for whoever uses its sound.
+    /// Names the program and its voice, for those who use the sound.
     fn made_by(&self) -> String;
 
     /// Brings the mean word of these sentences to the pace, where that can be.

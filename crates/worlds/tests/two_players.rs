@@ -2,7 +2,7 @@
 
 use leadtime_numerics::{Purpose, stream};
 use leadtime_proto::{EnvId, TaskSpec};
-use leadtime_sims::{Environment, EpisodeSeed, TwoPlayers};
+use leadtime_sims::{Environment, EpisodeSeed, SharedOutcome, TwoPlayers};
 
 const SEED: EpisodeSeed = EpisodeSeed { run_seed: 3, env_id: EnvId(0), episode: 4 };
 
@@ -26,6 +26,48 @@ fn bits(row: &[f32]) -> Vec<u32> {
 /// The topic that the model of the listener has carried out in the last step.
 fn reacting(env: &dyn Environment) -> Option<usize> {
     env.scene().expect("it can be drawn").listener.reacting
+}
+
+/// An episode of the lander in which both are played.
+struct Played {
+    together: Box<dyn TwoPlayers>,
+    row: Vec<f32>,
+    person: Vec<f32>,
+}
+
+impl Played {
+    fn begin(settings: &str) -> Self {
+        let mut together = two_players("lander", settings);
+        let mut row = vec![0.0; together.notifier().spec().obs_dim];
+        let mut person = vec![0.0; together.person_quantities().len()];
+        together.reset(SEED, &mut row, &mut person);
+        Self { together, row, person }
+    }
+
+    /// The action that says nothing.
+    fn silence(&self) -> Vec<u8> {
+        vec![0; self.together.notifier().spec().actions.heads.len()]
+    }
+
+    /// The action that starts the message nearest to this one.
+    fn start(&self, topic: usize, comprehension: u32, conveyance: u32) -> Vec<u8> {
+        let script = self.together.notifier().scriptable().expect("messages are sent");
+        let mut action = self.silence();
+        let message = leadtime_sims::Message { topic, comprehension, conveyance };
+        script.write_action(Some(message), &mut action);
+        action
+    }
+
+    fn step(&mut self, action: &[u8], topic: Option<usize>) -> SharedOutcome {
+        self.together.step(action, topic, &mut self.row, &mut self.person)
+    }
+
+    fn metric(&self, name: &str) -> f32 {
+        let names = &self.together.notifier().spec().metrics;
+        let mut metrics = vec![0.0; names.len()];
+        self.together.notifier().metrics(&mut metrics);
+        metrics[names.iter().position(|it| it == name).expect(name)]
+    }
 }
 
 #[test]
@@ -72,28 +114,23 @@ fn a_person_who_does_what_the_model_does_has_the_same_episode() {
 
 #[test]
 fn a_person_hears_word_by_word_and_knows_the_topic_once_it_is_understood() {
-    let mut together = two_players("lander", "{}");
-    let names: Vec<String> = together.person_quantities().into_iter().map(|it| it.name).collect();
+    let mut played = Played::begin("{}");
+    let names = played.together.person_quantities().into_iter().map(|it| it.name);
+    let names: Vec<String> = names.collect();
     let at = |name: &str| names.iter().position(|it| it == name).expect(name);
     let topic = 1;
     let (heard, told, ago) = (
         at("heard"),
-        at(&format!("understood.{}", together.topics()[topic])),
+        at(&format!("understood.{}", played.together.topics()[topic])),
         at("understood.ago"),
     );
-    let mut row = vec![0.0; together.notifier().spec().obs_dim];
-    let mut person = vec![0.0; names.len()];
-    together.reset(SEED, &mut row, &mut person);
-    assert_eq!([person[heard], person[told], person[ago]], [0.0; 3]);
+    assert_eq!([heard, told, ago].map(|i| played.person[i]), [0.0; 3]);
     // Understood with the second word, over with the third.
-    let script = together.notifier().scriptable().expect("messages are sent");
-    let message = leadtime_sims::Message { topic, comprehension: 2, conveyance: 3 };
-    let mut start = vec![0; together.notifier().spec().actions.heads.len()];
-    script.write_action(Some(message), &mut start);
-    let silence = vec![0; start.len()];
+    let (start, silence) = (played.start(topic, 2, 3), played.silence());
     let mut seen = Vec::new();
     for action in [&start, &silence, &silence, &silence] {
-        together.step(action, None, &mut row, &mut person);
+        played.step(action, None);
+        let person = &played.person;
         seen.push([person[heard] > 0.0, person[told] > 0.5, person[ago] > 0.0]);
     }
     let (yes, no) = (true, false);
@@ -103,23 +140,12 @@ fn a_person_hears_word_by_word_and_knows_the_topic_once_it_is_understood() {
 #[test]
 fn a_message_is_followed_when_the_person_acts_upon_it_and_only_then() {
     let followed = |motions: &[Option<usize>]| {
-        let mut together = two_players("lander", "{}");
-        let mut row = vec![0.0; together.notifier().spec().obs_dim];
-        let mut person = vec![0.0; together.person_quantities().len()];
-        together.reset(SEED, &mut row, &mut person);
-        let mut start = vec![0; together.notifier().spec().actions.heads.len()];
-        let message = leadtime_sims::Message { topic: 0, comprehension: 1, conveyance: 1 };
-        let script = together.notifier().scriptable().expect("messages are sent");
-        script.write_action(Some(message), &mut start);
-        together.step(&start, None, &mut row, &mut person);
-        let silence = vec![0; start.len()];
+        let mut played = Played::begin("{}");
+        played.step(&played.start(0, 1, 1), None);
         for motion in motions {
-            together.step(&silence, *motion, &mut row, &mut person);
+            played.step(&played.silence(), *motion);
         }
-        let names = together.notifier().spec().metrics.clone();
-        let mut metrics = vec![0.0; names.len()];
-        together.notifier().metrics(&mut metrics);
-        metrics[names.iter().position(|name| name == "followed").expect("a metric")]
+        played.metric("followed")
     };
     assert_eq!(followed(&[None; 20]), 0.0, "by their own plan, nothing is followed");
     assert_eq!(followed(&[Some(1); 5]), 0.0, "another topic is none that was said");
@@ -129,43 +155,27 @@ fn a_message_is_followed_when_the_person_acts_upon_it_and_only_then() {
 #[test]
 fn what_a_person_does_not_act_upon_may_be_said_again() {
     for repeat in ["restart", "continue"] {
-        let mut together =
-            two_players("lander", &format!("{{\"human\": {{\"repeat\": \"{repeat}\"}}}}"));
-        let mut row = vec![0.0; together.notifier().spec().obs_dim];
-        let mut person = vec![0.0; together.person_quantities().len()];
-        together.reset(SEED, &mut row, &mut person);
-        let mut start = vec![0; together.notifier().spec().actions.heads.len()];
-        let message = leadtime_sims::Message { topic: 0, comprehension: 1, conveyance: 1 };
-        let script = together.notifier().scriptable().expect("messages are sent");
-        script.write_action(Some(message), &mut start);
+        let mut played = Played::begin(&format!("{{\"human\": {{\"repeat\": \"{repeat}\"}}}}"));
         // The shortest message has two words.
         for _ in 0..8 {
-            together.step(&start, None, &mut row, &mut person);
+            played.step(&played.start(0, 1, 1), None);
         }
-        let names = together.notifier().spec().metrics.clone();
-        let mut metrics = vec![0.0; names.len()];
-        together.notifier().metrics(&mut metrics);
-        let started = names.iter().position(|name| name == "notifications").expect("a metric");
-        assert_eq!(metrics[started], 4.0, "{repeat}");
+        assert_eq!(played.metric("notifications"), 4.0, "{repeat}");
     }
 }
 
 #[test]
 fn other_motions_lead_elsewhere_and_the_same_ones_to_the_same_bits() {
     let fly = |stream_of: u64| {
-        let mut together = two_players("lander", "{}");
+        let mut played = Played::begin("{}");
         let mut draws = stream(stream_of, Purpose::Act, 0, 0);
-        let mut row = vec![0.0; together.notifier().spec().obs_dim];
-        let mut person = vec![0.0; together.person_quantities().len()];
-        together.reset(SEED, &mut row, &mut person);
-        let silence = vec![0; together.notifier().spec().actions.heads.len()];
         for _ in 0..12 {
-            let n_topics = together.topics().len();
+            let n_topics = played.together.topics().len();
             let motion = draws.below(n_topics + 1).checked_sub(1);
-            let shared = together.step(&silence, motion, &mut row, &mut person);
+            let shared = played.step(&played.silence(), motion);
             assert_eq!(shared.notifier_reward, shared.person_reward, "silence is free");
         }
-        bits(&person)
+        bits(&played.person)
     };
     assert_eq!(fly(1), fly(1));
     assert_ne!(fly(1), fly(2));

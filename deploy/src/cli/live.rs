@@ -113,6 +113,19 @@ impl ServeArgs {
 const NO_WORDS: &str = "none";
 const SHIPPED_WORDS: &str = "shipped";
 
+/// Which notifier, and how it is reached.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct NotifierArgs {
+    #[command(flatten)]
+    pub tls: TlsArgs,
+    /// How long to look for the notifier.
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
+    pub connect_timeout: Duration,
+    /// Name of the notifier.
+    #[arg(long, value_name = "NAME", default_value = "notifier")]
+    pub service: ServiceName,
+}
+
 /// `leadtime drive`
 #[derive(Debug, Args)]
 pub(crate) struct DriveArgs {
@@ -123,13 +136,7 @@ pub(crate) struct DriveArgs {
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub connect: Vec<String>,
     #[command(flatten)]
-    pub tls: TlsArgs,
-    /// How long to look for the notifier.
-    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
-    pub connect_timeout: Duration,
-    /// Name of the notifier.
-    #[arg(long, value_name = "NAME", default_value = "notifier")]
-    pub service: ServiceName,
+    pub notifier: NotifierArgs,
     /// Name of this client (default: that of its certificate, else `drive`).
     #[arg(long, value_name = "NAME")]
     pub client: Option<ClientName>,
@@ -184,13 +191,7 @@ pub(crate) struct RecordArgs {
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub connect: Vec<String>,
     #[command(flatten)]
-    pub tls: TlsArgs,
-    /// How long to look for the notifier.
-    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
-    pub connect_timeout: Duration,
-    /// Name of the notifier.
-    #[arg(long, value_name = "NAME", default_value = "notifier")]
-    pub service: ServiceName,
+    pub notifier: NotifierArgs,
     /// Record this client alone (default: every client).
     #[arg(long, value_name = "CLIENT")]
     pub live: Option<ClientName>,
@@ -215,20 +216,14 @@ pub(crate) struct ReplayArgs {
     /// (default: the recording's own, where it was).
     #[arg(long, value_name = "POLICY", conflicts_with = "connect")]
     pub policy: Option<PathBuf>,
-    /// The voice, in whose time words end (default: the recording's; a `pipe:` has to be given).
+    /// The voice, in whose time words end (default: the recording's; a `pipe:` or `recorded:` has to be given).
     #[arg(long, value_name = "VOICE", conflicts_with = "connect")]
     pub voice: Option<VoiceChoice>,
     /// Send the observations to this notifier instead of replaying them in this process.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     #[command(flatten)]
-    pub tls: TlsArgs,
-    /// How long to look for the notifier.
-    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
-    pub connect_timeout: Duration,
-    /// Name of the notifier.
-    #[arg(long, value_name = "NAME", default_value = "notifier")]
-    pub service: ServiceName,
+    pub notifier: NotifierArgs,
     /// Name of this client (default: that of its certificate, else `replay`).
     #[arg(long, value_name = "NAME")]
     pub client: Option<ClientName>,

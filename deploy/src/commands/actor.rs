@@ -75,8 +75,8 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
 }
 
 fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettings> {
-    let mut connect = connect_settings(&args.connect, &args.tls, &[Role::Actor])?;
-    connect.timeout = args.connect_timeout;
+    let mut connect =
+        connect_settings(&args.connect, &args.tls, args.connect_timeout, &[Role::Actor])?;
     connect.region = args.region.clone().map(RegionName::new).transpose().context("--region")?;
     let run = args.run.clone().map(RunName::new).transpose().context("--run")?;
     let shown = connect.identity.as_ref().and_then(|identity| identity.shown.name.clone());

@@ -131,9 +131,8 @@ fn writable(config: &Config) -> anyhow::Result<()> {
 
 /// Lists the runs at an address, and measures the way to the first one's learner, as far as we may ask it.
 async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<Duration>), Failure> {
-    let settings = connect_settings(&args.connect, &args.tls, &Role::ALL);
-    let mut settings = settings.blame(ExitCode::WrongInput)?;
-    settings.timeout = args.connect_timeout;
+    let settings = connect_settings(&args.connect, &args.tls, args.connect_timeout, &Role::ALL);
+    let settings = settings.blame(ExitCode::WrongInput)?;
     let failure = |error| {
         let is_input = is_wrong_input(&error);
         Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)

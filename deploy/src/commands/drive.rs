@@ -21,7 +21,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{describe, evaluation};
 use crate::cli::DriveArgs;
-use crate::credentials::{connect_settings, is_wrong_input};
+use crate::credentials::{is_wrong_input, notifier_settings};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 use crate::shutdown::{Watch, unless_cancelled, watch};
@@ -29,15 +29,13 @@ use crate::shutdown::{Watch, unless_cancelled, watch};
 pub(super) async fn run(tasks: &Tasks, args: &DriveArgs) -> Result<(), Failure> {
     let config = describe::load(tasks, &args.task, &args.set, &args.runs)?;
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
-    let settings = connect_settings(&args.connect, &args.tls, &[Role::Robot]);
-    let mut settings = settings.blame(ExitCode::WrongInput)?;
-    settings.timeout = args.connect_timeout;
+    let settings = notifier_settings(&args.connect, &args.notifier, &[Role::Robot])?;
     let client = own_name(args.client.as_ref(), &settings, "drive")?;
     let link = LiveClientLink::open(&settings).await.map_err(failure)?;
     let task = &config.evaluation.task;
     let environment = tasks.registry.build(task).blame(ExitCode::WrongInput)?;
     let asked = ClientSettings {
-        service: args.service.clone(),
+        service: args.notifier.service.clone(),
         client,
         incarnation: clock::incarnation(),
         domain: config.domain.to_string(),

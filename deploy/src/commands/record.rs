@@ -18,7 +18,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::drive;
 use crate::cli::RecordArgs;
-use crate::credentials::connect_settings;
+use crate::credentials::notifier_settings;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 use crate::shutdown::{Watch, watch};
@@ -30,32 +30,24 @@ const MAX_ASKED: usize = 64;
 
 pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
-    let settings = connect_settings(&args.connect, &args.tls, &[Role::Recorder]);
-    let mut settings = settings.blame(ExitCode::WrongInput)?;
-    settings.timeout = args.connect_timeout;
+    let settings = notifier_settings(&args.connect, &args.notifier, &[Role::Recorder])?;
     let mut file = NewFile::create(&args.output).blame(ExitCode::WrongInput)?;
-    let open = LiveRecorderLink::open(&settings, &args.service, args.live.as_ref());
+    let open = LiveRecorderLink::open(&settings, &args.notifier.service, args.live.as_ref());
     let (link, samples) = tokio::select! {
         () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
         opened = open => opened.map_err(drive::failure)?,
     };
     let writer = begin(&mut file)?;
-    let recorder = LiveRecorder::new(writer, args.service.clone());
-    let (shown, service) = (args.output.display(), &args.service);
+    let recorder = LiveRecorder::new(writer, args.notifier.service.clone());
+    let (shown, service) = (args.output.display(), &args.notifier.service);
     tracing::info!("recording notifier `{service}` to {shown} until {}", end(args));
     stop_after(args, &shutdown);
     let mut recording =
         RunningRecording { link, samples, recorder, asked: BTreeSet::new(), n_dropped: 0 };
     let ended = recording.run(&shutdown).await;
     let (n_messages, n_sessions) = recording.recorder.counts();
-    let failure = match ended {
-        Ok(()) => recording.recorder.finish().err().map(RecordFailure::File),
-        Err(failure) => {
-            // What was recorded is kept, whatever went wrong: with its index, if the disk takes one.
-            drop(recording.recorder.finish());
-            Some(failure)
-        }
-    };
+    // What was recorded is kept, whatever went wrong: with its index, if the disk takes one.
+    let failure = ended.and(recording.recorder.finish().map_err(RecordFailure::File)).err();
     drop(recording.link.close().await);
     let held = format!("{} of {}", counted(n_messages, "message"), counted(n_sessions, "session"));
     close(args, &held, failure)

@@ -18,16 +18,15 @@ use tokio_util::sync::CancellationToken;
 use super::drive;
 use super::record::{FLUSH_EVERY, NewFile, RecordFailure, arrived, begin, close, end, stop_after};
 use crate::cli::RecordArgs;
-use crate::credentials::connect_settings;
+use crate::credentials::notifier_settings;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{Watch, watch};
 
 pub(super) async fn run(args: &RecordArgs, name: &str) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let run = RunName::new(name).context("--run").blame(ExitCode::WrongInput)?;
-    let settings = connect_settings(&args.connect, &args.tls, &[Role::Recorder, Role::Observer]);
-    let mut settings = settings.blame(ExitCode::WrongInput)?;
-    settings.timeout = args.connect_timeout;
+    let settings =
+        notifier_settings(&args.connect, &args.notifier, &[Role::Recorder, Role::Observer])?;
     let mut file = NewFile::create(&args.output).blame(ExitCode::WrongInput)?;
     let opened = async {
         let (link, events) = ObserverLink::open(&settings).await?;
@@ -44,14 +43,8 @@ pub(super) async fn run(args: &RecordArgs, name: &str) -> Result<(), Failure> {
     tracing::info!("recording run `{run}` to {shown} until it is finished, or {}", end(args));
     stop_after(args, &shutdown);
     let recorded = record(&run, &link, &events, &mut writer, &shutdown).await;
-    let failure = match recorded {
-        Ok(()) => writer.finish().err().map(RecordFailure::File),
-        Err(failure) => {
-            // What was recorded is kept, whatever went wrong: with its index, if the disk takes one.
-            drop(writer.finish());
-            Some(failure)
-        }
-    };
+    // What was recorded is kept, whatever went wrong: with its index, if the disk takes one.
+    let failure = recorded.and(writer.finish().map_err(RecordFailure::File)).err();
     drop(link.close().await);
     close(args, &counted(writer.n_messages(), "message"), failure)
 }

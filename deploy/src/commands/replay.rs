@@ -26,7 +26,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{drive, recorded, serve};
 use crate::cli::{ReplayArgs, ReplaySpeed, ServeArgs};
-use crate::credentials::connect_settings;
+use crate::credentials::notifier_settings;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
 use crate::shutdown::{Watch, unless_cancelled, watch};
@@ -44,13 +44,11 @@ pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure>
         let policies = Policies { tasks: tasks.clone(), args: args.clone(), known: Vec::new() };
         unless_cancelled(&shutdown, move || at_hand(&sessions, policies, &pace)).await?
     } else {
-        let settings = connect_settings(&args.connect, &args.tls, &[Role::Robot]);
-        let mut settings = settings.blame(ExitCode::WrongInput)?;
-        settings.timeout = args.connect_timeout;
+        let settings = notifier_settings(&args.connect, &args.notifier, &[Role::Robot])?;
         let link = LiveClientLink::open(&settings).await.map_err(drive::failure)?;
-        link.find(&args.service).await.map_err(drive::failure)?;
+        link.find(&args.notifier.service).await.map_err(drive::failure)?;
         let client = drive::own_name(args.client.as_ref(), &settings, "replay")?;
-        let port = link.port(&args.service, &client, clock::incarnation());
+        let port = link.port(&args.notifier.service, &client, clock::incarnation());
         let target = SessionOverNetwork::new(port.map_err(drive::failure)?);
         let work = move || over_network(&sessions, target, &pace);
         let played = unless_cancelled(&shutdown, work).await?;

@@ -109,9 +109,7 @@ pub(super) async fn beside(
 
 fn settings(args: &WatchArgs) -> anyhow::Result<ConnectSettings> {
     let roles = [Role::Observer, Role::Recorder];
-    let mut settings = connect_settings(&args.connect, &args.tls, &roles)?;
-    settings.timeout = args.connect_timeout;
-    Ok(settings)
+    connect_settings(&args.connect, &args.tls, args.connect_timeout, &roles)
 }
 
 fn print(page: &Page, json: bool) {
