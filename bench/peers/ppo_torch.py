@@ -4,8 +4,9 @@
 
 60 inputs, actor 60-64-64 with heads 2+4+4+4, separate critic 60-64-64-1. Prints observations per second of the forward
 pass and samples per second of the PPO update (forward, loss, backward, gradient clip, Adam), as CleanRL writes it; and
-observations per second of the steakhouse notifier: 242 inputs, projection 32, an LSTM of 128, heads 2+5+4+4 and the value.
-Says so and leaves with 0 where PyTorch is missing.
+the same of the steakhouse notifier, 242 inputs, projection 32, an LSTM of 128, heads 2+5+4+4 and the value, which is
+trained on sequences of 64 steps, each in one call of `nn.LSTM`; and the update behind ego attention, as rl-agents writes
+it, to four frames of ten entities of seven numbers. Says so and leaves with 0 where PyTorch is missing.
 """
 import json
 import sys
@@ -36,12 +37,24 @@ def stack(n_out, gain):
 
 
 actor, critic = stack(sum(HEADS), 0.01), stack(1, 1.0)
-parameters = [*actor.parameters(), *critic.parameters()]
-optimizer = torch.optim.Adam(parameters, lr=2.5e-4, eps=1e-5)
+SEQUENCE = 64
+
+
+class Plain(nn.Module):
+    """Actor and critic side by side."""
+
+    def __init__(self):
+        super().__init__()
+        self.actor, self.critic, self.n_inputs, self.head_sizes = actor, critic, 60, HEADS
+
+    def forward(self, observations):
+        return self.actor(observations), self.critic(observations)
 
 
 class Recurrent(nn.Module):
-    """Projection, one LSTM for actor and critic, heads and value: one step of it."""
+    """Projection, one LSTM for actor and critic, heads and value."""
+
+    n_inputs, head_sizes = 242, [2, 5, 4, 4]
 
     def __init__(self):
         super().__init__()
@@ -50,19 +63,61 @@ class Recurrent(nn.Module):
         self.heads = layer(128, 15, 0.01)
         self.value = layer(128, 1, 1.0)
 
-    def forward(self, observations, state):
+    def step(self, observations, state):
         hidden, state = self.lstm(torch.tanh(self.projection(observations)).unsqueeze(0), state)
         return self.heads(hidden[0]), self.value(hidden[0]), state
+
+    def forward(self, observations):
+        """Whole sequences from zero, one behind the other."""
+        projected = torch.tanh(self.projection(observations)).view(-1, SEQUENCE, 32).transpose(0, 1)
+        hidden, _ = self.lstm(projected)
+        hidden = hidden.transpose(0, 1).reshape(-1, 128)
+        return self.heads(hidden), self.value(hidden)
+
+
+class Attentive(nn.Module):
+    """Ego attention per frame, its outputs and what is beside them as features of actor and critic."""
+
+    n_frames, n_entities, n_features, action_dim, width, n_heads, rest = 4, 10, 7, 13, 64, 2, 5
+    head_sizes = HEADS
+
+    def __init__(self):
+        super().__init__()
+        embedding = lambda: nn.Sequential(nn.Linear(7, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU())
+        self.ego, self.others = embedding(), embedding()
+        self.key, self.value, self.query, self.combine = (nn.Linear(64, 64, bias=False) for _ in range(4))
+        self.frame = self.n_entities * self.n_features + self.action_dim
+        self.n_inputs = self.n_frames * self.frame + self.rest
+        features = self.n_frames * (self.width + self.action_dim) + self.rest
+        stack = lambda n: nn.Sequential(nn.Linear(features, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, n))
+        self.actor, self.critic = stack(sum(HEADS)), stack(1)
+
+    def forward(self, observations):
+        m = observations.shape[0]
+        frames = observations[:, : self.n_frames * self.frame].reshape(m * self.n_frames, self.frame)
+        entities = frames[:, : self.n_entities * self.n_features].view(-1, self.n_entities, self.n_features)
+        ego = self.ego(entities[:, :1])
+        everybody = torch.cat([ego, self.others(entities[:, 1:])], dim=1)
+        by_head = lambda x, n: x.view(-1, n, self.n_heads, self.width // self.n_heads).transpose(1, 2)
+        key, value = by_head(self.key(everybody), self.n_entities), by_head(self.value(everybody), self.n_entities)
+        scores = by_head(self.query(ego), 1) @ key.transpose(2, 3) / (self.width // self.n_heads) ** 0.5
+        absent = (entities[:, :, 0] < 0.5).view(-1, 1, 1, self.n_entities)
+        taken = scores.masked_fill(absent, -1e9).softmax(-1) @ value
+        encoded = (self.combine(taken.transpose(1, 2).reshape(-1, self.width)) + ego[:, 0]) / 2
+        encoded = torch.cat([encoded, frames[:, self.n_entities * self.n_features :]], dim=1)
+        features = torch.cat([encoded.view(m, -1), observations[:, self.n_frames * self.frame :]], dim=1)
+        return self.actor(features), self.critic(features)
 
 
 def lstm_step(network, observations, state):
     with torch.inference_mode():
-        network(observations, state)
+        network.step(observations, state)
 
 
-def evaluate(observations):
-    logits = torch.split(actor(observations), HEADS, dim=1)
-    return [torch.distributions.Categorical(logits=part) for part in logits], critic(observations)
+def evaluate(network, observations):
+    logits, values = network(observations)
+    parts = torch.split(logits, network.head_sizes, dim=1)
+    return [torch.distributions.Categorical(logits=part) for part in parts], values
 
 
 def forward(observations):
@@ -70,9 +125,9 @@ def forward(observations):
         actor(observations), critic(observations)
 
 
-def update(batch):
+def update(network, optimizer, batch):
     observations, actions, old_log_probs, advantages, returns, old_values = batch
-    heads, values = evaluate(observations)
+    heads, values = evaluate(network, observations)
     log_probs = sum(head.log_prob(actions[:, i]) for i, head in enumerate(heads))
     entropy = sum(head.entropy() for head in heads).mean()
     logratio = log_probs - old_log_probs
@@ -87,7 +142,7 @@ def update(batch):
     loss = policy_loss - 0.01 * entropy + 0.5 * value_loss
     optimizer.zero_grad()
     loss.backward()
-    nn.utils.clip_grad_norm_(parameters, 0.5)
+    nn.utils.clip_grad_norm_(network.parameters(), 0.5)
     optimizer.step()
 
 
@@ -106,7 +161,7 @@ def rate(run, n, seconds=2.0):
 
 
 def main():
-    results = {"torch": torch.__version__, "inference": {}, "lstm": {}, "update": {}}
+    results = {"torch": torch.__version__, "inference": {}, "lstm": {}}
     for n in [1, 4, 16, 64, 256, 1024]:
         observations = torch.rand(n, 60) * 2 - 1
         results["inference"][n] = rate(lambda: forward(observations), n)
@@ -114,21 +169,26 @@ def main():
     for n in [1, 4, 16, 64, 256, 1024]:
         observations, state = torch.rand(n, 242) * 2 - 1, (torch.zeros(1, n, 128), torch.zeros(1, n, 128))
         results["lstm"][n] = rate(lambda: lstm_step(network, observations, state), n)
-    for n in [128, 512, 1200, 4096]:
-        observations = torch.rand(n, 60) * 2 - 1
-        with torch.no_grad():
-            heads, values = evaluate(observations)
-            actions = torch.stack([head.sample() for head in heads], dim=1)
-            log_probs = sum(head.log_prob(actions[:, i]) for i, head in enumerate(heads))
-        batch = (observations, actions, log_probs, torch.randn(n), torch.randn(n), values.view(-1))
-        results["update"][n] = rate(lambda: update(batch), n)
+    kinds = {"update": Plain(), "update lstm": network, "update attention": Attentive()}
+    for kind, trained in kinds.items():
+        results[kind] = {}
+        optimizer = torch.optim.Adam(trained.parameters(), lr=2.5e-4, eps=1e-5)
+        for n in [128, 512, 1200, 4096]:
+            n = n // SEQUENCE * SEQUENCE if trained is network else n
+            observations = torch.rand(n, trained.n_inputs) * 2 - 1
+            with torch.no_grad():
+                heads, values = evaluate(trained, observations)
+                actions = torch.stack([head.sample() for head in heads], dim=1)
+                log_probs = sum(head.log_prob(actions[:, i]) for i, head in enumerate(heads))
+            batch = (observations, actions, log_probs, torch.randn(n), torch.randn(n), values.view(-1))
+            results[kind][n] = rate(lambda: update(trained, optimizer, batch), n)
     if "--json" in sys.argv:
         print(json.dumps(results))
         return
     print(f"PyTorch {results['torch']}, one thread")
-    for kind, unit in [("inference", "obs/s"), ("lstm", "obs/s"), ("update", "samples/s")]:
-        for n, value in results[kind].items():
-            print(f"{kind:10} {n:5} {value / 1e3:9.1f} k {unit}")
+    for kind, rates in list(results.items())[1:]:
+        for n, value in rates.items():
+            print(f"{kind:16} {n:5} {value / 1e3:9.1f} k {'samples' if 'update' in kind else 'obs'}/s")
 
 
 main()

@@ -495,6 +495,9 @@ pub(crate) struct LearnerArgs {
     /// Stop when standard input closes: the process that started this one holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
+    /// How many actors share this machine's cores with the learner.
+    #[arg(long, hide = true, value_name = "N", default_value_t = 1)]
+    pub local_actors: usize,
     /// The supervisor's own files, removed if it is gone when this process ends.
     #[arg(long, hide = true, value_name = "DIR")]
     pub scratch: Option<PathBuf>,

@@ -10,6 +10,8 @@ use toml::{Table, Value};
 
 /// Sections that say where and how a run is carried out, and not what it computes.
 const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
+/// The learner's threads change no bit.
+const THREADS: &str = "learner.threads";
 /// Settings of the domain `python` that only say how its workers are kept; what these are named in another world decides there.
 const FREE_IN_PYTHON: [&str; 2] = ["world.batch", "world.step_timeout"];
 /// Settings of the learner that may change while a run goes on: they decide how it learns from there on. The others decide
@@ -67,7 +69,7 @@ pub(crate) fn without_retired(mut table: Table) -> Table {
 
 /// Tells whether a key only says where and how a run is carried out.
 pub fn is_free(key: &str) -> bool {
-    FREE_SECTIONS.iter().any(|section| key.starts_with(section))
+    key == THREADS || FREE_SECTIONS.iter().any(|section| key.starts_with(section))
 }
 
 /// Returns the leaves that decide what a run computes; without a younger setting that changes nothing, so that an earlier
@@ -216,6 +218,7 @@ mod tests {
         for (from, to, expected) in [
             ("\"a\"", "\"b\"", [true, true]),
             ("training = 8", "training = 0", [true, true]),
+            ("clip", "threads = 2\nclip", [true, true]),
             ("steps = 5", "steps = 6", [true, false]),
             ("seed = 1", "seed = 2", [false, true]),
             ("0.2", "0.1", [false, false]),

@@ -14,9 +14,13 @@
 //!   └──────┘ └────────┘
 //! ```
 //!
+//! A matrix by panels can also be the left operand and the result: then a layer's output is the next layer's input as
+//! it is, and the right operand of the outer products that are the gradient.
+//!
 //! # Where to start
 //!
 //! [`Panels`] holds B; [`Panels::multiply`] is the product with `A`, [`add_outer_products`] the one with `Aᵀ`.
+//! [`Panels::multiply_panels`] and [`Panels::add_outer_products`] are the same of operands by panels.
 
 #![expect(
     clippy::inline_always,
@@ -28,11 +32,15 @@ use pulp::{Arch, Simd, WithSimd};
 use crate::elementary::tanh_vector;
 
 /// Columns per panel: one AVX-512 vector, two of AVX2, four of NEON.
-const PANEL: usize = 16;
+pub const PANEL: usize = 16;
 /// Rows per tile: with two AVX2 vectors per panel, twelve of the sixteen registers accumulate.
 const ROWS: usize = 6;
-/// Rows per tile where one vector is a panel: as many chains as keep both multipliers busy.
+/// Rows per tile of one panel where one vector is a panel: as many chains as keep both multipliers busy.
 const WIDE_ROWS: usize = 2 * ROWS;
+/// Rows per tile of two panels: every number of A that is read is multiplied twice.
+const PAIR_ROWS: usize = 8;
+/// Panels whose rows are added up side by side: one panel's additions wait for each other.
+const GROUP: usize = 4;
 /// Inner indices per pass of [`add_outer_products`]: what one pass reads stays in the first-level cache.
 const DEPTH: usize = 256;
 
@@ -45,6 +53,28 @@ pub enum Activation {
     Tanh,
     /// Zero where it is negative.
     Relu,
+}
+
+impl Activation {
+    /// Turns slopes in outputs `y` into slopes in what was before the activation: `dy (1 - y²)` behind a tanh, `dy` where
+    /// y > 0 behind a rectifier.
+    ///
+    /// # Shapes
+    ///
+    /// `y`, `slopes`: `[N]`.
+    pub fn backward(self, y: &[f32], slopes: &mut [f32]) {
+        Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                let rows = slopes.iter_mut().zip(y);
+                match self {
+                    Self::Linear => {}
+                    Self::Tanh => rows.for_each(|(d, y)| *d *= 1.0 - y * y),
+                    Self::Relu => rows.for_each(|(d, y)| *d = if *y <= 0.0 { 0.0 } else { *d }),
+                }
+            },
+        );
+    }
 }
 
 /// The right operand of a product, packed for it.
@@ -82,33 +112,99 @@ impl Panels {
     ///
     /// If the length is another.
     pub fn from_columns(columns: &[f32], n_columns: usize, depth: usize) -> Self {
-        assert_eq!(columns.len(), n_columns * depth, "`columns` must be [n_columns, depth]");
-        let mut data = Vec::with_capacity(n_columns.div_ceil(PANEL) * depth);
-        for columns in columns.chunks(PANEL * depth.max(1)) {
-            if let Some(columns) = whole_panel(columns, depth) {
-                data.extend((0..depth).map(|k| columns.map(|column| column[k])));
-                continue;
-            }
-            let column = |c: usize, k: usize| columns.get(c * depth + k).copied().unwrap_or(0.0);
-            data.extend((0..depth).map(|k| std::array::from_fn(|c| column(c, k))));
-        }
-        Self { depth, n_columns, data }
+        let mut panels = Self::default();
+        panels.pack_columns(columns, n_columns, depth);
+        panels
     }
 
-    /// Packs a matrix given by rows into the memory of this one.
-    fn pack_rows(&mut self, rows: &[f32], depth: usize, n_columns: usize) {
+    /// Packs a matrix given by columns into the memory of this one; see [`Panels::from_columns`].
+    ///
+    /// # Panics
+    ///
+    /// If the length is another.
+    pub fn pack_columns(&mut self, columns: &[f32], n_columns: usize, depth: usize) {
+        assert_eq!(columns.len(), n_columns * depth, "`columns` must be [n_columns, depth]");
+        self.resize(depth, n_columns);
+        self.data.fill([0.0; PANEL]);
+        for (c, column) in columns.chunks_exact(depth.max(1)).enumerate() {
+            let panel = &mut self.data[c / PANEL * depth..][..depth];
+            panel.iter_mut().zip(column).for_each(|(row, x)| row[c % PANEL] = *x);
+        }
+    }
+
+    /// Packs a matrix given by rows into the memory of this one; see [`Panels::from_rows`].
+    ///
+    /// # Panics
+    ///
+    /// If the length is another.
+    pub fn pack_rows(&mut self, rows: &[f32], depth: usize, n_columns: usize) {
         assert_eq!(rows.len(), depth * n_columns, "`rows` must be [depth, n_columns]");
+        self.resize(depth, n_columns);
+        for (k, row) in rows.chunks_exact(n_columns.max(1)).enumerate() {
+            self.set_row(k, row);
+        }
+    }
+
+    /// Gives it another shape and keeps its memory; every row must be set then, or be a product's result.
+    pub fn resize(&mut self, depth: usize, n_columns: usize) {
         self.depth = depth;
         self.n_columns = n_columns;
         self.data.resize(n_columns.div_ceil(PANEL) * depth, [0.0; PANEL]);
-        for (p, panel) in self.data.chunks_exact_mut(depth.max(1)).enumerate() {
-            let first = p * PANEL;
-            let width = PANEL.min(n_columns - first);
-            for (slot, row) in panel.iter_mut().zip(rows.chunks_exact(n_columns)) {
-                slot[..width].copy_from_slice(&row[first..first + width]);
-                slot[width..].fill(0.0);
-            }
+    }
+
+    /// Writes one row.
+    ///
+    /// # Shapes
+    ///
+    /// `row`: `[n_columns]`.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such row, or its length is another.
+    #[inline]
+    pub fn set_row(&mut self, k: usize, row: &[f32]) {
+        assert!(k < self.depth && row.len() == self.n_columns, "`row` must be [n_columns]");
+        let (whole, rest) = row.as_chunks::<PANEL>();
+        for (p, part) in whole.iter().enumerate() {
+            self.data[p * self.depth + k] = *part;
         }
+        if !rest.is_empty() {
+            let mut last = [0.0; PANEL];
+            last.iter_mut().zip(rest).for_each(|(slot, x)| *slot = *x);
+            self.data[whole.len() * self.depth + k] = last;
+        }
+    }
+
+    /// Copies one row out.
+    ///
+    /// # Shapes
+    ///
+    /// `row`: `[n_columns]`.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such row, or its length is another.
+    #[inline]
+    pub fn copy_row(&self, k: usize, row: &mut [f32]) {
+        assert!(k < self.depth && row.len() == self.n_columns, "`row` must be [n_columns]");
+        let (whole, rest) = row.as_chunks_mut::<PANEL>();
+        for (p, part) in whole.iter_mut().enumerate() {
+            *part = self.data[p * self.depth + k];
+        }
+        if !rest.is_empty() {
+            let last = &self.data[whole.len() * self.depth + k];
+            rest.iter_mut().zip(last).for_each(|(slot, x)| *slot = *x);
+        }
+    }
+
+    /// Returns all panels, one behind the other: `[panel][depth][PANEL]`, zeros behind the last column.
+    pub fn data(&self) -> &[[f32; PANEL]] {
+        &self.data
+    }
+
+    /// Returns all panels to be changed; what is behind the last column must stay zero.
+    pub fn data_mut(&mut self) -> &mut [[f32; PANEL]] {
+        &mut self.data
     }
 
     /// Returns the inner dimension.
@@ -134,15 +230,68 @@ impl Panels {
         let m = out.len().checked_div(self.n_columns).unwrap_or(0);
         assert_eq!(out.len(), m * self.n_columns, "`out` must be [m, {}]", self.n_columns);
         assert_eq!(a.len(), m * self.depth, "`a` must be [{m}, {}]", self.depth);
-        assert!(start.is_empty() || start.len() == self.n_columns, "`start` must be [n_columns]");
-        Arch::new().dispatch(Multiply { panels: self, a, start, activation, out });
+        self.check_start(start);
+        let a = LeftRows { data: a, panel_step: PANEL, row_step: self.depth };
+        let out =
+            OutRows { data: out, panel_step: PANEL, row_step: self.n_columns, is_padded: false };
+        Arch::new().dispatch(Multiply { panels: self, a, m, start, activation, out });
     }
-}
 
-/// Returns the columns of a full panel, or `None` where there are fewer.
-fn whole_panel(columns: &[f32], depth: usize) -> Option<[&[f32]; PANEL]> {
-    let whole = depth > 0 && columns.len() == PANEL * depth;
-    whole.then(|| std::array::from_fn(|c| &columns[c * depth..][..depth]))
+    /// Computes what [`Panels::multiply`] computes, of a left operand by panels to a result by panels.
+    ///
+    /// # Shapes
+    ///
+    /// `a`: `[m, depth]`; `start`: `[n_columns]`, or empty for zeros; `out`: becomes `[m, n_columns]`.
+    ///
+    /// # Panics
+    ///
+    /// If the shapes do not hold.
+    pub fn multiply_panels(&self, a: &Self, start: &[f32], activation: Activation, out: &mut Self) {
+        let m = a.depth;
+        assert_eq!(a.n_columns, self.depth, "`a` must be [{m}, {}]", self.depth);
+        self.check_start(start);
+        out.resize(m, self.n_columns);
+        let a = LeftRows { data: a.data.as_flattened(), panel_step: m * PANEL, row_step: PANEL };
+        let data = out.data.as_flattened_mut();
+        let out = OutRows { data, panel_step: m * PANEL, row_step: PANEL, is_padded: true };
+        Arch::new().dispatch(Multiply { panels: self, a, m, start, activation, out });
+    }
+
+    fn check_start(&self, start: &[f32]) {
+        assert!(start.is_empty() || start.len() == self.n_columns, "`start` must be [n_columns]");
+    }
+
+    /// Adds all rows to `sums`, in their order.
+    ///
+    /// # Shapes
+    ///
+    /// `sums`: `[n_columns]`.
+    ///
+    /// # Panics
+    ///
+    /// If the length is another.
+    pub fn add_rows(&self, sums: &mut [f32]) {
+        assert_eq!(sums.len(), self.n_columns, "`sums` must be [n_columns]");
+        Arch::new().dispatch(RowSums { panels: self, sums });
+    }
+
+    /// Adds to `out` the rows of `Aᵀ·B` that belong to one panel of A, where B is this matrix: [`add_outer_products`]
+    /// of operands by panels.
+    ///
+    /// # Shapes
+    ///
+    /// B: `[depth, n]`; `a`: `[depth, m]`; `out`: `[columns of A's panel, n]`.
+    ///
+    /// # Panics
+    ///
+    /// If the shapes do not hold.
+    pub fn add_outer_products(&self, a: &Self, panel: usize, out: &mut [f32]) {
+        assert_eq!(a.depth, self.depth, "`a` and B must have the same number of rows");
+        let m = PANEL.min(a.n_columns - panel * PANEL);
+        assert_eq!(out.len(), m * self.n_columns, "`out` must be [{m}, {}]", self.n_columns);
+        let a = &a.data[panel * a.depth..][..a.depth];
+        Arch::new().dispatch(Outer { panels: self, a, m, out });
+    }
 }
 
 /// Adds `Aᵀ·B` to `out`: the sum over rows of the outer products of A's and B's rows, in the order of the rows.
@@ -160,19 +309,43 @@ pub fn add_outer_products(a: &[f32], b: &[f32], m: usize, n: usize, out: &mut [f
     if m == 0 || n == 0 {
         return;
     }
-    let mut panels = Panels::default();
+    // Both by panels: what one pass reads of a row of A would otherwise lie far from what it reads of the next.
+    let (mut left, mut right) = (Panels::default(), Panels::default());
     for (a, b) in a.chunks(DEPTH * m).zip(b.chunks(DEPTH * n)) {
-        panels.pack_rows(b, a.len() / m, n);
-        Arch::new().dispatch(Outer { panels: &panels, a, m, out: &mut *out });
+        left.pack_rows(a, a.len() / m, m);
+        right.pack_rows(b, a.len() / m, n);
+        for (panel, out) in out.chunks_mut(PANEL * n).enumerate() {
+            right.add_outer_products(&left, panel, out);
+        }
     }
+}
+
+/// The left operand, by rows or by panels: where its numbers lie.
+#[derive(Clone, Copy)]
+struct LeftRows<'a> {
+    data: &'a [f32],
+    /// From one group of [`PANEL`] columns to the next.
+    panel_step: usize,
+    row_step: usize,
+}
+
+/// The result, by rows or by panels.
+struct OutRows<'a> {
+    data: &'a mut [f32],
+    panel_step: usize,
+    row_step: usize,
+    /// Whether there is room for whole panels.
+    is_padded: bool,
 }
 
 struct Multiply<'a> {
     panels: &'a Panels,
-    a: &'a [f32],
+    a: LeftRows<'a>,
+    /// Rows of A.
+    m: usize,
     start: &'a [f32],
     activation: Activation,
-    out: &'a mut [f32],
+    out: OutRows<'a>,
 }
 
 impl WithSimd for Multiply<'_> {
@@ -192,88 +365,167 @@ impl WithSimd for Multiply<'_> {
 impl Multiply<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(mut self, simd: S) {
-        let (depth, n) = (self.panels.depth, self.panels.n_columns);
-        let activation = self.activation;
-        for first in (0..n).step_by(PANEL) {
-            let panel = &self.panels.data[first / PANEL * depth..][..depth];
-            let width = PANEL.min(n - first);
-            let mut start = [0.0; PANEL];
-            if !self.start.is_empty() {
-                start[..width].copy_from_slice(&self.start[first..first + width]);
-            }
-            let start = load::<S, V>(&start);
-            let m = self.out.len() / n;
-            let part = PanelPart { panel, start, first, activation };
-            let mut row = 0;
-            while V == 1 && row + WIDE_ROWS <= m {
-                self.tile::<S, V, WIDE_ROWS>(simd, &part, row);
-                row += WIDE_ROWS;
-            }
-            while row + ROWS <= m {
-                self.tile::<S, V, ROWS>(simd, &part, row);
-                row += ROWS;
-            }
-            while row < m {
-                row += match m - row {
-                    1 => self.tile::<S, V, 1>(simd, &part, row),
-                    2 => self.tile::<S, V, 2>(simd, &part, row),
-                    3 => self.tile::<S, V, 3>(simd, &part, row),
-                    _ => self.tile::<S, V, 4>(simd, &part, row),
-                };
-            }
+        let n_panels = self.panels.n_columns.div_ceil(PANEL);
+        let mut panel = 0;
+        while V == 1 && panel + 2 <= n_panels {
+            self.rows::<S, V, 2>(simd, panel);
+            panel += 2;
+        }
+        while panel < n_panels {
+            self.rows::<S, V, 1>(simd, panel);
+            panel += 1;
         }
     }
 
-    /// Computes R rows of one panel and returns R.
+    /// Computes all rows of P panels.
     #[inline(always)]
-    fn tile<S: Simd, const V: usize, const R: usize>(
+    fn rows<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
+        let start = std::array::from_fn(|p| {
+            let mut start = [0.0; PANEL];
+            if !self.start.is_empty() {
+                let columns = self.start.chunks(PANEL).nth(first + p).unwrap_or_default();
+                start[..columns.len()].copy_from_slice(columns);
+            }
+            load::<S, V>(&start)
+        });
+        let (m, mut row) = (self.m, 0);
+        while P == 2 && row + PAIR_ROWS <= m {
+            row += self.tile::<S, V, P, PAIR_ROWS>(simd, &start, first, row);
+        }
+        while V == 1 && P == 1 && row + WIDE_ROWS <= m {
+            row += self.tile::<S, V, P, WIDE_ROWS>(simd, &start, first, row);
+        }
+        while row + ROWS <= m {
+            row += self.tile::<S, V, P, ROWS>(simd, &start, first, row);
+        }
+        while row < m {
+            row += match m - row {
+                1 => self.tile::<S, V, P, 1>(simd, &start, first, row),
+                2 => self.tile::<S, V, P, 2>(simd, &start, first, row),
+                3 => self.tile::<S, V, P, 3>(simd, &start, first, row),
+                _ => self.tile::<S, V, P, 4>(simd, &start, first, row),
+            };
+        }
+    }
+
+    /// Computes R rows of P panels and returns R.
+    #[inline(always)]
+    fn tile<S: Simd, const V: usize, const P: usize, const R: usize>(
         &mut self,
         simd: S,
-        part: &PanelPart<'_, [S::f32s; V]>,
+        start: &[[S::f32s; V]; P],
+        first: usize,
         row: usize,
     ) -> usize {
-        let depth = part.panel.len();
-        let rows: [&[f32]; R] = std::array::from_fn(|r| &self.a[(row + r) * depth..][..depth]);
-        let mut sums = [part.start; R];
-        for (k, b) in part.panel.iter().enumerate() {
-            let b = load::<S, V>(b);
-            for r in 0..R {
-                let a = simd.splat_f32s(rows[r][k]);
-                for v in 0..V {
-                    sums[r][v] = simd.mul_add_f32s(a, b[v], sums[r][v]);
+        let depth = self.panels.depth;
+        let LeftRows { data: a, panel_step, row_step } = self.a;
+        let zero = simd.splat_f32s(0.0);
+        let mut sums = [*start; R];
+        for (part, k) in (0..depth).step_by(PANEL).enumerate() {
+            let n = PANEL.min(depth - k);
+            let rows: [&[f32]; R] =
+                std::array::from_fn(|r| &a[part * panel_step + (row + r) * row_step..][..n]);
+            let panels: [&[[f32; PANEL]]; P] =
+                std::array::from_fn(|p| &self.panels.data[(first + p) * depth + k..][..n]);
+            for k in 0..n {
+                let mut b = [[zero; V]; P];
+                for p in 0..P {
+                    b[p] = load::<S, V>(&panels[p][k]);
+                }
+                for r in 0..R {
+                    let a = simd.splat_f32s(rows[r][k]);
+                    for p in 0..P {
+                        for v in 0..V {
+                            sums[r][p][v] = simd.mul_add_f32s(a, b[p][v], sums[r][p][v]);
+                        }
+                    }
                 }
             }
         }
-        let n = self.panels.n_columns;
         for (r, sums) in sums.iter_mut().enumerate() {
-            for sum in &mut *sums {
-                *sum = match part.activation {
-                    Activation::Linear => *sum,
-                    Activation::Tanh => tanh_vector(simd, *sum),
-                    Activation::Relu => simd.max_f32s(*sum, simd.splat_f32s(0.0)),
-                };
+            for (p, sums) in sums.iter_mut().enumerate() {
+                for sum in &mut *sums {
+                    *sum = match self.activation {
+                        Activation::Linear => *sum,
+                        Activation::Tanh => tanh_vector(simd, *sum),
+                        Activation::Relu => simd.max_f32s(*sum, zero),
+                    };
+                }
+                let OutRows { panel_step, row_step, is_padded, .. } = self.out;
+                let n_left = self.panels.n_columns - (first + p) * PANEL;
+                let width = if is_padded { PANEL } else { PANEL.min(n_left) };
+                let start = (first + p) * panel_step + (row + r) * row_step;
+                store::<S, V>(*sums, &mut self.out.data[start..start + width]);
             }
-            let start = (row + r) * n + part.first;
-            let width = PANEL.min(n - part.first);
-            store::<S, V>(*sums, &mut self.out[start..start + width]);
         }
         R
     }
 }
 
-/// One panel's share of a product.
-struct PanelPart<'a, T> {
-    panel: &'a [[f32; PANEL]],
-    start: T,
-    /// The panel's first column.
-    first: usize,
-    activation: Activation,
+struct RowSums<'a> {
+    panels: &'a Panels,
+    sums: &'a mut [f32],
+}
+
+impl WithSimd for RowSums<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::F32_LANES {
+            16 => self.run::<S, 1>(simd),
+            8 => self.run::<S, 2>(simd),
+            4 => self.run::<S, 4>(simd),
+            _ => self.run::<S, PANEL>(simd),
+        }
+    }
+}
+
+impl RowSums<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const V: usize>(mut self, simd: S) {
+        let n_panels = self.sums.len().div_ceil(PANEL);
+        let mut panel = 0;
+        while panel + GROUP <= n_panels {
+            self.add::<S, V, GROUP>(simd, panel);
+            panel += GROUP;
+        }
+        while panel < n_panels {
+            self.add::<S, V, 1>(simd, panel);
+            panel += 1;
+        }
+    }
+
+    #[inline(always)]
+    fn add<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
+        let depth = self.panels.depth;
+        let mut sums = [[simd.splat_f32s(0.0); V]; P];
+        for p in 0..P {
+            let mut start = [0.0; PANEL];
+            if let Some(own) = self.sums.chunks(PANEL).nth(first + p) {
+                start[..own.len()].copy_from_slice(own);
+            }
+            sums[p] = load::<S, V>(&start);
+        }
+        for k in 0..depth {
+            for p in 0..P {
+                let row = load::<S, V>(&self.panels.data[(first + p) * depth + k]);
+                for v in 0..V {
+                    sums[p][v] = simd.add_f32s(sums[p][v], row[v]);
+                }
+            }
+        }
+        for (sums, own) in sums.iter().zip(self.sums.chunks_mut(PANEL).skip(first)) {
+            store::<S, V>(*sums, own);
+        }
+    }
 }
 
 struct Outer<'a> {
     panels: &'a Panels,
-    /// `[depth, m]`
-    a: &'a [f32],
+    /// One panel. `[depth]`
+    a: &'a [[f32; PANEL]],
+    /// Columns of it that count.
     m: usize,
     out: &'a mut [f32],
 }
@@ -295,50 +547,84 @@ impl WithSimd for Outer<'_> {
 impl Outer<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(mut self, simd: S) {
-        for first in (0..self.panels.n_columns).step_by(PANEL) {
-            let mut row = 0;
-            while V == 1 && row + WIDE_ROWS <= self.m {
-                self.tile::<S, V, WIDE_ROWS>(simd, row, first);
-                row += WIDE_ROWS;
-            }
-            while row + ROWS <= self.m {
-                self.tile::<S, V, ROWS>(simd, row, first);
-                row += ROWS;
-            }
-            while row + 2 <= self.m {
-                self.tile::<S, V, 2>(simd, row, first);
-                row += 2;
-            }
-            while row < self.m {
-                self.tile::<S, V, 1>(simd, row, first);
-                row += 1;
-            }
+        let n_panels = self.panels.n_columns.div_ceil(PANEL);
+        let mut panel = 0;
+        while V == 1 && panel + 2 <= n_panels {
+            self.rows::<S, V, 2>(simd, panel);
+            panel += 2;
+        }
+        while panel < n_panels {
+            self.rows::<S, V, 1>(simd, panel);
+            panel += 1;
         }
     }
 
+    /// Adds to all rows of P panels.
     #[inline(always)]
-    fn tile<S: Simd, const V: usize, const R: usize>(&mut self, simd: S, row: usize, first: usize) {
+    fn rows<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
+        let (m, mut row) = (self.m, 0);
+        while P == 2 && row + PAIR_ROWS <= m {
+            row += self.tile::<S, V, P, PAIR_ROWS>(simd, first, row);
+        }
+        while V == 1 && P == 1 && row + WIDE_ROWS <= m {
+            row += self.tile::<S, V, P, WIDE_ROWS>(simd, first, row);
+        }
+        while row + ROWS <= m {
+            row += self.tile::<S, V, P, ROWS>(simd, first, row);
+        }
+        while row + 2 <= m {
+            row += self.tile::<S, V, P, 2>(simd, first, row);
+        }
+        while row < m {
+            row += self.tile::<S, V, P, 1>(simd, first, row);
+        }
+    }
+
+    /// Adds to R rows of P panels and returns R.
+    #[inline(always)]
+    fn tile<S: Simd, const V: usize, const P: usize, const R: usize>(
+        &mut self,
+        simd: S,
+        first: usize,
+        row: usize,
+    ) -> usize {
         let (depth, n) = (self.panels.depth, self.panels.n_columns);
-        let panel = &self.panels.data[first / PANEL * depth..][..depth];
-        let width = PANEL.min(n - first);
-        let mut sums: [[S::f32s; V]; R] = std::array::from_fn(|r| {
-            let mut start = [0.0; PANEL];
-            start[..width].copy_from_slice(&self.out[(row + r) * n + first..][..width]);
-            load::<S, V>(&start)
-        });
-        for (b, a) in panel.iter().zip(self.a.chunks_exact(self.m)) {
-            let b = load::<S, V>(b);
+        let panels: [&[[f32; PANEL]]; P] =
+            std::array::from_fn(|p| &self.panels.data[(first + p) * depth..][..depth]);
+        let zero = simd.splat_f32s(0.0);
+        let mut sums = [[[zero; V]; P]; R];
+        for r in 0..R {
+            for p in 0..P {
+                let mut start = [0.0; PANEL];
+                let first = (first + p) * PANEL;
+                let columns = &self.out[(row + r) * n..][first..n.min(first + PANEL)];
+                start[..columns.len()].copy_from_slice(columns);
+                sums[r][p] = load::<S, V>(&start);
+            }
+        }
+        for (k, a) in self.a.iter().enumerate() {
             let a = &a[row..row + R];
+            let mut b = [[zero; V]; P];
+            for p in 0..P {
+                b[p] = load::<S, V>(&panels[p][k]);
+            }
             for r in 0..R {
                 let a = simd.splat_f32s(a[r]);
-                for v in 0..V {
-                    sums[r][v] = simd.mul_add_f32s(a, b[v], sums[r][v]);
+                for p in 0..P {
+                    for v in 0..V {
+                        sums[r][p][v] = simd.mul_add_f32s(a, b[p][v], sums[r][p][v]);
+                    }
                 }
             }
         }
-        for (r, sums) in sums.iter().enumerate() {
-            store::<S, V>(*sums, &mut self.out[(row + r) * n + first..][..width]);
+        for r in 0..R {
+            for p in 0..P {
+                let first = (first + p) * PANEL;
+                let columns = &mut self.out[(row + r) * n..][first..n.min(first + PANEL)];
+                store::<S, V>(sums[r][p], columns);
+            }
         }
+        R
     }
 }
 

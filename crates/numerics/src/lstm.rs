@@ -12,7 +12,14 @@
 //! Hochreiter and Schmidhuber, *Long short-term memory*, 1997, with the forget gate of Gers et al., 2000; gates in
 //! `PyTorch`'s order.
 
-use crate::elementary::tanh_inplace;
+#![expect(
+    clippy::inline_always,
+    reason = "kernels must be compiled inside the dispatched target features"
+)]
+
+use pulp::{Arch, Simd, WithSimd};
+
+use crate::elementary::tanh_vector;
 
 /// Gates per unit: input, forget, cell, output.
 pub const N_GATES: usize = 4;
@@ -39,35 +46,69 @@ pub const N_GATES: usize = 4;
 pub fn step(gates: &mut [f32], hidden: &mut [f32], cell: &mut [f32], width: usize) {
     assert_eq!(gates.len(), N_GATES * cell.len(), "`gates` must be [N, 4 H]");
     assert_eq!(hidden.len(), cell.len(), "`hidden` and `cell` must be [N, H]");
-    for gates in gates.chunks_exact_mut(N_GATES * width) {
-        activate(gates, width);
-    }
-    let rows = gates.chunks_exact(N_GATES * width).zip(cell.chunks_exact_mut(width));
-    for ((gates, cell), hidden) in rows.zip(hidden.chunks_exact_mut(width)) {
-        let (input, forget) = (&gates[..width], &gates[width..2 * width]);
-        let candidate = &gates[2 * width..3 * width];
-        for i in 0..width {
-            cell[i] = forget[i] * cell[i] + input[i] * candidate[i];
+    let gates = gates.chunks_exact_mut(N_GATES * width);
+    let rows = gates.zip(hidden.chunks_exact_mut(width)).zip(cell.chunks_exact_mut(width));
+    Arch::new().dispatch(Steps { rows, width });
+}
+
+/// The rows of a step: gates, hidden and cell states of each.
+struct Steps<R> {
+    rows: R,
+    width: usize,
+}
+
+impl<'a, R> WithSimd for Steps<R>
+where
+    R: Iterator<Item = ((&'a mut [f32], &'a mut [f32]), &'a mut [f32])>,
+{
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let width = self.width;
+        for ((gates, hidden), cell) in self.rows {
+            let (input, rest) = gates.split_at_mut(width);
+            let (forget, rest) = rest.split_at_mut(width);
+            let (candidate, output) = rest.split_at_mut(width);
+            for first in (0..width).step_by(S::F32_LANES) {
+                let own = first..width.min(first + S::F32_LANES);
+                let gates = [
+                    &mut input[own.clone()],
+                    &mut forget[own.clone()],
+                    &mut candidate[own.clone()],
+                ];
+                let states = [&mut output[own.clone()], &mut hidden[own.clone()], &mut cell[own]];
+                units_step(simd, gates, states);
+            }
         }
-        hidden.copy_from_slice(cell);
-    }
-    tanh_inplace(hidden);
-    let rows = gates.chunks_exact(N_GATES * width).zip(hidden.chunks_exact_mut(width));
-    for (gates, hidden) in rows {
-        hidden.iter_mut().zip(&gates[3 * width..]).for_each(|(h, output)| *h *= output);
     }
 }
 
-/// Applies the gates' nonlinearities to one row; `sigmoid(x) = (1 + tanh(x / 2)) / 2`.
-fn activate(gates: &mut [f32], width: usize) {
-    let is_sigmoid = |i: usize| i / width != 2;
-    for (i, gate) in gates.iter_mut().enumerate() {
-        *gate *= if is_sigmoid(i) { 0.5 } else { 1.0 };
-    }
-    tanh_inplace(gates);
-    for part in [0..2 * width, 3 * width..4 * width] {
-        gates[part].iter_mut().for_each(|gate| *gate = 0.5 * *gate + 0.5);
-    }
+/// Steps at most one vector of units: input, forget and candidate gates; output gates, hidden and cell states.
+#[inline(always)]
+fn units_step<S: Simd>(simd: S, gates: [&mut [f32]; 3], states: [&mut [f32]; 3]) {
+    let [input, forget, candidate] = gates;
+    let [output, hidden, cell] = states;
+    let i = sigmoid(simd, simd.partial_load_f32s(input));
+    let f = sigmoid(simd, simd.partial_load_f32s(forget));
+    let g = tanh_vector(simd, simd.partial_load_f32s(candidate));
+    let o = sigmoid(simd, simd.partial_load_f32s(output));
+    let kept = simd.mul_f32s(f, simd.partial_load_f32s(cell));
+    let c = simd.add_f32s(kept, simd.mul_f32s(i, g));
+    simd.partial_store_f32s(input, i);
+    simd.partial_store_f32s(forget, f);
+    simd.partial_store_f32s(candidate, g);
+    simd.partial_store_f32s(output, o);
+    simd.partial_store_f32s(cell, c);
+    simd.partial_store_f32s(hidden, simd.mul_f32s(tanh_vector(simd, c), o));
+}
+
+/// `sigmoid(x) = (1 + tanh(x / 2)) / 2`
+#[inline(always)]
+fn sigmoid<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    let half = simd.splat_f32s(0.5);
+    let tanh = tanh_vector(simd, simd.mul_f32s(x, half));
+    simd.add_f32s(simd.mul_f32s(half, tanh), half)
 }
 
 #[cfg(test)]

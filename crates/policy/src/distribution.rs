@@ -14,6 +14,11 @@
 //!
 //! [`ActionDistribution::sample`] for acting; [`ActionDistribution::terms`] and [`ActionTerms::gradient`] for learning.
 
+#![expect(
+    clippy::inline_always,
+    reason = "the learner compiles terms and gradients inside its dispatched target features"
+)]
+
 use std::ops::Range;
 
 use leadtime_numerics::Pcg64;
@@ -155,7 +160,7 @@ impl ActionDistribution {
     }
 
     /// Computes log-probability and entropy of an action and keeps what their gradients need.
-    #[inline]
+    #[inline(always)]
     pub fn terms(&self, logits: &[f32], mask: Mask, action: &[u8], terms: &mut ActionTerms) {
         // Loops over all choices at once, padded to whole vectors: heads of two to five are too short for any.
         let n = self.n_choices.next_multiple_of(8);
@@ -174,15 +179,11 @@ impl ActionDistribution {
             log_probs[c] -= highest[c];
             probs[c] = exp(log_probs[c]) * offered[c];
         }
-        let mut totals = [1.0_f32; MAX_HEADS];
-        for (total, head) in totals.iter_mut().zip(&self.heads) {
-            *total = probs[head.range()].iter().sum();
-        }
-        let (log_totals, scales) = (totals.map(ln), totals.map(|total| 1.0 / total));
         let (mut log_total, mut scale) = ([0.0_f32; MAX_CHOICES], [0.0_f32; MAX_CHOICES]);
-        for (h, head) in self.heads.iter().enumerate() {
-            log_total[head.range()].fill(log_totals[h]);
-            scale[head.range()].fill(scales[h]);
+        for head in &self.heads {
+            let total: f32 = probs[head.range()].iter().sum();
+            log_total[head.range()].fill(ln(total));
+            scale[head.range()].fill(1.0 / total);
         }
         let mut surprise = [0.0_f32; MAX_CHOICES];
         for c in 0..n {
@@ -194,7 +195,7 @@ impl ActionDistribution {
     }
 
     /// Sums log-probability and entropy over the heads that count.
-    #[inline]
+    #[inline(always)]
     fn add_up(&self, action: &[u8], surprise: &[f32; MAX_CHOICES], terms: &mut ActionTerms) {
         terms.log_prob = 0.0;
         terms.entropy = 0.0;
@@ -254,7 +255,7 @@ impl HeadLayout {
 }
 
 /// Returns the highest logit among the allowed choices.
-#[inline]
+#[inline(always)]
 fn highest_logit(logits: &[f32], allowed: u64) -> f32 {
     let masked = logits
         .iter()
@@ -295,7 +296,7 @@ impl ActionTerms {
     /// # Shapes
     ///
     /// `action`: the `[H]` that the terms are of; `gradient`: `[C]`.
-    #[inline]
+    #[inline(always)]
     pub fn gradient(
         &self,
         distribution: &ActionDistribution,

@@ -84,25 +84,10 @@ impl UpdateBatch {
         self.samples.values.extend_from_slice(&current.values);
     }
 
-    /// Copies the samples at `indices`, and their inputs into `features`.
-    pub(crate) fn gather(&self, indices: &[usize], obs_dim: usize) -> (Vec<f32>, Samples) {
-        let n_heads = self.samples.actions.len() / self.n_samples();
-        let mut features = Vec::with_capacity(indices.len() * obs_dim);
-        let mut actions = Vec::with_capacity(indices.len() * n_heads);
-        for &i in indices {
-            features.extend_from_slice(&self.features[i * obs_dim..(i + 1) * obs_dim]);
-            actions.extend_from_slice(&self.samples.actions[i * n_heads..(i + 1) * n_heads]);
-        }
-        let pick = |values: &[f32]| indices.iter().map(|&i| values[i]).collect();
-        let samples = Samples {
-            masks: indices.iter().map(|&i| self.samples.masks[i]).collect(),
-            actions,
-            log_probs: pick(&self.samples.log_probs),
-            advantages: pick(&self.samples.advantages),
-            returns: pick(&self.samples.returns),
-            values: pick(&self.samples.values),
-        };
-        (features, samples)
+    /// Copies the inputs of the samples at `indices`. `[M, D]`
+    pub(crate) fn gather(&self, indices: &[usize], obs_dim: usize) -> Vec<f32> {
+        let row = |&i: &usize| &self.features[i * obs_dim..(i + 1) * obs_dim];
+        indices.iter().flat_map(row).copied().collect()
     }
 
     /// Copies what the sequences start from that `indices` (whole rollouts) consist of.

@@ -54,7 +54,8 @@ impl CustomOp3 for DenseOp {
         let (n, n_in) = x.dims2()?;
         let n_out = bias.dims1()?;
         let device = x.device();
-        let delta = self.delta(y, y_gradient)?;
+        let mut delta = with_floats(y_gradient, <[f32]>::to_vec)?;
+        with_floats(y, |y| self.activation.backward(y, &mut delta))?;
         let mut d_bias = vec![0.0; n_out];
         for row in delta.chunks_exact(n_out) {
             d_bias.iter_mut().zip(row).for_each(|(sum, d)| *sum += d);
@@ -71,24 +72,6 @@ impl CustomOp3 for DenseOp {
         };
         let d_weight = Tensor::from_vec(d_weight, (n_out, n_in), device)?;
         Ok((d_x, Some(d_weight), Some(Tensor::from_vec(d_bias, n_out, device)?)))
-    }
-}
-
-impl DenseOp {
-    /// Computes the gradient before the activation: `dy (1 - y²)` behind a tanh, `dy` where y > 0 behind a rectifier.
-    fn delta(self, y: &Tensor, y_gradient: &Tensor) -> Result<Vec<f32>> {
-        let mut delta = with_floats(y_gradient, <[f32]>::to_vec)?;
-        with_floats(y, |y| {
-            let rows = delta.iter_mut().zip(y);
-            match self.activation {
-                Activation::Linear => {}
-                Activation::Tanh => rows.for_each(|(d, y)| *d *= 1.0 - y * y),
-                Activation::Relu => {
-                    rows.filter(|(_, y)| **y <= 0.0).for_each(|(d, _)| *d = 0.0);
-                }
-            }
-        })?;
-        Ok(delta)
     }
 }
 

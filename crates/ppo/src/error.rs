@@ -23,6 +23,9 @@ pub enum TrainError {
     /// refuses.
     #[error("{0}: training has diverged")]
     Diverged(String),
+    /// The system has no thread left.
+    #[error("cannot start threads: {0}")]
+    Threads(String),
     /// A state that belongs to another architecture.
     #[error("state does not fit this trainer: `{what}`")]
     State {

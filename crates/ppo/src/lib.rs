@@ -2,8 +2,9 @@
 //!
 //! ```text
 //! settings   every setting of PPO            trainer   the update                      state    what a checkpoint holds
-//! gae, vtrace   advantages and targets       loss      PPO's loss, fused               adam     clip and optimiser
-//! rewards    scale and normalisation         minibatch shuffled samples                network  the graph: encoder, *_op
+//! gae, vtrace   advantages and targets       stacks    actor and critic, both ways     adam     clip and optimiser
+//! rewards    scale and normalisation         loss      PPO's loss, row by row          team     threads
+//! minibatch  shuffled samples                network   the encoder's graph: encoder, *_op
 //! ```
 //!
 //! An update is a pure function of the trainer's state and the rollouts: the same bits on every run, whoever acted
@@ -11,7 +12,7 @@
 //!
 //! # What it does not know
 //!
-//! Actors, environments, networks, files, clocks and threads. Rollouts are trained on as they are: a
+//! Actors, environments, networks, files and clocks. Rollouts are trained on as they are: a
 //! [`CheckedRollout`](leadtime_proto::CheckedRollout) is one whose receiver has checked it.
 //!
 //! # Where to start
@@ -29,10 +30,15 @@ mod loss;
 mod lstm_op;
 mod minibatch;
 mod network;
+#[cfg(test)]
+#[path = "../benches/random_rollouts/mod.rs"]
+mod random_rollouts;
 mod rewards;
 pub mod settings;
+mod stacks;
 pub mod state;
 mod storage;
+mod team;
 #[cfg(test)]
 mod test_support;
 pub mod trainer;

@@ -1,7 +1,7 @@
-//! PPO's loss as one node of the engine's graph: logits and values in, one number out, gradients in closed form.
+//! PPO's loss, row by row: logits and values in, what each row contributes out, gradients in closed form.
 //!
 //! Spelled out in the engine's operations the loss is some sixty small tensors per minibatch; here it is one pass over
-//! the samples.
+//! the rows.
 //!
 //! ```text
 //! r = π(a|s) / μ(a|s)      L = mean max(-A r, -A clip(r, 1 ± ε))                                  policy
@@ -14,15 +14,19 @@
 //! Schulman et al., *Proximal policy optimization algorithms*, 2017 (arXiv:1707.06347), with the details of `CleanRL`'s
 //! `ppo.py`: advantages normalised per minibatch with the unbiased deviation, values clipped like ratios.
 
-use std::sync::{Arc, Mutex, PoisonError};
+#![expect(
+    clippy::inline_always,
+    reason = "what a row computes must be compiled inside the dispatched target features"
+)]
 
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use leadtime_numerics::Panels;
 use leadtime_numerics::elementary::exp;
 use leadtime_policy::{ActionDistribution, ActionTerms};
 use leadtime_proto::Mask;
+use leadtime_proto::limits::MAX_CHOICES;
+use pulp::Arch;
 
 use crate::settings::LearnerSettings;
-use crate::storage::{floats, with_floats};
 
 /// Ratios are not taken beyond exp(20): a sender may claim that an action was all but impossible, and an infinite
 /// ratio would end the run.
@@ -48,24 +52,24 @@ impl From<&LearnerSettings> for LossSettings {
     }
 }
 
-/// The samples of one minibatch, but for their observations.
+/// The samples of an update, but for their observations.
 ///
 /// # Shapes
 ///
-/// M samples, H heads.
+/// N samples, H heads.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Samples {
-    /// `[M]`
+    /// `[N]`
     pub(crate) masks: Vec<u64>,
-    /// `[M, H]`
+    /// `[N, H]`
     pub(crate) actions: Vec<u8>,
-    /// Under the behaviour policy. `[M]`
+    /// Under the behaviour policy. `[N]`
     pub(crate) log_probs: Vec<f32>,
-    /// `[M]`
+    /// `[N]`
     pub(crate) advantages: Vec<f32>,
-    /// Targets of the critic. `[M]`
+    /// Targets of the critic. `[N]`
     pub(crate) returns: Vec<f32>,
-    /// What clipped values start from. `[M]`
+    /// What clipped values start from. `[N]`
     pub(crate) values: Vec<f32>,
 }
 
@@ -89,10 +93,8 @@ impl AdvantageScale {
         Self { offset: mean as f32, factor: (1.0 / (deviation + 1e-8)) as f32 }
     }
 
-    pub(crate) fn apply(self, advantages: &mut [f32]) {
-        for advantage in advantages {
-            *advantage = (*advantage - self.offset) * self.factor;
-        }
+    fn apply(self, advantage: f32) -> f32 {
+        (advantage - self.offset) * self.factor
     }
 }
 
@@ -132,105 +134,164 @@ impl LossReport {
     }
 }
 
-/// What the forward pass leaves for the backward pass and for the report.
-#[derive(Debug, Default)]
-struct LossPass {
-    report: LossReport,
-    /// Whether the ratio left the clip range, sample by sample.
-    clipped: Vec<bool>,
-    d_logits: Vec<f32>,
-    d_values: Vec<f32>,
+/// What one row contributes to the policy's loss and to the report.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct PolicyTerms {
+    policy_loss: f32,
+    entropy: f32,
+    log_ratio: f32,
+    approx_kl: f32,
+    /// Whether the ratio left the clip range.
+    pub(crate) is_clipped: bool,
 }
 
-/// The loss of one minibatch, or of a part of it.
-#[derive(Debug)]
-pub(crate) struct PpoLoss {
-    distribution: Arc<ActionDistribution>,
-    settings: LossSettings,
-    samples: Samples,
-    /// Samples of the whole minibatch, of which these may be a part.
-    n_samples: usize,
-    pass: Mutex<LossPass>,
+/// The loss of one minibatch.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PpoLoss<'a> {
+    pub(crate) distribution: &'a ActionDistribution,
+    pub(crate) settings: LossSettings,
+    /// All samples of the update.
+    pub(crate) samples: &'a Samples,
+    /// `None`: advantages stay as they are.
+    pub(crate) scale: Option<AdvantageScale>,
+    /// Rows of the minibatch.
+    pub(crate) n_rows: usize,
 }
 
-impl PpoLoss {
-    pub(crate) fn new(
-        distribution: Arc<ActionDistribution>,
-        settings: LossSettings,
-        samples: Samples,
-        n_samples: usize,
-    ) -> Arc<Self> {
-        Arc::new(Self { distribution, settings, samples, n_samples, pass: Mutex::default() })
+impl PpoLoss<'_> {
+    /// Appends what rows contribute to the policy's loss, and computes the loss's slopes in their logits.
+    ///
+    /// # Shapes
+    ///
+    /// M rows: `samples`: `[M]`, their samples; `logits`: `[M, C]`; `slopes`: becomes `[M, C]`.
+    pub(crate) fn policy_rows(
+        &self,
+        samples: &[usize],
+        logits: &Panels,
+        slopes: &mut Panels,
+        terms: &mut Vec<PolicyTerms>,
+    ) {
+        Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                let n_choices = self.distribution.n_choices();
+                slopes.resize(samples.len(), n_choices);
+                let (mut own, mut own_slopes) = ([0.0; MAX_CHOICES], [0.0; MAX_CHOICES]);
+                let mut action_terms = ActionTerms::default();
+                for (row, &sample) in samples.iter().enumerate() {
+                    logits.copy_row(row, &mut own[..n_choices]);
+                    let own_slopes = &mut own_slopes[..n_choices];
+                    terms.push(self.policy_row(
+                        sample,
+                        &own[..n_choices],
+                        &mut action_terms,
+                        own_slopes,
+                    ));
+                    slopes.set_row(row, own_slopes);
+                }
+            },
+        );
     }
 
-    /// Returns the means of the last forward pass.
-    pub(crate) fn report(&self) -> LossReport {
-        self.pass.lock().unwrap_or_else(PoisonError::into_inner).report
-    }
-
-    /// Tells of which samples the ratio left the clip range in the last forward pass. Shape `[n]`.
-    pub(crate) fn clipped(&self) -> Vec<bool> {
-        self.pass.lock().unwrap_or_else(PoisonError::into_inner).clipped.clone()
-    }
-
-    fn compute(&self, logits: &[f32], values: &[f32]) -> LossPass {
-        let n_choices = self.distribution.n_choices();
+    #[inline(always)]
+    fn policy_row(
+        &self,
+        sample: usize,
+        logits: &[f32],
+        action_terms: &mut ActionTerms,
+        slopes: &mut [f32],
+    ) -> PolicyTerms {
+        let Samples { masks, actions, log_probs, advantages, .. } = self.samples;
         let n_heads = self.distribution.n_heads();
-        let mut sums = LossReport::default();
-        let mut d_logits = vec![0.0; logits.len()];
-        let mut d_values = vec![0.0; values.len()];
-        let mut clipped = Vec::with_capacity(values.len());
-        let share = 1.0 / self.n_samples as f32;
-        let mut terms = ActionTerms::default();
-        let rows = logits.chunks_exact(n_choices).zip(d_logits.chunks_exact_mut(n_choices));
-        for (i, (logits, d_logits)) in rows.enumerate() {
-            let action = &self.samples.actions[i * n_heads..(i + 1) * n_heads];
-            self.distribution.terms(logits, Mask(self.samples.masks[i]), action, &mut terms);
-            let advantage = self.samples.advantages[i];
-            let log_ratio = terms.log_prob - self.samples.log_probs[i];
-            let n_clipped = sums.clip_fraction;
-            let d_log_prob = self.settings.policy_term(log_ratio, advantage, &mut sums);
-            clipped.push(sums.clip_fraction > n_clipped);
-            sums.entropy += f64::from(terms.entropy);
-            let d_entropy = -self.settings.entropy_coef * share;
-            terms.gradient(&self.distribution, action, d_log_prob * share, d_entropy, d_logits);
-            let (old, target) = (self.samples.values[i], self.samples.returns[i]);
-            let slope = self.settings.value_term(values[i], old, target, &mut sums);
-            d_values[i] = slope * self.settings.value_coef * share;
+        let action = &actions[sample * n_heads..][..n_heads];
+        self.distribution.terms(logits, Mask(masks[sample]), action, action_terms);
+        let advantage = advantages[sample];
+        let advantage = self.scale.map_or(advantage, |scale| scale.apply(advantage));
+        let log_ratio = action_terms.log_prob - log_probs[sample];
+        let (terms, d_log_prob) =
+            self.settings.policy_term(log_ratio, advantage, action_terms.entropy);
+        let share = self.share();
+        let d_entropy = -self.settings.entropy_coef * share;
+        action_terms.gradient(self.distribution, action, d_log_prob * share, d_entropy, slopes);
+        terms
+    }
+
+    /// Appends what rows contribute to the value loss, without its factor ½, and computes the loss's slopes in their
+    /// values.
+    ///
+    /// # Shapes
+    ///
+    /// M rows: `samples`: `[M]`, their samples; `values`: `[M, 1]`; `slopes`: becomes `[M, 1]`.
+    pub(crate) fn value_rows(
+        &self,
+        samples: &[usize],
+        values: &Panels,
+        slopes: &mut Panels,
+        losses: &mut Vec<f32>,
+    ) {
+        slopes.resize(samples.len(), 1);
+        let share = self.share();
+        for (row, &sample) in samples.iter().enumerate() {
+            let mut value = [0.0];
+            values.copy_row(row, &mut value);
+            let (old, target) = (self.samples.values[sample], self.samples.returns[sample]);
+            let (loss, slope) = self.settings.value_term(value[0], old, target);
+            losses.push(loss);
+            slopes.set_row(row, &[slope * self.settings.value_coef * share]);
         }
-        let report = self.settings.means(sums, self.n_samples as f64);
-        LossPass { report, clipped, d_logits, d_values }
+    }
+
+    /// The weight of one row in a mean.
+    fn share(&self) -> f32 {
+        1.0 / self.n_rows as f32
+    }
+
+    /// Returns the share of some rows in the means over the minibatch.
+    pub(crate) fn report(&self, policy: &[PolicyTerms], value_losses: &[f32]) -> LossReport {
+        let mut sums = LossReport::default();
+        for terms in policy {
+            sums.policy_loss += f64::from(terms.policy_loss);
+            sums.entropy += f64::from(terms.entropy);
+            sums.old_approx_kl -= f64::from(terms.log_ratio);
+            sums.approx_kl += f64::from(terms.approx_kl);
+            sums.clip_fraction += f64::from(u8::from(terms.is_clipped));
+        }
+        for loss in value_losses {
+            sums.value_loss += 0.5 * f64::from(*loss);
+        }
+        self.settings.means(sums, self.n_rows as f64)
     }
 }
 
 impl LossSettings {
-    /// Adds one sample's policy loss to the sums and returns its slope in the log-probability.
-    #[inline]
-    fn policy_term(&self, log_ratio: f32, advantage: f32, sums: &mut LossReport) -> f32 {
+    /// Returns one row's terms and the slope of its policy loss in the log-probability.
+    #[inline(always)]
+    fn policy_term(&self, log_ratio: f32, advantage: f32, entropy: f32) -> (PolicyTerms, f32) {
         let ratio = exp(log_ratio.min(MAX_LOG_RATIO));
         let clipped = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
         let (free, bound) = (-advantage * ratio, -advantage * clipped);
-        sums.policy_loss += f64::from(free.max(bound));
-        sums.old_approx_kl -= f64::from(log_ratio);
-        sums.approx_kl += f64::from((ratio - 1.0) - log_ratio);
-        sums.clip_fraction += f64::from(u8::from((ratio - 1.0).abs() > self.clip));
+        let terms = PolicyTerms {
+            policy_loss: free.max(bound),
+            entropy,
+            log_ratio,
+            approx_kl: (ratio - 1.0) - log_ratio,
+            is_clipped: (ratio - 1.0).abs() > self.clip,
+        };
         // Within the range both branches are one; outside, only the free branch has a slope.
-        if free >= bound { free } else { 0.0 }
+        (terms, if free >= bound { free } else { 0.0 })
     }
 
-    /// Adds one sample's value loss to the sums and returns its slope in the value.
-    #[inline]
-    fn value_term(&self, value: f32, old: f32, target: f32, sums: &mut LossReport) -> f32 {
+    /// Returns one row's value loss, without its factor ½, and its slope in the value.
+    fn value_term(&self, value: f32, old: f32, target: f32) -> (f32, f32) {
         let error = value - target;
         if !self.value_clip {
-            sums.value_loss += 0.5 * f64::from(error * error);
-            return error;
+            return (error * error, error);
         }
         let change = value - old;
         let clipped = old + change.clamp(-self.clip, self.clip) - target;
-        sums.value_loss += 0.5 * f64::from((error * error).max(clipped * clipped));
         let within = change.abs() <= self.clip;
-        if within || error * error >= clipped * clipped { error } else { 0.0 }
+        let has_slope = within || error * error >= clipped * clipped;
+        ((error * error).max(clipped * clipped), if has_slope { error } else { 0.0 })
     }
 
     fn means(&self, sums: LossReport, n: f64) -> LossReport {
@@ -238,60 +299,6 @@ impl LossSettings {
         means.total = means.policy_loss + f64::from(self.value_coef) * means.value_loss
             - f64::from(self.entropy_coef) * means.entropy;
         means
-    }
-}
-
-/// The graph's handle on a [`PpoLoss`].
-pub(crate) struct LossOp(pub(crate) Arc<PpoLoss>);
-
-impl CustomOp2 for LossOp {
-    fn name(&self) -> &'static str {
-        "ppo-loss"
-    }
-
-    fn cpu_fwd(
-        &self,
-        logits: &CpuStorage,
-        logits_layout: &Layout,
-        values: &CpuStorage,
-        values_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let (n, n_choices) = logits_layout.shape().dims2()?;
-        let fits = n_choices == self.0.distribution.n_choices()
-            && values_layout.shape().elem_count() == n
-            && self.0.samples.masks.len() == n;
-        if !fits {
-            candle_core::bail!("ppo-loss: logits, values and samples differ in shape")
-        }
-        let logits = floats(logits, logits_layout)?;
-        let pass = self.0.compute(logits, floats(values, values_layout)?);
-        let total = pass.report.total as f32;
-        *self.0.pass.lock().unwrap_or_else(PoisonError::into_inner) = pass;
-        Ok((CpuStorage::F32(vec![total]), Shape::from(())))
-    }
-
-    fn bwd(
-        &self,
-        logits: &Tensor,
-        values: &Tensor,
-        _loss: &Tensor,
-        gradient: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let factor = with_floats(gradient, |gradient| gradient[0])?;
-        let mut pass = self.0.pass.lock().unwrap_or_else(PoisonError::into_inner);
-        let scaled = |mut gradient: Vec<f32>| {
-            // The loss is the root of the graph, so the factor is 1 but for tests.
-            if factor != 1.0 {
-                for x in &mut gradient {
-                    *x *= factor;
-                }
-            }
-            gradient
-        };
-        let d_logits = scaled(std::mem::take(&mut pass.d_logits));
-        let d_values = scaled(std::mem::take(&mut pass.d_values));
-        let d_logits = Tensor::from_vec(d_logits, logits.shape(), logits.device())?;
-        Ok((Some(d_logits), Some(Tensor::from_vec(d_values, values.shape(), values.device())?)))
     }
 }
 

@@ -9,12 +9,18 @@
 //! A sequence starts from the state that its actor stored, and from zero behind an episode's end; no gradient flows
 //! through either. The arithmetic is that of an actor's inference, so that the log-probabilities agree bit for bit.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what a step computes must be compiled inside the dispatched target features"
+)]
+
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use leadtime_numerics::kernel::{Activation, add_outer_products};
 use leadtime_numerics::lstm::{self, N_GATES};
 use leadtime_numerics::{Panels, tanh_inplace};
+use pulp::Arch;
 
 use crate::storage::{floats, with_floats};
 
@@ -118,20 +124,25 @@ impl LstmOp {
         let mut squashed = states.cell.clone();
         tanh_inplace(&mut squashed);
         for t in (0..n_steps).rev() {
-            for s in 0..n {
-                let own = s * width..(s + 1) * width;
-                let place = t * n_states + s * width;
-                let step = SequenceStep {
-                    gates: &states.gates[(t * n + s) * n_gates..][..n_gates],
-                    cell_before: &states.cell_before[place..place + width],
-                    squashed: &squashed[place..place + width],
-                };
-                let d_out = &d_out[self.sample(t, s, width)];
-                let d_hidden = &mut d_hidden[own.clone()];
-                d_hidden.iter_mut().zip(d_out).for_each(|(sum, d)| *sum += d);
-                let d_gates = &mut d_gates[(t * n + s) * n_gates..][..n_gates];
-                step.back(d_hidden, &mut d_cell[own], d_gates);
-            }
+            Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    for s in 0..n {
+                        let own = s * width..(s + 1) * width;
+                        let place = t * n_states + s * width;
+                        let step = SequenceStep {
+                            gates: &states.gates[(t * n + s) * n_gates..][..n_gates],
+                            cell_before: &states.cell_before[place..place + width],
+                            squashed: &squashed[place..place + width],
+                        };
+                        let d_out = &d_out[self.sample(t, s, width)];
+                        let d_hidden = &mut d_hidden[own.clone()];
+                        d_hidden.iter_mut().zip(d_out).for_each(|(sum, d)| *sum += d);
+                        let d_gates = &mut d_gates[(t * n + s) * n_gates..][..n_gates];
+                        step.back(d_hidden, &mut d_cell[own], d_gates);
+                    }
+                },
+            );
             let d_now = &d_gates[t * n * n_gates..][..n * n_gates];
             weight.multiply(d_now, &[], Activation::Linear, &mut d_hidden);
             for s in (0..n).filter(|&s| self.resets(t, s)) {
@@ -153,18 +164,24 @@ struct SequenceStep<'a> {
 
 impl SequenceStep<'_> {
     /// From slopes in h and c after the step: those before the gates' activations, and the one in c before the step.
+    #[inline(always)]
     fn back(&self, d_hidden: &[f32], d_cell: &mut [f32], d_gates: &mut [f32]) {
         let n = d_hidden.len();
+        // Slices of one length, so that the loop has no bounds to check.
+        let [input, forget, candidate, output] =
+            [0, 1, 2, 3].map(|gate| &self.gates[gate * n..][..n]);
+        let (cell_before, squashed) = (&self.cell_before[..n], &self.squashed[..n]);
+        let (d_input, d_rest) = d_gates.split_at_mut(n);
+        let (d_forget, d_rest) = d_rest.split_at_mut(n);
+        let (d_candidate, d_output) = d_rest.split_at_mut(n);
+        let (d_output, d_cell) = (&mut d_output[..n], &mut d_cell[..n]);
         for i in 0..n {
-            let (input, forget) = (self.gates[i], self.gates[n + i]);
-            let (candidate, output) = (self.gates[2 * n + i], self.gates[3 * n + i]);
-            let squashed = self.squashed[i];
-            let d = d_cell[i] + d_hidden[i] * output * (1.0 - squashed * squashed);
-            d_gates[i] = d * candidate * input * (1.0 - input);
-            d_gates[n + i] = d * self.cell_before[i] * forget * (1.0 - forget);
-            d_gates[2 * n + i] = d * input * (1.0 - candidate * candidate);
-            d_gates[3 * n + i] = d_hidden[i] * squashed * output * (1.0 - output);
-            d_cell[i] = d * forget;
+            let d = d_cell[i] + d_hidden[i] * output[i] * (1.0 - squashed[i] * squashed[i]);
+            d_input[i] = d * candidate[i] * input[i] * (1.0 - input[i]);
+            d_forget[i] = d * cell_before[i] * forget[i] * (1.0 - forget[i]);
+            d_candidate[i] = d * input[i] * (1.0 - candidate[i] * candidate[i]);
+            d_output[i] = d_hidden[i] * squashed[i] * output[i] * (1.0 - output[i]);
+            d_cell[i] = d * forget[i];
         }
     }
 }

@@ -3,7 +3,6 @@
 
 use candle_core::{DType, Device};
 use leadtime_numerics::Pcg64;
-use leadtime_policy::Policy;
 use leadtime_policy::attention::AttentionEncoder;
 use leadtime_proto::{ActionSpec, EgoAttention, Encoder, HeadCredit};
 
@@ -30,7 +29,7 @@ fn flat(tensor: &Tensor) -> Vec<f32> {
 
 /// What actor and critic see.
 fn encode(network: &ActorCritic, observations: &Tensor) -> Tensor {
-    network.encoder.forward(&network.vars, observations, &Arc::default()).unwrap()
+    network.features(observations, &Arc::default()).unwrap()
 }
 
 /// Observations of which one entity in five is absent.
@@ -64,11 +63,6 @@ fn learner_and_actor_compute_the_same_bits() {
         let mut features = vec![f32::NAN; 70 * encoder.feature_dim()];
         encoder.encode(&raw, &mut features);
         assert_eq!(flat(&encode(&network, &input)), features);
-        let (logits, values) = network.forward(&input, &Arc::default()).unwrap();
-        let mut acting = Policy::new(&spec, &parameters).unwrap();
-        let (mut acted, mut valued) = (vec![0.0; 140], vec![0.0; 70]);
-        acting.evaluate(&raw, &mut [], &mut acted, &mut valued);
-        assert_eq!((flat(&logits), flat(&values)), (acted, valued));
     }
 }
 
@@ -80,13 +74,17 @@ fn gradients_go_through_every_frame_and_are_those_of_small_steps() {
     let input = Tensor::from_slice(&raw, (20, spec.obs_dim), &Device::Cpu).unwrap();
     for frame in 0..SMALL.n_frames {
         // A loss that looks at the encoding of one frame only.
-        let loss = |network: &ActorCritic| {
+        let of_features = |features: &Tensor| {
             let start = frame * (SMALL.width + SMALL.action_dim);
-            let encoded = encode(network, &input).narrow(1, start, SMALL.width).unwrap();
+            let encoded = features.narrow(1, start, SMALL.width).unwrap();
             (encoded.sqr().unwrap().to_dtype(DType::F64).unwrap()).sum_all().unwrap()
         };
+        let loss = |network: &ActorCritic| of_features(&encode(network, &input));
         let network = ActorCritic::new(&spec, &parameters).unwrap();
-        let gradients = network.gradients(&loss(&network)).unwrap();
+        let features = encode(&network, &input);
+        let copy = Var::from_tensor(&features).unwrap();
+        let slopes = flat(of_features(&copy).backward().unwrap().get(&copy).unwrap());
+        let gradients = network.encoder_gradients(&features, &slopes).unwrap();
         for name in network.vars.keys().filter(|name| name.starts_with("encoder.")) {
             let gradient = flat(&gradients[name]);
             let steepest = (0..gradient.len())

@@ -79,6 +79,9 @@ pub struct LearnerSettings {
     pub lag: u64,
     /// Oldest rollouts, in versions, that mode `async` trains on. Default 8.
     pub staleness_max: u64,
+    /// Threads that share an update, 0..=[`MAX_THREADS`]; 0: whoever runs it decides, and a [`Trainer`](crate::Trainer) takes
+    /// one. They change no bit. Default 0.
+    pub threads: usize,
 }
 
 impl Default for LearnerSettings {
@@ -106,6 +109,7 @@ impl Default for LearnerSettings {
             mode: Mode::Sync,
             lag: 1,
             staleness_max: 8,
+            threads: 0,
         }
     }
 }
@@ -119,6 +123,9 @@ pub struct SettingsError {
     /// The values that the key may have.
     pub requirement: &'static str,
 }
+
+/// The most threads that share an update: more blocks than that has no minibatch in use.
+pub const MAX_THREADS: usize = 64;
 
 const ABOVE_0: &str = "above 0 and at most 1000000";
 
@@ -136,7 +143,7 @@ impl LearnerSettings {
         let n_samples = self.n_envs.saturating_mul(self.n_steps);
         let minibatches_fit = (1..=n_samples).contains(&self.n_minibatches);
         let lag_fits = (1..=limits::MAX_LAG).contains(&self.lag);
-        let rules: [(bool, &'static str, &'static str); 16] = [
+        let rules: [(bool, &'static str, &'static str); 17] = [
             ((1..=limits::MAX_ENVS).contains(&self.n_envs), "n_envs", "from 1 to 65536"),
             ((1..=limits::MAX_ROLLOUT_STEPS).contains(&self.n_steps), "n_steps", "from 1 to 65536"),
             (self.total_steps > 0, "total_steps", "at least 1"),
@@ -153,6 +160,7 @@ impl LearnerSettings {
             (positive(self.reward_scale), "reward_scale", ABOVE_0),
             (self.mode != Mode::Lag || lag_fits, "lag", "from 1 to 64"),
             (self.staleness_max <= 10_000, "staleness_max", "at most 10000"),
+            (self.threads <= MAX_THREADS, "threads", "from 0 to 64"),
         ];
         match rules.into_iter().find(|(holds, _, _)| !holds) {
             None => Ok(()),

@@ -8,7 +8,7 @@
 //!
 //! # Invariants
 //!
-//! * Single-threaded, and a pure function of state and rollouts: same state, same rollouts, same bits.
+//! * A pure function of state and rollouts: same state, same rollouts, same bits, however many threads share the work.
 //! * [`Trainer::state`] is everything: a trainer restored from it goes on bit for bit.
 //! * Version v is weights v *and* normaliser v: the update uses the statistics that the newest actors used, and only
 //!   then takes the rollouts' observations in, in the order of environment ids.
@@ -29,16 +29,15 @@ use serde::{Deserialize, Serialize};
 use crate::TrainError;
 use crate::adam::{Adam, clip_factor, global_norm};
 use crate::batch::UpdateBatch;
-use crate::loss::{AdvantageScale, LossOp, LossReport, LossSettings, PpoLoss};
+use crate::loss::{AdvantageScale, LossReport, LossSettings, PpoLoss};
 use crate::lstm_op::Sequences;
 use crate::minibatch::Minibatches;
 use crate::network::ActorCritic;
 use crate::rewards::ReturnNormalizer;
 use crate::settings::LearnerSettings;
+use crate::stacks::{BLOCK, Features, Stacks};
 use crate::storage::with_floats;
-
-/// Samples whose activations are in the graph at a time: those of 512 rows stay in the second-level cache.
-const BLOCK: usize = 512;
+use crate::team::Team;
 
 /// A critic's weights and its bias may together not make more than the largest value that a rollout may hold; the
 /// factor leaves room for both and for rounding. Weights that learn are smaller by six orders of magnitude.
@@ -83,10 +82,12 @@ pub struct Trainer {
     pub(crate) policy_spec: PolicySpec,
     settings: LearnerSettings,
     run_seed: u64,
-    distribution: Arc<ActionDistribution>,
+    distribution: ActionDistribution,
     pub(crate) version: PolicyVersion,
     pub(crate) parameters: Parameters,
     pub(crate) network: ActorCritic,
+    stacks: Stacks,
+    team: Team,
     pub(crate) adam: Adam,
     pub(crate) observations: Option<ObservationNormalizer>,
     pub(crate) rewards: ReturnNormalizer,
@@ -97,7 +98,7 @@ impl Trainer {
     ///
     /// # Errors
     ///
-    /// [`TrainError`] if settings or specification cannot be used.
+    /// [`TrainError`] if settings or specification cannot be used, or the system has no thread left.
     pub fn new(
         policy: &PolicySpec,
         settings: &LearnerSettings,
@@ -112,7 +113,7 @@ impl Trainer {
     ///
     /// # Errors
     ///
-    /// [`TrainError`] if settings, specification and parameters cannot be used together.
+    /// [`TrainError`] if settings, specification and parameters cannot be used together, or the system has no thread left.
     pub fn from_parameters(
         policy: &PolicySpec,
         settings: &LearnerSettings,
@@ -125,8 +126,10 @@ impl Trainer {
             policy_spec: policy.clone(),
             settings: settings.clone(),
             run_seed,
-            distribution: Arc::new(ActionDistribution::new(&policy.actions, policy.head_credit)),
+            distribution: ActionDistribution::new(&policy.actions, policy.head_credit),
             version: PolicyVersion(0),
+            stacks: Stacks::new(policy, network.encoder_learns()),
+            team: Team::new(settings.threads)?,
             adam: Adam::new(&network.vars),
             network,
             observations: parameters.normalizer().cloned(),
@@ -284,19 +287,39 @@ impl Trainer {
         clipped: &mut ClipCounts,
     ) -> Result<(LossReport, f64), TrainError> {
         let advantages = indices.iter().map(|&i| batch.samples.advantages[i]);
-        let scale = self.settings.normalize_advantages.then(|| AdvantageScale::of(advantages));
-        // A recurrent network takes the minibatch whole: its sequences stay together.
-        let block = if self.is_recurrent() { indices.len() } else { BLOCK };
+        let loss = PpoLoss {
+            distribution: &self.distribution,
+            settings: LossSettings::from(&self.settings),
+            samples: &batch.samples,
+            scale: self.settings.normalize_advantages.then(|| AdvantageScale::of(advantages)),
+            n_rows: indices.len(),
+        };
+        self.stacks.begin(&self.network.vars)?;
         let mut report = LossReport::default();
         let mut gradients = BTreeMap::new();
-        for rows in indices.chunks(block) {
-            let (total, loss) = self.loss(batch, rows, scale, indices.len())?;
-            add_gradients(&mut gradients, self.network.gradients(&total)?)?;
-            report.add(&loss.report());
+        let learns = self.network.encoder_learns();
+        // An encoder's graph holds a block at a time; a recurrent one keeps its sequences together.
+        let at_once = if learns && !self.is_recurrent() { BLOCK } else { indices.len() };
+        for rows in indices.chunks(at_once) {
+            if learns {
+                let features = self.features(batch, rows)?;
+                let run = |values: &[f32]| {
+                    self.stacks.run(&loss, Features::OfRows(values), rows, &self.team)
+                };
+                report.add(&with_floats(&features, run)?);
+                let block = self.network.encoder_gradients(&features, self.stacks.d_features())?;
+                add_gradients(&mut gradients, block)?;
+            } else {
+                let features = Features::OfSamples(&batch.features);
+                report.add(&self.stacks.run(&loss, features, rows, &self.team));
+            }
             if !batch.staleness.is_empty() {
-                clipped.count(rows.iter().map(|&row| batch.staleness[row]), &loss.clipped());
+                let terms = self.stacks.policy_terms().iter();
+                let staleness = rows.iter().map(|&row| batch.staleness[row]);
+                clipped.count(staleness.zip(terms.map(|terms| terms.is_clipped)));
             }
         }
+        gradients.extend(self.stacks.gradients()?);
         let norm = global_norm(&gradients)?;
         if norm.is_finite() {
             let scale = clip_factor(norm, self.settings.max_grad_norm);
@@ -305,27 +328,14 @@ impl Trainer {
         Ok((report, norm))
     }
 
-    /// Builds the graph of the share that some rows have in the loss of their minibatch of `n_samples`.
-    fn loss(
-        &self,
-        batch: &UpdateBatch,
-        rows: &[usize],
-        scale: Option<AdvantageScale>,
-        n_samples: usize,
-    ) -> Result<(Tensor, Arc<PpoLoss>), TrainError> {
+    /// Builds the encoder's graph of some rows.
+    fn features(&self, batch: &UpdateBatch, rows: &[usize]) -> Result<Tensor, TrainError> {
         let obs_dim = self.policy_spec.obs_dim;
-        let (features, mut samples) = batch.gather(rows, obs_dim);
-        if let Some(scale) = scale {
-            scale.apply(&mut samples.advantages);
-        }
-        let features = Tensor::from_vec(features, (rows.len(), obs_dim), &Device::Cpu)?;
+        let observations = batch.gather(rows, obs_dim);
+        let observations = Tensor::from_vec(observations, (rows.len(), obs_dim), &Device::Cpu)?;
         let sequences =
             if self.is_recurrent() { batch.gather_sequences(rows) } else { Sequences::default() };
-        let (logits, values) = self.network.forward(&features, &Arc::new(sequences))?;
-        let settings = LossSettings::from(&self.settings);
-        let loss = PpoLoss::new(Arc::clone(&self.distribution), settings, samples, n_samples);
-        let total = logits.apply_op2(&values, LossOp(Arc::clone(&loss)))?;
-        Ok((total, loss))
+        Ok(self.network.features(&observations, &Arc::new(sequences))?)
     }
 
     /// Finds outputs that no rollout may hold, where the size of the weights does not bound them already: heads
@@ -427,11 +437,11 @@ impl Mean {
 struct ClipCounts(BTreeMap<u64, [u64; 2]>);
 
 impl ClipCounts {
-    fn count(&mut self, staleness: impl Iterator<Item = u64>, clipped: &[bool]) {
-        for (staleness, clipped) in staleness.zip(clipped) {
+    fn count(&mut self, rows: impl Iterator<Item = (u64, bool)>) {
+        for (staleness, clipped) in rows {
             let [n, n_clipped] = self.0.entry(staleness).or_default();
             *n += 1;
-            *n_clipped += u64::from(*clipped);
+            *n_clipped += u64::from(clipped);
         }
     }
 

@@ -6,6 +6,7 @@ use leadtime_proto::{
 };
 
 use super::*;
+use crate::random_rollouts;
 use crate::settings::Mode;
 use crate::state::TrainerState;
 
@@ -322,5 +323,58 @@ fn whatever_the_learning_rate_divergence_is_found_before_an_actor_sends_it() {
                 assert!(error.to_string().ends_with("training has diverged"), "{error}");
             }
         }
+    }
+}
+
+/// Trains on random rollouts for two updates; returns a digest of the weights.
+fn digest(spec: &PolicySpec, shape: (usize, usize), n_threads: usize) -> u64 {
+    let (n_envs, n_steps) = shape;
+    let shape = LearnerSettings { n_envs, n_steps, n_minibatches: 2, ..Default::default() };
+    let settings = LearnerSettings { threads: n_threads, ..shape };
+    let mut trainer = Trainer::new(spec, &settings, 1).unwrap();
+    let act = |env| random_rollouts::rollout(spec, trainer.parameters(), env, n_steps);
+    let rollouts: Vec<CheckedRollout> = (0..n_envs as u32).map(act).collect();
+    (0..2).for_each(|_| drop(trainer.update(&rollouts).unwrap()));
+    let bytes = trainer.parameters().to_safetensors(&BTreeMap::new()).unwrap();
+    let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, mix)
+}
+
+#[test]
+fn an_update_has_the_same_bits_on_any_number_of_threads() {
+    // Blocks of 512 and a rest, a single block, sequences; the digests are those of an update on one thread before there
+    // were several.
+    let (plain, attentive, recurrent) =
+        (random_rollouts::plain(), random_rollouts::attentive(), random_rollouts::recurrent());
+    for (spec, shape, expected) in [
+        (&plain, (4, 600), 0x0e7b_5aa2_b39a_4044),
+        (&plain, (2, 128), 0x77de_34a4_9159_f8da),
+        (&attentive, (4, 300), 0x31eb_efa5_4e81_4030),
+        (&recurrent, (12, 50), 0xed67_a92e_d1c2_698c),
+    ] {
+        for n_threads in [1, 2, 4] {
+            let found = digest(spec, shape, n_threads);
+            assert_eq!(found, expected, "{found:#x} {shape:?}, {n_threads} threads");
+        }
+    }
+}
+
+#[test]
+fn a_learner_computes_what_an_actor_computed() {
+    for spec in
+        [random_rollouts::plain(), random_rollouts::attentive(), random_rollouts::recurrent()]
+    {
+        let settings = LearnerSettings {
+            n_envs: 3,
+            n_steps: 70,
+            n_epochs: 1,
+            n_minibatches: 1,
+            ..Default::default()
+        };
+        let mut trainer = Trainer::new(&spec, &settings, 1).unwrap();
+        let act = |env| random_rollouts::rollout(&spec, trainer.parameters(), env, 70);
+        let rollouts: Vec<CheckedRollout> = (0..3).map(act).collect();
+        let report = trainer.update(&rollouts).unwrap();
+        assert_eq!((report.old_approx_kl, report.approx_kl), (0.0, 0.0), "{:?}", spec.encoder);
     }
 }

@@ -160,6 +160,7 @@ fn plan(
     let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
     let mut learner = text(&["learner", "--supervised", "--name", reserved.name.as_str()]);
     learner.extend(text(&["--listen", endpoint]));
+    learner.extend(text(&["--local-actors", &launch.n_actors.to_string()]));
     learner.extend(text(launch.options));
     // Not through the file, and not as text: a path need not be text.
     let paths = [("-c", &*file), ("--scratch", scratch), ("--runs", &config.run.directory)];

@@ -3,11 +3,13 @@
 use leadtime_config::{Config, identity};
 use leadtime_learner::{Build, LearnerConfig};
 use leadtime_link::ListenSettings;
+use leadtime_ppo::LearnerSettings;
 use leadtime_proto::{RunSpec, hex};
 
 use crate::{ProgramBuild, RunDir, RunDirError, clock};
 
-/// Tells a learner what to train, where to listen and what to go on from.
+/// Tells a learner what to train, where to listen and what to go on from, on how many threads if the configuration leaves
+/// that open.
 ///
 /// # Errors
 ///
@@ -17,6 +19,7 @@ pub fn learner_config(
     run_dir: &RunDir,
     listen: ListenSettings,
     build: ProgramBuild,
+    n_threads: usize,
 ) -> Result<LearnerConfig, RunDirError> {
     Ok(LearnerConfig {
         run: run_dir.name.clone(),
@@ -29,7 +32,10 @@ pub fn learner_config(
             n_steps: config.learner.n_steps as u32,
             schedule: config.learner.schedule(),
         },
-        settings: config.learner.clone(),
+        settings: LearnerSettings {
+            threads: if config.learner.threads == 0 { n_threads } else { config.learner.threads },
+            ..config.learner.clone()
+        },
         window: config.window,
         actors_min: config.run.actors_min as usize,
         listen,
