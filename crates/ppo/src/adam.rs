@@ -10,9 +10,9 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-use candle_core::{CpuStorage, InplaceOp2, Layout, Tensor, Var};
+use candle_core::{CpuStorage, InplaceOp1, Layout, Var};
 
-use crate::storage::{floats, with_floats};
+use crate::dense::Gradients;
 
 const BETA1: f64 = 0.9;
 const BETA2: f64 = 0.999;
@@ -53,7 +53,7 @@ impl Adam {
     pub(crate) fn step(
         &mut self,
         vars: &BTreeMap<String, Var>,
-        gradients: &BTreeMap<String, Tensor>,
+        gradients: &Gradients,
         learning_rate: f64,
         scale: f64,
     ) -> candle_core::Result<()> {
@@ -65,7 +65,7 @@ impl Adam {
         for (name, gradient) in gradients {
             let moments = self.moments.get_mut(name).expect("every parameter has its moments");
             let moments = RefCell::new(moments);
-            vars[name].inplace_op2(gradient, &AdamStep { scale, step, root, moments })?;
+            vars[name].inplace_op1(&AdamStep { gradient, scale, step, root, moments })?;
         }
         Ok(())
     }
@@ -73,39 +73,33 @@ impl Adam {
 
 /// One tensor's step, and the factors of gradient, step and root.
 struct AdamStep<'a> {
+    gradient: &'a [f32],
     scale: f32,
     step: f32,
     root: f32,
     moments: RefCell<&'a mut Moments>,
 }
 
-impl InplaceOp2 for AdamStep<'_> {
+impl InplaceOp1 for AdamStep<'_> {
     fn name(&self) -> &'static str {
         "adam-step"
     }
 
-    fn cpu_fwd(
-        &self,
-        parameter: &mut CpuStorage,
-        layout: &Layout,
-        gradient: &CpuStorage,
-        gradient_layout: &Layout,
-    ) -> candle_core::Result<()> {
-        let gradient = floats(gradient, gradient_layout)?;
+    fn cpu_fwd(&self, parameter: &mut CpuStorage, layout: &Layout) -> candle_core::Result<()> {
         let (CpuStorage::F32(parameter), Some((start, end))) =
             (parameter, layout.contiguous_offsets())
         else {
             candle_core::bail!("{}: parameters must be contiguous 32-bit numbers", self.name())
         };
         let mut moments = self.moments.borrow_mut();
-        self.update(&mut parameter[start..end], gradient, &mut moments);
+        self.update(&mut parameter[start..end], &mut moments);
         Ok(())
     }
 }
 
 impl AdamStep<'_> {
-    fn update(&self, parameter: &mut [f32], gradient: &[f32], moments: &mut Moments) {
-        let &Self { scale, step, root, .. } = self;
+    fn update(&self, parameter: &mut [f32], moments: &mut Moments) {
+        let &Self { gradient, scale, step, root, .. } = self;
         let (keep1, keep2) = (BETA1 as f32, BETA2 as f32);
         let (take1, take2) = ((1.0 - BETA1) as f32, (1.0 - BETA2) as f32);
         let epsilon = EPSILON as f32;
@@ -128,22 +122,20 @@ impl AdamStep<'_> {
 /// Computes the L2 norm over all gradients, in the order of names.
 ///
 /// Squares are summed in eight interleaved 64-bit chains per tensor: one order, whatever the machine.
-pub(crate) fn global_norm(gradients: &BTreeMap<String, Tensor>) -> candle_core::Result<f64> {
+pub(crate) fn global_norm(gradients: &Gradients) -> f64 {
     let mut total = 0.0;
-    for gradient in gradients.values() {
-        total += with_floats(gradient, |values| {
-            let (chunks, rest) = values.as_chunks::<8>();
-            let mut sums = [0.0_f64; 8];
-            for chunk in chunks {
-                for (sum, &x) in sums.iter_mut().zip(chunk) {
-                    *sum += f64::from(x) * f64::from(x);
-                }
+    for values in gradients.values() {
+        let (chunks, rest) = values.as_chunks::<8>();
+        let mut sums = [0.0_f64; 8];
+        for chunk in chunks {
+            for (sum, &x) in sums.iter_mut().zip(chunk) {
+                *sum += f64::from(x) * f64::from(x);
             }
-            let rest: f64 = rest.iter().map(|&x| f64::from(x) * f64::from(x)).sum();
-            sums.iter().sum::<f64>() + rest
-        })?;
+        }
+        let rest: f64 = rest.iter().map(|&x| f64::from(x) * f64::from(x)).sum();
+        total += sums.iter().sum::<f64>() + rest;
     }
-    Ok(total.sqrt())
+    total.sqrt()
 }
 
 /// Returns the factor that shortens a gradient of this norm to at most `longest`.
@@ -158,7 +150,7 @@ pub(crate) fn clip_factor(norm: f64, longest: f64) -> f64 {
 #[cfg(test)]
 #[expect(clippy::unreadable_literal, reason = "golden numbers are as the script writes them")]
 mod tests {
-    use candle_core::Device;
+    use candle_core::{Device, Tensor};
 
     use super::*;
     include!("../golden/adam.rs");
@@ -174,10 +166,10 @@ mod tests {
         let mut adam = Adam::new(&vars);
         for (step, values) in GRADIENTS.chunks_exact(9).enumerate() {
             let gradients = BTreeMap::from([
-                ("a".to_owned(), tensor(&values[..6])),
-                ("b".to_owned(), tensor(&values[6..])),
+                ("a".to_owned(), values[..6].to_vec()),
+                ("b".to_owned(), values[6..].to_vec()),
             ]);
-            let scale = clip_factor(global_norm(&gradients).unwrap(), 0.5);
+            let scale = clip_factor(global_norm(&gradients), 0.5);
             let learning_rate = 1e-2 * (1.0 - step as f64 / 5.0);
             adam.step(&vars, &gradients, learning_rate, scale).unwrap();
         }
@@ -190,9 +182,9 @@ mod tests {
 
     #[test]
     fn the_norm_counts_every_element_once() {
-        let ones = |n: usize| Tensor::ones(n, candle_core::DType::F32, &Device::Cpu).unwrap();
-        let gradients = BTreeMap::from([("a".to_owned(), ones(19)), ("b".to_owned(), ones(6))]);
-        assert_eq!(global_norm(&gradients).unwrap(), 5.0);
+        let gradients =
+            BTreeMap::from([("a".to_owned(), vec![1.0; 19]), ("b".to_owned(), vec![1.0; 6])]);
+        assert_eq!(global_norm(&gradients), 5.0);
         assert_eq!(clip_factor(0.4, 0.5), 1.0);
         assert!((clip_factor(2.0, 0.5) - 0.25).abs() < 1e-6);
     }

@@ -3,9 +3,9 @@
 use leadtime_policy::{ActionDistribution, FrozenNormalizer, Policy};
 use leadtime_proto::{Mask, Rollout};
 
+use crate::encoder::Sequences;
 use crate::gae::{Cut, TrajectorySegment, gae};
 use crate::loss::Samples;
-use crate::lstm_op::Sequences;
 use crate::settings::{LearnerSettings, Truncation};
 use crate::vtrace::vtrace;
 

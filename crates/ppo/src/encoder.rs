@@ -1,86 +1,69 @@
-//! What stands between observations and stacks, as a graph with gradients: what an actor's encoder computes.
+//! What stands between observations and stacks, forward and backward: what an actor's encoder computes.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
-use candle_core::{Result, Tensor, Var};
-use leadtime_policy::architecture::{Layer, LstmLayers};
+use candle_core::{Result, Var};
+use leadtime_policy::architecture::LstmLayers;
 use leadtime_proto::{Encoder, PolicySpec};
 
 mod attention;
+mod lstm;
 
-use attention::AttentionGraph;
+use attention::AttentionPass;
+use lstm::LstmPass;
+pub(crate) use lstm::Sequences;
 
-use crate::dense_op::DenseOp;
-use crate::lstm_op::{LstmOp, Sequences};
+use crate::dense::Gradients;
 
-/// The graph of an encoder.
-#[derive(Clone, Debug)]
-pub(crate) enum EncoderGraph {
-    Identity,
-    Lstm(LstmLayers),
-    Attention(Box<AttentionGraph>),
+/// An encoder that learns, and the memory of its pass.
+#[derive(Debug)]
+pub(crate) enum EncoderPass {
+    Lstm(Box<LstmPass>),
+    Attention(Box<AttentionPass>),
 }
 
-impl EncoderGraph {
-    pub(crate) fn new(spec: &PolicySpec) -> Result<Self> {
-        Ok(match &spec.encoder {
-            Encoder::Identity => Self::Identity,
+impl EncoderPass {
+    /// Prepares the encoder of a specification; `None` if observations are the features.
+    pub(crate) fn new(spec: &PolicySpec) -> Option<Self> {
+        match &spec.encoder {
+            Encoder::Identity => None,
             &Encoder::Lstm { projection, state } => {
-                Self::Lstm(LstmLayers::new(spec.obs_dim, projection, state))
+                let layers = LstmLayers::new(spec.obs_dim, projection, state);
+                Some(Self::Lstm(Box::new(LstmPass::new(layers))))
             }
             Encoder::EgoAttention(attention) => {
-                Self::Attention(Box::new(AttentionGraph::new(attention)?))
+                Some(Self::Attention(Box::new(AttentionPass::new(attention, spec.obs_dim))))
             }
-        })
+        }
     }
 
-    /// Tells whether anything in it learns, so that what follows must hand its gradient on.
-    pub(crate) fn learns(&self) -> bool {
-        !matches!(self, Self::Identity)
-    }
-
-    /// Builds the graph from observations `[M, D]` to features `[M, F]`.
-    pub(crate) fn forward(
-        &self,
-        vars: &BTreeMap<String, Var>,
-        observations: &Tensor,
-        sequences: &Arc<Sequences>,
-    ) -> Result<Tensor> {
+    /// Takes over the variables' present numbers.
+    pub(crate) fn pack(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
         match self {
-            Self::Identity => Ok(observations.clone()),
-            Self::Lstm(layers) => lstm(layers, vars, observations, sequences),
-            Self::Attention(attention) => attention.forward(vars, observations),
+            Self::Lstm(pass) => pass.pack(vars),
+            Self::Attention(pass) => pass.pack(vars),
+        }
+    }
+
+    /// Encodes observations `[M, D]`, already normalised, to features `[M, F]`.
+    ///
+    /// A recurrent encoder takes the samples as whole sequences, one behind the other.
+    pub(crate) fn forward(&mut self, observations: Vec<f32>, sequences: Sequences) -> &[f32] {
+        match self {
+            Self::Lstm(pass) => pass.forward(observations, sequences),
+            Self::Attention(pass) => pass.forward(&observations),
+        }
+    }
+
+    /// Computes the gradients of the last forward pass from the slopes in its features, `[M, F]`.
+    pub(crate) fn backward(&mut self, d_features: &[f32]) -> Gradients {
+        match self {
+            Self::Lstm(pass) => pass.backward(d_features),
+            Self::Attention(pass) => pass.backward(d_features),
         }
     }
 }
 
-/// Builds the graph of a recurrent encoder from observations `[M, D]`, whole sequences one behind the other, to hidden
-/// states `[M, H]`.
-fn lstm(
-    layers: &LstmLayers,
-    vars: &BTreeMap<String, Var>,
-    observations: &Tensor,
-    sequences: &Arc<Sequences>,
-) -> Result<Tensor> {
-    let LstmLayers { projection, input, state } = layers;
-    let gates = match projection {
-        None => dense(vars, observations, input, false)?,
-        Some(projection) => {
-            dense(vars, &dense(vars, observations, projection, false)?, input, true)?
-        }
-    };
-    let op = LstmOp::new(Arc::clone(sequences), state.n_in);
-    gates.apply_op3(&vars[&state.weight()], &vars[&state.bias()], op)
-}
-
-/// Builds the graph of one layer.
-pub(crate) fn dense(
-    vars: &BTreeMap<String, Var>,
-    x: &Tensor,
-    layer: &Layer,
-    input_gradient: bool,
-) -> Result<Tensor> {
-    let op = DenseOp { activation: layer.activation, input_gradient };
-    x.apply_op3(&vars[&layer.weight()], &vars[&layer.bias()], op)
-}
+#[cfg(test)]
+#[path = "encoder_tests.rs"]
+mod tests;

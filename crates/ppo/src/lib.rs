@@ -4,7 +4,7 @@
 //! settings   every setting of PPO            trainer   the update                      state    what a checkpoint holds
 //! gae, vtrace   advantages and targets       stacks    actor and critic, both ways     adam     clip and optimiser
 //! rewards    scale and normalisation         loss      PPO's loss, row by row          team     threads
-//! minibatch  shuffled samples                network   the encoder's graph: encoder, *_op
+//! minibatch  shuffled samples                encoder   LSTM and attention, both ways; dense, network
 //! ```
 //!
 //! An update is a pure function of the trainer's state and the rollouts: the same bits on every run, whoever acted
@@ -20,14 +20,12 @@
 //! [`Trainer::update`].
 
 mod adam;
-mod attention_op;
 mod batch;
-mod dense_op;
+mod dense;
 mod encoder;
 pub mod error;
 mod gae;
 mod loss;
-mod lstm_op;
 mod minibatch;
 mod network;
 #[cfg(test)]

@@ -13,31 +13,20 @@
 
 use std::collections::BTreeMap;
 
-use candle_core::{Device, Tensor, Var};
+use candle_core::{Result, Var};
 use leadtime_numerics::Panels;
 use leadtime_numerics::kernel::{Activation, PANEL};
 use leadtime_policy::architecture::{Branch, Layer, layers};
-use leadtime_proto::PolicySpec;
+use leadtime_proto::{Encoder, PolicySpec};
 
+use crate::dense::{Gradients, PackedLayer};
 use crate::loss::{LossReport, PolicyTerms, PpoLoss};
-use crate::storage::with_floats;
 use crate::team::Team;
 
 /// Rows whose gradients are one chain of additions. Part of the definition of an update: another number is other bits.
 pub(crate) const BLOCK: usize = 512;
 /// Rows that go through all layers together: what they leave behind stays in the second-level cache.
 const CHUNK: usize = 128;
-
-/// One layer with its weights packed for both directions.
-#[derive(Debug)]
-struct PackedLayer {
-    layer: Layer,
-    /// Wᵀ: from inputs to outputs.
-    forward: Panels,
-    /// W: from the outputs' slopes to the inputs'.
-    backward: Panels,
-    bias: Vec<f32>,
-}
 
 /// The layers of one branch, input first, and their gradients.
 #[derive(Debug)]
@@ -78,30 +67,13 @@ impl LayerGradient {
 
 impl Stack {
     fn new(spec: &PolicySpec, branch: Branch) -> Self {
-        let packed = |layer| PackedLayer {
-            layer,
-            forward: Panels::default(),
-            backward: Panels::default(),
-            bias: Vec::new(),
-        };
-        let layers: Vec<_> = layers(spec, branch).into_iter().map(packed).collect();
+        let layers: Vec<_> = layers(spec, branch).into_iter().map(PackedLayer::new).collect();
         Self { branch, gradients: vec![LayerGradient::default(); layers.len()], layers }
     }
 
     /// Takes over the variables' present numbers.
-    fn pack(&mut self, vars: &BTreeMap<String, Var>) -> candle_core::Result<()> {
-        for PackedLayer { layer, forward, backward, bias } in &mut self.layers {
-            let (n_out, n_in) = (layer.n_out, layer.n_in);
-            with_floats(&vars[&layer.weight()], |weight| {
-                forward.pack_columns(weight, n_out, n_in);
-                backward.pack_rows(weight, n_out, n_in);
-            })?;
-            with_floats(&vars[&layer.bias()], |values| {
-                bias.clear();
-                bias.extend_from_slice(values);
-            })?;
-        }
-        Ok(())
+    fn pack(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
+        self.layers.iter_mut().try_for_each(|layer| layer.pack(vars))
     }
 }
 
@@ -185,10 +157,10 @@ impl BranchPass {
     }
 
     fn forward(&mut self, stack: &Stack) {
-        for (i, PackedLayer { layer, forward, bias, .. }) in stack.layers.iter().enumerate() {
+        for (i, PackedLayer { layer, matrix, bias }) in stack.layers.iter().enumerate() {
             let (before, after) = self.outputs.split_at_mut(i);
             let input = before.last().unwrap_or(&self.input);
-            forward.multiply_panels(input, bias, layer.activation, &mut after[0]);
+            matrix.forward.multiply_panels(input, bias, layer.activation, &mut after[0]);
         }
     }
 
@@ -215,12 +187,17 @@ impl BranchPass {
             }
             slopes.add_rows(biases);
             if let Some(below) = before.last_mut() {
-                packed.backward.multiply_panels(slopes, &[], Activation::Linear, below);
+                packed.matrix.backward.multiply_panels(slopes, &[], Activation::Linear, below);
                 let outputs = input.data().as_flattened();
                 let activation = stack.layers[i - 1].layer.activation;
                 activation.backward(outputs, below.data_mut().as_flattened_mut());
             } else if wants_input {
-                packed.backward.multiply_panels(slopes, &[], Activation::Linear, &mut self.d_input);
+                packed.matrix.backward.multiply_panels(
+                    slopes,
+                    &[],
+                    Activation::Linear,
+                    &mut self.d_input,
+                );
                 for row in 0..self.d_input.depth() {
                     let start = self.d_features.len();
                     self.d_features.resize(start + packed.layer.n_in, 0.0);
@@ -251,11 +228,11 @@ pub(crate) struct Stacks {
 }
 
 impl Stacks {
-    pub(crate) fn new(spec: &PolicySpec, encoder_learns: bool) -> Self {
+    pub(crate) fn new(spec: &PolicySpec) -> Self {
         Self {
             actor: Stack::new(spec, Branch::Actor),
             critic: Stack::new(spec, Branch::Critic),
-            encoder_learns,
+            encoder_learns: !matches!(spec.encoder, Encoder::Identity),
             block: if spec.recurrent_dim() > 0 { usize::MAX } else { BLOCK },
             n_blocks: 0,
             passes: Vec::new(),
@@ -265,7 +242,7 @@ impl Stacks {
     }
 
     /// Begins a minibatch with the variables' present numbers.
-    pub(crate) fn begin(&mut self, vars: &BTreeMap<String, Var>) -> candle_core::Result<()> {
+    pub(crate) fn begin(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
         self.n_blocks = 0;
         self.actor.pack(vars)?;
         self.critic.pack(vars)
@@ -331,16 +308,14 @@ impl Stacks {
     }
 
     /// Returns the gradients of the minibatch by tensor name.
-    pub(crate) fn gradients(&self) -> candle_core::Result<BTreeMap<String, Tensor>> {
-        let mut all = BTreeMap::new();
+    pub(crate) fn gradients(&self) -> Gradients {
+        let mut all = Gradients::new();
         for stack in [&self.actor, &self.critic] {
             for (PackedLayer { layer, .. }, gradient) in stack.layers.iter().zip(&stack.gradients) {
-                let LayerGradient { weights, biases } = gradient;
-                let shape = (layer.n_out, layer.n_in);
-                all.insert(layer.weight(), Tensor::from_slice(weights, shape, &Device::Cpu)?);
-                all.insert(layer.bias(), Tensor::from_slice(biases, layer.n_out, &Device::Cpu)?);
+                all.insert(layer.weight(), gradient.weights.clone());
+                all.insert(layer.bias(), gradient.biases.clone());
             }
         }
-        Ok(all)
+        all
     }
 }

@@ -10,24 +10,35 @@ pub(crate) fn draw(shape: impl Into<Shape>, seed: u64) -> Var {
     Var::from_tensor(&Tensor::from_vec(draws.collect(), shape, &Device::Cpu).unwrap()).unwrap()
 }
 
-/// Asserts that two results are the same function of the variables: by value, and by the gradients of their product
-/// with a target.
-pub(crate) fn same_function(fused: &Tensor, plain: &Tensor, vars: [&Var; 3], tolerance: f32) {
-    close(fused, plain, 1e-5);
-    let target = draw(fused.dims(), 4);
-    let gradients =
-        |y: &Tensor| (y * target.as_tensor()).unwrap().sum_all().unwrap().backward().unwrap();
-    let (of_fused, of_plain) = (gradients(fused), gradients(plain));
-    for var in vars {
-        close(of_fused.get(var).unwrap(), of_plain.get(var).unwrap(), tolerance);
+/// Copies a tensor's numbers out.
+pub(crate) fn flat(tensor: &Tensor) -> Vec<f32> {
+    tensor.flatten_all().unwrap().to_vec1().unwrap()
+}
+
+/// What the engine's own operations give: values, and the gradients of their product with a target.
+pub(crate) struct Plain {
+    pub(crate) values: Vec<f32>,
+    /// The slopes of the product in the values.
+    pub(crate) target: Vec<f32>,
+    /// By variable.
+    pub(crate) gradients: Vec<Vec<f32>>,
+}
+
+impl Plain {
+    pub(crate) fn of(y: &Tensor, vars: &[&Var]) -> Self {
+        let target = draw(y.dims(), 4);
+        let loss = (y * target.as_tensor()).unwrap().sum_all().unwrap();
+        let gradients = loss.backward().unwrap();
+        let gradient = |var: &&Var| flat(gradients.get(var).unwrap());
+        let gradients = vars.iter().map(gradient).collect();
+        Self { values: flat(y), target: flat(&target), gradients }
     }
 }
 
-/// Asserts that two tensors have the same shape and numbers that differ by less than `tolerance`.
-pub(crate) fn close(a: &Tensor, b: &Tensor, tolerance: f32) {
-    let flat = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-    assert_eq!(a.dims(), b.dims());
-    for (i, (a, b)) in flat(a).iter().zip(flat(b)).enumerate() {
+/// Asserts that two lists have numbers that differ by less than `tolerance`.
+pub(crate) fn close(a: &[f32], b: &[f32], tolerance: f32) {
+    assert_eq!(a.len(), b.len());
+    for (i, (a, b)) in a.iter().zip(b).enumerate() {
         assert!((a - b).abs() < tolerance, "{i}: {a} {b}");
     }
 }

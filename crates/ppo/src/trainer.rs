@@ -18,9 +18,7 @@
 //! [`Trainer::update`].
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
-use candle_core::{Device, Tensor};
 use leadtime_policy::{ActionDistribution, ObservationNormalizer, Parameters, Policy};
 use leadtime_proto::limits::MAX_MAGNITUDE;
 use leadtime_proto::{CheckedRollout, Encoder, PolicySpec, PolicyVersion, Schedule, Staleness};
@@ -29,8 +27,9 @@ use serde::{Deserialize, Serialize};
 use crate::TrainError;
 use crate::adam::{Adam, clip_factor, global_norm};
 use crate::batch::UpdateBatch;
+use crate::dense::Gradients;
+use crate::encoder::{EncoderPass, Sequences};
 use crate::loss::{AdvantageScale, LossReport, LossSettings, PpoLoss};
-use crate::lstm_op::Sequences;
 use crate::minibatch::Minibatches;
 use crate::network::ActorCritic;
 use crate::rewards::ReturnNormalizer;
@@ -86,6 +85,7 @@ pub struct Trainer {
     pub(crate) version: PolicyVersion,
     pub(crate) parameters: Parameters,
     pub(crate) network: ActorCritic,
+    encoder: Option<EncoderPass>,
     stacks: Stacks,
     team: Team,
     pub(crate) adam: Adam,
@@ -128,7 +128,8 @@ impl Trainer {
             run_seed,
             distribution: ActionDistribution::new(&policy.actions, policy.head_credit),
             version: PolicyVersion(0),
-            stacks: Stacks::new(policy, network.encoder_learns()),
+            encoder: EncoderPass::new(policy),
+            stacks: Stacks::new(policy),
             team: Team::new(settings.threads)?,
             adam: Adam::new(&network.vars),
             network,
@@ -295,20 +296,24 @@ impl Trainer {
             n_rows: indices.len(),
         };
         self.stacks.begin(&self.network.vars)?;
+        if let Some(encoder) = &mut self.encoder {
+            encoder.pack(&self.network.vars)?;
+        }
         let mut report = LossReport::default();
-        let mut gradients = BTreeMap::new();
-        let learns = self.network.encoder_learns();
-        // An encoder's graph holds a block at a time; a recurrent one keeps its sequences together.
-        let at_once = if learns && !self.is_recurrent() { BLOCK } else { indices.len() };
+        let mut gradients = Gradients::new();
+        // An encoder takes a block at a time; a recurrent one keeps its sequences together.
+        let is_recurrent = self.is_recurrent();
+        let by_block = self.encoder.is_some() && !is_recurrent;
+        let at_once = if by_block { BLOCK } else { indices.len() };
         for rows in indices.chunks(at_once) {
-            if learns {
-                let features = self.features(batch, rows)?;
-                let run = |values: &[f32]| {
-                    self.stacks.run(&loss, Features::OfRows(values), rows, &self.team)
-                };
-                report.add(&with_floats(&features, run)?);
-                let block = self.network.encoder_gradients(&features, self.stacks.d_features())?;
-                add_gradients(&mut gradients, block)?;
+            if let Some(encoder) = &mut self.encoder {
+                let observations = batch.gather(rows, self.policy_spec.obs_dim);
+                let sequences =
+                    if is_recurrent { batch.gather_sequences(rows) } else { Sequences::default() };
+                let features = encoder.forward(observations, sequences);
+                let features = Features::OfRows(features);
+                report.add(&self.stacks.run(&loss, features, rows, &self.team));
+                add_gradients(&mut gradients, encoder.backward(self.stacks.d_features()));
             } else {
                 let features = Features::OfSamples(&batch.features);
                 report.add(&self.stacks.run(&loss, features, rows, &self.team));
@@ -319,23 +324,13 @@ impl Trainer {
                 clipped.count(staleness.zip(terms.map(|terms| terms.is_clipped)));
             }
         }
-        gradients.extend(self.stacks.gradients()?);
-        let norm = global_norm(&gradients)?;
+        gradients.extend(self.stacks.gradients());
+        let norm = global_norm(&gradients);
         if norm.is_finite() {
             let scale = clip_factor(norm, self.settings.max_grad_norm);
             self.adam.step(&self.network.vars, &gradients, learning_rate, scale)?;
         }
         Ok((report, norm))
-    }
-
-    /// Builds the encoder's graph of some rows.
-    fn features(&self, batch: &UpdateBatch, rows: &[usize]) -> Result<Tensor, TrainError> {
-        let obs_dim = self.policy_spec.obs_dim;
-        let observations = batch.gather(rows, obs_dim);
-        let observations = Tensor::from_vec(observations, (rows.len(), obs_dim), &Device::Cpu)?;
-        let sequences =
-            if self.is_recurrent() { batch.gather_sequences(rows) } else { Sequences::default() };
-        Ok(self.network.features(&observations, &Arc::new(sequences))?)
     }
 
     /// Finds outputs that no rollout may hold, where the size of the weights does not bound them already: heads
@@ -400,18 +395,13 @@ fn check_weights(network: &ActorCritic) -> Result<(), TrainError> {
 }
 
 /// Adds one block's gradients to those of the blocks before it.
-fn add_gradients(
-    sums: &mut BTreeMap<String, Tensor>,
-    block: BTreeMap<String, Tensor>,
-) -> candle_core::Result<()> {
+fn add_gradients(sums: &mut Gradients, block: Gradients) {
     for (name, gradient) in block {
-        let sum = match sums.get(&name) {
-            Some(sum) => (sum + gradient)?,
-            None => gradient,
-        };
-        sums.insert(name, sum);
+        match sums.get_mut(&name) {
+            Some(sum) => sum.iter_mut().zip(&gradient).for_each(|(sum, x)| *sum += x),
+            None => drop(sums.insert(name, gradient)),
+        }
     }
-    Ok(())
 }
 
 /// Running mean of loss reports.

@@ -1,86 +1,28 @@
-//! Ego attention as one node of the engine's graph: scores, softmax and weighted sum fused, forward and backward.
+//! How much the egos take from whom: scores, softmax and weighted sum, forward and backward.
 //!
 //! The arithmetic is that of [`leadtime_policy::attention`]: forward the same bits as an actor's inference.
 
 use std::iter::once;
-use std::sync::Arc;
 
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor};
 use leadtime_policy::attention::{Attention, FramePresence, dot};
 
-use crate::storage::{floats, with_floats};
+use crate::dense::resize;
 
 /// What each of M egos takes from the present embeddings: of queries `[M, H W]`, egos `[M, W]` and others `[P, W]`,
 /// `[M, H W]`.
-#[derive(Clone, Debug)]
-pub(crate) struct AttentionOp {
-    pub(crate) attention: Attention,
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EgoShares<'a> {
+    pub(super) attention: Attention,
     /// `[M]`
-    pub(crate) presence: Arc<Vec<FramePresence>>,
+    pub(super) presence: &'a [FramePresence],
 }
 
-impl CustomOp3 for AttentionOp {
-    fn name(&self) -> &'static str {
-        "ego-attention"
-    }
-
-    fn cpu_fwd(
-        &self,
-        queries: &CpuStorage,
-        queries_layout: &Layout,
-        egos: &CpuStorage,
-        egos_layout: &Layout,
-        others: &CpuStorage,
-        others_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let Attention { width, n_heads } = self.attention;
-        let (m, wide) = queries_layout.shape().dims2()?;
-        let n_others: usize = self.presence.iter().map(|frame| frame.n_others).sum();
-        let fits = wide == n_heads * width
-            && self.presence.len() == m
-            && egos_layout.shape().dims2()? == (m, width)
-            && others_layout.shape().dims2()? == (n_others, width);
-        if !fits {
-            candle_core::bail!("ego attention of {m} egos to {n_others} others: wrong shapes")
-        }
-        let (queries, egos) = (floats(queries, queries_layout)?, floats(egos, egos_layout)?);
-        let others = floats(others, others_layout)?;
-        let (mut out, mut shares) = (vec![0.0; m * wide], Vec::new());
-        let rows = self.rows(queries, egos, others);
-        for (out, row) in out.chunks_exact_mut(wide).zip(rows) {
-            self.share(&row, &mut shares);
-            self.attention.gather(&shares, row.ego, row.others, out);
-        }
-        Ok((CpuStorage::F32(out), Shape::from((m, wide))))
-    }
-
-    fn bwd(
-        &self,
-        queries: &Tensor,
-        egos: &Tensor,
-        others: &Tensor,
-        _out: &Tensor,
-        gradient: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let gradients = with_floats(queries, |queries| {
-            with_floats(egos, |egos| {
-                with_floats(others, |others| {
-                    with_floats(gradient, |gradient| self.backward(queries, egos, others, gradient))
-                })
-            })
-        })????;
-        let tensor = |numbers: Vec<f32>, like: &Tensor| {
-            Tensor::from_vec(numbers, like.shape(), like.device()).map(Some)
-        };
-        let Gradients { queries: d_queries, egos: d_egos, others: d_others } = gradients;
-        Ok((tensor(d_queries, queries)?, tensor(d_egos, egos)?, tensor(d_others, others)?))
-    }
-}
-
-struct Gradients {
-    queries: Vec<f32>,
-    egos: Vec<f32>,
-    others: Vec<f32>,
+/// Slopes in queries `[M, H W]`, egos `[M, W]` and others `[P, W]`.
+#[derive(Debug, Default)]
+pub(super) struct AttentionSlopes {
+    pub(super) queries: Vec<f32>,
+    pub(super) egos: Vec<f32>,
+    pub(super) others: Vec<f32>,
 }
 
 /// One ego: its queries `[H, W]`, its embedding `[W]`, those of the present others `[n, W]`.
@@ -105,7 +47,25 @@ struct Sums<'a> {
     others: &'a mut [f32],
 }
 
-impl AttentionOp {
+impl EgoShares<'_> {
+    /// Computes what the egos take, `[M, H W]`.
+    pub(super) fn forward(
+        &self,
+        queries: &[f32],
+        egos: &[f32],
+        others: &[f32],
+        out: &mut Vec<f32>,
+    ) {
+        let Attention { width, n_heads } = self.attention;
+        let wide = n_heads * width;
+        let mut shares = Vec::new();
+        let rows = self.rows(queries, egos, others);
+        for (out, row) in resize(out, queries.len()).chunks_exact_mut(wide).zip(rows) {
+            self.share(&row, &mut shares);
+            self.attention.gather(&shares, row.ego, row.others, out);
+        }
+    }
+
     /// Lists the egos.
     fn rows<'a>(
         &'a self,
@@ -128,12 +88,21 @@ impl AttentionOp {
         self.attention.shares(row.queries, row.ego, row.others, row.presence, shares);
     }
 
-    /// Computes all gradients.
-    fn backward(&self, queries: &[f32], egos: &[f32], others: &[f32], g: &[f32]) -> Gradients {
+    /// Computes the slopes from those in what is taken, `[M, H W]`.
+    pub(super) fn backward(
+        &self,
+        queries: &[f32],
+        egos: &[f32],
+        others: &[f32],
+        g: &[f32],
+        found: &mut AttentionSlopes,
+    ) {
         let Attention { width, n_heads } = self.attention;
-        let zeros = |like: &[f32]| vec![0.0; like.len()];
-        let mut found =
-            Gradients { queries: zeros(queries), egos: zeros(egos), others: zeros(others) };
+        for (slopes, like) in
+            [(&mut found.queries, queries), (&mut found.egos, egos), (&mut found.others, others)]
+        {
+            resize(slopes, like.len()).fill(0.0);
+        }
         let (mut shares, mut d_scores) = (Vec::new(), Vec::new());
         let mut d_others = found.others.as_mut_slice();
         for (m, row) in self.rows(queries, egos, others).enumerate() {
@@ -150,7 +119,6 @@ impl AttentionOp {
                 self.backward_head(&row, &head, sums, &mut d_scores);
             }
         }
-        found
     }
 
     /// Adds one head's gradients to the sums: with g that of the output, `ds_i = p_i (g·e_i - Σ_j p_j g·e_j)`, and
@@ -186,10 +154,10 @@ fn add_scaled(sums: &mut [f32], values: &[f32], factor: f32) {
 
 #[cfg(test)]
 mod tests {
-    use candle_core::{Device, Var};
+    use candle_core::{Device, Tensor, Var};
 
     use super::*;
-    use crate::test_support::{close, same_function};
+    use crate::test_support::{Plain, close, flat};
 
     const ATTENTION: Attention = Attention { width: 4, n_heads: 2 };
     const M: usize = 5;
@@ -215,45 +183,54 @@ mod tests {
         shares.matmul(&all.contiguous().unwrap()).unwrap().reshape((M, 8)).unwrap()
     }
 
+    /// The values and slopes of egos that take from others.
+    fn taken(
+        [queries, egos, others]: [&Var; 3],
+        presence: &[FramePresence],
+        g: &[f32],
+    ) -> (Vec<f32>, AttentionSlopes) {
+        let shares = EgoShares { attention: ATTENTION, presence };
+        let [queries, egos, others] = [queries, egos, others].map(|var| flat(var));
+        let (mut out, mut slopes) = (Vec::new(), AttentionSlopes::default());
+        shares.forward(&queries, &egos, &others, &mut out);
+        shares.backward(&queries, &egos, &others, g, &mut slopes);
+        (out, slopes)
+    }
+
     #[test]
-    fn the_fused_attention_has_the_values_and_gradients_of_the_plain_one() {
+    fn shares_have_the_values_and_gradients_of_plain_attention() {
         let (queries, egos, others) = (draw((M, 8), 1), draw((M, 4), 2), draw((M * (N - 1), 4), 3));
         // The last frame's ego is absent, and so are some others.
         let presence: Vec<f32> =
             (0..M * N).map(|i| f32::from(u8::from(i % 3 != 2 && i != (M - 1) * N))).collect();
         let is_present = |i: &usize| presence[i / (N - 1) * N + 1 + i % (N - 1)] > 0.5;
-        let kept: Vec<u32> = (0..M * (N - 1)).filter(is_present).map(|i| i as u32).collect();
-        let n_kept = kept.len();
-        let kept = Tensor::from_vec(kept, n_kept, &Device::Cpu).unwrap();
+        let kept: Vec<usize> = (0..M * (N - 1)).filter(is_present).collect();
         let frames = presence.chunks_exact(N).map(|frame| FramePresence {
             n_others: frame[1..].iter().filter(|p| **p > 0.5).count(),
             ego: frame[0] > 0.5,
             others: true,
         });
-        let op = AttentionOp { attention: ATTENTION, presence: Arc::new(frames.collect()) };
-        let present = others.index_select(&kept, 0).unwrap();
-        let fused = queries.apply_op3(&egos, &present, op).unwrap();
+        let frames: Vec<FramePresence> = frames.collect();
         let plain = plain(&queries, &egos, &others, &presence);
-        same_function(&fused, &plain, [&queries, &egos, &others], 1e-5);
+        let plain = Plain::of(&plain, &[&queries, &egos, &others]);
+        let rows: Vec<u32> = kept.iter().map(|&i| i as u32).collect();
+        let rows = Tensor::from_vec(rows, kept.len(), &Device::Cpu).unwrap();
+        let present = Var::from_tensor(&others.index_select(&rows, 0).unwrap()).unwrap();
+        let (out, slopes) = taken([&queries, &egos, &present], &frames, &plain.target);
+        close(&out, &plain.values, 1e-5);
+        close(&slopes.queries, &plain.gradients[0], 1e-5);
+        close(&slopes.egos, &plain.gradients[1], 1e-5);
+        let of_present = kept.iter().flat_map(|i| plain.gradients[2][i * 4..(i + 1) * 4].to_vec());
+        close(&slopes.others, &of_present.collect::<Vec<_>>(), 1e-5);
     }
 
     #[test]
     fn an_ego_alone_attends_to_itself() {
         let (queries, egos, others) = (draw((1, 8), 1), draw((1, 4), 2), draw((0, 4), 3));
         let alone = FramePresence { n_others: 0, ego: true, others: true };
-        let op = AttentionOp { attention: ATTENTION, presence: Arc::new(vec![alone]) };
-        let taken = queries.apply_op3(&egos, &others, op).unwrap();
-        close(&taken, &Tensor::cat(&[egos.as_tensor(), &egos], 1).unwrap(), 1e-6);
-        let gradients = taken.sum_all().unwrap().backward().unwrap();
-        let twos = egos.ones_like().unwrap().affine(2.0, 0.0).unwrap();
-        close(gradients.get(&egos).unwrap(), &twos, 1e-6);
-    }
-
-    #[test]
-    fn wrong_shapes_are_refused() {
-        let (queries, egos, others) = (draw((M, 8), 1), draw((M, 4), 2), draw((M * N, 4), 3));
-        let presence = vec![FramePresence { n_others: N - 1, ego: true, others: true }; M];
-        let op = AttentionOp { attention: ATTENTION, presence: Arc::new(presence) };
-        assert!(queries.apply_op3(&egos, &others, op).is_err());
+        let (out, slopes) = taken([&queries, &egos, &others], &[alone], &[1.0; 8]);
+        let ego = flat(&egos);
+        close(&out, &[ego.clone(), ego].concat(), 1e-6);
+        close(&slopes.egos, &[2.0; 4], 1e-6);
     }
 }

@@ -1,12 +1,13 @@
 //! Ego attention in the learner: the bits of an actor, which has the reference's numbers, and gradients through the
 //! whole history.
 
-use candle_core::{DType, Device};
 use leadtime_numerics::Pcg64;
+use leadtime_policy::Parameters;
 use leadtime_policy::attention::AttentionEncoder;
 use leadtime_proto::{ActionSpec, EgoAttention, Encoder, HeadCredit};
 
 use super::*;
+use crate::network::ActorCritic;
 
 const SMALL: EgoAttention =
     EgoAttention { n_frames: 3, n_entities: 4, n_features: 3, action_dim: 2, width: 8, n_heads: 2 };
@@ -23,13 +24,17 @@ fn policy(attention: EgoAttention, rest: usize) -> PolicySpec {
     }
 }
 
-fn flat(tensor: &Tensor) -> Vec<f32> {
-    tensor.flatten_all().unwrap().to_vec1().unwrap()
+/// What actor and critic see.
+fn encode(spec: &PolicySpec, parameters: &Parameters, observations: &[f32]) -> Vec<f32> {
+    let mut encoder = packed(spec, parameters);
+    encoder.forward(observations.to_vec(), Sequences::default()).to_vec()
 }
 
-/// What actor and critic see.
-fn encode(network: &ActorCritic, observations: &Tensor) -> Tensor {
-    network.features(observations, &Arc::default()).unwrap()
+fn packed(spec: &PolicySpec, parameters: &Parameters) -> EncoderPass {
+    let network = ActorCritic::new(spec, parameters).unwrap();
+    let mut encoder = EncoderPass::new(spec).unwrap();
+    encoder.pack(&network.vars).unwrap();
+    encoder
 }
 
 /// Observations of which one entity in five is absent.
@@ -56,13 +61,11 @@ fn learner_and_actor_compute_the_same_bits() {
     for spec in [policy(SMALL, 3), policy(wide, 0)] {
         let parameters = Parameters::initialize(&spec, 5).unwrap();
         let raw = observations(70, &spec);
-        let input = Tensor::from_slice(&raw, (70, spec.obs_dim), &Device::Cpu).unwrap();
-        let network = ActorCritic::new(&spec, &parameters).unwrap();
         let Encoder::EgoAttention(attention) = &spec.encoder else { panic!("it is attention") };
         let mut encoder = AttentionEncoder::new(attention, spec.obs_dim, &parameters).unwrap();
         let mut features = vec![f32::NAN; 70 * encoder.feature_dim()];
         encoder.encode(&raw, &mut features);
-        assert_eq!(flat(&encode(&network, &input)), features);
+        assert_eq!(encode(&spec, &parameters, &raw), features);
     }
 }
 
@@ -71,22 +74,21 @@ fn gradients_go_through_every_frame_and_are_those_of_small_steps() {
     let spec = policy(SMALL, 3);
     let parameters = Parameters::initialize(&spec, 5).unwrap();
     let raw = observations(20, &spec);
-    let input = Tensor::from_slice(&raw, (20, spec.obs_dim), &Device::Cpu).unwrap();
+    let feature_dim = encode(&spec, &parameters, &raw).len() / 20;
     for frame in 0..SMALL.n_frames {
-        // A loss that looks at the encoding of one frame only.
-        let of_features = |features: &Tensor| {
-            let start = frame * (SMALL.width + SMALL.action_dim);
-            let encoded = features.narrow(1, start, SMALL.width).unwrap();
-            (encoded.sqr().unwrap().to_dtype(DType::F64).unwrap()).sum_all().unwrap()
+        // A loss that looks at the encoding of one frame only: the sum of its squares.
+        let start = frame * (SMALL.width + SMALL.action_dim);
+        let of_frame = |i: usize| (start..start + SMALL.width).contains(&(i % feature_dim));
+        let loss = |parameters: &Parameters| -> f64 {
+            let features = encode(&spec, parameters, &raw).into_iter().enumerate();
+            features.filter(|(i, _)| of_frame(*i)).map(|(_, x)| f64::from(x) * f64::from(x)).sum()
         };
-        let loss = |network: &ActorCritic| of_features(&encode(network, &input));
-        let network = ActorCritic::new(&spec, &parameters).unwrap();
-        let features = encode(&network, &input);
-        let copy = Var::from_tensor(&features).unwrap();
-        let slopes = flat(of_features(&copy).backward().unwrap().get(&copy).unwrap());
-        let gradients = network.encoder_gradients(&features, &slopes).unwrap();
-        for name in network.vars.keys().filter(|name| name.starts_with("encoder.")) {
-            let gradient = flat(&gradients[name]);
+        let mut encoder = packed(&spec, &parameters);
+        let features = encoder.forward(raw.clone(), Sequences::default()).iter().enumerate();
+        let slopes: Vec<f32> =
+            features.map(|(i, x)| if of_frame(i) { 2.0 * x } else { 0.0 }).collect();
+        let gradients = encoder.backward(&slopes);
+        for (name, gradient) in &gradients {
             let steepest = (0..gradient.len())
                 .max_by(|&a, &b| gradient[a].abs().total_cmp(&gradient[b].abs()))
                 .unwrap();
@@ -96,8 +98,7 @@ fn gradients_go_through_every_frame_and_are_those_of_small_steps() {
                 let mut all: BTreeMap<_, _> = all.collect();
                 all.get_mut(name).unwrap()[steepest] += step;
                 let moved = Parameters::from_values(&spec, all, None).unwrap();
-                let network = ActorCritic::new(&spec, &moved).unwrap();
-                loss(&network).to_scalar::<f64>().unwrap()
+                loss(&moved)
             };
             let slope = (moved(1e-2) - moved(-1e-2)) / 2e-2;
             let found = f64::from(gradient[steepest]);
