@@ -41,8 +41,9 @@ const WIDE_ROWS: usize = 2 * ROWS;
 const PAIR_ROWS: usize = 8;
 /// Panels whose rows are added up side by side: one panel's additions wait for each other.
 const GROUP: usize = 4;
-/// Inner indices per pass of [`add_outer_products`]: what one pass reads stays in the first-level cache.
-const DEPTH: usize = 256;
+/// Inner indices per pass of [`add_outer_products`]: what one pass reads stays in the first-level cache. Not a power of
+/// two, with which the panels of a row would share a cache set.
+const DEPTH: usize = 248;
 
 /// What happens to an output before it is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -86,8 +86,11 @@ impl UpdateBatch {
 
     /// Copies the inputs of the samples at `indices`. `[M, D]`
     pub(crate) fn gather(&self, indices: &[usize], obs_dim: usize) -> Vec<f32> {
-        let row = |&i: &usize| &self.features[i * obs_dim..(i + 1) * obs_dim];
-        indices.iter().flat_map(row).copied().collect()
+        let mut rows = Vec::with_capacity(indices.len() * obs_dim);
+        for &i in indices {
+            rows.extend_from_slice(&self.features[i * obs_dim..(i + 1) * obs_dim]);
+        }
+        rows
     }
 
     /// Copies what the sequences start from that `indices` (whole rollouts) consist of.

@@ -10,6 +10,7 @@ use candle_core::{Result, Var};
 use leadtime_numerics::Panels;
 use leadtime_numerics::kernel::{Activation, add_outer_products};
 use leadtime_policy::architecture::Layer;
+use pulp::Arch;
 
 use crate::storage::with_floats;
 
@@ -122,9 +123,14 @@ impl PackedLayer {
 /// Sums the rows of `[N, n]`, in their order.
 pub(crate) fn row_sums(rows: &[f32], n: usize) -> Vec<f32> {
     let mut sums = vec![0.0; n];
-    for row in rows.chunks_exact(n) {
-        sums.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
-    }
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for row in rows.chunks_exact(n) {
+                sums.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
+            }
+        },
+    );
     sums
 }
 
