@@ -21,7 +21,7 @@ impl Team {
         if n_helpers == 0 {
             return Ok(Self::default());
         }
-        let name = |i| format!("learner-help-{i}");
+        let name = |i| format!("learner-train-{}", i + 1);
         let pool = ThreadPoolBuilder::new().num_threads(n_helpers).thread_name(name).build();
         Ok(Self { helpers: Some(pool.map_err(|error| TrainError::Threads(error.to_string()))?) })
     }

@@ -1,15 +1,18 @@
 //! From a checked configuration and a run directory to what a learner is told.
 
+use std::thread::available_parallelism;
+
 use leadtime_config::{Config, identity};
 use leadtime_learner::{Build, LearnerConfig};
 use leadtime_link::ListenSettings;
 use leadtime_ppo::LearnerSettings;
+use leadtime_ppo::settings::MAX_THREADS;
 use leadtime_proto::{RunSpec, hex};
 
 use crate::{ProgramBuild, RunDir, RunDirError, clock};
 
-/// Tells a learner what to train, where to listen and what to go on from, on how many threads if the configuration leaves
-/// that open.
+/// Tells a learner what to train, where to listen and what to go on from. If the configuration leaves its threads open, it
+/// takes the cores that this many actors on the same machine do not use.
 ///
 /// # Errors
 ///
@@ -19,7 +22,7 @@ pub fn learner_config(
     run_dir: &RunDir,
     listen: ListenSettings,
     build: ProgramBuild,
-    n_threads: usize,
+    n_local_actors: usize,
 ) -> Result<LearnerConfig, RunDirError> {
     Ok(LearnerConfig {
         run: run_dir.name.clone(),
@@ -33,7 +36,10 @@ pub fn learner_config(
             schedule: config.learner.schedule(),
         },
         settings: LearnerSettings {
-            threads: if config.learner.threads == 0 { n_threads } else { config.learner.threads },
+            threads: match config.learner.threads {
+                0 => free_cores(n_local_actors),
+                n_threads => n_threads,
+            },
             ..config.learner.clone()
         },
         window: config.window,
@@ -48,4 +54,10 @@ pub fn learner_config(
         identity: identity::of_run(&config.table),
         earlier: run_dir.record.changes.iter().filter_map(|it| hex::decode(&it.identity)).collect(),
     })
+}
+
+/// Returns how many cores actors leave to their learner, at least one.
+fn free_cores(n_local_actors: usize) -> usize {
+    let n_cores = available_parallelism().map_or(1, usize::from);
+    n_cores.saturating_sub(n_local_actors).clamp(1, MAX_THREADS)
 }

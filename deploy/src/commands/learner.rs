@@ -2,14 +2,12 @@
 
 use std::ffi::OsString;
 use std::sync::atomic::Ordering;
-use std::thread::available_parallelism;
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::Endpoint;
-use leadtime_ppo::settings::MAX_THREADS;
 use leadtime_proto::hex;
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
@@ -64,9 +62,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     tracing::info!("run opened: {}", run_dir.path.display());
     let own = listen.identity.as_ref().map(|identity| identity.certificate().to_owned());
     let certificate = own.or_else(|| listen.endpoints.iter().find_map(Endpoint::certificate));
-    let n_threads = free_cores(args.local_actors);
-    let learner =
-        learner_config(&config, &run_dir, listen, build, n_threads).blame(ExitCode::WrongInput)?;
+    let learner = learner_config(&config, &run_dir, listen, build, args.local_actors)
+        .blame(ExitCode::WrongInput)?;
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
         .blame(ExitCode::WrongInput)?;
@@ -103,12 +100,6 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let concluded = conclude(&mut run_dir, &report, is_asked, args);
     write_report(tasks, &config, &run_dir);
     concluded
-}
-
-/// Returns how many cores actors on this machine leave to the learner, at least one.
-fn free_cores(n_local_actors: usize) -> usize {
-    let n_cores = available_parallelism().map_or(1, usize::from);
-    n_cores.saturating_sub(n_local_actors).clamp(1, MAX_THREADS)
 }
 
 /// Opens the run, with other settings where the command line asks for them.
