@@ -29,6 +29,8 @@ CORES = os.cpu_count()
 LEARNER, ACTORS = "10.78.0.1", "10.78.0.2"
 # Milliseconds that each byte is on the slow line, each way.
 DELAY = 5
+# The share of the machine that other work may take.
+QUIET = 0.05
 # Seconds of CPU that a step of the slow world takes.
 SLOW_STEP = 100e-6
 # Rounds of arithmetic that are tried to find how many such a step has.
@@ -124,13 +126,9 @@ def kind_of(thread):
 
 
 def carried(pid):
-    """Returns the bytes that a process's host has received and sent."""
-    for line in Path(f"/proc/{pid}/net/dev").read_text().splitlines():
-        name, _, counters = line.partition(":")
-        if name.strip() == "eth0":
-            numbers = [int(number) for number in counters.split()]
-            return numbers[0], numbers[8]
-    return 0, 0
+    """Returns the bytes that a process's host has received and sent over its cable."""
+    numbers = re.search(r"eth0: *(.*)", Path(f"/proc/{pid}/net/dev").read_text())[1].split()
+    return int(numbers[0]), int(numbers[8])
 
 
 def memory(pid):
@@ -153,8 +151,8 @@ class Run:
 
     def __init__(self, bench, task, n_actors, settings, delay=0):
         self.place, program = Path(tempfile.mkdtemp(dir=bench.place)), bench.program
-        local = bool(bench.hosts.problem)
-        address = f"{'127.0.0.1' if local else LEARNER}:{free_port() if local else 7447}"
+        self.is_local = bool(bench.hosts.problem)
+        address = f"127.0.0.1:{free_port()}" if self.is_local else f"{LEARNER}:7447"
         changes = [f"run.actors_min={n_actors}", "evaluation.during_training=0", "learner.total_steps=1000000000", *settings]
         self.learner = self.start(bench.hosts.at(0), "learner", [
             program, "learner", "-c", task, "--name", "run", "--runs", self.place, "--seed", 1, "--listen", f"tcp/{address}",
@@ -208,7 +206,8 @@ class Run:
         """Reads everything at the end of the coming update."""
         last = self.wait((self.last() or {"update": 0})["update"] + 1)
         acting = {}
-        now, learner, bytes_carried = time.time(), cpu(self.learner.pid), carried(self.learner.pid)
+        now, learner = time.time(), cpu(self.learner.pid)
+        bytes_carried = (0, 0) if self.is_local else carried(self.learner.pid)
         for actor in self.actors:
             add(acting, cpu(actor.pid))
         return now, last, learner, acting, bytes_carried
@@ -288,7 +287,7 @@ class Bench:
         script = subprocess.run(["perf", "script", "-i", data, "-F", "comm,ip,sym"], capture_output=True, text=True)
         counts = {}
         for line in script.stdout.splitlines():
-            thread, _, function = line.split(None, 2) if len(line.split(None, 2)) == 3 else (line, "", "")
+            thread, _, function = (line.split(None, 2) + ["", "", ""])[:3]
             work = kind_of(thread)
             is_codec = work != "transport" and CODEC.search(function)
             add(counts, {"codec" if is_codec else work: 1})
@@ -306,17 +305,17 @@ class Bench:
 
     def all(self, quick, seconds):
         """Measures everything; returns the figures."""
-        began = time.time()
+        began, before = time.time(), busy()
 
         def measure(part, what, *how, **more):
             print(f"{time.time() - began:6.0f} s  {part}: {what}", file=sys.stderr, flush=True)
             try:
                 figures[part].append(self.measure(*how, **more))
-            except Failed as error:
+            except (Failed, OSError) as error:
                 print(f"FAILED {error}", file=sys.stderr)
                 figures["failed"].append(f"{part}: {what}")
 
-        figures = {"machine": machine(), "cores": CORES, "learner": [], "slow": [], "line": [], "failed": []}
+        figures = {"cores": CORES, "learner": [], "slow": [], "line": [], "failed": []}
         n_steps = 2_000 if quick else 10_000
         rounds = round(SLOW_STEP / self.bare(TRIED, n_steps) * TRIED)
         world = [f"world.rounds={rounds}"]
@@ -333,7 +332,12 @@ class Bench:
         figures["bare"] = min(figures["bare"], self.bare(rounds, n_steps))
         if self.hosts.problem:
             print(f"no bytes and no line: {self.hosts.problem}", file=sys.stderr)
-            return figures
+        else:
+            self.lines(measure, world, quick, seconds)
+        return figures | {"machine": machine(time.time() - began, before, busy())}
+
+    def lines(self, measure, world, quick, seconds):
+        """Measures runs with and without a slow line."""
         lags = [["learner.mode=lag", f"learner.lag={lag}"] for lag in (1, 2, 4, 8)]
         small = [(SMALL, mode) for mode in (lags[:1] if quick else [["learner.mode=sync"], *lags])]
         slow = [] if quick else [(SLOW + world, mode) for mode in [["learner.mode=sync"], *lags[:2]]]
@@ -341,15 +345,23 @@ class Bench:
             task = "cartpole" if settings is SMALL else "slow"
             for delay in (0, DELAY):
                 measure("line", f"{task}, {' '.join(mode)}, {delay} ms", task, CORES, settings + mode, seconds, delay)
-        return figures
 
 
-def machine():
-    """Says where, and whether other work was going on there."""
+def busy():
+    """Returns seconds of CPU that all of the machine has used, and those of this measurement alone."""
+    user, nice, system, _, _, *interrupts = map(int, Path("/proc/stat").read_text().splitlines()[0].split()[1:9])
+    own = [resource.getrusage(whose) for whose in (resource.RUSAGE_CHILDREN, resource.RUSAGE_SELF)]
+    ticks = user + nice + system + sum(interrupts)
+    return ticks / os.sysconf("SC_CLK_TCK"), sum(used.ru_utime + used.ru_stime for used in own)
+
+
+def machine(seconds, before, after):
+    """Says where it was measured, and how much other work was going on there."""
     model = re.search(r"^model name\s*: (.*)", Path("/proc/cpuinfo").read_text(), flags=re.M)
-    load = os.getloadavg()[0]
-    busy = ", so steps/s are those of a busy machine, and count for nothing; CPU does" if load > 0.5 else ""
-    return f"{CORES} cores ({model[1] if model else 'unknown'}), Linux {os.uname().release}. When it began, the load was {load:.1f}{busy}."
+    whole, own = (b - a for a, b in zip(before, after))
+    others = max(0.0, (whole - own) / (seconds * CORES))
+    text = f"{CORES} cores ({model[1] if model else 'unknown'}), Linux {os.uname().release}. Other work took {100 * others:.0f} % of the machine"
+    return text + (", so steps/s say little here; CPU time does." if others > QUIET else ".")
 
 
 def learner_table(cells, idle):
@@ -433,9 +445,11 @@ def main():
         bench = Bench(args.program)
         try:
             figures = bench.all(args.quick, args.seconds or (2 if args.quick else 15))
+        except Failed as error:
+            sys.exit(str(error))
         finally:
             bench.remove()
-    profiled = [cell for cell in figures["learner"] if cell["samples"]]
+    profiled = [cell for cell in figures["learner"] if cell["actors"] == PROFILED]
     parts = {"machine": figures["machine"], "learner": learner_table(figures["learner"], figures["idle"]), "shares": share_table(profiled),
              "slow": slow_table(figures["slow"], figures["bare"], figures["cores"]), "line": line_table(figures["line"]),
              "reckoning": tables(figures, Site())}
