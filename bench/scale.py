@@ -30,7 +30,7 @@ LEARNER, ACTORS = "10.78.0.1", "10.78.0.2"
 # Milliseconds that each byte is on the slow line, each way.
 DELAY = 5
 # The share of the machine that other work may take.
-QUIET = 0.05
+QUIET = 0.1
 # Seconds of CPU that a step of the slow world takes.
 SLOW_STEP = 100e-6
 # Rounds of arithmetic that are tried to find how many such a step has.
@@ -315,7 +315,7 @@ class Bench:
                 print(f"FAILED {error}", file=sys.stderr)
                 figures["failed"].append(f"{part}: {what}")
 
-        figures = {"cores": CORES, "learner": [], "slow": [], "line": [], "failed": []}
+        figures = {"processor": processor(), "cores": CORES, "seconds": seconds, "learner": [], "slow": [], "line": [], "failed": []}
         n_steps = 2_000 if quick else 10_000
         rounds = round(SLOW_STEP / self.bare(TRIED, n_steps) * TRIED)
         world = [f"world.rounds={rounds}"]
@@ -334,7 +334,7 @@ class Bench:
             print(f"no bytes and no line: {self.hosts.problem}", file=sys.stderr)
         else:
             self.lines(measure, world, quick, seconds)
-        return figures | {"machine": machine(time.time() - began, before, busy())}
+        return figures | {"others": others(time.time() - began, before, busy())}
 
     def lines(self, measure, world, quick, seconds):
         """Measures runs with and without a slow line."""
@@ -348,20 +348,31 @@ class Bench:
 
 
 def busy():
-    """Returns seconds of CPU that all of the machine has used, and those of this measurement alone."""
-    user, nice, system, _, _, *interrupts = map(int, Path("/proc/stat").read_text().splitlines()[0].split()[1:9])
+    """Returns seconds of CPU that all processes, and other machines on this processor, have used, and those of this measurement alone."""
+    user, nice, system, _, _, _, _, steal = map(int, Path("/proc/stat").read_text().splitlines()[0].split()[1:9])
     own = [resource.getrusage(whose) for whose in (resource.RUSAGE_CHILDREN, resource.RUSAGE_SELF)]
-    ticks = user + nice + system + sum(interrupts)
-    return ticks / os.sysconf("SC_CLK_TCK"), sum(used.ru_utime + used.ru_stime for used in own)
+    return (user + nice + system + steal) / os.sysconf("SC_CLK_TCK"), sum(used.ru_utime + used.ru_stime for used in own)
 
 
-def machine(seconds, before, after):
-    """Says where it was measured, and how much other work was going on there."""
-    model = re.search(r"^model name\s*: (.*)", Path("/proc/cpuinfo").read_text(), flags=re.M)
+def others(took, before, after):
+    """Returns the share of the machine that other work has taken, between two looks at how busy it was."""
     whole, own = (b - a for a, b in zip(before, after))
-    others = max(0.0, (whole - own) / (seconds * CORES))
-    text = f"{CORES} cores ({model[1] if model else 'unknown'}), Linux {os.uname().release}. Other work took {100 * others:.0f} % of the machine"
-    return text + (", so steps/s say little here; CPU time does." if others > QUIET else ".")
+    return max(0.0, (whole - own) / (took * CORES))
+
+
+def processor():
+    model = re.search(r"^model name\s*: (.*)", Path("/proc/cpuinfo").read_text(), flags=re.M)
+    return f"{CORES} cores ({model[1] if model else 'unknown'}), Linux {os.uname().release}"
+
+
+def machine(figures):
+    """Says where it was measured, for how long, and how much other work was going on there."""
+    text = f"{figures['processor']}; each run was measured for {figures['seconds']:g} s. Other work took {100 * figures['others']:.0f} % of the machine"
+    return text + ("." if is_quiet(figures) else ": CPU time says something all the same, steps per second do not, and are left out.")
+
+
+def is_quiet(figures):
+    return figures["others"] <= QUIET
 
 
 def learner_table(cells, idle):
@@ -394,7 +405,8 @@ def share_table(cells):
     return "\n".join(lines)
 
 
-def slow_table(cells, bare, cores):
+def slow_table(figures):
+    cells, bare = figures["slow"], figures["bare"]
     lines = [f"A step of the bare loop takes {1e6 * bare:.1f} us of CPU: {1 / bare:,.0f} steps/s on one core.", "",
              "| actors | steps/s (median, range) | of the bare loop on as many cores | of all CPU, the world's own steps |", "|---|---|---|---|"]
     for actors in dict.fromkeys(cell["actors"] for cell in cells):
@@ -402,12 +414,15 @@ def slow_table(cells, bare, cores):
         rates = [cell["steps"] / cell["seconds"] for cell in same]
         whole = statistics.median((sum(cell["learner"].values()) + sum(cell["acting"].values())) / cell["steps"] for cell in same)
         middle = statistics.median(rates)
-        lines.append(f"| {actors} | {middle:,.0f} ({min(rates):,.0f} to {max(rates):,.0f}) | {100 * middle * bare / min(actors, cores):.0f} % | "
-                     f"{100 * bare / whole:.0f} % |")
+        wall = f"{middle:,.0f} ({min(rates):,.0f} to {max(rates):,.0f}) | {100 * middle * bare / min(actors, figures['cores']):.0f} %"
+        lines.append(f"| {actors} | {wall if is_quiet(figures) else '– | –'} | {100 * bare / whole:.0f} % |")
     return "\n".join(lines)
 
 
-def line_table(cells):
+def line_table(figures):
+    if not is_quiet(figures):
+        return "Left out: the machine was busy."
+    cells = figures["line"]
     lines = [f"| task | settings | steps/s without a line | with {DELAY} ms each way | kept | an update without a line | least lag, reckoned |",
              "|---|---|---|---|---|---|---|"]
     for near in (cell for cell in cells if not cell["delay"]):
@@ -450,9 +465,8 @@ def main():
         finally:
             bench.remove()
     profiled = [cell for cell in figures["learner"] if cell["actors"] == PROFILED]
-    parts = {"machine": figures["machine"], "learner": learner_table(figures["learner"], figures["idle"]), "shares": share_table(profiled),
-             "slow": slow_table(figures["slow"], figures["bare"], figures["cores"]), "line": line_table(figures["line"]),
-             "reckoning": tables(figures, Site())}
+    parts = {"machine": machine(figures), "learner": learner_table(figures["learner"], figures["idle"]), "shares": share_table(profiled),
+             "slow": slow_table(figures), "line": line_table(figures), "reckoning": tables(figures, Site())}
     if args.write and not args.again:
         FIGURES.write_text(json.dumps(figures, indent=1) + "\n")
     for part, text in parts.items():
