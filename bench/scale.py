@@ -25,7 +25,7 @@ from pathlib import Path
 from reckoning import FIGURES, Site, amount, least_lag, tables
 
 PAGE = Path(__file__).resolve().parent.parent / "docs/scale.md"
-CORES = os.cpu_count()
+CORES = len(os.sched_getaffinity(0))
 LEARNER, ACTORS = "10.78.0.1", "10.78.0.2"
 # Milliseconds that each byte is on the slow line, each way.
 DELAY = 5
