@@ -52,7 +52,7 @@ type Restored = Timed<Result<(RestoredEnvs, Vec<EnvId>), Error>>;
 
 /// A rollout that the network has taken, or not.
 #[derive(Debug)]
-struct Published {
+struct SentRollout {
     header: Header,
     n_bytes: usize,
     sent: Timed<leadtime_link::Result<()>>,
@@ -70,7 +70,7 @@ enum ActorWake {
     /// The restoring thread is.
     Restored(Restored),
     /// The publishing thread is.
-    Published(Published),
+    Published(SentRollout),
     /// Weights have arrived, or will not.
     Pulled(PolicyVersion, Timed<leadtime_link::Result<Vec<u8>>>),
     /// Time has passed.
@@ -153,7 +153,7 @@ struct Process {
     policy: PolicySpec,
     collector: JobThread<CollectJob, Result<Collected, Error>>,
     restorer: JobThread<Assignment, Restored>,
-    publisher: JobThread<EncodedRollout, Published>,
+    publisher: JobThread<EncodedRollout, SentRollout>,
     /// Where the tasks bring their results.
     tasks: (mpsc::Sender<ActorWake>, mpsc::Receiver<ActorWake>),
     n_steps: u32,
@@ -181,7 +181,7 @@ impl Process {
             let EncodedRollout { header, payload } = rollout;
             let n_bytes = payload.len();
             let sent = Timed::measure(|| sender.publish_rollout(&header, payload));
-            Published { header, n_bytes, sent }
+            SentRollout { header, n_bytes, sent }
         };
         let restore = move |assignment| Timed::measure(|| builder.restore(assignment));
         Ok(Self {
@@ -294,7 +294,7 @@ impl Process {
                 ActorInput::Restored { envs, failed }
             }
             ActorWake::Published(published) => {
-                let Published { header, n_bytes, sent } = published;
+                let SentRollout { header, n_bytes, sent } = published;
                 match &sent.value {
                     Ok(()) => self.metrics.publish += sent.duration,
                     Err(error) => debug!(%error, "rollout not published"),

@@ -43,7 +43,7 @@ pub struct TrackSummary {
 
 /// An event, as far as it is needed here.
 #[derive(Debug, Deserialize)]
-struct Event<'a> {
+struct TraceEvent<'a> {
     #[serde(borrow)]
     name: Cow<'a, str>,
     #[serde(borrow, default)]
@@ -79,7 +79,7 @@ struct ProcessTotals {
 }
 
 impl ProcessTotals {
-    fn take(&mut self, event: &Event<'_>) {
+    fn take(&mut self, event: &TraceEvent<'_>) {
         match &*event.ph {
             "M" if event.name == "process_name" => self.role = event.args.role.clone().into_owned(),
             "M" => {
@@ -112,7 +112,8 @@ impl TraceSummary {
         let mut processes: BTreeMap<u32, ProcessTotals> = BTreeMap::new();
         let (mut line, mut is_full) = (String::new(), false);
         while trace.read_line(&mut line)? > 0 {
-            if let Ok(event) = serde_json::from_str::<Event<'_>>(line.trim_start_matches(',')) {
+            if let Ok(event) = serde_json::from_str::<TraceEvent<'_>>(line.trim_start_matches(','))
+            {
                 is_full |= event.name == FULL;
                 processes.entry(event.pid).or_default().take(&event);
             }
