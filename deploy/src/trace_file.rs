@@ -8,10 +8,11 @@ use std::io::{self, BufReader};
 use std::path::Path;
 use std::process;
 
+use anyhow::Context as _;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::clock;
 use leadtime_trace::{
-    CLOSING, RoleSummary, TraceProcess, TraceSpan, TraceSummary, TraceWriter, opening,
+    CLOSING, RoleSummary, TraceProcess, TraceSpan, TraceSummary, TraceWriter, TrackSummary, opening,
 };
 
 use crate::cli::TraceArgs;
@@ -59,25 +60,25 @@ fn append(path: &Path, text: &str) -> io::Result<()> {
 /// Says who waited for whom, in a few lines.
 fn describe(path: &Path, summary: &TraceSummary) -> String {
     let (shown, lasted) = (path.display(), duration(summary.duration));
-    let mut text = format!("\nTrace: {shown} has {lasted}; open it at https://ui.perfetto.dev");
-    if summary.is_full {
-        text += "\n  It is full: what came later is not in it.";
-    }
+    let head = format!("\nTrace: {shown} has {lasted}; open it at https://ui.perfetto.dev");
+    let full = summary.is_full.then(|| "  It is full: what came later is not in it.".to_owned());
     // Who learns first: what it waits for is what the others are to be asked about.
-    for role in summary.roles.iter().rev() {
+    let tracks = summary.roles.iter().rev().flat_map(|role| {
         let RoleSummary { role, n_processes, tracks } = role;
         let who = if *n_processes == 1 { role.clone() } else { counted(n_processes, role) };
-        for track in tracks {
-            let (n_shares, smallest) = SHARES;
-            let shares = track.shares.iter().filter(|(_, share)| *share >= smallest).take(n_shares);
-            let shares: Vec<String> =
-                shares.map(|(name, share)| format!("{name} {:.0} %", 100.0 * share)).collect();
-            if !shares.is_empty() {
-                text += &format!("\n  {who:<9} {:<9} {}", track.name, shares.join(", "));
-            }
-        }
-    }
-    text
+        tracks.iter().filter_map(move |track| Some(format!("  {who:<9} {}", shares(track)?)))
+    });
+    let lines: Vec<String> = [head].into_iter().chain(full).chain(tracks).collect();
+    lines.join("\n")
+}
+
+/// Lists the largest shares of a thread's time; `None` if all are small.
+fn shares(track: &TrackSummary) -> Option<String> {
+    let (n_shares, smallest) = SHARES;
+    let shares = track.shares.iter().filter(|(_, share)| *share >= smallest).take(n_shares);
+    let shares: Vec<String> =
+        shares.map(|(name, share)| format!("{name} {:.0} %", 100.0 * share)).collect();
+    (!shares.is_empty()).then(|| format!("{:<9} {}", track.name, shares.join(", ")))
 }
 
 /// What one process writes to the file.
@@ -93,9 +94,7 @@ impl ProcessTrace {
     pub(crate) fn join(args: &TraceArgs, role: &str, name: &str) -> Result<Option<Self>, Failure> {
         let Some(path) = &args.file else { return Ok(None) };
         let file = File::options().append(true).open(path);
-        let file = file.map_err(|error| {
-            anyhow::Error::new(error).context(format!("{CANNOT} {}", path.display()))
-        });
+        let file = file.with_context(|| format!("{CANNOT} {}", path.display()));
         let process =
             TraceProcess { id: process::id(), role: role.to_owned(), name: name.to_owned() };
         let writer = TraceWriter::new(file.blame(ExitCode::WrongInput)?, &process);

@@ -1,4 +1,4 @@
-//! Traces: what every thread of a run's processes did when, as a timeline that Perfetto and chrome://tracing open.
+//! Traces: what every thread of a run's processes did when, as a timeline that Perfetto and Chrome open.
 //!
 //! What this crate does not know: actors, learners, files by name, the wall clock.
 //!

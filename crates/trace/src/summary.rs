@@ -81,10 +81,8 @@ struct ProcessTotals {
 impl ProcessTotals {
     fn take(&mut self, event: &TraceEvent<'_>) {
         match &*event.ph {
-            "M" if event.name == "process_name" => self.role = event.args.role.clone().into_owned(),
-            "M" => {
-                self.threads.entry(event.tid).or_default().0 = event.args.name.clone().into_owned()
-            }
+            "M" if event.name == "process_name" => self.role = event.args.role.to_string(),
+            "M" => self.threads.entry(event.tid).or_default().0 = event.args.name.to_string(),
             "X" => {
                 let end = event.ts + event.dur;
                 let (first, last) = self.life.unwrap_or((event.ts, end));
@@ -93,7 +91,7 @@ impl ProcessTotals {
                     let times = &mut self.threads.entry(event.tid).or_default().1;
                     match times.get_mut(&*event.name) {
                         Some(time) => *time += event.dur,
-                        None => drop(times.insert(event.name.clone().into_owned(), event.dur)),
+                        None => drop(times.insert(event.name.to_string(), event.dur)),
                     }
                 }
             }
@@ -143,7 +141,9 @@ impl RoleSummary {
         let mut tracks: BTreeMap<String, BTreeMap<String, f64>> = BTreeMap::new();
         for (track, times) in processes.into_iter().flat_map(|it| it.threads.into_values()) {
             let sums = tracks.entry(track).or_default();
-            times.into_iter().for_each(|(name, took)| *sums.entry(name).or_default() += took);
+            for (name, took) in times {
+                *sums.entry(name).or_default() += took;
+            }
         }
         let tracks = tracks.into_iter().map(|(name, sums)| {
             let mut shares: Vec<(String, f64)> =
