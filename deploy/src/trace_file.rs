@@ -8,7 +8,6 @@ use std::io::{self, BufReader};
 use std::path::Path;
 use std::process;
 
-use anyhow::Context as _;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::clock;
 use leadtime_trace::{
@@ -24,6 +23,8 @@ use crate::output;
 const CANNOT: &str = "cannot write a trace to";
 /// How many shares of a thread's time are listed, and the smallest that is.
 const SHARES: (usize, f64) = (4, 0.01);
+/// The share of its time from which on somebody waits much.
+const MUCH: f64 = 0.1;
 
 /// The file, as whoever makes it sees it. One without any span is removed again.
 #[derive(Debug)]
@@ -68,8 +69,23 @@ fn describe(path: &Path, summary: &TraceSummary) -> String {
         let who = if *n_processes == 1 { role.clone() } else { counted(n_processes, role) };
         tracks.iter().filter_map(move |track| Some(format!("  {who:<9} {}", shares(track)?)))
     });
-    let lines: Vec<String> = [head].into_iter().chain(full).chain(tracks).collect();
+    let limit = limit(summary).map(|limit| format!("  {limit}"));
+    let lines: Vec<String> = [head].into_iter().chain(full).chain(tracks).chain(limit).collect();
     lines.join("\n")
+}
+
+/// Says what keeps the run from being faster, if learner and actors are both in the trace.
+fn limit(summary: &TraceSummary) -> Option<&'static str> {
+    let learner = summary.share("learner", "train", &["wait for rollouts"])?;
+    let actors = summary.share("actor", "collect", &["wait for weights", "wait for credit"])?;
+    Some(match (learner >= MUCH, actors >= MUCH) {
+        (false, true) => "Learning is the limit: more actors would change little.",
+        (true, false) => "Acting is the limit: more actors would help, on cores that are free.",
+        (true, true) => {
+            "Both wait, in turn: a larger learner.lag (mode \"lag\") lets acting run further ahead."
+        }
+        (false, false) => "Nobody waits much: acting and learning are in balance.",
+    })
 }
 
 /// Lists the largest shares of a thread's time; `None` if all are small.
@@ -91,14 +107,20 @@ pub(crate) struct ProcessTrace {
 
 impl ProcessTrace {
     /// Opens the file to write to its end, if a trace is asked for.
-    pub(crate) fn join(args: &TraceArgs, role: &str, name: &str) -> Result<Option<Self>, Failure> {
-        let Some(path) = &args.file else { return Ok(None) };
-        let file = File::options().append(true).open(path);
-        let file = file.with_context(|| format!("{CANNOT} {}", path.display()));
-        let process =
-            TraceProcess { id: process::id(), role: role.to_owned(), name: name.to_owned() };
-        let writer = TraceWriter::new(file.blame(ExitCode::WrongInput)?, &process);
-        Ok(Some(Self { writer: Some(writer), has_told_full: false }))
+    pub(crate) fn join(args: &TraceArgs, role: &str, name: &str) -> Option<Self> {
+        let path = args.file.as_ref()?;
+        match File::options().append(true).open(path) {
+            Ok(file) => {
+                let (role, name) = (role.to_owned(), name.to_owned());
+                let process = TraceProcess { id: process::id(), role, name };
+                let writer = Some(TraceWriter::new(file, &process));
+                Some(Self { writer, has_told_full: false })
+            }
+            Err(error) => {
+                tracing::warn!("{CANNOT} {}: {error}", path.display());
+                None
+            }
+        }
     }
 
     /// Takes a span in.

@@ -133,6 +133,15 @@ impl TraceSummary {
     }
 }
 
+impl TraceSummary {
+    /// Returns the share of their time that the threads of this name spent on these; `None` if no process has that role.
+    pub fn share(&self, role: &str, thread: &str, names: &[&str]) -> Option<f64> {
+        let role = self.roles.iter().find(|it| it.role == role)?;
+        let shares = role.tracks.iter().filter(|it| it.name == thread).flat_map(|it| &it.shares);
+        Some(shares.filter(|(name, _)| names.contains(&&**name)).map(|(_, share)| share).sum())
+    }
+}
+
 impl RoleSummary {
     fn of((role, processes): (String, Vec<ProcessTotals>)) -> Self {
         let n_processes = processes.len();
@@ -221,6 +230,9 @@ mod tests {
                     "1 learner, train: update 0.75, wait for rollouts 0.25",
                 ]
             );
+            let share = summary.share("actor", "collect", &["wait", "simulate"]).unwrap();
+            assert!((share - 1.0).abs() < 1e-9);
+            assert_eq!(summary.share("router", "collect", &["wait"]), None);
         }
     }
 

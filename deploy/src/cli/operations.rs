@@ -19,8 +19,8 @@ pub(crate) struct HealthArgs {
 /// What a run's processes did when.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct TraceArgs {
-    /// Write a timeline to this file, which must not be there: who waits for whom, thread by thread. Open it at
-    /// <https://ui.perfetto.dev> or in `chrome://tracing`.
+    /// Write a timeline to this file, which must not be there: who waits for whom, thread by thread. Open it in
+    /// Perfetto (`ui.perfetto.dev`) or `chrome://tracing`.
     #[arg(long = "trace", value_name = "FILE")]
     pub file: Option<PathBuf>,
 }

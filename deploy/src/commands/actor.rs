@@ -48,7 +48,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     tracing::info!(actor = %settings.actor, at = %args.connect.join(", "), "looking for a learner");
     // A supervisor has made the file.
     let made = if args.supervised { None } else { TraceFile::create(&args.trace)? };
-    let trace = ProcessTrace::join(&args.trace, "actor", actor)?;
+    let trace = ProcessTrace::join(&args.trace, "actor", actor);
     let sink = Box::new(ActorOutlet { standing, trace });
     let report =
         leadtime_actor::run_watched(settings, tasks.registry.clone(), shutdown, sink).await;

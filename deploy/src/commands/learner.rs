@@ -44,6 +44,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let listen = listen_settings(&addresses(args), &args.connect, &args.guard, Role::Learner)
         .blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
+    // A supervisor has made the file.
+    let made = if args.supervised { None } else { TraceFile::create(&args.run.trace)? };
     let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let build = build::this_build()?;
     let (mut run_dir, state) = open(&config, args, &build)?;
@@ -82,9 +84,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         certificate,
     };
     let status = status.map(|server| LearnerStatus::serve(server, facts));
-    // A supervisor has made the file.
-    let made = if args.supervised { None } else { TraceFile::create(&args.run.trace)? };
-    let trace = ProcessTrace::join(&args.run.trace, "learner", "learner")?;
+    let trace = ProcessTrace::join(&args.run.trace, "learner", "learner");
     let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
     let mut sink = sink.with_status(status).with_trace(trace);
     if let Some(command) = &args.run.metrics_to {
