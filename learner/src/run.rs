@@ -152,15 +152,18 @@ impl RunLoop {
     fn new(
         config: LearnerConfig,
         store: CheckpointStore,
-        sink: Box<dyn ProgressSink>,
+        mut sink: Box<dyn ProgressSink>,
         point: ResumePoint,
         link: LearnerLink,
         evaluations: Option<Evaluations>,
     ) -> Result<Self, Error> {
         let ResumePoint { trainer, start, offered, record, .. } = point;
         let version = trainer.version();
+        let mut phases = PhaseClock::start();
         for (version, weights) in offered {
-            link.offer_weights(version, weights)?;
+            let offer = Timed::measure(|| link.offer_weights(version, weights));
+            phases.offered(sink.as_mut(), config.incarnation.0, version, &offer);
+            offer.value?;
         }
         let link = Arc::new(link);
         let now = Instant::now();
@@ -188,7 +191,7 @@ impl RunLoop {
             record,
             last_update: now,
             last_checkpoint: (now, version.0),
-            phases: PhaseClock::start(),
+            phases,
             warned_waiting_at: None,
         })
     }

@@ -142,7 +142,7 @@ fn a_trace_agrees_with_the_metrics_and_changes_no_bit() {
     let waits = on("train").filter(|span| span.category == "wait");
     let waits = waits.filter(before).filter(|span| span.name != "wait for the checkpoint");
     agree("wait", sum(waits), in_metrics(&run, "system/wait_seconds"));
-    let weights = on("loop").filter(|span| span.name == "weights");
+    let weights = on("loop").filter(|span| span.name == "weights" && span.arg("version") > 0);
     agree("weights", sum(weights), in_metrics(&run, "system/weights_seconds"));
     let checkpoints = on("loop").filter(|span| span.name == "checkpoint");
     agree(
@@ -163,7 +163,8 @@ fn a_trace_agrees_with_the_metrics_and_changes_no_bit() {
         ends.map(|event| event["bind_id"].as_u64().unwrap()).collect::<BTreeSet<u64>>()
     };
     let (from, to) = (ends("flow_out"), ends("flow_in"));
-    assert!(to.len() > 20 && to.is_subset(&from), "{to:?}");
+    let nowhere: Vec<_> = to.difference(&from).collect();
+    assert!(to.len() > 20 && nowhere.is_empty(), "{} ends, from nowhere: {nowhere:?}", to.len());
 }
 
 #[test]
