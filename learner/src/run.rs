@@ -141,6 +141,7 @@ struct RunLoop {
     last_update: Instant,
     last_checkpoint: (Instant, u64),
     saving: Saving,
+    /// Where the time since the last update went so far.
     phases: PhaseClock,
     /// Observers are told who is here at every other tick.
     is_even_tick: bool,
