@@ -12,7 +12,7 @@ use serde_json::Value;
 
 /// Crates by layer, lowest first. A crate may depend only on crates of a lower layer.
 const LAYERS: &[&[&str]] = &[
-    &["leadtime-numerics", "leadtime-table"],
+    &["leadtime-numerics", "leadtime-table", "leadtime-trace"],
     &["leadtime-proto", "leadtime-certs"],
     &["leadtime-taxonomy", "leadtime-link", "leadtime-policy"],
     &["leadtime-sims", "leadtime-ppo", "leadtime-voice"],

@@ -92,6 +92,7 @@ pub(crate) struct CollectTimes {
     pub(crate) infer: Duration,
     pub(crate) simulate: Duration,
     pub(crate) encode: Duration,
+    pub(crate) adopt: Duration,
     pub(crate) wait: Duration,
 }
 
@@ -101,6 +102,10 @@ pub(crate) struct Collected {
     pub(crate) rollouts: Vec<EncodedRollout>,
     /// The iteration to be collected next.
     pub(crate) next: Option<Iteration>,
+    /// The iteration and the behaviour version of what was made; `None` if environments were adopted.
+    pub(crate) made: Option<(Iteration, PolicyVersion)>,
+    /// When the job began.
+    pub(crate) started: Instant,
     pub(crate) times: CollectTimes,
 }
 
@@ -112,7 +117,8 @@ struct PhaseTimer {
 
 impl PhaseTimer {
     fn lap(&mut self) -> Duration {
-        std::mem::replace(&mut self.last, Instant::now()).elapsed()
+        let now = Instant::now();
+        now - std::mem::replace(&mut self.last, now)
     }
 }
 
@@ -151,18 +157,23 @@ impl CollectWorker {
 
     pub(crate) fn work(&mut self, job: CollectJob) -> Result<Collected, Error> {
         self.timer.times = CollectTimes { wait: self.timer.lap(), ..CollectTimes::default() };
-        let rollouts = match job {
+        let (started, iteration) = (self.timer.last, self.worker.next_iteration());
+        let (made, rollouts) = match job {
             CollectJob::Adopt { epoch, keep, envs } => {
                 self.adopt(epoch, &keep, envs)?;
-                Vec::new()
+                self.timer.times.adopt = self.timer.lap();
+                (None, Vec::new())
             }
-            CollectJob::Collect { version, weights } => self.collect(version, &weights)?,
+            CollectJob::Collect { version, weights } => {
+                let rollouts = self.collect(version, &weights)?;
+                (iteration.map(|iteration| (iteration, version)), rollouts)
+            }
         };
         if let Some((_, reason)) = self.worker.failure() {
             return Err(Error::Outside { reason });
         }
         let next = self.worker.next_iteration();
-        Ok(Collected { rollouts, next, times: self.timer.times })
+        Ok(Collected { rollouts, next, made, started, times: self.timer.times })
     }
 
     fn adopt(&mut self, epoch: Epoch, keep: &[EnvId], envs: RestoredEnvs) -> Result<(), Error> {

@@ -17,9 +17,10 @@ use std::time::{Duration, Instant};
 use leadtime_link::{ActorEvent, ActorLink, ControlResponder, Events};
 use leadtime_policy::Parameters;
 use leadtime_proto::message::{Assignment, Hello, Welcome};
-use leadtime_proto::{EnvId, PolicySpec, PolicyVersion};
+use leadtime_proto::{EnvId, Header, PolicySpec, PolicyVersion};
 use leadtime_sims::Registry;
-use tokio::sync::{mpsc, watch};
+use leadtime_trace::Timed;
+use tokio::sync::mpsc;
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep_until, timeout_at};
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, info};
@@ -28,8 +29,10 @@ use crate::collect::{CollectJob, CollectWorker, Collected, EnvBuilder, RestoredE
 use crate::job_thread::JobThread;
 use crate::metrics::Metrics;
 use crate::outbox::EncodedRollout;
+use crate::phases::{self, CollectWait};
+use crate::sink::ActorSink;
 use crate::state::{Actor, ActorInput, ActorOutput, PUBLISHING};
-use crate::{ActorEnd, ActorProgress, ActorReport, ActorSettings, Error};
+use crate::{ActorEnd, ActorReport, ActorSettings, Error};
 
 /// How often time-outs are looked at and metrics are published.
 const TICK: Duration = Duration::from_secs(1);
@@ -44,6 +47,17 @@ type LiveActor = Actor<Arc<Parameters>, ControlResponder, RestoredEnvs>;
 type LiveInput = ActorInput<Arc<Parameters>, ControlResponder, RestoredEnvs>;
 type LiveOutput = ActorOutput<Arc<Parameters>, ControlResponder, RestoredEnvs>;
 
+/// The environments of an assignment that are ready, and those that cannot be.
+type Restored = Timed<Result<(RestoredEnvs, Vec<EnvId>), Error>>;
+
+/// A rollout that the network has taken, or not.
+#[derive(Debug)]
+struct SentRollout {
+    header: Header,
+    n_bytes: usize,
+    sent: Timed<leadtime_link::Result<()>>,
+}
+
 /// Everything that can wake an actor.
 #[derive(Debug)]
 enum ActorWake {
@@ -54,11 +68,11 @@ enum ActorWake {
     /// The collecting thread is done with its job.
     Collected(Result<Collected, Error>),
     /// The restoring thread is.
-    Restored(Result<(RestoredEnvs, Vec<EnvId>), Error>),
+    Restored(Restored),
     /// The publishing thread is.
-    Published(leadtime_link::Result<Duration>),
+    Published(SentRollout),
     /// Weights have arrived, or will not.
-    Pulled(PolicyVersion, leadtime_link::Result<Vec<u8>>),
+    Pulled(PolicyVersion, Timed<leadtime_link::Result<Vec<u8>>>),
     /// Time has passed.
     Tick,
     /// The actor wants to be woken.
@@ -80,10 +94,10 @@ pub async fn run(
     registry: Registry,
     stop: CancellationToken,
 ) -> Result<ActorReport, Error> {
-    run_watched(settings, registry, stop, watch::channel(None).0).await
+    run_watched(settings, registry, stop, Box::new(())).await
 }
 
-/// As [`run`], and says once a second how the actor stands: nothing before the first welcome.
+/// As [`run`], and reports what it does.
 ///
 /// # Errors
 ///
@@ -92,7 +106,7 @@ pub async fn run_watched(
     settings: ActorSettings,
     registry: Registry,
     stop: CancellationToken,
-    standing: watch::Sender<Option<ActorProgress>>,
+    sink: Box<dyn ActorSink>,
 ) -> Result<ActorReport, Error> {
     let opened = ActorLink::open(&settings.connect, &settings.actor, settings.incarnation);
     let (link, events) = tokio::select! {
@@ -100,7 +114,7 @@ pub async fn run_watched(
         () = stop.cancelled() => return Err(Error::CancelledEarly),
     };
     let link = Arc::new(link);
-    let result = live(settings, registry, &link, &events, &stop, standing).await;
+    let result = live(settings, registry, &link, &events, &stop, sink).await;
     if let Err(error) = link.close().await {
         debug!(%error, "network not closed in time");
     }
@@ -113,7 +127,7 @@ async fn live(
     link: &Arc<ActorLink>,
     events: &Events<ActorEvent>,
     stop: &CancellationToken,
-    standing: watch::Sender<Option<ActorProgress>>,
+    sink: Box<dyn ActorSink>,
 ) -> Result<ActorReport, Error> {
     let hello = LiveActor::first_hello(&settings);
     let greeting = link.hello(settings.run.as_ref(), &hello, settings.connect.timeout);
@@ -122,7 +136,7 @@ async fn live(
         () = stop.cancelled() => return Err(Error::CancelledEarly),
     };
     info!(run = %welcome.run, domain = welcome.spec.task.domain, "joined");
-    let mut process = Process::new(settings, registry, Arc::clone(link), welcome, standing)?;
+    let mut process = Process::new(settings, registry, Arc::clone(link), welcome, sink)?;
     let end = process.work(events, stop).await?;
     process.farewell(events).await;
     match &end {
@@ -138,13 +152,15 @@ struct Process {
     link: Arc<ActorLink>,
     policy: PolicySpec,
     collector: JobThread<CollectJob, Result<Collected, Error>>,
-    restorer: JobThread<Assignment, Result<(RestoredEnvs, Vec<EnvId>), Error>>,
-    publisher: JobThread<EncodedRollout, leadtime_link::Result<Duration>>,
+    restorer: JobThread<Assignment, Restored>,
+    publisher: JobThread<EncodedRollout, SentRollout>,
     /// Where the tasks bring their results.
     tasks: (mpsc::Sender<ActorWake>, mpsc::Receiver<ActorWake>),
     n_steps: u32,
     metrics: Metrics,
-    standing: watch::Sender<Option<ActorProgress>>,
+    /// What the collecting thread waits for, or has waited for before its job.
+    waits_for: CollectWait,
+    sink: Box<dyn ActorSink>,
 }
 
 impl Process {
@@ -153,7 +169,7 @@ impl Process {
         registry: Registry,
         link: Arc<ActorLink>,
         welcome: Welcome,
-        standing: watch::Sender<Option<ActorProgress>>,
+        sink: Box<dyn ActorSink>,
     ) -> Result<Self, Error> {
         // What the learner says of the run is checked before anything is built by it.
         let (incarnation, spec) = (settings.incarnation, welcome.spec.clone());
@@ -162,20 +178,24 @@ impl Process {
         let mut worker = CollectWorker::new(builder.clone(), incarnation);
         let sender = Arc::clone(&link);
         let publish = move |rollout: EncodedRollout| {
-            let started = Instant::now();
-            sender.publish_rollout(&rollout.header, rollout.payload).map(|()| started.elapsed())
+            let EncodedRollout { header, payload } = rollout;
+            let n_bytes = payload.len();
+            let sent = Timed::measure(|| sender.publish_rollout(&header, payload));
+            SentRollout { header, n_bytes, sent }
         };
+        let restore = move |assignment| Timed::measure(|| builder.restore(assignment));
         Ok(Self {
             actor,
             link,
             policy: spec.policy,
             collector: JobThread::start("actor-collect", 1, move |job| worker.work(job))?,
-            restorer: JobThread::start("actor-restore", 1, move |a| builder.restore(a))?,
+            restorer: JobThread::start("actor-restore", 1, restore)?,
             publisher: JobThread::start("actor-publish", PUBLISHING, publish)?,
             tasks: mpsc::channel(2),
             n_steps: spec.n_steps,
             metrics: Metrics::default(),
-            standing,
+            waits_for: CollectWait::Environments,
+            sink,
         })
     }
 
@@ -192,12 +212,19 @@ impl Process {
                 self.finish_rollout(events, &mut ticks).await?;
                 return Ok(ActorEnd::Cancelled);
             };
-            for output in self.actor.handle(Instant::now(), input) {
+            for output in self.handle(input) {
                 if let Some(end) = self.carry_out(output)? {
                     return Ok(end);
                 }
             }
         }
+    }
+
+    /// Lets the actor decide what to do about something that happened.
+    fn handle(&mut self, input: LiveInput) -> Vec<LiveOutput> {
+        let outputs = self.actor.handle(Instant::now(), input);
+        self.waits_for = self.actor.waits_for().unwrap_or(self.waits_for);
+        outputs
     }
 
     /// Lets the rollout that is being made come to its end and sends it, if that does not take too long: else another
@@ -214,7 +241,7 @@ impl Process {
             let wake = self.next_wake(events, ticks, &never);
             let Ok(wake) = timeout_at(deadline, wake).await else { break };
             let Some(input) = self.input(wake?)? else { break };
-            for output in self.actor.handle(Instant::now(), input) {
+            for output in self.handle(input) {
                 if self.carry_out(output)?.is_some() {
                     return Ok(());
                 }
@@ -256,27 +283,38 @@ impl Process {
             ActorWake::Collected(collected) => {
                 let collected = collected?;
                 self.metrics.add(&collected, self.n_steps);
+                let learner = self.actor.learner().0;
+                phases::collected(self.sink.as_mut(), &collected, self.waits_for, learner);
+                self.waits_for = CollectWait::Loop;
                 ActorInput::Collected { rollouts: collected.rollouts, next: collected.next }
             }
             ActorWake::Restored(restored) => {
-                let (envs, failed) = restored?;
+                phases::restored(self.sink.as_mut(), &restored);
+                let (envs, failed) = restored.value?;
                 ActorInput::Restored { envs, failed }
             }
             ActorWake::Published(published) => {
-                match published {
-                    Ok(took) => self.metrics.publish += took,
+                let SentRollout { header, n_bytes, sent } = published;
+                match &sent.value {
+                    Ok(()) => self.metrics.publish += sent.duration,
                     Err(error) => debug!(%error, "rollout not published"),
                 }
+                phases::published(self.sink.as_mut(), &header, n_bytes, &sent);
                 ActorInput::Published
             }
-            ActorWake::Pulled(version, Ok(bytes)) => {
-                let parameters = Parameters::from_safetensors(&bytes, &self.policy)?;
-                ActorInput::Pulled { version, weights: Arc::new(parameters) }
-            }
-            ActorWake::Pulled(version, Err(error)) => {
-                debug!(%error, "weights not pulled; trying again");
-                let not_kept = matches!(error, leadtime_link::Error::NotKept { .. });
-                ActorInput::PullFailed { version, not_kept }
+            ActorWake::Pulled(version, pulled) => {
+                phases::pulled(self.sink.as_mut(), version, &pulled);
+                match pulled.value {
+                    Ok(bytes) => {
+                        let parameters = Parameters::from_safetensors(&bytes, &self.policy)?;
+                        ActorInput::Pulled { version, weights: Arc::new(parameters) }
+                    }
+                    Err(error) => {
+                        debug!(%error, "weights not pulled; trying again");
+                        let not_kept = matches!(error, leadtime_link::Error::NotKept { .. });
+                        ActorInput::PullFailed { version, not_kept }
+                    }
+                }
             }
             ActorWake::Alarm => ActorInput::Tick,
             ActorWake::Tick => {
@@ -308,7 +346,9 @@ impl Process {
             ActorOutput::Pull { version, sha256 } => {
                 let (link, done) = (Arc::clone(&self.link), self.tasks.0.clone());
                 tokio::spawn(async move {
+                    let started = Instant::now();
                     let pulled = link.pull_weights(version, sha256).await;
+                    let pulled = Timed::since(started, pulled);
                     drop(done.send(ActorWake::Pulled(version, pulled)).await);
                 });
             }
@@ -326,8 +366,8 @@ impl Process {
         });
     }
 
-    fn report_metrics(&self) {
-        self.standing.send_replace(Some(self.actor.standing(self.metrics.n_steps)));
+    fn report_metrics(&mut self) {
+        self.sink.on_tick(self.actor.standing(self.metrics.n_steps));
         let report = self.metrics.report(&self.actor);
         if let Err(error) = self.link.publish_metrics(report.as_bytes()) {
             debug!(%error, "metrics not published");

@@ -33,6 +33,7 @@ use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion};
 use tracing::{debug, info, warn};
 
 use crate::outbox::{EncodedRollout, Outbox};
+use crate::phases::CollectWait;
 use crate::weight_cache::WeightCache;
 use crate::{ActorEnd, ActorProgress, ActorSettings, Error};
 
@@ -323,6 +324,27 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         self.greeting.is_none() && (self.job.is_some() || self.n_publishing > 0)
     }
 
+    /// Says what the collecting thread waits for; `None` while it has a job.
+    pub(crate) fn waits_for(&self) -> Option<CollectWait> {
+        if self.job.is_some() {
+            return None;
+        }
+        Some(if self.greeting.is_some() {
+            CollectWait::Learner
+        } else if self.next.is_none() {
+            CollectWait::Environments
+        } else if self.has_room() {
+            CollectWait::Weights
+        } else {
+            CollectWait::Credit
+        })
+    }
+
+    /// Tells whether more rollouts may be made.
+    fn has_room(&self) -> bool {
+        self.outbox.has_room(self.welcome.spec.schedule, self.window())
+    }
+
     /// Returns how the actor stands, with what its process has counted.
     pub(crate) fn standing(&self, n_steps: u64) -> ActorProgress {
         ActorProgress {
@@ -589,7 +611,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             return self.outputs.push(ActorOutput::Adopt { epoch, keep, envs });
         }
         let Some(next) = self.next else { return };
-        if !self.outbox.has_room(self.welcome.spec.schedule, self.window()) {
+        if !self.has_room() {
             return;
         }
         if let Some((version, weights)) = self.weights.get(next) {

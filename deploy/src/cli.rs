@@ -21,6 +21,7 @@ use leadtime_studies::{EPISODES, EVAL_SEED};
 use crate::exit::EXIT_CODE_HELP;
 
 mod live;
+mod logs;
 mod network;
 mod operations;
 mod robot;
@@ -28,11 +29,12 @@ mod taxonomy;
 mod worker;
 
 pub(crate) use live::{DriveArgs, NotifierArgs, RecordArgs, ReplayArgs, ReplaySpeed, ServeArgs};
+pub(crate) use logs::{LogArgs, LogFormat, Verbosity};
 pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,
 };
-pub(crate) use operations::{HealthArgs, PruneArgs, VersionArgs};
+pub(crate) use operations::{HealthArgs, PruneArgs, TraceArgs, VersionArgs};
 pub(crate) use robot::{DistroName, ObsForm, RobotArgs, SayKeyForm};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
@@ -51,61 +53,6 @@ pub(crate) struct Cli {
     pub verbosity: Verbosity,
     #[command(flatten)]
     pub logs: LogArgs,
-}
-
-/// How the log is written.
-#[derive(Clone, Debug, Default, Args)]
-pub(crate) struct LogArgs {
-    /// How lines of the log are written.
-    #[arg(long, global = true, value_name = "FORMAT", value_enum, default_value_t)]
-    pub log_format: LogFormat,
-    /// Write the log to the end of this file instead of standard error. It is opened again when it was moved away, and on
-    /// SIGHUP.
-    #[arg(long, global = true, value_name = "FILE")]
-    pub log_file: Option<PathBuf>,
-}
-
-/// How lines of the log are written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum LogFormat {
-    /// For people.
-    #[default]
-    Text,
-    /// One JSON object per line: time, level, target, message, run, actor, fields.
-    Json,
-}
-
-impl LogArgs {
-    /// Returns the options that give another process of ours the same.
-    pub(crate) fn options(&self) -> Vec<String> {
-        let format = (self.log_format == LogFormat::Json)
-            .then(|| ["--log-format".to_owned(), "json".to_owned()]);
-        let file = self.log_file.as_ref().map(|file| file.display().to_string());
-        let file = file.map(|file| ["--log-file".to_owned(), file]);
-        format.into_iter().chain(file).flatten().collect()
-    }
-}
-
-/// How much is said on standard error.
-#[derive(Clone, Copy, Debug, Args)]
-pub(crate) struct Verbosity {
-    /// Say nothing but warnings and results.
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
-    pub quiet: bool,
-    /// Also say what helps to find out why something goes wrong.
-    #[arg(short, long, global = true)]
-    pub verbose: bool,
-}
-
-impl Verbosity {
-    /// Returns the options that give another process of ours the same.
-    pub(crate) fn options(self) -> &'static [&'static str] {
-        match (self.quiet, self.verbose) {
-            (true, _) => &["--quiet"],
-            (_, true) => &["--verbose"],
-            _ => &[],
-        }
-    }
 }
 
 const VARIABLES_HELP: &str = "Environment variables:\n  \
@@ -302,6 +249,8 @@ pub(crate) struct RunChoice {
     /// Start this command, and write the metrics of every update to its standard input, a line of JSON each.
     #[arg(long, value_name = "COMMAND")]
     pub metrics_to: Option<String>,
+    #[command(flatten)]
+    pub trace: TraceArgs,
 }
 
 impl RunChoice {
@@ -529,6 +478,8 @@ pub(crate) struct ActorArgs {
     /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
     #[arg(long, value_name = "ADDRESS")]
     pub status: Option<String>,
+    #[command(flatten)]
+    pub trace: TraceArgs,
     #[command(flatten)]
     pub worker: WorkerArgs,
     /// For a world in Python: workers that this actor starts, at least.

@@ -26,6 +26,7 @@ mod log_file;
 mod log_line;
 mod logging;
 mod metrics_pipe;
+mod new_file;
 mod output;
 mod program;
 mod refused;
@@ -35,5 +36,6 @@ mod sink;
 mod status;
 mod terminal;
 mod threads;
+mod trace_file;
 
 pub use program::Program;

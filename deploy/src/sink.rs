@@ -9,6 +9,7 @@ use leadtime_learner::{
 use leadtime_link::Archive;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
+use leadtime_trace::TraceSpan;
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
@@ -17,6 +18,7 @@ use crate::metrics_pipe::MetricsPipe;
 use crate::service::{self, Service};
 use crate::shutdown;
 use crate::status::LearnerStatus;
+use crate::trace_file::ProcessTrace;
 
 /// Records a run's progress and shows it.
 #[derive(Debug)]
@@ -34,6 +36,8 @@ pub(crate) struct RunSink {
     stop: Option<(u64, CancellationToken)>,
     /// Who else gets the metrics.
     pipe: Option<MetricsPipe>,
+    /// Who writes down where the time goes, if somebody does.
+    trace: Option<ProcessTrace>,
 }
 
 impl RunSink {
@@ -53,6 +57,7 @@ impl RunSink {
             service: Service::new(),
             stop,
             pipe: None,
+            trace: None,
         }
     }
 
@@ -64,6 +69,11 @@ impl RunSink {
     /// Also serves what the run reports.
     pub(crate) fn with_status(self, status: Option<LearnerStatus>) -> Self {
         Self { status, ..self }
+    }
+
+    /// Also writes down where the time goes.
+    pub(crate) fn with_trace(self, trace: Option<ProcessTrace>) -> Self {
+        Self { trace, ..self }
     }
 
     /// Asks the run to stop if it has made as many updates as it was to make.
@@ -128,6 +138,15 @@ impl ProgressSink for RunSink {
         self.service.tick(standing.has_enough_actors);
         if let Some(status) = &self.status {
             status.tick(standing);
+        }
+        if let Some(trace) = &mut self.trace {
+            trace.flush();
+        }
+    }
+
+    fn on_span(&mut self, span: &TraceSpan<'_>) {
+        if let Some(trace) = &mut self.trace {
+            trace.span(span);
         }
     }
 

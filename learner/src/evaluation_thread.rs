@@ -4,8 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
+use std::time::Instant;
 
 use leadtime_ppo::LearnerSettings;
+use leadtime_trace::Timed;
 use tokio::sync::mpsc;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
@@ -14,13 +16,14 @@ use crate::Error;
 use crate::coordinator::TICK;
 use crate::held_out::{HeldOutEpisode, HeldOutEvaluation, PolicyEvaluator};
 use crate::held_out_record::{EvaluationPlan, HeldOutRecord, WaitingPolicy};
+use crate::phases;
 use crate::report::{ProgressSink, RunEvent, Standing};
 
 /// One policy and one result may be under way.
 const DEPTH: usize = 1;
 
 /// What became of an evaluation: its episodes, or half a sentence why there are none.
-pub(crate) type Evaluated = Result<Vec<HeldOutEpisode>, String>;
+pub(crate) type Evaluated = Timed<Result<Vec<HeldOutEpisode>, String>>;
 
 /// The loop's end of the evaluating thread; dropping it ends the evaluation under way.
 #[derive(Debug)]
@@ -63,7 +66,8 @@ impl EvaluationThread {
     pub(crate) async fn evaluated(&mut self) -> Evaluated {
         let evaluated = self.evaluated.recv().await;
         self.is_busy = false;
-        evaluated.unwrap_or_else(|| Err("the thread that evaluates is gone".to_owned()))
+        let gone = || Timed::measure(|| Err("the thread that evaluates is gone".to_owned()));
+        evaluated.unwrap_or_else(gone)
     }
 }
 
@@ -81,12 +85,13 @@ fn work(
 ) {
     let stopped = || is_stopped.load(Ordering::Relaxed);
     while let Ok(WaitingPolicy { policy, n_episodes }) = inbox.recv() {
+        let started = Instant::now();
         let evaluated = match evaluator.evaluate(&policy.weights, n_episodes, &stopped) {
             Ok(Some(episodes)) => Ok(episodes),
             Ok(None) => return, // Nobody waits for it.
             Err(error) => Err(error.to_string()),
         };
-        if outbox.blocking_send(evaluated).is_err() {
+        if outbox.blocking_send(Timed::since(started, evaluated)).is_err() {
             return;
         }
     }
@@ -145,7 +150,9 @@ pub(crate) fn take_in(
     sink: &mut dyn ProgressSink,
 ) {
     let Some(version) = record.next().map(|next| next.policy.version) else { return };
-    match evaluated {
+    let n_episodes = evaluated.value.as_ref().map_or(0, Vec::len);
+    phases::evaluated(sink, version, n_episodes, &evaluated);
+    match evaluated.value {
         Ok(episodes) => {
             record.take_in(&episodes);
             sink.on_held_out(record.history());

@@ -32,6 +32,7 @@ mod evaluation_thread;
 mod files;
 pub mod held_out;
 mod held_out_record;
+mod phases;
 pub mod report;
 mod resume;
 pub mod rollout_queue;

@@ -8,6 +8,7 @@ use std::time::Duration;
 use leadtime_link::Archive;
 use leadtime_ppo::UpdateReport;
 use leadtime_proto::{ActorId, EnvId, Epoch, Incarnation, PolicyVersion, RefusalCause};
+use leadtime_trace::TraceSpan;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::books::{Books, Imbalance};
@@ -306,6 +307,9 @@ pub trait ProgressSink: Send {
     fn archive(&self) -> Option<Archive> {
         None
     }
+
+    /// Takes in how a thread of the learner spent its time, for a trace of the run; called a few times per update.
+    fn on_span(&mut self, _span: &TraceSpan<'_>) {}
 
     /// Takes in how the run stands; called about twice a second, for as long as the run's loop goes round.
     fn on_tick(&mut self, _standing: &Standing) {}

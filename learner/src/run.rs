@@ -24,6 +24,7 @@ use leadtime_link::{LearnerEvent, LearnerLink};
 use leadtime_ppo::TrainerState;
 use leadtime_proto::PolicyVersion;
 use leadtime_proto::message::{HelloReply, Welcome};
+use leadtime_trace::{Timed, TraceArrow};
 use serde_json::json;
 use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
@@ -36,8 +37,9 @@ use crate::coordinator::{Coordinator, CoordinatorSettings, Effect, HelloRefusal,
 use crate::ending;
 use crate::evaluation_thread::{Evaluated, Evaluations, take_in};
 use crate::held_out::HeldOutEvaluation;
+use crate::phases::{PhaseClock, TrainingWait};
 use crate::report::{
-    PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, Standing, UpdateProgress,
+    ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, Standing, UpdateProgress,
 };
 use crate::resume::{self, Checkpoint, ResumePoint, TrainingRecord};
 use crate::saving::Saving;
@@ -140,8 +142,7 @@ struct RunLoop {
     last_checkpoint: (Instant, u64),
     saving: Saving,
     /// Where the time since the last update went so far.
-    phases: PhaseTimes,
-    idle_since: Instant,
+    phases: PhaseClock,
     /// Observers are told who is here at every other tick.
     is_even_tick: bool,
     /// When it was last reported that actors are missing; `None` while there are enough.
@@ -152,15 +153,18 @@ impl RunLoop {
     fn new(
         config: LearnerConfig,
         store: CheckpointStore,
-        sink: Box<dyn ProgressSink>,
+        mut sink: Box<dyn ProgressSink>,
         point: ResumePoint,
         link: LearnerLink,
         evaluations: Option<Evaluations>,
     ) -> Result<Self, Error> {
         let ResumePoint { trainer, start, offered, record, .. } = point;
         let version = trainer.version();
+        let mut phases = PhaseClock::start();
         for (version, weights) in offered {
-            link.offer_weights(version, weights)?;
+            let offer = Timed::measure(|| link.offer_weights(version, weights));
+            phases.offered(sink.as_mut(), config.incarnation.0, version, &offer);
+            offer.value?;
         }
         let link = Arc::new(link);
         let now = Instant::now();
@@ -188,8 +192,7 @@ impl RunLoop {
             record,
             last_update: now,
             last_checkpoint: (now, version.0),
-            phases: PhaseTimes::default(),
-            idle_since: now,
+            phases,
             warned_waiting_at: None,
         })
     }
@@ -283,6 +286,8 @@ impl RunLoop {
                 }
             }
             LearnerEvent::Rollout { actor, header, payload } => {
+                let (start, sequence) = (header.incarnation.0, header.sequence.0);
+                self.phases.arrived(TraceArrow::of_rollout(start, sequence));
                 self.coordinator.rollout(actor, &header, &payload);
             }
             LearnerEvent::Joined(actor, start) => self.coordinator.joined(actor, start),
@@ -337,25 +342,37 @@ impl RunLoop {
     /// Hands the next batch to the training thread, if it is idle and the batch is there, and not too many policies wait to
     /// be evaluated.
     fn train(&mut self) -> Result<(), Error> {
-        let must_wait = self.evaluations.is_some() && self.record.held_out.is_full();
-        if self.is_training || must_wait || self.saving.is_paused(Instant::now()) {
+        if self.is_training {
             return Ok(());
         }
-        let Some(batch) = self.coordinator.next_batch() else { return Ok(()) };
+        if self.evaluations.is_some() && self.record.held_out.is_full() {
+            self.phases.waits_for(TrainingWait::Evaluation);
+            return Ok(());
+        }
+        if self.saving.is_paused(Instant::now()) {
+            self.phases.waits_for(TrainingWait::Disk);
+            return Ok(());
+        }
+        let Some(batch) = self.coordinator.next_batch() else {
+            self.phases.waits_for(TrainingWait::Rollouts);
+            return Ok(());
+        };
+        self.phases.begins(self.sink.as_mut());
         self.training.begin(batch)?;
         self.is_training = true;
-        self.phases.wait = self.idle_since.elapsed().saturating_sub(self.phases.checkpoint);
         Ok(())
     }
 
     fn trained(&mut self, updated: Updated) -> Result<(), Error> {
         self.is_training = false;
-        self.idle_since = Instant::now();
+        self.phases.trained(self.sink.as_mut(), &updated);
+        let started = Instant::now();
         self.version = updated.version;
         self.coordinator.trained(updated.version);
         self.link.offer_weights(updated.version, Arc::clone(&updated.weights))?;
         self.link.retire_weights(self.oldest_needed());
-        self.phases.weights = self.idle_since.elapsed();
+        let (learner, offer) = (self.config.incarnation.0, Timed::since(started, ()));
+        self.phases.offered(self.sink.as_mut(), learner, updated.version, &offer);
         let ends = updated.rollouts.iter().flat_map(|rollout| &rollout.ends);
         self.record.episodes.extend(&self.config.spec.env, ends.map(|end| &end.summary));
         for (&staleness, &n_rollouts) in &updated.report.staleness {
@@ -402,7 +419,7 @@ impl RunLoop {
             n_updates_total: self.config.settings.n_updates(),
             n_steps: self.version.0 * n_steps,
             steps_per_second: n_steps as f64 / elapsed.as_secs_f64().max(f64::EPSILON),
-            phases: PhaseTimes { train: updated.took, ..std::mem::take(&mut self.phases) },
+            phases: self.phases.take(),
             episodes: self.record.episodes.means(),
             held_out: self.record.held_out.history().last().copied(),
             n_actors: self.coordinator.n_actors(),
@@ -472,9 +489,10 @@ impl RunLoop {
             builds: self.coordinator.builds().clone(),
         };
         let (store, n_updates) = (&mut self.store, self.version.0);
-        let started = Instant::now();
-        let path = tokio::task::block_in_place(|| store.write(n_updates, &checkpoint))?;
-        self.phases.checkpoint += started.elapsed();
+        let write = || tokio::task::block_in_place(|| store.write(n_updates, &checkpoint));
+        let written = Timed::measure(write);
+        self.phases.checkpointed(self.sink.as_mut(), self.version, &written);
+        let path = written.value?;
         self.last_checkpoint = (Instant::now(), n_updates);
         let last = self.last();
         let best = ending::best(&self.record, self.evaluations.as_ref(), &last);

@@ -24,6 +24,9 @@ pub(crate) struct Updated {
     /// The state after it: what a checkpoint holds, also while the next update is under way.
     pub(crate) state: TrainerState,
     pub(crate) rollouts: Vec<CheckedRollout>,
+    pub(crate) started: Instant,
+    /// Its parts, each with its end.
+    pub(crate) parts: Vec<(&'static str, Instant)>,
     pub(crate) took: Duration,
 }
 
@@ -71,13 +74,17 @@ fn work(
 
 fn update(trainer: &mut Trainer, rollouts: Vec<CheckedRollout>) -> Result<Updated, Error> {
     let started = Instant::now();
-    let report = trainer.update(&rollouts)?;
+    let mut parts = Vec::new();
+    let mut ended = |part| parts.push((part, Instant::now()));
+    let report = trainer.update_in_parts(&rollouts, &mut ended)?;
     Ok(Updated {
         report,
         version: trainer.version(),
         weights: encode(trainer)?,
         state: trainer.state()?,
         rollouts,
+        started,
+        parts,
         took: started.elapsed(),
     })
 }

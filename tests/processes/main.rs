@@ -17,6 +17,7 @@
 //! | `streams` | output that cannot be written, limits, names that are not text: a sentence, and nothing is lost |
 //! | `supervision` | processes live and die together |
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |
+//! | `trace` | a trace tells who waited for whom, changes nothing, and is readable whatever is killed |
 //! | `voice` | what a notifier says is played, and a voice that is missing, hangs or talks rubbish harms nobody |
 //! | `watch` | a run is seen from outside, and nobody is disturbed |
 //! | `words_server` | a language model's words are paid once, whatever is killed or breaks down |
@@ -45,6 +46,7 @@ mod streams;
 mod supervision;
 mod support;
 mod taxonomy;
+mod trace;
 mod voice;
 mod watch;
 mod words_server;

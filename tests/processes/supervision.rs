@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::support::{
-    PATIENCE, Place, Running, arguments, checkpoints, children, is_alive, result, signal, updates,
+    PATIENCE, Place, Running, checkpoints, children, family, is_alive, result, signal, updates,
     wait_for_updates, wait_for_words, wait_until,
 };
 
@@ -12,21 +12,6 @@ const SECOND: Duration = Duration::from_secs(1);
 /// A run that does not end by itself while a test looks at it.
 const LONG: &str = "up -c cartpole --name r --actors 2 --set learner.n_steps=32 --set learner.total_steps=100000000 \
                     --set run.checkpoint_every=4";
-
-/// Returns the supervisor's learner and actors, once all are there.
-fn family(id: u32) -> (u32, Vec<u32>) {
-    let mut found = (0, Vec::new());
-    wait_until("learner and actors are there", PATIENCE, || {
-        let with = |word: &str| {
-            let named = |child: &u32| arguments(*child).contains(word);
-            children(id).into_iter().filter(named).collect::<Vec<_>>()
-        };
-        let (learners, actors) = (with(" learner "), with(" actor "));
-        found = (learners.first().copied().unwrap_or(0), actors);
-        found.0 != 0 && found.1.len() == 2
-    });
-    found
-}
 
 /// Starts a long run; returns its supervisor and every process of it, the learner first, once it is under way.
 fn start(place: &Place) -> (Running, Vec<u32>) {

@@ -265,6 +265,21 @@ pub(crate) fn arguments(id: u32) -> String {
     fs::read_to_string(format!("/proc/{id}/cmdline")).unwrap_or_default().replace('\0', " ")
 }
 
+/// Returns the learner and the two actors of a supervisor, once all are there.
+pub(crate) fn family(id: u32) -> (u32, Vec<u32>) {
+    let mut found = (0, Vec::new());
+    wait_until("learner and actors are there", PATIENCE, || {
+        let with = |word: &str| {
+            let named = |child: &u32| arguments(*child).contains(word);
+            children(id).into_iter().filter(named).collect::<Vec<_>>()
+        };
+        let (learners, actors) = (with(" learner "), with(" actor "));
+        found = (learners.first().copied().unwrap_or(0), actors);
+        found.0 != 0 && found.1.len() == 2
+    });
+    found
+}
+
 /// Returns the number of updates that a run has written to its journal.
 pub(crate) fn updates(run: &Path) -> u64 {
     let journal = fs::read_to_string(run.join("metrics.jsonl")).unwrap_or_default();

@@ -155,6 +155,21 @@ fn an_assignment_is_restored_answered_adopted_collected_and_sent() {
 }
 
 #[test]
+fn a_wait_is_named_after_what_is_missing() {
+    let mut bench = Bench::with_weights(0..=0);
+    assert_eq!(bench.actor.waits_for(), Some(CollectWait::Environments));
+    bench.follow(1, 1, 0);
+    assert_eq!(bench.actor.waits_for(), None, "it collects");
+    // A window's worth is not acknowledged, and version 1 is not here.
+    bench.collected(4, Some(1));
+    assert_eq!(bench.actor.waits_for(), Some(CollectWait::Credit));
+    bench.credit(4, 8);
+    assert_eq!(bench.actor.waits_for(), Some(CollectWait::Weights));
+    bench.give(ActorInput::LearnerLeft(LEARNER));
+    assert_eq!(bench.actor.waits_for(), Some(CollectWait::Learner));
+}
+
+#[test]
 fn what_cannot_be_restored_is_reported_and_the_rest_goes_on() {
     let mut bench = Bench::with_weights(0..=0);
     bench.assign(1, 7, &[0, 1]);

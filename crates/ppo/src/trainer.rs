@@ -165,10 +165,25 @@ impl Trainer {
     ///
     /// If a rollout was checked against another specification than that of this trainer's policy.
     pub fn update(&mut self, rollouts: &[CheckedRollout]) -> Result<UpdateReport, TrainError> {
+        self.update_in_parts(rollouts, &mut |_part| {})
+    }
+
+    /// As [`Self::update`], and calls `ended` at the end of each part: `batch`, `epochs`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::update`].
+    pub fn update_in_parts(
+        &mut self,
+        rollouts: &[CheckedRollout],
+        ended: &mut dyn FnMut(&'static str),
+    ) -> Result<UpdateReport, TrainError> {
         check_order(rollouts)?;
         let batch = self.batch(rollouts)?;
+        ended("batch");
         let learning_rate = self.settings.learning_rate_at(self.version.0);
         let totals = self.learn(&batch, learning_rate)?;
+        ended("epochs");
         check_weights(&self.network)?;
         if let Some(normalizer) = &mut self.observations {
             for rollout in rollouts {

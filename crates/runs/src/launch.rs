@@ -34,6 +34,8 @@ pub struct Launch<'a> {
     pub changes: Vec<String>,
     /// A command that gets every update's metrics, the learner's `--metrics-to`.
     pub metrics_to: Option<&'a str>,
+    /// The file to whose end every process writes where its time goes.
+    pub trace: Option<&'a Path>,
     /// Where the learner serves its status.
     pub status: Option<&'a str>,
     /// Whether the learner's results go to standard output.
@@ -67,6 +69,7 @@ impl<'a> Launch<'a> {
             stop_after: None,
             changes: Vec::new(),
             metrics_to: None,
+            trace: None,
             status: None,
             learner_stdout: false,
             stderr_log: None,
@@ -183,11 +186,14 @@ fn plan(
     if let Some(address) = launch.status {
         learner.extend(text(&["--status", address]));
     }
+    let trace: Vec<OsString> =
+        launch.trace.iter().flat_map(|file| ["--trace".into(), file.into()]).collect();
+    learner.extend(trace.iter().cloned());
     let actor = |number: u32| {
         let id = format!("actor-{number}");
         // The configuration is this user's own, and so is the learner.
         let own = ["actor", "--supervised", "--connect", endpoint, "--id", &id, "--trust-worker"];
-        text(&[&own, launch.options].concat())
+        [text(&[&own, launch.options].concat()), trace.clone()].concat()
     };
     Ok(ProcessPlan {
         learner,

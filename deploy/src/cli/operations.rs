@@ -1,5 +1,6 @@
 //! Arguments of the commands for keeping runs going.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
@@ -13,6 +14,15 @@ pub(crate) struct HealthArgs {
     /// Ask only whether it is alive, not whether it is ready.
     #[arg(long)]
     pub live: bool,
+}
+
+/// What a run's processes did when.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct TraceArgs {
+    /// Write a timeline to this file, which must not be there: who waits for whom, thread by thread. Open it in
+    /// Perfetto (`ui.perfetto.dev`) or `chrome://tracing`.
+    #[arg(long = "trace", value_name = "FILE")]
+    pub file: Option<PathBuf>,
 }
 
 /// `leadtime version`

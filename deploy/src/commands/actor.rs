@@ -3,12 +3,13 @@
 use std::fs;
 
 use anyhow::{Context as _, bail};
-use leadtime_actor::{ActorEnd, ActorSettings, Error};
+use leadtime_actor::{ActorEnd, ActorProgress, ActorSettings, ActorSink, Error};
 use leadtime_certs::Role;
 use leadtime_link::{Endpoint, Error as LinkError};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RegionName, RunName};
 use leadtime_runs::{ProgramBuild, Tasks, clock};
+use leadtime_trace::TraceSpan;
 use leadtime_worker::WorkerRules;
 use serde_json::json;
 use tokio::sync::watch;
@@ -20,6 +21,7 @@ use crate::credentials::{connect_settings, is_wrong_input};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{self, Watch};
 use crate::status::ActorStatus;
+use crate::trace_file::{ProcessTrace, TraceFile};
 use crate::{build, log_line, output};
 
 /// The longest part of a host's name that becomes part of an actor's.
@@ -44,8 +46,15 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     log_line::is_about_actor(actor);
     let _status = status.map(|server| ActorStatus::serve(server, actor, certificate, told));
     tracing::info!(actor = %settings.actor, at = %args.connect.join(", "), "looking for a learner");
+    // A supervisor has made the file.
+    let made = if args.supervised { None } else { TraceFile::create(&args.trace)? };
+    let trace = ProcessTrace::join(&args.trace, "actor", actor);
+    let sink = Box::new(ActorOutlet { standing, trace });
     let report =
-        leadtime_actor::run_watched(settings, tasks.registry.clone(), shutdown, standing).await;
+        leadtime_actor::run_watched(settings, tasks.registry.clone(), shutdown, sink).await;
+    if let Some(trace) = made {
+        trace.finish();
+    }
     let report = report.map_err(failure)?;
     // The actor's own account of what it did; the learner's books must agree with it.
     if args.json {
@@ -71,6 +80,28 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     match report.end {
         ActorEnd::Dismissed { .. } => Ok(()),
         ActorEnd::Cancelled => Err(Failure::silent(ExitCode::Interrupted)),
+    }
+}
+
+/// Where what an actor reports goes.
+struct ActorOutlet {
+    /// To its status page.
+    standing: watch::Sender<Option<ActorProgress>>,
+    trace: Option<ProcessTrace>,
+}
+
+impl ActorSink for ActorOutlet {
+    fn on_tick(&mut self, standing: ActorProgress) {
+        self.standing.send_replace(Some(standing));
+        if let Some(trace) = &mut self.trace {
+            trace.flush();
+        }
+    }
+
+    fn on_span(&mut self, span: &TraceSpan<'_>) {
+        if let Some(trace) = &mut self.trace {
+            trace.span(span);
+        }
     }
 }
 

@@ -20,6 +20,7 @@ use crate::credentials::guard_options;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT};
 use crate::shutdown::{Watch, watch};
+use crate::trace_file::TraceFile;
 
 pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result<(), Failure> {
     let name = args.run.name.as_deref();
@@ -40,6 +41,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
         }
     };
     let guard = guard_options(&args.guard);
+    let trace = TraceFile::create(&args.run.trace)?;
     let what = Launch {
         observer: beside.is_some().then_some(&observe as &LearnerPlace),
         listen: &args.listen,
@@ -48,6 +50,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
         stop_after: args.run.stop_after.map(|amount| amount.to_string()),
         changes: args.run.change.iter().map(ToString::to_string).collect(),
         metrics_to: args.run.metrics_to.as_deref(),
+        trace: args.run.trace.file.as_deref(),
         status: args.status.as_deref(),
         learner_stdout: true,
         options,
@@ -56,6 +59,9 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
     let launched = launch(&config, &what, &shutdown).await;
     if let Some(beside) = &beside {
         beside.end().await;
+    }
+    if let Some(trace) = trace {
+        trace.finish();
     }
     let run = launched?;
     if !goes_on(&run, &what) {

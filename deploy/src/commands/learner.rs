@@ -29,6 +29,7 @@ use crate::output::{self, DRAW, EVALUATE};
 use crate::shutdown::{Watch, drain_on_request, watch};
 use crate::sink::{RunSink, held_out_sentence};
 use crate::status::{LearnerFacts, LearnerStatus, StatusServer};
+use crate::trace_file::{ProcessTrace, TraceFile};
 use crate::{build, log_line, service};
 
 /// Where a learner listens if nothing else is said; with a certificate by TLS, else by TCP.
@@ -43,6 +44,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let listen = listen_settings(&addresses(args), &args.connect, &args.guard, Role::Learner)
         .blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
+    // A supervisor has made the file.
+    let made = if args.supervised { None } else { TraceFile::create(&args.run.trace)? };
     let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let build = build::this_build()?;
     let (mut run_dir, state) = open(&config, args, &build)?;
@@ -82,13 +85,18 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         certificate,
     };
     let status = status.map(|server| LearnerStatus::serve(server, facts));
-    let mut sink = RunSink::new(run_dir.path.clone(), recorder, stop).with_status(status);
+    let trace = ProcessTrace::join(&args.run.trace, "learner", "learner");
+    let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
+    let mut sink = sink.with_status(status).with_trace(trace);
     if let Some(command) = &args.run.metrics_to {
         sink.hand_on(MetricsPipe::start(command).context("--metrics-to").blame(ExitCode::Failed)?);
     }
     let held_out = held_out_evaluation(&config, &tasks.registry);
     let report = leadtime_learner::run(learner, Box::new(sink), held_out, shutdown.clone()).await;
     service::stopping();
+    if let Some(trace) = made {
+        trace.finish();
+    }
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
         // A supervisor that lives removes it itself; if it was killed nobody else would.
         scratch::remove_if_abandoned(scratch);

@@ -1,9 +1,8 @@
 //! `leadtime record`: everything that a notifier at work sees and says, in a file.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File};
-use std::io::{self, BufWriter};
-use std::path::{Path, PathBuf};
+use std::fs::File;
+use std::io::BufWriter;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -20,6 +19,7 @@ use super::drive;
 use crate::cli::RecordArgs;
 use crate::credentials::notifier_settings;
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::new_file::NewFile;
 use crate::output;
 use crate::shutdown::{Watch, watch};
 
@@ -31,7 +31,7 @@ const MAX_ASKED: usize = 64;
 pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let settings = notifier_settings(&args.connect, &args.notifier, &[Role::Recorder])?;
-    let mut file = NewFile::create(&args.output).blame(ExitCode::WrongInput)?;
+    let mut file = NewFile::create(&args.output, "cannot record to").blame(ExitCode::WrongInput)?;
     let open = LiveRecorderLink::open(&settings, &args.notifier.service, args.live.as_ref());
     let (link, samples) = tokio::select! {
         () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
@@ -58,7 +58,7 @@ pub(super) fn begin(file: &mut NewFile) -> Result<RecordingWriter<BufWriter<File
     let program = concat!("leadtime ", env!("CARGO_PKG_VERSION"));
     let out = BufWriter::new(file.handle().blame(ExitCode::WrongInput)?);
     let writer = RecordingWriter::new(out, program);
-    let writer = writer.with_context(|| file.path.display().to_string());
+    let writer = writer.with_context(|| file.path().display().to_string());
     let writer = writer.blame(ExitCode::WrongInput)?;
     file.keep();
     Ok(writer)
@@ -195,42 +195,4 @@ impl RunningRecording {
 pub(super) fn arrived(at: Instant) -> u64 {
     let ago = i128::try_from(at.elapsed().as_nanos()).unwrap_or(0);
     u64::try_from(clock::now().as_nanosecond() - ago).unwrap_or(0)
-}
-
-/// A file that was not there; removed again unless it is kept.
-pub(super) struct NewFile {
-    path: PathBuf,
-    file: File,
-    is_kept: bool,
-}
-
-impl NewFile {
-    pub(super) fn create(path: &Path) -> anyhow::Result<Self> {
-        let file = File::options().write(true).create_new(true).open(path);
-        let file = file.map_err(|error| match error.kind() {
-            io::ErrorKind::AlreadyExists => {
-                let sentence = "it is there already, and is left as it is: choose another name";
-                anyhow::Error::msg(sentence)
-            }
-            _ => error.into(),
-        });
-        let file = file.with_context(|| format!("cannot record to {}", path.display()))?;
-        Ok(Self { path: path.to_owned(), file, is_kept: false })
-    }
-
-    fn handle(&self) -> io::Result<File> {
-        self.file.try_clone()
-    }
-
-    fn keep(&mut self) {
-        self.is_kept = true;
-    }
-}
-
-impl Drop for NewFile {
-    fn drop(&mut self) {
-        if !self.is_kept {
-            drop(fs::remove_file(&self.path));
-        }
-    }
 }

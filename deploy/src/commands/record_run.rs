@@ -16,10 +16,11 @@ use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
 use super::drive;
-use super::record::{FLUSH_EVERY, NewFile, RecordFailure, arrived, begin, close, end, stop_after};
+use super::record::{FLUSH_EVERY, RecordFailure, arrived, begin, close, end, stop_after};
 use crate::cli::RecordArgs;
 use crate::credentials::notifier_settings;
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::new_file::NewFile;
 use crate::shutdown::{Watch, watch};
 
 pub(super) async fn run(args: &RecordArgs, name: &str) -> Result<(), Failure> {
@@ -27,7 +28,7 @@ pub(super) async fn run(args: &RecordArgs, name: &str) -> Result<(), Failure> {
     let run = RunName::new(name).context("--run").blame(ExitCode::WrongInput)?;
     let settings =
         notifier_settings(&args.connect, &args.notifier, &[Role::Recorder, Role::Observer])?;
-    let mut file = NewFile::create(&args.output).blame(ExitCode::WrongInput)?;
+    let mut file = NewFile::create(&args.output, "cannot record to").blame(ExitCode::WrongInput)?;
     let opened = async {
         let (link, events) = ObserverLink::open(&settings).await?;
         let run = link.find_run(&settings, Some(run)).await?;

@@ -1,0 +1,21 @@
+//! What an actor reports while it works.
+
+use leadtime_trace::TraceSpan;
+
+use crate::ActorProgress;
+
+/// Takes in what an actor reports; called from its loop, so it must be quick.
+pub trait ActorSink: Send {
+    /// Takes in how the actor stands; called once a second from the first welcome on.
+    fn on_tick(&mut self, standing: ActorProgress);
+
+    /// Takes in how a thread of the actor spent its time, for a trace of the run; called a few times per rollout.
+    fn on_span(&mut self, span: &TraceSpan<'_>);
+}
+
+/// Takes in nothing.
+impl ActorSink for () {
+    fn on_tick(&mut self, _standing: ActorProgress) {}
+
+    fn on_span(&mut self, _span: &TraceSpan<'_>) {}
+}

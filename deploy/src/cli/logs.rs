@@ -1,0 +1,60 @@
+//! How much is said on standard error, and how.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+/// How the log is written.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct LogArgs {
+    /// How lines of the log are written.
+    #[arg(long, global = true, value_name = "FORMAT", value_enum, default_value_t)]
+    pub log_format: LogFormat,
+    /// Write the log to the end of this file instead of standard error. It is opened again when it was moved away, and on
+    /// SIGHUP.
+    #[arg(long, global = true, value_name = "FILE")]
+    pub log_file: Option<PathBuf>,
+}
+
+/// How lines of the log are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object per line: time, level, target, message, run, actor, fields.
+    Json,
+}
+
+impl LogArgs {
+    /// Returns the options that give another process of ours the same.
+    pub(crate) fn options(&self) -> Vec<String> {
+        let format = (self.log_format == LogFormat::Json)
+            .then(|| ["--log-format".to_owned(), "json".to_owned()]);
+        let file = self.log_file.as_ref().map(|file| file.display().to_string());
+        let file = file.map(|file| ["--log-file".to_owned(), file]);
+        format.into_iter().chain(file).flatten().collect()
+    }
+}
+
+/// How much is said on standard error.
+#[derive(Clone, Copy, Debug, Args)]
+pub(crate) struct Verbosity {
+    /// Say nothing but warnings and results.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Also say what helps to find out why something goes wrong.
+    #[arg(short, long, global = true)]
+    pub verbose: bool,
+}
+
+impl Verbosity {
+    /// Returns the options that give another process of ours the same.
+    pub(crate) fn options(self) -> &'static [&'static str] {
+        match (self.quiet, self.verbose) {
+            (true, _) => &["--quiet"],
+            (_, true) => &["--verbose"],
+            _ => &[],
+        }
+    }
+}
