@@ -1,19 +1,21 @@
 """The piloting notifier, trained to .9 success by Leadtime and by its peers: environment steps, seconds, steps per second.
 
-    python3 bench/peers/notifier.py [leadtime cleanrl sb3] [--seeds 1 2 3] [--results FOLDER] [--steps 2400000] [--stop]
+    python3 bench/peers/notifier.py [leadtime cleanrl sb3 sample-factory] [--seeds 1 2 3] [--results FOLDER] [--steps 2400000] [--stop]
 
 The task, the network and the settings are those of `leadtime config lander`. `leadtime` is `leadtime up` with one actor;
 `cleanrl` a single file in the manner of CleanRL's `ppo.py`, on the native vector of 64 environments; `sb3` MaskablePPO of
-sb3-contrib on 64 single ones. Whoever plays, .9 success means: of the last 100 training episodes 90 were successes, at the end of an
-update. The peers are looked at before they learn from its rollouts, Leadtime's journal has it after that. No system evaluates while it
-trains. A peer's seconds count from the start of the training, without imports; Leadtime's from the start of the command.
+sb3-contrib on 64 single ones; `sample-factory` its asynchronous PPO on two workers with 32 each, without masks and with a learning rate that
+does not fall, because it knows neither. For all alike, .9 success means: of the last 100 training episodes 90 were successes, at the end of
+an update. The peers are looked at before they learn from its rollouts, Leadtime's journal has it after that. No system evaluates while
+it trains. A peer's seconds count from the start of the training, without imports; Leadtime's from the start of the command.
 
 Every training is a process of its own, one after the other, and writes FOLDER/SYSTEM-SEED.json (default target/notifier). What has its
 file is not trained again, so the script may be ended and started again. It ends with a table of what is in FOLDER. torch has one
 thread, which is faster for networks as small as these (beside other load twenty times); --threads says otherwise. --stop ends a training
-once it has .9. All of it takes about 35 minutes on two idle cores, of which Leadtime's part is five.
+once it has .9. Three seeds take some five minutes of Leadtime, fifteen of each of the next two, and longer of Sample Factory.
 
-Needs: the package `leadtime` (python/build.sh), the program, and for the peers: pip install torch stable-baselines3 sb3-contrib.
+Needs: the package `leadtime` (python/build.sh), the program, and for the peers: pip install torch stable-baselines3 sb3-contrib. Sample Factory
+holds Gymnasium below 1.0 and needs an environment of its own, with the package, too; its results may go into the same FOLDER.
 """
 import argparse
 import json
@@ -211,8 +213,85 @@ def sb3(args, seed):
     return progress.result()
 
 
+def sample_factory_world(_name, args, env_config, render_mode=None):
+    """Makes an environment for Sample Factory, which holds Gymnasium below 1.0 and knows no masks: what is not offered has no effect."""
+    import gymnasium as gym
+    import numpy as np
+    from leadtime import World
+
+    class Notifier(gym.Env):
+        def __init__(self):
+            self.world, self.episode = World("lander", [], False), 0
+            self.observation_space = gym.spaces.Box(-np.inf, np.inf, (self.world.obs_dim,), np.float32)
+            self.action_space = gym.spaces.Tuple([gym.spaces.Discrete(len(choices)) for _, choices in self.world.heads])
+            self.seed = 1000 * args.seed + (env_config.env_id if env_config else 999)
+
+        def reset(self, *, seed=None, options=None):
+            observation, info = self.world.reset(self.seed, self.episode)
+            self.episode += 1
+            return observation, info
+
+        def step(self, action):
+            observation, reward, terminated, truncated, info = self.world.step([int(choice) for choice in action])
+            if terminated or truncated:
+                info["episode_extra_stats"] = {"success": float(info["success"])}
+            return observation, reward, terminated, truncated, info
+
+    return Notifier()
+
+
+def sample_factory_model(cfg, obs_space, action_space):
+    """Makes Sample Factory's networks, which begin by being quiet as all others do."""
+    import torch
+    from sample_factory.model.actor_critic import default_make_actor_critic_func
+
+    model = default_make_actor_critic_func(cfg, obs_space, action_space)
+    with torch.no_grad():
+        model.action_parameterization.distribution_linear.bias[1] = INITIATE_BIAS
+    return model
+
+
+def sample_factory(args, seed):
+    from sample_factory.algo.runners.runner import AlgoObserver
+    from sample_factory.algo.utils.context import global_model_factory
+    from sample_factory.cfg.arguments import parse_full_cfg, parse_sf_args
+    from sample_factory.envs.env_utils import register_env
+    from sample_factory.train import make_runner
+
+    register_env("notifier", sample_factory_world)
+    global_model_factory().register_actor_critic_factory(sample_factory_model)
+    with tempfile.TemporaryDirectory() as folder:
+        argv = ["--algo=APPO", "--env=notifier", "--experiment=bench", f"--train_dir={folder}", "--device=cpu", f"--seed={seed}",
+                f"--train_for_env_steps={args.steps}", "--num_workers=2", f"--num_envs_per_worker={N_ENVS // 2}", f"--rollout={N_STEPS}",
+                f"--batch_size={N_ENVS * N_STEPS // N_MINIBATCHES}", f"--num_batches_per_epoch={N_MINIBATCHES}", f"--num_epochs={N_EPOCHS}",
+                "--use_rnn=False", "--encoder_mlp_layers", "64", "64", "--nonlinearity=tanh", "--actor_critic_share_weights=False",
+                f"--gamma={GAMMA}", f"--gae_lambda={LAMBDA}", f"--ppo_clip_ratio={CLIP}", "--ppo_clip_value=1e9",
+                f"--exploration_loss_coeff={ENTROPY}", f"--value_loss_coeff={VALUE / 2}", f"--max_grad_norm={MAX_NORM}",
+                f"--learning_rate={LR}", "--adam_eps=1e-5", f"--reward_scale={REWARD_SCALE}",
+                "--value_bootstrap=True", "--normalize_input=False", "--normalize_returns=False", "--with_wandb=False",
+                f"--stats_avg={LAST}", "--decorrelate_experience_max_seconds=0", "--save_every_sec=100000"]
+        parser, _ = parse_sf_args(argv)
+        cfg, runner = make_runner(parse_full_cfg(parser, argv))
+        progress = Progress()
+
+        class Told(AlgoObserver):
+            def on_training_step(self, runner, iteration):
+                progress.steps = sum(runner.env_steps.values())
+                if "success" in runner.policy_avg_stats:
+                    progress.last = runner.policy_avg_stats["success"][0]
+                progress.update()
+                if progress.reached and args.stop:
+                    cfg.train_for_env_steps = 0
+
+        runner.register_observer(Told())
+        runner.init()
+        progress.started = time.time()
+        runner.run()
+        return progress.result()
+
+
 SYSTEMS = {"leadtime": (leadtime, "`leadtime up`, one actor"), "cleanrl": (cleanrl, "CleanRL-style PPO, native vector"),
-           "sb3": (sb3, "Stable-Baselines3 MaskablePPO")}
+           "sb3": (sb3, "Stable-Baselines3 MaskablePPO"), "sample-factory": (sample_factory, "Sample Factory, 2 workers x 32")}
 
 
 def train(args, system, seed):
@@ -291,4 +370,5 @@ def main():
     table(args.results)
 
 
-main()
+if __name__ == "__main__":
+    main()
