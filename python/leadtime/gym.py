@@ -153,7 +153,7 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
         self.num_envs = num_envs
         self.worlds = Worlds(config, changes(set), evaluation, num_envs)
         world = World(config, changes(set), evaluation)
-        self.single_observation_space, self.single_action_space, self._single = make_spaces(world)
+        self.single_observation_space, self.single_action_space, _ = make_spaces(world)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._step = no_episode

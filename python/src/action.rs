@@ -7,12 +7,12 @@ use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
 
 /// A choice per head.
-pub(crate) struct Action {
+pub(crate) struct PythonAction {
     choices: [u8; MAX_HEADS],
     n_heads: usize,
 }
 
-impl Action {
+impl PythonAction {
     /// Reads the action of one environment, whose heads have so many choices.
     ///
     /// # Errors
@@ -53,9 +53,13 @@ impl Action {
         head_choices.all(|(head, (n_choices, taken))| {
             let given = choice(head);
             *taken = given as u8;
-            usize::try_from(given).is_ok_and(|given| given < *n_choices)
+            is_one_of(given, *n_choices)
         })
     }
+}
+
+fn is_one_of(choice: i64, n_choices: usize) -> bool {
+    usize::try_from(choice).is_ok_and(|choice| choice < n_choices)
 }
 
 /// Reads the actions of so many environments, head after head, from whole numbers. Shape `[n, n_heads]`.
@@ -69,11 +73,8 @@ pub(crate) fn read_actions(given: &[i64], n: usize, heads: &[usize]) -> PyResult
         let text = format!("{} choices; allowed: {n} actions of {n_heads}", given.len());
         return Err(PyValueError::new_err(text));
     }
-    let can_be = |(choice, n_choices): (&i64, &usize)| {
-        usize::try_from(*choice).is_ok_and(|choice| choice < *n_choices)
-    };
     for action in given.chunks_exact(n_heads) {
-        if !action.iter().zip(heads).all(can_be) {
+        if !action.iter().zip(heads).all(|(choice, n_choices)| is_one_of(*choice, *n_choices)) {
             return Err(refused(format!("{action:?}"), heads));
         }
     }

@@ -9,7 +9,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::action::Action;
+use crate::action::PythonAction;
 use crate::info::MetricNames;
 use crate::task::PlayedTask;
 use crate::world::{attached, n_choices, offered};
@@ -78,7 +78,7 @@ impl Pair {
         action: &Bound<'py, PyAny>,
         topic: i64,
     ) -> PyResult<(BothViews<'py>, [f32; 2], [bool; 2])> {
-        let action = Action::read(action, &self.heads)?;
+        let action = PythonAction::read(action, &self.heads)?;
         let mut both = attached(&self.both, py);
         let n_topics = both.topics().len();
         let topic = match usize::try_from(topic) {

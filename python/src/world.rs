@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::sync::MutexExt as _;
 use pyo3::types::{PyBytes, PyDict};
 
-use crate::action::Action;
+use crate::action::PythonAction;
 use crate::film::Film;
 use crate::info::{MetricNames, offering};
 use crate::task::{PlayedTask, wrong};
@@ -160,7 +160,7 @@ impl World {
 
     /// Takes one step, with a choice per head.
     fn step<'py>(&self, py: Python<'py>, action: &Bound<'py, PyAny>) -> PyResult<OneStep<'py>> {
-        let action = Action::read(action, &self.heads)?;
+        let action = PythonAction::read(action, &self.heads)?;
         let mut played = self.lock(py);
         let Played { environment, observation, film } = &mut *played;
         let outcome = environment.step(action.choices(), observation);
