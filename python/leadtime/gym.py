@@ -16,11 +16,15 @@ it succeeded.
 import json
 import math
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+    from gymnasium.vector import AutoresetMode
+    from gymnasium.vector.utils import batch_space
+except ImportError as error:
+    raise ImportError(f"{error}: leadtime.gym needs Gymnasium, `pip install 'gymnasium>=1.1'`") from None
 
 from leadtime._native import World, Worlds
 
