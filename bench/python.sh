@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
-# Environments in Python: a bare loop, the worker alone, and a whole run (act and learn, lag 1), steps per second.
+# Python, both ways. The worlds as Gymnasium environments, one at a time and 64 with one call, beside Gymnasium's own. Then
+# environments in Python: a bare loop, the worker alone, and a whole run (act and learn, lag 1), steps per second.
 #
 #     bench/python.sh [SECONDS per run, default 30]
 #
-# PYTHON names the interpreter that has gymnasium[box2d]. Nothing else should run on the machine; the run takes two cores.
+# PYTHON names the interpreter that has gymnasium[box2d] and the package (python/build.sh). Nothing else should run on the machine; the
+# run takes two cores.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=$(command -v "${PYTHON:-python3}")
@@ -16,6 +18,8 @@ fi
 runs=$(mktemp -d)
 trap 'rm -rf "$runs"' EXIT
 export OMP_NUM_THREADS=1
+
+"$python" bench/python_worlds.py
 
 for id in CartPole-v1 LunarLander-v3; do
     alone=$("$python" bench/python_worker.py "$id" 16)

@@ -5,6 +5,11 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 profile=${1:-release}
+maturin=${MATURIN:-maturin}
+if ! command -v "$maturin" >/dev/null; then
+    echo "error: $maturin is not here: pip install maturin" >&2
+    exit 2
+fi
 if [ -z "${PROGRAM:-}" ]; then
     cargo build --locked --profile "$profile" -p leadtime
     folder=$profile
@@ -13,4 +18,6 @@ if [ -z "${PROGRAM:-}" ]; then
 fi
 mkdir -p python/leadtime.data/scripts
 strip -o python/leadtime.data/scripts/leadtime "$PROGRAM"
-"${MATURIN:-maturin}" build --locked --profile "$profile" --manifest-path python/Cargo.toml --out python/dist
+# One package is in the folder: this one.
+rm -f python/dist/*.whl
+"$maturin" build --locked --profile "$profile" --manifest-path python/Cargo.toml --out python/dist

@@ -1,16 +1,26 @@
 """The piloting notifier, trained to .9 success by Leadtime and by its peers: environment steps, seconds, steps per second.
 
-    python3 bench/peers/notifier.py leadtime|cleanrl|sb3 [--seed 1] [--steps 2400000] [--program target/release/leadtime]
+    python3 bench/peers/notifier.py [leadtime cleanrl sb3 sample-factory] [--seeds 1 2 3] [--results FOLDER] [--steps 2400000] [--stop]
 
 The task, the network and the settings are those of `leadtime config lander`. `leadtime` is `leadtime up` with one actor;
 `cleanrl` a single file in the manner of CleanRL's `ppo.py`, on the native vector of 64 environments; `sb3` MaskablePPO of
-sb3-contrib on 64 single ones. .9 success means: of the last 100 training episodes, 90 were successes. Seconds count from
-the start of the training, without imports. Prints one JSON line.
+sb3-contrib on 64 single ones; `sample-factory` its asynchronous PPO on two workers with 32 each, without masks and with a learning rate that
+does not fall, because it knows neither. For all alike, .9 success means: of the last 100 training episodes 90 were successes, at the end of
+an update. The peers are looked at before they learn from its rollouts, Leadtime's journal has it after that. No system evaluates while
+it trains. A peer's seconds count from the start of the training, without imports; Leadtime's from the start of the command.
 
-Needs: the package `leadtime` (python/build.sh), and for the peers: pip install torch stable-baselines3 sb3-contrib.
+Every training is a process of its own, one after the other, and writes FOLDER/SYSTEM-SEED.json (default target/notifier). What has its
+file is not trained again, so the script may be ended and started again. It ends with a table of what is in FOLDER. torch has one
+thread, which is faster for networks as small as these (beside other load twenty times); --threads says otherwise. --stop ends a training
+once it has .9. On two idle cores three seeds take two minutes of Leadtime, six of CleanRL, eight of Stable-Baselines3, more of Sample Factory.
+
+Needs: the package `leadtime` (python/build.sh), the program, and for the peers: pip install torch stable-baselines3 sb3-contrib. Sample Factory
+holds Gymnasium below 1.0 and needs an environment of its own, with the package, too; its results may go into the same FOLDER.
 """
 import argparse
 import json
+import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -32,44 +42,51 @@ class Progress:
 
     def episode(self, success):
         self.last.append(bool(success))
+
+    def update(self):
         if self.reached is None and len(self.last) == LAST and sum(self.last) >= WANTED * LAST:
             self.reached = (self.steps, time.time() - self.started)
 
-    def result(self, name, seed):
-        seconds = time.time() - self.started
-        steps, needed = self.reached or (None, None)
-        return {"system": name, "seed": seed, "steps_to_.9": steps, "seconds_to_.9": needed and round(needed, 1),
-                "steps": self.steps, "seconds": round(seconds, 1), "steps_per_second": round(self.steps / seconds),
-                "last_success": sum(self.last) / max(1, len(self.last))}
+    def result(self):
+        return result(self.steps, time.time() - self.started, sum(self.last) / max(1, len(self.last)), self.reached)
 
 
-def leadtime(args):
+def result(steps, seconds, last_success, reached):
+    needed_steps, needed = reached or (None, None)
+    return {"steps_to_.9": needed_steps, "seconds_to_.9": needed and round(needed, 1), "steps": steps, "seconds": round(seconds, 1),
+            "steps_per_second": round(steps / seconds), "last_success": round(last_success, 2)}
+
+
+def leadtime(args, seed):
     with tempfile.TemporaryDirectory() as folder:
-        command = [args.program, "up", "-c", "lander", "--actors", "1", "--seed", str(args.seed), "--runs", folder,
+        command = [args.program, "up", "-c", "lander", "--actors", "1", "--seed", str(seed), "--runs", folder,
                    "--name", "r", "--set", f"learner.total_steps={args.steps}", "--set", "evaluation.during_training=0"]
         started = time.time()
-        child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        journal, reached, n_read = Path(folder) / "r/metrics.jsonl", None, 0
+        said = open(folder + "/said", "w+")
+        child = subprocess.Popen(command, stdout=said, stderr=said)
+        journal, reached, last, seconds, n_read = Path(folder) / "r/metrics.jsonl", None, None, None, 0
         while True:
             is_over = child.poll() is not None
             # Whole lines only, and from its name every time: the file is replaced when the run begins.
             text = journal.read_text() if journal.exists() else ""
             lines = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()[n_read:]]
             for line in lines:
-                n_read, last = n_read + 1, line
-                if reached is None and line.get("episodes/success", 0) >= WANTED and line["update"] > 1:
-                    reached = (line["steps"], time.time() - started)
+                n_read, last, seconds = n_read + 1, line, time.time() - started
+                enough = line["episodes/finished"] >= LAST and line.get("episodes/success", 0) >= WANTED
+                if reached is None and enough:
+                    reached = (line["steps"], seconds)
+            if reached and args.stop and not is_over:
+                child.terminate()
             if is_over:
                 break
             time.sleep(0.05)
-        seconds = time.time() - started
-        steps, needed = reached or (None, None)
-        return {"system": "leadtime up", "seed": args.seed, "steps_to_.9": steps, "seconds_to_.9": needed and round(needed, 1),
-                "steps": last["steps"], "seconds": round(seconds, 1),
-                "steps_per_second": round(last["steps"] / seconds), "last_success": last["episodes/success"]}
+        if last is None:
+            said.seek(0)
+            sys.exit(f"{' '.join(command)} ended with {child.returncode}:\n{said.read()}")
+        return result(last["steps"], seconds, last["episodes/success"], reached)
 
 
-def cleanrl(args):
+def cleanrl(args, seed):
     import gymnasium as gym
     import numpy as np
     import torch
@@ -81,8 +98,8 @@ def cleanrl(args):
     envs = gym.make_vec(TASK, num_envs=N_ENVS, vectorization_mode="vector_entry_point")
     sizes = envs.single_action_space.nvec.tolist()
     n_in = envs.single_observation_space.shape[0]
-    torch.manual_seed(args.seed)
-    np.random.seed(args.seed)
+    torch.manual_seed(seed)
+    np.random.seed(seed)
 
     def network(n_out, gain):
         return nn.Sequential(layer(n_in, 64), nn.Tanh(), layer(64, 64), nn.Tanh(), layer(64, n_out, gain))
@@ -106,7 +123,7 @@ def cleanrl(args):
     masks = torch.zeros(N_STEPS, N_ENVS, sum(sizes), dtype=torch.bool)
     log_probs, rewards, dones, values = (torch.zeros(N_STEPS, N_ENVS) for _ in range(4))
     progress = Progress()
-    seen, infos = envs.reset(seed=args.seed)
+    seen, infos = envs.reset(seed=seed)
     next_obs, next_mask, next_done = torch.tensor(seen), torch.tensor(infos["action_mask"], dtype=torch.bool), torch.zeros(N_ENVS)
     n_updates = args.steps // (N_ENVS * N_STEPS)
     for update in range(n_updates):
@@ -129,6 +146,9 @@ def cleanrl(args):
             rewards[t] = torch.tensor(reward, dtype=torch.float32)
             next_obs, next_mask = torch.tensor(seen), torch.tensor(infos["action_mask"], dtype=torch.bool)
             next_done = torch.tensor(terminated | truncated, dtype=torch.float32)
+        progress.update()
+        if progress.reached and args.stop:
+            break
         with torch.no_grad():
             next_value = critic(next_obs).squeeze(-1)
             advantages = estimate_advantages(rewards, values, dones, next_value, next_done, GAMMA, LAMBDA)
@@ -148,12 +168,10 @@ def cleanrl(args):
                 loss.backward()
                 nn.utils.clip_grad_norm_(parameters, MAX_NORM)
                 optimizer.step()
-        if progress.reached and args.stop:
-            break
-    return progress.result("CleanRL-style PPO", args.seed)
+    return progress.result()
 
 
-def sb3(args):
+def sb3(args, seed):
     import gymnasium as gym
     from sb3_contrib import MaskablePPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -172,6 +190,9 @@ def sb3(args):
                     progress.episode(info["success"])
             return not (progress.reached and args.stop)
 
+        def _on_rollout_end(self):
+            progress.update()
+
     class Scaled(gym.Wrapper):
         def step(self, action):
             observation, reward, terminated, truncated, info = self.env.step(action)
@@ -180,31 +201,174 @@ def sb3(args):
         def action_masks(self):
             return self.env.unwrapped.action_masks()
 
-    envs = make_vec_env(lambda: Scaled(gym.make(TASK)), n_envs=N_ENVS, seed=args.seed)
+    envs = make_vec_env(lambda: Scaled(gym.make(TASK)), n_envs=N_ENVS, seed=seed)
     model = MaskablePPO(
         "MlpPolicy", envs, learning_rate=lambda left: LR * left, n_steps=N_STEPS, batch_size=N_ENVS * N_STEPS // N_MINIBATCHES,
         n_epochs=N_EPOCHS, gamma=GAMMA, gae_lambda=LAMBDA, clip_range=CLIP, ent_coef=ENTROPY, vf_coef=VALUE / 2,
-        max_grad_norm=MAX_NORM, seed=args.seed, device="cpu",
+        max_grad_norm=MAX_NORM, seed=seed, device="cpu",
         policy_kwargs={"net_arch": {"pi": [64, 64], "vf": [64, 64]}, "activation_fn": nn.Tanh})
     model.policy.action_net.bias.data[1] = INITIATE_BIAS
     progress = Progress()
     model.learn(args.steps, callback=Told())
-    return progress.result("Stable-Baselines3 MaskablePPO", args.seed)
+    return progress.result()
+
+
+def sample_factory_world(_name, args, env_config, render_mode=None):
+    """Makes an environment for Sample Factory, which holds Gymnasium below 1.0 and knows no masks: what is not offered has no effect."""
+    import gymnasium as gym
+    import numpy as np
+    from leadtime import World
+
+    class Notifier(gym.Env):
+        def __init__(self):
+            self.world, self.episode = World("lander", [], False), 0
+            self.observation_space = gym.spaces.Box(-np.inf, np.inf, (self.world.obs_dim,), np.float32)
+            self.action_space = gym.spaces.Tuple([gym.spaces.Discrete(len(choices)) for _, choices in self.world.heads])
+            self.seed = 1000 * args.seed + (env_config.env_id if env_config else 999)
+
+        def reset(self, *, seed=None, options=None):
+            observation, info = self.world.reset(self.seed, self.episode)
+            self.episode += 1
+            return observation, info
+
+        def step(self, action):
+            observation, reward, terminated, truncated, info = self.world.step([int(choice) for choice in action])
+            if terminated or truncated:
+                info["episode_extra_stats"] = {"success": float(info["success"])}
+            return observation, reward, terminated, truncated, info
+
+    return Notifier()
+
+
+def sample_factory_model(cfg, obs_space, action_space):
+    """Makes Sample Factory's networks, which begin by being quiet as all others do."""
+    import torch
+    from sample_factory.model.actor_critic import default_make_actor_critic_func
+
+    model = default_make_actor_critic_func(cfg, obs_space, action_space)
+    with torch.no_grad():
+        model.action_parameterization.distribution_linear.bias[1] = INITIATE_BIAS
+    return model
+
+
+def sample_factory(args, seed):
+    from sample_factory.algo.runners.runner import AlgoObserver
+    from sample_factory.algo.utils.context import global_model_factory
+    from sample_factory.cfg.arguments import parse_full_cfg, parse_sf_args
+    from sample_factory.envs.env_utils import register_env
+    from sample_factory.train import make_runner
+
+    register_env("notifier", sample_factory_world)
+    global_model_factory().register_actor_critic_factory(sample_factory_model)
+    with tempfile.TemporaryDirectory() as folder:
+        argv = ["--algo=APPO", "--env=notifier", "--experiment=bench", f"--train_dir={folder}", "--device=cpu", f"--seed={seed}",
+                f"--train_for_env_steps={args.steps}", "--num_workers=2", f"--num_envs_per_worker={N_ENVS // 2}", f"--rollout={N_STEPS}",
+                f"--batch_size={N_ENVS * N_STEPS // N_MINIBATCHES}", f"--num_batches_per_epoch={N_MINIBATCHES}", f"--num_epochs={N_EPOCHS}",
+                "--use_rnn=False", "--encoder_mlp_layers", "64", "64", "--nonlinearity=tanh", "--actor_critic_share_weights=False",
+                f"--gamma={GAMMA}", f"--gae_lambda={LAMBDA}", f"--ppo_clip_ratio={CLIP}", "--ppo_clip_value=1e9",
+                f"--exploration_loss_coeff={ENTROPY}", f"--value_loss_coeff={VALUE / 2}", f"--max_grad_norm={MAX_NORM}",
+                f"--learning_rate={LR}", "--adam_eps=1e-5", f"--reward_scale={REWARD_SCALE}",
+                "--value_bootstrap=True", "--normalize_input=False", "--normalize_returns=False", "--with_wandb=False",
+                f"--stats_avg={LAST}", "--decorrelate_experience_max_seconds=0", "--save_every_sec=100000"]
+        parser, _ = parse_sf_args(argv)
+        cfg, runner = make_runner(parse_full_cfg(parser, argv))
+        progress = Progress()
+
+        class Told(AlgoObserver):
+            def on_training_step(self, runner, iteration):
+                progress.steps = sum(runner.env_steps.values())
+                if "success" in runner.policy_avg_stats:
+                    progress.last = runner.policy_avg_stats["success"][0]
+                progress.update()
+                if progress.reached and args.stop:
+                    cfg.train_for_env_steps = 0
+
+        runner.register_observer(Told())
+        runner.init()
+        progress.started = time.time()
+        runner.run()
+        return progress.result()
+
+
+SYSTEMS = {"leadtime": (leadtime, "`leadtime up`, one actor"), "cleanrl": (cleanrl, "CleanRL-style PPO, native vector"),
+           "sb3": (sb3, "Stable-Baselines3 MaskablePPO"), "sample-factory": (sample_factory, "Sample Factory, 2 workers x 32")}
+
+
+def train(args, system, seed):
+    """Trains in this process, and writes what came of it."""
+    about = {"system": system, "seed": seed, "total_steps": args.steps, "cores": os.cpu_count()}
+    if system != "leadtime":
+        try:
+            import torch
+        except ImportError as missing:
+            print(f"skipped: {missing}")
+            return
+        torch.set_num_threads(args.threads)
+        about |= {"torch": torch.__version__, "threads": args.threads}
+    try:
+        about |= SYSTEMS[system][0](args, seed)
+    except ImportError as missing:
+        print(f"skipped: {missing}")
+        return
+    file = Path(args.results, f"{system}-{seed}.json")
+    file.with_suffix(".new").write_text(json.dumps(about) + "\n")
+    file.with_suffix(".new").rename(file)
+    print(json.dumps(about), flush=True)
+
+
+def over_seeds(runs, name, unit=1):
+    """Writes the mean over seeds, with the least and the greatest; nothing is said of a system that did not always get there."""
+    values = [run[name] for run in runs]
+    n_there = sum(value is not None for value in values)
+    if n_there < len(values):
+        return f"{n_there} of {len(values)} reached it"
+    values = [value / unit for value in values]
+    mean, least, most = (f"{value:,.0f}" if value >= 10 else f"{value:.1f}" for value in (statistics.mean(values), min(values), max(values)))
+    return f"{mean} ({least}–{most})" if len(values) > 1 else mean
+
+
+def table(folder):
+    runs = [json.loads(file.read_text()) for file in sorted(Path(folder).glob("*.json"))]
+    of = {system: [run for run in runs if run["system"] == system] for system in SYSTEMS}
+    ours = [run["seconds_to_.9"] for run in of["leadtime"]]
+    print("\n| mean over seeds (least–greatest) | seeds | steps/s | thousand steps to .9 | seconds to .9 | seconds, times ours | success at the end |")
+    print("|---|---|---|---|---|---|---|")
+    for system, found in of.items():
+        if not found:
+            continue
+        theirs = [run["seconds_to_.9"] for run in found]
+        times = f"{statistics.mean(theirs) / statistics.mean(ours):.1f}" if ours and None not in theirs + ours else "–"
+        cells = [SYSTEMS[system][1], str(len(found)), over_seeds(found, "steps_per_second"), over_seeds(found, "steps_to_.9", 1000),
+                 over_seeds(found, "seconds_to_.9"), times, f"{statistics.mean(run['last_success'] for run in found):.2f}"]
+        print("| " + " | ".join(cells) + " |")
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("system", choices=["leadtime", "cleanrl", "sb3"])
-    parser.add_argument("--seed", type=int, default=1)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("systems", nargs="*", metavar="SYSTEM", help=f"{', '.join(SYSTEMS)}; all of them unless some are named")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--results", default="target/notifier", metavar="FOLDER")
     parser.add_argument("--steps", type=int, default=2_400_000)
     parser.add_argument("--program", default="target/release/leadtime")
-    parser.add_argument("--stop", action="store_true", help="stop a peer once it has .9")
+    parser.add_argument("--threads", type=int, default=1, help="threads of torch")
+    parser.add_argument("--stop", action="store_true", help="end a training once it has .9")
+    parser.add_argument("--here", action="store_true", help="train in this process; the script calls itself so")
     args = parser.parse_args()
-    try:
-        print(json.dumps({"leadtime": leadtime, "cleanrl": cleanrl, "sb3": sb3}[args.system](args)))
-    except ImportError as missing:
-        print(f"skipped: {missing}")
-        sys.exit(0)
+    if unknown := set(args.systems) - set(SYSTEMS):
+        parser.error(f"no system {', '.join(sorted(unknown))}; there are {', '.join(SYSTEMS)}")
+    Path(args.results).mkdir(parents=True, exist_ok=True)
+    if args.here:
+        return train(args, args.systems[0], args.seeds[0])
+    for seed in args.seeds:
+        for system in args.systems or SYSTEMS:
+            if Path(args.results, f"{system}-{seed}.json").exists():
+                continue
+            same = ["--results", args.results, "--steps", str(args.steps), "--program", args.program, "--threads", str(args.threads)]
+            command = [sys.executable, __file__, system, "--here", "--seeds", str(seed), *same, *["--stop"] * args.stop]
+            if subprocess.run(command).returncode:
+                sys.exit(1)
+    table(args.results)
 
 
-main()
+if __name__ == "__main__":
+    main()

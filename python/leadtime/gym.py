@@ -16,11 +16,15 @@ it succeeded.
 import json
 import math
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+    from gymnasium.vector import AutoresetMode
+    from gymnasium.vector.utils import batch_space
+except ImportError as error:
+    raise ImportError(f"{error}: leadtime.gym needs Gymnasium, `pip install 'gymnasium>=1.1'`") from None
 
 from leadtime._native import World, Worlds
 
@@ -66,10 +70,9 @@ def make_spaces(world):
     return spaces.Box(low, high, dtype=np.float32), spaces.Discrete(sizes[0]) if single else spaces.MultiDiscrete(sizes), single
 
 
-def choices_of(action):
-    """Returns an action as a list with one choice per head."""
-    # A policy of ours gives a list, also of a single choice.
-    return [int(action)] if np.ndim(action) == 0 else action.tolist() if isinstance(action, np.ndarray) else list(map(int, action))
+def no_episode(action=None):
+    """Stands for a step before the first episode."""
+    raise gymnasium.error.ResetNeeded("there is no episode yet: call reset() first")
 
 
 class Episodes:
@@ -84,7 +87,7 @@ class Episodes:
             self._seed, self._next = seed % SEEDS, 0
         elif self._seed is None:
             self._seed = int(draw())
-        episode = int((options or {}).get("episode", self._next))
+        episode = int(options.get("episode", self._next)) if options else self._next
         self._next = episode + 1
         return self._seed, episode
 
@@ -107,45 +110,35 @@ class LeadtimeEnv(gymnasium.Env):
         if render_mode is not None:
             self.world.film()
         self.observation_space, self.action_space, self._single = make_spaces(self.world)
-        self._metrics = self.world.metric_names
         self._episodes = Episodes()
+        # This in place of a wrapper, which would cost a third of a short step.
+        self._step = no_episode
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        observation, mask = self.world.reset(*self._episodes.begin(seed, options, lambda: self.np_random.integers(SEEDS)))
-        self._mask = mask
-        return observation, {"action_mask": mask}
+        self._step = self.world.step
+        return self.world.reset(*self._episodes.begin(seed, options, lambda: self.np_random.integers(SEEDS)))
 
     def step(self, action):
-        observation, reward, terminated, truncated, self._mask = self.world.step(choices_of(action))
-        info = {"action_mask": self._mask}
-        if terminated or truncated:
-            info.update(ending(self._metrics, self.world.metrics()))
-        return observation, float(reward), terminated, truncated, info
+        return self._step(action)
 
     def render(self):
         """Returns the present moment: as pixels of shape ``[height, width, 3]``, or in a line what is heard and done."""
         if self.render_mode is None:
             gymnasium.logger.warn("nothing is drawn: make the environment with render_mode=\"rgb_array\" or \"ansi\"")
             return None
+        if self._step is no_episode:
+            no_episode()
         return self.world.picture() if self.render_mode == "rgb_array" else self.world.caption()
 
     def action_masks(self):
         """Returns the offered choices as booleans, head after head (what sb3-contrib's MaskablePPO asks for)."""
-        return self._mask.astype(bool)
+        return self.world.offered().astype(bool)
 
     def baseline(self, name="heuristic"):
         """Returns the action that a scripted policy of the world takes now."""
         choices = list(self.world.baseline(name))
         return choices[0] if self._single else np.array(choices)
-
-
-def ending(names, metrics):
-    """Returns what an episode's end is told with."""
-    told = {"metrics": dict(zip(names, map(float, metrics)))}
-    if "success" in told["metrics"]:
-        told["success"] = bool(told["metrics"]["success"])
-    return told
 
 
 class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
@@ -164,12 +157,10 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
         self.num_envs = num_envs
         self.worlds = Worlds(config, changes(set), evaluation, num_envs)
         world = World(config, changes(set), evaluation)
-        self.single_observation_space, self.single_action_space, self._single = make_spaces(world)
+        self.single_observation_space, self.single_action_space, _ = make_spaces(world)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._metrics = world.metric_names
-        self._began = False
-        self._everywhere = np.ones(num_envs, bool)
+        self._step = no_episode
 
     def reset(self, *, seed=None, options=None):
         if isinstance(seed, (list, tuple, np.ndarray)):
@@ -177,33 +168,16 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
         if options:
             raise ValueError(f"options {sorted(options)}: a vector takes none; a single environment takes `episode`")
         super().reset(seed=seed)
-        if seed is None and not self._began:
+        if seed is None and self._step is no_episode:
             seed = int(self.np_random.integers(SEEDS))
-        self._began = True
-        observations, mask = self.worlds.reset(None if seed is None else seed % SEEDS)
-        return observations, self._infos(mask)
+        self._step = self.worlds.step
+        return self.worlds.reset(None if seed is None else seed % SEEDS)
 
     def step(self, actions):
-        actions = np.asarray(actions)
-        if actions.min() < 0 or actions.max() > 255:
-            raise ValueError(f"a choice is between 0 and 255: {actions}")
-        chosen = actions.astype(np.uint8, copy=False).reshape(self.num_envs, -1)
-        observations, rewards, terminated, truncated, mask, ended = self.worlds.step(chosen)
-        infos = self._infos(mask)
-        if ended:
-            final, infos["final_obs"], told = np.zeros(self.num_envs, bool), np.full(self.num_envs, None, object), {}
-            for i, observation, metrics in ended:
-                final[i], infos["final_obs"][i] = True, observation
-                told = self._add_info(told, ending(self._metrics, metrics), i)
-            infos["_final_obs"] = infos["_final_info"] = final
-            infos["final_info"] = told
-        return observations, rewards, terminated, truncated, infos
-
-    def _infos(self, mask):
-        return {"action_mask": mask, "_action_mask": self._everywhere}
+        return self._step(actions)
 
 
 for name, configuration in IDS.items():
     if name not in gymnasium.registry:
         gymnasium.register(name, entry_point="leadtime.gym:LeadtimeEnv", vector_entry_point="leadtime.gym:LeadtimeVectorEnv",
-                           kwargs={"config": configuration}, disable_env_checker=True)
+                           kwargs={"config": configuration}, order_enforce=False, disable_env_checker=True)

@@ -21,7 +21,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from leadtime._native import Pair, World
-from leadtime.gym import SEEDS, Episodes, changes, choices_of, ending, make_spaces
+from leadtime.gym import SEEDS, Episodes, changes, make_spaces
 
 NOTIFIER, PERSON = "notifier", "person"
 
@@ -41,7 +41,6 @@ class parallel_env(ParallelEnv):
         self.observation_spaces = {NOTIFIER: observation, PERSON: spaces.Box(low, high, dtype=np.float32)}
         self.action_spaces = {NOTIFIER: action, PERSON: spaces.Discrete(1 + len(self.pair.topics))}
         self._sizes = [len(choices) for _, choices in world.heads]
-        self._metrics = world.metric_names
         self._episodes = Episodes()
 
     def observation_space(self, agent):
@@ -63,10 +62,10 @@ class parallel_env(ParallelEnv):
                 raise ValueError(f"actions {sorted(actions)}: `{agent}` has none")
         if not self.action_spaces[PERSON].contains(actions[PERSON]):
             raise ValueError(f"the person's action {actions[PERSON]!r}; allowed: one of {self.action_spaces[PERSON]}")
-        views, rewards, (terminated, truncated) = self.pair.step(choices_of(actions[NOTIFIER]), int(actions[PERSON]) - 1)
+        views, rewards, (terminated, truncated) = self.pair.step(actions[NOTIFIER], int(actions[PERSON]) - 1)
         observations, infos = self._told(views)
         if terminated or truncated:
-            told = ending(self._metrics, self.pair.metrics())
+            told = self.pair.ending()
             for info in infos.values():
                 info.update(told)
             self.agents = []

@@ -40,6 +40,7 @@ MOST_HEADS, MOST_CHOICES = 8, 64
 EVERYTHING = 2**64 - 1
 SIGN_OF_LIFE = 1.0  # Seconds of silence after which the actor is told that environments still work.
 LINES_PER_SECOND = 10
+MOST_TRACEBACKS = 20
 ENGINES = ("Box2D", "mujoco", "ale_py", "pettingzoo", "torch", "jax")  # What computes may decide what is computed.
 NONE, TERMINATED, TRUNCATED, DID_FAIL = range(4)
 
@@ -284,6 +285,11 @@ class Worker:
         self.observe = Flattener(first.observation_space, spaces, numpy)
         self.action_space, self.observation_space = first.action_space, first.observation_space
         self.n_choices = sum(n for _, n in self.heads)
+        # What is wrong with every episode is told before a run begins.
+        observation, info = self.reset(0, 0)
+        self.observe.row(observation)
+        self.mask(info)
+        self.told = set()
         self.step_layout = struct.Struct(f"<HI{len(self.heads)}s")
         self.metric_layout = struct.Struct(f"<{len(self.metrics)}f")
 
@@ -389,7 +395,11 @@ class Worker:
                     row = observation
                 else:
                     row = row_of(observation)
-                reward, ended = float(reward), b""
+                try:
+                    reward = float(reward)
+                except (TypeError, ValueError):
+                    raise Refused(f"the reward is {reward!r}, which is no number") from None
+                ended = b""
                 if terminated or truncated:
                     ended = row.tobytes() + self.summary(info)
                     observation, info = self.reset(slot, seed)
@@ -436,7 +446,9 @@ class Worker:
         self.connection.send(SNAPSHOTTED, pickled)
 
     def tell(self, slot, error):
-        if not isinstance(error, Refused):
+        # One traceback of all that say the same, and not one for each of a hundred environments.
+        if not isinstance(error, Refused) and sentence(error) not in self.told and len(self.told) < MOST_TRACEBACKS:
+            self.told.add(sentence(error))
             traceback.print_exception(type(error), error, error.__traceback__)
             sys.stderr.flush()
         self.connection.failed(slot, error)

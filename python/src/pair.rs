@@ -4,12 +4,15 @@ use std::sync::Mutex;
 
 use leadtime_proto::EnvId;
 use leadtime_sims::{End, EpisodeSeed, TwoPlayers};
-use numpy::{IntoPyArray as _, PyArray1};
+use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
+use crate::action::PythonAction;
+use crate::info::MetricNames;
 use crate::task::PlayedTask;
-use crate::world::{check, n_choices, offered, unpoisoned};
+use crate::world::{attached, n_choices, offered};
 
 /// The observations of the notifier and the person, and what the notifier may choose. Shapes `[obs_dim]`, `[person_dim]`,
 /// `[n_choices]`.
@@ -22,6 +25,9 @@ pub(crate) struct Pair {
     both: Mutex<Box<dyn TwoPlayers>>,
     /// Length of what the person sees.
     person_dim: usize,
+    /// The number of choices of every head of the notifier.
+    heads: Vec<usize>,
+    metric_names: MetricNames,
 }
 
 impl Pair {
@@ -35,28 +41,29 @@ impl Pair {
 impl Pair {
     /// Makes the environment of a configuration; the changes are `section.key=value`.
     #[new]
-    fn new(config: &str, set: Vec<String>, evaluation: bool) -> PyResult<Self> {
+    fn new(py: Python<'_>, config: &str, set: Vec<String>, evaluation: bool) -> PyResult<Self> {
         let both = PlayedTask::read(config, &set, evaluation)?.build_pair()?;
-        let person_dim = both.person_quantities().len();
-        Ok(Self { both: Mutex::new(both), person_dim })
+        let (person_dim, heads) = (both.person_quantities().len(), n_choices(both.notifier()));
+        let metric_names = MetricNames::new(py, &both.notifier().spec().metrics);
+        Ok(Self { both: Mutex::new(both), person_dim, heads, metric_names })
     }
 
     /// The topics that the person can carry out.
     #[getter]
-    fn topics(&self) -> Vec<&'static str> {
-        unpoisoned(&self.both).topics().to_vec()
+    fn topics(&self, py: Python<'_>) -> Vec<&'static str> {
+        attached(&self.both, py).topics().to_vec()
     }
 
     /// The numbers that the person sees: each with its name, its meaning, and its least and greatest value.
     #[getter]
-    fn person_quantities(&self) -> Vec<(String, String, f32, f32)> {
-        let all = unpoisoned(&self.both).person_quantities().into_iter();
+    fn person_quantities(&self, py: Python<'_>) -> Vec<(String, String, f32, f32)> {
+        let all = attached(&self.both, py).person_quantities().into_iter();
         all.map(|it| (it.name, it.meaning, it.range[0], it.range[1])).collect()
     }
 
     /// Starts an episode: the one of this index of the run with this seed, in its environment 0.
     fn reset<'py>(&self, py: Python<'py>, seed: u64, episode: u64) -> BothViews<'py> {
-        let mut both = unpoisoned(&self.both);
+        let mut both = attached(&self.both, py);
         let (mut notifier, mut person) = self.rows(both.as_ref());
         let seed = EpisodeSeed { run_seed: seed, env_id: EnvId(0), episode };
         both.reset(seed, &mut notifier, &mut person);
@@ -68,11 +75,11 @@ impl Pair {
     fn step<'py>(
         &self,
         py: Python<'py>,
-        action: Vec<i64>,
+        action: &Bound<'py, PyAny>,
         topic: i64,
     ) -> PyResult<(BothViews<'py>, [f32; 2], [bool; 2])> {
-        let mut both = unpoisoned(&self.both);
-        check(&n_choices(both.notifier()), &action)?;
+        let action = PythonAction::read(action, &self.heads)?;
+        let mut both = attached(&self.both, py);
         let n_topics = both.topics().len();
         let topic = match usize::try_from(topic) {
             Err(_) if topic == -1 => None,
@@ -82,20 +89,22 @@ impl Pair {
                 return Err(PyValueError::new_err(text));
             }
         };
-        let action: Vec<u8> = action.into_iter().map(|choice| choice as u8).collect();
         let (mut notifier, mut person) = self.rows(both.as_ref());
-        let shared = both.step(&action, topic, &mut notifier, &mut person);
+        let shared = both.step(action.choices(), topic, &mut notifier, &mut person);
         let ends = [End::Terminated, End::Truncated].map(|end| shared.end == Some(end));
         let rewards = [shared.notifier_reward, shared.person_reward];
         Ok((views(py, both.as_ref(), notifier, person), rewards, ends))
     }
 
-    /// The metrics of the episode so far.
-    fn metrics<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        let both = unpoisoned(&self.both);
+    /// What is told at the end of an episode.
+    fn ending<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let both = attached(&self.both, py);
         let mut metrics = vec![0.0; both.notifier().spec().metrics.len()];
         both.notifier().metrics(&mut metrics);
-        metrics.into_pyarray(py)
+        drop(both);
+        let info = PyDict::new(py);
+        self.metric_names.tell_end(&info, &metrics)?;
+        Ok(info)
     }
 }
 
@@ -105,6 +114,6 @@ fn views<'py>(
     notifier: Vec<f32>,
     person: Vec<f32>,
 ) -> BothViews<'py> {
-    let offered = offered(both.notifier());
-    (notifier.into_pyarray(py), person.into_pyarray(py), offered.into_pyarray(py))
+    let [notifier, person] = [notifier, person].map(|seen| PyArray1::from_vec(py, seen));
+    (notifier, person, offered(py, both.notifier()))
 }

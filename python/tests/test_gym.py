@@ -110,11 +110,71 @@ class Gym(unittest.TestCase):
                 if any(ends):
                     n_ended += 1
                     self.assertTrue((infos["final_obs"][0] == expected).all())
-                    self.assertEqual(infos["final_info"]["metrics"][alone._metrics[0]][0], info["metrics"][alone._metrics[0]])
+                    name_of_metric = alone.world.metric_names[0]
+                    self.assertEqual(infos["final_info"]["metrics"][name_of_metric][0], info["metrics"][name_of_metric])
                     expected, info = alone.reset()
                 self.assertTrue((observations[0] == expected).all())
                 self.assertTrue((infos["action_mask"][0] == info["action_mask"]).all())
             self.assertGreater(n_ended, 1)
+
+    def test_a_vector_tells_of_its_ends_what_gymnasium_composes(self):
+        envs = gymnasium.make_vec("leadtime/CartPole-v0", num_envs=5, vectorization_mode="vector_entry_point")
+        envs.reset(seed=4)
+        n_ended = 0
+        for _ in range(60):
+            observations, _, terminated, truncated, infos = envs.step(np.zeros(5, int))
+            ended = terminated | truncated
+            n_ended += ended.sum()
+            self.assertEqual("final_info" in infos, bool(ended.any()))
+            if not ended.any():
+                continue
+            expected = {}
+            for i in np.flatnonzero(ended):
+                told = {"metrics": {"success": 0.0}, "success": False}
+                expected = envs._add_info(expected, {"final_obs": infos["final_obs"][i], "final_info": told}, i)
+                self.assertGreater(abs(infos["final_obs"][i] - observations[i]).max(), 0)
+            for name in ("final_info", "_final_info", "_final_obs"):
+                np.testing.assert_equal(infos[name], expected[name], name)
+            np.testing.assert_equal(list(infos["final_obs"]), list(expected["final_obs"]))
+        self.assertGreater(n_ended, 10)
+
+    def test_an_action_is_a_choice_per_head_in_any_form(self):
+        env, seen = gymnasium.make("leadtime/Lander-v0"), []
+        for action in [[1, 0, 1, 2], (1, 0, 1, 2), np.array([1, 0, 1, 2]), np.array([1, 0, 1, 2], np.int32), np.array([1, 9, 0, 9, 1, 9, 2, 9])[::2]]:
+            env.reset(seed=3)
+            seen.append(env.step(action)[0])
+        self.assertTrue(all((other == seen[0]).all() for other in seen))
+        for action in [[1, 0, 1], [1, 0, 1, 99], [-1, 0, 1, 2], [1.0, 0, 1, 2], 1, None, np.zeros((2, 4), int), np.zeros(4)]:
+            with self.assertRaisesRegex(ValueError, r"allowed: one of each of \[0\.\.2, "):
+                env.step(action)
+        pole = gymnasium.make("leadtime/CartPole-v0")
+        for action in [1, np.int64(1), np.array(1), [1], np.array([1]), True]:
+            pole.reset(seed=3)
+            self.assertEqual(pole.step(action)[1], 1.0)
+        with self.assertRaisesRegex(ValueError, r"action 2; allowed: one of each of \[0\.\.2\]"):
+            pole.step(2)
+
+    def test_the_actions_of_a_vector_may_have_any_whole_numbers_in_any_order(self):
+        envs = gymnasium.make_vec("leadtime/Lander-v0", num_envs=3, vectorization_mode="vector_entry_point")
+        actions = np.array([[1, 0, 1, 2], [0, 0, 0, 0], [1, 1, 2, 3]])
+        seen = []
+        for given in [actions, np.asfortranarray(actions), actions.astype(np.uint8), actions.tolist(), np.asfortranarray(actions.astype(np.int32))]:
+            envs.reset(seed=3)
+            envs.step(given)
+            seen.append(envs.step(np.zeros_like(actions))[0])
+        self.assertTrue(all((other == seen[0]).all() for other in seen) and (seen[0][0] != seen[0][2]).any())
+        for given, error in [(actions[:2], "8 choices; allowed: 3 actions of 4"), (actions + 9, "allowed: one of each of")]:
+            with self.assertRaisesRegex(ValueError, error):
+                envs.step(given)
+        with self.assertRaisesRegex(TypeError, "float64"):
+            envs.step(actions * 1.0)
+
+    def test_nothing_is_stepped_or_drawn_before_an_episode_has_begun(self):
+        env = gymnasium.make("leadtime/Lander-v0", render_mode="ansi")
+        envs = gymnasium.make_vec("leadtime/CartPole-v0", num_envs=2, vectorization_mode="vector_entry_point")
+        for too_early in [lambda: env.step([0, 0, 0, 0]), env.render, lambda: envs.step(np.zeros(2, int))]:
+            with self.assertRaisesRegex(gymnasium.error.ResetNeeded, "call reset"):
+                too_early()
 
     def test_an_episode_goes_on_from_a_snapshot(self):
         for name in IDS:

@@ -3,7 +3,10 @@
 What a space becomes and what is refused is checked by speaking the protocol; the page of docs/worlds/python.md is trained by the program.
 """
 
+import contextlib
+import io
 import json
+import logging
 import os
 import re
 import socket
@@ -34,7 +37,8 @@ class Toy(gymnasium.Env):
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.first, self.n, self.seen = float(self.np_random.random()), 0, []
-        if self.fault == "space":
+        self.n_episodes = getattr(self, "n_episodes", 0) + 1
+        if self.fault == "space" and self.n_episodes > 1:
             self.action_space = spaces.Discrete(4)
         return self.look(), {"action_mask": np.array([1, 0, 1])} if self.fault == "mask" else {}
 
@@ -52,7 +56,7 @@ class Toy(gymnasium.Env):
             raise IndexError("nothing there")
         over = self.n >= self.length
         info = {"success": True, "fuel": 0.5, "action_mask": (np.array([0, 1, 1]),)} if self.fault != "no-fuel" else {"success": True}
-        return self.look(), 1, over, over, info
+        return self.look(), "much" if self.fault == "reward" else 1, over, over, info
 
 
 class Pair:
@@ -95,6 +99,22 @@ class Pair:
         row, at = np.frombuffer(body, "<f4", n, 2), 2 + 4 * n
         reward, end, mask = struct.unpack_from("<fBQ", body, at)
         return row, reward, end, mask, np.frombuffer(body[at + 13 :], "<f4")
+
+
+class Heard(logging.Handler):
+    """What is logged meanwhile."""
+
+    def __enter__(self):
+        self.lines = []
+        logging.getLogger().addHandler(self)
+        logging.getLogger().setLevel(logging.INFO)
+        return self.lines
+
+    def __exit__(self, *error):
+        logging.getLogger().removeHandler(self)
+
+    def emit(self, record):
+        self.lines.append(record.getMessage())
 
 
 def refused(make, config=None):
@@ -140,16 +160,29 @@ def test_what_cannot_be_is_said_in_a_sentence():
     assert "9 heads" in refused(lambda index: Toy(action_space=spaces.MultiBinary(9)))
     assert "no gymnasium.Env" in refused(lambda index: "an environment")
     assert "the observation space is" in refused(lambda index: Toy(observation_space=spaces.Sequence(spaces.Discrete(2))))
-    for fault, told in [("shape", "shape (3,), not (2,)"), ("dtype", "which is no number"), ("space", "the action space is Discrete(4), and was")]:
-        (_, _, end, _, _), failures = Pair(lambda index: Toy(fault=fault)).begin()
-        assert end == worker.DID_FAIL and told in failures[0], failures
+    assert "shape (3,), not (2,)" in refused(lambda index: Toy(fault="shape"))
+    assert "an observation has dtype <U1, which is no number" in refused(lambda index: Toy(fault="dtype"))
+    (_, _, end, _, _), failures = Pair(lambda index: Toy(fault="space")).begin()
+    assert end == worker.DID_FAIL and "the action space is Discrete(4), and was" in failures[0], failures
+    pair = Pair(lambda index: Toy(fault="reward"))
+    pair.begin()
+    (_, _, end, _, _), failures = pair.step([0])
+    assert end == worker.DID_FAIL and failures == ["the reward is 'much', which is no number"], failures
 
     class Old(Toy):
         def reset(self):
             return np.zeros(2)
 
-    _, failures = Pair(lambda index: Old()).begin()
-    assert "needs Gymnasium 0.26 or newer" in failures[0], failures
+    assert "needs Gymnasium 0.26 or newer" in refused(lambda index: Old())
+
+    class Four(Toy):
+        def step(self, action):
+            return super().step(action)[:4]
+
+    pair = Pair(lambda index: Four())
+    pair.begin()
+    _, failures = pair.step([0])
+    assert "`step` returns 4 values, not five" in failures[0], failures
 
 
 def test_the_end_of_an_episode_has_its_last_observation_metrics_and_the_next_first_one():
@@ -177,6 +210,32 @@ def test_an_exception_is_one_line_with_file_and_line():
     (_, _, end, _, _), failures = pair.step([0])
     assert end == worker.DID_FAIL
     assert re.fullmatch(r"IndexError: nothing there \(test_worker.py:\d+\)", failures[0]), failures
+
+
+def test_environments_that_fail_alike_print_one_traceback():
+    printed = io.StringIO()
+    pair = Pair(lambda index: Toy(fault="raise"))
+    with contextlib.redirect_stderr(printed):
+        for slot in range(3):
+            pair.begin(slot)
+            pair.step([0], slot)
+            _, failures = pair.step([0], slot)
+            assert "nothing there" in failures[0], failures
+    assert printed.getvalue().count("Traceback") == 1, printed.getvalue()
+
+
+def test_what_is_float64_or_leaves_its_box_is_told_once():
+    class Wide(Toy):
+        def look(self):
+            return np.array([0.5, 7.0 + self.n])
+
+    box = spaces.Box(0, 1, (2,), np.float32)
+    with Heard() as lines:
+        pair = Pair(lambda index: Wide(observation_space=box))
+        pair.begin()
+        for _ in range(3):
+            pair.step([0])
+    assert len(lines) == 2 and "float64" in lines[0] and "observation[1] leaves its Box (0 to 1)" in lines[1], lines
 
 
 def test_an_environment_is_put_back_by_its_actions_and_by_a_pickle():
@@ -210,6 +269,16 @@ def test_the_page_of_the_documents_trains():
         for name, actors in (("one", "1"), ("three", "3")):
             run(place, "up", "-c", "crossing.toml", "--actors", actors, "--steps", "8192", "--name", name)
         compared = run(place, "runs", "compare", "one", "three").stdout
+        assert "weights: equal" in compared, compared
+        # On two hosts: what the learner's has, the actor's need not have, but for the code.
+        with tempfile.TemporaryDirectory() as other:
+            Path(other, "crossing.py").write_text(code)
+            at = f"unixsock-stream/{place}/learner.sock"
+            learner = subprocess.Popen(["leadtime", "learner", "-c", "crossing.toml", "--listen", at, "--steps", "8192", "--name", "two-hosts"],
+                                       cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            run(other, "actor", "--connect", at, "--worker", "python3 -m leadtime.worker crossing:make", "--workers", "2")
+            assert learner.wait(300) == 0
+        compared = run(place, "runs", "compare", "one", "two-hosts").stdout
         assert "weights: equal" in compared, compared
         evaluated = json.loads(run(place, "eval", "one", "--episodes", "50", "--json").stdout)
         assert "success" in json.dumps(evaluated)
