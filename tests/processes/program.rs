@@ -308,6 +308,16 @@ fn a_run_stops_after_exactly_as_many_updates_as_asked_for() {
 }
 
 #[test]
+fn a_run_goes_on_with_other_threads_and_has_the_same_weights() {
+    let place = trained();
+    let other = TRAIN.replace("--name r", "--name s");
+    place.finish(&[&other, "--set learner.threads=3 --stop-after 10"]).with_code(0);
+    place.finish(&[&other, "--set learner.threads=2"]).with_code(0);
+    let compared = place.finish(&["runs compare r s"]).with_code(0).stdout;
+    assert!(compared.ends_with("weights: equal\n"), "{compared}");
+}
+
+#[test]
 fn a_longer_schedule_of_the_learning_rate_is_told() {
     let place = trained();
     let longer = [TRAIN, "--set learner.total_steps=7680"];

@@ -235,7 +235,7 @@ impl Panels {
         let a = LeftRows { data: a, panel_step: PANEL, row_step: self.depth };
         let out =
             OutRows { data: out, panel_step: PANEL, row_step: self.n_columns, is_padded: false };
-        Arch::new().dispatch(Multiply { panels: self, a, m, start, activation, out });
+        Arch::new().dispatch(ByPanel(Multiply { panels: self, a, m, start, activation, out }));
     }
 
     /// Computes what [`Panels::multiply`] computes, of a left operand by panels to a result by panels.
@@ -255,7 +255,7 @@ impl Panels {
         let a = LeftRows { data: a.data.as_flattened(), panel_step: m * PANEL, row_step: PANEL };
         let data = out.data.as_flattened_mut();
         let out = OutRows { data, panel_step: m * PANEL, row_step: PANEL, is_padded: true };
-        Arch::new().dispatch(Multiply { panels: self, a, m, start, activation, out });
+        Arch::new().dispatch(ByPanel(Multiply { panels: self, a, m, start, activation, out }));
     }
 
     fn check_start(&self, start: &[f32]) {
@@ -273,7 +273,7 @@ impl Panels {
     /// If the length is another.
     pub fn add_rows(&self, sums: &mut [f32]) {
         assert_eq!(sums.len(), self.n_columns, "`sums` must be [n_columns]");
-        Arch::new().dispatch(RowSums { panels: self, sums });
+        Arch::new().dispatch(ByPanel(RowSums { panels: self, sums }));
     }
 
     /// Adds to `out` the rows of `Aᵀ·B` that belong to one panel of A, where B is this matrix: [`add_outer_products`]
@@ -291,7 +291,7 @@ impl Panels {
         let m = PANEL.min(a.n_columns - panel * PANEL);
         assert_eq!(out.len(), m * self.n_columns, "`out` must be [{m}, {}]", self.n_columns);
         let a = &a.data[panel * a.depth..][..a.depth];
-        Arch::new().dispatch(Outer { panels: self, a, m, out });
+        Arch::new().dispatch(ByPanel(Outer { panels: self, a, m, out }));
     }
 }
 
@@ -317,6 +317,28 @@ pub fn add_outer_products(a: &[f32], b: &[f32], m: usize, n: usize, out: &mut [f
         right.pack_rows(b, a.len() / m, n);
         for (panel, out) in out.chunks_mut(PANEL * n).enumerate() {
             right.add_outer_products(&left, panel, out);
+        }
+    }
+}
+
+/// A kernel over panels of V vectors each.
+trait PanelKernel {
+    fn run<S: Simd, const V: usize>(self, simd: S);
+}
+
+/// A kernel, to be run with the widest vectors that there are.
+struct ByPanel<K>(K);
+
+impl<K: PanelKernel> WithSimd for ByPanel<K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match S::F32_LANES {
+            16 => self.0.run::<S, 1>(simd),
+            8 => self.0.run::<S, 2>(simd),
+            4 => self.0.run::<S, 4>(simd),
+            _ => self.0.run::<S, PANEL>(simd),
         }
     }
 }
@@ -349,21 +371,7 @@ struct Multiply<'a> {
     out: OutRows<'a>,
 }
 
-impl WithSimd for Multiply<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        match S::F32_LANES {
-            16 => self.run::<S, 1>(simd),
-            8 => self.run::<S, 2>(simd),
-            4 => self.run::<S, 4>(simd),
-            _ => self.run::<S, PANEL>(simd),
-        }
-    }
-}
-
-impl Multiply<'_> {
+impl PanelKernel for Multiply<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(mut self, simd: S) {
         let n_panels = self.panels.n_columns.div_ceil(PANEL);
@@ -377,7 +385,9 @@ impl Multiply<'_> {
             panel += 1;
         }
     }
+}
 
+impl Multiply<'_> {
     /// Computes all rows of P panels.
     #[inline(always)]
     fn rows<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
@@ -468,21 +478,7 @@ struct RowSums<'a> {
     sums: &'a mut [f32],
 }
 
-impl WithSimd for RowSums<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        match S::F32_LANES {
-            16 => self.run::<S, 1>(simd),
-            8 => self.run::<S, 2>(simd),
-            4 => self.run::<S, 4>(simd),
-            _ => self.run::<S, PANEL>(simd),
-        }
-    }
-}
-
-impl RowSums<'_> {
+impl PanelKernel for RowSums<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(mut self, simd: S) {
         let n_panels = self.sums.len().div_ceil(PANEL);
@@ -496,7 +492,9 @@ impl RowSums<'_> {
             panel += 1;
         }
     }
+}
 
+impl RowSums<'_> {
     #[inline(always)]
     fn add<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
         let depth = self.panels.depth;
@@ -531,21 +529,7 @@ struct Outer<'a> {
     out: &'a mut [f32],
 }
 
-impl WithSimd for Outer<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        match S::F32_LANES {
-            16 => self.run::<S, 1>(simd),
-            8 => self.run::<S, 2>(simd),
-            4 => self.run::<S, 4>(simd),
-            _ => self.run::<S, PANEL>(simd),
-        }
-    }
-}
-
-impl Outer<'_> {
+impl PanelKernel for Outer<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(mut self, simd: S) {
         let n_panels = self.panels.n_columns.div_ceil(PANEL);
@@ -559,7 +543,9 @@ impl Outer<'_> {
             panel += 1;
         }
     }
+}
 
+impl Outer<'_> {
     /// Adds to all rows of P panels.
     #[inline(always)]
     fn rows<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
@@ -684,6 +670,67 @@ mod tests {
             Panels::from_rows(&b, k, n).multiply(&a, &start, Activation::Linear, &mut out);
             assert_eq!(out, by_definition(&a, &b, &start, m, k, n), "{m} {k} {n}");
         }
+    }
+
+    /// Runs a product and outer products with one kind of vectors.
+    fn with_vectors<S: Simd>(simd: S) -> [Vec<f32>; 3] {
+        let (m, k, n) = (29, 37, 50);
+        let (a, b) = (draws(m * k, 1), Panels::from_rows(&draws(k * n, 2), k, n));
+        let mut out = vec![0.0; m * n];
+        let left = LeftRows { data: &a, panel_step: PANEL, row_step: k };
+        let rows = OutRows { data: &mut out, panel_step: PANEL, row_step: n, is_padded: false };
+        let activation = Activation::Tanh;
+        let product = Multiply { panels: &b, a: left, m, start: &[], activation, out: rows };
+        simd.vectorize(ByPanel(product));
+        let slopes = Panels::from_rows(&draws(k * 11, 3), k, 11);
+        let mut gradient = draws(11 * n, 4);
+        simd.vectorize(ByPanel(Outer { panels: &b, a: slopes.data(), m: 11, out: &mut gradient }));
+        let mut sums = draws(n, 5);
+        simd.vectorize(ByPanel(RowSums { panels: &b, sums: &mut sums }));
+        [out, gradient, sums]
+    }
+
+    #[test]
+    fn vectors_of_every_width_give_the_same_bits() {
+        let one_lane = with_vectors(pulp::Scalar::new());
+        #[cfg(target_arch = "x86_64")]
+        {
+            use pulp::x86::{V3, V4};
+            let (eight_lanes, sixteen_lanes) = (V3::try_new(), V4::try_new());
+            for found in [eight_lanes.map(with_vectors), sixteen_lanes.map(with_vectors)] {
+                assert!(found.is_none_or(|found| found == one_lane));
+            }
+        }
+        #[cfg(target_arch = "aarch64")]
+        assert_eq!(with_vectors(pulp::aarch64::Neon::try_new().unwrap()), one_lane);
+    }
+
+    #[test]
+    fn operands_by_panels_give_the_bits_of_operands_by_rows() {
+        let (m, k, n) = (19, 37, 50);
+        let (a, b) = (draws(m * k, 1), draws(k * n, 2));
+        let (weights, start) = (Panels::from_rows(&b, k, n), draws(n, 3));
+        let mut by_rows = vec![0.0; m * n];
+        weights.multiply(&a, &start, Activation::Tanh, &mut by_rows);
+        // Memory of another shape, so that what is left of it would show.
+        let mut by_panels = Panels::from_rows(&draws(7 * 90, 4), 7, 90);
+        let left = Panels::from_rows(&a, m, k);
+        weights.multiply_panels(&left, &start, Activation::Tanh, &mut by_panels);
+        let mut row = vec![0.0; n];
+        for (i, expected) in by_rows.chunks_exact(n).enumerate() {
+            by_panels.copy_row(i, &mut row);
+            assert_eq!(row, expected);
+        }
+        let mut sums = vec![0.0; n];
+        by_panels.add_rows(&mut sums);
+        let expected = (0..n).map(|j| by_rows[j..].iter().step_by(n).fold(0.0, |sum, x| sum + x));
+        assert_eq!(sums, expected.collect::<Vec<f32>>());
+        let (mut products, mut expected) = (vec![0.0; k * n], vec![0.0; k * n]);
+        for (panel, out) in products.chunks_mut(PANEL * n).enumerate() {
+            by_panels.add_outer_products(&left, panel, out);
+        }
+        add_outer_products(&a, &by_rows, k, n, &mut expected);
+        assert_eq!(products, expected);
     }
 
     #[test]

@@ -18,7 +18,7 @@ use crate::storage::with_floats;
 
 /// Two layers that embed entities, and what they leave behind.
 #[derive(Debug)]
-struct Embedding {
+struct EntityEmbedding {
     layers: [PackedLayer; 2],
     /// `[n, W]`, twice
     first: Vec<f32>,
@@ -26,7 +26,7 @@ struct Embedding {
     d_first: Vec<f32>,
 }
 
-impl Embedding {
+impl EntityEmbedding {
     fn new(layers: [Layer; 2]) -> Self {
         let layers = layers.map(PackedLayer::new);
         Self { layers, first: Vec::new(), second: Vec::new(), d_first: Vec::new() }
@@ -71,8 +71,8 @@ pub(crate) struct AttentionPass {
     query: FoldedMap,
     /// C V, `[W, H W]`, heads side by side.
     output: FoldedMap,
-    egos: Embedding,
-    others: Embedding,
+    egos: EntityEmbedding,
+    others: EntityEmbedding,
     n_rows: usize,
     obs_dim: usize,
     present: PresentEntities,
@@ -97,8 +97,8 @@ impl AttentionPass {
             names: [key, query, value, combine],
             query: FoldedMap::default(),
             output: FoldedMap::default(),
-            egos: Embedding::new(ego),
-            others: Embedding::new(others),
+            egos: EntityEmbedding::new(ego),
+            others: EntityEmbedding::new(others),
             n_rows: 0,
             obs_dim,
             present: PresentEntities::default(),
