@@ -26,6 +26,10 @@
     clippy::inline_always,
     reason = "kernels must be compiled inside the dispatched target features"
 )]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "arrays of registers are unrolled where they are indexed: iterators over them cost a tenth"
+)]
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -444,12 +448,7 @@ impl Multiply<'_> {
                     b[p] = load::<S, V>(&panels[p][k]);
                 }
                 for r in 0..R {
-                    let a = simd.splat_f32s(rows[r][k]);
-                    for p in 0..P {
-                        for v in 0..V {
-                            sums[r][p][v] = simd.mul_add_f32s(a, b[p][v], sums[r][p][v]);
-                        }
-                    }
+                    multiply_add(simd, rows[r][k], &b, &mut sums[r]);
                 }
             }
         }
@@ -499,18 +498,16 @@ impl RowSums<'_> {
     fn add<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
         let depth = self.panels.depth;
         let mut sums = [[simd.splat_f32s(0.0); V]; P];
-        for p in 0..P {
+        for (sums, own) in sums.iter_mut().zip(self.sums.chunks(PANEL).skip(first)) {
             let mut start = [0.0; PANEL];
-            if let Some(own) = self.sums.chunks(PANEL).nth(first + p) {
-                start[..own.len()].copy_from_slice(own);
-            }
-            sums[p] = load::<S, V>(&start);
+            start[..own.len()].copy_from_slice(own);
+            *sums = load::<S, V>(&start);
         }
         for k in 0..depth {
-            for p in 0..P {
+            for (p, sums) in sums.iter_mut().enumerate() {
                 let row = load::<S, V>(&self.panels.data[(first + p) * depth + k]);
-                for v in 0..V {
-                    sums[p][v] = simd.add_f32s(sums[p][v], row[v]);
+                for (sum, x) in sums.iter_mut().zip(row) {
+                    *sum = simd.add_f32s(*sum, x);
                 }
             }
         }
@@ -596,12 +593,7 @@ impl Outer<'_> {
                 b[p] = load::<S, V>(&panels[p][k]);
             }
             for r in 0..R {
-                let a = simd.splat_f32s(a[r]);
-                for p in 0..P {
-                    for v in 0..V {
-                        sums[r][p][v] = simd.mul_add_f32s(a, b[p][v], sums[r][p][v]);
-                    }
-                }
+                multiply_add(simd, a[r], &b, &mut sums[r]);
             }
         }
         for r in 0..R {
@@ -612,6 +604,22 @@ impl Outer<'_> {
             }
         }
         R
+    }
+}
+
+/// Adds a number times one row of P panels to the sums.
+#[inline(always)]
+fn multiply_add<S: Simd, const V: usize, const P: usize>(
+    simd: S,
+    a: f32,
+    b: &[[S::f32s; V]; P],
+    sums: &mut [[S::f32s; V]; P],
+) {
+    let a = simd.splat_f32s(a);
+    for p in 0..P {
+        for v in 0..V {
+            sums[p][v] = simd.mul_add_f32s(a, b[p][v], sums[p][v]);
+        }
     }
 }
 

@@ -48,16 +48,16 @@ pub fn step(gates: &mut [f32], hidden: &mut [f32], cell: &mut [f32], width: usiz
     assert_eq!(hidden.len(), cell.len(), "`hidden` and `cell` must be [N, H]");
     let gates = gates.chunks_exact_mut(N_GATES * width);
     let rows = gates.zip(hidden.chunks_exact_mut(width)).zip(cell.chunks_exact_mut(width));
-    Arch::new().dispatch(Steps { rows, width });
+    Arch::new().dispatch(LstmSteps { rows, width });
 }
 
 /// The rows of a step: gates, hidden and cell states of each.
-struct Steps<R> {
+struct LstmSteps<R> {
     rows: R,
     width: usize,
 }
 
-impl<'a, R> WithSimd for Steps<R>
+impl<'a, R> WithSimd for LstmSteps<R>
 where
     R: Iterator<Item = ((&'a mut [f32], &'a mut [f32]), &'a mut [f32])>,
 {

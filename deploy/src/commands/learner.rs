@@ -52,10 +52,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     log_line::is_about_run(run_dir.name.as_str());
     if state == RunState::Finished {
         service::ready();
-        let (name, path) = (&run_dir.name, run_dir.path.display());
-        output::say(&format!(
-            "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
-        ));
+        tell_finished(&run_dir);
         return Ok(());
     }
     if let Some(rounded) = config.rounded_steps() {
@@ -108,6 +105,14 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let concluded = conclude(&mut run_dir, &report, is_asked, args);
     write_report(tasks, &config, &run_dir);
     concluded
+}
+
+/// Says that there is nothing to train, and what to do.
+fn tell_finished(run_dir: &RunDir) {
+    let (name, path) = (&run_dir.name, run_dir.path.display());
+    output::say(&format!(
+        "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
+    ));
 }
 
 /// Opens the run, with other settings where the command line asks for them.
