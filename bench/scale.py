@@ -48,7 +48,7 @@ WORK = {"learner-train": "training", "actor-collect": "acting", "actor-restore":
 TRANSPORT = ("tx-", "rx-", "acc-", "net-", "app-", "link-", "actor-publish")
 # Functions that encode, decode and checksum: within training and acting, too.
 CODEC = re.compile(r"bincode|crc32c|safetensors|serde|codec|leadtime_proto")
-# Every task with 256 environments, so that the learner trains on the same whoever sends it: 16,384 steps in minibatches of 256.
+# Every task with 256 environments, so that the learner trains on the same data however many actors send it: 16,384 steps in minibatches of 256.
 LEARNING = ["learner.n_envs=256", "learner.n_minibatches=64", "learner.mode=lag", "learner.lag=1", "learner.n_steps=64"]
 # The slow world: 4,096 steps in minibatches of 256. CartPole as small as many of its users have it: 1,024 steps.
 SLOW = ["learner.n_envs=64", "learner.n_minibatches=16", "learner.n_steps=64"]

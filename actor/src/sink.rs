@@ -13,7 +13,7 @@ pub trait ActorSink: Send {
     fn on_span(&mut self, span: &TraceSpan<'_>);
 }
 
-/// Takes in nothing.
+/// The sink of an actor that nobody watches.
 impl ActorSink for () {
     fn on_tick(&mut self, _standing: ActorProgress) {}
 

@@ -295,7 +295,7 @@ SYSTEMS = {"leadtime": (leadtime, "`leadtime up`, one actor"), "cleanrl": (clean
 
 
 def train(args, system, seed):
-    """Trains in this process, and writes what came of it."""
+    """Trains in this process, and writes the result."""
     about = {"system": system, "seed": seed, "total_steps": args.steps, "cores": os.cpu_count()}
     if system != "leadtime":
         try:

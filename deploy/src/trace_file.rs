@@ -26,7 +26,7 @@ const SHARES: (usize, f64) = (4, 0.01);
 /// The share of its time from which on somebody waits much.
 const MUCH: f64 = 0.1;
 
-/// The file, as whoever makes it sees it. One without any span is removed again.
+/// The file, in the process that makes it. One without any span is removed again.
 #[derive(Debug)]
 pub(crate) struct TraceFile(NewFile);
 

@@ -43,8 +43,6 @@ const ROWS: usize = 6;
 const WIDE_ROWS: usize = 2 * ROWS;
 /// Rows per tile of two panels: every number of A that is read is multiplied twice.
 const PAIR_ROWS: usize = 8;
-/// Panels whose rows are added up side by side: one panel's additions wait for each other.
-const GROUP: usize = 4;
 /// Inner indices per pass of [`add_outer_products`]: what one pass reads stays in the first-level cache. Not a power of
 /// two, with which the panels of a row would share a cache set.
 const DEPTH: usize = 248;
@@ -325,9 +323,12 @@ pub fn add_outer_products(a: &[f32], b: &[f32], m: usize, n: usize, out: &mut [f
     }
 }
 
-/// A kernel over panels of V vectors each.
+/// A kernel over the panels of its right operand, V vectors each.
 trait PanelKernel {
-    fn run<S: Simd, const V: usize>(self, simd: S);
+    fn n_panels(&self) -> usize;
+
+    /// Computes P panels.
+    fn panels<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize);
 }
 
 /// A kernel, to be run with the widest vectors that there are.
@@ -339,10 +340,27 @@ impl<K: PanelKernel> WithSimd for ByPanel<K> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         match S::F32_LANES {
-            16 => self.0.run::<S, 1>(simd),
-            8 => self.0.run::<S, 2>(simd),
-            4 => self.0.run::<S, 4>(simd),
-            _ => self.0.run::<S, PANEL>(simd),
+            16 => self.run::<S, 1>(simd),
+            8 => self.run::<S, 2>(simd),
+            4 => self.run::<S, 4>(simd),
+            _ => self.run::<S, PANEL>(simd),
+        }
+    }
+}
+
+impl<K: PanelKernel> ByPanel<K> {
+    /// Takes panels in pairs where a panel is one vector: only then there are registers for two.
+    #[inline(always)]
+    fn run<S: Simd, const V: usize>(mut self, simd: S) {
+        let n_panels = self.0.n_panels();
+        let mut panel = 0;
+        while V == 1 && panel + 2 <= n_panels {
+            self.0.panels::<S, V, 2>(simd, panel);
+            panel += 2;
+        }
+        while panel < n_panels {
+            self.0.panels::<S, V, 1>(simd, panel);
+            panel += 1;
         }
     }
 }
@@ -376,25 +394,12 @@ struct Multiply<'a> {
 }
 
 impl PanelKernel for Multiply<'_> {
-    #[inline(always)]
-    fn run<S: Simd, const V: usize>(mut self, simd: S) {
-        let n_panels = self.panels.n_columns.div_ceil(PANEL);
-        let mut panel = 0;
-        while V == 1 && panel + 2 <= n_panels {
-            self.rows::<S, V, 2>(simd, panel);
-            panel += 2;
-        }
-        while panel < n_panels {
-            self.rows::<S, V, 1>(simd, panel);
-            panel += 1;
-        }
+    fn n_panels(&self) -> usize {
+        self.panels.n_columns.div_ceil(PANEL)
     }
-}
 
-impl Multiply<'_> {
-    /// Computes all rows of P panels.
     #[inline(always)]
-    fn rows<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
+    fn panels<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
         let start = std::array::from_fn(|p| {
             let mut start = [0.0; PANEL];
             if !self.start.is_empty() {
@@ -422,7 +427,9 @@ impl Multiply<'_> {
             };
         }
     }
+}
 
+impl Multiply<'_> {
     /// Computes R rows of P panels and returns R.
     #[inline(always)]
     fn tile<S: Simd, const V: usize, const P: usize, const R: usize>(
@@ -478,24 +485,12 @@ struct RowSums<'a> {
 }
 
 impl PanelKernel for RowSums<'_> {
-    #[inline(always)]
-    fn run<S: Simd, const V: usize>(mut self, simd: S) {
-        let n_panels = self.sums.len().div_ceil(PANEL);
-        let mut panel = 0;
-        while panel + GROUP <= n_panels {
-            self.add::<S, V, GROUP>(simd, panel);
-            panel += GROUP;
-        }
-        while panel < n_panels {
-            self.add::<S, V, 1>(simd, panel);
-            panel += 1;
-        }
+    fn n_panels(&self) -> usize {
+        self.sums.len().div_ceil(PANEL)
     }
-}
 
-impl RowSums<'_> {
     #[inline(always)]
-    fn add<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
+    fn panels<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
         let depth = self.panels.depth;
         let mut sums = [[simd.splat_f32s(0.0); V]; P];
         for (sums, own) in sums.iter_mut().zip(self.sums.chunks(PANEL).skip(first)) {
@@ -527,25 +522,12 @@ struct Outer<'a> {
 }
 
 impl PanelKernel for Outer<'_> {
-    #[inline(always)]
-    fn run<S: Simd, const V: usize>(mut self, simd: S) {
-        let n_panels = self.panels.n_columns.div_ceil(PANEL);
-        let mut panel = 0;
-        while V == 1 && panel + 2 <= n_panels {
-            self.rows::<S, V, 2>(simd, panel);
-            panel += 2;
-        }
-        while panel < n_panels {
-            self.rows::<S, V, 1>(simd, panel);
-            panel += 1;
-        }
+    fn n_panels(&self) -> usize {
+        self.panels.n_columns.div_ceil(PANEL)
     }
-}
 
-impl Outer<'_> {
-    /// Adds to all rows of P panels.
     #[inline(always)]
-    fn rows<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
+    fn panels<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
         let (m, mut row) = (self.m, 0);
         while P == 2 && row + PAIR_ROWS <= m {
             row += self.tile::<S, V, P, PAIR_ROWS>(simd, first, row);
@@ -563,7 +545,9 @@ impl Outer<'_> {
             row += self.tile::<S, V, P, 1>(simd, first, row);
         }
     }
+}
 
+impl Outer<'_> {
     /// Adds to R rows of P panels and returns R.
     #[inline(always)]
     fn tile<S: Simd, const V: usize, const P: usize, const R: usize>(

@@ -4,52 +4,18 @@
 //!
 //! `cargo bench -p leadtime-policy --bench inference`
 
+mod shapes;
+
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use leadtime_numerics::Pcg64;
 use leadtime_policy::{Parameters, Policy};
-use leadtime_proto::{ActionSpec, EgoAttention, Encoder, Head, HeadCredit, PolicySpec};
-
-fn heads(n_topics: usize) -> Vec<Head> {
-    let head = |name: &str, n_choices| Head { name: name.to_owned(), n_choices };
-    vec![head("initiate", 2), head("topic", n_topics), head("k", 4), head("l", 4)]
-}
-
-fn spec() -> PolicySpec {
-    let heads = heads(4);
-    PolicySpec {
-        obs_dim: 60,
-        encoder: Encoder::Identity,
-        hidden: vec![64, 64],
-        actions: ActionSpec { heads, gate: None, conditionals: Vec::new() },
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    }
-}
-
-fn attentive() -> PolicySpec {
-    let attention = EgoAttention {
-        n_frames: 4,
-        n_entities: 10,
-        n_features: 7,
-        action_dim: 13,
-        width: 64,
-        n_heads: 2,
-    };
-    let obs_dim = 4 * attention.frame_dim() + 5;
-    PolicySpec { obs_dim, encoder: Encoder::EgoAttention(attention), ..spec() }
-}
-
-fn recurrent() -> PolicySpec {
-    let actions = ActionSpec { heads: heads(5), gate: None, conditionals: Vec::new() };
-    let encoder = Encoder::Lstm { projection: 32, state: 128 };
-    PolicySpec { obs_dim: 242, encoder, hidden: Vec::new(), actions, ..spec() }
-}
+use leadtime_proto::PolicySpec;
+use shapes::{attentive, plain, recurrent};
 
 fn inference(criterion: &mut Criterion) {
-    measure(criterion, "inference", &spec());
+    measure(criterion, "inference", &plain());
     measure(criterion, "inference with ego attention", &attentive());
     measure(criterion, "inference with lstm", &recurrent());
 }

@@ -79,7 +79,7 @@ pub struct LearnerSettings {
     pub lag: u64,
     /// Oldest rollouts, in versions, that mode `async` trains on. Default 8.
     pub staleness_max: u64,
-    /// Threads that share an update, 0..=[`MAX_THREADS`]; 0: whoever runs it decides, and a [`Trainer`](crate::Trainer) takes
+    /// Threads that share an update, 0..=[`MAX_THREADS`]; 0: the program chooses, and a [`Trainer`](crate::Trainer) alone takes
     /// one. They change no bit. Default 0.
     pub threads: usize,
 }

@@ -35,6 +35,8 @@ struct Stack {
     layers: Vec<PackedLayer>,
     /// Sums over the blocks of a minibatch.
     gradients: Vec<LayerGradient>,
+    /// Whether a block of the minibatch is in them.
+    has_gradients: bool,
 }
 
 /// The gradient of one layer.
@@ -68,12 +70,26 @@ impl LayerGradient {
 impl Stack {
     fn new(spec: &PolicySpec, branch: Branch) -> Self {
         let layers: Vec<_> = layers(spec, branch).into_iter().map(PackedLayer::new).collect();
-        Self { branch, gradients: vec![LayerGradient::default(); layers.len()], layers }
+        let gradients = vec![LayerGradient::default(); layers.len()];
+        Self { branch, layers, gradients, has_gradients: false }
     }
 
-    /// Takes over the variables' present numbers.
-    fn pack(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
+    /// Begins a minibatch with the variables' present numbers.
+    fn begin(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
+        self.has_gradients = false;
         self.layers.iter_mut().try_for_each(|layer| layer.pack(vars))
+    }
+
+    /// Adds one block's gradients to those of the blocks before it; the first one's are taken as they are.
+    fn add(&mut self, block: &mut [LayerGradient]) {
+        for (sum, gradient) in self.gradients.iter_mut().zip(block) {
+            if self.has_gradients {
+                sum.add(gradient);
+            } else {
+                std::mem::swap(sum, gradient);
+            }
+        }
+        self.has_gradients = true;
     }
 }
 
@@ -217,8 +233,6 @@ pub(crate) struct Stacks {
     encoder_learns: bool,
     /// Rows of a block: of a recurrent network all of a minibatch, as of its encoder.
     block: usize,
-    /// Blocks of the minibatch so far.
-    n_blocks: usize,
     /// The actor's passes by block, then the critic's.
     passes: Vec<BranchPass>,
     /// What the rows of the last run contributed. `[M]`
@@ -234,7 +248,6 @@ impl Stacks {
             critic: Stack::new(spec, Branch::Critic),
             encoder_learns: !matches!(spec.encoder, Encoder::Identity),
             block: if spec.recurrent_dim() > 0 { usize::MAX } else { BLOCK },
-            n_blocks: 0,
             passes: Vec::new(),
             policy_terms: Vec::new(),
             d_features: Vec::new(),
@@ -243,9 +256,8 @@ impl Stacks {
 
     /// Begins a minibatch with the variables' present numbers.
     pub(crate) fn begin(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
-        self.n_blocks = 0;
-        self.actor.pack(vars)?;
-        self.critic.pack(vars)
+        self.actor.begin(vars)?;
+        self.critic.begin(vars)
     }
 
     /// Runs the rows of these samples, adds their gradients up, and returns their share in the loss.
@@ -281,18 +293,10 @@ impl Stacks {
             let slopes = from_actor.d_features.iter().zip(&from_critic.d_features);
             self.d_features.extend(slopes.map(|(a, b)| a + b));
         }
-        for block in 0..n_blocks {
-            for (stack, passes) in
-                [(&mut self.actor, &mut *actors), (&mut self.critic, &mut *critics)]
-            {
-                let own = stack.gradients.iter_mut().zip(&mut passes[block].gradients);
-                if self.n_blocks == 0 {
-                    own.for_each(|(total, gradient)| std::mem::swap(total, gradient));
-                } else {
-                    own.for_each(|(total, gradient)| total.add(gradient));
-                }
+        for (stack, passes) in [(&mut self.actor, actors), (&mut self.critic, critics)] {
+            for pass in passes {
+                stack.add(&mut pass.gradients);
             }
-            self.n_blocks += 1;
         }
         report
     }

@@ -8,7 +8,7 @@
 //! actor   ── TraceSpan ──> TraceWriter ──┘
 //! ```
 //!
-//! A process tells its spans per rollout and per update, never per step. Whoever measures tells them always, to a sink that
+//! A process tells its spans per rollout and per update, never per step. What measures always reports them, to a sink that
 //! ignores them unless a trace is asked for.
 //!
 //! # Where to start

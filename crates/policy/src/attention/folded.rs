@@ -29,9 +29,10 @@ impl FoldedAttention {
         let mut asks = Vec::with_capacity(n_heads * width * width);
         let mut takes = vec![0.0; width * n_heads * width];
         for head in 0..n_heads {
-            let rows = |matrix: &[f32]| head_columns(&transpose(matrix, width), head, attention);
+            let rows = |matrix: &[f32]| attention.rows_of_head(matrix, head);
             asks.extend(product(&rows(&key), &rows(&query), width)?);
-            let product = product(&head_columns(&combine, head, attention), &rows(&value), width)?;
+            let product =
+                product(&attention.columns_of_head(&combine, head), &rows(&value), width)?;
             let places = takes.chunks_exact_mut(n_heads * width);
             for (place, row) in places.zip(product.chunks_exact(width)) {
                 place[head * width..][..width].copy_from_slice(row);
@@ -42,17 +43,6 @@ impl FoldedAttention {
             combine: Dense::new(&takes, &vec![0.0; width])?,
         })
     }
-}
-
-/// Transposes a square matrix.
-fn transpose(matrix: &[f32], width: usize) -> Vec<f32> {
-    (0..width * width).map(|i| matrix[i % width * width + i / width]).collect()
-}
-
-/// Cuts a head's columns, `[W, d]`, out of a matrix `[W, W]`.
-fn head_columns(matrix: &[f32], head: usize, attention: Attention) -> Vec<f32> {
-    let d = attention.head_width();
-    matrix.chunks_exact(attention.width).flat_map(|row| &row[head * d..][..d]).copied().collect()
 }
 
 /// Multiplies `[W, d]` by the transpose of `[W, d]`, as the learner's graph does.

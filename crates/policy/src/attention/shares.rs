@@ -51,6 +51,18 @@ impl Attention {
         self.width / self.n_heads
     }
 
+    /// Returns the rows of a map `[W, W]` that belong to a head, transposed: `[W, d]`.
+    pub fn rows_of_head(&self, map: &[f32], head: usize) -> Vec<f32> {
+        let (width, d) = (self.width, self.head_width());
+        (0..width * d).map(|i| map[(head * d + i % d) * width + i / d]).collect()
+    }
+
+    /// Returns the columns of a map `[W, W]` that belong to a head: `[W, d]`.
+    pub fn columns_of_head(&self, map: &[f32], head: usize) -> Vec<f32> {
+        let d = self.head_width();
+        map.chunks_exact(self.width).flat_map(|row| &row[head * d..][..d]).copied().collect()
+    }
+
     /// Computes the share of attention that each head of one ego pays to each of the n + 1 present entities.
     ///
     /// # Shapes

@@ -1,50 +1,13 @@
-//! Policies of the shapes that are trained, and rollouts of random observations for them.
+//! Rollouts of random observations for policies of the shapes that are trained.
 
 use leadtime_numerics::Pcg64;
 use leadtime_policy::{ActionDistribution, Parameters, Policy};
-use leadtime_proto::{
-    ActionSpec, CheckedRollout, EgoAttention, Encoder, EnvId, EnvSpec, Head, HeadCredit, Mask,
-    PolicySpec, PolicyVersion, Rollout,
-};
+use leadtime_proto::{CheckedRollout, EnvId, EnvSpec, Mask, PolicySpec, PolicyVersion, Rollout};
 
-fn actions(n_topics: usize) -> ActionSpec {
-    let head = |name: &str, n_choices| Head { name: name.to_owned(), n_choices };
-    let heads = vec![head("initiate", 2), head("topic", n_topics), head("k", 4), head("l", 4)];
-    ActionSpec { heads, gate: None, conditionals: Vec::new() }
-}
+#[path = "../../../policy/benches/shapes/mod.rs"]
+mod shapes;
 
-/// 60 inputs, two hidden layers of 64.
-pub(crate) fn plain() -> PolicySpec {
-    PolicySpec {
-        obs_dim: 60,
-        encoder: Encoder::Identity,
-        hidden: vec![64, 64],
-        actions: actions(4),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    }
-}
-
-/// Ego attention to four frames of ten entities of seven numbers.
-pub(crate) fn attentive() -> PolicySpec {
-    let attention = EgoAttention {
-        n_frames: 4,
-        n_entities: 10,
-        n_features: 7,
-        action_dim: 13,
-        width: 64,
-        n_heads: 2,
-    };
-    let obs_dim = 4 * attention.frame_dim() + 5;
-    PolicySpec { obs_dim, encoder: Encoder::EgoAttention(attention), ..plain() }
-}
-
-/// The steakhouse notifier: an LSTM of 128 shared by actor and critic.
-pub(crate) fn recurrent() -> PolicySpec {
-    let encoder = Encoder::Lstm { projection: 32, state: 128 };
-    PolicySpec { obs_dim: 242, encoder, hidden: Vec::new(), actions: actions(5), ..plain() }
-}
+pub(crate) use shapes::{attentive, plain, recurrent};
 
 /// Acts on random observations; the first policy of a run, so that its update's first ratios are one.
 pub(crate) fn rollout(

@@ -124,18 +124,13 @@ impl AttentionPass {
             maps.push(with_floats(&vars[&layer.weight()], <[f32]>::to_vec)?);
         }
         let [key, query, value, combine] = maps.as_slice() else { return Ok(()) };
-        // Rows head * d .. of a map `[W, W]`, transposed: `[W, d]`.
-        let transposed = |map: &[f32], head: usize| -> Vec<f32> {
-            (0..width * d).map(|i| map[(head * d + i % d) * width + i / d]).collect()
-        };
-        let columns = |map: &[f32], head: usize| -> Vec<f32> {
-            map.chunks_exact(width).flat_map(|row| &row[head * d..][..d]).copied().collect()
-        };
+        let rows = |map: &[f32], head| self.attention.rows_of_head(map, head);
+        let columns = |map: &[f32], head| self.attention.columns_of_head(map, head);
         let heads = 0..n_heads;
-        let queries = heads.clone().map(|head| (transposed(key, head), transposed(query, head)));
+        let queries = heads.clone().map(|head| (rows(key, head), rows(query, head)));
         let asks = self.query.fold(queries, width, d).concat();
         self.query.product.pack(&asks, n_heads * width, width);
-        let outputs = heads.map(|head| (columns(combine, head), transposed(value, head)));
+        let outputs = heads.map(|head| (columns(combine, head), rows(value, head)));
         let products = self.output.fold(outputs, width, d);
         let mut takes = Vec::with_capacity(width * n_heads * width);
         for row in 0..width {
