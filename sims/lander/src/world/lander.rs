@@ -16,7 +16,6 @@ use serde::{Deserialize, Serialize};
 use super::body::Body;
 use super::constants::{HULL, Vec2};
 use super::contact::ContactWorld;
-use super::contact_template::{TEMPLATE, Template};
 use super::engines::{Engine, Load, WindClock, draw_dispersion};
 use super::flight::Flight;
 use super::observe;
@@ -236,7 +235,7 @@ impl Lander {
         }
         match (&snapshot.contact, snapshot.episode.integrator) {
             (Some(bytes), Integrator::Contact { .. }) => {
-                let world = ContactWorld::decode(bytes, TEMPLATE.names)?;
+                let world = ContactWorld::decode(bytes)?;
                 self.contact = Some(Box::new(world));
             }
             (None, Integrator::Flight(_)) => {}
@@ -283,9 +282,8 @@ impl LanderEpisode {
     /// Hands the lander over to the contact world.
     fn enter_contact(&mut self, contact: &mut Option<Box<ContactWorld>>) {
         let Integrator::Flight(flight) = &self.integrator else { return };
-        let Template { sets, names } = &*TEMPLATE;
-        let world = || Box::new(ContactWorld::around(sets.clone(), *names));
-        contact.get_or_insert_with(world).enter(sets, flight, &self.terrain);
+        let world = contact.get_or_insert_with(|| Box::new(ContactWorld::new()));
+        world.enter(flight, &self.terrain);
         self.integrator = Integrator::Contact { clear_frames: 0 };
     }
 
@@ -333,5 +331,69 @@ impl LanderEpisode {
             (None, difference)
         };
         Frame { observation: self.observation, reward, outcome }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::contact::rapier::Twin;
+    use super::*;
+    use crate::pilot::heuristic;
+
+    /// A lander whose contact frames rapier computes, too.
+    struct Pair {
+        lander: Lander,
+        twin: Twin,
+    }
+
+    impl Pair {
+        /// Steps both, and tells whether they were compared.
+        fn step(&mut self, engine: Engine) -> (Frame, bool) {
+            let Self { lander, twin } = self;
+            let load = lander.episode.load(&lander.settings, engine);
+            let before = lander.episode.integrator;
+            lander.shift();
+            let compared = lander.is_in_contact();
+            if let (true, Integrator::Flight(flight)) = (compared, &before) {
+                twin.enter(flight, &lander.episode.terrain);
+            }
+            if compared {
+                twin.step(&load, lander.episode.touch.near);
+            }
+            lander.episode.advance(&load, lander.contact.as_deref_mut());
+            if compared {
+                assert_eq!(lander.episode.bodies, twin.bodies());
+            }
+            (lander.episode.score(engine), compared)
+        }
+    }
+
+    #[test]
+    fn the_contact_world_is_rapiers_bit_for_bit() {
+        let mut rng = Pcg64::seed_from_u64(7);
+        let settings = PhysicsSettings::default();
+        let mut pair = Pair { lander: Lander::new(&settings), twin: Twin::new() };
+        let mut compared = 0;
+        for seed in 0..500_u64 {
+            pair.lander.set_start(seed.is_multiple_of(3), settings.start_impulse);
+            let mut observation = pair.lander.reset(Pcg64::seed_from_u64(seed));
+            for _ in 0..1000 {
+                // Landings, crashes, bounces on a busy engine, and tumbling.
+                let chance = rng.next_u64();
+                let engine = match seed % 4 {
+                    0 => Engine::ALL[(chance >> 62) as usize],
+                    2 if chance.is_multiple_of(3) => Engine::ALL[(chance >> 62) as usize],
+                    3 if chance.is_multiple_of(2) => Engine::Main,
+                    _ => heuristic(&observation),
+                };
+                let (frame, both) = pair.step(engine);
+                compared += usize::from(both);
+                observation = frame.observation;
+                if frame.outcome.is_some() {
+                    break;
+                }
+            }
+        }
+        assert!(compared > 40_000, "{compared} frames");
     }
 }
