@@ -21,7 +21,7 @@ pub(crate) struct Ownership {
     pub(crate) since: Epoch,
 }
 
-/// A new set of environments for one actor, which it has to be told.
+/// A new set of environments for one actor, which has to be sent to it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Reassignment {
     pub(crate) actor: ActorId,
@@ -31,16 +31,16 @@ pub(crate) struct Reassignment {
     pub(crate) kept: Vec<EnvId>,
 }
 
-/// The present assignment.
+/// Who steps which environment at present, and the newest epoch.
 #[derive(Clone, Debug)]
 pub(crate) struct Assigner {
-    /// The newest one.
+    /// The epoch of the newest assignment; every change opens the next one.
     pub(crate) epoch: Epoch,
     owners: Vec<Option<Ownership>>,
 }
 
 impl Assigner {
-    /// Starts with nobody, after the epochs that a checkpoint knows of.
+    /// Starts without actors, after the epochs that a checkpoint knows of.
     pub(crate) fn new(n_envs: usize, epoch: Epoch) -> Self {
         Self { epoch, owners: vec![None; n_envs] }
     }
@@ -60,12 +60,12 @@ impl Assigner {
         self.owners.get(env_id.0 as usize)?.as_ref()
     }
 
-    /// Tells whether a start of an actor, following this assignment or a newer one, has an environment.
+    /// Returns whether a start of an actor, following this assignment or a newer one, has an environment.
     pub(crate) fn owns(&self, actor: &SenderKey, epoch: Epoch, env_id: EnvId) -> bool {
         self.owner(env_id).is_some_and(|owner| owner.key == *actor && epoch >= owner.since)
     }
 
-    /// Tells whether an environment waits for an actor.
+    /// Returns whether an environment waits for an actor.
     pub(crate) fn has_orphans(&self) -> bool {
         self.owners.iter().any(Option::is_none)
     }
@@ -85,15 +85,17 @@ impl Assigner {
         (!given.is_empty()).then(|| self.change(actor.clone(), given))
     }
 
-    /// Gives environments to the actors beside them, from their newest snapshots, and returns what has to be said to each
-    /// actor that gets or loses some, by name.
+    /// Gives environments to the actors named with them, from their newest snapshots. Returns what has to be sent to
+    /// each actor that gets or loses some, by name.
     pub(crate) fn hand_over(&mut self, moves: Vec<(EnvId, SenderKey)>) -> Vec<Reassignment> {
         let mut concerned: BTreeMap<ActorId, Vec<EnvId>> = BTreeMap::new();
         for (env_id, key) in moves {
+            // Who loses an environment gets an assignment too, or it would go on stepping it.
             if let Some(from) = self.owner(env_id) {
                 concerned.entry(from.key.0.clone()).or_default();
             }
             concerned.entry(key.0.clone()).or_default().push(env_id);
+            // A place-holder: `change` below sets the epoch of those that are given.
             self.owners[env_id.0 as usize] = Some(Ownership { key, since: self.epoch });
         }
         let change = |(actor, given)| self.change(actor, given);
@@ -113,17 +115,20 @@ impl Assigner {
         Reassignment { actor, epoch, given, kept }
     }
 
-    /// Shares the environments among the members, each of whom should have at most `max_envs`, and returns what has
-    /// to be said to whom.
+    /// Shares the environments among the members, each of whom should have at most `max_envs`. Returns what has to be
+    /// sent to whom.
     pub(crate) fn rebalance(
         &mut self,
         members: &BTreeMap<ActorId, Incarnation>,
         max_envs: impl Fn(&ActorId) -> usize,
     ) -> Vec<Reassignment> {
         let quotas = self.quotas(members, max_envs);
+        // First all surplus is taken back, then it is given out: otherwise an actor could only get what those before it
+        // gave up.
         let mut dropped: BTreeMap<&ActorId, bool> = BTreeMap::new();
         for (actor, &quota) in &quotas {
             let held = self.held(actor);
+            // Lowest first, so that the same members and holdings always lead to the same assignment.
             for env_id in held.iter().skip(quota) {
                 self.owners[env_id.0 as usize] = None;
             }
@@ -151,9 +156,11 @@ impl Assigner {
         max_envs: impl Fn(&ActorId) -> usize,
     ) -> BTreeMap<ActorId, usize> {
         let mut order: Vec<&ActorId> = members.keys().collect();
+        // A stable sort: among equals the order is that of their names, which no process's timing decides.
         order.sort_by_key(|actor| std::cmp::Reverse(self.held(actor).len()));
         let mut quotas: Vec<(&ActorId, usize, usize)> =
             order.into_iter().map(|actor| (actor, max_envs(actor), 0)).collect();
+        // Without members nobody takes anything, and the loop would not end.
         let mut n_left = if quotas.is_empty() { 0 } else { self.owners.len() };
         while n_left > 0 {
             // Limits that leave environments over do not hold: first those of members that may have some.

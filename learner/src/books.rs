@@ -53,9 +53,9 @@ pub struct Books {
      accounted for; please report this"
 )]
 pub struct Imbalance {
-    /// Rollouts published.
+    /// Rollouts published, as the sum over the highest sequences in order.
     pub published: u64,
-    /// Rollouts rolled back.
+    /// Rollouts rolled back, because a killed learner lost them.
     pub rolled_back: u64,
     /// Rollouts whose fate is known.
     pub accounted: u64,
@@ -115,7 +115,8 @@ impl Books {
     ///
     /// # Errors
     ///
-    /// [`Imbalance`] with both sides.
+    /// [`Imbalance`] if the two sides of the identity differ, or `published` is not the sum over the senders'
+    /// sequences.
     pub fn check(&self) -> Result<(), Imbalance> {
         let sent = self.sequences.values().fold(0, |n: u64, sequence| n.saturating_add(sequence.0));
         let accounted =

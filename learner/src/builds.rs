@@ -36,7 +36,7 @@ impl Builds {
         note(&mut self.programs, &build.program) | note(&mut self.cpus, &build.cpu)
     }
 
-    /// Tells whether one build on one class of CPU computed everything.
+    /// Returns whether one build on one class of CPU computed everything.
     pub fn is_uniform(&self) -> bool {
         self.programs.len() <= 1 && self.cpus.len() <= 1
     }

@@ -1,6 +1,7 @@
-//! What a learner tells observers by itself: its updates, at most a few per second, and once a second who is here.
+//! What a learner publishes to observers by itself: its updates, at most a few per second, and once a second who is
+//! here.
 //!
-//! The newest update replaces one that was not told yet. Nothing here is waited for: the loop posts and goes on.
+//! The newest update replaces one that was not published yet. Nothing here is waited for: the loop posts and goes on.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,7 +17,7 @@ use tracing::debug;
 
 use crate::report::ActorStanding;
 
-/// The shortest time between two updates that observers are told of.
+/// The shortest time between two updates that observers receive.
 const PAUSE: Duration = Duration::from_millis(200);
 /// How long the end of a run waits for the last of them.
 const FAREWELL: Duration = Duration::from_millis(500);
@@ -25,7 +26,7 @@ const MAX_LISTED: usize = 256;
 /// How many are listed if there are more: those that delivered longest ago.
 const N_SLOWEST: usize = 64;
 
-/// How a run stands, beside its actors.
+/// How a run stands, apart from its actors.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RunStanding {
     pub(crate) version: u64,
@@ -86,7 +87,7 @@ pub(crate) struct Bulletin {
 }
 
 impl Bulletin {
-    /// Starts the task.
+    /// Starts the task that publishes; it ends when the bulletin is dropped.
     pub(crate) fn start(link: Arc<LearnerLink>) -> Self {
         let (newest, updates) = watch::channel(Vec::new());
         let task = tokio::spawn(publish(Arc::clone(&link), updates));
@@ -105,7 +106,7 @@ impl Bulletin {
         }
     }
 
-    /// Publishes what is still to be told, and the end.
+    /// Publishes what is still to be published, and the end.
     pub(crate) async fn finish(self, end: &Value) {
         let Self { newest, task, link } = self;
         drop(newest);

@@ -45,7 +45,7 @@ const EXTENSION: &str = "checkpoint";
 
 /// What the last training episodes, the evaluations and the books take, in bytes.
 const RECORDS_BYTES: usize = 256 << 10;
-/// Room beside an environment's snapshot: ids, counts, lengths.
+/// Room next to an environment's snapshot: ids, counts, lengths.
 const ENV_BYTES: usize = 256;
 
 /// Returns an upper bound on the size of a state, in bytes, from the same for one version of the weights and for one
@@ -75,7 +75,7 @@ impl Default for Retention {
 }
 
 impl Retention {
-    /// Tells whether a checkpoint stays for good.
+    /// Returns whether a checkpoint stays for good.
     fn is_for_good(self, path: &Path) -> bool {
         let number = || path.file_stem()?.to_str()?.parse::<u64>().ok();
         self.every_updates > 0 && number().is_some_and(|n| n.is_multiple_of(self.every_updates))
@@ -136,7 +136,7 @@ pub enum CheckpointError {
 /// A checkpoint that was found.
 #[derive(Debug)]
 pub struct Loaded<T> {
-    /// What it holds.
+    /// The state, decoded and whole.
     pub state: T,
     /// The file that it was read from.
     pub path: PathBuf,
@@ -185,7 +185,8 @@ impl CheckpointStore {
     ///
     /// # Errors
     ///
-    /// [`CheckpointError::Write`], with the path; older checkpoints are then untouched.
+    /// [`CheckpointError::Write`] if the directory or the file cannot be written; older checkpoints are then untouched.
+    /// [`CheckpointError::Encode`] if the state cannot be encoded, or is larger than a checkpoint may be.
     pub fn write<T: Serialize>(
         &mut self,
         n_updates: u64,

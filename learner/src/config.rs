@@ -16,20 +16,20 @@ use crate::checkpoint::Retention;
 pub struct CheckpointInterval {
     /// Updates between checkpoints, at least 1.
     pub updates: u64,
-    /// Time between checkpoints.
+    /// Time after which one is written even if fewer updates are done.
     pub time: Duration,
 }
 
-/// Everything about a run that its learner must be told.
+/// Everything about a run that its learner must know.
 #[derive(Clone, Debug)]
 pub struct LearnerConfig {
-    /// The run.
+    /// Name of the run, which is part of every key.
     pub run: RunName,
     /// This start of the learner; drawn anew for every start.
     pub incarnation: Incarnation,
     /// What is computed, and how; its steps and schedule are those of `settings`.
     pub spec: RunSpec,
-    /// How to train.
+    /// How to train: loss, optimiser, batches and schedule.
     pub settings: LearnerSettings,
     /// The most rollouts that one actor may have unacknowledged, 1..=[`leadtime_proto::limits::MAX_WINDOW`].
     pub window: u32,
@@ -43,7 +43,7 @@ pub struct LearnerConfig {
     pub checkpoints: PathBuf,
     /// How often to write one.
     pub checkpoint_interval: CheckpointInterval,
-    /// Which checkpoints stay.
+    /// Which checkpoints stay on the disk.
     pub retention: Retention,
     /// How long training goes on while no checkpoint can be written.
     pub checkpoint_patience: Duration,
@@ -61,7 +61,7 @@ impl LearnerConfig {
         self.settings.n_envs as u64 * self.settings.n_steps as u64
     }
 
-    /// Tells whether the same seed would give the same bits, if these are all who computed the run.
+    /// Returns whether the same seed would give the same bits, if these are all who computed the run.
     pub(crate) fn is_reproducible(&self, builds: &Builds) -> bool {
         builds.is_uniform() && self.settings.schedule().is_deterministic()
     }

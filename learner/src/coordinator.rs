@@ -69,7 +69,7 @@ pub struct CoordinatorStart {
     pub places: Vec<EnvAssignment>,
     /// The newest assignment so far.
     pub epoch: Epoch,
-    /// The policy's version.
+    /// The version of the policy that trains next.
     pub version: PolicyVersion,
     /// The books so far.
     pub books: Books,
@@ -84,10 +84,10 @@ pub enum Effect {
     Control {
         /// The start of the actor that it is for.
         to: SenderKey,
-        /// The message itself.
+        /// The message, an assignment or an order to leave.
         control: Control,
     },
-    /// Acknowledge and permit.
+    /// Acknowledge an actor's rollouts, and permit more.
     Credit {
         /// The actor whose rollouts it is about.
         to: ActorId,
@@ -149,7 +149,7 @@ pub struct Coordinator {
 }
 
 impl Coordinator {
-    /// Starts with nobody.
+    /// Starts without actors: all environments wait for an owner.
     pub fn new(settings: CoordinatorSettings, start: CoordinatorStart) -> Self {
         let n_envs = start.places.len();
         Self {
@@ -174,7 +174,9 @@ impl Coordinator {
     ///
     /// # Errors
     ///
-    /// [`HelloRefusal`] if the actor may not take part; the sentence is for its user.
+    /// [`HelloRefusal::Closing`] if the run is ending, [`HelloRefusal::CutOff`] if this start was cut off,
+    /// [`HelloRefusal::Taken`] if another start of the name is a member, [`HelloRefusal::Nonsense`] if its counts
+    /// contradict each other or the books. The sentence is for the actor's user.
     pub fn hello(&mut self, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let key = (hello.actor.clone(), hello.incarnation);
         if self.stage == RunStage::Closing {
@@ -186,6 +188,7 @@ impl Coordinator {
         if self.roster.is_taken(&key) {
             return Err(HelloRefusal::Taken);
         }
+        // Before `greet`: only the first hello of a start may report rollouts that a killed learner took with it.
         let acknowledged = self.acknowledged(&key, hello)?;
         let build = Build { program: hello.program.clone(), cpu: hello.cpu.clone() };
         self.roster.greet(&key, hello.published, build);
@@ -193,6 +196,7 @@ impl Coordinator {
         self.books.roll_back_through(&key, acknowledged, n_steps);
         self.admit(&key);
         self.credit_due.insert(hello.actor.clone());
+        // At least the limit that the welcome's window promises, even if no credit message has been sent yet.
         let (heard, window) = (self.books.sequence(&key), u64::from(self.window()));
         if let Some(sender) = self.roster.sender(&key) {
             sender.limit = sender.limit.max(Sequence(heard.0 + window));
@@ -206,6 +210,7 @@ impl Coordinator {
     /// that once, in its first hello.
     fn acknowledged(&mut self, key: &SenderKey, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
+        // In this order: each bound keeps the next subtraction from wrapping.
         let consistent = (1..=MAX_SEQUENCE).contains(&first)
             && first <= published.saturating_add(1)
             && published - (first - 1) <= MAX_UNACKNOWLEDGED;
@@ -217,6 +222,8 @@ impl Coordinator {
             let is_new = self.roster.sender(key).is_none();
             let stranger = heard == Sequence(0);
             let credible = is_new && acknowledged.0 - heard.0 <= MAX_LOST;
+            // A stranger's report stays in the books, and so in every checkpoint: the number of such reports is
+            // bounded.
             if !credible || (stranger && self.n_losers >= MAX_LOSERS) {
                 return Err(HelloRefusal::Nonsense);
             }
@@ -225,7 +232,8 @@ impl Coordinator {
         Ok(acknowledged)
     }
 
-    /// Returns how many rollouts an actor that enters now may have unacknowledged.
+    /// Returns how many rollouts an actor that enters now may have unacknowledged: at least 1, for an actor takes no
+    /// smaller window.
     pub fn window(&self) -> u32 {
         self.room().max(1)
     }
@@ -265,7 +273,7 @@ impl Coordinator {
         }
     }
 
-    /// Counts messages that the network layer refused without an event of their own. They are held against nobody.
+    /// Counts messages that the network layer refused without an event of their own. They are held against no actor.
     pub fn refused_without_event(
         &mut self,
         counts: impl IntoIterator<Item = ((Option<ActorId>, RefusalCause), u64)>,
@@ -286,10 +294,12 @@ impl Coordinator {
             let text = "it never said hello to this learner";
             return self.refuse_stranger(Some(key.0), &Refusal::new(RefusalCause::Stranger, text));
         };
+        // The network layer drops and counts what follows. This one was in the queue already.
         if sender.cut_off {
             return;
         }
         self.credit_due.insert(key.0.clone());
+        // Sequence and credit come before the payload: they cost nothing, and a copy must not be read a second time.
         if header.sequence <= heard {
             self.books.duplicates += 1;
             return;
@@ -297,12 +307,16 @@ impl Coordinator {
         if header.sequence > sender.limit {
             let (found, limit) = (header.sequence, sender.limit);
             let text = format!("its sequence {found} is over the limit {limit}");
+            // It was not entered in the books, so their identity must not count its refusal.
             return self.refuse(&key, Refusal::new(RefusalCause::Credit, text), false);
         }
         if header.sequence > heard.next() {
             return; // Beyond a gap: not acknowledged, so it comes again in order.
         }
+        // Made for a learner that is gone. Its epochs may have the numbers of ours, so ownership cannot be read from
+        // them.
         let made_before = header.sequence <= sender.made_before;
+        // Entered before it is read: a refused rollout is acknowledged too, or its sender would send it again for ever.
         self.books.enter(&key, header.sequence);
         if made_before {
             return self.supersede();
@@ -334,6 +348,8 @@ impl Coordinator {
         self.in_training = 0;
         self.queue.commit();
         self.version = version;
+        // Now, because a move between two updates throws the least work away: in `sync` no actor has begun the next
+        // rollout.
         if self.rebalance_due && self.stage == RunStage::Running {
             self.rebalance();
         }
@@ -374,6 +390,7 @@ impl Coordinator {
     /// Counts, per member, the environments that keep the next update from beginning.
     fn lacking(&self) -> BTreeMap<ActorId, usize> {
         let mut lacking = BTreeMap::new();
+        // While an update runs the learner itself is what takes time, so nobody is late.
         if self.stage == RunStage::Running && self.in_training == 0 {
             for owner in self.queue.lacking().filter_map(|env_id| self.assigner.owner(env_id)) {
                 *lacking.entry(owner.key.0.clone()).or_default() += 1;
@@ -395,6 +412,7 @@ impl Coordinator {
             }
             let actor = key.0.clone();
             self.tell(RunEvent::SnapshotRefused { actor, env_id });
+            // A member that may have no environments at present is not asked: its failure would prove nothing.
             let doubters = self.queue.doubt(env_id, &key.0);
             let may_try =
                 |other: &ActorId| !doubters.contains(other) && self.stragglers.max_envs(other) > 0;
@@ -425,6 +443,7 @@ impl Coordinator {
         self.tell(RunEvent::SnapshotLost { env_id });
         match self.queue.recover(env_id) {
             Recovery::Redo(author) => {
+                // The rollout had been accepted. Counting it as refused is what keeps the books balanced.
                 self.books.refuse(RefusalCause::Snapshot, true);
                 self.books.steps_redone += u64::from(self.settings.spec.n_steps);
                 Some(author)
@@ -436,7 +455,7 @@ impl Coordinator {
         }
     }
 
-    /// Tells every actor to leave; environments move no more.
+    /// Orders every actor to leave; environments move no more.
     pub fn stop_everyone(&mut self, reason: &str) {
         self.stage = RunStage::Closing;
         for (actor, &incarnation) in self.roster.members() {
@@ -451,6 +470,7 @@ impl Coordinator {
 
     /// Returns what is to be done since the last call.
     pub fn take_effects(&mut self) -> Vec<Effect> {
+        // Last, and one message per actor: many rollouts in a row are acknowledged together.
         for actor in std::mem::take(&mut self.credit_due) {
             if let Some(credit) = self.credit(&actor) {
                 self.effects.push(Effect::Credit { to: actor, credit });
@@ -510,7 +530,7 @@ impl Coordinator {
         standings.collect()
     }
 
-    /// Counts them.
+    /// Counts the actors that are members at present.
     pub fn n_actors(&self) -> usize {
         self.roster.members().len()
     }
@@ -545,6 +565,7 @@ impl Coordinator {
             return Err(Refusal::new(RefusalCause::Assignment, text));
         }
         let (found, newest) = (rollout.version, self.version);
+        // A deterministic schedule names the one version that may act an iteration; `async` takes any that exists.
         let required = spec.schedule.behavior_version(rollout.iteration);
         let expected = required.unwrap_or(newest);
         let wrong = found > newest || (required.is_some() && found != expected);
@@ -563,6 +584,8 @@ impl Coordinator {
     fn place(&mut self, key: &SenderKey, epoch: Epoch, rollout: CheckedRollout) {
         let owned = self.assigner.owns(key, epoch, rollout.env_id);
         let expected = self.queue.expected(rollout.env_id).unwrap_or_default();
+        // An actor cannot know yet that its environment has moved: that breaks no rule, so it is superseded and not
+        // refused.
         if !owned || rollout.iteration < expected {
             self.supersede();
         } else if rollout.iteration > expected {
@@ -575,6 +598,8 @@ impl Coordinator {
                 let staleness = self.version.0.saturating_sub(rollout.version.0);
                 sender.delivered(rollout.iteration, staleness);
             }
+            // A rollout from there on proves that the snapshot was sound: who could not restore it has a fault of its
+            // own.
             let doubters = self.queue.accept(key.clone(), rollout);
             for actor in doubters.into_iter().filter(|doubter| *doubter != key.0) {
                 self.stragglers.fail(&actor, 0);
@@ -601,6 +626,7 @@ impl Coordinator {
             && self.roster.is_member(key)
             && let Some(change) = self.assigner.renew(&key.0)
         {
+            // Which environment it was of cannot be known if it cannot be decoded: all of the sender's are given anew.
             self.assign(change);
         }
     }
@@ -622,7 +648,9 @@ impl Coordinator {
         if let Some(sender) = self.roster.sender(key) {
             sender.cut_off = true;
         }
+        // The name and not only this start: a restart does not get environments at once.
         self.stragglers.fail(&key.0, 0);
+        // Before `give_up`, after which it is no member and hears nothing any more.
         if self.roster.is_member(key) {
             let control = Control::Stop { reason: reason.clone(), cut_off: true };
             self.effects.push(Effect::Control { to: key.clone(), control });
@@ -646,6 +674,8 @@ impl Coordinator {
             self.tell(RunEvent::TooManyActors { n_actors, n_envs });
         }
         self.credit_due.insert(key.0.clone());
+        // A newcomer's share of what others step waits for the end of the update; only what nobody steps is given out
+        // at once.
         self.rebalance_due = true;
         self.rebalance_if_orphaned();
     }
@@ -685,6 +715,7 @@ impl Coordinator {
 
     /// Sends an assignment, in as many parts as its snapshots need; every part is an epoch of its own.
     fn assign(&mut self, change: Reassignment) {
+        // An assignment replaces all that the actor had: each further part keeps what the parts before it gave.
         let Reassignment { actor, mut epoch, given, mut kept } = change;
         let Some(&incarnation) = self.roster.members().get(&actor) else { return };
         let (n_given, n_kept) = (given.len(), kept.len());
@@ -701,6 +732,7 @@ impl Coordinator {
     }
 
     fn parts(&self, given: &[EnvId]) -> Vec<Vec<EnvAssignment>> {
+        // At least one part, also if it is empty: who only loses environments has to be told.
         let mut parts = vec![Vec::new()];
         let mut n_bytes = 0;
         for env in given.iter().map(|&env_id| self.queue.newest(env_id)) {
@@ -730,6 +762,7 @@ impl Coordinator {
         let acknowledged = self.books.sequence(&key);
         let room = u64::from(self.room());
         let sender = self.roster.sender(&key)?;
+        // A limit never falls: the actor may have published up to it by now.
         sender.limit = sender.limit.max(Sequence(acknowledged.0 + room));
         let (learner, limit) = (self.settings.learner, sender.limit);
         Some(Credit { incarnation, learner, acknowledged, limit })

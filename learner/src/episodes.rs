@@ -60,7 +60,7 @@ impl EpisodeWindow {
         }
     }
 
-    /// Computes the means.
+    /// Computes the means over the last finished episodes.
     pub fn means(&self) -> EpisodeMeans {
         let mean = |value: fn(&FinishedEpisode) -> Option<f64>| {
             let values: Option<Vec<f64>> = self.last.iter().map(value).collect();

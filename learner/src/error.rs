@@ -10,13 +10,13 @@ use crate::checkpoint::CheckpointError;
 /// Why a run ended without a report.
 #[derive(Debug, Error)]
 pub enum Error {
-    /// The network.
+    /// The network cannot be used, or the session has ended.
     #[error("network of the learner failed")]
     Link(#[from] leadtime_link::Error),
-    /// The disk.
+    /// A checkpoint cannot be read or written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// Training.
+    /// An update failed, for example because a number was not finite.
     #[error("training failed")]
     Train(#[from] TrainError),
     /// The policy's parameters cannot be written.

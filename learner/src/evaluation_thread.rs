@@ -35,7 +35,11 @@ pub(crate) struct EvaluationThread {
 }
 
 impl EvaluationThread {
-    /// Starts the thread.
+    /// Starts the thread that plays the episodes.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Thread`] if the system starts no further thread.
     pub(crate) fn start(evaluator: Box<dyn PolicyEvaluator>) -> Result<Self, Error> {
         let (waiting, inbox) = sync_channel(DEPTH);
         let (outbox, evaluated) = mpsc::channel(DEPTH);
@@ -48,7 +52,7 @@ impl EvaluationThread {
         Ok(Self { waiting, evaluated, is_stopped, is_busy: false })
     }
 
-    /// Tells whether an evaluation is under way.
+    /// Returns whether an evaluation is under way.
     pub(crate) fn is_busy(&self) -> bool {
         self.is_busy
     }
@@ -56,7 +60,7 @@ impl EvaluationThread {
     /// Begins the evaluation of a policy, unless another one is under way.
     pub(crate) fn begin(&mut self, policy: &WaitingPolicy) {
         if !self.is_busy {
-            // The queue is empty. A thread that is gone has closed it, which is told by `evaluated`.
+            // The queue is empty. A thread that is gone has closed it, which `evaluated` reports.
             drop(self.waiting.try_send(policy.clone()));
             self.is_busy = true;
         }

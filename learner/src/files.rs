@@ -9,7 +9,7 @@ const PARTIAL: &str = ".partial";
 
 /// Replaces a file in one step: a reader sees the old or the new content, whole, also after a power cut.
 ///
-/// The content is written beside its place as `<name>.<process id>.partial`, flushed to the disk and renamed, and the
+/// The content is written next to its place as `<name>.<process id>.partial`, flushed to the disk and renamed, and the
 /// directory is flushed. So processes that replace one file at the same time do not disturb each other.
 ///
 /// # Errors

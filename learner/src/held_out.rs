@@ -15,11 +15,11 @@ pub const MAX_EVALUATIONS: u32 = 1_000;
 pub trait PolicyEvaluator: Send {
     /// Plays the first `n_episodes` held-out episodes; what comes out depends on nothing but the weights (safetensors).
     ///
-    /// Returns `None` if `is_stopped` told it to end before it was done; it asks often.
+    /// Returns `None` if `is_stopped` became true before it was done; it asks often.
     ///
     /// # Errors
     ///
-    /// Whatever kept an episode from being played.
+    /// What kept an episode from being played; the run goes on without this evaluation.
     fn evaluate(
         &mut self,
         weights: &[u8],
@@ -36,7 +36,7 @@ pub struct HeldOutEvaluation {
     pub max_episodes: u64,
     /// Digest of what decides the episodes and the choices in them. Only policies that met the same ones are compared.
     pub episodes: [u8; 32],
-    /// Who plays them.
+    /// What plays the episodes.
     pub evaluator: Box<dyn PolicyEvaluator>,
 }
 
@@ -52,7 +52,7 @@ impl fmt::Debug for HeldOutEvaluation {
 pub struct HeldOutEpisode {
     /// Sum of the rewards.
     pub total_reward: f64,
-    /// Steps.
+    /// Steps until the end of the episode.
     pub length: u64,
     /// Whether the task was done; `None` where it knows no success.
     pub success: Option<f64>,
@@ -61,13 +61,13 @@ pub struct HeldOutEpisode {
 /// How a policy did on held-out episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HeldOutMeans {
-    /// The policy's version.
+    /// The version of the policy that played.
     pub version: PolicyVersion,
-    /// Episodes.
+    /// Episodes played, of which the others are means.
     pub n_episodes: u64,
     /// Mean success; `None` where the task knows none.
     pub success: Option<f64>,
-    /// Mean undiscounted return.
+    /// Mean undiscounted return, in the task's reward.
     pub episode_return: f64,
     /// Mean length in steps.
     pub length: f64,
@@ -78,9 +78,9 @@ pub struct HeldOutMeans {
 /// A mean with its standard error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
-    /// The mean.
+    /// The mean of the values.
     pub mean: f64,
-    /// Its standard error.
+    /// The standard error of the mean.
     pub error: f64,
 }
 

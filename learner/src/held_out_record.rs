@@ -45,7 +45,7 @@ pub(crate) struct EvaluationPlan {
 }
 
 impl EvaluationPlan {
-    /// Tells whether a version is evaluated: they are spread evenly over the run, and the last one is among them.
+    /// Returns whether a version is evaluated: they are spread evenly over the run, and the last one is among them.
     pub(crate) fn is_due(&self, version: PolicyVersion) -> bool {
         let n_passed = |version: u64| {
             u128::from(version) * u128::from(self.n_evaluations) / u128::from(self.n_updates.max(1))
@@ -109,7 +109,7 @@ impl HeldOutRecord {
         }
     }
 
-    /// Tells whether as many policies wait as may.
+    /// Returns whether as many policies wait as may.
     pub(crate) fn is_full(&self) -> bool {
         self.waiting.len() >= MAX_WAITING
     }

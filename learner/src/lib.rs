@@ -5,7 +5,7 @@
 //! assign   who steps which environment  rollout_queue  rollouts that wait       roster, stragglers        who is here, or late
 //! books    where every rollout went     checkpoint, resume  the disk            episodes, report, builds  what it reports
 //! held_out what evaluates a policy       held_out_record  which one is the best  evaluation_thread   beside the training
-//! ending   how a run ends          bulletin       what observers are told      saving   while the disk is full
+//! ending   how a run ends          bulletin       what observers receive      saving   while the disk is full
 //! ```
 //!
 //! # What it does not know

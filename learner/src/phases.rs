@@ -1,4 +1,4 @@
-//! Where the learner's time goes: measured once, told twice, as sums per update and as spans of a trace.
+//! Where the learner's time goes: measured once, reported twice, as sums per update and as spans of a trace.
 //!
 //! ```text
 //! train      │ wait for rollouts │ wait for the checkpoint │ wait ... │ update v+1          │ wait ...
@@ -49,7 +49,7 @@ impl TrainingWait {
 #[derive(Debug)]
 pub(crate) struct PhaseClock {
     times: PhaseTimes,
-    /// From when on the trainer's idle time has not been told; `None` while it trains.
+    /// The time from which on the trainer's idle time has not been reported; `None` while it trains.
     idle_since: Option<Instant>,
     waits_for: TrainingWait,
     /// The rollout that came last.
@@ -80,7 +80,7 @@ impl PhaseClock {
         self.waits_for = what;
     }
 
-    /// Notes that an update begins now, before the training thread is told.
+    /// Notes that an update begins now, before the training thread gets its batch.
     pub(crate) fn begins(&mut self, sink: &mut dyn ProgressSink) {
         self.waited(sink, Instant::now());
         self.idle_since = None;
@@ -160,7 +160,7 @@ impl PhaseClock {
     }
 }
 
-/// Tells of a policy's evaluation on held-out episodes.
+/// Reports a policy's evaluation on held-out episodes.
 pub(crate) fn evaluated<T>(
     sink: &mut dyn ProgressSink,
     version: PolicyVersion,

@@ -21,9 +21,9 @@ use crate::held_out::HeldOutMeans;
 pub struct PhaseTimes {
     /// The trainer had nothing to do: rollouts were missing.
     pub wait: Duration,
-    /// Training.
+    /// An update was computed.
     pub train: Duration,
-    /// Checkpoints were written.
+    /// Checkpoints were written to the disk.
     pub checkpoint: Duration,
     /// The new weights were put on offer.
     pub weights: Duration,
@@ -32,13 +32,13 @@ pub struct PhaseTimes {
 /// How a run stands at a moment, whether it makes updates or not.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Standing {
-    /// Actors connected.
+    /// Actors that are connected and take part.
     pub n_actors: usize,
     /// Whether they are enough for the run to go on.
     pub has_enough_actors: bool,
     /// Environments of which no rollout waits.
     pub n_envs_waiting: usize,
-    /// Rollouts waiting.
+    /// Accepted rollouts that wait for their update.
     pub n_queued: usize,
     /// Bytes of messages that were received and not looked at yet.
     pub queued_bytes: usize,
@@ -67,18 +67,18 @@ pub struct UpdateProgress {
     pub episodes: EpisodeMeans,
     /// The newest evaluation on held-out episodes; `None` before the first.
     pub held_out: Option<HeldOutMeans>,
-    /// Actors connected.
+    /// Actors that are connected and take part.
     pub n_actors: usize,
-    /// Rollouts waiting.
+    /// Accepted rollouts that wait for their update.
     pub n_queued: usize,
-    /// The books.
+    /// The books after the update.
     pub books: Books,
 }
 
 /// How one actor stands, as the learner sees it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ActorStanding {
-    /// The actor.
+    /// The actor's name, unique in the run.
     pub id: ActorId,
     /// Its start, in hexadecimal as in keys.
     pub incarnation: String,
@@ -110,28 +110,28 @@ pub enum RunEvent {
     },
     /// The run goes on from a checkpoint.
     Resumed {
-        /// The checkpoint's file.
+        /// The checkpoint's file that was read.
         path: PathBuf,
-        /// Updates done.
+        /// Updates done before, which the checkpoint holds.
         n_updates: u64,
     },
     /// A checkpoint could not be used; an older one was.
     CheckpointDamaged {
-        /// The damaged file.
+        /// The file that is damaged; it stays until the run has passed it.
         path: PathBuf,
         /// What is wrong with it.
         damage: String,
     },
     /// An actor takes part from now on.
     ActorJoined {
-        /// The new member.
+        /// The actor that is a member now.
         actor: ActorId,
         /// How many there are now.
         n_actors: usize,
     },
     /// An actor is gone: killed, cut off from the network, or at its end.
     ActorLeft {
-        /// The former member.
+        /// The actor that was a member.
         actor: ActorId,
         /// How many there are now.
         n_actors: usize,
@@ -163,7 +163,7 @@ pub enum RunEvent {
     },
     /// There are more actors than environments, so some have nothing to do.
     TooManyActors {
-        /// Actors connected.
+        /// Actors that are connected and take part.
         n_actors: usize,
         /// Environments of the run.
         n_envs: usize,
@@ -172,16 +172,16 @@ pub enum RunEvent {
     SnapshotRefused {
         /// The actor that cannot.
         actor: ActorId,
-        /// The environment.
+        /// The environment that it cannot restore.
         env_id: EnvId,
     },
-    /// Nobody can restore an environment from its snapshot: its last rollout is made again if it still waited, or it
+    /// No actor can restore an environment from its snapshot: its last rollout is made again if it still waited, or it
     /// begins a fresh episode.
     SnapshotLost {
-        /// The environment.
+        /// The environment whose snapshot is given up.
         env_id: EnvId,
     },
-    /// Environments moved.
+    /// An actor was given another set of environments.
     Assigned {
         /// The actor that steps them from now on.
         actor: ActorId,
@@ -219,7 +219,7 @@ pub enum RunEvent {
     },
     /// A checkpoint is on the disk.
     CheckpointWritten {
-        /// The new file.
+        /// The file that was written.
         path: PathBuf,
         /// Updates that it holds.
         n_updates: u64,
@@ -250,9 +250,9 @@ pub enum RunEvent {
     },
     /// A policy could not be evaluated on held-out episodes; the run goes on without.
     EvaluationFailed {
-        /// The policy's version.
+        /// The version of the policy that was to play.
         version: PolicyVersion,
-        /// Why.
+        /// What kept it from being evaluated, as half a sentence.
         reason: String,
     },
     /// Training is done, and its last policies are still being evaluated on held-out episodes.
@@ -264,7 +264,7 @@ pub enum RunEvent {
 /// A policy with what it achieved.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RatedPolicy {
-    /// Its version.
+    /// The updates that it has learned from.
     pub version: PolicyVersion,
     /// Mean success (or return) of the last training episodes, once there are enough.
     pub score: Option<f64>,
@@ -298,7 +298,7 @@ pub trait ProgressSink: Send {
     /// Takes in every evaluation on held-out episodes so far, the oldest first, whenever there is one more.
     fn on_held_out(&mut self, history: &[HeldOutMeans]);
 
-    /// Returns the last update as observers are told of it, JSON with `"kind": "update"`; `None` where they are told nothing.
+    /// Returns the last update as observers receive it, JSON with `"kind": "update"`; `None` where nothing is sent.
     fn bulletin(&mut self) -> Option<Vec<u8>> {
         None
     }
@@ -327,7 +327,7 @@ pub enum RunEnd {
 }
 
 impl RunEnd {
-    /// Returns the name under which observers are told of it.
+    /// Returns the name under which observers receive it.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Finished | Self::AlreadyFinished => "finished",
@@ -339,7 +339,7 @@ impl RunEnd {
 /// What a run leaves behind.
 #[derive(Clone, Debug)]
 pub struct RunReport {
-    /// How it ended.
+    /// Whether it finished or was ended early.
     pub end: RunEnd,
     /// Updates done, over all resumes.
     pub n_updates: u64,
@@ -347,7 +347,7 @@ pub struct RunReport {
     pub n_steps: u64,
     /// SHA-256 over the parameters: equal runs have equal digests.
     pub digest: [u8; 32],
-    /// The newest policy.
+    /// The policy after the last update.
     pub last: RatedPolicy,
     /// The best one by held-out episodes; the newest where none was evaluated.
     pub best: RatedPolicy,
@@ -357,7 +357,7 @@ pub struct RunReport {
     pub episodes: EpisodeMeans,
     /// How many rollouts each staleness had.
     pub staleness: BTreeMap<u64, u64>,
-    /// The books.
+    /// The books at the end of the run.
     pub books: Books,
     /// Whether the books balance.
     pub balance: Result<(), Imbalance>,

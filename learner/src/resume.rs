@@ -20,7 +20,7 @@ use crate::rollout_queue::RolloutQueue;
 use crate::training::encode;
 use crate::{Error, LearnerConfig};
 
-/// How far a run has come, beside its weights and books.
+/// How far a run has come, apart from its weights and books.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct TrainingRecord {
     pub(crate) held_out: HeldOutRecord,
@@ -36,7 +36,7 @@ pub(crate) struct Checkpoint {
     pub(crate) trainer: TrainerState,
     pub(crate) places: Vec<EnvAssignment>,
     pub(crate) epoch: Epoch,
-    /// Versions that the schedule still acts with, beside the trainer's own.
+    /// Versions that the schedule still acts with, besides the trainer's own.
     pub(crate) older: Vec<RatedPolicy>,
     pub(crate) record: TrainingRecord,
     pub(crate) books: Books,

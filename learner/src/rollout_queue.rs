@@ -63,11 +63,13 @@ impl EnvQueue {
 
     fn expected(&self) -> Iteration {
         let taken = self.training.as_ref().unwrap_or(&self.consumed);
+        // Waiting rollouts have no gaps, so their number says which one comes next.
         Iteration(taken.iteration.0 + self.waiting.len() as u64)
     }
 
     fn take(&mut self) -> Option<CheckedRollout> {
         let Waiting { author, mut rollout, .. } = self.waiting.pop_front()?;
+        // A second rollout of the same environment in one `async` batch replaces this boundary by its own, later one.
         self.training = Some(Cursor {
             iteration: rollout.iteration.next(),
             snapshot: rollout.take_snapshot(),
@@ -133,6 +135,7 @@ impl RolloutQueue {
         assert_eq!(rollout.iteration, env.expected(), "rollouts are accepted in order");
         env.waiting.push_back(Waiting { arrival: self.n_arrived, author, rollout });
         self.n_arrived += 1;
+        // They doubted the snapshot before this one, which nobody has to restore any more.
         std::mem::take(&mut env.doubters)
     }
 
@@ -141,13 +144,14 @@ impl RolloutQueue {
         self.envs.iter().map(|env| env.waiting.len()).sum()
     }
 
-    /// Tells whether nothing waits.
+    /// Returns whether nothing waits.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// Returns how many more rollouts may come; `None` where the schedule sees to it.
     pub fn room(&self) -> Option<usize> {
+        // Twice an update: one batch can fill up while another is trained, and what waits longer only grows stale.
         let all = QUEUED_UPDATES * self.envs.len();
         (!self.schedule.is_deterministic()).then(|| all.saturating_sub(self.len()))
     }
@@ -188,10 +192,13 @@ impl RolloutQueue {
     pub fn recover(&mut self, env_id: EnvId) -> Recovery {
         let env = &mut self.envs[env_id.0 as usize];
         env.doubters.clear();
+        // Without this rollout the one before it is the newest again, and `expected` goes back with it.
         if let Some(Waiting { author, .. }) = env.waiting.pop_back() {
             return Recovery::Redo(author);
         }
         let cursor = env.taken();
+        // The iteration stays: the environment's numbering goes on, only its episode is lost. The author is taken out,
+        // so that nobody is blamed twice for one snapshot.
         cursor.snapshot.clear();
         Recovery::FreshEpisode(cursor.author.take())
     }
@@ -204,6 +211,8 @@ impl RolloutQueue {
             while env.waiting.front().is_some_and(|Waiting { rollout, .. }| {
                 Staleness::between(version, rollout.version) > Staleness(staleness_max)
             }) {
+                // A dropped rollout is finished with, like a trained one. Only between updates: `commit` would pass one
+                // that is under way as done.
                 env.take();
                 env.commit();
                 n_dropped += 1;
@@ -216,9 +225,11 @@ impl RolloutQueue {
     /// environment and iteration.
     pub fn take_batch(&mut self, version: PolicyVersion) -> Option<Vec<CheckedRollout>> {
         let mut rollouts = if self.schedule.is_deterministic() {
+            // Not any waiting rollout, but the one that this update is named after: arrival order must reach no result.
             let is_ready = |env: &EnvQueue| {
                 env.waiting.front().is_some_and(|first| first.rollout.iteration.0 == version.0)
             };
+            // All or none: a rollout that is taken no longer waits, so a batch cannot be begun with what is there.
             if !self.envs.iter().all(is_ready) {
                 return None;
             }
@@ -226,6 +237,7 @@ impl RolloutQueue {
         } else {
             self.take_first_arrived()?
         };
+        // Sums over a batch are not associative in floating point: one order, whatever arrived first.
         rollouts.sort_by_key(|rollout| (rollout.env_id, rollout.iteration));
         Some(rollouts)
     }

@@ -121,7 +121,7 @@ impl Roster {
         }
     }
 
-    /// Tells whether a member has this name in another start.
+    /// Returns whether a member has this name in another start.
     pub(crate) fn is_taken(&self, key: &SenderKey) -> bool {
         self.members.get(&key.0).is_some_and(|&start| start != key.1)
     }
@@ -156,7 +156,7 @@ impl Roster {
         was_member
     }
 
-    /// Tells whether this start of an actor is a member.
+    /// Returns whether this start of an actor is a member.
     pub(crate) fn is_member(&self, key: &SenderKey) -> bool {
         self.members.get(&key.0) == Some(&key.1)
     }
@@ -179,7 +179,6 @@ impl Roster {
         })
     }
 
-    /// Returns the members.
     pub(crate) fn members(&self) -> &BTreeMap<ActorId, Incarnation> {
         &self.members
     }

@@ -18,7 +18,7 @@ const MIN_RETRY: Duration = Duration::from_millis(500);
 struct Failing {
     since: Instant,
     retry_at: Instant,
-    /// Whether it was told that no further update is begun.
+    /// Whether it was reported that no further update is begun.
     told_pause: bool,
 }
 
@@ -59,12 +59,12 @@ impl Saving {
         self.failing.map(|failing| now.duration_since(failing.since))
     }
 
-    /// Tells whether a try that failed should be repeated now.
+    /// Returns whether a try that failed should be repeated now.
     pub(crate) fn is_retry_due(&self, now: Instant) -> bool {
         self.failing.is_some_and(|failing| now >= failing.retry_at)
     }
 
-    /// Tells whether updates wait until the state can be saved.
+    /// Returns whether updates wait until the state can be saved.
     pub(crate) fn is_paused(&self, now: Instant) -> bool {
         self.unsaved(now).is_some_and(|unsaved| unsaved >= self.patience)
     }

@@ -1,9 +1,9 @@
 //! Members that the run waits for: who is reported, who gives environments back, and when it may have some again.
 //!
 //! Time is counted in ticks of the learner's loop, so time in which the learner itself stood still (a suspended
-//! machine, a loaded one) counts against nobody. Whoever is slow is slow beside the others: with one member, or with
-//! all of them late, waits are reported and nothing is taken away. Which member steps an environment changes no bit
-//! of the run, so a wrong guess here costs time and nothing else.
+//! machine, a loaded one) counts against no member. Whoever is slow is slow compared with the others: with one member,
+//! or with all of them late, waits are reported and nothing is taken away. Which member steps an environment changes no
+//! bit of the run, so a wrong guess here costs time and nothing else.
 //!
 //! # Invariants
 //!
@@ -94,6 +94,7 @@ impl Stragglers {
         self.waits.retain(|actor, _| held.contains_key(actor));
         for (actor, &n_held) in held {
             let wait = self.waits.entry(actor.clone()).or_default();
+            // Another number can mean snapshots to restore first, so patience begins anew.
             if wait.n_held != n_held {
                 *wait = Wait { n_held, ..Wait::default() };
             }
@@ -111,6 +112,7 @@ impl Stragglers {
     /// Notes that an update begins.
     pub(crate) fn updating(&mut self) {
         let n_late = self.waits.values().map(|wait| wait.n_late).max().unwrap_or(0);
+        // In `async` no update waits for one member alone: the longest lateness stands in for the stall.
         let n_late = if self.is_deterministic { self.n_stalled } else { n_late };
         self.period = self.since_update.saturating_sub(n_late);
         (self.since_update, self.n_stalled) = (0, 0);
@@ -121,6 +123,7 @@ impl Stragglers {
     /// that is news, and not the same failure noticed a second time.
     pub(crate) fn fail(&mut self, actor: &ActorId, max_envs: usize) -> bool {
         let known = self.probations.get(actor);
+        // It may have none as it is: the same failure, found in another way.
         if known.is_some_and(|known| known.max_envs == 0) {
             return false;
         }
@@ -128,6 +131,7 @@ impl Stragglers {
         let raised_at = self.now + back_off(n_failures);
         let probation = Probation { n_failures, max_envs, raised_at };
         self.probations.insert(actor.clone(), probation);
+        // Strangers can come under any number of names. The one that would be trusted soonest is forgotten first.
         if self.probations.len() > MAX_NAMES
             && let Some(next) = self.probations.iter().min_by_key(|(_, known)| known.raised_at)
         {
@@ -164,6 +168,7 @@ impl Stragglers {
         let is_done = |actor: &ActorId, wait: &Wait| {
             if self.is_deterministic { !lacking.contains_key(actor) } else { wait.has_delivered }
         };
+        // Only with somebody else in time is anyone late: a slow network or machine hits all of them.
         let is_in_time =
             self.waits.iter().any(|(actor, wait)| wait.n_held > 0 && is_done(actor, wait));
         self.n_stalled += u32::from(is_in_time && !lacking.is_empty());
@@ -191,6 +196,8 @@ impl Stragglers {
     fn behind(&mut self) -> Vec<(ActorId, usize)> {
         let mut behind = Vec::new();
         for (actor, wait) in &self.waits {
+            // The others' pace: that of the last update, or of this one as far as the member was not what it waited
+            // for.
             let others = self.period.max(self.since_update.saturating_sub(wait.n_late));
             if wait.n_late > TAKE_AFTER.max(PATIENCE * others) {
                 behind.push((actor.clone(), 0));
@@ -199,6 +206,7 @@ impl Stragglers {
         if self.window_ticks >= WINDOW.0 && self.window_updates >= WINDOW.1 {
             let is_slow = |wait: &Wait| wait.n_late_in_window * SLOW.1 > self.window_ticks * SLOW.0;
             let slow = self.waits.iter().filter(|(_, wait)| is_slow(wait));
+            // Half, and nothing for a member with one: it is slow but alive, so less work may be all it needs.
             behind.extend(slow.map(|(actor, wait)| (actor.clone(), wait.n_held / 2)));
             self.start_window();
         }
@@ -220,6 +228,7 @@ impl Stragglers {
                 probation.max_envs = (2 * probation.max_envs).max(1);
                 probation.raised_at = now + back_off(probation.n_failures);
             }
+            // With as many as there are environments there is no limit any more, and the name is forgotten.
             probation.max_envs < n_envs
         });
         raised
@@ -227,6 +236,7 @@ impl Stragglers {
 }
 
 fn back_off(n_failures: u32) -> u64 {
+    // The cap keeps the shift below from overflowing; `MAX_BACK_OFF` is reached long before.
     let doublings = n_failures.saturating_sub(1).min(16);
     (BACK_OFF << doublings).min(MAX_BACK_OFF)
 }

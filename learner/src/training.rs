@@ -15,7 +15,6 @@ use crate::Error;
 /// One batch and one result may be under way.
 const DEPTH: usize = 1;
 
-/// A finished update.
 #[derive(Debug)]
 pub(crate) struct Updated {
     pub(crate) report: UpdateReport,
@@ -67,7 +66,7 @@ fn work(
 ) {
     while let Ok(rollouts) = inbox.recv() {
         if outbox.blocking_send(update(&mut trainer, rollouts)).is_err() {
-            return; // The run is over and nobody waits for the result.
+            return; // The run is over and nothing waits for the result.
         }
     }
 }

@@ -26,7 +26,7 @@ pub enum CodecError {
     /// The message is larger than its kind may be.
     #[error("message has {found} bytes, at most {limit} are possible")]
     TooLarge {
-        /// Its size.
+        /// Its size in bytes, before it is decoded.
         found: usize,
         /// The limit of its kind.
         limit: usize,

@@ -6,7 +6,7 @@
 //!        u32    u32     u32      u32       u64          u64       u64    u64
 //! ```
 //!
-//! All little-endian, readable without the codec. It travels beside the payload, so a receiver can refuse a
+//! All little-endian, readable without the codec. It travels next to the payload, so a receiver can refuse a
 //! message before it decodes a byte of it.
 
 use crate::refusal::{Refusal, RefusalCause};
@@ -14,7 +14,9 @@ use crate::{Epoch, Incarnation, PolicyVersion, Sequence};
 
 /// The version of everything in this crate that crosses a process boundary.
 pub const PROTOCOL_VERSION: u32 = 4;
-/// What every header begins with.
+/// The version of everything in this crate that crosses a process boundary. It rises with every change of a field, its
+/// type or its place: the codec writes neither names nor tags, so messages of another release would decode into wrong
+/// values.
 const MAGIC: [u8; 4] = *b"LDTM";
 /// Length of an encoded header.
 pub const HEADER_BYTES: usize = 48;
@@ -23,19 +25,19 @@ pub const HEADER_BYTES: usize = 48;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::CheckedBitPattern)]
 #[repr(u32)]
 pub enum Schema {
-    /// [`crate::message::Hello`]
+    /// [`crate::message::Hello`], from an actor to the learner.
     Hello = 1,
-    /// [`crate::message::HelloReply`]
+    /// [`crate::message::HelloReply`], the learner's answer to a hello.
     HelloReply = 2,
-    /// [`crate::message::Control`]
+    /// [`crate::message::Control`], from the learner to one actor.
     Control = 3,
-    /// [`crate::message::ControlReply`]
+    /// [`crate::message::ControlReply`], the actor's answer to a control message.
     ControlReply = 4,
-    /// [`crate::Rollout`]
+    /// [`crate::Rollout`], from an actor to the learner.
     Rollout = 5,
-    /// [`crate::message::Credit`]
+    /// [`crate::message::Credit`], from the learner to one actor.
     Credit = 6,
-    /// [`crate::message::Announcement`]
+    /// [`crate::message::Announcement`], from the learner to all actors and observers.
     Announcement = 7,
     /// Policy parameters as safetensors, not in the codec's encoding.
     Weights = 8,
@@ -82,6 +84,8 @@ impl Header {
 
     /// Writes the header as it crosses the wire.
     pub fn to_bytes(self) -> [u8; HEADER_BYTES] {
+        // Written by hand and not by the codec. The magic number and the protocol version never change their offsets:
+        // they are how two releases find out that they differ.
         let mut bytes = [0; HEADER_BYTES];
         let words = [u32::from_le_bytes(MAGIC), self.schema as u32, self.checksum, self.protocol];
         let longs = [self.incarnation.0, self.sequence.0, self.epoch.0, self.version.0];
@@ -94,7 +98,9 @@ impl Header {
     ///
     /// # Errors
     ///
-    /// [`Refusal`] without a sender: wrong length or magic, another protocol version, an unknown schema, in this order.
+    /// [`Refusal`] without a sender: [`RefusalCause::Header`] if the length or the magic number is wrong,
+    /// [`RefusalCause::Protocol`] if it has another protocol version, [`RefusalCause::Schema`] if its schema is
+    /// unknown. They are checked in this order.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, Refusal> {
         let found = bytes.len();
         let Some(bytes) =

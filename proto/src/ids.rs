@@ -50,7 +50,7 @@ counter! {
     Sequence(u64)
 }
 counter! {
-    /// Tells one start of a process from the next start under the same id; drawn anew at every start.
+    /// Distinguishes one start of a process from the next start under the same id; drawn anew at every start.
     Incarnation(u64)
 }
 
@@ -111,7 +111,7 @@ macro_rules! slug {
                 checked(text.into(), $kind, $max_len, $marks).map(Self)
             }
 
-            /// Returns the text.
+            /// Returns the text, which has passed the check of [`Self::new`].
             pub fn as_str(&self) -> &str {
                 &self.0
             }

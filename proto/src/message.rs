@@ -27,9 +27,9 @@ const MAX_FINGERPRINT: usize = 200;
 pub struct Hello {
     /// The build of the sender's program: equal fingerprints compute the same numbers.
     pub program: String,
-    /// The actor.
+    /// The actor's name, unique among the actors of a run.
     pub actor: ActorId,
-    /// Its start.
+    /// The start of the actor's process, which keeps it apart from earlier ones of its name.
     pub incarnation: Incarnation,
     /// The class of CPU it runs on: equal fingerprints give equal bits.
     pub cpu: String,
@@ -72,7 +72,7 @@ pub enum HelloReply {
 /// Everything an actor needs to know about a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Welcome {
-    /// The run.
+    /// The run that the actor has joined.
     pub run: RunName,
     /// What is computed, and how.
     pub spec: RunSpec,
@@ -87,7 +87,7 @@ pub struct Welcome {
 /// One environment given to an actor.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EnvAssignment {
-    /// The environment.
+    /// The environment, `0..` number of environments of the run.
     pub env_id: EnvId,
     /// The rollout that it goes on with.
     pub iteration: Iteration,
@@ -108,12 +108,12 @@ pub struct Assignment {
     pub keep: Vec<EnvId>,
 }
 
-/// What the learner tells one actor.
+/// What the learner orders one actor to do.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Control {
-    /// Step these environments.
+    /// Step these environments from now on.
     Assign(Assignment),
-    /// Leave.
+    /// Leave the run; the actor ends.
     Stop {
         /// One sentence for the actor's log.
         reason: String,
@@ -160,12 +160,12 @@ pub struct Credit {
 /// Says which versions of the weights there are to be pulled, and how to know them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Announcement {
-    /// The learner's start.
+    /// The start of the learner that offers them.
     pub learner: Incarnation,
     /// The versions that are kept, the newest last, each with the SHA-256 of its parameters' bytes.
     ///
-    /// All of them are told every time: announcements may be lost, and what is pulled is used only if it has the
-    /// digest that the learner told.
+    /// All of them are listed every time: announcements may be lost, and what is pulled is used only if it has the
+    /// digest that the learner announced.
     pub versions: Vec<(PolicyVersion, [u8; 32])>,
 }
 

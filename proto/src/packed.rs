@@ -17,7 +17,7 @@ fn swap<T>(bytes: &mut [u8]) {
 ///
 /// # Errors
 ///
-/// Whatever the serialiser reports.
+/// What the serialiser reports if it cannot write a byte string; there are no errors of its own.
 pub fn serialize<T: Pod, S: Serializer>(values: &[T], serializer: S) -> Result<S::Ok, S::Error> {
     let bytes = bytemuck::cast_slice(values);
     if cfg!(target_endian = "little") {

@@ -42,7 +42,7 @@ pub const CONTROL: Expected = Expected::new(Schema::Control, limits::MAX_CONTROL
 pub const CONTROL_REPLY: Expected = Expected::new(Schema::ControlReply, limits::MAX_CONTROL_BYTES);
 /// What arrives where a learner takes rollouts.
 pub const ROLLOUT: Expected = Expected::new(Schema::Rollout, limits::MAX_ROLLOUT_BYTES);
-/// What arrives where an actor is told its credit.
+/// What arrives where an actor gets its credit.
 pub const CREDIT: Expected = Expected::new(Schema::Credit, limits::MAX_NOTICE_BYTES);
 /// What arrives where weights are announced.
 pub const ANNOUNCEMENT: Expected = Expected::new(Schema::Announcement, limits::MAX_NOTICE_BYTES);
@@ -59,7 +59,9 @@ pub const HISTORY: Expected = Expected::new(Schema::History, limits::MAX_METRICS
 ///
 /// # Errors
 ///
-/// [`Refusal`] naming the first check that failed.
+/// [`RefusalCause::Oversize`] if the payload is longer than `expected` allows; what [`Header::from_bytes`] refuses;
+/// [`RefusalCause::Schema`] if the message is of another kind than `expected`. The refusal names the sender where the
+/// header could be read.
 pub fn inspect(
     attachment: Option<&[u8]>,
     payload_len: usize,
@@ -75,6 +77,7 @@ pub fn inspect(
         return Err(Refusal { sender, ..Refusal::new(RefusalCause::Oversize, text) });
     }
     let header = header?;
+    // The codec would decode the bytes of another kind as this one wherever they happen to fit.
     if header.schema != expected.schema {
         let (found, wanted) = (header.schema as u32, expected.schema as u32);
         let text = format!("message has schema {found}, expected {wanted}");
@@ -87,8 +90,9 @@ pub fn inspect(
 ///
 /// # Errors
 ///
-/// [`RefusalCause::Checksum`] if they do not belong together.
+/// [`RefusalCause::Checksum`] if the payload's CRC-32C is not the header's.
 pub fn verify(header: &Header, payload: &[u8]) -> Result<(), Refusal> {
+    // It finds damage and mix-ups. Against a sender who means harm it does nothing: certificates and access lists do.
     if crc32c::crc32c(payload) == header.checksum {
         return Ok(());
     }
@@ -100,7 +104,8 @@ pub fn verify(header: &Header, payload: &[u8]) -> Result<(), Refusal> {
 ///
 /// # Errors
 ///
-/// [`RefusalCause::Checksum`] or [`RefusalCause::Malformed`].
+/// [`RefusalCause::Checksum`] if the payload is not the header's; [`RefusalCause::Malformed`] if it cannot be decoded
+/// within the limit, or bytes are left over.
 pub fn open<T: DeserializeOwned>(
     header: &Header,
     payload: &[u8],
@@ -117,7 +122,8 @@ pub fn open<T: DeserializeOwned>(
 ///
 /// # Errors
 ///
-/// [`Refusal`] naming the first check that failed.
+/// [`Refusal`] of the first check that fails: [`inspect`] has size, header, protocol and schema, [`open`] checksum and
+/// decoding.
 ///
 /// # Example
 ///

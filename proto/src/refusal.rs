@@ -15,10 +15,10 @@ use crate::Incarnation;
 pub struct Refusal {
     /// What it is counted by.
     pub cause: RefusalCause,
-    /// One sentence for the log, and for the sender if it is told.
+    /// One sentence for the log, and for the sender if it gets an answer.
     pub text: Cow<'static, str>,
-    /// The start of the process that sent it. `None` if there was no readable header: then nobody can be blamed, since
-    /// anyone can publish under anyone's key.
+    /// The start of the process that sent it. `None` if there was no readable header: then no sender can be blamed,
+    /// since anyone can publish under anyone's key.
     pub sender: Option<Incarnation>,
 }
 
@@ -84,7 +84,7 @@ causes! {
     Assignment = "assignment",
     /// A policy version that cannot have acted.
     Version = "version",
-    /// Wrong lengths.
+    /// An array whose length is not what the run agreed on.
     Shape = "shape",
     /// A NaN or an infinity.
     NonFinite = "non_finite",

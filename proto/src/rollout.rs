@@ -12,14 +12,14 @@ use serde::{Deserialize, Serialize};
 use crate::refusal::{Refusal, RefusalCause};
 use crate::{EnvId, EnvSpec, Iteration, Mask, PolicyVersion, limits, packed};
 
-/// What is told about an episode that ended inside a rollout.
+/// What is reported about an episode that ended inside a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeSummary {
     /// Index of the episode in its environment, from 0.
     pub episode: u64,
     /// Undiscounted sum of the raw rewards.
     pub episode_return: f64,
-    /// Steps.
+    /// Steps from its first observation to its end.
     pub length: u32,
     /// The environment's metrics, in the order of [`EnvSpec::metrics`].
     pub metrics: Vec<f32>,
@@ -48,13 +48,13 @@ pub struct EpisodeEnd {
 /// T = `n_steps`, D = `obs_dim`, H = number of heads, S = the policy's recurrent width (0 if there is none).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Rollout {
-    /// The environment.
+    /// The environment that was stepped.
     pub env_id: EnvId,
     /// Zero-based index of this rollout within its environment.
     pub iteration: Iteration,
     /// The version of the policy that acted.
     pub version: PolicyVersion,
-    /// T.
+    /// T, the same in every rollout of a run.
     pub n_steps: u32,
     /// Raw (not normalised) observations that were acted on. `[T, D]`
     #[serde(with = "packed")]
@@ -76,7 +76,7 @@ pub struct Rollout {
     pub values: Vec<f32>,
     /// Behaviour value of `next_observation`.
     pub next_value: f32,
-    /// Raw rewards. `[T]`
+    /// Rewards as the environment gave them, not scaled. `[T]`
     #[serde(with = "packed")]
     pub rewards: Vec<f32>,
     /// Episodes that ended, in order of their steps.
@@ -110,7 +110,10 @@ impl Rollout {
     ///
     /// # Errors
     ///
-    /// [`Refusal`] without a sender: it names the first field that is wrong.
+    /// [`Refusal`] without a sender, for the first fault that is found: [`RefusalCause::Shape`] if a length is not what
+    /// the run agreed on, [`RefusalCause::Snapshot`] if there is none or it is too large, [`RefusalCause::NonFinite`]
+    /// and [`RefusalCause::Magnitude`] for numbers, [`RefusalCause::Action`] if a mask does not offer an action,
+    /// [`RefusalCause::EpisodeEnd`] if ends are out of range or order.
     pub fn check(
         self,
         spec: &EnvSpec,
@@ -122,6 +125,7 @@ impl Rollout {
             return Err(Refusal::new(RefusalCause::Shape, text));
         }
         let n_heads = spec.actions.heads.len();
+        // Lengths before values: everything below indexes by them.
         length("observations", self.observations.len(), n_steps * spec.obs_dim)?;
         length("next_observation", self.next_observation.len(), spec.obs_dim)?;
         length("masks", self.masks.len(), n_steps)?;
@@ -153,6 +157,8 @@ impl Rollout {
 
     fn check_ends(&self, spec: &EnvSpec, n_steps: usize) -> Result<(), Refusal> {
         let mut earliest = 0;
+        // At most one end per step, in the order of the steps: who computes returns or scales rewards walks steps and
+        // ends together.
         for (index, end) in self.ends.iter().enumerate() {
             let step = end.step as usize;
             if step < earliest || step >= n_steps {

@@ -39,7 +39,7 @@ impl Schedule {
         }
     }
 
-    /// Tells whether equal seeds give equal weights, whatever the number and timing of actors.
+    /// Returns whether equal seeds give equal weights, whatever the number and timing of actors.
     pub fn is_deterministic(self) -> bool {
         matches!(self, Self::Lag(_))
     }

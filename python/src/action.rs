@@ -28,7 +28,7 @@ impl PythonAction {
         &self.choices[..self.n_heads]
     }
 
-    /// Takes in what was given, and tells whether it fits.
+    /// Takes in what was given, and returns whether it fits.
     fn take_in(&mut self, given: &Bound<'_, PyAny>, heads: &[usize]) -> PyResult<bool> {
         if let Ok(array) = given.cast::<PyArray1<i64>>() {
             // What Gymnasium's spaces draw.
@@ -47,7 +47,7 @@ impl PythonAction {
         Ok(heads.len() == 1 && self.choose(heads, |_head| choice))
     }
 
-    /// Takes a choice of each head, and tells whether all of them can be taken.
+    /// Takes a choice of each head, and returns whether all of them can be taken.
     fn choose(&mut self, heads: &[usize], choice: impl Fn(usize) -> i64) -> bool {
         let mut head_choices = heads.iter().zip(&mut self.choices).enumerate();
         head_choices.all(|(head, (n_choices, taken))| {

@@ -22,7 +22,7 @@ impl Film {
     ///
     /// # Errors
     ///
-    /// `ValueError` if it cannot be drawn.
+    /// `ValueError` if the task draws no pictures.
     pub(crate) fn new(domain: &str, environment: &dyn Environment) -> PyResult<Self> {
         let scene = environment.scene().ok_or_else(|| {
             PyValueError::new_err(format!("`{domain}` cannot be drawn: leave out render_mode"))
@@ -57,7 +57,7 @@ impl Film {
         self.spoken()?.now(&self.rasterizer).map_err(wrong)
     }
 
-    /// Says what the person hears and does now.
+    /// Says what the listener hears and does now.
     pub(crate) fn caption(&self) -> PyResult<String> {
         Ok(self.spoken()?.caption_now())
     }

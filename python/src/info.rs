@@ -1,4 +1,4 @@
-//! What is told beside an observation, in the form that Gymnasium has for it: for one environment, and for many.
+//! What accompanies an observation, in the form that Gymnasium has for it: for one environment, and for many.
 
 use std::iter;
 
@@ -24,7 +24,7 @@ pub(crate) fn offering<'py>(
 
 /// The names of an episode's metrics, as Python has them.
 pub(crate) struct MetricNames {
-    /// Each, and what says in a vector which environments it is told of.
+    /// Each, and what says in a vector which environments it is about.
     names: Vec<[Py<PyString>; 2]>,
     success: Option<usize>,
 }
@@ -38,7 +38,7 @@ impl MetricNames {
         Self { names: names.iter().map(both).collect(), success }
     }
 
-    /// Adds what is told at the end of an episode.
+    /// Adds what is reported at the end of an episode.
     pub(crate) fn tell_end(&self, info: &Bound<'_, PyDict>, metrics: &[f32]) -> PyResult<()> {
         let py = info.py();
         let named = PyDict::new(py);
@@ -52,7 +52,7 @@ impl MetricNames {
         Ok(())
     }
 
-    /// Adds what is told about the episodes that have ended in a vector.
+    /// Adds what is reported about the episodes that have ended in a vector.
     pub(crate) fn tell_ends(&self, info: &Bound<'_, PyDict>, lanes: &Lanes) -> PyResult<()> {
         let (py, n, ended) = (info.py(), lanes.rewards.len(), &lanes.ended);
         let mut last = Vec::with_capacity(n);

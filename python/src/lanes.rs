@@ -14,13 +14,13 @@ pub(crate) struct Lanes {
     pub(crate) obs_dim: usize,
     n_heads: usize,
     n_metrics: usize,
-    /// Shape `[n, obs_dim]`.
+    /// What the environments show. Shape `[n, obs_dim]`.
     pub(crate) observations: Vec<f32>,
-    /// Shape `[n]`.
+    /// The rewards of the step. Shape `[n]`.
     pub(crate) rewards: Vec<f32>,
-    /// Shape `[n]`.
+    /// Whether an episode has truly ended. Shape `[n]`.
     pub(crate) terminated: Vec<bool>,
-    /// Shape `[n]`.
+    /// Whether a time limit cut an episode. Shape `[n]`.
     pub(crate) truncated: Vec<bool>,
     /// What may be chosen, 1 or 0 per choice. Shape `[n, n_choices]`.
     pub(crate) offered: Vec<i8>,

@@ -3,8 +3,9 @@
 //! What a step returns has Gymnasium's form; `leadtime/gym.py` makes environments of it. Errors are `ValueError` with the sentence
 //! that the program would print.
 //!
-//! Where to start: `world.rs` is one environment, `vector.rs` many in lockstep (`lanes.rs`), `pair.rs` one for a notifier and a person;
-//! `action.rs` reads what is done, `info.rs` says what is told beside an observation, `film.rs` draws, `task.rs` reads a configuration.
+//! Where to start: `world.rs` is one environment, `vector.rs` many in lockstep (`lanes.rs`), `pair.rs` one for a
+//! notifier and a listener; `action.rs` reads what is done, `info.rs` says what accompanies an observation, `film.rs`
+//! draws, `task.rs` reads a configuration.
 
 #![expect(clippy::needless_pass_by_value, reason = "what Python hands over is owned")]
 

@@ -7,7 +7,7 @@ use crate::task;
 use crate::vector::Worlds;
 use crate::world::World;
 
-/// The module `leadtime._native`.
+/// The module `leadtime._native`: the part of the package that is written in Rust.
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;

@@ -1,4 +1,4 @@
-//! One environment for two: a notifier, and the person beside it.
+//! One environment for two: a notifier, and its listener.
 
 use std::sync::Mutex;
 
@@ -14,16 +14,16 @@ use crate::info::MetricNames;
 use crate::task::PlayedTask;
 use crate::world::{attached, n_choices, offered};
 
-/// The observations of the notifier and the person, and what the notifier may choose. Shapes `[obs_dim]`, `[person_dim]`,
-/// `[n_choices]`.
+/// The observations of the notifier and the listener, and what the notifier may choose. Shapes `[obs_dim]`,
+/// `[person_dim]`, `[n_choices]`.
 type BothViews<'py> =
     (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i8>>);
 
-/// A built-in world in which the person is played, too.
+/// A built-in world in which the listener is played, too.
 #[pyclass(module = "leadtime._native", frozen)]
 pub(crate) struct Pair {
     both: Mutex<Box<dyn TwoPlayers>>,
-    /// Length of what the person sees.
+    /// Length of what the listener sees.
     person_dim: usize,
     /// The number of choices of every head of the notifier.
     heads: Vec<usize>,
@@ -48,13 +48,13 @@ impl Pair {
         Ok(Self { both: Mutex::new(both), person_dim, heads, metric_names })
     }
 
-    /// The topics that the person can carry out.
+    /// The topics that the listener can carry out.
     #[getter]
     fn topics(&self, py: Python<'_>) -> Vec<&'static str> {
         attached(&self.both, py).topics().to_vec()
     }
 
-    /// The numbers that the person sees: each with its name, its meaning, and its least and greatest value.
+    /// The numbers that the listener sees: each with its name, its meaning, and its least and greatest value.
     #[getter]
     fn person_quantities(&self, py: Python<'_>) -> Vec<(String, String, f32, f32)> {
         let all = attached(&self.both, py).person_quantities().into_iter();
@@ -70,8 +70,8 @@ impl Pair {
         views(py, both.as_ref(), notifier, person)
     }
 
-    /// Takes one step: the notifier's choices, and the person's topic, or -1 for their own plan. Returns what both see, both
-    /// rewards, and whether the episode has ended, or was cut short.
+    /// Takes one step: the notifier's choices, and the listener's topic, or -1 for their own plan. Returns what both
+    /// see, both rewards, and whether the episode has ended, or was cut short.
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -96,7 +96,7 @@ impl Pair {
         Ok((views(py, both.as_ref(), notifier, person), rewards, ends))
     }
 
-    /// What is told at the end of an episode.
+    /// What is reported at the end of an episode.
     fn ending<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let both = attached(&self.both, py);
         let mut metrics = vec![0.0; both.notifier().spec().metrics.len()];

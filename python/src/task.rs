@@ -29,7 +29,8 @@ impl PlayedTask {
     ///
     /// # Errors
     ///
-    /// `ValueError` with the key, what was given and what is allowed.
+    /// `ValueError` if the configuration or a setting cannot be read, or a value is impossible: with the key, what was
+    /// given and what is allowed.
     pub(crate) fn read(config: &str, set: &[String], evaluation: bool) -> PyResult<Self> {
         let registry = leadtime_worlds::builtin();
         let catalog = Catalog::built_in();
@@ -50,7 +51,6 @@ impl PlayedTask {
         Ok(Self { registry, spec })
     }
 
-    /// Names the domain.
     pub(crate) fn domain(&self) -> &str {
         &self.spec.domain
     }
@@ -72,7 +72,7 @@ impl PlayedTask {
     ///
     /// # Errors
     ///
-    /// `ValueError` if a setting is impossible.
+    /// `ValueError` if a setting is out of its range, or does not fit another one.
     pub(crate) fn build(&self) -> PyResult<Box<dyn Environment>> {
         self.registry.build(&self.spec).map_err(wrong)
     }

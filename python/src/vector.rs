@@ -21,9 +21,10 @@ use crate::world::{attached, n_choices};
 /// From so many environments on other threads of Python may run during a step.
 const RELEASES_FROM: usize = 16;
 
-/// Observations, and what is told beside them. Shape `[n, obs_dim]`.
+/// Observations, and what accompanies them. Shape `[n, obs_dim]`.
 type ManyViews<'py> = (Bound<'py, PyArray2<f32>>, Bound<'py, PyDict>);
-/// A step as Gymnasium has it for many: observations, rewards, who has ended, who was cut short, and what is told beside them.
+/// A step as Gymnasium has it for many: observations, rewards, who has ended, who was cut short, and what accompanies
+/// them.
 type ManySteps<'py> = (
     Bound<'py, PyArray2<f32>>,
     Bound<'py, PyArray1<f32>>,
@@ -40,7 +41,7 @@ pub(crate) struct Worlds {
     /// The number of choices of every head.
     heads: Vec<usize>,
     metric_names: MetricNames,
-    /// Says that something is told of all environments. Shape `[n]`.
+    /// Says that something is reported of all environments. Shape `[n]`.
     everywhere: Py<PyArray1<bool>>,
 }
 

@@ -1,4 +1,4 @@
-//! One environment.
+//! One environment, as Gymnasium has it.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -17,12 +17,13 @@ use crate::film::Film;
 use crate::info::{MetricNames, offering};
 use crate::task::{PlayedTask, wrong};
 
-/// An observation, and what is told beside it. Shape `[obs_dim]`.
+/// An observation, and what accompanies it. Shape `[obs_dim]`.
 type OneView<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyDict>);
-/// A step as Gymnasium has it: observation, reward, whether the episode has ended, or was cut short, and what is told beside it.
+/// A step as Gymnasium has it: observation, reward, whether the episode has ended, or was cut short, and what
+/// accompanies it.
 type OneStep<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, Bound<'py, PyDict>);
 
-/// A built-in world.
+/// A built-in world, stepped by itself.
 #[pyclass(module = "leadtime._native", frozen)]
 pub(crate) struct World {
     domain: String,
@@ -101,7 +102,7 @@ impl World {
         Ok(Array3::from_shape_vec(shape, drawn.rgb).map_err(wrong)?.into_pyarray(py))
     }
 
-    /// Says what the person hears and does now.
+    /// Says what the listener hears and does now.
     fn caption(&self, py: Python<'_>) -> PyResult<String> {
         self.lock(py).film()?.caption()
     }

@@ -25,7 +25,7 @@ pub struct SettingError {
 ///
 /// # Errors
 ///
-/// [`SettingError`] with the value as given.
+/// [`SettingError`] if `holds` is false, with the value as given.
 pub fn require(
     holds: bool,
     key: &'static str,
@@ -40,7 +40,7 @@ pub fn require(
 ///
 /// # Errors
 ///
-/// [`SettingError`] with the value as given.
+/// [`SettingError`] if the value is outside of the range, with the value as given.
 pub fn require_within<T: PartialOrd + fmt::Display>(
     key: &'static str,
     given: T,
@@ -55,7 +55,7 @@ pub fn require_within<T: PartialOrd + fmt::Display>(
 ///
 /// # Errors
 ///
-/// The deserializer's, naming an unknown key or a wrong type.
+/// The deserializer's, if a key is unknown or has a value of the wrong type.
 pub fn read_over<'de, T, D>(defaults: &T, given: D) -> Result<T, D::Error>
 where
     T: Serialize + DeserializeOwned,

@@ -1,8 +1,8 @@
 //! What the notifier environment needs of a world.
 //!
-//! A domain is a world with a person in it who acts by their own plan. It knows nothing of words, delays,
+//! A domain is a world with a listener in it who follows a plan of their own. It knows nothing of words, delays,
 //! interruptions or notifiers: those are the [`human`](crate::human) model's and the notifier environment's. It
-//! receives, step by step, the reaction (if any) that the person carries out, and every fully delivered message.
+//! receives, step by step, the reaction (if any) that the listener carries out, and every fully delivered message.
 //!
 //! | | lander | highway | steakhouse |
 //! |---|---|---|---|
@@ -30,7 +30,7 @@ pub struct Message {
     pub conveyance: u32,
 }
 
-/// The reaction that the person carries out in the coming step.
+/// The reaction that the listener carries out in the coming step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReactionStep {
     /// What was asked for.
@@ -42,7 +42,7 @@ pub struct ReactionStep {
 /// How a reaction went in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReactionStatus {
-    /// The person did (at least part of) what was asked for.
+    /// The listener did (at least part of) what was asked for.
     Followed,
     /// The world did not let them, and they went on by their own plan; the reaction's time runs on.
     Refused,
@@ -64,11 +64,11 @@ pub struct Advance {
 /// The effect of a fully delivered message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Delivery {
-    /// A reaction that ran before is off: the person re-plans with what they now know.
+    /// A reaction that ran before is off: the listener re-plans with what they now know.
     pub cancels_reaction: bool,
 }
 
-/// A world with a person in it.
+/// A world with a listener in it.
 ///
 /// # When what is called
 ///
@@ -190,7 +190,7 @@ pub trait Domain: Send {
     /// Names the topics, in the order of their ids.
     fn topics(&self) -> &[&'static str];
 
-    /// Tells whether a topic asks for an action. One that does not only informs: it leaves no reaction behind, and
+    /// Returns whether a topic asks for an action. One that does not only informs: it leaves no reaction behind, and
     /// works when it is [delivered](Domain::deliver).
     fn asks_for_action(&self, _topic: usize) -> bool {
         true
@@ -209,7 +209,7 @@ pub trait Domain: Send {
         Vec::new()
     }
 
-    /// Tells how the observation consists of entities, if it does.
+    /// Says how the observation consists of entities, if it does.
     fn entities(&self) -> Option<Entities> {
         None
     }
@@ -220,11 +220,11 @@ pub trait Domain: Send {
     /// Writes the domain's observation, every place of it: after `reset` and after every `advance`. Shape `[obs_dim]`.
     fn observe(&self, out: &mut [f32]);
 
-    /// Advances the world by one step (one word): the person reacts, or acts by their own plan.
+    /// Advances the world by one step (one word): the listener reacts, or acts by their own plan.
     fn advance(&mut self, reaction: Option<ReactionStep>) -> Advance;
 
-    /// Returns which danger the person faces now, counted from 0: what one of the notifier's reasons would be about. A
-    /// reason that the listener was given for a danger is not paid again
+    /// Returns which danger the listener faces now, counted from 0: what one of the notifier's reasons would be about.
+    /// A reason that the listener was given for a danger is not paid again
     /// ([`Human::acted`](crate::human::Human::acted)).
     fn danger(&self) -> usize {
         0
@@ -257,8 +257,8 @@ pub trait Domain: Send {
         (name == "heuristic").then(|| self.heuristic()).flatten()
     }
 
-    /// Says what a script may look at beside the observation, such as the time to the next merge: numbers that a person who
-    /// writes rules would want, and a network would not need.
+    /// Says what a script may look at besides the observation, such as the time to the next merge: numbers that a
+    /// person who writes rules would want, and a network would not need.
     fn script_quantities(&self) -> Vec<Quantity> {
         Vec::new()
     }
@@ -266,21 +266,23 @@ pub trait Domain: Send {
     /// Writes them, at any moment of an episode. Shape `[script_quantities().len()]`.
     fn observe_for_scripts(&self, _out: &mut [f32]) {}
 
-    /// Lists the facts that the world can tell, for sentences that must be true: at most 64. A world that lists none lets the
-    /// listener hear only sentences that presuppose nothing.
+    /// Lists the facts that the world can state, for sentences that must be true: at most 64. A world that lists none
+    /// lets the listener hear only sentences that presuppose nothing.
     fn facts(&self) -> Vec<Fact> {
         Vec::new()
     }
 
-    /// Tells which of them hold, at any moment of an episode; what is not written does not hold. Shape `[facts().len()]`.
+    /// Writes which of them hold, at any moment of an episode; what is not written does not hold. Shape
+    /// `[facts().len()]`.
     ///
     /// It decides about words only: no observation, reward or end depends on it.
     fn observe_facts(&self, _holds: &mut [bool]) {}
 
-    /// Tells whether the episode so far counts as a success; meaningful at its end.
+    /// Returns whether the episode so far counts as a success; meaningful at its end.
     fn success(&self) -> bool;
 
-    /// Tells whether the episode goes on although it can no longer become a success: a planner need not look at the rest.
+    /// Returns whether the episode goes on although it can no longer become a success: a planner need not look at the
+    /// rest.
     fn is_lost(&self) -> bool {
         false
     }
@@ -291,7 +293,8 @@ pub trait Domain: Send {
     /// Writes the domain's own metrics of the episode so far.
     fn metrics(&self, out: &mut [f32]);
 
-    /// As [`Environment::snapshot_margin`](crate::Environment::snapshot_margin).
+    /// Returns how much a snapshot may grow beyond twice its size at the start of an episode, in bytes; as
+    /// [`Environment::snapshot_margin`](crate::Environment::snapshot_margin).
     fn snapshot_margin(&self) -> usize {
         256
     }

@@ -36,17 +36,17 @@ const NOTABLE_COST: f64 = 0.1;
 /// What playing an environment showed.
 #[derive(Debug)]
 pub struct EnvReport {
-    /// Episodes played.
+    /// How many episodes were played.
     pub n_episodes: u64,
     /// Steps of these episodes.
     pub n_steps: usize,
-    /// Snapshots restored.
+    /// How many snapshots were taken and restored.
     pub n_restored: usize,
     /// Size of the largest snapshot, in bytes.
     pub largest_snapshot: usize,
     /// What the environment promised of it, in bytes.
     pub snapshot_bound: usize,
-    /// The rewards.
+    /// How large the rewards are.
     pub rewards: RewardScale,
     /// What is wrong, the first of each kind; empty if nothing is.
     pub defects: Vec<EnvDefect>,
@@ -120,7 +120,7 @@ pub struct Divergence {
     pub expected: String,
     /// What it is now.
     pub found: String,
-    /// Where.
+    /// The step at which they differ.
     pub at: StepPlace,
 }
 
@@ -363,7 +363,8 @@ impl Recording {
 ///
 /// # Errors
 ///
-/// [`TaskError`] if the environment cannot be built.
+/// [`TaskError`] if the environment cannot be built for the task; what is wrong with it once it is built is in the
+/// report.
 ///
 /// # Example
 ///

@@ -45,7 +45,7 @@ pub enum End {
 
 /// An observation that consists of entities: rows of numbers, one entity each.
 ///
-/// The person's own entity comes first; the first number of a row tells whether there is anything (1) or not (0).
+/// The listener's own entity comes first; the first number of a row says whether there is anything (1) or not (0).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entities {
     /// How many entities there is room for: one row each.
@@ -84,7 +84,7 @@ pub struct StepOutcome {
     pub end: Option<End>,
 }
 
-/// The person's hidden state, for measuring what a policy knows of it; no policy ever sees it.
+/// The listener's hidden state, for measuring what a policy knows of it; no policy ever sees it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Insight {
     /// The reaction delay `d_r` of a message that would be understood now, in steps; `None` where every message draws
@@ -92,9 +92,9 @@ pub struct Insight {
     pub reaction_delay: Option<u32>,
     /// Messages that were understood in this episode.
     pub comprehended: u32,
-    /// The last step was the first in which the person did what some message asks for.
+    /// The last step was the first in which the listener did what some message asks for.
     pub reaction_began: bool,
-    /// The running utterance.
+    /// The utterance that is being spoken; `None` in silence.
     pub speech: Option<Speech>,
 }
 
@@ -152,8 +152,9 @@ pub trait Environment: Send {
         Mask::ALL
     }
 
-    /// Told the action of the coming step, before any environment beside this one takes its own. One that is stepped in another
-    /// process sends it there, so that the steps of a batch are taken together; all others need not know.
+    /// Takes in the action of the coming step, before any environment next to this one takes its own. One that is
+    /// stepped in another process sends it there, so that the steps of a batch are taken together; all others need not
+    /// know.
     fn announce(&mut self, _action: &[u8]) {}
 
     /// Takes one step (one choice per head) and writes the observation after it: the final one, if the episode ended.
@@ -168,7 +169,7 @@ pub trait Environment: Send {
         None
     }
 
-    /// Tells whether a restored environment goes on where it was. One that does not begins an episode instead.
+    /// Returns whether a restored environment goes on where it was. One that does not begins an episode instead.
     fn is_restorable(&self) -> bool {
         true
     }
@@ -244,14 +245,14 @@ pub trait Environment: Send {
         None
     }
 
-    /// Returns the person's hidden state, if there is a person who listens.
+    /// Returns the listener's hidden state, if there is a listener.
     ///
     /// A step that was taken before a snapshot was restored is not remembered: no reaction began in it.
     fn insight(&self) -> Option<Insight> {
         None
     }
 
-    /// Lists the facts that the task can tell, if there is a listener who hears sentences.
+    /// Lists the facts that the task can state, if there is a listener who hears sentences.
     fn facts(&self) -> Vec<Fact> {
         Vec::new()
     }
@@ -308,32 +309,33 @@ pub fn read_snapshot<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SnapshotErr
 pub struct SharedOutcome {
     /// The notifier's reward: the world's, what is paid for reactions, less the cost of messages.
     pub notifier_reward: f32,
-    /// The person's reward: the world's. Words cost them nothing.
+    /// The listener's reward: the world's. Words cost them nothing.
     pub person_reward: f32,
     /// Why the episode ended, if it did.
     pub end: Option<End>,
 }
 
-/// A task for a notifier and a person, who both may learn.
+/// A task for a notifier and a listener, who both may learn.
 ///
-/// In an [`Environment`] the person is the model of [`human`](crate::human). Here somebody else decides, step by step, whether
-/// the person carries out a topic or goes on by their own plan: a second policy, or a program that has another model of people.
+/// In an [`Environment`] the listener is the model of [`human`](crate::human). Here somebody else decides, step by
+/// step, whether the listener carries out a topic or goes on by their own plan: a second policy, or a program that has
+/// another model of people.
 pub trait TwoPlayers: Send {
     /// Returns the notifier's side: shapes, heads, mask, metrics. It is stepped here and nowhere else.
     fn notifier(&self) -> &dyn Environment;
 
-    /// Names the topics that the person can carry out, by id.
+    /// Names the topics that the listener can carry out, by id.
     fn topics(&self) -> &[&'static str];
 
-    /// Says what the numbers are that the person sees and remembers: those of the world, how much was heard of the message that
-    /// runs, the topic that was understood last, and how long ago that was.
+    /// Says what the numbers are that the listener sees and remembers: those of the world, how much was heard of the
+    /// message that runs, the topic that was understood last, and how long ago that was.
     fn person_quantities(&self) -> Vec<Quantity>;
 
     /// Starts an episode and writes the first observation of both. Shapes `[obs_dim]`, `[person_quantities().len()]`.
     fn reset(&mut self, seed: EpisodeSeed, notifier: &mut [f32], person: &mut [f32]);
 
-    /// Takes one step: the notifier's choices, one per head, and the topic that the person carries out, or `None` for their own
-    /// plan. Shapes as of [`TwoPlayers::reset`].
+    /// Takes one step: the notifier's choices, one per head, and the topic that the listener carries out, or `None` for
+    /// their own plan. Shapes as of [`TwoPlayers::reset`].
     ///
     /// # Panics
     ///

@@ -39,7 +39,7 @@ pub struct WorldOnly<W: Default> {
 pub struct DomainEntry {
     name: String,
     builder: Builder,
-    /// Where the person can be played, too.
+    /// Where the listener can be played, too.
     pair_builder: Option<PairBuilder>,
     completer: Option<SettingsCompleter>,
     /// Its settings with their defaults, where the entry knows their type.
@@ -184,12 +184,12 @@ impl Registry {
         self.entries.keys().map(String::as_str)
     }
 
-    /// Tells whether the scenes of a domain are maps with zones, over which trajectories can be drawn.
+    /// Returns whether the scenes of a domain are maps with zones, over which trajectories can be drawn.
     pub fn has_map(&self, domain: &str) -> bool {
         self.entries.get(domain).is_some_and(|entry| entry.has_map)
     }
 
-    /// Tells whether a task may have to find out what it is before it is built.
+    /// Returns whether a task may have to find out what it is before it is built.
     pub fn asks(&self, domain: &str) -> bool {
         self.entries.get(domain).is_some_and(|entry| entry.completer.is_some())
     }
@@ -210,7 +210,8 @@ impl Registry {
     ///
     /// # Errors
     ///
-    /// [`TaskError`] naming the key, what was given and what is allowed.
+    /// [`TaskError`] if no world has that name, if a key is unknown or of the wrong type, or if a value is out of its
+    /// range. It names the key, what was given and what is allowed.
     pub fn build(&self, task: &TaskSpec) -> Result<Box<dyn Environment>, TaskError> {
         let Some(entry) = self.entries.get(&task.domain) else {
             let known = self.names().map(str::to_owned).collect();
@@ -221,11 +222,11 @@ impl Registry {
         Ok(environment)
     }
 
-    /// Builds a task for two, in which the person is played, too; `None` if there is nobody in it who listens.
+    /// Builds a task for two, in which the listener is played, too; `None` if there is no listener in it.
     ///
     /// # Errors
     ///
-    /// As [`Registry::build`].
+    /// [`TaskError`] if no world has that name, or its settings are wrong, as for [`Registry::build`].
     pub fn build_pair(&self, task: &TaskSpec) -> Result<Option<Box<dyn TwoPlayers>>, TaskError> {
         let builder = self.entries.get(&task.domain).and_then(|entry| entry.pair_builder.as_ref());
         let Some(build) = builder else {

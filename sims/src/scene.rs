@@ -1,19 +1,20 @@
-//! The present moment as a picture's ingredients: shapes in the world's own units, and what the person hears and does.
+//! The present moment as a picture's ingredients: shapes in the world's own units, and what the listener hears and
+//! does.
 //!
 //! Worlds describe, the crate `leadtime-eval` draws: no colour, size or file format is decided here.
 
 /// What a shape means; the painter chooses the colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
-    /// Ground, road, walls.
+    /// Ground, road and walls.
     Ground,
     /// Where the task ends well.
     Goal,
     /// Where one must not be.
     Danger,
-    /// What the person believes to be otherwise.
+    /// What the listener believes to be otherwise.
     Mistaken,
-    /// The person's vehicle or body.
+    /// The listener's vehicle or body.
     Own,
     /// Other vehicles and things.
     Other,
@@ -26,9 +27,9 @@ pub enum Tone {
 pub enum Shape {
     /// A filled axis-parallel rectangle.
     Rectangle {
-        /// Lower left corner.
+        /// Lower left corner, in the world's units.
         min: [f64; 2],
-        /// Upper right corner.
+        /// Upper right corner, in the world's units.
         max: [f64; 2],
         /// What the rectangle means.
         tone: Tone,
@@ -40,18 +41,18 @@ pub enum Shape {
         /// What the line means.
         tone: Tone,
     },
-    /// A filled polygon.
+    /// A filled polygon, such as the soil or a car.
     Polygon {
         /// Its corners in order, either way round.
         points: Vec<[f64; 2]>,
         /// What the polygon means.
         tone: Tone,
     },
-    /// A short text.
+    /// A short text in the picture.
     Label {
         /// Where it is centred.
         at: [f64; 2],
-        /// The text.
+        /// The words that are drawn.
         text: String,
     },
 }
@@ -62,9 +63,9 @@ pub enum Shape {
 /// wide as high; a view of another shape is stretched to the nearer of the two.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct View {
-    /// Lower left corner.
+    /// Lower left corner, in the world's units.
     pub min: [f64; 2],
-    /// Upper right corner.
+    /// Upper right corner, in the world's units.
     pub max: [f64; 2],
 }
 
@@ -73,9 +74,9 @@ pub struct View {
 pub struct Speech {
     /// Index of the topic in [`Listener::topics`].
     pub topic: usize,
-    /// k, in words.
+    /// Comprehension time k, in words.
     pub comprehension: u32,
-    /// l, in words.
+    /// Conveyance time l, in words.
     pub conveyance: u32,
     /// Words heard so far.
     pub heard: u32,
@@ -83,12 +84,12 @@ pub struct Speech {
     pub started: bool,
 }
 
-/// What the person hears and does.
+/// What the listener hears and does.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Listener {
     /// Names of the topics, by id.
     pub topics: Vec<&'static str>,
-    /// The running utterance.
+    /// The utterance that is being spoken; `None` in silence.
     pub speech: Option<Speech>,
     /// Topic of the comprehended message that waits for the reaction delay.
     pub pending: Option<usize>,
@@ -96,7 +97,7 @@ pub struct Listener {
     pub reacting: Option<usize>,
 }
 
-/// One number of where or how the person is, such as height or speed; plotted over the steps of an episode.
+/// One number of where or how the listener is, such as height or speed; plotted over the steps of an episode.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Gauge {
     /// What it is, with its unit if it has one; the same in every moment of a task.
@@ -112,13 +113,13 @@ pub struct Scene {
     pub view: View,
     /// Everything that is there, back to front.
     pub shapes: Vec<Shape>,
-    /// Where the person is.
+    /// Where the listener is.
     pub position: [f64; 2],
     /// What to plot over time.
     pub gauge: Gauge,
     /// Where others are that move by themselves; each keeps its place in the list for the whole episode.
     pub others: Vec<[f64; 2]>,
-    /// What the person hears and does; filled in by the notifier environment.
+    /// What the listener hears and does; filled in by the notifier environment.
     pub listener: Listener,
     /// Names of the facts that hold; filled in by the notifier environment.
     pub facts: Vec<&'static str>,

@@ -18,10 +18,10 @@ pub trait Scriptable {
     /// Lists the messages that can be said, each once.
     fn messages(&self) -> Vec<Message>;
 
-    /// Tells whether the listener would hear a message that starts now.
+    /// Returns whether the listener would hear a message that starts now.
     fn may_start(&self) -> bool;
 
-    /// Tells whether the episode goes on although it can no longer become a success.
+    /// Returns whether the episode goes on although it can no longer become a success.
     fn is_lost(&self) -> bool;
 
     /// Writes the action that starts a message, or that says nothing new. Shape `[n_heads]`.

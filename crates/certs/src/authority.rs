@@ -30,9 +30,9 @@ pub struct Issued {
     pub role: Role,
     /// The name of its process.
     pub name: PeerName,
-    /// Its file.
+    /// The file that it was written to.
     pub path: PathBuf,
-    /// What it says.
+    /// What the certificate states.
     pub certificate: Certificate,
 }
 
@@ -112,7 +112,9 @@ impl Authority {
     ///
     /// # Errors
     ///
-    /// [`Error::Taken`], [`Error::Host`], [`Error::Lifetime`], or [`Error::File`].
+    /// [`Error::Taken`] if a certificate or a key of that name is there, [`Error::Host`] if a host is neither a name
+    /// nor an address, [`Error::Lifetime`] if the lifetime is under a second or over 100 years, [`Error::File`] or
+    /// [`Error::Content`] if a file cannot be written or the serial number cannot be read.
     pub fn issue(
         &mut self,
         role: Role,
@@ -161,7 +163,8 @@ impl Authority {
     ///
     /// # Errors
     ///
-    /// [`Error::File`] or [`Error::Content`].
+    /// [`Error::File`] if the directory or a certificate in it cannot be read, [`Error::Content`] if a file holds
+    /// something else than a certificate.
     pub fn list(directory: &Path) -> Result<Vec<Issued>> {
         issued(directory)
     }

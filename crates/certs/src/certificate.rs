@@ -26,7 +26,7 @@ pub struct Certificate {
     pub hosts: Vec<String>,
     /// The first moment at which it is valid.
     pub begins: Timestamp,
-    /// The last one.
+    /// The last moment at which it is valid.
     pub ends: Timestamp,
     /// Whether it can sign others.
     pub is_authority: bool,
@@ -41,7 +41,7 @@ impl Certificate {
     ///
     /// # Errors
     ///
-    /// [`Error::File`] or [`Error::Content`].
+    /// [`Error::File`] if the file cannot be read, [`Error::Content`] if it holds no certificate, or a damaged one.
     pub fn read(path: &Path) -> Result<Self> {
         let content = |found: String| Error::Content { path: path.to_owned(), found };
         Self::parse(&files::read(path)?).map_err(content)
@@ -51,7 +51,7 @@ impl Certificate {
     ///
     /// # Errors
     ///
-    /// A fragment such as `no certificate`.
+    /// A fragment such as `no certificate in PEM form`, if there is none or it is damaged.
     pub fn parse(pem: &[u8]) -> Result<Self, String> {
         let none = |_unspecific| "no certificate in PEM form".to_owned();
         Self::from_der(&CertificateDer::from_pem_slice(pem).map_err(none)?)

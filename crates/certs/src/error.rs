@@ -17,7 +17,7 @@ pub enum Error {
     File {
         /// `read`, `write` or `lock`.
         action: &'static str,
-        /// The file.
+        /// The file or directory that the system complained about.
         path: PathBuf,
         /// What the system says.
         #[source]
@@ -32,15 +32,15 @@ pub enum Error {
     /// This name has a certificate.
     #[error("{} is there already: `certs renew` makes it anew, or remove it first", .0.display())]
     Taken(PathBuf),
-    /// Not a role.
+    /// This word is not a role.
     #[error("`{0}` is not a role: router, learner, actor, observer, recorder, service or robot")]
     Role(String),
-    /// Not a name.
+    /// This text cannot be a name, by its characters, its length or because it is `ca`.
     #[error(
         "`{0}` is not a name for a certificate: use 1 to 48 of a-z, 0-9 and `-`, starting with a letter or digit, but not `ca`"
     )]
     Name(String),
-    /// Not a host.
+    /// This text is not a host.
     #[error("`{0}` is neither a host's name nor an address")]
     Host(String),
     /// A lifetime that is no lifetime.
@@ -49,15 +49,15 @@ pub enum Error {
     /// The authority's own certificate has ended.
     #[error("the authority in {} ended at {ended}: make another one with `certs init`, and issue anew", directory.display())]
     AuthorityEnded {
-        /// Its directory.
+        /// The directory of the authority.
         directory: PathBuf,
-        /// When.
+        /// The last moment at which it could sign.
         ended: jiff::Timestamp,
     },
     /// A file that is not what it should be.
     #[error("{} holds {found}", path.display())]
     Content {
-        /// The file.
+        /// The file with the wrong content.
         path: PathBuf,
         /// What it holds instead.
         found: String,
@@ -65,17 +65,17 @@ pub enum Error {
     /// A certificate that cannot be used, and why.
     #[error("{} cannot be used: {reason}", path.display())]
     Unfit {
-        /// The certificate.
+        /// The file of the certificate, `NAME.pem`.
         path: PathBuf,
-        /// Why.
+        /// What makes it unfit for a connection.
         reason: Unfit,
     },
     /// A key that others can read.
     #[error("{} can be read by everybody (mode {mode:03o}): `chmod 600` it, and issue a new one if somebody may have", path.display())]
     OpenKey {
-        /// The key.
+        /// The file of the key, `NAME.key`.
         path: PathBuf,
-        /// Its permissions.
+        /// Its permission bits, such as `0o644`.
         mode: u32,
     },
     /// A certificate could not be made.
@@ -86,13 +86,13 @@ pub enum Error {
 /// Why a certificate cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum Unfit {
-    /// It is over.
+    /// Its time is over.
     #[error("it ended at {0}; `leadtime certs renew` makes it anew")]
     Expired(jiff::Timestamp),
     /// It has not begun.
     #[error("it begins at {0}; is this machine's clock right?")]
     NotYetValid(jiff::Timestamp),
-    /// Not signed by the authority beside it.
+    /// It is not signed by the authority in its directory.
     #[error("it is not signed by the authority in {}", .0.display())]
     OtherAuthority(PathBuf),
     /// The key is another certificate's.
@@ -103,7 +103,7 @@ pub enum Unfit {
         "it has to be for both ends of a connection (extended key usage serverAuth and clientAuth)"
     )]
     OneEnd,
-    /// It names nobody.
+    /// Its subject names no process.
     #[error("its subject has no common name")]
     Nameless,
 }

@@ -36,8 +36,8 @@ impl Identity {
     ///
     /// # Errors
     ///
-    /// [`Error::File`] or [`Error::Content`] for a file that is not there or is something else, [`Error::OpenKey`] for a
-    /// key that everybody can read, [`Error::Unfit`] for a certificate that peers would refuse.
+    /// [`Error::File`] or [`Error::Content`] if a file is not there or is something else, [`Error::OpenKey`] if
+    /// everybody can read the key, [`Error::Unfit`] if peers would refuse the certificate.
     pub fn read(prefix: &Path, now: Timestamp) -> Result<Self> {
         let is_file = prefix.extension().is_some_and(|extension| extension == "pem");
         let prefix = if is_file { prefix.with_extension("") } else { prefix.to_owned() };

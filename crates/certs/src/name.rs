@@ -15,7 +15,7 @@ const AUTHORITY: &str = "ca";
 pub struct PeerName(String);
 
 impl PeerName {
-    /// Returns the text.
+    /// Returns the name as text, as certificates and files have it.
     pub fn as_str(&self) -> &str {
         &self.0
     }

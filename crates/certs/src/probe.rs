@@ -1,4 +1,4 @@
-//! Why no encrypted connection comes about: the handshake done once by hand, with everything that it tells.
+//! Why no encrypted connection comes about: the handshake done once by hand, with everything that it shows.
 //!
 //! The network library says of every failure that its time is over. A peer that refuses our certificate says why by an
 //! alert, after the handshake is done on our side; so it is read until then.
@@ -31,7 +31,7 @@ pub enum HandshakeRefusal {
          on to one that is not running"
     )]
     Closed,
-    /// Nothing comes.
+    /// Nothing comes within the time that is waited.
     #[error(
         "the program that listens there does not answer a TLS handshake: is it the right port?"
     )]
@@ -70,7 +70,7 @@ pub enum HandshakeRefusal {
     /// They want a certificate, and we have shown none.
     #[error("a certificate is asked for: give --tls DIR/ID")]
     OursMissing,
-    /// Some other alert.
+    /// Some other alert about our certificate.
     #[error("our certificate is refused ({0})")]
     Ours(String),
     /// The connection breaks, or our own files have changed.

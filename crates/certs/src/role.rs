@@ -10,9 +10,9 @@ use crate::Error;
 pub enum Role {
     /// Passes on what others send.
     Router,
-    /// Owns runs.
+    /// Owns runs and trains their policies.
     Learner,
-    /// Steps environments.
+    /// Steps environments and sends rollouts.
     Actor,
     /// Reads presence, metrics and weights.
     Observer,
@@ -25,7 +25,7 @@ pub enum Role {
 }
 
 impl Role {
-    /// Every role.
+    /// Every role, in the order of the variants.
     pub const ALL: [Self; 7] = [
         Self::Router,
         Self::Learner,

@@ -35,7 +35,7 @@ pub enum Error {
     /// A script does not fit the task.
     #[error("`{name}` cannot play this task")]
     Script {
-        /// The player's name.
+        /// The name of the script.
         name: String,
         /// What does not fit.
         source: Box<dyn std::error::Error + Send + Sync>,
@@ -53,7 +53,7 @@ pub enum Error {
     Outside {
         /// Index of the episode.
         index: u64,
-        /// What failed.
+        /// What the process that steps it reports.
         reason: String,
     },
     /// The caller stopped it ([`crate::PlaySettings::stop`]).

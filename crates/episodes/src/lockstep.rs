@@ -59,7 +59,7 @@ pub trait Observer {
     fn on_step(&mut self, _slot: &EnvSlot, _outcome: StepOutcome) {}
 }
 
-/// Watches nothing.
+/// For slots that are only played.
 impl Observer for () {}
 
 /// Both watch; the first one comes first.
@@ -88,15 +88,15 @@ impl<A: Observer, B: Observer> Observer for (A, B) {
 /// The buffers of a batch, and what its last step ended.
 #[derive(Debug, Default)]
 pub struct Lockstep {
-    /// `[N, D]`.
+    /// What the policies see, slot by slot. `[N, D]`
     observations: Vec<f32>,
-    /// `[N, S]`.
+    /// Recurrent states, slot by slot. `[N, S]`
     recurrent: Vec<f32>,
-    /// `[N, C]`.
+    /// Logits of all heads. `[N, C]`
     logits: Vec<f32>,
-    /// `[N]`.
+    /// The critic's values. `[N]`
     values: Vec<f32>,
-    /// `[N, H]`.
+    /// The chosen actions. `[N, H]`
     choices: Vec<u8>,
     /// What the heads saw in the latest slot that wanted to know.
     hidden: Vec<f32>,

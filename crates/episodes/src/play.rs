@@ -1,7 +1,8 @@
 //! Playing many whole episodes, several at a time.
 //!
-//! Episode i does not depend on the episodes played beside it: its world, listener and action draws come from streams named by
-//! (seed, i). So neither the number of slots nor that of threads changes a result, and two players meet the same worlds.
+//! Episode i does not depend on the episodes played at the same time: its world, listener and action draws come from
+//! streams named by (seed, i). So neither the number of slots nor that of threads changes a result, and two players
+//! meet the same worlds.
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,7 +25,7 @@ pub type MakeEnvironment<'a> = dyn Fn() -> Result<Box<dyn Environment>, TaskErro
 pub struct PlaySettings<'a> {
     /// Index of the first episode.
     pub first: u64,
-    /// Number of episodes.
+    /// Number of episodes, from `first` on.
     pub n_episodes: u64,
     /// Seed of the evaluation; part of every stream's name.
     pub seed: u64,
@@ -156,7 +157,7 @@ struct Shift<'a, O: EpisodeObserver> {
     player: Player,
     lockstep: Lockstep,
     slots: Vec<EnvSlot>,
-    /// One per slot.
+    /// One for each slot.
     observers: Vec<O>,
     /// The episode in each slot.
     indices: Vec<u64>,
@@ -211,7 +212,7 @@ impl<'a, O: EpisodeObserver> Shift<'a, O> {
         Ok(self.done)
     }
 
-    /// Takes the index of an episode that nobody plays yet.
+    /// Takes the index of an episode that no thread plays yet.
     fn take(&self) -> Option<u64> {
         let index = self.next.fetch_add(1, Ordering::Relaxed);
         (index < self.settings.first + self.settings.n_episodes).then_some(index)

@@ -24,14 +24,14 @@ pub enum Choice {
 pub enum Decider<'a> {
     /// A policy, and how its distribution becomes an action.
     Policy {
-        /// The network.
+        /// The network with its weights.
         policy: &'a mut Policy,
         /// The distribution that its logits parametrise.
         distribution: &'a ActionDistribution,
         /// How an action is chosen.
         choice: Choice,
     },
-    /// One of [`Environment::baselines`].
+    /// A script of the task, one of [`Environment::baselines`].
     Script(&'a str),
     /// A script that is no part of the task.
     Scripted(&'a mut dyn Scripted),
@@ -72,7 +72,7 @@ impl Player {
     ///
     /// # Errors
     ///
-    /// [`Error::Policy`] if the architecture is impossible.
+    /// [`Error::Policy`] if no network can be built from the specification.
     pub fn untrained(spec: &PolicySpec, run_seed: u64, choice: Choice) -> Result<Self, Error> {
         let parameters = Parameters::initialize(spec, run_seed)?;
         Self::policy("untrained", spec, &parameters, choice)
@@ -98,7 +98,7 @@ impl Player {
         &self.name
     }
 
-    /// Tells whether the player is the script of that name.
+    /// Returns whether the player is the script of that name.
     pub fn is_script(&self, name: &str) -> bool {
         matches!(&self.kind, Kind::Script(script) if script == name)
     }
@@ -150,7 +150,7 @@ impl Player {
         }
     }
 
-    /// Lends what decides.
+    /// Returns what decides, borrowed for one run of slots.
     pub fn decider(&mut self) -> Decider<'_> {
         match &mut self.kind {
             Kind::Policy { policy, distribution, choice } => {

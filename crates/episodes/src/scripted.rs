@@ -13,7 +13,7 @@ pub trait Scripted: fmt::Debug + Send + Sync {
     ///
     /// # Errors
     ///
-    /// Whatever does not fit: a number or a message that the task does not have.
+    /// What does not fit, if the script needs a number or a message that the task does not have.
     fn check(&self, environment: &dyn Environment) -> Result<(), Box<dyn StdError + Send + Sync>>;
 
     /// Returns how many numbers it keeps from step to step in [`EnvSlot::memory`]; they begin as 0.

@@ -6,7 +6,7 @@ use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_sims::{Environment, EpisodeSeed, SnapshotError, StepOutcome};
 use serde::{Deserialize, Serialize};
 
-/// What of a slot is not in its environment; the observation is, because restoring writes it.
+/// The part of a slot that its environment does not hold. No observation: restoring the environment writes it.
 #[derive(Serialize, Deserialize)]
 struct SlotSnapshot {
     episode: u64,
@@ -80,7 +80,7 @@ impl EnvSlot {
         }
     }
 
-    /// Starts another episode.
+    /// Starts another episode: resets the environment with this seed and clears recurrent state and counters.
     pub fn begin(&mut self, seed: EpisodeSeed) {
         (self.seed, self.episode_return, self.n_steps) = (seed, 0.0, 0);
         self.recurrent.fill(0.0);
@@ -111,7 +111,7 @@ impl EnvSlot {
         write_snapshot(&snapshot, out);
     }
 
-    /// Returns the environment.
+    /// Returns the environment, to be looked at.
     pub fn env(&self) -> &dyn Environment {
         self.env.as_ref()
     }

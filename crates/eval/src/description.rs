@@ -3,8 +3,8 @@
 use leadtime_sims::{Description, Fact, ObservationLayout, Quantity};
 use leadtime_table::{Table, wrapped};
 
-/// Describes a task in three parts, and the facts that it tells in a fourth, with tables written by `write`; where there is a
-/// `width`, in characters, facts are broken to fit it.
+/// Describes a task in three parts, and the facts that it states in a fourth, with tables written by `write`; where
+/// there is a `width`, in characters, facts are broken to fit it.
 pub fn describe(
     description: &Description,
     facts: &[Fact],

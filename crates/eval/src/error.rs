@@ -20,9 +20,9 @@ pub enum Error {
         "no regression can be fitted to {n_rows} rows of {n_features} features, or they are not finite"
     )]
     NoRegression {
-        /// Rows.
+        /// How many rows there are.
         n_rows: usize,
-        /// Features in each.
+        /// How many features each row has.
         n_features: usize,
     },
     /// The task describes nothing that could be drawn.
@@ -37,9 +37,9 @@ pub enum Error {
     /// The picture is empty, gigantic, or of another size than its neighbours.
     #[error("a picture of {width} x {height} pixels cannot be made")]
     PictureSize {
-        /// Width in pixels.
+        /// Width that was asked for, in pixels.
         width: f32,
-        /// Height in pixels.
+        /// Height that was asked for, in pixels.
         height: f32,
     },
     /// The PNG encoder failed.

@@ -5,8 +5,8 @@
 //!
 //! ```text
 //! measure      players x environments --> episodes --> means with intervals, tables
-//! probe        how well the person's reaction delay can be read off a policy's features --> table
-//! playthrough  one recorded episode: its scenes, its words as a person would hear them
+//! probe        how well the listener's reaction delay can be read off a policy's features --> table
+//! playthrough  one recorded episode: its scenes, its words as a listener would hear them
 //! picture      a playthrough --> SVG, PNG, GIF
 //! figure       means with bands, histograms, shares of time --> SVG
 //! report       all of it --> one self-contained HTML file

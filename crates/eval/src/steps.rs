@@ -16,7 +16,7 @@ const EPISODES_AT_A_TIME: u64 = 64;
 struct StepRecord {
     episode: u64,
     step: u32,
-    /// `[D]`, not normalised.
+    /// What the policy saw, not normalised. `[D]`
     observation: Vec<f32>,
     /// Whether the mask offers a choice, over all heads in order. `[C]`
     offered: Vec<bool>,
@@ -76,7 +76,8 @@ impl EpisodeObserver for StepLog<'_> {
 ///
 /// # Errors
 ///
-/// As [`play`]; what `write` returns ends the playing.
+/// [`Error`] in the cases of [`play`]: the task cannot be built, the player does not fit it, or an episode does not
+/// end. An error of `write` ends the playing and is passed on.
 pub fn record_steps<E: From<Error>>(
     make: &MakeEnvironment<'_>,
     player: &Player,

@@ -327,7 +327,7 @@ pub fn add_outer_products(a: &[f32], b: &[f32], m: usize, n: usize, out: &mut [f
 trait PanelKernel {
     fn n_panels(&self) -> usize;
 
-    /// Computes P panels.
+    /// Computes P panels at once, from panel `first` on.
     fn panels<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize);
 }
 
@@ -386,7 +386,7 @@ struct OutRows<'a> {
 struct Multiply<'a> {
     panels: &'a Panels,
     a: LeftRows<'a>,
-    /// Rows of A.
+    /// Number of rows of A.
     m: usize,
     start: &'a [f32],
     activation: Activation,
@@ -514,7 +514,7 @@ impl PanelKernel for RowSums<'_> {
 
 struct Outer<'a> {
     panels: &'a Panels,
-    /// One panel. `[depth]`
+    /// One panel of A. `[depth]`
     a: &'a [[f32; PANEL]],
     /// Columns of it that count.
     m: usize,

@@ -84,7 +84,7 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Tells whether a value lies within the bounds.
+    /// Returns whether a value lies within the bounds.
     pub fn contains(&self, value: f64) -> bool {
         (self.low..=self.high).contains(&value)
     }

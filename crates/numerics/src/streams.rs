@@ -18,7 +18,7 @@ pub enum Purpose {
     Initialise = 1,
     /// The world: terrain, start state, wind, traffic (index: episode).
     World = 2,
-    /// The person: reaction delays, drift (index: episode).
+    /// The listener: reaction delays, drift (index: episode).
     Human = 3,
     /// Sampling of the policy's actions (index: rollout of the environment).
     Act = 4,

@@ -63,7 +63,7 @@ pub struct ThinSeries {
     pub scalars: BTreeMap<String, Extremes>,
     #[serde(skip)]
     max_points: usize,
-    /// Updates per point.
+    /// Updates that one point stands for.
     #[serde(default = "one")]
     stride: u64,
     #[serde(skip)]

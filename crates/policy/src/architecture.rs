@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! actor.0.weight  [64, D]   actor.1.weight [64, 64]   actor.head.weight  [C, 64]
-//! critic.0.weight [64, D]   critic.1.weight [64, 64]  critic.head.weight [1, 64]     and a `bias` beside each
+//! critic.0.weight [64, D]   critic.1.weight [64, 64]  critic.head.weight [1, 64]     and a `bias` with each
 //! ```
 //!
 //! D is the width of the features, C the number of choices over all heads, whose logits lie one behind the other.
@@ -16,8 +16,8 @@
 //! With ego attention of width W to entities of F numbers:
 //!
 //! ```text
-//! encoder.ego.0.weight    [W, F]  encoder.ego.1.weight    [W, W]  and a `bias` beside each
-//! encoder.others.0.weight [W, F]  encoder.others.1.weight [W, W]  and a `bias` beside each
+//! encoder.ego.0.weight    [W, F]  encoder.ego.1.weight    [W, W]  and a `bias` with each
+//! encoder.others.0.weight [W, F]  encoder.others.1.weight [W, W]  and a `bias` with each
 //! encoder.key.weight, encoder.value.weight, encoder.query.weight, encoder.combine.weight  [W, W]
 //! ```
 
@@ -39,9 +39,9 @@ pub enum Branch {
 pub struct Layer {
     /// `actor.0`, `critic.head` and the like; `.weight` and `.bias` follow.
     pub name: String,
-    /// Number of inputs.
+    /// Number of inputs, the columns of the weights.
     pub n_in: usize,
-    /// Number of outputs.
+    /// Number of outputs, the rows of the weights.
     pub n_out: usize,
     /// Scale of the orthogonal initial weights.
     pub gain: f64,

@@ -53,7 +53,8 @@ impl Parameters {
     ///
     /// # Errors
     ///
-    /// [`Error`] naming what is missing, unknown, misshapen or not finite.
+    /// [`Error`] if the bytes are no safetensors, or a tensor is missing, unknown, misshapen or not finite; it names
+    /// the tensor.
     pub fn from_safetensors(bytes: &[u8], spec: &PolicySpec) -> Result<Self, Error> {
         let file = SafeTensors::deserialize(bytes).map_err(Error::Read)?;
         let mut values = BTreeMap::new();
@@ -72,7 +73,7 @@ impl Parameters {
     }
 }
 
-/// Reads what was written beside the tensors, without reading them.
+/// Reads what was written with the tensors, without reading them.
 ///
 /// # Errors
 ///

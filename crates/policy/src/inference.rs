@@ -38,7 +38,7 @@ impl LayerStack {
         self.layers.last().map_or(0, |(head, _)| head.n_in())
     }
 
-    /// Runs one block.
+    /// Runs one block of `n` rows through all layers.
     fn forward(&self, features: &[f32], n: usize, scratch: &mut [f32], out: &mut [f32]) {
         run(&self.layers, features, n, scratch, out);
     }

@@ -60,7 +60,8 @@ impl Parameters {
     ///
     /// # Errors
     ///
-    /// [`Error`] naming the first tensor that is missing, unknown, misshapen or not finite.
+    /// [`Error`] if the architecture is impossible, or a tensor is missing, unknown, misshapen or not finite; it names
+    /// the first one.
     pub fn from_values(
         spec: &PolicySpec,
         mut values: BTreeMap<String, Vec<f32>>,

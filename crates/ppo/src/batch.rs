@@ -133,7 +133,7 @@ fn cuts(rollout: &Rollout, truncation: Truncation, final_value: impl Fn(usize) -
     rollout.ends.iter().enumerate().map(cut).collect()
 }
 
-/// Tells of each step whether an episode starts there; the first step's state is the stored one, whichever it is.
+/// Lists for each step whether an episode starts there; the first step's state is the stored one, whichever it is.
 fn episode_starts(rollout: &Rollout) -> impl Iterator<Item = bool> {
     let mut ends = rollout.ends.iter().map(|end| end.step as usize + 1).peekable();
     (0..rollout.masks.len()).map(move |step| ends.next_if_eq(&step).is_some())
@@ -145,7 +145,7 @@ struct Reevaluation {
     logits: Vec<f32>,
     values: Vec<f32>,
     next_value: f32,
-    /// Per episode end.
+    /// One value for each end of an episode.
     final_values: Vec<f32>,
     log_rhos: Vec<f32>,
 }

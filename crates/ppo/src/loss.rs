@@ -59,13 +59,13 @@ impl From<&LearnerSettings> for LossSettings {
 /// N samples, H heads.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Samples {
-    /// `[N]`
+    /// Offered choices, a word per sample. `[N]`
     pub(crate) masks: Vec<u64>,
-    /// `[N, H]`
+    /// What was chosen. `[N, H]`
     pub(crate) actions: Vec<u8>,
     /// Under the behaviour policy. `[N]`
     pub(crate) log_probs: Vec<f32>,
-    /// `[N]`
+    /// Advantages of the actions. `[N]`
     pub(crate) advantages: Vec<f32>,
     /// Targets of the critic. `[N]`
     pub(crate) returns: Vec<f32>,

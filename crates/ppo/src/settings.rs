@@ -134,7 +134,7 @@ impl LearnerSettings {
     ///
     /// # Errors
     ///
-    /// [`SettingsError`] naming the first key that is wrong.
+    /// [`SettingsError`] if a number is out of its range, or does not fit another one; it names the first such key.
     pub fn check(&self) -> Result<(), SettingsError> {
         let unit = |x: f64| (0.0..=1.0).contains(&x);
         // Beyond it a single-precision loss overflows, and the run would blame its actors.

@@ -42,9 +42,9 @@ struct Stack {
 /// The gradient of one layer.
 #[derive(Clone, Debug, Default)]
 struct LayerGradient {
-    /// `[n_out, n_in]`
+    /// Gradient of the weights. `[n_out, n_in]`
     weights: Vec<f32>,
-    /// `[n_out]`
+    /// Gradient of the biases. `[n_out]`
     biases: Vec<f32>,
 }
 
@@ -105,7 +105,7 @@ pub(crate) enum Features<'a> {
 /// The pass of one block through one branch.
 #[derive(Debug, Default)]
 struct BranchPass {
-    /// `[rows, F]`
+    /// The features that enter the branch. `[rows, F]`
     input: Panels,
     /// Each layer's outputs. `[rows, n_out]`
     outputs: Vec<Panels>,

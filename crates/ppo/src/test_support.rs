@@ -20,7 +20,7 @@ pub(crate) struct Plain {
     pub(crate) values: Vec<f32>,
     /// The slopes of the product in the values.
     pub(crate) target: Vec<f32>,
-    /// By variable.
+    /// The slopes in the parameters, by variable.
     pub(crate) gradients: Vec<Vec<f32>>,
 }
 

@@ -172,7 +172,7 @@ impl Trainer {
     ///
     /// # Errors
     ///
-    /// As [`Self::update`].
+    /// [`TrainError`] in the cases of [`Self::update`]: no rollouts, rollouts out of order, or divergence.
     pub fn update_in_parts(
         &mut self,
         rollouts: &[CheckedRollout],
@@ -260,7 +260,7 @@ impl Trainer {
         rewards
     }
 
-    /// Runs the epochs.
+    /// Runs the epochs of one update, minibatch by minibatch.
     fn learn(&mut self, batch: &UpdateBatch, learning_rate: f64) -> Result<Totals, TrainError> {
         let unit_len = if self.is_recurrent() { self.settings.n_steps } else { 1 };
         let n_minibatches = self.settings.n_minibatches.min(batch.n_samples() / unit_len);

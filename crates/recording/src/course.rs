@@ -8,15 +8,15 @@ use crate::sessions::RecordedSession;
 /// An utterance with its times, in seconds from the beginning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedUtterance {
-    /// What was said.
+    /// What was said, as a message.
     pub message: StartedMessage,
-    /// When it started.
+    /// When its first word began.
     pub start: f64,
     /// When enough had been heard to understand it; `None` if that never came.
     pub understood: Option<f64>,
     /// When it ended or was cut; `None` if the recording ends before.
     pub end: Option<f64>,
-    /// It was cut.
+    /// It was cut before its last word had ended.
     pub is_cut: bool,
     /// Words that were heard.
     pub n_heard: u32,
@@ -25,7 +25,7 @@ pub struct RecordedUtterance {
 /// A state of the notifier, from a time on, in seconds from the beginning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedState {
-    /// When it began.
+    /// When the state began.
     pub start: f64,
     /// `silent`, `speaking` and so on.
     pub state: String,
@@ -38,7 +38,7 @@ pub struct RecordedState {
 /// Where every observation was a step, time is counted in steps: how fast a simulator went says nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SessionCourse {
-    /// What was said.
+    /// What was said, in order.
     pub utterances: Vec<RecordedUtterance>,
     /// The states; empty where time is counted in steps.
     pub states: Vec<RecordedState>,
@@ -107,7 +107,7 @@ impl SessionCourse {
     }
 }
 
-/// Tells the time, in seconds from the beginning.
+/// Returns the time, in seconds from the beginning.
 struct CourseClock {
     first_at: u64,
     first_seq: u64,

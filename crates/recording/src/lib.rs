@@ -13,7 +13,7 @@
 //! * JSON is recorded byte for byte; raw bytes become JSON, with the original as `x_raw`. A replay is fed the originals.
 //! * A chunk is written whole: what is readable was right, and is never half of something.
 //! * A replay takes in what the notifier took in, at the times of its own clock, so it says the same whatever the clock was.
-//! * What is missing in a recording is told, and never counted as equal.
+//! * What is missing in a recording is reported, and never counted as equal.
 //!
 //! # Where to start
 //!

@@ -1,4 +1,4 @@
-//! A message as it is recorded: JSON as it was sent, byte for byte; raw bytes as JSON with the original beside it.
+//! A message as it is recorded: JSON as it was sent, byte for byte; raw bytes as JSON with the original next to it.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::topic::RecordedTopic;
 
-/// Where the original of a message that was no JSON is kept, and what was beside it.
+/// Where the original of a message that was no JSON is kept, and its attachment.
 const RAW: &str = "x_raw";
 const BESIDE: &str = "x_beside";
 /// The encoding of an observation in a form that nobody knows.
@@ -18,17 +18,17 @@ const ENCODING: &str = "x_encoding";
 /// An observation as its client sent it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SentObservation {
-    /// Its number.
+    /// Its number, counted by the client.
     pub seq: u64,
-    /// The client's episode.
+    /// The episode that the client counts it to.
     pub episode: u64,
-    /// Its numbers.
+    /// The observed numbers. Shape `[obs_dim]`.
     pub values: Vec<f32>,
-    /// Its form.
+    /// The form in which it was sent.
     pub encoding: ArrivalEncoding,
-    /// Its bytes.
+    /// The bytes that were sent.
     pub payload: Vec<u8>,
-    /// The bytes beside them, of a raw one.
+    /// The attachment of a raw one.
     pub beside: Option<Vec<u8>>,
 }
 

@@ -283,7 +283,6 @@ fn label<'a>(
     None
 }
 
-/// Names a row.
 fn name_row(canvas: &mut Canvas, y: f64, name: &str, ink: Ink) {
     let style = TextStyle::new(11.5, ink).anchored(Anchor::End);
     canvas.text([LEFT - 8.0, y], name, style);

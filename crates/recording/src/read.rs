@@ -30,7 +30,7 @@ pub enum RecordingEnd {
 /// A message of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedMessage {
-    /// What it is.
+    /// What kind of message it is.
     pub topic: RecordedTopic,
     /// When it arrived at the recorder, in nanoseconds since 1970.
     pub at: u64,
@@ -43,7 +43,7 @@ pub struct RecordedMessage {
 pub struct RecordedClient {
     /// The notifier and the client: `notifier/car-1`.
     pub name: String,
-    /// What was recorded.
+    /// What was recorded, in the order of the file.
     pub messages: Vec<RecordedMessage>,
 }
 
@@ -61,8 +61,10 @@ impl RecordingFile {
     ///
     /// # Errors
     ///
-    /// [`Error::NoMcap`], [`Error::Foreign`], [`Error::Version`], [`Error::Compressed`], [`Error::Empty`],
-    /// [`Error::TooLarge`], or [`Error::Read`] with what the disk says.
+    /// [`Error::NoMcap`] if it is no MCAP file, [`Error::Foreign`] or [`Error::Version`] if something else or another
+    /// release wrote it, [`Error::Compressed`] if its chunks are compressed, [`Error::Empty`] if it ends before its
+    /// first whole chunk, [`Error::TooLarge`] if its messages take too much memory, [`Error::Read`] if the system
+    /// cannot read it.
     pub fn read(mut from: impl Read) -> Result<Self, Error> {
         let options = LinearReaderOptions::default()
             .with_skip_end_magic(true)

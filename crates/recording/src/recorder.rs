@@ -17,7 +17,7 @@ use crate::write::RecordingWriter;
 #[derive(Debug)]
 struct SeenSession {
     id: String,
-    /// The start of the notifier; empty until something tells it.
+    /// The start of the notifier; empty until a message states it.
     start: String,
     /// The last line of what was taken in.
     last_line: u64,
@@ -52,7 +52,7 @@ impl<W: Write> LiveRecorder<W> {
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn take(&mut self, at: u64, sample: &LiveSample) -> Result<(), Error> {
         let LiveSample { client, topic, arrival } = sample;
         let (payload, beside) = (arrival.payload(), arrival.attachment());
@@ -118,7 +118,7 @@ impl<W: Write> LiveRecorder<W> {
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn note(&mut self, at: u64, client: &ClientName, answer: &[u8]) -> Result<(), Error> {
         let Ok(mut note) = serde_json::from_slice::<Value>(answer) else { return Ok(()) };
         let Some(seen) = self.sessions.get_mut(client) else { return Ok(()) };
@@ -141,20 +141,20 @@ impl<W: Write> LiveRecorder<W> {
         (self.writer.n_messages(), self.n_sessions)
     }
 
-    /// As [`RecordingWriter::flush`].
+    /// Closes the chunk and hands it to the disk, as [`RecordingWriter::flush`] does.
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn flush(&mut self) -> Result<(), Error> {
         self.writer.flush()
     }
 
-    /// As [`RecordingWriter::finish`].
+    /// Ends the file with its index, as [`RecordingWriter::finish`] does.
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn finish(&mut self) -> Result<(), Error> {
         self.writer.finish()
     }

@@ -10,11 +10,11 @@ use crate::sessions::{RecordedInput, Stretch};
 
 /// What observations are fed to.
 pub trait ReplayTarget {
-    /// Feeds one input; returns what is said on account of it.
+    /// Feeds one input; returns what is said in response.
     ///
     /// # Errors
     ///
-    /// [`Error::Client`] if a notifier does not answer.
+    /// [`Error::Client`] if a notifier does not answer in time, or is gone.
     fn feed(&mut self, input: &RecordedInput) -> Result<Vec<HeardSay>, Error>;
 }
 
@@ -97,11 +97,11 @@ impl ReplayTarget for SessionAtHand {
 /// A message: an utterance as it was started.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StartedMessage {
-    /// The client's episode.
+    /// The episode that the client counts it to.
     pub episode: u64,
     /// The step of the episode, from 0.
     pub step: u32,
-    /// The topic; its number where the client is told raw.
+    /// The topic; its number where the client gets raw events.
     pub topic: String,
     /// Comprehension time k, in words.
     pub k: u32,
@@ -112,7 +112,7 @@ pub struct StartedMessage {
 }
 
 impl StartedMessage {
-    /// Reads it off an event; a raw one does not tell the episode.
+    /// Reads it off an event; a raw one does not state the episode.
     pub fn of(event: &HeardSay, episode: u64) -> Self {
         let topic = match event.topic_id {
             Some(id) => format!("topic {id}"),
@@ -151,7 +151,7 @@ impl MessageTally {
         }
     }
 
-    /// Adds another session's.
+    /// Adds the counts of another session.
     pub fn add(&mut self, other: &Self) {
         self.n_messages += other.n_messages;
         self.n_cut += other.n_cut;
@@ -173,11 +173,11 @@ impl MessageTally {
 /// Where what is said differs for the first time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReplayDifference {
-    /// The newest observation.
+    /// The number of the newest observation.
     pub seq: u64,
-    /// The client's episode.
+    /// The episode that the client counts it to.
     pub episode: u64,
-    /// What was recorded.
+    /// What was said in the recording.
     pub recorded: Vec<HeardSay>,
     /// What is said now.
     pub replayed: Vec<HeardSay>,
@@ -192,7 +192,7 @@ pub struct ReplayOutcome {
     pub n_events: u64,
     /// Events that the recording lacks, though they were said.
     pub n_lost: u64,
-    /// What was recorded.
+    /// Counts of what was said in the recording.
     pub recorded: MessageTally,
     /// What is said now.
     pub replayed: MessageTally,
@@ -215,11 +215,11 @@ impl ReplayOutcome {
     }
 }
 
-/// Feeds a stretch; `before` is told each input before it is fed, and ends the replay with `false`.
+/// Feeds a stretch; `before` gets each input before it is fed, and ends the replay with `false`.
 ///
 /// # Errors
 ///
-/// As [`ReplayTarget::feed`].
+/// [`Error::Client`] if the notifier that the stretch is fed to does not answer; what came before is lost.
 pub fn replay(
     stretch: &Stretch,
     target: &mut impl ReplayTarget,
@@ -265,7 +265,7 @@ pub fn replay(
     Ok(outcome)
 }
 
-/// Tells how many events of an input the recording lacks; `None` if what it has differs from what is said.
+/// Counts how many events of an input the recording lacks; `None` if what it has differs from what is said.
 fn lost(input: &RecordedInput, said: &[HeardSay]) -> Option<u64> {
     let mut rest = said.iter();
     let is_part = input.events.iter().all(|event| rest.any(|other| is_same(event, other)));
@@ -276,18 +276,19 @@ fn lost(input: &RecordedInput, said: &[HeardSay]) -> Option<u64> {
     (is_part && is_complete).then_some(n_lost)
 }
 
-/// Tells whether two events say the same. Numbers of utterances count on over restarts and stretches.
+/// Returns whether two events say the same. Numbers of utterances count on over restarts and stretches.
 fn is_same(one: &HeardSay, other: &HeardSay) -> bool {
     let (utterance, age) = (one.utterance, one.age);
     *one == HeardSay { utterance, age, ..other.clone() }
 }
 
-/// Tells whether a session can be replayed over the network, where a notifier has a clock of its own. Of each stretch only what comes
-/// [up to its last observation](Stretch::up_to_last_observation) can be.
+/// Returns whether a session can be replayed over the network, where a notifier has a clock of its own. Of each stretch
+/// only what comes [up to its last observation](Stretch::up_to_last_observation) can be.
 ///
 /// # Errors
 ///
-/// [`Error::NotOverNetwork`] with the reason.
+/// [`Error::NotOverNetwork`] if steps were taken by the notifier's clock, or an episode began anew after a pause: then
+/// time decides, and the replay has another one.
 pub fn check_for_network(clock: StepClock, stretches: &[Stretch]) -> Result<(), Error> {
     if clock != StepClock::Observation {
         let why = "its steps were taken by the notifier's clock: replay it without --connect";
@@ -311,7 +312,8 @@ pub fn check_for_network(clock: StepClock, stretches: &[Stretch]) -> Result<(), 
     Ok(())
 }
 
-/// Tells whether an episode began anew though its client said nothing of it: the past of one that was lost for long is forgotten.
+/// Returns whether an episode began anew though its client said nothing of it: the past of one that was lost for long
+/// is forgotten.
 fn has_pause(stretch: &Stretch) -> bool {
     let mut episode = None;
     let mut sent =

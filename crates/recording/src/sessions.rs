@@ -1,4 +1,4 @@
-//! From messages to sessions: what each took in, in order, with what was said on account of it.
+//! From messages to sessions: what each took in, in order, with what was said in response.
 //!
 //! ```text
 //! obs      ─┐
@@ -18,7 +18,7 @@ use crate::message::{SentObservation, said_event, sent_observation};
 use crate::read::{RecordedClient, RecordedMessage};
 use crate::topic::RecordedTopic;
 
-/// Something that the notifier took in, with what it said on account of it.
+/// Something that the notifier took in, with what it said in response.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedInput {
     /// What was taken in.
@@ -42,12 +42,13 @@ pub struct RecordedInput {
 pub struct Stretch {
     /// It begins with the session, not with a later episode.
     pub is_beginning: bool,
-    /// The inputs.
+    /// What was taken in, in order.
     pub inputs: Vec<RecordedInput>,
 }
 
 impl Stretch {
-    /// Returns what comes up to its last observation: what a notifier does once nobody is there any more is left out.
+    /// Returns what comes up to its last observation: what a notifier does once no client is there any more is left
+    /// out.
     #[must_use]
     pub fn up_to_last_observation(mut self) -> Self {
         let n = self.inputs.iter().rposition(|input| input.observation.is_some());
@@ -56,7 +57,7 @@ impl Stretch {
     }
 }
 
-/// What a notifier did, as it told it.
+/// What a notifier did, as it reported it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedStatus {
     /// When it arrived, in nanoseconds since 1970.
@@ -72,9 +73,9 @@ pub struct RecordedStatus {
 pub struct RecordedSession {
     /// The notifier and the client: `notifier/car-1`.
     pub client: String,
-    /// The session's name.
+    /// Name of the session, as the notifier's answer gave it.
     pub id: String,
-    /// The start of the notifier; empty where the recording does not tell it.
+    /// The start of the notifier; empty where the recording does not state it.
     pub start: String,
     /// What it is; `None` if the recorder could not learn it.
     pub note: Option<SessionNote>,
@@ -86,7 +87,7 @@ pub struct RecordedSession {
     pub n_apart: usize,
     /// Every event, with when it arrived, in nanoseconds since 1970.
     pub events: Vec<(u64, HeardSay)>,
-    /// What the notifier told.
+    /// What the notifier reported of itself.
     pub statuses: Vec<RecordedStatus>,
     /// Why something cannot be replayed, each reason once, with how often.
     pub gaps: BTreeMap<Gap, usize>,
@@ -157,7 +158,7 @@ pub fn sessions(client: &RecordedClient) -> Vec<RecordedSession> {
         }
     }
     let mut found = making.sessions;
-    // What was said after the last line belongs to the last session; nothing tells on account of what.
+    // What was said after the last line belongs to the last session; what it responded to is not recorded.
     if let Some(last) = found.last_mut() {
         last.events.extend(said);
     }
@@ -233,7 +234,7 @@ impl RecordedSession {
     }
 }
 
-/// Tells whether an event was said by the time that a line tells of.
+/// Returns whether an event was said by the time that a line tells of.
 fn is_by(event: &HeardSay, line: &TakenLine<'_>) -> bool {
     // What is cut by a new episode was said in a later step of the one before.
     let is_of_step = event.step <= line.step || event.event == SayEvent::Cut;

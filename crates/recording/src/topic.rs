@@ -17,7 +17,7 @@ pub enum RecordedTopic {
     Taken,
     /// What the session is.
     Session,
-    /// What a learner or an actor tells of its run.
+    /// What a learner or an actor reports of its run.
     Metrics,
 }
 
@@ -26,7 +26,7 @@ impl RecordedTopic {
     const LIVE: [Self; 6] =
         [Self::Observations, Self::Say, Self::Heard, Self::Status, Self::Taken, Self::Session];
 
-    /// Returns the part of the channel's name that tells it from others; the name is a key.
+    /// Returns the part of the channel's name that distinguishes it from others; the name is a key.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Observations => LiveTopic::Observations.as_str(),

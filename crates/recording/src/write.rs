@@ -12,7 +12,7 @@ use mcap::write::{Metadata, NoSeek};
 use crate::error::Error;
 use crate::topic::RecordedTopic;
 
-/// From which size on a chunk is closed, in bytes.
+/// The size from which on a chunk is closed, in bytes.
 const CHUNK: u64 = 256 << 10;
 /// The name of the metadata that says what wrote the file.
 pub(crate) const METADATA: &str = "leadtime.recording";
@@ -45,7 +45,7 @@ impl<W: Write> RecordingWriter<W> {
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn new(out: W, program: &str) -> Result<Self, Error> {
         let options = WriteOptions::new()
             .compression(None)
@@ -67,7 +67,7 @@ impl<W: Write> RecordingWriter<W> {
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn write(
         &mut self,
         key: &str,
@@ -103,7 +103,7 @@ impl<W: Write> RecordingWriter<W> {
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn flush(&mut self) -> Result<(), Error> {
         self.file.flush().map_err(Error::writing)
     }
@@ -112,7 +112,7 @@ impl<W: Write> RecordingWriter<W> {
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn into_written(mut self) -> Result<W, Error> {
         self.finish()?;
         Ok(self.file.into_inner().into_inner())
@@ -122,7 +122,7 @@ impl<W: Write> RecordingWriter<W> {
     ///
     /// # Errors
     ///
-    /// [`Error::Write`] with what the disk says.
+    /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn finish(&mut self) -> Result<(), Error> {
         self.file.finish().map_err(Error::writing)?;
         Ok(())
@@ -182,7 +182,7 @@ mod tests {
                 let mut damaged = whole.clone();
                 damaged[i] ^= bit;
                 let (read, _) = times(&damaged);
-                // A chunk whose kind is damaged is passed over: its lines are missing, which is told.
+                // A chunk whose kind is damaged is passed over: its lines are missing, which is reported.
                 let is_right = read.iter().all(|at| *at < 25) && read.is_sorted_by(|a, b| a < b);
                 assert!(is_right && read.len() % 5 == 0, "byte {i}: {read:?}");
             }

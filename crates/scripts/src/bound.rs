@@ -126,7 +126,7 @@ impl BoundCondition {
     }
 }
 
-/// Plays a script.
+/// Plays a script in one episode after the other.
 #[derive(Clone, Debug)]
 pub struct ScriptPlayer {
     script: Script,

@@ -34,7 +34,7 @@ pub enum Error {
     /// An episode does not come to an end.
     #[error("episode {index} of the search did not end within {n_steps} steps")]
     Endless {
-        /// Which one.
+        /// The index of the episode.
         index: u64,
         /// After how many steps it was given up.
         n_steps: u64,

@@ -175,7 +175,7 @@ struct Attempt {
 }
 
 impl Attempt {
-    /// Tells whether there is something left to vary.
+    /// Returns whether there is something left to vary.
     fn is_open(&self) -> bool {
         self.moments.as_ref().is_none_or(|moments| !moments.is_empty())
     }

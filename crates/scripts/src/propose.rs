@@ -31,7 +31,7 @@ struct Seen {
     changes: bool,
 }
 
-/// Draws scripts.
+/// Draws scripts for a search, and changes good ones.
 #[derive(Debug)]
 pub(crate) struct Proposer {
     observed: Vec<Seen>,
@@ -45,7 +45,7 @@ pub(crate) struct Proposer {
 /// Collects the values that the numbers of a task take.
 #[derive(Debug)]
 pub(crate) struct ValueLog {
-    /// By number.
+    /// By number: every value that was seen.
     values: Vec<Vec<f64>>,
     changes: Vec<bool>,
 }
@@ -78,7 +78,7 @@ impl Proposer {
         Self { observed, added, topics: task.topics().to_vec(), messages: task.messages(), draws }
     }
 
-    /// Draws a script.
+    /// Draws a script that owes nothing to another one.
     pub(crate) fn random(&mut self) -> Script {
         let n = 1 + self.draws.below(4);
         if self.chance(0.5) {

@@ -48,7 +48,7 @@ pub struct ScriptRule {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScriptMessage {
-    /// The topic's name.
+    /// The topic, by its name.
     pub topic: String,
     /// Comprehension time, in words.
     pub k: u32,
@@ -83,7 +83,7 @@ impl Script {
     ///
     /// # Errors
     ///
-    /// [`Error::Text`] if it is none, [`Error::TooLong`] and [`Error::Rule`] as [`Script::check`].
+    /// [`Error::Text`] if the text is no script in TOML, [`Error::TooLong`] and [`Error::Rule`] as [`Script::check`].
     pub fn read(text: &str) -> Result<Self, Error> {
         /// A file, of which a script needs the rules only.
         #[derive(Deserialize)]
@@ -100,7 +100,7 @@ impl Script {
     ///
     /// # Errors
     ///
-    /// [`Error::TooLong`] for more than 64 rules, [`Error::Rule`] for a number out of range.
+    /// [`Error::TooLong`] if there are more than 64 rules, [`Error::Rule`] if a number is out of its range.
     pub fn check(&self) -> Result<(), Error> {
         let n = self.rules.len();
         if n > MOST {

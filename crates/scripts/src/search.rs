@@ -42,7 +42,7 @@ const LAST: f64 = 0.12;
 const N_LAST: usize = 4;
 /// Share of the steps in which the winner is made shorter.
 const SHORTENED: f64 = 0.04;
-/// What the return counts beside success: it guides where nobody succeeds yet.
+/// What the return counts besides success: it guides where no script succeeds yet.
 const RETURN_WEIGHT: f64 = 0.05;
 
 /// How a script is searched.
@@ -70,7 +70,7 @@ impl std::fmt::Debug for SearchSettings<'_> {
 pub struct SearchProgress {
     /// Environment steps so far.
     pub n_steps: u64,
-    /// Candidates so far.
+    /// Scripts that were tried so far.
     pub n_candidates: u64,
     /// Success of the best so far, on the episodes of the search.
     pub best: Option<f64>,
@@ -79,7 +79,7 @@ pub struct SearchProgress {
 /// A script, and what it took to find it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundScript {
-    /// The script.
+    /// The best script of the search.
     pub script: Script,
     /// Environment steps that the search took.
     pub n_steps: u64,
@@ -94,7 +94,7 @@ pub struct FoundScript {
 struct Contender {
     script: Script,
     tried: Vec<Tried>,
-    /// By episode.
+    /// One for each episode played.
     scores: Vec<f64>,
 }
 
@@ -296,7 +296,7 @@ fn stages(n_steps: u64, n_per_episode: u64) -> [u64; 3] {
     [(few * n / whole).max(2), (more * n / whole).max(4), n]
 }
 
-/// Tells whether scores are clearly lower than others of the same episodes.
+/// Returns whether scores are clearly lower than others of the same episodes.
 fn is_clearly_worse(scores: &[f64], others: &[f64]) -> bool {
     let differences: Vec<f64> = scores.iter().zip(others).map(|(a, b)| a - b).collect();
     mean(&differences) + PATIENCE * standard_error(&differences) < 0.0

@@ -28,13 +28,13 @@ const ANSWER: Duration = Duration::from_secs(10);
 /// Something that was said, with the step in which it started.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SaidMessage {
-    /// The episode.
+    /// The episode that the client counts it to.
     pub episode: u64,
     /// The step of the world.
     pub step: u32,
-    /// What was said.
+    /// What was said, as a message.
     pub message: Message,
-    /// In which words.
+    /// The sentence in words.
     pub text: String,
 }
 
@@ -71,7 +71,7 @@ impl BusPlayer {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells whether it cannot go on.
+    /// Returns whether it cannot go on.
     pub fn has_failed(&self) -> bool {
         self.lock().failure.is_some()
     }

@@ -25,11 +25,11 @@ pub enum ClientError {
         "no answer to observation {seq} within {seconds} s; the notifier's last status: {status}"
     )]
     NoAnswer {
-        /// Its number.
+        /// Number of the observation that was not answered.
         seq: u64,
         /// For how long it was waited.
         seconds: u64,
-        /// What the notifier told last.
+        /// What the notifier reported last.
         status: String,
     },
     /// The notifier is gone.
@@ -40,13 +40,13 @@ pub enum ClientError {
 /// What a client asks for.
 #[derive(Clone, Debug)]
 pub struct ClientSettings {
-    /// The notifier.
+    /// The notifier, by its name.
     pub service: ServiceName,
-    /// The client's name.
+    /// Name of the client, which its keys carry.
     pub client: ClientName,
     /// This start of it.
     pub incarnation: Incarnation,
-    /// The task.
+    /// The task, by its domain.
     pub domain: String,
     /// How many numbers an observation has; `None` asks for no certain one.
     pub obs_dim: Option<usize>,
@@ -77,7 +77,8 @@ impl LiveClient {
     ///
     /// # Errors
     ///
-    /// [`ClientError::Link`] if there is none, or if it refuses; the sentence is its own.
+    /// [`ClientError::Link`] if no notifier of that name is there, or if it refuses, with its own sentence;
+    /// [`ClientError::Answer`] if its answer is no JSON.
     pub async fn open(
         link: &LiveClientLink,
         settings: ClientSettings,
@@ -128,7 +129,7 @@ impl LiveClient {
     ///
     /// # Errors
     ///
-    /// [`ClientError::Link`] if the network has ended.
+    /// [`ClientError::Link`] if the session with the network is closed.
     pub fn observe(&mut self, values: &[f32], episode: u64, end: bool) -> Result<u64, ClientError> {
         self.seq += 1;
         let t = self.started.elapsed().as_secs_f64();

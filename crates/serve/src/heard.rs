@@ -16,7 +16,7 @@ pub enum HeardEvent {
     Cut,
 }
 
-/// A report.
+/// A client's report about an utterance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HeardReport {
@@ -37,7 +37,7 @@ impl HeardReport {
     ///
     /// # Errors
     ///
-    /// [`serde_json::Error`] if it is none.
+    /// [`serde_json::Error`] if the bytes are no JSON of a report, or have an unknown field.
     pub fn read(bytes: &[u8]) -> Result<Self, serde_json::Error> {
         serde_json::from_slice(bytes)
     }

@@ -37,7 +37,7 @@ impl FieldRule {
     }
 }
 
-/// What is wrong.
+/// What is wrong with a client's JSON.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum JsonFault {
@@ -106,7 +106,7 @@ impl JsonFault {
     }
 }
 
-/// Describes a value.
+/// Describes a value, for the sentence that refuses it.
 pub(crate) fn described(value: &Value) -> String {
     match value {
         Value::Array(list) => format!("a list of {}", list.len()),

@@ -12,7 +12,7 @@ pub(crate) struct LiveClock {
 const START: u64 = 3_600_000_000_000;
 
 impl LiveClock {
-    /// Starts a clock.
+    /// Starts a clock at [`START`].
     pub(crate) fn start() -> Self {
         Self { started: Instant::now() }
     }

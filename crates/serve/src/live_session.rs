@@ -7,7 +7,7 @@
 //! ```
 //!
 //! A step: a word of what is said has been heard; the notifier observes; the policy decides; what starts, goes on, ends or is cut
-//! is told. It is the order of training ([`Session`]), so the policy sees what it has learned with.
+//! is published. It is the order of training ([`Session`]), so the policy sees what it has learned with.
 //!
 //! How long a word takes: a step with `clock = "observation"` and without a voice; else as long as in the voice's sound. Words then
 //! end between steps, and a decision sees how many have ended. A client's reports count more than either.
@@ -21,9 +21,9 @@
 //! | the newest is older than `stale_after` | an utterance is cut unless it is understood; nothing new starts |
 //! | older than `lost_after`, or the client gone | silence; the past is kept for 30 s; the next observation goes on |
 //! | `end`, or another `episode` | the utterance is cut, the past forgotten |
-//! | what cannot be used | refused and told; 16 in a row end the session |
-//! | a number three widths outside of its range | taken, `strange`, told once per number |
-//! | a fact that the task does not have | ignored, counted in `unknown_facts`, told once per name |
+//! | what cannot be used | refused and reported; 16 in a row end the session |
+//! | a number three widths outside of its range | taken, `strange`, reported once per number |
+//! | a fact that the task does not have | ignored, counted in `unknown_facts`, reported once per name |
 //!
 //! The session of a robot that cannot ask for another one ([`ObservationSource::Robot`]) is never ended by what it sends.
 
@@ -61,14 +61,14 @@ const FORGOTTEN: u64 = 600_000_000_000;
 const MILLISECOND: u64 = 1_000_000;
 /// How late a step may be, in nanoseconds.
 const LATE: u64 = 20_000_000;
-/// How often a status is told, in nanoseconds, and how soon after a change another one may be.
+/// How often a status is published, in nanoseconds, and how soon after a change another one may be.
 const STATUS_EVERY: u64 = 1_000_000_000;
 const STATUS_PAUSE: u64 = 20_000_000;
 /// The most steps that are taken for observations that never came: more leave no trace in any history.
 const MAX_GAP: u64 = 256;
 /// How far outside of its range a number may be, in widths of the range.
 const WIDTHS: f64 = 3.0;
-/// The most unknown facts that are told by name.
+/// The most unknown facts that are reported by name.
 const MAX_UNKNOWN: usize = 16;
 /// The longest sentence that is spoken without further memory, in bytes.
 const TEXT: usize = 512;
@@ -77,9 +77,9 @@ const UTTERANCES_PASSED: u32 = 16;
 
 /// Where a session's events go.
 pub trait SayTo {
-    /// Puts an event of what is said.
+    /// Puts an event of what is said, JSON or raw as the client wants it.
     fn say(&mut self, bytes: &[u8]);
-    /// Puts a status.
+    /// Puts a status, as JSON.
     fn status(&mut self, bytes: &[u8]);
     /// Plays a sentence, if there is a loudspeaker; what it plays is cut.
     fn play(&mut self, _sentence: &Arc<SpokenSentence>) {}
@@ -178,7 +178,7 @@ pub struct LiveSession {
     held: Vec<u8>,
     status: Vec<u8>,
     is_held: bool,
-    // What is told of it.
+    // What is published of it.
     counts: LiveCounts,
     latency: LatencyHistogram,
     status_due: u64,
@@ -301,12 +301,12 @@ impl LiveSession {
         self.latency.record(nanoseconds);
     }
 
-    /// Notes how many messages nobody looked at.
+    /// Notes how many messages were never looked at.
     pub fn note_overwritten(&mut self, n: u64) {
         self.counts.overwritten = n;
     }
 
-    /// Tells whether the session is over: closed, or lost for long.
+    /// Returns whether the session is over: closed, or lost for long.
     pub fn is_over(&self, now: u64) -> bool {
         let quiet_since = self.newest_at.map_or(self.since, |at| at.max(self.since));
         let is_quiet = now.saturating_sub(quiet_since) > FORGOTTEN && self.robot.is_none();
@@ -387,7 +387,7 @@ impl LiveSession {
         Some(write_json_with(&self.newest.head, &self.newest.values, facts.as_deref()))
     }
 
-    /// Tells whether the incoming observation is newer than the newest.
+    /// Returns whether the incoming observation is newer than the newest.
     fn check_order(&mut self) -> Result<bool, BadObservation> {
         let Some(last) = self.last_seq else { return Ok(true) };
         let head = self.incoming.head;
@@ -524,7 +524,7 @@ impl LiveSession {
         self.go_on_speaking(now, out);
     }
 
-    /// Tells that a further word begins, if one does.
+    /// Publishes that a further word begins, if one does.
     fn go_on_speaking(&mut self, now: u64, out: &mut impl SayTo) {
         let is_pause = self.next_word().is_some_and(|begins| begins > now);
         if self.is_word_due && !is_pause {
@@ -629,7 +629,7 @@ impl LiveSession {
             self.is_word_due = false;
             self.emit(now, SayEvent::End, out);
         } else {
-            // Told once it is clear that the utterance goes on.
+            // Published once it is clear that the utterance goes on.
             self.is_word_due = true;
         }
     }
@@ -706,7 +706,7 @@ impl LiveSession {
         self.release(true, out);
     }
 
-    /// Ends the session.
+    /// Ends the session: cuts what is said and puts a last status.
     pub fn close(&mut self, now: u64, why: Silence, out: &mut impl SayTo) {
         self.break_off(now, out);
         self.next_step = None;
@@ -784,7 +784,7 @@ impl LiveSession {
         self.tell(now, out);
     }
 
-    /// Tells whether it matters how old the newest observation is.
+    /// Returns whether it matters how old the newest observation is.
     fn is_watched(&self) -> bool {
         matches!(self.state, LiveState::Silent | LiveState::Speaking | LiveState::Stale)
     }
@@ -879,7 +879,7 @@ impl LiveSession {
         self.release(true, out);
     }
 
-    /// Tells the status, if it is time or there is news.
+    /// Publishes the status, if it is time or there is news.
     fn tell(&mut self, now: u64, out: &mut impl SayTo) {
         let has_news = self.has_news && now >= self.status_put + STATUS_PAUSE;
         if !has_news && now < self.status_due {

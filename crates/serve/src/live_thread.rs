@@ -24,12 +24,12 @@ pub(crate) const SESSIONS_PER_THREAD: usize = 16;
 const MAX_WAITING: usize = 256;
 /// The last part of a sleep that is waited awake, because a sleeper wakes up late.
 const SPIN: Duration = Duration::from_micros(300);
-/// The longest sleep.
+/// The longest sleep; a thread without work wakes up this often.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 /// How often the state of every session is reported, in nanoseconds.
 const SNAPSHOT_EVERY: u64 = 1_000_000_000;
 
-/// What a thread is told.
+/// What a thread is ordered to do.
 #[derive(Debug)]
 pub(crate) enum ThreadOrder {
     /// Speak for one more client.
@@ -38,7 +38,7 @@ pub(crate) enum ThreadOrder {
     Presence(ClientName, Incarnation, bool),
     /// A client's session is replaced by another one.
     Remove(ClientName),
-    /// End.
+    /// End the work of the thread.
     Stop,
 }
 
@@ -58,7 +58,7 @@ pub(crate) struct Hosted {
     pub(crate) incarnation: Option<Incarnation>,
     pub(crate) session: LiveSession,
     pub(crate) port: LivePort,
-    /// What tells a robot on keys of its own the same.
+    /// What publishes the same on a robot's own keys.
     pub(crate) writer: Option<RobotWriter>,
     pub(crate) taken: TakenLog,
 }
@@ -74,7 +74,7 @@ impl Hosted {
         (session, ToPort { port, writer: writer.as_mut(), taken, loudspeaker, clock })
     }
 
-    /// Tells recorders what a robot observed on a key of its own.
+    /// Publishes to recorders what a robot observed on a key of its own.
     fn tell_robot_observation(&self) {
         let Some(message) = self.session.robot_observation() else { return };
         if let Err(error) = self.port.observed(&message) {
@@ -82,7 +82,7 @@ impl Hosted {
         }
     }
 
-    /// Tells recorders what was taken in, after what was said on account of it.
+    /// Publishes to recorders what was taken in, after what was said in response.
     fn tell_taken(&mut self, now: u64, input: TakenInput) {
         let session = &self.session;
         let place = (session.last_seq(), session.step_of_episode());
@@ -93,7 +93,7 @@ impl Hosted {
     }
 }
 
-/// A running thread.
+/// A running thread, by which orders reach it.
 #[derive(Debug)]
 pub(crate) struct LiveThread {
     orders: SyncSender<ThreadOrder>,
@@ -101,7 +101,11 @@ pub(crate) struct LiveThread {
 }
 
 impl LiveThread {
-    /// Starts one.
+    /// Starts a thread.
+    ///
+    /// # Errors
+    ///
+    /// If the system starts no further thread.
     pub(crate) fn start(
         name: String,
         decider: LiveDecider,
@@ -217,7 +221,7 @@ impl Loop {
         }
     }
 
-    /// Cuts what a session says and forgets it. Its status is not told: the client has another session by now.
+    /// Cuts what a session says and forgets it. Its status is not published: the client has another session by now.
     fn remove(&mut self, client: &ClientName) {
         let (now, clock, loudspeaker) = (self.clock.now(), self.clock, self.loudspeaker.as_ref());
         self.hosted.retain_mut(|hosted| {

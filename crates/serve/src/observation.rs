@@ -1,9 +1,9 @@
-//! Observations as they come from clients: JSON, or raw numbers with 40 bytes beside them. Nothing of them is trusted.
+//! Observations as they come from clients: JSON, or raw numbers with 40 bytes attached. Nothing of them is trusted.
 //!
 //! ```text
 //! {"seq":17,"t":12.34,"obs":[0.1,...],"episode":3,"end":false,"facts":["zone_below"]}
 //!
-//! raw: obs_dim f32, little-endian; beside them (the attachment), little-endian:
+//! raw: obs_dim f32, little-endian; attached, little-endian:
 //!   0  magic "LDLV"    4  version u16 = 1    6  flags u16 (1 = end of the episode)
 //!   8  seq u64        16  t u64, ns         24  episode u64
 //!  32  crc32c u32 over bytes 0..32 and the numbers                    36  reserved u32 = 0
@@ -27,7 +27,7 @@ pub const MAX_NUMBER: f64 = 1e9;
 const MAX_TIME: f64 = 1e9;
 /// The longest name of a fact, in bytes.
 const MAX_FACT: usize = 64;
-/// Bytes beside a raw observation.
+/// Bytes attached to a raw observation.
 pub const RAW_HEADER: usize = 40;
 const MAGIC: [u8; 4] = *b"LDLV";
 const VERSION: u16 = 1;
@@ -92,14 +92,14 @@ pub enum BadObservation {
     Encoding(String),
 }
 
-/// What an observation says beside its numbers.
+/// What an observation says besides its numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ObservationHead {
     /// Its number, counted by the client.
     pub seq: u64,
     /// The client's own time, in seconds.
     pub t: f64,
-    /// The client's episode.
+    /// The episode that the client counts it to.
     pub episode: u64,
     /// It is the last one of its episode.
     pub end: bool,
@@ -114,13 +114,13 @@ pub struct FactList {
 }
 
 impl FactList {
-    /// Lists the names.
+    /// Lists the names in the order in which they came.
     pub fn iter(&self) -> impl Iterator<Item = &str> {
         let begins = [0].into_iter().chain(self.ends.iter().copied());
         begins.zip(&self.ends).map(|(from, to)| &self.text[from..*to])
     }
 
-    /// Tells whether a name is among them.
+    /// Returns whether a name is among them.
     pub fn contains(&self, fact: &str) -> bool {
         self.iter().any(|name| name == fact)
     }
@@ -139,7 +139,7 @@ impl FactList {
 /// An observation, read into memory that is used again.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiveObservation {
-    /// What it says beside its numbers.
+    /// What it says besides its numbers.
     pub head: ObservationHead,
     /// Its numbers. Shape `[obs_dim]` once it was read without an error.
     pub values: Vec<f32>,
@@ -185,7 +185,8 @@ impl LiveObservation {
     ///
     /// # Errors
     ///
-    /// [`BadObservation`]; what was there before is lost.
+    /// [`BadObservation`] if the bytes are no JSON of an observation with number and time, or if its numbers are not as
+    /// many as the task has, or not finite. What was there before is lost.
     pub fn read_json(&mut self, bytes: &[u8]) -> Result<(), BadObservation> {
         match self.read_fields(bytes)? {
             [true, true] => Ok(()),
@@ -193,7 +194,7 @@ impl LiveObservation {
         }
     }
 
-    /// Reads JSON that may have neither number nor time; tells whether it has both.
+    /// Reads JSON that may have neither number nor time; returns whether it has both.
     ///
     /// # Errors
     ///
@@ -206,7 +207,7 @@ impl LiveObservation {
         }
     }
 
-    /// Reads JSON; tells whether there were a number and a time.
+    /// Reads JSON; returns whether there were a number and a time.
     fn read_fields(&mut self, bytes: &[u8]) -> Result<[bool; 2], BadObservation> {
         self.clear();
         let mut reader = serde_json::Deserializer::from_slice(bytes);
@@ -227,7 +228,8 @@ impl LiveObservation {
     ///
     /// # Errors
     ///
-    /// [`BadObservation`]; what was there before is lost.
+    /// [`BadObservation`] if there are not as many as the task has, or one is not finite. What was there before is
+    /// lost.
     pub(crate) fn read_numbers(&mut self, numbers: &[[u8; 4]]) -> Result<(), BadObservation> {
         self.clear();
         if numbers.len() == self.obs_dim {
@@ -236,11 +238,12 @@ impl LiveObservation {
         self.check(numbers.len())
     }
 
-    /// Reads raw numbers and the bytes beside them.
+    /// Reads raw numbers and the bytes attached to them.
     ///
     /// # Errors
     ///
-    /// [`BadObservation`]; what was there before is lost.
+    /// [`BadObservation`] if either has another length than expected, if beginning, version or checksum are wrong, or
+    /// if a number is not finite. What was there before is lost.
     pub fn read_raw(&mut self, numbers: &[u8], beside: &[u8]) -> Result<(), BadObservation> {
         self.clear();
         if beside.len() != RAW_HEADER {
@@ -299,7 +302,7 @@ fn checksum(head: &[u8], numbers: &[u8]) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c(head), numbers)
 }
 
-/// Writes an observation as raw numbers and the bytes beside them.
+/// Writes an observation as raw numbers and the bytes to attach.
 pub fn write_raw(head: &ObservationHead, values: &[f32]) -> (Vec<u8>, [u8; RAW_HEADER]) {
     let numbers: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
     let mut beside = [0; RAW_HEADER];
@@ -319,7 +322,7 @@ pub fn write_json(head: &ObservationHead, values: &[f32]) -> Vec<u8> {
     write_json_with(head, values, None)
 }
 
-/// Writes an observation as JSON, with the facts that hold, if the client tells any.
+/// Writes an observation as JSON, with the facts that hold, if the client states any.
 pub fn write_json_with(
     head: &ObservationHead,
     values: &[f32],

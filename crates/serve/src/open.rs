@@ -45,15 +45,15 @@ pub enum WordClock {
     /// As long as in the notifier's voice, if it has one; a step each with [`StepClock::Observation`].
     #[default]
     Voice,
-    /// A step each.
+    /// One step of the session each.
     Steps,
 }
 
-/// In which form a client wants to be told what is said.
+/// The form in which a client wants to read what is said.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SayForm {
-    /// JSON.
+    /// JSON, with names and words.
     #[default]
     Json,
     /// 24 bytes without text.
@@ -125,7 +125,7 @@ pub struct SessionPlan {
     pub word_clock: WordClock,
     /// How long a step takes, in seconds.
     pub seconds_per_step: f64,
-    /// From which age on an observation is stale, in seconds.
+    /// The age from which on an observation is stale, in seconds.
     pub stale_after: f64,
     /// After which silence a client counts as lost, in seconds.
     pub lost_after: f64,
@@ -171,7 +171,8 @@ impl SessionPlan {
     ///
     /// # Errors
     ///
-    /// [`OpenRefusal`] with the sentence for the client.
+    /// [`OpenRefusal`] if the question is no JSON of one, is for another task or protocol, or gives a key a value that
+    /// is not allowed. The sentence is for the client.
     pub fn read(question: &[u8], policy: &WorkingPolicy, seed: u64) -> Result<Self, OpenRefusal> {
         let asked: OpenRequest = serde_json::from_slice(question)
             .map_err(|error| JsonFault::find(question, &RULES, &error))?;
@@ -270,12 +271,12 @@ pub struct PolicyNote {
     pub updates: u64,
 }
 
-/// A fact, as a client is told of it.
+/// A fact, as a client reads of it.
 #[derive(Clone, Debug, Serialize)]
 pub struct FactNote {
-    /// Its name.
+    /// Name of the fact, as observations state it.
     pub name: &'static str,
-    /// When it holds.
+    /// When it holds, in words.
     pub meaning: &'static str,
 }
 
@@ -285,12 +286,12 @@ impl From<&Fact> for FactNote {
     }
 }
 
-/// What a recorder is told of a session: everything that is needed to open the same one again.
+/// What a recorder learns of a session: everything that is needed to open the same one again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionNote {
-    /// The client.
+    /// Name of the client, as its keys have it.
     pub client: String,
-    /// The session's name.
+    /// Name of the session, as the answer gave it.
     pub session: String,
     /// This start of the notifier, 16 hexadecimal digits.
     pub start: String,
@@ -298,7 +299,7 @@ pub struct SessionNote {
     pub question: Value,
     /// What it was answered.
     pub answer: Value,
-    /// The policy.
+    /// The policy, and how it was put to work.
     pub policy: PolicyOrigin,
     /// A checksum over the sentences.
     pub words_checksum: u32,
@@ -313,7 +314,7 @@ pub struct VoiceNote {
     pub rate: u32,
     /// Sentences that it has times for.
     pub sentences: usize,
-    /// Those of them whose times nobody measured.
+    /// Those of them whose times were not measured.
     pub estimated: usize,
 }
 
@@ -327,27 +328,27 @@ impl From<&VoiceBook> for VoiceNote {
 /// The answer to a client's question.
 #[derive(Clone, Debug, Serialize)]
 pub struct SessionAnswer<'a> {
-    /// The session's name.
+    /// Name of the session, which its statuses and records repeat.
     pub session: &'a str,
     /// The version of the messages.
     pub protocol: u32,
-    /// The task.
+    /// The task, by its domain.
     pub domain: &'a str,
     /// How many numbers an observation has.
     pub obs_dim: usize,
-    /// Each of them; a client that takes 24 bytes per event is told no more than it has room for.
+    /// Each of them; a client that takes 24 bytes per event gets no more than it has room for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub observation: Vec<ObservationName>,
     /// The topics, by number.
     pub topics: &'a [&'static str],
-    /// The facts that an observation may tell, with when each holds.
+    /// The facts that an observation may state, with when each holds.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub facts: Vec<FactNote>,
     /// When steps are taken.
     pub clock: StepClock,
     /// How long a step takes.
     pub seconds_per_step: f64,
-    /// From which age on an observation is stale, in seconds.
+    /// The age from which on an observation is stale, in seconds.
     pub stale_after: f64,
     /// After which silence a client counts as lost, in seconds.
     pub lost_after: f64,
@@ -355,7 +356,7 @@ pub struct SessionAnswer<'a> {
     pub seed: u64,
     /// The number that the next observation has to exceed; 0 for a new session.
     pub last_seq: u64,
-    /// The policy.
+    /// The policy that decides.
     pub policy: PolicyNote,
     /// How many sentences there are.
     pub sentences: usize,

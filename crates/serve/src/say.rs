@@ -22,17 +22,17 @@ pub const RAW_SAY: usize = 24;
 /// The flag of the last event about an observation.
 const LAST: u8 = 1;
 
-/// What happens.
+/// What happens to an utterance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SayEvent {
-    /// Nothing is said. Only told with `clock = "observation"`, where every observation has an answer.
+    /// Nothing is said. Only published with `clock = "observation"`, where every observation has an answer.
     Silent,
     /// An utterance starts with its first word.
     Start,
     /// A further word of it begins.
     Word,
-    /// It is over.
+    /// Its last word has ended.
     End,
     /// It is cut: by the next one, by the notifier, or because nobody should be spoken to.
     Cut,
@@ -43,9 +43,9 @@ pub enum SayEvent {
 pub struct SaidUtterance<'a> {
     /// Its number in the session, from 1.
     pub number: u32,
-    /// Its topic.
+    /// Index of its topic in the task.
     pub topic: usize,
-    /// The topic's name.
+    /// Name of the topic in the task, such as `ascend`.
     pub topic_name: &'a str,
     /// Comprehension time k, in words.
     pub comprehension: u32,
@@ -63,16 +63,16 @@ pub struct SaidUtterance<'a> {
     pub spoken: Option<&'a SpokenSentence>,
 }
 
-/// One event.
+/// One event of what is said.
 #[derive(Clone, Copy, Debug)]
 pub struct SayLine<'a> {
     /// The newest observation, by its number.
     pub seq: u64,
     /// The step of the episode, from 0.
     pub step: u32,
-    /// The client's episode.
+    /// The episode that the client counts it to.
     pub episode: u64,
-    /// What happens.
+    /// What happens to the utterance.
     pub event: SayEvent,
     /// About which utterance; `None` for [`SayEvent::Silent`].
     pub utterance: Option<SaidUtterance<'a>>,
@@ -219,7 +219,7 @@ pub struct HeardSay {
     /// The client's episode; 0 in a raw event.
     #[serde(default)]
     pub episode: u64,
-    /// What happens.
+    /// What happens to the utterance.
     pub event: SayEvent,
     /// The utterance's number; 0 in silence.
     #[serde(default)]

@@ -32,7 +32,7 @@ pub trait StateStore: Send + Sync + fmt::Debug {
     ///
     /// # Errors
     ///
-    /// Whatever the disk says.
+    /// What the system reports if the state cannot be written.
     fn keep(&self, client: &ClientName, state: &[u8]) -> std::io::Result<()>;
 
     /// Returns what was kept.
@@ -77,7 +77,7 @@ struct Registered {
     whole: Vec<u8>,
     /// The key and the form of a robot's observations.
     place: Option<String>,
-    /// The command line opened it, and nobody else may have its place.
+    /// The command line opened it, and no other client may have its place.
     is_standing: bool,
 }
 
@@ -125,7 +125,7 @@ impl LiveService {
     ///
     /// # Errors
     ///
-    /// [`ServiceError::Thread`].
+    /// [`ServiceError::Thread`] if the system starts no further thread.
     pub fn new(
         policy: WorkingPolicy,
         settings: ServiceSettings,
@@ -160,7 +160,7 @@ impl LiveService {
         })
     }
 
-    /// Works until it is told to stop, then tells every client and leaves.
+    /// Works until it is asked to stop, then notifies every client and leaves.
     ///
     /// # Errors
     ///
@@ -193,7 +193,7 @@ impl LiveService {
                 self.answer(&client, question, responder);
             }
             LiveEvent::Describe(client, responder) => {
-                // Without a session nobody is answered, and asks again.
+                // A client without a session gets no answer, and asks again.
                 if let Some(note) = self.open.get(&client).and_then(|it| self.note_of(&client, it))
                 {
                     responder.reply(note);
@@ -274,7 +274,8 @@ impl LiveService {
     ///
     /// # Errors
     ///
-    /// [`OpenRefusal`], as a client is told it.
+    /// [`OpenRefusal`] if the question cannot be met or the session's keys cannot be used; a client would get the same
+    /// sentence.
     pub fn stand(&mut self, standing: StandingSession) -> Result<(), OpenRefusal> {
         let plan = SessionPlan::read(&standing.question, &self.policy, self.settings.seed)?;
         let plan = SessionPlan { source: ObservationSource::Robot(standing.form), ..plan };
@@ -392,7 +393,7 @@ impl LiveService {
         self.policy.voice().map(|voice| voice.name.clone())
     }
 
-    /// Tells whether the client of a session is there.
+    /// Returns whether the client of a session is there.
     fn is_there(&self, client: &ClientName, registered: &Registered) -> bool {
         if registered.is_standing {
             return true;

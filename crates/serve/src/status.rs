@@ -1,4 +1,5 @@
-//! What a notifier tells about a session: what it does, how old its observation is, what went wrong, why it is silent.
+//! What a notifier reports about a session: what it does, how old its observation is, what went wrong, why it is
+//! silent.
 
 use std::fmt;
 
@@ -13,11 +14,11 @@ use crate::say::milliseconds;
 pub enum LiveState {
     /// No observation has come yet.
     Waiting,
-    /// Nothing is said.
+    /// Nothing is said at present.
     Silent,
-    /// An utterance runs.
+    /// An utterance is being spoken.
     Speaking,
-    /// The loudspeaker is gone: what is said goes on in text. Told instead of silent and speaking.
+    /// The loudspeaker is gone: what is said goes on in text. Reported instead of silent and speaking.
     Mute,
     /// The newest observation is too old: nothing new starts.
     Stale,
@@ -32,7 +33,7 @@ pub enum LiveState {
 /// Why nothing is said.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Silence {
-    /// Something is said.
+    /// None: something is said.
     #[default]
     None,
     /// No observation has come yet.
@@ -55,7 +56,7 @@ pub enum Silence {
     Refused(u32, String),
     /// The loudspeaker is gone.
     Mute,
-    /// The notifier goes.
+    /// The notifier ends its work.
     Closing,
 }
 
@@ -104,7 +105,7 @@ pub struct LiveCounts {
     pub out_of_order: u64,
     /// Messages that could not be used.
     pub refused: u64,
-    /// Messages that nobody looked at, because a newer one had replaced them.
+    /// Messages that were never looked at, because a newer one had replaced them.
     pub overwritten: u64,
     /// Observations far outside of the range of one of their numbers.
     pub strange: u64,
@@ -112,18 +113,18 @@ pub struct LiveCounts {
     pub unknown_facts: u64,
     /// Steps that were taken late.
     pub late_steps: u64,
-    /// Steps in all.
+    /// Steps that were taken in all.
     pub steps: u64,
     /// Utterances that were started.
     pub utterances: u64,
 }
 
-/// One status.
+/// One status of a session.
 #[derive(Debug, Serialize)]
 pub struct StatusLine<'a> {
-    /// The session.
+    /// Name of the session, as its answer gave it.
     pub session: &'a str,
-    /// What it does.
+    /// What the session does.
     pub state: LiveState,
     /// For how long, in seconds.
     pub since: f64,

@@ -1,4 +1,4 @@
-//! What a session took in, and when by the notifier's own clock: everything that its decisions depend on beside the
+//! What a session took in, and when by the notifier's own clock: everything that its decisions depend on besides the
 //! observations themselves. With it a recorded session can be replayed exactly, whatever its clock.
 //!
 //! ```text
@@ -33,25 +33,25 @@ pub enum TakenInput {
     },
     /// A report of what the loudspeaker did.
     Heard {
-        /// The report.
+        /// What the loudspeaker did.
         report: HeardReport,
     },
     /// The client is there, or not any more.
     Presence {
-        /// It is there.
+        /// Whether it is there.
         is_here: bool,
     },
     /// The passing of time: a step by the clock, staleness, a status.
     Tick,
 }
 
-/// One line about what was taken in, put after everything that was said on account of it.
+/// One line about what was taken in, put after everything that was said in response.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TakenLine<'a> {
-    /// The session's name.
+    /// Name of the session, as its answer gave it.
     pub session: Cow<'a, str>,
-    /// This start of the notifier, 16 hexadecimal digits; empty where a recording does not tell it. Numbers, times and counts are
-    /// those of one start.
+    /// This start of the notifier, 16 hexadecimal digits; empty where a recording does not state it. Numbers, times and
+    /// counts are those of one start.
     #[serde(default, skip_serializing_if = "str::is_empty")]
     pub start: Cow<'a, str>,
     /// The line's number in the session, from 1; where a restarted notifier goes on with a session, from 2.
@@ -70,7 +70,7 @@ pub struct TakenLine<'a> {
 }
 
 impl TakenLine<'_> {
-    /// Tells whether nothing that the session took in before matters: there is nothing, or no observation yet.
+    /// Returns whether nothing that the session took in before matters: there is nothing, or no observation yet.
     pub fn is_beginning(&self) -> bool {
         let is_observation = matches!(self.input, TakenInput::Observation { .. });
         self.n == 1 || self.seq == 0 && self.said == 0 && !is_observation

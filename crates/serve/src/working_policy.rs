@@ -31,13 +31,13 @@ pub enum UnfitPolicy {
 /// Where a policy is from and how it was put to work: what a recording has to know to do the same again.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PolicyOrigin {
-    /// Its file, as the notifier was told to find it.
+    /// Its file, as the notifier was started with it.
     pub path: String,
     /// SHA-256 over the file, in hexadecimal.
     pub sha256: String,
     /// Keys of the task that were changed, each as `key=value`.
     pub changes: Vec<String>,
-    /// How it chooses.
+    /// How an action is chosen.
     pub action: Choice,
     /// The words: a database, `shipped` or `none`.
     pub words: String,
@@ -47,7 +47,7 @@ pub struct PolicyOrigin {
     pub voice: String,
 }
 
-/// Returns how others are told of a voice that `--voice` names: commands and paths of this machine are no affair of theirs.
+/// Returns what others may know of a voice that `--voice` names: commands and paths of this machine stay private.
 pub fn told_voice(name: &str) -> &str {
     match name.split_once(':') {
         Some((kind @ ("pipe" | "recorded"), _)) => kind,
@@ -63,7 +63,7 @@ fn silent() -> String {
 /// A policy that is ready to speak.
 #[derive(Clone, Debug)]
 pub struct WorkingPolicy {
-    /// The task's name.
+    /// Name of the task's domain, such as `lander`.
     pub domain: String,
     /// The notifier before its first episode.
     pub session: Session,
@@ -75,7 +75,7 @@ pub struct WorkingPolicy {
     pub origin: PolicyOrigin,
     /// The settings of the task that it was made for, where they are known.
     pub task: Option<Value>,
-    /// One observation's numbers.
+    /// What each number of an observation is.
     observation: Vec<Quantity>,
     /// What a client may say to be the case, as far as some sentence presupposes it.
     facts: Vec<Fact>,
@@ -91,7 +91,7 @@ impl WorkingPolicy {
     ///
     /// # Errors
     ///
-    /// [`UnfitPolicy`] if nobody is spoken to in the task, if the words are about other topics, or if the parameters are of
+    /// [`UnfitPolicy`] if the task has no listener, if the words are about other topics, or if the parameters are of
     /// another network.
     pub fn new(
         domain: &str,
@@ -173,7 +173,7 @@ impl WorkingPolicy {
         &self.observation
     }
 
-    /// Lists the facts that a client may tell: those that some sentence presupposes.
+    /// Lists the facts that a client may state: those that some sentence presupposes.
     pub fn facts(&self) -> &[Fact] {
         &self.facts
     }
@@ -188,12 +188,12 @@ impl WorkingPolicy {
         self.taxonomy.clone()
     }
 
-    /// Counts the sentences.
+    /// Counts the sentences of all topics; 0 without words.
     pub fn n_sentences(&self) -> usize {
         self.sentences().count()
     }
 
-    /// Lists the sentences.
+    /// Lists the sentences, topic by topic.
     pub fn sentences(&self) -> impl Iterator<Item = &str> {
         let topics = self.taxonomy.iter().flat_map(|taxonomy| taxonomy.topics());
         topics.flat_map(Topic::utterances).map(|utterance| utterance.text.as_str())
@@ -205,7 +205,7 @@ impl WorkingPolicy {
     }
 }
 
-/// What decides.
+/// What decides: a network with its own memory for a pass.
 #[derive(Clone, Debug)]
 pub struct LiveDecider {
     policy: Policy,

@@ -47,7 +47,7 @@ pub struct EvalCache {
     n_made: usize,
 }
 
-/// A file's content.
+/// What the file of an evaluation holds.
 #[derive(Serialize, Deserialize)]
 struct CachedEvaluation<E> {
     program: String,

@@ -9,7 +9,7 @@ use crate::error::Error;
 use crate::plan::{PlannedRow, PlannedTraining};
 use crate::study::WhichPolicy;
 
-/// The folder of evaluations: in a run's directory, and for scripts, which have no run, beside the runs.
+/// The folder of evaluations: in a run's directory, and for scripts, which have no run, next to the runs.
 const FOLDER: &str = "evaluations";
 
 /// A player with what decides how it plays.
@@ -34,7 +34,7 @@ impl EvalCandidate {
         }
     }
 
-    /// Tells whether a script of that name plays.
+    /// Returns whether a script of that name plays.
     pub(crate) fn is_script(&self, name: &str) -> bool {
         self.player.is_script(name)
     }

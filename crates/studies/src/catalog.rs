@@ -31,9 +31,9 @@ const ALL: &str = "all";
 /// A study with the name that its files bear.
 #[derive(Clone, Debug)]
 pub struct NamedStudy {
-    /// The name.
+    /// The name: its file without the ending.
     pub name: String,
-    /// The study.
+    /// The study as it was read.
     pub study: Study,
 }
 
@@ -42,7 +42,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().map(|(name, _)| *name)
 }
 
-/// Tells whether a study of that name comes with the program.
+/// Returns whether a study of that name comes with the program.
 pub(crate) fn is_built_in(name: &str) -> bool {
     names().any(|known| known == name)
 }

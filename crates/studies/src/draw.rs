@@ -1,5 +1,5 @@
 //! The figures of a part: learning curves over training seeds, curves over conditions, playthroughs of the same episode;
-//! for a domain with maps, the maps beside each other, and the trajectories with every notifier.
+//! for a domain with maps, the maps next to each other, and the trajectories with every notifier.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ use crate::plan::{PlannedCondition, PlannedPart, PlannedRow, PlannedTraining, UN
 use crate::result::{PartResult, StudyFigure};
 use crate::study::{Layout, StudyCondition, StudyPart};
 
-/// Pixels per unit.
+/// Pixels per unit of a figure.
 const SCALE: f32 = 1.5;
 /// Pixels per unit of a sheet of playthroughs, which are large.
 const SHEET_SCALE: f32 = 1.0;

@@ -55,7 +55,7 @@ pub enum Error {
     /// A training was launched and failed.
     #[error("run `{run}` failed: {last} (the whole log: {})", log.display())]
     Training {
-        /// The run.
+        /// The run whose training failed.
         run: String,
         /// The exit code of its learner; `None` if it was killed, or no actor was left.
         code: Option<i32>,

@@ -9,7 +9,7 @@ use crate::plan::PlannedTraining;
 use crate::provenance::minutes;
 use crate::train::Crew;
 
-/// Environment steps per second of one training, where no run tells: those of the main table, piloting and driving, two
+/// Environment steps per second of one training, where no run says: those of the main table, piloting and driving, two
 /// trainings at a time on two cores (`docs/results/table1.md`: 68.0 million steps in 102.8 minutes of runs).
 const STEPS_PER_SECOND: f64 = 11_000.0;
 

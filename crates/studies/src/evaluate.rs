@@ -46,7 +46,7 @@ pub(crate) struct Evaluator<'a> {
 /// The metrics that are computed for an episode beyond the task's own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 enum Detail {
-    /// None.
+    /// None beyond the measures of the task.
     Measures,
     /// Whether a hazard was averted or harm done, and its lead time.
     Lead,

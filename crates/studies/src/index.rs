@@ -1,4 +1,4 @@
-//! The index of results: every study's main tables, from the data that lies beside it.
+//! The index of results: every study's main tables, from the data next to it.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -8,11 +8,11 @@ use crate::catalog;
 use crate::error::Error;
 use crate::result::StudyResult;
 
-/// The index's file.
+/// The file of the index, in the folder of the results.
 pub(crate) const FILE: &str = "README.md";
 /// What the results say of the paper's claims, written by hand: a table without a heading.
 const VERDICT: &str = "verdict.md";
-/// The folder beside it for results of quick runs.
+/// The folder next to it for results of quick runs.
 pub(crate) const QUICK: &str = "quick";
 
 /// Makes the index of a directory: full results where there are some, else those of a quick run, and in the end how to

@@ -4,13 +4,13 @@
 //! study       as written: parts, rows, evaluations, published figures          studies/*.toml, or a file of one's own
 //!   plan      trainings named by what they compute, conditions, measures       checked before anything is trained
 //!   train     a learner and its actors for each, some at a time                resumable, interruptible
-//!   evaluate  every policy under every condition, sampled and greedy           every episode once, cached beside the runs
+//!   evaluate  every policy under every condition, sampled and greedy           every episode once, cached next to the runs
 //!   draw      curves, maps, trajectories, playthroughs
 //!   write     <study>.md, <study>.json, figures, and the index
 //! ```
 //!
-//! What this crate does not know: the command line, how to print (a [`StudyObserver`] is told what goes on), exit codes, and
-//! any domain by name.
+//! What this crate does not know: the command line, how to print (a [`StudyObserver`] gets what goes on), exit codes,
+//! and any domain by name.
 //!
 //! # Where to start
 //!

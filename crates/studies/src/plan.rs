@@ -79,7 +79,7 @@ pub(crate) struct PlannedRow {
 pub struct PlannedTraining {
     /// Its name: what it is for, what it computes, its seed.
     pub name: RunName,
-    /// Its configuration.
+    /// The configuration that it trains with.
     pub(crate) config: Config,
     /// First digits of the hash over what it computes.
     pub(crate) hash: String,
@@ -102,7 +102,7 @@ pub(crate) struct PlannedMap {
 }
 
 impl StudyPlan {
-    /// Plans a study.
+    /// Plans a study: which trainings, scripts and evaluations its tables need.
     pub(crate) fn new(
         tasks: &Tasks,
         named: NamedStudy,
@@ -370,7 +370,7 @@ impl PlannedTraining {
         if which == WhichPolicy::Best && best.exists() { best } else { directory.join(LAST_POLICY) }
     }
 
-    /// Tells whether the run has reached its end.
+    /// Returns whether the run has reached its end.
     pub fn is_finished(&self) -> bool {
         is_finished(&self.directory())
     }
@@ -396,7 +396,7 @@ fn existing(runs: &Path, suffix: &str) -> Option<String> {
     names.filter(is_run).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
 }
 
-/// Tells whether the run in a directory has reached its end.
+/// Returns whether the run in a directory has reached its end.
 fn is_finished(directory: &Path) -> bool {
     RunRecord::read(directory).is_ok_and(|record| record.result.is_some())
 }

@@ -23,7 +23,7 @@ const HASH_DIGITS: usize = 10;
 pub(crate) struct Profile {
     /// The name of a built-in configuration, or its file.
     pub(crate) name: String,
-    /// The complete configuration.
+    /// The complete configuration, checked.
     pub(crate) config: Config,
 }
 

@@ -9,7 +9,7 @@ use leadtime_proto::phrase::{duration, time_left};
 use crate::cache::EvalCache;
 use crate::plan::PlannedTraining;
 
-/// Is told what goes on while studies are carried out.
+/// Gets what goes on while studies are carried out.
 pub trait StudyObserver {
     /// Receives how far the trainings are, several times a second while they run.
     fn training(&mut self, progress: &TrainingProgress);

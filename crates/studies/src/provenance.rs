@@ -26,7 +26,7 @@ pub(crate) fn profile(planned: &PlannedPart) -> String {
     text
 }
 
-/// Tells where a finished run comes from.
+/// Says where a finished run comes from.
 pub(crate) fn run(training: &PlannedTraining) -> Result<TrainedRun, Error> {
     let directory = training.directory();
     let record = RunRecord::read(&directory)?;

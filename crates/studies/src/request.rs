@@ -49,12 +49,12 @@ pub struct StudyRequest {
 }
 
 impl StudyRequest {
-    /// Tells whether a part is asked for.
+    /// Returns whether a part is asked for.
     pub(crate) fn wants_part(&self, part: &StudyPart) -> bool {
         self.parts.is_empty() || self.parts.contains(&part.name)
     }
 
-    /// Tells whether a row is asked for, if its part is.
+    /// Returns whether a row is asked for, if its part is.
     pub(crate) fn wants_row(&self, part: &StudyPart, row: &StudyRow) -> bool {
         self.rows.is_empty() || self.rows.iter().any(|name| is_called(part, row, name))
     }
@@ -72,12 +72,12 @@ impl StudyRequest {
         seeds.take(if self.quick { 1 } else { usize::MAX }).collect()
     }
 
-    /// Tells whether policies are evaluated over the episodes of every table.
+    /// Returns whether policies are evaluated over the episodes of every table.
     pub(crate) fn has_the_tables_episodes(&self) -> bool {
         (self.episodes, self.eval_seed) == (EPISODES, EVAL_SEED)
     }
 
-    /// Tells whether whole studies are carried out as they are, but for `quick`.
+    /// Returns whether whole studies are carried out as they are, but for `quick`.
     pub(crate) fn is_unchanged(&self) -> bool {
         self.rows.is_empty()
             && self.parts.is_empty()
@@ -89,7 +89,7 @@ impl StudyRequest {
     }
 }
 
-/// Tells whether a row is meant by `row` or `part/row`.
+/// Returns whether a row is meant by `row` or `part/row`.
 pub(crate) fn is_called(part: &StudyPart, row: &StudyRow, name: &str) -> bool {
     match name.split_once('/') {
         Some((of, name)) => part.name == of && row.name == name,

@@ -38,7 +38,7 @@ pub(crate) struct PartResult {
     pub(crate) pictures: Vec<FigureLink>,
 }
 
-/// A figure in a file beside the table.
+/// A figure in a file next to the table.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct FigureLink {
     pub(crate) file: String,
@@ -117,7 +117,7 @@ impl RowResult {
 }
 
 impl ConditionResult {
-    /// Tells whether this is the evaluation of that name.
+    /// Returns whether this is the evaluation of that name.
     pub(crate) fn is(&self, evaluation: &str) -> bool {
         self.evaluations.iter().any(|name| name == evaluation)
     }

@@ -1,7 +1,8 @@
 //! The scripts of a row that the task does not have: one that is searched, and the oracle that mends what it does.
 //!
-//! A searched script is a file beside the runs, `scripts/<key>.toml`, named after everything that decides it. It is searched
-//! once, in the task that the row trains on and with as many steps as a training has. Later uses read the file.
+//! A searched script is a file next to the runs, `scripts/<key>.toml`, named after everything that decides it. It is
+//! searched once, in the task that the row trains on and with as many steps as a training has. Later uses read the
+//! file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -23,7 +24,7 @@ use crate::error::{Error, Placed as _};
 const SEARCHED: &str = "searched";
 /// What a row calls the clairvoyant player.
 const ORACLE: &str = "oracle";
-/// The folder of the scripts, beside the runs.
+/// The folder of the scripts, next to the runs.
 const FOLDER: &str = "scripts";
 /// How scripts are searched; a change that finds others adds 1.
 const SEARCH_SCHEMA: u32 = 1;
@@ -73,7 +74,7 @@ impl PlannedSearch {
         Some(Self { kind, config: config.clone(), seed, path })
     }
 
-    /// Tells whether the row is the script itself: as policies, it is evaluated as it was made, too.
+    /// Returns whether the row is the script itself: as policies, it is evaluated as it was made, too.
     pub(crate) fn is_searched(&self) -> bool {
         self.kind == ScriptKind::Searched
     }

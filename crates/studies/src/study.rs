@@ -31,7 +31,7 @@ pub struct Study {
     /// A training has failed if its success, with the listener it trained with, is further than this below the row's best.
     #[serde(default = "failed_below")]
     pub(crate) failed_below: f64,
-    /// The tables.
+    /// The tables of the study, in order.
     pub parts: Vec<StudyPart>,
 }
 
@@ -52,7 +52,7 @@ pub(crate) enum WhichPolicy {
 pub struct StudyPart {
     /// Its short name, which begins the names of its runs and figures.
     pub name: String,
-    /// Its heading.
+    /// The heading over the table.
     pub(crate) title: String,
     /// The configuration that every row starts from: a built-in one or a file.
     pub(crate) profile: String,
@@ -87,12 +87,12 @@ pub struct StudyPart {
     pub(crate) trajectories_on: Option<String>,
     /// Measures of the main table.
     pub(crate) columns: Vec<String>,
-    /// Differences to state.
+    /// Differences to state under the table.
     #[serde(default)]
     pub(crate) differences: Vec<StatedDifference>,
     /// The conditions under which policies are evaluated.
     pub(crate) evaluations: Vec<StudyCondition>,
-    /// The policies.
+    /// The policies of the table, from top to bottom.
     pub rows: Vec<StudyRow>,
 }
 
@@ -140,9 +140,9 @@ pub(crate) struct StatedDifference {
     pub(crate) of: String,
     /// The row whose mean is subtracted.
     pub(crate) minus: String,
-    /// The evaluation.
+    /// Name of one of the part's evaluations.
     pub(crate) on: String,
-    /// The measure.
+    /// Name of the measure that is compared.
     pub(crate) measure: String,
 }
 
@@ -188,12 +188,12 @@ pub struct StudyRow {
     paper_on: BTreeMap<String, BTreeMap<String, Vec<f64>>>,
 }
 
-/// A published figure.
+/// A figure that a publication states.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Published {
     /// The condition it is about, by the name of an evaluation; `None` where the source does not say.
     pub(crate) evaluation: Option<String>,
-    /// The measure.
+    /// Name of the measure that it is a value of.
     pub(crate) measure: String,
     /// Its mean over training seeds.
     pub(crate) mean: f64,
@@ -284,7 +284,7 @@ impl StudyRow {
         Ok(())
     }
 
-    /// Tells whether the policy is evaluated under a condition.
+    /// Returns whether the policy is evaluated under a condition.
     pub(crate) fn is_evaluated_on(&self, condition: &str) -> bool {
         self.on.is_empty() || self.on.iter().any(|name| name == condition)
     }

@@ -63,7 +63,6 @@ pub(crate) fn record(directory: &Path, is_finished: bool) {
     record.write(directory).unwrap();
 }
 
-/// Reads a study.
 pub(crate) fn study(name: &str, text: &str) -> NamedStudy {
     NamedStudy { name: name.to_owned(), study: Study::parse(name, text).unwrap() }
 }

@@ -19,7 +19,7 @@ pub(crate) struct RowTrainings {
     pub(crate) success: Vec<f64>,
     /// How far below the best one a training has failed.
     pub(crate) failed_below: f64,
-    /// Trainings that failed.
+    /// Number of trainings that failed.
     pub(crate) n_failed: u64,
     /// The share that failed, with its exact interval.
     pub(crate) failed: Interval,
@@ -30,7 +30,7 @@ pub(crate) struct RowTrainings {
 }
 
 impl RowTrainings {
-    /// Sums trainings up; `None` for fewer than two, of which none can be told from the best.
+    /// Sums trainings up; `None` for fewer than two, of which none can be compared with the best.
     pub(crate) fn new(success: Vec<f64>, failed_below: f64, bootstrap: &Bootstrap) -> Option<Self> {
         if success.len() < 2 {
             return None;

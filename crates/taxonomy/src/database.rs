@@ -21,7 +21,7 @@ pub const MAX_WORDS: u32 = 20;
 pub struct DatabaseHeader {
     /// The domain whose topics these are.
     pub domain: String,
-    /// What made it.
+    /// How the sentences were made, and so what may be claimed of them.
     pub fidelity: Fidelity,
     /// Who wrote the sentences.
     pub generator: String,
@@ -60,7 +60,7 @@ impl Topic {
         &self.name
     }
 
-    /// Returns every sentence.
+    /// Returns every sentence of the topic, cell by cell.
     pub fn utterances(&self) -> &[Utterance] {
         &self.utterances
     }
@@ -93,7 +93,8 @@ impl Taxonomy {
     ///
     /// # Errors
     ///
-    /// [`TaxonomyError`] naming the line, the key or the sentence, what it has and what is allowed.
+    /// [`TaxonomyError`] if the text is no TOML of this schema, if a sentence breaks a rule, if two sentences have the
+    /// same words, or if a topic has none. It names the line, the key or the sentence, what it has and what is allowed.
     ///
     /// # Example
     ///
@@ -150,7 +151,7 @@ impl Taxonomy {
         &self.facts
     }
 
-    /// Finds which of its facts are among some names: those of the facts that hold now, or are told at all.
+    /// Finds which of its facts are among some names: those of the facts that hold now, or are stated at all.
     ///
     /// A name that no sentence needs is passed over. Allocates nothing.
     pub fn facts_named<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> FactSet {
@@ -173,7 +174,7 @@ impl Taxonomy {
     ///
     /// # Errors
     ///
-    /// [`TaxonomyError`] with both lists.
+    /// [`TaxonomyError`] if the topics or their order differ, with both lists.
     pub fn expect_topics(&self, expected: &[&str]) -> Result<(), TaxonomyError> {
         if self.topics.iter().map(Topic::name).eq(expected.iter().copied()) {
             return Ok(());
@@ -183,11 +184,12 @@ impl Taxonomy {
         Err(TaxonomyError(format!("the database speaks of [{found}], the domain of [{expected}]")))
     }
 
-    /// Makes sure that a domain tells every fact that a sentence presupposes.
+    /// Makes sure that a domain states every fact that a sentence presupposes.
     ///
     /// # Errors
     ///
-    /// [`TaxonomyError`] with the sentence, the fact, and those that the domain tells.
+    /// [`TaxonomyError`] if a sentence presupposes a fact that is not in `told`, with the sentence, the fact, and those
+    /// that the domain states.
     pub fn expect_facts(&self, told: &[&str]) -> Result<(), TaxonomyError> {
         let known = self.facts_named(told.iter().copied());
         let mut all = self.topics.iter().flat_map(|topic| &topic.utterances);

@@ -1,7 +1,8 @@
 //! What a sentence presupposes: named facts of the world, and which of them hold.
 //!
 //! "Zone below, go up." is false where no zone is below. A sentence therefore names what must be so (`zone_below`), and
-//! is said only while the world, or a client that sees it, tells that it holds. A fact that nobody tells does not hold.
+//! is said only while the world, or a client that sees it, states that it holds. A fact that is not stated does not
+//! hold.
 
 /// The most facts that the sentences of a database may name.
 pub const MAX_FACTS: usize = u64::BITS as usize;
@@ -22,7 +23,7 @@ impl FactSet {
         if place < MAX_FACTS { Self(self.0 | 1 << place) } else { self }
     }
 
-    /// Tells whether all of the presupposed facts are in it.
+    /// Returns whether all of the presupposed facts are in it.
     pub fn includes(self, presupposed: Self) -> bool {
         presupposed.0 & !self.0 == 0
     }
@@ -33,7 +34,7 @@ impl FactSet {
     }
 }
 
-/// Tells whether a text can be the name of a fact: lower-case letters, digits and `_`.
+/// Returns whether a text can be the name of a fact: lower-case letters, digits and `_`.
 pub(crate) fn is_name(text: &str) -> bool {
     let allowed = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     !text.is_empty() && text.chars().all(allowed)

@@ -9,7 +9,7 @@ use crate::utterance::{Fidelity, WordSpan};
 /// The schema that this crate reads and writes.
 pub(crate) const SCHEMA: u32 = 1;
 
-/// A whole file.
+/// A whole file, as it is written.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawDatabase {

@@ -2,7 +2,7 @@
 //! least time.
 //!
 //! A notifier may choose a cell that no sentence fills. It never hears another topic for that: it gets the cell of
-//! the same topic whose sentences cost least, and is told which, because what the person hears is that cell's k
+//! the same topic whose sentences cost least, and learns which, because what the listener hears is that cell's k
 //! and l. The same goes for a cell of which every sentence is false now. The shipped databases have no such cell: each
 //! has a sentence that presupposes nothing.
 
@@ -57,13 +57,13 @@ impl Loss {
 pub struct Retrieved<'a> {
     /// The topic asked for.
     pub topic: usize,
-    /// The k and l that the person will hear; what a simulation must apply.
+    /// The k and l that the listener will hear; what a simulation must apply.
     pub cell: Cell,
     /// The cell's place among the filled cells of its topic.
     pub(crate) cell_idx: usize,
     /// All sentences of the cell, by rank; at least one of them is true.
     pub utterances: &'a [Utterance],
-    /// What holds.
+    /// The facts that hold now.
     pub holding: FactSet,
     /// Another cell than the one asked for.
     pub fallback: bool,
@@ -72,7 +72,7 @@ pub struct Retrieved<'a> {
 }
 
 impl Retrieved<'_> {
-    /// Tells whether everything holds that a sentence presupposes.
+    /// Returns whether everything holds that a sentence presupposes.
     pub fn is_true(&self, utterance: &Utterance) -> bool {
         self.holding.includes(utterance.facts)
     }
@@ -86,7 +86,7 @@ impl Taxonomy {
     ///
     /// # Errors
     ///
-    /// [`TaxonomyError`] if there is no such topic.
+    /// [`TaxonomyError`] if the database has no topic of that index.
     pub fn retrieve(&self, request: Request, loss: &Loss) -> Result<Retrieved<'_>, TaxonomyError> {
         // Every topic has a sentence, and every sentence is true where everything holds.
         let found = self.retrieve_true(request, loss, FactSet::ALL)?;
@@ -101,12 +101,12 @@ impl Taxonomy {
     ///
     /// # Errors
     ///
-    /// [`TaxonomyError`] if there is no such topic.
+    /// [`TaxonomyError`] if the database has no topic of that index.
     ///
     /// # Example
     ///
     /// What a live assistant says, message by message: the facts come from whoever sees the world, and what they do not
-    /// tell does not hold.
+    /// state does not hold.
     ///
     /// ```
     /// use leadtime_numerics::Pcg64;

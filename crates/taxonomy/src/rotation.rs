@@ -1,4 +1,4 @@
-//! Who takes turns: so that a person does not hear the same sentence again and again.
+//! Who takes turns: so that a listener does not hear the same sentence again and again.
 
 use leadtime_numerics::Pcg64;
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ impl Rotation {
         Self { passed: taxonomy.topics().iter().map(cells).collect() }
     }
 
-    /// Tells whether it could be a rotation of this database.
+    /// Returns whether it could be a rotation of this database.
     pub fn fits(&self, taxonomy: &Taxonomy) -> bool {
         let topics = taxonomy.topics();
         let n_cells = topics.iter().map(|topic| topic.cells().count());

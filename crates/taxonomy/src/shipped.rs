@@ -3,7 +3,7 @@
 use crate::database::Taxonomy;
 use crate::error::TaxonomyError;
 
-/// Domain and text.
+/// The shipped databases: domain, and the file's text.
 const FILES: [(&str, &str); 3] = [
     ("highway", include_str!("../data/highway/taxonomy.toml")),
     ("lander", include_str!("../data/lander/taxonomy.toml")),
@@ -24,7 +24,7 @@ pub fn text(domain: &str) -> Option<&'static str> {
 ///
 /// # Errors
 ///
-/// [`TaxonomyError`] if there is none.
+/// [`TaxonomyError`] if no database is shipped for the domain.
 pub fn shipped(domain: &str) -> Result<Taxonomy, TaxonomyError> {
     let missing = || {
         let known = domains().collect::<Vec<_>>().join(", ");

@@ -17,7 +17,7 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// Names a cell.
+    /// Makes the cell of a comprehension time k and a conveyance time l, in words.
     pub const fn new(comprehension: u32, conveyance: u32) -> Self {
         Self { comprehension, conveyance }
     }
@@ -40,11 +40,11 @@ impl fmt::Display for Cell {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SpanKind {
-    /// Tells what to do: the directive. Every utterance has exactly one.
+    /// Says what to do: the directive. Every utterance has exactly one.
     What,
-    /// Tells in which manner, or how soon.
+    /// Says in which manner, or how soon.
     How,
-    /// Tells the reason.
+    /// Says for which reason.
     Why,
 }
 
@@ -52,7 +52,7 @@ pub enum SpanKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "(SpanKind, u32, u32)", into = "(SpanKind, u32, u32)")]
 pub struct WordSpan {
-    /// What they do.
+    /// What the words do.
     pub part: SpanKind,
     /// Index of the first word, from 0.
     pub from: u32,
@@ -103,7 +103,7 @@ impl Fidelity {
 pub struct Utterance {
     /// As it is spoken: `Zone ahead, go up.`
     pub text: String,
-    /// k and l.
+    /// The cell (k, l) that it belongs to.
     pub cell: Cell,
     /// What, How and Why, in order; words in none of them are fillers.
     pub spans: Vec<WordSpan>,
@@ -132,7 +132,8 @@ impl Utterance {
         self.what().map(|what| what.to)
     }
 
-    /// Tells whether it states a reason, before or after the directive: `I_why` of the informativeness α·l + β·`I_why`.
+    /// Returns whether it states a reason, before or after the directive: `I_why` of the informativeness α·l +
+    /// β·`I_why`.
     ///
     /// # Source
     ///

@@ -18,7 +18,7 @@ pub struct TraceClock {
 }
 
 impl TraceClock {
-    /// Reads both clocks.
+    /// Reads both clocks several times and keeps the pair that was read fastest.
     pub fn start() -> Self {
         let reading = || {
             let origin = Instant::now();

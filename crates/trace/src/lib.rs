@@ -8,12 +8,12 @@
 //! actor   ── TraceSpan ──> TraceWriter ──┘
 //! ```
 //!
-//! A process tells its spans per rollout and per update, never per step. What measures always reports them, to a sink that
-//! ignores them unless a trace is asked for.
+//! A process reports its spans per rollout and per update, never per step. What measures always reports them, to a sink
+//! that ignores them unless a trace is asked for.
 //!
 //! # Where to start
 //!
-//! [`TraceSpan`] is what is told; [`TraceWriter`] has the format and its limit.
+//! [`TraceSpan`] is what is reported; [`TraceWriter`] has the format and its limit.
 
 mod arrow;
 mod clock;

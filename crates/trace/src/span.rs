@@ -1,4 +1,4 @@
-//! What is told: a stretch of time that a thread spent on one thing.
+//! What is reported: a stretch of time that a thread spent on one thing.
 
 use std::time::{Duration, Instant};
 
@@ -54,11 +54,11 @@ pub struct TraceSpan<'a> {
     pub category: SpanCategory,
     /// What was done, or waited for. No character in it needs escaping in JSON.
     pub name: &'static str,
-    /// When it began.
+    /// The instant at which it began.
     pub start: Instant,
     /// How long it lasted.
     pub duration: Duration,
-    /// Numbers that tell it from others of its name: a version, an iteration. As to names, see `name`.
+    /// Numbers that distinguish it from others of its name: a version, an iteration. As to names, see `name`.
     pub args: &'a [(&'static str, u64)],
     /// The arrow that begins or ends at it.
     pub arrow: Option<ArrowEnd>,
@@ -78,7 +78,7 @@ impl TraceSpan<'static> {
 }
 
 impl TraceSpan<'_> {
-    /// Gives it numbers.
+    /// Gives it numbers, by name.
     pub fn with<'a>(self, args: &'a [(&'static str, u64)]) -> TraceSpan<'a> {
         TraceSpan { args, ..self }
     }

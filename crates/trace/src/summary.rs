@@ -24,7 +24,7 @@ pub struct TraceSummary {
 /// What the processes of one role did.
 #[derive(Clone, Debug)]
 pub struct RoleSummary {
-    /// The role.
+    /// What the processes do in the run.
     pub role: String,
     /// How many processes had it, one after the other or side by side.
     pub n_processes: usize,
@@ -35,7 +35,7 @@ pub struct RoleSummary {
 /// What threads of one name did.
 #[derive(Clone, Debug)]
 pub struct TrackSummary {
-    /// The threads' name.
+    /// Name that these threads share.
     pub name: String,
     /// The names of waits and work with their shares of the time of their processes, the largest first.
     pub shares: Vec<(String, f64)>,
@@ -105,7 +105,7 @@ impl TraceSummary {
     ///
     /// # Errors
     ///
-    /// If it cannot be read.
+    /// What the reader reports if the trace cannot be read or is no text. A line that is no event of ours is no error.
     pub fn read(mut trace: impl BufRead) -> io::Result<Self> {
         let mut processes: BTreeMap<u32, ProcessTotals> = BTreeMap::new();
         let (mut line, mut is_full) = (String::new(), false);

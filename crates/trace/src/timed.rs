@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 /// A value with the time in which it was made.
 #[derive(Clone, Copy, Debug)]
 pub struct Timed<T> {
-    /// The value.
+    /// The value that was made.
     pub value: T,
     /// When its making began.
     pub start: Instant,

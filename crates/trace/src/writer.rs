@@ -32,7 +32,8 @@ pub(crate) const FULL: &str = "the trace is full";
 /// The end of a file that is whole.
 pub const CLOSING: &str = "]\n";
 
-/// Returns the beginning of a file: what the wall clock shows now, in microseconds since 1970, beside the clock of the events.
+/// Returns the beginning of a file: what the wall clock shows now, in microseconds since 1970, with the clock of the
+/// events.
 ///
 /// With it the files of several machines can be laid over each other.
 pub fn opening(process: u32, unix_us: i64) -> String {
@@ -44,14 +45,14 @@ pub fn opening(process: u32, unix_us: i64) -> String {
     )
 }
 
-/// Who writes.
+/// The process that writes a trace.
 #[derive(Clone, Debug)]
 pub struct TraceProcess {
-    /// Its process id.
+    /// The system's number of it.
     pub id: u32,
     /// What it does in the run: processes of one role are summed up together.
     pub role: String,
-    /// Its name.
+    /// The name that viewers show.
     pub name: String,
 }
 
@@ -87,7 +88,7 @@ impl<W: Write + Seek> TraceWriter<W> {
         writer
     }
 
-    /// Tells whether the file has reached its limit: spans are left out from then on.
+    /// Returns whether the file has reached its limit: spans are left out from then on.
     pub fn is_full(&self) -> bool {
         self.is_full
     }
@@ -96,7 +97,7 @@ impl<W: Write + Seek> TraceWriter<W> {
     ///
     /// # Errors
     ///
-    /// If the file cannot be written.
+    /// What the file reports if the spans taken in so far cannot be written.
     pub fn span(&mut self, span: &TraceSpan<'_>) -> io::Result<()> {
         if self.is_full {
             return Ok(());
@@ -112,7 +113,7 @@ impl<W: Write + Seek> TraceWriter<W> {
     ///
     /// # Errors
     ///
-    /// If the file cannot be written.
+    /// What the file reports if it cannot be written.
     pub fn flush(&mut self) -> io::Result<()> {
         if self.buffer.is_empty() {
             return Ok(());

@@ -16,7 +16,7 @@ pub struct VoiceBook {
 }
 
 impl VoiceBook {
-    /// Puts sentences together.
+    /// Makes a book of sentences; of equal texts the last one stays.
     pub fn new(name: String, sentences: impl IntoIterator<Item = SpokenSentence>) -> Self {
         let sentences = sentences.into_iter().map(|it| (it.text.clone(), Arc::new(it)));
         let sentences: BTreeMap<_, _> = sentences.collect();
@@ -34,7 +34,7 @@ impl VoiceBook {
         self.sentences.values()
     }
 
-    /// Counts the sentences whose times nobody measured.
+    /// Counts the sentences whose times were not measured.
     pub fn n_estimated(&self) -> usize {
         self.sentences().filter(|it| it.is_estimated).count()
     }

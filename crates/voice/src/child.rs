@@ -54,7 +54,7 @@ pub(crate) fn end(child: &mut dyn ChildWrapper) {
 ///
 /// # Errors
 ///
-/// [`VoiceError::Missing`] if there is no such program.
+/// [`VoiceError::Missing`] if there is no such program. That it fails or hangs is no error here.
 pub(crate) fn output(
     mut command: Command,
     missing: impl FnOnce() -> VoiceError,

@@ -23,7 +23,7 @@ pub enum VoiceChoice {
     Flite(String),
     /// espeak-ng or espeak, whichever is installed.
     Espeak,
-    /// A helper that is told sentences and answers with sound.
+    /// A helper that reads sentences and answers with sound.
     Pipe(String),
     /// A directory that `leadtime taxonomy speak` made, or a person.
     Recorded(PathBuf),

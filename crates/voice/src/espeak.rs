@@ -1,4 +1,5 @@
-//! espeak-ng, or espeak: called as a program of its own. It tells no times of words, so they are in proportion to letters.
+//! espeak-ng, or espeak: called as a program of its own. It reports no times of words, so they are in proportion to
+//! letters.
 
 use std::process::Command;
 
@@ -18,7 +19,7 @@ const PROGRAMS: [&str; 2] = ["espeak-ng", "espeak"];
 const RATE: f64 = 200.0;
 const RATES: (f64, f64) = (80.0, 450.0);
 
-/// An installed espeak.
+/// An espeak program of this machine.
 #[derive(Debug)]
 pub(crate) struct Espeak {
     program: &'static str,
@@ -31,7 +32,8 @@ impl Espeak {
     ///
     /// # Errors
     ///
-    /// [`VoiceError::Missing`].
+    /// [`VoiceError::Missing`] if neither program is installed, [`VoiceError::Temporary`] if no directory can be made
+    /// for its sound.
     pub(crate) fn find() -> Result<Self, VoiceError> {
         let is_there = |program: &&str| {
             let mut version = Command::new(program);
@@ -57,7 +59,7 @@ impl Speaker for Espeak {
     fn prepare(&mut self, sentences: &[&str]) -> Result<(), VoiceError> {
         let mut spoken = Vec::new();
         for text in sentences {
-            // One that hangs here hangs later, too, and is told then.
+            // One that hangs here hangs later, too, and is reported then.
             let Ok(said) = self.say(text)? else { break };
             spoken.push(said);
         }

@@ -1,4 +1,4 @@
-//! flite: a small synthesiser that tells when each phone ends, from which the times of words are made.
+//! flite: a small synthesiser that reports when each phone ends, from which the times of words are made.
 //!
 //! ```text
 //! flite -voice slt -t "Climb now, zone ahead." -psdur     pau:0.198 k:0.278 l:0.342 ay:0.452 m:0.557 n:0.640 ...
@@ -43,7 +43,8 @@ impl Flite {
     ///
     /// # Errors
     ///
-    /// [`VoiceError`] if either is not there.
+    /// [`VoiceError::Missing`] if flite is not installed, [`VoiceError::FliteVoice`] if it lacks the voice,
+    /// [`VoiceError::Temporary`] if no directory can be made for its sound.
     pub(crate) fn find(voice: &str) -> Result<Self, VoiceError> {
         let mut list = Command::new("flite");
         list.arg("-lv");
@@ -74,7 +75,7 @@ impl Flite {
         command
     }
 
-    /// Counts the phones of each word of a sentence; `None` where flite does not tell.
+    /// Counts the phones of each word of a sentence; `None` where flite does not report them.
     fn count_phones(&mut self, text: &str) -> Result<Option<Vec<usize>>, VoiceError> {
         let mut counts = Vec::new();
         for piece in words::spoken(text) {
@@ -150,7 +151,7 @@ impl Speaker for Flite {
             let mut command = self.command(text);
             command.args(["-psdur", "-o", "none"]);
             let printed = child::output(command, missing)?;
-            // One that hangs here hangs later, too, and is told then.
+            // One that hangs here hangs later, too, and is reported then.
             let Some(phones) = printed.ok().and_then(|printed| phones(&printed)) else { break };
             seconds += phones[phones.len() - 1].end - phones[0].begin;
             n_words += words::count(text);

@@ -1,4 +1,4 @@
-//! A helper of one's own: `pipe:COMMAND` is told sentences, a line of JSON each, and answers with sound.
+//! A helper of one's own: `pipe:COMMAND` reads sentences, a line of JSON each, and answers with sound.
 //!
 //! ```text
 //! to the helper     {"say":"Climb now, zone ahead."}
@@ -136,7 +136,7 @@ fn read_answer(output: &mut impl io::BufRead) -> Result<HelperAnswer, String> {
     Ok(HelperAnswer { samples: wav::pcm(&bytes), head })
 }
 
-/// Finds the time of each piece of a sentence; `None` if the helper does not tell it of each, in order.
+/// Finds the time of each piece of a sentence; `None` if the helper does not report it for each, in order.
 fn word_times(text: &str, told: &[HelperWord], end: u32) -> Option<Vec<WordTime>> {
     let mut begins = Vec::new();
     for piece in words::spoken(text) {

@@ -21,9 +21,9 @@ const GAP: usize = 60;
 #[serde(deny_unknown_fields)]
 pub struct SoundIndex {
     schema: u32,
-    /// What spoke.
+    /// What spoke, with its settings.
     pub made_by: String,
-    /// Samples per second.
+    /// Samples per second, 4,000 to 96,000.
     pub rate: u32,
     sentences: Vec<IndexedSentence>,
 }
@@ -76,7 +76,7 @@ impl SoundIndex {
     ///
     /// # Errors
     ///
-    /// What is wrong, in words.
+    /// If it is no JSON of an index, or of another schema or an impossible rate; in words.
     pub fn read(text: &str) -> Result<Self, String> {
         let read: Self = serde_json::from_str(text).map_err(|error| error.to_string())?;
         if read.schema != SCHEMA {
@@ -88,7 +88,7 @@ impl SoundIndex {
         Ok(read)
     }
 
-    /// Counts the sentences.
+    /// Counts the sentences that have sound.
     pub fn n_sentences(&self) -> usize {
         self.sentences.len()
     }
@@ -97,7 +97,7 @@ impl SoundIndex {
     ///
     /// # Errors
     ///
-    /// Which sentence has no such part, or other words than times, in words.
+    /// If the sound ends before a sentence, or the times of a sentence do not fit its words; in words.
     pub fn sentences(&self, sound: Option<&[i16]>) -> Result<Vec<SpokenSentence>, String> {
         self.sentences.iter().map(|indexed| self.sentence(indexed, sound)).collect()
     }

@@ -40,7 +40,7 @@ const IS_BACK: Duration = Duration::from_secs(1);
 /// How long a command may take to say that it is not there.
 const NOT_FOUND_WITHIN: Duration = Duration::from_millis(200);
 
-/// What the thread is told.
+/// Orders to the thread.
 #[derive(Debug)]
 enum SoundOrder {
     Play(Arc<SpokenSentence>),
@@ -98,13 +98,13 @@ impl Loudspeaker {
         self.order(SoundOrder::Hush);
     }
 
-    /// Tells whether it is gone.
+    /// Returns whether it is gone.
     pub fn is_mute(&self) -> bool {
         self.0.is_mute.load(Ordering::Relaxed)
     }
 
     fn order(&self, order: SoundOrder) {
-        // With so many orders waiting the thread hangs, and will be told that it is mute.
+        // With so many orders waiting the thread hangs, and will be found mute.
         if let Some(orders) = &self.0.orders {
             drop(orders.try_send(order));
         }
@@ -120,7 +120,7 @@ impl Drop for LoudspeakerThread {
     }
 }
 
-/// What plays.
+/// The program that plays: the given one, or [`APLAY`].
 #[derive(Clone, Debug)]
 struct SoundCommand {
     command: Option<String>,
@@ -200,7 +200,7 @@ impl Drop for SoundPlayer {
     }
 }
 
-/// The thread's own.
+/// What the thread of a loudspeaker works with.
 struct Playing {
     name: String,
     program: SoundCommand,

@@ -64,7 +64,7 @@ impl Playback {
         (u64::from(self.rate) * u64::from(BLOCK) / 1_000) as usize
     }
 
-    /// Tells whether nothing is played or waits.
+    /// Returns whether nothing is played or waits.
     pub fn is_silent(&self) -> bool {
         self.running.is_none() && self.next.is_none()
     }

@@ -19,7 +19,8 @@ const OGG: &str = "sound.ogg";
 ///
 /// # Errors
 ///
-/// [`VoiceError::Recorded`] naming the file that is missing, or what is wrong with it.
+/// [`VoiceError::Recorded`] if a file is missing or cannot be decoded, if its rate is not the index's, or if the index
+/// does not fit the sound; it names the file.
 pub fn sentences(directory: &Path, with_sound: bool) -> Result<Vec<SpokenSentence>, VoiceError> {
     let wrong =
         |file: &str, reason: String| VoiceError::Recorded { path: directory.join(file), reason };

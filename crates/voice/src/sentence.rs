@@ -10,7 +10,7 @@ pub const MEAN_WORD: f64 = 0.3;
 /// When a word is spoken, in milliseconds from the start of its sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WordTime {
-    /// When it begins.
+    /// When its first sound begins.
     pub begin: u32,
     /// When it has ended. A pause may follow.
     pub end: u32,
@@ -19,9 +19,9 @@ pub struct WordTime {
 /// Sound: one channel, 16 bits a sample.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sound {
-    /// Samples per second.
+    /// Samples per second, at least 1.
     pub rate: u32,
-    /// Shape `[n_samples]`.
+    /// Amplitudes, one per sample. Shape `[n_samples]`.
     pub samples: Arc<[i16]>,
 }
 
@@ -45,7 +45,7 @@ pub struct SpokenSentence {
     pub text: String,
     /// One for each piece of [`words::spoken`], in order; none begins before the one before it has ended.
     pub words: Vec<WordTime>,
-    /// The times are in proportion to letters: nobody measured them.
+    /// The times are in proportion to letters: they were not measured.
     pub is_estimated: bool,
     /// `None` where the times are known and the sound is not, or not wanted.
     pub sound: Option<Sound>,
@@ -84,7 +84,7 @@ impl SpokenSentence {
         Self::estimated(text, (f64::from(words::count(text)) * MEAN_WORD * 1e3) as u32)
     }
 
-    /// Tells whether there is a time for each word, and none is before the one before it.
+    /// Returns whether there is a time for each word, and none is before the one before it.
     pub fn has_words_in_order(&self) -> bool {
         let in_order = self.words.is_sorted_by(|a, b| a.end <= b.begin);
         let forwards = self.words.iter().all(|word| word.begin <= word.end);

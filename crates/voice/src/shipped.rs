@@ -35,7 +35,7 @@ pub fn domains() -> impl Iterator<Item = &'static str> {
 ///
 /// # Errors
 ///
-/// [`VoiceError::NotShipped`] if there are none.
+/// [`VoiceError::NotShipped`] if no sound is shipped for the domain.
 pub fn sentences(domain: &str, with_sound: bool) -> Result<Vec<SpokenSentence>, VoiceError> {
     let file = FILES.iter().find(|(name, ..)| *name == domain);
     let (_, index, sound) = file.ok_or_else(|| VoiceError::NotShipped(domain.to_owned()))?;

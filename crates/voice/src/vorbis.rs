@@ -14,7 +14,7 @@ use symphonia_format_ogg::OggReader;
 ///
 /// # Errors
 ///
-/// What is wrong with the bytes, in words.
+/// If the bytes are no Ogg Vorbis, or have another number of channels than one; in words.
 pub(crate) fn decode(bytes: &[u8]) -> Result<(u32, Vec<i16>), String> {
     let wrong = |error: SymphoniaError| format!("is no Ogg Vorbis: {error}");
     let source = Box::new(Cursor::new(bytes.to_vec()));

@@ -3,7 +3,7 @@
 /// Length of the head that [`write()`] writes.
 const HEAD: usize = 44;
 
-/// Writes sound.
+/// Writes a WAV file; `rate` in samples per second.
 pub fn write(rate: u32, samples: &[i16]) -> Vec<u8> {
     let n_bytes = 2 * samples.len() as u32;
     let mut out = Vec::with_capacity(HEAD + 2 * samples.len());
@@ -25,7 +25,7 @@ pub fn write(rate: u32, samples: &[i16]) -> Vec<u8> {
 ///
 /// # Errors
 ///
-/// What is wrong with the bytes, in words.
+/// If the bytes are no WAV file, or not one channel of 16 bits; in words.
 pub fn read(bytes: &[u8]) -> Result<(u32, Vec<i16>), String> {
     let is_wav = bytes.get(..4) == Some(b"RIFF") && bytes.get(8..12) == Some(b"WAVE");
     let mut rest = bytes.get(12..).filter(|_| is_wav).ok_or("is no WAV file")?;
@@ -53,7 +53,7 @@ pub fn read(bytes: &[u8]) -> Result<(u32, Vec<i16>), String> {
     Err("has no sound".to_owned())
 }
 
-/// Reads samples, little-endian.
+/// Reads 16-bit samples, little-endian; an odd byte at the end is left out.
 pub(crate) fn pcm(bytes: &[u8]) -> Vec<i16> {
     bytes.as_chunks().0.iter().map(|sample| i16::from_le_bytes(*sample)).collect()
 }

@@ -7,7 +7,7 @@ use thiserror::Error;
 /// Why a run cannot be watched.
 #[derive(Debug, Error)]
 pub enum Error {
-    /// The network.
+    /// The network cannot be used.
     #[error(transparent)]
     Link(#[from] LinkError),
     /// The learner was there, and answers no longer.
@@ -16,7 +16,7 @@ pub enum Error {
          what it left"
     )]
     LearnerGone {
-        /// The run.
+        /// The run whose learner is gone.
         run: RunName,
         /// What was not answered.
         source: LinkError,
@@ -26,7 +26,7 @@ pub enum Error {
         "the learner's answer to the question {question} cannot be read: run the same release on both sides"
     )]
     Answer {
-        /// What was asked.
+        /// The question, as it is named in the sentence.
         question: &'static str,
         /// What is wrong with the answer.
         source: serde_json::Error,

@@ -1,4 +1,4 @@
-//! Events for pages: one bounded queue per client, nobody is waited for.
+//! Events for pages: one bounded queue per client, no client is waited for.
 //!
 //! ```text
 //! id: 413.0.1769860800000
@@ -6,7 +6,7 @@
 //! data: {"update": 413, ...}
 //! ```
 //!
-//! A client that does not read is cut off: it reconnects by itself, and is told everything that it missed.
+//! A client that does not read is cut off: it reconnects by itself, and gets everything that it missed.
 
 use std::collections::BTreeSet;
 use std::convert::Infallible;
@@ -31,9 +31,9 @@ pub enum EventKind {
     About,
     /// The curves so far.
     History,
-    /// An update.
+    /// An update, with its numbers.
     Update,
-    /// The head line.
+    /// The head line of the page.
     State,
     /// The table of actors.
     Actors,
@@ -43,12 +43,12 @@ pub enum EventKind {
     Frame,
     /// A line of the log.
     Log,
-    /// The server ends.
+    /// The server ends: do not reconnect.
     Bye,
 }
 
 impl EventKind {
-    /// Lists every kind.
+    /// Every kind, in the order of the variants.
     pub(crate) const ALL: [Self; 9] = [
         Self::About,
         Self::History,
@@ -111,7 +111,7 @@ pub(crate) fn event(kind: EventKind, id: Option<&str>, data: &str) -> Bytes {
     format!("{id}event: {}\ndata: {data}\n\n", kind.name()).into()
 }
 
-/// One client.
+/// A client, as far as events go to it.
 #[derive(Debug)]
 struct Client {
     queue: flume::Sender<EventBytes>,
@@ -144,11 +144,11 @@ impl Client {
 pub(crate) enum NoPlace {
     /// There are as many as there may be.
     Full,
-    /// The watcher ends.
+    /// The watcher ends and takes no one in.
     Closed,
 }
 
-/// Everybody who listens.
+/// The clients, and the events that they get.
 #[derive(Debug, Default)]
 pub(crate) struct EventHub {
     clients: Vec<Client>,
@@ -205,7 +205,7 @@ impl EventHub {
         self.clients.retain_mut(|client| !client.wanted.has(kind) || client.send(&event, now));
     }
 
-    /// Says goodbye to everyone, and takes nobody in any more.
+    /// Says goodbye to everyone, and takes no client in any more.
     pub(crate) fn close(&mut self, now: Instant) {
         self.send(EventKind::Bye, None, "{}", now);
         self.clients.clear();

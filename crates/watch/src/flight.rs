@@ -1,7 +1,7 @@
-//! The newest policy at work: it plays an episode again and again, paced as a person would see it.
+//! The newest policy at work: it plays an episode again and again, paced so that it can be followed.
 //!
-//! A thread of its own plays a whole episode in a few milliseconds, and then tells it moment by moment. Episodes count up
-//! from the first, so that two watchers of a run see the same ones. Nobody plays where nobody looks.
+//! A thread of its own plays a whole episode in a few milliseconds, and then publishes it moment by moment. Episodes
+//! count up from the first, so that two watchers of a run see the same ones. Nothing is played where nobody looks.
 
 use std::fmt;
 use std::sync::Arc;
@@ -34,9 +34,9 @@ pub type MakeTask = dyn Fn() -> Result<Box<dyn Environment>, TaskError> + Send +
 /// What is played: the task as it is in evaluation, and how its policies are read and speak.
 #[derive(Clone)]
 pub struct FlightPlan {
-    /// Makes the task.
+    /// Makes an environment of the task.
     pub make: Arc<MakeTask>,
-    /// The networks.
+    /// The architecture of the networks.
     pub policy: PolicySpec,
     /// How actions are chosen.
     pub choice: Choice,
@@ -52,9 +52,9 @@ impl fmt::Debug for FlightPlan {
     }
 }
 
-/// Somebody who is told of flights.
+/// Whoever receives what is played.
 pub trait FlightWatcher: Send + Sync {
-    /// Tells whether anybody looks.
+    /// Returns whether anybody looks.
     fn is_watched(&self) -> bool;
 
     /// Takes in the beginning of an episode, or one of its moments.
@@ -80,7 +80,7 @@ impl FlightThread {
     ///
     /// # Errors
     ///
-    /// [`Error::Thread`] if there can be no thread.
+    /// [`Error::Thread`] if the system starts no further thread.
     pub fn start(watcher: Arc<dyn FlightWatcher>) -> Result<Self, Error> {
         let (sender, inputs) = flume::bounded(QUEUED);
         let work = move || FlightLoop::new(inputs, watcher).run();
@@ -126,7 +126,7 @@ struct FlightLoop {
     weights: Option<(u64, Vec<u8>)>,
     /// The number of the next episode.
     index: u64,
-    /// What was told last about why nothing is played.
+    /// What was reported last about why nothing is played.
     obstacle: String,
 }
 
@@ -151,7 +151,7 @@ impl FlightLoop {
     fn turn(&mut self) -> Result<(), OwnerGone> {
         self.take_inputs(Instant::now())?;
         if !self.watcher.is_watched() {
-            // The next page is told at once.
+            // The next page gets it at once.
             self.obstacle.clear();
             return self.take_inputs(Instant::now() + PAUSE);
         }
@@ -221,7 +221,7 @@ impl FlightLoop {
         Ok(Some((*version, spoken.map_err(|error| format!("no episode can be shown: {error}"))?)))
     }
 
-    /// Tells an episode moment by moment.
+    /// Publishes an episode moment by moment.
     fn show(&mut self, version: u64, spoken: &Spoken) -> Result<(), OwnerGone> {
         let flight = self.index;
         self.watcher.tell(EventKind::Flight, &beginning(flight, version, spoken));
@@ -264,7 +264,7 @@ fn beginning(flight: u64, version: u64, spoken: &Spoken) -> Value {
     })
 }
 
-/// Writes a moment of an episode: what moves, what is heard, what the person does.
+/// Writes a moment of an episode: what moves, what is heard, what the listener does.
 fn moment(
     flight: u64,
     step: usize,

@@ -35,7 +35,7 @@ pub type PlanMaker = dyn Fn(&str) -> Result<FlightPlan, String> + Send + Sync;
 /// A connection to the network of a run.
 #[derive(Debug)]
 pub struct Attachment {
-    /// The run.
+    /// The run that is watched.
     pub run: RunName,
     link: Arc<ObserverLink>,
     events: Events<ObserverEvent>,
@@ -201,7 +201,7 @@ enum Answer {
 struct Play {
     plan: Arc<PlanMaker>,
     flight: FlightThread,
-    /// The newest announcement.
+    /// The newest announcement, whose last version may be pulled.
     offered: Option<(DomainName, Announcement)>,
     /// The version that plays.
     pulled: Option<u64>,

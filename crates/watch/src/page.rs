@@ -11,7 +11,7 @@ use crate::events::{EventBytes, EventHub, EventKind, NoPlace, Wanted, event};
 use crate::flight::FlightWatcher;
 use crate::state::{Changes, RunView, WatchLine};
 
-/// The shortest time between two events of a kind that are told to pages.
+/// The shortest time between two events of a kind that pages receive.
 pub const EVENT_PAUSE: Duration = Duration::from_millis(200);
 /// The same for the table of actors and the head line, which say nothing new more often, and for the curves as a whole.
 const TABLE_PAUSE: Duration = Duration::from_secs(1);
@@ -22,7 +22,8 @@ pub type Clock = fn() -> f64;
 /// A run as it is seen, and its pages.
 pub struct Page {
     clock: Clock,
-    /// When the watcher started, in milliseconds since the Unix epoch: it tells this one from others at the same address.
+    /// When the watcher started, in milliseconds since the Unix epoch: it distinguishes this one from others at the
+    /// same address.
     epoch: u64,
     shared: Mutex<SharedView>,
 }
@@ -30,7 +31,7 @@ pub struct Page {
 struct SharedView {
     view: RunView,
     hub: EventHub,
-    /// What has changed and was not told yet.
+    /// What has changed and was not sent yet.
     due: Changes,
     history_told_at: Option<Instant>,
     updates_told_at: Option<Instant>,
@@ -73,7 +74,7 @@ impl Page {
         work(&mut self.shared().view, now)
     }
 
-    /// Tells pages what has changed, as often as they are to be told. Call it at every [`EVENT_PAUSE`], and after changes
+    /// Sends pages what has changed, as often as they may get it. Call it at every [`EVENT_PAUSE`], and after changes
     /// that are wanted at once.
     pub fn flush(&self, now: Instant) {
         let time = (self.clock)();
@@ -120,11 +121,11 @@ impl Page {
         }
     }
 
-    /// Takes in a page, which is told everything so far, or what came after an event that it knows.
+    /// Takes in a page, which gets everything so far, or what came after an event that it knows.
     ///
     /// # Errors
     ///
-    /// [`NoPlace`].
+    /// [`NoPlace`] if there are as many pages as there may be, or the watcher ends.
     pub(crate) fn join(
         &self,
         wanted: Wanted,
@@ -160,7 +161,7 @@ impl Page {
         self.shared().hub.n_watching()
     }
 
-    /// Tells every page how the run stands now, and says goodbye.
+    /// Sends every page how the run stands now, and says goodbye.
     pub fn close(&self) {
         let now = Instant::now();
         {
@@ -188,14 +189,14 @@ impl FlightWatcher for Page {
     }
 }
 
-/// Writes what the run is, and who tells it.
+/// Writes what the run is, and who says so.
 fn about_json(view: &RunView, epoch: u64) -> Value {
     let mut about = view.about_json();
     about["watcher"] = epoch.into();
     about
 }
 
-/// Names an update by its number, how often updates may have been made again before, and the watcher that tells it.
+/// Names an update by its number, how often updates may have been made again before, and the watcher that sends it.
 fn event_id(update: u64, view: &RunView, epoch: u64) -> String {
     format!("{update}.{}.{epoch}", view.generation())
 }

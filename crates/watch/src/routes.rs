@@ -41,7 +41,7 @@ const PLAIN: &str = "text/plain; charset=utf-8";
 
 const INDEX: &[u8] = include_bytes!("../assets/index.html");
 
-/// Every other file.
+/// Every other file of the page.
 const ASSETS: [Asset; 6] = [
     Asset { path: "/watch.js", kind: SCRIPT, bytes: include_bytes!("../assets/watch.js") },
     Asset { path: "/icon.svg", kind: "image/svg+xml", bytes: include_bytes!("../assets/icon.svg") },
@@ -68,7 +68,7 @@ pub fn open_paths() -> impl Iterator<Item = &'static str> {
     ["/"].into_iter().chain(ASSETS.iter().map(|asset| asset.path))
 }
 
-/// Serves a page.
+/// Serves a page, its files, its events, and the state as JSON.
 pub fn routes(page: Arc<Page>) -> Router {
     let mut router = Router::new();
     let all = digest(&ASSETS.iter().flat_map(|asset| asset.bytes).copied().collect::<Vec<_>>());
@@ -136,7 +136,7 @@ fn events(
     ready(stream(&page, query.as_deref(), &headers))
 }
 
-/// Takes a client in, and streams what it is told.
+/// Takes a client in, and streams events to it.
 fn stream(page: &Page, query: Option<&str>, headers: &HeaderMap) -> Response {
     let only = parameter(query, "only").map(|only| only.replace("%2C", ","));
     let wanted = match Wanted::parse(only.as_deref()) {

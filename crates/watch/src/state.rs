@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 
 use crate::actors::{ActorTable, round};
 
-/// The layout of what is told to pages and scripts.
+/// The layout of what pages and scripts receive.
 const SCHEMA: u32 = 1;
 /// The most points of a curve.
 pub const MAX_POINTS: usize = 2_000;
@@ -32,11 +32,11 @@ const N_STALENESS: usize = 100;
 const N_LOG: usize = 200;
 /// The time over which phases and speed are computed, in seconds.
 const WINDOW: f64 = 60.0;
-/// The most updates in that window: five a second are told.
+/// The most updates in that window: five a second are published.
 const N_WINDOW: usize = 400;
 /// After so long without an update something is missing, in seconds.
 const STALLED: f64 = 30.0;
-/// From this share on the learner's waiting is worth a sentence, and the actors'.
+/// Shares from which on the waiting of the learner, and of the actors, is worth a sentence.
 const LEARNER_WAITS: f64 = 0.3;
 const ACTORS_WAIT: f64 = 0.5;
 /// What a line of the log about a checkpoint begins with.
@@ -52,7 +52,7 @@ const NO_CURVES: [&str; 5] =
 pub(crate) enum RunPhase {
     /// Its learner has not been seen.
     Unknown,
-    /// Too few actors.
+    /// There are too few actors.
     Gathering,
     /// Updates come, or will.
     Training,
@@ -60,7 +60,7 @@ pub(crate) enum RunPhase {
     Stalled,
     /// All updates are done.
     Finished,
-    /// Stopped, or a directory in which nobody works: it can be resumed.
+    /// Stopped, or a directory in which no learner works: it can be resumed.
     Stopped,
     /// The learner ended with an error.
     Failed,
@@ -91,9 +91,9 @@ pub(crate) struct WatchLine {
     number: u64,
     /// When, in seconds since the Unix epoch.
     at: f64,
-    /// `info` or `warn`.
+    /// Either `info` or `warn`.
     level: &'static str,
-    /// A sentence.
+    /// What happened, as a sentence.
     pub text: String,
 }
 
@@ -109,7 +109,7 @@ impl WatchLine {
 pub(crate) struct Changes {
     /// What the run is, and the curves as a whole.
     pub history: bool,
-    /// The newest update.
+    /// The newest update came.
     pub update: bool,
 }
 
@@ -143,9 +143,9 @@ pub struct RunView {
     learner: Option<String>,
     /// The start of the learner before that one.
     previous: Option<String>,
-    /// The first update that this start of the learner told of.
+    /// The first update that this start of the learner published.
     first_told: Option<u64>,
-    /// Whether it told how the run went before.
+    /// Whether it reported how the run went before.
     knows_history: bool,
     lost_at: Option<f64>,
     ended: Option<&'static str>,
@@ -203,7 +203,7 @@ impl RunView {
         if let Some(update) = about["resumed_from"].as_u64() {
             match self.marks.back_mut() {
                 Some((at, _)) if *at == update => {}
-                // When it was started anew, nobody knew from which checkpoint.
+                // When it was started anew, it was not known from which checkpoint.
                 Some((at, _)) => {
                     *at = update;
                     self.say("info", format!("the learner goes on after update {update}"), now);
@@ -215,7 +215,7 @@ impl RunView {
         self.changes.history = true;
     }
 
-    /// Takes in the history; what the learner told of later updates stays.
+    /// Takes in the history; what the learner published of later updates stays.
     pub fn history(&mut self, history: &Value, now: f64) {
         let Some(told) = told_series(history) else { return };
         self.started = history["started"].as_f64().or(self.started);
@@ -247,14 +247,14 @@ impl RunView {
         self.changes.history = true;
     }
 
-    /// Returns the points after an update that the learner which is there now told of: those of one before it may have
-    /// been rolled back.
+    /// Returns the points after an update that the learner which is there now published: those of one before it may
+    /// have been rolled back.
     fn points_after(&self, update: u64) -> Vec<(u64, Vec<(String, f64)>)> {
         let first = self.first_told.map(|first| first.max(update.saturating_add(1)));
         first.map_or_else(Vec::new, |first| points(&self.series.since(first)))
     }
 
-    /// Notes that a run on the disk went back to an update and goes on from there; its history is to be told again.
+    /// Notes that a run on the disk went back to an update and goes on from there; its history is to be sent again.
     pub fn rewound(&mut self, to: u64, now: f64) {
         self.mark(to, "resumed", now);
         self.forget_newest();
@@ -496,12 +496,12 @@ impl RunView {
         update_of(&self.last)
     }
 
-    /// Tells whether a learner is there.
+    /// Returns whether a learner is there.
     pub(crate) fn has_learner(&self) -> bool {
         self.learner.is_some() && self.lost_at.is_none()
     }
 
-    /// Counts how often the run was seen to go on from an update: those told before may have been made again.
+    /// Counts how often the run was seen to go on from an update: those published before may have been made again.
     pub(crate) fn generation(&self) -> u64 {
         self.generation
     }
@@ -522,7 +522,7 @@ impl RunView {
         }
     }
 
-    /// Tells whether the learner of the run has ended, in whatever way.
+    /// Returns whether the learner of the run has ended, in whatever way.
     pub fn is_over(&self, now: f64) -> bool {
         use RunPhase::{Failed, Finished, Lost, Stopped};
         matches!(self.phase(now), Failed | Finished | Lost | Stopped)

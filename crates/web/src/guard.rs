@@ -2,7 +2,7 @@
 //!
 //! A browser lets a page of another site ask a server on this machine, and a name that the page's owner controls can be
 //! made to point here (DNS rebinding), which makes the answer readable. Such a request bears that name as its `Host`. So
-//! only addresses, `localhost` and the names that the server was told are answered.
+//! only addresses, `localhost` and the names that the server was given are answered.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::Arc;
@@ -44,7 +44,7 @@ impl AccessToken {
         Self(Sha256::digest(secret).into())
     }
 
-    /// Tells whether a request bears the secret; takes as long for a wrong one as for the right one.
+    /// Returns whether a request bears the secret; takes as long for a wrong one as for the right one.
     fn is_borne_by(self, headers: &HeaderMap) -> bool {
         let value = headers.get(AUTHORIZATION).map_or(&b""[..], HeaderValue::as_bytes);
         let given = Sha256::digest(value.strip_prefix(SCHEME.as_bytes()).unwrap_or_default());
@@ -122,7 +122,7 @@ impl Guard {
         }
     }
 
-    /// Tells whether a host is this one: an address cannot be anybody else's name.
+    /// Returns whether a host is this one: an address cannot be anybody else's name.
     fn knows(&self, host: &Authority) -> bool {
         let name = host.host();
         let inner = name.strip_prefix('[').and_then(|name| name.strip_suffix(']'));

@@ -1,4 +1,4 @@
-//! A small HTTP server for what a process tells about itself: read-only, guarded, gone within a second.
+//! A small HTTP server for what a process reports about itself: read-only, guarded, gone within a second.
 //!
 //! ```text
 //! TCP ── server: at most MAX_CONNECTIONS, with deadlines to ask, read and end ── guard: who may ask, and how ── routes

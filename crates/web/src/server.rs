@@ -46,7 +46,7 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 ///
 /// # Errors
 ///
-/// [`Error::NotAnAddress`].
+/// [`Error::NotAnAddress`] if the text is no address with a port.
 ///
 /// # Example
 ///
@@ -74,7 +74,8 @@ impl HttpServer {
     ///
     /// # Errors
     ///
-    /// [`Error::AddressInUse`], [`Error::Bind`].
+    /// [`Error::AddressInUse`] if another program listens there, [`Error::Bind`] if the system refuses for another
+    /// reason.
     pub async fn bind(address: SocketAddr) -> Result<Self, Error> {
         let failed = |source: io::Error| match source.kind() {
             io::ErrorKind::AddrInUse => Error::AddressInUse(address),
@@ -90,7 +91,7 @@ impl HttpServer {
         self.address
     }
 
-    /// Tells whether only this machine can reach it.
+    /// Returns whether only this machine can reach it.
     pub fn is_local(&self) -> bool {
         self.address.ip().is_loopback()
     }

@@ -24,7 +24,7 @@ pub struct WorkerReport {
 ///
 /// # Errors
 ///
-/// [`Error`] if no worker can be started.
+/// [`Error`] if no worker can be started; what one does wrong once it runs is in the report.
 pub fn check_worker(workers: &Workers, settings: &PythonSettings) -> Result<WorkerReport, Error> {
     let launch = workers.launch(settings)?;
     let mut shown = Vec::new();

@@ -14,7 +14,7 @@ pub enum Error {
          executed: give your own with --worker COMMAND, or allow this one with --trust-worker"
     )]
     NotTrusted {
-        /// The command.
+        /// The command line of the worker.
         command: String,
     },
     /// Pickles of others would be read.
@@ -26,7 +26,7 @@ pub enum Error {
     /// The worker did not begin: it is not there, cannot import the environment, or says nothing.
     #[error("the worker `{command}` cannot be used: {reason}")]
     Start {
-        /// The command.
+        /// The command line of the worker.
         command: String,
         /// The worker's own words, or what was missing.
         reason: String,
@@ -37,17 +37,17 @@ pub enum Error {
          or begin a new run"
     )]
     OtherWorld {
-        /// The command.
+        /// The command line of the worker.
         command: String,
-        /// What differs.
+        /// What differs, with both values.
         what: String,
     },
     /// It died again and again.
     #[error("the worker `{command}` died {n_deaths} times within a minute: {reason}")]
     Lost {
-        /// The command.
+        /// The command line of the worker.
         command: String,
-        /// How often.
+        /// How often it died.
         n_deaths: usize,
         /// How it died the last time, and its last words.
         reason: String,
@@ -57,7 +57,7 @@ pub enum Error {
         "the worker `{command}` died: {reason}; with world.snapshot = \"none\" its environments cannot go on"
     )]
     NotPutBack {
-        /// The command.
+        /// The command line of the worker.
         command: String,
         /// How it died, and its last words.
         reason: String,

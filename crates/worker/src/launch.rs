@@ -22,7 +22,7 @@ pub(crate) struct WorkerLaunch {
     /// Names of the metrics.
     pub(crate) metrics: Vec<String>,
     pub(crate) snapshot: SnapshotKind,
-    /// Environments per worker.
+    /// Environments that one worker steps.
     pub(crate) batch: usize,
     pub(crate) step_timeout: Duration,
     /// What the environments must look like, where that is known.
@@ -52,7 +52,7 @@ impl WorkerLaunch {
         }
     }
 
-    /// Tells whether workers that are started like this are started like the other.
+    /// Returns whether workers that are started like this are started like the other.
     pub(crate) fn is_like(&self, other: &Self) -> bool {
         Self { expected: None, ..self.clone() } == Self { expected: None, ..other.clone() }
     }

@@ -10,7 +10,7 @@
 //!
 //! A [`PythonEnvironment`](environment) is an [`Environment`](leadtime_sims::Environment) like any other. Its step is announced
 //! before it is taken, so those of a batch travel together. A worker that dies is started again, and its environments are put
-//! back where they were: from their seeds and actions, or from a pickle. So nobody above notices.
+//! back where they were: from their seeds and actions, or from a pickle. So nothing above notices.
 //!
 //! # Where to start
 //!

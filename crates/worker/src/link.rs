@@ -91,19 +91,19 @@ impl WorkerLink {
         self.slots.iter().filter(|slot| slot.is_used).count()
     }
 
-    /// Tells whether one more environment can be stepped.
+    /// Returns whether one more environment can be stepped.
     pub(crate) fn has_room(&self) -> bool {
         self.lost.is_none() && self.n_used() < self.slots.len()
     }
 
-    /// Reserves an environment.
+    /// Reserves an environment for a caller; `None` if all are in use.
     pub(crate) fn reserve(&mut self) -> Option<usize> {
         let place = self.slots.iter().position(|slot| !slot.is_used)?;
         self.slots[place] = WorkerSlot { is_used: true, ..WorkerSlot::new() };
         Some(place)
     }
 
-    /// Lets go of one.
+    /// Gives a reserved environment back.
     pub(crate) fn release(&mut self, place: usize) {
         if self.sent.contains(&place) {
             // The answer has to be read before anything else.

@@ -27,7 +27,7 @@ pub struct WorkerRules {
     pub permission: Permission,
     /// Snapshots come from other processes, which this one does not trust: reading a pickle may execute anything.
     pub refuses_pickles: bool,
-    /// Workers are started while an environment is built, so that what is wrong with them is told at once.
+    /// Workers are started while an environment is built, so that what is wrong with them is reported at once.
     pub starts_at_once: bool,
     /// At least so many for every kind of environment.
     pub n_workers: usize,
@@ -140,7 +140,7 @@ impl Workers {
             link
         };
         let index = lock(&link).reserve();
-        // It has room: nobody reserves without the lock on all links.
+        // It has room: nothing reserves without the lock on all links.
         let index = index.ok_or_else(|| std::io::Error::other("a worker has no room"))?;
         Ok(WorkerPlace { link, index })
     }

@@ -25,7 +25,7 @@ use crate::protocol::{
 const SOCKET_VARIABLE: &str = "LEADTIME_WORKER_SOCKET";
 /// How it learns what to make.
 const CONFIG_VARIABLE: &str = "LEADTIME_WORKER_CONFIG";
-/// Under which name the log has what workers say.
+/// The name under which the log has what workers say.
 const LOG_TARGET: &str = "leadtime::worker";
 /// How often time-outs are looked at while nothing comes.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
@@ -53,7 +53,7 @@ impl LineLimit {
         Self { since: Instant::now(), n_lines: 0 }
     }
 
-    /// Tells whether one more line may be logged.
+    /// Returns whether one more line may be logged.
     pub(crate) fn admits(&mut self) -> bool {
         if self.since.elapsed() >= Duration::from_secs(1) {
             *self = Self::new();
@@ -137,7 +137,11 @@ impl WorkerProcess {
         self.child.id()
     }
 
-    /// Sends a frame.
+    /// Sends a frame to the worker.
+    ///
+    /// # Errors
+    ///
+    /// [`ProtocolError::Closed`] if the worker has ended, another one if its pipe cannot be written to.
     pub(crate) fn send(&mut self, frame: &[u8]) -> Result<(), ProtocolError> {
         self.writer.write_all(frame).map_err(|error| match error.kind() {
             io::ErrorKind::BrokenPipe | io::ErrorKind::ConnectionReset => ProtocolError::Closed,
@@ -145,7 +149,7 @@ impl WorkerProcess {
         })
     }
 
-    /// Waits for an answer and logs what is said beside it; failures are handed to `failed`.
+    /// Waits for an answer and logs what is said besides it; failures are handed to `failed`.
     pub(crate) fn answer(
         &mut self,
         kind: (FrameKind, &'static str),

@@ -32,15 +32,15 @@ use thiserror::Error;
 
 use crate::settings::{MAX_OBS_DIM, WorldSpec};
 
-/// The protocol's version.
+/// The version of the protocol, which a hello states.
 pub const VERSION: u16 = 1;
 /// How a hello begins.
 const MAGIC: [u8; 4] = *b"LDWK";
-/// The largest hello.
+/// The largest hello, in bytes.
 pub const MAX_HELLO_BYTES: usize = 64 << 10;
 /// The longest text of a log line or of an exception.
 pub const MAX_TEXT_BYTES: usize = 8 << 10;
-/// Frames beside the answer that are read before it: log lines, failures, signs of life.
+/// Frames besides the answer that are read before it: log lines, failures, signs of life.
 pub const MAX_ASIDE: usize = 100_000;
 /// How much is read at a time, so that a length alone allocates nothing.
 const CHUNK: usize = 64 << 10;
@@ -144,7 +144,7 @@ struct HelloNames {
 ///
 /// # Errors
 ///
-/// [`ProtocolError::Malformed`] if it is none, or one of another version.
+/// [`ProtocolError::Malformed`] if the bytes are no hello, or one of another version.
 pub fn read_hello(body: &[u8]) -> Result<WorkerHello, ProtocolError> {
     let mut body = FrameBody(body);
     let malformed = |text: String| ProtocolError::Malformed(text);
@@ -183,11 +183,11 @@ pub fn read_hello(body: &[u8]) -> Result<WorkerHello, ProtocolError> {
 /// The lengths that decide how frames are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameShape {
-    /// D.
+    /// D, the length of an observation.
     pub obs_dim: usize,
-    /// H.
+    /// H, the number of heads.
     pub n_heads: usize,
-    /// M.
+    /// M, the number of metrics.
     pub n_metrics: usize,
 }
 
@@ -267,21 +267,21 @@ fn floats(bytes: &[u8], out: &mut Vec<f32>) {
     out.extend(bytes.chunks_exact(4).map(float));
 }
 
-/// Something that a worker says beside an answer.
+/// Something that a worker says besides an answer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Aside {
     /// A line for the log.
     Log {
         /// 0 debug, 1 info, 2 warning, 3 error.
         level: u8,
-        /// The line.
+        /// What it says, one line.
         text: String,
     },
     /// An environment has failed.
     Failed {
-        /// Where.
+        /// The environment's place in the worker.
         slot: u16,
-        /// The exception.
+        /// The exception, with where it was raised.
         text: String,
     },
 }
@@ -291,7 +291,7 @@ pub enum Aside {
 pub struct FrameWriter(Vec<u8>);
 
 impl FrameWriter {
-    /// Begins a frame.
+    /// Begins a frame of a kind; what was written before is dropped.
     pub fn begin(&mut self, kind: FrameKind) {
         self.0.clear();
         self.0.extend_from_slice(&[0, 0, 0, 0, kind as u8]);
@@ -302,12 +302,12 @@ impl FrameWriter {
         self.0.extend_from_slice(&(n as u16).to_le_bytes());
     }
 
-    /// Appends a number.
+    /// Appends a number as four bytes, little-endian.
     pub fn number(&mut self, n: u32) {
         self.0.extend_from_slice(&n.to_le_bytes());
     }
 
-    /// Appends bytes.
+    /// Appends bytes as they are, without their length.
     pub fn bytes(&mut self, bytes: &[u8]) {
         self.0.extend_from_slice(bytes);
     }
@@ -339,7 +339,7 @@ impl<R: Read> FrameReader<R> {
         Self { source, buffer: Vec::new(), at: 0 }
     }
 
-    /// Returns the source.
+    /// Returns the source that frames are read from.
     pub fn source(&self) -> &R {
         &self.source
     }

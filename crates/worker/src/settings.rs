@@ -11,13 +11,13 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
-/// The domain's name.
+/// The name of the domain in configurations.
 pub const DOMAIN: &str = "python";
 /// The most environments that one worker steps.
 const MAX_BATCH: u32 = 1_024;
-/// The longest observation.
+/// The longest observation, in numbers.
 pub(crate) const MAX_OBS_DIM: usize = 1 << 18;
-/// The most metrics.
+/// The most metrics of an episode.
 const MAX_METRICS: usize = 64;
 /// What stands in the configuration where the worker is to be asked.
 const ASK: &str = "ask";
@@ -95,7 +95,7 @@ pub struct PythonSettings {
     pub metrics: Vec<String>,
     /// How they are put back.
     pub snapshot: SnapshotKind,
-    /// Environments per worker.
+    /// Environments that one worker steps.
     pub batch: u32,
     /// How long a worker may be silent.
     #[serde(with = "jiff::fmt::serde::unsigned_duration::friendly::compact::required")]

@@ -21,14 +21,14 @@ pub(crate) enum StepProgress {
     Sent,
     /// It is with the worker once more, after an exception.
     SentAgain,
-    /// The row has what it has shown, and nobody has looked yet.
+    /// The row has what it has shown, and nothing has read it yet.
     Shown,
 }
 
 /// An environment of a worker.
 #[derive(Debug)]
 pub(crate) struct WorkerSlot {
-    /// Somebody steps it.
+    /// It is reserved, and stepped by its holder.
     pub(crate) is_used: bool,
     /// An episode has begun, here and in the worker.
     pub(crate) is_begun: bool,
@@ -45,7 +45,7 @@ pub(crate) struct WorkerSlot {
     /// What the latest step has shown.
     pub(crate) row: StepRow,
     pub(crate) progress: StepProgress,
-    /// The row's observation begins an episode that nobody has asked for yet.
+    /// The row's observation begins an episode that was not asked for yet.
     pub(crate) is_ahead: bool,
     /// The exception of the step that failed last.
     pub(crate) exception: String,

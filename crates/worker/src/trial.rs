@@ -11,7 +11,7 @@ use crate::slot::StepProgress;
 /// Seed of the trials.
 pub(crate) const SEED: u64 = 20_260_517;
 
-/// Begins an episode.
+/// Begins the first episode of the trials at a place of the link.
 pub(crate) fn begin(link: &mut WorkerLink, place: usize) {
     let slot = link.slot_mut(place);
     slot.is_used = true;

@@ -17,7 +17,7 @@ pub enum NewCrateError {
     /// There is something in the directory.
     #[error("{} is not an empty directory", .0.display())]
     NotEmpty(PathBuf),
-    /// The name is none for a crate.
+    /// The name cannot be that of a crate.
     #[error(transparent)]
     Name(#[from] SettingError),
     /// Leadtime's source is not where it should be.
@@ -26,7 +26,7 @@ pub enum NewCrateError {
     /// A file or a directory cannot be written.
     #[error("{}", path.display())]
     Write {
-        /// Which.
+        /// The path that cannot be written.
         path: PathBuf,
         /// What the system says.
         source: io::Error,
@@ -39,7 +39,8 @@ pub enum NewCrateError {
 ///
 /// # Errors
 ///
-/// [`NewCrateError`]; a wrong name, a wrong directory and a wrong source are met before anything is written.
+/// [`NewCrateError`] if the name, the directory or the source is wrong, which is found before anything is written, or
+/// if a file cannot be written.
 pub fn new_crate(
     directory: &Path,
     name: Option<&str>,

@@ -30,7 +30,7 @@ const ABSENT: &str = "candle-nn ";
 pub(crate) enum LeadtimeSource<'a> {
     /// In a checkout: its absolute path, and the text of its `Cargo.toml`.
     Checkout {
-        /// The path.
+        /// The path of the checkout.
         path: &'a str,
         /// The text, whose profiles the crate repeats: dependencies that the checkout has compiled are then shared.
         manifest: &'a str,
@@ -43,7 +43,7 @@ pub(crate) enum LeadtimeSource<'a> {
 ///
 /// # Errors
 ///
-/// [`SettingError`] if the name is none for a crate.
+/// [`SettingError`] if the name cannot be that of a crate.
 pub(crate) fn template(
     name: &str,
     source: LeadtimeSource<'_>,

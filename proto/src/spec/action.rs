@@ -26,7 +26,7 @@ pub struct Gate {
 /// Restricts the choices of `head` given the choice of an earlier head.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Conditional {
-    /// The restricted head.
+    /// Index of the restricted head.
     pub head: usize,
     /// The earlier head that decides.
     pub given: usize,
@@ -71,7 +71,9 @@ impl ActionSpec {
     ///
     /// # Errors
     ///
-    /// [`SpecError`] naming the first thing that does not.
+    /// [`SpecError`] for the first fault that is found: if there are no heads or too many, a head without a choice, too
+    /// many choices in all, a gate that is no choice of the first head, or a conditional that is out of order, has the
+    /// wrong length or leaves no choice.
     pub fn check(&self) -> Result<(), SpecError> {
         let n_heads = self.heads.len();
         if !(1..=limits::MAX_HEADS).contains(&n_heads) {
@@ -105,7 +107,7 @@ impl ActionSpec {
         Ok(())
     }
 
-    /// Tells whether an action of one choice per head is one that could have been sampled under `mask`.
+    /// Returns whether an action of one choice per head is one that could have been sampled under `mask`.
     ///
     /// Heads behind a closed gate are still sampled, so they are still checked.
     pub fn allows(&self, mask: Mask, action: &[u8]) -> bool {
@@ -138,7 +140,7 @@ impl ActionSpec {
 pub struct Mask(pub u64);
 
 impl Mask {
-    /// Offers every choice.
+    /// Offers every choice of every head.
     pub const ALL: Self = Self(u64::MAX);
 
     /// Returns the offered choices of the head that starts at `offset`, bit 0 for its first choice.
@@ -152,12 +154,12 @@ fn bits(n: usize) -> u64 {
     if n >= 64 { u64::MAX } else { (1 << n) - 1 }
 }
 
-/// What an environment asks of a policy and tells about itself.
+/// What an environment asks of a policy and states about itself.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EnvSpec {
     /// Length of an observation vector.
     pub obs_dim: usize,
-    /// The action space.
+    /// The heads of an action, and how they depend on each other.
     pub actions: ActionSpec,
     /// Names of the metrics in an episode's summary, in order; `success` first where there is such a thing.
     pub metrics: Vec<String>,

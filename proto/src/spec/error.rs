@@ -16,7 +16,7 @@ pub enum SpecError {
     /// A head without a choice, or with too many.
     #[error("head `{head}` has {n_choices} choices; 1 to 255 are possible")]
     Choices {
-        /// The head's name.
+        /// Name of the head, as its environment gives it.
         head: String,
         /// How many choices it has.
         n_choices: usize,
@@ -27,9 +27,9 @@ pub enum SpecError {
     /// The gate is not a choice of the first head.
     #[error("gate on choice {choice} of head {head}; it must be a choice of head 0")]
     Gate {
-        /// The gate's head.
+        /// Index of the head that the gate is on.
         head: usize,
-        /// The gate's choice.
+        /// Index of the gate's choice in that head.
         choice: usize,
     },
     /// A restriction that is out of order, has the wrong shape, or leaves no choice.
@@ -37,7 +37,7 @@ pub enum SpecError {
         "conditional of head {head} given head {given} is out of order, misshapen, or leaves no choice"
     )]
     Conditional {
-        /// The restricted head.
+        /// Index of the restricted head.
         head: usize,
         /// The head it depends on.
         given: usize,
@@ -48,7 +48,7 @@ pub enum SpecError {
          entities be there, and counts be 1 to 1024"
     )]
     Attention {
-        /// The encoder's settings.
+        /// The encoder with its settings, as `Debug` writes them.
         encoder: String,
         /// Length of the observation.
         obs_dim: usize,

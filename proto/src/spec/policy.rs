@@ -8,7 +8,7 @@ use super::error::SpecError;
 /// How the input becomes the features that the actor's and the critic's stacks see.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Encoder {
-    /// The observation itself.
+    /// None: the observation itself is the features.
     Identity,
     /// A recurrent layer over the steps of an episode, which actor and critic share; its output is the features.
     Lstm {
@@ -33,7 +33,7 @@ pub struct EgoAttention {
     pub n_frames: usize,
     /// Entities per observation, the ego included (at least 2).
     pub n_entities: usize,
-    /// Numbers per entity.
+    /// Numbers that describe one entity.
     pub n_features: usize,
     /// Numbers behind each observation: the own action.
     pub action_dim: usize,
@@ -96,9 +96,9 @@ pub struct PolicySpec {
     pub encoder: Encoder,
     /// Widths of the tanh layers, in the actor and again in the separate critic; none: the heads follow at once.
     pub hidden: Vec<usize>,
-    /// The heads.
+    /// The heads of an action: the actor's output is their logits.
     pub actions: ActionSpec,
-    /// Which heads count.
+    /// Whether heads behind a closed gate count in log-probability and entropy.
     pub head_credit: HeadCredit,
     /// Initial bias per logit (all zero: empty); -1 on "initiate" makes an untrained notifier quiet.
     pub logit_bias: Vec<f32>,
@@ -133,7 +133,8 @@ impl PolicySpec {
     ///
     /// # Errors
     ///
-    /// [`SpecError`] naming the first thing that does not.
+    /// [`SpecError`] if the heads fail [`ActionSpec::check`], or an ego attention does not fit the length of the
+    /// observation.
     pub fn check(&self) -> Result<(), SpecError> {
         self.actions.check()?;
         match &self.encoder {

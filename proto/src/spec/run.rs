@@ -21,13 +21,13 @@ pub struct TaskSpec {
 pub struct RunSpec {
     /// Seed of every random stream.
     pub seed: u64,
-    /// What to simulate.
+    /// What to simulate: the domain and its settings.
     pub task: TaskSpec,
     /// What the simulation must look like; an actor whose task differs says so and leaves.
     pub env: EnvSpec,
     /// What the weights are for.
     pub policy: PolicySpec,
-    /// Steps per rollout.
+    /// T, the steps in every rollout.
     pub n_steps: u32,
     /// Who waits for whom.
     pub schedule: Schedule,

@@ -1,9 +1,9 @@
-//! The highway: traffic with merging ramps, and the notifier task of a person who counts on merging cars to yield.
+//! The highway: traffic with merging ramps, and the notifier task of a listener who counts on merging cars to yield.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`world`] | lanes, cars, drivers and collisions, as in highway-env |
-//! | [`task`] | the person at the wheel, what a topic asks of them, rewards: the [`Domain`](leadtime_sims::Domain) |
+//! | [`task`] | the listener at the wheel, what a topic asks of them, rewards: the [`Domain`](leadtime_sims::Domain) |
 //!
 //! # Where to start
 //!

@@ -24,12 +24,12 @@ const TOTAL_MASS: f64 = CART_MASS + POLE_MASS;
 const HALF_LENGTH: f64 = 0.5;
 const POLE_MASS_LENGTH: f64 = POLE_MASS * HALF_LENGTH;
 const FORCE: f64 = 10.0;
-/// Seconds per step.
+/// Duration of a step, in seconds.
 const TAU: f64 = 0.02;
 const ANGLE_LIMIT_RAD: f64 = 12.0 * 2.0 * std::f64::consts::PI / 360.0;
 const POSITION_LIMIT: f64 = 2.4;
 
-/// Settings of [`CartPole`].
+/// Settings of [`CartPole`]: its time limit.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CartPoleSettings {

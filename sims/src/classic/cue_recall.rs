@@ -6,7 +6,7 @@
 //! choice                                counts: +1 if it is the cue, -1 if not
 //! ```
 //!
-//! A policy without memory cannot beat chance, 1 / `n_cues`, so this tells whether a recurrent state is carried
+//! A policy without memory cannot beat chance, 1 / `n_cues`, so this shows whether a recurrent state is carried
 //! correctly through rollouts, snapshots and learner.
 
 use leadtime_numerics::Purpose;
@@ -19,7 +19,7 @@ use crate::environment::{
     End, Environment, EpisodeSeed, SnapshotError, StepOutcome, read_snapshot, write_snapshot,
 };
 
-/// Settings of [`CueRecall`].
+/// Settings of [`CueRecall`]: how many cues, and how long to remember them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CueRecallSettings {

@@ -1,4 +1,4 @@
-//! Drawing reaction delays.
+//! Drawing reaction delays, in steps: once per episode or once per message, as the setting says.
 
 use leadtime_numerics::Pcg64;
 use serde::{Deserialize, Serialize};

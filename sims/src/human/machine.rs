@@ -75,7 +75,7 @@ pub const MAX_PENDING: usize = 64;
 /// From how many words on a message counts as long.
 pub const LONG_FROM_WORDS: u32 = 4;
 
-/// The most dangers of an episode that are told apart; the last one stands for all beyond.
+/// The most dangers of an episode that are kept apart; the last one stands for all beyond.
 pub const MAX_DANGERS: usize = 64;
 
 /// The longest episode that is counted, in steps.
@@ -97,7 +97,7 @@ pub enum SpeechAct {
 pub enum Initiation {
     /// The notifier did not speak.
     None,
-    /// The message started.
+    /// The message was begun in this step.
     Started,
     /// The message could not start.
     Blocked,
@@ -144,7 +144,7 @@ impl HumanState {
         self.speech
     }
 
-    /// Tells whether a listener of `n_topics` topics could be in this state.
+    /// Returns whether a listener of `n_topics` topics could be in this state.
     ///
     /// States come back from other processes, so nothing about them is taken on trust.
     pub fn fits(&self, n_topics: usize) -> bool {
@@ -300,17 +300,17 @@ impl Human {
         starting.or(self.state.running.map(|running| (running.message, running.steps_left)))
     }
 
-    /// Tells whether a message (of another topic) would start now.
+    /// Returns whether a message (of another topic) would start now.
     pub fn may_start(&self) -> bool {
         self.settings.may_start(self.state.speech)
     }
 
-    /// Tells whether there is an utterance that may be broken off.
+    /// Returns whether there is an utterance that may be broken off.
     pub fn may_stop(&self) -> bool {
         self.settings.may_stop(self.state.speech)
     }
 
-    /// Tells whether a reaction ended since this was last asked.
+    /// Returns whether a reaction ended since this was last asked.
     pub fn take_reaction_over(&mut self) -> bool {
         std::mem::take(&mut self.reaction_over)
     }
@@ -388,7 +388,7 @@ impl Human {
         }
     }
 
-    /// Returns what the person is to do in this step, if not what they planned themselves.
+    /// Returns what the listener is to do in this step, if not what they planned themselves.
     pub fn reaction(&self) -> Option<ReactionStep> {
         if let Some(ChosenReaction { topic, first }) = self.chosen {
             return topic.map(|topic| ReactionStep { topic, first });
@@ -404,7 +404,7 @@ impl Human {
     pub fn acted(&mut self, status: Option<ReactionStatus>, danger: usize) -> f64 {
         let Some(running) = self.state.running.as_mut() else { return 0.0 };
         let status = status.unwrap_or(ReactionStatus::Refused);
-        // A refused step uses up time as a followed one does: the person tried for `d_f` steps.
+        // A refused step uses up time as a followed one does: the listener tried for `d_f` steps.
         let follows = status != ReactionStatus::Refused;
         let first_followed = follows && !running.followed;
         running.begun = true;
@@ -461,7 +461,7 @@ impl Human {
         })
     }
 
-    /// Drops the running reaction because what was delivered made the person think again (row L2).
+    /// Drops the running reaction because what was delivered made the listener think again (row L2).
     pub fn cancel_reaction(&mut self) {
         self.end_running();
     }

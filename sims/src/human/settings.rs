@@ -26,14 +26,14 @@ pub enum ReactionDelay {
     Fixed(u32),
     /// Normally distributed, rounded to the nearest integer that is not negative.
     Normal {
-        /// Mean, in steps.
+        /// Mean, in steps, before rounding.
         mean: f64,
         /// Standard deviation, in steps.
         deviation: f64,
         /// How often it is drawn.
         drawn: DelayDraw,
     },
-    /// Uniform over `low..=high`.
+    /// Uniformly distributed over the integers `low..=high`.
     Uniform {
         /// Smallest delay, in steps.
         low: u32,
@@ -99,7 +99,7 @@ pub enum FollowThrough {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FollowThroughEnd {
-    /// `d_f` steps.
+    /// `d_f` steps: the end of the interval does not count.
     Exclusive,
     /// `d_f` + 1 steps: the source's closed interval.
     Inclusive,
@@ -175,7 +175,7 @@ pub enum Repeat {
     Continue,
 }
 
-/// How the person hears, understands and reacts. All times are in steps, one word each.
+/// How the listener hears, understands and reacts. All times are in steps, one word each.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HumanSettings {

@@ -10,7 +10,7 @@ use crate::Message;
 /// A message while it is spoken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SpokenMessage {
-    /// What is said.
+    /// What is said: topic, comprehension and conveyance time.
     pub message: Message,
     /// Words that have been heard to their end.
     pub heard: u32,
@@ -44,14 +44,14 @@ impl SpokenMessage {
         HeardWord { understood, is_last: self.heard >= length }
     }
 
-    /// Tells whether a message of one of `n_topics` topics could be spoken so far.
+    /// Returns whether a message of one of `n_topics` topics could be spoken so far.
     pub(crate) fn fits(&self, n_topics: usize) -> bool {
         self.message.fits(n_topics) && self.heard <= MAX_WORDS
     }
 }
 
 impl Message {
-    /// Tells whether a notifier of `n_topics` topics could say it.
+    /// Returns whether a notifier of `n_topics` topics could say it.
     pub(crate) fn fits(&self, n_topics: usize) -> bool {
         self.topic < n_topics
             && self.comprehension <= self.conveyance
@@ -60,7 +60,7 @@ impl Message {
 }
 
 impl HumanSettings {
-    /// Tells whether a message (of another topic) would start now.
+    /// Returns whether a message (of another topic) would start now.
     pub(crate) fn may_start(&self, speech: Option<SpokenMessage>) -> bool {
         match (speech, self.interrupt) {
             (None, _) | (Some(_), Interrupt::Replace) => true,
@@ -69,7 +69,7 @@ impl HumanSettings {
         }
     }
 
-    /// Tells whether there is an utterance that may be broken off.
+    /// Returns whether there is an utterance that may be broken off.
     pub(crate) fn may_stop(&self, speech: Option<SpokenMessage>) -> bool {
         self.can_stop && speech.is_some()
     }

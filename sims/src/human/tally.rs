@@ -38,7 +38,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Tells whether an episode could have come to these numbers, with room to count on.
+    /// Returns whether an episode could have come to these numbers, with room to count on.
     pub(super) fn is_plausible(&self) -> bool {
         let said = [self.started, self.ignored, self.continued, self.sum_k, self.sum_l, self.long];
         let heard = [self.preempted, self.comprehended, self.delivered];

@@ -39,7 +39,7 @@ pub fn initial_bias(actions: &ActionSpec, initiate: f64, length: f64) -> Vec<f32
     if biases.iter().all(|bias| *bias == 0.0) { Vec::new() } else { biases }
 }
 
-/// Which choices of the initiate head, beside silence, a step offers.
+/// Which choices of the initiate head, besides silence, a step offers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Offered {
     pub(super) start: bool,

@@ -1,7 +1,7 @@
 //! Which k and l can be said on which topic: where sentences are missing, a choice becomes the nearest that there is.
 //!
 //! A notifier that learns with cells which nobody can fill learns timings that nobody will hear. With a table of those
-//! that a database fills, it hears of each choice what a person would: another k or l, and never another topic.
+//! that a database fills, it hears of each choice what a listener would: another k or l, and never another topic.
 
 use crate::Message;
 use crate::check::SettingError;

@@ -86,7 +86,7 @@ impl StepRewards {
 ///
 /// The observation is `[n * (D + A)]`, the last n pairs of the domain's observation (D) and the own action (A = 1 +
 /// topics + 2 * words, and 1 more with `can_stop`), oldest first. With `observe_utterance` 1 + topics numbers about
-/// the running utterance follow: the share of its words that was spoken, and its topic one-hot. Nothing in it tells
+/// the running utterance follow: the share of its words that was spoken, and its topic one-hot. Nothing in it says
 /// what the listener has understood or is about to do.
 #[derive(Debug)]
 pub struct NotifierEnv<D> {
@@ -134,12 +134,12 @@ impl<D: Domain> NotifierEnv<D> {
         })
     }
 
-    /// Returns the world.
+    /// Returns the world that the listener acts in.
     pub fn domain(&self) -> &D {
         &self.domain
     }
 
-    /// Returns the listener.
+    /// Returns the simulated listener with everything they have heard.
     pub fn human(&self) -> &Human {
         &self.human
     }

@@ -6,7 +6,7 @@
 /// A window over the last pairs.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct History {
-    /// `[n_pairs, pair_dim]`
+    /// Each an observation with the action before it, the oldest first. `[n_pairs, pair_dim]`
     pairs: Vec<f32>,
     obs_dim: usize,
     pair_dim: usize,

@@ -10,7 +10,7 @@
 //! notifier acts, the human acts, the world advances, a word is heard; then reward, observation and metrics.
 //!
 //! A [`Session`] is the half of it that speaks. It knows what a notifier at work knows, and no world and no listener: the
-//! same code decides in training and beside a person.
+//! same code decides in training and at work.
 //!
 //! Where to start: [`NotifierEnv`] is the environment; [`NotifierSettings`] what can be chosen about it; [`TaskSettings`] a whole task.
 

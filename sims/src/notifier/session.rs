@@ -1,7 +1,7 @@
 //! The notifier without its world: what it has seen and done, what it is saying, what it may choose.
 //!
 //! [`NotifierEnv`](super::NotifierEnv) holds one and a simulated listener; a notifier at work holds one and nothing else. So
-//! the row that a policy sees and the choices that it has are the same in training and beside a person, bit for bit.
+//! the row that a policy sees and the choices that it has are the same in training and at work, bit for bit.
 //!
 //! ```text
 //! begin(first observation)
@@ -14,7 +14,7 @@
 //!
 //! Only what a speaker can know: observations, its own words, and the rules by which it may start and stop. Whether a message
 //! that was understood is about to be carried out, or is being carried out, it does not know. With `repeat = "continue"` a
-//! simulated listener refuses to hear such a message again; beside a person it is said.
+//! simulated listener refuses to hear such a message again; at work it is said.
 
 use leadtime_proto::Mask;
 use serde::{Deserialize, Serialize};
@@ -113,7 +113,7 @@ impl Session {
         self.history.row().len() + utterance
     }
 
-    /// Tells whether it may say something again that the listener is carrying out, without knowing that they are.
+    /// Returns whether it may say something again that the listener is carrying out, without knowing that they are.
     pub fn is_blind_to_repeats(&self) -> bool {
         self.rules.repeat == Repeat::Continue
     }

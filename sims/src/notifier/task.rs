@@ -29,7 +29,7 @@ pub trait NotifierWorld: Default + Serialize + DeserializeOwned + 'static {
     ///
     /// # Errors
     ///
-    /// [`SettingError`] if a setting is impossible.
+    /// [`SettingError`] if a setting is out of its range, or does not fit another one.
     fn domain(&self) -> Result<Self::Task, SettingError>;
 }
 
@@ -61,7 +61,8 @@ impl<W: NotifierWorld> TaskSettings<W> {
     ///
     /// # Errors
     ///
-    /// [`TaskError`] if a setting is impossible.
+    /// [`TaskError`] if a setting of the world, the listener or the notifier is out of its range, or does not fit
+    /// another one.
     pub fn build(&self) -> Result<NotifierEnv<W::Task>, TaskError> {
         NotifierEnv::new(self.world.domain()?, &self.human, &self.notifier)
     }

@@ -1,4 +1,4 @@
-//! A notifier's task in which the person is played, too.
+//! A notifier's task in which the listener is played, too.
 
 use super::environment::NotifierEnv;
 use crate::Domain;
@@ -11,7 +11,8 @@ const LONG_AGO: u32 = 20;
 
 /// A [`NotifierEnv`] whose listener hears as the model does, and acts as somebody else decides.
 ///
-/// When a message is understood is the model's; there is no reaction delay and no follow-through but the person's own.
+/// When a message is understood is the model's; there is no reaction delay and no follow-through but the listener's
+/// own.
 pub(crate) struct PlayedByTwo<D> {
     env: NotifierEnv<D>,
     /// The longest message, in words.
@@ -40,7 +41,7 @@ impl<D: Domain> PlayedByTwo<D> {
         Self { env, longest, understood: None }
     }
 
-    /// Writes what the person sees and remembers.
+    /// Writes what the listener sees and remembers.
     fn write_person(&self, out: &mut [f32]) {
         let (world, rest) = out.split_at_mut(self.env.domain().obs_dim());
         self.env.domain().observe(world);

@@ -67,11 +67,11 @@ impl Scale {
 /// The frame of a chart: an area with two scales.
 #[derive(Clone, Copy, Debug)]
 pub struct Panel {
-    /// Where it is.
+    /// The part of the canvas, in pixels.
     pub area: Area,
-    /// Horizontal scale.
+    /// The horizontal axis, from data to pixels.
     pub x: Scale,
-    /// Vertical scale.
+    /// The vertical axis, from data to pixels.
     pub y: Scale,
 }
 

@@ -25,13 +25,13 @@ pub(super) fn trimmed(text: &str) -> &str {
 /// A rectangle on the canvas, in pixels; y grows downward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
-    /// Left edge.
+    /// Left edge, in pixels.
     pub x: f64,
-    /// Top edge.
+    /// Top edge, in pixels.
     pub y: f64,
-    /// Width.
+    /// Width, in pixels, at least 0.
     pub width: f64,
-    /// Height.
+    /// Height, in pixels, at least 0.
     pub height: f64,
 }
 
@@ -51,7 +51,7 @@ impl Area {
         self.y + self.height
     }
 
-    /// Tells whether two rectangles share any point.
+    /// Returns whether two rectangles share any point.
     pub fn overlaps(&self, other: &Self) -> bool {
         self.x < other.right()
             && other.x < self.right()
@@ -59,7 +59,7 @@ impl Area {
             && other.y < self.bottom()
     }
 
-    /// Tells whether `other` lies wholly inside.
+    /// Returns whether `other` lies wholly inside.
     pub fn encloses(&self, other: &Self) -> bool {
         self.x <= other.x
             && other.right() <= self.right()
@@ -91,7 +91,7 @@ impl Paint {
         Self { fill, stroke, width, opacity: 1.0, fill_opacity: 1.0, dash: None }
     }
 
-    /// Adds an outline.
+    /// Adds an outline of `width` pixels.
     pub fn outlined(self, ink: Ink, width: f64) -> Self {
         Self { stroke: Some(ink), width, ..self }
     }
@@ -150,22 +150,22 @@ fn attribute(out: &mut String, name: &str, value: &str) {
 /// Which point of a text its position names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its left end.
+    /// The left end of its baseline.
     Start,
-    /// Its middle.
+    /// The middle of its baseline.
     Middle,
-    /// Its right end.
+    /// The right end of its baseline.
     End,
 }
 
 /// How text is set; the position is on its baseline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TextStyle {
-    /// Size in pixels.
+    /// Size of the face, in pixels.
     pub size: f64,
-    /// Weight.
+    /// How heavy the text is.
     pub weight: Weight,
-    /// Colour.
+    /// Colour of the letters.
     pub ink: Ink,
     /// Point that is placed.
     pub anchor: Anchor,
@@ -179,30 +179,30 @@ impl TextStyle {
         Self { size, weight: Weight::Regular, ink, anchor: Anchor::Start, halo: None }
     }
 
-    /// Makes it semi-bold.
+    /// Sets the text in the semi-bold face.
     pub fn bold(self) -> Self {
         Self { weight: Weight::Bold, ..self }
     }
 
-    /// Moves the anchor.
+    /// Changes the point that is placed.
     pub fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
 
-    /// Adds a halo.
+    /// Adds a halo, so that the text can be read on any ground.
     pub fn haloed(self, ink: Ink) -> Self {
         Self { halo: Some(ink), ..self }
     }
 }
 
-/// A finished picture.
+/// A finished picture, with its size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Svg {
-    /// The SVG file.
+    /// The SVG file as text; it names its font and does not embed it.
     pub text: String,
-    /// Width, in units.
+    /// Width, in units of the picture: pixels at scale 1.
     pub width: f64,
-    /// Height, in units.
+    /// Height, in units of the picture: pixels at scale 1.
     pub height: f64,
 }
 
@@ -258,7 +258,7 @@ impl Canvas {
         }
     }
 
-    /// Draws a circle.
+    /// Draws a circle; centre and radius are in pixels.
     pub fn circle(&mut self, center: [f64; 2], radius: f64, paint: Paint) {
         let [x, y] = center.map(number);
         self.element("circle", &format!("cx=\"{x}\" cy=\"{y}\" r=\"{}\"", number(radius)), paint);

@@ -15,10 +15,10 @@ pub(super) const BOLD_FACE: &[u8] = include_bytes!("../../assets/Inter-SemiBold-
 /// How heavy text is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Weight {
-    /// Body text.
+    /// For text of all kinds but titles.
     #[default]
     Regular,
-    /// Titles.
+    /// For titles: Inter's semi-bold.
     Bold,
 }
 

@@ -11,7 +11,7 @@ const MAX_CROSSED: f64 = 0.12;
 pub(crate) struct FoundText {
     pub(crate) text: String,
     pub(crate) area: Area,
-    /// As `#rrggbb`.
+    /// Colour of the letters, as `#rrggbb`.
     colour: String,
     /// The colour of its halo, if it has one.
     halo: Option<String>,

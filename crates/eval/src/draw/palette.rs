@@ -6,7 +6,7 @@
 /// A colour named by what it is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ink {
-    /// Titles and labels.
+    /// Titles and labels, nearly black.
     Text,
     /// Secondary text: ticks, captions.
     Muted,
@@ -18,21 +18,21 @@ pub enum Ink {
     Paper,
     /// The background of a panel within a picture.
     Panel,
-    /// Ground, road, walls.
+    /// Ground, road and walls of a world.
     Ground,
     /// A neutral path: no message is running.
     Neutral,
-    /// Okabe-Ito blue.
+    /// The blue of Okabe and Ito's palette.
     Blue,
-    /// Okabe-Ito orange.
+    /// The orange of Okabe and Ito's palette.
     Orange,
-    /// Okabe-Ito bluish green.
+    /// The bluish green of Okabe and Ito's palette.
     Green,
-    /// Okabe-Ito vermilion.
+    /// The vermilion of Okabe and Ito's palette.
     Vermilion,
-    /// Okabe-Ito reddish purple.
+    /// The reddish purple of Okabe and Ito's palette.
     Purple,
-    /// Okabe-Ito sky blue.
+    /// The sky blue of Okabe and Ito's palette.
     Sky,
     /// A paler orange, for the second part of an orange bar.
     PaleOrange,

@@ -34,7 +34,7 @@ pub struct BandPanel {
     pub label: String,
     /// Fixed range of the axis, such as 0 to 1 for a rate; `None`: that of the data.
     pub range: Option<[f64; 2]>,
-    /// The lines.
+    /// The lines, drawn in this order.
     pub bands: Vec<Band>,
 }
 

@@ -59,7 +59,7 @@ fn binned(counts: &BTreeMap<u64, u64>) -> Vec<(String, u64)> {
 /// What one process spent its time on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShareRow {
-    /// The process.
+    /// The process, as the row is labelled.
     pub label: String,
     /// Names of what it did, and for how many seconds.
     pub parts: Vec<(String, f64)>,

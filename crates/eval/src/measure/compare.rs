@@ -14,7 +14,7 @@ const DIFFERENCE: u64 = u32::MAX as u64;
 /// How one measure of two players differs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
-    /// The measure's name.
+    /// Name of the metric or rate, such as `success`.
     pub measure: String,
     /// Whose mean is taken.
     pub of: String,
@@ -78,7 +78,7 @@ pub struct Comparison {
     pub bootstrap: Bootstrap,
     /// One summary per player.
     pub summaries: Vec<Summary>,
-    /// Differences between players.
+    /// Differences of measures between two players.
     pub differences: Vec<Difference>,
 }
 
@@ -123,7 +123,7 @@ impl Comparison {
         table
     }
 
-    /// Tells whether a measure is 0 in every episode in which anybody has it.
+    /// Returns whether a measure is 0 in every episode in which anybody has it.
     pub(crate) fn is_zero(&self, measure: &str) -> bool {
         let has = |summary: &'_ Summary| {
             let measure = summary.get(measure)?;

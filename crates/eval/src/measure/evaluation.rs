@@ -13,7 +13,7 @@ use crate::error::Error;
 pub struct EpisodeResult {
     /// Sum of raw rewards.
     pub total_reward: f64,
-    /// Number of steps.
+    /// Number of steps until the end.
     pub n_steps: u64,
     /// A time limit ended it.
     pub truncated: bool,
@@ -24,7 +24,7 @@ pub struct EpisodeResult {
 /// What a player did in a number of episodes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// The player's name.
+    /// Name that tables give the player.
     pub player: String,
     /// Seed of the evaluation.
     pub seed: u64,
@@ -105,7 +105,8 @@ impl EpisodeObserver for Measuring {
 ///
 /// # Errors
 ///
-/// As [`play`].
+/// [`Error`] in the cases of [`play`]: the task cannot be built, the player does not fit it, or an episode does not
+/// end.
 pub fn evaluate(
     make: &MakeEnvironment<'_>,
     player: &Player,
@@ -118,7 +119,8 @@ pub fn evaluate(
 ///
 /// # Errors
 ///
-/// As [`play`].
+/// [`Error`] in the cases of [`play`]: the task cannot be built, the player does not fit it, or an episode does not
+/// end.
 pub fn evaluate_with<O: EpisodeObserver>(
     make: &MakeEnvironment<'_>,
     player: &Player,

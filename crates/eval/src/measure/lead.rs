@@ -15,7 +15,7 @@ const FIRST: &str = "first_notification";
 const DANGER: &str = "danger_from";
 const CRASHED: &str = "crashed";
 
-/// Tells whether a task with these metrics has lead times.
+/// Returns whether a task with these metrics has lead times.
 pub(super) fn is_known(metrics: &[String]) -> bool {
     let has = |name: &str| metrics.iter().any(|metric| metric == name);
     has(FIRST) && (has(DANGER) || has(CRASHED))

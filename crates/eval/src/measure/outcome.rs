@@ -1,6 +1,6 @@
 //! What messages changed: success split by what the same person does alone in the same episode.
 //!
-//! A success rate mixes two things that differ in worth. Where the person would have failed, a success is a hazard
+//! A success rate mixes two things that differ in worth. Where the listener would have failed, a success is a hazard
 //! averted; where they would have succeeded, a failure is harm done by speaking. On a road on which half of the drives
 //! succeed anyway, a rate does not say which of the two a notifier does.
 
@@ -14,7 +14,7 @@ const SUCCESS: &str = "success";
 /// What every task with a listener counts.
 const NOTIFICATIONS: &str = "notifications";
 
-/// Tells whether a task with these metrics has outcomes to split.
+/// Returns whether a task with these metrics has outcomes to split.
 pub(super) fn is_known(metrics: &[String]) -> bool {
     [SUCCESS, NOTIFICATIONS].iter().all(|name| metrics.iter().any(|metric| metric == name))
 }

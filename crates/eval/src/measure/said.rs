@@ -1,7 +1,7 @@
 //! What a notifier does over the course of an episode: short first, longer once it is safe, silent when safe?
 //!
-//! Time is told by the hazard: the step at which something happens to the same person in the same episode when nobody
-//! speaks. A message before it comes in time; after it, the person would be safe unaided or lost.
+//! Time is counted from the hazard: the step at which something happens to the same listener in the same episode when
+//! nobody speaks. A message before it comes in time; after it, the listener would be safe unaided or lost.
 
 use super::evaluation::Evaluation;
 use super::lead;

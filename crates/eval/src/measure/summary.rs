@@ -1,7 +1,7 @@
 //! A player's episodes summed up: means with intervals.
 //!
-//! A rate that an episode leaves undefined (the share of notifications followed, where there was none) is no zero:
-//! that episode does not count for the rate, and `n` counts those that do.
+//! A rate can be undefined in an episode: without a notification there is no share of notifications followed. Such an
+//! episode does not count for the rate, and `n` is the number of those that do.
 
 use leadtime_numerics::proportion::with_width;
 use leadtime_numerics::stats::{Bootstrap, Interval, interquartile_mean, mean, standard_deviation};
@@ -80,7 +80,7 @@ const HIDDEN: [&str; 5] =
 /// One number about a player, with its uncertainty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measure {
-    /// The metric's name.
+    /// Name of the metric or rate, such as `success`.
     pub name: String,
     /// Episodes in which it was defined.
     pub n: usize,
@@ -108,7 +108,7 @@ impl Measure {
 /// All measures of one player.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// The player's name.
+    /// Name that tables give the player.
     pub player: String,
     /// Number of episodes, over all training seeds.
     pub n_episodes: usize,
@@ -159,7 +159,7 @@ fn measure(name: String, values: &[Vec<f64>], bootstrap: &Bootstrap, index: u64)
     Measure { name, n: all.len(), interval, standard_deviation, by_seed: by_seed.collect() }
 }
 
-/// Tells whether a measure lies between 0 and 1 in every episode.
+/// Returns whether a measure lies between 0 and 1 in every episode.
 pub(super) fn is_share(name: &str) -> bool {
     SHARES.contains(&name) || RATES.iter().any(|rate| rate.0 == name)
 }

@@ -8,7 +8,7 @@ use leadtime_sims::{End, Speech, StepOutcome};
 /// Moment 0 is the start of the episode, moment i the one after its i-th step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoggedMessage {
-    /// Topic id.
+    /// Index of the topic in the task.
     pub topic: usize,
     /// Moment at which it was started.
     pub start: usize,

@@ -25,9 +25,9 @@ const LAST_DELAY: u16 = 250;
 pub struct Pixels {
     /// Pixels of a row.
     pub width: usize,
-    /// Rows.
+    /// Rows of pixels, from the top.
     pub height: usize,
-    /// `[height, width, 3]`.
+    /// Red, green and blue of each pixel. `[height, width, 3]`
     pub rgb: Vec<u8>,
 }
 
@@ -44,7 +44,7 @@ impl Spoken {
     ///
     /// # Errors
     ///
-    /// [`Error::PictureSize`] if a frame is higher than a GIF can be; as [`Rasterizer::png`].
+    /// [`Error::PictureSize`] if a frame would be empty, gigantic, or higher than a GIF can be.
     pub fn gif(
         &self,
         rasterizer: &Rasterizer,
@@ -61,11 +61,12 @@ impl Spoken {
         gif(&frames, delay as u16, LAST_DELAY)
     }
 
-    /// Draws the last scene, with what the person hears and does, for an episode that may go on.
+    /// Draws the last scene, with what the listener hears and does, for an episode that may go on.
     ///
     /// # Errors
     ///
-    /// [`Error::NoScene`] before the first scene; as [`Rasterizer::png`].
+    /// [`Error::NoScene`] if no scene has been recorded yet; [`Error::PictureSize`] if the picture would be empty or
+    /// gigantic.
     pub fn now(&self, rasterizer: &Rasterizer) -> Result<Pixels, Error> {
         let last = self.played.scenes.len().checked_sub(1).ok_or(Error::NoScene)?;
         let drawn = rasterizer.pixmap(&self.frame(last, &self.caption_now(), false).text, 1.0)?;
@@ -74,7 +75,7 @@ impl Spoken {
         Ok(Pixels { width, height, rgb: rgb.collect() })
     }
 
-    /// Says in a line what the person hears and does in the last scene.
+    /// Says in a line what the listener hears and does in the last scene.
     pub fn caption_now(&self) -> String {
         self.caption_of(self.played.scenes.len().saturating_sub(1))
     }
@@ -105,7 +106,7 @@ impl Spoken {
     /// Draws the moment of scene `i` with a caption.
     fn frame(&self, i: usize, caption: &str, is_bold: bool) -> Svg {
         let scenes = &self.played.scenes;
-        // A world that is seen in parts is seen where the person is.
+        // A world that is seen in parts is seen where the listener is.
         let seen = scenes.get(i).map_or(&scenes[..], std::slice::from_ref);
         let mut world = WorldView::new([MARGIN, CAPTION_HEIGHT], WIDTH - 2.0 * MARGIN, seen);
         world.label_size = LABEL_SIZE;
@@ -133,7 +134,7 @@ impl Spoken {
         i + 1 >= self.played.scenes.len()
     }
 
-    /// Returns what the person did in the step that led to scene `i`.
+    /// Returns what the listener did in the step that led to scene `i`.
     fn activity(&self, i: usize) -> Activity {
         i.checked_sub(1).map_or(Activity::OwnPlan, |step| self.timeline.activities[step])
     }
@@ -155,7 +156,7 @@ impl Spoken {
     }
 }
 
-/// Describes in one line what the person hears and does; `sentence` is what they have heard of it, if it is known.
+/// Describes in one line what the listener hears and does; `sentence` is what they have heard of it, if it is known.
 fn caption(scene: &Scene, activity: Activity, sentence: Option<&str>) -> String {
     let listener = &scene.listener;
     let followed = listener.reacting.or(listener.pending);

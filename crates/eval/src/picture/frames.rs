@@ -1,4 +1,4 @@
-//! A few moments of an episode side by side: what was heard so far, what the person sees, believes and does.
+//! A few moments of an episode side by side: what was heard so far, what the listener sees, believes and does.
 
 use std::ops::Range;
 

@@ -26,7 +26,7 @@ const DIRECTIONS: [[f64; 2]; 8] = [
 /// What labels must avoid.
 #[derive(Clone, Debug)]
 pub(super) struct Placer {
-    /// They stay inside.
+    /// Labels stay inside of it.
     pub(super) bounds: Area,
     /// They never overlap these.
     pub(super) taken: Vec<Area>,

@@ -31,7 +31,7 @@ pub(super) enum Mark {
     Ended(Paint, Ink),
     /// Where a message starts.
     Start,
-    /// A filled area.
+    /// A filled area of this paint.
     Swatch(Paint),
 }
 

@@ -1,9 +1,9 @@
-//! One episode as a picture: where the person went, which messages they heard, how they reacted.
+//! One episode as a picture: where the listener went, which messages they heard, how they reacted.
 //!
 //! ```text
 //! whole, frames, animation   a [`Spoken`](crate::playthrough::Spoken) episode as SVG and PNG, as a strip of moments, as GIF
 //! trajectories               many episodes over one map, and one over several maps
-//! world_view, strip          the world with the trajectory in it; the person's gauge over time
+//! world_view, strip          the world with the trajectory in it; the listener's gauge over time
 //! tiles, labels              where worlds and labels stand      marker, legend: marks and what they mean
 //! ```
 //!

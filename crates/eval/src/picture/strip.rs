@@ -1,4 +1,4 @@
-//! The strip under the world: the person's gauge over time, and when messages were spoken, waited for and followed.
+//! The strip under the world: the listener's gauge over time, and when messages were spoken, waited for and followed.
 
 use leadtime_sims::Scene;
 

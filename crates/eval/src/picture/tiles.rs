@@ -15,7 +15,7 @@ pub(super) struct TileStyle {
     pub(super) gap: f64,
     /// Above the first row: title and legend.
     pub(super) top: f64,
-    /// Above every world.
+    /// Above every world: its caption.
     pub(super) caption: f64,
 }
 

@@ -65,7 +65,7 @@ impl Spoken {
     ///
     /// # Errors
     ///
-    /// As [`Rasterizer::png`].
+    /// [`Error::PictureSize`] if the picture would be empty or gigantic at that scale.
     pub fn png(&self, rasterizer: &Rasterizer, scale: f32) -> Result<Vec<u8>, Error> {
         rasterizer.png(&self.svg("playthrough").text, scale)
     }

@@ -16,7 +16,7 @@ const MIN_RATIO: f64 = 0.25;
 /// Size of the world's own labels.
 const LABEL_SIZE: f64 = 11.0;
 
-/// How far apart the person's body is drawn on the trajectory, in pixels.
+/// How far apart the listener's body is drawn on the trajectory, in pixels.
 const GHOST_DISTANCE: f64 = 95.0;
 
 /// Where the points of a world lie in a picture.
@@ -48,7 +48,7 @@ impl WorldView {
         points.iter().map(|point| self.at(*point)).collect()
     }
 
-    /// Draws the panel with everything in the scene but the person's body.
+    /// Draws the panel with everything in the scene but the listener's body.
     pub(super) fn draw_place(&self, canvas: &mut Canvas, scene: &Scene) {
         self.draw_places(canvas, &[scene]);
     }
@@ -75,7 +75,7 @@ impl WorldView {
         });
     }
 
-    /// Draws the person's body, more or less visible.
+    /// Draws the listener's body, more or less visible.
     pub(super) fn draw_body(&self, canvas: &mut Canvas, scene: &Scene, opacity: f64) {
         let body = scene.shapes.iter().filter(|shape| tone(shape) == Some(Tone::Own));
         canvas.clipped(self.area, |canvas| {
@@ -119,7 +119,7 @@ impl WorldView {
         });
     }
 
-    /// Draws the trajectory, coloured by what the person did; `scenes` may be the first part of an episode.
+    /// Draws the trajectory, coloured by what the listener did; `scenes` may be the first part of an episode.
     pub(super) fn draw_path(&self, canvas: &mut Canvas, scenes: &[Scene], timeline: &Timeline) {
         let steps = &timeline.activities[..scenes.len().saturating_sub(1)];
         canvas.clipped(self.area, |canvas| {
@@ -182,7 +182,7 @@ impl WorldView {
         shapes.filter_map(area).collect()
     }
 
-    /// Tells whether a shape with these corners may reach into the view; a long road is mostly elsewhere.
+    /// Returns whether a shape with these corners may reach into the view; a long road is mostly elsewhere.
     fn is_seen(&self, corners: &[[f64; 2]]) -> bool {
         let range = |d: usize| {
             let along = corners.iter().map(|corner| corner[d]);
@@ -254,7 +254,7 @@ pub(super) fn areas(scenes: &[Scene]) -> impl Iterator<Item = LegendEntry> {
     shown.map(|(tone, label)| LegendEntry { mark: Mark::Swatch(filled(tone)), label })
 }
 
-/// Tells whether a scene has an area of a meaning; a pad is a line, and counts as one.
+/// Returns whether a scene has an area of a meaning; a pad is a line, and counts as one.
 fn has_area(scene: &Scene, wanted: Tone) -> bool {
     let is_line = |shape: &Shape| matches!(shape, Shape::Line { .. }) && wanted == Tone::Hint;
     scene.shapes.iter().any(|shape| tone(shape) == Some(wanted) && !is_line(shape))

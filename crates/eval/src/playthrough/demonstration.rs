@@ -19,7 +19,7 @@ impl Spoken {
     ///
     /// # Errors
     ///
-    /// [`Error::Task`] never, for the settings are fixed.
+    /// None in fact: [`Error::Task`] would need settings that are impossible, and these are fixed.
     ///
     /// # Source
     ///

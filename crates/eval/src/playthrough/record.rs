@@ -13,7 +13,7 @@ const MAX_STEPS: u64 = 20_000;
 /// One episode, scene by scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Playthrough {
-    /// The player's name.
+    /// Name that tables give the player.
     pub player: String,
     /// Seed of the evaluation that the episode belongs to.
     pub seed: u64,
@@ -32,7 +32,7 @@ impl Playthrough {
     ///
     /// # Errors
     ///
-    /// [`Error::NoScene`] if the task cannot be drawn; as [`play`].
+    /// [`Error::NoScene`] if the task cannot be drawn; any other [`Error`] in the cases of [`play`].
     pub fn record(
         make: &MakeEnvironment<'_>,
         player: &Player,
@@ -48,7 +48,7 @@ impl Playthrough {
     ///
     /// # Errors
     ///
-    /// As [`Playthrough::record`].
+    /// [`Error::NoScene`] if the task cannot be drawn; any other [`Error`] in the cases of [`play`].
     pub fn record_all(
         make: &MakeEnvironment<'_>,
         player: &Player,

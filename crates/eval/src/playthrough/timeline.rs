@@ -1,4 +1,4 @@
-//! What the person was doing in each step, and when each message was spoken.
+//! What the listener was doing in each step, and when each message was spoken.
 //!
 //! A scene describes the moment after a step; step `i` leads from scene `i` to scene `i + 1`. Several things can be
 //! true of a step (following one message while hearing the next), so a path has the colour of the first that
@@ -8,7 +8,7 @@ use leadtime_sims::Scene;
 
 use crate::measure::LoggedMessage;
 
-/// What the person did in a step.
+/// What the listener did in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activity {
     /// Acting by their own plan, and no message is running.
@@ -39,9 +39,9 @@ impl Activity {
 /// A stretch of time about one topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Span {
-    /// Topic id.
+    /// Index of the topic in the task.
     pub topic: usize,
-    /// First scene.
+    /// The first scene that belongs to it.
     pub start: usize,
     /// Scene at which it is over.
     pub end: usize,
@@ -50,13 +50,13 @@ pub struct Span {
 /// What happened in an episode, and when.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Timeline {
-    /// What the person was doing in each step.
+    /// What the listener was doing in each step.
     pub activities: Vec<Activity>,
     /// The messages, in the order in which they were started.
     pub utterances: Vec<LoggedMessage>,
     /// When a comprehended message waited for the reaction delay.
     pub waits: Vec<Span>,
-    /// When the person reacted.
+    /// When the listener reacted.
     pub reactions: Vec<Span>,
 }
 

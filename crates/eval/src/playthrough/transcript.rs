@@ -1,4 +1,4 @@
-//! An episode as a person would hear it: each word when it is spoken, what they understood, what they did.
+//! An episode as a listener would hear it: each word when it is spoken, what they understood, what they did.
 //!
 //! ```text
 //!    time  hears      understands                does
@@ -78,7 +78,7 @@ impl Spoken {
         )
     }
 
-    /// Lists the moments in which a word is heard, something is understood, or the person begins to do another thing.
+    /// Lists the moments in which a word is heard, something is understood, or the listener begins to do another thing.
     fn moments_of_change(&self) -> Vec<Moment> {
         let timeline = &self.timeline;
         let (mut moments, mut did) = (Vec::new(), String::new());
@@ -123,7 +123,7 @@ impl Spoken {
         word
     }
 
-    /// Describes what the person does in the step that leads to scene `step`.
+    /// Describes what the listener does in the step that leads to scene `step`.
     fn does(&self, step: usize) -> String {
         let listener = &self.played.scenes[step].listener;
         match (self.timeline.activities[step - 1], listener.reacting) {

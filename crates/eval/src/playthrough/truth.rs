@@ -1,7 +1,8 @@
 //! How often what is said is true: every sentence against the facts of the moment at which it starts.
 //!
-//! The check looks at the names of what a sentence presupposes and of what the world tells, and not at how the sentence was
-//! found. Each message is spoken twice: as sentences take turns whatever holds, and as those take turns that hold.
+//! The check looks at the names of what a sentence presupposes and of what the world states, and not at how the
+//! sentence was found. Each message is spoken twice: as sentences take turns whatever holds, and as those take turns
+//! that hold.
 
 use leadtime_episodes::{
     EnvSlot, EpisodeObserver, MakeEnvironment, Observer, PlaySettings, Player, play,
@@ -19,7 +20,7 @@ const MAX_EXAMPLES: usize = 3;
 /// A sentence that was false when it was begun.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct FalseSentence {
-    /// The episode's number.
+    /// Number of the episode in its evaluation.
     pub episode: u64,
     /// The step at which it was begun.
     pub step: usize,
@@ -53,7 +54,8 @@ impl Truthfulness {
     ///
     /// # Errors
     ///
-    /// [`Error::NoScene`] if the task describes no moments; [`Error::Words`] if the voice is for other topics; as [`play`].
+    /// [`Error::NoScene`] if the task describes no moments; [`Error::Words`] if the voice is for other topics; any
+    /// other [`Error`] in the cases of [`play`].
     pub fn measure<const N: usize>(
         make: &MakeEnvironment<'_>,
         player: &Player,

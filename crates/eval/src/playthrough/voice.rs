@@ -1,4 +1,4 @@
-//! The sentences of an episode: from topic, k and l of each message to the words that a person would hear.
+//! The sentences of an episode: from topic, k and l of each message to the words that a listener would hear.
 //!
 //! A sentence is said only if everything that it presupposes holds at the moment at which it starts.
 //!
@@ -60,7 +60,6 @@ pub enum Choosing {
 /// What is said for a message.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chosen<'a> {
-    /// The sentence.
     pub(super) utterance: &'a Utterance,
     /// It stands for a message of another k or l.
     pub(super) fallback: bool,
@@ -90,7 +89,7 @@ impl Voice {
     ///
     /// # Errors
     ///
-    /// [`Error::Words`] if the episode speaks of a topic that the database does not know.
+    /// [`Error::Words`] if the episode has a topic that the database does not know.
     pub fn speak(&self, played: Playthrough) -> Result<Spoken, Error> {
         let spoken = Spoken::from(played);
         let (played, messages) = (&spoken.played, &spoken.timeline.utterances);
@@ -109,7 +108,6 @@ impl Voice {
         Ok(Spoken { sentences, ..spoken })
     }
 
-    /// Returns the sentences.
     pub(super) fn taxonomy(&self) -> &Taxonomy {
         &self.0
     }
@@ -148,7 +146,7 @@ fn cell(message: &LoggedMessage) -> Cell {
 /// An episode with the words of its messages, ready to be drawn and written out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spoken {
-    /// The episode.
+    /// The episode, scene by scene.
     pub played: Playthrough,
     /// What happened in it, and when.
     pub timeline: Timeline,

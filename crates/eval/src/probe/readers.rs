@@ -1,4 +1,4 @@
-//! Ways to predict a person's reaction delay, from a constant to a regression on the policy's features.
+//! Ways to predict the listener's reaction delay, from a constant to a regression on the policy's features.
 
 use super::record::{N_STAGES, ProbeSample};
 use super::ridge::{Case, Ridge};
@@ -9,7 +9,7 @@ use crate::error::Error;
 pub(super) enum Reader {
     /// The same for everybody.
     Constant(f64),
-    /// The same for everybody in the same stage; what it is for stages that are too rare is of no account.
+    /// One value per stage; those of stages that are too rare are not used.
     PerStage([f64; N_STAGES]),
     /// Linear in the policy's input.
     Input(Ridge),

@@ -19,11 +19,10 @@ const DELAY_PER_MESSAGE: &str = "the person draws another reaction delay for eve
 /// One step of one stage of an episode.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ProbeSample {
-    /// The episode's number.
     pub(super) episode: u64,
     /// Reactions begun before the step, [`N_STAGES`] - 1 at most.
     pub(super) stage: usize,
-    /// The person's reaction delay at that step.
+    /// The listener's reaction delay at that step.
     pub(super) delay: u32,
     /// Messages understood before it.
     pub(super) comprehended: u32,
@@ -41,7 +40,7 @@ pub(super) struct ProbeSample {
 ///
 /// # Errors
 ///
-/// [`Error::Probe`] if there is no delay to be known; as [`play`].
+/// [`Error::Probe`] if there is no delay to be known; any other [`Error`] in the cases of [`play`].
 pub(super) fn record(
     make: &MakeEnvironment<'_>,
     player: &Player,

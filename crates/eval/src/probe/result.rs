@@ -13,10 +13,10 @@ pub const MIN_EPISODES: usize = 20;
 /// Stands for a number that is undefined.
 const NONE: &str = "\u{2013}";
 
-/// How well a person's reaction delay can be predicted, by how much the person has done so far.
+/// How well the listener's reaction delay can be predicted, by how much they have done so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProbeResult {
-    /// The policy's name.
+    /// Name of the policy whose features are read.
     pub player: String,
     /// Seed of the episodes.
     pub seed: u64,
@@ -39,7 +39,7 @@ pub struct ProbeResult {
 /// A way to predict the delay.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReaderScore {
-    /// Its name.
+    /// Name of the reader, as tables show it.
     pub name: String,
     /// Numbers that it looks at.
     pub n_features: usize,
@@ -50,7 +50,7 @@ pub struct ReaderScore {
     pub r_squared: Option<f64>,
 }
 
-/// The time during which the person has begun to react to the same number of messages.
+/// The time during which the listener has begun to react to the same number of messages.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProbeStage {
     /// How many reactions have begun.

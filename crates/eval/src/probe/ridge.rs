@@ -28,7 +28,6 @@ const LEAST_DEVIATION: f64 = 1e-6;
 pub(super) struct Case<'a> {
     /// Rows of one group are never on both sides of a split.
     pub(super) group: u64,
-    /// What is known.
     pub(super) features: &'a [f32],
     /// What is to be predicted.
     pub(super) target: f64,
@@ -36,7 +35,7 @@ pub(super) struct Case<'a> {
     pub(super) weight: f64,
 }
 
-/// A fitted regression.
+/// A fitted ridge regression: linear in scaled features, with an intercept that is not penalised.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Ridge {
     scaling: Scaling,
@@ -115,9 +114,9 @@ impl Scaling {
 /// The normal equations of some data, for any penalty.
 struct Equations {
     scaling: Scaling,
-    /// `Xᵀ D X`.
+    /// `Xᵀ D X`, D being the cases' shares of all weight.
     gram: DMatrix<f64>,
-    /// `Xᵀ D y`.
+    /// `Xᵀ D y`, y being the targets without their mean.
     moments: DVector<f64>,
     intercept: f64,
 }

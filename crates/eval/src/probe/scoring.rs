@@ -10,14 +10,15 @@ use super::ridge::Ridge;
 use crate::error::Error;
 use crate::measure::{Difference, MakeEnvironment, PlaySettings, Player};
 
-/// Plays episodes with a policy and measures how well the person's reaction delay can be read off its features.
+/// Plays episodes with a policy and measures how well the listener's reaction delay can be read off its features.
 ///
 /// The number of threads does not change the result.
 ///
 /// # Errors
 ///
-/// [`Error::Probe`] for too few episodes, for a script, and if there is no delay to be known: nobody listens, or it never
-/// varies, or does so with every message; as [`crate::measure::evaluate`].
+/// [`Error::Probe`] if there are too few episodes, if the player is a script, or if there is no delay to be known:
+/// nobody listens, or it never varies, or does so with every message. Any other [`Error`] in the cases of
+/// [`crate::measure::evaluate`].
 pub fn probe(
     make: &MakeEnvironment<'_>,
     player: &Player,
@@ -106,7 +107,7 @@ impl<'a> Scorer<'a> {
         self.readers.iter().map(score).collect()
     }
 
-    /// Scores one stage.
+    /// Scores every reader on the samples of one stage.
     pub(super) fn stage(&self, stage: usize) -> ProbeStage {
         let and_more = if stage + 1 == N_STAGES { " or more" } else { "" };
         let of = |samples: &[&'a ProbeSample]| -> Vec<&'a ProbeSample> {

@@ -1,4 +1,4 @@
-//! A task whose observation reveals the person's delay as plainly as a test wants.
+//! A task whose observation reveals the listener's delay as plainly as a test wants.
 
 use leadtime_numerics::{Pcg64, Purpose};
 use leadtime_proto::{ActionSpec, Encoder, EnvSpec, HeadCredit, PolicySpec};
@@ -33,7 +33,7 @@ pub(super) struct Synthetic {
     end: u32,
     /// Each message draws its own delay.
     pub(super) fickle: bool,
-    /// The largest delay.
+    /// The largest delay, in steps.
     pub(super) most: u32,
 }
 

@@ -13,7 +13,7 @@ use crate::playthrough::Spoken;
 /// Everything in a report; what is empty is left out of the page.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
-    /// The page's title.
+    /// Title at the head of the page.
     pub title: String,
     /// A paragraph for somebody who knows nothing of the run: what was trained, what came out. Text between backticks
     /// is set as code.
@@ -45,7 +45,7 @@ pub struct Report {
 /// A claim about the run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verdict {
-    /// Whether it holds.
+    /// Whether the numbers bear the claim out.
     pub holds: bool,
     /// The claim with its numbers.
     pub sentence: String,
@@ -54,7 +54,7 @@ pub struct Verdict {
 /// A picture with its words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
-    /// Its heading.
+    /// The heading above it.
     pub title: String,
     /// What there is to see.
     pub caption: String,
@@ -79,7 +79,7 @@ impl Picture {
 /// Where the numbers of one run come from, and how to get them again.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Provenance {
-    /// The run's name.
+    /// Name of the run that the numbers are of.
     pub run: String,
     /// What is known of it.
     pub details: Vec<ProvenanceDetail>,
@@ -94,7 +94,7 @@ pub struct Provenance {
 pub struct Book {
     /// The account, such as `published` or `trained`.
     pub name: String,
-    /// Rollouts in it.
+    /// How many rollouts it holds.
     pub count: u64,
     /// What it means, in a few words.
     pub meaning: String,
@@ -103,14 +103,14 @@ pub struct Book {
 /// A name and a value.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProvenanceDetail {
-    /// What it is.
+    /// What is stated, such as `seed`.
     pub name: String,
-    /// Its value.
+    /// Its value, as text.
     pub value: String,
 }
 
 impl ProvenanceDetail {
-    /// States a detail.
+    /// States a value under a name.
     pub fn new(name: impl Into<String>, value: impl Into<String>) -> Self {
         Self { name: name.into(), value: value.into() }
     }

@@ -45,9 +45,9 @@ struct Scratch {
     /// `[FRAMES, H, W]` each.
     queries: Vec<f32>,
     taken: Vec<f32>,
-    /// `[FRAMES, W]`
+    /// What all heads together take from the entities. `[FRAMES, W]`
     combined: Vec<f32>,
-    /// `[H, N]`
+    /// Each head's attention to the entities. `[H, N]`
     shares: Vec<f32>,
 }
 

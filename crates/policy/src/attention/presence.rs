@@ -15,7 +15,7 @@ const PRESENT: f32 = 0.5;
 /// Which entities are present in one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FramePresence {
-    /// Entities listed beside the ego, n.
+    /// Entities listed besides the ego, n.
     pub n_others: usize,
     /// Whether the ego is present.
     pub ego: bool,
@@ -29,7 +29,7 @@ impl FramePresence {
         1 + self.n_others
     }
 
-    /// Tells whether entity i of those that share the attention, the ego first, is present.
+    /// Returns whether entity i of those that share the attention, the ego first, is present.
     pub fn has(self, i: usize) -> bool {
         if i == 0 { self.ego } else { self.others }
     }

@@ -20,7 +20,7 @@ use crate::storage::with_floats;
 #[derive(Debug)]
 struct EntityEmbedding {
     layers: [PackedLayer; 2],
-    /// `[n, W]`, twice
+    /// The outputs of the two layers. `[n, W]`
     first: Vec<f32>,
     second: Vec<f32>,
     d_first: Vec<f32>,

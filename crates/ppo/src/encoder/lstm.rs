@@ -40,7 +40,7 @@ pub(crate) struct Sequences {
 /// sequence first.
 #[derive(Debug)]
 pub(crate) struct LstmPass {
-    /// Units, H.
+    /// Number of units, H.
     width: usize,
     projection: Option<PackedLayer>,
     input: PackedLayer,
@@ -64,7 +64,7 @@ pub(crate) struct LstmPass {
     d_gates: Vec<f32>,
     /// By sample. `[M, P]`, or empty
     d_projected: Vec<f32>,
-    /// tanh of `cell`.
+    /// The tanh of `cell`.
     squashed: Vec<f32>,
 }
 

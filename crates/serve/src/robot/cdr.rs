@@ -60,7 +60,8 @@ impl<'a> Rest<'a> {
 ///
 /// # Errors
 ///
-/// [`BadCdr`]. Memory and time are bounded by the bytes that are there, whatever lengths they claim.
+/// [`BadCdr`] if the message is no little-endian CDR, ends too early, has bytes left over, or has a `data_offset` other
+/// than 0. Memory and time are bounded by the bytes that are there, whatever lengths they claim.
 ///
 /// # Example
 ///

@@ -12,26 +12,27 @@ pub enum RobotForm {
     Json,
     /// `std_msgs/Float32MultiArray` in CDR, as a bridge of DDS sends it.
     Cdr,
-    /// The same with what `rmw_zenoh` puts beside it.
+    /// The same with the attachment of `rmw_zenoh`.
     Ros2,
 }
 
 /// Where a session's observations come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ObservationSource {
-    /// A client that has asked for the session, in the form that each sample tells.
+    /// A client that has asked for the session, in the form that each sample states.
     #[default]
     Client,
-    /// A robot's own key. Nobody can ask for such a session again, so it never ends.
+    /// A robot's own key. No client can ask for such a session again, so it never ends.
     Robot(RobotForm),
 }
 
 impl RobotForm {
-    /// Reads an observation; tells whether it brought a number and a time of its own.
+    /// Reads an observation; returns whether it brought a number and a time of its own.
     ///
     /// # Errors
     ///
-    /// [`BadObservation`].
+    /// [`BadObservation`] if the bytes are no observation in this form, or its numbers are not as many as the task has,
+    /// or not finite.
     pub(crate) fn read(
         self,
         into: &mut LiveObservation,

@@ -1,12 +1,13 @@
-//! A robot that knows nothing of ours: its observations come from a key of its own, and it is told on another.
+//! A robot that knows nothing of ours: its observations come from a key of its own, and it gets what is said on
+//! another.
 //!
 //! ```text
 //! leadtime serve --obs-key KEY      numbers, JSON or CDR on any key
 //! leadtime serve --ros2 DOMAIN      std_msgs/Float32MultiArray in, std_msgs/String out, as rmw_zenoh sends them
 //! ```
 //!
-//! Nobody asks for its session, so the command line does ([`StandingSession`]). Where a message has no number and no time of its own,
-//! [`RobotReader`] gives it those of its arrival.
+//! It does not ask for its session, so the command line does ([`StandingSession`]). Where a message has no number and
+//! no time of its own, [`RobotReader`] gives it those of its arrival.
 //!
 //! # Where to start
 //!

@@ -1,12 +1,12 @@
 //! Reads what arrives on a robot's own key, and gives it the number and the time that it does not bring.
 //!
-//! | what is beside or in it | number | time |
+//! | what is with or in it | number | time |
 //! |---|---|---|
 //! | `seq` and `t` of our JSON | its own, counted on after a restart | the same |
-//! | what `rmw_zenoh` puts beside | its source's | its source's |
+//! | the attachment of `rmw_zenoh` | its source's | its source's |
 //! | nothing | one more than the last: the order of arrival | that of its arrival |
 //!
-//! Without a time of its own, an observation that waited somewhere on its way cannot be told from a new one.
+//! Without a time of its own, an observation that waited somewhere on its way cannot be distinguished from a new one.
 //!
 //! Sources come and go: a robot's program is started again and counts from 1. So numbers and times are counted on from the
 //! last observation whenever another source begins. That may be once the one before has been silent; two at once would tear what
@@ -53,12 +53,13 @@ impl RobotReader {
         Self { form, patience, source: None, raise: (0, 0.0) }
     }
 
-    /// Reads an observation that arrived at `at`, in nanoseconds; tells whether it is the first of a source, with whose clock
-    /// nothing before can be compared.
+    /// Reads an observation that arrived at `at`, in nanoseconds; returns whether it is the first of a source, with
+    /// whose clock nothing before can be compared.
     ///
     /// # Errors
     ///
-    /// [`BadObservation`].
+    /// [`BadObservation`] if the form cannot be read, if the attachment is not that of `rmw_zenoh`, or if a second
+    /// source sends while the first one is not silent.
     pub(crate) fn read(
         &mut self,
         into: &mut LiveObservation,
@@ -109,7 +110,7 @@ impl RobotReader {
     }
 
     /// Raises the number and the time of a robot that counts itself. Once it was silent and is behind where it was, it has begun
-    /// anew; tells whether that is so.
+    /// anew; returns whether that is so.
     fn count_on(&mut self, head: &mut ObservationHead, last: Arrived, is_quiet: bool) -> bool {
         let own = (i128::from(head.seq), head.t);
         let is_behind = last.seq.is_some_and(|before| {

@@ -1,4 +1,5 @@
-//! How ROS 2 speaks over Zenoh with `rmw_zenoh`: its keys, its signs of presence, and the 33 bytes beside every message.
+//! How ROS 2 speaks over Zenoh with `rmw_zenoh`: its keys, its signs of presence, and the 33 bytes attached to every
+//! message.
 //!
 //! ```text
 //! 7/leadtime/obs/std_msgs::msg::dds_::Float32MultiArray_/RIHS01_0599...    what a robot observes
@@ -8,7 +9,7 @@
 //! @ros2_lv/7/{zid}/0/2/MP/%/%/leadtime_notifier/%leadtime%say/{type}/{hash}/{qos}
 //!                                                                          a topic of it, for `ros2 topic list`
 //!
-//! beside a message, little-endian: number i64, time of its source i64 in ns, 16 u8, gid of its source 16 bytes
+//! attached to a message, little-endian: number i64, time of its source i64 in ns, 16 u8, gid of its source 16 bytes
 //! ```
 //!
 //! # Source
@@ -34,7 +35,7 @@ const STRING: [&str; 2] = [
 const NO_HASH: &str = "TypeHashNotSupported";
 /// Reliable, volatile, the last ten; every other policy as it is by default.
 const QOS: &str = "::,10:,:,:,,";
-/// Bytes beside a message.
+/// Bytes attached to a message.
 pub const ATTACHMENT: usize = 33;
 /// The length of a gid, which is written before it.
 const GID: u8 = 16;
@@ -74,7 +75,7 @@ impl Ros2Names {
     ///
     /// # Errors
     ///
-    /// [`BadTopic`].
+    /// [`BadTopic`] if the topic's name breaks ROS 2's rules, so that no key can be made of it.
     pub fn new(domain: u32, distro: Distro, topic: &str, service: &str) -> Result<Self, BadTopic> {
         let plain = topic.strip_prefix('/').unwrap_or(topic);
         let is_name = |part: &str| {
@@ -141,19 +142,19 @@ impl fmt::Display for Ros2Names {
     }
 }
 
-/// What is beside a message: who sent it, when, and as which one.
+/// What is attached to a message: who sent it, when, and as which one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SourceMark {
     /// Its number among those of its source.
     pub number: i64,
     /// When it was sent, in nanoseconds by the clock of its source.
     pub time: i64,
-    /// Who sent it.
+    /// The endpoint that sent it.
     pub gid: [u8; GID as usize],
 }
 
 impl SourceMark {
-    /// Reads what is beside a message; `None` if it is something else.
+    /// Reads what is attached to a message; `None` if it is something else.
     pub fn read(beside: &[u8]) -> Option<Self> {
         let beside: &[u8; ATTACHMENT] = beside.try_into().ok()?;
         let (number, rest) = beside.split_first_chunk()?;
@@ -162,7 +163,7 @@ impl SourceMark {
         Some(Self { number: i64::from_le_bytes(*number), time: i64::from_le_bytes(*time), gid })
     }
 
-    /// Writes it as it goes beside a message.
+    /// Writes it as it is attached to a message.
     pub fn write(&self) -> [u8; ATTACHMENT] {
         let mut beside = [GID; ATTACHMENT];
         beside[..8].copy_from_slice(&self.number.to_le_bytes());

@@ -9,14 +9,14 @@ use crate::robot::writer::RobotWriter;
 /// What is known of a robot that does not ask for its session. The session stays as long as the notifier.
 #[derive(Debug)]
 pub struct StandingSession {
-    /// Under which name its status is told, and what it hears may be reported.
+    /// The name under which its status is published, and what it hears may be reported.
     pub client: ClientName,
     /// What it would ask, JSON: the same question as any client's.
     pub question: Vec<u8>,
-    /// Its own keys.
+    /// The keys on which it observes and listens.
     pub keys: RobotKeys,
     /// The form of its observations.
     pub form: RobotForm,
-    /// How it is told what is said.
+    /// Writes for it what is said.
     pub writer: RobotWriter,
 }

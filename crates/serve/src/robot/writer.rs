@@ -1,4 +1,4 @@
-//! Tells a robot on a key of its own what is said to it.
+//! Publishes on a robot's own key what is said to it.
 
 use leadtime_link::live::LivePort;
 use tracing::debug;
@@ -6,7 +6,7 @@ use tracing::debug;
 use crate::robot::cdr;
 use crate::robot::ros2::SourceMark;
 
-/// Places of the two topics among those of the node, which tell their sources apart.
+/// Places of the two topics among those of the node, which distinguish their sources.
 const SAY: u8 = 2;
 const STATUS: u8 = 3;
 
@@ -14,7 +14,8 @@ const STATUS: u8 = 3;
 #[derive(Clone, Debug)]
 pub struct RobotWriter {
     is_cdr: bool,
-    /// Who says something, and as which message: of what is said, and of the status. `None` where nobody asks.
+    /// Who says something, and as which message: of what is said, and of the status. `None` where no source is asked
+    /// for.
     marks: Option<[SourceMark; 2]>,
     /// What the wall clock showed when the notifier's own clock was at zero, in nanoseconds.
     epoch: i64,
@@ -32,8 +33,8 @@ impl RobotWriter {
         Self { is_cdr: true, ..Self::plain() }
     }
 
-    /// Writes `std_msgs/String` in CDR with what `rmw_zenoh` asks for beside it. `process` is unlike that of any other process,
-    /// `unix` what the wall clock shows now, in nanoseconds.
+    /// Writes `std_msgs/String` in CDR with the attachment that `rmw_zenoh` asks for. `process` is unlike that of any
+    /// other process, `unix` what the wall clock shows now, in nanoseconds.
     pub fn ros2(process: u64, unix: i64) -> Self {
         let mark = |place: u8| {
             let mut gid = [0; 16];
@@ -50,12 +51,12 @@ impl RobotWriter {
         Self { epoch: self.epoch.saturating_sub(now), ..self }
     }
 
-    /// Tells an event of what is said, at `now`, in nanoseconds of the notifier's own clock.
+    /// Publishes an event of what is said, at `now`, in nanoseconds of the notifier's own clock.
     pub(crate) fn say(&mut self, port: &LivePort, event: &[u8], now: u64) {
         self.put(0, event, now, |bytes, beside| port.say_to_robot(bytes, beside));
     }
 
-    /// Tells a status.
+    /// Puts a status, for the robot and whoever else reads its key.
     pub(crate) fn status(&mut self, port: &LivePort, status: &[u8], now: u64) {
         self.put(1, status, now, |bytes, beside| port.status_to_robot(bytes, beside));
     }

@@ -29,7 +29,7 @@ use crate::words;
 /// A sentence with its rating.
 type RatedText = (String, Vec<u8>);
 
-/// Answers from annotations.
+/// Answers with what a file of annotations says; no model is asked.
 #[derive(Clone, Debug)]
 pub(super) struct Annotator {
     summary: String,

@@ -30,7 +30,7 @@ pub enum CallStage {
 pub struct Sampling {
     /// Temperature; 0 takes the likeliest token.
     pub temperature: f64,
-    /// Nucleus.
+    /// Nucleus sampling: the share of probability that is kept, 0 to 1.
     pub top_p: f64,
     /// Longest reply, in tokens.
     pub max_tokens: u32,
@@ -40,24 +40,24 @@ pub struct Sampling {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Input {
-    /// The domain.
+    /// The domain as a whole, to be summarised.
     Domain,
-    /// Sentences wanted.
+    /// Sentences that are wanted for one cell.
     Sentences {
-        /// Topic id.
+        /// Id of the topic in the plan.
         topic: String,
         /// Where they should land.
         cell: Cell,
-        /// How many.
+        /// How many are wanted.
         n: usize,
         /// How often this cell was asked for before.
         round: u32,
     },
     /// A sentence to rate.
     Sentence {
-        /// Topic id.
+        /// Id of the topic in the plan.
         topic: String,
-        /// The sentence.
+        /// The sentence, whole, whatever is shown of it.
         text: String,
         /// Words shown; all if not given.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -65,15 +65,15 @@ pub enum Input {
     },
     /// A sentence to embed.
     Text {
-        /// The sentence.
+        /// The sentence to be embedded.
         text: String,
     },
 }
 
-/// One question.
+/// One question to a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Call {
-    /// Who asks.
+    /// The stage of the build that asks.
     pub stage: CallStage,
     /// What the model is.
     pub system: String,
@@ -116,7 +116,7 @@ impl Call {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Finish {
-    /// It was complete.
+    /// The model ended it by itself.
     Stop,
     /// It ran into the limit: its last line cannot be trusted.
     Length,
@@ -124,12 +124,12 @@ pub enum Finish {
     Exhausted,
 }
 
-/// One answer.
+/// The answer to a call.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reply {
-    /// The text.
+    /// What the model wrote.
     pub text: String,
-    /// Why it ended.
+    /// Why it ended there.
     pub finish: Finish,
     /// Tokens of the prompt and of the reply, where the backend counts them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -142,7 +142,7 @@ impl Reply {
         Self { text: text.into(), finish: Finish::Stop, tokens: None }
     }
 
-    /// Tells that there is nothing more to be had.
+    /// Says that there is nothing more to be had.
     pub(super) fn exhausted() -> Self {
         Self { finish: Finish::Exhausted, ..Self::complete("") }
     }
@@ -159,15 +159,15 @@ pub trait Model: Debug {
     /// Names it, so that two with the same name answer alike: model, weights, server.
     fn id(&self) -> &str;
 
-    /// Tells what may be claimed of what it makes.
+    /// Says what may be claimed of what it makes.
     fn fidelity(&self) -> Fidelity;
 
-    /// Tells whether it has sentences for a cell that would be lost if nobody asked for them.
+    /// Returns whether it has sentences for a cell that would be lost if no call asked for them.
     fn holds(&self, _topic: &str, _cell: Cell) -> bool {
         false
     }
 
-    /// Tells whether its answers are written down, so that a call log must hold the very same ones.
+    /// Returns whether its answers are written down, so that a call log must hold the very same ones.
     fn is_written(&self) -> bool {
         false
     }
@@ -189,11 +189,11 @@ pub trait Embedder: Debug {
     ///
     /// # Errors
     ///
-    /// [`BackendError`] if it cannot.
+    /// [`BackendError`] if the server does not answer, refuses, or answers with something that is no vector.
     fn embed(&mut self, text: &str) -> Result<Embedding, BackendError>;
 }
 
-/// Stands for whoever made a log: it has their name, and asks nobody.
+/// Stands for whoever made a log: it has their name, and asks no model.
 #[derive(Debug)]
 pub(super) struct LoggedBackend {
     pub(super) id: String,

@@ -153,7 +153,7 @@ impl Built {
         self.candidates.iter().map(line).collect()
     }
 
-    /// Writes the report.
+    /// Writes the coverage report, which a person reads before they trust a database.
     pub fn report(&self, plan: &DatabasePlan, header: &LogHeader) -> String {
         self.coverage.report(plan, header, &self.candidates, &self.controls)
     }

@@ -1,4 +1,4 @@
-//! Asks, but only what the log does not hold; and gives up on a model that talks nonsense.
+//! Asks, but only what the log does not hold; and gives up on a model that answers nonsense.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -60,7 +60,7 @@ pub(super) struct Caller<'a> {
     pub(super) header: LogHeader,
     /// Calls made in this run, replies from the log not counted.
     pub(super) calls: u64,
-    /// Of the last replies, which were of use.
+    /// Which of the last replies could be read.
     recent: VecDeque<bool>,
     /// Per stage, replies that could be read and those that could not; those from the log included.
     pub(super) replies: BTreeMap<CallStage, [usize; 2]>,
@@ -98,7 +98,7 @@ impl<'a> Caller<'a> {
         self.logged(&id, call, |backends| backends.of(call.stage).complete(call))
     }
 
-    /// Tells whether the log answers a call for sentences, or the writer holds some that nobody asked for.
+    /// Returns whether the log answers a call for sentences, or the writer holds some that nobody asked for.
     pub(super) fn holds(&mut self, call: &Call) -> bool {
         let generator = &self.backends.generator;
         let is_held = match (&call.input, self.mode) {
@@ -110,7 +110,7 @@ impl<'a> Caller<'a> {
         is_held || self.log.reply(&call.key(generator.id())).is_some()
     }
 
-    /// Asks the embedder.
+    /// Returns a sentence's embedding, from the log if it has it. Only a new one costs a call.
     pub(super) fn embed(&mut self, text: &str) -> Result<Embedding, PipelineError> {
         let (system, prompt) = (String::new(), text.to_owned());
         let sampling = Sampling { temperature: 0.0, top_p: 1.0, max_tokens: 0 };
@@ -152,7 +152,7 @@ impl<'a> Caller<'a> {
         Ok(())
     }
 
-    /// Is told whether a reply could be read; an error once more than half of the last [`WINDOW`] could not.
+    /// Notes whether a reply could be read. An error once more than half of the last [`WINDOW`] could not.
     pub(super) fn judge(&mut self, stage: CallStage, useful: bool) -> Result<(), PipelineError> {
         self.replies.entry(stage).or_default()[usize::from(!useful)] += 1;
         if self.recent.len() == WINDOW {
@@ -170,7 +170,7 @@ impl<'a> Caller<'a> {
     }
 }
 
-/// Says that the log does not hold what is needed, and that nobody may be asked.
+/// Says that the log does not hold what is needed, and that no model may be asked.
 pub(super) fn not_in_log(what: &str) -> PipelineError {
     PipelineError::Unusable(format!(
         "the call log lacks the reply to {what}; the plan, a prompt or the log has changed"

@@ -22,7 +22,7 @@ pub enum Reason {
     Digit,
     /// It has a character that is neither a letter nor plain punctuation.
     Charset,
-    /// It asks.
+    /// It is a question.
     Question,
     /// It says what not to do.
     Negation,
@@ -66,7 +66,7 @@ pub struct Candidate {
     pub topic: usize,
     /// Where it should land.
     pub requested: Cell,
-    /// As proposed.
+    /// The sentence as it was proposed.
     pub text: String,
     /// What, How, Why; empty if it has no structure.
     pub spans: Vec<WordSpan>,
@@ -74,7 +74,7 @@ pub struct Candidate {
     pub rated: Vec<u8>,
     /// The rating's running maximum. Shape as `rated`.
     pub curve: Vec<u8>,
-    /// Where it landed.
+    /// The cell in which it landed, by its rating.
     pub landed: Option<Cell>,
     /// It was understood before the least k.
     pub clamped: bool,
@@ -104,7 +104,7 @@ impl Candidate {
         }
     }
 
-    /// Tells whether it passed rules and rating.
+    /// Returns whether it passed rules and rating.
     pub(super) fn is_accepted(&self) -> bool {
         self.reason.is_none() && self.landed.is_some()
     }

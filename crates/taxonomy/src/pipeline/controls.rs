@@ -33,7 +33,7 @@ pub struct RaterControl {
 /// A sentence and its words in another order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Shuffled {
-    /// The sentence.
+    /// The sentence in its own order.
     pub said: String,
     /// Percent after each of its words. Shape `[l]`.
     pub rated: Vec<u8>,

@@ -20,7 +20,7 @@ const THETAS: [u8; 5] = [50, 60, 70, 80, 90];
 /// What happened in one cell of a topic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Representatives.
+    /// Representatives that the database keeps.
     pub kept: usize,
     /// Passed rules, rating and comparison with others.
     pub accepted: usize,
@@ -39,9 +39,9 @@ pub struct Coverage {
     pub reasons: BTreeMap<Reason, usize>,
     /// Of the accepted sentences, how many landed where they were asked for.
     pub on_target: usize,
-    /// Accepted sentences.
+    /// Sentences that were accepted, in all cells.
     pub accepted: usize,
-    /// Proposed sentences.
+    /// Sentences that were proposed, in all cells.
     pub proposed: usize,
     /// Per stage, replies that could be read and those that could not.
     pub replies: BTreeMap<CallStage, [usize; 2]>,

@@ -7,7 +7,7 @@ use super::candidate::Reason;
 pub struct ListenerCurve {
     /// Running maximum of the rating: a listener does not forget what was understood. Shape `[l]`.
     pub curve: Vec<u8>,
-    /// Comprehension time k.
+    /// Comprehension time k, in words.
     pub comprehension: u32,
     /// It was understood earlier than the least k.
     pub clamped: bool,

@@ -11,7 +11,7 @@ use super::plan::hexadecimal;
 pub struct Embedding(Vec<i8>);
 
 impl Embedding {
-    /// Rounds a vector.
+    /// Rounds a vector, whatever its length.
     pub fn new(vector: &[f32]) -> Self {
         let largest = vector.iter().fold(0.0_f32, |largest, x| largest.max(x.abs()));
         let scale = if largest > 0.0 { 127.0 / largest } else { 0.0 };

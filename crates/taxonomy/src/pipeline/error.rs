@@ -10,12 +10,12 @@ pub enum PipelineError {
     /// A file cannot be read or written.
     #[error("{}: {source}", path.display())]
     File {
-        /// The file.
+        /// The file that the system complained about.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,
     },
-    /// A plan, a template or a log that cannot be used, or a model that talks nonsense.
+    /// A plan, a template or a log that cannot be used, or a model that answers nonsense.
     #[error("{0}")]
     Unusable(String),
     /// A backend cannot answer.
@@ -24,7 +24,7 @@ pub enum PipelineError {
     /// The number of calls that a run may make is spent; its log keeps what was paid.
     #[error("stopped after {calls} calls, as asked; run it again to go on")]
     BudgetSpent {
-        /// Calls made.
+        /// Calls that were made in this run.
         calls: u64,
     },
 }
@@ -45,10 +45,10 @@ impl PipelineError {
 /// Why a model or an embedder cannot answer.
 #[derive(Debug, Error)]
 pub enum BackendError {
-    /// Nobody there, or nobody who answers in time.
+    /// No server is there, or none that answers in time.
     #[error("the server at {url} cannot be reached after {tries} {}: {message}", if *tries == 1 { "try" } else { "tries" })]
     Unreachable {
-        /// Where.
+        /// The address that was asked.
         url: String,
         /// How often it was tried.
         tries: u32,
@@ -58,9 +58,9 @@ pub enum BackendError {
     /// The server refuses: waiting would not help.
     #[error("the server at {url} refuses with status {status}: {message}")]
     Refused {
-        /// Where.
+        /// The address that was asked.
         url: String,
-        /// HTTP status.
+        /// HTTP status of its answer.
         status: u16,
         /// The start of its answer.
         message: String,

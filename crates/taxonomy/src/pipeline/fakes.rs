@@ -19,11 +19,11 @@ use crate::words;
 /// How the server answers one request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Manner {
-    /// As it should.
+    /// With the reply that was asked for.
     Well,
     /// Not before the client has given up.
     Slowly,
-    /// Status 500.
+    /// With status 500, as if it were broken.
     Broken,
     /// JSON that ends in the middle.
     Truncated,
@@ -33,7 +33,7 @@ pub enum Manner {
     WrongCount,
     /// Text that is no answer at all.
     Nonsense,
-    /// Status 401.
+    /// With status 401, as if a key were missing.
     Refusing,
 }
 
@@ -50,7 +50,7 @@ pub struct ServerLog {
     hold_after: Option<usize>,
     /// Requests that are held now.
     held: usize,
-    /// Times that held requests were let go.
+    /// How often held requests were answered.
     n_released: usize,
 }
 
@@ -60,7 +60,7 @@ struct Shared {
     changed: Condvar,
 }
 
-/// A running server.
+/// A server that runs on a port of this machine.
 #[derive(Debug)]
 pub struct Server {
     /// Base of its API.
@@ -119,7 +119,7 @@ impl Server {
         assert!(!waited.timed_out(), "no request is held after {} answers", seen.answered.len());
     }
 
-    /// Lets go of the held requests, and answers later ones again.
+    /// Answers the held requests, and later ones again.
     pub fn go_on(&self) {
         let mut seen = self.seen();
         (seen.hold_after, seen.held) = (None, 0);

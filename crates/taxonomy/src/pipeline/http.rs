@@ -1,7 +1,7 @@
 //! A language model behind HTTP: whatever speaks the common part of the `OpenAI` chat API.
 //!
 //! Only fields that llama.cpp's server, vLLM and Ollama all understand are sent: model, messages, temperature,
-//! `top_p`, seed, `max_tokens`, stream. What a server says beside text, reason of ending and token counts is ignored.
+//! `top_p`, seed, `max_tokens`, stream. What a server says besides text, reason of ending and token counts is ignored.
 //!
 //! A server that is slow, busy (429, 5xx) or cuts its answer short is asked again after 1, 2, 4 and 8 seconds; any
 //! other refusal ends the run, because waiting would not help.

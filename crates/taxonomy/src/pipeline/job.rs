@@ -55,7 +55,7 @@ fn source(domain: &str) -> Result<&'static ShippedSource, PipelineError> {
 ///
 /// # Errors
 ///
-/// [`PipelineError::Unusable`] if there is none for the domain.
+/// [`PipelineError::Unusable`] if none is shipped for the domain.
 pub fn plan(domain: &str) -> Result<DatabasePlan, PipelineError> {
     DatabasePlan::from_toml(source(domain)?.plan)
 }
@@ -64,7 +64,7 @@ pub fn plan(domain: &str) -> Result<DatabasePlan, PipelineError> {
 ///
 /// # Errors
 ///
-/// [`PipelineError`] naming what cannot be read.
+/// [`PipelineError`] if it is neither a shipped plan nor a file that can be read, or if the plan breaks a rule.
 pub fn plan_or_file(name_or_path: &str) -> Result<DatabasePlan, PipelineError> {
     if SOURCES.iter().any(|source| source.domain == name_or_path) {
         return plan(name_or_path);
@@ -85,7 +85,7 @@ pub enum Backend {
     Grammar,
     /// A model behind HTTP.
     Http(HttpSettings),
-    /// Nobody: the log holds every reply.
+    /// No model: the log holds every reply.
     Replay,
 }
 
@@ -110,7 +110,8 @@ pub struct BuildJob {
 ///
 /// # Errors
 ///
-/// [`PipelineError`] saying in one sentence what to do.
+/// [`PipelineError`] if the log is another job's or lacks a reply that may not be asked for, if a model cannot be
+/// reached, refuses or answers wrongly too often, or if the calls are spent. It is one sentence that says what to do.
 pub fn run(plan: &DatabasePlan, job: BuildJob) -> Result<(Built, LogHeader), PipelineError> {
     let prompts = match &job.prompts {
         Some(directory) => Prompts::from_directory(directory)?,
@@ -166,7 +167,7 @@ pub(super) fn replay(
 ///
 /// # Errors
 ///
-/// [`PipelineError`] if there is none for the domain.
+/// [`PipelineError`] if none is shipped for the domain.
 pub fn replay_shipped(domain: &str) -> Result<(Built, LogHeader), PipelineError> {
     let path = PathBuf::from(format!("crates/taxonomy/data/{domain}/calls.jsonl"));
     replay(&plan(domain)?, &Prompts::default(), &path, source(domain)?.log)
@@ -206,7 +207,8 @@ pub fn rate_texts(
 ///
 /// # Errors
 ///
-/// [`TaxonomyError`] naming the sentence and what is wrong with it, as [`Taxonomy::from_toml`].
+/// [`TaxonomyError`] if a sentence breaks a rule, in the cases of [`Taxonomy::from_toml`]; it names the sentence and
+/// what is wrong with it.
 pub fn database(text: &str) -> Result<Taxonomy, TaxonomyError> {
     let mut raw = RawDatabase::read(text)?;
     let plan = plan(&raw.domain);
@@ -256,7 +258,7 @@ pub fn check_words(taxonomy: &Taxonomy) -> Vec<Finding> {
 pub enum Format {
     /// One line per sentence.
     Csv,
-    /// One object.
+    /// One object with all sentences.
     Json,
 }
 

@@ -21,15 +21,15 @@ use crate::utterance::Fidelity;
 pub struct LogHeader {
     /// Form of the log.
     pub schema: u32,
-    /// The domain.
+    /// The domain that the sentences are for.
     pub domain: String,
     /// What may be claimed of the sentences.
     pub fidelity: Fidelity,
-    /// Who wrote them.
+    /// The model that wrote them.
     pub generator: String,
-    /// Who rated them.
+    /// The model that rated them.
     pub rater: String,
-    /// Who embedded them.
+    /// The model that embedded them.
     pub embedder: String,
 }
 
@@ -40,7 +40,7 @@ impl fmt::Display for LogHeader {
     }
 }
 
-/// One further line.
+/// Every further line: a call's key, and its reply.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct LogLine {
@@ -55,7 +55,7 @@ struct LogLine {
 #[derive(Debug)]
 pub(super) struct CallLog {
     path: PathBuf,
-    /// None: read only.
+    /// Where replies are added; `None` if the log is only read.
     file: Option<File>,
     /// Who was asked, if the log has begun.
     pub(super) header: Option<LogHeader>,

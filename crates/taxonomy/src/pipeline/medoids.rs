@@ -19,7 +19,7 @@ pub(super) struct Distances {
 }
 
 impl Distances {
-    /// Measures every pair.
+    /// Measures every pair of `n` things once; the distance is symmetric.
     pub(super) fn new(n: usize, distance: impl Fn(usize, usize) -> f64) -> Self {
         let mut values = vec![0.0; n * n];
         for a in 0..n {

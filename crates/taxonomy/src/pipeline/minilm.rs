@@ -17,13 +17,13 @@ use super::embedding::Embedding;
 use super::error::BackendError;
 use super::plan::hexadecimal;
 
-/// Hash of `model.safetensors`.
+/// SHA-256 of the `model.safetensors` that is meant.
 const WEIGHTS: &str = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db";
 
-/// Hash of `tokenizer.json`.
+/// SHA-256 of the `tokenizer.json` that is meant.
 const TOKENIZER: &str = "be50c3628f2bf5bb5e3a7f17b1f74611b2561a3a27eeab05e5aa30f411572037";
 
-/// The embedder, loaded.
+/// The embedder `all-MiniLM-L6-v2`, loaded into memory.
 pub struct MiniLm {
     model: BertModel,
     tokenizer: Tokenizer,

@@ -48,7 +48,7 @@ pub struct PlanSettings {
     /// Percent by which a rating may fall below what it was before (0..=100). Default 20.
     pub max_drop: u8,
     /// Percent by which the action must be ahead of every other one when it is understood (0..=100); each other action
-    /// costs a rating. Default 0: nobody is asked.
+    /// costs a rating. Default 0: no model is asked.
     pub min_margin: u8,
     /// Sentences per topic that are also rated with their words in another order, to see what the rater makes of it
     /// (0..=10). Default 2.
@@ -93,21 +93,21 @@ impl Default for PlanSettings {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RatedSentence {
-    /// The sentence.
+    /// The sentence, one word per rating.
     pub text: String,
     /// Percent after each word.
     pub curve: Vec<u8>,
 }
 
-/// One topic.
+/// One topic of a plan: what it is about, and what its sentences may be like.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicPlan {
     /// Its name, as the domain spells it.
     pub id: String,
-    /// What the person does when they follow it.
+    /// What the listener does when they follow it.
     pub action: String,
-    /// Whether it tells a fact rather than an action: any directive then belongs to another topic.
+    /// Whether it states a fact rather than an action: any directive then belongs to another topic.
     #[serde(default)]
     pub statement: bool,
     /// Phrases that say it (What), for the grammar and to recognise it.
@@ -131,13 +131,13 @@ pub struct TopicPlan {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DatabasePlan {
-    /// The domain.
+    /// Name of the domain, as its configuration has it.
     pub domain: String,
     /// Who listens: `the pilot of a small lander`.
     pub role: String,
     /// State, actions and dynamics, for the first prompt.
     pub world: String,
-    /// What the person does not know.
+    /// What the listener does not know.
     pub missing: String,
     /// Least and greatest number of words.
     pub words: [u32; 2],
@@ -171,7 +171,8 @@ impl DatabasePlan {
     ///
     /// # Errors
     ///
-    /// [`PipelineError`] naming the line or the key, what was given and what is allowed.
+    /// [`PipelineError`] if the text is no TOML of a plan, or [`Self::check`] finds a key impossible. It names the line
+    /// or the key, what was given and what is allowed.
     pub fn from_toml(text: &str) -> Result<Self, PipelineError> {
         let plan: Self = raw::read(text, "plan").map_err(PipelineError::Unusable)?;
         plan.check()?;
@@ -182,7 +183,8 @@ impl DatabasePlan {
     ///
     /// # Errors
     ///
-    /// [`PipelineError::Unusable`] naming the first impossible key.
+    /// [`PipelineError::Unusable`] if a value is out of its range or does not fit another one; it names the first such
+    /// key.
     pub fn check(&self) -> Result<(), PipelineError> {
         let [from, to] = self.words;
         let fits = 1 <= from && from <= to && to <= MAX_WORDS;
@@ -262,7 +264,7 @@ fn require(
     if holds { Ok(()) } else { Err(PipelineError::plan(key, given, allowed)) }
 }
 
-/// Computes a hash in hexadecimal, shortened to 128 bits: enough to tell apart whatever a run can hold.
+/// Computes a hash in hexadecimal, shortened to 128 bits: enough to distinguish whatever a run can hold.
 pub(crate) fn hash(bytes: &[u8]) -> String {
     hexadecimal(&Sha256::digest(bytes)[..16])
 }

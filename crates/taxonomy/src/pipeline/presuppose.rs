@@ -25,7 +25,6 @@ pub(super) struct NamedPhrase<'a> {
 /// Knows what the phrases of a plan presuppose.
 #[derive(Clone, Debug)]
 pub(super) struct Presuppositions {
-    /// By topic.
     topics: Vec<PhraseFacts>,
 }
 

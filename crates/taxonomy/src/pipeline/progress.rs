@@ -59,7 +59,7 @@ impl BuildProgress {
         *rounds - 1
     }
 
-    /// Lists the cells that nobody asked for.
+    /// Lists the cells that no call asked for.
     pub(super) fn never_asked(&self) -> Vec<(usize, Cell)> {
         let never = self.rounds.iter().filter(|(_, rounds)| **rounds == 0);
         never.map(|(key, _)| *key).collect()
@@ -71,7 +71,7 @@ impl BuildProgress {
         self.candidates.iter().filter(of_topic).map(|candidate| candidate.text.clone()).collect()
     }
 
-    /// Tells whether the same words were proposed before; for another topic, both are turned down.
+    /// Returns whether the same words were proposed before; for another topic, both are turned down.
     pub(super) fn repeated(&mut self, candidate: &Candidate) -> Option<Reason> {
         let first = *self.seen.get(&words::normalised(&candidate.text))?;
         let first = &mut self.candidates[first];

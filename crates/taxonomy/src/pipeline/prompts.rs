@@ -60,7 +60,7 @@ pub(super) struct PromptWriter<'a> {
 }
 
 impl PromptWriter<'_> {
-    /// Fills every template once, so that a wrong one is told before anybody is asked.
+    /// Fills every template once, so that a wrong one is reported before any model is asked.
     pub(super) fn check(&self) -> Result<(), PipelineError> {
         self.summarise()?;
         for topic in &self.plan.topic {
@@ -80,7 +80,7 @@ impl PromptWriter<'_> {
         self.call(CallStage::Summarise, prompt, 0.0, 0, Input::Domain)
     }
 
-    /// Asks for sentences.
+    /// Asks for further sentences of one cell; the latest accepted ones are shown, to be avoided.
     pub(super) fn generate(
         &self,
         summary: &str,
@@ -183,7 +183,7 @@ impl PromptWriter<'_> {
     }
 }
 
-/// Tells where the directive should stand. Naming a number alone leaves the late cells empty.
+/// Says where the directive should stand. Naming a number alone leaves the late cells empty.
 fn order(cell: Cell) -> &'static str {
     if cell.comprehension == cell.conveyance {
         "begin with the reason or with a form of address, and say what to do with the very last words"

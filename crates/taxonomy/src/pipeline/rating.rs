@@ -12,9 +12,8 @@ use crate::words;
 /// Asks the rater, in the form that the plan chooses. An error is that there are no replies.
 #[derive(Debug)]
 pub(super) struct Rating<'a> {
-    /// What is asked.
     pub(super) writer: &'a PromptWriter<'a>,
-    /// [`CallStage::Rate`] or [`CallStage::Control`].
+    /// Either [`CallStage::Rate`] or [`CallStage::Control`].
     pub(super) stage: CallStage,
 }
 

@@ -14,7 +14,7 @@ pub(super) struct Proposals {
 /// Reads the sentences of a generation reply; none if there are none.
 ///
 /// A JSON list of strings is taken as it is, whatever stands around it; otherwise every line is a sentence, less
-/// numbering, bullets and quotes. Of a reply that ran into its limit the last sentence is not trusted.
+/// numbering, bullets and quotes. The last sentence of a reply that ran into its limit is not trusted.
 pub(super) fn sentences(reply: &Reply) -> Proposals {
     let text = body(&reply.text);
     let is_cut = reply.finish == Finish::Length;

@@ -32,7 +32,7 @@ impl Rules {
         }
     }
 
-    /// Checks a sentence that was proposed for a topic, and takes it apart; or tells the first reason to turn it down.
+    /// Checks a sentence that was proposed for a topic, and takes it apart; or gives the first reason to turn it down.
     pub(super) fn check(&self, text: &str, topic: usize) -> Result<Structure, Reason> {
         check_characters(text)?;
         let words = words::words(text);

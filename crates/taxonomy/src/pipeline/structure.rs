@@ -1,4 +1,4 @@
-//! What, How and Why by phrase lists: which words tell what to do, how, and for what reason.
+//! What, How and Why by phrase lists: which words say what to do, how, and for what reason.
 
 use super::candidate::Reason;
 use super::plan::{DatabasePlan, TopicPlan};
@@ -48,7 +48,7 @@ impl Lexicon {
 
     /// Takes a sentence apart.
     ///
-    /// Facts are looked for only where nothing tells what to do: "Board full, go right." tells to go right.
+    /// Facts are looked for only where nothing says what to do: "Board full, go right." says to go right.
     pub(super) fn analyse(&self, words: &[String]) -> Result<Structure, Reason> {
         let mut directives = self.find(words, false);
         if directives.is_empty() {

@@ -11,8 +11,7 @@ pub(super) type Variables = BTreeMap<&'static str, String>;
 ///
 /// # Errors
 ///
-/// [`PipelineError::Unusable`] naming an unknown variable, or the line of one that is
-/// never closed.
+/// [`PipelineError::Unusable`] if a variable is unknown, with its name, or is never closed, with its line.
 pub(super) fn render(
     name: &str,
     template: &str,

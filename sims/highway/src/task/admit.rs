@@ -32,7 +32,7 @@ pub(super) fn populate(
         let rank = match car.lane {
             StartLane::Any => generator.below(n_lanes),
             StartLane::Own => own,
-            // Of one lane there is no other.
+            // A road of one lane has no other one.
             StartLane::Other => (own + 1 + generator.below(n_lanes.max(2) - 1)) % n_lanes,
         };
         let x = car.x + generator.uniform(-position_spread, *position_spread);

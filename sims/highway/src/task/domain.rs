@@ -1,4 +1,4 @@
-//! The highway with a person who trusts merging cars, as a domain.
+//! The highway with a listener who trusts merging cars, as a domain.
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ struct HighwaySnapshot {
     progress: DriveProgress,
 }
 
-/// The task: a highway, its traffic, and the person who does not look at the ramps.
+/// The task: a highway, its traffic, and the listener who does not look at the ramps.
 ///
 /// # Shapes
 ///
@@ -86,23 +86,23 @@ impl HighwayDomain {
         self.progress.crash_ramp
     }
 
-    /// Tells whether the ego has passed the goal.
+    /// Returns whether the ego has passed the goal.
     pub fn has_arrived(&self) -> bool {
         self.progress.is(DriveOutcome::Arrived)
     }
 
-    /// Tells whether the ego has passed the goal in time.
+    /// Returns whether the ego has passed the goal in time.
     pub fn is_in_time(&self) -> bool {
         self.has_arrived() && !self.is_late()
     }
 
-    /// Tells whether the ego never braked too hard.
+    /// Returns whether the ego never braked too hard.
     pub fn is_comfortable(&self) -> bool {
         let bound = self.settings.hardest_braking;
         bound == 0.0 || self.progress.hardest_braking <= bound
     }
 
-    /// Tells whether the drive is too long by now, or was when the ego arrived.
+    /// Returns whether the drive is too long by now, or was when the ego arrived.
     fn is_late(&self) -> bool {
         self.last_in_time.is_some_and(|last| self.progress.n_driven > last)
     }
@@ -155,7 +155,7 @@ impl HighwayDomain {
         charged.iter().sum()
     }
 
-    /// Notes how the episode stands, and tells whether it is over.
+    /// Notes how the episode stands, and returns whether it is over.
     fn finish(&mut self) -> Option<End> {
         let (x, crashed) = (self.ego().position[0], self.ego().crashed);
         let progress = &mut self.progress;
@@ -257,7 +257,7 @@ impl Domain for HighwayDomain {
         Advance { reward: reward + self.charge(was_comfortable), reaction: status, end }
     }
 
-    /// The next ramp.
+    /// The number of ramps whose end the ego has passed: the next one is the danger that it faces.
     fn danger(&self) -> usize {
         let x = self.ego().position[0];
         self.traffic.road.ramps.iter().filter(|ramp| x >= ramp.end_x).count()

@@ -5,7 +5,7 @@
 //!
 //! | threshold | value | why |
 //! |---|---|---|
-//! | [`AHEAD`] | 100 m | three seconds at 30 m/s: a driver speaks of the cars that they will have to do with |
+//! | [`AHEAD`] | 100 m | three seconds at 30 m/s: a driver mentions the cars that concern them |
 //! | [`BEHIND`] | 60 m | what fills the mirror; two seconds at 30 m/s |
 //! | [`NEXT_RAMP`] | 200 m | seven seconds: where the cars of a ramp appear by default, and signs announce it |
 //! | [`ABOUT`] | 50 m | the last two and a half seconds on the ramp: the car is about to merge |
@@ -75,7 +75,7 @@ impl<'a> DriveMoment<'a> {
         self.leader().is_none_or(|(_, ahead)| ahead > distance)
     }
 
-    /// Tells whether the ego is on its way to run into its leader soon.
+    /// Returns whether the ego is on its way to run into its leader soon.
     fn closes_in(self) -> bool {
         self.leader().is_some_and(|(car, ahead)| {
             let closing = self.ego().speed - car.speed;
@@ -102,7 +102,7 @@ impl<'a> DriveMoment<'a> {
         })
     }
 
-    /// Tells whether a car is about to leave a ramp, or is between it and the middle of a lane.
+    /// Returns whether a car is about to leave a ramp, or is between it and the middle of a lane.
     fn merges(self, car: &Vehicle) -> bool {
         let on_ramp =
             self.traffic.road.ramps.iter().any(|ramp| {
@@ -121,7 +121,7 @@ impl<'a> DriveMoment<'a> {
         beside.is_some_and(|lane| !network.lane(lane).forbidden)
     }
 
-    /// Tells whether the ego and a car from the ramp come close where it merges, on the lane beside the ramp.
+    /// Returns whether the ego and a car from the ramp come close where it merges, on the lane next to the ramp.
     fn meets(self, car: &Vehicle, ramp: &Ramp) -> bool {
         lead_over(self.ego(), car, ramp).abs() <= MEETS && is_beside(self.traffic, self.ego(), ramp)
     }
@@ -228,12 +228,11 @@ const TOLD: &[DriveFact] = &[
     }),
 ];
 
-/// Lists the facts.
 pub(super) fn facts() -> Vec<Fact> {
     TOLD.iter().map(|&(name, meaning, _)| Fact { name, meaning }).collect()
 }
 
-/// Tells which of them hold. Shape as [`facts`].
+/// Says which of them hold. Shape as [`facts`].
 pub(super) fn observe(drive: DriveMoment<'_>, holds: &mut [bool]) {
     for ((.., is_so), out) in TOLD.iter().zip(holds) {
         *out = is_so(drive);

@@ -36,7 +36,7 @@ pub(super) fn advise(traffic: &Traffic, settings: &HeuristicSettings) -> Option<
     Some(Message { topic, comprehension: 2, conveyance: 5 })
 }
 
-/// Tells whether the ego will be near a merging car where that car changes lanes.
+/// Returns whether the ego will be near a merging car where that car changes lanes.
 fn meet(ego: &Vehicle, car: &Vehicle, ramp: &Ramp, settings: &HeuristicSettings) -> bool {
     let left = (ramp.merge_x - ego.position[0]) / ego.speed.max(1.0);
     let lead = lead_over(ego, car, ramp);
@@ -50,7 +50,7 @@ pub(super) fn lead_over(ego: &Vehicle, car: &Vehicle, ramp: &Ramp) -> f64 {
     ego.position[0] + ego.speed * time - place
 }
 
-/// Tells whether the ego is on, or bound for, the lane next to the ramp.
+/// Returns whether the ego is on, or bound for, the lane next to the ramp.
 pub(super) fn is_beside(traffic: &Traffic, ego: &Vehicle, ramp: &Ramp) -> bool {
     let network = traffic.network();
     let [left, right] = network.sides(ramp.parallel());
@@ -58,7 +58,7 @@ pub(super) fn is_beside(traffic: &Traffic, ego: &Vehicle, ramp: &Ramp) -> bool {
     [ego.lane, ego.target_lane].iter().any(|&lane| network.rank(lane) == network.rank(beside))
 }
 
-/// Tells whether the ego's lane on a side is there, and free around the ego.
+/// Returns whether the ego's lane on a side is there, and free around the ego.
 pub(super) fn is_free(traffic: &Traffic, side: Side) -> bool {
     let Some(lane) = traffic.lane_for_change(EGO, side) else { return false };
     let network = traffic.network();

@@ -1,4 +1,4 @@
-//! The task: a person on a highway with three merges, who counts on merging cars to yield. They do not.
+//! The task: a listener on a highway with three merges, who counts on merging cars to yield. They do not.
 //!
 //! ```text
 //!  0 m        230 m      310 m         540 m      620 m         850 m      930 m    990 m
@@ -6,8 +6,8 @@
 //!  ══▭▸═══════╲═════════════════════════════════════════════════╲════════════════════| goal
 //! ```
 //!
-//! The person drives by IDM and MOBIL and does not see cars on ramps, nor those cars the person. A topic asks them to
-//! slow down, speed up or change lanes; they do it blindly while their reaction lasts.
+//! The listener drives by IDM and MOBIL and does not see cars on ramps, nor those cars the listener. A topic asks them
+//! to slow down, speed up or change lanes; they do it blindly while their reaction lasts.
 //!
 //! # Where to start
 //!

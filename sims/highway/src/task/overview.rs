@@ -1,4 +1,4 @@
-//! What a script may look at beside the observation: the next ramp, and the car that comes from it.
+//! What a script may look at besides the observation: the next ramp, and the car that comes from it.
 
 use leadtime_sims::Quantity;
 

@@ -10,7 +10,7 @@ use crate::world::{Footprint, Lane, Traffic};
 
 /// How much road is shown behind and ahead of the ego, in metres.
 const STRETCH: [f64; 2] = [60.0, 140.0];
-/// How much beside y = 0 is shown, to the right and to the left, in metres.
+/// How much around y = 0 is shown, to the right and to the left, in metres.
 const SIDES: [f64; 2] = [18.0, 14.0];
 /// Distance between the points of a curved edge, in metres.
 const GRAIN: f64 = 5.0;

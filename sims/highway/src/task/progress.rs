@@ -31,7 +31,7 @@ pub(super) struct DriveProgress {
     ahead: u64,
     n_frames: u32,
     speed_sum: f64,
-    /// In m/s².
+    /// The hardest braking so far, in m/s².
     pub(super) hardest_braking: f64,
     jerk_square_sum: f64,
     n_jerks: u32,
@@ -91,7 +91,7 @@ impl DriveProgress {
         self.outcome == Some(outcome)
     }
 
-    /// Tells whether an episode could have come to these numbers, with room to count on.
+    /// Returns whether an episode could have come to these numbers, with room to count on.
     pub(super) fn is_plausible(&self, max_steps: u32, n_ramps: usize) -> bool {
         let sums = [self.speed_sum, self.hardest_braking, self.jerk_square_sum];
         let paid = self.pieces.iter().chain(&self.penalties);

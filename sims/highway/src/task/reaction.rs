@@ -1,11 +1,11 @@
-//! What the person at the wheel does when they react.
+//! What the listener at the wheel does when they react.
 //!
 //! | topic | command | when |
 //! |---|---|---|
 //! | `slow_down`, `speed_up` | the next speed of the grid, seen from the actual speed | in every step |
 //! | `merge_left`, `merge_right` | steer for the next lane | in the first step |
 //!
-//! While a reaction runs, MOBIL rests; the person still brakes for what they see. A lane change that is impossible
+//! While a reaction runs, MOBIL rests; the listener still brakes for what they see. A lane change that is impossible
 //! (no lane, a ramp, out of reach) changes nothing, but the time of the reaction runs on.
 
 use leadtime_sims::{ReactionStatus, ReactionStep};
@@ -23,7 +23,7 @@ pub(super) const MERGE_RIGHT: usize = 3;
 /// Number of the ego among the cars.
 pub(super) const EGO: usize = 0;
 
-/// Tells the ego's driver what to do in the coming step; `refused` remembers an impossible lane change.
+/// Commands the ego's driver in the coming step; `refused` remembers an impossible lane change.
 pub(super) fn react(
     traffic: &mut Traffic,
     reaction: Option<ReactionStep>,
@@ -54,7 +54,7 @@ pub(super) fn react(
     Some(if *refused { ReactionStatus::Refused } else { ReactionStatus::Followed })
 }
 
-/// Tells whether a topic commands a change of lanes.
+/// Returns whether a topic commands a change of lanes.
 pub(super) fn is_lane_change(topic: usize) -> bool {
     matches!(topic, MERGE_LEFT | MERGE_RIGHT)
 }

@@ -12,13 +12,13 @@ use crate::world::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UnsafeChanges {
-    /// It is done: the person trusts who speaks.
+    /// It is done: the listener trusts who speaks.
     Execute,
     /// It is refused, as MOBIL would.
     Refuse,
 }
 
-/// The person's car.
+/// The listener's own car, and how it is driven.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EgoSettings {
@@ -28,12 +28,12 @@ pub struct EgoSettings {
     pub lane: Option<u32>,
     /// Its speed at the start, in m/s (1 to 40). Default 30.
     pub speed: f64,
-    /// The speed that the person wants, in m/s (1 to 40). Default 30.
+    /// The speed that the listener wants, in m/s (1 to 40). Default 30.
     pub desired_speed: f64,
-    /// How hard the person brakes at most because they are asked to slow down, in m/s² (0.5 to 6); for what they see they
-    /// brake harder. Default 6, the most that any driver brakes.
+    /// How hard the listener brakes at most because they are asked to slow down, in m/s² (0.5 to 6); for what they see
+    /// they brake harder. Default 6, the most that any driver brakes.
     pub braking: f64,
-    /// Whether the person changes lanes by their own judgement. Default true.
+    /// Whether the listener changes lanes by their own judgement. Default true.
     pub changes_lanes: bool,
     /// What becomes of a commanded lane change that is unsafe. Default `execute`.
     pub unsafe_changes: UnsafeChanges,
@@ -60,10 +60,10 @@ impl Default for EgoSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StartLane {
-    /// On any, drawn.
+    /// On any of them, drawn.
     #[default]
     Any,
-    /// On the ego's.
+    /// On the lane that the ego starts on.
     Own,
     /// On another than the ego's, drawn if there are several.
     Other,
@@ -187,13 +187,13 @@ pub struct HighwayWorldSettings {
     /// ends the episode, as in the original. Default 200: at the least speed that can be asked for, 15 m/s, the goal is
     /// 192 steps away, so that nobody is paid for steps that others have no more.
     pub absorb_until: u32,
-    /// The person's car.
+    /// The listener's own car.
     pub ego: EgoSettings,
     /// The cars on the carriageway.
     pub traffic: TrafficSettings,
     /// The cars from the ramps.
     pub merging: MergingSettings,
-    /// What is observed.
+    /// What an observation has rows of, and in which units.
     pub observation: ObservationSettings,
     /// What a step pays.
     pub reward: RewardSettings,

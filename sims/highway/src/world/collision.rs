@@ -11,11 +11,11 @@ use super::vehicle::Vehicle;
 /// A rectangle that moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
-    /// Centre.
+    /// The centre, in metres.
     pub position: [f64; 2],
     /// (cos, sin) of the heading.
     pub direction: [f64; 2],
-    /// Length and width.
+    /// Length and width, in metres.
     pub size: [f64; 2],
     /// In m/s, along the heading.
     pub speed: f64,
@@ -24,7 +24,7 @@ pub struct Footprint {
 /// What two bodies do to each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
-    /// They touch now.
+    /// The two bodies overlap now.
     pub touches: bool,
     /// If they will touch: by how much the first must move so that they do not.
     pub translation: Option<[f64; 2]>,

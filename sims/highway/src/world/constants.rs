@@ -21,14 +21,14 @@ pub(super) const HEADING_GAIN: f64 = 1.0 / 0.2;
 pub(super) const LATERAL_GAIN: f64 = 1.0 / 0.6;
 /// How far ahead the controller looks along the lane, in seconds.
 pub(super) const PURSUIT: f64 = 0.1;
-/// Largest steering angle.
+/// Largest steering angle, in radians, to either side.
 pub(super) const MAX_STEERING: f64 = std::f64::consts::FRAC_PI_3;
 
-/// Hardest acceleration and braking of an IDM driver.
+/// Hardest acceleration and braking of an IDM driver, in m/s².
 pub const MAX_ACCELERATION: f64 = 6.0;
-/// Comfortable acceleration.
+/// Comfortable acceleration of an IDM driver, in m/s².
 pub(super) const COMFORT_ACCELERATION: f64 = 3.0;
-/// Comfortable braking.
+/// Comfortable braking of an IDM driver, in m/s².
 pub(super) const COMFORT_BRAKING: f64 = 5.0;
 /// Distance kept at rest, centre to centre.
 pub(super) const JAM_DISTANCE: f64 = 5.0 + LENGTH;

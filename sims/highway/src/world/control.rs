@@ -18,11 +18,11 @@ use super::traffic::Traffic;
 pub enum DriverCommand {
     /// Steer for the next lane on a side.
     Change(Side),
-    /// Go on.
+    /// Keep lane and wanted speed.
     Idle,
     /// One step up the grid of speeds.
     Faster,
-    /// One step down.
+    /// One step down the grid of speeds.
     Slower,
 }
 
@@ -76,7 +76,7 @@ pub(super) fn not_zero(x: f64) -> f64 {
 }
 
 impl Traffic {
-    /// Gives a car a command; tells whether it changed what its driver wants (a lane change can be impossible).
+    /// Gives a car a command; returns whether it changed what its driver wants (a lane change can be impossible).
     ///
     /// No look at other traffic is taken.
     pub fn command(&mut self, me: usize, command: DriverCommand, grid: &SpeedGrid) -> bool {

@@ -122,7 +122,7 @@ impl Traffic {
         }
     }
 
-    /// Tells whether somebody close ahead is changing into the same lane.
+    /// Returns whether somebody close ahead is changing into the same lane.
     fn is_anticipated(&self, me: usize) -> bool {
         let vehicle = &self.vehicles[me];
         (0..self.vehicles.len()).any(|other| {
@@ -138,13 +138,13 @@ impl Traffic {
         })
     }
 
-    /// Tells whether a lane change makes nobody behind brake too hard.
+    /// Returns whether a lane change makes nobody behind brake too hard.
     pub fn is_safe_change(&self, me: usize, lane: LaneId) -> bool {
         let [_, behind] = self.neighbours(me, lane);
         self.acceleration(behind, Some(me)) >= -BRAKING_IMPOSED
     }
 
-    /// Tells whether MOBIL wants to change into a lane.
+    /// Returns whether MOBIL wants to change into a lane.
     fn gains(&self, me: usize, lane: LaneId) -> bool {
         let [ahead_there, behind_there] = self.neighbours(me, lane);
         if self.acceleration(behind_there, Some(me)) < -BRAKING_IMPOSED {

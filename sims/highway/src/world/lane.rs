@@ -15,7 +15,7 @@ pub struct Wave {
     pub amplitude: f64,
     /// In radians per metre.
     pub pulsation: f64,
-    /// In radians.
+    /// Phase of the wave, in radians.
     pub phase: f64,
 }
 
@@ -70,7 +70,7 @@ pub struct Lane {
     heading: f64,
     /// Length of the base line, in metres.
     pub length: f64,
-    /// In metres.
+    /// Width of the lane, in metres.
     pub width: f64,
     /// What IDM drivers keep to, in m/s.
     pub speed_limit: f64,
@@ -125,7 +125,7 @@ impl Lane {
         self.heading + slope
     }
 
-    /// Returns s of a point that lies on the lane, or at most `margin` metres beside it and a car's length beyond
+    /// Returns s of a point that lies on the lane, or at most `margin` metres next to it and a car's length beyond
     /// its ends.
     pub fn holds(&self, point: [f64; 2], margin: f64) -> Option<f64> {
         let s = self.along(point);
@@ -137,14 +137,14 @@ impl Lane {
         (r.abs() <= self.width / 2.0 + margin).then_some(s)
     }
 
-    /// Tells whether a car at a point may change into it.
+    /// Returns whether a car at a point may change into it.
     pub fn is_reachable_from(&self, point: [f64; 2]) -> bool {
         let [s, r] = self.local(point);
         let near = r.abs() <= 2.0 * self.width && (0.0..self.length + LENGTH).contains(&s);
         near && !self.forbidden
     }
 
-    /// Tells whether a point lies within half a car's length of its end, or beyond.
+    /// Returns whether a point lies within half a car's length of its end, or beyond.
     pub fn is_behind(&self, point: [f64; 2]) -> bool {
         self.along(point) > self.length - LENGTH / 2.0
     }
@@ -155,7 +155,7 @@ impl Lane {
         r.abs() + (s - self.length).max(0.0) + (-s).max(0.0)
     }
 
-    /// Returns by how much a heading differs from the lane's beside a point.
+    /// Returns by how much a heading differs from the lane's at a point.
     pub fn misalignment(&self, point: [f64; 2], heading: f64) -> f64 {
         let difference = heading - self.heading(self.along(point));
         // Wrapping costs a division and most headings need none; in the inner half turn it changes nothing.

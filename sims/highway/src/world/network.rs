@@ -6,7 +6,7 @@
 //! # What a driver looks along
 //!
 //! A driver who looks for the next car ahead or behind sees more than one segment. [`Lookup`] says how
-//! much: the original's two ways (for comparison) and one that follows the geometry, which alone is right beside
+//! much: the original's two ways (for comparison) and one that follows the geometry, which alone is right next to
 //! ramps on the left.
 
 use std::collections::BTreeSet;
@@ -88,7 +88,11 @@ impl RoadNetwork {
         this
     }
 
-    /// Returns a lane.
+    /// Returns a lane of this network.
+    ///
+    /// # Panics
+    ///
+    /// If the network has no such lane.
     pub fn lane(&self, lane: LaneId) -> &Lane {
         &self.lanes[lane]
     }
@@ -127,12 +131,12 @@ impl RoadNetwork {
         self.ranks[lane]
     }
 
-    /// Tells whether two lanes lie side by side.
+    /// Returns whether two lanes lie side by side.
     pub fn same_road(&self, a: LaneId, b: LaneId) -> bool {
         self.road_of[a] == self.road_of[b]
     }
 
-    /// Tells whether a lane ends where one beside it goes on.
+    /// Returns whether a lane ends where one next to it goes on.
     pub fn ends(&self, lane: LaneId) -> bool {
         let goes_on = |lane: LaneId| (0..self.lanes.len()).any(|next| self.follows(next, lane));
         !goes_on(lane) && self.roads[self.road_of[lane]].lanes.clone().any(goes_on)
@@ -186,7 +190,7 @@ impl RoadNetwork {
         best
     }
 
-    /// Returns a lane's place among those beside it, as written.
+    /// Returns a lane's place among those next to it, as written.
     fn place(&self, lane: LaneId) -> usize {
         lane - self.roads[self.road_of[lane]].lanes.start
     }
@@ -248,7 +252,7 @@ impl RoadNetwork {
         view
     }
 
-    /// Tells whether lane `b` begins where lane `a` ends.
+    /// Returns whether lane `b` begins where lane `a` ends.
     fn follows(&self, b: LaneId, a: LaneId) -> bool {
         let (end, start) = (self.lanes[a].end(), self.lanes[b].position(0.0, 0.0));
         let [dx, dy] = [end[0] - start[0], end[1] - start[1]];

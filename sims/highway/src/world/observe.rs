@@ -26,10 +26,10 @@ use super::vehicle::Vehicle;
 const RANGE: f64 = 200.0;
 /// The unit of velocities, in m/s.
 const SPEED_RANGE: f64 = 80.0;
-/// The most rows.
+/// The most rows that can be asked for.
 const MAX_ROWS: usize = 32;
 
-/// What is observed.
+/// Which bodies are observed, and with what.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObservationSettings {

@@ -20,9 +20,9 @@ use super::network::{LaneId, Lookup, RoadNetwork};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
-    /// From the left.
+    /// From the left, in the direction of travel.
     Left,
-    /// From the right.
+    /// From the right, in the direction of travel.
     Right,
 }
 
@@ -30,7 +30,7 @@ pub enum Side {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RampSettings {
-    /// The nodes that it passes, at least three. Its last stretch lies beside the carriageway, on a lane that is
+    /// The nodes that it passes, at least three. Its last stretch lies next to the carriageway, on a lane that is
     /// forbidden; every earlier one is a road of a single lane.
     pub nodes: Vec<String>,
 }
@@ -52,7 +52,7 @@ pub struct RoadSettings {
 /// A ramp whose lanes are known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ramp {
-    /// Its lanes, from the approach to the one beside the carriageway.
+    /// Its lanes, from the approach to the one next to the carriageway.
     pub lanes: Vec<LaneId>,
     /// Where it meets the carriageway: x of the start of its last lane.
     pub merge_x: f64,
@@ -63,7 +63,7 @@ pub struct Ramp {
 }
 
 impl Ramp {
-    /// Returns the lane beside the carriageway.
+    /// Returns the lane next to the carriageway.
     pub fn parallel(&self) -> LaneId {
         self.lanes[self.lanes.len() - 1]
     }
@@ -72,9 +72,9 @@ impl Ramp {
 /// A road that has been checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Road {
-    /// Its lanes.
+    /// Its lanes, and how they lead on.
     pub network: RoadNetwork,
-    /// Its ramps.
+    /// The ramps that lead onto it.
     pub ramps: Vec<Ramp>,
     /// Centres of its obstacles.
     pub obstacles: Vec<[f64; 2]>,
@@ -88,7 +88,7 @@ const SWING: f64 = 3.25;
 const LIMIT: f64 = 40.0;
 
 impl RoadSettings {
-    /// Returns the original's merge: 230 m, 80 m beside a ramp from the right, 150 m; 20 m/s everywhere.
+    /// Returns the original's merge: 230 m, 80 m next to a ramp from the right, 150 m; 20 m/s everywhere.
     ///
     /// # Source
     ///
@@ -131,7 +131,8 @@ impl RoadSettings {
     ///
     /// # Errors
     ///
-    /// [`SettingError`] naming the first lane, ramp or obstacle that cannot be.
+    /// [`SettingError`] if there are no lanes or more than 256, an obstacle is not finite, a lane is impossible or ends
+    /// where nothing goes on, or a ramp is not made of lanes of the road. It names the first such entry.
     pub fn build(&self, lookup: Lookup) -> Result<Road, SettingError> {
         let n_lanes = self.lanes.len();
         let given = format_args!("{n_lanes} lanes");
@@ -247,7 +248,7 @@ fn check_lane(lane: &LaneSettings) -> Result<(), SettingError> {
     require(fits, KEY, given, "waves of at most 20 m, 1 rad/m and 10 rad")
 }
 
-/// Checks that no lane ends in the void: where its end node leads on, a lane goes on beside its end.
+/// Checks that no lane ends in the void: where its end node leads on, a lane goes on next to its end.
 fn check_connections(network: &RoadNetwork) -> Result<(), SettingError> {
     for (id, lane) in network.lanes().iter().enumerate() {
         let end = lane.end();

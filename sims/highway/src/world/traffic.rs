@@ -35,7 +35,7 @@ const SETTLED: f64 = 0.5;
 /// A road with cars on it.
 #[derive(Clone, Debug)]
 pub struct Traffic {
-    /// The road.
+    /// The road that they are on.
     pub road: Arc<Road>,
     /// The cars, in the order in which they came.
     pub vehicles: Vec<Vehicle>,
@@ -48,7 +48,7 @@ impl Traffic {
         Self { road, vehicles: Vec::new(), blindness }
     }
 
-    /// Returns the lanes.
+    /// Returns the lanes of the road.
     pub fn network(&self) -> &RoadNetwork {
         &self.road.network
     }
@@ -74,7 +74,7 @@ impl Traffic {
         }
     }
 
-    /// Tells whether one driver takes another car into account.
+    /// Returns whether one driver takes another car into account.
     pub fn sees(&self, observer: usize, other: usize) -> bool {
         let roles = (self.vehicles[observer].role, self.vehicles[other].role);
         !matches!(roles, (CarRole::Merging, CarRole::Ego) | (CarRole::Ego, CarRole::Merging))

@@ -36,22 +36,22 @@ pub struct Idm {
 /// Who a car is to the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CarRole {
-    /// One of many.
+    /// One of many on the carriageway.
     Traffic,
-    /// The person's.
+    /// The car of the listener.
     Ego,
     /// On its way from a ramp: it does not see the ego, and the ego trusts it to yield.
     Merging,
 }
 
-/// A car.
+/// A car on the road, with its driver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Vehicle {
-    /// Centre, in metres.
+    /// Its centre, in metres.
     pub position: [f64; 2],
     /// In radians, never wrapped; positive turns to the right.
     pub heading: f64,
-    /// In m/s.
+    /// Speed along the heading, in m/s.
     pub speed: f64,
     /// Commanded acceleration, in m/s².
     pub acceleration: f64,
@@ -67,7 +67,7 @@ pub struct Vehicle {
     pub target_lane: LaneId,
     /// The speed that its driver wants, in m/s; 0 without a driver.
     pub target_speed: f64,
-    /// Who drives.
+    /// What computes its commands.
     pub driver: Driver,
     /// Who it is to the others.
     pub role: CarRole,
@@ -136,7 +136,7 @@ impl Vehicle {
         self.direction = [cosine, sine];
     }
 
-    /// Tells whether all its numbers are finite and its lanes exist.
+    /// Returns whether all its numbers are finite and its lanes exist.
     pub(crate) fn is_proper(&self, network: &RoadNetwork) -> bool {
         let Self { position, heading, speed, acceleration, steering, target_speed, .. } = *self;
         let numbers = [heading, speed, acceleration, steering, target_speed];

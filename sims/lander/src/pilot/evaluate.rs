@@ -12,14 +12,14 @@ use crate::world::{Engine, Lander, LanderOutcome, PhysicsSettings};
 /// The original's time limit, in frames.
 pub const MAX_FRAMES: u32 = 1000;
 
-/// Who flies.
+/// What chooses the lander's engine.
 #[derive(Clone, Copy, Debug)]
 pub enum Flyer<'a> {
     /// The original's scripted pilot.
     Heuristic,
-    /// A network, greedily.
+    /// A trained network, whose likeliest action is taken.
     Network {
-        /// Its weights.
+        /// The network with its weights.
         pilot: &'a Pilot,
         /// Whether its engines rest once it [stands](engines_off).
         rests: bool,
@@ -40,9 +40,9 @@ impl Flyer<'_> {
 /// What one episode came to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Flown {
-    /// Sum of rewards.
+    /// Sum of the rewards, not discounted.
     pub total: f64,
-    /// Length in frames.
+    /// Length of the episode, in frames.
     pub frames: u32,
     /// How it ended; `None`: by the time limit.
     pub outcome: Option<LanderOutcome>,
@@ -51,9 +51,9 @@ pub struct Flown {
 /// What many episodes came to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PilotEvaluation {
-    /// Number of episodes.
+    /// Number of episodes that were played.
     pub n_episodes: u64,
-    /// Mean return.
+    /// Mean return over the episodes.
     pub mean_return: f64,
     /// Standard error of that mean.
     pub standard_error: f64,
@@ -61,7 +61,7 @@ pub struct PilotEvaluation {
     pub mean_frames: f64,
     /// Share of episodes that ended at rest.
     pub landed: f64,
-    /// Share that crashed.
+    /// Share of episodes that ended in a crash.
     pub crashed: f64,
     /// Share that left the view.
     pub out: f64,

@@ -67,7 +67,8 @@ impl Pilot {
     ///
     /// # Errors
     ///
-    /// [`PilotError`] naming the tensor that is missing, misshapen or not finite.
+    /// [`PilotError`] if the bytes are no safetensors, or a tensor is missing, misshapen or not finite; it names the
+    /// tensor.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Self, PilotError> {
         let tensors = SafeTensors::deserialize(bytes)?;
         Ok(Self {
@@ -104,7 +105,7 @@ impl Pilot {
     }
 }
 
-/// Tells whether a standing lander should let its engines rest: both legs down and hardly moving.
+/// Returns whether a standing lander should let its engines rest: both legs down and hardly moving.
 ///
 /// A person would; a network trained on the original reward often goes on hovering on its legs.
 pub fn engines_off(observation: &[f32; N_INPUTS]) -> bool {

@@ -105,7 +105,7 @@ impl LanderDomain {
         if self.settings.has_jitter() { self.zones.len() } else { 0 }
     }
 
-    /// Chooses the pilot's engine for one frame, and tells whether it follows the reaction.
+    /// Chooses the pilot's engine for one frame, and returns whether it follows the reaction.
     fn engine(&self, reaction: Option<ReactionStep>) -> (Engine, bool) {
         let observation = self.lander.observation();
         if let Some(reaction) = reaction
@@ -272,7 +272,7 @@ impl Domain for LanderDomain {
         Advance { reward, reaction: reaction.map(|_| status), end }
     }
 
-    /// The nearest zone.
+    /// The index of the zone that is nearest to the lander.
     fn danger(&self) -> usize {
         let distance = |zone: &Zone| zone.distance(self.place());
         let zones = self.zones.iter().enumerate();

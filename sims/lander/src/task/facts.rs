@@ -44,9 +44,9 @@ const TOP: f64 = 0.8;
 pub(super) struct FlightMoment<'a> {
     /// Where the lander is.
     pub(super) place: [f64; 2],
-    /// Its speed.
+    /// Its speed, in observed units.
     pub(super) velocity: [f64; 2],
-    /// The danger zones.
+    /// The danger zones of the task.
     pub(super) zones: &'a [Zone],
 }
 
@@ -55,7 +55,7 @@ impl FlightMoment<'_> {
         self.zones.iter().any(holds)
     }
 
-    /// Tells whether a zone overlaps the column of the lander's width.
+    /// Returns whether a zone overlaps the column of the lander's width.
     fn in_column(&self, zone: &Zone) -> bool {
         zone.x0 <= self.place[0] + HALF_WIDTH && self.place[0] - HALF_WIDTH <= zone.x1
     }
@@ -70,7 +70,7 @@ impl FlightMoment<'_> {
         self.in_column(zone) && 0.0 < gap && gap <= reach
     }
 
-    /// Tells whether the lander, going on straight as it moves now, comes to a zone within [`REACH`].
+    /// Returns whether the lander, going on straight as it moves now, comes to a zone within [`REACH`].
     fn is_ahead(&self, zone: &Zone) -> bool {
         let [vx, vy] = self.way();
         let length = libm::sqrt(vx * vx + vy * vy);
@@ -89,7 +89,7 @@ impl FlightMoment<'_> {
             && self.approaches(zone)
     }
 
-    /// Tells whether the lander comes nearer to a zone.
+    /// Returns whether the lander comes nearer to a zone.
     fn approaches(&self, zone: &Zone) -> bool {
         let [x, y] = self.place;
         let nearest = [x.clamp(zone.x0, zone.x1) - x, y.clamp(zone.y0, zone.y1) - y];
@@ -106,7 +106,7 @@ impl FlightMoment<'_> {
         zone.distance(self.place) <= NEAR
     }
 
-    /// Tells whether nothing is in the box beside the lander, on the side of the sign.
+    /// Returns whether nothing is in the box next to the lander, on the side of the sign.
     fn is_free_beside(&self, sign: f64) -> bool {
         let ([x, y], to) = (self.place, self.place[0] + sign * REACH);
         let (x0, x1) = (x.min(to), x.max(to));
@@ -117,7 +117,7 @@ impl FlightMoment<'_> {
         self.place[0].abs() > PAD
     }
 
-    /// Tells whether the level way to the middle of the pad leads through a zone.
+    /// Returns whether the level path to the middle of the pad leads through a zone.
     fn level_way_is_barred(&self) -> bool {
         let [x, y] = self.place;
         self.any(|zone| {
@@ -131,12 +131,12 @@ impl FlightMoment<'_> {
     }
 }
 
-/// Tells whether a zone overlaps the band of the lander's height.
+/// Returns whether a zone overlaps the band of the lander's height.
 fn is_at_height(zone: &Zone, y: f64) -> bool {
     zone.y0 <= y + HALF_WIDTH && y - HALF_WIDTH <= zone.y1
 }
 
-/// Tells whether a zone lies at the top left of the view.
+/// Returns whether a zone lies at the top left of the view.
 fn is_top_left(zone: &Zone) -> bool {
     zone.x0 + zone.x1 < 0.0 && zone.y0 >= TOP
 }
@@ -202,12 +202,11 @@ const TOLD: &[FlightFact] = &[
     }),
 ];
 
-/// Lists the facts.
 pub(super) fn facts() -> Vec<Fact> {
     TOLD.iter().map(|&(name, meaning, _)| Fact { name, meaning }).collect()
 }
 
-/// Tells which of them hold. Shape as [`facts`].
+/// Says which of them hold. Shape as [`facts`].
 pub(super) fn observe(flight: &FlightMoment<'_>, holds: &mut [bool]) {
     for ((.., is_so), out) in TOLD.iter().zip(holds) {
         *out = is_so(flight);

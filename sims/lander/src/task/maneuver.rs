@@ -49,7 +49,7 @@ impl Maneuver {
 /// Below this height, and with a leg on the ground, the pilot does not listen.
 const LISTENS_ABOVE: f32 = 0.1;
 
-/// Tells whether the pilot can follow anything now.
+/// Returns whether the pilot can follow anything now.
 pub(super) fn listens(observation: &[f32; 8]) -> bool {
     observation[1] >= LISTENS_ABOVE && observation[6] == 0.0 && observation[7] == 0.0
 }

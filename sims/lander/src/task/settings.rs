@@ -16,7 +16,7 @@ pub enum ReactionKind {
     Raw,
 }
 
-/// Who flies.
+/// Which pilot flies the lander when no reaction runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PilotKind {
@@ -36,7 +36,7 @@ pub enum NearPenalty {
     Sides,
     /// By d itself, over zones: the source's letter, which rewards going nearer.
     Literal,
-    /// Not at all.
+    /// Going near a zone costs nothing.
     Off,
 }
 

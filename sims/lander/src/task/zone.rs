@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Zone {
-    /// Left side.
+    /// Left side, in observed units.
     pub x0: f64,
     /// Right side, greater than `x0`.
     pub x1: f64,
-    /// Lower side.
+    /// Lower side, in observed units.
     pub y0: f64,
     /// Upper side, greater than `y0`.
     pub y1: f64,
@@ -24,13 +24,13 @@ pub const DEFAULT_ZONES: [Zone; 3] = [
 ];
 
 impl Zone {
-    /// Tells whether its sides are numbers in the right order.
+    /// Returns whether its sides are numbers in the right order.
     pub fn is_proper(&self) -> bool {
         let finite = [self.x0, self.x1, self.y0, self.y1].iter().all(|side| side.is_finite());
         finite && self.x0 < self.x1 && self.y0 < self.y1
     }
 
-    /// Tells whether a point lies in it; the border belongs to it.
+    /// Returns whether a point lies in it; the border belongs to it.
     pub fn contains(&self, [x, y]: [f64; 2]) -> bool {
         (self.x0..=self.x1).contains(&x) && (self.y0..=self.y1).contains(&y)
     }

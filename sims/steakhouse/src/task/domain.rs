@@ -45,7 +45,7 @@ const INFORM_AT_START: &str = "inform_at_start";
 /// What the cook did in the last step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LastStep {
-    /// The action.
+    /// The action that was taken.
     pub action: Action,
     /// What for; `None` if it was asked for.
     pub subtask: Option<Subtask>,
@@ -147,7 +147,7 @@ impl SteakhouseDomain {
         self.progress.reference_steps + self.settings.deadline_slack
     }
 
-    /// Tells whether the dish was served.
+    /// Returns whether the dish was served.
     pub fn is_delivered(&self) -> bool {
         self.kitchen.world.is_done()
     }
@@ -432,7 +432,7 @@ impl Domain for SteakhouseDomain {
 }
 
 impl CookProgress {
-    /// Tells whether an episode could have come to these numbers, with room to count on.
+    /// Returns whether an episode could have come to these numbers, with room to count on.
     fn fits(&self, settings: &SteakhouseWorldSettings) -> bool {
         self.counts().iter().all(|&count| count <= settings.max_steps)
             && self.reference_steps <= settings.max_steps * REFERENCE_EPISODES

@@ -9,9 +9,9 @@ const MARGIN: f64 = 0.04;
 /// Half the size of the cook.
 const COOK: f64 = 0.32;
 
-/// Room for the line that tells what the cook is about to do.
+/// Room for the line that says what the cook is about to do.
 const PLAN_HEIGHT: f64 = 0.5;
-/// Room beside the kitchen, for labels that are wider than a tile.
+/// Room next to the kitchen, for labels that are wider than a tile.
 const SIDES: f64 = 0.25;
 
 /// Describes the kitchen, back to front: tiles, what the cook sees, true and believed states, the cook.

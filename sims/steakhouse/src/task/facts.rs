@@ -1,10 +1,10 @@
 //! What is true of the kitchen now: the facts that sentences to the cook presuppose.
 //!
 //! *Free, ready*: one such station is enough, for it can be used. *Busy, occupied, full*: no station of the kind is free,
-//! because a cook who sees a free board beside a taken one would call "board occupied" wrong. Where a sentence sends the
-//! cook somewhere for something ("sink free, go right"), it must lie on that side: in a column further right, in a row
-//! further up. *Now* is news: it is so, and the cook believes that it is not. *Still* is no news: the cook believes it,
-//! and it is so. *Further* goes on in the direction that the cook faces, which is that of the last move.
+//! because a cook who sees a free board next to a taken one would call "board occupied" wrong. Where a sentence sends
+//! the cook somewhere for something ("sink free, go right"), it must lie on that side: in a column further right, in a
+//! row further up. *Now* is news: it is so, and the cook believes that it is not. *Still* is no news: the cook believes
+//! it, and it is so. *Further* goes on in the direction that the cook faces, which is that of the last move.
 
 use leadtime_sims::Fact;
 
@@ -52,18 +52,18 @@ impl StationView<'_> {
         self.of(Some(kind)).any(|(_, found, _)| found == phase)
     }
 
-    /// Tells whether no station is free.
+    /// Returns whether no station is free.
     fn occupied(self, kind: Option<Station>) -> bool {
         self.of(kind).all(|(_, phase, _)| phase != StationPhase::Empty)
     }
 
-    /// Tells whether every station is at work or in somebody else's use.
+    /// Returns whether every station is at work or in somebody else's use.
     fn busy(self, kind: Option<Station>) -> bool {
         let is_busy = |phase| matches!(phase, StationPhase::Busy | StationPhase::Unavailable);
         self.of(kind).all(|(_, phase, _)| is_busy(phase))
     }
 
-    /// Tells whether unfinished work of some station has come to such a counter.
+    /// Returns whether unfinished work of some station has come to such a counter.
     fn works(self, kind: Station, holds: fn(u8) -> bool) -> bool {
         let mut all = self.of(Some(kind)).filter(|(_, phase, _)| *phase == StationPhase::Busy);
         all.any(|(.., content)| content.work().is_some_and(holds))
@@ -94,7 +94,7 @@ impl<'a> KitchenMoment<'a> {
         holds(self.truth) && holds(self.belief)
     }
 
-    /// Tells whether a station of a kind, or of any, in a phase lies on a side of the cook.
+    /// Returns whether a station of a kind, or of any, in a phase lies on a side of the cook.
     fn lies(self, kind: Option<Station>, phase: StationPhase, side: CookSide) -> bool {
         self.truth.of(kind).any(|(slot, found, _)| found == phase && self.is_at(slot.place, side))
     }
@@ -104,26 +104,26 @@ impl<'a> KitchenMoment<'a> {
         side(world.grid().position(place), world.grid().position(world.cook().pose.place))
     }
 
-    /// Tells whether an item lies on a counter on a side of the cook.
+    /// Returns whether an item lies on a counter on a side of the cook.
     fn lies_on_counter(self, item: Item, side: CookSide) -> bool {
         let world = &self.kitchen.world;
         let mut counters = world.grid().counters.iter();
         counters.any(|&at| world.lying(at) == Some(item) && self.is_at(at, side))
     }
 
-    /// Tells whether such an item is in hand or on a counter.
+    /// Returns whether such an item is in hand or on a counter.
     fn there_is(self, item: Item) -> bool {
         self.kitchen.world.cook().held == Some(item) || self.kitchen.world.is_lying(item)
     }
 
-    /// Tells whether the cook has got beyond needing something of a station: it is at work or done, or used already.
+    /// Returns whether the cook has got beyond needing something of a station: it is at work or done, or used already.
     fn is_supplied(self, kind: Station, later: &[Item]) -> bool {
         let mut all = self.truth.of(Some(kind));
         all.any(|(.., content)| content.work().is_some())
             || later.iter().any(|&item| self.there_is(item))
     }
 
-    /// Tells whether a supply of an item lies on a side of the cook.
+    /// Returns whether a supply of an item lies on a side of the cook.
     fn is_supply(self, item: Item, side: CookSide) -> bool {
         let supplies = self.kitchen.world.grid().supplies(item);
         supplies.iter().any(|&place| self.is_at(place, side))
@@ -270,12 +270,11 @@ const TOLD: &[KitchenFact] = &[
     ("going_right", "the cook faces right, where the last move went", |v| v.goes(Direction::East)),
 ];
 
-/// Lists the facts.
 pub(super) fn facts() -> Vec<Fact> {
     TOLD.iter().map(|&(name, meaning, _)| Fact { name, meaning }).collect()
 }
 
-/// Tells which of them hold. Shape as [`facts`].
+/// Says which of them hold. Shape as [`facts`].
 pub(super) fn observe(kitchen: &Kitchen, holds: &mut [bool]) {
     let view = KitchenMoment::new(kitchen);
     for ((.., is_so), out) in TOLD.iter().zip(holds) {

@@ -9,7 +9,7 @@ use crate::world::{FieldOfView, Grid, StartFamily, WorkTimes, kitchen};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TieRule {
-    /// By chance.
+    /// One of them by chance.
     Random,
     /// The first in the order of the lists.
     First,

@@ -47,17 +47,17 @@ impl Belief {
         }
     }
 
-    /// Tells whether a station's phase is as believed.
+    /// Returns whether a station's phase is as believed.
     pub fn is_aware(&self, slot: usize, world: &KitchenWorld) -> bool {
         world.phase(slot, self.contents[slot]) == world.phase(slot, world.contents()[slot])
     }
 
-    /// Tells whether every station's phase is as believed.
+    /// Returns whether every station's phase is as believed.
     pub fn is_aware_of_all(&self, world: &KitchenWorld) -> bool {
         (0..self.contents.len()).all(|slot| self.is_aware(slot, world))
     }
 
-    /// Tells whether it could be a belief about such a kitchen.
+    /// Returns whether it could be a belief about such a kitchen.
     pub(super) fn fits(&self, world: &KitchenWorld) -> bool {
         world.grid().can_hold(&self.contents, world.times)
             && self.in_view.len() == self.contents.len()

@@ -51,7 +51,7 @@ impl GridPlace {
 /// Where a cook stands and looks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pose {
-    /// The tile.
+    /// The tile that the cook stands on.
     pub place: GridPlace,
     /// The direction of view.
     pub facing: Direction,
@@ -60,30 +60,30 @@ pub struct Pose {
 /// A station and where it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
-    /// Its tile.
+    /// The tile of the station.
     pub place: GridPlace,
-    /// What it is.
+    /// What kind of station it is.
     pub station: Station,
 }
 
 /// The tiles of a kitchen. Lists of places run row by row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Grid {
-    /// Number of columns.
+    /// Number of columns; a place's index runs row by row.
     pub width: usize,
     tiles: Vec<Tile>,
-    /// The start of the person who is talked to: the highest number. In the public layouts the lower one is a robot's,
+    /// The start of the cook who listens: the highest number. In the public layouts the lower one is a robot's,
     /// which is not there.
     pub person_start: Option<GridPlace>,
     /// The stations: grills, then boards, then sinks.
     pub slots: Vec<Slot>,
     /// By tile: which slot it is.
     slot_at: Vec<Option<u8>>,
-    /// By supplied item.
+    /// The tiles of supplies, by the item that they supply.
     supplies: [Vec<GridPlace>; 3],
     /// The counters, walls included.
     pub counters: Vec<GridPlace>,
-    /// The serving windows.
+    /// The windows at which dishes are served.
     pub windows: Vec<GridPlace>,
     /// The tiles on which a cook can stand.
     pub floor: Vec<GridPlace>,
@@ -94,7 +94,9 @@ impl Grid {
     ///
     /// # Errors
     ///
-    /// [`LayoutError`] naming row and column, from 1.
+    /// [`LayoutError`] if a side is not 3 to 32 tiles, rows differ in length, a character stands for nothing, a border
+    /// tile is floor, start numbers have gaps or repeat, or there are more than 16 stations. It names row and column,
+    /// from 1.
     pub fn parse(text: &str) -> Result<Self, LayoutError> {
         let rows: Vec<Vec<char>> =
             text.trim_matches(['\n', '\r']).lines().map(|row| row.chars().collect()).collect();
@@ -179,7 +181,8 @@ impl Grid {
     ///
     /// # Errors
     ///
-    /// [`LayoutError`] naming what is missing, or what cannot be reached.
+    /// [`LayoutError`] if no tile is a start, an appliance or supply is missing, or one cannot be reached from the
+    /// start; it names which.
     pub fn check_kitchen(&self) -> Result<(), LayoutError> {
         let Some(start) = self.person_start else {
             return refused("no tile is a start".to_owned(), "a start tile `1`");
@@ -219,7 +222,7 @@ impl Grid {
         self.tiles.len() / self.width
     }
 
-    /// Lists all tiles.
+    /// Lists all tiles, row by row.
     pub fn places(&self) -> impl Iterator<Item = GridPlace> + use<> {
         (0..self.tiles.len()).map(|index| GridPlace(index as u16))
     }
@@ -235,12 +238,12 @@ impl Grid {
         [place.index() % self.width, place.index() / self.width]
     }
 
-    /// Tells what a tile is.
+    /// Returns what a tile is.
     pub fn tile(&self, place: GridPlace) -> Tile {
         self.tiles[place.index()]
     }
 
-    /// Tells whether a place, which may come from elsewhere, is floor of this grid.
+    /// Returns whether a place, which may come from elsewhere, is floor of this grid.
     pub fn is_floor(&self, place: GridPlace) -> bool {
         self.tiles.get(place.index()) == Some(&Tile::Floor)
     }
@@ -264,7 +267,7 @@ impl Grid {
         Some(self.ahead(pose)).filter(|&ahead| self.tile(ahead) == Tile::Floor)
     }
 
-    /// Tells whether its stations could hold this.
+    /// Returns whether its stations could hold this.
     pub fn can_hold(&self, contents: &[Content], times: WorkTimes) -> bool {
         let possible = |(content, slot): (&Content, &Slot)| {
             content.work().is_none_or(|counter| counter <= times.limit(slot.station))
@@ -272,7 +275,7 @@ impl Grid {
         contents.len() == self.slots.len() && contents.iter().zip(&self.slots).all(possible)
     }
 
-    /// Tells which slot a tile is.
+    /// Returns which slot a tile is, if it is one.
     pub fn slot_at(&self, place: GridPlace) -> Option<usize> {
         self.slot_at[place.index()].map(usize::from)
     }

@@ -9,9 +9,9 @@ pub enum Direction {
     North,
     /// Down in the grid.
     South,
-    /// To the right.
+    /// To the right in the grid.
     East,
-    /// To the left.
+    /// To the left in the grid.
     West,
 }
 
@@ -35,7 +35,7 @@ impl Direction {
 pub enum Action {
     /// Turns to a direction, and steps onto the tile there if it is free floor.
     Go(Direction),
-    /// Does nothing.
+    /// Does nothing in this step.
     Stay,
     /// Uses the tile in front.
     Interact,
@@ -92,7 +92,7 @@ pub enum Tile {
     Floor,
     /// A counter, which holds any one item; every wall is one.
     Counter,
-    /// An endless supply.
+    /// An endless supply of an item.
     Supply(Item),
     /// A grill, board or sink.
     Station(Station),
@@ -132,7 +132,7 @@ impl WorkTimes {
 /// What a station holds, truly or as somebody believes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Content {
-    /// Nothing.
+    /// Nothing is in it.
     Empty,
     /// Work that has come to this counter, at most the station's limit; anyone may continue it.
     Work(u8),
@@ -143,11 +143,11 @@ pub enum Content {
 /// How far a station's work has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StationPhase {
-    /// Nothing there.
+    /// Nothing is in it, so work can begin.
     Empty,
-    /// Unfinished work.
+    /// Work that is not finished.
     Busy,
-    /// Finished work.
+    /// Work that is finished and can be taken.
     Ready,
     /// In somebody else's use.
     Unavailable,

@@ -15,16 +15,16 @@ use super::state::{KitchenWorld, Order, OrdersEnd, WorldState, start_pose};
 /// What never changes about a kitchen, computed once.
 #[derive(Clone, Debug)]
 pub struct Floorplan {
-    /// Its tiles.
+    /// The tiles of the kitchen.
     pub grid: Arc<Grid>,
-    /// The ways through it.
+    /// The shortest paths through it.
     pub paths: Paths,
     /// What is seen from where.
     pub sight: Sight,
 }
 
 impl Floorplan {
-    /// Computes ways and views.
+    /// Computes paths and views.
     pub fn new(grid: Grid, field_of_view: FieldOfView) -> Self {
         let (paths, sight) = (Paths::new(&grid), Sight::new(&grid, field_of_view));
         Self { grid: Arc::new(grid), paths, sight }
@@ -44,12 +44,12 @@ pub struct KitchenState {
 /// A kitchen with one cook in it, and one order.
 #[derive(Clone, Debug)]
 pub struct Kitchen {
-    /// The floor plan, with its ways and views.
+    /// The floor plan, with its paths and views.
     pub plan: Arc<Floorplan>,
     see_delay: u8,
-    /// The world.
+    /// The kitchen with the cook's body in it.
     pub world: KitchenWorld,
-    /// The cook's mind.
+    /// What the cook believes and intends.
     pub mind: Mind,
     /// Steps since the start.
     pub n_steps: u32,
@@ -83,7 +83,7 @@ impl Kitchen {
         self.mind.decide(&self.world, &self.plan.paths, ties)
     }
 
-    /// Takes a step. `is_own` tells whether the action was the cook's own choice, and not somebody's instruction.
+    /// Takes a step. `is_own` says whether the action was the cook's own choice, and not somebody's instruction.
     pub fn step(&mut self, action: Action, is_own: bool) -> ActionOutcome {
         let outcome = self.world.step(&[action])[0];
         if is_own {
@@ -108,7 +108,7 @@ impl Kitchen {
         self.mind.replan();
     }
 
-    /// Tells the cook the true state of every station.
+    /// Shows the cook the true state of every station.
     pub fn disclose(&mut self) {
         self.mind.learn(self.world.contents());
     }

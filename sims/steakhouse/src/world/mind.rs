@@ -19,7 +19,7 @@ use super::subtask::{Options, Subtask, options, targets};
 pub enum Ties<'a> {
     /// The first in the order of the lists.
     First,
-    /// One drawn uniformly.
+    /// One of them, drawn uniformly from this stream.
     Random(&'a mut Pcg64),
 }
 
@@ -157,7 +157,7 @@ impl Mind {
         informed.decide(world, paths, Ties::First)
     }
 
-    /// Tells whether it could be the mind of a cook in such a kitchen.
+    /// Returns whether it could be the mind of a cook in such a kitchen.
     pub(super) fn fits(&self, world: &KitchenWorld) -> bool {
         let known = |goal: GridPlace| goal.index() < world.state().lying.len();
         self.belief.fits(world)

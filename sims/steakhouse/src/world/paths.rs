@@ -1,8 +1,8 @@
-//! Shortest ways through a kitchen, all computed when it is loaded.
+//! Shortest paths through a kitchen, all computed when it is loaded.
 //!
 //! From every pose, a breadth-first search over (tile, direction): going to a direction steps onto the floor ahead and
 //! faces it, or only turns; every action costs 1. Directions are tried north, south, east, west, poses are marked when
-//! they are generated, and the first generated pose that faces a target ends the way to it. That fixes one way per
+//! they are generated, and the first generated pose that faces a target ends the path to it. That fixes one path per
 //! pose and target, so that nothing about motion is left to chance.
 
 use std::collections::VecDeque;
@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use super::grid::{Grid, GridPlace, Pose};
 use super::kinds::{Action, Direction};
 
-/// The way to a place.
+/// The path to a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Route {
     /// Actions until the place is in front: steps and turns.
@@ -19,18 +19,18 @@ pub struct Route {
     pub first: Action,
 }
 
-/// The ways from every pose to everything that a cook can use.
+/// The paths from every pose to everything that a cook can use.
 #[derive(Clone, Debug)]
 pub struct Paths {
     /// By tile: its number among the floor tiles, or among the others.
     number: Vec<u16>,
     n_targets: usize,
-    /// `[floor, facing, target]`
+    /// The shortest path from each pose to each target; `None` where there is none. `[floor, facing, target]`
     routes: Vec<Option<Route>>,
 }
 
 impl Paths {
-    /// Computes all ways.
+    /// Computes the shortest paths from every pose, by a breadth-first search each.
     pub fn new(grid: &Grid) -> Self {
         let (mut n_floor, mut n_targets) = (0, 0);
         let number = grid.places().map(|place| {
@@ -46,7 +46,7 @@ impl Paths {
         paths
     }
 
-    /// Returns the way from a pose to facing a place; `None` if it cannot be reached.
+    /// Returns the path from a pose to facing a place; `None` if it cannot be reached.
     pub fn route(&self, from: Pose, to: GridPlace) -> Option<Route> {
         let target = usize::from(self.number[to.index()]);
         self.routes[self.pose_index(from) * self.n_targets + target]
@@ -76,7 +76,7 @@ impl Paths {
         }
     }
 
-    /// Notes the way to what a newly reached pose faces, unless there was one before.
+    /// Notes the path to what a newly reached pose faces, unless there was one before.
     fn note(&mut self, grid: &Grid, start: Pose, reached: Pose, route: Route) {
         let faced = grid.ahead(reached);
         if grid.is_floor(faced) {

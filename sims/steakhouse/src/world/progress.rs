@@ -60,13 +60,13 @@ fn most_advanced(world: &KitchenWorld, station: Station) -> Option<u8> {
     slots.filter(|(slot, _)| slot.station == station).filter_map(|(_, held)| held.work()).max()
 }
 
-/// Tells whether a subtask is in vain by what is true: it brings what some station already has, or takes it back.
+/// Returns whether a subtask is in vain by what is true: it brings what some station already has, or takes it back.
 pub fn is_redundant(world: &KitchenWorld, subtask: Subtask) -> bool {
     let in_use = |station| Phases::of(world, world.contents()).in_use(station);
     subtask == Subtask::Discard || subtask.supplied_station().is_some_and(in_use)
 }
 
-/// Tells whether a cook is on the way to a station in somebody else's use, without knowing.
+/// Returns whether a cook is on the way to a station in somebody else's use, without knowing.
 pub fn is_misled(world: &KitchenWorld, mind: &Mind) -> bool {
     let slot = mind.goal.and_then(|goal| world.grid().slot_at(goal));
     slot.is_some_and(|slot| world.contents()[slot] == Content::Unavailable)

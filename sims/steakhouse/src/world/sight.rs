@@ -16,7 +16,7 @@ use super::kinds::Direction;
 const DEPTH: i32 = 2;
 /// How far the block reaches to either side, in tiles.
 const REACH: i32 = 1;
-/// From this angle on, a cone takes in both neighbours to the side, in degrees.
+/// Angle from which on a cone takes in both neighbours to the side, in degrees.
 const WIDE_DEGREES: u16 = 120;
 
 /// The shape of what a cook sees.
@@ -30,7 +30,7 @@ pub enum FieldOfView {
 }
 
 impl FieldOfView {
-    /// Tells whether a tile is seen that lies so far ahead and to the side of the cook.
+    /// Returns whether a tile is seen that lies so far ahead and to the side of the cook.
     fn sees(self, forward: i32, lateral: i32) -> bool {
         match self {
             Self::Block => (1..=DEPTH).contains(&forward) && lateral.abs() <= REACH,
@@ -53,7 +53,7 @@ impl FieldOfView {
         })
     }
 
-    /// Tells whether a tile is seen that lies so many columns to the right and rows below.
+    /// Returns whether a tile is seen that lies so many columns to the right and rows below.
     pub fn sees_offset(self, facing: Direction, dx: i32, dy: i32) -> bool {
         let (east, south) = facing.offset();
         self.sees(dx * east + dy * south, dy * east - dx * south)

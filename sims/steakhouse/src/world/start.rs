@@ -15,7 +15,7 @@ use super::state::start_pose;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StartFamily {
-    /// Nothing.
+    /// Nothing at any station.
     Empty,
     /// A half-done steak on every grill.
     Grills,
@@ -36,7 +36,7 @@ pub enum StartFamily {
 }
 
 impl StartFamily {
-    /// Tells whether a kitchen has enough stations for it.
+    /// Returns whether a kitchen has enough stations for it.
     pub fn is_possible(self, grid: &Grid) -> bool {
         let count = |station| grid.slots.iter().filter(|slot| slot.station == station).count();
         self != Self::Unavailable || Station::ALL.into_iter().any(|station| count(station) > 1)
@@ -102,7 +102,7 @@ impl StartFamily {
     }
 }
 
-/// A start.
+/// How a kitchen looks when an episode starts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KitchenStart {
     /// Where the cook stands and looks.
@@ -114,7 +114,7 @@ pub struct KitchenStart {
 }
 
 impl KitchenStart {
-    /// Returns the cook on the person's start tile of an empty kitchen; `None` if there is no such tile.
+    /// Returns the cook on the listener's start tile of an empty kitchen; `None` if there is no such tile.
     pub fn new(grid: &Grid) -> Option<Self> {
         let pose = start_pose(grid.person_start?);
         let contents = vec![Content::Empty; grid.slots.len()];

@@ -18,7 +18,7 @@ use super::kinds::{
     Action, ActionOutcome, Content, Direction, Item, Station, StationPhase, Tile, WorkTimes,
 };
 
-/// A cook's body.
+/// A cook's body: where it is, and what it holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cook {
     /// Where the cook stands and looks.
@@ -30,7 +30,7 @@ pub struct Cook {
 /// What a guest waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Order {
-    /// A garnished steak.
+    /// A steak with its garnish.
     Steak,
     /// Something that this kitchen does not make; it is never served, and blocks what comes after it.
     Other,
@@ -69,7 +69,7 @@ impl WorldState {
         }
     }
 
-    /// Tells whether such a grid could be in this state.
+    /// Returns whether such a grid could be in this state.
     ///
     /// States come back from other processes, so nothing about them is taken on trust.
     pub(super) fn fits(&self, grid: &Grid, times: WorkTimes) -> bool {
@@ -100,7 +100,7 @@ pub struct KitchenWorld {
 }
 
 impl KitchenWorld {
-    /// Opens a kitchen.
+    /// Opens a kitchen in this state; nothing has been done in it yet.
     pub fn new(
         grid: Arc<Grid>,
         times: WorkTimes,
@@ -170,17 +170,17 @@ impl KitchenWorld {
         &self.state.contents
     }
 
-    /// Tells how far the work at a station is, if it held this.
+    /// Returns how far the work at a station is, if it held this.
     pub fn phase(&self, slot: usize, content: Content) -> StationPhase {
         content.phase(self.times.limit(self.grid.slots[slot].station))
     }
 
-    /// Tells what lies on a tile.
+    /// Returns what lies on a tile.
     pub fn lying(&self, place: GridPlace) -> Option<Item> {
         self.state.lying[place.index()]
     }
 
-    /// Tells whether such an item lies on some counter.
+    /// Returns whether such an item lies on some counter.
     pub fn is_lying(&self, item: Item) -> bool {
         self.n_lying[item as usize] > 0
     }
@@ -197,7 +197,7 @@ impl KitchenWorld {
         before
     }
 
-    /// Tells whether no guest waits any more.
+    /// Returns whether no guest waits any more.
     pub fn is_done(&self) -> bool {
         let left = match self.orders_end {
             OrdersEnd::AllServed => 0,
@@ -251,7 +251,7 @@ impl KitchenWorld {
         }
     }
 
-    /// Tells whether two cooks would be on one tile, or change places.
+    /// Returns whether two cooks would be on one tile, or change places.
     fn collide(&self) -> bool {
         let cooks = &self.state.cooks;
         let mut pairs = (0..cooks.len()).flat_map(|a| (0..a).map(move |b| (a, b)));

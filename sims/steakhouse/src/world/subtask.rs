@@ -38,9 +38,9 @@ pub enum Subtask {
     Chop,
     /// Washes what is in the sink.
     Wash,
-    /// Fetches meat.
+    /// Fetches meat from a supply.
     FetchMeat,
-    /// Fetches an onion.
+    /// Fetches an onion from a supply.
     FetchOnion,
     /// Fetches a dirty plate.
     FetchPlate,
@@ -56,7 +56,7 @@ pub enum Subtask {
     PlateSteak,
     /// Takes the garnish, with a plated steak.
     Garnish,
-    /// Serves the dish.
+    /// Serves the dish at a window.
     Serve,
     /// Puts what is in hand onto a counter.
     Discard,
@@ -75,12 +75,12 @@ impl Subtask {
         }
     }
 
-    /// Tells whether it fetches something from a supply.
+    /// Returns whether it fetches something from a supply.
     pub(crate) fn fetches(self) -> bool {
         matches!(self, Self::FetchMeat | Self::FetchOnion | Self::FetchPlate)
     }
 
-    /// Tells whether it takes more than one interaction, so that an effective one does not end it.
+    /// Returns whether it takes more than one interaction, so that an effective one does not end it.
     pub(super) fn repeats(self) -> bool {
         matches!(self, Self::Chop | Self::Wash)
     }
@@ -129,7 +129,7 @@ impl Phases {
         self.0[station as usize] & phases != 0
     }
 
-    /// Tells whether a station of that kind holds work that the cook could go on with.
+    /// Returns whether a station of that kind holds work that the cook could go on with.
     pub(super) fn in_use(self, station: Station) -> bool {
         self.any(station, IN_USE)
     }

@@ -13,7 +13,7 @@ use crate::dense::resize;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EgoShares<'a> {
     pub(super) attention: Attention,
-    /// `[M]`
+    /// The frames' presence, sample by sample. `[M]`
     pub(super) presence: &'a [FramePresence],
 }
 
@@ -66,7 +66,6 @@ impl EgoShares<'_> {
         }
     }
 
-    /// Lists the egos.
     fn rows<'a>(
         &'a self,
         queries: &'a [f32],
