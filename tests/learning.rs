@@ -3,9 +3,11 @@
 
 use leadtime_actor::Worker;
 use leadtime_policy::Policy;
+use leadtime_policy::attention::PresentEntities;
 use leadtime_ppo::{LearnerSettings, Mode, Trainer, UpdateReport};
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{Encoder, EnvId, Iteration, PolicySpec, Rollout, RunSpec, TaskSpec};
+use leadtime_sims::Environment;
 
 /// Trains on a task and returns, per finished episode, its return; and what the first update reported.
 fn train(
@@ -14,10 +16,32 @@ fn train(
     settings: &LearnerSettings,
     run_seed: u64,
 ) -> (Vec<f64>, UpdateReport) {
+    let network = |environment: &dyn Environment| {
+        let dense = PolicySpec::dense(environment.spec(), hidden);
+        PolicySpec { encoder, ..dense }
+    };
+    let (mut returns, mut first) = (Vec::new(), None);
+    train_network(domain, network, settings, run_seed, |rollouts, _, report| {
+        for end in rollouts.iter().flat_map(|rollout| &rollout.ends) {
+            returns.push(end.summary.episode_return);
+        }
+        first.get_or_insert(report);
+    });
+    (returns, first.expect("there are updates"))
+}
+
+/// Trains the network that is made for the environment, and shows what each update was made from and what it made.
+fn train_network(
+    domain: &str,
+    network: impl FnOnce(&dyn Environment) -> PolicySpec,
+    settings: &LearnerSettings,
+    run_seed: u64,
+    mut updated: impl FnMut(&[Rollout], &Trainer, UpdateReport),
+) {
     let task = TaskSpec { domain: domain.to_owned(), settings: r#"{"world": {}}"#.to_owned() };
     let registry = leadtime_worlds::builtin();
-    let env = registry.build(&task).expect("the task is built in").spec().clone();
-    let policy = PolicySpec { encoder, ..PolicySpec::dense(&env, hidden) };
+    let environment = registry.build(&task).expect("the task is built in");
+    let (env, policy) = (environment.spec().clone(), network(&*environment));
     let mut trainer = Trainer::new(&policy, settings, run_seed).expect("sound settings");
     let mut worker = Worker::new(RunSpec {
         seed: run_seed,
@@ -32,20 +56,16 @@ fn train(
         let environment = registry.build(&task).expect("the task is built in");
         worker.insert(environment, &start).expect("an empty snapshot is a fresh start");
     }
-    let (mut returns, mut reports) = (Vec::new(), Vec::new());
     for _ in 0..trainer.n_updates() {
         let mut acting = Policy::new(&policy, trainer.parameters()).expect("the weights fit");
         let rollouts = worker.collect(&mut acting, trainer.version(), &mut ());
-        for end in rollouts.iter().flat_map(|rollout| &rollout.ends) {
-            returns.push(end.summary.episode_return);
-        }
         let check = |rollout: &Rollout| {
             rollout.clone().check(&env, settings.n_steps, policy.recurrent_dim()).expect("sound")
         };
-        let rollouts: Vec<_> = rollouts.iter().map(check).collect();
-        reports.push(trainer.update(&rollouts).expect("the update succeeds"));
+        let checked: Vec<_> = rollouts.iter().map(check).collect();
+        let report = trainer.update(&checked).expect("the update succeeds");
+        updated(&rollouts, &trainer, report);
     }
-    (returns, reports.swap_remove(0))
 }
 
 fn mean_of_last(returns: &[f64], n: usize) -> f64 {
@@ -104,4 +124,46 @@ fn actor_and_learner_agree_on_log_probabilities_to_the_bit() {
         let (_, report) = train("cue_recall", network, &settings, 1);
         assert_eq!((report.old_approx_kl, report.approx_kl), (0.0, 0.0), "{network:?}");
     }
+}
+
+#[test]
+fn cars_stay_present_while_observations_are_normalised() {
+    let settings = LearnerSettings {
+        n_envs: 4,
+        n_steps: 32,
+        n_minibatches: 2,
+        n_epochs: 1,
+        total_steps: 4 * 4 * 32,
+        ..LearnerSettings::default()
+    };
+    let attention = |environment: &dyn Environment| {
+        environment.entity_history().expect("a road has entities").attention(16, 2)
+    };
+    let network = |environment: &dyn Environment| PolicySpec {
+        encoder: Encoder::EgoAttention(attention(environment)),
+        normalize_observations: true,
+        ..PolicySpec::dense(environment.spec(), &[16])
+    };
+    let task = TaskSpec { domain: "highway".to_owned(), settings: "{}".to_owned() };
+    let road = leadtime_worlds::builtin().build(&task).expect("the task is built in");
+    let (attention, obs_dim) = (attention(&*road), road.spec().obs_dim);
+    let (mut raw, mut normalized) = (PresentEntities::default(), PresentEntities::default());
+    let (mut n_updates, mut n_others) = (0, 0);
+    train_network("highway", network, &settings, 1, |rollouts, trainer, _| {
+        let normalizer = trainer.parameters().normalizer().expect("it normalises").freeze();
+        let rows = rollouts.iter().flat_map(|rollout| rollout.observations.chunks_exact(obs_dim));
+        for row in rows {
+            let mut seen = vec![f32::NAN; obs_dim];
+            normalizer.apply(row, &mut seen);
+            assert_ne!(seen, row);
+            let n_numbers = attention.n_frames * attention.frame_dim();
+            raw.list(&row[..n_numbers], &attention);
+            normalized.list(&seen[..n_numbers], &attention);
+            assert_eq!(normalized.frames, raw.frames);
+            assert!(normalized.frames.iter().all(|frame| frame.ego));
+            n_others += normalized.n_others();
+        }
+        n_updates += 1;
+    });
+    assert!(n_updates == 4 && n_others > 0, "{n_updates} updates, {n_others} other cars");
 }

@@ -12,10 +12,9 @@ import sys
 
 import numpy as np
 
-from leadtime.policy import load
+from leadtime.policy import ABSENT, PRESENT, load
 
 OPSET = 17
-FAR = -1e9  # Added to the score of a row that is not there.
 
 
 class Graph:
@@ -113,11 +112,7 @@ def attention(graph, dense, tensors, spec, x, obs_dim):
     own = embed("ego", graph.part(rows, 2, 0, 1))
     embedded = graph.op("Concat", own, embed("others", graph.part(rows, 2, 1, n_rows)), axis=2)
     own = graph.shaped(own, -1, n_frames, width)
-    # Rows that are there; of nobody at all everybody is looked at.
-    there = graph.op("GreaterOrEqual", graph.shaped(graph.part(rows, 3, 0, 1), -1, n_frames, 1, 1, n_rows), graph.constant(0.5))
-    share = graph.op("Where", there, graph.constant(1), graph.constant(0))
-    nobody = graph.op("Less", graph.op("ReduceMax", share, axes=[4]), graph.constant(0.5))
-    distance = graph.op("Where", graph.op("Or", there, nobody), graph.constant(0), graph.constant(FAR))
+    there = graph.op("GreaterOrEqual", graph.shaped(graph.part(rows, 3, 0, 1), -1, n_frames, 1, 1, n_rows), graph.constant(PRESENT))
     query = graph.shaped(graph.linear(own, tensors["encoder.query.weight"]), -1, n_frames, n_heads, 1, d)
 
     def seen(name, order):
@@ -125,7 +120,8 @@ def attention(graph, dense, tensors, spec, x, obs_dim):
         return graph.op("Transpose", parts, perm=order)
 
     scores = graph.op("Mul", graph.op("MatMul", query, seen("key", [0, 1, 3, 4, 2])), graph.constant(1 / np.sqrt(d)))
-    weights = graph.op("Softmax", graph.op("Add", scores, distance), axis=-1)
+    # Where no row is there, all have the same score, and equal weights.
+    weights = graph.op("Softmax", graph.op("Where", there, scores, graph.constant(ABSENT)), axis=-1)
     mixed = graph.shaped(graph.op("MatMul", weights, seen("value", [0, 1, 3, 2, 4])), -1, n_frames, width)
     encoded = graph.op("Add", graph.linear(mixed, tensors["encoder.combine.weight"]), own)
     encoded = graph.op("Mul", encoded, graph.constant(0.5))

@@ -16,6 +16,8 @@ import numpy as np
 
 TYPES = {"F32": "<f4", "F64": "<f8"}
 LONGEST_HEADER = 100 << 20
+PRESENT = 0.5  # Least presence of a row that is there.
+ABSENT = -1e9  # The score of a row that is not.
 
 
 class PolicyError(ValueError):
@@ -149,23 +151,22 @@ class Policy:
         return np.concatenate([*parts, rest])
 
     def _attend(self, rows, n_heads):
-        def embed(who, row):
-            x = np.maximum(self._dense(f"encoder.{who}.0", row), 0)
-            return np.maximum(self._dense(f"encoder.{who}.1", x), 0)
+        def embed(who, x):
+            for layer in (f"encoder.{who}.0", f"encoder.{who}.1"):
+                x = np.maximum(x @ self.tensors[layer + ".weight"].T + self.tensors[layer + ".bias"], 0)
+            return x
 
-        own = embed("ego", rows[0])
-        there = rows[0, 0] >= 0.5
-        embedded = [own] * there + [embed("others", row) for row in rows[1:] if row[0] >= 0.5]
-        if not embedded:
-            # As in the program: of nobody at all everybody is looked at.
-            embedded = [own] + [embed("others", row) for row in rows[1:]]
-        embedded = np.stack(embedded)
+        embedded = np.concatenate([embed("ego", rows[:1]), embed("others", rows[1:])])
+        own = embedded[0]
+        # In 32 bits, as in the program: the normaliser's small constant must not make 0.5 less.
+        there = rows[:, 0].astype(np.float32) >= PRESENT
         query = self.tensors["encoder.query.weight"] @ own
         keys, values = (embedded @ self.tensors[f"encoder.{name}.weight"].T for name in ("key", "value"))
         d = len(query) // n_heads
         heads = []
         for head in range(n_heads):
             part = slice(head * d, (head + 1) * d)
-            weights = softmax(keys[:, part] @ query[part] / np.sqrt(d))
+            # Where no row is there, all have the same score, and equal weights.
+            weights = softmax(np.where(there, keys[:, part] @ query[part] / np.sqrt(d), ABSENT))
             heads.append(weights @ values[:, part])
         return (self.tensors["encoder.combine.weight"] @ np.concatenate(heads) + own) / 2

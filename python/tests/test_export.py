@@ -1,8 +1,10 @@
 """Checks of leadtime.export: run with the package, onnx and onnxruntime installed, from the repository's root.
 
-The logits of every shipped policy, and their states, are those of leadtime.policy within 1e-5, on a walk of observations.
+The logits of every shipped policy, and their states, are those of leadtime.policy within 1e-5, on a walk of observations. Those of
+a policy with attention are the program's, as crates/policy/tests/recorded_attention.rs recorded them.
 """
 
+import json
 import os
 import tempfile
 
@@ -12,15 +14,21 @@ import onnxruntime
 from leadtime.export import to_onnx
 from leadtime.policy import load
 
-POLICIES = ["piloting", "piloting_hard", "driving", "cooking"]
+POLICIES = ["deploy/policies/piloting", "deploy/policies/piloting_hard", "deploy/policies/driving", "deploy/policies/cooking",
+            "tests/data/attention"]
 STEPS = 250
 
-for name in POLICIES:
-    policy = load(f"deploy/policies/{name}.safetensors")
+
+def exported(policy):
     with tempfile.TemporaryDirectory() as place:
         path = os.path.join(place, "policy.onnx")
         to_onnx(policy, path)
-        session = onnxruntime.InferenceSession(path)
+        return onnxruntime.InferenceSession(path)
+
+
+for name in POLICIES:
+    policy = load(f"{name}.safetensors")
+    session = exported(policy)
     draws, state = np.random.default_rng(7), policy.begin()
     attention = policy.spec["encoder"].get("EgoAttention") if isinstance(policy.spec["encoder"], dict) else None
     worst, steps = 0.0, []
@@ -49,3 +57,13 @@ for name in POLICIES:
         assert np.allclose(batch, [logits for _, logits in steps], atol=1e-4)
     assert worst < 1e-5, (name, worst)
     print(f"{name}: {STEPS} steps within {worst:.1e}")
+
+session = exported(load("tests/data/attention.safetensors"))
+with open("tests/data/attention.jsonl") as lines:
+    recorded = [json.loads(line) for line in lines]
+observations = np.array([step["observation"] for step in recorded], np.float32)
+logits, values = session.run(["logits", "value"], {"observation": observations})
+for step, of_step, value in zip(recorded, logits, values):
+    far = max(np.abs(of_step - step["logits"]).max(), abs(value[0] - step["value"]))
+    assert far < 1e-5, (step["case"], far)
+print(f"attention, {len(recorded)} cases: the program's numbers")

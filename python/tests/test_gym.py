@@ -226,6 +226,15 @@ class Policy(unittest.TestCase):
                 self.assertLess(far, 1e-5)
                 self.assertEqual(n_same, len(steps))
 
+    def test_attention_has_the_program_s_logits_whoever_is_present(self):
+        # Recorded from the program: crates/policy/tests/recorded_attention.rs.
+        policy = load(ROOT / "tests/data/attention.safetensors")
+        for line in (ROOT / "tests/data/attention.jsonl").read_text().splitlines():
+            step = json.loads(line)
+            with self.subTest(step["case"]):
+                logits, _ = policy.logits(step["observation"])
+                self.assertLess(np.abs(logits - step["logits"]).max(), 1e-5)
+
     def test_an_episode_in_python_is_that_of_the_program_bit_for_bit(self):
         for name in ["piloting", "cooking", "driving"]:
             with self.subTest(name), tempfile.TemporaryDirectory() as folder:

@@ -262,7 +262,7 @@ mod tests {
         });
         let mut normalizer = initial.normalizer().cloned();
         if let Some(normalizer) = &mut normalizer {
-            normalizer.update(&observations(20, spec.obs_dim));
+            normalizer.update(spec, &observations(20, spec.obs_dim));
         }
         Parameters::from_values(spec, values.collect(), normalizer).unwrap()
     }

@@ -3,12 +3,18 @@
 //! Only the learner updates it, in the order of environment ids; actors get it with the weights, so that both compute
 //! the same inputs from the same raw observation, bit for bit.
 //!
+//! What ego attention reads as presence is left as it is. A flag that is always 1 would else become 0, and an entity
+//! that is always there would count as absent.
+//!
 //! # Source
 //!
 //! The update is Chan, Golub and `LeVeque`'s (1979); start count and the small constant are those of Gymnasium's
 //! `NormalizeObservation`.
 
+use leadtime_proto::{Encoder, PolicySpec};
 use serde::{Deserialize, Serialize};
+
+use crate::attention::presence_flags;
 
 /// Normalised inputs are clipped to this range.
 pub const CLIP: f32 = 10.0;
@@ -34,12 +40,13 @@ impl ObservationNormalizer {
         Self { mean: vec![0.0; dim], variance: vec![1.0; dim], count: INITIAL_COUNT }
     }
 
-    /// Updates the moments with a batch of raw observations.
+    /// Updates the moments with a batch of raw observations. Flags of presence keep mean 0 and variance 1; statistics
+    /// that have others for them, of an older run, lose them here.
     ///
     /// # Shapes
     ///
     /// `observations`: `[N, D]`.
-    pub fn update(&mut self, observations: &[f32]) {
+    pub fn update(&mut self, spec: &PolicySpec, observations: &[f32]) {
         let dim = self.mean.len();
         let n = observations.len().checked_div(dim).unwrap_or(0) as f64;
         if n == 0.0 {
@@ -68,6 +75,11 @@ impl ObservationNormalizer {
             self.variance[i] = square / total;
         }
         self.count = total;
+        if let Encoder::EgoAttention(attention) = &spec.encoder {
+            for flag in presence_flags(attention) {
+                (self.mean[flag], self.variance[flag]) = (0.0, 1.0);
+            }
+        }
     }
 
     /// Prepares the statistics for use.
@@ -105,14 +117,18 @@ impl FrozenNormalizer {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_proto::EgoAttention;
+
     use super::*;
+    use crate::attention::PresentEntities;
+    use crate::tests::notifier;
 
     #[test]
     fn batches_add_up_to_the_moments_of_all() {
         let all: Vec<f32> = (0..60).map(|i| ((i * 37) % 23) as f32 * 0.5 + 3.0).collect();
         let mut normalizer = ObservationNormalizer { count: 0.0, ..ObservationNormalizer::new(2) };
-        normalizer.update(&all[..14]);
-        normalizer.update(&all[14..]);
+        normalizer.update(&notifier(2), &all[..14]);
+        normalizer.update(&notifier(2), &all[14..]);
         for component in 0..2 {
             let values: Vec<f64> =
                 all.iter().skip(component).step_by(2).map(|&x| f64::from(x)).collect();
@@ -129,5 +145,52 @@ mod tests {
         let mut out = [0.0; 2];
         ObservationNormalizer::new(2).freeze().apply(&[1e6, -0.5], &mut out);
         assert_eq!(out, [10.0, -0.5]);
+    }
+
+    /// Two frames of three entities of two numbers and an action, and one number more. The ego is always there, the
+    /// first of the others nine times of ten, the second never.
+    fn road(n: usize) -> (PolicySpec, Vec<f32>) {
+        let attention = EgoAttention {
+            n_frames: 2,
+            n_entities: 3,
+            n_features: 2,
+            action_dim: 1,
+            width: 4,
+            n_heads: 1,
+        };
+        let spec = PolicySpec { encoder: Encoder::EgoAttention(attention), ..notifier(15) };
+        let frame = |i: usize| {
+            let there = f32::from(u8::from(i % 10 != 9));
+            [1.0, i as f32, there, there * 3.0 * i as f32, 0.0, 0.0, 2.0]
+        };
+        let row = |i: usize| [frame(i).as_slice(), &frame(i + 5), &[i as f32]].concat();
+        (spec, (0..n).flat_map(row).collect())
+    }
+
+    #[test]
+    fn who_is_always_there_stays_present() {
+        let (spec, rows) = road(40);
+        let Encoder::EgoAttention(attention) = &spec.encoder else { panic!("it is attention") };
+        let flags: Vec<usize> = presence_flags(attention).collect();
+        // Statistics of an older run, in which flags were normalised as everything else was, are mended by the first update.
+        let mut older = ObservationNormalizer::new(15);
+        older.update(&notifier(15), &rows);
+        assert!(older.mean[0] > 0.99 && older.variance[0] < 0.01);
+        for mut normalizer in [ObservationNormalizer::new(15), older] {
+            for batch in rows.chunks(15 * 8) {
+                normalizer.update(&spec, batch);
+            }
+            let mut normalized = vec![f32::NAN; rows.len()];
+            normalizer.freeze().apply(&rows, &mut normalized);
+            for (row, raw) in normalized.chunks_exact(15).zip(rows.chunks_exact(15)) {
+                assert!(row != raw && flags.iter().all(|&i| row[i] == raw[i]), "{row:?}");
+                let (mut found, mut expected) =
+                    (PresentEntities::default(), PresentEntities::default());
+                found.list(&row[..14], attention);
+                expected.list(&raw[..14], attention);
+                assert_eq!(found.frames, expected.frames);
+                assert!(found.frames.iter().all(|frame| frame.ego && frame.n_others < 2));
+            }
+        }
     }
 }

@@ -187,7 +187,7 @@ impl Trainer {
         check_weights(&self.network)?;
         if let Some(normalizer) = &mut self.observations {
             for rollout in rollouts {
-                normalizer.update(&rollout.observations);
+                normalizer.update(&self.policy_spec, &rollout.observations);
             }
         }
         self.parameters = self.network.parameters(self.observations.clone())?;

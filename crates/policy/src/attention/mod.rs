@@ -14,5 +14,5 @@ mod presence;
 mod shares;
 
 pub use encoder::AttentionEncoder;
-pub use presence::{FramePresence, PresentEntities};
+pub use presence::{FramePresence, PresentEntities, presence_flags};
 pub use shares::{Attention, dot};

@@ -12,6 +12,15 @@ use leadtime_proto::EgoAttention;
 /// Least presence of a present entity.
 const PRESENT: f32 = 0.5;
 
+/// Lists which numbers of an observation say whether an entity is present, and so must be read as they are.
+pub fn presence_flags(spec: &EgoAttention) -> impl Iterator<Item = usize> {
+    let &EgoAttention { n_frames, n_entities, n_features, .. } = spec;
+    let frame_dim = spec.frame_dim();
+    let of_frame =
+        move |frame| (0..n_entities).map(move |entity| frame * frame_dim + entity * n_features);
+    (0..n_frames).flat_map(of_frame)
+}
+
 /// Which entities are present in one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FramePresence {
@@ -113,5 +122,18 @@ mod tests {
         let expected = [frame(1, true, true), frame(1, false, true), frame(2, false, false)];
         assert_eq!(present.frames, expected);
         assert_eq!(present.n_others(), 4);
+    }
+
+    #[test]
+    fn every_entity_of_every_frame_begins_with_a_flag() {
+        let spec = EgoAttention {
+            n_frames: 2,
+            n_entities: 3,
+            n_features: 2,
+            action_dim: 1,
+            width: 4,
+            n_heads: 1,
+        };
+        assert_eq!(presence_flags(&spec).collect::<Vec<_>>(), [0, 2, 4, 7, 9, 11]);
     }
 }
