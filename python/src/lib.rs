@@ -4,11 +4,12 @@
 //! that the program would print.
 //!
 //! Where to start: `world.rs` is one environment, `vector.rs` many in lockstep (`lanes.rs`), `pair.rs` one for a notifier and a person;
-//! `action.rs` reads what is done, `info.rs` says what is told beside an observation, `film.rs` draws, `task.rs` reads a configuration.
+//! `action.rs` reads what is done, `choices.rs` which choices there are, `info.rs` says what is told beside an observation, `film.rs` draws, `task.rs` reads a configuration.
 
 #![expect(clippy::needless_pass_by_value, reason = "what Python hands over is owned")]
 
 mod action;
+mod choices;
 mod film;
 mod info;
 mod lanes;
