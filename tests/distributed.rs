@@ -11,11 +11,12 @@ use std::time::Duration;
 
 use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker};
 use leadtime_learner::{
-    Build, CheckpointInterval, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, LearnerConfig,
-    PolicyEvaluator, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
+    Build, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, LearnerConfig, PolicyEvaluator,
+    ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
 use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings};
 use leadtime_policy::{Parameters, Policy};
+use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
 use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, EnvAssignment, Hello};
@@ -197,7 +198,7 @@ impl Learner {
             build: Build { program: "test".to_owned(), cpu: "cpu".to_owned() },
             checkpoints: directory.join("checkpoints"),
             checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_mins(1) },
-            retention: leadtime_learner::checkpoint::Retention::default(),
+            retention: Retention::default(),
             checkpoint_patience: Duration::from_mins(10),
             initial: None,
             identity: [mode as u8; 32],

@@ -1,14 +1,26 @@
 //! House rules that no compiler knows: the arrows between crates, and who may name what.
 //!
-//! Each rule is an absence that ARCHITECTURE.md promises. They read the sources and `cargo metadata`, so a rule that
-//! is broken is named with the file that breaks it.
+//! Each rule is an absence that ARCHITECTURE.md promises. They read the sources, the manifests and `cargo metadata`, so a rule
+//! that is broken is named with the file that breaks it. `house/` has how sources are read, and the rules that need more than a
+//! search: `circles` between files, what crates `reach`, and the `glossary`.
+
+#[path = "house/circles.rs"]
+mod circles;
+#[path = "house/code.rs"]
+mod code;
+#[path = "house/glossary.rs"]
+mod glossary;
+#[path = "house/reach.rs"]
+mod reach;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
+
+use code::{all_sources, root, sources};
 
 /// Crates by layer, lowest first. A crate may depend only on crates of a lower layer.
 const LAYERS: &[&[&str]] = &[
@@ -30,16 +42,6 @@ const LAYERS: &[&[&str]] = &[
 const PURE: &str = "crates/numerics crates/table proto crates/policy crates/ppo sims sims/lander sims/highway \
                     sims/steakhouse crates/worlds crates/conformance crates/config";
 
-/// Folders that hold our Rust sources.
-const FOLDERS: &[&str] = &[
-    "crates", "python", "proto", "sims", "actor", "learner", "deploy", "tests", "examples", "bench",
-];
-
-fn root() -> PathBuf {
-    let deploy = Path::new(env!("CARGO_MANIFEST_DIR"));
-    deploy.parent().expect("deploy lies in the repository").to_owned()
-}
-
 /// Returns what cargo prints; it may not ask the network.
 fn cargo(args: &str) -> String {
     let mut command = Command::new(env!("CARGO"));
@@ -59,61 +61,6 @@ fn packages() -> Vec<(Value, String, Vec<String>)> {
         (package.clone(), name(package), dependencies.iter().map(name).collect())
     };
     metadata["packages"].as_array().expect("packages").iter().map(package).collect()
-}
-
-/// A source file, and what of it is neither comment nor test.
-struct Source {
-    path: PathBuf,
-    text: String,
-    code: String,
-}
-
-impl Source {
-    fn is_test(&self) -> bool {
-        let name = self.path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-        name.ends_with("tests") || self.path.iter().any(|part| part == "tests")
-    }
-
-    /// Tells whether it is part of a library or of the program: no test, bench or example.
-    fn is_product(&self) -> bool {
-        !self.is_test() && self.path.iter().any(|part| part == "src")
-    }
-
-    /// Tells whether a script wrote it: its first line says which.
-    fn is_generated(&self) -> bool {
-        let first = self.text.lines().next().unwrap_or_default();
-        !first.starts_with("//!") && first.contains(".py")
-    }
-}
-
-fn sources(folder: &Path) -> Vec<Source> {
-    let mut found = Vec::new();
-    let mut open = vec![folder.to_owned()];
-    while let Some(directory) = open.pop() {
-        let Ok(entries) = fs::read_dir(&directory) else { continue };
-        for entry in entries {
-            let path = entry.expect("directory can be listed").path();
-            if path.is_dir() && !path.ends_with("target") {
-                open.push(path);
-            } else if path.extension().is_some_and(|extension| extension == "rs") {
-                let text = fs::read_to_string(&path).expect("sources are text");
-                let code = code_of(&text);
-                found.push(Source { path, text, code });
-            }
-        }
-    }
-    found
-}
-
-/// Drops comments and everything from the file's test module on.
-fn code_of(text: &str) -> String {
-    let product = text.split("\n#[cfg(test)]").next().unwrap_or_default();
-    let lines = product.lines().filter(|line| !line.trim_start().starts_with("//"));
-    lines.map(|line| line.split(" // ").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
-}
-
-fn all_sources() -> Vec<Source> {
-    FOLDERS.iter().flat_map(|folder| sources(&root().join(folder))).collect()
 }
 
 /// Lists files (relative) whose code holds one of `words`, except those under the allowed paths.
@@ -190,7 +137,7 @@ fn what_a_library_is_needed_for_is_known_in_one_place() {
         (&["SystemTime", "Timestamp::now", "Zoned::now"], &["crates/runs/src/clock.rs"]),
     ];
     for (words, allowed) in rules {
-        let allowed = [allowed, &["tests/house.rs"]].concat();
+        let allowed = [allowed, &["tests/house"]].concat();
         assert_eq!(offenders(words, &allowed), [""; 0], "{words:?}");
     }
 }
@@ -274,34 +221,6 @@ fn type_names_are_read_off_their_definitions() {
     assert_eq!(type_name("let structure = 1;"), None);
 }
 
-#[test]
-fn no_two_files_of_a_crate_import_each_other() {
-    let root = root();
-    let mut circles = Vec::new();
-    for manifest in crate_folders() {
-        let src = root.join(&manifest).join("src");
-        let files = sources(&src);
-        let modules: BTreeSet<Module> =
-            files.iter().map(|source| module_of(&source.path, &src)).collect();
-        let mut arrows = BTreeSet::new();
-        for source in files.iter().filter(|source| !source.is_test()) {
-            let from = module_of(&source.path, &src);
-            for to in imports(&source.code, &from, &modules) {
-                arrows.insert((from.clone(), to));
-            }
-        }
-        for (from, to) in &arrows {
-            if from < to && arrows.contains(&(to.clone(), from.clone())) {
-                circles.push(format!("{manifest}: {} <-> {}", from.join("::"), to.join("::")));
-            }
-        }
-    }
-    assert_eq!(circles, [""; 0], "files that import each other");
-}
-
-/// A module's path inside its crate; the crate's root is empty.
-type Module = Vec<String>;
-
 /// Lists the folders of the workspace's crates, relative to its root.
 fn crate_folders() -> Vec<String> {
     let root = root();
@@ -311,91 +230,6 @@ fn crate_folders() -> Vec<String> {
         folder.strip_prefix(&root).expect("inside").display().to_string()
     };
     packages().iter().map(folder).collect()
-}
-
-/// Returns the module that a file holds: `a/b.rs` and `a/b/mod.rs` are `a::b`.
-fn module_of(path: &Path, src: &Path) -> Module {
-    let inside = path.strip_prefix(src).expect("inside").with_extension("");
-    let mut module: Module =
-        inside.iter().map(|part| part.to_string_lossy().into_owned()).collect();
-    if module.last().is_some_and(|last| matches!(last.as_str(), "mod" | "lib" | "main")) {
-        module.pop();
-    }
-    module
-}
-
-/// Lists the modules of other files that a file's code names, but for its ancestors and descendants.
-fn imports(code: &str, from: &Module, modules: &BTreeSet<Module>) -> BTreeSet<Module> {
-    let mut found = BTreeSet::new();
-    for (start, _) in code.match_indices("::") {
-        let head = code[..start].rsplit(|c: char| !c.is_alphanumeric() && c != '_').next();
-        // Where a path begins; what follows a first `super` is part of the same path.
-        let is_first = !code[..start - head.unwrap_or_default().len()].ends_with("::");
-        let base = match head {
-            Some("crate") if is_first => Vec::new(),
-            Some("super") if is_first => from[..from.len().saturating_sub(1)].to_vec(),
-            _ => continue,
-        };
-        let mut paths = Vec::new();
-        expand(&code[start + 2..], &base, &mut paths);
-        for path in paths {
-            let known = (0..=path.len()).rev().find(|&n| modules.contains(&path[..n]));
-            let to = path[..known.unwrap_or(0)].to_vec();
-            let is_kin = to.starts_with(from) || from.starts_with(&to);
-            if !is_kin {
-                found.insert(to);
-            }
-        }
-    }
-    found
-}
-
-/// Reads one path, or a braced list of paths, and adds each with `base` in front; returns what follows.
-fn expand<'a>(text: &'a str, base: &Module, paths: &mut Vec<Module>) -> &'a str {
-    let mut text = text.trim_start();
-    if let Some(mut rest) = text.strip_prefix('{') {
-        loop {
-            rest = rest.trim_start().trim_start_matches(',').trim_start();
-            if let Some(after) = rest.strip_prefix('}') {
-                return after;
-            }
-            let after = expand(rest, base, paths);
-            if after.len() == rest.len() {
-                return rest;
-            }
-            // A renamed import: ` as name` is no part of the path.
-            rest = after.trim_start();
-            if let Some(renamed) = rest.strip_prefix("as ") {
-                rest = renamed.trim_start_matches(|c: char| c.is_alphanumeric() || c == '_');
-            }
-        }
-    }
-    let end = text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len());
-    let (name, rest) = text.split_at(end);
-    text = rest;
-    let mut path = base.clone();
-    match name {
-        "" => return text,
-        "self" => {}
-        "super" => drop(path.pop()),
-        _ => path.push(name.to_owned()),
-    }
-    if let Some(rest) = text.strip_prefix("::") {
-        return expand(rest, &path, paths);
-    }
-    paths.push(path);
-    text
-}
-
-#[test]
-fn imports_are_read_through_braces_and_parents() {
-    let module = |path: &str| -> Module { path.split("::").map(str::to_owned).collect() };
-    let modules: BTreeSet<Module> =
-        ["a", "a::b", "a::c", "d", "e::f"].into_iter().map(module).chain([Vec::new()]).collect();
-    let code = "use crate::{a::{self, c::Thing as Other}, d};\nlet x = super::c::make();\nuse super::super::e::{f::G};";
-    let found = imports(code, &module("a::b"), &modules);
-    let expected: BTreeSet<Module> = ["a::c", "d", "e::f"].into_iter().map(module).collect();
-    assert_eq!(found, expected);
 }
 
 #[test]

@@ -854,6 +854,12 @@ fn duration(text: &str) -> Result<Duration, String> {
     span.map_err(|_unspecific| "write a number with its unit: 60s or 2m".to_owned())
 }
 
+/// Reads a time in seconds: `nan` would count as left out where it is written as JSON.
+fn seconds(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| "write a number of seconds, as 0.3".to_owned())
+}
+
 /// Reads after how much a run stops.
 fn stop_after(text: &str) -> Result<StopAfter, String> {
     let says = "write a number of updates (200), steps (1e6steps) or a time (90m, 2h)";

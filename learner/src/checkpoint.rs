@@ -20,7 +20,7 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use leadtime_ppo::{LearnerSettings, Mode};
+use leadtime_ppo::checkpoints::{MAX_PAYLOAD_BYTES, Retention};
 use leadtime_proto::codec::{self, CodecError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -29,58 +29,12 @@ use thiserror::Error;
 use tracing::warn;
 
 use crate::files::{replaced_name, write_atomically};
-use crate::held_out_record::MAX_WAITING;
 
 /// The version of what a checkpoint holds; no other one is read.
 pub const FORMAT_VERSION: u32 = 3;
-/// How many checkpoints are kept where nothing else is wanted.
-pub const KEPT: usize = 3;
-/// The most of the newest checkpoints that can be kept.
-pub const MAX_KEPT: usize = 1_000;
 const MAGIC: [u8; 4] = *b"LTCK";
 const FRONT_BYTES: usize = 48;
-/// The largest state that a checkpoint holds, in bytes.
-pub const MAX_PAYLOAD_BYTES: usize = leadtime_proto::limits::MAX_MESSAGE_BYTES;
 const EXTENSION: &str = "checkpoint";
-
-/// What the last training episodes, the evaluations and the books take, in bytes.
-const RECORDS_BYTES: usize = 256 << 10;
-/// Room next to an environment's snapshot: ids, counts, lengths.
-const ENV_BYTES: usize = 256;
-
-/// Returns an upper bound on the size of a state, in bytes, from the same for one version of the weights and for one
-/// environment's snapshot with its recurrent state.
-pub fn max_payload_bytes(settings: &LearnerSettings, weights: usize, snapshot: usize) -> usize {
-    let n_older = if settings.mode == Mode::Lag { settings.lag as usize } else { 0 };
-    // The parameters with Adam's two moments, the policies that were evaluated or wait for it, and the versions that acting
-    // still needs.
-    (3 + 2 + MAX_WAITING + n_older) * weights
-        + settings.n_envs * (snapshot + ENV_BYTES)
-        + RECORDS_BYTES
-}
-
-/// Which checkpoints stay when a new one is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Retention {
-    /// How many of the newest, 1..=[`MAX_KEPT`].
-    pub newest: usize,
-    /// Also those after a multiple of so many updates; 0: none.
-    pub every_updates: u64,
-}
-
-impl Default for Retention {
-    fn default() -> Self {
-        Self { newest: KEPT, every_updates: 0 }
-    }
-}
-
-impl Retention {
-    /// Returns whether a checkpoint stays for good.
-    fn is_for_good(self, path: &Path) -> bool {
-        let number = || path.file_stem()?.to_str()?.parse::<u64>().ok();
-        self.every_updates > 0 && number().is_some_and(|n| n.is_multiple_of(self.every_updates))
-    }
-}
 
 /// Why checkpoints cannot be written or read.
 #[derive(Debug, Error)]
@@ -222,7 +176,8 @@ impl CheckpointStore {
             files.into_iter().partition(|path| self.damaged.contains(path));
         let n_old = whole.len().saturating_sub(self.retention.newest);
         let old = whole.into_iter().take(n_old);
-        let old = old.filter(|path| !self.retention.is_for_good(path));
+        let is_for_good = |n_updates| self.retention.is_for_good(n_updates);
+        let old = old.filter(|path| !n_updates(path).is_some_and(is_for_good));
         let passed = damaged.into_iter().filter(|path| path.as_path() < newest);
         // What a crash while writing left.
         let torn = self.entries(|name| replaced_name(name).is_some()).unwrap_or_default();
@@ -287,6 +242,11 @@ impl CheckpointStore {
     }
 }
 
+/// Returns after how many updates a checkpoint was written, as its name says.
+fn n_updates(path: &Path) -> Option<u64> {
+    path.file_stem()?.to_str()?.parse().ok()
+}
+
 /// Reads a file that is as it was written, in whatever format, or says what is wrong with it.
 fn read(path: &Path) -> Result<(u32, Vec<u8>), String> {
     let bytes = fs::read(path).map_err(|_unshown| "it cannot be read")?;
@@ -341,7 +301,7 @@ mod tests {
         let (_directory, mut store) = store();
         assert!(store.newest::<Vec<u64>>().unwrap().is_none());
         write(&mut store, 8..13);
-        assert_eq!(store.files().unwrap().len(), KEPT);
+        assert_eq!(store.files().unwrap().len(), Retention::default().newest);
         // What a crash while writing leaves.
         let torn = store.directory.join("000000000013.checkpoint.12.partial");
         fs::write(&torn, b"half").unwrap();

@@ -6,19 +6,10 @@ use std::time::Duration;
 
 use leadtime_link::ListenSettings;
 use leadtime_ppo::LearnerSettings;
+use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
 use leadtime_proto::{Incarnation, RunName, RunSpec};
 
 use crate::builds::{Build, Builds};
-use crate::checkpoint::Retention;
-
-/// How often the state of a run goes to the disk; whichever comes first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CheckpointInterval {
-    /// Updates between checkpoints, at least 1.
-    pub updates: u64,
-    /// Time after which one is written even if fewer updates are done.
-    pub time: Duration,
-}
 
 /// Everything about a run that its learner must know.
 #[derive(Clone, Debug)]

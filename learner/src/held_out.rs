@@ -6,11 +6,6 @@ use std::fmt;
 use leadtime_proto::PolicyVersion;
 use serde::{Deserialize, Serialize};
 
-/// The most episodes of one evaluation while training: their scores are part of every checkpoint.
-pub const MAX_HELD_OUT_EPISODES: u32 = 10_000;
-/// The most evaluations of a run: their means are part of every checkpoint.
-pub const MAX_EVALUATIONS: u32 = 1_000;
-
 /// Evaluates policies in worlds that the learner does not know.
 pub trait PolicyEvaluator: Send {
     /// Plays the first `n_episodes` held-out episodes; what comes out depends on nothing but the weights (safetensors).

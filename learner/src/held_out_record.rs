@@ -14,6 +14,7 @@
 
 use std::collections::VecDeque;
 
+use leadtime_ppo::checkpoints::MAX_WAITING;
 use leadtime_proto::PolicyVersion;
 use serde::{Deserialize, Serialize};
 
@@ -21,8 +22,6 @@ use crate::episodes::EpisodeMeans;
 use crate::held_out::{HeldOutEpisode, HeldOutMeans, lead, means, score};
 use crate::report::RatedPolicy;
 
-/// The most policies that wait to be evaluated; training pauses while there are so many.
-pub(crate) const MAX_WAITING: usize = 2;
 /// The largest share of the run's steps that all evaluations play together.
 const SHARE_OF_STEPS: f64 = 0.03;
 /// Episodes of an evaluation even where they are more than that share.

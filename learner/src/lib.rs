@@ -44,7 +44,7 @@ mod training;
 
 pub use books::{Books, Imbalance};
 pub use builds::{Build, Builds};
-pub use config::{CheckpointInterval, LearnerConfig};
+pub use config::LearnerConfig;
 pub use episodes::EpisodeMeans;
 pub use error::Error;
 pub use files::{replaced_name, write_atomically};

@@ -3,7 +3,7 @@
 use leadtime_proto::EnvId;
 use leadtime_sims::{End, Environment, EpisodeSeed};
 
-use crate::world::write_offered;
+use crate::choices::write_offered;
 
 /// The environments, and what their newest step has shown.
 pub(crate) struct Lanes {

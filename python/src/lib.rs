@@ -4,12 +4,14 @@
 //! that the program would print.
 //!
 //! Where to start: `world.rs` is one environment, `vector.rs` many in lockstep (`lanes.rs`), `pair.rs` one for a
-//! notifier and a listener; `action.rs` reads what is done, `info.rs` says what accompanies an observation, `film.rs`
+//! notifier and a listener; `action.rs` reads what is done, `choices.rs` which
+//! choices there are, `info.rs` says what accompanies an observation, `film.rs`
 //! draws, `task.rs` reads a configuration.
 
 #![expect(clippy::needless_pass_by_value, reason = "what Python hands over is owned")]
 
 mod action;
+mod choices;
 mod film;
 mod info;
 mod lanes;

@@ -10,9 +10,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::action::PythonAction;
+use crate::choices::{n_choices, offered};
 use crate::info::MetricNames;
 use crate::task::PlayedTask;
-use crate::world::{attached, n_choices, offered};
+use crate::world::attached;
 
 /// The observations of the notifier and the listener, and what the notifier may choose. Shapes `[obs_dim]`,
 /// `[person_dim]`, `[n_choices]`.

@@ -13,10 +13,11 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::action::read_actions;
+use crate::choices::n_choices;
 use crate::info::{MetricNames, offering};
 use crate::lanes::Lanes;
 use crate::task::{PlayedTask, wrong};
-use crate::world::{attached, n_choices};
+use crate::world::attached;
 
 /// From so many environments on other threads of Python may run during a step.
 const RELEASES_FROM: usize = 16;

@@ -2,8 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use leadtime_proto::limits::MAX_CHOICES;
-use leadtime_proto::{EnvId, Mask};
+use leadtime_proto::EnvId;
 use leadtime_sims::{End, Environment, EpisodeSeed};
 use numpy::ndarray::Array3;
 use numpy::{IntoPyArray as _, PyArray1, PyArray3};
@@ -13,6 +12,7 @@ use pyo3::sync::MutexExt as _;
 use pyo3::types::{PyBytes, PyDict};
 
 use crate::action::PythonAction;
+use crate::choices::{n_choices, offered};
 use crate::film::Film;
 use crate::info::{MetricNames, offering};
 use crate::task::{PlayedTask, wrong};
@@ -214,28 +214,5 @@ impl World {
             film.begin(0, 0, environment.as_ref());
         }
         played.view(py)
-    }
-}
-
-/// Returns the number of choices of every head.
-pub(crate) fn n_choices(environment: &dyn Environment) -> Vec<usize> {
-    environment.spec().actions.heads.iter().map(|head| head.n_choices).collect()
-}
-
-/// Returns what may be chosen now. Shape `[n_choices]`.
-pub(crate) fn offered<'py>(
-    py: Python<'py>,
-    environment: &dyn Environment,
-) -> Bound<'py, PyArray1<i8>> {
-    let mut offered = [0; MAX_CHOICES];
-    let offered = &mut offered[..environment.spec().actions.n_choices()];
-    write_offered(environment.mask(), offered);
-    PyArray1::from_slice(py, offered)
-}
-
-/// Writes a mask as 1 or 0 per choice, head after head. Shape `[n_choices]`.
-pub(crate) fn write_offered(Mask(bits): Mask, offered: &mut [i8]) {
-    for (choice, offered) in offered.iter_mut().enumerate() {
-        *offered = (bits >> choice.min(MAX_CHOICES - 1) & 1) as i8;
     }
 }

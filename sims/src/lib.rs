@@ -20,6 +20,7 @@ pub mod environment;
 mod error;
 pub mod fact;
 pub mod human;
+pub mod message;
 pub mod notifier;
 pub mod registry;
 pub mod scene;
@@ -27,13 +28,14 @@ pub mod scriptable;
 
 pub use check::SettingError;
 pub use description::{Description, NamedHead, ObservationLayout, Quantity, RewardTerm};
-pub use domain::{Advance, Delivery, Domain, Message, ReactionStatus, ReactionStep};
+pub use domain::{Advance, Delivery, Domain};
 pub use environment::{
     End, Entities, EntityHistory, Environment, EpisodeSeed, Insight, SharedOutcome, SnapshotError,
     StepOutcome, TwoPlayers,
 };
 pub use error::TaskError;
 pub use fact::Fact;
+pub use message::{Message, ReactionStatus, ReactionStep};
 pub use notifier::NotifierEnv;
 pub use registry::{DomainEntry, Registry};
 pub use scene::{Gauge, Listener, Scene, Shape, Speech, Tone, View};

@@ -4,8 +4,8 @@
 //! numbers that have names. The notifier environment offers them ([`Environment::scriptable`](crate::Environment::scriptable)).
 
 use crate::description::Quantity;
-use crate::domain::Message;
 use crate::human::SpeechAct;
+use crate::message::Message;
 
 /// The name of the number that counts the steps of the episode so far; every task has it.
 pub const STEP: &str = "step";

@@ -1,4 +1,9 @@
-//! The built-in configurations: a complete, commented TOML file per world, and what variants change in one.
+//! The built-in configurations: files of commented TOML, each with what differs from its base.
+//!
+//! ```text
+//! general  <-  cartpole, cue_recall, pilot, python, worlds of one's own
+//! general  <-  notifier  <-  lander, highway, steakhouse and their variants, notifier tasks of one's own
+//! ```
 
 use std::collections::BTreeMap;
 
@@ -29,14 +34,16 @@ const BUILT_IN: [(&str, &str); 17] = [
     ("steakhouse", include_str!("../configs/steakhouse.toml")),
     ("steakhouse_timing", include_str!("../configs/steakhouse_timing.toml")),
 ];
-/// What every domain without a complete file of its own starts from.
+/// What every configuration starts from.
 pub(crate) const GENERAL: &str = "general";
 pub(crate) const GENERAL_TEXT: &str = include_str!("../configs/general.toml");
+/// What every world with a listener starts from: `general` with the sections `[human]` and `[notifier]`.
+const NOTIFIER: &str = "notifier";
+const NOTIFIER_TEXT: &str = include_str!("../configs/notifier.toml");
+/// Files that are about no domain: bases that cannot be trained on.
+const BASES: [(&str, &str); 2] = [(GENERAL, GENERAL_TEXT), (NOTIFIER, NOTIFIER_TEXT)];
 /// What a file starts from that names neither a base nor a domain.
 const DEFAULT: &str = "lander";
-/// Where the sections `[human]` and `[notifier]` are written with their comments. Its listener and its notifier are the general
-/// ones, so this is what a world of one's own starts from.
-const SPOKEN: &str = include_str!("../configs/lander.toml");
 /// How long a chain of bases may be.
 const MAX_BASES: usize = 8;
 
@@ -44,8 +51,16 @@ const MAX_BASES: usize = 8;
 #[derive(Clone, Debug)]
 pub struct Catalog {
     texts: BTreeMap<String, String>,
-    /// Below the texts of worlds of the user's own: the defaults that their code has, as commented sections.
-    defaults: BTreeMap<String, Result<String, ConfigError>>,
+    /// Below the texts of worlds of the user's own: the defaults that their code has.
+    defaults: BTreeMap<String, CodeDefaults>,
+}
+
+/// The defaults that the code of a domain has.
+#[derive(Clone, Debug)]
+struct CodeDefaults {
+    /// What they stand on.
+    base: &'static str,
+    text: Result<String, ConfigError>,
 }
 
 impl Catalog {
@@ -66,8 +81,9 @@ impl Catalog {
     /// A key without a value is left to the domain's builder. A value that TOML cannot write is refused, with its key, where
     /// the domain's configuration is asked for.
     pub fn add_defaults(&mut self, domain: &str, sections: &serde_json::Value) {
+        let base = if sections.get("human").is_some() { NOTIFIER } else { GENERAL };
         let text = defaults_text(domain, &without_null(sections));
-        self.defaults.insert(domain.to_owned(), text);
+        self.defaults.insert(domain.to_owned(), CodeDefaults { base, text });
     }
 
     /// Lists the names.
@@ -77,7 +93,8 @@ impl Catalog {
 
     /// Finds the full key of a setting by its last part: `learner.learning_rate` for `learning_rate`.
     pub fn key(&self, name: &str) -> Option<String> {
-        let texts = std::iter::once(GENERAL_TEXT).chain(self.texts.values().map(String::as_str));
+        let bases = BASES.iter().map(|(_, text)| *text);
+        let texts = bases.chain(self.texts.values().map(String::as_str));
         let holds = |(section, keys): (String, Value)| {
             let is_there = keys.as_table().is_some_and(|keys| keys.contains_key(name));
             is_there.then(|| format!("{section}.{name}"))
@@ -88,8 +105,8 @@ impl Catalog {
 
     /// Returns a configuration as it is written, to be read like a person's file.
     pub fn file(&self, name: &str) -> Option<Layer> {
-        let text = if name == GENERAL { GENERAL_TEXT } else { self.texts.get(name)? };
-        Some(Layer::text(format!("built-in configuration `{name}`"), text))
+        let text = self.texts.get(name).map(String::as_str).or_else(|| shared(name))?;
+        Some(named(name, text))
     }
 
     /// Returns the domain that a configuration is about; `None` if there is none of that name.
@@ -122,31 +139,43 @@ impl Catalog {
             (None, None) => ("domain", DEFAULT),
         };
         let mut layers = self.chain(name, key).map_err(at)?;
-        if let (Some(base), Some(domain)) = (base.filter(|base| *base != GENERAL), domain) {
+        if let (Some(base), Some(domain)) = (base, domain) {
             let about = domain_of(&layers)?;
             let allowed = format!("\"{about}\", which `base` \"{base}\" is about");
-            ensure(domain == about, "domain", format!("\"{domain}\""), allowed).map_err(at)?;
+            let fits = about == GENERAL || about == domain;
+            ensure(fits, "domain", format!("\"{domain}\""), allowed).map_err(at)?;
         }
         layers.push(file.clone());
         Ok(layers)
     }
 
+    /// Returns what a file starts from that names it as its base.
+    fn base(&self, name: &str) -> Option<Layer> {
+        shared(name).map(|text| named(name, text)).or_else(|| self.file(name))
+    }
+
     /// Returns a configuration of this catalog with everything that it starts from, the most general first.
+    ///
+    /// A domain of the user's own may have the name of a shared base: what others start from is then still the base.
     fn chain(&self, name: &str, key: &'static str) -> Result<Vec<Layer>, ConfigError> {
         let mut layers: Vec<Layer> = Vec::new();
         let mut next = Some(name.to_owned());
         while let Some(name) = next {
-            let Some(layer) = self.file(&name) else {
+            let is_own = layers.is_empty() && self.texts.contains_key(&name);
+            let is_shared = !is_own && shared(&name).is_some();
+            let layer = if is_own { self.file(&name) } else { self.base(&name) };
+            let Some(layer) = layer else {
                 let (name, known) = (quoted(&name), self.names().collect::<Vec<_>>().join(", "));
                 return Err(ConfigError(format!("`{key}` is \"{name}\"; allowed: {known}")));
             };
             let base = word(&layer.parse()?, "base")?.map(str::to_owned);
-            let is_complete = name == GENERAL || BUILT_IN.iter().any(|(known, _)| *known == name);
             layers.push(layer);
-            if let Some(defaults) = self.defaults.get(&name).filter(|_| base.is_none()) {
-                layers.push(Layer::text(format!("defaults of `{name}`"), defaults.clone()?));
+            let defaults = self.defaults.get(&name).filter(|_| base.is_none() && !is_shared);
+            if let Some(CodeDefaults { text, .. }) = defaults {
+                layers.push(Layer::text(format!("defaults of `{name}`"), text.clone()?));
             }
-            next = base.or_else(|| (!is_complete).then(|| GENERAL.to_owned()));
+            let below = defaults.map_or(GENERAL, |defaults| defaults.base);
+            next = base.or_else(|| (!is_shared).then(|| below.to_owned()));
             let n = layers.len();
             ensure(n <= MAX_BASES, "base", format!("the {n}th"), format!("at most {MAX_BASES}"))?;
         }
@@ -155,12 +184,22 @@ impl Catalog {
     }
 }
 
-/// Writes a domain's defaults, by section, as commented TOML.
+/// Returns the text of a base that is about no domain.
+fn shared(name: &str) -> Option<&'static str> {
+    BASES.iter().find(|(base, _)| *base == name).map(|(_, text)| *text)
+}
+
+/// Makes a layer of a configuration that has a name.
+fn named(name: &str, text: &str) -> Layer {
+    Layer::text(format!("built-in configuration `{name}`"), text)
+}
+
+/// Writes a domain's defaults, by section, as TOML.
 fn defaults_text(domain: &str, sections: &serde_json::Value) -> Result<String, ConfigError> {
     let mut text = String::new();
     for (name, section) in sections.as_object().into_iter().flatten() {
         text.extend(["\n[", name, "]\n"]);
-        // One line per key, so that each finds its comment.
+        // One line per key, as in the files that it is printed over.
         for (key, value) in section.as_object().into_iter().flatten() {
             let written = Value::try_from(value).map_err(|_unspecific| {
                 let (key, value) = (format!("{name}.{key}"), quoted(&value.to_string()));
@@ -171,27 +210,7 @@ fn defaults_text(domain: &str, sections: &serde_json::Value) -> Result<String, C
             text.extend([key, " = ", &written.to_string(), "\n"]);
         }
     }
-    let below = if sections.get("human").is_some() { spoken() } else { String::new() };
-    Ok(edited(&below, &text))
-}
-
-/// Returns the sections of the listener and of the notifier, with topics that every domain has.
-fn spoken() -> String {
-    let sections =
-        SPOKEN.split_once("\n[human]\n").and_then(|(_, rest)| rest.split_once("\n[policy]\n"));
-    let lines = sections.map_or("", |(sections, _)| sections).lines().map(|line| match line {
-        line if line.starts_with("# topics = ") => {
-            "# topics = [\"TOPIC\", \"OTHER_TOPIC\"]\n".to_owned()
-        }
-        line if line.starts_with("# cells = ") => {
-            "# cells = [[\"TOPIC\", 2, 2], [\"TOPIC\", 2, 4]]\n".to_owned()
-        }
-        line if line.starts_with("# reasons = ") => {
-            "# reasons = [[\"TOPIC\", 2, 4, 0.5]]\n".to_owned()
-        }
-        line => format!("{line}\n"),
-    });
-    format!("\n[human]\n{}", lines.collect::<String>())
+    Ok(text)
 }
 
 /// Drops keys without a value, which TOML cannot write.

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use leadtime_episodes::Choice;
-use leadtime_learner::CheckpointInterval;
-use leadtime_learner::checkpoint::{MAX_KEPT, MAX_PAYLOAD_BYTES, Retention, max_payload_bytes};
-use leadtime_learner::held_out::{MAX_EVALUATIONS, MAX_HELD_OUT_EPISODES};
 use leadtime_policy::parameters;
+use leadtime_ppo::checkpoints::{
+    CheckpointInterval, MAX_EVALUATIONS, MAX_HELD_OUT_EPISODES, MAX_KEPT, MAX_PAYLOAD_BYTES,
+    Retention, max_payload_bytes,
+};
 use leadtime_ppo::{LearnerSettings, Mode};
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
 use leadtime_proto::phrase::{counted, nearest};

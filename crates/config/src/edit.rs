@@ -1,4 +1,4 @@
-//! A text changed as another one says, with its comments kept: how a variant is printed as a complete file.
+//! A text changed as another one says, with its comments kept: how a configuration is printed as one complete file.
 
 use crate::layers::BASE;
 
@@ -11,28 +11,41 @@ struct Block {
     lines: String,
 }
 
-/// Returns `below` with the values of `above`, which also gives the comment at the head; keys that only `above` has are
-/// added to their sections, and sections at the end.
+/// Returns `below` with the values of `above`, which also gives the comment at the head.
+///
+/// A value that is replaced keeps its comment, and the new value's comes behind it. A key that only `above` has is added to
+/// its section, and a section behind the one that it follows in `above`.
 pub(crate) fn edited(below: &str, above: &str) -> String {
-    let ((_, below), (mut text, mut above)) = (blocks(below), blocks(above));
-    above.retain(|block| block.key != BASE);
-    for (i, block) in below.iter().enumerate() {
-        let is_same = |other: &Block| other.section == block.section && other.key == block.key;
-        let replaced = above.iter().position(is_same).map(|at| above.remove(at));
-        let written = replaced.unwrap_or_else(|| block.clone());
-        // A default without a comment takes the comment of the value that replaces it.
-        let is_bare = block.comment.trim().is_empty() && !written.comment.trim().is_empty();
-        text += if is_bare { &written.comment } else { &block.comment };
-        text += &written.lines;
-        if below.get(i + 1).is_none_or(|next| next.section != block.section) {
-            let added = above.extract_if(.., |other| other.section == block.section);
-            added.for_each(|block| text += &(block.comment + &block.lines));
+    let ((_, mut text), (head, above)) = (blocks(below), blocks(above));
+    let mut before = String::new();
+    for block in above.into_iter().filter(|block| block.key != BASE) {
+        let is_same =
+            |other: &&mut Block| (&other.section, &other.key) == (&block.section, &block.key);
+        let section = block.section.clone();
+        if let Some(replaced) = text.iter_mut().find(is_same) {
+            replaced.replace_with(block);
+        } else {
+            let last = |name: &str| text.iter().rposition(|other| other.section == name);
+            let known = last(&section).or_else(|| last(&before).filter(|_| !before.is_empty()));
+            let end = if section.is_empty() { 0 } else { text.len() };
+            text.insert(known.map_or(end, |at| at + 1), block);
         }
+        before = section;
     }
-    for block in above {
-        text += &(block.comment + &block.lines);
+    text.iter().fold(head, |text, block| text + &block.comment + &block.lines)
+}
+
+impl Block {
+    /// Takes over the value of another block, and what its comment says beyond this one's.
+    fn replace_with(&mut self, above: Self) {
+        let said = above.comment.trim();
+        if self.comment.trim().is_empty() && !said.is_empty() {
+            self.comment = above.comment;
+        } else if !self.comment.contains(said) {
+            self.comment += &format!("{said}\n");
+        }
+        self.lines = above.lines;
     }
-    text
 }
 
 /// Takes a text apart: the comment at its head, which ends with a blank line, and the rest.

@@ -7,8 +7,8 @@
 //!        = Config: complete, in range, consistent; also as the table that a run writes beside its results
 //! ```
 //!
-//! Defaults live in the built-in TOML files and nowhere else: no typed section has a default. A variant, such as
-//! `paper_highway`, names its `base` and writes only what differs; so may a person's own file.
+//! Defaults live in the built-in TOML files and nowhere else: no typed section has a default. Every file but `general` has a
+//! `base` and writes only what differs, so that a default stands in one place; so may a person's own file.
 //!
 //! # What it does not know
 //!

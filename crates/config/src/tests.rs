@@ -8,7 +8,7 @@ use leadtime_sims::env_check::check_environment;
 use leadtime_sims::{DomainEntry, Registry};
 use toml::Table;
 
-use super::{Catalog, Config, ConfigError, ConfigSource, Layer, Override, identity};
+use super::{Catalog, Config, ConfigError, ConfigSource, Layer, Override, identity, read};
 
 fn load(text: &str, set: &[&str], catalog: &Catalog) -> Result<Config, ConfigError> {
     let source = ConfigSource {
@@ -72,6 +72,52 @@ fn every_built_in_configuration_is_sound_and_is_printed_complete_with_a_comment_
         let comment: Vec<&str> = before.lines().rev().take_while(|l| l.starts_with('#')).collect();
         assert!(comment.iter().any(|line| line.contains("anneal = true")), "{name}: total_steps");
     }
+}
+
+/// The profiles that follow the paper to the letter repeat what they share with their base: each line says where the paper has it.
+#[test]
+fn a_built_in_configuration_writes_only_what_differs_from_its_base() {
+    let catalog = Catalog::built_in();
+    for name in catalog.names().filter(|name| !name.starts_with("paper_letter_")) {
+        let mut layers = catalog.with_bases(&catalog.file(name).unwrap()).unwrap();
+        let own: Table = layers.pop().unwrap().text.parse().unwrap();
+        let below = identity::flatten(&read::<Table>(layers).unwrap());
+        for (key, value) in identity::flatten(&own) {
+            assert_ne!(below.get(&key), Some(&value), "{name}: {key}");
+        }
+    }
+}
+
+#[test]
+fn a_printed_configuration_has_the_comments_of_all_of_its_files() {
+    let catalog = Catalog::built_in();
+    for (name, text) in printed() {
+        let own = catalog.file(&name).unwrap().text;
+        let (above, below) = own.split_once("\nbase = ").expect("every world has a base");
+        // What stands above the base is about the file, but for its head.
+        let head = above.split("\n\n").next().unwrap();
+        let said = head.lines().chain(below.lines()).map(str::trim);
+        for line in said.filter(|line| line.starts_with('#')) {
+            assert!(text.contains(line), "{name}: `{line}` is not printed");
+        }
+    }
+}
+
+#[test]
+fn sections_are_printed_in_the_order_in_which_a_task_is_explained() {
+    let order = |text: &str| {
+        let sections = text.lines().filter(|line| line.starts_with('[') && !line.contains('.'));
+        sections.map(str::to_owned).collect::<Vec<_>>()
+    };
+    for (name, text) in printed() {
+        let listens = text.contains("\n[human]\n");
+        let spoken: &[&str] = if listens { &["[human]", "[notifier]"] } else { &[] };
+        let rest = ["[policy]", "[learner]", "[actor]", "[evaluation]"];
+        assert_eq!(order(&text), [&["[run]", "[world]"], spoken, &rest].concat(), "{name}");
+    }
+    let highway = &printed().into_iter().find(|(name, _)| name == "highway").unwrap().1;
+    let at = |line: &str| highway.find(&format!("\n{line}\n")).unwrap();
+    assert!(at("[world]") < at("[world.ego]") && at("[world.road]") < at("[human]"), "{highway}");
 }
 
 /// The first four bytes of every run identity: a run that was begun is found only as long as they stay. The kitchen's
@@ -249,6 +295,7 @@ fn a_person_needs_to_write_only_what_differs() {
         ("domain = \"moon\"", "`domain` is \"moon\"; allowed: cartpole"),
         ("base = 3", "`base` is integer; allowed: a name in quotes"),
         ("base = \"highway\"\ndomain = \"lander\"", "`domain` is \"lander\"; allowed: \"highway\""),
+        ("base = \"notifier\"", "general"),
     ] {
         refused(text, &[], &[part]);
     }
@@ -521,6 +568,39 @@ fn a_domain_of_ones_own_starts_from_general_defaults() {
     assert_eq!((config.learner.n_envs, config.policy.hidden.len()), (2, 2));
     let again = load(&printed.replace("x = 1.5", "x = 2.0"), "world.height=4");
     assert_eq!(again.table["world"]["width"].as_integer(), Some(3));
+}
+
+/// What others start from has names of its own, and a domain may have one of them.
+#[test]
+fn a_domain_may_be_called_as_a_base_is() {
+    for domain in ["general", "notifier"] {
+        let entry = DomainEntry::notifier::<HighwayWorldSettings>(domain);
+        let mut catalog = Catalog::built_in();
+        catalog.add(domain, &format!("domain = \"{domain}\"\n"));
+        catalog.add_defaults(domain, &entry.defaults().unwrap());
+        let registry = leadtime_worlds::builtin().with_domain(entry);
+        let load = |text: &str| {
+            let file = Some(Layer::text("", text));
+            Config::load(&ConfigSource { file, ..ConfigSource::default() }, &catalog, &registry)
+        };
+        let own = load(&format!("domain = \"{domain}\"")).unwrap();
+        assert_eq!(own.domain.as_str(), domain);
+        assert_eq!(own.table["world"]["absorb_until"].as_integer(), Some(200));
+        assert_eq!(load("").unwrap().table, named("lander").table);
+    }
+}
+
+#[test]
+fn a_domain_of_ones_own_may_start_from_the_listener_that_every_world_has() {
+    let entry = DomainEntry::notifier::<HighwayWorldSettings>("mine");
+    let mut catalog = Catalog::built_in();
+    catalog.add("mine", "base = \"notifier\"\ndomain = \"mine\"\n");
+    let world = named("highway").table["world"].to_string();
+    let text = format!("base = \"notifier\"\ndomain = \"mine\"\nworld = {world}");
+    let source = ConfigSource { file: Some(Layer::text("", text)), ..ConfigSource::default() };
+    let registry = leadtime_worlds::builtin().with_domain(entry);
+    let config = Config::load(&source, &catalog, &registry).unwrap();
+    assert_eq!(config.table["human"], named("lander").table["human"]);
 }
 
 #[test]

@@ -5,6 +5,7 @@
 //! gae, vtrace   advantages and targets       stacks    actor and critic, both ways     adam     clip and optimiser
 //! rewards    scale and normalisation         loss      PPO's loss, row by row          team     threads
 //! minibatch  shuffled samples                encoder   LSTM and attention, both ways; dense, network
+//! checkpoints   what is saved of a run, and how often, as settings
 //! ```
 //!
 //! An update is a pure function of the trainer's state and the rollouts: the same bits on every run, whoever acted
@@ -21,6 +22,7 @@
 
 mod adam;
 mod batch;
+pub mod checkpoints;
 mod dense;
 mod encoder;
 pub mod error;

@@ -13,7 +13,7 @@ use leadtime_serve::{MAX_SESSIONS, PolicyOrigin, SayForm, StepClock};
 use leadtime_voice::VoiceChoice;
 use leadtime_voice::loudspeaker::APLAY;
 
-use super::{GuardArgs, RobotArgs, ShownArgs, TlsArgs, action, duration, n_episodes};
+use super::{GuardArgs, RobotArgs, ShownArgs, TlsArgs, action, duration, n_episodes, seconds};
 
 /// `leadtime serve`
 #[derive(Debug, Args)]
@@ -257,10 +257,4 @@ fn clock() -> impl clap::builder::TypedValueParser<Value = StepClock> {
     use clap::builder::{PossibleValuesParser, TypedValueParser as _};
     let clock = |name| if name == "timer" { StepClock::Timer } else { StepClock::Observation };
     PossibleValuesParser::new(["timer", "observation"]).map(clock)
-}
-
-/// Reads a time in seconds: `nan` would count as left out where it is written as JSON.
-pub(super) fn seconds(text: &str) -> Result<f64, String> {
-    let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
-    number.ok_or_else(|| "write a number of seconds, as 0.3".to_owned())
 }

@@ -6,7 +6,7 @@ use leadtime_proto::ClientName;
 use leadtime_serve::StepClock;
 use leadtime_serve::robot::ros2::MAX_DOMAIN;
 
-use super::live::seconds;
+use super::seconds;
 
 /// A robot with keys of its own.
 #[derive(Debug, Args)]
