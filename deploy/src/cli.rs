@@ -334,6 +334,10 @@ pub(crate) struct UpArgs {
     /// Actor processes.
     #[arg(long, default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
+    /// Try `learner.lag` 1, 2, 4 and 8 for four seconds each, and train with the smallest that is nearly as fast as the best.
+    /// A new run only: it keeps what was chosen.
+    #[arg(long, conflicts_with = "change")]
+    pub choose_lag: bool,
     /// Also listen here, so that actors elsewhere can join: `tls/0.0.0.0:7447`.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,

@@ -14,6 +14,7 @@ use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+use super::lag;
 use super::watch::{PageServer, beside};
 use crate::cli::{AccessArgs, UpArgs};
 use crate::credentials::guard_options;
@@ -25,8 +26,12 @@ use crate::trace_file::TraceFile;
 pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result<(), Failure> {
     let name = args.run.name.as_deref();
     let source = args.source.changed(&args.run.change);
-    let config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
+    let mut config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    if args.choose_lag {
+        let lag = lag::choose(tasks, args, &config, &shutdown).await?;
+        config = source.changed(&[lag]).load(tasks, name).blame(ExitCode::WrongInput)?;
+    }
     let beside = match &args.watch {
         Some(http) => Some(Arc::new(BesidePage::bind(tasks, http, &args.access).await?)),
         None if args.access.token.is_some() => {

@@ -13,6 +13,7 @@ mod episode;
 mod eval;
 mod evaluation;
 mod health;
+mod lag;
 mod launch;
 mod learner;
 mod new;
