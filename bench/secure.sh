@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# What encryption, a status page and a live page cost: the same run over plain TCP, over TLS, and over TLS while its
-# status is scraped and its live page is read, in turns.
+# What encryption, a status page and a live page cost: the same run in turns over plain TCP; over TLS; over TLS while its
+# status is scraped and its live page is read, without the playthrough (`curves`); and the same with it (`watched`).
 #
 #     bench/secure.sh [SECONDS per run, default 30] [ROUNDS, default 5]     on two cores, nothing else running
 set -euo pipefail
@@ -13,25 +13,28 @@ place=$(mktemp -d)
 trap 'kill $(jobs -p) 2>/dev/null || true; rm -rf "$place"' EXIT
 cd "$place"
 "$leadtime" certs init pki >/dev/null
-for peer in "learner l1 --host 127.0.0.1" "actor a1" "observer o1"; do "$leadtime" certs issue pki $peer >/dev/null 2>&1; done
-"$leadtime" certs acl pki -o acl.json5 >/dev/null
+"$leadtime" certs issue pki learner:l1@127.0.0.1 actor:a1 observer:o1 >/dev/null 2>&1
 
 # One run of these seconds; prints steps per second over its second half.
 run() {
-    local kind=$1 name=$2 port=$3 learner=() actor=() scheme=tcp
+    local kind=$1 name=$2 port=$3 learner=() actor=() watch=() scheme=tcp is_watched=
     if [ "$kind" != tcp ]; then
         scheme=tls
-        learner=(--tls pki/l1 --acl acl.json5)
+        learner=(--tls pki/l1 --acl pki/acl.json5)
         actor=(--tls pki/a1)
     fi
-    [ "$kind" = watched ] && learner+=(--status "127.0.0.1:$((port + 1))")
+    case $kind in
+        curves) is_watched=yes watch=(--play off) ;;
+        watched) is_watched=yes ;;
+    esac
+    if [ "$is_watched" ]; then learner+=(--status "127.0.0.1:$((port + 1))"); fi
     "$leadtime" learner -c lander --name "$name" --runs runs --set learner.total_steps=100000000 --seed 1 \
         --listen "$scheme/127.0.0.1:$port" "${learner[@]}" >"$name.log" 2>&1 &
     local learner_id=$!
     "$leadtime" actor --connect "$scheme/127.0.0.1:$port" --id a1 "${actor[@]}" >"$name-actor.log" 2>&1 &
     local others=($!)
-    if [ "$kind" = watched ]; then
-        "$leadtime" watch --connect "$scheme/127.0.0.1:$port" --tls pki/o1 --http "127.0.0.1:$((port + 2))" >"$name-watch.log" 2>&1 &
+    if [ "$is_watched" ]; then
+        "$leadtime" watch --connect "$scheme/127.0.0.1:$port" --tls pki/o1 --http "127.0.0.1:$((port + 2))" "${watch[@]}" >"$name-watch.log" 2>&1 &
         others+=($!)
         while sleep 1; do curl -s "http://127.0.0.1:$((port + 1))/metrics"; done >/dev/null &
         others+=($!)
@@ -53,7 +56,7 @@ PY
 
 port=47400
 for round in $(seq "$rounds"); do
-    for kind in tcp tls watched; do
+    for kind in tcp tls curves watched; do
         port=$((port + 3))
         echo "$kind $(run $kind "$kind-$round" $port)" | tee -a figures
     done

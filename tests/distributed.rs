@@ -74,6 +74,11 @@ fn run_spec(mode: Mode) -> RunSpec {
 
 /// The weights of a run without processes, network or time.
 fn reference(mode: Mode) -> [u8; 32] {
+    reference_after(mode, N_UPDATES)
+}
+
+/// The same after so many of its updates.
+fn reference_after(mode: Mode, n_updates: u64) -> [u8; 32] {
     let (settings, spec) = (settings(mode), run_spec(mode));
     let mut worker = Worker::new(spec.clone());
     let RunSpec { env, policy, .. } = spec;
@@ -84,7 +89,7 @@ fn reference(mode: Mode) -> [u8; 32] {
     let mut trainer = Trainer::new(&policy, &settings, RUN_SEED).unwrap();
     let pack = |trainer: &Trainer| Policy::new(&policy, trainer.parameters()).unwrap();
     let mut policies = BTreeMap::from([(PolicyVersion(0), pack(&trainer))]);
-    for update in 0..N_UPDATES {
+    for update in 0..n_updates {
         let version = settings.schedule().behavior_version(Iteration(update)).unwrap();
         let acting = policies.get_mut(&version).unwrap();
         let rollouts = worker.collect(acting, version, &mut ()).to_vec();
@@ -125,6 +130,8 @@ enum Judge {
     Fails,
     /// Goes on until it is stopped.
     Hangs,
+    /// Works, and the run is to end with the first policy that has this score.
+    Asks(f64),
 }
 
 impl Judge {
@@ -132,6 +139,7 @@ impl Judge {
         HeldOutEvaluation {
             n_evaluations: 4,
             max_episodes: 20,
+            stop_at: if let Self::Asks(mark) = self { Some(mark) } else { None },
             episodes: [1; 32],
             evaluator: Box::new(self),
         }
@@ -152,7 +160,7 @@ impl PolicyEvaluator for Judge {
             success: Some(f64::from(u8::from(sum.is_multiple_of(i + 2)))),
         };
         match self {
-            Self::Works => Ok(Some((0..n_episodes).map(episode).collect())),
+            Self::Works | Self::Asks(_) => Ok(Some((0..n_episodes).map(episode).collect())),
             Self::Fails => Err("the world is broken".into()),
             Self::Hangs => {
                 while !is_stopped() {
@@ -376,6 +384,48 @@ async fn a_run_that_is_stopped_at_its_last_evaluation_evaluates_when_it_is_resum
     let report = start(Judge::Works, 2).report().await;
     assert_eq!((report.end, report.held_out.len()), (RunEnd::AlreadyFinished, 1));
     assert_eq!(report.best.held_out, Some(report.held_out[0]));
+}
+
+/// Which policy is the last depends on weights alone: nothing is trained after one that may be it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_ends_with_the_first_policy_that_is_good_enough_and_goes_on_if_more_is_asked() {
+    for mode in [Mode::Sync, Mode::Lag] {
+        let run = |directory: &Path, judge: Judge, incarnation: u64| {
+            let config = Learner::config(directory, mode, 1, incarnation);
+            let learner = Learner::start_judged(config, Some(judge));
+            let events = Arc::clone(&learner.events);
+            let helper = actor(directory, "a", incarnation);
+            async move {
+                let report = learner.report().await;
+                (report, events, helper)
+            }
+        };
+        let directory = tempfile::tempdir().unwrap();
+        let (whole, _, helper) = run(directory.path(), Judge::Works, 1).await;
+        dismissed(helper).await;
+        let early = &whole.held_out[..whole.held_out.len() - 1];
+        let mark = early.iter().map(HeldOutMeans::score).fold(0.0, f64::max);
+        let n_evaluated = 1 + early.iter().position(|means| means.score() >= mark).unwrap();
+        let last = early[n_evaluated - 1].version;
+
+        let directory = tempfile::tempdir().unwrap();
+        let (report, events, helper) = run(directory.path(), Judge::Asks(mark), 1).await;
+        dismissed(helper).await;
+        assert_eq!((report.end, report.n_updates), (RunEnd::Finished, last.0), "{mode:?}");
+        assert_eq!(report.digest, reference_after(mode, last.0), "{mode:?}");
+        assert_eq!(report.held_out, early[..n_evaluated]);
+        assert_reported(
+            &events,
+            |event| matches!(event, RunEvent::Reached { means } if means.version == last),
+        );
+
+        let (again, _, helper) = run(directory.path(), Judge::Asks(mark), 2).await;
+        assert_eq!((again.end, again.digest), (RunEnd::AlreadyFinished, report.digest));
+        helper.abort();
+        let (more, _, helper) = run(directory.path(), Judge::Asks(2.0), 3).await;
+        dismissed(helper).await;
+        assert_eq!((more.n_updates, more.digest), (N_UPDATES, reference(mode)), "{mode:?}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

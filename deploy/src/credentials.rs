@@ -47,7 +47,9 @@ pub(crate) fn connect_settings(
 ) -> anyhow::Result<ConnectSettings> {
     let identity = identity(args, roles)?;
     let endpoints = endpoints(connect, identity.as_ref()).context("--connect")?;
-    Ok(ConnectSettings { identity, timeout, ..ConnectSettings::new(endpoints) })
+    let settings = ConnectSettings { identity, timeout, ..ConnectSettings::new(endpoints) };
+    settings.check().context("--connect")?;
+    Ok(settings)
 }
 
 /// Returns how to reach a notifier at work.
@@ -71,8 +73,17 @@ pub(crate) fn listen_settings(
     let listen = endpoints(listen, identity.as_ref()).context("--listen")?;
     let connect = endpoints(connect, identity.as_ref()).context("--connect")?;
     let access = args.acl.as_deref().map(access_list).transpose().context("--acl")?;
+    let settings = ListenSettings { connect, identity, access, ..ListenSettings::new(listen) };
+    settings.check()?;
+    warn_of_strangers(&settings, args, role);
+    Ok(settings)
+}
+
+/// Says to whom everything is open, where that is so.
+fn warn_of_strangers(settings: &ListenSettings, args: &GuardArgs, role: Role) {
+    let ListenSettings { endpoints: listen, identity, access, .. } = settings;
     if !args.insecure {
-        warn_if_open(&listen, identity.as_ref());
+        warn_if_open(listen, identity.as_ref());
     }
     if identity.is_some() && access.is_none() && !listen.is_empty() {
         let told = "every process with a certificate of this authority may do everything; --acl FILE limits it";
@@ -88,7 +99,18 @@ pub(crate) fn listen_settings(
             tracing::info!("{told}");
         }
     }
-    Ok(ListenSettings { connect, identity, access, ..ListenSettings::new(listen) })
+}
+
+/// Checks what another process of ours is given to listen with, before anything of it is made.
+pub(crate) fn check_listening(
+    listen: &[String],
+    args: &GuardArgs,
+    role: Role,
+) -> anyhow::Result<()> {
+    let identity = identity(&args.tls, &[role])?;
+    let listen = endpoints(listen, identity.as_ref()).context("--listen")?;
+    args.acl.as_deref().map(access_list).transpose().context("--acl")?;
+    Ok(ListenSettings { identity, ..ListenSettings::new(listen) }.check()?)
 }
 
 fn access_list(file: &Path) -> anyhow::Result<AccessList> {

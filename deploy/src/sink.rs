@@ -187,8 +187,8 @@ fn log(event: &RunEvent) {
     use RunEvent::{
         ActorJoined, ActorLeft, Assigned, CheckpointDamaged, CheckpointFailed, CheckpointRecovered,
         CheckpointWritten, CutOff, Distrusted, Evaluating, EvaluationFailed, Listening, OtherBuild,
-        Paused, Refused, Resumed, SnapshotLost, SnapshotRefused, Stopping, TooManyActors, Unsaved,
-        WaitingForActors, WaitingForRollouts,
+        Paused, Reached, Refused, Resumed, SnapshotLost, SnapshotRefused, Stopping, TooManyActors,
+        Unsaved, WaitingForActors, WaitingForRollouts,
     };
     match event {
         Listening { locators } if locators.is_empty() => {
@@ -247,6 +247,11 @@ fn log(event: &RunEvent) {
         CheckpointFailed { .. } | CheckpointRecovered { .. } | Paused { .. } | Unsaved { .. } => {
             log_saving(event);
         }
+        Reached { means } => info!(
+            "held-out episodes of update {} reach evaluation.stop_at: {:.2}; the training ends here",
+            means.version.0,
+            means.score()
+        ),
         Evaluating => info!("training is done; evaluating on held-out episodes"),
         EvaluationFailed { version, reason } => {
             let told = "the run goes on, and the best policy is chosen among the others";

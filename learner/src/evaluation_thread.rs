@@ -114,10 +114,12 @@ impl Evaluations {
         evaluation: HeldOutEvaluation,
         settings: &LearnerSettings,
     ) -> Result<Self, Error> {
-        let HeldOutEvaluation { n_evaluations, max_episodes, episodes, evaluator } = evaluation;
+        let HeldOutEvaluation { n_evaluations, max_episodes, stop_at, episodes, evaluator } =
+            evaluation;
         let n_updates = settings.n_updates();
         let n_steps = n_updates * settings.n_envs as u64 * settings.n_steps as u64;
-        let plan = EvaluationPlan { n_evaluations, max_episodes, episodes, n_updates, n_steps };
+        let plan =
+            EvaluationPlan { n_evaluations, max_episodes, stop_at, episodes, n_updates, n_steps };
         Ok(Self { plan, thread: EvaluationThread::start(evaluator)? })
     }
 

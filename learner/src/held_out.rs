@@ -29,6 +29,8 @@ pub struct HeldOutEvaluation {
     pub n_evaluations: u64,
     /// The most episodes of each, at least 1.
     pub max_episodes: u64,
+    /// The mean score at which the run ends with the policy that has it; `None`: with its last update.
+    pub stop_at: Option<f64>,
     /// Digest of what decides the episodes and the choices in them. Only policies that met the same ones are compared.
     pub episodes: [u8; 32],
     /// What plays the episodes.
@@ -68,6 +70,13 @@ pub struct HeldOutMeans {
     pub length: f64,
     /// Standard error of the mean success, or of the mean return where there is no success.
     pub error: f64,
+}
+
+impl HeldOutMeans {
+    /// Returns what makes a policy better than another: its success, or its return where the task knows none.
+    pub fn score(&self) -> f64 {
+        self.success.unwrap_or(self.episode_return)
+    }
 }
 
 /// A mean with its standard error.

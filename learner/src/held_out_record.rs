@@ -35,6 +35,8 @@ const ERRORS_AHEAD: f64 = 1.1;
 pub(crate) struct EvaluationPlan {
     pub(crate) n_evaluations: u64,
     pub(crate) max_episodes: u64,
+    /// The mean score at which the run ends.
+    pub(crate) stop_at: Option<f64>,
     /// What decides the episodes.
     pub(crate) episodes: [u8; 32],
     /// Updates of the whole run.
@@ -50,6 +52,11 @@ impl EvaluationPlan {
             u128::from(version) * u128::from(self.n_evaluations) / u128::from(self.n_updates.max(1))
         };
         version.0 > 0 && n_passed(version.0) > n_passed(version.0 - 1)
+    }
+
+    /// Returns how many policies may wait: where one of them can be the last, nothing is trained after it before that is known.
+    fn max_waiting(&self) -> usize {
+        if self.stop_at.is_some() { 1 } else { MAX_WAITING }
     }
 
     /// Returns how many episodes an evaluation has that follows these training episodes.
@@ -109,8 +116,19 @@ impl HeldOutRecord {
     }
 
     /// Returns whether as many policies wait as may.
-    pub(crate) fn is_full(&self) -> bool {
-        self.waiting.len() >= MAX_WAITING
+    pub(crate) fn is_full(&self, plan: &EvaluationPlan) -> bool {
+        self.waiting.len() >= plan.max_waiting()
+    }
+
+    /// Returns how the newest policy did, if it is as good as the plan asks for: the run ends with it. An earlier one that was
+    /// as good counts no more: it was not asked for then.
+    pub(crate) fn reached(
+        &self,
+        plan: &EvaluationPlan,
+        newest: PolicyVersion,
+    ) -> Option<HeldOutMeans> {
+        let mark = plan.stop_at.filter(|_| self.episodes == plan.episodes)?;
+        self.of(newest).filter(|means| means.score() >= mark)
     }
 
     /// Returns the policy to be evaluated next.
@@ -164,6 +182,7 @@ mod tests {
     const PLAN: EvaluationPlan = EvaluationPlan {
         n_evaluations: 8,
         max_episodes: 200,
+        stop_at: None,
         episodes: [1; 32],
         n_updates: 781,
         n_steps: 1_600_000,
@@ -210,6 +229,33 @@ mod tests {
 
     fn best(all: &[Vec<HeldOutEpisode>]) -> u64 {
         rated(all).best().unwrap().version.0
+    }
+
+    #[test]
+    fn a_run_ends_with_the_first_policy_that_is_good_enough() {
+        let plan = EvaluationPlan { stop_at: Some(0.8), ..PLAN };
+        let record = rated(&[ten(7), ten(8), ten(9)]);
+        let reached = |plan: &EvaluationPlan, version: u64| {
+            record.reached(plan, PolicyVersion(version)).map(|means| means.success)
+        };
+        assert_eq!((reached(&plan, 1), reached(&plan, 2)), (None, Some(Some(0.8))));
+        assert_eq!((reached(&PLAN, 2), reached(&plan, 4)), (None, None), "nobody asked; unknown");
+        let other = EvaluationPlan { episodes: [2; 32], ..plan };
+        assert_eq!(reached(&other, 2), None, "in other episodes");
+        let waiting = record.next().is_some();
+        assert!(!waiting && !record.is_full(&plan));
+    }
+
+    #[test]
+    fn nothing_is_trained_after_a_policy_that_may_be_the_last() {
+        let plan = EvaluationPlan { stop_at: Some(0.8), ..PLAN };
+        let mut record = HeldOutRecord::default();
+        for (version, full) in [(1, [false, true]), (2, [true, true])] {
+            let (version, score) = (PolicyVersion(version), None);
+            let policy = RatedPolicy { version, score, held_out: None, weights: vec![].into() };
+            record.queue(&plan, policy, &EpisodeMeans::default());
+            assert_eq!([record.is_full(&PLAN), record.is_full(&plan)], full);
+        }
     }
 
     #[test]

@@ -255,6 +255,11 @@ pub enum RunEvent {
         /// What kept it from being evaluated, as half a sentence.
         reason: String,
     },
+    /// The newest policy is as good as was asked for: the run ends with it.
+    Reached {
+        /// What it did on held-out episodes.
+        means: HeldOutMeans,
+    },
     /// Training is done, and its last policies are still being evaluated on held-out episodes.
     Evaluating,
     /// The run is asked to end.
@@ -318,7 +323,7 @@ pub trait ProgressSink: Send {
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunEnd {
-    /// All updates are done.
+    /// All updates are done, or the newest policy is as good as was asked for.
     Finished,
     /// It had been finished before; nothing was done.
     AlreadyFinished,

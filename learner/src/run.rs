@@ -12,10 +12,11 @@
 //!
 //! # Shutdown
 //!
-//! When all updates are done, or when asked to stop: actors are told, the update under way is waited for (for a
-//! limited time), the state goes to the disk, the books are closed. All of it takes less than five seconds. An
-//! update that takes longer is made again after a resume, with the same bits: the state before it is what is saved. A
-//! policy that waits to be evaluated is saved as well. Only when all updates are done the end waits for its evaluation.
+//! When all updates are done, when a policy is as good as was asked for, or when asked to stop: actors are told, the update
+//! under way is waited for (for a limited time), the state goes to the disk, the books are closed. All of it takes less than
+//! five seconds. An update that takes longer is made again after a resume, with the same bits: the state before it is what is
+//! saved. A policy that waits to be evaluated is saved as well. Only when all updates are done the end waits for its
+//! evaluation.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -95,7 +96,10 @@ pub async fn run(
     let settings = &config.settings;
     let evaluations =
         held_out.map(|held_out| Evaluations::start(held_out, settings)).transpose()?;
-    if point.start.version.0 >= settings.n_updates() {
+    let reached = evaluations
+        .as_ref()
+        .and_then(|it| point.record.held_out.reached(&it.plan, point.start.version));
+    if reached.is_some() || point.start.version.0 >= settings.n_updates() {
         return ending::already_trained(&config, point, sink.as_mut(), evaluations, &stop).await;
     }
     let mut listen = config.listen.clone();
@@ -209,7 +213,7 @@ impl RunLoop {
                 LearnerWake::Stop => return self.end(events, RunEnd::Stopped, stop).await,
                 wake => self.handle(wake, events)?,
             }
-            if self.version.0 >= self.config.settings.n_updates() {
+            if self.is_over() {
                 return self.end(events, RunEnd::Finished, stop).await;
             }
             if stop.is_cancelled() {
@@ -219,6 +223,20 @@ impl RunLoop {
             self.evaluate();
             self.act();
         }
+    }
+
+    /// Tells whether there is nothing left to train, and says so where that is before the last update.
+    fn is_over(&mut self) -> bool {
+        if self.version.0 >= self.config.settings.n_updates() {
+            return true;
+        }
+        let evaluations = self.evaluations.as_ref();
+        let reached =
+            evaluations.and_then(|it| self.record.held_out.reached(&it.plan, self.version));
+        if let Some(means) = reached {
+            self.sink.on_event(&RunEvent::Reached { means });
+        }
+        reached.is_some()
     }
 
     async fn next_wake(
@@ -345,7 +363,7 @@ impl RunLoop {
         if self.is_training {
             return Ok(());
         }
-        if self.evaluations.is_some() && self.record.held_out.is_full() {
+        if self.evaluations.as_ref().is_some_and(|it| self.record.held_out.is_full(&it.plan)) {
             self.phases.waits_for(TrainingWait::Evaluation);
             return Ok(());
         }

@@ -1,5 +1,5 @@
-//! Four hosts made of network namespaces: a learner, a router and two actors, encrypted; one actor behind a slow line, the
-//! other cut off for five seconds on the way. The weights are those of a run on one host.
+//! Five hosts made of network namespaces: a learner, a router, two actors and somebody who watches, encrypted; one actor behind
+//! a slow line, the other cut off for five seconds on the way. The weights are those of a run on one host.
 //!
 //! It needs root and `ip` (iproute2), so it runs only if asked: `cargo test -p leadtime --test hosts -- --ignored`. It has no
 //! harness, because this program is also the slow line: a process of its own in the host of an actor.
@@ -39,7 +39,7 @@ fn main() {
 }
 
 fn the_weights_are_those_of_one_host() {
-    let hosts = Hosts::make(&["learner", "router", "near", "far"]);
+    let hosts = Hosts::make(&["learner", "router", "near", "far", "page"]);
     let hosts =
         hosts.unwrap_or_else(|reason| panic!("no network namespaces can be made here: {reason}"));
     let place = Place::new();
@@ -48,17 +48,15 @@ fn the_weights_are_those_of_one_host() {
     };
     certs("init pki");
     let router_host = hosts.address("router");
-    certs(&format!("issue pki router r1 --host {router_host} --host 127.0.0.1"));
-    certs("issue pki learner l1");
-    certs("issue pki actor a1");
-    certs("issue pki actor a2");
-    certs("acl pki -o router.json5");
+    certs(&format!(
+        "issue pki router:r1@{router_host},127.0.0.1 learner:l1 actor:a1 actor:a2 observer:o1"
+    ));
 
     let at = |host: &str, arguments: &[&str]| {
         place.start_with(Hosts::program(host, &place.program(arguments)))
     };
     let router =
-        at("router", &["router --listen tls/0.0.0.0:7447 --acl router.json5 --tls pki/r1"]);
+        at("router", &["router --listen tls/0.0.0.0:7447 --acl pki/acl.json5 --tls pki/r1"]);
     wait_for_words(&router, "router listens");
     let there = format!("tls/{router_host}:7447");
     let mut learner =
@@ -69,6 +67,12 @@ fn the_weights_are_those_of_one_host() {
 
     let run = place.run("r");
     wait_for_updates(&run, 5);
+    let look = at("page", &["watch --once --json --tls pki/o1 --connect", &there]);
+    let seen = look.finish(PATIENCE).with_code(0).json();
+    assert_eq!(seen["state"]["state"], "training", "{seen}");
+    assert_eq!(seen["about"]["domain"], "cartpole", "{seen}");
+    assert!(seen["actors"].as_array().is_some_and(|actors| !actors.is_empty()), "{seen}");
+    println!("seen from a host of its own: update {}", seen["state"]["update"]);
     let before = updates(&run);
     let started = Instant::now();
     Hosts::cut("near");
@@ -104,5 +108,5 @@ fn the_weights_are_those_of_one_host() {
     let (far_apart, together) = (result(&run), result(&alone.run("r")));
     assert_eq!(far_apart["weights_sha256"], together["weights_sha256"]);
     assert_eq!(far_apart["books"]["balanced"], true, "{far_apart}");
-    println!("same weights on four hosts and on one: {}", together["weights_sha256"]);
+    println!("same weights on five hosts and on one: {}", together["weights_sha256"]);
 }

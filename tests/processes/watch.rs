@@ -7,14 +7,14 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 
-use crate::support::{PATIENCE, Place, Running, result, signal, wait_until};
+use crate::support::{PATIENCE, Place, Running, signal, wait_until};
 
 /// A run that lasts until it is ended.
 const LONG: &str = "-c cartpole --steps 5e7 --set learner.n_steps=32 --set run.checkpoint_every=10";
 /// One that takes a second or two.
 const SHORT: &str = "-c cartpole --steps 1e4";
-/// One that takes ten times as long.
-const MEDIUM: &str = "-c cartpole --steps 1e5";
+/// Watchers that are killed during one run.
+const N_KILLED: usize = 20;
 
 /// A learner and an actor at a place, with the run at work.
 fn at_work(place: &Place, name: &str) -> [Running; 2] {
@@ -61,24 +61,28 @@ fn a_run_at_work_is_seen_from_outside_as_text_and_as_json() {
 #[test]
 fn watchers_that_are_killed_change_no_bit() {
     let place = Place::new();
-    let train = |name: &str| format!("up --name {name} {MEDIUM} --set learner.n_steps=32");
-    place.finish(&[&train("alone")]).with_code(0);
-    let run = place.start(&[&train("watched"), "--listen", &place.endpoint("l")]);
-    let mut n_served = 0;
-    for _ in 0..5 {
+    let run =
+        place.start(&[&format!("up --name watched {LONG}"), "--listen", &place.endpoint("l")]);
+    look(&place, 1);
+    for _ in 0..N_KILLED {
         let command = format!("watch --connect {} --http 127.0.0.1:0 --json", place.endpoint("l"));
-        let mut watcher = place.start(&[&command]);
-        let is_served = |watcher: &Running| watcher.stdout().contains("http://");
-        // It serves, or the run was over before.
-        wait_until("the page is served", PATIENCE, || is_served(&watcher) || !watcher.is_running());
-        n_served += u32::from(is_served(&watcher));
+        let watcher = place.start(&[&command]);
+        wait_until("the page is served", PATIENCE, || watcher.stdout().contains("http://"));
         watcher.kill();
     }
-    assert!(n_served > 0, "every watcher came too late");
-    let run = run.finish(PATIENCE).with_code(0);
+    signal("TERM", run.id());
+    let run = run.finish(PATIENCE).with_code(130);
     assert!(run.stdout.contains("all accounted for"), "{}", run.stdout);
-    let weights = |name: &str| result(&place.run(name))["weights_sha256"].clone();
-    assert_eq!(weights("alone"), weights("watched"));
+    let printed = |told: &str, name: &str| {
+        let mut words = told.lines().filter_map(|line| line.strip_prefix(name)).map(str::trim);
+        words.next().unwrap_or_else(|| panic!("{told}")).to_owned()
+    };
+    let updates = printed(&run.stdout, "updates");
+    let n_updates = updates.split(' ').next().unwrap();
+    let alone = place.finish(&[&format!("up --name alone {LONG} --stop-after {n_updates}")]);
+    let alone = alone.with_code(0).stdout;
+    assert_eq!(printed(&alone, "updates"), updates);
+    assert_eq!(printed(&alone, "weights"), printed(&run.stdout, "weights"));
 }
 
 #[test]

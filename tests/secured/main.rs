@@ -9,8 +9,11 @@
 #[path = "../processes/support.rs"]
 mod support;
 
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use leadtime_certs::{Authority, Identity, Role};
@@ -30,6 +33,8 @@ const LONG_RUN: &str =
     "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=1e8";
 /// How long the certificate lasts that is replaced: long enough that the run is under way before, also on a busy machine.
 const SHORT_LIFE: Duration = Duration::from_secs(15);
+/// How soon a run goes on after a certificate was replaced: it dials once a second at least. Ten times that on a busy machine.
+const BACK_WITHIN: Duration = Duration::from_secs(10);
 const DAY: Duration = Duration::from_hours(24);
 
 /// Makes an authority and these certificates by the program.
@@ -143,11 +148,15 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
     let replaced = Instant::now();
     let before = updates(&place.run("r"));
     wait_until("it goes on", PATIENCE, || updates(&place.run("r")) > before + 3);
-    println!("under way again {:?} after the files were replaced", replaced.elapsed());
+    let back = replaced.elapsed();
+    println!("under way again {back:?} after the files were replaced");
+    assert!(back < BACK_WITHIN, "under way again only {back:?} after the files were replaced");
     signal("TERM", learner.id());
     let stopped = learner.finish(PATIENCE).with_code(130);
     let journal = actor.finish(PATIENCE).with_code(0).json();
     assert!(journal["reconnects"].as_u64().unwrap() >= 1, "{journal}");
+    // The run can be resumed, so its books are what the learner prints.
+    assert!(stopped.stdout.contains(", all accounted for"), "{}", stopped.stdout);
     let (weights, n_updates) = outcome(&stopped);
     let calm = reference(&[LONG_RUN, "--stop-after", &n_updates]);
     assert_eq!((weights, n_updates), outcome(&calm));
@@ -198,6 +207,76 @@ fn what_is_wrong_with_a_certificate_is_one_sentence() {
         place.finish(&[wrong]).with_code(2);
     }
     assert!(!place.run("r").exists());
+}
+
+#[test]
+fn an_address_that_lacks_its_certificate_is_refused_before_anything_is_made() {
+    let place = Place::new();
+    let policy = repository("deploy/policies/piloting.safetensors");
+    let serve = format!("serve {policy} --state sessions --listen tls/127.0.0.1:0");
+    for command in [
+        "learner -c cartpole --listen tls/127.0.0.1:0",
+        "learner -c cartpole --name r --trace t.json --connect tls/127.0.0.1:1",
+        "up -c cartpole --name r --trace t.json --listen tls/127.0.0.1:0",
+        "router --listen tls/127.0.0.1:0 --region eu",
+        "actor --trace t.json --connect tls/127.0.0.1:1",
+        "record -o r.mcap --connect tls/127.0.0.1:1",
+        "record -o r.mcap --run r --connect tls/127.0.0.1:1",
+        &serve,
+    ] {
+        let told = place.finish(&["-q", command]).with_code(2).saying(&["needs a certificate"]);
+        assert_eq!(told.stderr.trim().lines().count(), 1, "{}", told.stderr);
+        let entries = fs::read_dir(place.path()).unwrap().map(|entry| entry.unwrap().file_name());
+        // What the program says is kept there, too.
+        let is_made = |name: &OsString| !name.to_string_lossy().starts_with("log-");
+        let left: Vec<OsString> = entries.filter(is_made).collect();
+        assert!(left.is_empty(), "{command} left {left:?}");
+    }
+}
+
+/// Lists the files of a directory with what they hold.
+fn contents(directory: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let files = fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
+    files.map(|path| (path.clone(), fs::read(&path).unwrap())).collect()
+}
+
+#[test]
+fn one_command_issues_several_certificates_and_their_list_or_nothing() {
+    let place = Place::new();
+    place.finish(&["certs init pki"]).with_code(0);
+    let pki = place.path().join("pki");
+    let everybody = "certs issue pki router:r1@127.0.0.1,localhost learner:l1 actor:a1 observer:o1";
+    let before = contents(&pki);
+    for (more, told) in [
+        ("actor:a1", "`a1` is asked for twice"),
+        ("king:k1", "`king` is not a role"),
+        ("actor:a3@a/b", "neither a host's name nor an address"),
+        ("a3", "`a3` does not say whose certificate"),
+        ("--host box", "--host cannot say whose it is"),
+        ("--lifetime 0s", "at least a second"),
+    ] {
+        place.finish(&[everybody, more]).with_code(2).saying(&[told]);
+        assert_eq!(contents(&pki), before, "{more}");
+    }
+    let told = place.finish(&[everybody]).with_code(0);
+    assert!(
+        told.stdout.contains("access list pki/acl.json5 for 4 certificates"),
+        "{}",
+        told.stdout
+    );
+    let shown = place.finish(&["certs show pki/r1.pem --json"]).with_code(0).json();
+    assert_eq!(shown["hosts"], serde_json::json!(["127.0.0.1", "localhost"]));
+    let list = || fs::read_to_string(pki.join("acl.json5")).unwrap();
+    let written = |place: &Place| place.finish(&["certs acl pki"]).with_code(0).stdout;
+    assert_eq!(list(), written(&place));
+    // One more is added, as long as nobody else has changed the list.
+    place.finish(&["certs issue pki actor a2"]).with_code(0);
+    assert_eq!(list(), written(&place));
+    let shorter = list().replace("\"a1\"", "\"nobody\"");
+    fs::write(pki.join("acl.json5"), &shorter).unwrap();
+    let told = place.finish(&["certs issue pki actor:a3"]).with_code(0);
+    assert!(told.stderr.contains("stays as it is"), "{}", told.stderr);
+    assert_eq!(list(), shorter);
 }
 
 #[test]

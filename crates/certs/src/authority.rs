@@ -1,5 +1,6 @@
 //! Making certificates: the authority, one for each process, and the same again before they end.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{Read as _, Seek as _, Write as _};
 use std::net::IpAddr;
@@ -14,7 +15,7 @@ use rcgen::{
 use time::OffsetDateTime;
 
 use crate::files::{self, Durability, Readers, failed};
-use crate::{Certificate, Error, PeerName, Result, Role};
+use crate::{Certificate, Error, IssueRequest, PeerName, Result, Role};
 
 /// How long an authority lasts.
 const AUTHORITY_LIFETIME: Duration = Duration::from_hours(24 * 3650);
@@ -123,17 +124,64 @@ impl Authority {
         lifetime: Duration,
         now: Timestamp,
     ) -> Result<Issued> {
-        let path = self.directory.join(format!("{name}.pem"));
-        let key_path = path.with_extension("key");
-        if let Some(there) = [&path, &key_path].into_iter().find(|path| path.exists()) {
-            return Err(Error::Taken(there.clone()));
+        let request = IssueRequest { role, name: name.clone(), hosts: hosts.to_vec() };
+        let mut issued = self.issue_all(&[request], lifetime, now)?;
+        Ok(issued.remove(0))
+    }
+
+    /// Makes keys and certificates of several processes, or of none: if one cannot be made, there is none of the others
+    /// either.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Authority::issue`], and [`Error::Twice`].
+    pub fn issue_all(
+        &mut self,
+        requests: &[IssueRequest],
+        lifetime: Duration,
+        now: Timestamp,
+    ) -> Result<Vec<Issued>> {
+        let mut names = BTreeSet::new();
+        for IssueRequest { name, .. } in requests {
+            if let Some(there) = self.files(name).into_iter().find(|path| path.exists()) {
+                return Err(Error::Taken(there));
+            }
+            if !names.insert(name) {
+                return Err(Error::Twice(name.to_string()));
+            }
         }
-        let key = KeyPair::generate()?;
-        let pem = self.sign(role, name, hosts, lifetime, now, &key)?;
-        files::write(&key_path, &key.serialize_pem(), Readers::Owner, Durability::Eventual)?;
-        files::write(&path, &pem, Readers::Everybody, Durability::Eventual)?;
-        let certificate = Certificate::read(&path)?;
-        Ok(Issued { role, name: name.clone(), path, certificate })
+        // Everything is signed before the first file is written.
+        let mut signed = Vec::new();
+        for IssueRequest { role, name, hosts } in requests {
+            let key = KeyPair::generate()?;
+            let pem = self.sign(*role, name, hosts, lifetime, now, &key)?;
+            signed.push((*role, name, key.serialize_pem(), pem));
+        }
+        let write = |(role, name, key, pem): &(Role, &PeerName, String, String)| {
+            let [path, key_path] = self.files(name);
+            files::write(&key_path, key, Readers::Owner, Durability::Eventual)?;
+            files::write(&path, pem, Readers::Everybody, Durability::Eventual)?;
+            let certificate = Certificate::read(&path)?;
+            Ok(Issued { role: *role, name: (*name).clone(), path, certificate })
+        };
+        let written: Result<Vec<Issued>> = signed.iter().map(write).collect();
+        if written.is_err() {
+            self.withdraw(requests);
+        }
+        written
+    }
+
+    /// Removes what [`Authority::issue_all`] has just made for these requests, which nobody has got yet.
+    pub fn withdraw(&self, requests: &[IssueRequest]) {
+        for file in requests.iter().flat_map(|request| self.files(&request.name)) {
+            // What cannot be removed is told by the next try, as taken.
+            drop(fs::remove_file(file));
+        }
+    }
+
+    /// Returns the files of a process: its certificate, its key.
+    fn files(&self, name: &PeerName) -> [PathBuf; 2] {
+        ["pem", "key"].map(|extension| self.directory.join(format!("{name}.{extension}")))
     }
 
     /// Makes the certificates anew that end within `before`: for the same role, hosts and time, and for the same key, which

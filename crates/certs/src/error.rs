@@ -32,6 +32,14 @@ pub enum Error {
     /// This name has a certificate.
     #[error("{} is there already: `certs renew` makes it anew, or remove it first", .0.display())]
     Taken(PathBuf),
+    /// One name was asked for twice.
+    #[error("`{0}` is asked for twice: every process has a name of its own")]
+    Twice(String),
+    /// Not a request for a certificate.
+    #[error(
+        "`{0}` does not say whose certificate: write ROLE:NAME, or ROLE:NAME@HOST for who is dialled"
+    )]
+    Request(String),
     /// This word is not a role.
     #[error("`{0}` is not a role: router, learner, actor, observer, recorder, service or robot")]
     Role(String),

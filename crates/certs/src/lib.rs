@@ -11,6 +11,7 @@
 //!
 //! * Keys are files of mode 0600; every file is replaced in one step. [`Authority::renew`] keeps the key, so that a process
 //!   that reads its two files meanwhile never finds one that does not fit the other.
+//! * Several certificates are issued together or not at all.
 //! * Every certificate has a beginning and an end, ends no later than its authority, and is good for both ends of a
 //!   connection: a learner listens and dials.
 //! * No clock: what time it is comes in as an argument.
@@ -26,6 +27,7 @@ mod files;
 mod identity;
 mod name;
 mod probe;
+mod request;
 mod role;
 
 pub use authority::{Authority, Issued};
@@ -34,4 +36,5 @@ pub use error::{Error, Result, Unfit};
 pub use identity::Identity;
 pub use name::PeerName;
 pub use probe::HandshakeRefusal;
+pub use request::IssueRequest;
 pub use role::Role;

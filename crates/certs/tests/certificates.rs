@@ -2,13 +2,14 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
-use leadtime_certs::{Authority, Certificate, Error, Identity, Issued, Role, Unfit};
+use leadtime_certs::{Authority, Certificate, Error, Identity, IssueRequest, Issued, Role, Unfit};
 
 const DAY: Duration = Duration::from_hours(24);
 
@@ -59,12 +60,58 @@ fn a_certificate_says_who_where_and_how_long() {
 fn a_fleet_of_certificates_has_a_number_each_and_is_listed() {
     let dir = tempfile::tempdir().unwrap();
     let mut authority = authority(dir.path());
+    let started = Instant::now();
     for number in 0..200 {
         issue(&mut authority, Role::Actor, &format!("a{number}"));
     }
+    println!("200 certificates in {:?}", started.elapsed());
     assert_eq!(fs::read_to_string(dir.path().join("serial")).unwrap(), "200\n");
     let listed = Authority::list(dir.path()).unwrap();
     assert_eq!(listed.len(), 200);
+}
+
+/// Lists what is in a directory, with what it holds; but for the serial number, of which none is given twice.
+fn contents(directory: &Path) -> BTreeMap<String, Vec<u8>> {
+    let entries = fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
+    let files = entries.filter(|path| !path.ends_with("serial"));
+    files.map(|path| (path.display().to_string(), fs::read(&path).unwrap())).collect()
+}
+
+#[test]
+fn several_are_issued_together_or_not_at_all() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut authority = authority(dir.path());
+    issue(&mut authority, Role::Actor, "a9");
+    let before = contents(dir.path());
+    let requests = |texts: &[&str]| -> Vec<IssueRequest> {
+        texts.iter().map(|text| text.parse().unwrap()).collect()
+    };
+    // The third one cannot be made.
+    for third in ["actor:a9", "learner:l1@a/b", "observer:r1"] {
+        let wanted = requests(&["router:r1@gate", "actor:a1", third]);
+        let error = authority.issue_all(&wanted, DAY, now()).unwrap_err();
+        let expected = matches!(error, Error::Taken(_) | Error::Host(_) | Error::Twice(_));
+        assert!(expected, "{third}: {error}");
+        assert_eq!(contents(dir.path()), before, "{third}");
+    }
+    let wanted = requests(&["router:r1@gate,10.0.0.1", "actor:a1", "observer:o1"]);
+    authority.issue_all(&wanted, Duration::ZERO, now()).unwrap_err();
+    assert_eq!(contents(dir.path()), before);
+
+    let issued = authority.issue_all(&wanted, DAY, now()).unwrap();
+    let made = |it: &Issued| (it.role, it.name.to_string(), it.certificate.hosts.clone());
+    assert_eq!(
+        issued.iter().map(made).collect::<Vec<_>>(),
+        wanted
+            .iter()
+            .map(|it| (it.role, it.name.to_string(), it.hosts.clone()))
+            .collect::<Vec<_>>()
+    );
+    for name in ["r1", "a1", "o1"] {
+        Identity::read(&dir.path().join(name), now()).unwrap();
+    }
+    authority.withdraw(&wanted);
+    assert_eq!(contents(dir.path()), before);
 }
 
 #[test]

@@ -67,7 +67,7 @@ pub struct RunSettings {
 }
 
 /// How policies are evaluated.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EvaluationSettings {
     /// Episodes per policy, at least 1.
     pub episodes: u32,
@@ -77,6 +77,9 @@ pub struct EvaluationSettings {
     pub during_training: u32,
     /// The most episodes of each of these, at least 2.
     pub held_out_episodes: u32,
+    /// The score in one of these at which the training ends: mean success, or mean return where the task knows none;
+    /// `None`: never.
+    pub stop_at: Option<f64>,
     /// The task as it is in evaluation.
     pub task: TaskSpec,
 }
@@ -231,7 +234,8 @@ impl Config {
         }
         let window = written.actor.window;
         within("actor.window", window, 1, MAX_WINDOW)?;
-        let evaluation = check_evaluation(&written.evaluation, evaluated)?;
+        let knows_success = environment.spec().metrics.iter().any(|name| name == "success");
+        let evaluation = check_evaluation(&written.evaluation, evaluated, knows_success)?;
         Ok(Self {
             run: check_run(&written.run)?,
             window,
@@ -292,14 +296,26 @@ fn known_keys(layers: &Layers<'_>) -> Result<(), ConfigError> {
 fn check_evaluation(
     evaluation: &EvaluationSection,
     task: TaskSpec,
+    knows_success: bool,
 ) -> Result<EvaluationSettings, ConfigError> {
-    let &EvaluationSection { episodes, action, during_training, held_out_episodes, .. } =
-        evaluation;
+    let &EvaluationSection {
+        episodes, action, during_training, held_out_episodes, stop_at, ..
+    } = evaluation;
     within("evaluation.episodes", episodes, 1, MAX_EPISODES)?;
     within("evaluation.during_training", during_training, 0, MAX_EVALUATIONS)?;
     // One episode has no standard error.
     within("evaluation.held_out_episodes", held_out_episodes, 2, MAX_HELD_OUT_EPISODES)?;
-    Ok(EvaluationSettings { episodes, action, during_training, held_out_episodes, task })
+    if let Some(mark) = stop_at {
+        let (fits, allowed) = if knows_success {
+            (mark > 0.0 && mark <= 1.0, "above 0 to 1: this task's success")
+        } else {
+            (mark.is_finite(), "a number: this task's return")
+        };
+        ensure(fits, "evaluation.stop_at", mark, allowed)?;
+        let needed = "at least 1 where `evaluation.stop_at` is set";
+        ensure(during_training > 0, "evaluation.during_training", during_training, needed)?;
+    }
+    Ok(EvaluationSettings { episodes, action, during_training, held_out_episodes, stop_at, task })
 }
 
 fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {

@@ -34,6 +34,8 @@ pub const CHANGEABLE: [&str; 14] = [
 ];
 /// The key that may grow when a run is resumed.
 pub const TOTAL_STEPS: &str = "learner.total_steps";
+/// The other key that decides when a run ends, and nothing else; it may rise, or go, when a run is resumed.
+pub const STOP_AT: &str = "evaluation.stop_at";
 /// The seed's key.
 const SEED: &str = "seed";
 /// Settings that are younger than some runs, with the value, as TOML, at which each changes nothing.
@@ -69,7 +71,8 @@ pub(crate) fn without_retired(mut table: Table) -> Table {
 
 /// Tells whether a key only says where and how a run is carried out.
 pub fn is_free(key: &str) -> bool {
-    key == THREADS || FREE_SECTIONS.iter().any(|section| key.starts_with(section))
+    let is_free = key == THREADS || FREE_SECTIONS.iter().any(|section| key.starts_with(section));
+    is_free && key != STOP_AT
 }
 
 /// Returns the leaves that decide what a run computes; without a younger setting that changes nothing, so that an earlier
@@ -98,17 +101,17 @@ fn changes_nothing(key: &str, value: &str) -> bool {
 
 /// Computes the hash over everything that must not change when a run is resumed.
 pub fn of_run(table: &Table) -> [u8; 32] {
-    hash(table, TOTAL_STEPS)
+    hash(table, &[TOTAL_STEPS, STOP_AT])
 }
 
 /// Computes the hash over everything that decides what a training computes, except for its seed.
 pub fn of_training(table: &Table) -> [u8; 32] {
-    hash(table, SEED)
+    hash(table, &[SEED])
 }
 
-fn hash(table: &Table, except: &str) -> [u8; 32] {
+fn hash(table: &Table, except: &[&str]) -> [u8; 32] {
     let mut hash = Sha256::new();
-    for (key, value) in deciding(table).iter().filter(|(key, _)| *key != except) {
+    for (key, value) in deciding(table).iter().filter(|(key, _)| !except.contains(&key.as_str())) {
         hash.update(format!("{key}={value}\n"));
     }
     hash.finalize().into()
@@ -220,6 +223,7 @@ mod tests {
             ("training = 8", "training = 0", [true, true]),
             ("clip", "threads = 2\nclip", [true, true]),
             ("steps = 5", "steps = 6", [true, false]),
+            ("training = 8", "training = 8\nstop_at = 0.9", [true, false]),
             ("seed = 1", "seed = 2", [false, true]),
             ("0.2", "0.1", [false, false]),
         ] {

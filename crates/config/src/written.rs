@@ -84,6 +84,8 @@ pub(crate) struct EvaluationSection {
     pub(crate) action: Choice,
     pub(crate) during_training: u32,
     pub(crate) held_out_episodes: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) stop_at: Option<f64>,
     #[serde(default)]
     pub(crate) world: Table,
 }

@@ -73,6 +73,17 @@ impl ListenSettings {
             max_queued_bytes: 256 << 20,
         }
     }
+
+    /// Checks addresses and certificate as far as that can be done without listening: whoever makes files of their own
+    /// before asks first.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoCertificate`], [`Error::NotEncrypted`], [`Error::TlsTwice`], [`Error::TlsFile`] or [`Error::TlsPath`].
+    pub fn check(&self) -> Result<()> {
+        let Self { endpoints, connect, identity, .. } = self;
+        [endpoints, connect].into_iter().try_for_each(|it| check(it, identity.as_ref()))
+    }
 }
 
 /// How an actor or an observer finds a learner or a router.
@@ -96,6 +107,22 @@ impl ConnectSettings {
         let timeout = Duration::from_secs(30);
         Self { endpoints, timeout, identity: None, region: None, whom: "learner" }
     }
+
+    /// Checks addresses and certificate as far as that can be done without dialling, as [`ListenSettings::check`].
+    ///
+    /// # Errors
+    ///
+    /// Those of [`ListenSettings::check`].
+    pub fn check(&self) -> Result<()> {
+        check(&self.endpoints, self.identity.as_ref())
+    }
+}
+
+/// Checks that the files which addresses name can be read, and that addresses and certificate belong together.
+fn check(endpoints: &[Endpoint], identity: Option<&Identity>) -> Result<()> {
+    endpoints.iter().try_for_each(Endpoint::check_files)?;
+    security::check(endpoints, identity)?;
+    identity.map_or(Ok(()), |identity| security::settings(identity, false).map(drop))
 }
 
 /// Returns addresses as a person reads them.
@@ -150,10 +177,9 @@ async fn listen_with(
     more: Option<(&'static str, String)>,
 ) -> Result<Session> {
     settings.endpoints.iter().try_for_each(Endpoint::check_listen)?;
-    settings.connect.iter().try_for_each(Endpoint::check_files)?;
+    settings.check()?;
     let identity = settings.identity.as_ref();
     let all = [&settings.endpoints, &settings.connect];
-    all.into_iter().try_for_each(|endpoints| security::check(endpoints, identity))?;
     let has_socket = security::has_socket(all.into_iter().flatten());
     let mut special = vec![
         ("mode", format!("\"{mode}\"")),
@@ -194,8 +220,7 @@ async fn dial(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
     if endpoints.is_empty() {
         return Err(Error::NoEndpoint);
     }
-    endpoints.iter().try_for_each(Endpoint::check_files)?;
-    security::check(endpoints, identity)?;
+    settings.check()?;
     let has_socket = security::has_socket(endpoints.iter());
     let encryption = identity.map(|identity| security::settings(identity, has_socket));
     let encryption = encryption.transpose()?.unwrap_or_default();

@@ -1,4 +1,5 @@
 use super::*;
+use crate::ResultCause;
 use crate::clock;
 use crate::journal::Journal;
 use crate::naming::{Naming, Reservation};
@@ -47,6 +48,7 @@ fn begun(runs: &Path, name: Option<&str>, set: &[&str]) -> RunName {
 fn result() -> RunResult {
     RunResult {
         finished: clock::utc_now(),
+        end: ResultCause::TotalSteps,
         updates: 20,
         steps: 1,
         weights_sha256: String::new(),
@@ -145,6 +147,39 @@ fn a_finished_run_stays_finished_unless_it_may_go_on_for_longer() {
     assert_eq!(open(runs.path(), Some("r"), &longer).unwrap().1, RunState::Unfinished);
     let error = open(runs.path(), Some("r"), &["learner.total_steps=1000"]).unwrap_err();
     assert!(error.to_string().contains("began with another configuration"), "{error}");
+}
+
+#[test]
+fn the_score_at_which_a_run_ends_may_rise_or_go_and_nothing_else() {
+    let runs = tempfile::tempdir().unwrap();
+    let at = |mark: &str| format!("evaluation.stop_at={mark}");
+    begun(runs.path(), Some("r"), &[&at("200.0")]);
+    let state = |mark: Option<&str>| {
+        let set = mark.map(at);
+        let set: Vec<&str> = set.iter().map(String::as_str).collect();
+        open(runs.path(), Some("r"), &set).map(|(_, state)| state)
+    };
+    let refused = |mark: &str| state(Some(mark)).unwrap_err().to_string();
+    assert!(
+        refused("100.0").contains("evaluation.stop_at: 200.0 -> 100.0"),
+        "{}",
+        refused("100.0")
+    );
+    let finish = |end: ResultCause, mark: &str| {
+        let (mut run, _) = open(runs.path(), Some("r"), &[&at(mark)]).unwrap();
+        run.finish(RunResult { end, ..result() }).unwrap();
+    };
+    finish(ResultCause::StopAt, "200.0");
+    assert_eq!(state(Some("200.0")).unwrap(), RunState::Finished);
+    assert_eq!(state(Some("300.0")).unwrap(), RunState::Unfinished);
+    finish(ResultCause::StopAt, "300.0");
+    assert_eq!(state(None).unwrap(), RunState::Unfinished, "it goes on to its last step");
+    assert!(refused("400.0").contains("evaluation.stop_at: (none) -> 400.0"));
+    // All steps are made: a higher score makes no more of them.
+    begun(runs.path(), Some("s"), &[&at("200.0")]);
+    open(runs.path(), Some("s"), &[&at("200.0")]).unwrap().0.finish(result()).unwrap();
+    let again = open(runs.path(), Some("s"), &[&at("300.0")]).unwrap();
+    assert_eq!(again.1, RunState::Finished);
 }
 
 #[test]

@@ -94,6 +94,7 @@ pub fn held_out_evaluation(config: &Config, registry: &Registry) -> Option<HeldO
     (settings.during_training > 0).then(|| HeldOutEvaluation {
         n_evaluations: u64::from(settings.during_training),
         max_episodes: u64::from(settings.held_out_episodes),
+        stop_at: settings.stop_at,
         episodes: comparable(config),
         evaluator: Box::new(player),
     })

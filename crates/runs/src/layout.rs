@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
-use leadtime_config::identity::{self, Change, TOTAL_STEPS, difference};
+use leadtime_config::identity::{self, Change, STOP_AT, TOTAL_STEPS, difference};
 use leadtime_learner::{replaced_name, write_atomically};
 use leadtime_proto::RunName;
 use toml::Table;
@@ -14,7 +14,7 @@ use crate::directory_error::{RunDirError, with_causes};
 use crate::journal::Journal;
 use crate::policy_file::{self, LAST_POLICY};
 use crate::record::{INITIAL_POLICY, RECORD};
-use crate::{RunRecord, journal};
+use crate::{ResultCause, RunRecord, RunResult, journal};
 
 /// The configuration's file in a run directory.
 const CONFIG: &str = "config.toml";
@@ -34,7 +34,7 @@ pub enum RunState {
     Fresh,
     /// It was begun and not finished.
     Unfinished,
-    /// It reached its last step.
+    /// It reached its last step, or the score at which it was to end.
     Finished,
 }
 
@@ -136,12 +136,16 @@ pub(crate) fn compare(
     allowed: &[String],
 ) -> Result<RunState, RunDirError> {
     let is_longer = |change: &Change| {
-        let [before, after] = [&change.before, &change.after].map(|steps| steps.parse::<u64>());
-        change.key == TOTAL_STEPS && matches!((before, after), (Ok(a), Ok(b)) if b > a)
+        let [before, after] = [&change.before, &change.after].map(|number| number.parse::<f64>());
+        match change.key.as_str() {
+            TOTAL_STEPS => matches!((before, after), (Ok(a), Ok(b)) if b > a),
+            STOP_AT => before.is_ok_and(|a| after.is_ok_and(|b| b > a) || change.after.is_empty()),
+            _ => false,
+        }
     };
     let mut changes = difference(before, now);
     changes.retain(|change| !identity::is_free(&change.key) && !allowed.contains(&change.key));
-    let grows = changes.extract_if(.., |change| is_longer(change)).count() > 0;
+    let longer: Vec<Change> = changes.extract_if(.., |change| is_longer(change)).collect();
     if !changes.is_empty() {
         let changes = changes.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
         return Err(RunDirError::Refused(format!(
@@ -149,7 +153,12 @@ pub(crate) fn compare(
              --fork {name} to start from its weights, or go on with other settings of the learner by --change KEY=VALUE"
         )));
     }
-    Ok(if record.result.is_some() && !grows { RunState::Finished } else { RunState::Unfinished })
+    // One that has made all its steps makes no more of them because it may reach more.
+    let goes_on = |result: &RunResult| {
+        longer.iter().any(|change| change.key == TOTAL_STEPS || result.end == ResultCause::StopAt)
+    };
+    let is_over = record.result.as_ref().is_some_and(|result| !goes_on(result));
+    Ok(if is_over { RunState::Finished } else { RunState::Unfinished })
 }
 
 pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunDirError> {

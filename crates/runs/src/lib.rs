@@ -66,7 +66,7 @@ pub use learner_config::learner_config;
 pub use listing::ListedRun;
 pub use naming::Naming;
 pub use policy_file::{BEST_POLICY, LAST_POLICY, LoadedPolicy};
-pub use record::{ForkOrigin, RunRecord, RunResult, SettingChange};
+pub use record::{ForkOrigin, ResultCause, RunRecord, RunResult, SettingChange};
 pub use recorder::RunRecorder;
 pub use run_files::{QUICK_UPDATES, RunFiles};
 pub use tasks::Tasks;

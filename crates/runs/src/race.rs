@@ -314,11 +314,10 @@ impl Race {
         match stage {
             RaceStage::Quarter => {
                 let newest = policy_file::n_updates(&directory.join(LAST_POLICY));
-                newest.is_ok_and(|n_updates| n_updates >= self.quarter())
+                // A racer that has reached `evaluation.stop_at` goes no further.
+                newest.is_ok_and(|n_updates| n_updates >= self.quarter()) || is_finished(directory)
             }
-            RaceStage::Final => {
-                RunRecord::read(directory).is_ok_and(|record| record.result.is_some())
-            }
+            RaceStage::Final => is_finished(directory),
         }
     }
 
@@ -430,6 +429,11 @@ fn going_on(scores: &[Option<&RaceScore>], n_keep: usize) -> Vec<usize> {
     let mut going_on: Vec<usize> = ahead.map(|(i, _)| *i).collect();
     going_on.sort_unstable();
     going_on
+}
+
+/// Tells whether a racer has come to its end.
+fn is_finished(directory: &Path) -> bool {
+    RunRecord::read(directory).is_ok_and(|record| record.result.is_some())
 }
 
 #[cfg(test)]

@@ -111,11 +111,25 @@ pub struct ForkOrigin {
     pub weights_sha256: String,
 }
 
+/// Which setting ended a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ResultCause {
+    /// `learner.total_steps`: all steps are made.
+    #[default]
+    TotalSteps,
+    /// `evaluation.stop_at`: the last policy reached this score on held-out episodes.
+    StopAt,
+}
+
 /// What a finished run came to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunResult {
     /// When, UTC.
     pub finished: String,
+    /// What ended it; all steps in a record from before there was anything else.
+    #[serde(default)]
+    pub end: ResultCause,
     /// Optimiser iterations.
     pub updates: u64,
     /// Steps trained on.

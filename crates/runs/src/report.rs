@@ -14,7 +14,7 @@ use crate::command_line::command_line;
 use crate::findings::Findings;
 use crate::record::INITIAL_POLICY;
 use crate::run_files::RunFiles;
-use crate::{ProgramBuild, Tasks, held_out};
+use crate::{ProgramBuild, ResultCause, RunResult, Tasks, held_out};
 
 /// Points of a learning curve.
 const N_POINTS: usize = 120;
@@ -164,6 +164,7 @@ fn details(run: &RunFiles) -> Vec<ProvenanceDetail> {
     }
     if let Some(result) = &record.result {
         details.push(ProvenanceDetail::new("finished", &result.finished));
+        details.push(ProvenanceDetail::new("ended by", ended_by(run, result)));
         details.push(ProvenanceDetail::new("updates", result.updates.to_string()));
         details.push(ProvenanceDetail::new("steps", result.steps.to_string()));
         details.push(ProvenanceDetail::new("SHA-256 of the weights", &result.weights_sha256));
@@ -174,21 +175,41 @@ fn details(run: &RunFiles) -> Vec<ProvenanceDetail> {
     details
 }
 
+/// Says which setting ended a run, and where it stood.
+fn ended_by(run: &RunFiles, result: &RunResult) -> String {
+    let setting = |section: &str, key: &str| {
+        let value = run.config.get(section).and_then(|section| section.get(key));
+        let value = value.map_or_else(String::new, |value| format!(" = {value}"));
+        format!("{section}.{key}{value}")
+    };
+    match result.end {
+        ResultCause::TotalSteps => setting("learner", "total_steps"),
+        ResultCause::StopAt => {
+            let last = run.held_out.last().and_then(score_sentence).unwrap_or_default();
+            format!("{}: {last}", setting("evaluation", "stop_at"))
+        }
+    }
+}
+
 /// Says which policy is the best, and by what; nothing where none was evaluated while the run trained.
 fn best(run: &RunFiles) -> Option<ProvenanceDetail> {
     let line = held_out::of_best(&run.directory)?;
+    Some(ProvenanceDetail::new("best policy", score_sentence(&line)?))
+}
+
+/// Says what an evaluation on held-out episodes found.
+fn score_sentence(line: &Map<String, Value>) -> Option<String> {
     let number = |key: &str| line.get(key).and_then(Value::as_f64);
     let (measure, score) = match number("held_out/success") {
         Some(success) => ("success", success),
         None => ("return", number("held_out/return")?),
     };
-    let text = format!(
+    Some(format!(
         "from update {}: {measure} {score:.2} \u{b1} {:.2} over {} held-out episodes",
         number("update")?,
         number("held_out/error")?,
         number("held_out/episodes")?
-    );
-    Some(ProvenanceDetail::new("best policy", text))
+    ))
 }
 
 /// The built-in configuration that a run's own is nearest to.

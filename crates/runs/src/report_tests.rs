@@ -45,6 +45,35 @@ fn a_report_of_one_run_names_its_command_and_what_differs() {
 }
 
 #[test]
+fn a_report_says_which_setting_ended_the_run_and_where_it_stood() {
+    let dir = tempfile::tempdir().unwrap();
+    let ended = |name: &str, set: &[&str], end: ResultCause| {
+        let mut run = begun(dir.path(), "cartpole", name, set);
+        run.record.result = Some(RunResult {
+            finished: String::new(),
+            end,
+            updates: 2,
+            steps: 200,
+            weights_sha256: String::new(),
+            reproducible: true,
+            books: Value::Null,
+        });
+        let line = json!({"update": 2, "held_out/return": 210.0, "held_out/error": 1.5, "held_out/episodes": 20});
+        run.held_out = line.as_object().cloned().into_iter().collect();
+        let page = report(&Tasks::new(), &[run], Findings::default(), "leadtime");
+        let detail = page.provenance[0].details.iter().find(|it| it.name == "ended by");
+        detail.unwrap().value.clone()
+    };
+    let all = ended("all", &["learner.total_steps=200"], ResultCause::TotalSteps);
+    assert_eq!(all, "learner.total_steps = 200");
+    let early = ended("early", &["evaluation.stop_at=200"], ResultCause::StopAt);
+    assert_eq!(
+        early,
+        "evaluation.stop_at = 200.0: from update 2: return 210.00 \u{b1} 1.50 over 20 held-out episodes"
+    );
+}
+
+#[test]
 fn the_command_gives_the_same_configuration_also_where_a_choice_was_replaced() {
     let dir = tempfile::tempdir().unwrap();
     let tasks = Tasks::new();

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use leadtime_runs::{ProgramBuild, RunRecord, RunResult, Tasks};
+use leadtime_runs::{ProgramBuild, ResultCause, RunRecord, RunResult, Tasks};
 
 use crate::catalog::NamedStudy;
 use crate::error::Error;
@@ -54,6 +54,7 @@ pub(crate) fn record(directory: &Path, is_finished: bool) {
     let mut record = RunRecord::begin("a", "lander", 7, &ProgramBuild::default());
     record.result = is_finished.then(|| RunResult {
         finished: String::new(),
+        end: ResultCause::TotalSteps,
         updates: 1,
         steps: 1,
         weights_sha256: "0".to_owned(),

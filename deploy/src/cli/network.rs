@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use leadtime_certs::{PeerName, Role};
+use leadtime_certs::IssueRequest;
 
 use super::duration;
 
@@ -52,7 +52,7 @@ pub(crate) struct RouterArgs {
 pub(crate) enum CertsCommand {
     /// Make an authority: the certificate and key that sign all others.
     Init(CertsInitArgs),
-    /// Make the certificate and key of one process.
+    /// Make certificates and keys of processes, all or none, and the list of who may do what (DIR/acl.json5).
     Issue(CertsIssueArgs),
     /// Make the certificates anew that end soon; keys stay, and processes take the new files by themselves.
     Renew(CertsRenewArgs),
@@ -79,17 +79,42 @@ pub(crate) struct CertsIssueArgs {
     /// The directory of the authority.
     #[arg(value_name = "DIR")]
     pub directory: PathBuf,
-    /// What the process is: router, learner, actor, observer (reads metrics and weights), recorder (also rollouts), service
-    /// (a notifier at work) or robot (one of its clients).
-    pub role: Role,
-    /// Its name: a-z, 0-9 and `-`; an actor takes part under it, and a robot is a client of that name.
-    pub id: PeerName,
-    /// A host's name or address under which it is dialled; repeatable. Who only dials others needs none.
+    /// Whose they are: ROLE:NAME, or ROLE:NAME@HOST with the names or addresses under which a router or learner is dialled
+    /// (commas between several). Roles: router, learner, actor, observer (reads metrics and weights), recorder (also
+    /// rollouts), service (a notifier at work), robot (one of its clients). Names: a-z, 0-9 and `-`; an actor takes part
+    /// under it, and a robot is a client of that name. ROLE NAME, without the colon, is one process.
+    #[arg(value_name = "ROLE:NAME[@HOST]", required = true)]
+    pub peers: Vec<String>,
+    /// A host of the one process that is named; repeatable, as @HOST.
     #[arg(long, value_name = "NAME")]
     pub host: Vec<String>,
-    /// How long it lasts.
+    /// How long they last.
     #[arg(long, value_name = "DURATION", default_value = "90d", value_parser = duration_or_days)]
     pub lifetime: Duration,
+}
+
+impl CertsIssueArgs {
+    /// Returns the certificates that are asked for.
+    ///
+    /// # Errors
+    ///
+    /// A sentence about the first that cannot be read, or about `--host` with several of them.
+    pub(crate) fn requests(&self) -> anyhow::Result<Vec<IssueRequest>> {
+        let mut requests = match self.peers.as_slice() {
+            [role, name] if !role.contains(':') && !name.contains(':') => {
+                vec![IssueRequest { role: role.parse()?, name: name.parse()?, hosts: Vec::new() }]
+            }
+            several => several.iter().map(|text| text.parse()).collect::<Result<_, _>>()?,
+        };
+        match requests.as_mut_slice() {
+            [only] => only.hosts.extend(self.host.iter().cloned()),
+            _ if self.host.is_empty() => {}
+            _ => anyhow::bail!(
+                "--host cannot say whose it is of several: write it behind the name, as in learner:l1@HOST"
+            ),
+        }
+        Ok(requests)
+    }
 }
 
 /// `leadtime certs renew`
@@ -138,6 +163,34 @@ pub(super) fn duration_or_days(text: &str) -> Result<Duration, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn asked(peers: &[&str], host: &[&str]) -> Result<String, String> {
+        let owned = |texts: &[&str]| texts.iter().map(|&text| text.to_owned()).collect();
+        let (peers, host) = (owned(peers), owned(host));
+        let (directory, lifetime) = (PathBuf::new(), Duration::from_hours(24));
+        let requests = CertsIssueArgs { directory, peers, host, lifetime }.requests();
+        let requests = requests.map_err(|error| error.to_string())?;
+        Ok(requests.iter().map(ToString::to_string).collect::<Vec<_>>().join(" "))
+    }
+
+    #[test]
+    fn one_process_is_named_by_two_words_and_several_by_one_word_each() {
+        let fine = |peers: &[&str], host: &[&str]| asked(peers, host).unwrap();
+        assert_eq!(fine(&["actor", "a1"], &[]), "actor:a1");
+        assert_eq!(fine(&["learner", "l1"], &["box", "::1"]), "learner:l1@box,::1");
+        assert_eq!(fine(&["learner:l1@box"], &["::1"]), "learner:l1@box,::1");
+        assert_eq!(fine(&["router:r1@gate", "actor:a1"], &[]), "router:r1@gate actor:a1");
+        for (peers, host, told) in [
+            (&["actor"][..], &[][..], "ROLE:NAME"),
+            (&["actor", "a1", "a2"], &[], "ROLE:NAME"),
+            (&["router:r1", "a1"], &[], "`a1` does not say"),
+            (&["king", "a1"], &[], "`king` is not a role"),
+            (&["learner:l1", "actor:a1"], &["box"], "learner:l1@HOST"),
+        ] {
+            let error = asked(peers, host).unwrap_err();
+            assert!(error.contains(told), "{peers:?}: {error}");
+        }
+    }
 
     #[test]
     fn days_read_as_people_write_them() {

@@ -1,10 +1,11 @@
 //! `leadtime certs`: an authority of one's own, and a certificate for every process.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 use anyhow::Context as _;
 use jiff::{SignedDuration, Timestamp};
-use leadtime_certs::{Authority, Certificate, Issued, Role};
+use leadtime_certs::{Authority, Certificate, IssueRequest, Issued, Role};
 use leadtime_link::AccessList;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_proto::text::quoted;
@@ -42,21 +43,79 @@ fn init(args: &CertsInitArgs) -> anyhow::Result<()> {
 
 fn issue(args: &CertsIssueArgs) -> anyhow::Result<()> {
     let now = clock::now();
+    let requests = args.requests()?;
     let mut authority = Authority::open(&args.directory, now)?;
-    let issued = authority.issue(args.role, &args.id, &args.host, args.lifetime, now)?;
-    output::line(&line("issued", &issued));
-    if args.host.is_empty() && matches!(args.role, Role::Router | Role::Learner) {
-        output::note("Without --host nobody can dial it; it can dial a router.");
+    let list = OwnList::find(&args.directory)?;
+    let issued = authority.issue_all(&requests, args.lifetime, now)?;
+    let listed = list.write().inspect_err(|_told| authority.withdraw(&requests))?;
+    issued.iter().for_each(|issued| output::line(&line("issued", issued)));
+    let lacks_host = |request: &&IssueRequest| {
+        request.hosts.is_empty() && matches!(request.role, Role::Router | Role::Learner)
+    };
+    for IssueRequest { name, .. } in requests.iter().filter(lacks_host) {
+        output::note(&format!(
+            "`{name}` has no host, so nobody can dial it; it can dial a router."
+        ));
     }
-    let files = ["pem", "key"].map(|it| issued.path.with_extension(it).display().to_string());
+    match listed {
+        Some(n) => output::line(&access_list_line(&list.path, n)),
+        None => tracing::warn!(
+            "{0} is not the list of who had a certificate here, and stays as it is: `leadtime certs acl {1} -o {0}` writes it anew",
+            list.path.display(),
+            args.directory.display()
+        ),
+    }
     let authority = args.directory.join("ca.pem");
     output::note(&format!(
-        "Its machine needs {}, {} and {}. An access list knows it once `certs acl` has written it again.",
-        files[0],
-        files[1],
+        "The machine of a process needs its .pem and its .key, and {}; who lets others in needs the list, too.",
         authority.display()
     ));
     Ok(())
+}
+
+/// The access list beside the certificates, `acl.json5`, which follows them unless somebody has changed it.
+struct OwnList {
+    path: PathBuf,
+    /// Whether it is there as `certs acl` would write it, or not at all.
+    is_ours: bool,
+}
+
+impl OwnList {
+    /// Looks at it, before anything is issued.
+    fn find(directory: &Path) -> anyhow::Result<Self> {
+        let path = directory.join("acl.json5");
+        let is_ours = match fs::read_to_string(&path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => true,
+            text => {
+                let text = text.with_context(|| format!("reading {}", path.display()))?;
+                list_of(directory)?.is_some_and(|(_, list)| list.to_text() == text)
+            }
+        };
+        Ok(Self { path, is_ours })
+    }
+
+    /// Writes it for everybody who has a certificate now; returns how many they are, or `None` where it is not ours.
+    fn write(&self) -> anyhow::Result<Option<usize>> {
+        let directory = self.path.parent().unwrap_or(Path::new("."));
+        match list_of(directory)? {
+            Some((n, list)) if self.is_ours => {
+                output::file(&self.path, list.to_text().as_bytes())?;
+                Ok(Some(n))
+            }
+            _ => Ok(None),
+        }
+    }
+}
+
+/// Makes the list of everybody who has a certificate in a directory, with their number; `None` if nobody has.
+fn list_of(directory: &Path) -> anyhow::Result<Option<(usize, AccessList)>> {
+    let issued = Authority::list(directory)?;
+    let peers: Vec<_> = issued.into_iter().map(|issued| (issued.role, issued.name)).collect();
+    Ok(AccessList::of(&peers).map(|list| (peers.len(), list)))
+}
+
+fn access_list_line(file: &Path, n: usize) -> String {
+    format!("access list {} for {}", file.display(), counted(n, "certificate"))
 }
 
 fn renew(args: &CertsRenewArgs) -> anyhow::Result<()> {
@@ -107,18 +166,12 @@ fn show(args: &CertsShowArgs) -> anyhow::Result<()> {
 }
 
 fn acl(args: &CertsAclArgs) -> anyhow::Result<()> {
-    let issued = Authority::list(&args.directory)?;
-    let peers: Vec<_> = issued.into_iter().map(|issued| (issued.role, issued.name)).collect();
-    let list = AccessList::of(&peers).with_context(|| nobody(&args.directory))?;
+    let (n, list) = list_of(&args.directory)?.with_context(|| nobody(&args.directory))?;
     match &args.out {
         None => output::line(list.to_text().trim_end()),
         Some(file) => {
             output::file(file, list.to_text().as_bytes())?;
-            let file = file.display();
-            output::line(&format!(
-                "access list {file} for {}",
-                counted(peers.len(), "certificate")
-            ));
+            output::line(&access_list_line(file, n));
         }
     }
     Ok(())
@@ -127,7 +180,7 @@ fn acl(args: &CertsAclArgs) -> anyhow::Result<()> {
 fn nobody(directory: &Path) -> String {
     let directory = directory.display();
     format!(
-        "nobody has a certificate in {directory} yet: `leadtime certs issue {directory} learner NAME`"
+        "nobody has a certificate in {directory} yet: `leadtime certs issue {directory} learner:NAME`"
     )
 }
 

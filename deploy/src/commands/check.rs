@@ -7,14 +7,17 @@ use std::time::Duration;
 use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_config::{Config, Override};
-use leadtime_link::ObserverLink;
-use leadtime_proto::TaskSpec;
+use leadtime_link::{ConnectSettings, ObserverLink};
+use leadtime_proto::limits::MAX_LAG;
 use leadtime_proto::phrase::counted;
-use leadtime_runs::{Tasks, build};
+use leadtime_proto::{RunName, TaskSpec};
+use leadtime_runs::{Tasks, build, clock};
 use leadtime_sims::env_check::check_environment;
 use leadtime_sims::registry::{self, WorldOnly};
 use leadtime_table::wrapped;
+use leadtime_watch::{Attachment, Page};
 use leadtime_worker::{PythonSettings, check_worker};
+use serde_json::Value;
 
 use crate::cli::CheckArgs;
 use crate::credentials::{connect_settings, is_wrong_input};
@@ -51,10 +54,10 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
     writable(&config).blame(ExitCode::WrongInput)?;
     report("runs", &format!("{} can be written", config.run.directory.display()));
     if !args.connect.is_empty() {
-        let (runs, round_trip) = look(args).await?;
+        let (runs, line) = look(args).await?;
         report("learner", &format!("runs at {}: {}", args.connect.join(", "), runs.join(", ")));
-        if let Some(time) = round_trip {
-            report("round trip", &advice(time));
+        if let Some(line) = line {
+            report("round trip", &line.advice());
         }
     }
     if n_defects > 0 {
@@ -64,20 +67,54 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Says how long the way is, and, where that limits a run, which lag makes up for it.
-///
-/// An update needs rollouts that were made with the weights of `lag` updates before. Weights and rollouts take a round trip
-/// each, so `lag` updates take two round trips at least.
-fn advice(round_trip: Duration) -> String {
-    let shown = format!("{:.1} ms", round_trip.as_secs_f64() * 1e3);
-    if round_trip < SHORT_TRIP {
-        return shown;
+/// The way to a learner, and how long its updates take.
+#[derive(Clone, Copy, Debug)]
+struct LearnerLine {
+    round_trip: Duration,
+    /// How long an update trains; `None` where that could not be asked.
+    update: Option<Duration>,
+}
+
+impl LearnerLine {
+    /// Says how long the way is, and, where that limits a run, which lag makes up for it.
+    ///
+    /// An update needs rollouts that were made with the weights of `lag` updates before. Weights and rollouts take a round trip
+    /// each, so `lag` updates take two round trips at least.
+    fn advice(self) -> String {
+        let ms = |time: Duration| format!("{:.1} ms", time.as_secs_f64() * 1e3);
+        let shown = ms(self.round_trip);
+        if self.round_trip < SHORT_TRIP {
+            return shown;
+        }
+        let rate = 1.0 / (2.0 * self.round_trip.as_secs_f64());
+        let (one, eight) = (rate, 8.0 * rate);
+        let needed = self.update.map_or_else(String::new, |update| {
+            let lag = lag_needed(self.round_trip, update);
+            format!(
+                "; an update trains for {}, for which learner.lag = {lag} is needed",
+                ms(update)
+            )
+        });
+        format!(
+            "{shown}: with learner.lag = 1 at most {one:.0} updates a second, with 8 at most {eight:.0}{needed}; same seed, same bits as \
+             well"
+        )
     }
-    let rate = 1.0 / (2.0 * round_trip.as_secs_f64());
-    let (one, eight) = (rate, 8.0 * rate);
-    format!(
-        "{shown}: with learner.lag = 1 at most {one:.0} updates a second, with 8 at most {eight:.0}; same seed, same bits as well"
-    )
+}
+
+/// Returns the smallest lag at which the way does not hold up updates that take so long, or the largest that is allowed.
+fn lag_needed(round_trip: Duration, update: Duration) -> u64 {
+    let lag = (2 * round_trip.as_nanos()).div_ceil(update.as_nanos().max(1));
+    u64::try_from(lag).unwrap_or(u64::MAX).clamp(1, MAX_LAG)
+}
+
+/// Returns how long an update of a run trains, in the middle of all, from what a page knows of it; `None` before the first.
+fn update_time(page: &Value) -> Option<Duration> {
+    let longest = page["history"]["scalars"]["system/train_seconds"]["max"].as_array()?;
+    let mut seconds: Vec<f64> = longest.iter().filter_map(Value::as_f64).collect();
+    seconds.sort_by(f64::total_cmp);
+    let middle = seconds.get(seconds.len() / 2)?;
+    Duration::try_from_secs_f64(*middle).ok().filter(|time| !time.is_zero())
 }
 
 /// Has two workers of a world in Python take the same steps, if it is one; returns the number of defects.
@@ -130,7 +167,7 @@ fn writable(config: &Config) -> anyhow::Result<()> {
 }
 
 /// Lists the runs at an address, and measures the way to the first one's learner, as far as we may ask it.
-async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<Duration>), Failure> {
+async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<LearnerLine>), Failure> {
     let settings = connect_settings(&args.connect, &args.tls, args.connect_timeout, &Role::ALL);
     let settings = settings.blame(ExitCode::WrongInput)?;
     let failure = |error| {
@@ -139,9 +176,13 @@ async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<Duration>), Failu
     };
     let (link, _events) = ObserverLink::open(&settings).await.map_err(failure)?;
     let runs = link.runs().await.blame(ExitCode::PeerLost)?;
-    let mut round_trip = None;
-    if let Some(run) = runs.first() {
-        round_trip = link.round_trip(run).await.ok();
+    let mut line = None;
+    if let Some(run) = runs.first()
+        && let Ok(round_trip) = link.round_trip(run).await
+    {
+        let limits = round_trip >= SHORT_TRIP;
+        let update = if limits { trained_for(&settings, run).await } else { None };
+        line = Some(LearnerLine { round_trip, update });
     }
     link.close().await.blame(ExitCode::PeerLost)?;
     if runs.is_empty() {
@@ -149,5 +190,55 @@ async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<Duration>), Failu
         let error = anyhow::anyhow!("someone answers at {at}, but no learner is there");
         return Err(Failure::of(ExitCode::PeerLost, error));
     }
-    Ok((runs.iter().map(ToString::to_string).collect(), round_trip))
+    Ok((runs.iter().map(ToString::to_string).collect(), line))
+}
+
+/// Asks a run's learner how long its updates train; `None` where it has made none, or we may not ask.
+async fn trained_for(settings: &ConnectSettings, run: &RunName) -> Option<Duration> {
+    let attachment = Attachment::open(settings, Some(run.clone())).await.ok()?;
+    let page = Page::new(run.as_str(), clock::unix_seconds);
+    attachment.look_once(&page, Duration::ZERO).await.ok()?;
+    update_time(&page.with(|view, now| view.json(now)))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_lag_that_is_needed_covers_two_round_trips_with_updates() {
+        let needed = |trip: u64, update: u64| {
+            lag_needed(Duration::from_millis(trip), Duration::from_millis(update))
+        };
+        assert_eq!(needed(100, 24), 9);
+        assert_eq!((needed(100, 25), needed(100, 50)), (8, 4), "not one more than that");
+        assert_eq!((needed(5, 400), needed(2_000, 1)), (1, MAX_LAG), "as far as is allowed");
+        assert_eq!(lag_needed(Duration::from_millis(5), Duration::ZERO), MAX_LAG);
+    }
+
+    #[test]
+    fn a_slow_line_is_told_with_the_lag_that_its_updates_need() {
+        let told = |trip: u64, update: Option<u64>| {
+            let round_trip = Duration::from_millis(trip);
+            LearnerLine { round_trip, update: update.map(Duration::from_millis) }.advice()
+        };
+        assert_eq!(told(4, Some(1)), "4.0 ms");
+        let unknown = "100.0 ms: with learner.lag = 1 at most 5 updates a second, with 8 at most 40; same seed, same bits as well";
+        assert_eq!(told(100, None), unknown);
+        let known = unknown.replace(
+            "; same",
+            "; an update trains for 24.0 ms, for which learner.lag = 9 is needed; same",
+        );
+        assert_eq!(told(100, Some(24)), known);
+    }
+
+    #[test]
+    fn an_updates_time_is_that_in_the_middle_of_all() {
+        let page = |seconds: Value| json!({"history": {"scalars": {"system/train_seconds": {"max": seconds}}}});
+        assert_eq!(update_time(&page(json!([9.0, 0.02, 0.024]))), Some(Duration::from_millis(24)));
+        assert_eq!(update_time(&page(json!([]))), None);
+        assert_eq!(update_time(&json!({"history": {"scalars": {}}})), None);
+    }
 }

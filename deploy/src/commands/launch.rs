@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_proto::RunName;
 use leadtime_runs::launch::{self, Launch, LaunchError, LearnerPlace};
@@ -17,7 +18,7 @@ use tokio_util::task::TaskTracker;
 use super::lag;
 use super::watch::{PageServer, beside};
 use crate::cli::{AccessArgs, UpArgs};
-use crate::credentials::guard_options;
+use crate::credentials::{check_listening, guard_options};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT};
 use crate::shutdown::{Watch, watch};
@@ -27,6 +28,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result
     let name = args.run.name.as_deref();
     let source = args.source.changed(&args.run.change);
     let mut config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
+    check_listening(&args.listen, &args.guard, Role::Learner).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     if args.choose_lag {
         let lag = lag::choose(tasks, args, &config, &shutdown).await?;

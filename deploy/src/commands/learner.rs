@@ -14,8 +14,8 @@ use leadtime_runs::held_out::held_out_evaluation;
 use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
 use leadtime_runs::{
-    ProgramBuild, RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock, learner_config,
-    scratch,
+    ProgramBuild, ResultCause, RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock,
+    learner_config, scratch,
 };
 use serde_json::json;
 use tokio_util::sync::CancellationToken;
@@ -102,7 +102,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let is_asked = time_is_up.is_cancelled()
         || drained.load(Ordering::Relaxed)
         || n_asked.is_some_and(|n| report.n_updates >= n);
-    let concluded = conclude(&mut run_dir, &report, is_asked, args);
+    let concluded = conclude(&mut run_dir, &report, &config, is_asked, args);
     write_report(tasks, &config, &run_dir);
     concluded
 }
@@ -110,8 +110,12 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
 /// Says that there is nothing to train, and what to do.
 fn tell_finished(run_dir: &RunDir) {
     let (name, path) = (&run_dir.name, run_dir.path.display());
+    let setting = match run_dir.record.result.as_ref().map(|result| result.end) {
+        Some(ResultCause::StopAt) => "evaluation.stop_at",
+        _ => "learner.total_steps",
+    };
     output::say(&format!(
-        "run `{name}` is finished: see {path}; raise learner.total_steps to train on, or take another --name"
+        "run `{name}` is finished: see {path}; raise {setting} to train on, or take another --name"
     ));
 }
 
@@ -210,6 +214,7 @@ fn failure(error: leadtime_learner::Error) -> Failure {
 fn conclude(
     run_dir: &mut RunDir,
     report: &RunReport,
+    config: &Config,
     is_asked: bool,
     args: &LearnerArgs,
 ) -> Result<(), Failure> {
@@ -232,6 +237,9 @@ fn conclude(
     let (n_updates, n_steps) = (report.n_updates, report.n_steps);
     output::line(&format!("run      {}", run_dir.path.display()));
     output::line(&format!("updates  {n_updates} ({n_steps} steps)"));
+    if report.end != RunEnd::Stopped && n_updates < config.learner.n_updates() {
+        output::line("ended    by evaluation.stop_at, which this policy reaches");
+    }
     output::line(&format!("weights  sha256 {digest}"));
     if let Some(means) = &report.best.held_out {
         output::line(&format!("best     {}", held_out_sentence(means)));
@@ -241,8 +249,11 @@ fn conclude(
         return Err(imbalance).blame(ExitCode::Failed);
     }
     if report.end != RunEnd::Stopped {
+        let is_early = n_updates < config.learner.n_updates();
+        let end = if is_early { ResultCause::StopAt } else { ResultCause::TotalSteps };
         let result = RunResult {
             finished: clock::utc_now(),
+            end,
             updates: n_updates,
             steps: n_steps,
             weights_sha256: digest,

@@ -35,13 +35,13 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
         describe(&policy, args.json);
         return Ok(());
     }
+    let settings = listen_settings(&args.listen, &args.connect, &args.guard, Role::Service);
+    let settings: ListenSettings = settings.blame(ExitCode::WrongInput)?;
     let policy = with_voice(policy, args)?;
     let loudspeaker = loudspeaker(&policy, args)?;
     let store = args.state.as_deref().map(StateDirectory::open).transpose();
     let store = store.context("--state").blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
-    let settings = listen_settings(&args.listen, &args.connect, &args.guard, Role::Service);
-    let settings: ListenSettings = settings.blame(ExitCode::WrongInput)?;
     let own = clock::incarnation();
     let opened = LiveServiceLink::open(&settings, &args.service, own).await;
     let (link, events) = opened.map_err(listening_failure)?;
