@@ -1,6 +1,6 @@
 //! A learner's and its actors' decisions, driven together in virtual time through a network that loses, delays,
 //! repeats and reorders messages, while processes die and come back, fall silent, or send states that nobody can
-//! restore.
+//! restore, and while somebody else gives the actors orders.
 //!
 //! Environments are hash chains, so that a rollout shows everything that went into it: whatever happened on the way,
 //! a deterministic schedule trains on the same numbers as a loop without processes.
@@ -16,10 +16,13 @@ use leadtime_learner::coordinator::{
     Coordinator, CoordinatorSettings, CoordinatorStart, Effect, TICK,
 };
 use leadtime_learner::rollout_queue::RolloutQueue;
-use leadtime_learner::{Books, RunEvent};
+use leadtime_learner::{Books, MembershipNumber, RunEvent};
 use leadtime_link::{ConnectSettings, Error as LinkError};
 use leadtime_proto::header::Schema;
-use leadtime_proto::message::{Announcement, Control, ControlReply, EnvAssignment, Hello, Welcome};
+use leadtime_proto::limits::{MAX_COUNT, MAX_HEARD_EPOCH};
+use leadtime_proto::message::{
+    Announcement, Assignment, Control, ControlReply, EnvAssignment, Hello, Welcome,
+};
 use leadtime_proto::{
     ActionSpec, ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, Iteration, PolicySpec,
     PolicyVersion, Rollout, RunName, RunSpec, Schedule, TaskSpec, codec,
@@ -30,7 +33,7 @@ const N_RUNS: u64 = 60;
 /// Until when things go wrong, and until when the run may recover, in milliseconds.
 const CALM_FROM: u64 = 40_000;
 const END: u64 = 400_000;
-/// What the drivers of the real ones allow for an answer to an order (twice), a hello and a pull, in milliseconds.
+/// What the drivers of the real ones allow for an answer to an order (twice), a first hello and a pull, in milliseconds.
 const ORDER_TIMEOUT: u64 = 3_000;
 const HELLO_TIMEOUT: u64 = 2_000;
 const PULL_TIMEOUT: u64 = 5_000;
@@ -138,8 +141,16 @@ struct LearnerModel {
     incarnation: Incarnation,
     version: PolicyVersion,
     is_training: bool,
-    /// Messages for each actor; the number of the first one's sending, if it is under way.
-    orders: BTreeMap<ActorKey, (VecDeque<Control>, Option<u64>)>,
+    /// Messages for each actor, of its newest membership.
+    orders: BTreeMap<ActorKey, Orders>,
+}
+
+/// The messages of a membership.
+struct Orders {
+    membership: MembershipNumber,
+    queue: VecDeque<Control>,
+    /// The number of the first one's sending, if it is under way.
+    under_way: Option<u64>,
 }
 
 /// One start of an actor process.
@@ -282,9 +293,14 @@ impl World {
         }
         for effect in self.learner.as_mut().unwrap().coordinator.take_effects() {
             match effect {
-                Effect::Control { to, control } => {
+                Effect::Control { to, membership, control } => {
                     let orders = &mut self.learner.as_mut().unwrap().orders;
-                    orders.entry(to.clone()).or_default().0.push_back(control);
+                    let new = || Orders { membership, queue: VecDeque::new(), under_way: None };
+                    let orders = orders.entry(to.clone()).or_insert_with(new);
+                    if orders.membership != membership {
+                        *orders = new();
+                    }
+                    orders.queue.push_back(control);
                     self.next_order(&to);
                 }
                 Effect::Credit { to, credit } => {
@@ -323,8 +339,8 @@ impl World {
         }
         self.learn(|learner| {
             learner.coordinator.tick();
-            let members = learner.coordinator.members();
-            learner.orders.retain(|(actor, start), _| members.get(actor) == Some(start));
+            let coordinator = &learner.coordinator;
+            learner.orders.retain(|key, orders| coordinator.is_current(key, orders.membership));
         });
         self.announce();
         self.at(TICK.as_millis() as u64, move |w| w.tick_learner(incarnation));
@@ -359,16 +375,17 @@ impl World {
 
     fn next_order(&mut self, to: &ActorKey) {
         let orders = self.learner.as_ref().and_then(|learner| learner.orders.get(to));
-        if orders.is_some_and(|(queue, under_way)| under_way.is_none() && !queue.is_empty()) {
+        if orders.is_some_and(|orders| orders.under_way.is_none() && !orders.queue.is_empty()) {
             self.send_order(to, 1);
         }
     }
 
     fn send_order(&mut self, to: &ActorKey, attempt: u32) {
         let number = self.number();
-        let (queue, under_way) = self.learner.as_mut().unwrap().orders.get_mut(to).unwrap();
-        *under_way = Some(number);
-        let (control, key) = (queue[0].clone(), to.clone());
+        let orders = self.learner.as_mut().unwrap().orders.get_mut(to).unwrap();
+        orders.under_way = Some(number);
+        let membership = orders.membership;
+        let (control, key) = (orders.queue[0].clone(), to.clone());
         self.send(move |w| {
             let deaf_until = w.alive(&key).map_or(0, |actor| actor.deaf_until);
             let order = ActorInput::Order { control, reply: number };
@@ -377,23 +394,33 @@ impl World {
         let key = to.clone();
         self.at(ORDER_TIMEOUT, move |w| {
             let Some(learner) = &mut w.learner else { return };
-            let is_waiting = learner.orders.get(&key).is_some_and(|(_, n)| *n == Some(number));
+            let orders = learner.orders.get(&key);
+            let is_waiting = orders.is_some_and(|orders| orders.under_way == Some(number));
             if is_waiting && attempt == 1 {
                 w.send_order(&key, 2);
             } else if is_waiting {
                 learner.orders.remove(&key);
-                w.learn(|learner| learner.coordinator.give_up(&key));
+                w.learn(|learner| learner.coordinator.silent(&key, membership));
             }
         });
     }
 
     fn reply(&mut self, from: &ActorKey, number: u64, reply: ControlReply) {
         self.learn(|learner| {
-            let Some((queue, under_way)) = learner.orders.get_mut(from) else { return };
-            if *under_way == Some(number) {
-                *under_way = None;
-                queue.pop_front();
-                if let ControlReply::CannotRestore { epoch, envs } = reply {
+            let Some(orders) = learner.orders.get_mut(from) else { return };
+            if orders.under_way != Some(number) {
+                return;
+            }
+            orders.under_way = None;
+            let Some(Control::Assign(ordered)) = orders.queue.pop_front() else { return };
+            match reply {
+                ControlReply::Followed { epoch } | ControlReply::CannotRestore { epoch, .. }
+                    if epoch != ordered.epoch =>
+                {
+                    learner.coordinator.astray(from, orders.membership, epoch);
+                }
+                ControlReply::Followed { .. } => {}
+                ControlReply::CannotRestore { epoch, envs } => {
                     learner.coordinator.cannot_restore(from, epoch, &envs);
                 }
             }
@@ -468,7 +495,7 @@ impl World {
             ..ActorModel::default()
         });
         let key = (actor_id(index), incarnation);
-        self.say_hello(&key, Model::first_hello(&settings(&key)));
+        self.say_first_hello(&key);
         self.connect(&key);
         self.tick_actor(key);
     }
@@ -493,12 +520,17 @@ impl World {
         self.at(later, move |w| w.arrive(&to, ActorInput::LearnerJoined(learner)));
     }
 
-    fn say_hello(&mut self, key: &ActorKey, hello: Hello) {
+    fn say_first_hello(&mut self, key: &ActorKey) {
+        let hello = Model::first_hello(&settings(key));
+        self.say_hello(key, hello, Duration::from_millis(HELLO_TIMEOUT));
+    }
+
+    fn say_hello(&mut self, key: &ActorKey, hello: Hello, timeout: Duration) {
         let number = self.number();
         self.alive(key).unwrap().hello = number;
         let (from, to) = (key.clone(), key.clone());
         self.send(move |w| w.hello(from, number, &hello));
-        self.at(HELLO_TIMEOUT, move |w| {
+        self.at(timeout.as_millis() as u64, move |w| {
             let (key, timeout) = ("hello".to_owned(), Duration::ZERO);
             w.answered(&to, number, Err(LinkError::NoAnswer { key, timeout }));
         });
@@ -517,14 +549,17 @@ impl World {
             }
             Err(error) if is_known => self.act(key, ActorInput::NotWelcomed(Box::new(error))),
             Err(LinkError::Refused { .. }) => self.end_actor(key),
-            Err(_) => self.say_hello(key, Model::first_hello(&settings(key))),
+            Err(_) => self.say_first_hello(key),
         }
     }
 
-    /// Takes something from the network to an actor; while it says hello, that waits.
+    /// Takes something from the network to an actor; while it says hello, that waits, all but presence.
     fn arrive(&mut self, key: &ActorKey, input: Input) {
         let Some(model) = self.alive(key) else { return };
-        if model.actor.as_ref().is_none_or(Actor::is_greeting) {
+        let is_presence =
+            matches!(input, ActorInput::LearnerJoined(_) | ActorInput::LearnerLeft(_));
+        let waits = |actor: &Model| actor.is_greeting() && !is_presence;
+        if model.actor.as_ref().is_none_or(waits) {
             model.backlog.push(input);
         } else {
             self.act(key, input);
@@ -560,7 +595,7 @@ impl World {
         let Some(model) = self.alive(key) else { return };
         let from = key.clone();
         let input = match output {
-            ActorOutput::Hello(hello) => return self.say_hello(key, hello),
+            ActorOutput::Hello { hello, timeout } => return self.say_hello(key, hello, timeout),
             ActorOutput::Reply(number, reply) => {
                 return self.send(move |w| w.reply(&from, number, reply));
             }
@@ -607,13 +642,14 @@ impl World {
             return;
         }
         let n_alive = self.keys().len() as u64;
-        let what = self.dice(7);
+        let what = self.dice(8);
         let which = self.dice(n_alive.max(1)) as usize;
         match self.keys().get(which) {
             _ if what == 0 => self.end_learner(),
             Some(key) if what == 1 => self.end_actor(key),
             Some(key) if what == 2 => self.cut(key),
             Some(key) if what == 3 => self.alive(key).unwrap().deaf_until = self.now + 10_000,
+            Some(key) if what == 4 => self.give_false_order(key),
             _ => {}
         }
         let pause = self.dice(6_000);
@@ -652,6 +688,22 @@ impl World {
                 w.connect(&to);
             }
         });
+    }
+
+    /// Somebody else gives an actor an order, with a number beyond the learner's: nothing, or an environment from its
+    /// beginning.
+    fn give_false_order(&mut self, key: &ActorKey) {
+        let epoch = match self.dice(3) {
+            0 => MAX_COUNT,
+            1 => MAX_HEARD_EPOCH,
+            _ => 1 << (10 + self.dice(30)),
+        };
+        let place = RolloutQueue::beginning(1);
+        let envs = if self.dice(2) == 0 { place } else { Vec::new() };
+        let assignment = Assignment { epoch: Epoch(epoch), envs, keep: Vec::new() };
+        assignment.check().unwrap();
+        let (control, reply) = (Control::Assign(assignment), self.number());
+        self.arrive(key, ActorInput::Order { control, reply });
     }
 
     /// From now on nothing goes wrong any more; whoever cannot or will not work is replaced.

@@ -23,7 +23,7 @@ use leadtime_trace::Timed;
 use tokio::sync::mpsc;
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep_until, timeout_at};
 use tokio_util::sync::CancellationToken;
-use tracing::{debug, info};
+use tracing::{debug, info, warn};
 
 use crate::collect::{CollectJob, CollectWorker, Collected, EnvBuilder, RestoredEnvs};
 use crate::job_thread::JobThread;
@@ -36,8 +36,6 @@ use crate::{ActorEnd, ActorReport, ActorSettings, Error};
 
 /// How often time-outs are looked at and metrics are published.
 const TICK: Duration = Duration::from_secs(1);
-/// How long one hello may take.
-const HELLO_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long a leaving actor waits for the acknowledgement of what it sent.
 const FAREWELL: Duration = Duration::from_secs(1);
 /// How long an actor that is asked to stop may take to finish the rollout that it is at.
@@ -268,7 +266,7 @@ impl Process {
             published = self.publisher.result() => ActorWake::Published(published?),
             collected = self.collector.result() => ActorWake::Collected(collected?),
             restored = self.restorer.result() => ActorWake::Restored(restored?),
-            event = events.recv(), if listens => {
+            event = heard(events, listens) => {
                 ActorWake::Network(event.ok_or(Error::ThreadGone("network"))?)
             }
         })
@@ -304,17 +302,7 @@ impl Process {
             }
             ActorWake::Pulled(version, pulled) => {
                 phases::pulled(self.sink.as_mut(), version, &pulled);
-                match pulled.value {
-                    Ok(bytes) => {
-                        let parameters = Parameters::from_safetensors(&bytes, &self.policy)?;
-                        ActorInput::Pulled { version, weights: Arc::new(parameters) }
-                    }
-                    Err(error) => {
-                        debug!(%error, "weights not pulled; trying again");
-                        let not_kept = matches!(error, leadtime_link::Error::NotKept { .. });
-                        ActorInput::PullFailed { version, not_kept }
-                    }
-                }
+                from_pull(version, pulled.value, &self.policy)
             }
             ActorWake::Alarm => ActorInput::Tick,
             ActorWake::Tick => {
@@ -329,7 +317,7 @@ impl Process {
     /// Does what is to be done; returns how the actor ended if that is to leave.
     fn carry_out(&mut self, output: LiveOutput) -> Result<Option<ActorEnd>, Error> {
         match output {
-            ActorOutput::Hello(hello) => self.greet(hello),
+            ActorOutput::Hello { hello, timeout } => self.greet(hello, timeout),
             ActorOutput::Reply(responder, answer) => {
                 if let Err(error) = responder.reply(&answer) {
                     debug!(%error, "order not answered; it will come again");
@@ -357,11 +345,11 @@ impl Process {
         Ok(None)
     }
 
-    fn greet(&self, hello: Hello) {
+    fn greet(&self, hello: Hello, timeout: Duration) {
         let (link, done) = (Arc::clone(&self.link), self.tasks.0.clone());
         let run = self.actor.welcome.run.clone();
         tokio::spawn(async move {
-            let answer = link.hello(Some(&run), &hello, HELLO_TIMEOUT).await;
+            let answer = link.hello(Some(&run), &hello, timeout).await;
             drop(done.send(ActorWake::Greeted(answer.map(Box::new).map_err(Box::new))).await);
         });
     }
@@ -406,6 +394,37 @@ impl Process {
     }
 }
 
+/// Waits for something from the network; while the actor does not listen, for presence alone.
+async fn heard(events: &Events<ActorEvent>, listens: bool) -> Option<ActorEvent> {
+    if listens { events.recv().await } else { events.recv_presence().await }
+}
+
+/// Makes of what a pull brought what the actor takes in.
+///
+/// Bytes with the announced digest that are no weights were announced by somebody else: the learner's own are of the
+/// policy that its welcome describes. So the announcement is forgotten, as that of a version that nobody keeps.
+fn from_pull(
+    version: PolicyVersion,
+    pulled: leadtime_link::Result<Vec<u8>>,
+    policy: &PolicySpec,
+) -> LiveInput {
+    let bytes = match pulled {
+        Ok(bytes) => bytes,
+        Err(error) => {
+            debug!(%error, "weights not pulled; trying again");
+            let not_kept = matches!(error, leadtime_link::Error::NotKept { .. });
+            return ActorInput::PullFailed { version, not_kept };
+        }
+    };
+    match Parameters::from_safetensors(&bytes, policy) {
+        Ok(parameters) => ActorInput::Pulled { version, weights: Arc::new(parameters) },
+        Err(error) => {
+            warn!(%version, "what was announced as weights is none ({error}); trying again");
+            ActorInput::PullFailed { version, not_kept: true }
+        }
+    }
+}
+
 fn from_network(event: ActorEvent) -> LiveInput {
     match event {
         ActorEvent::Control { control, reply } => ActorInput::Order { control, reply },
@@ -413,5 +432,31 @@ fn from_network(event: ActorEvent) -> LiveInput {
         ActorEvent::Announcement(news) => ActorInput::Announcement(news),
         ActorEvent::LearnerJoined(learner) => ActorInput::LearnerJoined(learner),
         ActorEvent::LearnerLeft(learner) => ActorInput::LearnerLeft(learner),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::{ActionSpec, EnvSpec};
+
+    use super::*;
+
+    #[test]
+    fn what_was_announced_as_weights_and_is_none_is_pulled_again() {
+        let actions = ActionSpec::discrete("a", 2);
+        let policy = PolicySpec::dense(&EnvSpec { obs_dim: 1, actions, metrics: Vec::new() }, &[8]);
+        let version = PolicyVersion(3);
+        for rubbish in [vec![0; 100], Vec::new()] {
+            let input = from_pull(version, Ok(rubbish), &policy);
+            assert!(
+                matches!(
+                    input,
+                    ActorInput::PullFailed { version: PolicyVersion(3), not_kept: true }
+                ),
+                "{input:?}"
+            );
+        }
+        let failed = from_pull(version, Err(leadtime_link::Error::Dead), &policy);
+        assert!(matches!(failed, ActorInput::PullFailed { not_kept: false, .. }), "{failed:?}");
     }
 }

@@ -18,13 +18,14 @@
 //!
 //! [`Actor::handle`] takes one thing that happened and returns what is to be done, in order. Every output but
 //! [`ActorOutput::Reply`] and [`ActorOutput::End`] is answered by the input that its documentation names. While
-//! [`Actor::is_greeting`], what comes from the network waits with the driver: an order of a new learner must not be
-//! followed before its welcome. After [`Actor::wakes_at`] a [`ActorInput::Tick`] is due, and one now and then anyway.
+//! [`Actor::is_greeting`], what comes from the network waits with the driver, all but presence: an order of a new learner
+//! must not be followed before its welcome. After [`Actor::wakes_at`] a [`ActorInput::Tick`] is due, and one now and then anyway.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
-use leadtime_proto::limits::MAX_WINDOW;
+use leadtime_numerics::{Pcg64, Purpose, stream};
+use leadtime_proto::limits::{MAX_HEARD_EPOCH, MAX_WINDOW};
 use leadtime_proto::message::{
     Announcement, Assignment, Control, ControlReply, Credit, Hello, Welcome,
 };
@@ -50,6 +51,9 @@ const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::
 const MAX_PULLS: usize = 4;
 /// The pause between two lines in the log about a learner that does not answer.
 const LOG_PAUSE: Duration = Duration::from_mins(1);
+/// How long the first and the last hellos to a learner that was lost may take, search and answer included: where many
+/// actors come back at once, an answer is late, and one that is not waited for costs one more hello.
+const HELLO_TIMEOUT: (Duration, Duration) = (Duration::from_secs(2), Duration::from_secs(10));
 /// First and longest pause between hellos that failed; the first one also after a pull that failed.
 const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
 
@@ -113,7 +117,12 @@ pub enum ActorInput<W, R, E> {
 #[derive(Debug)]
 pub enum ActorOutput<W, R, E> {
     /// Say hello; [`ActorInput::Welcomed`] or [`ActorInput::NotWelcomed`] follows.
-    Hello(Hello),
+    Hello {
+        /// The message.
+        hello: Hello,
+        /// How long to look for the learner and to wait for its answer.
+        timeout: Duration,
+    },
     /// Answer an order.
     Reply(R, ControlReply),
     /// Make the environments of an assignment ready, from their snapshots; [`ActorInput::Restored`] follows.
@@ -154,6 +163,11 @@ struct Greeting {
     /// When it was last logged that nobody answers.
     logged: Instant,
     pause: Duration,
+    /// How long the next hello may take.
+    timeout: Duration,
+    /// The newest that was heard of a learner's presence meanwhile: whose, and whether it is there. What was heard
+    /// before it is out of date.
+    presence: Option<(Incarnation, bool)>,
     /// When to say it again; `None` while one is under way.
     retry_at: Option<Instant>,
 }
@@ -188,6 +202,8 @@ pub struct Actor<W, R, E> {
     /// Counts learners: what was begun under an earlier one is of no use.
     generation: u64,
     greeting: Option<Greeting>,
+    /// Actors that lost their learner together do not come back in step.
+    jitter: Pcg64,
     orders: VecDeque<(Assignment, R)>,
     restoring: Option<Restoration<R>>,
     adoptions: VecDeque<Adoption<E>>,
@@ -221,10 +237,12 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     pub fn new(settings: ActorSettings, welcome: Welcome, now: Instant) -> Result<Self, Error> {
         welcome.spec.check()?;
         let weights = WeightCache::new(welcome.spec.schedule, &welcome.weights);
+        let jitter = stream(welcome.spec.seed, Purpose::Greet, 0, settings.incarnation.0);
         let mut actor = Self {
             settings,
             outbox: Outbox::default(),
             weights,
+            jitter,
             welcome,
             generation: 0,
             greeting: None,
@@ -269,14 +287,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
                     self.weights.announce(&news);
                 }
             }
-            ActorInput::LearnerJoined(learner) if learner != self.learner() => self.greet(now),
-            ActorInput::LearnerLeft(learner) if learner == self.learner() => {
-                let wait = duration(self.settings.reconnect_timeout);
-                let run = &self.welcome.run;
-                warn!(%run, "the learner is gone; looking for it (--reconnect-timeout {wait})");
-                self.greet(now);
-            }
-            ActorInput::LearnerJoined(_) | ActorInput::LearnerLeft(_) => {}
+            ActorInput::LearnerJoined(learner) => self.presence(now, learner, true),
+            ActorInput::LearnerLeft(learner) => self.presence(now, learner, false),
             ActorInput::Welcomed(welcome) => self.welcomed(now, *welcome),
             ActorInput::NotWelcomed(error) => self.not_welcomed(now, *error),
             ActorInput::Restored { envs, failed } => self.restored(envs, failed),
@@ -301,7 +313,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         std::mem::take(&mut self.outputs)
     }
 
-    /// Tells whether a hello is not answered yet; until it is, what comes from the network waits with the driver.
+    /// Tells whether a hello is not answered yet; until it is, what comes from the network waits with the driver, all but
+    /// presence.
     pub fn is_greeting(&self) -> bool {
         self.greeting.is_some()
     }
@@ -488,9 +501,36 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     fn greet(&mut self, now: Instant) {
         if self.greeting.is_none() {
             self.n_reconnects += 1;
-            let (since, pause, retry_at) = (now, BACK_OFF.0, Some(now));
-            self.greeting = Some(Greeting { since, logged: now, pause, retry_at });
+            self.greeting = Some(Greeting {
+                since: now,
+                logged: now,
+                pause: BACK_OFF.0,
+                timeout: HELLO_TIMEOUT.0,
+                presence: None,
+                retry_at: Some(now),
+            });
         }
+    }
+
+    /// Says hello to a learner that is new, or looks for one that is gone. While a hello is under way, the newest of
+    /// these is kept until its answer: a loss that was followed by a return needs no further hello.
+    fn presence(&mut self, now: Instant, learner: Incarnation, is_there: bool) {
+        let is_ours = learner == self.learner();
+        if let Some(greeting) = &mut self.greeting {
+            greeting.presence = Some((learner, is_there));
+        } else if is_ours && !is_there {
+            let wait = duration(self.settings.reconnect_timeout);
+            let run = &self.welcome.run;
+            warn!(%run, "the learner is gone; looking for it (--reconnect-timeout {wait})");
+            self.greet(now);
+        } else if !is_ours && is_there {
+            self.greet(now);
+        }
+    }
+
+    /// Returns a time between three quarters of this one and all of it.
+    fn jittered(jitter: &mut Pcg64, time: Duration) -> Duration {
+        time.mul_f64(jitter.uniform(0.75, 1.0))
     }
 
     fn not_welcomed(&mut self, now: Instant, error: leadtime_link::Error) {
@@ -512,17 +552,20 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             let (run, gone, left) = (&self.welcome.run, duration(gone), duration(left));
             warn!(%run, "still looking for the learner, gone for {gone}; for {left} more");
         }
-        greeting.retry_at = Some(now + greeting.pause);
+        greeting.retry_at = Some(now + Self::jittered(&mut self.jitter, greeting.pause));
         greeting.pause = (greeting.pause * 2).min(BACK_OFF.1);
+        greeting.timeout = (greeting.timeout * 2).min(HELLO_TIMEOUT.1);
     }
 
     /// Goes on with a learner that may be a new one.
     fn welcomed(&mut self, now: Instant, welcome: Welcome) {
-        self.greeting = None;
+        let presence = self.greeting.take().and_then(|greeting| greeting.presence);
         if self.welcome.spec != welcome.spec {
             return self.end(Err(Error::RunChanged(welcome.run)));
         }
-        if welcome.weights.learner == self.learner() {
+        // No learner counts as far as that: somebody else gave that order, and no other would ever be followed.
+        let is_astray = self.newest_epoch().0 > MAX_HEARD_EPOCH;
+        if welcome.weights.learner == self.learner() && !is_astray {
             self.weights.announce(&welcome.weights);
         } else {
             let version = welcome.weights.newest();
@@ -537,6 +580,9 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         self.welcome = welcome;
         self.outbox.resume(self.welcome.resend_from, self.window());
         (self.last_progress, self.last_credit) = (now, now);
+        if let Some((learner, is_there)) = presence {
+            self.presence(now, learner, is_there);
+        }
     }
 
     /// Lets go of environments that went on elsewhere. Kept, they would wait here for weights that never come; and since
@@ -563,7 +609,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             if greeting.retry_at.is_some_and(|at| at <= now) {
                 greeting.retry_at = None;
                 let hello = compose_hello(&self.settings, &self.outbox);
-                self.outputs.push(ActorOutput::Hello(hello));
+                let timeout = Self::jittered(&mut self.jitter, greeting.timeout);
+                self.outputs.push(ActorOutput::Hello { hello, timeout });
             }
             return;
         }

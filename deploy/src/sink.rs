@@ -185,10 +185,10 @@ pub(crate) fn held_out_sentence(means: &HeldOutMeans) -> String {
 
 fn log(event: &RunEvent) {
     use RunEvent::{
-        ActorJoined, ActorLeft, Assigned, CheckpointDamaged, CheckpointFailed, CheckpointRecovered,
-        CheckpointWritten, CutOff, Distrusted, Evaluating, EvaluationFailed, Listening, OtherBuild,
-        Paused, Reached, Refused, Resumed, SnapshotLost, SnapshotRefused, Stopping, TooManyActors,
-        Unsaved, WaitingForActors, WaitingForRollouts,
+        ActorJoined, ActorLeft, Assigned, Astray, CheckpointDamaged, CheckpointFailed,
+        CheckpointRecovered, CheckpointWritten, CutOff, Distrusted, Evaluating, EvaluationFailed,
+        Listening, OtherBuild, Paused, Reached, Refused, Resumed, SnapshotLost, SnapshotRefused,
+        Stopping, TooManyActors, Unsaved, WaitingForActors, WaitingForRollouts,
     };
     match event {
         Listening { locators } if locators.is_empty() => {
@@ -227,9 +227,7 @@ fn log(event: &RunEvent) {
             let (envs, time) = (counted(n_envs, "environment"), duration(*waited));
             warn!("waiting for rollouts of actor {actor} ({envs}) for {time}");
         }
-        Distrusted { actor, reason } => {
-            warn!(%actor, "the other actors take environments over from this one: {reason}");
-        }
+        Astray { .. } | Distrusted { .. } => log_wrong_way(event),
         TooManyActors { n_actors, n_envs } => {
             let idle = "some have nothing to do (see learner.n_envs)";
             let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
@@ -258,6 +256,23 @@ fn log(event: &RunEvent) {
             warn!("the policy of update {version} cannot be evaluated: {reason}; {told}");
         }
         Stopping => info!("stopping: writing checkpoint and books"),
+    }
+}
+
+/// Says what an actor has done that the others, or the run, have to make up for.
+fn log_wrong_way(event: &RunEvent) {
+    match event {
+        RunEvent::Distrusted { actor, reason } => {
+            warn!(%actor, "the other actors take environments over from this one: {reason}");
+        }
+        RunEvent::Astray { actor, told } => {
+            warn!(
+                %actor,
+                "the actor follows assignment {told}, which this learner did not give: it gets its environments anew. If \
+                 that happens again, somebody else gives orders on this network (see --tls)"
+            );
+        }
+        _ => {}
     }
 }
 

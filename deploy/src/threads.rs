@@ -1,32 +1,34 @@
-//! The one place that decides how many threads the numeric library uses.
+//! The one place that decides how many threads the libraries use.
 //!
 //! candle and gemm read `RAYON_NUM_THREADS` when they first multiply, and the number of threads is part of what a
-//! run's bits depend on. A variable cannot be set safely inside a running process, so the program starts itself
-//! once more in the same process (same id, same files) with the variable set, before it does anything else.
-//! Children of the supervisor inherit it.
+//! run's bits depend on. The network library reads its own variable when it first connects ([`leadtime_link::runtime`]).
+//! A variable cannot be set safely inside a running process, so the program starts itself once more in the same process
+//! (same id, same files) with the variables set, before it does anything else. Children of the supervisor inherit them.
 
 use std::env;
 use std::os::unix::process::CommandExt as _;
 use std::process::Command;
 
+use leadtime_link::RUNTIME_VARIABLE;
 use leadtime_runs::build::running_program;
 
 /// The variables that the numeric libraries read.
-const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "OMP_NUM_THREADS"];
+const NUMERIC: [&str; 2] = ["RAYON_NUM_THREADS", "OMP_NUM_THREADS"];
 /// One thread per process: actors and learner share the machine's cores as processes.
 const N_THREADS: &str = "1";
 
-/// Makes sure that the numeric libraries use the documented number of threads; call it first in `main`.
+/// Makes sure that the libraries use the documented numbers of threads; call it first in `main`.
 ///
-/// A number that the person has set stays. If the program cannot be started again it goes on as it is: the
-/// libraries then use every core, which is slower but not wrong.
+/// What the person has set stays. If the program cannot be started again it goes on as it is: the numeric libraries
+/// then use every core, which is slower but not wrong, and many actors that lose their learner together come back later.
 pub(crate) fn pin() {
-    if env::var_os(VARIABLES[0]).is_some() {
+    let unset = unset(|name| env::var_os(name).is_some());
+    if unset.is_empty() {
         return;
     }
     let Ok(program) = running_program() else { return };
     let mut again = Command::new(program);
-    again.args(env::args_os().skip(1)).envs(VARIABLES.map(|name| (name, N_THREADS)));
+    again.args(env::args_os().skip(1)).envs(unset);
     if let Some(name) = env::args_os().next() {
         again.arg0(name);
     }
@@ -35,7 +37,36 @@ pub(crate) fn pin() {
     crate::output::say(&format!("warning: the number of threads stays unset: {error}"));
 }
 
+/// Lists the variables that are still to be set, with their values.
+fn unset(is_set: impl Fn(&str) -> bool) -> Vec<(&'static str, String)> {
+    let mut unset = Vec::new();
+    if !is_set(NUMERIC[0]) {
+        unset.extend(NUMERIC.map(|name| (name, N_THREADS.to_owned())));
+    }
+    if !is_set(RUNTIME_VARIABLE) {
+        unset.push((RUNTIME_VARIABLE, leadtime_link::runtime()));
+    }
+    unset
+}
+
 /// Returns the number of threads that the numeric libraries were told to use, for the run's record.
 pub(crate) fn configured() -> String {
-    env::var(VARIABLES[0]).unwrap_or_else(|_| "unset".to_owned())
+    env::var(NUMERIC[0]).unwrap_or_else(|_| "unset".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_person_has_set_stays_and_the_rest_is_set_once() {
+        let names = |set: &[&str]| -> Vec<&str> {
+            unset(|name| set.contains(&name)).into_iter().map(|(name, _)| name).collect()
+        };
+        assert_eq!(names(&[]), [NUMERIC[0], NUMERIC[1], RUNTIME_VARIABLE]);
+        assert_eq!(names(&[NUMERIC[0]]), [RUNTIME_VARIABLE]);
+        assert_eq!(names(&[RUNTIME_VARIABLE]), NUMERIC);
+        let all: Vec<&str> = unset(|_| false).into_iter().map(|(name, _)| name).collect();
+        assert!(unset(|name| all.contains(&name)).is_empty(), "or it would start for ever");
+    }
 }

@@ -85,6 +85,13 @@ impl Assigner {
         (!given.is_empty()).then(|| self.change(actor.clone(), given))
     }
 
+    /// Gives an actor its own environments again, though it have none, under an epoch above one that somebody else has
+    /// told it.
+    pub(crate) fn overrule(&mut self, actor: &ActorId, told: Epoch) -> Reassignment {
+        self.epoch = self.epoch.max(told);
+        self.change(actor.clone(), self.held(actor))
+    }
+
     /// Gives environments to the actors named with them, from their newest snapshots. Returns what has to be sent to
     /// each actor that gets or loses some, by name.
     pub(crate) fn hand_over(&mut self, moves: Vec<(EnvId, SenderKey)>) -> Vec<Reassignment> {
@@ -277,6 +284,9 @@ mod tests {
         assert_eq!(change.given, [EnvId(0), EnvId(1)]);
         assert_eq!(assigner.owner(EnvId(1)).unwrap().since, change.epoch);
         assert!(assigner.renew(&id("b")).is_none());
+        assert_eq!(assigner.overrule(&id("b"), Epoch(70)).epoch, Epoch(71), "though it has none");
+        let change = assigner.overrule(&id("a"), Epoch(3));
+        assert_eq!((change.epoch, change.given.len()), (Epoch(72), 2));
     }
 
     #[test]

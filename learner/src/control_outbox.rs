@@ -5,12 +5,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use leadtime_link::LearnerLink;
-use leadtime_proto::message::{Control, ControlReply};
+use leadtime_proto::message::{Assignment, Control, ControlReply};
 use leadtime_proto::{EnvId, Epoch};
 use tokio::sync::mpsc;
+use tokio::task::AbortHandle;
 use tracing::debug;
 
 use crate::books::SenderKey;
+use crate::roster::MembershipNumber;
 
 /// The most messages that wait for one actor.
 const QUEUED: usize = 64;
@@ -22,19 +24,29 @@ const ATTEMPTS: usize = 2;
 const QUEUED_FAILURES: usize = 256;
 
 /// What became of a control message, other than that it is followed.
-#[derive(Debug)]
+#[derive(Debug, PartialEq, Eq)]
 pub(crate) enum ControlFailure {
-    /// The actor does not answer.
-    Silent(SenderKey),
+    /// The actor did not answer in this membership.
+    Silent(SenderKey, MembershipNumber),
     /// The actor follows the assignment except for environments that it cannot restore.
     CannotRestore(SenderKey, Epoch, Vec<EnvId>),
+    /// The actor follows another assignment than the one that it was given.
+    Astray(SenderKey, MembershipNumber, Epoch),
 }
 
-/// One task per actor that sends its messages.
+/// Who sends one membership's messages.
+#[derive(Debug)]
+struct Courier {
+    membership: MembershipNumber,
+    messages: mpsc::Sender<Control>,
+    task: AbortHandle,
+}
+
+/// One task per membership that sends its messages.
 #[derive(Debug)]
 pub(crate) struct ControlOutbox {
     link: Arc<LearnerLink>,
-    tasks: BTreeMap<SenderKey, mpsc::Sender<Control>>,
+    couriers: BTreeMap<SenderKey, Courier>,
     failed: mpsc::Sender<ControlFailure>,
     /// Control messages that failed.
     pub(crate) failures: mpsc::Receiver<ControlFailure>,
@@ -43,49 +55,111 @@ pub(crate) struct ControlOutbox {
 impl ControlOutbox {
     pub(crate) fn new(link: Arc<LearnerLink>) -> Self {
         let (failed, failures) = mpsc::channel(QUEUED_FAILURES);
-        Self { link, tasks: BTreeMap::new(), failed, failures }
+        Self { link, couriers: BTreeMap::new(), failed, failures }
     }
 
     /// Queues a message. Returns whether there was room: an actor that acknowledges none has none.
-    pub(crate) fn send(&mut self, to: &SenderKey, control: Control) -> bool {
+    pub(crate) fn send(
+        &mut self,
+        to: &SenderKey,
+        membership: MembershipNumber,
+        control: Control,
+    ) -> bool {
         let (link, failed) = (&self.link, &self.failed);
-        let task = self.tasks.entry(to.clone()).or_insert_with(|| {
-            let (task, messages) = mpsc::channel(QUEUED);
-            tokio::spawn(deliver(Arc::clone(link), to.clone(), messages, failed.clone()));
-            task
-        });
-        task.try_send(control).is_ok()
+        let start = || {
+            let (messages, queued) = mpsc::channel(QUEUED);
+            let delivery =
+                deliver(Arc::clone(link), to.clone(), membership, queued, failed.clone());
+            let task = tokio::spawn(delivery).abort_handle();
+            Courier { membership, messages, task }
+        };
+        let courier = self.couriers.entry(to.clone()).or_insert_with(start);
+        if courier.membership != membership {
+            // What was ordered before the actor was lost is void.
+            courier.task.abort();
+            *courier = start();
+        }
+        courier.messages.try_send(control).is_ok()
     }
 
     /// Drops the tasks of actors that are gone; what they hold is still sent if it can be.
     pub(crate) fn retain(&mut self, wanted: impl Fn(&SenderKey) -> bool) {
-        self.tasks.retain(|key, task| wanted(key) && !task.is_closed());
+        self.couriers.retain(|key, courier| wanted(key) && !courier.messages.is_closed());
     }
 }
 
 async fn deliver(
     link: Arc<LearnerLink>,
     to: SenderKey,
+    membership: MembershipNumber,
     mut messages: mpsc::Receiver<Control>,
     failed: mpsc::Sender<ControlFailure>,
 ) {
     while let Some(control) = messages.recv().await {
         for attempt in 1..=ATTEMPTS {
             match link.control(&to.0, to.1, &control, ACK_TIMEOUT).await {
-                Ok(ControlReply::Followed { .. }) => break,
-                Ok(ControlReply::CannotRestore { epoch, envs }) => {
-                    let failure = ControlFailure::CannotRestore(to.clone(), epoch, envs);
-                    drop(failed.send(failure).await);
+                Ok(reply) => {
+                    if let Some(failure) = failure(&to, membership, &control, reply) {
+                        drop(failed.send(failure).await);
+                    }
                     break;
                 }
                 Err(error) => {
                     debug!(actor = %to.0, attempt, %error, "control message not acknowledged");
                     if attempt == ATTEMPTS {
-                        drop(failed.send(ControlFailure::Silent(to)).await);
+                        drop(failed.send(ControlFailure::Silent(to, membership)).await);
                         return;
                     }
                 }
             }
         }
+    }
+}
+
+/// Compares an answer with the message; `None` if it is followed. Orders are sent one at a time and in order, so an actor
+/// that takes them from this learner alone follows the one that it answers.
+fn failure(
+    to: &SenderKey,
+    membership: MembershipNumber,
+    control: &Control,
+    reply: ControlReply,
+) -> Option<ControlFailure> {
+    let Control::Assign(Assignment { epoch: ordered, .. }) = control else { return None };
+    match reply {
+        ControlReply::Followed { epoch } if epoch == *ordered => None,
+        ControlReply::CannotRestore { epoch, envs } if epoch == *ordered => {
+            Some(ControlFailure::CannotRestore(to.clone(), epoch, envs))
+        }
+        ControlReply::Followed { epoch } | ControlReply::CannotRestore { epoch, .. } => {
+            Some(ControlFailure::Astray(to.clone(), membership, epoch))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::{ActorId, Incarnation};
+
+    use super::*;
+
+    #[test]
+    fn an_answer_about_another_assignment_does_not_count_as_followed() {
+        let key = (ActorId::new("a").unwrap(), Incarnation(1));
+        let membership = MembershipNumber::default();
+        let order =
+            Control::Assign(Assignment { epoch: Epoch(7), envs: Vec::new(), keep: Vec::new() });
+        let heard = |control: &Control, reply| failure(&key, membership, control, reply);
+        let followed = |epoch| ControlReply::Followed { epoch: Epoch(epoch) };
+        let cannot =
+            |epoch| ControlReply::CannotRestore { epoch: Epoch(epoch), envs: vec![EnvId(3)] };
+        let astray = |epoch| Some(ControlFailure::Astray(key.clone(), membership, Epoch(epoch)));
+        assert_eq!(heard(&order, followed(7)), None);
+        assert_eq!(heard(&order, followed(u64::MAX)), astray(u64::MAX));
+        assert_eq!(heard(&order, followed(6)), astray(6));
+        assert_eq!(heard(&order, cannot(8)), astray(8));
+        let known = ControlFailure::CannotRestore(key.clone(), Epoch(7), vec![EnvId(3)]);
+        assert_eq!(heard(&order, cannot(7)), Some(known));
+        let stop = Control::Stop { reason: String::new(), cut_off: false };
+        assert_eq!(heard(&stop, followed(6)), None);
     }
 }

@@ -31,17 +31,20 @@ use crate::books::{Books, SenderKey};
 use crate::builds::{Build, Builds};
 use crate::report::{ActorStanding, RunEvent};
 use crate::rollout_queue::{Recovery, RolloutQueue};
-use crate::roster::Roster;
+use crate::roster::{MembershipNumber, Roster};
 use crate::stragglers::{Lateness, Stragglers};
 
 /// How often [`Coordinator::tick`] is to be called.
 pub const TICK: Duration = Duration::from_millis(500);
 const BEHIND: &str = "it is far behind the others";
+/// How often in a row a member may follow an assignment that it was not given before it is given up.
+const MAX_ASTRAY: u32 = 3;
+/// Ticks without a rollout after which a member that says hello, and has nothing on its way, does not have the environments
+/// that it was given: a little less than an actor without environments waits before it says so.
+const IDLE_TICKS: u64 = 16;
 const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not";
 /// The most bytes of snapshots in one assignment; more environments go into a second one.
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
-/// A count of rollouts that no actor reaches: a hello beyond it is nonsense.
-const MAX_SEQUENCE: u64 = 1 << 48;
 /// The most rollouts that an actor holds unacknowledged: a window, and one of every environment on top.
 const MAX_UNACKNOWLEDGED: u64 = limits::MAX_WINDOW as u64 + limits::MAX_ENVS as u64;
 /// The most rollouts of one actor that a killed learner takes with it: more than is made between two checkpoints.
@@ -84,6 +87,8 @@ pub enum Effect {
     Control {
         /// The start of the actor that it is for.
         to: SenderKey,
+        /// The membership in which it is given; it is void in the next one.
+        membership: MembershipNumber,
         /// The message, an assignment or an order to leave.
         control: Control,
     },
@@ -142,6 +147,8 @@ pub struct Coordinator {
     in_training: u64,
     stage: RunStage,
     rebalance_due: bool,
+    /// Environments may wait for an actor: they are given once for all that has happened.
+    orphans_due: bool,
     /// Starts of actors that reported lost rollouts and were not in the checkpoint.
     n_losers: usize,
     credit_due: BTreeSet<ActorId>,
@@ -164,6 +171,7 @@ impl Coordinator {
             in_training: 0,
             stage: RunStage::Gathering,
             rebalance_due: false,
+            orphans_due: false,
             n_losers: 0,
             credit_due: BTreeSet::new(),
             effects: Vec::new(),
@@ -190,6 +198,7 @@ impl Coordinator {
         }
         // Before `greet`: only the first hello of a start may report rollouts that a killed learner took with it.
         let acknowledged = self.acknowledged(&key, hello)?;
+        let was_member = self.roster.is_member(&key);
         let build = Build { program: hello.program.clone(), cpu: hello.cpu.clone() };
         self.roster.greet(&key, hello.published, build);
         let n_steps = u64::from(self.settings.spec.n_steps);
@@ -201,7 +210,22 @@ impl Coordinator {
         if let Some(sender) = self.roster.sender(&key) {
             sender.limit = sender.limit.max(Sequence(heard.0 + window));
         }
+        if was_member && hello.first_unacknowledged == hello.published.next() {
+            self.give_again_if_quiet(&key);
+        }
         Ok(heard.next())
+    }
+
+    /// Gives a member its environments anew if it has delivered nothing for long: it has let go of them, or somebody else
+    /// has told it to.
+    fn give_again_if_quiet(&mut self, key: &SenderKey) {
+        let n_quiet_ticks = self.roster.sender(key).map_or(0, |sender| sender.newest().1);
+        if n_quiet_ticks >= IDLE_TICKS
+            && self.stage == RunStage::Running
+            && let Some(change) = self.assigner.renew(&key.0)
+        {
+            self.assign(change);
+        }
     }
 
     /// Returns what a learner of this run has acknowledged to an actor, if that can be true.
@@ -211,7 +235,7 @@ impl Coordinator {
     fn acknowledged(&mut self, key: &SenderKey, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
         // In this order: each bound keeps the next subtraction from wrapping.
-        let consistent = (1..=MAX_SEQUENCE).contains(&first)
+        let consistent = (1..=limits::MAX_COUNT).contains(&first)
             && first <= published.saturating_add(1)
             && published - (first - 1) <= MAX_UNACKNOWLEDGED;
         if !consistent {
@@ -250,6 +274,40 @@ impl Coordinator {
         let key = (actor, incarnation);
         if self.roster.vanish(&key) {
             self.lose(&key.0);
+        }
+    }
+
+    /// Notes that an actor acknowledged no message of this membership: it is given up, unless it has come back meanwhile.
+    pub fn silent(&mut self, key: &SenderKey, membership: MembershipNumber) {
+        if self.roster.membership(key) == Some(membership) {
+            self.give_up(key);
+        }
+    }
+
+    /// Notes that an actor answered an order of this membership as one that follows another assignment.
+    pub fn astray(&mut self, key: &SenderKey, membership: MembershipNumber, told: Epoch) {
+        if self.roster.membership(key) == Some(membership) {
+            self.call_back(key, told);
+        }
+    }
+
+    /// Gives a member that follows somebody else's assignment its environments anew, under a number that it follows. If
+    /// there is none, or that has not helped, its membership ends: it says hello when it gets no credit, and starts over.
+    fn call_back(&mut self, key: &SenderKey, told: Epoch) {
+        let Some(sender) = self.roster.sender(key) else { return };
+        sender.n_astray += 1;
+        let n_astray = sender.n_astray;
+        if n_astray == 1 {
+            self.tell(RunEvent::Astray { actor: key.0.clone(), told });
+        }
+        if n_astray > MAX_ASTRAY {
+            self.give_up(key);
+        } else if told.0 > limits::MAX_HEARD_EPOCH {
+            self.roster.expel(key);
+            self.lose(&key.0);
+        } else if self.stage != RunStage::Closing {
+            let change = self.assigner.overrule(&key.0, told);
+            self.assign(change);
         }
     }
 
@@ -459,8 +517,10 @@ impl Coordinator {
     pub fn stop_everyone(&mut self, reason: &str) {
         self.stage = RunStage::Closing;
         for (actor, &incarnation) in self.roster.members() {
+            let to = (actor.clone(), incarnation);
+            let Some(membership) = self.roster.membership(&to) else { continue };
             let control = Control::Stop { reason: reason.to_owned(), cut_off: false };
-            self.effects.push(Effect::Control { to: (actor.clone(), incarnation), control });
+            self.effects.push(Effect::Control { to, membership, control });
         }
     }
 
@@ -470,6 +530,7 @@ impl Coordinator {
 
     /// Returns what is to be done since the last call.
     pub fn take_effects(&mut self) -> Vec<Effect> {
+        self.take_orphans();
         // Last, and one message per actor: many rollouts in a row are acknowledged together.
         for actor in std::mem::take(&mut self.credit_due) {
             if let Some(credit) = self.credit(&actor) {
@@ -507,6 +568,11 @@ impl Coordinator {
     /// Returns the actors that are here.
     pub fn members(&self) -> &BTreeMap<ActorId, Incarnation> {
         self.roster.members()
+    }
+
+    /// Tells whether this membership is not over.
+    pub fn is_current(&self, key: &SenderKey, membership: MembershipNumber) -> bool {
+        self.roster.membership(key) == Some(membership)
     }
 
     /// Says how every actor stands, by name.
@@ -582,6 +648,14 @@ impl Coordinator {
     }
 
     fn place(&mut self, key: &SenderKey, epoch: Epoch, rollout: CheckedRollout) {
+        let ordered = self.roster.sender(key).map(|sender| sender.ordered);
+        if ordered.is_some_and(|ordered| epoch > ordered) {
+            self.supersede();
+            if self.roster.is_member(key) {
+                self.call_back(key, epoch);
+            }
+            return;
+        }
         let owned = self.assigner.owns(key, epoch, rollout.env_id);
         let expected = self.queue.expected(rollout.env_id).unwrap_or_default();
         // An actor cannot know yet that its environment has moved: that breaks no rule, so it is superseded and not
@@ -651,9 +725,9 @@ impl Coordinator {
         // The name and not only this start: a restart does not get environments at once.
         self.stragglers.fail(&key.0, 0);
         // Before `give_up`, after which it is no member and hears nothing any more.
-        if self.roster.is_member(key) {
+        if let Some(membership) = self.roster.membership(key) {
             let control = Control::Stop { reason: reason.clone(), cut_off: true };
-            self.effects.push(Effect::Control { to: key.clone(), control });
+            self.effects.push(Effect::Control { to: key.clone(), membership, control });
         }
         let (actor, incarnation) = key.clone();
         self.tell(RunEvent::CutOff { actor, incarnation, reason });
@@ -677,7 +751,8 @@ impl Coordinator {
         // A newcomer's share of what others step waits for the end of the update; only what nobody steps is given out
         // at once.
         self.rebalance_due = true;
-        self.rebalance_if_orphaned();
+        self.begin_if_enough();
+        self.orphans_due = true;
     }
 
     fn lose(&mut self, actor: &ActorId) {
@@ -687,15 +762,20 @@ impl Coordinator {
         }
         let (actor, n_actors) = (actor.clone(), self.n_actors());
         self.tell(RunEvent::ActorLeft { actor, n_actors, n_envs });
-        self.rebalance_if_orphaned();
+        self.orphans_due = true;
     }
 
-    fn rebalance_if_orphaned(&mut self) {
+    /// Gives environments that wait for an actor to those that are here, if there may be some.
+    fn take_orphans(&mut self) {
+        let is_due = std::mem::take(&mut self.orphans_due);
+        if is_due && self.stage == RunStage::Running && self.assigner.has_orphans() {
+            self.rebalance();
+        }
+    }
+
+    fn begin_if_enough(&mut self) {
         if self.stage == RunStage::Gathering && self.n_actors() >= self.settings.actors_min {
             self.stage = RunStage::Running;
-        }
-        if self.stage == RunStage::Running && self.assigner.has_orphans() {
-            self.rebalance();
         }
     }
 
@@ -718,6 +798,8 @@ impl Coordinator {
         // An assignment replaces all that the actor had: each further part keeps what the parts before it gave.
         let Reassignment { actor, mut epoch, given, mut kept } = change;
         let Some(&incarnation) = self.roster.members().get(&actor) else { return };
+        let to = (actor.clone(), incarnation);
+        let Some(membership) = self.roster.membership(&to) else { return };
         let (n_given, n_kept) = (given.len(), kept.len());
         self.tell(RunEvent::Assigned { actor: actor.clone(), epoch, n_given, n_kept });
         for (index, envs) in self.parts(&given).into_iter().enumerate() {
@@ -727,7 +809,10 @@ impl Coordinator {
             let keep = kept.clone();
             kept.extend(envs.iter().map(|env| env.env_id));
             let control = Control::Assign(Assignment { epoch, envs, keep });
-            self.effects.push(Effect::Control { to: (actor.clone(), incarnation), control });
+            self.effects.push(Effect::Control { to: to.clone(), membership, control });
+        }
+        if let Some(sender) = self.roster.sender(&to) {
+            sender.ordered = epoch;
         }
     }
 

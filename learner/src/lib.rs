@@ -53,4 +53,5 @@ pub use report::{
     ActorStanding, PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, Standing,
     UpdateProgress,
 };
+pub use roster::MembershipNumber;
 pub use run::run;

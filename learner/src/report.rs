@@ -161,6 +161,13 @@ pub enum RunEvent {
         /// Half a sentence: what it did.
         reason: &'static str,
     },
+    /// An actor follows an assignment that this learner did not give; it gets its environments anew.
+    Astray {
+        /// The actor.
+        actor: ActorId,
+        /// The number of that assignment.
+        told: Epoch,
+    },
     /// There are more actors than environments, so some have nothing to do.
     TooManyActors {
         /// Actors that are connected and take part.

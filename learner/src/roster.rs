@@ -1,7 +1,8 @@
 //! The actors that a learner knows: who is here, and how far each start of each actor has been heard.
 //!
 //! An actor is a **member** from the moment it has both said hello and shown its liveliness token, until the
-//! token is gone. A **sender** is one start of an actor, member or not: its sequences, credit and refusals.
+//! token is gone. After that it has to say hello again: until it does, it looks for its learner and takes no orders,
+//! whatever its token says. A **sender** is one start of an actor, member or not: its sequences, credit and refusals.
 //!
 //! # Invariants
 //!
@@ -12,13 +13,18 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use leadtime_proto::limits::REFUSALS_BEFORE_CUT_OFF;
-use leadtime_proto::{ActorId, Incarnation, Iteration, RefusalCause, Sequence};
+use leadtime_proto::{ActorId, Epoch, Incarnation, Iteration, RefusalCause, Sequence};
 
 use crate::books::SenderKey;
 use crate::builds::Build;
 
 /// The most senders that are known at once, members apart.
 const MAX_SENDERS: usize = 1_024;
+
+/// A membership, in the order in which they began: what was ordered in an earlier one is void, though the start of the
+/// actor be the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MembershipNumber(u64);
 
 /// One start of an actor, as far as this start of the learner knows it.
 #[derive(Clone, Debug, Default)]
@@ -29,6 +35,14 @@ pub(crate) struct SenderState {
     pub(crate) limit: Sequence,
     /// It sent too many refused messages.
     pub(crate) cut_off: bool,
+    /// The newest assignment that it was given.
+    pub(crate) ordered: Epoch,
+    /// How often it followed another one since its last rollout that counted.
+    pub(crate) n_astray: u32,
+    /// It has said hello since it was last lost.
+    has_greeted: bool,
+    /// Its newest membership.
+    membership: MembershipNumber,
     /// What it computes with.
     build: Build,
     /// Position in the order of first hellos.
@@ -64,7 +78,7 @@ impl SenderState {
     /// Notes a rollout that counts.
     pub(crate) fn delivered(&mut self, iteration: Iteration, staleness: u64) {
         self.newest = Some((iteration, staleness));
-        self.n_quiet_ticks = 0;
+        (self.n_quiet_ticks, self.n_astray) = (0, 0);
     }
 
     /// Returns its refused messages by cause.
@@ -86,6 +100,7 @@ pub(crate) struct Roster {
     /// Tokens seen; a member is a known sender with a token.
     present: BTreeSet<SenderKey>,
     n_greeted: u64,
+    n_memberships: u64,
 }
 
 impl Roster {
@@ -96,13 +111,18 @@ impl Roster {
 
     /// Notes a hello; `published` is how far the actor had got when it first spoke to this learner.
     pub(crate) fn greet(&mut self, key: &SenderKey, published: Sequence, build: Build) {
-        if self.senders.contains_key(key) {
+        if let Some(known) = self.senders.get_mut(key) {
+            known.has_greeted = true;
             return;
         }
         self.n_greeted += 1;
-        let number = self.n_greeted;
-        let sender =
-            SenderState { made_before: published, build, number, ..SenderState::default() };
+        let sender = SenderState {
+            made_before: published,
+            has_greeted: true,
+            build,
+            number: self.n_greeted,
+            ..SenderState::default()
+        };
         self.senders.insert(key.clone(), sender);
         self.forget_one(key);
     }
@@ -133,9 +153,12 @@ impl Roster {
 
     /// Makes a sender a member if it may be one and is not yet. Returns what it computes with if it is one now.
     pub(crate) fn admit(&mut self, key: &SenderKey) -> Option<Build> {
-        let sender = self.senders.get(key).filter(|sender| !sender.cut_off)?;
-        let admitted = !self.members.contains_key(&key.0) && self.present.contains(key);
-        admitted.then(|| {
+        let sender = self.senders.get_mut(key)?;
+        let is_welcome = sender.has_greeted && !sender.cut_off;
+        let is_free = !self.members.contains_key(&key.0) && self.present.contains(key);
+        (is_welcome && is_free).then(|| {
+            self.n_memberships += 1;
+            (sender.membership, sender.n_quiet_ticks) = (MembershipNumber(self.n_memberships), 0);
             self.members.insert(key.0.clone(), key.1);
             sender.build.clone()
         })
@@ -147,13 +170,22 @@ impl Roster {
         self.expel(key)
     }
 
-    /// Ends a membership. Returns whether there was one.
+    /// Ends a membership: there is none before the next hello. Returns whether there was one.
     pub(crate) fn expel(&mut self, key: &SenderKey) -> bool {
+        if let Some(sender) = self.senders.get_mut(key) {
+            sender.has_greeted = false;
+        }
         let was_member = self.is_member(key);
         if was_member {
             self.members.remove(&key.0);
         }
         was_member
+    }
+
+    /// Returns the number of a member's membership.
+    pub(crate) fn membership(&self, key: &SenderKey) -> Option<MembershipNumber> {
+        let sender = self.senders.get(key).filter(|_| self.is_member(key));
+        sender.map(|sender| sender.membership)
     }
 
     /// Returns whether this start of an actor is a member.
@@ -207,8 +239,11 @@ mod tests {
         assert!(roster.vanish(&key(1)));
         assert!(roster.members().is_empty());
         roster.appear(&key(1));
-        assert!(roster.admit(&key(1)).is_some(), "back from a network cut: known already");
+        assert!(roster.admit(&key(1)).is_none(), "back from a network cut, but it takes no orders");
+        assert_eq!(roster.membership(&key(1)), None);
         roster.greet(&key(1), Sequence(9), Build::default());
+        assert!(roster.admit(&key(1)).is_some());
+        assert_eq!(roster.membership(&key(1)), Some(MembershipNumber(2)));
         assert_eq!(roster.sender(&key(1)).unwrap().made_before, Sequence(1), "its first hello's");
     }
 

@@ -275,14 +275,28 @@ impl RunLoop {
             LearnerWake::Evaluated(evaluated) => {
                 take_in(evaluated, &mut self.record.held_out, self.sink.as_mut());
             }
-            LearnerWake::Control(ControlFailure::Silent(key)) => self.coordinator.give_up(&key),
-            LearnerWake::Control(ControlFailure::CannotRestore(key, epoch, envs)) => {
-                self.coordinator.cannot_restore(&key, epoch, &envs);
+            LearnerWake::Control(failure) => {
+                self.control_failed(failure);
+                while let Ok(failure) = self.outbox.failures.try_recv() {
+                    self.control_failed(failure);
+                }
             }
             LearnerWake::Tick => self.tick()?,
             LearnerWake::Stop => {}
         }
         Ok(())
+    }
+
+    fn control_failed(&mut self, failure: ControlFailure) {
+        match failure {
+            ControlFailure::Silent(key, membership) => self.coordinator.silent(&key, membership),
+            ControlFailure::CannotRestore(key, epoch, envs) => {
+                self.coordinator.cannot_restore(&key, epoch, &envs);
+            }
+            ControlFailure::Astray(key, membership, told) => {
+                self.coordinator.astray(&key, membership, told);
+            }
+        }
     }
 
     fn network(&mut self, event: LearnerEvent) {
@@ -459,9 +473,9 @@ impl RunLoop {
                     }
                     self.sink.on_event(&event);
                 }
-                Effect::Control { to, control } => {
-                    if !self.outbox.send(&to, control) {
-                        self.coordinator.give_up(&to);
+                Effect::Control { to, membership, control } => {
+                    if !self.outbox.send(&to, membership, control) {
+                        self.coordinator.silent(&to, membership);
                     }
                 }
                 Effect::Credit { to, credit } => {

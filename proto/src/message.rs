@@ -12,8 +12,11 @@
 //!   |<--- Control::Stop ----------------------|
 //! ```
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 
+use crate::limits::{MAX_COUNT, MAX_ENVS, MAX_SNAPSHOT_BYTES};
 use crate::refusal::{Refusal, RefusalCause};
 use crate::{
     ActorId, EnvId, Epoch, Incarnation, Iteration, PolicyVersion, RunName, RunSpec, Sequence,
@@ -108,6 +111,35 @@ pub struct Assignment {
     pub keep: Vec<EnvId>,
 }
 
+impl Assignment {
+    /// Checks its numbers, which an actor counts on from.
+    ///
+    /// # Errors
+    ///
+    /// [`Refusal`] if a number is beyond any that a run reaches, or an environment is named twice.
+    pub fn check(&self) -> Result<(), Refusal> {
+        let refused = |text: String| Err(Refusal::new(RefusalCause::Assignment, text));
+        let mut named = BTreeSet::new();
+        if self.epoch.0 > MAX_COUNT {
+            return refused(format!("assignment {} is beyond any of a run", self.epoch));
+        }
+        for env_id in self.envs.iter().map(|env| env.env_id).chain(self.keep.iter().copied()) {
+            if env_id.0 as usize >= MAX_ENVS {
+                return refused(format!("no run has an environment {env_id}"));
+            }
+            if !named.insert(env_id) {
+                return refused(format!("environment {env_id} is assigned twice"));
+            }
+        }
+        for EnvAssignment { env_id, iteration, snapshot } in &self.envs {
+            if iteration.0 > MAX_COUNT || snapshot.len() > MAX_SNAPSHOT_BYTES {
+                return refused(format!("environment {env_id} cannot stand where it is assigned"));
+            }
+        }
+        Ok(())
+    }
+}
+
 /// What the learner orders one actor to do.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Control {
@@ -120,6 +152,20 @@ pub enum Control {
         /// The actor did something wrong and should exit with an error.
         cut_off: bool,
     },
+}
+
+impl Control {
+    /// Checks an order before it is followed.
+    ///
+    /// # Errors
+    ///
+    /// As [`Assignment::check`].
+    pub fn check(&self) -> Result<(), Refusal> {
+        match self {
+            Self::Assign(assignment) => assignment.check(),
+            Self::Stop { .. } => Ok(()),
+        }
+    }
 }
 
 /// An actor's answer to a [`Control`].
@@ -173,5 +219,39 @@ impl Announcement {
     /// Returns the newest version; 0 as long as there is none.
     pub fn newest(&self) -> PolicyVersion {
         self.versions.last().map_or(PolicyVersion(0), |(version, _)| *version)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_order_that_no_learner_gives_is_refused() {
+        let env = |env_id, iteration, n_bytes| EnvAssignment {
+            env_id: EnvId(env_id),
+            iteration: Iteration(iteration),
+            snapshot: vec![0; n_bytes],
+        };
+        let order = |epoch, envs, keep: &[u32]| {
+            let keep = keep.iter().copied().map(EnvId).collect();
+            Control::Assign(Assignment { epoch: Epoch(epoch), envs, keep }).check()
+        };
+        let last = MAX_ENVS as u32 - 1;
+        assert!(order(MAX_COUNT, vec![env(0, MAX_COUNT, MAX_SNAPSHOT_BYTES)], &[last]).is_ok());
+        let refused = [
+            order(u64::MAX, Vec::new(), &[]),
+            order(MAX_COUNT + 1, Vec::new(), &[]),
+            order(1, vec![env(u32::MAX, 0, 0)], &[]),
+            order(1, Vec::new(), &[last + 1]),
+            order(1, vec![env(3, 0, 0), env(3, 0, 0)], &[]),
+            order(1, vec![env(3, 0, 0)], &[3]),
+            order(1, vec![env(0, u64::MAX, 0)], &[]),
+            order(1, vec![env(0, 0, MAX_SNAPSHOT_BYTES + 1)], &[]),
+        ];
+        for (index, refused) in refused.into_iter().enumerate() {
+            assert_eq!(refused.unwrap_err().cause, RefusalCause::Assignment, "{index}");
+        }
+        assert!(Control::Stop { reason: String::new(), cut_off: true }.check().is_ok());
     }
 }

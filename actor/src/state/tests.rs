@@ -122,7 +122,7 @@ impl Bench {
 /// Names what is to be done, in order.
 fn names(outputs: &[ToDo]) -> Vec<&'static str> {
     let name = |output: &ToDo| match output {
-        ActorOutput::Hello(_) => "hello",
+        ActorOutput::Hello { .. } => "hello",
         ActorOutput::Reply(..) => "reply",
         ActorOutput::Restore(_) => "restore",
         ActorOutput::Adopt { .. } => "adopt",
@@ -296,4 +296,69 @@ fn who_is_about_to_leave_finishes_and_sends_its_rollout_and_begins_none() {
     assert_eq!((standing.n_steps, standing.n_unacknowledged), (7, 1));
     bench.credit(1, 9);
     assert_eq!(bench.actor.standing(7).n_unacknowledged, 0);
+}
+
+#[test]
+fn of_what_was_heard_of_presence_during_a_hello_only_the_newest_counts() {
+    let (left, joined) = (ActorInput::LearnerLeft(LEARNER), ActorInput::LearnerJoined(LEARNER));
+    let mut bench = Bench::new(0..=0);
+    assert_eq!(names(&bench.give(left)), ["hello"]);
+    for _ in 0..3 {
+        bench.give(ActorInput::LearnerJoined(LEARNER));
+        bench.give(ActorInput::LearnerLeft(LEARNER));
+    }
+    assert!(bench.give(joined).is_empty());
+    bench.welcomed(LEARNER);
+    assert!(!bench.actor.is_greeting(), "it is back: losses before that are out of date");
+    assert_eq!(bench.actor.n_reconnects, 1);
+    bench.give(ActorInput::LearnerLeft(LEARNER));
+    bench.give(ActorInput::LearnerLeft(LEARNER));
+    assert_eq!(names(&bench.welcomed(LEARNER)), ["hello"], "gone after it had answered");
+    bench.give(ActorInput::LearnerJoined(Incarnation(101)));
+    assert_eq!(names(&bench.welcomed(LEARNER)), ["hello"], "the answer of the one before");
+    bench.welcomed(Incarnation(101));
+    assert!(!bench.actor.is_greeting());
+}
+
+#[test]
+fn a_hello_that_is_not_answered_may_take_longer_the_next_time_and_no_two_actors_keep_step() {
+    let hellos = |incarnation: u64| {
+        let mut bench = Bench::new(0..=0);
+        let mut settings = bench.actor.settings.clone();
+        settings.incarnation = Incarnation(incarnation);
+        bench.actor = Actor::new(settings, welcome(LEARNER, 0..=0), bench.now).unwrap();
+        let mut told = bench.give(ActorInput::LearnerLeft(LEARNER));
+        let mut hellos = Vec::new();
+        for _ in 0..6 {
+            let [ActorOutput::Hello { timeout, .. }] = told[..] else { panic!("{told:?}") };
+            bench.give(ActorInput::NotWelcomed(Box::new(leadtime_link::Error::Dead)));
+            let due = bench.actor.wakes_at().unwrap();
+            hellos.push((timeout, due - bench.now));
+            bench.now = due;
+            told = bench.give(ActorInput::Tick);
+        }
+        hellos
+    };
+    let first = hellos(1);
+    for ((timeout, pause), most) in first.iter().zip([2_u64, 4, 8, 10, 10, 10]) {
+        let most = Duration::from_secs(most);
+        assert!((most.mul_f64(0.75)..=most).contains(timeout), "{first:?}");
+        assert!(*pause <= BACK_OFF.1);
+    }
+    assert_eq!(first, hellos(1), "a named stream, not the clock");
+    assert!(first.iter().zip(hellos(2)).all(|(a, b)| *a != b));
+}
+
+#[test]
+fn an_actor_that_followed_a_number_beyond_every_learners_starts_over_when_it_is_welcome() {
+    let mut bench = Bench::with_weights(0..=0);
+    bench.follow(1, MAX_HEARD_EPOCH + 1, 0);
+    let told = bench.assign(2, 5, &[0]);
+    let astray = ControlReply::Followed { epoch: Epoch(MAX_HEARD_EPOCH + 1) };
+    assert_eq!(replies(&told), [(2, astray)], "so its learner hears of it");
+    bench.give(ActorInput::LearnerLeft(LEARNER));
+    bench.welcomed(LEARNER);
+    bench.collected(1, Some(1));
+    assert_eq!((bench.actor.outbox.made, bench.actor.next), (Sequence(0), None), "it lets go");
+    assert_eq!(names(&bench.assign(3, 5, &[0])), ["restore"]);
 }

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use leadtime_proto::header::Schema;
 use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
-use leadtime_proto::message::{Announcement, Credit, Hello, HelloReply, Welcome};
+use leadtime_proto::message::{Announcement, Control, Credit, Hello, HelloReply, Welcome};
 use leadtime_proto::receive::{ANNOUNCEMENT, CONTROL, CREDIT, HELLO_REPLY};
 use leadtime_proto::{
     ActorId, DomainName, Header, Incarnation, PolicyVersion, RegionName, RunName,
@@ -90,6 +90,7 @@ pub struct ActorLink {
     actor: ActorId,
     incarnation: Incarnation,
     events: EventQueue<ActorEvent>,
+    presence: EventQueue<ActorEvent>,
     latest: Arc<Latest<ActorEvent>>,
     answers: Answers,
     joined: Mutex<Option<Joined>>,
@@ -110,7 +111,7 @@ impl ActorLink {
         incarnation: Incarnation,
     ) -> Result<(Self, Events<ActorEvent>)> {
         let session = session::connect(settings).await?;
-        let (events, latest, receiver) = Events::new(0);
+        let (events, latest, mut receiver) = Events::new(0);
         let link = Self {
             session,
             endpoints: session::describe(&settings.endpoints),
@@ -122,6 +123,7 @@ impl ActorLink {
             actor: actor.clone(),
             incarnation,
             events,
+            presence: receiver.part_presence(),
             latest,
             answers: Answers::start(N_ANSWERING)?,
             joined: Mutex::default(),
@@ -364,14 +366,14 @@ impl ActorLink {
                 Err(refusal) => warn!(%refusal, "credit refused"),
             }
         })?;
-        let events = self.events.clone();
+        let presence = self.presence.clone();
         let learner = watch(session, Keys::LearnerOf(run), move |alive, kind| {
             let Some(alive) = alive else { return };
             let event = match kind {
                 SampleKind::Put => ActorEvent::LearnerJoined(alive.incarnation),
                 SampleKind::Delete => ActorEvent::LearnerLeft(alive.incarnation),
             };
-            drop(events.offer(event, Class::Presence));
+            drop(presence.offer(event, Class::Presence));
         })?;
         let member = Member::Actor(self.actor.clone());
         *joined = Some(Joined {
@@ -434,9 +436,9 @@ fn on_order(
     if meant_for != Some(incarnation.0) {
         return say_no(query, "another start of this actor is meant".to_owned());
     }
-    let order = wire::unseal(query.attachment(), query.payload(), CONTROL);
+    let order = wire::unseal::<Control>(query.attachment(), query.payload(), CONTROL);
     unload(&mut query);
-    match order {
+    match order.and_then(|order| order.check().map(|()| order)) {
         Ok(control) => {
             let reply = ControlResponder::new(query, answers, Schema::ControlReply, incarnation);
             // An order that does not fit ends without an answer; the learner gives it again.

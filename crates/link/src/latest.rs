@@ -47,6 +47,8 @@ impl<T> Latest<T> {
 #[derive(Debug)]
 pub struct Events<T> {
     queue: flume::Receiver<T>,
+    /// Presence, if it has a queue of its own.
+    presence: Option<flume::Receiver<T>>,
     latest: Arc<Latest<T>>,
 }
 
@@ -55,16 +57,32 @@ impl<T> Events<T> {
     pub(crate) fn new(n_bulk: usize) -> (EventQueue<T>, Arc<Latest<T>>, Self) {
         let (sender, queue) = EventQueue::new(n_bulk);
         let latest = Arc::new(Latest { newest: Mutex::default(), arrived: Notify::new() });
-        let events = Self { queue, latest: Arc::clone(&latest) };
+        let events = Self { queue, presence: None, latest: Arc::clone(&latest) };
         (sender, latest, events)
+    }
+
+    /// Gives presence a queue of its own, so that it can be heard while everything else waits; returns its other end.
+    pub(crate) fn part_presence(&mut self) -> EventQueue<T> {
+        let (sender, presence) = EventQueue::new(0);
+        self.presence = Some(presence);
+        sender
     }
 
     /// Waits for the next event; `None` once the link is gone.
     pub async fn recv(&self) -> Option<T> {
-        // In random order: neither kind can keep out the other.
+        // In random order: no kind can keep out another.
         tokio::select! {
             event = self.queue.recv_async() => event.ok(),
             event = self.latest.next() => Some(event),
+            event = self.recv_presence() => event,
+        }
+    }
+
+    /// Waits for the next event of presence, and leaves everything else where it is; `None` once the link is gone.
+    pub async fn recv_presence(&self) -> Option<T> {
+        match &self.presence {
+            Some(presence) => presence.recv_async().await.ok(),
+            None => std::future::pending().await,
         }
     }
 }
@@ -87,5 +105,22 @@ mod tests {
             heard.extend(events.recv().await.filter(|event| *event > 0));
         }
         assert_eq!(heard, [3, 9]);
+    }
+
+    #[tokio::test]
+    async fn presence_is_heard_while_everything_else_waits() {
+        let (queue, latest, mut events) = Events::new(1);
+        let presence = events.part_presence();
+        queue.offer(1, Class::Request);
+        latest.put("credit", 2);
+        presence.offer(3, Class::Presence);
+        assert_eq!(events.recv_presence().await, Some(3));
+        presence.offer(4, Class::Presence);
+        let mut heard = Vec::new();
+        while heard.len() < 3 {
+            heard.extend(events.recv().await);
+        }
+        heard.sort_unstable();
+        assert_eq!(heard, [1, 2, 4]);
     }
 }

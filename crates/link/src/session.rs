@@ -33,7 +33,7 @@ const RETRY_MS: (u64, u64) = (100, 1_000);
 const ROUND: Duration = Duration::from_secs(2);
 /// Connections that may be opening at once, and how long each may take, in milliseconds: a peer that connects and says nothing
 /// must not keep out those who do.
-const ACCEPT: (u64, u64) = (1_000, 4_000);
+pub(crate) const ACCEPT: (u64, u64) = (1_000, 4_000);
 /// Longest time that closing may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 

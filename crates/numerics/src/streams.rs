@@ -36,6 +36,8 @@ pub enum Purpose {
     HeldOut = 10,
     /// What a search for a script proposes (index: none, 0).
     Search = 11,
+    /// How long an actor waits for an answer and between hellos (index: start of the actor). Reaches no result.
+    Greet = 12,
 }
 
 /// Opens the stream of one purpose, environment and index of a run.

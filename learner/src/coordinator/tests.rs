@@ -86,8 +86,21 @@ fn rollout(env_id: u32, iteration: u64, version: u64) -> Rollout {
     }
 }
 
-/// Sends a rollout under an epoch.
+/// Sends a rollout under an epoch, at most the newest that its actor was given.
 fn send(coordinator: &mut Coordinator, name: &str, sequence: u64, epoch: u64, rollout: &Rollout) {
+    coordinator.take_orphans();
+    let sender = coordinator.roster.sender(&(actor(name), Incarnation(1)));
+    let epoch = epoch.min(sender.map_or(0, |sender| sender.ordered.0));
+    send_under(coordinator, name, sequence, epoch, rollout);
+}
+
+fn send_under(
+    coordinator: &mut Coordinator,
+    name: &str,
+    sequence: u64,
+    epoch: u64,
+    rollout: &Rollout,
+) {
     let payload = codec::encode(rollout).unwrap();
     let header = Header {
         sequence: Sequence(sequence),
@@ -105,7 +118,9 @@ fn told<T>(coordinator: &mut Coordinator, pick: impl FnMut(Effect) -> Option<T>)
 
 fn assignments(coordinator: &mut Coordinator) -> Vec<(ActorId, Assignment)> {
     told(coordinator, |effect| match effect {
-        Effect::Control { to, control: Control::Assign(assignment) } => Some((to.0, assignment)),
+        Effect::Control { to, control: Control::Assign(assignment), .. } => {
+            Some((to.0, assignment))
+        }
         _ => None,
     })
 }
@@ -202,8 +217,9 @@ fn a_joiner_gets_its_share_when_an_update_is_done() {
 #[test]
 fn an_environment_that_came_back_ignores_what_was_under_way_before() {
     let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    c.take_effects();
     c.left(actor("a"), Incarnation(1));
-    c.joined(actor("a"), Incarnation(1));
+    join(&mut c, "a");
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
     assert_eq!(c.books().superseded, 1);
     send(&mut c, "a", 2, 2, &rollout(0, 0, 0));
@@ -456,6 +472,7 @@ fn another_build_or_class_of_cpu_counts_from_the_admission_on() {
     assert!(events(&mut c).iter().all(|event| !matches!(event, RunEvent::OtherBuild { .. })));
     c.hello(&other).unwrap();
     for _ in 0..3 {
+        c.hello(&other).unwrap();
         c.joined(actor("b"), Incarnation(1));
         c.left(actor("b"), Incarnation(1));
     }
@@ -485,7 +502,7 @@ fn a_mute_member_is_named_and_loses_its_environments_to_the_others() {
     };
     assert!(effects.iter().any(named));
     let assigned = effects.iter().filter_map(|effect| match effect {
-        Effect::Control { to, control: Control::Assign(assignment) } => {
+        Effect::Control { to, control: Control::Assign(assignment), .. } => {
             Some((to.0.as_str(), assignment.envs.len(), assignment.keep.len()))
         }
         _ => None,
@@ -507,7 +524,7 @@ fn an_actor_that_took_no_control_messages_waits_until_it_gets_environments_again
     for n_failures in 1..4 {
         c.rebalance();
         c.give_up(&(actor("ghost"), Incarnation(1)));
-        c.joined(actor("ghost"), Incarnation(1));
+        join(&mut c, "ghost");
         c.rebalance();
         let held = |c: &Coordinator| c.assigner.counts(c.roster.members())[&actor("ghost")];
         let n_ticks = (0..1_000).find(|_| {
@@ -520,11 +537,13 @@ fn an_actor_that_took_no_control_messages_waits_until_it_gets_environments_again
         assert_eq!(n_ticks.map(|n| n + 1), Some(BACK_OFF << (n_failures - 1)));
     }
     c.left(actor("a"), Incarnation(1));
+    c.take_effects();
     assert!(!c.assigner.has_orphans(), "with nobody else there it has to do");
 }
 
 /// Says that `name` cannot restore an environment that it was just given.
 fn cannot_restore(coordinator: &mut Coordinator, name: &str, env_id: u32) {
+    coordinator.take_orphans();
     coordinator.cannot_restore(&(actor(name), Incarnation(1)), Epoch(100), &[EnvId(env_id)]);
 }
 
@@ -541,7 +560,7 @@ fn a_snapshot_that_nobody_restores_is_given_up_and_its_sender_cut_off() {
     cannot_restore(&mut c, "b", 2);
     let effects = c.take_effects();
     let again = effects.iter().find_map(|effect| match effect {
-        Effect::Control { to, control: Control::Assign(assignment) } => Some((to, assignment)),
+        Effect::Control { to, control: Control::Assign(assignment), .. } => Some((to, assignment)),
         _ => None,
     });
     let (to, assignment) = again.unwrap();
@@ -598,4 +617,128 @@ fn a_checkpoint_during_an_update_holds_what_was_before_it() {
     assert_eq!((c.places()[0].iteration, c.n_pending()), (Iteration(1), 1));
     c.trained(PolicyVersion(2));
     assert_eq!((c.places()[0].iteration, c.n_pending()), (Iteration(2), 0));
+}
+
+#[test]
+fn however_many_are_lost_together_their_environments_are_given_once() {
+    let mut c = coordinator(4, Schedule::Lag(0), &["a", "b", "c", "d"]);
+    c.take_effects();
+    for name in ["a", "b", "c"] {
+        c.left(actor(name), Incarnation(1));
+    }
+    let told = assignments(&mut c);
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert_eq!((&told[0].0, told[0].1.envs.len(), told[0].1.keep.len()), (&actor("d"), 3, 1));
+    assert!(assignments(&mut c).is_empty());
+    let mut c = coordinator(4, Schedule::Lag(0), &["a", "b", "c", "d"]);
+    let told = assignments(&mut c);
+    assert_eq!(
+        told.iter().map(|(_, it)| it.envs.len()).collect::<Vec<_>>(),
+        [1; 4],
+        "as for joining"
+    );
+}
+
+#[test]
+fn who_was_lost_is_a_member_again_when_it_has_said_hello() {
+    let mut c = coordinator(2, Schedule::Lag(0), &["a", "b"]);
+    c.take_effects();
+    c.left(actor("a"), Incarnation(1));
+    c.joined(actor("a"), Incarnation(1));
+    assert_eq!(c.n_actors(), 1, "its token is back, but it takes no orders yet");
+    c.hello(&hello("a", 0, 1)).unwrap();
+    assert_eq!(c.n_actors(), 2);
+    c.left(actor("a"), Incarnation(1));
+    c.hello(&hello("a", 0, 1)).unwrap();
+    assert_eq!(c.n_actors(), 1, "a hello that overtook its token");
+    c.joined(actor("a"), Incarnation(1));
+    assert_eq!(c.n_actors(), 2);
+}
+
+/// Returns the membership of the only assignment that is to be sent.
+fn membership(coordinator: &mut Coordinator) -> MembershipNumber {
+    let memberships = told(coordinator, |effect| match effect {
+        Effect::Control { membership, .. } => Some(membership),
+        _ => None,
+    });
+    let [membership] = memberships[..] else { panic!("{memberships:?}") };
+    membership
+}
+
+#[test]
+fn an_order_that_was_not_acknowledged_before_a_loss_does_not_end_the_next_membership() {
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    let key = (actor("a"), Incarnation(1));
+    let before = membership(&mut c);
+    c.left(actor("a"), Incarnation(1));
+    join(&mut c, "a");
+    let now = membership(&mut c);
+    assert!(now > before && c.is_current(&key, now) && !c.is_current(&key, before));
+    c.silent(&key, before);
+    assert_eq!(c.n_actors(), 1);
+    c.silent(&key, now);
+    assert_eq!(c.n_actors(), 0);
+    assert!(!c.is_current(&key, now));
+}
+
+#[test]
+fn who_follows_somebody_elses_order_gets_its_environments_anew_under_a_number_beyond() {
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    let key = (actor("a"), Incarnation(1));
+    let first = membership(&mut c);
+    c.astray(&key, first, Epoch(1 << 40));
+    let effects = c.take_effects();
+    let is_told = |effect: &&Effect| matches!(effect, Effect::Event(RunEvent::Astray { told, .. }) if told.0 == 1 << 40);
+    assert_eq!(effects.iter().filter(is_told).count(), 1);
+    assert_eq!(c.epoch(), Epoch((1 << 40) + 1));
+    // Its rollouts tell the same as its answers, and do not count.
+    send_under(&mut c, "a", 1, 1 << 41, &rollout(0, 0, 0));
+    let (_, again) = assignments(&mut c).remove(0);
+    assert_eq!((again.epoch, again.envs.len()), (Epoch((1 << 41) + 1), 1));
+    send(&mut c, "a", 2, again.epoch.0, &rollout(0, 0, 0));
+    assert_eq!(c.next_batch().unwrap().len(), 1);
+    c.trained(PolicyVersion(1));
+    assert_eq!(close_balanced(&mut c).superseded, 1);
+}
+
+#[test]
+fn who_was_told_a_number_that_nothing_goes_beyond_has_to_say_hello_again() {
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    let key = (actor("a"), Incarnation(1));
+    let first = membership(&mut c);
+    c.astray(&key, first, Epoch(u64::MAX));
+    assert_eq!((c.n_actors(), c.epoch()), (0, Epoch(1)), "nobody counts on from there");
+    c.hello(&hello("a", 0, 1)).unwrap();
+    let (_, again) = assignments(&mut c).remove(0);
+    assert_eq!((again.epoch, again.envs.len()), (Epoch(2), 1), "at once: it did nothing wrong");
+    send(&mut c, "a", 1, 2, &rollout(0, 0, 0));
+    assert_eq!(c.n_pending(), 1);
+}
+
+#[test]
+fn who_goes_astray_again_and_again_is_given_up() {
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    let key = (actor("a"), Incarnation(1));
+    let first = membership(&mut c);
+    for _ in 0..=MAX_ASTRAY {
+        assert_eq!(c.n_actors(), 1);
+        c.astray(&key, first, Epoch(0));
+    }
+    assert_eq!(c.n_actors(), 0);
+}
+
+#[test]
+fn a_member_that_lost_its_environments_gets_them_again_when_it_asks() {
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    c.take_effects();
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    (0..IDLE_TICKS - 1).for_each(|_| c.tick());
+    c.hello(&hello("a", 1, 2)).unwrap();
+    assert!(assignments(&mut c).is_empty(), "it has delivered something a moment ago");
+    c.tick();
+    c.hello(&hello("a", 2, 2)).unwrap();
+    assert!(assignments(&mut c).is_empty(), "something of it is on its way");
+    c.hello(&hello("a", 1, 2)).unwrap();
+    let (_, again) = assignments(&mut c).remove(0);
+    assert_eq!((again.epoch, again.envs[0].iteration), (Epoch(2), Iteration(1)));
 }

@@ -1,0 +1,40 @@
+//! How many threads the network library may use, which it reads from a variable when it starts its first one.
+//!
+//! Its own limit is 50 threads that may block, for each of its runtimes. Every connection that ends or opens takes one
+//! of them and waits there for a lock. When more than 50 actors lose their learner together, all of them wait, and what
+//! would give the lock free finds no thread to run on until it gives up after ten seconds, once for every connection. So
+//! actors stayed away for minutes.
+
+/// The variable; a value that the person has set is theirs.
+pub const RUNTIME_VARIABLE: &str = "ZENOH_RUNTIME";
+/// Threads that may block, for each runtime in which connections end, open and receive: more than twice the connections
+/// that may be opening at once (1,000) and four times the senders that a learner serves at once by default (256 actors),
+/// because a connection may still be ending while its successor opens. A thread is started only when it is needed.
+const N_BLOCKING: usize = 2_048;
+/// Threads that do the upkeep of connections: with one, whatever waits there holds up all connections.
+const N_UPKEEP: usize = 2;
+
+/// Returns the value that the variable should have.
+///
+/// The library is told by its environment alone, and a variable cannot be set safely while a process runs. So whoever
+/// starts a process with many connections sets it.
+pub fn runtime() -> String {
+    format!(
+        "(net: (worker_threads: {N_UPKEEP}, max_blocking_threads: {N_BLOCKING}), \
+         acc: (max_blocking_threads: {N_BLOCKING}), rx: (max_blocking_threads: {N_BLOCKING}))"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ListenSettings;
+    use crate::session::ACCEPT;
+
+    #[test]
+    fn there_are_threads_for_all_connections_to_end_and_open_at_once() {
+        let max_actors = ListenSettings::new(Vec::new()).max_actors;
+        assert!(N_BLOCKING > 2 * max_actors && N_BLOCKING > 2 * ACCEPT.0 as usize);
+        assert_eq!(runtime().matches("2048").count(), 3, "{}", runtime());
+    }
+}
