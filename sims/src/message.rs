@@ -13,7 +13,7 @@ pub struct Message {
     pub conveyance: u32,
 }
 
-/// The reaction that the person carries out in the coming step.
+/// The reaction that the listener carries out in the coming step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReactionStep {
     /// What was asked for.
@@ -25,7 +25,7 @@ pub struct ReactionStep {
 /// How a reaction went in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReactionStatus {
-    /// The person did (at least part of) what was asked for.
+    /// The listener did (at least part of) what was asked for.
     Followed,
     /// The world did not let them, and they went on by their own plan; the reaction's time runs on.
     Refused,
