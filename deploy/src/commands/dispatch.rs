@@ -4,9 +4,9 @@ use leadtime_runs::Tasks;
 use tokio::runtime;
 
 use super::{
-    actor, certs, check, compare, config, conformance, describe, drive, eval, health, launch,
-    learner, new, pilot, play, probe, race, record, record_run, replay, report, router, runs,
-    script_search, serve, smoke, taxonomy, version, watch,
+    actor, certs, check, compare, config, conformance, describe, drive, eval, health, learner, new,
+    pilot, play, probe, race, record, record_run, replay, report, router, runs, script_search,
+    serve, smoke, taxonomy, up, version, watch,
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -30,7 +30,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
     let options = options.as_slice();
     match command {
         Command::Smoke(args) => block_on(smoke::run(tasks, &args, options)),
-        Command::Up(args) => block_on(launch::up(tasks, &args, options)),
+        Command::Up(args) => block_on(up::up(tasks, &args, options)),
         Command::Race(args) => block_on(race::run(tasks, &args, options)),
         Command::Learner(args) => block_on(learner::run(tasks, &args)),
         Command::Actor(args) => block_on(actor::run(tasks, &args)),

@@ -1,134 +1,18 @@
-//! `leadtime up`: learner and actors on this machine, supervised, and what their end means for the exit code.
+//! Learner and actors on this machine until the learner ends, and what their end means for the exit code.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
 
-use leadtime_certs::Role;
 use leadtime_config::Config;
-use leadtime_proto::RunName;
-use leadtime_runs::launch::{self, Launch, LaunchError, LearnerPlace};
+use leadtime_runs::RunRecord;
+use leadtime_runs::launch::{self, Launch, LaunchError};
 use leadtime_runs::supervise::Ended;
-use leadtime_runs::{Naming, RunRecord, Tasks, clock};
-use leadtime_watch::Page;
-use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
-use tokio_util::task::TaskTracker;
 
-use super::lag;
-use super::watch::{PageServer, beside};
-use crate::cli::{AccessArgs, UpArgs};
-use crate::credentials::{check_listening, guard_options};
-use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output::{self, DRAW, EVALUATE, REPORT};
-use crate::shutdown::{Watch, watch};
-use crate::trace_file::TraceFile;
-
-pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result<(), Failure> {
-    let name = args.run.name.as_deref();
-    let source = args.source.changed(&args.run.change);
-    let mut config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
-    check_listening(&args.listen, &args.guard, Role::Learner).blame(ExitCode::WrongInput)?;
-    let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
-    if args.choose_lag {
-        let lag = lag::choose(tasks, args, &config, &shutdown).await?;
-        config = source.changed(&[lag]).load(tasks, name).blame(ExitCode::WrongInput)?;
-    }
-    let beside = match &args.watch {
-        Some(http) => Some(Arc::new(BesidePage::bind(tasks, http, &args.access).await?)),
-        None if args.access.token.is_some() => {
-            return Err(Failure::input("--token is for the page of the run: add --watch ADDRESS"));
-        }
-        None => None,
-    };
-    let told = beside.clone();
-    let observe = move |endpoint: &str, run: &RunName, _: &Path| {
-        if let Some(beside) = &told {
-            beside.begin(endpoint, run);
-        }
-    };
-    let guard = guard_options(&args.guard);
-    let trace = TraceFile::create(&args.run.trace)?;
-    let what = Launch {
-        observer: beside.is_some().then_some(&observe as &LearnerPlace),
-        listen: &args.listen,
-        guard: &guard,
-        fork: args.run.fork.as_deref(),
-        stop_after: args.run.stop_after.map(|amount| amount.to_string()),
-        changes: args.run.change.iter().map(ToString::to_string).collect(),
-        metrics_to: args.run.metrics_to.as_deref(),
-        trace: args.run.trace.file.as_deref(),
-        status: args.status.as_deref(),
-        learner_stdout: true,
-        options,
-        ..Launch::new(Naming::Resume, args.actors)
-    };
-    let launched = launch(&config, &what, &shutdown).await;
-    if let Some(beside) = &beside {
-        beside.end().await;
-    }
-    if let Some(trace) = trace {
-        trace.finish();
-    }
-    let run = launched?;
-    if !goes_on(&run, &what) {
-        output::next(&run, &[EVALUATE, DRAW, REPORT]);
-    }
-    Ok(())
-}
-
-/// How long the page waits for the learner's last words after it has ended, and the pause between two looks.
-const LAST_WORDS: Duration = Duration::from_millis(500);
-const LOOK_PAUSE: Duration = Duration::from_millis(20);
-
-/// The page that is served beside a run.
-struct BesidePage {
-    tasks: Tasks,
-    stop: CancellationToken,
-    /// Taken when the run begins.
-    server: Mutex<Option<PageServer>>,
-    page: Mutex<Option<Arc<Page>>>,
-    working: TaskTracker,
-}
-
-impl BesidePage {
-    async fn bind(tasks: &Tasks, http: &str, access: &AccessArgs) -> Result<Self, Failure> {
-        let server = PageServer::bind(http, access).await?;
-        server.announce(false);
-        let (stop, working) = (CancellationToken::new(), TaskTracker::new());
-        let (tasks, server, page) = (tasks.clone(), Mutex::new(Some(server)), Mutex::default());
-        Ok(Self { tasks, stop, server, page, working })
-    }
-
-    /// Serves the page of a run whose learner will be reached at this address.
-    fn begin(&self, endpoint: &str, run: &RunName) {
-        let server = self.server.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let Some(server) = server else { return };
-        let page = Page::new(run.as_str(), clock::unix_seconds);
-        *self.page.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&page));
-        let serving = server.serve(&page, &self.stop);
-        self.working.spawn(serving);
-        let (tasks, stop) = (self.tasks.clone(), self.stop.clone());
-        self.working.spawn(beside(tasks, page, endpoint.to_owned(), run.clone(), stop));
-    }
-
-    /// Lets the page show how the run ended, and ends it.
-    async fn end(&self) {
-        let page = self.page.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        if let Some(page) = page {
-            let deadline = Instant::now() + LAST_WORDS;
-            while Instant::now() < deadline && !page.with(|view, now| view.is_over(now)) {
-                sleep(LOOK_PAUSE).await;
-            }
-        }
-        self.working.close();
-        self.stop.cancel();
-        self.working.wait().await;
-    }
-}
+use crate::exit::{ExitCode, Failure};
+use crate::output;
 
 /// Says how a run goes on, and returns true, if it was begun and has not reached its end.
-fn goes_on(run: &Path, what: &Launch<'_>) -> bool {
+pub(super) fn goes_on(run: &Path, what: &Launch<'_>) -> bool {
     let Ok(RunRecord { name, result: None, .. }) = RunRecord::read(run) else { return false };
     let mut options = vec!["--actors".into(), what.n_actors.to_string().into()];
     options.extend(what.listen.iter().flat_map(|listen| ["--listen".into(), listen.into()]));

@@ -34,6 +34,7 @@ mod serve;
 mod smoke;
 mod standing;
 mod taxonomy;
+mod up;
 mod version;
 mod watch;
 

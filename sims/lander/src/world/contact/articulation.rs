@@ -12,13 +12,13 @@ use nalgebra::{Const, LU, SMatrix, SVector};
 use rapier2d::math::{Pose, Rotation, Vector, rotation_from_angle};
 use serde::{Deserialize, Serialize};
 
-use super::model::{FALL, Model, TIME_STEP};
+use super::model::{FALL, LanderModel, TIME_STEP};
 
 /// Coordinates: the hull's x, y and angle, then the angles of the legs.
 pub(super) const N_SPEEDS: usize = 5;
 /// A value per coordinate.
 pub(super) type Speeds = [f32; N_SPEEDS];
-type Matrix = SMatrix<f32, N_SPEEDS, N_SPEEDS>;
+type MassMatrix = SMatrix<f32, N_SPEEDS, N_SPEEDS>;
 type Factors = LU<f32, Const<N_SPEEDS>, Const<N_SPEEDS>>;
 
 /// Velocity of a link at its centre.
@@ -132,7 +132,7 @@ impl Motion {
     }
 
     /// Places the legs at the hull.
-    fn chain(&self, model: &Model, hull: Pose) -> [Pose; 3] {
+    fn chain(&self, model: &LanderModel, hull: Pose) -> [Pose; 3] {
         let leg = |k: usize| {
             let at_hinge = Pose::from_rotation(self.leg_turns[k]) * model.leg_frames[k];
             hull * (model.hinge * at_hinge)
@@ -141,7 +141,7 @@ impl Motion {
     }
 
     /// Moves the coordinates by a frame and returns where the links are then.
-    pub(super) fn integrate(&mut self, model: &Model) -> [Pose; 3] {
+    pub(super) fn integrate(&mut self, model: &LanderModel) -> [Pose; 3] {
         let center = self.poses[0].translation;
         let speeds = &self.speeds;
         let center =
@@ -154,11 +154,11 @@ impl Motion {
     }
 
     /// Puts the legs back to the hull before a frame; a sweep may have stopped it.
-    pub(super) fn settle(&mut self, model: &Model) {
+    pub(super) fn settle(&mut self, model: &LanderModel) {
         self.poses = self.chain(model, self.poses[0]);
     }
 
-    fn arms(&self, model: &Model, k: usize) -> Arms {
+    fn arms(&self, model: &LanderModel, k: usize) -> Arms {
         let leg = &self.poses[k + 1];
         let hinge = *leg * model.leg_anchors[k];
         Arms { s02: hinge - self.poses[0].translation, s23: leg.translation - hinge }
@@ -177,7 +177,7 @@ impl Motion {
     }
 
     /// Computes the frame's dynamics, and adds what gravity and a load on the hull do to the speeds.
-    pub(super) fn begin(&mut self, model: &Model, force: Vector, torque: f32) -> Dynamics {
+    pub(super) fn begin(&mut self, model: &LanderModel, force: Vector, torque: f32) -> Dynamics {
         let arms = [self.arms(model, 0), self.arms(model, 1)];
         self.update_velocities(&arms);
         let columns = [hull_columns(), leg_columns(0, &arms[0]), leg_columns(1, &arms[1])];
@@ -202,8 +202,13 @@ impl Motion {
     }
 
     /// Computes the mass matrix, and the one that contains what the turning of the links does within a frame.
-    fn masses(&self, model: &Model, arms: &[Arms; 2], columns: &[Columns; 3]) -> (Matrix, Matrix) {
-        let (mut mass, mut moving) = (Matrix::zeros(), Matrix::zeros());
+    fn masses(
+        &self,
+        model: &LanderModel,
+        arms: &[Arms; 2],
+        columns: &[Columns; 3],
+    ) -> (MassMatrix, MassMatrix) {
+        let (mut mass, mut moving) = (MassMatrix::zeros(), MassMatrix::zeros());
         for (link, (columns, n)) in columns.iter().enumerate() {
             let columns = &columns[..*n];
             let (m, inertia) = (model.masses[link], model.inertias[link]);
@@ -225,11 +230,11 @@ impl Motion {
     /// Adds what the turning of a leg and of the hull below it does within a frame.
     fn add_turning(
         &self,
-        model: &Model,
+        model: &LanderModel,
         link: usize,
         arms: &Arms,
         columns: &[Column],
-        moving: &mut Matrix,
+        moving: &mut MassMatrix,
     ) {
         let (hull, leg) = (self.velocities[0].angular, self.velocities[link].angular);
         let [of_hull, own] = turning(hull, leg, arms).map(|v| v * (model.masses[link] * TIME_STEP));
@@ -244,7 +249,7 @@ impl Motion {
     /// Computes generalized forces, all of them and those that are applied from outside.
     fn forces(
         &self,
-        model: &Model,
+        model: &LanderModel,
         arms: &[Arms; 2],
         columns: &[Columns; 3],
         force: Vector,
@@ -315,7 +320,7 @@ fn turning(hull: f32, leg: f32, arms: &Arms) -> [Vector; 2] {
 
 /// Tells whether accelerations add no more energy than the work of the applied forces, but for a small margin.
 fn is_passive(
-    mass: &Matrix,
+    mass: &MassMatrix,
     speeds: &Speeds,
     accelerations: &Speeds,
     forces: &Speeds,

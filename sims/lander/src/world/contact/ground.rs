@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::super::constants::HULL;
 use super::super::terrain::N_POINTS;
 use super::articulation::LinkVelocity;
-use super::model::{GROUND_CENTER, GROUND_SCALE, Model, PREDICTION, REACH, SKIN, TIME_STEP};
+use super::model::{GROUND_CENTER, GROUND_SCALE, LanderModel, PREDICTION, REACH, SKIN, TIME_STEP};
 
 /// Impulses of a contact point in the last frame, with which the next one starts.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -39,7 +39,7 @@ pub(super) fn search_box(shape: &dyn Shape, pose: &Pose) -> Aabb {
 /// Finds the points at which a body touches the segments of the ground, one manifold per segment; what `manifolds`
 /// knew of a segment is carried over.
 pub(super) fn touch(
-    model: &Model,
+    model: &LanderModel,
     ground: &HeightField,
     body: usize,
     pose: &Pose,
@@ -70,7 +70,7 @@ fn touch_shape<S: Shape + PolygonalFeatureMap>(
 }
 
 /// Where a body is while its contacts are gathered.
-pub(super) struct Place {
+pub(super) struct BodyPlace {
     pub(super) body: usize,
     /// Where the last frame ended.
     pub(super) seen: Pose,
@@ -93,8 +93,8 @@ pub(super) struct ContactPoint {
 }
 
 /// Calls `found` with each point of a manifold that may carry load within the frame.
-pub(super) fn points(manifold: &Manifold, place: &Place, mut found: impl FnMut(ContactPoint)) {
-    let Place { seen, pose: body, velocity, .. } = place;
+pub(super) fn points(manifold: &Manifold, place: &BodyPlace, mut found: impl FnMut(ContactPoint)) {
+    let BodyPlace { seen, pose: body, velocity, .. } = place;
     let (ground, normal) = (pose(), manifold.local_n1);
     for (index, contact) in manifold.points.iter().enumerate() {
         let distance = contact.dist - SKIN - SKIN;

@@ -49,7 +49,7 @@ const GROUND: Group = Group::GROUP_1;
 
 /// The lander as the solver needs it. Masses are rapier's, because a mass and the inverse of its inverse differ in
 /// the last bit.
-pub(super) struct Model {
+pub(super) struct LanderModel {
     pub(super) hull: ConvexPolygon,
     pub(super) leg: Cuboid,
     pub(super) masses: [f32; 3],
@@ -70,7 +70,7 @@ pub(super) struct Model {
 }
 
 /// Built once per process; the same in every process.
-pub(super) static MODEL: LazyLock<Model> = LazyLock::new(|| {
+pub(super) static MODEL: LazyLock<LanderModel> = LazyLock::new(|| {
     let Parts { mut bodies, colliders, handles } = assemble();
     for handle in handles {
         bodies[handle].recompute_mass_properties_from_colliders(&colliders);
@@ -78,7 +78,7 @@ pub(super) static MODEL: LazyLock<Model> = LazyLock::new(|| {
     let mass = |i: usize| bodies[handles[i]].mass_properties();
     let leg_anchors = [0, 1].map(leg_anchor);
     let shape = |i: usize| colliders[bodies[handles[i]].colliders()[0]].shape();
-    Model {
+    LanderModel {
         hull: hull(),
         leg: leg(),
         masses: [0, 1, 2].map(|i| mass(i).effective_mass().x),
@@ -93,7 +93,7 @@ pub(super) static MODEL: LazyLock<Model> = LazyLock::new(|| {
     }
 });
 
-impl Model {
+impl LanderModel {
     pub(super) fn shape(&self, body: usize) -> &dyn Shape {
         if body == HULL { &self.hull } else { &self.leg }
     }

@@ -13,7 +13,7 @@ use super::model::{
     GROUND_SCALE, MOTOR_GAIN, PREDICTION, Parts, TIME_STEP, assemble, hinge, leg_anchor,
     leg_limits, vector,
 };
-use super::{FAR_ITERATIONS, NEAR_ITERATIONS, bodies_of, motor_speeds, pose, push};
+use super::world::{FAR_ITERATIONS, NEAR_ITERATIONS, bodies_of, motor_speeds, pose, push};
 
 #[derive(Clone, Default)]
 struct Sets {

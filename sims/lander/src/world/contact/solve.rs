@@ -8,8 +8,8 @@ use rapier2d::math::Vector;
 
 use super::super::constants::LEG_TORQUE;
 use super::articulation::{Dynamics, N_SPEEDS, Speeds, add_scaled, cross, dot};
-use super::ground::{ContactPoint, Manifold, Place, points};
-use super::model::{MOTOR_GAIN, Model, TIME_STEP};
+use super::ground::{BodyPlace, ContactPoint, Manifold, points};
+use super::model::{LanderModel, MOTOR_GAIN, TIME_STEP};
 
 /// Contacts with fixed ground are stiffer than others: natural frequency in Hz, damping ratio.
 const CONTACT_SOFTNESS: SpringCoefficients<f32> =
@@ -80,7 +80,7 @@ impl Rows {
     /// Adds the stop of a leg, if the leg is beyond it, and its motor.
     pub(super) fn add_leg(
         &mut self,
-        model: &Model,
+        model: &LanderModel,
         dynamics: &Dynamics,
         k: usize,
         angle: f32,
@@ -130,9 +130,9 @@ impl Rows {
     /// Adds the points of a body's manifold, starting with their impulses of the last frame.
     pub(super) fn add_manifold(
         &mut self,
-        model: &Model,
+        model: &LanderModel,
         dynamics: &Dynamics,
-        place: &Place,
+        place: &BodyPlace,
         i: usize,
         manifold: &Manifold,
     ) {

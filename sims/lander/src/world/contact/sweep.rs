@@ -8,14 +8,14 @@ use rapier2d::parry::query::sweep_toi::{
 use rapier2d::parry::shape::HeightField;
 
 use super::ground;
-use super::model::{Model, PREDICTION};
+use super::model::{LanderModel, PREDICTION};
 
 /// A sweep may end this far inside, in metres.
 const SLOP: f32 = 0.005;
 
 /// Returns where a body stops on its way from one pose to the next.
 pub(super) fn stop(
-    model: &Model,
+    model: &LanderModel,
     field: &HeightField,
     body: usize,
     from: &Pose,
