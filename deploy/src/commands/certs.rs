@@ -111,7 +111,7 @@ fn acl(args: &CertsAclArgs) -> anyhow::Result<()> {
     let peers: Vec<_> = issued.into_iter().map(|issued| (issued.role, issued.name)).collect();
     let list = AccessList::of(&peers).with_context(|| nobody(&args.directory))?;
     match &args.out {
-        None => output::line(list.to_text().trim_end()),
+        None => output::data(list.to_text().trim_end()),
         Some(file) => {
             output::file(file, list.to_text().as_bytes())?;
             let file = file.display();
