@@ -7,7 +7,7 @@ use leadtime_link::{
     ActorEvent, ActorLink, ConnectSettings, Endpoint, Error, Events, LearnerEvent, LearnerLink,
     ListenSettings, RUN_IS_ENDING,
 };
-use leadtime_proto::message::{Control, Hello, HelloReply};
+use leadtime_proto::message::{Control, ControlReply, Hello, HelloReply};
 use leadtime_proto::{ActorId, Incarnation, RunName, Sequence};
 
 /// The longest wait for one message.
@@ -33,10 +33,15 @@ async fn open(endpoint: &Endpoint, name: &str) -> (ActorLink, Events<ActorEvent>
 async fn sent_away(events: &Events<ActorEvent>) -> ActorEvent {
     let stop = async {
         while let Some(event) = events.recv().await {
-            let is_stop =
-                |control: &Control| matches!(control, Control::Stop { cut_off: false, .. });
-            if matches!(&event, ActorEvent::Control { control, .. } if is_stop(control)) {
-                return event;
+            match event {
+                ActorEvent::Control { control: Control::Stop { cut_off: false, .. }, .. } => {
+                    return event;
+                }
+                // One order at a time, and the first gives it environments.
+                ActorEvent::Control { control: Control::Assign(given), reply } => {
+                    reply.reply(&ControlReply::Followed { epoch: given.epoch }).unwrap();
+                }
+                _ => {}
             }
         }
         panic!("the learner is gone");
