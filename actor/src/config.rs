@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use leadtime_link::ConnectSettings;
+use leadtime_link::{ConnectSettings, RUN_IS_ENDING};
 use leadtime_proto::{ActorId, Incarnation, PolicyVersion, RunName, Sequence};
 
 /// Everything an actor needs before it meets a learner; the rest comes with the welcome.
@@ -71,4 +71,20 @@ pub struct ActorReport {
     pub acknowledged: Sequence,
     /// Hellos after the first: losses of the learner that were survived, and doubts about them.
     pub n_reconnects: u64,
+}
+
+impl ActorReport {
+    /// Reports an actor that came when its run was ending, and did nothing.
+    pub(crate) fn of_latecomer(run: RunName) -> Self {
+        let nothing = Sequence(0);
+        Self {
+            run,
+            end: ActorEnd::Dismissed { reason: RUN_IS_ENDING.to_owned() },
+            n_steps: 0,
+            made: nothing,
+            sent: nothing,
+            acknowledged: nothing,
+            n_reconnects: 0,
+        }
+    }
 }

@@ -44,6 +44,12 @@ pub enum Error {
         /// Which environment, and what failed.
         reason: String,
     },
+    /// What steps an environment outside of this process has failed before a first rollout was whole: it never worked here.
+    #[error("{reason}")]
+    NeverWorked {
+        /// Which environment, and what failed.
+        reason: String,
+    },
     /// The weights do not fit the policy's shape.
     #[error("the learner's weights cannot be used")]
     Policy(#[from] leadtime_policy::Error),

@@ -11,10 +11,11 @@
 //!
 //! The loop itself never waits for the network or for an environment.
 
+use std::future::pending;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use leadtime_link::{ActorEvent, ActorLink, ControlResponder, Events};
+use leadtime_link::{ActorEvent, ActorLink, ControlResponder, Events, RUN_IS_ENDING};
 use leadtime_policy::Parameters;
 use leadtime_proto::message::{Assignment, Hello, Welcome};
 use leadtime_proto::{EnvId, Header, PolicySpec, PolicyVersion};
@@ -130,8 +131,15 @@ async fn live(
     let hello = LiveActor::first_hello(&settings);
     let greeting = link.hello(settings.run.as_ref(), &hello, settings.connect.timeout);
     let welcome = tokio::select! {
-        welcome = greeting => welcome?,
+        welcome = greeting => welcome,
         () = stop.cancelled() => return Err(Error::CancelledEarly),
+    };
+    let welcome = match welcome {
+        Err(leadtime_link::Error::Ending { run }) => {
+            info!("leaving: {RUN_IS_ENDING}");
+            return Ok(ActorReport::of_latecomer(run));
+        }
+        welcome => welcome?,
     };
     info!(run = %welcome.run, domain = welcome.spec.task.domain, "joined");
     let mut process = Process::new(settings, registry, Arc::clone(link), welcome, sink)?;
@@ -255,21 +263,23 @@ impl Process {
         stop: &CancellationToken,
     ) -> Result<ActorWake, Error> {
         let (alarm, listens) = (self.actor.wakes_at(), !self.actor.is_greeting());
-        let alarm_at = alarm.unwrap_or_else(Instant::now).into();
-        Ok(tokio::select! {
-            biased;
-            () = stop.cancelled() => ActorWake::Stop,
-            // Before what strangers can flood, or time-outs would never be looked at.
-            _ = ticks.tick() => ActorWake::Tick,
-            () = sleep_until(alarm_at), if alarm.is_some() => ActorWake::Alarm,
-            Some(done) = self.tasks.1.recv() => done,
-            published = self.publisher.result() => ActorWake::Published(published?),
-            collected = self.collector.result() => ActorWake::Collected(collected?),
-            restored = self.restorer.result() => ActorWake::Restored(restored?),
-            event = heard(events, listens) => {
-                ActorWake::Network(event.ok_or(Error::ThreadGone("network"))?)
+        let alarm = async {
+            match alarm {
+                Some(at) => sleep_until(at.into()).await,
+                None => pending().await,
             }
-        })
+        };
+        let own = async {
+            Ok(tokio::select! {
+                biased;
+                Some(done) = self.tasks.1.recv() => done,
+                published = self.publisher.result() => ActorWake::Published(published?),
+                collected = self.collector.result() => ActorWake::Collected(collected?),
+                restored = self.restorer.result() => ActorWake::Restored(restored?),
+            })
+        };
+        let event = heard(events, listens);
+        first_wake(stop, ticks, alarm, own, event).await
     }
 
     /// Makes of what woke the process what the actor takes in; `None` if the process is asked to stop.
@@ -279,7 +289,7 @@ impl Process {
             ActorWake::Greeted(Ok(welcome)) => ActorInput::Welcomed(welcome),
             ActorWake::Greeted(Err(error)) => ActorInput::NotWelcomed(error),
             ActorWake::Collected(collected) => {
-                let collected = collected?;
+                let collected = collected.map_err(|error| self.told_apart(error))?;
                 self.metrics.add(&collected, self.n_steps);
                 let learner = self.actor.learner().0;
                 phases::collected(self.sink.as_mut(), &collected, self.waits_for, learner);
@@ -288,7 +298,8 @@ impl Process {
             }
             ActorWake::Restored(restored) => {
                 phases::restored(self.sink.as_mut(), &restored);
-                let (envs, failed) = restored.value?;
+                let restored = restored.value.map_err(|error| self.told_apart(error));
+                let (envs, failed) = restored?;
                 ActorInput::Restored { envs, failed }
             }
             ActorWake::Published(published) => {
@@ -312,6 +323,14 @@ impl Process {
             }
             ActorWake::Stop => return Ok(None),
         }))
+    }
+
+    /// Tells an environment that never worked here from one that worked: only the latter is worth another start of this actor.
+    fn told_apart(&self, error: Error) -> Error {
+        match error {
+            Error::Outside { reason } if self.metrics.n_steps == 0 => Error::NeverWorked { reason },
+            error => error,
+        }
     }
 
     /// Does what is to be done; returns how the actor ended if that is to leave.
@@ -425,6 +444,25 @@ fn from_pull(
     }
 }
 
+/// Waits for the first of these. What has happened already comes in this order: the time and the actor's own threads before what
+/// strangers can flood, or time-outs would never be looked at.
+async fn first_wake(
+    stop: &CancellationToken,
+    ticks: &mut Interval,
+    alarm: impl Future<Output = ()>,
+    own: impl Future<Output = Result<ActorWake, Error>>,
+    event: impl Future<Output = Option<ActorEvent>>,
+) -> Result<ActorWake, Error> {
+    Ok(tokio::select! {
+        biased;
+        () = stop.cancelled() => ActorWake::Stop,
+        _ = ticks.tick() => ActorWake::Tick,
+        () = alarm => ActorWake::Alarm,
+        own = own => own?,
+        event = event => ActorWake::Network(event.ok_or(Error::ThreadGone("network"))?),
+    })
+}
+
 fn from_network(event: ActorEvent) -> LiveInput {
     match event {
         ActorEvent::Control { control, reply } => ActorInput::Order { control, reply },
@@ -437,9 +475,33 @@ fn from_network(event: ActorEvent) -> LiveInput {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_proto::{ActionSpec, EnvSpec};
+    use std::future::ready;
+
+    use leadtime_proto::{ActionSpec, EnvSpec, Incarnation};
+    use tokio::time::interval_at;
 
     use super::*;
+
+    #[tokio::test]
+    async fn a_flood_from_the_network_keeps_out_neither_the_clock_nor_the_actors_own_threads() {
+        let stop = CancellationToken::new();
+        // A tick is due, and the next one is not.
+        let mut ticks = interval_at(Instant::now().checked_sub(TICK).unwrap().into(), TICK);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let flood = || ready(Some(ActorEvent::LearnerJoined(Incarnation(1))));
+        let own = || ready(Ok(ActorWake::Greeted(Err(Box::new(leadtime_link::Error::Dead)))));
+        let wake = first_wake(&stop, &mut ticks, ready(()), own(), flood()).await.unwrap();
+        assert!(matches!(wake, ActorWake::Tick), "{wake:?}");
+        let wake = first_wake(&stop, &mut ticks, ready(()), own(), flood()).await.unwrap();
+        assert!(matches!(wake, ActorWake::Alarm), "{wake:?}");
+        let wake = first_wake(&stop, &mut ticks, pending(), own(), flood()).await.unwrap();
+        assert!(matches!(wake, ActorWake::Greeted(_)), "{wake:?}");
+        let wake = first_wake(&stop, &mut ticks, pending(), pending(), flood()).await.unwrap();
+        assert!(matches!(wake, ActorWake::Network(_)), "{wake:?}");
+        stop.cancel();
+        let wake = first_wake(&stop, &mut ticks, ready(()), own(), flood()).await.unwrap();
+        assert!(matches!(wake, ActorWake::Stop), "{wake:?}");
+    }
 
     #[test]
     fn what_was_announced_as_weights_and_is_none_is_pulled_again() {

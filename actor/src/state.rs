@@ -24,6 +24,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
+use leadtime_link::RUN_IS_ENDING;
 use leadtime_numerics::{Pcg64, Purpose, stream};
 use leadtime_proto::limits::{MAX_HEARD_EPOCH, MAX_WINDOW};
 use leadtime_proto::message::{
@@ -536,8 +537,16 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     fn not_welcomed(&mut self, now: Instant, error: leadtime_link::Error) {
         use leadtime_link::Error as LinkError;
         let Some(greeting) = &mut self.greeting else { return };
-        if matches!(error, LinkError::Refused { .. } | LinkError::Taken { .. }) {
-            return self.end(Err(error.into()));
+        match error {
+            // The order to leave did not come through while this actor was looking for its learner.
+            LinkError::Ending { .. } => {
+                let reason = RUN_IS_ENDING.to_owned();
+                return self.end(Ok(ActorEnd::Dismissed { reason }));
+            }
+            LinkError::Refused { .. } | LinkError::Taken { .. } => {
+                return self.end(Err(error.into()));
+            }
+            _ => {}
         }
         debug!(%error, "hello not answered");
         let timeout = self.settings.reconnect_timeout;

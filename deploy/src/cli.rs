@@ -1,5 +1,6 @@
 //! The command line, as clap reads it; every command's arguments are one struct.
 
+use std::ffi::OsString;
 use std::fmt;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -300,7 +301,7 @@ pub(crate) struct SmokeArgs {
     pub quick: bool,
     /// What to train on.
     #[arg(long, default_value = "lander")]
-    pub domain: String,
+    pub domain: PathBuf,
     /// Actor processes.
     #[arg(long, default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
@@ -366,7 +367,7 @@ pub(crate) struct AccessArgs {
 pub(crate) struct WatchArgs {
     /// A run on this disk, by name or directory.
     #[arg(value_name = "RUN", conflicts_with_all = ["connect", "run"])]
-    pub directory: Option<String>,
+    pub directory: Option<PathBuf>,
     /// Address of a learner (or of a router): `tcp/HOST:7447`.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
@@ -515,11 +516,11 @@ pub(crate) struct EvalArgs {
     /// With --transcript or --truth, speak in these sentences: a database file, or a domain (default: those that come with
     /// the policy's domain).
     #[arg(long, value_name = "DATABASE", requires = "spoken")]
-    pub words: Option<String>,
+    pub words: Option<PathBuf>,
     /// Also evaluate this scripted policy: one of the task's, such as `unaided` or `heuristic`, a script in a file
     /// (`script.toml`), or `oracle`, which plans on the episode itself; repeatable.
     #[arg(long, value_name = "NAME")]
-    pub baseline: Vec<String>,
+    pub baseline: Vec<PathBuf>,
     /// Also write every step of the policy's episodes to this file, a line of JSON each: observation, logits, action,
     /// reward.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["transcript", "each"])]
@@ -571,7 +572,7 @@ pub(crate) struct ActingArgs {
 pub(crate) struct ReportArgs {
     /// Runs, by name or directory; one is reported in full, several are compared.
     #[arg(value_name = "RUN", required = true, num_args = 1..=8)]
-    pub names: Vec<String>,
+    pub names: Vec<PathBuf>,
     /// Write the page here, and leave the run's directory as it is (default: report.html there, beside the evaluation in
     /// eval.json; several runs have none).
     #[arg(short, long, value_name = "FILE")]
@@ -622,10 +623,10 @@ pub(crate) struct PlayArgs {
     pub output: PathBuf,
     /// Quote these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE")]
-    pub words: Option<String>,
+    pub words: Option<PathBuf>,
     /// Draw this scripted policy instead: `unaided`, `heuristic`, a script in a file, or `oracle`.
     #[arg(long, value_name = "NAME")]
-    pub baseline: Option<String>,
+    pub baseline: Option<PathBuf>,
     #[command(flatten)]
     pub acting: ActingArgs,
 }
@@ -634,7 +635,7 @@ pub(crate) struct PlayArgs {
 #[derive(Debug, Args)]
 pub(crate) struct CompareArgs {
     /// Name of a study, `all`, or a file of one's own; without one, the studies are listed with their rows.
-    pub study: Option<String>,
+    pub study: Option<PathBuf>,
     /// One training seed and few steps: shows that everything works, and is labelled so.
     #[arg(long)]
     pub quick: bool,
@@ -692,7 +693,7 @@ pub(crate) enum PilotCommand {
 pub(crate) struct PilotEvalArgs {
     /// `heuristic`, `embedded`, or a policy file.
     #[arg(long, default_value = "embedded")]
-    pub pilot: String,
+    pub pilot: PathBuf,
     /// Seeds of the episodes, B excluded: each gives the terrain and start that it gives in Gymnasium.
     #[arg(long, value_name = "A..B", default_value = "0..100", value_parser = number_range)]
     pub seeds: Range<u64>,
@@ -732,7 +733,7 @@ pub(crate) enum ConformanceWorld {
 #[derive(Debug, Args)]
 pub(crate) struct ConfigArgs {
     /// The configuration; without one, the names are listed.
-    pub domain: Option<String>,
+    pub domain: Option<OsString>,
 }
 
 /// `leadtime describe`
@@ -812,9 +813,9 @@ pub(crate) enum RunsCommand {
     /// Show what differs between two runs: configuration and results.
     Compare {
         /// A run.
-        first: String,
+        first: PathBuf,
         /// Another run.
-        second: String,
+        second: PathBuf,
     },
     /// List the old runs, and with --yes remove them; never one that is in use.
     Prune(PruneArgs),

@@ -170,5 +170,6 @@ pub(crate) fn is_wrong_input(error: &LinkError) -> bool {
             | LinkError::TlsTwice(_)
             | LinkError::TlsPath(_)
             | LinkError::AccessList(_)
+            | LinkError::TooFewFiles(_)
     )
 }

@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use anyhow::Context as _;
-use leadtime_proto::text::own_message;
+use leadtime_proto::text::{escaped, own_message};
 use leadtime_runs::{command_line, journal, program_name, write_atomically};
 pub(crate) use leadtime_table::WIDTH;
 use serde::Serialize;
@@ -23,14 +23,29 @@ use crate::{logging, terminal};
 /// The first failure to write to standard output.
 static FAILED: OnceLock<io::Error> = OnceLock::new();
 
-/// Writes text and a line end to standard output.
+/// Writes lines for people to standard output.
 pub(crate) fn line(text: &str) {
+    data(&shown(text));
+}
+
+/// Writes text for programs and a line end to standard output, as it is.
+pub(crate) fn data(text: &str) {
     keep(writeln!(io::stdout().lock(), "{text}"));
 }
 
 /// Writes a value as one line of JSON to standard output.
 pub(crate) fn json<T: Serialize>(value: &T) {
-    line(&serde_json::to_string(value).expect("results are plain data"));
+    data(&serde_json::to_string(value).expect("results are plain data"));
+}
+
+/// Returns text as a terminal may get it: lines and tabs stay, and every other control character is escaped. A path may hold any.
+fn shown(text: &str) -> String {
+    let stays = |c: char| matches!(c, '\n' | '\t');
+    let piece = |piece: &str| match piece.strip_suffix(stays) {
+        Some(text) => escaped(text) + &piece[text.len()..],
+        None => escaped(piece),
+    };
+    text.split_inclusive(stays).map(piece).collect()
 }
 
 /// Writes a file, whole or not at all.
@@ -57,7 +72,7 @@ pub(crate) fn finish() -> Result<(), Failure> {
 
 /// Writes a line to standard error, whatever `RUST_LOG` says.
 pub(crate) fn say(text: &str) {
-    terminal::print(text);
+    terminal::print(&shown(text));
 }
 
 /// Writes a line to standard error unless only warnings and results are wanted.
@@ -110,4 +125,16 @@ pub(crate) fn next_resumes(command: &str, run: &Path, name: &str, options: &[OsS
 /// Writes an error as the last line of a command.
 pub(crate) fn error(error: &impl Display) {
     say(&own_message(&format!("error: {error:#}")));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_path_holds_is_no_order_to_the_terminal() {
+        let text = "run\truns/a\u{1b}[2J\u{7}b\r\nnext\u{202e}\n";
+        assert_eq!(shown(text), "run\truns/a\\u{1b}[2J\\u{7}b\\r\nnext\\u{202e}\n");
+        assert_eq!(shown("a ± b\n\n\tc"), "a ± b\n\n\tc");
+    }
 }

@@ -69,8 +69,14 @@ impl Program {
         // The command's own failure says more than one to write its output.
         let written = output::finish();
         let done = done.and(written);
-        let Failure { code, error } = done.err().unwrap_or(Failure::silent(ExitCode::Done));
-        error.iter().for_each(output::error);
+        let Failure { mut code, error } = done.err().unwrap_or(Failure::silent(ExitCode::Done));
+        if let Some(error) = error {
+            let message = format!("{error:#}");
+            if crash::is_about_files(&message) {
+                code = ExitCode::WrongInput;
+            }
+            output::error(&crash::with_remedy(message));
+        }
         process::ExitCode::from(code as u8)
     }
 }

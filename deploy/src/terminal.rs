@@ -27,12 +27,10 @@ pub(crate) fn is_watched() -> bool {
 /// Writes lines, above the bar if there is one.
 pub(crate) fn print(text: &str) {
     let (text, bar) = (text.trim_end_matches('\n'), bar());
+    let lines = if is_watched() { format!("{CLEAR}{text}\n{bar}") } else { format!("{text}\n") };
     let mut stderr = io::stderr().lock();
-    drop(if is_watched() {
-        write!(stderr, "{CLEAR}{text}\n{bar}").and_then(|()| stderr.flush())
-    } else {
-        writeln!(stderr, "{text}")
-    });
+    // At once: another process of ours may write there as well, and not in the middle of a line.
+    drop(stderr.write_all(lines.as_bytes()).and_then(|()| stderr.flush()));
 }
 
 /// Shows how far something is, from 0 to 1, and what `message` says of it in a number of columns; call it where a person

@@ -2,6 +2,8 @@
 
 use std::fs;
 use std::net::TcpListener;
+use std::path::Path;
+use std::process::Command;
 
 use crate::support::{Finished, PATIENCE, Place, Running, checkpoints, record, wait_for_words};
 
@@ -314,4 +316,33 @@ fn a_policy_or_trace_file_that_is_none_is_refused() {
     ] {
         refused(&place, &[command, file], told);
     }
+}
+
+#[test]
+fn a_path_is_no_order_to_the_terminal() {
+    let place = Place::new();
+    let directory = |name: &str| place.path().join(format!("{name}\u{1b}[2J"));
+    let said = |args: &[&str], path: &Path| {
+        let mut command = place.program(args);
+        command.arg(path);
+        let done = place.start_with(command).finish(PATIENCE).with_code(0);
+        let said = done.stdout + &done.stderr;
+        let raw = said.contains(|c: char| c.is_control() && c != '\n');
+        assert!(!raw && said.contains("\\u{1b}[2J"), "{args:?}: {said:?}");
+        said
+    };
+    said(&["certs init"], &directory("certs"));
+    let runs = directory("runs");
+    let told = said(&["up --name r", SMALL, "--stop-after 4 --runs"], &runs);
+    // What is said to be typed is read by a shell as the path that it is.
+    let hint = told.lines().find(|line| line.trim_start().starts_with("leadtime up -c"));
+    let hint = hint.unwrap_or_else(|| panic!("no hint in: {told}")).trim_start();
+    let mut shell = Command::new("bash");
+    let script = hint.replacen("leadtime", env!("CARGO_BIN_EXE_leadtime"), 1);
+    shell.args(["-c", &script]).current_dir(place.path()).env_remove("RUST_LOG");
+    place.start_with(shell).finish(PATIENCE).with_code(0);
+    let mut list = place.program(&["runs --json --runs"]);
+    list.arg(&runs);
+    let list = place.start_with(list).finish(PATIENCE).with_code(0).json();
+    assert_eq!(list[0]["state"], "finished", "{list}");
 }

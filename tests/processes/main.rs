@@ -5,6 +5,7 @@
 //! | `program` | what the commands print, draw and keep |
 //! | `bad_input` | wrong input is one sentence and a documented exit code |
 //! | `compare` | a study becomes its tables, also when it is killed on the way |
+//! | `ending` | who comes while a run ends is dismissed like the others |
 //! | `help` | help fits a terminal, and its examples are read; so do lists of runs; the next command is said and works |
 //! | `live` | a notifier at work: who is let in, what is said, and that nothing stale ever is |
 //! | `long_run` | a run stops where it is told, goes on with other settings, and hands its metrics on |
@@ -29,6 +30,7 @@
 
 mod bad_input;
 mod compare;
+mod ending;
 mod help;
 mod live;
 mod long_run;

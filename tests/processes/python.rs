@@ -156,6 +156,29 @@ fn a_worker_that_does_not_begin_is_wrong_input() {
 }
 
 #[test]
+fn an_environment_that_never_works_is_wrong_input_and_its_actor_is_not_started_again() {
+    let place = Place::new();
+    for (mode, told) in [
+        ("cannot-import", "ModuleNotFoundError: No module named 'my_envs'"),
+        ("cannot-reset", "environment 0 fails: ValueError: no display"),
+        (
+            "raises-at-once",
+            "environment 0 fails: IndexError: list index out of range (my_envs.py:40)",
+        ),
+    ] {
+        let alone = format!("{mode}-alone");
+        actor_of(&place, &alone, mode, "--trust-worker").with_code(2).saying(&[told]);
+        let file = config(&place, mode, mode, SPEC);
+        let up = place.finish(&["up --actors 1 --name", mode, "-c", &file]).with_code(1);
+        let up = up.saying(&["actor 1 ended and is not restarted (exit status: 2)"]);
+        let errors = up.stderr.lines().filter(|line| line.starts_with("error: "));
+        let errors: Vec<&str> = errors.collect();
+        assert!(matches!(errors[..], [only] if only.ends_with(told)), "{}", up.stderr);
+        assert!(!up.stderr.contains("restarting it"), "{}", up.stderr);
+    }
+}
+
+#[test]
 fn nobody_executes_what_somebody_else_wrote() {
     let place = Place::new();
     let flag = place.file("executed");

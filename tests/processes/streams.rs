@@ -3,9 +3,10 @@
 use std::ffi::OsStr;
 use std::fs;
 use std::os::unix::ffi::OsStrExt as _;
+use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::{PATIENCE, Place, signal, updates, wait_for_words};
+use crate::support::{PATIENCE, Place, repository, signal, updates, wait_for_words};
 
 const FULL: &str = "/dev/full";
 /// A run of four updates.
@@ -60,15 +61,24 @@ fn a_log_filter_that_does_not_parse_is_refused() {
 fn a_limit_that_is_too_small_ends_the_process_with_a_sentence() {
     let place = Place::new();
     let endpoint = place.endpoint("learner");
-    let mut shell = Command::new("sh");
-    shell.current_dir(place.path()).args(["-c", "ulimit -n 12; exec \"$0\" \"$@\""]);
-    shell
-        .args([env!("CARGO_BIN_EXE_leadtime"), "learner", "--listen", &endpoint])
-        .args(SHORT.split(' '));
-    let done = place.start_with(shell).finish(PATIENCE);
-    assert!(done.code.is_some_and(|code| [1, 2].contains(&code)), "{done:?}");
-    assert!(done.stderr.contains("Too many open files"), "{done:?}");
-    assert!(!done.stderr.contains("panicked"), "{done:?}");
+    let limited = |n_files: u32, args: &[&str]| {
+        let mut shell = Command::new("sh");
+        let script = format!("ulimit -n {n_files}; exec \"$0\" \"$@\"");
+        shell.current_dir(place.path()).args(["-c", &script, env!("CARGO_BIN_EXE_leadtime")]);
+        shell.args(args.iter().flat_map(|text| text.split(' '))).env_remove("RUST_BACKTRACE");
+        let done = place.start_with(shell).finish(PATIENCE).with_code(2);
+        assert!(done.stderr.contains("see `ulimit -n`"), "{n_files}: {done:?}");
+        let bad = ["panicked", "a bug of the program"].iter().find(|it| done.stderr.contains(*it));
+        assert_eq!(bad, None, "{n_files}: {done:?}");
+    };
+    // Fewer than these and the program itself cannot be loaded; with more it may run.
+    for n_files in (8..=30).step_by(2) {
+        limited(n_files, &["learner --listen", &endpoint, SHORT]);
+    }
+    for n_files in (10..=30).step_by(10) {
+        limited(n_files, &["actor --connect", &endpoint]);
+        limited(n_files, &["router --listen", &endpoint]);
+    }
 }
 
 #[test]
@@ -90,6 +100,15 @@ fn paths_need_not_be_text() {
     assert!(evaluated["policy"].as_str().is_some_and(|path| path.contains("odd-")), "{evaluated}");
     let listed = place.start_with(with(&["runs --json"])).finish(PATIENCE).with_code(0).json();
     assert_eq!(listed[0]["name"], "r");
+    // The processes that another one starts write into the same file.
+    let log = place.path().join(OsStr::from_bytes(b"log-\xff"));
+    let mut up = with(&["up --name logged --log-format json", SHORT]);
+    up.arg("--log-file").arg(&log);
+    place.start_with(up).finish(PATIENCE).with_code(0);
+    let lines = fs::read_to_string(&log).unwrap();
+    for said in ["run opened", "actor joined"] {
+        assert!(lines.contains(said), "{lines}");
+    }
     let mut learner = with(&["learner -c cartpole --listen", &place.endpoint("l")]);
     learner.arg("--fork").arg(runs.join(odd));
     let learner = place.start_with(learner);
@@ -97,4 +116,68 @@ fn paths_need_not_be_text() {
     signal("INT", learner.id());
     learner.finish(PATIENCE).with_code(130);
     assert_eq!(updates(&runs.join("r")), 4);
+}
+
+#[test]
+fn no_argument_that_may_be_a_path_need_be_text() {
+    let place = Place::new();
+    let odd = |name: &str| {
+        let name = [name.as_bytes(), b"-\xff"].concat();
+        place.path().join(OsStr::from_bytes(&name))
+    };
+    let runs = odd("runs");
+    let run = |args: &[&str], paths: &[&Path]| {
+        let mut command = place.program(args);
+        command.args(paths.iter().map(|path| path.as_os_str()));
+        place.start_with(command).finish(PATIENCE)
+    };
+    run(&["up --name r", SHORT, "--runs"], &[&runs]).with_code(0);
+    let (first, second) = (runs.join("r"), odd("second"));
+    // A copy of a run, under a name that is no text.
+    let copied = Command::new("cp").arg("-r").args([&first, &second]).status().unwrap();
+    assert!(copied.success());
+    let page = place.file("page.html");
+    let report = ["report --episodes 2 -o", &page];
+    let told = run(&report, &[&second]).with_code(0).stdout;
+    assert!(told.contains("Report: "), "{told}");
+    run(&["watch --once --json"], &[&second]).with_code(0).json();
+    let compared = run(&["runs compare --json"], &[&first, &second]).with_code(0).json();
+    assert_eq!(compared["weights"], "equal");
+    let script = odd("script").with_extension("toml");
+    let missing = run(&["eval --episodes 2 --baseline"], &[&script, &first]).with_code(2);
+    missing.saying(&["script-", "No such file"]);
+    let words = odd("words.toml");
+    fs::copy(repository("crates/taxonomy/data/lander/taxonomy.toml"), &words).unwrap();
+    let valid = run(&["taxonomy validate --json"], &[&words]).with_code(0).json();
+    assert_eq!(valid["domain"], "lander");
+    run(&["taxonomy export"], &[&words]).with_code(0);
+    let plan = odd("plan.toml");
+    fs::copy(repository("crates/taxonomy/data/lander/plan.toml"), &plan).unwrap();
+    let log = repository("crates/taxonomy/data/lander/calls.jsonl");
+    run(&["taxonomy report --log", &log], &[&plan]).with_code(0);
+    // What is not there is named, and is not called text that it is not.
+    let nothing = odd("nothing");
+    for args in [
+        "report",
+        "watch --once",
+        "runs compare r",
+        "compare",
+        "config",
+        "check -c",
+        "describe",
+        "eval",
+        "eval r --transcript --words",
+        "play r --words",
+        "serve --describe r --words",
+        "taxonomy validate",
+        "taxonomy report",
+        "taxonomy export",
+        "pilot eval --seeds 0..1 --pilot",
+        "smoke --domain",
+        "play",
+    ] {
+        let done = run(&[args], &[&nothing]).with_code(2);
+        assert!(!done.stderr.contains("invalid UTF-8"), "{args}: {}", done.stderr);
+        assert!(done.stderr.contains("error: "), "{args}: {}", done.stderr);
+    }
 }

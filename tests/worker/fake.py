@@ -106,6 +106,12 @@ def main():
                 slot, seed, size, pickled = struct.unpack_from("<HIII", body, at)
                 base, actions = body[at + 14 : at + 14 + pickled], body[at + 14 + pickled : at + 10 + size]
                 at += 10 + size
+                if bad == "cannot-reset":
+                    failed(out, slot, "ValueError: no display")
+                    rows += [0.0] * 4
+                    rewards.append(0.0)
+                    ends.append(3)
+                    continue
                 env = envs[slot] = pickle.loads(base) if base else CartPole()
                 observation = getattr(env, "state", [0.0] * 4) if base else env.reset(seed)
                 for action in actions:
@@ -115,14 +121,14 @@ def main():
                 slot, seed, action = struct.unpack_from("<HIB", body, at)
                 at += 7
                 env = envs[slot]
-                if bad == "raises" and n_frames >= AFTER and slot == 0:
+                if bad == "raises" and n_frames >= AFTER and slot == 0 or bad == "raises-at-once":
                     failed(out, slot, "IndexError: list index out of range (my_envs.py:40)")
                     rows += [0.0] * 4
                     rewards.append(0.0)
                     ends.append(3)
                     # A pole that has fallen and goes on: it must be put back.
                     env.state = [9.0] * 4
-                    bad = "raises" if not FILE else ""
+                    bad = bad if not FILE else ""
                     continue
                 observation, reward, fallen, late = env.step(action)
                 end = 1 if fallen else 2 if late else 0

@@ -262,6 +262,12 @@ fn who_is_refused_dismissed_or_cut_off_leaves() {
     bench.give(ActorInput::LearnerLeft(LEARNER));
     let end = bench.give(ActorInput::NotWelcomed(Box::new(taken)));
     assert!(matches!(end[..], [ActorOutput::End(Err(Error::Link(_)))]), "{end:?}");
+    // The order to leave did not come through, because it looked for its learner.
+    let ending = leadtime_link::Error::Ending { run: RunName::new("r").unwrap() };
+    let mut bench = Bench::new(0..=0);
+    bench.give(ActorInput::LearnerLeft(LEARNER));
+    let end = bench.give(ActorInput::NotWelcomed(Box::new(ending)));
+    assert!(matches!(end[..], [ActorOutput::End(Ok(ActorEnd::Dismissed { .. }))]), "{end:?}");
     for cut_off in [false, true] {
         let mut bench = Bench::new(0..=0);
         let control = Control::Stop { reason: "enough".to_owned(), cut_off };

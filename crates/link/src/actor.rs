@@ -30,6 +30,7 @@ use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
 use crate::ask::{self, Inquiry, InquiryEnd, ask_for};
+use crate::error::RUN_IS_ENDING;
 use crate::event::ActorEvent;
 use crate::keys::{INCARNATION, Key, Keys, Member};
 use crate::latest::{Events, Latest};
@@ -142,6 +143,7 @@ impl ActorLink {
     /// * [`Error::SeveralRuns`] if none was named and several are there.
     /// * [`Error::RunNotFound`] if only others than the named one are there.
     /// * [`Error::Refused`] if the learner does not want this actor, for instance for its protocol version.
+    /// * [`Error::Ending`] if the run has dismissed its actors.
     /// * [`Error::Taken`] if another start of an actor of this name is there.
     /// * [`Error::NoAnswer`] if a learner is there but does not answer in time.
     /// * [`Error::NotAllowed`] or [`Error::Unlisted`] if an access list seems to be in the way.
@@ -388,6 +390,7 @@ impl ActorLink {
 
     fn answered(&self, run: RunName, reply: HelloReply) -> Result<Welcome> {
         match reply {
+            HelloReply::Refused { reason } if reason == RUN_IS_ENDING => Err(Error::Ending { run }),
             HelloReply::Refused { reason } => {
                 let reason = leadtime_proto::text::sentence(&reason);
                 Err(Error::Refused { run, actor: self.actor.clone(), reason })

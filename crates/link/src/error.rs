@@ -10,6 +10,10 @@ use leadtime_proto::phrase::duration;
 use leadtime_proto::{ActorId, ClientName, PolicyVersion, Refusal, RunName, ServiceName};
 use thiserror::Error;
 
+/// The reason by which a learner refuses every hello once it has dismissed its actors. A part of the protocol: who hears it is
+/// dismissed as well.
+pub const RUN_IS_ENDING: &str = "the run is ending: nothing is left to do";
+
 /// A result of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
@@ -159,6 +163,12 @@ pub enum Error {
         /// The learner's sentence.
         reason: String,
     },
+    /// The run has come to its end, or its learner was asked to stop: nobody is wanted any more.
+    #[error("run `{run}`: {RUN_IS_ENDING}")]
+    Ending {
+        /// The run.
+        run: RunName,
+    },
     /// No notifier of that name is at work there.
     #[error(
         "no notifier `{service}` is at work at {endpoints}; there: {}. Start a service: `leadtime serve POLICY`, with --service {service}",
@@ -254,6 +264,9 @@ pub enum Error {
         #[source]
         source: NetworkFault,
     },
+    /// This process may not open as many more files as the network library needs.
+    #[error("the limit on open files is too small for the network: see `ulimit -n`")]
+    TooFewFiles(#[source] std::io::Error),
     /// A thread that serves the network could not be started.
     #[error("cannot start a thread for the network")]
     Thread(#[source] std::io::Error),

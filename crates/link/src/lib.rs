@@ -72,7 +72,7 @@ pub use actor::ActorLink;
 pub use answer::{ControlResponder, HelloResponder, Responder};
 pub use archive::{Archive, HistoryMaker};
 pub use endpoint::Endpoint;
-pub use error::{Error, NetworkFault, Result};
+pub use error::{Error, NetworkFault, RUN_IS_ENDING, Result};
 pub use event::{ActorEvent, LearnerEvent, Payload, QueuePermit};
 pub use intake::RefusalCounts;
 pub use latest::Events;

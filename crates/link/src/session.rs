@@ -2,6 +2,7 @@
 //!
 //! No multicast, no gossip, no shared memory: a session talks to the addresses it was given and to nobody else.
 
+use std::io;
 use std::time::{Duration, Instant};
 
 use leadtime_certs::Identity;
@@ -34,6 +35,9 @@ const ROUND: Duration = Duration::from_secs(2);
 /// Connections that may be opening at once, and how long each may take, in milliseconds: a peer that connects and says nothing
 /// must not keep out those who do.
 pub(crate) const ACCEPT: (u64, u64) = (1_000, 4_000);
+/// Pipes, of two files each, that can be opened before a session is: the library opens 14 files and one for each connection, and a
+/// process that has a connection has files of its own to write.
+const SPARE_PIPES: usize = 12;
 /// Longest time that closing may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -282,8 +286,15 @@ pub(crate) async fn close(session: &Session) -> Result<()> {
     }
 }
 
+/// Makes sure that this process may open [`SPARE_PIPES`] more: where the library cannot open a file, it panics.
+fn check_files() -> Result<()> {
+    let pipes: io::Result<Vec<_>> = (0..SPARE_PIPES).map(|_| io::pipe()).collect();
+    pipes.map(drop).map_err(Error::TooFewFiles)
+}
+
 /// Opening waits on its thread, so it gets one of its own. Where no thread can be made, the library panics.
 async fn open(config: Config) -> Result<zenoh::Result<Session>> {
+    check_files()?;
     let opened = tokio::task::spawn_blocking(move || zenoh::open(config).wait()).await;
     opened.map_err(|_panicked| Error::Panicked("open a connection"))
 }

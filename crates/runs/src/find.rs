@@ -14,12 +14,12 @@ use crate::record::RECORD;
 /// # Errors
 ///
 /// [`RunDirError`] if there is none; a run of a similar name is named.
-pub fn find_run(runs: &Path, name: &str) -> Result<PathBuf, RunDirError> {
-    let candidates = [PathBuf::from(name), runs.join(name)];
+pub fn find_run(runs: &Path, name: &Path) -> Result<PathBuf, RunDirError> {
+    let candidates = [name.to_owned(), runs.join(name)];
     let found = candidates.into_iter().find(|path| path.join(RECORD).exists());
     found.ok_or_else(|| {
-        let meant = did_you_mean_run(runs, Path::new(name));
-        let (name, runs) = (quoted(name), runs.display());
+        let meant = did_you_mean_run(runs, name);
+        let (name, runs) = (quoted(&name.to_string_lossy()), runs.display());
         RunDirError::Refused(format!("there is no run `{name}` in {runs}{meant}"))
     })
 }

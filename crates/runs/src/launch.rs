@@ -43,7 +43,7 @@ pub struct Launch<'a> {
     /// File that collects what the processes log, instead of standard error.
     pub stderr_log: Option<PathBuf>,
     /// Further options of every process: how much it logs.
-    pub options: &'a [&'a str],
+    pub options: &'a [OsString],
     /// Told where the learner will be reached, before it is started.
     pub observer: Option<&'a LearnerPlace>,
 }
@@ -164,7 +164,7 @@ fn plan(
     let mut learner = text(&["learner", "--supervised", "--name", reserved.name.as_str()]);
     learner.extend(text(&["--listen", endpoint]));
     learner.extend(text(&["--local-actors", &launch.n_actors.to_string()]));
-    learner.extend(text(launch.options));
+    learner.extend(launch.options.iter().cloned());
     // Not through the file, and not as text: a path need not be text.
     let paths = [("-c", &*file), ("--scratch", scratch), ("--runs", &config.run.directory)];
     for (option, path) in paths.into_iter().chain(launch.fork.map(|fork| ("--fork", fork))) {
@@ -193,12 +193,13 @@ fn plan(
         let id = format!("actor-{number}");
         // The configuration is this user's own, and so is the learner.
         let own = ["actor", "--supervised", "--connect", endpoint, "--id", &id, "--trust-worker"];
-        [text(&[&own, launch.options].concat()), trace.clone()].concat()
+        [text(&own), launch.options.to_vec(), trace.clone()].concat()
     };
     Ok(ProcessPlan {
         learner,
         actors: (1..=launch.n_actors).map(actor).collect(),
         run: reserved.path.clone(),
+        n_updates: config.learner.n_updates(),
         others_may_join: !launch.listen.is_empty(),
         learner_stdout: launch.learner_stdout,
         stderr_log: launch.stderr_log.clone(),

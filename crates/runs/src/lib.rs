@@ -55,7 +55,7 @@ mod tensorboard;
 mod test_support;
 
 pub use build::ProgramBuild;
-pub use command_line::{command_line, program_name};
+pub use command_line::{command_line, program_name, shell_argument};
 pub use directory::RunDir;
 pub use directory_error::RunDirError;
 pub use evaluation_record::{EvaluationRecord, LAST_EVALUATION};

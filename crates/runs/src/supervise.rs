@@ -3,7 +3,7 @@
 //! | what happens | what is done |
 //! |---|---|
 //! | an actor dies | it is restarted, after a longer pause each time; after [`RESTARTS`] restarts in a row it is given up |
-//! | the learner is killed | the same; it resumes from its checkpoint, and the actors find it by themselves |
+//! | the learner is killed | the same; it resumes from its checkpoint, and the actors find it by themselves. Those that it had dismissed are started again, if the run is not trained to its end |
 //! | the learner ends | the actors end with it; its exit code is ours |
 //! | every actor is given up | the learner is stopped, unless actors elsewhere may join |
 //! | Ctrl-C, SIGTERM | every child is asked to end, and killed if it does not within [`GRACE`] |
@@ -54,6 +54,8 @@ pub(crate) struct ProcessPlan {
     pub(crate) actors: Vec<Vec<OsString>>,
     /// Directory of the run; its journal shows whether the run advances.
     pub(crate) run: PathBuf,
+    /// Updates of the whole run.
+    pub(crate) n_updates: u64,
     /// Whether actors that are not ours may keep the run going.
     pub(crate) others_may_join: bool,
     /// Whether the learner's results go to our standard output.
@@ -109,8 +111,12 @@ async fn watch(
             () = shutdown.cancelled() => return Ended::Stopped,
             _ = ticks.tick() => {}
         }
+        let n_restarts = learner.n_restarts;
         if let ChildHealth::Gone(code) = learner.poll(&plan.run) {
             return Ended::Learner(code);
+        }
+        if learner.n_restarts != n_restarts {
+            call_back(plan, actors);
         }
         let health: Vec<ChildHealth> =
             actors.iter_mut().map(|actor| actor.poll(&plan.run)).collect();
@@ -127,6 +133,17 @@ async fn watch(
             warned = true;
             tracing::warn!("no actor of this command is left: the run depends on those elsewhere");
         }
+    }
+}
+
+/// Starts the actors again that a learner dismissed which was killed before its end: the next one needs them, unless nothing is left
+/// to train.
+fn call_back(plan: &ProcessPlan, actors: &mut [ChildHandle]) {
+    if journal::last_update(&plan.run) >= plan.n_updates {
+        return;
+    }
+    for actor in actors.iter_mut().filter(|actor| actor.health == ChildHealth::Gone(Some(0))) {
+        (actor.health, actor.start_at) = (ChildHealth::Alive, Some(Instant::now()));
     }
 }
 
@@ -310,6 +327,18 @@ mod tests {
         ChildHandle { is_actor: true, ..ChildHandle::new("actor 1", &[], None) }
     }
 
+    fn plan(run: &Path) -> ProcessPlan {
+        ProcessPlan {
+            learner: Vec::new(),
+            actors: Vec::new(),
+            run: run.to_owned(),
+            n_updates: 10,
+            others_may_join: false,
+            learner_stdout: false,
+            stderr_log: None,
+        }
+    }
+
     #[test]
     fn deaths_in_a_row_end_an_actor_and_health_in_between_forgives_them() {
         let run = tempfile::tempdir().unwrap();
@@ -331,14 +360,7 @@ mod tests {
     #[tokio::test]
     async fn a_run_without_local_actors_goes_on_only_where_others_may_join() {
         let run = tempfile::tempdir().unwrap();
-        let mut plan = ProcessPlan {
-            learner: Vec::new(),
-            actors: Vec::new(),
-            run: run.path().to_owned(),
-            others_may_join: false,
-            learner_stdout: false,
-            stderr_log: None,
-        };
+        let mut plan = plan(run.path());
         let mut learner = ChildHandle::new("learner", &["600".into()], None);
         learner.program = || Ok("sleep".into());
         let mut gone = actor();
@@ -351,6 +373,33 @@ mod tests {
         // Far more than the one look that it takes to give up.
         let still_watching = tokio::time::timeout(10 * TICK, watching).await;
         assert!(still_watching.is_err(), "{still_watching:?}");
+    }
+
+    #[tokio::test]
+    async fn actors_whose_learner_was_killed_after_it_dismissed_them_are_started_again() {
+        let run = tempfile::tempdir().unwrap();
+        let plan = plan(run.path());
+        let once = format!(
+            "cd '{}'; test -e killed || {{ touch killed; kill -KILL $$; }}",
+            run.path().display()
+        );
+        let mut learner = ChildHandle::new("learner", &["-c".into(), once.into()], None);
+        learner.program = || Ok("sh".into());
+        let gone = |health| {
+            let program: fn() -> io::Result<PathBuf> = || Ok("true".into());
+            ChildHandle { health, program, start_at: None, ..actor() }
+        };
+        let healths = [Some(0), Some(2), None].map(ChildHealth::Gone);
+        let mut actors = healths.map(gone);
+        let (begun, stop) = (Instant::now(), CancellationToken::new());
+        let ended = watch(&plan, &mut learner, &mut actors, &stop).await;
+        assert_eq!(ended, Ended::Learner(Some(0)));
+        assert_eq!(actors.map(|actor| actor.started > begun), [true, false, false]);
+        // Where nothing is left to train, nobody is needed.
+        std::fs::write(run.path().join("metrics.jsonl"), "{\"update\": 10}\n").unwrap();
+        let mut actors = healths.map(gone);
+        call_back(&plan, &mut actors);
+        assert_eq!(actors.map(|actor| actor.health), healths);
     }
 
     #[test]

@@ -52,14 +52,15 @@ pub(crate) fn is_built_in(name: &str) -> bool {
 /// # Errors
 ///
 /// If there is no such study, or its file cannot be read or is not a sound study.
-pub fn find(name: &str) -> Result<Vec<NamedStudy>, Error> {
+pub fn find(name: impl AsRef<Path>) -> Result<Vec<NamedStudy>, Error> {
+    let path = name.as_ref();
+    let name = &*path.to_string_lossy();
     if name == ALL {
         return names().map(built_in).collect();
     }
     if is_built_in(name) {
         return built_in(name).map(|study| vec![study]);
     }
-    let path = Path::new(name);
     let is_file = path.extension().is_some_and(|extension| extension == "toml");
     ensure(is_file, || {
         let known: Vec<&str> = names().chain([ALL]).collect();

@@ -81,11 +81,6 @@ impl WorkerLink {
         &self.launch
     }
 
-    /// Returns the number of the worker's process.
-    pub(crate) fn process_id(&self) -> Option<u32> {
-        self.process.as_ref().map(WorkerProcess::id)
-    }
-
     /// Returns how many of its environments are in use.
     pub(crate) fn n_used(&self) -> usize {
         self.slots.iter().filter(|slot| slot.is_used).count()

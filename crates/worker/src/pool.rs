@@ -150,11 +150,6 @@ impl Workers {
         let links = lock(&self.0.links);
         links.iter().for_each(|link| lock(link).send_steps());
     }
-
-    /// Lists the processes of the workers.
-    pub fn process_ids(&self) -> Vec<u32> {
-        lock(&self.0.links).iter().filter_map(|link| lock(link).process_id()).collect()
-    }
 }
 
 /// Returns what the environments of a worker look like that is there already.

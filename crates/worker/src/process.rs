@@ -132,11 +132,6 @@ impl WorkerProcess {
         })
     }
 
-    /// Returns the number of the process: that of the shell, which most shells replace by the command.
-    pub(crate) fn id(&self) -> u32 {
-        self.child.id()
-    }
-
     /// Sends a frame to the worker.
     ///
     /// # Errors

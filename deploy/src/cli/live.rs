@@ -42,7 +42,7 @@ pub(crate) struct ServeArgs {
     pub play: Option<String>,
     /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE")]
-    pub words: Option<String>,
+    pub words: Option<PathBuf>,
     /// Keep the state of every session in this directory once a second; a notifier that is started again goes on with them.
     #[arg(long, value_name = "DIR")]
     pub state: Option<PathBuf>,
@@ -103,7 +103,7 @@ impl ServeArgs {
     pub(crate) fn words_name(&self) -> String {
         match (&self.words, &self.voice) {
             (_, VoiceChoice::None) => NO_WORDS.to_owned(),
-            (Some(name), _) => name.clone(),
+            (Some(name), _) => name.to_string_lossy().into_owned(),
             (None, _) => SHIPPED_WORDS.to_owned(),
         }
     }

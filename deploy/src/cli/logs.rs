@@ -1,5 +1,6 @@
 //! How much is said on standard error, and how.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -28,11 +29,10 @@ pub(crate) enum LogFormat {
 
 impl LogArgs {
     /// Returns the options that give another process of ours the same.
-    pub(crate) fn options(&self) -> Vec<String> {
-        let format = (self.log_format == LogFormat::Json)
-            .then(|| ["--log-format".to_owned(), "json".to_owned()]);
-        let file = self.log_file.as_ref().map(|file| file.display().to_string());
-        let file = file.map(|file| ["--log-file".to_owned(), file]);
+    pub(crate) fn options(&self) -> Vec<OsString> {
+        let is_json = self.log_format == LogFormat::Json;
+        let format: Option<[OsString; 2]> = is_json.then(|| ["--log-format".into(), "json".into()]);
+        let file = self.log_file.as_ref().map(|file| ["--log-file".into(), file.into()]);
         format.into_iter().chain(file).flatten().collect()
     }
 }

@@ -51,7 +51,7 @@ pub(crate) enum Claim {
 #[derive(Clone, Debug, Args)]
 pub(crate) struct PlanArgs {
     /// The plan: `highway`, `lander`, `steakhouse`, or a file.
-    pub plan: String,
+    pub plan: PathBuf,
     /// Change one key of the plan: `--set settings.theta=60`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
@@ -175,7 +175,7 @@ pub(crate) enum ExportFormat {
 #[derive(Debug, Args)]
 pub(crate) struct TaxonomyExportArgs {
     /// The database: a file, or the domain whose shipped one is meant.
-    pub database: String,
+    pub database: PathBuf,
     /// The form.
     #[arg(long, value_enum, default_value = "csv")]
     pub format: ExportFormat,
@@ -188,7 +188,7 @@ pub(crate) struct TaxonomyExportArgs {
 #[derive(Debug, Args)]
 pub(crate) struct TaxonomySpeakArgs {
     /// The database: a file, or the domain whose shipped one is meant.
-    pub database: String,
+    pub database: PathBuf,
     /// Who speaks: `flite[:VOICE]`, `espeak`, or a helper by `pipe:COMMAND`.
     #[arg(long, value_name = "VOICE", default_value = "flite")]
     pub voice: VoiceChoice,
@@ -201,7 +201,7 @@ pub(crate) struct TaxonomySpeakArgs {
 #[derive(Debug, Args)]
 pub(crate) struct TaxonomyValidateArgs {
     /// The database: a file, or the domain whose shipped one is meant.
-    pub database: String,
+    pub database: PathBuf,
     /// Sentences that every cell should have, to take turns.
     #[arg(long, value_name = "N", default_value_t = 3)]
     pub wanted: usize,

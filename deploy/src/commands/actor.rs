@@ -152,6 +152,7 @@ fn failure(error: Error) -> Failure {
         Error::CancelledEarly => return Failure::silent(ExitCode::Interrupted),
         Error::Link(error) if is_wrong_input(error) => ExitCode::WrongInput,
         Error::Task(_)
+        | Error::NeverWorked { .. }
         | Error::Link(
             LinkError::Name(_)
             | LinkError::SeveralRuns { .. }

@@ -168,7 +168,7 @@ fn show(args: &CertsShowArgs) -> anyhow::Result<()> {
 fn acl(args: &CertsAclArgs) -> anyhow::Result<()> {
     let (n, list) = list_of(&args.directory)?.with_context(|| nobody(&args.directory))?;
     match &args.out {
-        None => output::line(list.to_text().trim_end()),
+        None => output::data(list.to_text().trim_end()),
         Some(file) => {
             output::file(file, list.to_text().as_bytes())?;
             output::line(&access_list_line(file, n));

@@ -1,5 +1,7 @@
 //! `leadtime config`: the built-in configurations, comments and all.
 
+use std::ffi::OsStr;
+
 use leadtime_proto::phrase::no_such;
 use leadtime_runs::Tasks;
 
@@ -9,13 +11,13 @@ use crate::output;
 
 pub(super) fn run(tasks: &Tasks, args: &ConfigArgs) -> Result<(), Failure> {
     let names: Vec<&str> = tasks.catalog.names().collect();
-    let Some(domain) = &args.domain else {
+    let Some(domain) = args.domain.as_deref().map(OsStr::to_string_lossy) else {
         names.into_iter().for_each(output::line);
         return Ok(());
     };
-    let Some(text) = tasks.catalog.text(domain) else {
-        return Err(Failure::input(no_such("configuration", domain, names)));
+    let Some(text) = tasks.catalog.text(&domain) else {
+        return Err(Failure::input(no_such("configuration", &domain, names)));
     };
-    output::line(text.blame(ExitCode::WrongInput)?.trim_end());
+    output::data(text.blame(ExitCode::WrongInput)?.trim_end());
     Ok(())
 }

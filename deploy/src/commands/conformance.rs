@@ -20,7 +20,7 @@ const MAX_BYTES: u64 = 1 << 30;
 pub(super) fn run(args: &ConformanceArgs) -> Result<(), Failure> {
     let replay = replay(args).blame(ExitCode::WrongInput)?;
     if args.json {
-        output::line(&replay.json);
+        output::data(&replay.json);
     } else {
         print(&replay);
     }

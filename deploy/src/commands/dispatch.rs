@@ -1,5 +1,7 @@
 //! From a parsed command line to the command.
 
+use std::ffi::OsString;
+
 use leadtime_runs::Tasks;
 use tokio::runtime;
 
@@ -24,9 +26,8 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         _ => "info",
     };
     logging::start(level, &logs)?;
-    let log_options = logs.options();
-    let options = verbosity.options().iter().copied();
-    let options: Vec<&str> = options.chain(log_options.iter().map(String::as_str)).collect();
+    let options = verbosity.options().iter().map(OsString::from);
+    let options: Vec<OsString> = options.chain(logs.options()).collect();
     let options = options.as_slice();
     match command {
         Command::Smoke(args) => block_on(smoke::run(tasks, &args, options)),
@@ -73,7 +74,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::documented(), "leadtime", &mut script);
-            output::line(String::from_utf8_lossy(&script).trim_end());
+            output::data(String::from_utf8_lossy(&script).trim_end());
             Ok(())
         }
     }

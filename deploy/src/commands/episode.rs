@@ -1,5 +1,7 @@
 //! The sentences that an episode is spoken in.
 
+use std::path::Path;
+
 use anyhow::Context as _;
 use leadtime_config::Config;
 use leadtime_eval::playthrough::Voice;
@@ -13,11 +15,11 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 pub(super) fn voice(
     tasks: &Tasks,
     config: &Config,
-    database: Option<&str>,
+    database: Option<&Path>,
 ) -> Result<Option<Voice>, Failure> {
     let Some(name) = database else { return Ok(evaluation::shipped_voice(tasks, config)) };
     let taxonomy = taxonomy::database(name)?;
     let topics = tasks.topics(&config.evaluation.task);
-    let voice = Voice::new(taxonomy, &topics).with_context(|| name.to_owned());
+    let voice = Voice::new(taxonomy, &topics).with_context(|| name.display().to_string());
     Ok(Some(voice.blame(ExitCode::WrongInput)?))
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use leadtime_proto::text::shell_word;
+use leadtime_runs::shell_argument;
 use leadtime_worlds::{first_commands, new_crate};
 
 use crate::cli::NewArgs;
@@ -21,6 +21,6 @@ pub(super) fn run(args: &NewArgs) -> Result<(), Failure> {
     if checkout.is_none() {
         output::line("Leadtime's source is not here: write its address into Cargo.toml first");
     }
-    output::note(&first_commands(&shell_word(&directory.to_string_lossy())));
+    output::note(&first_commands(&shell_argument(directory.as_os_str())));
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Who `--baseline` means: a script of the task, a script in a file, or the oracle.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use leadtime_eval::measure::Player;
@@ -13,17 +13,18 @@ pub(super) const ORACLE: &str = "oracle";
 
 /// Makes the players that `--baseline` names, in order; the oracle mends what the task's scripts and those in the files do.
 pub(super) fn opponents(
-    names: &[String],
+    names: &[PathBuf],
     environment: &dyn Environment,
 ) -> anyhow::Result<Vec<Player>> {
     let files = names.iter().filter(|name| is_file(name));
-    let scripts = files.map(|name| Ok((name, read(Path::new(name))?)));
+    let scripts = files.map(|name| Ok((name, read(name)?)));
     let scripts = scripts.collect::<anyhow::Result<Vec<_>>>()?;
     let n_of = |wanted: &str| scripts.iter().filter(|(file, _)| stem(file) == wanted).count();
-    let player = |name: &String| {
-        if let Some((_, script)) = scripts.iter().find(|(file, _)| *file == name) {
+    let player = |path: &PathBuf| {
+        let name = &path.to_string_lossy().into_owned();
+        if let Some((_, script)) = scripts.iter().find(|(file, _)| *file == path) {
             // Two files of one name are told apart by their paths.
-            let short = stem(name);
+            let short = stem(path);
             let shown = if n_of(&short) > 1 { name } else { &short };
             return Player::scripted(shown, Box::new(ScriptPlayer::new(script.clone())));
         }
@@ -43,12 +44,12 @@ pub(super) fn named_bases(environment: &dyn Environment) -> impl Iterator<Item =
     environment.baselines().iter().map(|&name| OracleBase::Named(name.to_owned()))
 }
 
-fn is_file(name: &str) -> bool {
-    Path::new(name).extension().is_some_and(|extension| extension == "toml")
+fn is_file(name: &Path) -> bool {
+    name.extension().is_some_and(|extension| extension == "toml")
 }
 
-fn stem(name: &str) -> String {
-    Path::new(name).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+fn stem(name: &Path) -> String {
+    name.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
 }
 
 fn read(file: &Path) -> anyhow::Result<Script> {

@@ -1,5 +1,7 @@
 //! `leadtime pilot eval`: a pilot flies without zones and messages, on Gymnasium's seeds.
 
+use std::path::Path;
+
 use anyhow::{Context as _, anyhow};
 use leadtime_lander::pilot::{Flyer, Pilot, PilotEvaluation, evaluate};
 use leadtime_lander::world::PhysicsSettings;
@@ -14,11 +16,11 @@ use crate::output;
 pub(super) fn run(args: &PilotEvalArgs) -> Result<(), Failure> {
     let settings = PhysicsSettings { wind: args.wind, ..PhysicsSettings::default() };
     let from_file;
-    let flyer = match args.pilot.as_str() {
-        "heuristic" => Flyer::Heuristic,
-        "embedded" => Flyer::Network { pilot: Pilot::embedded(), rests: false },
-        file => {
-            from_file = read(file).blame(ExitCode::WrongInput)?;
+    let flyer = match args.pilot.to_str() {
+        Some("heuristic") => Flyer::Heuristic,
+        Some("embedded") => Flyer::Network { pilot: Pilot::embedded(), rests: false },
+        _ => {
+            from_file = read(&args.pilot).blame(ExitCode::WrongInput)?;
             Flyer::Network { pilot: &from_file, rests: false }
         }
     };
@@ -27,17 +29,18 @@ pub(super) fn run(args: &PilotEvalArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-fn read(file: &str) -> anyhow::Result<Pilot> {
+fn read(file: &Path) -> anyhow::Result<Pilot> {
+    let shown = file.display();
     let bytes = std::fs::read(file)
-        .with_context(|| format!("pilot `{file}` is neither heuristic, embedded nor a file"))?;
+        .with_context(|| format!("pilot `{shown}` is neither heuristic, embedded nor a file"))?;
     Pilot::from_safetensors(&bytes)
-        .map_err(|error| anyhow!("{file} is not a pilot: {}", what_it_is(&bytes, &error)))
+        .map_err(|error| anyhow!("{shown} is not a pilot: {}", what_it_is(&bytes, &error)))
 }
 
 fn print(args: &PilotEvalArgs, evaluation: &PilotEvaluation) {
     if args.json {
         output::json(&json!({
-            "pilot": args.pilot,
+            "pilot": args.pilot.display().to_string(),
             "seeds": format!("{}..{}", args.seeds.start, args.seeds.end),
             "wind": args.wind,
             "episodes": evaluation.n_episodes,
@@ -53,7 +56,7 @@ fn print(args: &PilotEvalArgs, evaluation: &PilotEvaluation) {
     }
     let wind = if args.wind { "with wind" } else { "without wind" };
     let n = evaluation.n_episodes;
-    output::line(&format!("pilot {}, {n} episodes {wind}", args.pilot));
+    output::line(&format!("pilot {}, {n} episodes {wind}", args.pilot.display()));
     let (mean, error) = (evaluation.mean_return, evaluation.standard_error);
     let mut table = Table::new(["episodes", "share"]);
     for (name, share) in [

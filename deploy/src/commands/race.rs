@@ -1,5 +1,7 @@
 //! `leadtime race`: several seeds of one configuration, of which the hopeless are stopped at a quarter of the way.
 
+use std::ffi::OsString;
+
 use leadtime_proto::RunName;
 use leadtime_runs::launch::{Launch, LaunchError, launch};
 use leadtime_runs::race::{Race, RaceScore, RaceStage, Racer};
@@ -14,7 +16,11 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT, WIDTH};
 use crate::shutdown::{Watch, unless_cancelled, watch};
 
-pub(super) async fn run(tasks: &Tasks, args: &RaceArgs, options: &[&str]) -> Result<(), Failure> {
+pub(super) async fn run(
+    tasks: &Tasks,
+    args: &RaceArgs,
+    options: &[OsString],
+) -> Result<(), Failure> {
     let config = args.source.load(tasks, None).blame(ExitCode::WrongInput)?;
     let name = args.name.as_deref().or(config.run.name.as_ref().map(RunName::as_str));
     let race = Race::plan(tasks, &config, name, args.racers, args.episodes);
@@ -45,7 +51,7 @@ pub(super) async fn run(tasks: &Tasks, args: &RaceArgs, options: &[&str]) -> Res
 struct RaceWork<'a> {
     tasks: &'a Tasks,
     args: &'a RaceArgs,
-    options: &'a [&'a str],
+    options: &'a [OsString],
     shutdown: &'a CancellationToken,
     race: Race,
 }

@@ -17,7 +17,7 @@ pub(super) const PAGE: &str = "report.html";
 pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
     let ChoosingArgs { eval_seed, action, runs, worker } = &args.choosing;
     worker.permit(tasks, runs);
-    let find = |name: &String| find_run(runs, name);
+    let find = |name: &PathBuf| find_run(runs, name);
     let directories: Vec<PathBuf> =
         args.names.iter().map(find).collect::<Result<_, _>>().blame(ExitCode::WrongInput)?;
     let files = directories.iter().map(|directory| RunFiles::read(directory));

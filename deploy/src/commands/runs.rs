@@ -1,5 +1,7 @@
 //! `leadtime runs`: what there is, and how two runs differ.
 
+use std::path::Path;
+
 use anyhow::Context as _;
 use leadtime_config::identity::difference;
 use leadtime_proto::phrase::counted;
@@ -83,8 +85,8 @@ fn print(rows: &[ListedRun], all: bool) {
     output::line(if all { table.text() } else { table.text_within(WIDTH) }.trim_end());
 }
 
-fn compare(args: &RunsArgs, first: &str, second: &str) -> anyhow::Result<()> {
-    let open = |name: &str| -> anyhow::Result<_> {
+fn compare(args: &RunsArgs, first: &Path, second: &Path) -> anyhow::Result<()> {
+    let open = |name: &Path| -> anyhow::Result<_> {
         let path = find_run(&args.runs, name)?;
         let record = RunRecord::read(&path)?;
         Ok((read_config(&path)?, ListedRun::new(&path, record)))

@@ -5,7 +5,8 @@
 //!    ->  trained, unaided, heuristic and untrained play the same episodes  ->  table, report.html, playthrough.png
 //! ```
 
-use std::path::{Path, PathBuf};
+use std::ffi::OsString;
+use std::path::Path;
 
 use anyhow::Context as _;
 use leadtime_config::{Config, Layer};
@@ -28,7 +29,11 @@ use crate::shutdown::{Watch, unless_cancelled, watch};
 /// Episodes of a quick run.
 const QUICK_EPISODES: u32 = 10;
 
-pub(super) async fn run(tasks: &Tasks, args: &SmokeArgs, options: &[&str]) -> Result<(), Failure> {
+pub(super) async fn run(
+    tasks: &Tasks,
+    args: &SmokeArgs,
+    options: &[OsString],
+) -> Result<(), Failure> {
     let config = configure(tasks, args).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     if args.quick {
@@ -49,7 +54,7 @@ pub(super) async fn run(tasks: &Tasks, args: &SmokeArgs, options: &[&str]) -> Re
 /// Loads the domain's configuration, made small for a quick run.
 fn configure(tasks: &Tasks, args: &SmokeArgs) -> anyhow::Result<Config> {
     let mut source = args.source.clone();
-    source.config.get_or_insert_with(|| PathBuf::from(&args.domain));
+    source.config.get_or_insert_with(|| args.domain.clone());
     let config = source.load(tasks, None)?;
     if !args.quick {
         return Ok(config);

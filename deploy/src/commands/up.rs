@@ -1,5 +1,6 @@
 //! `leadtime up`: a run with its learner and actors on this machine, with what is wanted beside it.
 
+use std::ffi::OsString;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -23,7 +24,7 @@ use crate::output::{self, DRAW, EVALUATE, REPORT};
 use crate::shutdown::{Watch, watch};
 use crate::trace_file::TraceFile;
 
-pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[&str]) -> Result<(), Failure> {
+pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Result<(), Failure> {
     let name = args.run.name.as_deref();
     let source = args.source.changed(&args.run.change);
     let mut config = source.load(tasks, name).blame(ExitCode::WrongInput)?;

@@ -460,6 +460,40 @@ fn missing_actors_are_counted_before_the_run_and_in_it() {
 }
 
 #[test]
+fn a_run_that_ends_during_an_update_accounts_for_its_rollouts_and_moves_nothing() {
+    let during_an_update = || {
+        let mut c = coordinator(2, Schedule::Lag(0), &["a"]);
+        send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+        send(&mut c, "a", 2, 1, &rollout(1, 0, 0));
+        assert_eq!(c.next_batch().unwrap().len(), 2);
+        // Its share is due when the update is done.
+        join(&mut c, "b");
+        c.take_effects();
+        c.stop_everyone("done");
+        let stopped = told(&mut c, |effect| match effect {
+            Effect::Control { to, control: Control::Stop { cut_off: false, .. } } => Some(to.0),
+            _ => None,
+        });
+        assert_eq!(stopped, [actor("a"), actor("b")]);
+        c.left(actor("a"), Incarnation(1));
+        c
+    };
+    // It is done in time.
+    let mut c = during_an_update();
+    c.trained(PolicyVersion(1));
+    assert!(assignments(&mut c).is_empty(), "nobody is given what another one left");
+    assert_eq!(c.places().iter().map(|place| place.iteration.0).collect::<Vec<_>>(), [1, 1]);
+    let books = close_balanced(&mut c);
+    assert_eq!((books.trained, books.unused_at_end, books.steps_redone), (2, 0, 0));
+    // It is not, and is made again after a resume.
+    let mut c = during_an_update();
+    assert_eq!(c.n_pending(), 2);
+    assert_eq!(c.places().iter().map(|place| place.iteration.0).collect::<Vec<_>>(), [0, 0]);
+    let books = close_balanced(&mut c);
+    assert_eq!((books.trained, books.unused_at_end, books.steps_redone), (0, 2, 0));
+}
+
+#[test]
 fn another_build_or_class_of_cpu_counts_from_the_admission_on() {
     let mut c = coordinator(1, Schedule::Lag(0), &[]);
     let other = Hello { program: "b".to_owned(), cpu: "other".to_owned(), ..hello("b", 0, 1) };

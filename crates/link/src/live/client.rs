@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use leadtime_proto::{ClientName, Incarnation, ServiceName, text};
 use zenoh::Wait as _;
 use zenoh::bytes::Encoding;
-use zenoh::key_expr::OwnedKeyExpr;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{ConsolidationMode, QueryTarget};
@@ -21,13 +20,13 @@ use crate::{ConnectSettings, Error, Result, discovery, keys, session, wire};
 /// How long the answer to one question may take.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
 /// Longest wait for one answer to "who is there?".
-const LOOK: Duration = Duration::from_millis(500);
+pub(super) const LOOK: Duration = Duration::from_millis(500);
 /// Pause between two looks for a notifier.
 const LOOK_PAUSE: Duration = Duration::from_millis(50);
 /// The most notifiers that are looked at.
-const MAX_SERVICES: usize = 256;
+pub(super) const MAX_SERVICES: usize = 256;
 /// The most messages that wait for a client; a newer one beyond them is dropped.
-const MAX_MESSAGES: usize = 1_024;
+pub(super) const MAX_MESSAGES: usize = 1_024;
 
 /// What a client is told.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -46,7 +45,7 @@ pub enum LiveMessage {
 #[derive(Debug)]
 pub struct LiveClientLink {
     settings: ConnectSettings,
-    session: Session,
+    pub(super) session: Session,
 }
 
 impl LiveClientLink {
@@ -85,42 +84,6 @@ impl LiveClientLink {
         ClientPort::open(&self.session, service, client, incarnation)
     }
 
-    /// Puts bytes on any key, as a robot does that knows nothing of ours.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Network`] if the network has ended.
-    pub fn put_at(&self, key: &str, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-        let put = self.session.put(any_key(key)?, bytes);
-        let put = if let Some(beside) = beside { put.attachment(beside) } else { put };
-        put.wait().map_err(Error::network("publish on", key))
-    }
-
-    /// Takes what is put on any key, with what is beside it, for as long as the answer is kept.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Network`] if it cannot be declared.
-    pub fn take_at(&self, key: &str) -> Result<TakenAt> {
-        let (sender, taken) = flume::bounded(MAX_MESSAGES);
-        let subscriber = subscribe(&self.session, any_key(key)?, move |sample| {
-            let beside = sample.attachment().map(|beside| beside.to_bytes().into_owned());
-            drop(sender.try_send((sample.payload().to_bytes().into_owned(), beside)));
-        })?;
-        Ok(TakenAt { taken, _subscriber: subscriber })
-    }
-
-    /// Lists who shows presence at keys now.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Network`] if the network cannot be asked.
-    pub async fn presence_at(&self, keys: &str) -> Result<Vec<String>> {
-        let (keys, action) = (any_key(keys)?, "look for presence on");
-        let found = discovery::tokens(&self.session, keys, action, LOOK, MAX_SERVICES).await?;
-        Ok(found.iter().map(ToString::to_string).collect())
-    }
-
     /// Leaves the network, within a limited time.
     ///
     /// # Errors
@@ -131,26 +94,12 @@ impl LiveClientLink {
     }
 }
 
-/// What is put on a key of somebody else's.
-#[derive(Debug)]
-pub struct TakenAt {
-    taken: flume::Receiver<(Vec<u8>, Option<Vec<u8>>)>,
-    _subscriber: Subscriber<()>,
-}
-
-impl TakenAt {
-    /// Waits for the next message and what is beside it; `None` once `timeout` is over.
-    pub fn next(&self, timeout: Duration) -> Option<(Vec<u8>, Option<Vec<u8>>)> {
-        self.taken.recv_timeout(timeout).ok()
-    }
-}
-
 /// A client's place: where it puts observations, and what it is told.
 pub struct ClientPort {
     service: ServiceName,
     client: ClientName,
     incarnation: Incarnation,
-    observations: Publisher<'static>,
+    pub(super) observations: Publisher<'static>,
     heard: Publisher<'static>,
     messages: flume::Receiver<LiveMessage>,
     _token: LivelinessToken,
@@ -245,17 +194,6 @@ impl ClientPort {
         put.map_err(Error::network("publish on", self.observations.key_expr()))
     }
 
-    /// Puts an observation in a form of the caller's.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Network`] if the network has ended.
-    pub fn observe_as(&self, form: &str, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-        let put = self.observations.put(bytes).encoding(form);
-        let put = if let Some(beside) = beside { put.attachment(beside) } else { put };
-        put.wait().map_err(Error::network("publish on", self.observations.key_expr()))
-    }
-
     /// Puts a report of what was heard, JSON.
     ///
     /// # Errors
@@ -322,10 +260,6 @@ pub(super) async fn find(
         }
         tokio::time::sleep(LOOK_PAUSE).await;
     }
-}
-
-fn any_key(key: &str) -> Result<OwnedKeyExpr> {
-    OwnedKeyExpr::autocanonize(key.to_owned()).map_err(Error::network("use", key))
 }
 
 /// Lists the notifiers that are there now.

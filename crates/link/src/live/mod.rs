@@ -27,13 +27,17 @@
 //! [`LiveServiceLink::open`], [`LiveClientLink::open`] and [`LiveRecorderLink::open`].
 
 mod client;
+#[cfg(feature = "fakes")]
+mod fakes;
 mod keys;
 mod port;
 mod recorder;
 mod robot;
 mod service;
 
-pub use client::{ClientPort, LiveClientLink, LiveMessage, TakenAt};
+pub use client::{ClientPort, LiveClientLink, LiveMessage};
+#[cfg(feature = "fakes")]
+pub use fakes::TakenAt;
 pub(crate) use keys::LIVE_ROOT;
 pub use keys::{LiveAlive, LiveKey, LiveTopic};
 pub use port::{Arrival, ArrivalEncoding, LivePort};

@@ -4,7 +4,9 @@ use std::error::Error as _;
 use std::time::{Duration, Instant};
 
 use leadtime_link::keys::Key;
-use leadtime_link::{ActorLink, ConnectSettings, Endpoint, Error, LearnerLink, ListenSettings};
+use leadtime_link::{
+    ActorLink, ConnectSettings, Endpoint, Error, LearnerLink, ListenSettings, RUN_IS_ENDING,
+};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::HelloReply;
 use leadtime_proto::{Header, RefusalCause};
@@ -124,6 +126,18 @@ async fn an_actor_that_is_not_wanted_is_told_why() {
     let (header, payload) = rollout(1);
     let error = actor.publish_rollout(&header, payload).unwrap_err();
     assert!(matches!(error, Error::NotInARun { .. }), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_that_comes_when_its_run_is_ending_is_told_so() {
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let (actor, _actor_events) = site.actor("a").await;
+    let (said, no) = (hello("a", ACTOR), HelloReply::Refused { reason: RUN_IS_ENDING.to_owned() });
+    let (answer, ()) = tokio::join!(actor.hello(None, &said, SOON), answer_next(&events, &no));
+    let error = answer.unwrap_err();
+    assert!(matches!(&error, Error::Ending { run: of } if *of == run("one")), "{error}");
+    assert_eq!(error.to_string(), "run `one`: the run is ending: nothing is left to do");
 }
 
 #[tokio::test(flavor = "multi_thread")]

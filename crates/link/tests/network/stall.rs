@@ -1,20 +1,30 @@
 //! A consumer that does not look: nothing else may wait for it.
 
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use leadtime_link::keys::Key;
-use leadtime_link::{LearnerLink, ListenSettings};
+use leadtime_link::{ActorLink, ConnectSettings, Error, LearnerLink, ListenSettings};
 use leadtime_proto::header::Schema;
-use leadtime_proto::message::{Control, ControlReply, HelloReply};
-use leadtime_proto::{Epoch, Header, PolicyVersion, RefusalCause, codec};
+use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, HelloReply};
+use leadtime_proto::{EnvId, Epoch, Header, Iteration, PolicyVersion, RefusalCause, codec};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::{UnixListener, UnixStream};
+use tokio::sync::{Mutex, watch};
+use tokio::task::JoinSet;
 
 use crate::support::*;
+
+/// Held by each of these tests: the threads on which the network library receives are the whole process's, and one that stalls
+/// some must not make another one wait.
+static ALONE: Mutex<()> = Mutex::const_new(());
 
 const PER_ACTOR: usize = 4;
 const FLOOD: u64 = 3_000;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
+    let _alone = ALONE.lock().await;
     let site = Site::new();
     let settings = ListenSettings { rollouts_per_actor: PER_ACTOR, ..site.listen() };
     let (learner, events) =
@@ -85,6 +95,7 @@ async fn ask_without_reading(site: &Site, n: usize) -> (flume::Sender<()>, zenoh
 #[tokio::test(flavor = "multi_thread")]
 async fn answering_one_that_does_not_read_holds_up_neither_the_learner_nor_its_actors() {
     const N: usize = 1_000;
+    let _alone = ALONE.lock().await;
     let site = Site::new();
     let (_learner, events) = site.learner().await;
     let deaf = ask_without_reading(&site, N).await;
@@ -92,10 +103,100 @@ async fn answering_one_that_does_not_read_holds_up_neither_the_learner_nor_its_a
     let mut large = welcome("one");
     large.spec.task.settings = "x".repeat(16_000);
     let large = HelloReply::Welcome(Box::new(large));
-    let started = std::time::Instant::now();
+    let started = Instant::now();
     for _ in 0..N {
         answer_next(&events, &large).await;
     }
     assert!(started.elapsed() < Duration::from_secs(4), "{:?}", started.elapsed());
     drop(deaf);
+}
+
+/// A line from an actor to a learner, on which the actor's end stops reading when it is told to.
+struct Line {
+    is_stalled: watch::Sender<bool>,
+    _ends: JoinSet<()>,
+}
+
+impl Line {
+    /// Takes one connection at `from` and passes on what comes, to the socket at `to` and back.
+    fn lay(from: &str, to: &str) -> Self {
+        let path = |endpoint: &str| endpoint.strip_prefix("unixsock-stream/").unwrap().to_owned();
+        let (listener, to) = (UnixListener::bind(path(from)).unwrap(), path(to));
+        let (is_stalled, stalled) = watch::channel(false);
+        let mut ends = JoinSet::new();
+        ends.spawn(async move {
+            let (actor, _) = listener.accept().await.unwrap();
+            let (mut from_actor, to_actor) = actor.into_split();
+            let learner = UnixStream::connect(to).await.unwrap();
+            let (from_learner, mut to_learner) = learner.into_split();
+            let up = async move { drop(tokio::io::copy(&mut from_actor, &mut to_learner).await) };
+            tokio::join!(up, pass_on(from_learner, to_actor, stalled));
+        });
+        Self { is_stalled, _ends: ends }
+    }
+}
+
+/// Passes on what comes until it is stalled; what comes then is not even read.
+async fn pass_on(
+    mut from: tokio::net::unix::OwnedReadHalf,
+    mut to: tokio::net::unix::OwnedWriteHalf,
+    mut stalled: watch::Receiver<bool>,
+) {
+    async fn until(stalled: &mut watch::Receiver<bool>) {
+        drop(stalled.wait_for(|stalled| *stalled).await);
+    }
+    let mut bytes = vec![0; 1 << 16];
+    loop {
+        let read = tokio::select! {
+            biased;
+            () = until(&mut stalled) => std::future::pending().await,
+            read = from.read(&mut bytes) => read.unwrap_or(0),
+        };
+        if read == 0 || to.write_all(&bytes[..read]).await.is_err() {
+            return;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn orders_to_a_connection_that_does_not_read_end_in_time_and_hold_up_no_other() {
+    const N: u64 = 16;
+    let _alone = ALONE.lock().await;
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let learner = Arc::new(learner);
+    let (_honest, honest_events) = site.welcomed("honest", &events).await;
+    let through = format!("{}-line", site.endpoint);
+    let line = Line::lay(&through, site.endpoint.as_str());
+    let connect =
+        ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![through.parse().unwrap()]) };
+    let (deaf, _deaf_events) = ActorLink::open(&connect, &actor_id("deaf"), ACTOR).await.unwrap();
+    say_hello(&deaf, "deaf", ACTOR, &events).await;
+    line.is_stalled.send_replace(true);
+
+    // Far more than the connection holds: sending waits for seconds, until the connection is given up.
+    let (started, timeout) = (Instant::now(), Duration::from_secs(1));
+    let mut orders = JoinSet::new();
+    for epoch in 1..=N {
+        let env =
+            EnvAssignment { env_id: EnvId(0), iteration: Iteration(0), snapshot: vec![9; 400_000] };
+        let order =
+            Control::Assign(Assignment { epoch: Epoch(epoch), envs: vec![env], keep: vec![] });
+        let learner = Arc::clone(&learner);
+        orders
+            .spawn(async move { learner.control(&actor_id("deaf"), ACTOR, &order, timeout).await });
+    }
+    let order = Control::Stop { reason: "enough".to_owned(), cut_off: false };
+    let (answer, id) = (ControlReply::Followed { epoch: Epoch(1) }, actor_id("honest"));
+    let obey = obey_next(&honest_events, &answer);
+    let (followed, _) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
+    followed.unwrap();
+    while let Some(ended) = orders.join_next().await {
+        let error = ended.unwrap().unwrap_err();
+        assert!(
+            matches!(&error, Error::NoAnswer { timeout: after, .. } if *after == timeout),
+            "{error}"
+        );
+    }
+    assert!(started.elapsed() < Duration::from_secs(4), "{:?}", started.elapsed());
 }

@@ -65,11 +65,11 @@ pub fn plan(domain: &str) -> Result<DatabasePlan, PipelineError> {
 /// # Errors
 ///
 /// [`PipelineError`] if it is neither a shipped plan nor a file that can be read, or if the plan breaks a rule.
-pub fn plan_or_file(name_or_path: &str) -> Result<DatabasePlan, PipelineError> {
-    if SOURCES.iter().any(|source| source.domain == name_or_path) {
-        return plan(name_or_path);
+pub fn plan_or_file(name_or_path: &Path) -> Result<DatabasePlan, PipelineError> {
+    if let Some(source) = SOURCES.iter().find(|source| name_or_path.as_os_str() == source.domain) {
+        return plan(source.domain);
     }
-    DatabasePlan::from_toml(&read(Path::new(name_or_path))?)
+    DatabasePlan::from_toml(&read(name_or_path)?)
 }
 
 fn read(path: &Path) -> Result<String, PipelineError> {

@@ -84,7 +84,7 @@ fn table(key: &str, taxonomy: &Taxonomy, more: impl Fn(&[Utterance]) -> Option<S
 
 fn deliver(path: Option<&Path>, text: &str) -> Result<(), Failure> {
     let Some(path) = path else {
-        output::line(text.trim_end());
+        output::data(text.trim_end());
         return Ok(());
     };
     output::file(path, text.as_bytes()).blame(ExitCode::WrongInput)
@@ -95,7 +95,7 @@ pub(in crate::commands) fn validate(
     args: &TaxonomyValidateArgs,
 ) -> Result<(), Failure> {
     let taxonomy = source::database(&args.database)?;
-    let told = fits(tasks, &taxonomy).with_context(|| args.database.clone());
+    let told = fits(tasks, &taxonomy).with_context(|| args.database.display().to_string());
     let told = told.blame(ExitCode::WrongInput)?;
     let mut findings = check(&taxonomy, args.wanted);
     findings.extend(job::check_words(&taxonomy));
@@ -106,7 +106,7 @@ pub(in crate::commands) fn validate(
     let n_topics = taxonomy.topics().len();
     if args.json {
         output::json(&json!({
-            "database": args.database,
+            "database": args.database.display().to_string(),
             "domain": header.domain,
             "fidelity": header.fidelity.name(),
             "topics": n_topics,
@@ -115,7 +115,8 @@ pub(in crate::commands) fn validate(
             "unused_facts": unused,
         }));
     } else {
-        let (database, domain, fidelity) = (&args.database, &header.domain, header.fidelity.name());
+        let (database, domain, fidelity) =
+            (args.database.display(), &header.domain, header.fidelity.name());
         let sentences = format!("{n_kept} sentences on {n_topics} topics");
         output::line(&format!("{database}: domain {domain}, {sentences}, fidelity {fidelity}"));
         findings.iter().map(String::as_str).for_each(output::line);

@@ -29,14 +29,14 @@ pub(super) fn failure(error: &PipelineError) -> Failure {
 pub(super) fn plan(args: &PlanArgs) -> Result<DatabasePlan, Failure> {
     let name = &args.plan;
     let named = is_shipped(name);
-    if !named && !Path::new(name).is_file() {
+    if !named && !name.is_file() {
         return Err(Failure::input(unknown("plan", name)));
     }
     let plan = job::plan_or_file(name).map_err(|error| match error {
         // Says which file itself.
         PipelineError::File { .. } => failure(&error),
         _ if named => failure(&error),
-        _ => Failure::input(format!("{name}: {error}")),
+        _ => Failure::input(format!("{}: {error}", name.display())),
     })?;
     if args.set.is_empty() {
         return Ok(plan);
@@ -54,14 +54,14 @@ pub(super) fn plan(args: &PlanArgs) -> Result<DatabasePlan, Failure> {
 }
 
 /// Reads the database of a file, or the shipped one of a domain.
-pub(in crate::commands) fn database(name: &str) -> Result<Taxonomy, Failure> {
-    if is_shipped(name) {
-        return shipped(name).blame(ExitCode::Failed);
+pub(in crate::commands) fn database(name: &Path) -> Result<Taxonomy, Failure> {
+    if let Some(domain) = shipped_domain(name) {
+        return shipped(domain).blame(ExitCode::Failed);
     }
     let text = std::fs::read_to_string(name)
         .with_context(|| unknown("database", name))
         .blame(ExitCode::WrongInput)?;
-    job::database(&text).with_context(|| name.to_owned()).blame(ExitCode::WrongInput)
+    job::database(&text).with_context(|| name.display().to_string()).blame(ExitCode::WrongInput)
 }
 
 /// Makes sure that a directory of the person's is one: what it lacks is taken from elsewhere, so a misspelt one would
@@ -76,10 +76,18 @@ pub(super) fn directory(option: &str, path: Option<&Path>) -> Result<(), Failure
 }
 
 /// Tells whether a plan and a database of that name come with the program.
-pub(super) fn is_shipped(name: &str) -> bool {
-    shipped::domains().any(|domain| domain == name)
+pub(super) fn is_shipped(name: &Path) -> bool {
+    shipped_domain(name).is_some()
 }
 
-fn unknown(what: &str, name: &str) -> String {
-    no_such(&format!("file or shipped {what}"), name, shipped::domains().collect::<Vec<_>>())
+fn shipped_domain(name: &Path) -> Option<&'static str> {
+    shipped::domains().find(|&domain| name.as_os_str() == domain)
+}
+
+fn unknown(what: &str, name: &Path) -> String {
+    no_such(
+        &format!("file or shipped {what}"),
+        &name.to_string_lossy(),
+        shipped::domains().collect::<Vec<_>>(),
+    )
 }

@@ -1,0 +1,90 @@
+//! An actor that comes while its run ends is dismissed, as those are that are there: whatever is left to do is nobody's fault.
+
+use std::time::Duration;
+
+use crate::support::{PATIENCE, Place, signal};
+use leadtime_link::{
+    ActorEvent, ActorLink, ConnectSettings, Endpoint, Error, Events, LearnerEvent, LearnerLink,
+    ListenSettings, RUN_IS_ENDING,
+};
+use leadtime_proto::message::{Control, ControlReply, Hello, HelloReply};
+use leadtime_proto::{ActorId, Incarnation, RunName, Sequence};
+
+/// The longest wait for one message.
+const SOON: Duration = Duration::from_secs(20);
+
+async fn open(endpoint: &Endpoint, name: &str) -> (ActorLink, Events<ActorEvent>, Hello) {
+    let (actor, incarnation) = (ActorId::new(name).unwrap(), Incarnation(7));
+    let settings =
+        ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
+    let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
+    let hello = Hello {
+        program: "test".to_owned(),
+        actor,
+        incarnation,
+        cpu: "cpu".to_owned(),
+        published: Sequence(0),
+        first_unacknowledged: Sequence(1),
+    };
+    (link, events, hello)
+}
+
+/// Waits until the learner sends an actor away; returns the order, which is not answered as long as that is kept.
+async fn sent_away(events: &Events<ActorEvent>) -> ActorEvent {
+    let stop = async {
+        while let Some(event) = events.recv().await {
+            match event {
+                ActorEvent::Control { control: Control::Stop { cut_off: false, .. }, .. } => {
+                    return event;
+                }
+                // One order at a time, and the first gives it environments.
+                ActorEvent::Control { control: Control::Assign(given), reply } => {
+                    reply.reply(&ControlReply::Followed { epoch: given.epoch }).unwrap();
+                }
+                _ => {}
+            }
+        }
+        panic!("the learner is gone");
+    };
+    tokio::time::timeout(SOON, stop).await.expect("the learner sends its actors away")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_learner_that_ends_dismisses_who_comes_late() {
+    let place = Place::new();
+    let endpoint = place.endpoint("learner");
+    let learner = place.start(&["learner -c cartpole --name r --listen", &endpoint]);
+    let endpoint = endpoint.parse().unwrap();
+    // It takes no notice of its dismissal, so the learner waits for it for a while.
+    let (stays, events, hello) = open(&endpoint, "stays").await;
+    stays.hello(None, &hello, SOON).await.unwrap();
+    let (late, _events, hello) = open(&endpoint, "late").await;
+    signal("TERM", learner.id());
+    let _order = sent_away(&events).await;
+    let error = late.hello(None, &hello, SOON).await.unwrap_err();
+    assert!(matches!(&error, Error::Ending { run } if run.as_str() == "r"), "{error}");
+    tokio::task::block_in_place(|| learner.finish(PATIENCE).with_code(130));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_that_comes_late_ends_well() {
+    let place = Place::new();
+    let endpoint = place.endpoint("learner");
+    let listen = ListenSettings::new(vec![endpoint.parse().unwrap()]);
+    let run = RunName::new("r").unwrap();
+    let (_learner, events) =
+        LearnerLink::open(&run, "cartpole", Incarnation(1), &listen).await.unwrap();
+    let answering = tokio::spawn(async move {
+        while let Ok(event) = events.recv_async().await {
+            if let LearnerEvent::Hello { reply, .. } = event {
+                reply.reply(&HelloReply::Refused { reason: RUN_IS_ENDING.to_owned() }).unwrap();
+            }
+        }
+    });
+    let actor = place.start(&["actor --connect", &endpoint]);
+    let done = tokio::task::block_in_place(|| actor.finish(PATIENCE));
+    answering.abort();
+    let done = done.with_code(0).saying(&["leaving: the run is ending: nothing is left to do"]);
+    assert!(!done.stderr.contains("error"), "{}", done.stderr);
+    assert!(done.stdout.contains("run r: 0 steps"), "{}", done.stdout);
+}
