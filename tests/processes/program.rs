@@ -208,6 +208,24 @@ fn the_best_policy_is_found_on_held_out_episodes_and_without_them_it_is_the_last
 }
 
 #[test]
+fn a_run_ends_where_its_policy_is_good_enough_and_its_record_says_so() {
+    let place = Place::new();
+    // Whoever stands for five steps has succeeded, which the first evaluation finds.
+    let train = [TRAIN, "--set evaluation.stop_at=0.9 --set evaluation.world.max_steps=5"];
+    let told = place.finish(&train).with_code(0).stdout;
+    assert!(told.contains("\nended    by evaluation.stop_at"), "{told}");
+    let record = result(&place.run("r"));
+    assert_eq!((&record["end"], &record["updates"]), (&"stop_at".into(), &5.into()));
+    let report = fs::read_to_string(place.run("r").join("report.html")).unwrap();
+    assert!(report.contains("evaluation.stop_at = 0.9: from update 5: success 1.00"), "{report}");
+    place.finish(&train).with_code(0).saying(&["raise evaluation.stop_at"]);
+    // Without the mark it makes all its steps.
+    let on = place.finish(&[TRAIN, "--set evaluation.world.max_steps=5"]).with_code(0).stdout;
+    assert!(on.contains("\nupdates  20 ("), "{on}");
+    assert_eq!(result(&place.run("r"))["end"], "total_steps");
+}
+
+#[test]
 fn a_report_can_be_made_again_with_an_evaluation_and_of_several_runs() {
     let place = trained();
     let page = |path: &str| fs::read_to_string(place.path().join(path)).unwrap();

@@ -234,9 +234,10 @@ fn an_address_that_lacks_its_certificate_is_refused_before_anything_is_made() {
     }
 }
 
-/// Lists the files of a directory with what they hold.
+/// Lists the files of a directory with what they hold; but for the serial number, of which none is given twice.
 fn contents(directory: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let files = fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
+    let files = files.filter(|path| !path.ends_with("serial"));
     files.map(|path| (path.clone(), fs::read(&path).unwrap())).collect()
 }
 
@@ -256,7 +257,7 @@ fn one_command_issues_several_certificates_and_their_list_or_nothing() {
         ("--lifetime 0s", "at least a second"),
     ] {
         place.finish(&[everybody, more]).with_code(2).saying(&[told]);
-        assert_eq!(contents(&pki), before, "{more}");
+        assert!(contents(&pki) == before, "{more}");
     }
     let told = place.finish(&[everybody]).with_code(0);
     assert!(

@@ -153,32 +153,28 @@ fn a_finished_run_stays_finished_unless_it_may_go_on_for_longer() {
 fn the_score_at_which_a_run_ends_may_rise_or_go_and_nothing_else() {
     let runs = tempfile::tempdir().unwrap();
     let at = |mark: &str| format!("evaluation.stop_at={mark}");
-    begun(runs.path(), Some("r"), &[&at("200.0")]);
+    begun(runs.path(), Some("r"), &[&at("0.5")]);
     let state = |mark: Option<&str>| {
         let set = mark.map(at);
         let set: Vec<&str> = set.iter().map(String::as_str).collect();
         open(runs.path(), Some("r"), &set).map(|(_, state)| state)
     };
     let refused = |mark: &str| state(Some(mark)).unwrap_err().to_string();
-    assert!(
-        refused("100.0").contains("evaluation.stop_at: 200.0 -> 100.0"),
-        "{}",
-        refused("100.0")
-    );
+    assert!(refused("0.3").contains("evaluation.stop_at: 0.5 -> 0.3"), "{}", refused("0.3"));
     let finish = |end: ResultCause, mark: &str| {
         let (mut run, _) = open(runs.path(), Some("r"), &[&at(mark)]).unwrap();
         run.finish(RunResult { end, ..result() }).unwrap();
     };
-    finish(ResultCause::StopAt, "200.0");
-    assert_eq!(state(Some("200.0")).unwrap(), RunState::Finished);
-    assert_eq!(state(Some("300.0")).unwrap(), RunState::Unfinished);
-    finish(ResultCause::StopAt, "300.0");
+    finish(ResultCause::StopAt, "0.5");
+    assert_eq!(state(Some("0.5")).unwrap(), RunState::Finished);
+    assert_eq!(state(Some("0.7")).unwrap(), RunState::Unfinished);
+    finish(ResultCause::StopAt, "0.7");
     assert_eq!(state(None).unwrap(), RunState::Unfinished, "it goes on to its last step");
-    assert!(refused("400.0").contains("evaluation.stop_at: (none) -> 400.0"));
+    assert!(refused("0.9").contains("evaluation.stop_at: (none) -> 0.9"));
     // All steps are made: a higher score makes no more of them.
-    begun(runs.path(), Some("s"), &[&at("200.0")]);
-    open(runs.path(), Some("s"), &[&at("200.0")]).unwrap().0.finish(result()).unwrap();
-    let again = open(runs.path(), Some("s"), &[&at("300.0")]).unwrap();
+    begun(runs.path(), Some("s"), &[&at("0.5")]);
+    open(runs.path(), Some("s"), &[&at("0.5")]).unwrap().0.finish(result()).unwrap();
+    let again = open(runs.path(), Some("s"), &[&at("0.7")]).unwrap();
     assert_eq!(again.1, RunState::Finished);
 }
 

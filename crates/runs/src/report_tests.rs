@@ -58,7 +58,7 @@ fn a_report_says_which_setting_ended_the_run_and_where_it_stood() {
             reproducible: true,
             books: Value::Null,
         });
-        let line = json!({"update": 2, "held_out/return": 210.0, "held_out/error": 1.5, "held_out/episodes": 20});
+        let line = json!({"update": 2, "held_out/success": 0.65, "held_out/error": 0.11, "held_out/episodes": 20});
         run.held_out = line.as_object().cloned().into_iter().collect();
         let page = report(&Tasks::new(), &[run], Findings::default(), "leadtime");
         let detail = page.provenance[0].details.iter().find(|it| it.name == "ended by");
@@ -66,10 +66,10 @@ fn a_report_says_which_setting_ended_the_run_and_where_it_stood() {
     };
     let all = ended("all", &["learner.total_steps=200"], ResultCause::TotalSteps);
     assert_eq!(all, "learner.total_steps = 200");
-    let early = ended("early", &["evaluation.stop_at=200"], ResultCause::StopAt);
+    let early = ended("early", &["evaluation.stop_at=0.6"], ResultCause::StopAt);
     assert_eq!(
         early,
-        "evaluation.stop_at = 200.0: from update 2: return 210.00 \u{b1} 1.50 over 20 held-out episodes"
+        "evaluation.stop_at = 0.6: from update 2: success 0.65 \u{b1} 0.11 over 20 held-out episodes"
     );
 }
 
