@@ -230,6 +230,28 @@ fn a_service_manager_hears_that_a_learner_is_ready_alive_and_about_to_end() {
     learner.finish(PATIENCE).with_code(0);
 }
 
+#[test]
+fn a_process_has_threads_for_many_connections_unless_its_person_says_otherwise() {
+    let place = Place::new();
+    let variables = |process: &Running| {
+        let read = || fs::read_to_string(format!("/proc/{}/environ", process.id()));
+        let has_both =
+            |text: &String| text.contains("ZENOH_RUNTIME=") && text.contains("RAYON_NUM");
+        wait_until("it has set them", PATIENCE, || read().is_ok_and(|text| has_both(&text)));
+        read().unwrap()
+    };
+    let learner = place.start(&[LONG, &place.endpoint("learner")]);
+    assert!(variables(&learner).contains("max_blocking_threads: 2048"));
+    wait_for_words(&learner, "listening");
+    let own = "ZENOH_RUNTIME=(net: (worker_threads: 1))";
+    let mut command = place.program(&["actor --connect", &place.endpoint("learner")]);
+    let (name, value) = own.split_once('=').unwrap();
+    command.env(name, value);
+    let actor = place.start_with(command);
+    assert!(variables(&actor).split('\0').any(|variable| variable == own));
+    wait_for_words(&actor, "joined");
+}
+
 /// A disk of four megabytes, taken away when dropped; `None` where none can be made, which needs root.
 struct SmallDisk(PathBuf);
 

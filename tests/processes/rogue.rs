@@ -7,13 +7,18 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::support::{PATIENCE, Place, Running, result, wait_until};
-use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Events};
+use crate::support::{PATIENCE, Place, Running, result, wait_for_words, wait_until};
+use leadtime_link::keys::Member;
+use leadtime_link::{
+    ActorEvent, ActorLink, ConnectSettings, Events, LearnerLink, ListenSettings, ObserverEvent,
+    ObserverLink,
+};
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF};
-use leadtime_proto::message::{Control, ControlReply, EnvAssignment, Hello, Welcome};
+use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, Hello, Welcome};
 use leadtime_proto::{
-    ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, Sequence, codec,
+    ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, RunName,
+    Sequence, codec,
 };
 
 const RUN: &str = "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=5120 --listen";
@@ -220,4 +225,59 @@ async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
     let honest = [before, journal].map(|journal| journal["published"].as_u64().unwrap());
     let published = honest.iter().sum::<u64>() + sent;
     assert_eq!(books["published"], published, "the journals of both actors: {honest:?} and {sent}");
+}
+
+/// Which starts of the learner and of its actor are there: whoever can connect can see that.
+async fn starts(endpoint: &str, run: &RunName) -> (Incarnation, Incarnation) {
+    let settings = ConnectSettings::new(vec![endpoint.parse().unwrap()]);
+    let (observer, events) = ObserverLink::open(&settings).await.unwrap();
+    observer.follow(run).unwrap();
+    let (mut learner, mut actor) = (None, None);
+    while learner.is_none() || actor.is_none() {
+        match tokio::time::timeout(SOON, events.recv()).await.expect("in time").expect("open") {
+            ObserverEvent::Joined(Member::Learner, start) => learner = Some(start),
+            ObserverEvent::Joined(Member::Actor(_), start) => actor = Some(start),
+            _ => {}
+        }
+    }
+    observer.close().await.unwrap();
+    (learner.unwrap(), actor.unwrap())
+}
+
+/// Plays the learner: announces rubbish as the coming weights, and orders the actor to let go of its environments.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_plays_the_learner_without_forging_weights_does_not_end_a_run() {
+    let undisturbed = Place::new();
+    let (first, helper) = (learner(&undisturbed, ""), honest(&undisturbed));
+    first.finish(PATIENCE).with_code(0);
+    helper.finish(PATIENCE).with_code(0);
+
+    let place = Place::new();
+    let (run, endpoint) = (RunName::new("r").unwrap(), place.endpoint("learner"));
+    // Until the second one comes, the first waits without environments.
+    let (second, helper) = (learner(&place, "--set run.actors_min=2"), honest(&place));
+    let (learner_start, start) = starts(&endpoint, &run).await;
+    let mut settings = ListenSettings::new(Vec::new());
+    settings.connect = vec![endpoint.parse().unwrap()];
+    let (forger, _events) =
+        LearnerLink::open(&run, "cartpole", learner_start, &settings).await.unwrap();
+    let (name, order) = (ActorId::new("honest").unwrap(), |epoch| {
+        Control::Assign(Assignment { epoch: Epoch(epoch), envs: Vec::new(), keep: Vec::new() })
+    });
+    let refused = forger.control(&name, start, &order(u64::MAX), SOON).await.unwrap_err();
+    assert!(refused.to_string().contains("beyond any of a run"), "{refused}");
+    let followed = forger.control(&name, start, &order(1 << 40), SOON).await.unwrap();
+    assert_eq!(followed, ControlReply::Followed { epoch: Epoch(1 << 40) });
+    for version in 1..=3 {
+        forger.offer_weights(PolicyVersion(version), vec![version as u8; 100].into()).unwrap();
+    }
+    wait_for_words(&helper, "what was announced as weights is none");
+    let other = place.start(&["actor --id other --connect", &endpoint]);
+    let told = second.finish(PATIENCE).with_code(0).stderr;
+    assert!(told.contains("which this learner did not give"), "{told}");
+    for actor in [helper, other] {
+        actor.finish(PATIENCE).with_code(0);
+    }
+    let (calm, disturbed) = (result(&undisturbed.run("r")), result(&place.run("r")));
+    assert_eq!(calm["weights_sha256"], disturbed["weights_sha256"]);
 }
