@@ -471,7 +471,7 @@ fn a_run_that_ends_during_an_update_accounts_for_its_rollouts_and_moves_nothing(
         c.take_effects();
         c.stop_everyone("done");
         let stopped = told(&mut c, |effect| match effect {
-            Effect::Control { to, control: Control::Stop { cut_off: false, .. } } => Some(to.0),
+            Effect::Control { to, control: Control::Stop { cut_off: false, .. }, .. } => Some(to.0),
             _ => None,
         });
         assert_eq!(stopped, [actor("a"), actor("b")]);
