@@ -21,7 +21,7 @@ use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, EnvAssignment, Hello};
 use leadtime_proto::{
-    ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, Iteration, PolicySpec, PolicyVersion,
+    ActorId, EnvId, EnvSpec, Header, Incarnation, Iteration, PolicySpec, PolicyVersion,
     Rollout, RunName, RunSpec, Sequence, TaskSpec, codec,
 };
 use tokio::sync::watch;
@@ -607,8 +607,8 @@ async fn a_member_that_delivers_nothing_loses_its_environments_and_changes_no_bi
     let (_link, inbox) = pretender(directory.path(), "mute").await;
     let follower = tokio::spawn(async move {
         while let Some(event) = inbox.recv().await {
-            if let ActorEvent::Control { reply, .. } = event {
-                reply.reply(&ControlReply::Followed { epoch: Epoch(0) }).unwrap();
+            if let ActorEvent::Control { control: Control::Assign(assignment), reply } = event {
+                reply.reply(&ControlReply::Followed { epoch: assignment.epoch }).unwrap();
             }
         }
     });

@@ -118,6 +118,17 @@ fn sizes_that_no_message_and_no_file_may_have_are_refused_before_the_run() {
 }
 
 #[test]
+fn a_lag_is_chosen_only_where_there_is_a_choice() {
+    let place = Place::new();
+    let up = format!("up --choose-lag --name r {SMALL}");
+    let texts = ["--choose-lag is for `learner.mode = \"lag\"`", "or leave it out"];
+    refused(&place, &[&up], &texts);
+    fs::create_dir_all(place.path().join("runs/r")).unwrap();
+    let texts = ["runs/r is begun and keeps its lag", "take another name"];
+    refused(&place, &[&up, "--set learner.mode=lag"], &texts);
+}
+
+#[test]
 fn too_few_actors_for_the_run_are_refused_at_once() {
     let place = Place::new();
     for command in ["up -c cartpole", "smoke --quick"] {
