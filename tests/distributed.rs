@@ -21,8 +21,8 @@ use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, EnvAssignment, Hello};
 use leadtime_proto::{
-    ActorId, EnvId, EnvSpec, Header, Incarnation, Iteration, PolicySpec, PolicyVersion,
-    Rollout, RunName, RunSpec, Sequence, TaskSpec, codec,
+    ActorId, EnvId, EnvSpec, Header, Incarnation, Iteration, PolicySpec, PolicyVersion, Rollout,
+    RunName, RunSpec, Sequence, TaskSpec, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;

@@ -64,7 +64,7 @@ fn train_network(
         };
         let checked: Vec<_> = rollouts.iter().map(check).collect();
         let report = trainer.update(&checked).expect("the update succeeds");
-        updated(&rollouts, &trainer, report);
+        updated(rollouts, &trainer, report);
     }
 }
 

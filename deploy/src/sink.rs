@@ -245,6 +245,15 @@ fn log(event: &RunEvent) {
         CheckpointFailed { .. } | CheckpointRecovered { .. } | Paused { .. } | Unsaved { .. } => {
             log_saving(event);
         }
+        Reached { .. } | Evaluating | EvaluationFailed { .. } => log_evaluation(event),
+        Stopping => info!("stopping: writing checkpoint and books"),
+    }
+}
+
+/// Logs what the held-out episodes say of the training.
+fn log_evaluation(event: &RunEvent) {
+    use RunEvent::{Evaluating, EvaluationFailed, Reached};
+    match event {
         Reached { means } => info!(
             "held-out episodes of update {} reach evaluation.stop_at: {:.2}; the training ends here",
             means.version.0,
@@ -255,7 +264,7 @@ fn log(event: &RunEvent) {
             let told = "the run goes on, and the best policy is chosen among the others";
             warn!("the policy of update {version} cannot be evaluated: {reason}; {told}");
         }
-        Stopping => info!("stopping: writing checkpoint and books"),
+        _ => {}
     }
 }
 

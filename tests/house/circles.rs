@@ -230,7 +230,7 @@ fn expand<'a>(text: &'a str, base: &Module, paths: &mut Vec<(Module, String)>) -
     // A renamed import: ` as name` is no part of the path.
     if let Some(renamed) = rest.trim_start().strip_prefix("as ") {
         let end = renamed.find(|c| !is_word(c)).unwrap_or(renamed.len());
-        here = renamed[..end].to_owned();
+        renamed[..end].clone_into(&mut here);
         after = &renamed[end..];
     }
     paths.push((path, here));

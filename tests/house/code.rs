@@ -132,9 +132,10 @@ fn piece_len(text: &str) -> usize {
             let (prefix, after) = text.split_at(word);
             let hashes = after.len() - after.trim_start_matches('#').len();
             let is_raw = prefix.ends_with('r') && prefix.len() <= 2;
-            match after[hashes..].starts_with('"') {
-                true if is_raw => from(word + hashes + 1, &format!("\"{}", &after[..hashes])),
-                _ => word,
+            if is_raw && after[hashes..].starts_with('"') {
+                from(word + hashes + 1, &format!("\"{}", &after[..hashes]))
+            } else {
+                word
             }
         }
     }

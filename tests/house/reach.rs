@@ -80,7 +80,7 @@ fn way(packages: &BTreeMap<String, Vec<String>>, from: &str, to: &str) -> Option
         for way in ways {
             let next = way.last().and_then(|last| packages.get(last)).into_iter().flatten();
             let next = next.filter(|name| seen.insert((*name).clone()));
-            longer.extend(next.map(|name| [&way[..], &[name.clone()]].concat()));
+            longer.extend(next.map(|name| [&way[..], std::slice::from_ref(name)].concat()));
         }
         ways = longer;
     }

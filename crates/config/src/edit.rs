@@ -42,7 +42,7 @@ impl Block {
         if self.comment.trim().is_empty() && !said.is_empty() {
             self.comment = above.comment;
         } else if !self.comment.contains(said) {
-            self.comment += &format!("{said}\n");
+            self.comment.extend([said, "\n"]);
         }
         self.lines = above.lines;
     }

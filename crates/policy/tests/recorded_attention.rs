@@ -107,8 +107,8 @@ fn what_was_recorded_is_what_the_policy_computes() {
     let (policy_file, lines) = (data("attention.safetensors"), data("attention.jsonl"));
     if std::env::var_os("UPDATE_RECORDED").is_some() {
         fs::write(&policy_file, &bytes).expect("the policy is written");
-        let text: String = decisions.iter().map(|decision| format!("{decision}\n")).collect();
-        fs::write(&lines, text).expect("the decisions are written");
+        let text: Vec<String> = decisions.iter().map(ToString::to_string).collect();
+        fs::write(&lines, text.join("\n") + "\n").expect("the decisions are written");
     }
     assert!(fs::read(policy_file).expect("there is a policy") == bytes, "it is another policy");
     let recorded = fs::read_to_string(lines).expect("there are decisions");

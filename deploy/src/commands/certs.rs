@@ -48,7 +48,9 @@ fn issue(args: &CertsIssueArgs) -> anyhow::Result<()> {
     let list = OwnList::find(&args.directory)?;
     let issued = authority.issue_all(&requests, args.lifetime, now)?;
     let listed = list.write().inspect_err(|_told| authority.withdraw(&requests))?;
-    issued.iter().for_each(|issued| output::line(&line("issued", issued)));
+    for issued in &issued {
+        output::line(&line("issued", issued));
+    }
     let lacks_host = |request: &&IssueRequest| {
         request.hosts.is_empty() && matches!(request.role, Role::Router | Role::Learner)
     };
@@ -57,13 +59,14 @@ fn issue(args: &CertsIssueArgs) -> anyhow::Result<()> {
             "`{name}` has no host, so nobody can dial it; it can dial a router."
         ));
     }
-    match listed {
-        Some(n) => output::line(&access_list_line(&list.path, n)),
-        None => tracing::warn!(
+    if let Some(n) = listed {
+        output::line(&access_list_line(&list.path, n));
+    } else {
+        tracing::warn!(
             "{0} is not the list of who had a certificate here, and stays as it is: `leadtime certs acl {1} -o {0}` writes it anew",
             list.path.display(),
             args.directory.display()
-        ),
+        );
     }
     let authority = args.directory.join("ca.pem");
     output::note(&format!(

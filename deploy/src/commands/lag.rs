@@ -124,10 +124,11 @@ mod tests {
     #[test]
     fn the_rate_is_that_of_the_later_updates() {
         let metrics = |rates: &[f64]| -> String {
-            rates.iter().map(|rate| format!("{{\"system/steps_per_second\": {rate}}}\n")).collect()
+            let line = |rate: &f64| format!("{{\"system/steps_per_second\": {rate}}}");
+            rates.iter().map(line).collect::<Vec<_>>().join("\n")
         };
         assert_eq!(rate(&metrics(&[1.0, 2.0, 30.0, 50.0, 40.0])), Some(40.0));
-        assert_eq!(rate(&(metrics(&[7.0]) + "{\"update\": 3, \"sys")), Some(7.0));
+        assert_eq!(rate(&(metrics(&[7.0]) + "\n{\"update\": 3, \"sys")), Some(7.0));
         assert_eq!(rate(""), None);
     }
 }
