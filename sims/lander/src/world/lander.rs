@@ -369,6 +369,19 @@ mod tests {
     }
 
     #[test]
+    fn contacts_that_are_no_numbers_are_not_restored() {
+        let settings = PhysicsSettings { physics: Physics::Rapier, ..PhysicsSettings::default() };
+        let mut lander = Lander::new(&settings);
+        lander.step(Engine::Main);
+        let mut snapshot = lander.snapshot();
+        let contact = snapshot.contact.as_mut().unwrap();
+        // The state begins with the hull's pose; a NaN in the way of any of its numbers.
+        contact[..4].copy_from_slice(&f32::NAN.to_le_bytes());
+        let error = lander.restore(&snapshot).unwrap_err();
+        assert!(matches!(error, SnapshotError::Mismatch { .. }), "{error}");
+    }
+
+    #[test]
     fn the_contact_world_is_rapiers_bit_for_bit() {
         let mut rng = Pcg64::seed_from_u64(7);
         let settings = PhysicsSettings::default();

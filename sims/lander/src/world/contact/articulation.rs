@@ -116,6 +116,13 @@ pub(super) struct Dynamics {
 }
 
 impl Motion {
+    pub(super) fn is_finite(&self) -> bool {
+        let turns = self.leg_turns.iter().flat_map(|turn| [turn.re, turn.im]);
+        let velocities = self.velocities.iter().flat_map(|v| [v.linear.x, v.linear.y, v.angular]);
+        let numbers = turns.chain(velocities).chain(self.speeds).chain(self.angles);
+        self.poses.iter().all(Pose::is_finite) && numbers.into_iter().all(f32::is_finite)
+    }
+
     /// Puts the links where `poses` are; the legs' coordinates are led there by displacements.
     pub(super) fn place(&mut self, poses: [Pose; 3], angles: [f32; 3]) {
         self.poses = poses;
@@ -318,7 +325,7 @@ fn turning(hull: f32, leg: f32, arms: &Arms) -> [Vector; 2] {
     [of_hull + inwards(leg, s23) + inwards(leg, s23), own]
 }
 
-/// Tells whether accelerations add no more energy than the work of the applied forces, but for a small margin.
+/// Returns whether accelerations add no more energy than the work of the applied forces, but for a small margin.
 fn is_passive(
     mass: &MassMatrix,
     speeds: &Speeds,

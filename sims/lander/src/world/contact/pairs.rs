@@ -53,7 +53,7 @@ impl Pairs {
         &self.order
     }
 
-    /// Tells whether every pair has a body and a leaf.
+    /// Returns whether every pair has a body and a leaf.
     pub(super) fn is_complete(&self) -> bool {
         (0..4).all(|leaf| self.tree.leaf_node(leaf).is_some())
             && self.order.iter().all(|&body| body < 3)

@@ -201,7 +201,7 @@ impl Rows {
 }
 
 impl JointRow {
-    /// Solves the row, and tells whether a speed has changed.
+    /// Solves the row, and returns whether a speed has changed.
     fn solve(&mut self, speeds: &mut Speeds, places: Places) -> bool {
         let right = if places == Places::Corrected { self.biased } else { self.free };
         let error = right + speeds[self.coordinate];

@@ -149,9 +149,11 @@ impl ContactWorld {
 }
 
 impl State {
-    /// Tells whether every index leads somewhere.
+    /// Returns whether every index leads somewhere and every number is one.
     fn is_complete(&self) -> bool {
-        self.ground.heights().len() == N_POINTS && self.pairs.is_complete()
+        self.ground.heights().len() == N_POINTS
+            && self.pairs.is_complete()
+            && self.motion.is_finite()
     }
 }
 
