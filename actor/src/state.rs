@@ -314,7 +314,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         std::mem::take(&mut self.outputs)
     }
 
-    /// Tells whether a hello is not answered yet; until it is, what comes from the network waits with the driver, all but
+    /// Returns whether a hello is not answered yet; until it is, what comes from the network waits with the driver, all but
     /// presence.
     pub fn is_greeting(&self) -> bool {
         self.greeting.is_some()
@@ -333,7 +333,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         self.is_leaving = true;
     }
 
-    /// Tells whether a rollout is being made, or handed to the network.
+    /// Returns whether a rollout is being made, or handed to the network.
     pub(crate) fn is_busy(&self) -> bool {
         self.greeting.is_none() && (self.job.is_some() || self.n_publishing > 0)
     }
@@ -354,7 +354,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         })
     }
 
-    /// Tells whether more rollouts may be made.
+    /// Returns whether more rollouts may be made.
     fn has_room(&self) -> bool {
         self.outbox.has_room(self.welcome.spec.schedule, self.window())
     }

@@ -336,7 +336,7 @@ pub(crate) struct UpArgs {
     #[arg(long, default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
     /// Try `learner.lag` 1, 2, 4 and 8 for four seconds each, and train with the smallest that is nearly as fast as the best.
-    /// A new run only: it keeps what was chosen.
+    /// For a new run, which keeps what was chosen; leave this out to go on with it.
     #[arg(long, conflicts_with = "change")]
     pub choose_lag: bool,
     /// Also listen here, so that actors elsewhere can join: `tls/0.0.0.0:7447`.

@@ -50,7 +50,7 @@ fn end(code: ExitCode) {
     process::exit(code as i32);
 }
 
-/// Tells whether a message says that this process may not open another file.
+/// Returns whether a message says that this process may not open another file.
 pub(crate) fn is_about_files(message: &str) -> bool {
     message.contains(OPEN_FILES.0)
 }

@@ -150,7 +150,7 @@ pub(crate) fn listening_failure(error: LinkError) -> Failure {
     Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
 }
 
-/// Tells whether it is an address at which nobody can listen here.
+/// Returns whether it is an address at which nobody can listen here.
 pub(crate) fn is_wrong_address(error: &LinkError) -> bool {
     matches!(
         error,
@@ -158,7 +158,7 @@ pub(crate) fn is_wrong_address(error: &LinkError) -> bool {
     )
 }
 
-/// Tells whether an error of the network is one of the arguments or files that were given.
+/// Returns whether an error of the network is one of the arguments or files that were given.
 pub(crate) fn is_wrong_input(error: &LinkError) -> bool {
     matches!(
         error,

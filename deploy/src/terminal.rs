@@ -19,7 +19,7 @@ fn bar() -> MutexGuard<'static, String> {
     BAR.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Tells whether a person watches.
+/// Returns whether a person watches.
 pub(crate) fn is_watched() -> bool {
     io::stderr().is_terminal()
 }

@@ -38,7 +38,8 @@ pub(crate) enum ControlFailure {
 #[derive(Debug)]
 struct Courier {
     membership: MembershipNumber,
-    messages: mpsc::Sender<Control>,
+    /// Where its messages are queued; none once the actor is gone.
+    messages: Option<mpsc::Sender<Control>>,
     task: AbortHandle,
 }
 
@@ -71,7 +72,7 @@ impl ControlOutbox {
             let delivery =
                 deliver(Arc::clone(link), to.clone(), membership, queued, failed.clone());
             let task = tokio::spawn(delivery).abort_handle();
-            Courier { membership, messages, task }
+            Courier { membership, messages: Some(messages), task }
         };
         let courier = self.couriers.entry(to.clone()).or_insert_with(start);
         if courier.membership != membership {
@@ -79,12 +80,18 @@ impl ControlOutbox {
             courier.task.abort();
             *courier = start();
         }
-        courier.messages.try_send(control).is_ok()
+        courier.messages.as_ref().is_some_and(|messages| messages.try_send(control).is_ok())
     }
 
-    /// Drops the tasks of actors that are gone; what they hold is still sent if it can be.
+    /// Lets the tasks of actors that are gone end; what they hold is still sent if it can be, until the actor is a member
+    /// again.
     pub(crate) fn retain(&mut self, wanted: impl Fn(&SenderKey) -> bool) {
-        self.couriers.retain(|key, courier| wanted(key) && !courier.messages.is_closed());
+        for (key, courier) in &mut self.couriers {
+            if !wanted(key) {
+                courier.messages = None;
+            }
+        }
+        self.couriers.retain(|_, courier| !courier.task.is_finished());
     }
 }
 

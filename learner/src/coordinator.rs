@@ -570,7 +570,7 @@ impl Coordinator {
         self.roster.members()
     }
 
-    /// Tells whether this membership is not over.
+    /// Returns whether this membership is not over.
     pub fn is_current(&self, key: &SenderKey, membership: MembershipNumber) -> bool {
         self.roster.membership(key) == Some(membership)
     }

@@ -225,7 +225,7 @@ impl RunLoop {
         }
     }
 
-    /// Tells whether there is nothing left to train, and says so where that is before the last update.
+    /// Returns whether there is nothing left to train, and says so where that is before the last update.
     fn is_over(&mut self) -> bool {
         if self.version.0 >= self.config.settings.n_updates() {
             return true;

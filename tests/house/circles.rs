@@ -31,7 +31,7 @@ fn no_file_of_a_crate_needs_itself_through_others() {
     assert_eq!(circles, [""; 0], "files that need each other");
 }
 
-/// Tells whether a file is the door of its folder: `lib.rs`, `mod.rs`.
+/// Returns whether a file is the door of its folder: `lib.rs`, `mod.rs`.
 fn is_door(path: &Path) -> bool {
     path.ends_with("lib.rs") || path.ends_with("mod.rs")
 }

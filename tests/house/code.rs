@@ -24,12 +24,12 @@ impl Source {
         name.ends_with("tests") || self.path.iter().any(|part| part == "tests")
     }
 
-    /// Tells whether it is part of a library or of the program: no test, bench or example.
+    /// Returns whether it is part of a library or of the program: no test, bench or example.
     pub(crate) fn is_product(&self) -> bool {
         !self.is_test() && self.path.iter().any(|part| part == "src")
     }
 
-    /// Tells whether a script wrote it: its first line says which.
+    /// Returns whether a script wrote it: its first line says which.
     pub(crate) fn is_generated(&self) -> bool {
         let first = self.text.lines().next().unwrap_or_default();
         !first.starts_with("//!") && first.contains(".py")

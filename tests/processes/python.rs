@@ -46,7 +46,7 @@ fn weights(place: &Place, name: &str) -> String {
     result(&place.run(name))["weights_sha256"].as_str().unwrap().to_owned()
 }
 
-/// Tells whether a process is a worker, and not the shell that started it.
+/// Returns whether a process is a worker, and not the shell that started it.
 fn is_worker(id: u32) -> bool {
     let arguments = arguments(id);
     arguments.contains("fake.py") && !arguments.starts_with("sh ")

@@ -69,7 +69,7 @@ pub(crate) fn without_retired(mut table: Table) -> Table {
     table
 }
 
-/// Tells whether a key only says where and how a run is carried out.
+/// Returns whether a key only says where and how a run is carried out.
 pub fn is_free(key: &str) -> bool {
     let is_free = key == THREADS || FREE_SECTIONS.iter().any(|section| key.starts_with(section));
     is_free && key != STOP_AT
@@ -90,7 +90,7 @@ fn deciding(table: &Table) -> BTreeMap<String, String> {
     leaves
 }
 
-/// Tells whether a value (empty: none) is that of a younger setting that changes nothing.
+/// Returns whether a value (empty: none) is that of a younger setting that changes nothing.
 fn changes_nothing(key: &str, value: &str) -> bool {
     let number = |text: &str| text.parse::<f64>().ok();
     LATER.iter().filter(|(later, _)| *later == key).any(|&(_, idle)| {

@@ -161,7 +161,7 @@ fn upwards(settings: &ListenSettings) -> ConnectSettings {
     }
 }
 
-/// Tells whether a session has ended, or what listens for others, if it `listens`.
+/// Returns whether a session has ended, or what listens for others, if it `listens`.
 pub(crate) async fn is_dead(session: &Session, listens: bool) -> bool {
     // The library tells nobody that its listener ended; it only stops listing its address.
     session.is_closed() || listens && session.info().locators().await.is_empty()

@@ -24,7 +24,7 @@ pub const MAX_WAITING: usize = 2;
 
 /// What the last training episodes, the evaluations and the books take, in bytes.
 const RECORDS_BYTES: usize = 256 << 10;
-/// Room beside an environment's snapshot: ids, counts, lengths.
+/// Room next to an environment's snapshot: ids, counts, lengths.
 const ENV_BYTES: usize = 256;
 
 /// How often the state of a run goes to the disk; whichever comes first.
@@ -32,7 +32,7 @@ const ENV_BYTES: usize = 256;
 pub struct CheckpointInterval {
     /// Updates between checkpoints, at least 1.
     pub updates: u64,
-    /// Time between checkpoints.
+    /// Time after which one is written even if fewer updates are done.
     pub time: Duration,
 }
 
@@ -52,7 +52,7 @@ impl Default for Retention {
 }
 
 impl Retention {
-    /// Tells whether the checkpoint after so many updates stays for good.
+    /// Returns whether the checkpoint after so many updates stays for good.
     pub fn is_for_good(self, n_updates: u64) -> bool {
         self.every_updates > 0 && n_updates.is_multiple_of(self.every_updates)
     }

@@ -38,7 +38,7 @@ pub enum RunState {
     Finished,
 }
 
-/// Tells whether a run was begun in a directory; refuses one that belongs to somebody else.
+/// Returns whether a run was begun in a directory; refuses one that belongs to somebody else.
 pub(crate) fn is_begun(path: &Path) -> Result<bool, RunDirError> {
     if path.join(CONFIG).exists() {
         return Ok(true);

@@ -111,7 +111,7 @@ impl RacerRecord {
         }
     }
 
-    /// Tells whether the run stands where a race has stopped it.
+    /// Returns whether the run stands where a race has stopped it.
     pub(crate) fn is_stopped_at(&self, n_updates: u64) -> bool {
         self.is_stopped && self.quarter.as_ref().is_some_and(|quarter| quarter.updates == n_updates)
     }
@@ -308,7 +308,7 @@ impl Race {
         })
     }
 
-    /// Tells whether a racer has been trained as far as a comparison needs.
+    /// Returns whether a racer has been trained as far as a comparison needs.
     pub fn is_trained(&self, racer: usize, stage: RaceStage) -> bool {
         let Some(Racer { directory, .. }) = self.racers.get(racer) else { return false };
         match stage {
@@ -431,7 +431,7 @@ fn going_on(scores: &[Option<&RaceScore>], n_keep: usize) -> Vec<usize> {
     going_on
 }
 
-/// Tells whether a racer has come to its end.
+/// Returns whether a racer has come to its end.
 fn is_finished(directory: &Path) -> bool {
     RunRecord::read(directory).is_ok_and(|record| record.result.is_some())
 }

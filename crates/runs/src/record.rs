@@ -211,7 +211,7 @@ impl RunRecord {
         }
     }
 
-    /// Tells whether the same seed and origin would give the same weights again; `None` while the run is unfinished.
+    /// Returns whether the same seed and origin would give the same weights again; `None` while the run is unfinished.
     ///
     /// A fork whose record does not say what it began with cannot be made again. Neither can a run whose settings were changed
     /// on the way, by one command.
@@ -221,7 +221,7 @@ impl RunRecord {
         self.result.as_ref().map(|result| result.reproducible && is_known && is_whole)
     }
 
-    /// Tells whether the run began with the weights of another one.
+    /// Returns whether the run began with the weights of another one.
     pub(crate) fn is_fork(&self, directory: &Path) -> bool {
         self.origin.is_some() || directory.join(INITIAL_POLICY).exists()
     }

@@ -280,7 +280,7 @@ impl ChildHandle {
         self.health
     }
 
-    /// Tells whether its last life shows that it works.
+    /// Returns whether its last life shows that it works.
     fn was_healthy(&self, run: &Path) -> bool {
         let lived = self.started.elapsed();
         let n_updates = || journal::last_update(run).saturating_sub(self.updates_before);

@@ -19,7 +19,7 @@ use crate::output::{self, WIDTH};
 
 /// What is tried, in updates, fewest first: older policies make rollouts of less use.
 const TRIED: [i64; 4] = [1, 2, 4, 8];
-/// How long each is tried. The first half is left out: actors join, caches fill.
+/// How long each is tried, its start included. Of its updates the first half is left out: actors join, caches fill.
 const TRIAL: &str = "4s";
 /// A lag is enough if it brings so much of what the best one brings.
 const ENOUGH: f64 = 0.95;
@@ -37,6 +37,7 @@ pub(super) async fn choose(
 ) -> Result<Override, Failure> {
     refuse_without_a_choice(config)?;
     let folder = tempfile::tempdir().blame(ExitCode::WrongInput)?;
+    let log = folder.path().join("log");
     let mut rates = Vec::new();
     for lag in TRIED {
         output::note(&format!("Trying learner.lag = {lag} for {TRIAL}"));
@@ -50,14 +51,19 @@ pub(super) async fn choose(
         let what = Launch {
             fork: args.run.fork.as_deref(),
             stop_after: Some(TRIAL.to_owned()),
-            stderr_log: Some(folder.path().join("log")),
+            stderr_log: Some(log.clone()),
             ..Launch::new(Naming::Resume, args.actors)
         };
-        let run = launch(&trial, &what, shutdown).await?;
+        let run = launch(&trial, &what, shutdown).await.inspect_err(|_silent| {
+            if let Ok(text) = fs::read_to_string(&log) {
+                output::say(text.trim_end());
+            }
+        })?;
         let metrics = fs::read_to_string(run.join("metrics.jsonl")).blame(ExitCode::WrongInput)?;
         let rate = rate(&metrics).ok_or_else(|| {
             Failure::input(format!(
-                "--choose-lag: an update takes longer than {TRIAL}, so a lag brings little; leave the option out"
+                "--choose-lag: no update was made within {TRIAL} of the start; leave the option out, and set \
+                 learner.lag by hand"
             ))
         })?;
         rates.push((lag, rate));

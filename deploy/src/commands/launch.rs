@@ -36,7 +36,8 @@ pub(super) async fn launch(
     let [lost, interrupted] =
         [ExitCode::PeerLost, ExitCode::Interrupted].map(|code| Ended::Learner(Some(code as i32)));
     let may_pass = [Ended::Stopped, Ended::NoActorLeft, Ended::Learner(None), lost, interrupted];
-    if may_pass.contains(&launched.ended) {
+    // What logs to a file of its own is a trial, and goes on nowhere.
+    if may_pass.contains(&launched.ended) && what.stderr_log.is_none() {
         goes_on(&launched.run, what);
     }
     // The processes have logged why.

@@ -30,10 +30,6 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
     let mut config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
     check_listening(&args.listen, &args.guard, Role::Learner).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
-    if args.choose_lag {
-        let lag = lag::choose(tasks, args, &config, &shutdown).await?;
-        config = source.changed(&[lag]).load(tasks, name).blame(ExitCode::WrongInput)?;
-    }
     let beside = match &args.watch {
         Some(http) => Some(Arc::new(BesidePage::bind(tasks, http, &args.access).await?)),
         None if args.access.token.is_some() => {
@@ -41,6 +37,10 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         }
         None => None,
     };
+    if args.choose_lag {
+        let lag = lag::choose(tasks, args, &config, &shutdown).await?;
+        config = source.changed(&[lag]).load(tasks, name).blame(ExitCode::WrongInput)?;
+    }
     let told = beside.clone();
     let observe = move |endpoint: &str, run: &RunName, _: &Path| {
         if let Some(beside) = &told {

@@ -130,7 +130,7 @@ pub(in crate::commands) fn validate(
     Ok(())
 }
 
-/// Tells whether some sentence presupposes a fact.
+/// Returns whether some sentence presupposes a fact.
 fn names(taxonomy: &Taxonomy, fact: &str) -> bool {
     taxonomy.facts().iter().any(|name| name == fact)
 }

@@ -75,7 +75,7 @@ pub(super) fn directory(option: &str, path: Option<&Path>) -> Result<(), Failure
     }
 }
 
-/// Tells whether a plan and a database of that name come with the program.
+/// Returns whether a plan and a database of that name come with the program.
 pub(super) fn is_shipped(name: &Path) -> bool {
     shipped_domain(name).is_some()
 }

@@ -206,14 +206,14 @@ impl Lander {
         outline.corners().iter().map(|&c| observe::to_observation_units(c).into()).collect()
     }
 
-    /// Tells whether the contact world moves the lander at the moment.
+    /// Returns whether the contact world moves the lander at the moment.
     pub fn is_in_contact(&self) -> bool {
         matches!(self.episode.integrator, Integrator::Contact { .. })
     }
 
     /// Captures everything that the rest of the episode depends on.
     ///
-    /// In free flight that is half a kilobyte; in the contact world the engine's state adds about four.
+    /// In free flight that is half a kilobyte; the contact world adds its own state.
     pub fn snapshot(&self) -> LanderSnapshot {
         let contact = self.contact.as_ref().filter(|_| self.is_in_contact());
         LanderSnapshot {
@@ -227,7 +227,7 @@ impl Lander {
     ///
     /// # Errors
     ///
-    /// [`SnapshotError`] if the snapshot is of another physics, or its engine state cannot be read; nothing has
+    /// [`SnapshotError`] if the snapshot is of another physics, or its contacts cannot be read; nothing has
     /// changed then.
     pub fn restore(&mut self, snapshot: &LanderSnapshot) -> Result<(), SnapshotError> {
         if snapshot.physics != self.settings.physics {
@@ -235,7 +235,7 @@ impl Lander {
         }
         match (&snapshot.contact, snapshot.episode.integrator) {
             (Some(bytes), Integrator::Contact { .. }) => {
-                let world = ContactWorld::decode(bytes)?;
+                let world = ContactWorld::decode(bytes, &snapshot.episode.terrain)?;
                 self.contact = Some(Box::new(world));
             }
             (None, Integrator::Flight(_)) => {}
@@ -347,7 +347,7 @@ mod tests {
     }
 
     impl Pair {
-        /// Steps both, and tells whether they were compared.
+        /// Steps both, and returns whether they were compared.
         fn step(&mut self, engine: Engine) -> (Frame, bool) {
             let Self { lander, twin } = self;
             let load = lander.episode.load(&lander.settings, engine);
@@ -375,7 +375,7 @@ mod tests {
         lander.step(Engine::Main);
         let mut snapshot = lander.snapshot();
         let contact = snapshot.contact.as_mut().unwrap();
-        // The state begins with the hull's pose; a NaN in the way of any of its numbers.
+        // The state begins with a number of the hull's pose; here it is NaN.
         contact[..4].copy_from_slice(&f32::NAN.to_le_bytes());
         let error = lander.restore(&snapshot).unwrap_err();
         assert!(matches!(error, SnapshotError::Mismatch { .. }), "{error}");

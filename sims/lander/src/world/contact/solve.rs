@@ -113,7 +113,8 @@ impl Rows {
         }
         let softness = inverse_of(TIME_STEP * MOTOR_GAIN);
         let most = LEG_TORQUE as f32 * TIME_STEP;
-        let speed = speed.clamp((lower - angle) * INV_TIME_STEP, (upper - angle) * INV_TIME_STEP);
+        let [least, fastest] = [lower, upper].map(|stop| (stop - angle) * INV_TIME_STEP);
+        let speed = within(speed, least, fastest);
         let inverse = inverse_of(own + softness);
         self.joints.push(JointRow {
             coordinate,
@@ -207,7 +208,7 @@ impl JointRow {
         let error = right + speeds[self.coordinate];
         let [least, most] = self.bounds;
         let impulse = self.impulse + self.inverse * (error - self.softness * self.impulse);
-        let impulse = nalgebra::clamp(impulse, least, most);
+        let impulse = within(impulse, least, most);
         let change = impulse - self.impulse;
         self.impulse = impulse;
         add_scaled(speeds, -change, &self.response);
@@ -229,14 +230,7 @@ impl ContactRow {
 
     fn solve_tangent(&mut self, speeds: &mut Speeds, places: Places, limit: f32) -> bool {
         let impulse = self.impulse - self.inverse * self.error(speeds, places);
-        let impulse = if impulse < -limit {
-            -limit
-        } else if impulse > limit {
-            limit
-        } else {
-            impulse
-        };
-        self.change_to(speeds, impulse)
+        self.change_to(speeds, within(impulse, -limit, limit))
     }
 
     fn change_to(&mut self, speeds: &mut Speeds, impulse: f32) -> bool {
@@ -271,6 +265,17 @@ fn contact_rows(
 /// What softness leaves of a contact's impulse.
 fn contact_factor() -> f32 {
     CONTACT_SOFTNESS.cfm_factor(TIME_STEP)
+}
+
+/// Bounds a number; unlike the standard library's, without a panic where a bound is none.
+fn within(value: f32, least: f32, most: f32) -> f32 {
+    if value < least {
+        least
+    } else if value > most {
+        most
+    } else {
+        value
+    }
 }
 
 /// Returns the inverse of a number, or zero if it is next to zero.

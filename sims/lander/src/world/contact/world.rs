@@ -37,6 +37,8 @@ struct State {
     motion: Motion,
     manifolds: [Vec<Manifold>; 3],
     pairs: Pairs,
+    /// The episode has it, too: it is made from there and not kept.
+    #[serde(skip, default = "flat")]
     ground: HeightField,
     /// The lander was put where it is and has not been stepped since.
     placed: bool,
@@ -56,7 +58,7 @@ static TEMPLATE: LazyLock<State> = LazyLock::new(|| {
         motion: Motion::default(),
         manifolds: Default::default(),
         pairs: Pairs::default(),
-        ground: ground::shape(&[3.3; N_POINTS]),
+        ground: flat(),
         placed: true,
     };
     let mut world = ContactWorld { state, rows: Rows::default() };
@@ -70,9 +72,10 @@ impl ContactWorld {
         Self { state: TEMPLATE.clone(), rows: Rows::default() }
     }
 
-    /// Reads a world back; an error if the bytes are no such state.
-    pub(in super::super) fn decode(bytes: &[u8]) -> Result<Self, SnapshotError> {
-        let state: State = codec::decode(bytes, MAX_SNAPSHOT_BYTES)?;
+    /// Reads a world back over its episode's ground; an error if the bytes are no such state.
+    pub(in super::super) fn decode(bytes: &[u8], terrain: &Terrain) -> Result<Self, SnapshotError> {
+        let mut state: State = codec::decode(bytes, MAX_SNAPSHOT_BYTES)?;
+        state.ground = ground::shape(&terrain.heights);
         let mismatch = SnapshotError::Mismatch { what: "lander contacts" };
         state.is_complete().then(|| Self { state, rows: Rows::default() }).ok_or(mismatch)
     }
@@ -151,10 +154,15 @@ impl ContactWorld {
 impl State {
     /// Returns whether every index leads somewhere and every number is one.
     fn is_complete(&self) -> bool {
-        self.ground.heights().len() == N_POINTS
-            && self.pairs.is_complete()
+        let mut points = self.manifolds.iter().flatten().flat_map(|manifold| &manifold.points);
+        self.pairs.is_complete()
             && self.motion.is_finite()
+            && points.all(|p| p.data.normal.is_finite() && p.data.tangent.is_finite())
     }
+}
+
+fn flat() -> HeightField {
+    ground::shape(&[3.3; N_POINTS])
 }
 
 /// Returns the boxes of ground and bodies in the order of the tree's leaves.
