@@ -279,14 +279,14 @@ impl Coordinator {
 
     /// Notes that an actor acknowledged no message of this membership: it is given up, unless it has come back meanwhile.
     pub fn silent(&mut self, key: &SenderKey, membership: MembershipNumber) {
-        if self.roster.membership(key) == Some(membership) {
+        if self.is_current(key, membership) {
             self.give_up(key);
         }
     }
 
     /// Notes that an actor answered an order of this membership as one that follows another assignment.
     pub fn astray(&mut self, key: &SenderKey, membership: MembershipNumber, told: Epoch) {
-        if self.roster.membership(key) == Some(membership) {
+        if self.is_current(key, membership) {
             self.call_back(key, told);
         }
     }

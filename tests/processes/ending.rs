@@ -1,33 +1,11 @@
 //! An actor that comes while its run ends is dismissed, as those are that are there: whatever is left to do is nobody's fault.
 
-use std::time::Duration;
-
-use crate::support::{PATIENCE, Place, signal};
+use crate::support::{PATIENCE, Place, SOON, fake_actor, signal};
 use leadtime_link::{
-    ActorEvent, ActorLink, ConnectSettings, Endpoint, Error, Events, LearnerEvent, LearnerLink,
-    ListenSettings, RUN_IS_ENDING,
+    ActorEvent, Error, Events, LearnerEvent, LearnerLink, ListenSettings, RUN_IS_ENDING,
 };
-use leadtime_proto::message::{Control, ControlReply, Hello, HelloReply};
-use leadtime_proto::{ActorId, Incarnation, RunName, Sequence};
-
-/// The longest wait for one message.
-const SOON: Duration = Duration::from_secs(20);
-
-async fn open(endpoint: &Endpoint, name: &str) -> (ActorLink, Events<ActorEvent>, Hello) {
-    let (actor, incarnation) = (ActorId::new(name).unwrap(), Incarnation(7));
-    let settings =
-        ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
-    let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
-    let hello = Hello {
-        program: "test".to_owned(),
-        actor,
-        incarnation,
-        cpu: "cpu".to_owned(),
-        published: Sequence(0),
-        first_unacknowledged: Sequence(1),
-    };
-    (link, events, hello)
-}
+use leadtime_proto::message::{Control, ControlReply, HelloReply};
+use leadtime_proto::{Incarnation, RunName};
 
 /// Waits until the learner sends an actor away; returns the order, which is not answered as long as that is kept.
 async fn sent_away(events: &Events<ActorEvent>) -> ActorEvent {
@@ -56,9 +34,9 @@ async fn a_learner_that_ends_dismisses_who_comes_late() {
     let learner = place.start(&["learner -c cartpole --name r --listen", &endpoint]);
     let endpoint = endpoint.parse().unwrap();
     // It takes no notice of its dismissal, so the learner waits for it for a while.
-    let (stays, events, hello) = open(&endpoint, "stays").await;
+    let (stays, events, hello) = fake_actor(&endpoint, "stays").await;
     stays.hello(None, &hello, SOON).await.unwrap();
-    let (late, _events, hello) = open(&endpoint, "late").await;
+    let (late, _events, hello) = fake_actor(&endpoint, "late").await;
     signal("TERM", learner.id());
     let _order = sent_away(&events).await;
     let error = late.hello(None, &hello, SOON).await.unwrap_err();

@@ -3,11 +3,11 @@
 //!
 //! Both actors keep journals of their own: what they say they published must be what the learner's books hold.
 
-use std::time::Duration;
-
 use serde_json::{Value, json};
 
-use crate::support::{PATIENCE, Place, Running, result, wait_for_words, wait_until};
+use crate::support::{
+    PATIENCE, Place, Running, SOON, fake_actor, result, wait_for_words, wait_until,
+};
 use leadtime_link::keys::Member;
 use leadtime_link::{
     ActorEvent, ActorLink, ConnectSettings, Events, LearnerLink, ListenSettings, ObserverEvent,
@@ -15,16 +15,13 @@ use leadtime_link::{
 };
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF};
-use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, Hello, Welcome};
+use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, Welcome};
 use leadtime_proto::{
     ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, RunName,
     Sequence, codec,
 };
 
 const RUN: &str = "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=5120 --listen";
-/// The longest wait for one message.
-const SOON: Duration = Duration::from_secs(20);
-
 /// What the rogue sends, in turn; each is wrong in one way only.
 const LIES: [fn(&mut Rollout); 9] = [
     |rollout| rollout.observations[3] = f32::NAN,
@@ -58,18 +55,7 @@ struct Rogue {
 
 impl Rogue {
     async fn enter(endpoint: &str) -> Self {
-        let (actor, incarnation) = (ActorId::new("rogue").unwrap(), Incarnation(7));
-        let mut settings = ConnectSettings::new(vec![endpoint.parse().unwrap()]);
-        settings.timeout = SOON;
-        let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
-        let hello = Hello {
-            program: "rogue".to_owned(),
-            actor,
-            incarnation,
-            cpu: "another".to_owned(),
-            published: Sequence(0),
-            first_unacknowledged: Sequence(1),
-        };
+        let (link, events, hello) = fake_actor(&endpoint.parse().unwrap(), "rogue").await;
         let welcome = link.hello(None, &hello, SOON).await.unwrap();
         let env = EnvAssignment { env_id: EnvId(0), iteration: Iteration(0), snapshot: Vec::new() };
         let mut rogue = Self { link, events, welcome, epoch: Epoch(0), env, sent: 0 };
@@ -191,12 +177,18 @@ async fn misbehave(endpoint: String) -> (u64, String) {
     unreachable!("the loop has no end of its own")
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
-    let undisturbed = Place::new();
-    let (first, helper) = (learner(&undisturbed, ""), honest(&undisturbed));
+/// Lets a learner and its actor run to the end by themselves.
+fn undisturbed() -> Place {
+    let place = Place::new();
+    let (first, helper) = (learner(&place, ""), honest(&place));
     first.finish(PATIENCE).with_code(0);
     helper.finish(PATIENCE).with_code(0);
+    place
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rogue_actor_is_refused_told_and_cut_off_and_the_run_is_unharmed() {
+    let undisturbed = undisturbed();
 
     // The rogue comes when there are older policies to claim.
     let place = Place::new();
@@ -247,10 +239,7 @@ async fn starts(endpoint: &str, run: &RunName) -> (Incarnation, Incarnation) {
 /// Plays the learner: announces rubbish as the coming weights, and orders the actor to let go of its environments.
 #[tokio::test(flavor = "multi_thread")]
 async fn who_plays_the_learner_without_forging_weights_does_not_end_a_run() {
-    let undisturbed = Place::new();
-    let (first, helper) = (learner(&undisturbed, ""), honest(&undisturbed));
-    first.finish(PATIENCE).with_code(0);
-    helper.finish(PATIENCE).with_code(0);
+    let undisturbed = undisturbed();
 
     let place = Place::new();
     let (run, endpoint) = (RunName::new("r").unwrap(), place.endpoint("learner"));

@@ -9,11 +9,16 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, Events};
+use leadtime_proto::message::Hello;
+use leadtime_proto::{ActorId, Incarnation, Sequence};
 use serde_json::Value;
 use tempfile::TempDir;
 
 /// The longest that anything in these tests may take.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
+/// The longest wait for one message.
+pub(crate) const SOON: Duration = Duration::from_secs(20);
 /// Pause between two looks at a condition.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
@@ -303,4 +308,25 @@ pub(crate) fn record(run: &Path) -> Value {
 /// Returns the result in a run's record; null while it is unfinished.
 pub(crate) fn result(run: &Path) -> Value {
     record(run)["result"].clone()
+}
+
+/// Opens the link of an actor that is none of the program's, and returns with it the hello that it may say.
+pub(crate) async fn fake_actor(
+    endpoint: &Endpoint,
+    name: &str,
+) -> (ActorLink, Events<ActorEvent>, Hello) {
+    let (actor, incarnation) = (ActorId::new(name).expect("it is a name"), Incarnation(7));
+    let settings =
+        ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
+    let opened = ActorLink::open(&settings, &actor, incarnation).await;
+    let (link, events) = opened.expect("the learner listens");
+    let hello = Hello {
+        program: "test".to_owned(),
+        actor,
+        incarnation,
+        cpu: "cpu".to_owned(),
+        published: Sequence(0),
+        first_unacknowledged: Sequence(1),
+    };
+    (link, events, hello)
 }

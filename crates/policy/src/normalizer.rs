@@ -117,10 +117,8 @@ impl FrozenNormalizer {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_proto::EgoAttention;
-
     use super::*;
-    use crate::attention::PresentEntities;
+    use crate::attention::{PresentEntities, TWO_FRAMES};
     use crate::tests::notifier;
 
     #[test]
@@ -150,15 +148,7 @@ mod tests {
     /// Two frames of three entities of two numbers and an action, and one number more. The ego is always there, the
     /// first of the others nine times of ten, the second never.
     fn road(n: usize) -> (PolicySpec, Vec<f32>) {
-        let attention = EgoAttention {
-            n_frames: 2,
-            n_entities: 3,
-            n_features: 2,
-            action_dim: 1,
-            width: 4,
-            n_heads: 1,
-        };
-        let spec = PolicySpec { encoder: Encoder::EgoAttention(attention), ..notifier(15) };
+        let spec = PolicySpec { encoder: Encoder::EgoAttention(TWO_FRAMES), ..notifier(15) };
         let frame = |i: usize| {
             let there = f32::from(u8::from(i % 10 != 9));
             [1.0, i as f32, there, there * 3.0 * i as f32, 0.0, 0.0, 2.0]

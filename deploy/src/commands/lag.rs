@@ -12,7 +12,7 @@ use leadtime_table::Table;
 use serde_json::Value;
 use tokio_util::sync::CancellationToken;
 
-use super::launch::launch;
+use super::launch::{carry_out, outcome};
 use crate::cli::UpArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
@@ -54,7 +54,7 @@ pub(super) async fn choose(
             stderr_log: Some(log.clone()),
             ..Launch::new(Naming::Resume, args.actors)
         };
-        let run = launch(&trial, &what, shutdown).await.inspect_err(|_silent| {
+        let run = outcome(carry_out(&trial, &what, shutdown).await?).inspect_err(|_silent| {
             if let Ok(text) = fs::read_to_string(&log) {
                 output::say(text.trim_end());
             }

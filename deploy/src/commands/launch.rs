@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
 use leadtime_runs::RunRecord;
-use leadtime_runs::launch::{self, Launch, LaunchError};
+use leadtime_runs::launch::{self, Launch, LaunchError, Launched};
 use leadtime_runs::supervise::Ended;
 use tokio_util::sync::CancellationToken;
 
@@ -21,25 +21,39 @@ pub(super) fn goes_on(run: &Path, what: &Launch<'_>) -> bool {
     true
 }
 
-/// Runs learner and actors until the learner ends; returns the run's directory.
+/// Runs learner and actors until the learner ends, and says how a run that has not reached its end goes on; returns the
+/// run's directory.
 pub(super) async fn launch(
     config: &Config,
     what: &Launch<'_>,
     shutdown: &CancellationToken,
 ) -> Result<PathBuf, Failure> {
-    let launched = launch::launch(config, what, shutdown).await.map_err(|error| {
-        let is_ours = matches!(error, LaunchError::Start(_));
-        let code = if is_ours { ExitCode::Failed } else { ExitCode::WrongInput };
-        Failure::of(code, error)
-    })?;
+    let launched = carry_out(config, what, shutdown).await?;
     // After anything else that is the learner's own error, the same command would end in the same way.
     let [lost, interrupted] =
         [ExitCode::PeerLost, ExitCode::Interrupted].map(|code| Ended::Learner(Some(code as i32)));
     let may_pass = [Ended::Stopped, Ended::NoActorLeft, Ended::Learner(None), lost, interrupted];
-    // What logs to a file of its own is a trial, and goes on nowhere.
-    if may_pass.contains(&launched.ended) && what.stderr_log.is_none() {
+    if may_pass.contains(&launched.ended) {
         goes_on(&launched.run, what);
     }
+    outcome(launched)
+}
+
+/// Runs learner and actors until the learner ends.
+pub(super) async fn carry_out(
+    config: &Config,
+    what: &Launch<'_>,
+    shutdown: &CancellationToken,
+) -> Result<Launched, Failure> {
+    launch::launch(config, what, shutdown).await.map_err(|error| {
+        let is_ours = matches!(error, LaunchError::Start(_));
+        let code = if is_ours { ExitCode::Failed } else { ExitCode::WrongInput };
+        Failure::of(code, error)
+    })
+}
+
+/// Returns the run's directory, or what another end than a good one means for the exit code.
+pub(super) fn outcome(launched: Launched) -> Result<PathBuf, Failure> {
     // The processes have logged why.
     match launched.ended {
         Ended::Learner(Some(0)) => Ok(launched.run),

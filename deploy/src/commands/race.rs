@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 
 use leadtime_proto::RunName;
-use leadtime_runs::launch::{Launch, LaunchError, launch};
+use leadtime_runs::launch::Launch;
 use leadtime_runs::race::{Race, RaceScore, RaceStage, Racer};
 use leadtime_runs::supervise::Ended;
 use leadtime_runs::{LoadedPolicy, Naming, Tasks};
@@ -11,6 +11,7 @@ use leadtime_table::Table;
 use serde_json::{Value, json};
 use tokio_util::sync::CancellationToken;
 
+use super::launch::{carry_out, outcome};
 use crate::cli::RaceArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT, WIDTH};
@@ -101,22 +102,12 @@ impl RaceWork<'_> {
             ..Launch::new(Naming::Resume, self.args.actors)
         };
         let config = &self.race.racers[racer].config;
-        let launched = launch(config, &what, self.shutdown).await.map_err(|error| {
-            let is_ours = matches!(error, LaunchError::Start(_));
-            let code = if is_ours { ExitCode::Failed } else { ExitCode::WrongInput };
-            Failure::of(code, error)
-        })?;
-        // The processes have logged why.
-        match launched.ended {
-            Ended::Learner(Some(0)) => Ok(true),
-            Ended::Learner(Some(code)) if code == ExitCode::Failed as i32 => {
-                tracing::warn!("{} has dropped out: its training failed", self.name(racer));
-                Ok(false)
-            }
-            Ended::Learner(Some(code)) => Err(Failure::silent(ExitCode::from_status(code))),
-            Ended::Learner(None) | Ended::NoActorLeft => Err(Failure::silent(ExitCode::Failed)),
-            Ended::Stopped => Err(Failure::silent(ExitCode::Interrupted)),
+        let launched = carry_out(config, &what, self.shutdown).await?;
+        if launched.ended == Ended::Learner(Some(ExitCode::Failed as i32)) {
+            tracing::warn!("{} has dropped out: its training failed", self.name(racer));
+            return Ok(false);
         }
+        outcome(launched).map(|_run| true)
     }
 
     /// Evaluates a racer on the episodes of a stage.

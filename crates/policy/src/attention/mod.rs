@@ -14,5 +14,7 @@ mod presence;
 mod shares;
 
 pub use encoder::AttentionEncoder;
+#[cfg(test)]
+pub(crate) use presence::TWO_FRAMES;
 pub use presence::{FramePresence, PresentEntities, presence_flags};
 pub use shares::{Attention, dot};

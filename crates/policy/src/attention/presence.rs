@@ -94,20 +94,18 @@ impl PresentEntities {
     }
 }
 
+/// Two frames of three entities of two numbers and an action.
+#[cfg(test)]
+pub(crate) const TWO_FRAMES: EgoAttention =
+    EgoAttention { n_frames: 2, n_entities: 3, n_features: 2, action_dim: 1, width: 4, n_heads: 1 };
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn absent_entities_are_left_out_unless_all_are_absent() {
-        let spec = EgoAttention {
-            n_frames: 1,
-            n_entities: 3,
-            n_features: 2,
-            action_dim: 1,
-            width: 4,
-            n_heads: 1,
-        };
+        let spec = EgoAttention { n_frames: 1, ..TWO_FRAMES };
         let frames = [
             [1.0, 10.0, 0.0, 11.0, 1.0, 12.0, 99.0],
             [0.0, 20.0, 1.0, 21.0, 0.4, 22.0, 99.0],
@@ -126,14 +124,6 @@ mod tests {
 
     #[test]
     fn every_entity_of_every_frame_begins_with_a_flag() {
-        let spec = EgoAttention {
-            n_frames: 2,
-            n_entities: 3,
-            n_features: 2,
-            action_dim: 1,
-            width: 4,
-            n_heads: 1,
-        };
-        assert_eq!(presence_flags(&spec).collect::<Vec<_>>(), [0, 2, 4, 7, 9, 11]);
+        assert_eq!(presence_flags(&TWO_FRAMES).collect::<Vec<_>>(), [0, 2, 4, 7, 9, 11]);
     }
 }

@@ -61,12 +61,8 @@ impl Default for Motion {
 }
 
 /// The turn of a vector by a spin: the velocity that it gives to a point at `arm`.
-pub(super) fn spin(angular: f32, arm: Vector) -> Vector {
-    Vector::new(-arm.y * angular, arm.x * angular)
-}
-
-pub(super) fn cross(a: Vector, b: Vector) -> f32 {
-    a.x * b.y - a.y * b.x
+fn spin(angular: f32, arm: Vector) -> Vector {
+    arm.perp() * angular
 }
 
 /// The sum of products in the order of the coordinates.
@@ -310,8 +306,8 @@ fn hull_columns() -> Columns {
 
 fn leg_columns(k: usize, arms: &Arms) -> Columns {
     let ([x, y, ..], _) = hull_columns();
-    let own = Vector::new(-arms.s23.y, arms.s23.x);
-    let of_hull = own + Vector::new(-arms.s02.y, arms.s02.x);
+    let own = arms.s23.perp();
+    let of_hull = own + arms.s02.perp();
     let column = |coordinate, linear| Column { coordinate, linear, angular: 1.0 };
     ([x, y, column(2, of_hull), column(3 + k, own)], 4)
 }
@@ -319,7 +315,7 @@ fn leg_columns(k: usize, arms: &Arms) -> Columns {
 /// The velocities that the columns of the hull's angle and of the leg's own gain by the turning of the links.
 fn turning(hull: f32, leg: f32, arms: &Arms) -> [Vector; 2] {
     let Arms { s02, s23 } = *arms;
-    let inwards = |angular: f32, arm: Vector| Vector::new(-(arm.x * angular), -(arm.y * angular));
+    let inwards = |angular: f32, arm: Vector| -(arm * angular);
     let own = inwards(leg, s23) + inwards(leg, s23);
     let of_hull = inwards(leg, s02) + inwards(hull, s02);
     [of_hull + inwards(leg, s23) + inwards(leg, s23), own]

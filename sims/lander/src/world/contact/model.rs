@@ -42,8 +42,6 @@ const LEG_LOWER_STOP: f32 = 0.326;
 /// Box2D's friction grips a little less than the exact solution. Fitted on 2,500 windy and 2,000 calm episodes flown
 /// with the same seeds in both worlds: without it 2.2 (± 0.6) per cent more of the windy ones land, with it 1.1.
 const GRIP: f64 = 0.95;
-/// A body is swept if it moves by more than this part of its thickness in a frame.
-const FAST: f32 = 0.5;
 const LANDER: Group = Group::GROUP_2;
 const GROUND: Group = Group::GROUP_1;
 
@@ -63,8 +61,10 @@ pub(super) struct LanderModel {
     pub(super) leg_limits: [[f32; 2]; 2],
     /// Friction of each body with the ground.
     pub(super) frictions: [f32; 3],
-    /// How far a body may move in a frame without being swept, in metres.
-    pub(super) slow: [f32; 3],
+    /// Smallest extent of each body, in metres.
+    pub(super) thicknesses: [f32; 3],
+    /// Middle of each body's area, in its frame.
+    pub(super) middles: [Vector; 3],
     /// Distance of each body's farthest point from its centre, in metres.
     pub(super) extents: [f32; 3],
 }
@@ -88,7 +88,8 @@ pub(super) static MODEL: LazyLock<LanderModel> = LazyLock::new(|| {
         leg_frames: leg_anchors.map(|anchor| Pose::from_translation(anchor).inverse()),
         leg_limits: [0, 1].map(leg_limits),
         frictions: [0, 1, 2].map(|i| (grip(FRICTION) * grip(friction(i))).sqrt()),
-        slow: [0, 1, 2].map(|i| FAST * shape(i).ccd_thickness()),
+        thicknesses: [0, 1, 2].map(|i| shape(i).ccd_thickness()),
+        middles: [0, 1, 2].map(|i| shape(i).mass_properties(1.0).local_com),
         extents: [0, 1, 2].map(|i| mass(i).max_extent()),
     }
 });

@@ -7,8 +7,8 @@ use rapier2d::dynamics::SpringCoefficients;
 use rapier2d::math::Vector;
 
 use super::super::constants::LEG_TORQUE;
-use super::articulation::{Dynamics, N_SPEEDS, Speeds, add_scaled, cross, dot};
-use super::ground::{BodyPlace, ContactPoint, Manifold, points};
+use super::articulation::{Dynamics, N_SPEEDS, Speeds, add_scaled, dot};
+use super::ground::{BodyPlace, ContactPoint, Impulses, Manifold, points};
 use super::model::{LanderModel, MOTOR_GAIN, TIME_STEP};
 
 /// Contacts with fixed ground are stiffer than others: natural frequency in Hz, damping ratio.
@@ -56,10 +56,19 @@ struct Patch {
 }
 
 /// What a sweep does about errors of the place.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 pub(super) enum Places {
     Corrected,
     Left,
+}
+
+impl Places {
+    fn right_side(self, biased: f32, free: f32) -> f32 {
+        match self {
+            Self::Corrected => biased,
+            Self::Left => free,
+        }
+    }
 }
 
 /// The rows of a frame; their memory is kept from frame to frame.
@@ -91,41 +100,22 @@ impl Rows {
         unit[coordinate] = 1.0;
         let response = dynamics.response(unit);
         let own = response[coordinate];
+        let row = |softness: f32, bounds: [f32; 2], biased: f32, free: f32| {
+            let inverse = inverse_of(own + softness);
+            JointRow { coordinate, response, inverse, softness, bounds, biased, free, impulse: 0.0 }
+        };
         let [lower, upper] = model.leg_limits[k];
         if angle < lower || upper < angle {
-            let softness = SpringCoefficients::<f32>::joint_defaults();
-            let erp = softness.erp_inv_dt(TIME_STEP);
-            let soft = own * softness.cfm_coeff(TIME_STEP);
+            let stop = SpringCoefficients::<f32>::joint_defaults();
             let bounds = if angle < lower { [-f32::MAX, 0.0] } else { [0.0, f32::MAX] };
-            let biased = ((angle - upper).max(0.0) - (lower - angle).max(0.0)) * erp;
-            let inverse = inverse_of(own + soft);
-            let row = JointRow {
-                coordinate,
-                response,
-                inverse,
-                softness: soft,
-                bounds,
-                biased,
-                free: 0.0,
-                impulse: 0.0,
-            };
-            self.joints.push(row);
+            let beyond = (angle - upper).max(0.0) - (lower - angle).max(0.0);
+            let biased = beyond * stop.erp_inv_dt(TIME_STEP);
+            self.joints.push(row(own * stop.cfm_coeff(TIME_STEP), bounds, biased, 0.0));
         }
-        let softness = inverse_of(TIME_STEP * MOTOR_GAIN);
         let most = LEG_TORQUE as f32 * TIME_STEP;
         let [least, fastest] = [lower, upper].map(|stop| (stop - angle) * INV_TIME_STEP);
         let speed = within(speed, least, fastest);
-        let inverse = inverse_of(own + softness);
-        self.joints.push(JointRow {
-            coordinate,
-            response,
-            inverse,
-            softness,
-            bounds: [-most, most],
-            biased: -speed,
-            free: -speed,
-            impulse: 0.0,
-        });
+        self.joints.push(row(inverse_of(TIME_STEP * MOTOR_GAIN), [-most, most], -speed, -speed));
     }
 
     /// Adds the points of a body's manifold, starting with their impulses of the last frame.
@@ -140,12 +130,9 @@ impl Rows {
         let (first, body) = (self.points.len(), place.body);
         points(manifold, place, |point| {
             let impulses = manifold.points[point.index].data;
-            let (normal, tangent) = contact_rows(dynamics, body, -manifold.local_n1, &point);
-            self.points.push(PointRows {
-                place: [body, i, point.index],
-                normal: ContactRow { impulse: impulses.normal, ..normal },
-                tangent: ContactRow { impulse: impulses.tangent, ..tangent },
-            });
+            let [normal, tangent] =
+                contact_rows(dynamics, body, -manifold.local_n1, &point, impulses);
+            self.points.push(PointRows { place: [body, i, point.index], normal, tangent });
         });
         let points = first..self.points.len();
         if !points.is_empty() {
@@ -168,6 +155,11 @@ impl Rows {
 
     /// Sweeps over all rows up to `n` times.
     pub(super) fn sweep(&mut self, speeds: &mut Speeds, n: usize, places: Places) {
+        // What softness leaves of a contact's impulse.
+        let kept = match places {
+            Places::Corrected => CONTACT_SOFTNESS.cfm_factor(TIME_STEP),
+            Places::Left => 1.0,
+        };
         for _ in 0..n {
             let mut moved = false;
             for row in &mut self.joints {
@@ -176,7 +168,7 @@ impl Rows {
             for patch in &self.patches {
                 let points = &mut self.points[patch.points.clone()];
                 for point in &mut *points {
-                    moved |= point.normal.solve_normal(speeds, places);
+                    moved |= point.normal.solve_normal(speeds, places, kept);
                 }
                 for point in points {
                     let limit = patch.friction * point.normal.impulse;
@@ -204,8 +196,7 @@ impl Rows {
 impl JointRow {
     /// Solves the row, and returns whether a speed has changed.
     fn solve(&mut self, speeds: &mut Speeds, places: Places) -> bool {
-        let right = if places == Places::Corrected { self.biased } else { self.free };
-        let error = right + speeds[self.coordinate];
+        let error = places.right_side(self.biased, self.free) + speeds[self.coordinate];
         let [least, most] = self.bounds;
         let impulse = self.impulse + self.inverse * (error - self.softness * self.impulse);
         let impulse = within(impulse, least, most);
@@ -218,14 +209,12 @@ impl JointRow {
 
 impl ContactRow {
     fn error(&self, speeds: &Speeds, places: Places) -> f32 {
-        let right = if places == Places::Corrected { self.biased } else { self.free };
-        dot(&self.jacobian, speeds) + right
+        dot(&self.jacobian, speeds) + places.right_side(self.biased, self.free)
     }
 
-    fn solve_normal(&mut self, speeds: &mut Speeds, places: Places) -> bool {
-        let factor = if places == Places::Corrected { contact_factor() } else { 1.0 };
+    fn solve_normal(&mut self, speeds: &mut Speeds, places: Places, kept: f32) -> bool {
         let error = self.error(speeds, places);
-        self.change_to(speeds, factor * (self.impulse - self.inverse * error).max(0.0))
+        self.change_to(speeds, kept * (self.impulse - self.inverse * error).max(0.0))
     }
 
     fn solve_tangent(&mut self, speeds: &mut Speeds, places: Places, limit: f32) -> bool {
@@ -247,24 +236,23 @@ fn contact_rows(
     body: usize,
     direction: Vector,
     point: &ContactPoint,
-) -> (ContactRow, ContactRow) {
-    let along = Vector::new(-direction.y, direction.x);
-    let row = |force: Vector, biased: f32, free: f32| {
-        let jacobian = dynamics.jacobian(body, force, cross(point.arm, force));
+    impulses: Impulses,
+) -> [ContactRow; 2] {
+    let along = direction.perp();
+    let row = |force: Vector, biased: f32, free: f32, impulse: f32| {
+        let jacobian = dynamics.jacobian(body, force, point.arm.perp_dot(force));
         let response = dynamics.response(jacobian);
         let inverse = inverse_of(dot(&jacobian, &response));
-        ContactRow { jacobian, response, inverse, biased, free, impulse: 0.0 }
+        ContactRow { jacobian, response, inverse, biased, free, impulse }
     };
     let free = point.gap.max(0.0) * INV_TIME_STEP;
     let correction =
         (CONTACT_SOFTNESS.erp_inv_dt(TIME_STEP) * point.gap).clamp(-MAX_CORRECTION, 0.0);
     let slide = point.offset.dot(along) * INV_TIME_STEP;
-    (row(-direction, free + correction, free), row(-along, slide, 0.0))
-}
-
-/// What softness leaves of a contact's impulse.
-fn contact_factor() -> f32 {
-    CONTACT_SOFTNESS.cfm_factor(TIME_STEP)
+    [
+        row(-direction, free + correction, free, impulses.normal),
+        row(-along, slide, 0.0, impulses.tangent),
+    ]
 }
 
 /// Bounds a number; unlike the standard library's, without a panic where a bound is none.

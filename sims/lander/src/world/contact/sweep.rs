@@ -10,6 +10,8 @@ use rapier2d::parry::shape::HeightField;
 use super::ground;
 use super::model::{LanderModel, PREDICTION};
 
+/// A body is swept if it moves by more than this part of its thickness in a frame.
+const FAST: f32 = 0.5;
 /// A sweep may end this far inside, in metres.
 const SLOP: f32 = 0.005;
 
@@ -23,7 +25,7 @@ pub(super) fn stop(
 ) -> Pose {
     let turn = (to.rotation * from.rotation.inverse()).sin().abs() * model.extents[body];
     let motion = (to.translation - from.translation).length() + turn;
-    if motion <= model.slow[body] {
+    if motion <= FAST * model.thicknesses[body] {
         return *to;
     }
     let shape = model.shape(body);
@@ -36,8 +38,8 @@ pub(super) fn stop(
     let fast = SweepCompositeFastShape {
         proxy: &proxy,
         sweep: &sweep,
-        local_centroid: shape.mass_properties(1.0).local_com,
-        min_extent: shape.ccd_thickness(),
+        local_centroid: model.middles[body],
+        min_extent: model.thicknesses[body],
     };
     let impact =
         sweep_time_of_impact_composite(field, &ground::pose(), fast, false, false, 1.0, SLOP);

@@ -16,7 +16,7 @@ use super::super::engines::Load;
 use super::super::flight::Flight;
 use super::super::start;
 use super::super::terrain::{N_POINTS, Terrain};
-use super::articulation::{LinkVelocity, Motion, Speeds, cross};
+use super::articulation::{LinkVelocity, Motion, Speeds};
 use super::ground::{self, Manifold};
 use super::model::{LanderModel, MODEL, vector};
 use super::pairs::Pairs;
@@ -181,7 +181,7 @@ pub(super) fn push(load: &Load, center: Vector) -> (Vector, f32) {
     if let Some(push) = load.engine {
         let thrust = vector(push.impulse / DT);
         force += thrust;
-        torque += cross(vector(push.point) - center, thrust);
+        torque += (vector(push.point) - center).perp_dot(thrust);
     }
     (force, torque)
 }
