@@ -141,7 +141,7 @@ impl Rollout {
         }
         plausible("observations", &self.observations)?;
         plausible("next_observation", &self.next_observation)?;
-        within("log_probs", &self.log_probs, (limits::MIN_LOG_PROB, limits::MAX_LOG_PROB))?;
+        within("log_probs", &self.log_probs, limits::MIN_LOG_PROB, limits::MAX_LOG_PROB)?;
         plausible("values", &self.values)?;
         plausible("next_value", &[self.next_value])?;
         plausible("rewards", &self.rewards)?;
@@ -205,14 +205,15 @@ fn length(field: &str, found: usize, expected: usize) -> Result<(), Refusal> {
 }
 
 fn plausible<T: Copy + Into<f64>>(field: &str, values: &[T]) -> Result<(), Refusal> {
-    within(field, values, (-limits::MAX_MAGNITUDE, limits::MAX_MAGNITUDE))
+    within(field, values, -limits::MAX_MAGNITUDE, limits::MAX_MAGNITUDE)
 }
 
 /// Checks that every number is finite and in a closed range.
 fn within<T: Copy + Into<f64>>(
     field: &str,
     values: &[T],
-    (lowest, highest): (impl Into<f64>, impl Into<f64>),
+    lowest: impl Into<f64>,
+    highest: impl Into<f64>,
 ) -> Result<(), Refusal> {
     let (lowest, highest) = (lowest.into(), highest.into());
     let outside = |&value: &T| !(lowest..=highest).contains(&value.into());

@@ -1,7 +1,7 @@
 //! Replaying a session: the same observations again, and whether the same is said.
 
 use leadtime_serve::{
-    HeardSay, LiveDecider, LiveSession, SayEvent, SayTo, SessionNote, SessionPlan, StepClock,
+    HeardSay, LiveDecider, LiveSession, ObservationBytes, SayEvent, SayTo, SessionNote, SessionPlan, StepClock,
     TakenInput, WorkingPolicy,
 };
 
@@ -71,8 +71,9 @@ impl ReplayTarget for SessionAtHand {
         match (input.input, &input.observation) {
             (TakenInput::Observation { at, is_other_clock }, Some(sent)) => {
                 session.note_clock(is_other_clock);
-                let parts = (&sent.encoding, &*sent.payload, sent.beside.as_deref());
-                session.arrive(now, at, parts, decider, &mut out);
+                let (encoding, beside) = (&sent.encoding, sent.beside.as_deref());
+                let bytes = ObservationBytes { encoding, payload: &sent.payload, beside };
+                session.arrive(now, at, bytes, decider, &mut out);
             }
             (TakenInput::Heard { mut report }, _) if *is_same => {
                 report.utterance = report.utterance.wrapping_sub(ahead.unwrap_or(0));

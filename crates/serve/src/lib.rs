@@ -46,7 +46,7 @@ pub use bus_player::{BusPlayer, SaidMessage};
 pub use client::{ClientError, ClientSettings, LiveClient};
 pub use json_fault::JsonFault;
 pub use latency::LatencyHistogram;
-pub use live_session::{LiveSession, LiveSnapshot, SayTo};
+pub use live_session::{LiveSession, LiveSnapshot, ObservationBytes, SayTo};
 pub use open::{
     OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan, StepClock, WordClock,
 };

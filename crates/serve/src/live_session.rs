@@ -75,6 +75,17 @@ const TEXT: usize = 512;
 /// Numbers of utterances that a restarted notifier passes over: some may have been said after its last snapshot.
 const UTTERANCES_PASSED: u32 = 16;
 
+/// An observation as it arrived, not read yet.
+#[derive(Clone, Copy, Debug)]
+pub struct ObservationBytes<'a> {
+    /// How it is written.
+    pub encoding: &'a ArrivalEncoding,
+    /// The message.
+    pub payload: &'a [u8],
+    /// What was attached to it.
+    pub beside: Option<&'a [u8]>,
+}
+
 /// Where a session's events go.
 pub trait SayTo {
     /// Puts an event of what is said, JSON or raw as the client wants it.
@@ -341,17 +352,18 @@ impl LiveSession {
         &mut self,
         now: u64,
         at: u64,
-        (encoding, payload, beside): (&ArrivalEncoding, &[u8], Option<&[u8]>),
+        bytes: ObservationBytes<'_>,
         decider: &mut LiveDecider,
         out: &mut impl SayTo,
     ) {
         if self.state == LiveState::Closed {
             return;
         }
+        let ObservationBytes { encoding, payload, beside } = bytes;
         let read = match (encoding, &mut self.robot) {
             (_, Some(robot)) => {
                 let last = Arrived { seq: self.last_seq, t: self.last_t, at: self.newest_at };
-                let read = robot.read(&mut self.incoming, (payload, beside), at, last);
+                let read = robot.read(&mut self.incoming, payload, beside, at, last);
                 read.map(|is_first| self.note_clock(is_first))
             }
             (ArrivalEncoding::Json, None) => self.incoming.read_json(payload),

@@ -112,7 +112,8 @@ impl Bench {
 
     fn arrive(&mut self, encoding: &ArrivalEncoding, bytes: &[u8], beside: Option<&[u8]>) {
         let now = self.told.now;
-        self.session.arrive(now, now, (encoding, bytes, beside), &mut self.decider, &mut self.told);
+        let bytes = ObservationBytes { encoding, payload: bytes, beside };
+        self.session.arrive(now, now, bytes, &mut self.decider, &mut self.told);
         self.session.tick(now, &mut self.decider, &mut self.told);
     }
 

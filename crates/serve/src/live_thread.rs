@@ -12,7 +12,7 @@ use tracing::debug;
 
 use crate::heard::HeardReport;
 use crate::live_clock::LiveClock;
-use crate::live_session::{LiveSession, LiveSnapshot, SayTo};
+use crate::live_session::{LiveSession, LiveSnapshot, ObservationBytes, SayTo};
 use crate::robot::RobotWriter;
 use crate::status::{LiveState, Silence};
 use crate::taken::{TakenInput, TakenLog};
@@ -85,8 +85,8 @@ impl Hosted {
     /// Publishes to recorders what was taken in, after what was said in response.
     fn tell_taken(&mut self, now: u64, input: TakenInput) {
         let session = &self.session;
-        let place = (session.last_seq(), session.step_of_episode());
-        let message = self.taken.write(session.id(), now, place, input);
+        let (seq, step) = (session.last_seq(), session.step_of_episode());
+        let message = self.taken.write(session.id(), now, seq, step, input);
         if let Err(error) = self.port.taken(message) {
             debug!(%error, "what was taken in could not be put");
         }
@@ -313,9 +313,10 @@ fn serve(
         let (session, mut out) = hosted.parts(clock, loudspeaker);
         let (payload, beside, at) = (arrival.payload(), arrival.attachment(), clock.at(arrival.at));
         session.note_overwritten(n_overwritten);
-        let parts = (&arrival.encoding(), &*payload, beside.as_deref());
+        let encoding = &arrival.encoding();
+        let bytes = ObservationBytes { encoding, payload: &payload, beside: beside.as_deref() };
         let (now, n_before) = (clock.now(), session.counts().taken);
-        session.arrive(now, at, parts, decider, &mut out);
+        session.arrive(now, at, bytes, decider, &mut out);
         session.record_latency(clock.now().saturating_sub(at));
         if session.counts().taken > n_before {
             let is_other_clock = session.is_other_clock();

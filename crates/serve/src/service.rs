@@ -129,7 +129,8 @@ impl LiveService {
     pub fn new(
         policy: WorkingPolicy,
         settings: ServiceSettings,
-        (link, events): (LiveServiceLink, flume::Receiver<LiveEvent>),
+        link: LiveServiceLink,
+        events: flume::Receiver<LiveEvent>,
         own: Incarnation,
     ) -> Result<Self, ServiceError> {
         let (sender, reports) = flume::bounded(MAX_REPORTS);

@@ -104,7 +104,8 @@ impl TakenLog {
         &mut self,
         session: &str,
         now: u64,
-        (seq, step): (u64, u32),
+        seq: u64,
+        step: u32,
         input: TakenInput,
     ) -> &[u8] {
         self.n += 1;
@@ -144,7 +145,7 @@ mod tests {
         let mut log = TakenLog::new(Incarnation(0xa7), false);
         for (n, input) in (1..).zip(inputs) {
             log.count_said();
-            let message = log.write("c52e5475", 7, (17, 3), input);
+            let message = log.write("c52e5475", 7, 17, 3, input);
             let read: Vec<TakenLine<'_>> = serde_json::from_slice(message).unwrap();
             assert_eq!(read.len() as u64, n);
             let (session, start) = (Cow::Borrowed("c52e5475"), Cow::Borrowed("00000000000000a7"));
@@ -152,7 +153,7 @@ mod tests {
             assert_eq!(read.last(), Some(&line));
         }
         let message =
-            TakenLog::new(Incarnation(1), true).write("a", 9, (0, 0), TakenInput::Tick).to_vec();
+            TakenLog::new(Incarnation(1), true).write("a", 9, 0, 0, TakenInput::Tick).to_vec();
         let text = r#"[{"session":"a","start":"0000000000000001","n":2,"now":9,"said":0,"seq":0,"step":0,"what":"tick"}]"#;
         assert_eq!(String::from_utf8(message).unwrap(), text);
     }
@@ -161,7 +162,7 @@ mod tests {
     fn what_was_lost_is_in_the_next_message() {
         let mut log = TakenLog::new(Incarnation(0), false);
         for n in 1..20 {
-            let message = log.write("a", n, (n, 0), TakenInput::Tick);
+            let message = log.write("a", n, n, 0, TakenInput::Tick);
             let read: Vec<TakenLine<'_>> = serde_json::from_slice(message).unwrap();
             let numbers: Vec<u64> = read.iter().map(|line| line.n).collect();
             assert_eq!(numbers, (n.saturating_sub(7).max(1)..=n).collect::<Vec<_>>());

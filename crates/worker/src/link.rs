@@ -299,8 +299,7 @@ impl WorkerLink {
         let (timeout, slots) = (self.launch.step_timeout, &mut self.slots);
         let process = self.process.as_mut().ok_or(ProtocolError::Closed)?;
         process.send(self.frame.finish())?;
-        let kind = (FrameKind::Snapshotted, "a pickle");
-        process.answer(kind, MAX_STATE_BYTES, (timeout, timeout), |(slot, text)| {
+        process.answer(FrameKind::Snapshotted, MAX_STATE_BYTES, timeout, timeout, |slot, text| {
             if let Some(slot) = slots.get_mut(usize::from(slot)) {
                 slot.exception = text;
             }
@@ -313,9 +312,8 @@ impl WorkerLink {
         let timeout = self.launch.step_timeout;
         let patience = timeout.saturating_mul(n_steps.max(1));
         let process = self.process.as_mut().ok_or(ProtocolError::Closed)?;
-        let (kind, most) =
-            ((FrameKind::Stepped, "what was seen"), shape.max_stepped_bytes(places.len()));
-        let body = process.answer(kind, most, (timeout, patience), |(slot, text)| {
+        let (kind, most) = (FrameKind::Stepped, shape.max_stepped_bytes(places.len()));
+        let body = process.answer(kind, most, timeout, patience, |slot, text| {
             if let Some(slot) = slots.get_mut(usize::from(slot)) {
                 slot.exception = text;
             }

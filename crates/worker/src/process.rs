@@ -122,8 +122,8 @@ impl WorkerProcess {
         let limit = LineLimit::new();
         let is_over = false;
         let mut worker = Self { child, lifeline, reader, writer, words, limit, is_over };
-        let times = (launch.start_timeout(), launch.start_timeout());
-        let hello = worker.answer((FrameKind::Hello, "a hello"), MAX_HELLO_BYTES, times, |_| {});
+        let (kind, patience) = (FrameKind::Hello, launch.start_timeout());
+        let hello = worker.answer(kind, MAX_HELLO_BYTES, patience, patience, |_, _| {});
         Ok(match hello.and_then(|body| read_hello(&body)) {
             Ok(hello) => Ok((worker, hello)),
             // Its own sentence needs no further words.
@@ -147,10 +147,11 @@ impl WorkerProcess {
     /// Waits for an answer and logs what is said besides it; failures are handed to `failed`.
     pub(crate) fn answer(
         &mut self,
-        kind: (FrameKind, &'static str),
+        kind: FrameKind,
         most: usize,
-        times: (Duration, Duration),
-        mut failed: impl FnMut((u16, String)),
+        timeout: Duration,
+        patience: Duration,
+        mut failed: impl FnMut(u16, String),
     ) -> Result<Vec<u8>, ProtocolError> {
         let (limit, id) = (&mut self.limit, self.child.id());
         let aside = |aside| match aside {
@@ -160,9 +161,9 @@ impl WorkerProcess {
                 _ => warn!(target: LOG_TARGET, worker = id, "{text}"),
             },
             Aside::Log { .. } => {}
-            Aside::Failed { slot, text } => failed((slot, text)),
+            Aside::Failed { slot, text } => failed(slot, text),
         };
-        self.reader.answer(kind, most, times, aside).map(<[u8]>::to_vec)
+        self.reader.answer(kind, most, timeout, patience, aside).map(<[u8]>::to_vec)
     }
 
     /// Kills the worker and says how it ended: what was noticed, and its last words.

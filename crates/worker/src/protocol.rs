@@ -63,6 +63,18 @@ pub enum FrameKind {
     Alive = 9,
 }
 
+impl FrameKind {
+    /// Names a kind that answers, as sentences do.
+    fn described(self) -> &'static str {
+        match self {
+            Self::Hello => "a hello",
+            Self::Stepped => "the outcome of a step",
+            Self::Snapshotted => "a pickle",
+            _ => "no answer",
+        }
+    }
+}
+
 /// What is wrong with what a worker sends, or with the way to it.
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
@@ -344,8 +356,8 @@ impl<R: Read> FrameReader<R> {
         &self.source
     }
 
-    /// Reads frames up to the answer, whose kind and greatest length are given, and returns its body; hands everything else
-    /// to `aside`.
+    /// Reads frames up to the answer, which is of `kind` and has at most `most` bytes, and returns its body; hands
+    /// everything else to `aside`.
     ///
     /// A frame may take `timeout` from the one before, and all of them `patience`.
     ///
@@ -355,9 +367,10 @@ impl<R: Read> FrameReader<R> {
     /// of no use then.
     pub fn answer(
         &mut self,
-        (kind, expected): (FrameKind, &'static str),
+        kind: FrameKind,
         most: usize,
-        (timeout, patience): (Duration, Duration),
+        timeout: Duration,
+        patience: Duration,
         mut aside: impl FnMut(Aside),
     ) -> Result<&[u8], ProtocolError> {
         let last = Instant::now() + patience;
@@ -373,7 +386,7 @@ impl<R: Read> FrameReader<R> {
                 found if found == FrameKind::Alive as u8 => 0,
                 found if found == FrameKind::Log as u8 => 1 + MAX_TEXT_BYTES,
                 found if found == FrameKind::Failed as u8 => 2 + MAX_TEXT_BYTES,
-                found => return Err(ProtocolError::Kind { found, expected }),
+                found => return Err(ProtocolError::Kind { found, expected: kind.described() }),
             };
             if n_bytes > most {
                 return Err(ProtocolError::TooLong { found: n_bytes, most });
@@ -448,7 +461,7 @@ mod tests {
     use super::*;
 
     const SHAPE: FrameShape = FrameShape { obs_dim: 2, n_heads: 1, n_metrics: 1 };
-    const SOON: (Duration, Duration) = (Duration::from_secs(5), Duration::from_secs(5));
+    const SOON: Duration = Duration::from_secs(5);
 
     fn frame(kind: u8, body: &[u8]) -> Vec<u8> {
         let mut frame = (body.len() as u32).to_le_bytes().to_vec();
@@ -481,8 +494,7 @@ mod tests {
 
     fn answer(bytes: &[u8], most: usize) -> Result<Vec<u8>, ProtocolError> {
         let mut reader = FrameReader::new(bytes);
-        let kind = (FrameKind::Stepped, "an answer");
-        reader.answer(kind, most, SOON, |_aside| {}).map(<[u8]>::to_vec)
+        reader.answer(FrameKind::Stepped, most, SOON, SOON, |_aside| {}).map(<[u8]>::to_vec)
     }
 
     fn rows(body: &[u8]) -> Result<Vec<StepRow>, ProtocolError> {
@@ -513,8 +525,8 @@ mod tests {
         bytes.extend(frame(4, &stepped()));
         let mut asides = Vec::new();
         let mut reader = FrameReader::new(&*bytes);
-        let kind = (FrameKind::Stepped, "an answer");
-        let body = reader.answer(kind, 1_000, SOON, |aside| asides.push(aside)).unwrap();
+        let kind = FrameKind::Stepped;
+        let body = reader.answer(kind, 1_000, SOON, SOON, |aside| asides.push(aside)).unwrap();
         assert_eq!(body, stepped());
         let failed = Aside::Failed { slot: 1, text: "ValueError: no (env.py:3)".to_owned() };
         assert_eq!(asides, [Aside::Log { level: 2, text: "careful".to_owned() }, failed]);
@@ -527,12 +539,12 @@ mod tests {
         let mut huge = 0x8000_0000_u32.to_le_bytes().to_vec();
         huge.push(4);
         let mut reader = FrameReader::new(&*huge);
-        let kind = (FrameKind::Stepped, "an answer");
-        let refused = reader.answer(kind, 1_000, SOON, |_| {}).unwrap_err().to_string();
+        let kind = FrameKind::Stepped;
+        let refused = reader.answer(kind, 1_000, SOON, SOON, |_| {}).unwrap_err().to_string();
         assert_eq!(refused, "it sent a frame of 2147483648 bytes where at most 1000 are possible");
         assert!(reader.buffer.capacity() <= 2 * CHUNK);
         let refused = answer(&frame(77, b""), 10).unwrap_err().to_string();
-        assert_eq!(refused, "it sent a frame of kind 77 where an answer was expected");
+        assert_eq!(refused, "it sent a frame of kind 77 where the outcome of a step was expected");
         assert!(matches!(answer(b"\x01\x00", 10), Err(ProtocolError::Closed)));
     }
 

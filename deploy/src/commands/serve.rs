@@ -67,9 +67,9 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
         loudspeaker,
         unix: i64::try_from(clock::now().as_nanosecond()).unwrap_or(i64::MAX),
     };
-    let standing = standing(&args.robot, &domain, (service, own), &link.zid());
+    let standing = standing(&args.robot, &domain, service, own, &link.zid());
     let standing = standing.context("--ros2-topic").blame(ExitCode::WrongInput)?;
-    let notifier = LiveService::new(policy, service_settings, (link, events), own);
+    let notifier = LiveService::new(policy, service_settings, link, events, own);
     let mut notifier = notifier.blame(ExitCode::Failed)?;
     if let Some((standing, robot)) = standing {
         let client = standing.client.clone();

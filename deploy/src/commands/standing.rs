@@ -18,7 +18,8 @@ use crate::cli::{DistroName, ObsForm, RobotArgs, SayKeyForm};
 pub(super) fn standing(
     args: &RobotArgs,
     domain: &str,
-    (service, own): (&ServiceName, Incarnation),
+    service: &ServiceName,
+    own: Incarnation,
     zid: &str,
 ) -> Result<Option<(StandingSession, String)>, BadTopic> {
     let client = args.client.clone();

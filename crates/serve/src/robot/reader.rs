@@ -63,7 +63,8 @@ impl RobotReader {
     pub(crate) fn read(
         &mut self,
         into: &mut LiveObservation,
-        (payload, beside): (&[u8], Option<&[u8]>),
+        payload: &[u8],
+        beside: Option<&[u8]>,
         at: u64,
         last: Arrived,
     ) -> Result<bool, BadObservation> {
@@ -161,7 +162,7 @@ mod tests {
             beside: Option<&[u8]>,
         ) -> Result<(u64, f64, bool), String> {
             let at = 3_600_000 * MS + ms * MS;
-            let read = self.reader.read(&mut self.observation, (payload, beside), at, self.last);
+            let read = self.reader.read(&mut self.observation, payload, beside, at, self.last);
             let is_first = read.map_err(|error| error.to_string())?;
             let head = self.observation.head;
             if self.last.seq.is_none_or(|last| head.seq > last) {

@@ -72,7 +72,7 @@ fn propose(
     while let Some((topic, cell, round)) = progress.next(plan) {
         let there = progress.texts(topic);
         let call = writer.generate(summary, &plan.topic[topic], cell, round, &there)?;
-        take(&rules, &rating, &mut progress, caller, (topic, cell), &call)?;
+        take(&rules, &rating, &mut progress, caller, topic, cell, &call)?;
     }
     // Cells that others have filled, or that the number of generations did not reach.
     for (topic, cell) in progress.never_asked() {
@@ -80,7 +80,7 @@ fn propose(
         let call = writer.generate(summary, &plan.topic[topic], cell, 0, &there)?;
         if caller.holds(&call) {
             progress.ask(topic, cell);
-            take(&rules, &rating, &mut progress, caller, (topic, cell), &call)?;
+            take(&rules, &rating, &mut progress, caller, topic, cell, &call)?;
         }
     }
     Ok(progress)
@@ -92,7 +92,8 @@ fn take(
     rating: &Rating<'_>,
     progress: &mut BuildProgress,
     caller: &mut Caller<'_>,
-    (topic, cell): (usize, Cell),
+    topic: usize,
+    cell: Cell,
     call: &Call,
 ) -> Result<(), PipelineError> {
     let (source, answer) = caller.ask(call)?;
