@@ -17,6 +17,34 @@ use crate::storage::with_floats;
 /// Gradients by tensor name.
 pub(crate) type Gradients = BTreeMap<String, Vec<f32>>;
 
+/// The gradient of one layer.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LayerGradient {
+    /// Gradient of the weights. `[n_out, n_in]`
+    pub(crate) weights: Vec<f32>,
+    /// Gradient of the biases. `[n_out]`
+    pub(crate) biases: Vec<f32>,
+}
+
+impl LayerGradient {
+    pub(crate) fn clear(&mut self, layer: &Layer) {
+        for (sums, n) in
+            [(&mut self.weights, layer.n_out * layer.n_in), (&mut self.biases, layer.n_out)]
+        {
+            sums.clear();
+            sums.resize(n, 0.0);
+        }
+    }
+
+    pub(crate) fn add(&mut self, other: &Self) {
+        let add = |sums: &mut [f32], values: &[f32]| {
+            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+        };
+        add(&mut self.weights, &other.weights);
+        add(&mut self.biases, &other.biases);
+    }
+}
+
 /// Gives a buffer a length and keeps its memory; what is in it does not count.
 pub(crate) fn resize(buffer: &mut Vec<f32>, len: usize) -> &mut [f32] {
     buffer.resize(len, 0.0);

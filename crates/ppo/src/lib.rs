@@ -30,6 +30,7 @@ mod gae;
 mod loss;
 mod minibatch;
 mod network;
+mod outer;
 #[cfg(test)]
 #[path = "../benches/random_rollouts/mod.rs"]
 mod random_rollouts;

@@ -14,6 +14,7 @@ mod shares;
 use shares::{AttentionSlopes, EgoShares};
 
 use crate::dense::{Gradients, PackedLayer, PackedMatrix, resize};
+use crate::encoder::EncoderInput;
 use crate::storage::with_floats;
 
 /// Two layers that embed entities, and what they leave behind.
@@ -74,7 +75,9 @@ pub(crate) struct AttentionPass {
     egos: EntityEmbedding,
     others: EntityEmbedding,
     n_rows: usize,
-    obs_dim: usize,
+    /// Whether a block of the minibatch is in its gradients.
+    has_gradients: bool,
+    observations: Vec<f32>,
     present: PresentEntities,
     frames: Vec<f32>,
     queries: Vec<f32>,
@@ -88,7 +91,7 @@ pub(crate) struct AttentionPass {
 }
 
 impl AttentionPass {
-    pub(super) fn new(spec: &EgoAttention, obs_dim: usize) -> Self {
+    pub(super) fn new(spec: &EgoAttention) -> Self {
         let AttentionLayers { ego, others, key, value, query, combine } =
             AttentionLayers::new(spec);
         Self {
@@ -100,7 +103,8 @@ impl AttentionPass {
             egos: EntityEmbedding::new(ego),
             others: EntityEmbedding::new(others),
             n_rows: 0,
-            obs_dim,
+            has_gradients: false,
+            observations: Vec::new(),
             present: PresentEntities::default(),
             frames: Vec::new(),
             queries: Vec::new(),
@@ -115,6 +119,7 @@ impl AttentionPass {
     }
 
     pub(super) fn pack(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
+        self.has_gradients = false;
         self.egos.pack(vars)?;
         self.others.pack(vars)?;
         let Attention { width, n_heads } = self.attention;
@@ -141,9 +146,14 @@ impl AttentionPass {
     }
 
     /// Encodes observations `[M, D]`; returns features `[M, feature_dim]`.
-    pub(super) fn forward(&mut self, observations: &[f32]) -> &[f32] {
+    pub(super) fn forward(&mut self, input: EncoderInput<'_>) -> &[f32] {
         let EgoAttention { n_frames, n_entities, n_features, width, .. } = self.spec;
-        let (frame_dim, obs_dim) = (self.spec.frame_dim(), self.obs_dim);
+        let (frame_dim, obs_dim) = (self.spec.frame_dim(), input.obs_dim);
+        self.observations.clear();
+        for &sample in input.samples {
+            self.observations.extend_from_slice(input.row(sample));
+        }
+        let observations = &self.observations;
         self.n_rows = observations.len() / obs_dim;
         self.frames.clear();
         for observation in observations.chunks_exact(obs_dim) {
@@ -171,7 +181,7 @@ impl AttentionPass {
     }
 
     /// Computes the gradients of the last forward pass from the slopes in its features.
-    pub(super) fn backward(&mut self, d_features: &[f32]) -> Gradients {
+    pub(super) fn backward(&mut self, d_features: &[f32], sums: &mut Gradients) {
         let EgoAttention { n_frames, action_dim, width, .. } = self.spec;
         let mut gradients = Gradients::new();
         self.d_combined.clear();
@@ -195,7 +205,13 @@ impl AttentionPass {
         self.egos.backward(&self.present.egos, d_egos, &mut gradients);
         self.others.backward(&self.present.others, &mut slopes.others, &mut gradients);
         self.unfold(&d_query, &d_output, &mut gradients);
-        gradients
+        for (name, gradient) in gradients {
+            match sums.get_mut(&name).filter(|_| self.has_gradients) {
+                Some(sum) => sum.iter_mut().zip(&gradient).for_each(|(sum, x)| *sum += x),
+                None => drop(sums.insert(name, gradient)),
+            }
+        }
+        self.has_gradients = true;
     }
 
     /// Computes the gradients of the four maps from those of their products.
