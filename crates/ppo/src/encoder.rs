@@ -75,7 +75,7 @@ impl EncoderPass {
     ) -> &[f32] {
         match self {
             Self::Lstm(pass) => pass.forward(input, sequences, team),
-            Self::Attention(pass) => pass.forward(input),
+            Self::Attention(pass) => pass.forward(input, team),
         }
     }
 
@@ -83,7 +83,7 @@ impl EncoderPass {
     pub(crate) fn backward(&mut self, d_features: &[f32], gradients: &mut Gradients, team: &Team) {
         match self {
             Self::Lstm(pass) => pass.backward(d_features, gradients, team),
-            Self::Attention(pass) => pass.backward(d_features, gradients),
+            Self::Attention(pass) => pass.backward(d_features, gradients, team),
         }
     }
 }

@@ -43,7 +43,9 @@ impl<'a> LayerSum<'a> {
     pub(crate) fn put_into(self, gradients: &mut Gradients) {
         let LayerGradient { weights, biases } = self.gradient;
         gradients.insert(self.layer.weight(), weights);
-        gradients.insert(self.layer.bias(), biases);
+        if self.layer.biased {
+            gradients.insert(self.layer.bias(), biases);
+        }
     }
 }
 
@@ -109,4 +111,59 @@ fn pass_len(rows: &[RowPairs<'_>]) -> usize {
         n_rows <= DEPTH
     };
     rows.iter().take_while(fits).count().max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_numerics::kernel::Activation;
+
+    use super::*;
+    use crate::dense::PackedLayer;
+    use crate::test_support::{Plain, close, draw};
+
+    #[test]
+    fn a_layer_has_the_engines_own_values_and_gradients() {
+        let shapes = [(1, 60, 64), (130, 64, 14), (77, 5, 1)];
+        let activations = [Activation::Linear, Activation::Tanh, Activation::Relu];
+        for ((n, n_in, n_out), activation) in
+            shapes.into_iter().flat_map(|shape| activations.map(|activation| (shape, activation)))
+        {
+            let (x, weight) = (draw((n, n_in), 1), draw((n_out, n_in), 2));
+            let bias = draw(n_out, 3);
+            let sum = x.matmul(&weight.t().unwrap()).unwrap().broadcast_add(&bias).unwrap();
+            let y = match activation {
+                Activation::Linear => sum,
+                Activation::Tanh => sum.tanh().unwrap(),
+                Activation::Relu => sum.relu().unwrap(),
+            };
+            let plain = Plain::of(&y, &[&x, &weight, &bias]);
+            let (name, gain, biased) = ("layer".to_owned(), 1.0, true);
+            let mut layer = PackedLayer::new(Layer { name, n_in, n_out, gain, activation, biased });
+            let vars = [("layer.weight", weight), ("layer.bias", bias)];
+            layer
+                .pack(&vars.into_iter().map(|(name, var)| (name.to_owned(), var)).collect())
+                .unwrap();
+            let x: Vec<f32> = x.flatten_all().unwrap().to_vec1().unwrap();
+            let (mut y, mut d_x) = (Vec::new(), Vec::new());
+            layer.forward(&x, &mut y);
+            let mut slopes = plain.target.clone();
+            activation.backward(&y, &mut slopes);
+            layer.matrix.d_input(&slopes, &mut d_x);
+            let (left, right) =
+                (Panels::from_rows(&slopes, n, n_out), Panels::from_rows(&x, n, n_in));
+            // In one piece, and row by row.
+            let rows = |first, len| RowPairs { left: &left, right: &right, first, len };
+            for rows in [vec![rows(0, n)], (0..n).map(|row| rows(row, 1)).collect()] {
+                let mut gradients = Gradients::new();
+                let mut sums = [LayerSum::new(&layer.layer, rows, &mut gradients)];
+                add_up(&mut sums, &Team::new(3).unwrap());
+                let [sum] = sums;
+                sum.put_into(&mut gradients);
+                close(&gradients["layer.weight"], &plain.gradients[1], 5e-5);
+                close(&gradients["layer.bias"], &plain.gradients[2], 5e-5);
+            }
+            close(&y, &plain.values, 1e-5);
+            close(&d_x, &plain.gradients[0], 5e-5);
+        }
+    }
 }
