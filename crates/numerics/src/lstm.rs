@@ -123,7 +123,7 @@ where
         for ((gates, hidden), cell) in self.rows {
             let gates = split_gates_mut(gates, width);
             for first in (0..width).step_by(S::F32_LANES) {
-                let own = Lanes { first, end: width.min(first + S::F32_LANES) };
+                let own = UnitLanes { first, end: width.min(first + S::F32_LANES) };
                 let before = own.load_units(simd, [&*gates[0], &*gates[1], &*gates[2], &*gates[3]]);
                 let (Units(units), after) = before.step(simd, own.load(simd, cell));
                 for gate in 0..N_GATES {
@@ -148,7 +148,7 @@ impl<'a, R: Iterator<Item = ForwardRow<'a>>> WithSimd for Forward<R> {
             let gates = split_gates_mut(row.gates, width);
             let from_input = split_gates(row.from_input, width);
             for first in (0..width).step_by(S::F32_LANES) {
-                let own = Lanes { first, end: width.min(first + S::F32_LANES) };
+                let own = UnitLanes { first, end: width.min(first + S::F32_LANES) };
                 let mut before =
                     own.load_units(simd, [&*gates[0], &*gates[1], &*gates[2], &*gates[3]]);
                 let Units(added) = own.load_units(simd, from_input);
@@ -179,7 +179,7 @@ impl<'a, R: Iterator<Item = BackwardRow<'a>>> WithSimd for Backward<R> {
             let gates = split_gates(row.gates, width);
             let d_gates = split_gates_mut(row.d_gates, width);
             for first in (0..width).step_by(S::F32_LANES) {
-                let own = Lanes { first, end: width.min(first + S::F32_LANES) };
+                let own = UnitLanes { first, end: width.min(first + S::F32_LANES) };
                 let units = own.load_units(simd, gates);
                 let from_behind = own.load(simd, row.d_hidden);
                 let d_hidden = simd.add_f32s(from_behind, own.load(simd, row.d_out));
@@ -197,12 +197,12 @@ impl<'a, R: Iterator<Item = BackwardRow<'a>>> WithSimd for Backward<R> {
 
 /// At most one vector of units.
 #[derive(Clone, Copy)]
-struct Lanes {
+struct UnitLanes {
     first: usize,
     end: usize,
 }
 
-impl Lanes {
+impl UnitLanes {
     #[inline(always)]
     fn load<S: Simd>(self, simd: S, values: &[f32]) -> S::f32s {
         let values = &values[self.first..self.end];

@@ -66,7 +66,7 @@ struct LstmWeights {
 struct SequenceGroup {
     n: usize,
     /// At least as many as steps.
-    steps: Vec<StepMemory>,
+    steps: Vec<LstmStepMemory>,
     /// Cell states before the first step. `[n, H]`
     start: Vec<f32>,
     /// What cell states are where an episode starts. `[H]`
@@ -79,7 +79,7 @@ struct SequenceGroup {
 
 /// What one step of a group leaves behind.
 #[derive(Debug, Default)]
-struct StepMemory {
+struct LstmStepMemory {
     /// `[n, D]`
     observations: Panels,
     /// `[n, P]`, or empty
@@ -189,7 +189,7 @@ impl LstmPass {
     }
 }
 
-impl StepMemory {
+impl LstmStepMemory {
     /// Returns what the gates' own layer sees.
     fn input(&self, has_projection: bool) -> &Panels {
         if has_projection { &self.projected } else { &self.observations }
@@ -260,7 +260,7 @@ impl GroupTask<'_> {
 
 impl LstmWeights {
     /// Computes the two parts of the gates' pre-activations of a step: from the states, and from the inputs.
-    fn gates(&self, now: &mut StepMemory, from_input: &mut Vec<f32>) {
+    fn gates(&self, now: &mut LstmStepMemory, from_input: &mut Vec<f32>) {
         if let Some(projection) = &self.projection {
             let (matrix, activation) = (&projection.matrix.forward, projection.layer.activation);
             let (observations, projected) = (&now.observations, &mut now.projected);
@@ -275,7 +275,7 @@ impl LstmWeights {
     }
 
     /// Goes back through the step's products: to the states before it, and to the projection.
-    fn back(&self, now: &mut StepMemory, d_hidden: &mut [f32]) {
+    fn back(&self, now: &mut LstmStepMemory, d_hidden: &mut [f32]) {
         let state = &self.state.matrix.backward;
         state.multiply_to_rows(&now.d_gates, &[], Activation::Linear, d_hidden);
         if let Some(projection) = &self.projection {
@@ -294,7 +294,7 @@ impl SequenceGroup {
     fn begin(&mut self, n: usize, n_steps: usize, weights: &LstmWeights) {
         self.n = n;
         let n_memories = self.steps.len().max(n_steps);
-        self.steps.resize_with(n_memories, StepMemory::default);
+        self.steps.resize_with(n_memories, LstmStepMemory::default);
         self.zeros.clear();
         self.zeros.resize(weights.width, 0.0);
     }
@@ -352,7 +352,7 @@ impl SequenceGroup {
 fn by_time(groups: &[SequenceGroup], n_steps: usize) -> Vec<RowPairs<'_>> {
     let of_step = |t: usize| {
         groups.iter().map(move |group| {
-            let StepMemory { d_gates, hidden_before, .. } = &group.steps[t];
+            let LstmStepMemory { d_gates, hidden_before, .. } = &group.steps[t];
             RowPairs { left: d_gates, right: hidden_before, first: 0, len: group.n }
         })
     };
@@ -363,7 +363,7 @@ fn by_time(groups: &[SequenceGroup], n_steps: usize) -> Vec<RowPairs<'_>> {
 fn by_sequence<'a>(
     groups: &'a [SequenceGroup],
     n_steps: usize,
-    of_step: impl Fn(&'a StepMemory) -> (&'a Panels, &'a Panels),
+    of_step: impl Fn(&'a LstmStepMemory) -> (&'a Panels, &'a Panels),
 ) -> Vec<RowPairs<'a>> {
     let mut rows = Vec::new();
     for group in groups {
