@@ -16,6 +16,10 @@
     clippy::inline_always,
     reason = "kernels must be compiled inside the dispatched target features"
 )]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "arrays of registers are unrolled where they are indexed"
+)]
 
 use pulp::{Arch, Simd, WithSimd};
 
