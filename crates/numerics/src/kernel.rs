@@ -20,7 +20,8 @@
 //! # Where to start
 //!
 //! [`Panels`] holds B; [`Panels::multiply`] is the product with `A`, [`add_outer_products`] the one with `Aᵀ`.
-//! [`Panels::multiply_panels`] and [`Panels::add_outer_products`] are the same of operands by panels.
+//! [`Panels::multiply_panels`] and [`Panels::add_outer_products`] are the same of operands by panels, and
+//! [`RowPairs`] says which rows are taken where they lie in several matrices.
 
 #![expect(
     clippy::inline_always,
@@ -178,6 +179,27 @@ impl Panels {
         }
     }
 
+    /// Becomes rows of other matrices, one behind the other, of each the columns from panel `first` on.
+    ///
+    /// # Panics
+    ///
+    /// If a matrix has no such row, or not so many columns.
+    pub fn gather<'a>(
+        &mut self,
+        rows: impl ExactSizeIterator<Item = (&'a Self, usize)>,
+        first: usize,
+        n_columns: usize,
+    ) {
+        self.resize(rows.len(), n_columns);
+        let depth = self.depth;
+        for (k, (matrix, row)) in rows.enumerate() {
+            assert!(row < matrix.depth && first * PANEL + n_columns <= matrix.n_columns);
+            for p in 0..n_columns.div_ceil(PANEL) {
+                self.data[p * depth + k] = matrix.data[(first + p) * matrix.depth + row];
+            }
+        }
+    }
+
     /// Copies one row out.
     ///
     /// # Shapes
@@ -203,6 +225,12 @@ impl Panels {
     /// Returns all panels, one behind the other: `[panel][depth][PANEL]`, zeros behind the last column.
     pub fn data(&self) -> &[[f32; PANEL]] {
         &self.data
+    }
+
+    /// Returns one panel's rows.
+    #[inline(always)]
+    fn panel(&self, panel: usize) -> &[[f32; PANEL]] {
+        &self.data[panel * self.depth..][..self.depth]
     }
 
     /// Returns all panels to be changed; what is behind the last column must stay zero.
@@ -260,6 +288,32 @@ impl Panels {
         Arch::new().dispatch(ByPanel(Multiply { panels: self, a, m, start, activation, out }));
     }
 
+    /// Computes what [`Panels::multiply`] computes, of a left operand by panels.
+    ///
+    /// # Shapes
+    ///
+    /// `a`: `[m, depth]`; `start`: `[n_columns]`, or empty for zeros; `out`: `[m, n_columns]`.
+    ///
+    /// # Panics
+    ///
+    /// If the shapes do not hold.
+    pub fn multiply_to_rows(
+        &self,
+        a: &Self,
+        start: &[f32],
+        activation: Activation,
+        out: &mut [f32],
+    ) {
+        let m = a.depth;
+        assert_eq!(a.n_columns, self.depth, "`a` must be [{m}, {}]", self.depth);
+        assert_eq!(out.len(), m * self.n_columns, "`out` must be [{m}, {}]", self.n_columns);
+        self.check_start(start);
+        let a = LeftRows { data: a.data.as_flattened(), panel_step: m * PANEL, row_step: PANEL };
+        let out =
+            OutRows { data: out, panel_step: PANEL, row_step: self.n_columns, is_padded: false };
+        Arch::new().dispatch(ByPanel(Multiply { panels: self, a, m, start, activation, out }));
+    }
+
     fn check_start(&self, start: &[f32]) {
         assert!(start.is_empty() || start.len() == self.n_columns, "`start` must be [n_columns]");
     }
@@ -275,7 +329,7 @@ impl Panels {
     /// If the length is another.
     pub fn add_rows(&self, sums: &mut [f32]) {
         assert_eq!(sums.len(), self.n_columns, "`sums` must be [n_columns]");
-        Arch::new().dispatch(ByPanel(RowSums { panels: self, sums }));
+        add_left_rows(&[RowPairs { left: self, right: self, first: 0, len: self.depth }], 0, sums);
     }
 
     /// Adds to `out` the rows of `Aᵀ·B` that belong to one panel of A, where B is this matrix: [`add_outer_products`]
@@ -290,11 +344,59 @@ impl Panels {
     /// If the shapes do not hold.
     pub fn add_outer_products(&self, a: &Self, panel: usize, out: &mut [f32]) {
         assert_eq!(a.depth, self.depth, "`a` and B must have the same number of rows");
-        let m = PANEL.min(a.n_columns - panel * PANEL);
-        assert_eq!(out.len(), m * self.n_columns, "`out` must be [{m}, {}]", self.n_columns);
-        let a = &a.data[panel * a.depth..][..a.depth];
-        Arch::new().dispatch(ByPanel(Outer { panels: self, a, m, out }));
+        add_row_products(
+            &[RowPairs { left: a, right: self, first: 0, len: self.depth }],
+            panel,
+            out,
+        );
     }
+}
+
+/// Some rows of two matrices A and B, whose outer products are wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct RowPairs<'a> {
+    /// A.
+    pub left: &'a Panels,
+    /// B.
+    pub right: &'a Panels,
+    /// The first of the rows, in A as in B.
+    pub first: usize,
+    /// How many rows.
+    pub len: usize,
+}
+
+/// Adds to `out` the outer products of rows, wherever they lie, in their order, as far as they belong to one panel of A.
+///
+/// # Shapes
+///
+/// Each A: `[_, m]`; each B: `[_, n]`; `out`: `[columns of A's panel, n]`.
+///
+/// # Panics
+///
+/// If the shapes do not hold, or a matrix has no such rows.
+pub fn add_row_products(rows: &[RowPairs<'_>], panel: usize, out: &mut [f32]) {
+    let Some(RowPairs { left, right, .. }) = rows.first() else { return };
+    let (n, m) = (right.n_columns, PANEL.min(left.n_columns - panel * PANEL));
+    assert_eq!(out.len(), m * n, "`out` must be [{m}, {n}]");
+    let is_alike =
+        |pairs: &RowPairs<'_>| pairs.left.n_columns == left.n_columns && pairs.right.n_columns == n;
+    assert!(rows.iter().all(is_alike), "all rows must be of one length");
+    Arch::new().dispatch(ByPanel(Outer { rows, panel, m, n, out }));
+}
+
+/// Adds rows of the left matrices to `sums`, in their order: the columns from panel `first` on.
+///
+/// # Shapes
+///
+/// Each A: `[_, m]`; `sums`: at most the m - 16 `first` columns from there on, in whole panels but for the last.
+///
+/// # Panics
+///
+/// If the shapes do not hold, or a matrix has no such rows.
+pub fn add_left_rows(rows: &[RowPairs<'_>], first: usize, sums: &mut [f32]) {
+    let has_columns = |pairs: &RowPairs<'_>| first * PANEL + sums.len() <= pairs.left.n_columns;
+    assert!(rows.iter().all(has_columns), "`sums` must be columns of all rows");
+    Arch::new().dispatch(ByPanel(RowSums { rows, first, sums }));
 }
 
 /// Adds `Aᵀ·B` to `out`: the sum over rows of the outer products of A's and B's rows, in the order of the rows.
@@ -409,7 +511,8 @@ impl PanelKernel for Multiply<'_> {
             load::<S, V>(&start)
         });
         let (m, mut row) = (self.m, 0);
-        while P == 2 && row + PAIR_ROWS <= m {
+        // A rest of one or two rows has too few chains for the multipliers: six and a few are better.
+        while P == 2 && row + PAIR_ROWS <= m && !matches!(m - row, 9 | 10) {
             row += self.tile::<S, V, P, PAIR_ROWS>(simd, &start, first, row);
         }
         while V == 1 && P == 1 && row + WIDE_ROWS <= m {
@@ -480,7 +583,9 @@ impl Multiply<'_> {
 }
 
 struct RowSums<'a> {
-    panels: &'a Panels,
+    rows: &'a [RowPairs<'a>],
+    /// The first panel.
+    first: usize,
     sums: &'a mut [f32],
 }
 
@@ -491,18 +596,21 @@ impl PanelKernel for RowSums<'_> {
 
     #[inline(always)]
     fn panels<S: Simd, const V: usize, const P: usize>(&mut self, simd: S, first: usize) {
-        let depth = self.panels.depth;
         let mut sums = [[simd.splat_f32s(0.0); V]; P];
         for (sums, own) in sums.iter_mut().zip(self.sums.chunks(PANEL).skip(first)) {
             let mut start = [0.0; PANEL];
             start[..own.len()].copy_from_slice(own);
             *sums = load::<S, V>(&start);
         }
-        for k in 0..depth {
-            for (p, sums) in sums.iter_mut().enumerate() {
-                let row = load::<S, V>(&self.panels.data[(first + p) * depth + k]);
-                for (sum, x) in sums.iter_mut().zip(row) {
-                    *sum = simd.add_f32s(*sum, x);
+        for &RowPairs { left, first: row, len, .. } in self.rows {
+            let panels: [&[[f32; PANEL]]; P] =
+                std::array::from_fn(|p| &left.panel(self.first + first + p)[row..row + len]);
+            for k in 0..len {
+                for p in 0..P {
+                    let row = load::<S, V>(&panels[p][k]);
+                    for v in 0..V {
+                        sums[p][v] = simd.add_f32s(sums[p][v], row[v]);
+                    }
                 }
             }
         }
@@ -513,17 +621,19 @@ impl PanelKernel for RowSums<'_> {
 }
 
 struct Outer<'a> {
-    panels: &'a Panels,
-    /// One panel of A. `[depth]`
-    a: &'a [[f32; PANEL]],
+    rows: &'a [RowPairs<'a>],
+    /// The panel of A.
+    panel: usize,
     /// Columns of it that count.
     m: usize,
+    /// Columns of B.
+    n: usize,
     out: &'a mut [f32],
 }
 
 impl PanelKernel for Outer<'_> {
     fn n_panels(&self) -> usize {
-        self.panels.n_columns.div_ceil(PANEL)
+        self.n.div_ceil(PANEL)
     }
 
     #[inline(always)]
@@ -556,9 +666,7 @@ impl Outer<'_> {
         first: usize,
         row: usize,
     ) -> usize {
-        let (depth, n) = (self.panels.depth, self.panels.n_columns);
-        let panels: [&[[f32; PANEL]]; P] =
-            std::array::from_fn(|p| &self.panels.data[(first + p) * depth..][..depth]);
+        let n = self.n;
         let zero = simd.splat_f32s(0.0);
         let mut sums = [[[zero; V]; P]; R];
         for r in 0..R {
@@ -570,14 +678,19 @@ impl Outer<'_> {
                 sums[r][p] = load::<S, V>(&start);
             }
         }
-        for (k, a) in self.a.iter().enumerate() {
-            let a = &a[row..row + R];
-            let mut b = [[zero; V]; P];
-            for p in 0..P {
-                b[p] = load::<S, V>(&panels[p][k]);
-            }
-            for r in 0..R {
-                multiply_add(simd, a[r], &b, &mut sums[r]);
+        for &RowPairs { left, right, first: from, len } in self.rows {
+            let left = &left.panel(self.panel)[from..from + len];
+            let panels: [&[[f32; PANEL]]; P] =
+                std::array::from_fn(|p| &right.panel(first + p)[from..from + len]);
+            for (k, a) in left.iter().enumerate() {
+                let a = &a[row..row + R];
+                let mut b = [[zero; V]; P];
+                for p in 0..P {
+                    b[p] = load::<S, V>(&panels[p][k]);
+                }
+                for r in 0..R {
+                    multiply_add(simd, a[r], &b, &mut sums[r]);
+                }
             }
         }
         for r in 0..R {
@@ -676,9 +789,12 @@ mod tests {
         simd.vectorize(ByPanel(product));
         let slopes = Panels::from_rows(&draws(k * 11, 3), k, 11);
         let mut gradient = draws(11 * n, 4);
-        simd.vectorize(ByPanel(Outer { panels: &b, a: slopes.data(), m: 11, out: &mut gradient }));
+        let rows = [RowPairs { left: &slopes, right: &b, first: 0, len: k }];
+        let products = Outer { rows: &rows, panel: 0, m: 11, n, out: &mut gradient };
+        simd.vectorize(ByPanel(products));
         let mut sums = draws(n, 5);
-        simd.vectorize(ByPanel(RowSums { panels: &b, sums: &mut sums }));
+        let rows = [RowPairs { left: &b, right: &b, first: 0, len: k }];
+        simd.vectorize(ByPanel(RowSums { rows: &rows, first: 0, sums: &mut sums }));
         [out, gradient, sums]
     }
 
@@ -713,6 +829,9 @@ mod tests {
             by_panels.copy_row(i, &mut row);
             assert_eq!(row, expected);
         }
+        let mut to_rows = vec![0.0; m * n];
+        weights.multiply_to_rows(&left, &start, Activation::Tanh, &mut to_rows);
+        assert_eq!(to_rows, by_rows);
         let mut sums = vec![0.0; n];
         by_panels.add_rows(&mut sums);
         let expected = (0..n).map(|j| by_rows[j..].iter().step_by(n).fold(0.0, |sum, x| sum + x));
@@ -723,6 +842,46 @@ mod tests {
         }
         add_outer_products(&a, &by_rows, k, n, &mut expected);
         assert_eq!(products, expected);
+    }
+
+    #[test]
+    fn rows_may_lie_in_several_matrices() {
+        let (m, k, n) = (40, 23, 50);
+        let (a, b) = (draws(k * m, 1), draws(k * n, 2));
+        let (mut expected, mut sums) = (vec![0.0; m * n], vec![0.0; m]);
+        add_outer_products(&a, &b, m, n, &mut expected);
+        Panels::from_rows(&a, k, m).add_rows(&mut sums);
+        // The first seven rows, none, the next one behind a row that is not wanted, the rest.
+        let part = |rows: std::ops::Range<usize>| {
+            let cut =
+                |x: &[f32], n| Panels::from_rows(&x[rows.start * n..rows.end * n], rows.len(), n);
+            (cut(&a, m), cut(&b, n))
+        };
+        let (parts, wanted) =
+            ([part(0..7), part(6..8), part(8..k)], [(0, 7), (0, 0), (1, 1), (0, 15)]);
+        let rows: Vec<_> = [0, 0, 1, 2]
+            .iter()
+            .zip(wanted)
+            .map(|(&i, (first, len))| {
+                let (left, right): &(Panels, Panels) = &parts[i];
+                RowPairs { left, right, first, len }
+            })
+            .collect();
+        let (mut products, mut found) = (vec![0.0; m * n], vec![0.0; m]);
+        for (panel, out) in products.chunks_mut(PANEL * n).enumerate() {
+            add_row_products(&rows, panel, out);
+        }
+        let (first, rest) = found.split_at_mut(PANEL);
+        add_left_rows(&rows, 0, first);
+        add_left_rows(&rows, 1, rest);
+        assert_eq!((products, found), (expected, sums));
+        let single =
+            rows.iter().flat_map(|pairs| (0..pairs.len).map(|k| (pairs.left, pairs.first + k)));
+        let single: Vec<_> = single.collect();
+        let mut gathered = Panels::from_rows(&draws(90, 3), 9, 10);
+        gathered.gather(single.into_iter(), 1, m - PANEL);
+        let expected: Vec<f32> = a.chunks_exact(m).flat_map(|row| &row[PANEL..]).copied().collect();
+        assert_eq!(gathered.data, Panels::from_rows(&expected, k, m - PANEL).data);
     }
 
     #[test]

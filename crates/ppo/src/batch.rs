@@ -84,15 +84,6 @@ impl UpdateBatch {
         self.samples.values.extend_from_slice(&current.values);
     }
 
-    /// Copies the inputs of the samples at `indices`. `[M, D]`
-    pub(crate) fn gather(&self, indices: &[usize], obs_dim: usize) -> Vec<f32> {
-        let mut rows = Vec::with_capacity(indices.len() * obs_dim);
-        for &i in indices {
-            rows.extend_from_slice(&self.features[i * obs_dim..(i + 1) * obs_dim]);
-        }
-        rows
-    }
-
     /// Copies what the sequences start from that `indices` (whole rollouts) consist of.
     pub(crate) fn gather_sequences(&self, indices: &[usize]) -> Sequences {
         let Sequences { n_steps, states, resets } = &self.sequences;

@@ -10,12 +10,40 @@ use candle_core::{Result, Var};
 use leadtime_numerics::Panels;
 use leadtime_numerics::kernel::{Activation, add_outer_products};
 use leadtime_policy::architecture::Layer;
-use pulp::Arch;
 
 use crate::storage::with_floats;
 
 /// Gradients by tensor name.
 pub(crate) type Gradients = BTreeMap<String, Vec<f32>>;
+
+/// The gradient of one layer.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LayerGradient {
+    /// Gradient of the weights. `[n_out, n_in]`
+    pub(crate) weights: Vec<f32>,
+    /// Gradient of the biases. `[n_out]`
+    pub(crate) biases: Vec<f32>,
+}
+
+impl LayerGradient {
+    pub(crate) fn clear(&mut self, layer: &Layer) {
+        let n_biases = if layer.biased { layer.n_out } else { 0 };
+        for (sums, n) in
+            [(&mut self.weights, layer.n_out * layer.n_in), (&mut self.biases, n_biases)]
+        {
+            sums.clear();
+            sums.resize(n, 0.0);
+        }
+    }
+
+    pub(crate) fn add(&mut self, other: &Self) {
+        let add = |sums: &mut [f32], values: &[f32]| {
+            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+        };
+        add(&mut self.weights, &other.weights);
+        add(&mut self.biases, &other.biases);
+    }
+}
 
 /// Gives a buffer a length and keeps its memory; what is in it does not count.
 pub(crate) fn resize(buffer: &mut Vec<f32>, len: usize) -> &mut [f32] {
@@ -99,79 +127,5 @@ impl PackedLayer {
     /// Computes the outputs `[N, n_out]` of x `[N, n_in]`.
     pub(crate) fn forward(&self, x: &[f32], y: &mut Vec<f32>) {
         self.matrix.multiply(x, &self.bias, self.layer.activation, y);
-    }
-
-    /// Computes gradients from inputs, outputs and the slopes in the outputs, which become those before the activation.
-    pub(crate) fn backward(
-        &self,
-        x: &[f32],
-        y: &[f32],
-        slopes: &mut [f32],
-        gradients: &mut Gradients,
-    ) {
-        self.layer.activation.backward(y, slopes);
-        gradients.insert(self.layer.weight(), self.matrix.d_weight(x, slopes));
-        gradients.insert(self.layer.bias(), row_sums(slopes, self.layer.n_out));
-    }
-
-    /// Computes the slopes in x from those before the activation.
-    pub(crate) fn d_input(&self, slopes: &[f32], d_x: &mut Vec<f32>) {
-        self.matrix.d_input(slopes, d_x);
-    }
-}
-
-/// Sums the rows of `[N, n]`, in their order.
-pub(crate) fn row_sums(rows: &[f32], n: usize) -> Vec<f32> {
-    let mut sums = vec![0.0; n];
-    Arch::new().dispatch(
-        #[inline(always)]
-        || {
-            for row in rows.chunks_exact(n) {
-                sums.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
-            }
-        },
-    );
-    sums
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::test_support::{Plain, close, draw};
-
-    #[test]
-    fn a_layer_has_the_engines_own_values_and_gradients() {
-        let shapes = [(1, 60, 64), (130, 64, 14), (77, 5, 1)];
-        let activations = [Activation::Linear, Activation::Tanh, Activation::Relu];
-        for ((n, n_in, n_out), activation) in
-            shapes.into_iter().flat_map(|shape| activations.map(|activation| (shape, activation)))
-        {
-            let (x, weight) = (draw((n, n_in), 1), draw((n_out, n_in), 2));
-            let bias = draw(n_out, 3);
-            let sum = x.matmul(&weight.t().unwrap()).unwrap().broadcast_add(&bias).unwrap();
-            let y = match activation {
-                Activation::Linear => sum,
-                Activation::Tanh => sum.tanh().unwrap(),
-                Activation::Relu => sum.relu().unwrap(),
-            };
-            let plain = Plain::of(&y, &[&x, &weight, &bias]);
-            let (name, gain, biased) = ("layer".to_owned(), 1.0, true);
-            let mut layer = PackedLayer::new(Layer { name, n_in, n_out, gain, activation, biased });
-            let vars = [("layer.weight", weight), ("layer.bias", bias)];
-            layer
-                .pack(&vars.into_iter().map(|(name, var)| (name.to_owned(), var)).collect())
-                .unwrap();
-            let x: Vec<f32> = x.flatten_all().unwrap().to_vec1().unwrap();
-            let (mut y, mut d_x) = (Vec::new(), Vec::new());
-            let mut gradients = Gradients::new();
-            layer.forward(&x, &mut y);
-            let mut slopes = plain.target.clone();
-            layer.backward(&x, &y, &mut slopes, &mut gradients);
-            layer.d_input(&slopes, &mut d_x);
-            close(&y, &plain.values, 1e-5);
-            close(&d_x, &plain.gradients[0], 5e-5);
-            close(&gradients["layer.weight"], &plain.gradients[1], 5e-5);
-            close(&gradients["layer.bias"], &plain.gradients[2], 5e-5);
-        }
     }
 }

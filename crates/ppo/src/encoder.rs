@@ -14,6 +14,25 @@ use lstm::LstmPass;
 pub(crate) use lstm::Sequences;
 
 use crate::dense::Gradients;
+use crate::team::Team;
+
+/// The samples that are to be encoded.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EncoderInput<'a> {
+    /// Of all samples of an update, normalised. `[N, D]`
+    pub(crate) observations: &'a [f32],
+    /// Which of them, in their order. `[M]`
+    pub(crate) samples: &'a [usize],
+    /// D.
+    pub(crate) obs_dim: usize,
+}
+
+impl<'a> EncoderInput<'a> {
+    /// Returns the observation of one sample.
+    fn row(&self, sample: usize) -> &'a [f32] {
+        &self.observations[sample * self.obs_dim..][..self.obs_dim]
+    }
+}
 
 /// An encoder that learns, and the memory of its pass.
 #[derive(Debug)]
@@ -32,7 +51,7 @@ impl EncoderPass {
                 Some(Self::Lstm(Box::new(LstmPass::new(layers))))
             }
             Encoder::EgoAttention(attention) => {
-                Some(Self::Attention(Box::new(AttentionPass::new(attention, spec.obs_dim))))
+                Some(Self::Attention(Box::new(AttentionPass::new(attention))))
             }
         }
     }
@@ -45,21 +64,26 @@ impl EncoderPass {
         }
     }
 
-    /// Encodes observations `[M, D]`, already normalised, to features `[M, F]`.
+    /// Encodes samples to features `[M, F]`.
     ///
     /// A recurrent encoder takes the samples as whole sequences, one behind the other.
-    pub(crate) fn forward(&mut self, observations: Vec<f32>, sequences: Sequences) -> &[f32] {
+    pub(crate) fn forward(
+        &mut self,
+        input: EncoderInput<'_>,
+        sequences: Sequences,
+        team: &Team,
+    ) -> &[f32] {
         match self {
-            Self::Lstm(pass) => pass.forward(observations, sequences),
-            Self::Attention(pass) => pass.forward(&observations),
+            Self::Lstm(pass) => pass.forward(input, sequences, team),
+            Self::Attention(pass) => pass.forward(input, team),
         }
     }
 
     /// Computes the gradients of the last forward pass from the slopes in its features, `[M, F]`.
-    pub(crate) fn backward(&mut self, d_features: &[f32]) -> Gradients {
+    pub(crate) fn backward(&mut self, d_features: &[f32], gradients: &mut Gradients, team: &Team) {
         match self {
-            Self::Lstm(pass) => pass.backward(d_features),
-            Self::Attention(pass) => pass.backward(d_features),
+            Self::Lstm(pass) => pass.backward(d_features, gradients, team),
+            Self::Attention(pass) => pass.backward(d_features, gradients, team),
         }
     }
 }

@@ -26,8 +26,13 @@ fn policy(attention: EgoAttention, rest: usize) -> PolicySpec {
 
 /// What actor and critic see.
 fn encode(spec: &PolicySpec, parameters: &Parameters, observations: &[f32]) -> Vec<f32> {
-    let mut encoder = packed(spec, parameters);
-    encoder.forward(observations.to_vec(), Sequences::default()).to_vec()
+    forward(&mut packed(spec, parameters), spec, observations).to_vec()
+}
+
+fn forward<'a>(encoder: &'a mut EncoderPass, spec: &PolicySpec, observations: &[f32]) -> &'a [f32] {
+    let samples: Vec<usize> = (0..observations.len() / spec.obs_dim).collect();
+    let input = EncoderInput { observations, samples: &samples, obs_dim: spec.obs_dim };
+    encoder.forward(input, Sequences::default(), &Team::default())
 }
 
 fn packed(spec: &PolicySpec, parameters: &Parameters) -> EncoderPass {
@@ -84,10 +89,11 @@ fn gradients_go_through_every_frame_and_are_those_of_small_steps() {
             features.filter(|(i, _)| of_frame(*i)).map(|(_, x)| f64::from(x) * f64::from(x)).sum()
         };
         let mut encoder = packed(&spec, &parameters);
-        let features = encoder.forward(raw.clone(), Sequences::default()).iter().enumerate();
+        let features = forward(&mut encoder, &spec, &raw).iter().enumerate();
         let slopes: Vec<f32> =
             features.map(|(i, x)| if of_frame(i) { 2.0 * x } else { 0.0 }).collect();
-        let gradients = encoder.backward(&slopes);
+        let mut gradients = Gradients::new();
+        encoder.backward(&slopes, &mut gradients, &Team::default());
         for (name, gradient) in &gradients {
             let steepest = (0..gradient.len())
                 .max_by(|&a, &b| gradient[a].abs().total_cmp(&gradient[b].abs()))

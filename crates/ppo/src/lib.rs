@@ -4,7 +4,7 @@
 //! settings   every setting of PPO            trainer   the update                      state    what a checkpoint holds
 //! gae, vtrace   advantages and targets       stacks    actor and critic, both ways     adam     clip and optimiser
 //! rewards    scale and normalisation         loss      PPO's loss, row by row          team     threads
-//! minibatch  shuffled samples                encoder   LSTM and attention, both ways; dense, network
+//! minibatch  shuffled samples                encoder   LSTM and attention, both ways; dense, outer, network
 //! checkpoints   what is saved of a run, and how often, as settings
 //! ```
 //!
@@ -30,6 +30,7 @@ mod gae;
 mod loss;
 mod minibatch;
 mod network;
+mod outer;
 #[cfg(test)]
 #[path = "../benches/random_rollouts/mod.rs"]
 mod random_rollouts;

@@ -16,10 +16,10 @@ use std::collections::BTreeMap;
 use candle_core::{Result, Var};
 use leadtime_numerics::Panels;
 use leadtime_numerics::kernel::{Activation, PANEL};
-use leadtime_policy::architecture::{Branch, Layer, layers};
+use leadtime_policy::architecture::{Branch, layers};
 use leadtime_proto::{Encoder, PolicySpec};
 
-use crate::dense::{Gradients, PackedLayer};
+use crate::dense::{Gradients, LayerGradient, PackedLayer};
 use crate::loss::{LossReport, PolicyTerms, PpoLoss};
 use crate::team::Team;
 
@@ -37,34 +37,6 @@ struct Stack {
     gradients: Vec<LayerGradient>,
     /// Whether a block of the minibatch is in them.
     has_gradients: bool,
-}
-
-/// The gradient of one layer.
-#[derive(Clone, Debug, Default)]
-struct LayerGradient {
-    /// Gradient of the weights. `[n_out, n_in]`
-    weights: Vec<f32>,
-    /// Gradient of the biases. `[n_out]`
-    biases: Vec<f32>,
-}
-
-impl LayerGradient {
-    fn clear(&mut self, layer: &Layer) {
-        for (sums, n) in
-            [(&mut self.weights, layer.n_out * layer.n_in), (&mut self.biases, layer.n_out)]
-        {
-            sums.clear();
-            sums.resize(n, 0.0);
-        }
-    }
-
-    fn add(&mut self, other: &Self) {
-        let add = |sums: &mut [f32], values: &[f32]| {
-            sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
-        };
-        add(&mut self.weights, &other.weights);
-        add(&mut self.biases, &other.biases);
-    }
 }
 
 impl Stack {

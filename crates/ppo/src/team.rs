@@ -26,6 +26,11 @@ impl Team {
         Ok(Self { helpers: Some(pool.map_err(|error| TrainError::Threads(error.to_string()))?) })
     }
 
+    /// Returns the number of threads.
+    pub(crate) fn n_threads(&self) -> usize {
+        1 + self.helpers.as_ref().map_or(0, ThreadPool::current_num_threads)
+    }
+
     /// Does every task, each by one thread; they are begun in their order.
     pub(crate) fn for_each<T: Send>(
         &self,
@@ -45,7 +50,7 @@ impl Team {
             }
         };
         helpers.in_place_scope(|scope| {
-            for _ in 1..n_tasks.min(1 + helpers.current_num_threads()) {
+            for _ in 1..n_tasks.min(self.n_threads()) {
                 scope.spawn(|_scope| take_part());
             }
             take_part();

@@ -28,7 +28,7 @@ use crate::TrainError;
 use crate::adam::{Adam, clip_factor, global_norm};
 use crate::batch::UpdateBatch;
 use crate::dense::Gradients;
-use crate::encoder::{EncoderPass, Sequences};
+use crate::encoder::{EncoderInput, EncoderPass, Sequences};
 use crate::loss::{AdvantageScale, LossReport, LossSettings, PpoLoss};
 use crate::minibatch::Minibatches;
 use crate::network::ActorCritic;
@@ -88,6 +88,8 @@ pub struct Trainer {
     encoder: Option<EncoderPass>,
     stacks: Stacks,
     team: Team,
+    /// Those of the last minibatch, whose memory the next one takes.
+    gradients: Gradients,
     pub(crate) adam: Adam,
     pub(crate) observations: Option<ObservationNormalizer>,
     pub(crate) rewards: ReturnNormalizer,
@@ -131,6 +133,7 @@ impl Trainer {
             encoder: EncoderPass::new(policy),
             stacks: Stacks::new(policy),
             team: Team::new(settings.threads)?,
+            gradients: Gradients::new(),
             adam: Adam::new(&network.vars),
             network,
             observations: parameters.normalizer().cloned(),
@@ -315,20 +318,19 @@ impl Trainer {
             encoder.pack(&self.network.vars)?;
         }
         let mut report = LossReport::default();
-        let mut gradients = Gradients::new();
         // An encoder takes a block at a time; a recurrent one keeps its sequences together.
         let is_recurrent = self.is_recurrent();
         let by_block = self.encoder.is_some() && !is_recurrent;
         let at_once = if by_block { BLOCK } else { indices.len() };
         for rows in indices.chunks(at_once) {
             if let Some(encoder) = &mut self.encoder {
-                let observations = batch.gather(rows, self.policy_spec.obs_dim);
+                let obs_dim = self.policy_spec.obs_dim;
+                let input = EncoderInput { observations: &batch.features, samples: rows, obs_dim };
                 let sequences =
                     if is_recurrent { batch.gather_sequences(rows) } else { Sequences::default() };
-                let features = encoder.forward(observations, sequences);
-                let features = Features::OfRows(features);
+                let features = Features::OfRows(encoder.forward(input, sequences, &self.team));
                 report.add(&self.stacks.run(&loss, features, rows, &self.team));
-                add_gradients(&mut gradients, encoder.backward(self.stacks.d_features()));
+                encoder.backward(self.stacks.d_features(), &mut self.gradients, &self.team);
             } else {
                 let features = Features::OfSamples(&batch.features);
                 report.add(&self.stacks.run(&loss, features, rows, &self.team));
@@ -339,11 +341,11 @@ impl Trainer {
                 clipped.count(staleness.zip(terms.map(|terms| terms.is_clipped)));
             }
         }
-        gradients.extend(self.stacks.gradients());
-        let norm = global_norm(&gradients);
+        self.gradients.extend(self.stacks.gradients());
+        let norm = global_norm(&self.gradients);
         if norm.is_finite() {
             let scale = clip_factor(norm, self.settings.max_grad_norm);
-            self.adam.step(&self.network.vars, &gradients, learning_rate, scale)?;
+            self.adam.step(&self.network.vars, &self.gradients, learning_rate, scale)?;
         }
         Ok((report, norm))
     }
@@ -407,16 +409,6 @@ fn check_weights(network: &ActorCritic) -> Result<(), TrainError> {
         }
     }
     Ok(())
-}
-
-/// Adds one block's gradients to those of the blocks before it.
-fn add_gradients(sums: &mut Gradients, block: Gradients) {
-    for (name, gradient) in block {
-        match sums.get_mut(&name) {
-            Some(sum) => sum.iter_mut().zip(&gradient).for_each(|(sum, x)| *sum += x),
-            None => drop(sums.insert(name, gradient)),
-        }
-    }
 }
 
 /// Running mean of loss reports.

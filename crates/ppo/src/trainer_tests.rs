@@ -343,15 +343,21 @@ fn digest(spec: &PolicySpec, shape: (usize, usize), n_threads: usize) -> u64 {
 
 #[test]
 fn an_update_has_the_same_bits_on_any_number_of_threads() {
-    // Blocks of 512 and a rest, a single block, sequences; the digests are those of an update on one thread before there
-    // were several.
+    // Blocks of 512 and a rest, a single block, sequences in one group and in several, units that fill no vector; the
+    // digests are those of an update on one thread before there were several.
     let (plain, attentive, recurrent) =
         (random_rollouts::plain(), random_rollouts::attentive(), random_rollouts::recurrent());
+    let encoder = Encoder::Lstm { projection: 0, state: 21 };
+    let narrow = PolicySpec { encoder, hidden: vec![24], ..recurrent.clone() };
     for (spec, shape, expected) in [
         (&plain, (4, 600), 0x0e7b_5aa2_b39a_4044),
         (&plain, (2, 128), 0x77de_34a4_9159_f8da),
         (&attentive, (4, 300), 0x31eb_efa5_4e81_4030),
+        (&attentive, (1, 30), 0x6c41_beb9_87c2_4165),
         (&recurrent, (12, 50), 0xed67_a92e_d1c2_698c),
+        (&recurrent, (75, 9), 0x7b4c_525d_728f_edcf),
+        (&recurrent, (2, 9), 0x89fa_179a_e6f1_3576),
+        (&narrow, (19, 30), 0xc196_e352_fe6a_3889),
     ] {
         for n_threads in [1, 2, 4] {
             let found = digest(spec, shape, n_threads);

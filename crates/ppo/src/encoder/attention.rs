@@ -1,10 +1,14 @@
 //! Ego attention, forward and backward: what [`leadtime_policy::attention::AttentionEncoder`] computes, with the maps of
 //! queries, keys, values and output multiplied out as [`leadtime_policy::attention`] says.
+//!
+//! Samples do not depend on each other: threads share them out in parts. Gradients are sums over all of them, in an order
+//! that no part changes.
 
 use std::collections::BTreeMap;
 
 use candle_core::{Result, Var};
-use leadtime_numerics::kernel::Activation;
+use leadtime_numerics::Panels;
+use leadtime_numerics::kernel::{Activation, RowPairs};
 use leadtime_policy::architecture::{AttentionLayers, Layer};
 use leadtime_policy::attention::{Attention, PresentEntities};
 use leadtime_proto::EgoAttention;
@@ -14,42 +18,13 @@ mod shares;
 use shares::{AttentionSlopes, EgoShares};
 
 use crate::dense::{Gradients, PackedLayer, PackedMatrix, resize};
+use crate::encoder::EncoderInput;
+use crate::outer::{LayerSum, add_up};
 use crate::storage::with_floats;
+use crate::team::Team;
 
-/// Two layers that embed entities, and what they leave behind.
-#[derive(Debug)]
-struct EntityEmbedding {
-    layers: [PackedLayer; 2],
-    /// The outputs of the two layers. `[n, W]`
-    first: Vec<f32>,
-    second: Vec<f32>,
-    d_first: Vec<f32>,
-}
-
-impl EntityEmbedding {
-    fn new(layers: [Layer; 2]) -> Self {
-        let layers = layers.map(PackedLayer::new);
-        Self { layers, first: Vec::new(), second: Vec::new(), d_first: Vec::new() }
-    }
-
-    fn pack(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
-        self.layers.iter_mut().try_for_each(|layer| layer.pack(vars))
-    }
-
-    /// Embeds entities `[n, F]`.
-    fn forward(&mut self, entities: &[f32]) {
-        self.layers[0].forward(entities, &mut self.first);
-        self.layers[1].forward(&self.first, &mut self.second);
-    }
-
-    /// Computes gradients from the entities and the slopes in their embeddings.
-    fn backward(&mut self, entities: &[f32], slopes: &mut [f32], gradients: &mut Gradients) {
-        let Self { layers: [first, second], .. } = self;
-        second.backward(&self.first, &self.second, slopes, gradients);
-        second.d_input(slopes, &mut self.d_first);
-        first.backward(entities, &self.first, &mut self.d_first, gradients);
-    }
-}
+/// Samples that one thread takes at a time: many enough for the products' tiles, few enough for the second-level cache.
+const PART: usize = 32;
 
 /// The product of two maps, head by head.
 #[derive(Debug, Default)]
@@ -64,6 +39,19 @@ struct FoldedMap {
 /// The encoder, and the memory of its pass.
 #[derive(Debug)]
 pub(crate) struct AttentionPass {
+    weights: AttentionWeights,
+    /// Those in use first.
+    parts: Vec<SamplesPart>,
+    n_parts: usize,
+    features: Vec<f32>,
+    /// The gradients of the last block, with those of the two products.
+    block: Gradients,
+    /// Whether a block of the minibatch is in its gradients.
+    has_gradients: bool,
+}
+
+#[derive(Debug)]
+struct AttentionWeights {
     spec: EgoAttention,
     attention: Attention,
     names: [Layer; 4],
@@ -71,52 +59,125 @@ pub(crate) struct AttentionPass {
     query: FoldedMap,
     /// C V, `[W, H W]`, heads side by side.
     output: FoldedMap,
-    egos: EntityEmbedding,
-    others: EntityEmbedding,
-    n_rows: usize,
-    obs_dim: usize,
+    /// The layers that embed entities.
+    egos: [PackedLayer; 2],
+    others: [PackedLayer; 2],
+    /// The two products as layers.
+    products: [Layer; 2],
+}
+
+/// What two layers that embed entities leave behind.
+#[derive(Debug, Default)]
+struct EmbeddingMemory {
+    /// The outputs of the two layers. `[n, W]`
+    first: Vec<f32>,
+    second: Vec<f32>,
+    d_first: Vec<f32>,
+}
+
+/// A layer's slopes and inputs, whose outer products are its gradient.
+#[derive(Debug, Default)]
+struct LayerRows {
+    slopes: Panels,
+    inputs: Panels,
+}
+
+/// Some samples, and the memory of their pass.
+#[derive(Debug, Default)]
+struct SamplesPart {
+    n_samples: usize,
     present: PresentEntities,
     frames: Vec<f32>,
+    egos: EmbeddingMemory,
+    others: EmbeddingMemory,
     queries: Vec<f32>,
     taken: Vec<f32>,
     combined: Vec<f32>,
-    features: Vec<f32>,
     d_combined: Vec<f32>,
     d_taken: Vec<f32>,
     slopes: AttentionSlopes,
     d_by_query: Vec<f32>,
+    /// Of the two products, of the layers of egos and of others.
+    rows: [LayerRows; 6],
 }
 
 impl AttentionPass {
-    pub(super) fn new(spec: &EgoAttention, obs_dim: usize) -> Self {
+    pub(super) fn new(spec: &EgoAttention) -> Self {
         let AttentionLayers { ego, others, key, value, query, combine } =
             AttentionLayers::new(spec);
-        Self {
+        let wide = spec.n_heads * spec.width;
+        let product = |like: &Layer, n_in, n_out| Layer { n_in, n_out, ..like.clone() };
+        let products = [product(&query, spec.width, wide), product(&combine, wide, spec.width)];
+        let weights = AttentionWeights {
             spec: *spec,
             attention: Attention { width: spec.width, n_heads: spec.n_heads },
             names: [key, query, value, combine],
             query: FoldedMap::default(),
             output: FoldedMap::default(),
-            egos: EntityEmbedding::new(ego),
-            others: EntityEmbedding::new(others),
-            n_rows: 0,
-            obs_dim,
-            present: PresentEntities::default(),
-            frames: Vec::new(),
-            queries: Vec::new(),
-            taken: Vec::new(),
-            combined: Vec::new(),
-            features: Vec::new(),
-            d_combined: Vec::new(),
-            d_taken: Vec::new(),
-            slopes: AttentionSlopes::default(),
-            d_by_query: Vec::new(),
-        }
+            egos: ego.map(PackedLayer::new),
+            others: others.map(PackedLayer::new),
+            products,
+        };
+        let (features, block) = (Vec::new(), Gradients::new());
+        Self { weights, parts: Vec::new(), n_parts: 0, features, block, has_gradients: false }
     }
 
     pub(super) fn pack(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
-        self.egos.pack(vars)?;
-        self.others.pack(vars)?;
+        self.has_gradients = false;
+        self.weights.pack(vars)
+    }
+
+    /// Encodes samples; returns features `[M, feature_dim]`.
+    pub(super) fn forward(&mut self, input: EncoderInput<'_>, team: &Team) -> &[f32] {
+        let weights = &self.weights;
+        let feature_dim = weights.spec.feature_dim(input.obs_dim);
+        self.n_parts = input.samples.len().div_ceil(PART);
+        let n_memories = self.parts.len().max(self.n_parts);
+        self.parts.resize_with(n_memories, SamplesPart::default);
+        let features = resize(&mut self.features, input.samples.len() * feature_dim);
+        let samples = input.samples.chunks(PART).zip(features.chunks_mut(PART * feature_dim));
+        let tasks: Vec<_> = samples.zip(&mut self.parts).collect();
+        team.for_each(tasks.into_iter(), |((samples, features), part)| {
+            part.forward(weights, EncoderInput { samples, ..input }, features);
+        });
+        &self.features
+    }
+
+    /// Computes the gradients of the last forward pass from the slopes in its features, and adds them up by minibatch.
+    pub(super) fn backward(&mut self, d_features: &[f32], sums: &mut Gradients, team: &Team) {
+        let (weights, parts) = (&self.weights, &mut self.parts[..self.n_parts]);
+        let n_samples: usize = parts.iter().map(|part| part.n_samples).sum();
+        let feature_dim = d_features.len() / n_samples;
+        let tasks: Vec<_> = parts.iter_mut().zip(d_features.chunks(PART * feature_dim)).collect();
+        team.for_each(tasks.into_iter(), |(part, slopes)| part.backward(weights, slopes));
+        let block = &mut self.block;
+        let [query, output] = &weights.products;
+        let embeddings = weights.egos.iter().chain(&weights.others).map(|packed| &packed.layer);
+        let layers = [query, output].into_iter().chain(embeddings).enumerate();
+        let mut found: Vec<_> = layers
+            .map(|(i, layer)| {
+                let rows = parts.iter().map(|part| part.rows[i].pairs()).collect();
+                LayerSum::new(layer, rows, block)
+            })
+            .collect();
+        add_up(&mut found, team);
+        found.into_iter().for_each(|sum| sum.put_into(block));
+        let of_product = |layer: &Layer| block.remove(&layer.weight()).unwrap_or_default();
+        let [d_query, d_output] = [query, output].map(of_product);
+        weights.unfold(&d_query, &d_output, block);
+        for (name, gradient) in block {
+            match sums.get_mut(name).filter(|_| self.has_gradients) {
+                Some(sum) => sum.iter_mut().zip(gradient).for_each(|(sum, x)| *sum += *x),
+                None => drop(sums.insert(name.clone(), gradient.clone())),
+            }
+        }
+        self.has_gradients = true;
+    }
+}
+
+impl AttentionWeights {
+    fn pack(&mut self, vars: &BTreeMap<String, Var>) -> Result<()> {
+        self.egos.iter_mut().chain(&mut self.others).try_for_each(|layer| layer.pack(vars))?;
         let Attention { width, n_heads } = self.attention;
         let d = self.attention.head_width();
         let mut maps = Vec::with_capacity(4);
@@ -138,64 +199,6 @@ impl AttentionPass {
         }
         self.output.product.pack(&takes, width, n_heads * width);
         Ok(())
-    }
-
-    /// Encodes observations `[M, D]`; returns features `[M, feature_dim]`.
-    pub(super) fn forward(&mut self, observations: &[f32]) -> &[f32] {
-        let EgoAttention { n_frames, n_entities, n_features, width, .. } = self.spec;
-        let (frame_dim, obs_dim) = (self.spec.frame_dim(), self.obs_dim);
-        self.n_rows = observations.len() / obs_dim;
-        self.frames.clear();
-        for observation in observations.chunks_exact(obs_dim) {
-            self.frames.extend_from_slice(&observation[..n_frames * frame_dim]);
-        }
-        self.present.list(&self.frames, &self.spec);
-        self.egos.forward(&self.present.egos);
-        self.others.forward(&self.present.others);
-        let egos = &self.egos.second;
-        self.query.product.multiply(egos, &[], Activation::Linear, &mut self.queries);
-        let shares = EgoShares { attention: self.attention, presence: &self.present.frames };
-        shares.forward(&self.queries, egos, &self.others.second, &mut self.taken);
-        self.output.product.multiply(&self.taken, &[], Activation::Linear, &mut self.combined);
-        self.features.clear();
-        let encoded = self.combined.chunks_exact(width).zip(egos.chunks_exact(width));
-        let mut frames = encoded.zip(self.frames.chunks_exact(frame_dim));
-        for observation in observations.chunks_exact(obs_dim) {
-            for ((combined, ego), frame) in frames.by_ref().take(n_frames) {
-                self.features.extend(combined.iter().zip(ego).map(|(c, e)| (c + e) * 0.5));
-                self.features.extend_from_slice(&frame[n_entities * n_features..]);
-            }
-            self.features.extend_from_slice(&observation[n_frames * frame_dim..]);
-        }
-        &self.features
-    }
-
-    /// Computes the gradients of the last forward pass from the slopes in its features.
-    pub(super) fn backward(&mut self, d_features: &[f32]) -> Gradients {
-        let EgoAttention { n_frames, action_dim, width, .. } = self.spec;
-        let mut gradients = Gradients::new();
-        self.d_combined.clear();
-        for row in d_features.chunks_exact(d_features.len() / self.n_rows) {
-            for frame in row.chunks_exact(width + action_dim).take(n_frames) {
-                self.d_combined.extend(frame[..width].iter().map(|d| d * 0.5));
-            }
-        }
-        let egos = &self.egos.second;
-        let d_output = self.output.product.d_weight(&self.taken, &self.d_combined);
-        self.output.product.d_input(&self.d_combined, &mut self.d_taken);
-        let shares = EgoShares { attention: self.attention, presence: &self.present.frames };
-        let slopes = &mut self.slopes;
-        shares.backward(&self.queries, egos, &self.others.second, &self.d_taken, slopes);
-        let d_query = self.query.product.d_weight(egos, &slopes.queries);
-        self.query.product.d_input(&slopes.queries, &mut self.d_by_query);
-        // An ego's embedding is part of the encoding, is attended to, and asks: added up in this order.
-        let d_egos = resize(&mut self.d_combined, egos.len());
-        let ways = slopes.egos.iter().zip(&self.d_by_query);
-        d_egos.iter_mut().zip(ways).for_each(|(d, (taken, asked))| *d = *d + taken + asked);
-        self.egos.backward(&self.present.egos, d_egos, &mut gradients);
-        self.others.backward(&self.present.others, &mut slopes.others, &mut gradients);
-        self.unfold(&d_query, &d_output, &mut gradients);
-        gradients
     }
 
     /// Computes the gradients of the four maps from those of their products.
@@ -225,6 +228,115 @@ impl AttentionPass {
         }
         let found = [d_key, d_asks, d_value, d_combine];
         gradients.extend(self.names.iter().map(Layer::weight).zip(found));
+    }
+}
+
+impl LayerRows {
+    fn take(&mut self, slopes: &[f32], inputs: &[f32], n: usize, layer: [usize; 2]) {
+        let [n_out, n_in] = layer;
+        self.slopes.pack_rows(slopes, n, n_out);
+        self.inputs.pack_rows(inputs, n, n_in);
+    }
+
+    fn pairs(&self) -> RowPairs<'_> {
+        let Self { slopes, inputs } = self;
+        RowPairs { left: slopes, right: inputs, first: 0, len: slopes.depth() }
+    }
+}
+
+impl EmbeddingMemory {
+    /// Embeds entities `[n, F]`.
+    fn forward(&mut self, layers: &[PackedLayer; 2], entities: &[f32]) {
+        layers[0].forward(entities, &mut self.first);
+        layers[1].forward(&self.first, &mut self.second);
+    }
+
+    /// Goes back from the slopes in the embeddings, and takes over what both layers' gradients are made of.
+    fn backward(
+        &mut self,
+        layers: &[PackedLayer; 2],
+        entities: &[f32],
+        slopes: &mut [f32],
+        rows: &mut [LayerRows],
+    ) {
+        let Self { first, second, d_first } = self;
+        let [below, above] = layers;
+        let n = slopes.len() / above.layer.n_out;
+        above.layer.activation.backward(second, slopes);
+        above.matrix.d_input(slopes, d_first);
+        below.layer.activation.backward(first, d_first);
+        rows[0].take(d_first, entities, n, [below.layer.n_out, below.layer.n_in]);
+        rows[1].take(slopes, first, n, [above.layer.n_out, above.layer.n_in]);
+    }
+}
+
+impl SamplesPart {
+    /// Encodes the samples to features `[M, feature_dim]`.
+    fn forward(
+        &mut self,
+        weights: &AttentionWeights,
+        input: EncoderInput<'_>,
+        features: &mut [f32],
+    ) {
+        let EgoAttention { n_frames, n_entities, n_features, width, action_dim, .. } = weights.spec;
+        let frame_dim = weights.spec.frame_dim();
+        self.n_samples = input.samples.len();
+        self.frames.clear();
+        for &sample in input.samples {
+            self.frames.extend_from_slice(&input.row(sample)[..n_frames * frame_dim]);
+        }
+        self.present.list(&self.frames, &weights.spec);
+        self.egos.forward(&weights.egos, &self.present.egos);
+        self.others.forward(&weights.others, &self.present.others);
+        let egos = &self.egos.second;
+        weights.query.product.multiply(egos, &[], Activation::Linear, &mut self.queries);
+        let shares = EgoShares { attention: weights.attention, presence: &self.present.frames };
+        shares.forward(&self.queries, egos, &self.others.second, &mut self.taken);
+        let (output, combined) = (&weights.output.product, &mut self.combined);
+        output.multiply(&self.taken, &[], Activation::Linear, combined);
+        let encoded = self.combined.chunks_exact(width).zip(egos.chunks_exact(width));
+        let mut frames = encoded.zip(self.frames.chunks_exact(frame_dim));
+        let feature_dim = features.len() / self.n_samples;
+        for (&sample, features) in input.samples.iter().zip(features.chunks_exact_mut(feature_dim))
+        {
+            let (of_frames, rest) = features.split_at_mut(n_frames * (width + action_dim));
+            let of_frames = of_frames.chunks_exact_mut(width + action_dim);
+            for (out, ((combined, ego), frame)) in of_frames.zip(frames.by_ref()) {
+                let (encoded, action) = out.split_at_mut(width);
+                let sums = combined.iter().zip(ego);
+                encoded.iter_mut().zip(sums).for_each(|(out, (c, e))| *out = (c + e) * 0.5);
+                action.copy_from_slice(&frame[n_entities * n_features..]);
+            }
+            rest.copy_from_slice(&input.row(sample)[n_frames * frame_dim..]);
+        }
+    }
+
+    /// Goes back from the slopes in the features, and takes over what the gradients are made of.
+    fn backward(&mut self, weights: &AttentionWeights, d_features: &[f32]) {
+        let EgoAttention { n_frames, action_dim, width, n_heads, .. } = weights.spec;
+        self.d_combined.clear();
+        for row in d_features.chunks_exact(d_features.len() / self.n_samples) {
+            for frame in row.chunks_exact(width + action_dim).take(n_frames) {
+                self.d_combined.extend(frame[..width].iter().map(|d| d * 0.5));
+            }
+        }
+        let [of_query, of_output, embeddings @ ..] = &mut self.rows;
+        let (egos, wide, n) = (&self.egos.second, n_heads * width, self.present.frames.len());
+        of_output.take(&self.d_combined, &self.taken, n, [width, wide]);
+        weights.output.product.d_input(&self.d_combined, &mut self.d_taken);
+        let shares = EgoShares { attention: weights.attention, presence: &self.present.frames };
+        let slopes = &mut self.slopes;
+        shares.backward(&self.queries, egos, &self.others.second, &self.d_taken, slopes);
+        of_query.take(&slopes.queries, egos, n, [wide, width]);
+        weights.query.product.d_input(&slopes.queries, &mut self.d_by_query);
+        // An ego's embedding is part of the encoding, is attended to, and asks: added up in this order.
+        let d_egos = &mut self.d_combined;
+        let ways = slopes.egos.iter().zip(&self.d_by_query);
+        d_egos.iter_mut().zip(ways).for_each(|(d, (taken, asked))| *d = *d + taken + asked);
+        let (of_egos, of_others) = embeddings.split_at_mut(2);
+        self.egos.backward(&weights.egos, &self.present.egos, d_egos, of_egos);
+        let d_others = &mut slopes.others;
+        self.others.backward(&weights.others, &self.present.others, d_others, of_others);
     }
 }
 
