@@ -20,7 +20,7 @@ use leadtime_proto::message::{
 };
 use leadtime_proto::{
     ActionSpec, ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, Iteration, PolicySpec,
-    PolicyVersion, Rollout, RunName, RunSpec, Schedule, Sequence, TaskSpec, codec,
+    PolicyVersion, Rollout, RowOverlap, RunName, RunSpec, Schedule, Sequence, TaskSpec, codec,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -104,6 +104,9 @@ fn messages() -> String {
         snapshot: vec![9, 8, 7],
         ..Rollout::default()
     };
+    let mut repeating =
+        Rollout { observations: vec![1.0, 2.0, 3.0, 4.0, 2.0, 3.0, 4.0, 5.0], ..rollout.clone() };
+    repeating.leave_out_repeats(RowOverlap::new(1, 3), 4);
     let cannot = ControlReply::CannotRestore { epoch: Epoch(6), envs: vec![EnvId(2)] };
     let refused = HelloReply::Refused { reason: "the run is ending".to_owned() };
     let header = Header {
@@ -126,6 +129,7 @@ fn messages() -> String {
         ("credit", sealed(&credit)),
         ("announcement", sealed(&announcement)),
         ("rollout", sealed(&rollout)),
+        ("rollout.repeats", sealed(&repeating)),
     ];
     lines.map(|(name, bytes)| format!("{name} {bytes}\n")).concat()
 }

@@ -618,8 +618,16 @@ impl World {
                 took = collecting;
                 model.collect(version)
             }
-            ActorOutput::Publish(EncodedRollout { header, payload }) => {
-                self.send(move |w| w.learn(|l| l.coordinator.rollout(from.0, &header, &payload)));
+            ActorOutput::Publish(rollouts) => {
+                for EncodedRollout { header, payload } in rollouts {
+                    let actor = from.0.clone();
+                    let learn = move |w: &mut Self| {
+                        w.learn(|l| l.coordinator.rollout(actor, &header, &payload));
+                    };
+                    // One after the other, as a connection carries them.
+                    self.at(took, move |w| w.send(learn));
+                    took += 1 + self.dice(10);
+                }
                 ActorInput::Published
             }
             ActorOutput::Pull { version, .. } if loses_pull || !is_learner_there => {

@@ -11,7 +11,8 @@ use leadtime_policy::{Parameters, Policy};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Assignment, EnvAssignment};
 use leadtime_proto::{
-    EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, RunSpec, codec,
+    EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, RowOverlap, RunSpec,
+    codec,
 };
 use leadtime_sims::{Environment, Registry, SnapshotError};
 use tracing::debug;
@@ -25,6 +26,8 @@ use crate::worker::{Phase, Stopwatch, Worker, ready_slot};
 pub(crate) struct EnvBuilder {
     registry: Registry,
     spec: Arc<RunSpec>,
+    /// What an observation repeats of the one before.
+    overlap: RowOverlap,
 }
 
 /// Environments that can be stepped.
@@ -38,8 +41,11 @@ pub(crate) struct RestoredEnvs {
 impl EnvBuilder {
     /// Builds one environment to see that it is the one the learner means.
     pub(crate) fn new(registry: Registry, spec: &RunSpec) -> Result<Self, Error> {
-        let builder = Self { registry, spec: Arc::new(spec.clone()) };
-        builder.build().map(drop)?;
+        let overlap = RowOverlap::default();
+        let mut builder = Self { registry, spec: Arc::new(spec.clone()), overlap };
+        let layout = builder.build()?.describe().observation;
+        let frame = layout.frame.len();
+        builder.overlap = RowOverlap::new(frame, frame * layout.n_frames.saturating_sub(1));
         Ok(builder)
     }
 
@@ -201,13 +207,15 @@ impl CollectWorker {
         };
         let (_, policy) = self.policy.insert(packed);
         let rollouts = self.worker.collect(policy, version, &mut self.timer);
-        let encode = |rollout: &Rollout| -> Result<EncodedRollout, Error> {
+        let (overlap, obs_dim) = (self.builder.overlap, self.builder.spec.env.obs_dim);
+        let encode = |rollout: &mut Rollout| -> Result<EncodedRollout, Error> {
+            rollout.leave_out_repeats(overlap, obs_dim);
             let payload = codec::encode(rollout)?;
             let plain = Header::plain(Schema::Rollout, self.incarnation, &payload);
             let header = Header { epoch: self.epoch, version, ..plain };
             Ok(EncodedRollout { header, payload: payload.into() })
         };
-        let encoded = rollouts.iter().map(encode).collect();
+        let encoded = rollouts.iter_mut().map(encode).collect();
         self.timer.times.encode = self.timer.lap();
         encoded
     }

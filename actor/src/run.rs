@@ -32,7 +32,7 @@ use crate::metrics::Metrics;
 use crate::outbox::EncodedRollout;
 use crate::phases::{self, CollectWait};
 use crate::sink::ActorSink;
-use crate::state::{Actor, ActorInput, ActorOutput, PUBLISHING};
+use crate::state::{Actor, ActorInput, ActorOutput};
 use crate::{ActorEnd, ActorReport, ActorSettings, Error};
 
 /// How often time-outs are looked at and metrics are published.
@@ -69,7 +69,7 @@ enum ActorWake {
     /// The restoring thread is.
     Restored(Restored),
     /// The publishing thread is.
-    Published(SentRollout),
+    Published(Vec<SentRollout>),
     /// Weights have arrived, or will not.
     Pulled(PolicyVersion, Timed<leadtime_link::Result<Vec<u8>>>),
     /// Time has passed.
@@ -159,7 +159,7 @@ struct Process {
     policy: PolicySpec,
     collector: JobThread<CollectJob, Result<Collected, Error>>,
     restorer: JobThread<Assignment, Restored>,
-    publisher: JobThread<EncodedRollout, SentRollout>,
+    publisher: JobThread<Vec<EncodedRollout>, Vec<SentRollout>>,
     /// Where the tasks bring their results.
     tasks: (mpsc::Sender<ActorWake>, mpsc::Receiver<ActorWake>),
     n_steps: u32,
@@ -183,12 +183,14 @@ impl Process {
         let builder = EnvBuilder::new(registry, &spec)?;
         let mut worker = CollectWorker::new(builder.clone(), incarnation);
         let sender = Arc::clone(&link);
-        let publish = move |rollout: EncodedRollout| {
+        let send = move |rollout: EncodedRollout| {
             let EncodedRollout { header, payload } = rollout;
             let n_bytes = payload.len();
             let sent = Timed::measure(|| sender.publish_rollout(&header, payload));
             SentRollout { header, n_bytes, sent }
         };
+        let publish =
+            move |rollouts: Vec<EncodedRollout>| rollouts.into_iter().map(&send).collect();
         let restore = move |assignment| Timed::measure(|| builder.restore(assignment));
         Ok(Self {
             actor,
@@ -196,7 +198,7 @@ impl Process {
             policy: spec.policy,
             collector: JobThread::start("actor-collect", 1, move |job| worker.work(job))?,
             restorer: JobThread::start("actor-restore", 1, restore)?,
-            publisher: JobThread::start("actor-publish", PUBLISHING, publish)?,
+            publisher: JobThread::start("actor-publish", 1, publish)?,
             tasks: mpsc::channel(2),
             n_steps: spec.n_steps,
             metrics: Metrics::default(),
@@ -302,13 +304,14 @@ impl Process {
                 let (envs, failed) = restored?;
                 ActorInput::Restored { envs, failed }
             }
-            ActorWake::Published(published) => {
-                let SentRollout { header, n_bytes, sent } = published;
-                match &sent.value {
-                    Ok(()) => self.metrics.publish += sent.duration,
-                    Err(error) => debug!(%error, "rollout not published"),
+            ActorWake::Published(rollouts) => {
+                for SentRollout { header, n_bytes, sent } in rollouts {
+                    match &sent.value {
+                        Ok(()) => self.metrics.publish += sent.duration,
+                        Err(error) => debug!(%error, "rollout not published"),
+                    }
+                    phases::published(self.sink.as_mut(), &header, n_bytes, &sent);
                 }
-                phases::published(self.sink.as_mut(), &header, n_bytes, &sent);
                 ActorInput::Published
             }
             ActorWake::Pulled(version, pulled) => {
@@ -349,7 +352,7 @@ impl Process {
             ActorOutput::Collect { version, weights } => {
                 self.collector.begin(CollectJob::Collect { version, weights })?;
             }
-            ActorOutput::Publish(rollout) => self.publisher.begin(rollout)?,
+            ActorOutput::Publish(rollouts) => self.publisher.begin(rollouts)?,
             ActorOutput::Pull { version, sha256 } => {
                 let (link, done) = (Arc::clone(&self.link), self.tasks.0.clone());
                 tokio::spawn(async move {

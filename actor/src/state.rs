@@ -22,6 +22,7 @@
 //! must not be followed before its welcome. After [`Actor::wakes_at`] a [`ActorInput::Tick`] is due, and one now and then anyway.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::iter;
 use std::time::{Duration, Instant};
 
 use leadtime_link::RUN_IS_ENDING;
@@ -39,8 +40,8 @@ use crate::phases::CollectWait;
 use crate::weight_cache::WeightCache;
 use crate::{ActorEnd, ActorProgress, ActorSettings, Error};
 
-/// Rollouts that may be with the publishing thread.
-pub const PUBLISHING: usize = 4;
+/// Rollouts that may be with the publishing thread: what is done together is handed over together, which wakes it once.
+pub const PUBLISHING: usize = 64;
 /// How long rollouts may stay unacknowledged before the actor says hello again.
 const ACK_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long an actor without environments waits before it says hello again.
@@ -94,7 +95,7 @@ pub enum ActorInput<W, R, E> {
         /// The iteration to be collected next; `None` without environments.
         next: Option<Iteration>,
     },
-    /// A rollout is with the network, or failed to get there: a missing acknowledgement brings it back.
+    /// Rollouts are with the network, or failed to get there: a missing acknowledgement brings them back.
     Published,
     /// A pull has succeeded.
     Pulled {
@@ -144,8 +145,8 @@ pub enum ActorOutput<W, R, E> {
         /// The weights of the behaviour version.
         weights: W,
     },
-    /// Send a rollout; [`ActorInput::Published`] follows.
-    Publish(EncodedRollout),
+    /// Send these rollouts, in this order; [`ActorInput::Published`] follows, once for all of them.
+    Publish(Vec<EncodedRollout>),
     /// Pull weights; [`ActorInput::Pulled`] or [`ActorInput::PullFailed`] follows.
     Pull {
         /// The version that is needed next.
@@ -213,7 +214,7 @@ pub struct Actor<W, R, E> {
     /// The generation of every pull that is under way, by its version.
     pulls: BTreeMap<PolicyVersion, u64>,
     may_pull_from: Instant,
-    n_publishing: usize,
+    is_publishing: bool,
     /// The assignment that is followed, and what of it cannot be.
     epoch: Epoch,
     unrestored: Vec<EnvId>,
@@ -253,7 +254,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             job: None,
             pulls: BTreeMap::new(),
             may_pull_from: now,
-            n_publishing: 0,
+            is_publishing: false,
             epoch: Epoch(0),
             unrestored: Vec::new(),
             next: None,
@@ -294,7 +295,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             ActorInput::NotWelcomed(error) => self.not_welcomed(now, *error),
             ActorInput::Restored { envs, failed } => self.restored(envs, failed),
             ActorInput::Collected { rollouts, next } => self.collected(now, rollouts, next),
-            ActorInput::Published => self.n_publishing -= 1,
+            ActorInput::Published => self.is_publishing = false,
             ActorInput::Pulled { version, weights } => {
                 if self.pulls.remove(&version) == Some(self.generation) {
                     self.weights.put(version, weights);
@@ -335,7 +336,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
 
     /// Returns whether a rollout is being made, or handed to the network.
     pub(crate) fn is_busy(&self) -> bool {
-        self.greeting.is_none() && (self.job.is_some() || self.n_publishing > 0)
+        self.greeting.is_none() && (self.job.is_some() || self.is_publishing)
     }
 
     /// Says what the collecting thread waits for; `None` while it has a job.
@@ -647,13 +648,16 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         self.outputs.push(ActorOutput::Restore(assignment));
     }
 
-    /// Hands rollouts to the publishing thread as far as credit and its queue allow.
+    /// Hands the publishing thread, if it is idle, the rollouts that wait, as far as credit allows.
     fn publish(&mut self) {
-        while self.n_publishing < PUBLISHING
-            && let Some(rollout) = self.outbox.send_next()
-        {
-            self.outputs.push(ActorOutput::Publish(rollout));
-            self.n_publishing += 1;
+        if self.is_publishing {
+            return;
+        }
+        let next = iter::from_fn(|| self.outbox.send_next());
+        let rollouts: Vec<EncodedRollout> = next.take(PUBLISHING).collect();
+        if !rollouts.is_empty() {
+            self.outputs.push(ActorOutput::Publish(rollouts));
+            self.is_publishing = true;
         }
     }
 

@@ -22,7 +22,7 @@ use leadtime_episodes::{Choice, Decider, Decision, EnvSlot, Lockstep, Observer};
 use leadtime_numerics::{Purpose, stream};
 use leadtime_policy::{ActionDistribution, Policy};
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{EnvId, EpisodeEnd, Iteration, PolicyVersion, Rollout, RunSpec};
+use leadtime_proto::{EnvId, EpisodeEnd, Iteration, PolicyVersion, Rollout, RowRepeats, RunSpec};
 use leadtime_sims::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
 
 /// What collecting spends its time on.
@@ -106,14 +106,15 @@ impl Worker {
 
     /// Collects one rollout from every environment that is at the lowest iteration.
     ///
-    /// The rollouts are in the order of environment ids, and stay until the next call.
+    /// The rollouts are in the order of environment ids, and stay until the next call; what happens to them meanwhile does not
+    /// matter.
     pub fn collect(
         &mut self,
         policy: &mut Policy,
         version: PolicyVersion,
         watch: &mut dyn Stopwatch,
-    ) -> &[Rollout] {
-        let Some(iteration) = self.next_iteration() else { return &[] };
+    ) -> &mut [Rollout] {
+        let Some(iteration) = self.next_iteration() else { return &mut [] };
         let (run_seed, n_steps) = (self.spec.seed, self.spec.n_steps);
         let at_it = self.slots.values_mut().filter(|(at, _)| *at == iteration);
         let mut slots: Vec<&mut EnvSlot> = at_it
@@ -160,7 +161,7 @@ impl Worker {
             slot.snapshot(&mut rollout.snapshot);
         }
         watch.lap(Phase::Simulate);
-        &self.rollouts
+        &mut self.rollouts
     }
 }
 
@@ -215,6 +216,7 @@ fn begin(rollout: &mut Rollout, slot: &EnvSlot, n_steps: u32) {
     rollout.env_id = slot.seed().env_id;
     rollout.n_steps = n_steps;
     rollout.observations.clear();
+    rollout.repeats = RowRepeats::default();
     rollout.next_observation.clear();
     rollout.masks.clear();
     rollout.actions.clear();

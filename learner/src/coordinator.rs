@@ -356,24 +356,32 @@ impl Coordinator {
         if sender.cut_off {
             return;
         }
-        self.credit_due.insert(key.0.clone());
+        let (limit, made_before) = (sender.limit, sender.made_before);
         // Sequence and credit come before the payload: they cost nothing, and a copy must not be read a second time.
         if header.sequence <= heard {
+            self.credit_due.insert(key.0);
             self.books.duplicates += 1;
             return;
         }
-        if header.sequence > sender.limit {
-            let (found, limit) = (header.sequence, sender.limit);
+        if header.sequence > limit {
+            let found = header.sequence;
             let text = format!("its sequence {found} is over the limit {limit}");
+            self.credit_due.insert(key.0.clone());
             // It was not entered in the books, so their identity must not count its refusal.
             return self.refuse(&key, Refusal::new(RefusalCause::Credit, text), false);
         }
         if header.sequence > heard.next() {
             return; // Beyond a gap: not acknowledged, so it comes again in order.
         }
+        // Each acknowledgement wakes threads here and there. While an actor may send half of its window it does not wait for
+        // one; those who are leaving do.
+        let left = limit.0 - header.sequence.0;
+        if left <= u64::from(self.room()) / 2 || self.stage == RunStage::Closing {
+            self.credit_due.insert(key.0.clone());
+        }
         // Made for a learner that is gone. Its epochs may have the numbers of ours, so ownership cannot be read from
         // them.
-        let made_before = header.sequence <= sender.made_before;
+        let made_before = header.sequence <= made_before;
         // Entered before it is read: a refused rollout is acknowledged too, or its sender would send it again for ever.
         self.books.enter(&key, header.sequence);
         if made_before {

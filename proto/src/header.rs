@@ -13,7 +13,7 @@ use crate::refusal::{Refusal, RefusalCause};
 use crate::{Epoch, Incarnation, PolicyVersion, Sequence};
 
 /// The version of everything in this crate that crosses a process boundary.
-pub const PROTOCOL_VERSION: u32 = 4;
+pub const PROTOCOL_VERSION: u32 = 5;
 /// The version of everything in this crate that crosses a process boundary. It rises with every change of a field, its
 /// type or its place: the codec writes neither names nor tags, so messages of another release would decode into wrong
 /// values.
@@ -174,6 +174,6 @@ mod tests {
             assert_eq!((refusal.cause, refusal.sender), (cause, None));
         }
         let told = Header::from_bytes(&changed(12, 200)).unwrap_err().to_string();
-        assert!(told.contains("protocol 200, its receiver speaks 4"), "{told}");
+        assert!(told.contains("protocol 200, its receiver speaks 5"), "{told}");
     }
 }

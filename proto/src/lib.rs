@@ -8,6 +8,7 @@
 //! spec     what a run is        RunSpec: TaskSpec, EnvSpec, PolicySpec, ActionSpec (factored heads, masks)
 //! schedule who waits for whom   Schedule (sync, lag k, async)
 //! rollout  what an actor sends  Rollout, EpisodeEnd
+//! repeats  what it leaves out   RowRepeats: the part of an observation that the one before has
 //! message  everything else      Hello, Welcome, Control, Credit, Announcement ...
 //! header   48 bytes in front    Header
 //! codec    the one door         encode, decode (the only file that names bincode)
@@ -30,6 +31,7 @@ pub mod packed;
 pub mod phrase;
 pub mod receive;
 pub mod refusal;
+pub mod repeats;
 pub mod rollout;
 pub mod schedule;
 pub mod spec;
@@ -41,6 +43,7 @@ pub use ids::{
     RegionName, RunName, Sequence, ServiceName, Staleness,
 };
 pub use refusal::{Refusal, RefusalCause};
+pub use repeats::{RowOverlap, RowRepeats};
 pub use rollout::{CheckedRollout, EpisodeEnd, EpisodeSummary, Rollout};
 pub use schedule::Schedule;
 pub use spec::{

@@ -5,12 +5,15 @@
 //! **snapshot** of everything the environment's future depends on, taken after the last step: whoever holds the
 //! newest snapshot can go on as if nothing had happened.
 
+use std::mem;
 use std::ops::Deref;
 
 use serde::{Deserialize, Serialize};
 
 use crate::refusal::{Refusal, RefusalCause};
-use crate::{EnvId, EnvSpec, Iteration, Mask, PolicyVersion, limits, packed};
+use crate::{
+    EnvId, EnvSpec, Iteration, Mask, PolicyVersion, RowOverlap, RowRepeats, limits, packed,
+};
 
 /// What is reported about an episode that ended inside a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,9 +59,11 @@ pub struct Rollout {
     pub version: PolicyVersion,
     /// T, the same in every rollout of a run.
     pub n_steps: u32,
-    /// Raw (not normalised) observations that were acted on. `[T, D]`
+    /// Raw (not normalised) observations that were acted on. `[T, D]`, less what `repeats` leaves out.
     #[serde(with = "packed")]
     pub observations: Vec<f32>,
+    /// What is left out of `observations` on the wire; nothing in a [`CheckedRollout`].
+    pub repeats: RowRepeats,
     /// The observation after the last step (after a reset, if the last step ended an episode). `[D]`
     #[serde(with = "packed")]
     pub next_observation: Vec<f32>,
@@ -103,7 +108,15 @@ impl Rollout {
         // An episode may end in every step.
         let end = observation + 4 * env.metrics.len() + END_BYTES;
         let rest = observation + 4 * recurrent_dim + limits::MAX_SNAPSHOT_BYTES + FRAME_BYTES;
-        n_steps * (step + end) + rest
+        n_steps * (step + end) + RowRepeats::max_bytes(n_steps) + rest
+    }
+
+    /// Leaves out of each observation, of `obs_dim` numbers, what it repeats of the one before; [`Rollout::check`] puts it
+    /// back. What was left out already stays so.
+    pub fn leave_out_repeats(&mut self, overlap: RowOverlap, obs_dim: usize) {
+        if self.repeats == RowRepeats::default() {
+            self.repeats = RowRepeats::take_out(&mut self.observations, obs_dim, overlap);
+        }
     }
 
     /// Checks shapes, ranges, finiteness and magnitudes against what the run agreed on.
@@ -115,7 +128,7 @@ impl Rollout {
     /// and [`RefusalCause::Magnitude`] for numbers, [`RefusalCause::Action`] if a mask does not offer an action,
     /// [`RefusalCause::EpisodeEnd`] if ends are out of range or order.
     pub fn check(
-        self,
+        mut self,
         spec: &EnvSpec,
         n_steps: usize,
         recurrent_dim: usize,
@@ -126,7 +139,8 @@ impl Rollout {
         }
         let n_heads = spec.actions.heads.len();
         // Lengths before values: everything below indexes by them.
-        length("observations", self.observations.len(), n_steps * spec.obs_dim)?;
+        let n_observed = self.repeats.n_sent(n_steps, spec.obs_dim)?;
+        length("observations", self.observations.len(), n_observed)?;
         length("next_observation", self.next_observation.len(), spec.obs_dim)?;
         length("masks", self.masks.len(), n_steps)?;
         length("actions", self.actions.len(), n_steps * n_heads)?;
@@ -139,6 +153,7 @@ impl Rollout {
             let text = format!("snapshot has {found} bytes; 1 to {limit} are possible");
             return Err(Refusal::new(RefusalCause::Snapshot, text));
         }
+        // What is left out is among what was sent.
         plausible("observations", &self.observations)?;
         plausible("next_observation", &self.next_observation)?;
         within("log_probs", &self.log_probs, limits::MIN_LOG_PROB, limits::MAX_LOG_PROB)?;
@@ -152,6 +167,8 @@ impl Rollout {
             return Err(Refusal::new(RefusalCause::Action, text));
         }
         self.check_ends(spec, n_steps)?;
+        let (repeats, sent) = (mem::take(&mut self.repeats), mem::take(&mut self.observations));
+        self.observations = repeats.put_back(sent, n_steps, spec.obs_dim);
         Ok(CheckedRollout(self))
     }
 

@@ -13,8 +13,8 @@ use leadtime_proto::message::{
 use leadtime_proto::receive::{self, CONTROL, Expected, HELLO, HELLO_REPLY, ROLLOUT};
 use leadtime_proto::{
     ActionSpec, ActorId, EnvId, EnvSpec, EpisodeEnd, EpisodeSummary, Epoch, Header, Incarnation,
-    Iteration, PolicySpec, PolicyVersion, RefusalCause, Rollout, RunName, RunSpec, Schedule,
-    Sequence, TaskSpec, codec,
+    Iteration, PolicySpec, PolicyVersion, RefusalCause, Rollout, RowOverlap, RunName, RunSpec,
+    Schedule, Sequence, TaskSpec, codec,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -76,7 +76,18 @@ fn summary() -> EpisodeSummary {
 }
 
 fn rollout() -> impl Strategy<Value = Rollout> {
-    (1..20_usize, vec(any::<u8>(), 1..64)).prop_map(|(n_steps, snapshot)| Rollout {
+    let sizes = (1..20_usize, vec(any::<u8>(), 1..64), any::<bool>());
+    sizes.prop_map(|(n_steps, snapshot, has_history)| {
+        let mut rollout = whole_rollout(n_steps, snapshot);
+        if has_history {
+            rollout.leave_out_repeats(RowOverlap::new(1, 1), 2);
+        }
+        rollout
+    })
+}
+
+fn whole_rollout(n_steps: usize, snapshot: Vec<u8>) -> Rollout {
+    Rollout {
         env_id: EnvId(3),
         iteration: Iteration(4),
         version: PolicyVersion(5),
@@ -98,7 +109,8 @@ fn rollout() -> impl Strategy<Value = Rollout> {
         }],
         recurrent: Vec::new(),
         snapshot,
-    })
+        ..Rollout::default()
+    }
 }
 
 fn control() -> Control {
@@ -185,6 +197,25 @@ fn receive_spoilt<T: Serialize + DeserializeOwned>(
     }
 }
 
+#[test]
+fn what_is_left_out_on_the_way_is_there_after_the_check() {
+    let frames = (0..70_u8).flat_map(|t| [f32::from(t), f32::from(t) + 1.0]);
+    let whole = Rollout { observations: frames.collect(), ..whole_rollout(70, vec![1]) };
+    let mut sent = whole.clone();
+    sent.leave_out_repeats(RowOverlap::new(1, 1), 2);
+    sent.leave_out_repeats(RowOverlap::new(1, 1), 2);
+    assert_eq!(sent.observations.len(), 71);
+    let received = |sent: &Rollout| {
+        let payload = codec::encode(sent).unwrap();
+        let header = header(Schema::Rollout, &payload).to_bytes();
+        receive::receive::<Rollout>(Some(&header), &payload, ROLLOUT).unwrap().1
+    };
+    assert_eq!(*received(&sent).check(&spec(), 70, 0).unwrap(), whole);
+    sent.observations.pop();
+    let refusal = received(&sent).check(&spec(), 70, 0).unwrap_err();
+    assert_eq!(refusal.text, "`observations` has length 70, expected 71");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig {
         cases: 2_000,
@@ -200,7 +231,7 @@ proptest! {
     ) {
         if let Some(got) = receive_spoilt(&rollout, &damages, ROLLOUT)? {
             match got.check(&spec(), rollout.n_steps as usize, 0) {
-                Ok(got) => prop_assert_eq!(got.observations.len(), rollout.observations.len()),
+                Ok(got) => prop_assert_eq!(got.observations.len(), 2 * rollout.n_steps as usize),
                 Err(refusal) => prop_assert_eq!(refusal.sender, None),
             }
         }

@@ -150,7 +150,7 @@ fn an_assignment_is_restored_answered_adopted_collected_and_sent() {
     assert_eq!(names(&done), ["reply", "adopt"]);
     assert_eq!(replies(&done), [(1, ControlReply::Followed { epoch: Epoch(1) })]);
     assert_eq!(names(&bench.collected(0, Some(0))), ["collect"]);
-    assert_eq!(names(&bench.collected(2, Some(1))), ["publish", "publish"]);
+    assert_eq!(names(&bench.collected(2, Some(1))), ["publish"]);
     assert_eq!(bench.actor.outbox.sent, Sequence(2));
 }
 
@@ -285,6 +285,24 @@ fn a_run_that_cannot_be_is_not_joined() {
     impossible.spec.policy.obs_dim = 9;
     let refused = Actor::<(), u32, ()>::new(settings, impossible, Instant::now());
     assert!(matches!(refused.unwrap_err(), Error::Spec(_)));
+}
+
+#[test]
+fn what_waits_is_handed_over_together_and_the_rest_when_that_is_sent() {
+    let mut bench = Bench::with_weights(0..=0);
+    let sizes = |outputs: Vec<ToDo>| {
+        let size = |output: &ToDo| match output {
+            ActorOutput::Publish(rollouts) => Some(rollouts.len()),
+            _ => None,
+        };
+        outputs.iter().filter_map(size).collect::<Vec<_>>()
+    };
+    bench.follow(1, 1, 0);
+    assert_eq!(sizes(bench.collected(200, Some(1))), [4], "a window");
+    assert_eq!(sizes(bench.credit(2, 6)), [0; 0], "the thread is busy");
+    assert_eq!(sizes(bench.give(ActorInput::Published)), [2]);
+    assert_eq!(sizes(bench.give(ActorInput::Published)), [0; 0]);
+    assert_eq!(sizes(bench.credit(6, 200)), [PUBLISHING]);
 }
 
 #[test]

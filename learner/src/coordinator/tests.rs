@@ -176,6 +176,27 @@ fn duplicates_are_counted_and_gaps_wait_for_what_is_missing() {
 }
 
 #[test]
+fn who_may_send_half_a_window_is_credited_with_others_or_when_the_clock_ticks() {
+    let mut c = coordinator(1, Schedule::Lag(9), &["a"]);
+    assert_eq!(credits(&mut c), [(0, 4)]);
+    let arrives = |c: &mut Coordinator, n: u64| {
+        send(c, "a", n, 1, &rollout(0, n - 1, 0));
+        credits(c)
+    };
+    assert_eq!(arrives(&mut c, 1), [], "it may send three more");
+    assert_eq!(arrives(&mut c, 2), [(2, 6)]);
+    assert_eq!(arrives(&mut c, 3), []);
+    c.tick();
+    assert_eq!(credits(&mut c), [(3, 7)]);
+    assert_eq!(arrives(&mut c, 4), []);
+    assert!(c.next_batch().is_some());
+    assert_eq!(credits(&mut c), [(4, 8)]);
+    c.stop_everyone("the end");
+    assert_eq!(arrives(&mut c, 5), [(5, 9)], "who leaves waits for it");
+    close_balanced(&mut c);
+}
+
+#[test]
 fn who_leaves_is_replaced_from_the_newest_snapshot_and_heard_no_more() {
     let mut c = coordinator(2, Schedule::Lag(1), &["a"]);
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
