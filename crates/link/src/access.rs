@@ -16,9 +16,6 @@
 //! router     both everything of ours
 //! ```
 //!
-//! Where there is no list, a learner that listens on a network takes orders, weights and news from nobody, and passes no
-//! rollouts on ([`AccessList::of_anybody`]).
-//!
 //! The keys come from [`crate::keys`], with placeholders for names, so the list follows the layout.
 
 use std::collections::BTreeMap;
@@ -87,20 +84,6 @@ impl AccessList {
             }
         }
         (!list.subjects.is_empty()).then(|| Self(list.finish()))
-    }
-
-    /// Makes the list of a learner that knows nobody by name: anybody may take part as an actor, and watch, and nobody may play
-    /// the learner or read what actors deliver.
-    pub(crate) fn of_anybody() -> Self {
-        let mut list = Draft::default();
-        for (part, rules) in [
-            ("an actor", rules_of(Role::Actor)),
-            ("any actor", rules_of_one_actor("*")),
-            ("an observer", rules_of(Role::Observer)),
-        ] {
-            list.allow(&format!("anybody as {part}"), &[], &rules);
-        }
-        Self(list.finish())
     }
 
     /// Reads a list as [`AccessList::to_text`] writes it, comments included.

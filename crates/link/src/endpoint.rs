@@ -54,11 +54,6 @@ impl Endpoint {
         if text.contains('/') { text.parse() } else { format!("tls/{text}").parse() }
     }
 
-    /// Tells whether this is a unix socket, which its file's permissions guard.
-    pub(crate) fn is_socket(&self) -> bool {
-        self.parts().0 == "unixsock-stream"
-    }
-
     /// Tells whether other machines can reach this address without showing who they are: neither local nor TLS with
     /// certificates on both sides, which every session with a certificate of its own asks for.
     pub fn is_open_to_strangers(&self) -> bool {

@@ -30,7 +30,7 @@ pub(crate) fn check(endpoints: &[Endpoint], identity: Option<&Identity>) -> Resu
 
 /// Tells whether one of the addresses is a unix socket.
 pub(crate) fn has_socket<'a>(mut endpoints: impl Iterator<Item = &'a Endpoint>) -> bool {
-    endpoints.any(Endpoint::is_socket)
+    endpoints.any(|endpoint| endpoint.parts().0 == "unixsock-stream")
 }
 
 /// Returns the settings of a session with a certificate.

@@ -52,8 +52,7 @@ pub struct ListenSettings {
     pub timeout: Duration,
     /// The certificate of this process; with one, everything is encrypted and everybody has to show theirs. Default: none.
     pub identity: Option<Identity>,
-    /// Who may do what, enforced here. Default: of a router everybody everything; of a learner anybody what actors and observers
-    /// may, and everything by way of a unix socket.
+    /// Who may do what, enforced here. Default: everybody everything.
     pub access: Option<AccessList>,
     /// The most rollouts of one actor that wait in the event queue, at least the run's window. Default: 64.
     pub rollouts_per_actor: usize,
@@ -141,12 +140,7 @@ pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
         return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
-    let all = settings.endpoints.iter().chain(&settings.connect);
-    if settings.access.is_some() || all.clone().all(Endpoint::is_socket) {
-        return listen_as("peer", settings).await;
-    }
-    let settings = ListenSettings { access: Some(AccessList::of_anybody()), ..settings.clone() };
-    listen_as("peer", &settings).await
+    listen_as("peer", settings).await
 }
 
 /// Opens the session of a notifier at work, as [`listen`]: it takes small messages only.

@@ -11,9 +11,8 @@ use leadtime_link::{
     AccessList, ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, ObserverEvent,
     ObserverLink, RouterLink,
 };
-use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, Credit};
-use leadtime_proto::{Epoch, Header, Incarnation, PolicyVersion, Sequence};
+use leadtime_proto::{Epoch, Incarnation, PolicyVersion, Sequence};
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 
@@ -42,10 +41,6 @@ struct Guarded {
 
 impl Guarded {
     async fn new(has_router: bool) -> Self {
-        Self::with_list(has_router, true).await
-    }
-
-    async fn with_list(has_router: bool, has_list: bool) -> Self {
         let pki = Pki::new();
         for (role, name) in PEERS {
             pki.issue(role, name);
@@ -59,7 +54,7 @@ impl Guarded {
             LearnerLink::open(&run("one"), DOMAIN, LEARNER, &settings).await.unwrap()
         };
         let mut guard = pki.listen(if has_router { "r1" } else { "l1" });
-        guard.access = has_list.then_some(access);
+        guard.access = Some(access);
         if !has_router {
             let (learner, events) = open(guard).await;
             let endpoint = learner.locators()[0].parse().unwrap();
@@ -333,62 +328,4 @@ async fn a_listening_learner_enforces_the_list() {
     everything_of_a_run_passes(&guarded).await;
     nothing_under_another_name_passes(&guarded).await;
     rollouts_are_read_by_recorders_alone(&guarded).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn without_a_list_nobody_plays_a_listening_learner_or_reads_rollouts() {
-    let guarded = Guarded::with_list(false, false).await;
-    everything_of_a_run_passes(&guarded).await;
-    let Guarded { learner, events, .. } = &guarded;
-    let (one, domain) = (run("one"), domain());
-    let (observer, _) = guarded.observer("o1").await;
-    let (actor, told) = guarded.actor("a8").await;
-    let stranger = guarded.raw("stranger").await;
-    let (sender, heard) = flume::bounded(1_024);
-    let mut held = Vec::new();
-    for keys in ["**", "leadtime/1/*/traj/**", "leadtime/1/*/metrics/**"] {
-        let sender = sender.clone();
-        let take = move |sample: zenoh::sample::Sample| {
-            sender.try_send(sample.key_expr().to_string()).unwrap_or_default();
-        };
-        held.push(stranger.declare_subscriber(keys).callback(take).await.unwrap());
-    }
-    // The keys themselves, and keys with stars in them that lead there as well.
-    let starred = |key: &str| key.replace("/one/", "/*/");
-    let header = Header::plain(Schema::Credit, LEARNER, b"forged").to_bytes();
-    for key in [Key::Credit(&one, &actor_id("a8")), Key::Announcement(&one, &domain)] {
-        put(&stranger, key, &header, b"forged").await;
-        stranger.put(starred(&key.to_string()), "forged").await.unwrap();
-    }
-    let order = Key::Control(&one, &actor_id("a8")).to_string();
-    for order in [order.clone(), starred(&order), "**".to_owned()] {
-        let answers = stranger.get(order).timeout(SOON).await.unwrap();
-        assert!(answers.recv_async().await.is_err());
-    }
-    let _answers = stranger.declare_queryable("**").complete(true).await.unwrap();
-    let pulled = observer.pull_weights(&one, &domain, PolicyVersion(99), [0; 32]).await;
-    assert!(matches!(pulled.unwrap_err(), Error::NotKept { .. }), "only the learner answers");
-    // What comes from the learner is the first that the actor hears of all of that.
-    learner.send_credit(&actor_id("a8"), credit(7)).unwrap();
-    let first = until(&told, |event| match event {
-        ActorEvent::Credit(credit) => Some(credit.limit),
-        ActorEvent::Control { control, .. } => panic!("{control:?}"),
-        _ => None,
-    });
-    assert_eq!(first.await, Sequence(7));
-    let (header, payload) = rollout(1);
-    actor.publish_rollout(&header, payload).unwrap();
-    assert_eq!(next_rollout(events).await.0, actor_id("a8"));
-    // Of the same actor, so it would come after the rollout.
-    actor.publish_metrics(b"{}").unwrap();
-    let wait = async {
-        loop {
-            let key = heard.recv_async().await.unwrap();
-            assert!(!key.contains("/traj/"), "{key}");
-            if key.ends_with("/metrics/actor/a8") {
-                return;
-            }
-        }
-    };
-    tokio::time::timeout(SOON, wait).await.unwrap();
 }
