@@ -579,7 +579,11 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             self.weights.announce(&welcome.weights);
         } else {
             let version = welcome.weights.newest();
-            info!(%version, "the learner is back; starting over from its state");
+            if is_astray {
+                warn!(epoch = %self.newest_epoch(), "an assignment was followed that no learner gives; starting over");
+            } else {
+                info!(%version, "the learner is back; starting over from its state");
+            }
             self.generation += 1;
             (self.epoch, self.next) = (Epoch(0), None);
             self.unrestored.clear();

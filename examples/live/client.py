@@ -16,6 +16,7 @@ ENDPOINT = sys.argv[1]
 STEP = float(sys.argv[2]) if len(sys.argv) > 2 else 0.3
 CLIENT, KEY = "robot-1", "leadtime/live/1/notifier/robot-1"
 START = f"{random.getrandbits(64):016x}"
+is_gone = False
 
 
 def seen(step):
@@ -38,6 +39,15 @@ def on_status(sample):
         print(f"     {status['state']}: {status['why']} {status['told']}")
 
 
+def on_presence(sample):
+    global is_gone
+    if sample.kind == zenoh.SampleKind.DELETE:
+        print("     the notifier is gone: nobody speaks")
+    elif is_gone:
+        print("     the notifier is back: ask it for a session again")
+    is_gone = sample.kind == zenoh.SampleKind.DELETE
+
+
 config = zenoh.Config.from_json5(json.dumps({
     "mode": "client", "connect": {"endpoints": [ENDPOINT]}, "scouting": {"multicast": {"enabled": False}}}))
 with zenoh.open(config) as session:
@@ -45,6 +55,7 @@ with zenoh.open(config) as session:
     token = session.liveliness().declare_token(f"{KEY}/alive/{START}")
     session.declare_subscriber(f"{KEY}/say", on_say)
     session.declare_subscriber(f"{KEY}/status", on_status)
+    session.liveliness().declare_subscriber("leadtime/live/1/notifier/alive/*", on_presence, history=True)
     question = {"protocol": 1, "domain": "lander", "seconds_per_step": STEP, "incarnation": START, "seed": 1}
     (reply,) = session.get(f"{KEY}/open", payload=json.dumps(question))
     if reply.ok is None:

@@ -238,13 +238,29 @@ fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
 }
 
 #[test]
+fn a_recorder_says_that_its_notifier_is_gone_and_that_it_is_back() {
+    let place = Place::new();
+    let notifier = serve(&place);
+    let recorder = record(&place, "r.mcap", "");
+    notifier.kill();
+    wait_for_words(&recorder, "notifier `notifier` is gone");
+    let _notifier = serve(&place);
+    wait_for_words(&recorder, "notifier `notifier` is back");
+}
+
+#[test]
 fn what_is_told_of_a_run_is_recorded_until_it_is_finished() {
     let place = Place::new();
     let there = place.endpoint("l");
-    let learner = place.start(&["learner -c cartpole --steps 4096 --name r --listen", &there]);
+    let start = || place.start(&["learner -c cartpole --steps 4096 --name r --listen", &there]);
+    let learner = start();
     let recorder =
         place.start(&["record --run r --connect-timeout 60s -o run.mcap --connect", &there]);
     wait_for_words(&recorder, "recording run `r`");
+    learner.kill();
+    wait_for_words(&recorder, "the learner of run `r` is gone");
+    let learner = start();
+    wait_for_words(&recorder, "the learner of run `r` is back");
     let actor = place.start(&["actor --id a1 --connect", &there]);
     let recorded = recorder.finish(PATIENCE).with_code(0);
     assert!(recorded.stdout.starts_with("run.mcap: "), "{}", recorded.stdout);

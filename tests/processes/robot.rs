@@ -135,6 +135,8 @@ fn a_robot_with_keys_of_its_own_is_told_what_to_say_and_is_never_given_up() {
         robot.link.put_at("robot1/obs", br#"{"obs":[1]}"#, None).unwrap();
         robot.wait("refused", |status| status["refused"].as_u64() >= Some(n));
     }
+    // So does the log, once a minute.
+    wait_for_words(&notifier, "refused; of the last one:");
     let is_told = |status: &Value| {
         status["told"].as_str().unwrap().ends_with("it looks like JSON: --obs-form json")
     };

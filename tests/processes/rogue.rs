@@ -14,7 +14,9 @@ use leadtime_link::{
     ObserverLink,
 };
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
-use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF};
+use leadtime_proto::limits::{
+    MAX_HEARD_EPOCH, MAX_ROLLOUT_BYTES, MAX_SNAPSHOT_BYTES, REFUSALS_BEFORE_CUT_OFF,
+};
 use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, Welcome};
 use leadtime_proto::{
     ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, RunName,
@@ -236,11 +238,9 @@ async fn starts(endpoint: &str, run: &RunName) -> (Incarnation, Incarnation) {
     (learner.unwrap(), actor.unwrap())
 }
 
-/// Plays the learner: announces rubbish as the coming weights, and orders the actor to let go of its environments.
-#[tokio::test(flavor = "multi_thread")]
-async fn who_plays_the_learner_without_forging_weights_does_not_end_a_run() {
-    let undisturbed = undisturbed();
-
+/// Plays the learner: announces rubbish as the coming weights, and orders the actor to let go of its environments, under a number.
+/// The run begins once the actor has said something of it. Returns what learner and actor have logged.
+async fn forged(undisturbed: &Place, number: u64, said: &str) -> [String; 2] {
     let place = Place::new();
     let (run, endpoint) = (RunName::new("r").unwrap(), place.endpoint("learner"));
     // Until the second one comes, the first waits without environments.
@@ -255,18 +255,29 @@ async fn who_plays_the_learner_without_forging_weights_does_not_end_a_run() {
     });
     let refused = forger.control(&name, start, &order(u64::MAX), SOON).await.unwrap_err();
     assert!(refused.to_string().contains("beyond any of a run"), "{refused}");
-    let followed = forger.control(&name, start, &order(1 << 40), SOON).await.unwrap();
-    assert_eq!(followed, ControlReply::Followed { epoch: Epoch(1 << 40) });
+    let followed = forger.control(&name, start, &order(number), SOON).await.unwrap();
+    assert_eq!(followed, ControlReply::Followed { epoch: Epoch(number) });
     for version in 1..=3 {
         forger.offer_weights(PolicyVersion(version), vec![version as u8; 100].into()).unwrap();
     }
     wait_for_words(&helper, "what was announced as weights is none");
+    wait_for_words(&helper, said);
     let other = place.start(&["actor --id other --connect", &endpoint]);
     let told = second.finish(PATIENCE).with_code(0).stderr;
-    assert!(told.contains("which this learner did not give"), "{told}");
-    for actor in [helper, other] {
-        actor.finish(PATIENCE).with_code(0);
-    }
+    other.finish(PATIENCE).with_code(0);
+    let helper = helper.finish(PATIENCE).with_code(0).stderr;
     let (calm, disturbed) = (result(&undisturbed.run("r")), result(&place.run("r")));
     assert_eq!(calm["weights_sha256"], disturbed["weights_sha256"]);
+    [told, helper]
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_plays_the_learner_without_forging_weights_does_not_end_a_run() {
+    let undisturbed = undisturbed();
+    let [learner, actor] = forged(&undisturbed, 1 << 40, "joined").await;
+    assert!(learner.contains("which this learner did not give"), "{learner}");
+    assert!(!actor.contains("starting over"), "{actor}");
+    let beyond = "an assignment was followed that no learner gives; starting over";
+    let [_, actor] = forged(&undisturbed, MAX_HEARD_EPOCH + 1, beyond).await;
+    assert!(!actor.contains("the learner is back"), "it was never gone: {actor}");
 }

@@ -281,6 +281,20 @@ fn one_command_issues_several_certificates_and_their_list_or_nothing() {
 }
 
 #[test]
+fn a_certificate_is_issued_beside_files_that_are_none_of_ours() {
+    let place = Place::new();
+    place.finish(&["certs init pki"]).with_code(0);
+    place.write("pki/dhparam.pem", "-----BEGIN DH PARAMETERS-----");
+    for peer in ["learner:l1", "actor:a1"] {
+        let told = place.finish(&["certs issue pki", peer]).with_code(0);
+        assert_eq!(told.stderr.matches("pki/dhparam.pem holds no certificate").count(), 1);
+    }
+    let list = fs::read_to_string(place.path().join("pki/acl.json5")).unwrap();
+    assert!(list.contains("\"a1\"") && !list.contains("dhparam"), "{list}");
+    place.finish(&["certs renew pki"]).with_code(0).saying(&["neither listed nor renewed"]);
+}
+
+#[test]
 fn an_open_address_is_warned_about_once_and_the_remedy_named() {
     let place = Place::new();
     let warned = |arguments: &str| {

@@ -15,7 +15,8 @@ use rcgen::{
 use time::OffsetDateTime;
 
 use crate::files::{self, Durability, Readers, failed};
-use crate::{Certificate, Error, IssueRequest, PeerName, Result, Role};
+use crate::identity::{self, Signers};
+use crate::{Certificate, Error, IssueRequest, PeerName, Result, Role, Unfit};
 
 /// How long an authority lasts.
 const AUTHORITY_LIFETIME: Duration = Duration::from_hours(24 * 3650);
@@ -35,6 +36,16 @@ pub struct Issued {
     pub path: PathBuf,
     /// What the certificate states.
     pub certificate: Certificate,
+}
+
+/// The certificates of a directory.
+#[derive(Debug, Default)]
+pub struct Listing {
+    /// Those that the directory's authority has issued, by name.
+    pub issued: Vec<Issued>,
+    /// What is wrong with the others that have such a file name and may be meant to be ours: they are none, or cannot be read,
+    /// or are another authority's or another name's.
+    pub left_out: Vec<Error>,
 }
 
 /// An authority in its directory; no other process can issue from it meanwhile.
@@ -185,14 +196,15 @@ impl Authority {
     }
 
     /// Makes the certificates anew that end within `before`: for the same role, hosts and time, and for the same key, which
-    /// need not be here.
+    /// need not be here. Those that [`Authority::list`] leaves out stay as they are.
     ///
     /// # Errors
     ///
-    /// [`Error::File`] or [`Error::Content`] if a certificate of the directory cannot be read or written.
+    /// [`Error::File`] if the directory cannot be read or written, [`Error::Content`] if the file of the authority holds
+    /// something else.
     pub fn renew(&mut self, before: Duration, now: Timestamp) -> Result<Vec<Issued>> {
         let soon = add(now, before)?;
-        let mut renewed = issued(&self.directory)?;
+        let mut renewed = Self::list(&self.directory)?.issued;
         renewed.retain(|issued| issued.certificate.ends <= soon);
         let mut made = Vec::new();
         for Issued { role, name, path, certificate: old } in renewed {
@@ -207,14 +219,34 @@ impl Authority {
         Ok(made)
     }
 
-    /// Lists every certificate of a directory that has one of our roles, by name.
+    /// Lists what the authority of a directory has issued there, whether it is still valid or not.
+    ///
+    /// Other files may lie beside it: a certificate without a role of ours is none of ours, and what might be meant to be
+    /// one is told.
     ///
     /// # Errors
     ///
-    /// [`Error::File`] if the directory or a certificate in it cannot be read, [`Error::Content`] if a file holds
-    /// something else than a certificate.
-    pub fn list(directory: &Path) -> Result<Vec<Issued>> {
-        issued(directory)
+    /// [`Error::File`] or [`Error::Content`] if the directory or the file of its authority cannot be read.
+    pub fn list(directory: &Path) -> Result<Listing> {
+        let [authority, ..] = paths(directory);
+        let signers = Signers::read(&authority)?;
+        let entries = fs::read_dir(directory).map_err(failed("read", directory))?;
+        let mut listing = Listing::default();
+        for entry in entries {
+            let path = entry.map_err(failed("read", directory))?.path();
+            let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+            let Ok(name) = stem.parse::<PeerName>() else { continue };
+            if path.extension().is_none_or(|extension| extension != "pem") {
+                continue;
+            }
+            match look_at(path, name, &signers, &authority) {
+                Ok(issued) => listing.issued.extend(issued),
+                Err(error) => listing.left_out.push(error),
+            }
+        }
+        listing.issued.sort_by(|one, other| one.name.cmp(&other.name));
+        listing.left_out.sort_by_key(ToString::to_string);
+        Ok(listing)
     }
 
     fn sign(
@@ -266,28 +298,27 @@ impl Authority {
     }
 }
 
-/// Lists the certificates of a directory that have a role and a name of ours, by name.
-fn issued(directory: &Path) -> Result<Vec<Issued>> {
-    let entries = fs::read_dir(directory).map_err(failed("read", directory))?;
-    let mut found = Vec::new();
-    for entry in entries {
-        let path = entry.map_err(failed("read", directory))?.path();
-        let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-        let Ok(name) = stem.parse::<PeerName>() else { continue };
-        if path.extension().is_none_or(|extension| extension != "pem") {
-            continue;
-        }
-        let certificate = Certificate::read(&path)?;
-        if certificate.name.as_deref() != Some(name.as_str()) {
-            let of = certificate.name.as_deref().unwrap_or("nobody");
-            let of: String = of.escape_debug().take(80).collect();
-            return Err(content(&path)(format!("a certificate of `{of}`, not of `{name}`")));
-        }
-        let Some(role) = certificate.role else { continue };
-        found.push(Issued { role, name, path, certificate });
+/// Reads a certificate that was issued here; `None` if it has no role of ours.
+fn look_at(
+    path: PathBuf,
+    name: PeerName,
+    signers: &Signers,
+    authority: &Path,
+) -> Result<Option<Issued>> {
+    let chain = identity::certificates(&path)?;
+    let certificate = Certificate::from_der(&chain[0]).map_err(content(&path))?;
+    let Some(role) = certificate.role else { return Ok(None) };
+    if certificate.name.as_deref() != Some(name.as_str()) {
+        let of = certificate.name.as_deref().unwrap_or("nobody");
+        let of: String = of.escape_debug().take(80).collect();
+        return Err(content(&path)(format!("a certificate of `{of}`, not of `{name}`")));
     }
-    found.sort_by(|one, other| one.name.cmp(&other.name));
-    Ok(found)
+    // It may have ended since.
+    if !signers.have_signed(&chain, certificate.begins) {
+        let reason = Unfit::OtherAuthority(authority.to_owned());
+        return Err(Error::Unfit { path, reason });
+    }
+    Ok(Some(Issued { role, name, path, certificate }))
 }
 
 fn paths(directory: &Path) -> [PathBuf; 3] {

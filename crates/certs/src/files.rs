@@ -37,8 +37,9 @@ pub(crate) fn write(
 ) -> Result<()> {
     let written = || {
         let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let directory = directory.unwrap_or(Path::new("."));
         // Made for its owner alone.
-        let mut file = NamedTempFile::new_in(directory.unwrap_or(Path::new(".")))?;
+        let mut file = NamedTempFile::new_in(directory)?;
         file.write_all(text.as_bytes())?;
         if matches!(readers, Readers::Everybody) {
             file.as_file().set_permissions(Permissions::from_mode(0o644))?;
@@ -47,6 +48,10 @@ pub(crate) fn write(
             file.as_file().sync_all()?;
         }
         file.persist(path)?;
+        if matches!(durability, Durability::Flushed) {
+            // So that its name is there, too, after a power cut.
+            File::open(directory)?.sync_all()?;
+        }
         Ok(())
     };
     written().map_err(|source| failed("write", path)(source))

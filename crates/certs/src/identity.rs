@@ -13,6 +13,7 @@ use rustls::crypto::ring;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, UnixTime};
 use rustls::server::WebPkiClientVerifier;
+use rustls::server::danger::ClientCertVerifier;
 use rustls::sign::CertifiedKey;
 
 use crate::error::Unfit;
@@ -94,15 +95,33 @@ impl Identity {
         if !self.shown.is_for_both_ends {
             return Err(unfit(Unfit::OneEnd));
         }
-        let roots = roots(&self.authority)?;
-        let other = || unfit(Unfit::OtherAuthority(self.authority.clone()));
-        let verifier =
-            WebPkiClientVerifier::builder_with_provider(roots.into(), Arc::new(provider));
-        let verifier = verifier.build().map_err(|_empty| other())?;
-        let seconds = u64::try_from(now.as_second()).unwrap_or_default();
+        if Signers::read(&self.authority)?.have_signed(&chain, now) {
+            return Ok(());
+        }
+        Err(unfit(Unfit::OtherAuthority(self.authority.clone())))
+    }
+}
+
+/// The authorities of a file, as those who may have signed a certificate.
+#[derive(Debug)]
+pub(crate) struct Signers(Arc<dyn ClientCertVerifier>);
+
+impl Signers {
+    /// Reads them.
+    pub(crate) fn read(path: &Path) -> Result<Self> {
+        let (roots, provider) = (roots(path)?.into(), ring::default_provider().into());
+        let verifier = WebPkiClientVerifier::builder_with_provider(roots, provider).build();
+        let found = "no authority".to_owned();
+        let none = |_empty| Error::Content { path: path.to_owned(), found };
+        verifier.map(Self).map_err(none)
+    }
+
+    /// Returns whether one of them has signed the first certificate of a chain, and it is valid at that moment.
+    pub(crate) fn have_signed(&self, chain: &[CertificateDer<'_>], moment: Timestamp) -> bool {
+        let seconds = u64::try_from(moment.as_second()).unwrap_or_default();
         let moment = UnixTime::since_unix_epoch(Duration::from_secs(seconds));
-        let verified = verifier.verify_client_cert(&chain[0], &chain[1..], moment);
-        verified.map(drop).map_err(|_refused| other())
+        let Some((own, others)) = chain.split_first() else { return false };
+        self.0.verify_client_cert(own, others, moment).is_ok()
     }
 }
 

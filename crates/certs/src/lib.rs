@@ -30,7 +30,7 @@ mod probe;
 mod request;
 mod role;
 
-pub use authority::{Authority, Issued};
+pub use authority::{Authority, Issued, Listing};
 pub use certificate::Certificate;
 pub use error::{Error, Result, Unfit};
 pub use identity::Identity;

@@ -67,13 +67,48 @@ fn a_fleet_of_certificates_has_a_number_each_and_is_listed() {
     println!("200 certificates in {:?}", started.elapsed());
     assert_eq!(fs::read_to_string(dir.path().join("serial")).unwrap(), "200\n");
     let listed = Authority::list(dir.path()).unwrap();
-    assert_eq!(listed.len(), 200);
+    assert_eq!((listed.issued.len(), listed.left_out.len()), (200, 0));
+}
+
+#[test]
+fn what_lies_beside_the_certificates_is_neither_listed_nor_renewed() {
+    let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let at = |name: &str| dir.path().join(name);
+    let mut ours = authority(dir.path());
+    let own = issue(&mut ours, Role::Actor, "a1");
+    let foreign = issue(&mut authority(other.path()), Role::Actor, "a2");
+    fs::copy(foreign.path, at("a2.pem")).unwrap();
+    fs::copy(&own.path, at("copy.pem")).unwrap();
+    fs::copy(at("a1.key"), at("a-key.pem")).unwrap();
+    fs::create_dir(at("folder.pem")).unwrap();
+    fs::write(at("torn.pem"), "-----BEGIN CERTIFICATE-----").unwrap();
+    // These are clearly none of ours, and nobody need hear of them.
+    fs::copy(at("ca.pem"), at("site.pem")).unwrap();
+    fs::write(at("notes.txt"), "").unwrap();
+    fs::write(at("Dhparam.pem"), "").unwrap();
+    let listed = Authority::list(dir.path()).unwrap();
+    assert_eq!(listed.issued, [own]);
+    let told: Vec<String> = listed.left_out.iter().map(ToString::to_string).collect();
+    let parts = [
+        "no certificate",
+        "not signed by",
+        "a certificate of `a1`",
+        "no certificate",
+        "cannot read",
+    ];
+    assert_eq!(told.len(), parts.len(), "{told:?}");
+    assert!(told.iter().zip(parts).all(|(told, part)| told.contains(part)), "{told:?}");
+    let before = contents(dir.path());
+    assert_eq!(ours.renew(30 * DAY, later(DAY)).unwrap(), []);
+    assert!(contents(dir.path()) == before);
+    let renewed = ours.renew(365 * DAY, later(91 * DAY)).unwrap();
+    assert_eq!(renewed.iter().map(|it| it.name.as_str()).collect::<Vec<_>>(), ["a1"]);
 }
 
 /// Lists what is in a directory, with what it holds; but for the serial number, of which none is given twice.
 fn contents(directory: &Path) -> BTreeMap<String, Vec<u8>> {
     let entries = fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
-    let files = entries.filter(|path| !path.ends_with("serial"));
+    let files = entries.filter(|path| !path.ends_with("serial") && path.is_file());
     files.map(|path| (path.display().to_string(), fs::read(&path).unwrap())).collect()
 }
 

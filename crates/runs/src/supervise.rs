@@ -3,7 +3,7 @@
 //! | what happens | what is done |
 //! |---|---|
 //! | an actor dies | it is restarted, after a longer pause each time; after [`RESTARTS`] restarts in a row it is given up |
-//! | the learner is killed | the same; it resumes from its checkpoint, and the actors find it by themselves. Those that it had dismissed are started again, if the run is not trained to its end |
+//! | the learner is killed | the same; it resumes from its checkpoint, and the actors find it by themselves. Those that it had dismissed are started again, unless all updates are made |
 //! | the learner ends | the actors end with it; its exit code is ours |
 //! | every actor is given up | the learner is stopped, unless actors elsewhere may join |
 //! | Ctrl-C, SIGTERM | every child is asked to end, and killed if it does not within [`GRACE`] |
@@ -136,8 +136,8 @@ async fn watch(
     }
 }
 
-/// Starts the actors again that a learner dismissed which was killed before its end: the next one needs them, unless nothing is left
-/// to train.
+/// Starts the actors again that a learner dismissed which was killed before its end: the next one may need them, unless all updates
+/// are made. If it finds in its checkpoint that the run has ended before (`evaluation.stop_at`), it ends, and they end with it.
 fn call_back(plan: &ProcessPlan, actors: &mut [ChildHandle]) {
     if journal::last_update(&plan.run) >= plan.n_updates {
         return;

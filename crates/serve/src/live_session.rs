@@ -166,6 +166,8 @@ pub struct LiveSession {
     last_t: f64,
     travel: TravelTime,
     n_refused_in_a_row: u32,
+    /// How many observations were refused in this process, and why the last one was.
+    refusals: (u64, String),
     told: String,
     /// Which numbers were strange before.
     was_strange: Vec<bool>,
@@ -235,6 +237,7 @@ impl LiveSession {
             last_t: 0.0,
             travel: TravelTime::default(),
             n_refused_in_a_row: 0,
+            refusals: (0, String::new()),
             told: String::new(),
             was_strange: vec![false; obs_dim],
             unknown: Vec::new(),
@@ -290,6 +293,11 @@ impl LiveSession {
     /// Returns what has happened to the client's messages.
     pub fn counts(&self) -> LiveCounts {
         self.counts
+    }
+
+    /// Returns how many observations were refused in this process, and why the last one was.
+    pub(crate) fn refusals(&self) -> (u64, &str) {
+        (self.refusals.0, &self.refusals.1)
     }
 
     /// Returns the number of the newest observation; 0 before the first.
@@ -421,6 +429,7 @@ impl LiveSession {
         self.counts.refused += 1;
         self.n_refused_in_a_row += 1;
         self.told = error.to_string();
+        self.refusals = (self.refusals.0 + 1, self.told.clone());
         self.has_news = true;
         if self.n_refused_in_a_row >= MAX_REFUSED && self.robot.is_none() {
             let why = Silence::Refused(self.n_refused_in_a_row, self.told.clone());

@@ -45,8 +45,16 @@ pub(crate) enum ThreadOrder {
 /// What a thread reports.
 #[derive(Debug)]
 pub(crate) enum ThreadReport {
-    /// How a session could go on in another process.
-    State { client: ClientName, id: String, state: LiveState, snapshot: Box<LiveSnapshot> },
+    /// How a session stands.
+    State {
+        client: ClientName,
+        id: String,
+        state: LiveState,
+        /// How many observations were refused, and why the last one was.
+        refusals: (u64, String),
+        /// How it could go on in another process.
+        snapshot: Box<LiveSnapshot>,
+    },
     /// A session is over.
     Over { client: ClientName, id: String },
 }
@@ -260,10 +268,12 @@ impl Loop {
     }
 
     fn report_state(&self, hosted: &Hosted) {
+        let (n_refused, reason) = hosted.session.refusals();
         let report = ThreadReport::State {
             client: hosted.client.clone(),
             id: hosted.session.id().to_owned(),
             state: hosted.session.state(),
+            refusals: (n_refused, reason.to_owned()),
             snapshot: Box::new(hosted.session.snapshot()),
         };
         // One that nobody has room for is followed by another.

@@ -5,6 +5,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use leadtime_link::live::{LiveEvent, LiveServiceLink, OpenResponder, RobotKeys};
+use leadtime_proto::phrase::counted;
 use leadtime_proto::{ClientName, Incarnation};
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_voice::Loudspeaker;
@@ -25,6 +26,8 @@ use crate::working_policy::{LiveDecider, PolicyOrigin, WorkingPolicy};
 pub const MAX_SESSIONS: usize = 64;
 /// The most reports of threads that wait.
 const MAX_REPORTS: usize = 1_024;
+/// Between two lines in the log about the refused observations of one session, in nanoseconds.
+const REFUSALS_PAUSE: u64 = 60_000_000_000;
 
 /// Where the state of sessions is kept, so that a restarted notifier goes on with them.
 pub trait StateStore: Send + Sync + fmt::Debug {
@@ -79,6 +82,27 @@ struct Registered {
     place: Option<String>,
     /// The command line opened it, and no other client may have its place.
     is_standing: bool,
+    refusals: RefusalLog,
+}
+
+/// What the log has been told of a session's refused observations.
+#[derive(Debug, Default)]
+struct RefusalLog {
+    n_told: u64,
+    told_at: Option<u64>,
+}
+
+impl RefusalLog {
+    /// Returns how many were refused since the last line, if it is time for another one.
+    fn look(&mut self, now: u64, n_refused: u64) -> Option<u64> {
+        let n_new = n_refused.saturating_sub(self.n_told);
+        let is_due = self.told_at.is_none_or(|at| now.saturating_sub(at) >= REFUSALS_PAUSE);
+        if n_new == 0 || !is_due {
+            return None;
+        }
+        (self.n_told, self.told_at) = (n_refused, Some(now));
+        Some(n_new)
+    }
 }
 
 /// A session's state as it is kept.
@@ -330,6 +354,7 @@ impl LiveService {
             whole,
             place,
             is_standing,
+            refusals: RefusalLog::default(),
         };
         self.open.insert(client, registered);
         Ok(answer)
@@ -420,13 +445,19 @@ impl LiveService {
                     info!(%client, session = id, "a session is over");
                 }
             }
-            ThreadReport::State { client, id, state, snapshot } => {
-                let (at, voice) = (self.unix(self.clock.now()), self.voice_name());
+            ThreadReport::State { client, id, state, refusals, snapshot } => {
+                let now = self.clock.now();
+                let (at, voice) = (self.unix(now), self.voice_name());
                 let Some(registered) = self.open.get_mut(&client) else { return };
                 if registered.id != id {
                     return;
                 }
                 registered.state = state;
+                let (n_refused, reason) = refusals;
+                if let Some(n) = registered.refusals.look(now, n_refused) {
+                    let n = counted(n, "observation");
+                    warn!(%client, session = id, "{n} refused; of the last one: {reason}");
+                }
                 let Some(store) = &self.settings.store else { return };
                 let kept = KeptSession {
                     id,
@@ -447,5 +478,18 @@ impl LiveService {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refused_observations_are_told_at_once_and_then_once_a_minute() {
+        let mut log = RefusalLog::default();
+        let looks = [(1, 0), (2, 1), (3, 1), (4, 40), (2 + REFUSALS_PAUSE, 90), (u64::MAX, 90)];
+        let told = looks.map(|(now, n)| log.look(now, n));
+        assert_eq!(told, [None, Some(1), None, None, Some(89), None]);
     }
 }

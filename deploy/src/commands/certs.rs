@@ -84,9 +84,10 @@ struct OwnList {
 }
 
 impl OwnList {
-    /// Looks at it, before anything is issued.
+    /// Looks at it, before anything is issued. Says what is left out of it.
     fn find(directory: &Path) -> anyhow::Result<Self> {
         let path = directory.join("acl.json5");
+        tell_left_out(directory)?;
         let is_ours = match fs::read_to_string(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => true,
             text => {
@@ -112,9 +113,18 @@ impl OwnList {
 
 /// Makes the list of everybody who has a certificate in a directory, with their number; `None` if nobody has.
 fn list_of(directory: &Path) -> anyhow::Result<Option<(usize, AccessList)>> {
-    let issued = Authority::list(directory)?;
+    let issued = Authority::list(directory)?.issued;
     let peers: Vec<_> = issued.into_iter().map(|issued| (issued.role, issued.name)).collect();
     Ok(AccessList::of(&peers).map(|list| (peers.len(), list)))
+}
+
+/// Warns of the files beside the certificates that may be meant to be some.
+fn tell_left_out(directory: &Path) -> anyhow::Result<()> {
+    for error in Authority::list(directory)?.left_out {
+        let error = anyhow::Error::new(error);
+        tracing::warn!("{error:#}; neither listed nor renewed");
+    }
+    Ok(())
 }
 
 fn access_list_line(file: &Path, n: usize) -> String {
@@ -123,6 +133,7 @@ fn access_list_line(file: &Path, n: usize) -> String {
 
 fn renew(args: &CertsRenewArgs) -> anyhow::Result<()> {
     let now = clock::now();
+    tell_left_out(&args.directory)?;
     let renewed = Authority::open(&args.directory, now)?.renew(args.before, now)?;
     for issued in &renewed {
         output::line(&line("renewed", issued));
@@ -169,6 +180,7 @@ fn show(args: &CertsShowArgs) -> anyhow::Result<()> {
 }
 
 fn acl(args: &CertsAclArgs) -> anyhow::Result<()> {
+    tell_left_out(&args.directory)?;
     let (n, list) = list_of(&args.directory)?.with_context(|| nobody(&args.directory))?;
     match &args.out {
         None => output::data(list.to_text().trim_end()),

@@ -111,7 +111,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
 fn tell_finished(run_dir: &RunDir) {
     let (name, path) = (&run_dir.name, run_dir.path.display());
     let setting = match run_dir.record.result.as_ref().map(|result| result.end) {
-        Some(ResultCause::StopAt) => "evaluation.stop_at",
+        Some(ResultCause::StopAt) => "evaluation.stop_at, or leave it out,",
         _ => "learner.total_steps",
     };
     output::say(&format!(

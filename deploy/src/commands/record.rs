@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
-use leadtime_link::live::{LiveRecorderLink, LiveSample, LiveTopic, SessionAsker};
-use leadtime_proto::ClientName;
+use leadtime_link::live::{LiveMessage, LiveRecorderLink, LiveSample, LiveTopic, SessionAsker};
 use leadtime_proto::phrase::{counted, duration};
+use leadtime_proto::{ClientName, ServiceName};
 use leadtime_recording::{Error as RecordingError, LiveRecorder, RecordingWriter};
 use leadtime_runs::clock;
 use tokio::time::{MissedTickBehavior, interval, sleep};
@@ -42,8 +42,15 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let (shown, service) = (args.output.display(), &args.notifier.service);
     tracing::info!("recording notifier `{service}` to {shown} until {}", end(args));
     stop_after(args, &shutdown);
-    let mut recording =
-        RunningRecording { link, samples, recorder, asked: BTreeSet::new(), n_dropped: 0 };
+    let mut recording = RunningRecording {
+        link,
+        samples,
+        recorder,
+        service: service.clone(),
+        is_gone: false,
+        asked: BTreeSet::new(),
+        n_dropped: 0,
+    };
     let ended = recording.run(&shutdown).await;
     let (n_messages, n_sessions) = recording.recorder.counts();
     // What was recorded is kept, whatever went wrong: with its index, if the disk takes one.
@@ -129,6 +136,9 @@ struct RunningRecording {
     link: LiveRecorderLink,
     samples: flume::Receiver<LiveSample>,
     recorder: LiveRecorder<BufWriter<File>>,
+    service: ServiceName,
+    /// The notifier is not there.
+    is_gone: bool,
     /// The clients whose session is being asked for.
     asked: BTreeSet<ClientName>,
     n_dropped: u64,
@@ -138,6 +148,7 @@ impl RunningRecording {
     async fn run(&mut self, stop: &CancellationToken) -> Result<(), RecordFailure> {
         let (sender, answers) = flume::bounded(MAX_ASKED);
         let asker = self.link.asker();
+        let presence = self.link.presence().clone();
         let mut flushes = interval(FLUSH_EVERY);
         flushes.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
@@ -149,6 +160,10 @@ impl RunningRecording {
                     if matches!(sample.topic, LiveTopic::Status | LiveTopic::Taken) {
                         self.ask(&asker, &sender);
                     }
+                }
+                change = presence.recv_async() => {
+                    let Ok(change) = change else { return Ok(()) };
+                    self.tell_presence(&change);
                 }
                 answer = answers.recv_async() => {
                     let Ok((client, answer)) = answer else { return Ok(()) };
@@ -178,6 +193,23 @@ impl RunningRecording {
                 let answer = asker.ask(&client).await.ok();
                 drop(sender.send_async((client, answer)).await);
             });
+        }
+    }
+
+    /// Says that the notifier has gone, or is back.
+    fn tell_presence(&mut self, change: &LiveMessage) {
+        let service = &self.service;
+        match change {
+            LiveMessage::ServiceGone(_) => {
+                self.is_gone = true;
+                tracing::warn!(
+                    "notifier `{service}` is gone: nothing is recorded until it is back"
+                );
+            }
+            LiveMessage::ServiceHere(_) if std::mem::take(&mut self.is_gone) => {
+                tracing::info!("notifier `{service}` is back");
+            }
+            _ => {}
         }
     }
 

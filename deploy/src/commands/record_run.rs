@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
-use leadtime_link::keys::Key;
+use leadtime_link::keys::{Key, Member};
 use leadtime_link::{Events, ObserverEvent, ObserverLink};
 use leadtime_proto::RunName;
 use leadtime_proto::phrase::counted;
@@ -60,7 +60,7 @@ async fn record(
 ) -> Result<(), RecordFailure> {
     let mut flushes = interval(FLUSH_EVERY);
     flushes.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut n_missed = 0;
+    let (mut n_missed, mut is_lost) = (0, false);
     loop {
         tokio::select! {
             () = stop.cancelled() => return Ok(()),
@@ -76,6 +76,13 @@ async fn record(
                     if told["kind"] == "end" && told["how"] == "finished" {
                         return Ok(());
                     }
+                }
+                Some(ObserverEvent::Left(Member::Learner, _)) => {
+                    is_lost = true;
+                    tracing::warn!("the learner of run `{run}` is gone: looking for it until Ctrl-C");
+                }
+                Some(ObserverEvent::Joined(Member::Learner, _)) if std::mem::take(&mut is_lost) => {
+                    tracing::info!("the learner of run `{run}` is back");
                 }
                 Some(_) => {}
                 None => return Ok(()),

@@ -130,18 +130,7 @@ impl ClientPort {
         let say = subscribe(session, LiveKey::Say(service, client), take(LiveMessage::Say))?;
         let key = LiveKey::Status(service, client);
         let status = subscribe(session, key, take(LiveMessage::Status))?;
-        let own = service.clone();
-        let presence = watch_tokens(session, LiveKey::Services, move |key, kind| {
-            let Some(alive) = parse_alive(key) else { return };
-            if alive.service != own || alive.client.is_some() {
-                return;
-            }
-            let message = match kind {
-                SampleKind::Put => LiveMessage::ServiceHere(alive.incarnation),
-                SampleKind::Delete => LiveMessage::ServiceGone(alive.incarnation),
-            };
-            drop(sender.try_send(message));
-        })?;
+        let presence = watch_service(session, service, sender)?;
         let token = appear(session, LiveKey::Client(service, client, incarnation))?;
         let key = LiveKey::Observations(service, client);
         let observations = publisher(session, key, wire::SPEECH, Encoding::APPLICATION_JSON)?;
@@ -208,6 +197,26 @@ impl ClientPort {
     pub fn next(&self, timeout: Duration) -> Option<LiveMessage> {
         self.messages.recv_timeout(timeout).ok()
     }
+}
+
+/// Takes the starts of a notifier that are there, come and go.
+pub(super) fn watch_service(
+    session: &Session,
+    service: &ServiceName,
+    sender: flume::Sender<LiveMessage>,
+) -> Result<Subscriber<()>> {
+    let service = service.clone();
+    watch_tokens(session, LiveKey::Services, move |key, kind| {
+        let Some(alive) = parse_alive(key) else { return };
+        if alive.service != service || alive.client.is_some() {
+            return;
+        }
+        let message = match kind {
+            SampleKind::Put => LiveMessage::ServiceHere(alive.incarnation),
+            SampleKind::Delete => LiveMessage::ServiceGone(alive.incarnation),
+        };
+        drop(sender.try_send(message));
+    })
 }
 
 /// Asks a notifier at a key; the question and the answer are JSON.

@@ -7,7 +7,7 @@ use leadtime_proto::{ClientName, ServiceName};
 use zenoh::pubsub::Subscriber;
 use zenoh::session::Session;
 
-use super::client::{ask, find};
+use super::client::{LiveMessage, MAX_MESSAGES, ask, find, watch_service};
 use super::keys::{LiveKey, LiveTopic, parse_topic};
 use super::port::Arrival;
 use crate::pubsub::subscribe;
@@ -32,6 +32,7 @@ pub struct LiveSample {
 pub struct LiveRecorderLink {
     service: ServiceName,
     n_dropped: Arc<AtomicU64>,
+    presence: flume::Receiver<LiveMessage>,
     _subscribers: Vec<Subscriber<()>>,
     /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
     session: Session,
@@ -68,9 +69,16 @@ impl LiveRecorderLink {
                 }
             })
         });
-        let subscribers = subscribed.collect::<Result<Vec<_>>>()?;
+        let mut subscribers = subscribed.collect::<Result<Vec<_>>>()?;
+        let (sender, presence) = flume::bounded(MAX_MESSAGES);
+        subscribers.push(watch_service(&session, service, sender)?);
         let service = service.clone();
-        Ok((Self { service, n_dropped, _subscribers: subscribers, session }, samples))
+        Ok((Self { service, n_dropped, presence, _subscribers: subscribers, session }, samples))
+    }
+
+    /// Returns where it is told which starts of the notifier are there, come and go.
+    pub fn presence(&self) -> &flume::Receiver<LiveMessage> {
+        &self.presence
     }
 
     /// Returns what asks for sessions: it can be used while messages are taken.
