@@ -6,6 +6,7 @@
 //!                              ├─ ask; wait for the welcome
 //!                              └─ declare rollouts and announcements of the run's domain
 //! LearnerLeft … LearnerJoined ── hello again, on the same link
+//! alone for long ── another connection, and the same from the hello on
 //! ```
 
 use std::sync::{Arc, Mutex};
@@ -51,6 +52,9 @@ const HELLO_GRACE: Duration = Duration::from_secs(5);
 const RELAY_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a relay that did not answer is left alone.
 const RELAY_PAUSE: Duration = Duration::from_secs(30);
+/// How long a connection may have nobody at its other end before another is opened beside it. The library looks for the other
+/// end again by itself, but not where a connection ended while the library was still noting that it had begun.
+const STRANDED: Duration = Duration::from_secs(10);
 /// First and longest pause between attempts to find a run.
 const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_millis(500));
 
@@ -84,9 +88,7 @@ struct RelayOfRegion {
 /// An actor's place on the network.
 #[derive(Debug)]
 pub struct ActorLink {
-    endpoints: String,
-    /// The name in our certificate, if we have one.
-    name: Option<String>,
+    settings: ConnectSettings,
     relay: Option<RelayOfRegion>,
     actor: ActorId,
     incarnation: Incarnation,
@@ -96,8 +98,10 @@ pub struct ActorLink {
     answers: Answers,
     joined: Mutex<Option<Joined>>,
     entered: Mutex<Option<Arc<Membership>>>,
+    /// Since when nobody has been at the other end.
+    alone: Mutex<Option<Instant>>,
     /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
-    session: Session,
+    session: Mutex<Session>,
 }
 
 impl ActorLink {
@@ -114,9 +118,8 @@ impl ActorLink {
         let session = session::connect(settings).await?;
         let (events, latest, mut receiver) = Events::new(0);
         let link = Self {
-            session,
-            endpoints: session::describe(&settings.endpoints),
-            name: settings.identity.as_ref().and_then(|identity| identity.shown.name.clone()),
+            session: Mutex::new(session),
+            settings: settings.clone(),
             relay: settings
                 .region
                 .clone()
@@ -129,13 +132,15 @@ impl ActorLink {
             answers: Answers::start(N_ANSWERING)?,
             joined: Mutex::default(),
             entered: Mutex::default(),
+            alone: Mutex::default(),
         };
         Ok((link, receiver))
     }
 
     /// Says hello to a run, named or the only one there, and enters it when welcome.
     ///
-    /// To be said again after every [`ActorEvent::LearnerJoined`] that follows a loss.
+    /// To be said again after every [`ActorEvent::LearnerJoined`] that follows a loss. A connection that has been closed, or
+    /// has had nobody at its other end for [`STRANDED`], is replaced by another first.
     ///
     /// # Errors
     ///
@@ -156,6 +161,7 @@ impl ActorLink {
         let started = Instant::now();
         let mut unheard = None;
         loop {
+            self.renew().await;
             let run = self.find(run, started, timeout).await?;
             self.join(&run)?;
             let key = Key::Hello(&run).to_string();
@@ -168,7 +174,7 @@ impl ActorLink {
                 qos: wire::CONTROL,
                 timeout: timeout.saturating_sub(started.elapsed()),
             };
-            match ask_for(&self.session, question, HELLO_REPLY).await? {
+            match ask_for(&self.session(), question, HELLO_REPLY).await? {
                 // One that was killed is there for a moment longer.
                 InquiryEnd::Good(HelloReply::Taken)
                     if started.elapsed() < timeout.min(TAKEN_GRACE) =>
@@ -181,7 +187,7 @@ impl ActorLink {
                 }
                 // A refused question ends at once with nothing, and the learner is there.
                 InquiryEnd::Nobody
-                    if self.name.is_some()
+                    if self.name().is_some()
                         && unheard.get_or_insert_with(Instant::now).elapsed() > HELLO_GRACE =>
                 {
                     return Err(Error::NotAllowed { run, actor: self.actor.clone() });
@@ -213,7 +219,7 @@ impl ActorLink {
             return Ok(weights);
         }
         let key = Key::Weights(run, domain);
-        ask::pull(&self.session, key, self.incarnation, version, sha256, ask::PULL_TIMEOUT).await
+        ask::pull(&self.session(), key, self.incarnation, version, sha256, ask::PULL_TIMEOUT).await
     }
 
     /// Pulls from a relay; `None` if the learner has to be asked.
@@ -229,7 +235,8 @@ impl ActorLink {
             return None;
         }
         let key = Key::RelayedWeights(&entered.run, region, &entered.domain);
-        let pull = ask::pull(&self.session, key, self.incarnation, version, sha256, RELAY_TIMEOUT);
+        let session = self.session();
+        let pull = ask::pull(&session, key, self.incarnation, version, sha256, RELAY_TIMEOUT);
         let error = match pull.await {
             Ok(weights) => {
                 if lock(rests_until).take().is_some() {
@@ -279,7 +286,7 @@ impl ActorLink {
     pub fn publish_metrics(&self, json: &[u8]) -> Result<()> {
         let entered = self.entered()?;
         let member = Member::Actor(self.actor.clone());
-        pubsub::put_metrics(&self.session, &entered.run, &member, self.incarnation, json)
+        pubsub::put_metrics(&self.session(), &entered.run, &member, self.incarnation, json)
     }
 
     /// Checks that the connection has not been closed; to be asked now and then, because no event tells it.
@@ -288,7 +295,7 @@ impl ActorLink {
     ///
     /// [`Error::Dead`] if it has.
     pub fn health(&self) -> Result<()> {
-        if self.session.is_closed() { Err(Error::Dead) } else { Ok(()) }
+        if self.session().is_closed() { Err(Error::Dead) } else { Ok(()) }
     }
 
     /// Leaves the network, within a limited time. Rollouts that are not acknowledged may be lost.
@@ -297,7 +304,46 @@ impl ActorLink {
     ///
     /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
-        session::close(&self.session).await
+        session::close(&self.session()).await
+    }
+
+    fn session(&self) -> Session {
+        lock(&self.session).clone()
+    }
+
+    /// Returns the name in our certificate, if we have one.
+    fn name(&self) -> Option<&String> {
+        self.settings.identity.as_ref()?.shown.name.as_ref()
+    }
+
+    fn endpoints(&self) -> String {
+        session::describe(&self.settings.endpoints)
+    }
+
+    /// Opens another connection where this one leads nowhere any more, as far as one can be opened at once.
+    async fn renew(&self) {
+        let before = self.session();
+        if !before.is_closed() {
+            if session::has_peer(&before).await {
+                *lock(&self.alone) = None;
+                return;
+            }
+            if lock(&self.alone).get_or_insert_with(Instant::now).elapsed() < STRANDED {
+                return;
+            }
+        }
+        match session::reconnect(&self.settings).await {
+            Ok(session) => {
+                info!("this connection leads nowhere; going on with another");
+                // What was declared on the one before goes with it.
+                *lock(&self.joined) = None;
+                *lock(&self.entered) = None;
+                *lock(&self.session) = session;
+                *lock(&self.alone) = None;
+                drop(session::close(&before).await);
+            }
+            Err(error) => debug!(%error, "no other connection can be opened"),
+        }
     }
 
     fn entered(&self) -> Result<Arc<Membership>> {
@@ -313,12 +359,12 @@ impl ActorLink {
     ) -> Result<RunName> {
         let mut pause = RETRY.0;
         loop {
-            let mut runs = discovery::runs(&self.session).await?;
+            let mut runs = discovery::runs(&self.session()).await?;
             match wanted {
                 Some(run) if runs.contains(run) => return Ok(run.clone()),
                 None if runs.len() > 1 => {
                     let runs = runs.into_iter().collect();
-                    return Err(Error::SeveralRuns { endpoints: self.endpoints.clone(), runs });
+                    return Err(Error::SeveralRuns { endpoints: self.endpoints(), runs });
                 }
                 None if let Some(run) = runs.pop_first() => return Ok(run),
                 _ => {}
@@ -326,13 +372,13 @@ impl ActorLink {
             let waited = started.elapsed();
             let patience = if runs.is_empty() { timeout } else { timeout.min(WRONG_RUN_GRACE) };
             if waited >= patience {
-                let endpoints = self.endpoints.clone();
+                let endpoints = self.endpoints();
                 return Err(match wanted {
                     Some(run) if !runs.is_empty() => {
                         let present = runs.into_iter().collect();
                         Error::RunNotFound { run: run.clone(), endpoints, present }
                     }
-                    _ => match self.name.clone() {
+                    _ => match self.name().cloned() {
                         Some(name) => Error::Unlisted { endpoints, name, timeout },
                         None => Error::NoLearner { endpoints, timeout },
                     },
@@ -352,7 +398,7 @@ impl ActorLink {
         // Leave another run before, so that its learner does not count on this actor.
         *joined = None;
         *lock(&self.entered) = None;
-        let (session, incarnation) = (&self.session, self.incarnation);
+        let (session, incarnation) = (&self.session(), self.incarnation);
         let (events, answers) = (self.events.clone(), self.answers.clone());
         let orders = take_questions(session, Key::Control(run, &self.actor), move |query| {
             on_order(&events, &answers, incarnation, query);
@@ -410,9 +456,10 @@ impl ActorLink {
             return Ok(());
         }
         let key = Key::Rollouts(&run, &domain, &self.actor);
-        let rollouts = pubsub::publisher(&self.session, key, wire::BULK, Encoding::default())?;
+        let session = &self.session();
+        let rollouts = pubsub::publisher(session, key, wire::BULK, Encoding::default())?;
         let (key, latest) = (Key::Announcement(&run, &domain), Arc::clone(&self.latest));
-        let announcements = subscribe(&self.session, key, move |sample| {
+        let announcements = subscribe(session, key, move |sample| {
             let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
             match wire::unseal::<Announcement>(attachment, payload, ANNOUNCEMENT) {
                 Ok(news) => {

@@ -74,7 +74,7 @@ impl Relay {
         let desk = Desk {
             session: session.clone(),
             answers,
-            shelf: Shelf::new(MAX_BYTES),
+            shelf: RelayCache::new(MAX_BYTES),
             waiting: BTreeMap::new(),
             n_waiting: 0,
             pulls: JoinSet::new(),
@@ -99,7 +99,7 @@ impl Drop for Relay {
 struct Desk {
     session: Session,
     answers: Answers,
-    shelf: Shelf,
+    shelf: RelayCache,
     /// Who waits for weights that are on their way.
     waiting: BTreeMap<Digest, Vec<Query>>,
     n_waiting: usize,
@@ -214,7 +214,7 @@ impl Asked {
 
 /// The weights that are kept, as many as fit.
 #[derive(Debug)]
-struct Shelf {
+struct RelayCache {
     limit: usize,
     n_bytes: usize,
     /// Counts what was put and taken, so that it can be told what was not asked for the longest.
@@ -222,7 +222,7 @@ struct Shelf {
     kept: BTreeMap<Digest, (Header, Bytes, u64)>,
 }
 
-impl Shelf {
+impl RelayCache {
     fn new(limit: usize) -> Self {
         Self { limit, n_bytes: 0, clock: 0, kept: BTreeMap::new() }
     }
@@ -256,8 +256,8 @@ mod tests {
 
     #[test]
     fn what_was_not_asked_for_the_longest_makes_room() {
-        let mut shelf = Shelf::new(100);
-        let put = |shelf: &mut Shelf, name: u8, n_bytes: usize| {
+        let mut shelf = RelayCache::new(100);
+        let put = |shelf: &mut RelayCache, name: u8, n_bytes: usize| {
             let weights = Bytes::from(vec![name; n_bytes]);
             let header = Header::plain(Schema::Weights, Incarnation(0), &weights);
             shelf.put([name; 32], header, weights);

@@ -213,6 +213,36 @@ async fn listen_with(
     })
 }
 
+/// Returns whether somebody is at the other end of a client's session.
+pub(crate) async fn has_peer(session: &Session) -> bool {
+    let info = session.info();
+    info.peers_zid().await.next().is_some() || info.routers_zid().await.next().is_some()
+}
+
+/// Opens a client's session in place of another, with a single round of attempts.
+pub(crate) async fn reconnect(settings: &ConnectSettings) -> Result<Session> {
+    let opened = open(client(settings, ROUND, ACTOR_WAIT_BEFORE_CLOSE_US)?).await?;
+    opened.map_err(Error::network("connect to", &describe(&settings.endpoints)))
+}
+
+/// Returns the configuration of a client that tries to connect for this long.
+fn client(settings: &ConnectSettings, round: Duration, wait_us: u64) -> Result<Config> {
+    let ConnectSettings { endpoints, identity, .. } = settings;
+    let mut special = vec![
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", json_list(endpoints)),
+        // 0 would mean a single attempt without a limit of its own.
+        ("connect/timeout_ms", round.as_millis().max(1).to_string()),
+        ("connect/exit_on_failure", "true".to_owned()),
+        max_message(limits::MAX_MESSAGE_BYTES),
+        wait_before_close(wait_us),
+    ];
+    if let Some(identity) = identity {
+        special.extend(security::settings(identity, security::has_socket(endpoints.iter()))?);
+    }
+    Ok(config(&special))
+}
+
 /// Opens a client's session, trying again with growing pauses until the time-out.
 pub(crate) async fn connect(settings: &ConnectSettings) -> Result<Session> {
     dial(settings, ACTOR_WAIT_BEFORE_CLOSE_US).await
@@ -225,24 +255,11 @@ async fn dial(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
         return Err(Error::NoEndpoint);
     }
     settings.check()?;
-    let has_socket = security::has_socket(endpoints.iter());
-    let encryption = identity.map(|identity| security::settings(identity, has_socket));
-    let encryption = encryption.transpose()?.unwrap_or_default();
     let deadline = Instant::now() + timeout;
     let mut reported = false;
     loop {
         let round = deadline.saturating_duration_since(Instant::now()).min(ROUND);
-        let mut special = vec![
-            ("mode", "\"client\"".to_owned()),
-            ("connect/endpoints", json_list(endpoints)),
-            // 0 would mean a single attempt without a limit of its own.
-            ("connect/timeout_ms", round.as_millis().max(1).to_string()),
-            ("connect/exit_on_failure", "true".to_owned()),
-            max_message(limits::MAX_MESSAGE_BYTES),
-            wait_before_close(wait_us),
-        ];
-        special.extend(encryption.iter().cloned());
-        let source = match open(config(&special)).await? {
+        let source = match open(client(settings, round, wait_us)?).await? {
             Ok(session) => return Ok(session),
             Err(source) => source,
         };
