@@ -21,7 +21,7 @@ use leadtime_proto::{
     TaskSpec,
 };
 use leadtime_serve::observation::{ObservationHead, write_json, write_raw};
-use leadtime_serve::{LiveSession, SayTo, SessionPlan, WorkingPolicy};
+use leadtime_serve::{LiveSession, ObservationBytes, SayTo, SessionPlan, WorkingPolicy};
 use leadtime_sims::{End, StepOutcome};
 use leadtime_taxonomy::{Loss, Request, Rotation, shipped};
 use leadtime_voice::{VoiceChoice, prepare};
@@ -230,9 +230,11 @@ fn serving_allocates_nothing(domain: &str, n_steps: usize, clock: &str) {
     let (mut ear, mut meter) = (Ear::default(), Meter::default());
     for (i, (json, (numbers, beside))) in json.iter().zip(&raw).enumerate() {
         let now = (i as u64 + 2) * STEP;
-        let written = (&ArrivalEncoding::Json, json.as_slice(), None);
+        let written =
+            ObservationBytes { encoding: &ArrivalEncoding::Json, payload: json, beside: None };
         session.arrive(now, now, written, &mut decider, &mut ear);
-        let sent = (&ArrivalEncoding::Binary, numbers.as_slice(), Some(beside.as_slice()));
+        let encoding = &ArrivalEncoding::Binary;
+        let sent = ObservationBytes { encoding, payload: numbers, beside: Some(beside) };
         session.arrive(now + STEP / 2, now + STEP / 2, sent, &mut decider, &mut ear);
         session.tick(now + STEP / 2, &mut decider, &mut ear);
         meter.mark();

@@ -1,8 +1,8 @@
 //! Replaying a session: the same observations again, and whether the same is said.
 
 use leadtime_serve::{
-    HeardSay, LiveDecider, LiveSession, ObservationBytes, SayEvent, SayTo, SessionNote, SessionPlan, StepClock,
-    TakenInput, WorkingPolicy,
+    HeardSay, LiveDecider, LiveSession, ObservationBytes, SayEvent, SayTo, SessionNote,
+    SessionPlan, StepClock, TakenInput, WorkingPolicy,
 };
 
 use crate::error::Error;

@@ -23,7 +23,7 @@ const ADDED: f64 = 0.5;
 
 /// A number of the task, with values that it took.
 #[derive(Debug)]
-struct Seen {
+struct ObservedNumber {
     name: String,
     /// Different ones, rising, at least two.
     values: Vec<f64>,
@@ -34,9 +34,9 @@ struct Seen {
 /// Draws scripts for a search, and changes good ones.
 #[derive(Debug)]
 pub(crate) struct Proposer {
-    observed: Vec<Seen>,
+    observed: Vec<ObservedNumber>,
     /// What the world adds for scripts, and the step.
-    added: Vec<Seen>,
+    added: Vec<ObservedNumber>,
     topics: Vec<&'static str>,
     messages: Vec<Message>,
     draws: Pcg64,
@@ -66,10 +66,10 @@ impl ValueLog {
 impl Proposer {
     pub(crate) fn new(task: &dyn Scriptable, log: ValueLog, draws: Pcg64) -> Self {
         let seen = |((quantity, values), changes): ((leadtime_sims::Quantity, Vec<f64>), bool)| {
-            Seen { name: quantity.name, values: spread(values), changes }
+            ObservedNumber { name: quantity.name, values: spread(values), changes }
         };
         let all = task.quantities().into_iter().zip(log.values).zip(log.changes).map(seen);
-        let mut observed: Vec<Seen> = all.collect();
+        let mut observed: Vec<ObservedNumber> = all.collect();
         let mut added = observed.split_off(task.n_observed());
         // What never differs cannot decide anything.
         for part in [&mut observed, &mut added] {
@@ -249,13 +249,13 @@ impl Proposer {
         rounded(f64::midpoint(values[lower], values[lower + 1]))
     }
 
-    fn seen(&self, place: Place) -> &Seen {
+    fn seen(&self, place: Place) -> &ObservedNumber {
         let part = if place.added { &self.added } else { &self.observed };
         &part[place.index]
     }
 
     fn place(&self, name: &str) -> Option<Place> {
-        let find = |part: &[Seen]| part.iter().position(|it| it.name == name);
+        let find = |part: &[ObservedNumber]| part.iter().position(|it| it.name == name);
         let observed = find(&self.observed).map(|index| Place { added: false, index });
         observed.or_else(|| find(&self.added).map(|index| Place { added: true, index }))
     }

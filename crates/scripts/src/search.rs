@@ -91,14 +91,14 @@ pub struct FoundScript {
 
 /// A script that has been played in some episodes of the search.
 #[derive(Clone, Debug)]
-struct Contender {
+struct PlayedScript {
     script: Script,
     tried: Vec<Tried>,
     /// One for each episode played.
     scores: Vec<f64>,
 }
 
-impl Contender {
+impl PlayedScript {
     fn new(script: Script) -> Self {
         Self { script, tried: Vec::new(), scores: Vec::new() }
     }
@@ -125,7 +125,7 @@ pub fn search(
     while race.n_steps < n_race {
         let share = race.n_steps as f64 / settings.n_steps as f64;
         let script = race.propose(share < RANDOM);
-        race.enter(Contender::new(script))?;
+        race.enter(PlayedScript::new(script))?;
         progress(&race.progress());
     }
     race.finish(settings.n_steps - (settings.n_steps as f64 * SHORTENED) as u64)?;
@@ -144,7 +144,7 @@ struct Tournament<'a> {
     /// Returns that count as 0 and as 1.
     returns: [f64; 2],
     /// The best so far, the best first, all of them played to the last stage.
-    kept: Vec<Contender>,
+    kept: Vec<PlayedScript>,
     draws: leadtime_numerics::Pcg64,
     stages: [u64; 3],
     n_steps: u64,
@@ -172,7 +172,7 @@ impl<'a> Tournament<'a> {
         let mut race =
             Self { arena, proposer, returns, kept, draws, stages, n_steps, n_candidates: 0 };
         // Silence takes part: a script that is worse than none is not found.
-        race.enter(Contender::new(Script::default()))?;
+        race.enter(PlayedScript::new(Script::default()))?;
         Ok(race)
     }
 
@@ -187,7 +187,7 @@ impl<'a> Tournament<'a> {
     }
 
     /// Plays a candidate as long as it may be one of the best, and keeps it if it is.
-    fn enter(&mut self, mut contender: Contender) -> Result<(), Error> {
+    fn enter(&mut self, mut contender: PlayedScript) -> Result<(), Error> {
         self.n_candidates += 1;
         for n in self.stages {
             self.play(&mut contender, n)?;
@@ -200,7 +200,7 @@ impl<'a> Tournament<'a> {
                 return Ok(());
             }
         }
-        let better = |kept: &Contender| mean(&kept.scores) >= mean(&contender.scores);
+        let better = |kept: &PlayedScript| mean(&kept.scores) >= mean(&contender.scores);
         let place = self.kept.partition_point(better);
         self.kept.insert(place, contender);
         self.kept.truncate(N_KEPT);
@@ -208,7 +208,7 @@ impl<'a> Tournament<'a> {
     }
 
     /// Plays a script on until it has been played in the first `n` episodes.
-    fn play(&mut self, contender: &mut Contender, n: u64) -> Result<(), Error> {
+    fn play(&mut self, contender: &mut PlayedScript, n: u64) -> Result<(), Error> {
         let begun = contender.tried.len() as u64;
         let tried = self.arena.play(&contender.script, begun..n)?;
         self.n_steps += tried.iter().map(|tried| tried.n_steps).sum::<u64>();
@@ -224,7 +224,7 @@ impl<'a> Tournament<'a> {
 
     /// Compares the best on further episodes until the steps are used up, and sorts them.
     fn finish(&mut self, n_all: u64) -> Result<(), Error> {
-        let mut last: Vec<Contender> = self.kept.drain(..).take(N_LAST).collect();
+        let mut last: Vec<PlayedScript> = self.kept.drain(..).take(N_LAST).collect();
         let [few, _, chose] = self.stages;
         let mut n = chose;
         while self.n_steps < n_all {
@@ -234,7 +234,7 @@ impl<'a> Tournament<'a> {
             }
         }
         // Only on episodes that chose none of them, if there are any.
-        let fresh = |it: &Contender| {
+        let fresh = |it: &PlayedScript| {
             let rest = it.scores.get(chose as usize..).filter(|rest| !rest.is_empty());
             mean(rest.unwrap_or(&it.scores))
         };
@@ -252,7 +252,7 @@ impl<'a> Tournament<'a> {
             if self.n_steps >= n_all {
                 break;
             }
-            let mut contender = Contender::new(script);
+            let mut contender = PlayedScript::new(script);
             self.play(&mut contender, n)?;
             if mean(&contender.scores) >= mean(&best.scores[..contender.scores.len()]) {
                 best = contender;
@@ -265,7 +265,7 @@ impl<'a> Tournament<'a> {
     }
 
     fn progress(&self) -> SearchProgress {
-        let best = self.kept.first().map(Contender::success);
+        let best = self.kept.first().map(PlayedScript::success);
         SearchProgress { n_steps: self.n_steps, n_candidates: self.n_candidates, best }
     }
 }
