@@ -57,6 +57,25 @@ fn run_spec() -> RunSpec {
     }
 }
 
+fn rollout() -> Rollout {
+    Rollout {
+        env_id: EnvId(2),
+        iteration: Iteration(9),
+        version: PolicyVersion(4),
+        n_steps: 2,
+        observations: (0..8).map(|i| i as f32 / 4.0).collect(),
+        next_observation: vec![0.5; 4],
+        masks: vec![3, 3],
+        actions: vec![0, 1],
+        log_probs: vec![-0.5, -0.75],
+        values: vec![1.0, 2.0],
+        next_value: 3.0,
+        rewards: vec![1.0, 1.0],
+        snapshot: vec![9, 8, 7],
+        ..Rollout::default()
+    }
+}
+
 /// Lists one message of every kind, as a line each.
 fn messages() -> String {
     let actor = ActorId::new("a-1").unwrap();
@@ -88,22 +107,7 @@ fn messages() -> String {
         acknowledged: Sequence(5),
         limit: Sequence(69),
     };
-    let rollout = Rollout {
-        env_id: EnvId(2),
-        iteration: Iteration(9),
-        version: PolicyVersion(4),
-        n_steps: 2,
-        observations: (0..8).map(|i| i as f32 / 4.0).collect(),
-        next_observation: vec![0.5; 4],
-        masks: vec![3, 3],
-        actions: vec![0, 1],
-        log_probs: vec![-0.5, -0.75],
-        values: vec![1.0, 2.0],
-        next_value: 3.0,
-        rewards: vec![1.0, 1.0],
-        snapshot: vec![9, 8, 7],
-        ..Rollout::default()
-    };
+    let rollout = rollout();
     let mut repeating =
         Rollout { observations: vec![1.0, 2.0, 3.0, 4.0, 2.0, 3.0, 4.0, 5.0], ..rollout.clone() };
     repeating.leave_out_repeats(RowOverlap::new(1, 3), 4);

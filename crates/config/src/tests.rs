@@ -135,8 +135,8 @@ fn run_identities_stay() {
         ("paper_lander", 2_311_859_075),
         ("paper_lander_hard", 2_173_216_426),
         ("pilot", 3_946_323_515),
-        ("steakhouse", 3_636_887_219),
-        ("steakhouse_timing", 3_267_632_790_u32),
+        ("steakhouse", 1_151_090_681),
+        ("steakhouse_timing", 3_042_336_859_u32),
     ];
     let first = |name| {
         let [a, b, c, d, ..] = identity::of_run(&named(name).table);

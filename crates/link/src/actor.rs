@@ -48,6 +48,8 @@ const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
 const TAKEN_GRACE: Duration = Duration::from_secs(2);
 /// How long hellos that reach nobody are repeated before an access list is blamed: longer than a learner that died is seen.
 const HELLO_GRACE: Duration = Duration::from_secs(5);
+/// How long an answer to one hello is waited for: a question may be lost where a connection is just coming up.
+const HELLO_WAIT: Duration = Duration::from_secs(10);
 /// How long a relay may take to answer; after that the learner is asked.
 const RELAY_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a relay that did not answer is left alone.
@@ -172,7 +174,7 @@ impl ActorLink {
                 header,
                 payload,
                 qos: wire::CONTROL,
-                timeout: timeout.saturating_sub(started.elapsed()),
+                timeout: timeout.saturating_sub(started.elapsed()).min(HELLO_WAIT),
             };
             match ask_for(&self.session(), question, HELLO_REPLY).await? {
                 // One that was killed is there for a moment longer.
@@ -192,7 +194,7 @@ impl ActorLink {
                 {
                     return Err(Error::NotAllowed { run, actor: self.actor.clone() });
                 }
-                InquiryEnd::Nobody if started.elapsed() < timeout => {
+                InquiryEnd::Nobody | InquiryEnd::TimedOut if started.elapsed() < timeout => {
                     debug!(%run, "the learner did not answer the hello, trying again");
                     tokio::time::sleep(RETRY.0).await;
                 }

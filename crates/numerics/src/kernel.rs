@@ -607,10 +607,7 @@ impl PanelKernel for RowSums<'_> {
                 std::array::from_fn(|p| &left.panel(self.first + first + p)[row..row + len]);
             for k in 0..len {
                 for p in 0..P {
-                    let row = load::<S, V>(&panels[p][k]);
-                    for v in 0..V {
-                        sums[p][v] = simd.add_f32s(sums[p][v], row[v]);
-                    }
+                    add(simd, load::<S, V>(&panels[p][k]), &mut sums[p]);
                 }
             }
         }
@@ -701,6 +698,14 @@ impl Outer<'_> {
             }
         }
         R
+    }
+}
+
+/// Adds a row of a panel to sums.
+#[inline(always)]
+fn add<S: Simd, const V: usize>(simd: S, row: [S::f32s; V], sums: &mut [S::f32s; V]) {
+    for v in 0..V {
+        sums[v] = simd.add_f32s(sums[v], row[v]);
     }
 }
 

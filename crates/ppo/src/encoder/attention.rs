@@ -161,7 +161,9 @@ impl AttentionPass {
             })
             .collect();
         add_up(&mut found, team);
-        found.into_iter().for_each(|sum| sum.put_into(block));
+        for sum in found {
+            sum.put_into(block);
+        }
         let of_product = |layer: &Layer| block.remove(&layer.weight()).unwrap_or_default();
         let [d_query, d_output] = [query, output].map(of_product);
         weights.unfold(&d_query, &d_output, block);

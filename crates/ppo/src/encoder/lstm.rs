@@ -185,7 +185,9 @@ impl LstmPass {
             sums.push(LayerSum::new(&projection.layer, rows, gradients));
         }
         add_up(&mut sums, team);
-        sums.into_iter().for_each(|sum| sum.put_into(gradients));
+        for sum in sums {
+            sum.put_into(gradients);
+        }
     }
 }
 
