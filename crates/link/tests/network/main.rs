@@ -11,7 +11,6 @@ mod joining;
 mod messages;
 mod presence;
 mod refusals;
-mod regions;
 mod stall;
 mod support;
 mod weights;
