@@ -141,8 +141,8 @@ impl ActorLink {
 
     /// Says hello to a run, named or the only one there, and enters it when welcome.
     ///
-    /// To be said again after every [`ActorEvent::LearnerJoined`] that follows a loss. A connection that has been closed, or
-    /// has had nobody at its other end for [`STRANDED`], is replaced by another first.
+    /// To be said again after every [`ActorEvent::LearnerJoined`] that follows a loss. A connection that has had
+    /// nobody at its other end for [`STRANDED`] is replaced by another first.
     ///
     /// # Errors
     ///
@@ -325,16 +325,19 @@ impl ActorLink {
     /// Opens another connection where this one leads nowhere any more, as far as one can be opened at once.
     async fn renew(&self) {
         let before = self.session();
-        if !before.is_closed() {
-            if session::has_peer(&before).await {
-                *lock(&self.alone) = None;
-                return;
-            }
-            if lock(&self.alone).get_or_insert_with(Instant::now).elapsed() < STRANDED {
-                return;
-            }
+        // Whoever has left stays away.
+        if before.is_closed() {
+            return;
+        }
+        if session::has_peer(&before).await {
+            *lock(&self.alone) = None;
+            return;
+        }
+        if lock(&self.alone).get_or_insert_with(Instant::now).elapsed() < STRANDED {
+            return;
         }
         match session::reconnect(&self.settings).await {
+            Ok(session) if before.is_closed() => drop(session::close(&session).await),
             Ok(session) => {
                 info!("this connection leads nowhere; going on with another");
                 // What was declared on the one before goes with it.
@@ -500,5 +503,45 @@ fn on_order(
             warn!(%refusal, "order refused");
             say_no(query, refusal.to_string());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_connection_that_leads_nowhere_is_replaced_by_the_next_hello_and_a_closed_one_is_not()
+    {
+        let (site, elsewhere) = (Site::new(), Site::new());
+        let (learner, events) = site.learner().await;
+        let (actor, actor_events) = site.welcomed("a", &events).await;
+
+        let nowhere = elsewhere.raw("peer").await;
+        let before = std::mem::replace(&mut *lock(&actor.session), nowhere);
+        before.close().await.unwrap();
+        until(&events, |event| matches!(event, crate::LearnerEvent::Left(..)).then_some(())).await;
+        actor.renew().await;
+        assert!(!session::has_peer(&actor.session()).await, "not yet");
+
+        *lock(&actor.alone) = Instant::now().checked_sub(STRANDED);
+        say_hello(&actor, "a", ACTOR, &events).await;
+        until(&actor_events, |event| {
+            matches!(event, ActorEvent::LearnerJoined(LEARNER)).then_some(())
+        })
+        .await;
+        actor.health().unwrap();
+        learner.offer_weights(PolicyVersion(1), b"newer".as_slice().into()).unwrap();
+        assert_eq!(pull(&actor, &learner, 1).await.unwrap(), b"newer");
+        let (header, payload) = rollout(1);
+        actor.publish_rollout(&header, payload).unwrap();
+        assert_eq!(next_rollout(&events).await.1, header);
+
+        actor.close().await.unwrap();
+        assert!(matches!(actor.health().unwrap_err(), Error::Dead));
+        *lock(&actor.alone) = Instant::now().checked_sub(STRANDED);
+        actor.renew().await;
+        assert!(matches!(actor.health().unwrap_err(), Error::Dead));
     }
 }

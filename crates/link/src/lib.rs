@@ -39,6 +39,10 @@
 //! [`LearnerLink::open`] and [`ActorLink::open`]; who is let in is in [`AccessList`]; the keys are in [`keys`], the order of the receiver's checks in
 //! [`leadtime_proto::receive`].
 
+// What tests share names this crate as its users do.
+#[cfg(test)]
+extern crate self as leadtime_link;
+
 pub mod keys;
 pub mod live;
 
@@ -64,6 +68,10 @@ mod router;
 mod runtime;
 mod security;
 mod session;
+#[cfg(test)]
+#[path = "../tests/network/support.rs"]
+#[expect(dead_code, reason = "only a part of it is needed here")]
+mod test_support;
 mod weights;
 mod wire;
 

@@ -11,6 +11,6 @@ mod joining;
 mod messages;
 mod presence;
 mod refusals;
-mod stall;
+mod regions;
 mod support;
 mod weights;

@@ -75,25 +75,3 @@ async fn actors_outlive_their_learner_and_greet_the_next_one() {
     actor.publish_rollout(&header, payload).unwrap();
     assert_eq!(next_rollout(&events).await.1, header);
 }
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_connection_that_leads_nowhere_is_replaced_by_the_next_hello() {
-    let site = Site::new();
-    let (learner, events) = site.learner().await;
-    let (actor, actor_events) = site.welcomed("a", &events).await;
-    hear_of(&actor_events, LEARNER, true).await;
-
-    // As one that the library has given up.
-    actor.close().await.unwrap();
-    assert!(matches!(actor.health().unwrap_err(), Error::Dead));
-    assert_eq!(next_start(&events, false).await, ACTOR);
-
-    say_hello(&actor, "a", ACTOR, &events).await;
-    actor.health().unwrap();
-    hear_of(&actor_events, LEARNER, true).await;
-    learner.offer_weights(PolicyVersion(1), b"newer".as_slice().into()).unwrap();
-    assert_eq!(pull(&actor, &learner, 1).await.unwrap(), b"newer");
-    let (header, payload) = rollout(1);
-    actor.publish_rollout(&header, payload).unwrap();
-    assert_eq!(next_rollout(&events).await.1, header);
-}

@@ -1,13 +1,4 @@
 //! Regions: a router pulls each version once for all of its actors, and nobody depends on it.
-//!
-//! In a process of its own: sessions of one process share the library's threads, and beside tests that hold connections
-//! up, a chain of two routers is not there in time.
-
-#![expect(clippy::unwrap_used, reason = "the tests' helpers fail as their tests do")]
-
-#[path = "network/support.rs"]
-#[expect(dead_code, reason = "only a part of it is needed here")]
-mod support;
 
 use std::time::Duration;
 

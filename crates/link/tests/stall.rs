@@ -1,4 +1,13 @@
 //! A consumer that does not look: nothing else may wait for it.
+//!
+//! In a process of its own, and one test at a time: the threads on which the network library receives are the whole process's,
+//! and a test that stalls some makes others wait.
+
+#![expect(clippy::unwrap_used, reason = "the tests' helpers fail as their tests do")]
+
+#[path = "network/support.rs"]
+#[expect(dead_code, reason = "only a part of it is needed here")]
+mod support;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -15,8 +24,7 @@ use tokio::task::JoinSet;
 
 use crate::support::*;
 
-/// Held by each of these tests: the threads on which the network library receives are the whole process's, and one that stalls
-/// some must not make another one wait.
+/// Held by each of these tests.
 static ALONE: Mutex<()> = Mutex::const_new(());
 
 const PER_ACTOR: usize = 4;
