@@ -11,6 +11,7 @@ has started, and files in a temporary directory. PROGRAM names the program where
 """
 
 import argparse
+import functools
 import json
 import os
 import socket
@@ -26,8 +27,8 @@ import zenoh
 from crc32c import crc32c
 
 PROGRAM = Path(os.environ.get("PROGRAM", Path(__file__).resolve().parent.parent / "target/release/leadtime"))
-# The version of the messages, and what they hold: as in proto/src/header.rs.
-PROTOCOL, HELLO, CONTROL, REPLY, ROLLOUT = 4, 1, 3, 4, 5
+# What messages hold, as in proto/src/header.rs.
+HELLO, CONTROL, ROLLOUT = 1, 3, 5
 RUN = "-c cartpole --seed 5 --set learner.n_envs=8 --set learner.n_steps=64 --set learner.n_minibatches=4 --set learner.mode=sync --set evaluation.during_training=0"
 STEPS_PER_UPDATE = 8 * 64
 # Questions of a connection whose answers are not read: the library starts a thread for each.
@@ -58,8 +59,14 @@ def text(words):
     return number(len(words.encode())) + words.encode()
 
 
+@functools.cache
+def protocol():
+    """The version of the messages that the program speaks: others are refused unread."""
+    return int(subprocess.check_output([PROGRAM, "version", "--protocol"]))
+
+
 def header(schema, payload, start, sequence=0, epoch=0, version=0):
-    return struct.pack("<4sIIIQQQQ", b"LDTM", schema, crc32c(payload), PROTOCOL, start, sequence, epoch, version)
+    return struct.pack("<4sIIIQQQQ", b"LDTM", schema, crc32c(payload), protocol(), start, sequence, epoch, version)
 
 
 def hello(actor, start):
@@ -273,7 +280,7 @@ def peace(path, steps):
 
 
 def attack(path, name, steps, weights, seconds):
-    """Attacks a run, and returns what came of it as a row."""
+    """Attacks a run, and returns the outcome as a row of the table."""
     trial = Trial(path, steps)
     try:
         deadline = time.monotonic() + 30

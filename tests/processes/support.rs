@@ -310,7 +310,7 @@ pub(crate) fn result(run: &Path) -> Value {
     record(run)["result"].clone()
 }
 
-/// Opens the link of an actor that is none of the program's, and returns with it the hello that it may say.
+/// Opens the link of an actor that the test plays itself, and returns with it the hello that it may say.
 pub(crate) async fn fake_actor(
     endpoint: &Endpoint,
     name: &str,

@@ -221,8 +221,8 @@ impl Authority {
 
     /// Lists what the authority of a directory has issued there, whether it is still valid or not.
     ///
-    /// Other files may lie beside it: a certificate without a role of ours is none of ours, and what might be meant to be
-    /// one is told.
+    /// Other files may lie beside it. A certificate without one of our roles is passed over; what may have been meant as one
+    /// is in [`Listing::left_out`].
     ///
     /// # Errors
     ///

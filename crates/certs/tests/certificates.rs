@@ -82,7 +82,7 @@ fn what_lies_beside_the_certificates_is_neither_listed_nor_renewed() {
     fs::copy(at("a1.key"), at("a-key.pem")).unwrap();
     fs::create_dir(at("folder.pem")).unwrap();
     fs::write(at("torn.pem"), "-----BEGIN CERTIFICATE-----").unwrap();
-    // These are clearly none of ours, and nobody need hear of them.
+    // These are clearly something else, and are passed over in silence.
     fs::copy(at("ca.pem"), at("site.pem")).unwrap();
     fs::write(at("notes.txt"), "").unwrap();
     fs::write(at("Dhparam.pem"), "").unwrap();

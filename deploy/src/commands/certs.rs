@@ -5,7 +5,7 @@ use std::{fs, io};
 
 use anyhow::Context as _;
 use jiff::{SignedDuration, Timestamp};
-use leadtime_certs::{Authority, Certificate, IssueRequest, Issued, Role};
+use leadtime_certs::{Authority, Certificate, IssueRequest, Issued, Listing, Role};
 use leadtime_link::AccessList;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_proto::text::quoted;
@@ -87,12 +87,12 @@ impl OwnList {
     /// Looks at it, before anything is issued. Says what is left out of it.
     fn find(directory: &Path) -> anyhow::Result<Self> {
         let path = directory.join("acl.json5");
-        tell_left_out(directory)?;
+        let issued = issued(directory)?;
         let is_ours = match fs::read_to_string(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => true,
             text => {
                 let text = text.with_context(|| format!("reading {}", path.display()))?;
-                list_of(directory)?.is_some_and(|(_, list)| list.to_text() == text)
+                list_of(issued).is_some_and(|(_, list)| list.to_text() == text)
             }
         };
         Ok(Self { path, is_ours })
@@ -101,7 +101,7 @@ impl OwnList {
     /// Writes it for everybody who has a certificate now; returns how many they are, or `None` where it is not ours.
     fn write(&self) -> anyhow::Result<Option<usize>> {
         let directory = self.path.parent().unwrap_or(Path::new("."));
-        match list_of(directory)? {
+        match list_of(Authority::list(directory)?.issued) {
             Some((n, list)) if self.is_ours => {
                 output::file(&self.path, list.to_text().as_bytes())?;
                 Ok(Some(n))
@@ -111,20 +111,20 @@ impl OwnList {
     }
 }
 
-/// Makes the list of everybody who has a certificate in a directory, with their number; `None` if nobody has.
-fn list_of(directory: &Path) -> anyhow::Result<Option<(usize, AccessList)>> {
-    let issued = Authority::list(directory)?.issued;
+/// Makes the list of everybody who has a certificate, with their number; `None` if nobody has.
+fn list_of(issued: Vec<Issued>) -> Option<(usize, AccessList)> {
     let peers: Vec<_> = issued.into_iter().map(|issued| (issued.role, issued.name)).collect();
-    Ok(AccessList::of(&peers).map(|list| (peers.len(), list)))
+    AccessList::of(&peers).map(|list| (peers.len(), list))
 }
 
-/// Warns of the files beside the certificates that may be meant to be some.
-fn tell_left_out(directory: &Path) -> anyhow::Result<()> {
-    for error in Authority::list(directory)?.left_out {
+/// Lists the certificates of a directory, and warns of the files beside them that may be meant to be some.
+fn issued(directory: &Path) -> anyhow::Result<Vec<Issued>> {
+    let Listing { issued, left_out } = Authority::list(directory)?;
+    for error in left_out {
         let error = anyhow::Error::new(error);
         tracing::warn!("{error:#}; neither listed nor renewed");
     }
-    Ok(())
+    Ok(issued)
 }
 
 fn access_list_line(file: &Path, n: usize) -> String {
@@ -133,7 +133,7 @@ fn access_list_line(file: &Path, n: usize) -> String {
 
 fn renew(args: &CertsRenewArgs) -> anyhow::Result<()> {
     let now = clock::now();
-    tell_left_out(&args.directory)?;
+    issued(&args.directory)?;
     let renewed = Authority::open(&args.directory, now)?.renew(args.before, now)?;
     for issued in &renewed {
         output::line(&line("renewed", issued));
@@ -180,8 +180,7 @@ fn show(args: &CertsShowArgs) -> anyhow::Result<()> {
 }
 
 fn acl(args: &CertsAclArgs) -> anyhow::Result<()> {
-    tell_left_out(&args.directory)?;
-    let (n, list) = list_of(&args.directory)?.with_context(|| nobody(&args.directory))?;
+    let (n, list) = list_of(issued(&args.directory)?).with_context(|| nobody(&args.directory))?;
     match &args.out {
         None => output::data(list.to_text().trim_end()),
         Some(file) => {
