@@ -47,7 +47,7 @@ fn the_pages_show_what_the_program_prints() {
             fs::write(&path, &new).unwrap();
             continue;
         }
-        let told = "is not what the program prints; UPDATE_DOCS=1 writes it anew";
+        let told = "is not what the program prints; UPDATE_DOCS=1 updates it";
         assert!(page == new, "{} {told}", path.display());
     }
     assert!(n_all >= 6, "{n_all} parts");

@@ -26,7 +26,7 @@ use crate::worker::{Phase, Stopwatch, Worker, ready_slot};
 pub(crate) struct EnvBuilder {
     registry: Registry,
     spec: Arc<RunSpec>,
-    /// What an observation repeats of the one before.
+    /// Which numbers of an observation repeat the previous observation.
     overlap: RowOverlap,
 }
 
@@ -39,7 +39,7 @@ pub(crate) struct RestoredEnvs {
 }
 
 impl EnvBuilder {
-    /// Builds one environment to see that it is the one the learner means.
+    /// Builds one environment and checks that its specification is the learner's.
     pub(crate) fn new(registry: Registry, spec: &RunSpec) -> Result<Self, Error> {
         let overlap = RowOverlap::default();
         let mut builder = Self { registry, spec: Arc::new(spec.clone()), overlap };

@@ -10,7 +10,7 @@ use leadtime_proto::{ActorId, Incarnation, PolicyVersion, RunName, Sequence};
 pub struct ActorSettings {
     /// The actor's name.
     pub actor: ActorId,
-    /// This start of it; drawn anew for every start.
+    /// This start of the actor: a random number, drawn for every start.
     pub incarnation: Incarnation,
     /// The run to join; `None`: the only one at the address.
     pub run: Option<RunName>,
@@ -25,14 +25,14 @@ pub struct ActorSettings {
     pub cpu: String,
 }
 
-/// How an actor stands at a moment.
+/// The state of an actor at one moment, for its status page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ActorProgress {
     /// Environment steps simulated.
     pub n_steps: u64,
     /// Rollouts sent and not acknowledged.
     pub n_unacknowledged: u64,
-    /// The newest version of the weights that is here.
+    /// The newest version of the weights that this actor has.
     pub version: Option<PolicyVersion>,
     /// Hellos after the first.
     pub n_reconnects: u64,
@@ -45,7 +45,7 @@ pub struct ActorProgress {
 /// Why an actor left in good order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ActorEnd {
-    /// The learner sent it home.
+    /// The learner dismissed it.
     Dismissed {
         /// The learner's sentence.
         reason: String,

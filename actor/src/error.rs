@@ -9,7 +9,7 @@ use leadtime_proto::{EnvId, RunName};
 use leadtime_sims::{SnapshotError, TaskError};
 use thiserror::Error;
 
-/// Why an actor ended in bad order.
+/// Why an actor failed.
 #[derive(Debug, Error)]
 pub enum Error {
     /// Nobody at the address, several runs, refused by the learner, and the like.
@@ -22,9 +22,9 @@ pub enum Error {
     #[error("this program cannot build the run's task")]
     Task(#[from] TaskError),
     /// What the learner says of the run contradicts itself.
-    #[error("the learner describes a run that cannot be")]
+    #[error("the learner describes an impossible run")]
     Spec(#[from] SpecError),
-    /// The task of this domain is another one here than in the learner.
+    /// This program and the learner have different tasks under the domain's name.
     #[error(
         "domain `{0}` has another observation, action space or metrics here than in the learner: \
          run the same release on both sides"

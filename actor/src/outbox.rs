@@ -14,7 +14,7 @@ use std::collections::VecDeque;
 use bytes::Bytes;
 use leadtime_proto::{Header, Schedule, Sequence};
 
-/// One rollout as it is sent. A copy of it is a count: the payload is shared with what is kept for sending again.
+/// One encoded rollout. Cloning is cheap: the clones share one reference-counted payload.
 #[derive(Clone, Debug)]
 pub struct EncodedRollout {
     /// What the learner reads before it looks at the rollout; the sequence is given by the outbox.
@@ -86,7 +86,7 @@ impl Outbox {
         self.sent = self.acknowledged;
     }
 
-    /// Lets go of what was not sent: the actor is leaving.
+    /// Drops what was not sent, because the actor is leaving.
     pub(crate) fn drop_unsent(&mut self) {
         self.entries.truncate((self.sent.0 - self.acknowledged.0) as usize);
     }

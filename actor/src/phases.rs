@@ -47,7 +47,7 @@ impl CollectWait {
     }
 }
 
-/// Tells of a job of the collecting thread, of the wait before it, and of what ended that.
+/// Reports a job of the collecting thread, the wait before it, and what ended that wait.
 pub(crate) fn collected(
     sink: &mut dyn ActorSink,
     collected: &Collected,
@@ -80,12 +80,12 @@ pub(crate) fn collected(
     }
 }
 
-/// Tells of environments that were made ready.
+/// Reports that environments were made ready.
 pub(crate) fn restored<T>(sink: &mut dyn ActorSink, restored: &Timed<T>) {
     sink.on_span(&TraceSpan::of(RESTORE, SpanCategory::Work, "restore", restored));
 }
 
-/// Tells of a rollout that was handed to the network.
+/// Reports a rollout that was handed to the network.
 pub(crate) fn published<T>(
     sink: &mut dyn ActorSink,
     header: &Header,
@@ -99,7 +99,7 @@ pub(crate) fn published<T>(
     sink.on_span(&span.linked(Some(arrow)));
 }
 
-/// Tells of weights that were pulled, or could not be.
+/// Reports weights that were pulled, or could not be.
 pub(crate) fn pulled<T, E>(
     sink: &mut dyn ActorSink,
     version: PolicyVersion,

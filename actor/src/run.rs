@@ -39,7 +39,7 @@ use crate::{ActorEnd, ActorReport, ActorSettings, Error};
 const TICK: Duration = Duration::from_secs(1);
 /// How long a leaving actor waits for the acknowledgement of what it sent.
 const FAREWELL: Duration = Duration::from_secs(1);
-/// How long an actor that is asked to stop may take to finish the rollout that it is at.
+/// How long an actor that is asked to stop may take to finish its current rollout.
 const LAST_ROLLOUT: Duration = Duration::from_secs(1);
 
 type LiveActor = Actor<Arc<Parameters>, ControlResponder, RestoredEnvs>;
@@ -235,7 +235,7 @@ impl Process {
         outputs
     }
 
-    /// Lets the rollout that is being made come to its end and sends it, if that does not take too long: else another
+    /// Finishes the current rollout and sends it, if that takes at most [`LAST_ROLLOUT`]: otherwise another
     /// actor makes it again.
     async fn finish_rollout(
         &mut self,
@@ -284,7 +284,7 @@ impl Process {
         first_wake(stop, ticks, alarm, own, event).await
     }
 
-    /// Makes of what woke the process what the actor takes in; `None` if the process is asked to stop.
+    /// Converts a wake-up into an input of the actor; `None` if the process is asked to stop.
     fn input(&mut self, wake: ActorWake) -> Result<Option<LiveInput>, Error> {
         Ok(Some(match wake {
             ActorWake::Network(event) => from_network(event),
@@ -328,7 +328,7 @@ impl Process {
         }))
     }
 
-    /// Tells an environment that never worked here from one that worked: only the latter is worth another start of this actor.
+    /// Distinguishes an environment that never worked here from one that did: only the latter justifies restarting this actor.
     fn told_apart(&self, error: Error) -> Error {
         match error {
             Error::Outside { reason } if self.metrics.n_steps == 0 => Error::NeverWorked { reason },
@@ -421,7 +421,7 @@ async fn heard(events: &Events<ActorEvent>, listens: bool) -> Option<ActorEvent>
     if listens { events.recv().await } else { events.recv_presence().await }
 }
 
-/// Makes of what a pull brought what the actor takes in.
+/// Converts the result of a pull into an input of the actor.
 ///
 /// Bytes with the announced digest that are no weights were announced by somebody else: the learner's own are of the
 /// policy that its welcome describes. So the announcement is forgotten, as that of a version that nobody keeps.
@@ -441,7 +441,7 @@ fn from_pull(
     match Parameters::from_safetensors(&bytes, policy) {
         Ok(parameters) => ActorInput::Pulled { version, weights: Arc::new(parameters) },
         Err(error) => {
-            warn!(%version, "what was announced as weights is none ({error}); trying again");
+            warn!(%version, "the announced weights cannot be read ({error}); trying again");
             ActorInput::PullFailed { version, not_kept: true }
         }
     }

@@ -6,7 +6,7 @@ use crate::ActorProgress;
 
 /// Takes in what an actor reports; called from its loop, so it must be quick.
 pub trait ActorSink: Send {
-    /// Takes in how the actor stands; called once a second from the first welcome on.
+    /// Receives the actor's state, once a second from the first welcome on.
     fn on_tick(&mut self, standing: ActorProgress);
 
     /// Takes in how a thread of the actor spent its time, for a trace of the run; called a few times per rollout.

@@ -47,7 +47,7 @@ const ACK_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long an actor without environments waits before it says hello again.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long an actor without credit waits before it says hello again, the first time and at most: a learner credits its
-/// members twice a second, so no credit means that it is none.
+/// members twice a second, so an actor without credit is not a member.
 const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
 /// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 40 a second.
 const MAX_PULLS: usize = 4;
@@ -133,7 +133,7 @@ pub enum ActorOutput<W, R, E> {
     Adopt {
         /// The assignment that rollouts carry from now on.
         epoch: Epoch,
-        /// Environments that stay as they are; the others are let go.
+        /// Environments that stay; the others are dropped.
         keep: Vec<EnvId>,
         /// Environments that join the ones that stay, ready to be stepped.
         envs: E,
@@ -167,8 +167,8 @@ struct Greeting {
     pause: Duration,
     /// How long the next hello may take.
     timeout: Duration,
-    /// The newest that was heard of a learner's presence meanwhile: whose, and whether it is there. What was heard
-    /// before it is out of date.
+    /// The newest presence event of a learner since the hello: which start, and whether it is present. What came
+    /// before the hello is out of date.
     presence: Option<(Incarnation, bool)>,
     /// When to say it again; `None` while one is under way.
     retry_at: Option<Instant>,
@@ -372,7 +372,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         }
     }
 
-    /// Lets go of what was not sent, because the actor leaves. From now on nothing is begun.
+    /// Drops what was not sent, because the actor leaves. It begins nothing from now on.
     pub(crate) fn begin_farewell(&mut self) {
         self.has_ended = true;
         self.outbox.drop_unsent();
@@ -567,7 +567,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         greeting.timeout = (greeting.timeout * 2).min(HELLO_TIMEOUT.1);
     }
 
-    /// Goes on with a learner that may be a new one.
+    /// Continues with the learner that sent the welcome, which may be a new one.
     fn welcomed(&mut self, now: Instant, welcome: Welcome) {
         let presence = self.greeting.take().and_then(|greeting| greeting.presence);
         if self.welcome.spec != welcome.spec {
@@ -580,7 +580,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         } else {
             let version = welcome.weights.newest();
             if is_astray {
-                warn!(epoch = %self.newest_epoch(), "an assignment was followed that no learner gives; starting over");
+                warn!(epoch = %self.newest_epoch(), "this actor followed an assignment with a number that no learner gives; starting over");
             } else {
                 info!(%version, "the learner is back; starting over from its state");
             }
@@ -599,7 +599,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         }
     }
 
-    /// Lets go of environments that went on elsewhere. Kept, they would wait here for weights that never come; and since
+    /// Drops environments that another actor steps by now. Kept, they would wait for weights that never come; and since
     /// this actor did not hear of it, the learner may have given it up.
     fn let_go(&mut self, now: Instant) {
         warn!(run = %self.welcome.run, "the run went on without this actor; asking for environments");

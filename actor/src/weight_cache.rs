@@ -42,7 +42,7 @@ impl<W: Clone> WeightCache<W> {
     ) -> bool {
         let is_announced = self.announced.contains_key(&version);
         if not_kept && is_announced {
-            // Whatever was announced beyond it is not believed either until it is announced again: else one false
+            // Newer versions are not believed either until they are announced again: otherwise one false
             // announcement of a distant version would hide all true ones.
             self.announced.split_off(&version);
         } else if !not_kept && !is_announced {
@@ -74,7 +74,7 @@ impl<W: Clone> WeightCache<W> {
     /// that it must have: what that rollout needs, and then what the rollouts after it will need. So over a slow line a
     /// version is on its way long before it is needed.
     ///
-    /// A version that is needed, but announced no more, is asked for without hope ([`Self::failed`] hears the answer): an
+    /// A version that is needed but no longer announced is asked for all the same ([`Self::failed`] takes the answer): an
     /// announcement alone is no proof, because anyone can send one.
     pub(crate) fn wanted(
         &self,

@@ -89,7 +89,7 @@ impl Worker {
         self.slots.insert(slot.seed().env_id, (iteration, slot));
     }
 
-    /// Lets go of all environments but these.
+    /// Drops all environments except these.
     pub fn retain(&mut self, keep: &[EnvId]) {
         self.slots.retain(|env_id, _| keep.contains(env_id));
     }

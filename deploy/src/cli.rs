@@ -117,7 +117,7 @@ pub(crate) enum Command {
     Router(RouterArgs),
     /// Let a policy work: it speaks to robots, cars and simulators over the network, word by word.
     ///
-    /// A client sends observations and is told what is said, and why nothing is. Nothing is said on what is stale.
+    /// A client sends observations and receives what is said, or why nothing is. Nothing is said on stale observations.
     Serve(ServeArgs),
     /// Let one of the worlds, its listener included, hear a notifier at work, and evaluate that.
     Drive(DriveArgs),

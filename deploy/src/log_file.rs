@@ -1,4 +1,4 @@
-//! The file that the log goes to, opened again when somebody has moved it away.
+//! The log file, reopened after it was moved away.
 //!
 //! A program that rotates logs renames the file and may send SIGHUP. Without one the new file is noticed at a line a second later. A line
 //! that cannot be written is dropped.
@@ -42,7 +42,7 @@ impl LogFile {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Opens the file anew; the old one stays if that cannot be done.
+    /// Reopens the file; the old one stays open if that fails.
     fn reopen(&self, open: &mut OpenLog) {
         if let Ok(file) = append_to(&self.path) {
             open.file = file;
@@ -83,7 +83,7 @@ pub(crate) fn write(bytes: &[u8]) -> bool {
     LOG.get().map(|log| log.write(bytes)).is_some()
 }
 
-/// Opens the log file anew at every SIGHUP from now on. Returns false if there is none.
+/// Reopens the log file at every SIGHUP from now on. Returns `false` without a log file.
 pub(crate) fn reopen_on_hangup() -> io::Result<bool> {
     let Some(log) = LOG.get() else { return Ok(false) };
     let mut hangups = signal(SignalKind::hangup())?;

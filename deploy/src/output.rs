@@ -1,6 +1,6 @@
 //! Everything that goes to standard output and files (data) and the last words on standard error.
 //!
-//! A closed pipe (`leadtime runs | head -1`) is no error: whoever stopped reading has what they wanted. Any other
+//! A closed pipe (`leadtime runs | head -1`) is no error: the reader has what it wanted. Any other
 //! failure, such as a full disk, is kept, and [`finish`] reports it when the command is done: work that was done is
 //! not undone by it. What cannot be written to standard error is dropped.
 

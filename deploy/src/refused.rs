@@ -1,4 +1,4 @@
-//! Who is refused at the door: the network library's warnings about handshakes, a line for each cause and minute.
+//! Logs who is refused in a TLS handshake, from the network library's warnings: one line for each cause and minute.
 //!
 //! The peer itself only learns that no connection comes about, or a short alert. The one who can put it right often sits at
 //! this end, so the cause is told here; but a peer tries again every second, and strangers as often as they like.
@@ -21,7 +21,7 @@ use tracing_subscriber::registry::LookupSpan;
 const LIBRARY: &str = "zenoh_link";
 /// Pause between two lines of one cause.
 const EVERY: Duration = Duration::from_mins(1);
-/// Refusals that wait to be told; more than that are not told.
+/// The most refusals that wait to be logged; more than that are not logged.
 const MAX_WAITING: usize = 64;
 
 /// Why a peer was refused, or its connection ended.
@@ -131,7 +131,7 @@ fn tell(causes: &Receiver<DoorCause>) {
     }
 }
 
-/// When a cause was told last, and how often it was met since.
+/// When a cause was last logged, and how often it has occurred since.
 #[derive(Debug, Default)]
 struct Counted {
     last: Option<Instant>,

@@ -1,4 +1,4 @@
-//! What a service manager is told through the socket that it names in `NOTIFY_SOCKET`; nothing where there is none.
+//! Notifies the service manager through the socket in `NOTIFY_SOCKET`; does nothing without one.
 //!
 //! READY: the first complete roster is here. WATCHDOG: the run's loop goes round. STOPPING: the process is about to end.
 
@@ -52,6 +52,6 @@ pub(crate) fn extend(time: Duration) {
 
 fn tell(state: NotifyState<'_>) {
     if let Err(error) = notify(&[state]) {
-        tracing::debug!(%error, "the service manager cannot be told anything");
+        tracing::debug!(%error, "the service manager cannot be notified");
     }
 }

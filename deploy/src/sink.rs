@@ -27,7 +27,7 @@ pub(crate) struct RunSink {
     recorder: RunRecorder,
     display: Display,
     has_warned: bool,
-    /// Whether it was told that policies cannot be evaluated.
+    /// Whether it was logged that policies cannot be evaluated.
     has_told_failure: bool,
     /// Who serves what the run reports, if somebody does.
     status: Option<LearnerStatus>,
@@ -197,7 +197,7 @@ fn log(event: &RunEvent) {
         Listening { locators } => info!(at = %locators.join(", "), "listening"),
         Resumed { path, n_updates } => info!("resumed from update {n_updates}: {}", path.display()),
         CheckpointDamaged { path, damage } => {
-            warn!(checkpoint = %path.display(), "a checkpoint cannot be used: {damage}; taking the one before");
+            warn!(checkpoint = %path.display(), "a checkpoint cannot be used: {damage}; using the previous one");
         }
         ActorJoined { actor, n_actors } => {
             info!("actor joined: {actor} ({})", counted(n_actors, "actor"));
@@ -225,7 +225,7 @@ fn log(event: &RunEvent) {
         }
         WaitingForRollouts { actor, n_envs, waited } => {
             let (envs, time) = (counted(n_envs, "environment"), duration(*waited));
-            warn!("waiting for rollouts of actor {actor} ({envs}) for {time}");
+            warn!("waiting for rollouts of actor {actor} ({envs}), for {time} so far");
         }
         Astray { .. } | Distrusted { .. } => log_wrong_way(event),
         TooManyActors { n_actors, n_envs } => {
@@ -272,7 +272,7 @@ fn log_evaluation(event: &RunEvent) {
 fn log_wrong_way(event: &RunEvent) {
     match event {
         RunEvent::Distrusted { actor, reason } => {
-            warn!(%actor, "the other actors take environments over from this one: {reason}");
+            warn!(%actor, "the other actors take over environments from this one: {reason}");
         }
         RunEvent::Astray { actor, told } => {
             warn!(
@@ -290,7 +290,10 @@ fn log_saving(event: &RunEvent) {
     use RunEvent::{CheckpointFailed, CheckpointRecovered, Paused, Unsaved};
     match event {
         CheckpointFailed { reason, retry } => {
-            warn!("{reason}; training goes on, and it is tried again every {}", duration(*retry));
+            warn!(
+                "{reason}; training continues, and the checkpoint is tried again every {}",
+                duration(*retry)
+            );
         }
         CheckpointRecovered { unsaved } => {
             info!("checkpoints can be written again, after {}", duration(*unsaved));
@@ -303,7 +306,7 @@ fn log_saving(event: &RunEvent) {
         }
         Unsaved { reason, kept } => {
             error!(
-                "the end of the run cannot be saved: {reason}; it is tried again for {}, or until you ask once more to stop",
+                "the end of the run cannot be saved: {reason}; trying again for {}, or until you interrupt once more",
                 duration(*kept)
             );
         }

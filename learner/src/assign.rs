@@ -85,8 +85,8 @@ impl Assigner {
         (!given.is_empty()).then(|| self.change(actor.clone(), given))
     }
 
-    /// Gives an actor its own environments again, though it have none, under an epoch above one that somebody else has
-    /// told it.
+    /// Gives an actor its own environments again, even if it has none, under an epoch above the one that somebody else
+    /// gave it.
     pub(crate) fn overrule(&mut self, actor: &ActorId, told: Epoch) -> Reassignment {
         self.epoch = self.epoch.max(told);
         self.change(actor.clone(), self.held(actor))
@@ -97,7 +97,7 @@ impl Assigner {
     pub(crate) fn hand_over(&mut self, moves: Vec<(EnvId, SenderKey)>) -> Vec<Reassignment> {
         let mut concerned: BTreeMap<ActorId, Vec<EnvId>> = BTreeMap::new();
         for (env_id, key) in moves {
-            // Who loses an environment gets an assignment too, or it would go on stepping it.
+            // An actor that loses an environment gets an assignment too, or it would keep stepping it.
             if let Some(from) = self.owner(env_id) {
                 concerned.entry(from.key.0.clone()).or_default();
             }
@@ -130,7 +130,7 @@ impl Assigner {
         max_envs: impl Fn(&ActorId) -> usize,
     ) -> Vec<Reassignment> {
         let quotas = self.quotas(members, max_envs);
-        // First all surplus is taken back, then it is given out: otherwise an actor could only get what those before it
+        // All surplus is taken back before any is given out: otherwise an actor could only get what its predecessors
         // gave up.
         let mut dropped: BTreeMap<&ActorId, bool> = BTreeMap::new();
         for (actor, &quota) in &quotas {

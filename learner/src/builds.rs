@@ -42,7 +42,7 @@ impl Builds {
     }
 }
 
-/// Notes a fingerprint. Returns whether it is another one than those before.
+/// Notes a fingerprint. Returns whether it differs from all earlier ones.
 fn note(known: &mut BTreeSet<String>, fingerprint: &str) -> bool {
     let differs = !known.is_empty() && !known.contains(fingerprint);
     known.len() < MAX_LISTED && known.insert(fingerprint.to_owned()) && differs

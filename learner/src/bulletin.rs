@@ -1,4 +1,4 @@
-//! What a learner publishes to observers by itself: its updates, at most a few per second, and once a second who is
+//! What a learner publishes to observers without being asked: its updates, at most a few per second, and once a second who is
 //! here.
 //!
 //! The newest update replaces one that was not published yet. Nothing here is waited for: the loop posts and goes on.
@@ -26,7 +26,7 @@ const MAX_LISTED: usize = 256;
 /// How many are listed if there are more: those that delivered longest ago.
 const N_SLOWEST: usize = 64;
 
-/// How a run stands, apart from its actors.
+/// The state of a run, apart from its actors.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RunStanding {
     pub(crate) version: u64,

@@ -109,7 +109,7 @@ pub struct CheckpointStore {
 }
 
 impl CheckpointStore {
-    /// Opens (and makes, if need be) the directory, alone.
+    /// Opens the directory, creates it if necessary, and locks it against other learners.
     ///
     /// # Errors
     ///
@@ -247,7 +247,7 @@ fn n_updates(path: &Path) -> Option<u64> {
     path.file_stem()?.to_str()?.parse().ok()
 }
 
-/// Reads a file that is as it was written, in whatever format, or says what is wrong with it.
+/// Reads a file and checks that it is undamaged, whatever its format; otherwise says what is wrong with it.
 fn read(path: &Path) -> Result<(u32, Vec<u8>), String> {
     let bytes = fs::read(path).map_err(|_unshown| "it cannot be read")?;
     let n_found = bytes.len();

@@ -16,7 +16,7 @@ use crate::builds::{Build, Builds};
 pub struct LearnerConfig {
     /// Name of the run, which is part of every key.
     pub run: RunName,
-    /// This start of the learner; drawn anew for every start.
+    /// This start of the learner: a random number, drawn for every start.
     pub incarnation: Incarnation,
     /// What is computed, and how; its steps and schedule are those of `settings`.
     pub spec: RunSpec,
@@ -26,7 +26,7 @@ pub struct LearnerConfig {
     pub window: u32,
     /// Actors that must be there before the run starts, at least 1.
     pub actors_min: usize,
-    /// Where to be reached.
+    /// Where the learner listens, and who may connect.
     pub listen: ListenSettings,
     /// What this learner computes with.
     pub build: Build,
@@ -42,7 +42,7 @@ pub struct LearnerConfig {
     pub initial: Option<Arc<[u8]>>,
     /// Hash over what must not change when a run is resumed.
     pub identity: [u8; 32],
-    /// The same from before its settings were changed on purpose: older checkpoints have one of these.
+    /// Earlier identities of the run, from before its settings were changed on purpose: older checkpoints have one of these.
     pub earlier: Vec<[u8; 32]>,
 }
 

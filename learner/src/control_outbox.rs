@@ -23,7 +23,7 @@ const ATTEMPTS: usize = 2;
 /// The most failures that wait to be noticed.
 const QUEUED_FAILURES: usize = 256;
 
-/// What became of a control message, other than that it is followed.
+/// What happened to a control message that was not followed.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum ControlFailure {
     /// The actor did not answer in this membership.

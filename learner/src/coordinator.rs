@@ -47,9 +47,9 @@ const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
 /// The most rollouts that an actor holds unacknowledged: a window, and one of every environment on top.
 const MAX_UNACKNOWLEDGED: u64 = limits::MAX_WINDOW as u64 + limits::MAX_ENVS as u64;
-/// The most rollouts of one actor that a killed learner takes with it: more than is made between two checkpoints.
+/// The most rollouts of one actor that a killed learner can lose: more than an actor makes between two checkpoints.
 const MAX_LOST: u64 = 1 << 20;
-/// The most starts of actors that may say so without being in the checkpoint: those that came after it.
+/// The most starts of actors that may report such a loss without being in the checkpoint: they joined after it.
 const MAX_LOSERS: usize = 1_024;
 
 /// What a run agreed on, as far as decisions depend on it.
@@ -216,8 +216,8 @@ impl Coordinator {
         Ok(heard.next())
     }
 
-    /// Gives a member its environments anew if it has delivered nothing for long: it has let go of them, or somebody else
-    /// has told it to.
+    /// Gives a member its environments again if it has delivered nothing for [`IDLE_TICKS`]: it has dropped them, or somebody else
+    /// has ordered it to.
     fn give_again_if_quiet(&mut self, key: &SenderKey) {
         let n_quiet_ticks = self.roster.sender(key).map_or(0, |sender| sender.newest().1);
         if n_quiet_ticks >= IDLE_TICKS
@@ -230,7 +230,7 @@ impl Coordinator {
 
     /// Returns what a learner of this run has acknowledged to an actor, if that can be true.
     ///
-    /// More than this learner has heard is what one before it took with it when it was killed: an actor reports
+    /// What exceeds the number that this learner received was lost with a killed predecessor: an actor reports
     /// that once, in its first hello.
     fn acknowledged(&mut self, key: &SenderKey, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
@@ -284,14 +284,14 @@ impl Coordinator {
         }
     }
 
-    /// Notes that an actor answered an order of this membership as one that follows another assignment.
+    /// Notes that an actor's answer to an order of this membership shows that it follows another assignment.
     pub fn astray(&mut self, key: &SenderKey, membership: MembershipNumber, told: Epoch) {
         if self.is_current(key, membership) {
             self.call_back(key, told);
         }
     }
 
-    /// Gives a member that follows somebody else's assignment its environments anew, under a number that it follows. If
+    /// Gives a member that follows somebody else's assignment its environments again, under a higher number. If
     /// there is none, or that has not helped, its membership ends: it says hello when it gets no credit, and starts over.
     fn call_back(&mut self, key: &SenderKey, told: Epoch) {
         let Some(sender) = self.roster.sender(key) else { return };
@@ -373,7 +373,7 @@ impl Coordinator {
         if header.sequence > heard.next() {
             return; // Beyond a gap: not acknowledged, so it comes again in order.
         }
-        // Each acknowledgement wakes threads here and there. While an actor may send half of its window it does not wait for
+        // Each acknowledgement wakes threads in both processes. While an actor may send half of its window it does not wait for
         // one; those who are leaving do.
         let left = limit.0 - header.sequence.0;
         if left <= u64::from(self.room()) / 2 || self.stage == RunStage::Closing {
@@ -504,7 +504,7 @@ impl Coordinator {
         }
     }
 
-    /// Goes back to the snapshot before, or to a fresh episode, and returns who sent the one that is given up.
+    /// Goes back to the previous snapshot, or to a fresh episode, and returns the sender of the snapshot that is given up.
     fn give_up_snapshot(&mut self, env_id: EnvId) -> Option<SenderKey> {
         self.tell(RunEvent::SnapshotLost { env_id });
         match self.queue.recover(env_id) {
@@ -583,7 +583,7 @@ impl Coordinator {
         self.roster.membership(key) == Some(membership)
     }
 
-    /// Says how every actor stands, by name.
+    /// Returns the state of every member, in the order of their names.
     pub fn standings(&self) -> Vec<ActorStanding> {
         let standings = self.roster.standings().map(|(key, sender)| {
             let (newest, n_quiet_ticks) = sender.newest();
@@ -644,7 +644,9 @@ impl Coordinator {
         let expected = required.unwrap_or(newest);
         let wrong = found > newest || (required.is_some() && found != expected);
         if wrong || header.version != found {
-            let text = format!("policy version {found} acted it where {expected} had to");
+            let text = format!(
+                "it was collected with policy version {found}, version {expected} is required"
+            );
             return Err(Refusal::new(RefusalCause::Version, text));
         }
         Ok(rollout)
@@ -672,7 +674,8 @@ impl Coordinator {
             self.supersede();
         } else if rollout.iteration > expected {
             let found = rollout.iteration;
-            let text = format!("it is rollout {found} of its environment where {expected} is next");
+            let text =
+                format!("it is rollout {found} of its environment, rollout {expected} is next");
             self.refuse(key, Refusal::new(RefusalCause::Assignment, text), true);
         } else {
             self.stragglers.delivered(&key.0);

@@ -22,7 +22,7 @@ use crate::report::{ProgressSink, RunEvent, Standing};
 /// One policy and one result may be under way.
 const DEPTH: usize = 1;
 
-/// What became of an evaluation: its episodes, or half a sentence why there are none.
+/// The result of an evaluation: its episodes, or half a sentence that says why there are none.
 pub(crate) type Evaluated = Timed<Result<Vec<HeldOutEpisode>, String>>;
 
 /// The loop's end of the evaluating thread; dropping it ends the evaluation under way.

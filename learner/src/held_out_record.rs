@@ -107,7 +107,7 @@ impl HeldOutRecord {
         self.waiting.push_back(WaitingPolicy { policy, n_episodes: plan.n_episodes(training) });
     }
 
-    /// Forgets what policies did in other episodes than those of the plan: a resumed run may be evaluated in another world.
+    /// Forgets results on other episodes than the plan's: a resumed run may be evaluated in another world.
     pub(crate) fn keep_comparable(&mut self, plan: &EvaluationPlan) {
         if self.episodes != plan.episodes {
             let waiting = std::mem::take(&mut self.waiting);

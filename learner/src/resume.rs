@@ -1,4 +1,4 @@
-//! What a checkpoint holds, and how a run begins: anew, or where it was.
+//! What a checkpoint holds, and how a run begins: from its first update, or from a checkpoint.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -100,7 +100,7 @@ pub(crate) fn begin(
 }
 
 impl ResumePoint {
-    /// Goes on from a checkpoint.
+    /// Continues from a checkpoint.
     fn resume(&mut self, config: &LearnerConfig, loaded: Loaded<Checkpoint>) -> Result<(), Error> {
         let Loaded { state, path, damaged } = loaded;
         let is_known =

@@ -85,7 +85,7 @@ impl EnvQueue {
     }
 }
 
-/// What becomes of an environment whose newest snapshot cannot be restored.
+/// What happens to an environment whose newest snapshot cannot be restored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Recovery {
     /// The rollout that ended there was still waiting: it is dropped and made again. Who sent it.
@@ -149,7 +149,7 @@ impl RolloutQueue {
         self.len() == 0
     }
 
-    /// Returns how many more rollouts may come; `None` where the schedule sees to it.
+    /// Returns how many more rollouts may come; `None` if the schedule already limits them.
     pub fn room(&self) -> Option<usize> {
         // Twice an update: one batch can fill up while another is trained, and what waits longer only grows stale.
         let all = QUEUED_UPDATES * self.envs.len();
@@ -181,7 +181,7 @@ impl RolloutQueue {
         (0_u32..).zip(&self.envs).map(place).collect()
     }
 
-    /// Notes that an actor cannot restore an environment's newest snapshot. Returns everyone of whom that is known.
+    /// Notes that an actor cannot restore an environment's newest snapshot. Returns all actors that cannot.
     pub fn doubt(&mut self, env_id: EnvId, actor: &ActorId) -> &BTreeSet<ActorId> {
         let doubters = &mut self.envs[env_id.0 as usize].doubters;
         doubters.insert(actor.clone());

@@ -127,7 +127,7 @@ impl Roster {
         self.forget_one(key);
     }
 
-    /// Forgets the sender that is longest known of those that are no members, if there are too many: first one that
+    /// Forgets the oldest sender that is not a member, if there are too many: first one that
     /// was not cut off.
     fn forget_one(&mut self, newest: &SenderKey) {
         if self.senders.len() <= MAX_SENDERS + self.members.len() {

@@ -579,7 +579,7 @@ impl RunLoop {
         Ok(())
     }
 
-    /// Saves the end of the run. If that fails, tries again until it is asked to stop meanwhile, or [`KEPT`] is over.
+    /// Saves the end of the run. If that fails, tries again until the learner is asked to stop, or [`KEPT`] is over.
     async fn save_end(&mut self, stop: &CancellationToken) -> Result<(), Error> {
         let (kept, pause) = KEPT;
         let deadline = Instant::now() + kept;

@@ -1,4 +1,4 @@
-//! What to do while the newest state cannot be saved: go on, try again, and at last wait for room.
+//! What to do while the newest state cannot be saved: continue, try again, and finally wait for room.
 //!
 //! ```text
 //! failed ── training goes on, a try every RETRY ── patience is over: no further update ── saved: as before

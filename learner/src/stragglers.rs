@@ -1,4 +1,4 @@
-//! Members that the run waits for: who is reported, who gives environments back, and when it may have some again.
+//! Members that the run waits for: which ones are reported, which give environments back, and when they may have some again.
 //!
 //! Time is counted in ticks of the learner's loop, so time in which the learner itself stood still (a suspended
 //! machine, a loaded one) counts against no member. Whoever is slow is slow compared with the others: with one member,
@@ -78,7 +78,7 @@ pub(crate) struct Stragglers {
     since_update: u32,
     /// Those of them in which some members had done their part and others had not.
     n_stalled: u32,
-    /// Ticks that the update before took, as far as that was not one member's fault.
+    /// Ticks that the previous update took, except those that one member caused.
     period: u32,
     window_ticks: u32,
     window_updates: u32,
@@ -164,7 +164,7 @@ impl Stragglers {
     }
 
     fn waiting(&mut self, lacking: &BTreeMap<ActorId, usize>) -> Vec<Lateness> {
-        // In `async` everyone lacks something most of the time: there, who delivers is in time.
+        // In `async` everyone lacks something most of the time: there, a member that delivers is in time.
         let is_done = |actor: &ActorId, wait: &Wait| {
             if self.is_deterministic { !lacking.contains_key(actor) } else { wait.has_delivered }
         };

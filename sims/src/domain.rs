@@ -184,7 +184,7 @@ pub trait Domain: Send {
         None
     }
 
-    /// Starts an episode; nothing of the one before may remain.
+    /// Starts an episode; nothing of the previous one may remain.
     fn reset(&mut self, seed: EpisodeSeed);
 
     /// Writes the domain's observation, every place of it: after `reset` and after every `advance`. Shape `[obs_dim]`.

@@ -169,7 +169,7 @@ pub enum EnvDefect {
          the `EpisodeSeed`, and let nothing depend on hash maps, clocks or globals"
     )]
     NotDeterministic(Divergence),
-    /// An episode depends on the one before.
+    /// An episode depends on the previous one.
     #[error(
         "`reset` leaves something of the episode before: played again in a used environment, {0}"
     )]

@@ -121,7 +121,7 @@ pub enum SnapshotError {
     /// The bytes are not a snapshot of this kind of environment.
     #[error("snapshot cannot be read by this environment")]
     Codec(#[from] leadtime_proto::codec::CodecError),
-    /// The snapshot is of another world, or of other settings.
+    /// The snapshot was made by another world, or under other settings.
     #[error("snapshot does not fit this environment: {what}")]
     Mismatch { what: &'static str },
     /// What steps the environment, outside of this process, has failed; the snapshot may be sound.

@@ -182,7 +182,7 @@ fn an_address_that_cannot_be_used_is_reported_as_what_it_is() {
     actor.with_code(PEER_LOST).saying(&[&endpoint, "does not answer as a learner does"]);
     let file = place.write("policy.safetensors", "precious");
     let endpoint = format!("unixsock-stream/{file}");
-    refused(&place, &[&learner_at(&endpoint)], &["there is a file at", &file]);
+    refused(&place, &[&learner_at(&endpoint)], &["a file exists at", &file]);
     assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
     refused(&place, &[&learner_at("http/example:1")], &["http/example:1", "tcp/"]);
     let actor = "actor --connect tcp/127.0.0.1 --connect-timeout 1s";

@@ -277,7 +277,7 @@ async fn who_plays_the_learner_without_forging_weights_does_not_end_a_run() {
     let [learner, actor] = forged(&undisturbed, 1 << 40, "joined").await;
     assert!(learner.contains("which this learner did not give"), "{learner}");
     assert!(!actor.contains("starting over"), "{actor}");
-    let beyond = "an assignment was followed that no learner gives; starting over";
+    let beyond = "followed an assignment with a number that no learner gives; starting over";
     let [_, actor] = forged(&undisturbed, MAX_HEARD_EPOCH + 1, beyond).await;
     assert!(!actor.contains("the learner is back"), "it was never gone: {actor}");
 }

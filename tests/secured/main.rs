@@ -191,7 +191,7 @@ fn what_is_wrong_with_a_certificate_is_one_sentence() {
     actor("a1", "can be read by everybody (mode 604)");
     actor("l1", "is for role learner");
 
-    refused("-q certs issue pki actor a1", "pki/a1.pem is there already");
+    refused("-q certs issue pki actor a1", "pki/a1.pem exists already");
     refused("-q certs init pki", "pki holds an authority already");
     refused("-q certs show pki/a1.key", "no certificate");
     refused("-q certs issue pki actor a4 --host a/b", "neither a host's name nor an address");
@@ -249,7 +249,7 @@ fn one_command_issues_several_certificates_and_their_list_or_nothing() {
     let everybody = "certs issue pki router:r1@127.0.0.1,localhost learner:l1 actor:a1 observer:o1";
     let before = contents(&pki);
     for (more, told) in [
-        ("actor:a1", "`a1` is asked for twice"),
+        ("actor:a1", "`a1` is given twice"),
         ("king:k1", "`king` is not a role"),
         ("actor:a3@a/b", "neither a host's name nor an address"),
         ("a3", "`a3` does not say whose certificate"),

@@ -195,7 +195,7 @@ impl Authority {
         ["pem", "key"].map(|extension| self.directory.join(format!("{name}.{extension}")))
     }
 
-    /// Makes the certificates anew that end within `before`: for the same role, hosts and time, and for the same key, which
+    /// Renews the certificates that end within `before`: for the same role, hosts and time, and for the same key, which
     /// need not be here. Those that [`Authority::list`] leaves out stay as they are.
     ///
     /// # Errors

@@ -23,17 +23,17 @@ pub enum Error {
         #[source]
         source: io::Error,
     },
-    /// An authority is there already.
+    /// The directory holds an authority already.
     #[error("{} holds an authority already: issue from it, or take another directory", .0.display())]
     AuthorityExists(PathBuf),
     /// Another process is issuing.
     #[error("another `leadtime certs` is at work in {}: try again when it is done", .0.display())]
     Busy(PathBuf),
     /// This name has a certificate.
-    #[error("{} is there already: `certs renew` makes it anew, or remove it first", .0.display())]
+    #[error("{} exists already: renew it with `certs renew`, or remove it first", .0.display())]
     Taken(PathBuf),
-    /// One name was asked for twice.
-    #[error("`{0}` is asked for twice: every process has a name of its own")]
+    /// One name was given twice.
+    #[error("`{0}` is given twice: every process needs a name of its own")]
     Twice(String),
     /// Not a request for a certificate.
     #[error(
@@ -55,7 +55,7 @@ pub enum Error {
     #[error("a certificate has to last at least a second, and at most 100 years")]
     Lifetime,
     /// The authority's own certificate has ended.
-    #[error("the authority in {} ended at {ended}: make another one with `certs init`, and issue anew", directory.display())]
+    #[error("the authority in {} ended at {ended}: make another one with `certs init`, and issue all certificates again", directory.display())]
     AuthorityEnded {
         /// The directory of the authority.
         directory: PathBuf,

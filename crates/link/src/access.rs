@@ -361,7 +361,7 @@ impl LivePatterns {
             .map(|key| self.of(key))
     }
 
-    /// What recorders are told beside what everybody is.
+    /// What only recorders receive.
     fn taken(&self) -> String {
         self.of(LiveKey::Taken(&self.service, &self.client))
     }

@@ -44,11 +44,11 @@ use crate::{ConnectSettings, ControlResponder, Error, Result, discovery, session
 const N_ANSWERING: usize = 1;
 /// How long a run that was named may be missing while others are there.
 const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
-/// How long it is waited for another start of this actor to go.
+/// How long to wait for an earlier start of this actor to disappear.
 const TAKEN_GRACE: Duration = Duration::from_secs(2);
-/// How long hellos that reach nobody are repeated before an access list is blamed: longer than a learner that died is seen.
+/// How long hellos that reach nobody are repeated before an access list is blamed: longer than a dead learner stays visible.
 const HELLO_GRACE: Duration = Duration::from_secs(5);
-/// How long an answer to one hello is waited for: a question may be lost where a connection is just coming up.
+/// How long to wait for the answer to one hello: a question may be lost while a connection is being set up.
 const HELLO_WAIT: Duration = Duration::from_secs(10);
 /// How long a relay may take to answer; after that the learner is asked.
 const RELAY_TIMEOUT: Duration = Duration::from_secs(5);
@@ -102,7 +102,7 @@ pub struct ActorLink {
     entered: Mutex<Option<Arc<Membership>>>,
     /// Since when nobody has been at the other end.
     alone: Mutex<Option<Instant>>,
-    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
     session: Mutex<Session>,
 }
 
@@ -177,7 +177,7 @@ impl ActorLink {
                 timeout: timeout.saturating_sub(started.elapsed()).min(HELLO_WAIT),
             };
             match ask_for(&self.session(), question, HELLO_REPLY).await? {
-                // One that was killed is there for a moment longer.
+                // The presence of a killed actor lasts a moment longer than the actor.
                 InquiryEnd::Good(HelloReply::Taken)
                     if started.elapsed() < timeout.min(TAKEN_GRACE) =>
                 {
@@ -261,13 +261,13 @@ impl ActorLink {
         None
     }
 
-    /// Publishes a rollout: waits for the network, so call it from a thread of its own, never from a task.
+    /// Publishes a rollout. It blocks while the network is busy: call it from a thread of its own, never from a task.
     ///
     /// Header and payload travel as they are; checking them is the learner's.
     ///
     /// # Errors
     ///
-    /// [`Error::TooLarge`] if it is so large that the network would drop it unsaid; [`Error::NotInARun`];
+    /// [`Error::TooLarge`] if the network would drop it silently for its size; [`Error::NotInARun`] before a welcome;
     /// [`Error::Network`].
     pub fn publish_rollout(&self, header: &Header, payload: Bytes) -> Result<()> {
         let entered = self.entered()?;
@@ -291,7 +291,7 @@ impl ActorLink {
         pubsub::put_metrics(&self.session(), &entered.run, &member, self.incarnation, json)
     }
 
-    /// Checks that the connection has not been closed; to be asked now and then, because no event tells it.
+    /// Checks that the connection is open. Call it regularly: no event reports that it has closed.
     ///
     /// # Errors
     ///
@@ -322,10 +322,10 @@ impl ActorLink {
         session::describe(&self.settings.endpoints)
     }
 
-    /// Opens another connection where this one leads nowhere any more, as far as one can be opened at once.
+    /// Replaces a connection that has had nobody at its other end for [`STRANDED`], if one attempt opens another.
     async fn renew(&self) {
         let before = self.session();
-        // Whoever has left stays away.
+        // `close` ended this session on purpose: no other one replaces it.
         if before.is_closed() {
             return;
         }
@@ -339,8 +339,8 @@ impl ActorLink {
         match session::reconnect(&self.settings).await {
             Ok(session) if before.is_closed() => drop(session::close(&session).await),
             Ok(session) => {
-                info!("this connection leads nowhere; going on with another");
-                // What was declared on the one before goes with it.
+                info!("nobody is at the other end of this connection; continuing on a new one");
+                // What was declared on the old session ends with it.
                 *lock(&self.joined) = None;
                 *lock(&self.entered) = None;
                 *lock(&self.session) = session;

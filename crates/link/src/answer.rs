@@ -21,7 +21,7 @@ use crate::keys::VERSION;
 use crate::weights::WeightStore;
 use crate::{Error, Result, wire};
 
-/// Most answers that are owed at once; an asker beyond it tries again.
+/// The most answers that wait to be sent; an asker beyond that tries again.
 const MAX_PENDING: usize = 2_048;
 
 /// An answer that somebody owes.
@@ -39,7 +39,7 @@ pub(crate) enum PendingReply {
     Nothing(Query),
 }
 
-/// Lets go of what a question brought with it, once that is read: it waits for its answer without it.
+/// Drops the payload and attachment of a question that has been read, so that they use no memory while its answer waits.
 pub(crate) fn unload(query: &mut Query) {
     drop(query.payload_mut().map(std::mem::take));
     drop(query.attachment_mut().map(std::mem::take));
@@ -52,7 +52,7 @@ pub(crate) struct Answers(flume::Sender<PendingReply>);
 impl Answers {
     /// Starts the threads that answer; they end when the last clone of this is dropped.
     ///
-    /// So many askers can be slow before the others wait for them.
+    /// As many askers as there are threads can be slow before the others have to wait.
     pub(crate) fn start(n_threads: usize) -> Result<Self> {
         let (sender, receiver) = flume::bounded(MAX_PENDING);
         for i in 0..n_threads {

@@ -1,4 +1,4 @@
-//! What a learner answers observers: what the run is, and how it went so far.
+//! A learner's answers to observers: the description of the run, and its history.
 //!
 //! The history is read from a file, which takes a while. So it is answered in a thread of its own, one question at a
 //! time, and never by the network's callbacks or the learner's loop.
@@ -23,7 +23,7 @@ const MAX_WAITING: usize = 32;
 /// Points of an answer where the question names no number.
 const DEFAULT_POINTS: usize = 1_000;
 
-/// Makes the history from an update on, with at most so many points: JSON, compressed; or a sentence that says why not.
+/// Makes the history from an update on, with at most the given number of points: compressed JSON, or a sentence that says why not.
 pub type HistoryMaker = dyn Fn(u64, usize) -> Result<Vec<u8>, String> + Send + Sync;
 
 /// What observers may ask a learner for.

@@ -69,7 +69,7 @@ pub(crate) async fn ask_for<T: DeserializeOwned>(
 /// Pulls a version of the weights from a learner or a relay, and returns its bytes.
 ///
 /// Anyone in the network can answer, so every answer is looked at until one has the digest that the learner announced: a
-/// faster answer with something else in it keeps nobody from the learner's.
+/// faster wrong answer does not hide the learner's.
 pub(crate) async fn pull(
     session: &Session,
     at: Key<'_>,
@@ -137,7 +137,7 @@ pub(crate) async fn ask_bytes(
     }
 }
 
-/// Measures the way to a run's learner and back: the shortest of a few short questions.
+/// Measures the round-trip time to a run's learner: the shortest of a few short questions.
 ///
 /// It asks for weights without saying which, which every learner answers with a sentence.
 pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Duration> {
@@ -220,7 +220,7 @@ fn send(session: &Session, question: Inquiry, sender: flume::Sender<Reply>) -> R
         .consolidation(ConsolidationMode::None)
         .timeout(timeout + NETWORK_SLACK)
         .callback(move |reply| {
-            // More answers than anyone looks at are let go.
+            // Answers beyond the limit are dropped.
             drop(sender.try_send(reply));
         })
         .wait()

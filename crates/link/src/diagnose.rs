@@ -16,10 +16,10 @@ const ATTEMPT: Duration = Duration::from_millis(800);
 /// The most of a name's addresses that are tried.
 const MAX_ADDRESSES: usize = 3;
 
-/// Who is looked for, as a sentence names it.
+/// Who is looked for, as a noun for messages.
 type Whom = &'static str;
 
-/// Says how to start who is looked for.
+/// Says how to start the process that is looked for.
 fn start(whom: &str) -> String {
     match whom {
         "notifier" => "start a service there: `leadtime serve POLICY --listen ENDPOINT`".to_owned(),

@@ -17,14 +17,14 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Most learners at one address that are looked at.
 const MAX_LEARNERS: usize = 1_024;
 
-/// Lists the runs whose learner is there now.
+/// Lists the runs whose learner is present now.
 pub(crate) async fn runs(session: &Session) -> Result<BTreeSet<RunName>> {
     let (keys, action) = (Keys::Learners, "look for learners on");
     let found = tokens(session, keys, action, LOOK, MAX_LEARNERS).await?;
     Ok(found.iter().filter_map(|key| keys::parse_alive(key)).map(|alive| alive.run).collect())
 }
 
-/// Lists the keys of the tokens that are there now, at most so many; `look` is the longest wait for one answer.
+/// Lists the keys of the tokens that are present now, at most `most`; `look` is the longest wait for one answer.
 pub(crate) async fn tokens(
     session: &Session,
     keys: impl fmt::Display,
@@ -38,7 +38,7 @@ pub(crate) async fn tokens(
         .get(keys::expr(&keys))
         .timeout(look)
         .callback(move |reply| {
-            // More than anyone looks at are let go.
+            // Answers beyond the limit are dropped.
             drop(sender.try_send(reply));
         })
         .wait()

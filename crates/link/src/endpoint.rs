@@ -81,7 +81,7 @@ impl Endpoint {
         files.filter(|(name, _)| ours.contains(name)).map(|(_, path)| path.into()).next()
     }
 
-    /// Checks what is at the address before anybody listens there: the network library removes whatever stands where
+    /// Checks the address before a session listens there: the network library removes any file that exists where
     /// its socket, or the lock beside it, is to be.
     pub(crate) fn check_listen(&self) -> Result<(), Error> {
         self.check_files()?;
@@ -222,7 +222,7 @@ mod tests {
         std::fs::write(at("z.lock"), b"precious").unwrap();
         for name in ["file", "link", "z"] {
             let error = listen(name).unwrap_err();
-            assert!(error.to_string().contains("there is a file at"), "{error}");
+            assert!(error.to_string().contains("a file exists at"), "{error}");
         }
         for name in ["file", "z.lock"] {
             assert_eq!(std::fs::read(at(name)).unwrap(), b"precious");

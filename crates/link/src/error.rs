@@ -10,7 +10,7 @@ use leadtime_proto::phrase::duration;
 use leadtime_proto::{ActorId, ClientName, PolicyVersion, Refusal, RunName, ServiceName};
 use thiserror::Error;
 
-/// The reason by which a learner refuses every hello once it has dismissed its actors. A part of the protocol: who hears it is
+/// The reason with which a learner refuses every hello once it has dismissed its actors. Part of the protocol: the actor that receives it is
 /// dismissed as well.
 pub const RUN_IS_ENDING: &str = "the run is ending: nothing is left to do";
 
@@ -51,8 +51,8 @@ pub enum Error {
         "address `{0}` is in use: another process listens there; choose another port or path, or stop it"
     )]
     AddressInUse(String),
-    /// A file is where a socket is to be; listening there would remove it.
-    #[error("there is a file at {}, where the socket (or its lock) is to be: choose another path", .0.display())]
+    /// A file exists where the socket would be created; listening there would remove it.
+    #[error("a file exists at {}, where the socket (or its lock) would be created: choose another path", .0.display())]
     NotASocket(PathBuf),
     /// A file that the address names for TLS.
     #[error("`{setting}` of the address: cannot read {}", path.display())]
@@ -85,9 +85,9 @@ pub enum Error {
     /// Not a list of who may do what.
     #[error("this is no access list: {0}; `leadtime certs acl` writes one")]
     AccessList(String),
-    /// The hello of this actor goes to nobody, although a learner is there.
+    /// The hello of this actor reaches nobody, although a learner is present.
     #[error(
-        "the access list there does not let `{actor}` say hello to run `{run}`: issue a certificate of role actor to it, write the          list again, and start what reads it again"
+        "the access list there does not let `{actor}` say hello to run `{run}`: issue a certificate of role actor to it, write the list again, and restart the process that reads it"
     )]
     NotAllowed {
         /// The run.
@@ -95,9 +95,9 @@ pub enum Error {
         /// The actor.
         actor: ActorId,
     },
-    /// With a certificate no learner is seen.
+    /// No learner is visible to this process, which shows a certificate.
     #[error(
-        "no learner is to be seen at {endpoints} (waited {}): none is running there, or the access list there does not name `{name}`",
+        "no learner is visible at {endpoints} (waited {}): none is running there, or the access list there does not name `{name}`",
         duration(*timeout)
     )]
     Unlisted {
@@ -193,7 +193,7 @@ pub enum Error {
     /// A name that is a part of keys already.
     #[error("a client cannot be called `{0}`: the keys of presence are; choose another name")]
     ReservedName(ClientName),
-    /// An actor of the same name is there, alive.
+    /// Another start of an actor with this name is a member.
     #[error("`{0}` is already here; choose another --id")]
     Taken(ActorId),
     /// Nobody acted on an order or answered a question in time.

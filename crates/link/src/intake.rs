@@ -1,4 +1,4 @@
-//! Taking rollouts from the network into the event queue: who may have how much waiting there.
+//! Taking rollouts from the network into the event queue, with a limit on what each sender may have waiting there.
 //!
 //! ```text
 //! share of a sender   `rollouts_per_actor` places, and an equal part of half of `max_queued_bytes`
@@ -45,7 +45,7 @@ struct SenderShare {
     cut_off: Option<Incarnation>,
 }
 
-/// What stands between the network's callback and the event queue.
+/// Admits messages from the network's callback to the event queue.
 #[derive(Debug)]
 pub(crate) struct RolloutIntake {
     pub(crate) events: EventQueue<LearnerEvent>,
@@ -104,7 +104,7 @@ impl RolloutIntake {
 
     /// Reports a refusal as an event as long as its sender has room for one, and counts it otherwise.
     pub(crate) fn refuse(&self, actor: Option<ActorId>, refusal: Refusal) {
-        // Who cannot be named has no share of its own: else a stranger could use up the share of any name.
+        // A sender that cannot be named has no share of its own: otherwise a stranger could use up the share of any name.
         let of = actor.as_ref().filter(|_| refusal.sender.is_some());
         let cause = refusal.cause;
         let Some(permit) = self.permit(of, 0) else { return self.count(actor, cause) };

@@ -87,9 +87,9 @@ pub enum Key<'a> {
     RelayedWeights(&'a RunName, &'a RegionName, &'a DomainName),
     /// A member's metrics.
     Metrics(&'a RunName, &'a Member),
-    /// Where it is asked what a run is.
+    /// Where observers ask what a run is.
     About(&'a RunName),
-    /// Where it is asked how a run went so far.
+    /// Where observers ask for the history of a run.
     History(&'a RunName),
 }
 
@@ -118,7 +118,7 @@ impl fmt::Display for Key<'_> {
 /// A set of keys that one subscription covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keys<'a> {
-    /// Learners of whatever run.
+    /// The learner of every run.
     Learners,
     /// The learner of a run.
     LearnerOf(&'a RunName),
@@ -130,9 +130,9 @@ pub enum Keys<'a> {
     RolloutsOf(&'a RunName, &'a DomainName),
     /// Announcements of all domains.
     AnnouncementsOf(&'a RunName),
-    /// Where weights of whatever domain are pulled.
+    /// Where the weights of every domain of a run are pulled.
     PullsOf(&'a RunName),
-    /// Where a region's relay is asked for weights of whatever run and domain.
+    /// Where a region's relay is asked for weights, for every run and domain.
     PullsIn(&'a RegionName),
     /// Metrics of everyone.
     MetricsOf(&'a RunName),

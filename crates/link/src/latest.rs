@@ -22,7 +22,7 @@ pub(crate) struct Latest<T> {
 }
 
 impl<T> Latest<T> {
-    /// Keeps a message instead of the one before it, without waiting.
+    /// Replaces the message kept under the key, without waiting.
     pub(crate) fn put(&self, key: &str, message: T) {
         let mut newest = lock(&self.newest);
         if newest.len() < MAX_KEYS || newest.contains_key(key) {
@@ -34,7 +34,7 @@ impl<T> Latest<T> {
     async fn next(&self) -> T {
         loop {
             if let Some((_, message)) = lock(&self.newest).pop_first() {
-                // There may be another; who waits next must not sleep over it.
+                // There may be another message: wake the next caller too.
                 self.arrived.notify_one();
                 return message;
             }

@@ -53,7 +53,7 @@ pub struct LearnerLink {
     /// For observers; empty until there is something to tell.
     archive: Vec<Queryable<()>>,
     _alive: LivelinessToken,
-    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
     session: Session,
 }
 
@@ -135,7 +135,7 @@ impl LearnerLink {
         self.locators.clone()
     }
 
-    /// Checks that this learner can still be reached; to be asked now and then, because no event tells it.
+    /// Checks that actors can still reach this learner. Call it regularly: no event reports that they cannot.
     ///
     /// # Errors
     ///
@@ -154,7 +154,7 @@ impl LearnerLink {
         weights::announce(&self.announcer, &self.store)
     }
 
-    /// Stops offering versions older than `oldest_kept`; the last few stay for actors that were told of one a moment ago.
+    /// Stops offering versions older than `oldest_kept`; the last few stay for actors that have just received their announcement.
     pub fn retire_weights(&self, oldest_kept: PolicyVersion) {
         self.store.retire(oldest_kept);
     }
@@ -164,7 +164,7 @@ impl LearnerLink {
         self.store.since(oldest)
     }
 
-    /// Returns what a welcome tells of the weights.
+    /// Returns the announcement of the weights that a welcome carries.
     pub fn announcement(&self) -> Announcement {
         self.store.announcement()
     }
@@ -280,7 +280,7 @@ impl Drop for LearnerLink {
     }
 }
 
-/// Does what has to be done once a second for as long as a learner is there.
+/// Checks the session and repeats the announcement, once a second, for as long as the link lives.
 async fn upkeep(
     session: Session,
     listens: bool,

@@ -15,7 +15,7 @@
 //!
 //! * **Callbacks never block.** What arrives goes into a bounded queue by `try_send`; what does not fit is refused and
 //!   counted. A sender within its share always fits, so a stalled consumer costs nobody else anything.
-//! * **A name in a key proves nothing.** Who sent a message is what a readable header says; what has none is nobody's.
+//! * **A name in a key proves nothing.** The sender of a message is the one in its header; a message without a readable header has none.
 //! * **Weights are what was announced.** A pull accepts only bytes with the announced digest, from any peer.
 //! * Nothing relies on the network's congestion control as flow control; the credit window does that.
 //! * Topology is a star, dialled one way: actors and observers are clients of the learner or of a router.

@@ -62,7 +62,7 @@ pub struct ObserverLink {
     latest: Arc<Latest<ObserverEvent>>,
     followed: Mutex<Vec<Subscriber<()>>>,
     n_missed: Arc<AtomicU64>,
-    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
     session: Session,
 }
 
@@ -88,7 +88,7 @@ impl ObserverLink {
         discovery::runs(&self.session).await
     }
 
-    /// Finds the run that is meant: the one that is named, or the only one that is there. Looks until the settings'
+    /// Finds the run: the named one, or the only one present. Looks until the settings'
     /// time-out while no learner is there.
     ///
     /// # Errors

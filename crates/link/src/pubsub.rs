@@ -73,7 +73,7 @@ pub(crate) fn subscribe(
     declared.map_err(Error::network("subscribe to", &keys.to_string()))
 }
 
-/// Takes the members that join and leave, beginning with those that are there; `None` for a malformed key.
+/// Calls `take` for every member that is present, joins or leaves; with `None` for a malformed key.
 pub(crate) fn watch(
     session: &Session,
     members: Keys<'_>,
@@ -82,7 +82,7 @@ pub(crate) fn watch(
     watch_tokens(session, members, move |key, kind| take(keys::parse_alive(key), kind))
 }
 
-/// Takes the keys of tokens that appear and go, beginning with those that are there.
+/// Calls `take` with the key of every token that is present, appears or disappears.
 pub(crate) fn watch_tokens(
     session: &Session,
     keys: impl fmt::Display,
@@ -108,7 +108,7 @@ pub(crate) fn take_questions(
     declared.map_err(Error::network("declare", &keys.to_string()))
 }
 
-/// Shows that a member is there.
+/// Declares a presence token, which lasts until it is dropped.
 pub(crate) fn appear(session: &Session, alive: impl fmt::Display) -> Result<LivelinessToken> {
     let declared = session.liveliness().declare_token(keys::expr(&alive)).wait();
     declared.map_err(Error::network("declare", &alive.to_string()))

@@ -32,11 +32,11 @@ const N_ANSWERING: usize = 4;
 const MAX_QUESTIONS: usize = 2_048;
 /// Most versions that are pulled at once.
 const MAX_PULLS: usize = 16;
-/// Most bytes that are kept; what was not asked for the longest goes first.
+/// The most bytes that are kept; the least recently used weights are dropped first.
 const MAX_BYTES: usize = 256 << 20;
 
 type Digest = [u8; 32];
-/// What the end of a pull tells: whose it was, and what came.
+/// The result of a pull: the digest and version that it asked for, and the weights.
 type Pulled = (Digest, PolicyVersion, Result<Vec<u8>>);
 
 /// What a relay did since it started.
@@ -95,7 +95,7 @@ impl Drop for Relay {
     }
 }
 
-/// Takes questions, pulls what is missing, and owes nobody an answer for longer than a pull may take.
+/// Takes questions and pulls what is missing; no question waits longer than a pull may take.
 struct Desk {
     session: Session,
     answers: Answers,
@@ -167,7 +167,7 @@ impl Desk {
         }
     }
 
-    /// Owes nobody anything any more, because it is not known whose pull broke off.
+    /// Refuses every question that waits, because a task that panicked does not say which pull it was.
     fn give_up(&mut self, reason: &str) {
         debug!(reason, "a pull of weights broke off");
         self.n_waiting = 0;
@@ -217,7 +217,7 @@ impl Asked {
 struct RelayCache {
     limit: usize,
     n_bytes: usize,
-    /// Counts what was put and taken, so that it can be told what was not asked for the longest.
+    /// Counts puts and takes: the entry with the lowest count was used least recently.
     clock: u64,
     kept: BTreeMap<Digest, (Header, Bytes, u64)>,
 }

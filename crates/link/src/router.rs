@@ -13,12 +13,12 @@ use crate::{Error, ListenSettings, Result, session};
 pub struct RouterLink {
     locators: Vec<String>,
     relay: Option<Relay>,
-    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
     session: Session,
 }
 
 impl RouterLink {
-    /// Listens, and passes on from now on. A router above that is not there is looked for again and again.
+    /// Listens, and passes messages on from now on. Keeps trying to reach an upstream router that is absent.
     ///
     /// # Errors
     ///
@@ -51,7 +51,7 @@ impl RouterLink {
         Ok(())
     }
 
-    /// Returns what the relay did since it started; zeros where there is none.
+    /// Returns the relay's counts since it started; zeros without a relay.
     pub fn relay_counts(&self) -> RelayCounts {
         self.relay.as_ref().map(Relay::counts).unwrap_or_default()
     }
@@ -62,7 +62,7 @@ impl RouterLink {
         (info.routers_zid().await.count(), info.peers_zid().await.count())
     }
 
-    /// Checks that it can still be reached; to be asked now and then, because no event tells it.
+    /// Checks that the router can still be reached. Call it regularly: no event reports that it cannot.
     ///
     /// # Errors
     ///

@@ -16,7 +16,7 @@ const N_UPKEEP: usize = 2;
 
 /// Returns the value that the variable should have.
 ///
-/// The library is told by its environment alone, and a variable cannot be set safely while a process runs. So whoever
+/// The library reads these limits only from an environment variable, which cannot be set safely while threads run. So the caller that
 /// starts a process with many connections sets it.
 pub fn runtime() -> String {
     format!(

@@ -59,7 +59,7 @@ pub(crate) fn settings(identity: &Identity, has_socket: bool) -> Result<Vec<Sett
     Ok(settings)
 }
 
-/// Quotes a path, absolute because sessions live long. The library joins settings with signs of its own.
+/// Quotes a path and makes it absolute, because sessions outlive changes of directory. The library separates settings by special characters.
 fn quoted(path: &Path) -> Result<String> {
     let odd = |c: char| matches!(c, ';' | '=' | '|' | '#' | '"' | '\\') || c.is_control();
     let whole = std::path::absolute(path).ok();

@@ -30,7 +30,7 @@ const LIVE_BATCHES: usize = 16;
 const MESSAGE_SLACK: usize = 64 << 10;
 /// First and longest pause between attempts to connect, in milliseconds.
 const RETRY_MS: (u64, u64) = (100, 1_000);
-/// Longest single round of attempts, after which it is told that nobody answers.
+/// Longest single round of attempts; after the first that fails, the log says that nobody answers.
 const ROUND: Duration = Duration::from_secs(2);
 /// Connections that may be opening at once, and how long each may take, in milliseconds: a peer that connects and says nothing
 /// must not keep out those who do.
@@ -78,8 +78,8 @@ impl ListenSettings {
         }
     }
 
-    /// Checks addresses and certificate as far as that can be done without listening: whoever makes files of their own
-    /// before asks first.
+    /// Checks addresses and certificate as far as possible without listening. A caller that creates files of its own
+    /// calls this first.
     ///
     /// # Errors
     ///
@@ -101,7 +101,7 @@ pub struct ConnectSettings {
     pub identity: Option<Identity>,
     /// Whose relay is asked for weights before the learner. Default: nobody's.
     pub region: Option<RegionName>,
-    /// Who is looked for, as a sentence names it. Default: `learner`.
+    /// Who is looked for, as a noun for messages. Default: `learner`.
     pub whom: &'static str,
 }
 
@@ -163,7 +163,7 @@ fn upwards(settings: &ListenSettings) -> ConnectSettings {
 
 /// Returns whether a session has ended, or what listens for others, if it `listens`.
 pub(crate) async fn is_dead(session: &Session, listens: bool) -> bool {
-    // The library tells nobody that its listener ended; it only stops listing its address.
+    // The library does not report that its listener ended; it only stops listing the address.
     session.is_closed() || listens && session.info().locators().await.is_empty()
 }
 

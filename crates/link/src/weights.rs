@@ -24,7 +24,7 @@ use crate::{Error, Result, wire};
 pub(crate) const REPEAT: Duration = Duration::from_secs(1);
 /// Most versions that are kept, whatever the learner retires: the newest, and all that the longest lag acts with.
 const MAX_KEPT: usize = MAX_LAG as usize + 1;
-/// Versions that are kept although they are retired: an actor that was told of one a moment ago may still pull it.
+/// Retired versions that are kept: an actor that has just received the announcement of one may still pull it.
 const GRACE: usize = 4;
 
 #[derive(Clone, Debug)]
@@ -59,7 +59,7 @@ impl WeightStore {
         }
     }
 
-    /// Lets go of versions older than `oldest_kept`, except for the last few.
+    /// Drops versions older than `oldest_kept`, except the last few of them.
     pub(crate) fn retire(&self, oldest_kept: PolicyVersion) {
         let mut versions = lock(&self.versions);
         while versions.len() > GRACE

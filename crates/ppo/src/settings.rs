@@ -233,11 +233,8 @@ mod tests {
             (0..7).map(|index| settings.entropy_coef_at(index)).collect()
         };
         assert_eq!(weights(&settings), [0.01; 7]);
-        let falling = LearnerSettings {
-            entropy_coef: 0.5,
-            entropy_coef_end: Some(0.0),
-            ..settings.clone()
-        };
+        let falling =
+            LearnerSettings { entropy_coef: 0.5, entropy_coef_end: Some(0.0), ..settings.clone() };
         assert_eq!(weights(&falling), [0.5, 0.375, 0.25, 0.125, 0.0, 0.0, 0.0]);
         let single = LearnerSettings { total_steps: 1, ..falling };
         assert_eq!(single.entropy_coef_at(0), 0.0);

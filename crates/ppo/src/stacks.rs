@@ -52,7 +52,7 @@ impl Stack {
         self.layers.iter_mut().try_for_each(|layer| layer.pack(vars))
     }
 
-    /// Adds one block's gradients to those of the blocks before it; the first one's are taken as they are.
+    /// Adds one block's gradients to the sum over the blocks before it; the first block's start the sum.
     fn add(&mut self, block: &mut [LayerGradient]) {
         for (sum, gradient) in self.gradients.iter_mut().zip(block) {
             if self.has_gradients {

@@ -34,7 +34,7 @@ impl SessionAtHand {
     ///
     /// # Errors
     ///
-    /// [`Error::Session`] if the policy is of another task.
+    /// [`Error::Session`] if the policy was made for another task.
     pub fn open(
         note: &SessionNote,
         policy: &WorkingPolicy,

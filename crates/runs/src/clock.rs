@@ -23,7 +23,7 @@ pub fn unix_seconds() -> f64 {
     now().as_nanosecond() as f64 * 1e-9
 }
 
-/// Reads a moment as records keep it, in seconds since the Unix epoch; `None` if it is none.
+/// Parses a timestamp of a record into seconds since the Unix epoch; `None` if it is malformed.
 pub fn unix_seconds_of(text: &str) -> Option<f64> {
     text.parse::<Timestamp>().ok().map(|moment| moment.as_nanosecond() as f64 * 1e-9)
 }

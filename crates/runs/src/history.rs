@@ -1,6 +1,6 @@
-//! What observers are told of a run: what it is, how it went so far, and each of its updates.
+//! What observers receive about a run: its description, its history, and each of its updates.
 //!
-//! The history is `metrics.jsonl`, thinned to so many points and compressed:
+//! The history is `metrics.jsonl`, thinned to the number of points asked for and compressed:
 //!
 //! ```text
 //! {"schema": 1, "from": 0, "to": 412, "started": 1769860800.0, "x": [1, 2, ...], "stride": 1,
@@ -9,7 +9,7 @@
 //! ```
 //!
 //! `elapsed` is the time since the first update, in seconds; `staleness` has the last hundred updates; `skipped` counts
-//! lines that are none, such as a torn last one.
+//! lines that cannot be read, such as a torn last one.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -28,9 +28,9 @@ use serde_json::{Map, Value, json};
 
 use crate::{RunRecord, clock};
 
-/// The layout of what observers are told.
+/// The version of the layout of the messages to observers.
 pub const SCHEMA: u32 = 1;
-/// Updates whose staleness is told one by one.
+/// How many of the last updates have their staleness listed one by one.
 const N_STALENESS: usize = 100;
 /// The name under which the time since the first update is plotted.
 const ELAPSED: &str = "elapsed";
@@ -61,7 +61,7 @@ pub fn about(config: &Config, run: &str, directory: &Path) -> Value {
     })
 }
 
-/// Makes an update's line what observers are told of it.
+/// Converts an update's line into the message for observers.
 pub(crate) fn bulletin(line: &Value) -> Vec<u8> {
     let mut told = line.clone();
     told["kind"] = "update".into();
@@ -94,7 +94,7 @@ fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8
     }
 }
 
-/// Reads a run's history from an update on, in at most so many points; empty where no update was made yet.
+/// Reads a run's history from an update on, in at most `n_points` points; empty before the first update.
 ///
 /// # Errors
 ///
@@ -121,7 +121,7 @@ impl JournalTail {
         Self { path: directory.join("metrics.jsonl"), offset: 0 }
     }
 
-    /// Takes everything that is there now for read.
+    /// Skips everything that is in the file now.
     pub fn skip_to_end(&mut self) {
         self.offset = std::fs::metadata(&self.path).map_or(0, |found| found.len());
     }

@@ -90,7 +90,7 @@ impl TrainingTraces {
         })
     }
 
-    /// Rewinds the journal of a run that begins anew: the next start must not take its updates for trained.
+    /// Rewinds the journal of a run that begins again: the next start must not count the old updates as trained.
     pub(crate) fn forget_lost_updates(&self, path: &Path) -> io::Result<()> {
         if self.has_checkpoints { Ok(()) } else { Journal::open(path)?.rewind(0) }
     }

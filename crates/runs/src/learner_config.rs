@@ -1,4 +1,4 @@
-//! From a checked configuration and a run directory to what a learner is told.
+//! Makes a learner's configuration from a checked configuration and a run directory.
 
 use std::thread::available_parallelism;
 

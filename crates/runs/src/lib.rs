@@ -4,7 +4,7 @@
 //! directory    locking, resuming, refusing; on naming and layout      build           which program computed it
 //! record       run.json                                 clock           the only reader of the wall clock
 //! recorder     what the learner reports, written down by journal (metrics.jsonl), tensorboard and policy_file
-//! held_out     evaluations while it trains (held_out.jsonl)            history         what observers are told
+//! held_out     evaluations while it trains (held_out.jsonl)            history         what observers receive
 //! launch       a learner and its actors as children  ->  supervise      watched until the last of them is gone
 //! report       all of it (run_files), and the findings of an evaluation, as a page    evaluation_record   eval.json
 //! race         several seeds of a configuration, the hopeless stopped on the way

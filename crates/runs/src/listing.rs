@@ -137,7 +137,7 @@ impl ListedRun {
     }
 }
 
-/// Describes a run's directory; `None` if it is none.
+/// Describes a run directory; `None` if it is not one.
 fn row(path: &Path) -> Option<ListedRun> {
     let is_run = [RECORD, "config.toml"].iter().any(|file| path.join(file).exists());
     is_run.then(|| match RunRecord::read(path) {

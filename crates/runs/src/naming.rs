@@ -31,7 +31,7 @@ pub(crate) struct Reservation {
 }
 
 impl Reservation {
-    /// Chooses a run, and makes its directory if there is none; refuses one that is no run's, or is taken.
+    /// Chooses a run and creates its directory if it does not exist; refuses a directory that holds other files or is in use.
     pub(crate) fn make(config: &Config, naming: &Naming<'_>) -> Result<Self, RunDirError> {
         match (naming, &config.run.name) {
             (Naming::Resume, Some(name)) => Self::named(config, name),

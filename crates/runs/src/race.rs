@@ -29,9 +29,9 @@ use crate::{BEST_POLICY, LAST_POLICY, LoadedPolicy, RunRecord, Tasks, policy_fil
 
 /// A racer whose success at a quarter is further behind the leader's than this is hopeless.
 pub const MARGIN: f64 = 0.1;
-/// So is one whose return is by more standard errors of the difference behind, where the task knows no success.
+/// Where the task knows no success: a racer whose return is behind by more standard errors of the difference is hopeless.
 const ERRORS_BEHIND: f64 = 2.0;
-/// The part of its updates after which racers are compared is one in so many.
+/// Racers are compared after this fraction of their updates: one in [`PARTS`].
 const PARTS: u64 = 4;
 /// At a quarter a racer plays one in so many of the episodes that it plays at the end.
 const FEWER_AT_A_QUARTER: u32 = 5;
@@ -158,7 +158,7 @@ impl Race {
     ///
     /// # Errors
     ///
-    /// [`ConfigError`] if a name is none for a run, or a seed is too large.
+    /// [`ConfigError`] if a name cannot be a run's, or a seed is too large.
     pub fn plan(
         tasks: &Tasks,
         config: &Config,
@@ -412,7 +412,7 @@ fn own_name(config: &Config) -> String {
 }
 
 /// Decides which racers go on, in their order: at most so many, the leader always, and nobody who is hopelessly behind it.
-/// Who has no score has dropped out.
+/// A racer without a score has dropped out.
 fn going_on(scores: &[Option<&RaceScore>], n_keep: usize) -> Vec<usize> {
     let mut ranked: Vec<Ranked<'_>> =
         scores.iter().enumerate().filter_map(|(i, score)| Some((i, (*score)?))).collect();

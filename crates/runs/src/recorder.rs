@@ -24,9 +24,9 @@ pub struct RunRecorder {
     policy: PolicySpec,
     metadata: BTreeMap<String, String>,
     steps_per_update: u64,
-    /// What observers are told of the run.
+    /// The run's description for observers.
     about: Value,
-    /// What they are told of its last update.
+    /// The message about its last update, for observers.
     bulletin: Option<Vec<u8>>,
     /// The configuration, which event files hold as hyper-parameters.
     settings: Table,
@@ -88,7 +88,7 @@ impl RunRecorder {
         self.events(0)?.scalars(clock::unix_seconds(), progress.n_steps, &scalars)
     }
 
-    /// Takes what observers are told of the last update.
+    /// Takes the message about the last update, for observers.
     pub fn take_bulletin(&mut self) -> Option<Vec<u8>> {
         self.bulletin.take()
     }

@@ -136,7 +136,7 @@ async fn watch(
     }
 }
 
-/// Starts the actors again that a learner dismissed which was killed before its end: the next one may need them, unless all updates
+/// Restarts the actors that a learner had dismissed before it was killed: its next start may need them, unless all updates
 /// are made. If it finds in its checkpoint that the run has ended before (`evaluation.stop_at`), it ends, and they end with it.
 fn call_back(plan: &ProcessPlan, actors: &mut [ChildHandle]) {
     if journal::last_update(&plan.run) >= plan.n_updates {
@@ -176,7 +176,7 @@ enum ChildHealth {
 struct ChildHandle {
     name: String,
     is_actor: bool,
-    /// Finds the program anew for every start, as its file may be replaced meanwhile.
+    /// Finds the program again for every start, because its file may have been replaced.
     program: fn() -> io::Result<PathBuf>,
     args: Vec<OsString>,
     /// Its results go to our standard output, instead of nowhere.

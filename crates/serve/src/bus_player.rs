@@ -129,7 +129,7 @@ fn in_time(
     episode: u64,
 ) -> Result<Vec<HeardSay>, ClientError> {
     if n_steps == 0 {
-        // What was said to the end of the episode before is nobody's any more.
+        // Events about the previous episode are dropped.
         while shared.client.next(Duration::ZERO)?.is_some() {}
         shared.began = Instant::now();
     } else {

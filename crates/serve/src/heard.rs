@@ -1,4 +1,4 @@
-//! What a client reports of its loudspeaker: `{"utterance":5,"event":"word","word":2,"t":13.05}`.
+//! A client's reports about its loudspeaker: `{"utterance":5,"event":"word","word":2,"t":13.05}`.
 
 use serde::{Deserialize, Serialize};
 

@@ -9,7 +9,7 @@ use thiserror::Error;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FieldRule {
     pub(crate) name: &'static str,
-    /// What it has to be, as a sentence goes on.
+    /// What it has to be, as the end of a sentence.
     pub(crate) expected: &'static str,
     /// Describes a value that does not fit; `None` if it fits.
     pub(crate) misfit: fn(&Value) -> Option<String>,

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-/// A clock that starts at some hours, so that there is a time before the first moment.
+/// A clock that starts at some hours, so that times before the start are not negative.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LiveClock {
     started: Instant,

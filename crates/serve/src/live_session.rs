@@ -415,7 +415,7 @@ impl LiveSession {
             return Ok(false);
         }
         if head.seq == last {
-            // After a restart the content of the last one is not known any more.
+            // After a restart the content of the last observation is unknown.
             let is_same = self.newest_at.is_none() || self.incoming == self.newest;
             return if is_same { Ok(false) } else { Err(BadObservation::SameSequence(last)) };
         }
@@ -773,12 +773,12 @@ impl LiveSession {
         self.release(self.plan.clock != StepClock::Observation, out);
     }
 
-    /// This start of the client is there, or not any more.
+    /// Notes that this start of the client has appeared or disappeared.
     pub fn note_presence(&mut self, is_here: bool) {
         self.is_gone = !is_here;
     }
 
-    /// The loudspeaker is gone, or not any more.
+    /// Notes whether the loudspeaker has failed.
     pub fn note_mute(&mut self, is_mute: bool) {
         self.has_news |= self.is_mute != is_mute;
         self.is_mute = is_mute;
@@ -798,7 +798,7 @@ impl LiveSession {
                 self.step(now, decider, out);
             }
             self.release(true, out);
-            // Steps that were missed are missed: nobody is spoken to faster to make up for them.
+            // Missed steps are not made up for: that would mean speaking faster.
             let next = due + self.step_ns;
             self.next_step = Some(if next > now { next } else { now + self.step_ns });
         }

@@ -34,7 +34,7 @@ const SNAPSHOT_EVERY: u64 = 1_000_000_000;
 pub(crate) enum ThreadOrder {
     /// Speak for one more client.
     Add(Box<Hosted>),
-    /// This start of a client is there, or not any more.
+    /// This start of a client has appeared or disappeared.
     Presence(ClientName, Incarnation, bool),
     /// A client's session is replaced by another one.
     Remove(ClientName),
@@ -45,7 +45,7 @@ pub(crate) enum ThreadOrder {
 /// What a thread reports.
 #[derive(Debug)]
 pub(crate) enum ThreadReport {
-    /// How a session stands.
+    /// The state of a session.
     State {
         client: ClientName,
         id: String,
@@ -276,7 +276,7 @@ impl Loop {
             refusals: (n_refused, reason.to_owned()),
             snapshot: Box::new(hosted.session.snapshot()),
         };
-        // One that nobody has room for is followed by another.
+        // A lost report does not matter: the next one follows within a second.
         drop(self.reports.try_send(report));
     }
 

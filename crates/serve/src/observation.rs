@@ -72,7 +72,7 @@ pub enum BadObservation {
     BackInTime { before: f64, after: f64 },
     #[error("observation {0} came twice, with other content the second time: count `seq` up")]
     SameSequence(u64),
-    #[error("an observation with {0} facts; {MAX_FACTS} at most")]
+    #[error("the observation has {0} facts; at most {MAX_FACTS} are possible")]
     TooManyFacts(usize),
     #[error("a raw observation has {RAW_HEADER} bytes beside it, its attachment; this one has {0}")]
     HeaderLength(usize),
@@ -86,7 +86,7 @@ pub enum BadObservation {
         "the checksum of the observation is wrong: it was damaged on the way, or is not CRC-32C over bytes 0 to 32 and the numbers"
     )]
     Checksum,
-    #[error("{0} bytes are no raw observation: 4 bytes a number")]
+    #[error("the raw observation has {0} bytes, not 4 for each number")]
     RawLength(usize),
     #[error("an observation of encoding `{}`; known: application/json, application/octet-stream;leadtime.obs/1", quoted(.0))]
     Encoding(String),

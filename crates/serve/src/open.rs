@@ -214,8 +214,8 @@ impl SessionPlan {
             notes.push(note.to_owned());
         }
         if policy.session.is_blind_to_repeats() {
-            let note = "the policy was trained with a listener who does not hear again what they are doing already; \
-                        whether a person is doing it is not known here, so it may be said again";
+            let note = "the policy was trained with a listener to whom it never repeats what they are already doing; \
+                        a notifier at work cannot see what its listener does, so it may repeat itself";
             notes.push(note.to_owned());
         }
         Ok(Self {

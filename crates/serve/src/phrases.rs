@@ -63,7 +63,7 @@ impl PhraseBook {
         PhraseTurns(self.rotation.clone())
     }
 
-    /// Goes on from there; `false` if the turns are another database's.
+    /// Continues from saved turns; `false` if they belong to another database.
     pub fn restore(&mut self, turns: &PhraseTurns) -> bool {
         let fits = match (&self.taxonomy, &turns.0) {
             (None | Some(_), None) => true,

@@ -85,7 +85,7 @@ struct Registered {
     refusals: RefusalLog,
 }
 
-/// What the log has been told of a session's refused observations.
+/// How many refused observations of a session have been logged, and when.
 #[derive(Debug, Default)]
 struct RefusalLog {
     n_told: u64,
@@ -398,7 +398,7 @@ impl LiveService {
                     notes.push("the session goes on where it was".to_owned());
                 } else {
                     session.forget();
-                    let note = "the numbers go on where they were; what was said is too long ago, so an episode begins";
+                    let note = "the numbers continue; what was said before is too long ago, so a new episode begins";
                     notes.push(note.to_owned());
                 }
                 return (session, notes);

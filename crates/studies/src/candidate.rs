@@ -1,4 +1,4 @@
-//! Who is evaluated: a row's policy of one training seed, or its script, and where its evaluations are kept.
+//! What is evaluated: a row's policy of one training seed, or its script; and where its evaluations are kept.
 
 use std::path::{Path, PathBuf};
 

@@ -10,7 +10,7 @@ use crate::result::{ConditionResult, FigureLink, PartResult, RowResult, StudyRes
 use crate::study::{Layout, Published};
 use crate::trainings::RowTrainings;
 
-/// What stands for a number that there is none of.
+/// What a table shows where there is no number.
 const NONE: &str = "\u{2013}";
 
 impl StudyResult {

@@ -29,7 +29,7 @@ pub struct Table {
 /// The fewest characters that a shortened text keeps.
 const SHORTEST: usize = 16;
 
-/// What stands in one place of a table.
+/// One cell of a table.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TableCell {
     text: String,
@@ -38,7 +38,7 @@ pub struct TableCell {
 }
 
 impl TableCell {
-    /// Writes a value with a note that stands back, such as a mean with its interval.
+    /// Writes a value with a less prominent note, such as a mean with its interval.
     pub fn noted(text: impl Into<String>, note: impl Into<String>) -> Self {
         Self { text: text.into(), note: note.into() }
     }
@@ -168,7 +168,7 @@ impl Table {
     }
 }
 
-/// What stands between two columns.
+/// What separates two columns.
 const GAP: &str = "  ";
 
 /// The cells as plain texts, and how wide each column is.

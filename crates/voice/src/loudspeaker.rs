@@ -104,7 +104,7 @@ impl Loudspeaker {
     }
 
     fn order(&self, order: SoundOrder) {
-        // With so many orders waiting the thread hangs, and will be found mute.
+        // A full queue means that the thread hangs; its loudspeaker will be reported as mute.
         if let Some(orders) = &self.0.orders {
             drop(orders.try_send(order));
         }

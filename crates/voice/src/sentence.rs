@@ -43,7 +43,7 @@ impl Sound {
 pub struct SpokenSentence {
     /// As it is written.
     pub text: String,
-    /// One for each piece of [`words::spoken`], in order; none begins before the one before it has ended.
+    /// One for each piece of [`words::spoken`], in order; none begins before its predecessor has ended.
     pub words: Vec<WordTime>,
     /// The times are in proportion to letters: they were not measured.
     pub is_estimated: bool,

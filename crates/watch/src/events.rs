@@ -86,7 +86,7 @@ impl Wanted {
     ///
     /// # Errors
     ///
-    /// A sentence with the kinds that there are, if one of them is none.
+    /// A sentence that lists the known kinds, if the list names an unknown one.
     pub(crate) fn parse(list: Option<&str>) -> Result<Self, String> {
         let Some(list) = list.filter(|list| !list.is_empty()) else {
             return Ok(Self(EventKind::ALL.into()));
@@ -139,10 +139,10 @@ impl Client {
     }
 }
 
-/// Why a client is not taken in.
+/// Why a client is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NoPlace {
-    /// There are as many as there may be.
+    /// The most clients are connected.
     Full,
     /// The watcher ends and takes no one in.
     Closed,

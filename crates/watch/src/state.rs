@@ -64,7 +64,7 @@ pub(crate) enum RunPhase {
     Stopped,
     /// The learner ended with an error.
     Failed,
-    /// The learner is gone without a word.
+    /// The learner disappeared without announcing its end.
     Lost,
 }
 

@@ -1,4 +1,4 @@
-//! Why there is no worker, or none any more.
+//! Why a worker cannot be started, or was lost.
 
 use std::io;
 

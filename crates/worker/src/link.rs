@@ -22,7 +22,7 @@ use crate::slot::{StepProgress, WorkerSlot, reset_seed};
 
 /// The most bytes of actions, or of a pickle, that a snapshot holds: it has to fit one of the run's.
 pub(crate) const MAX_STATE_BYTES: usize = MAX_SNAPSHOT_BYTES - (64 << 10);
-/// So many deaths within [`DEATH_WINDOW`] are too many.
+/// The number of deaths within [`DEATH_WINDOW`] after which a worker is given up.
 const MAX_DEATHS: usize = 3;
 /// Deaths are counted over this time.
 const DEATH_WINDOW: Duration = Duration::from_mins(1);

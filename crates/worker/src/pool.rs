@@ -29,7 +29,7 @@ pub struct WorkerRules {
     pub refuses_pickles: bool,
     /// Workers are started while an environment is built, so that what is wrong with them is reported at once.
     pub starts_at_once: bool,
-    /// At least so many for every kind of environment.
+    /// The fewest workers for every kind of environment.
     pub n_workers: usize,
 }
 
@@ -152,7 +152,7 @@ impl Workers {
     }
 }
 
-/// Returns what the environments of a worker look like that is there already.
+/// Returns the specification of an existing worker's environments.
 fn known(links: &[SharedLink], launch: &WorkerLaunch) -> Option<Result<WorldSpec, Error>> {
     links.iter().map(|link| lock(link)).find(|link| link.launch().is_like(launch)).map(|link| {
         launch.check(link.hello())?;

@@ -54,7 +54,7 @@ pub(crate) enum CertsCommand {
     Init(CertsInitArgs),
     /// Make certificates and keys of processes, all or none, and the list of who may do what (DIR/acl.json5).
     Issue(CertsIssueArgs),
-    /// Make the certificates anew that end soon; keys stay, and processes take the new files by themselves.
+    /// Renew the certificates that end soon; keys stay, and processes load the new files by themselves.
     Renew(CertsRenewArgs),
     /// Say whose a certificate is, for which hosts, and until when.
     Show(CertsShowArgs),

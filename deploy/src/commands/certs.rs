@@ -63,14 +63,14 @@ fn issue(args: &CertsIssueArgs) -> anyhow::Result<()> {
         output::line(&access_list_line(&list.path, n));
     } else {
         tracing::warn!(
-            "{0} is not the list of who had a certificate here, and stays as it is: `leadtime certs acl {1} -o {0}` writes it anew",
+            "{0} does not list exactly the certificates that were here, and stays as it is: `leadtime certs acl {1} -o {0}` replaces it",
             list.path.display(),
             args.directory.display()
         );
     }
     let authority = args.directory.join("ca.pem");
     output::note(&format!(
-        "The machine of a process needs its .pem and its .key, and {}; who lets others in needs the list, too.",
+        "The machine of a process needs its .pem and its .key, and {}; a process that listens needs the list, too.",
         authority.display()
     ));
     Ok(())

@@ -75,7 +75,7 @@ pub(super) async fn run(tasks: &Tasks, args: &DriveArgs) -> Result<(), Failure> 
     } else {
         evaluation::print(&comparison, args.shown.all);
     }
-    // Nothing is owed to anybody any more.
+    // Nobody waits for an answer any more.
     drop(link.close().await);
     Ok(())
 }
@@ -106,7 +106,7 @@ pub(super) fn own_name(
     }
 }
 
-/// The most differences of two tasks that are told.
+/// The most differences between two tasks that are printed.
 const MAX_DIFFERENCES: usize = 4;
 
 /// Says in which settings two tasks differ; nothing where one of them is not known.

@@ -153,7 +153,7 @@ impl Policies {
             let (path, sha256) = (&note.policy.path, &note.policy.sha256);
             let what = if is_file { "its words are others" } else { "it is another policy" };
             return Err(Failure::input(format!(
-                "{path}: {what} by now; the recording is of the one with SHA-256 {sha256}: name it with --policy"
+                "{path}: {what} by now; the recording was made with SHA-256 {sha256}: name that file with --policy"
             )));
         }
         Ok((policy, is_same))

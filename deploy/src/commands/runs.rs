@@ -1,4 +1,4 @@
-//! `leadtime runs`: what there is, and how two runs differ.
+//! `leadtime runs`: lists runs, compares two, and removes old ones.
 
 use std::path::Path;
 

@@ -57,7 +57,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
     let service_settings = ServiceSettings {
         max_sessions: match (args.max_sessions, &args.play) {
             (Some(n), _) => n as usize,
-            // What two clients are told at once nobody understands.
+            // Two clients on one loudspeaker would talk over each other.
             (None, Some(_)) => 1,
             (None, None) => MAX_SESSIONS,
         },

@@ -82,11 +82,9 @@ impl StatusSource for ActorPage {
         self.live()?;
         match &*self.standing.borrow() {
             None => Err("no learner has been found yet".to_owned()),
-            Some(standing) if standing.is_searching => {
-                Err("the learner is being looked for".to_owned())
-            }
+            Some(standing) if standing.is_searching => Err("looking for the learner".to_owned()),
             Some(standing) if !standing.is_assigned => {
-                Err("the learner has given no environments".to_owned())
+                Err("the learner has assigned no environments".to_owned())
             }
             Some(_) => Ok(()),
         }

@@ -116,7 +116,7 @@ metrics! {
     DiskSize = "disk_size_bytes" Gauge MetricLabel::None, Learner, "bytes that the disk of the run directory holds";
     ActorSteps = "actor_steps" Counter MetricLabel::None, Actor, "environment steps simulated";
     Unacknowledged = "rollouts_unacknowledged" Gauge MetricLabel::None, Actor, "rollouts sent and not acknowledged";
-    WeightsVersion = "weights_version" Gauge MetricLabel::None, Actor, "newest version of the weights that is here";
+    WeightsVersion = "weights_version" Gauge MetricLabel::None, Actor, "newest version of the weights that this actor has";
     Reconnects = "reconnects" Counter MetricLabel::None, Actor, "hellos after the first: losses of the learner, and doubts about it";
     Resident = "process_resident_bytes" Gauge MetricLabel::None, Both, "memory of the process";
     CertificateEnd = "certificate_end_timestamp_seconds" Gauge MetricLabel::None, Both, "when the certificate of the process ends, in seconds since 1970";

@@ -38,7 +38,7 @@ impl Rasterizer {
     ///
     /// # Errors
     ///
-    /// [`Error::Svg`] if the file is none, [`Error::PictureSize`] if the picture would be empty or gigantic.
+    /// [`Error::Svg`] if it is not an SVG file, [`Error::PictureSize`] if the picture would be empty or gigantic.
     pub fn png(&self, svg: &str, scale: f32) -> Result<Vec<u8>, Error> {
         self.pixmap(svg, scale)?.encode_png().map_err(|error| Error::Png(error.to_string()))
     }

@@ -12,8 +12,8 @@ use crate::error::Error;
 /// Number of stages: 0, 1, ... reactions begun, and in the last one as many or more.
 pub(super) const N_STAGES: usize = 6;
 
-const NO_LISTENER: &str = "this task has no listener, so there is no reaction delay to be known";
-const DELAY_PER_MESSAGE: &str = "the person draws another reaction delay for every message, so there is nothing to be known before it; ask \
+const NO_LISTENER: &str = "this task has no listener, so there is no reaction delay to decode";
+const DELAY_PER_MESSAGE: &str = "the listener draws another reaction delay for every message, so it cannot be known beforehand; ask \
      for one that stays: drawn = \"per_episode\"";
 
 /// One step of one stage of an episode.

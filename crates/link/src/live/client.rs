@@ -28,7 +28,7 @@ pub(super) const MAX_SERVICES: usize = 256;
 /// The most messages that wait for a client; a newer one beyond them is dropped.
 pub(super) const MAX_MESSAGES: usize = 1_024;
 
-/// What a client is told.
+/// A message to a client.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LiveMessage {
     /// An event of what is said.
@@ -94,7 +94,7 @@ impl LiveClientLink {
     }
 }
 
-/// A client's place: where it puts observations, and what it is told.
+/// A client's end of a session: publishes observations, receives what is said.
 pub struct ClientPort {
     service: ServiceName,
     client: ClientName,
@@ -163,7 +163,7 @@ impl ClientPort {
         ask(&self.session, LiveKey::Open(&self.service, &self.client), question).await
     }
 
-    /// Puts an observation, JSON.
+    /// Publishes an observation as JSON.
     ///
     /// # Errors
     ///
@@ -173,7 +173,7 @@ impl ClientPort {
         put.map_err(Error::network("publish on", self.observations.key_expr()))
     }
 
-    /// Puts a raw observation with the bytes beside it.
+    /// Publishes a raw observation with its attachment.
     ///
     /// # Errors
     ///
@@ -183,7 +183,7 @@ impl ClientPort {
         put.map_err(Error::network("publish on", self.observations.key_expr()))
     }
 
-    /// Puts a report of what was heard, JSON.
+    /// Publishes a report of what was heard, as JSON.
     ///
     /// # Errors
     ///

@@ -12,9 +12,9 @@
 //! leadtime/live/1/{service}/{client}/session                query of a recorder: what the session is
 //! ```
 //!
-//! A robot that knows nothing of ours has keys of its own instead ([`RobotKeys`]).
+//! A robot that does not speak our protocol has keys of its own instead ([`RobotKeys`]).
 //!
-//! The keys lie beside those of runs, and their messages are not ours alone: JSON for everybody, a few raw bytes for
+//! The keys lie beside those of runs, and other programs use their messages too: JSON for everybody, a few raw bytes for
 //! microcontrollers. What is in them this crate does not know.
 //!
 //! # Invariants

@@ -101,7 +101,7 @@ pub struct LivePort {
     say: Publisher<'static>,
     status: Publisher<'static>,
     taken: Publisher<'static>,
-    /// What a robot observes on a key of its own, as a client would send it.
+    /// Republishes for recorders what a robot observes on its own key, as if a client had sent it.
     observed: Option<Publisher<'static>>,
     robot: Option<RobotPort>,
     /// Dropped last: what arrives finds the rest of this.
@@ -142,7 +142,7 @@ impl LivePort {
         let (sender, heard) = flume::bounded(MAX_HEARD);
         let hearing = subscribe(session, LiveKey::Heard(service, client), move |sample| {
             let bytes = sample.payload().to_bytes();
-            // A report that nobody has room for is as good as lost: the clock of words counts.
+            // A report without room in the queue counts as lost: then the clock of words decides.
             if bytes.len() <= MAX_LIVE_BYTES && sender.try_send(bytes.into_owned()).is_ok() {
                 wake();
             }
@@ -153,7 +153,7 @@ impl LivePort {
         let say = publisher(session, LiveKey::Say(service, client), qos, form)?;
         let key = LiveKey::Status(service, client);
         let status = publisher(session, key, crate::wire::NOTICE, Encoding::APPLICATION_JSON)?;
-        // As what is said, which it tells about: so it comes after that.
+        // With the same priority as what is said, so that it arrives after what it reports.
         let key = LiveKey::Taken(service, client);
         let taken = publisher(session, key, qos, Encoding::APPLICATION_JSON)?;
         let declare = || publisher(session, own, qos, Encoding::APPLICATION_JSON);
@@ -178,7 +178,7 @@ impl LivePort {
         self.inbox.n_overwritten.load(Ordering::Relaxed)
     }
 
-    /// Puts an event of what is said.
+    /// Publishes an event of what is said.
     ///
     /// # Errors
     ///
@@ -196,7 +196,7 @@ impl LivePort {
         self.status.put(bytes).wait().map_err(Error::network("publish on", self.status.key_expr()))
     }
 
-    /// Puts what was taken in, for recorders.
+    /// Publishes what was taken in, for recorders.
     ///
     /// # Errors
     ///
@@ -205,7 +205,7 @@ impl LivePort {
         self.taken.put(bytes).wait().map_err(Error::network("publish on", self.taken.key_expr()))
     }
 
-    /// Puts an observation that was taken from a robot's own key where a client would have put it, for recorders.
+    /// Republishes an observation from a robot's own key on the key of a client's observations, for recorders.
     ///
     /// # Errors
     ///

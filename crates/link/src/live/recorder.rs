@@ -34,7 +34,7 @@ pub struct LiveRecorderLink {
     n_dropped: Arc<AtomicU64>,
     presence: flume::Receiver<LiveMessage>,
     _subscribers: Vec<Subscriber<()>>,
-    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
     session: Session,
 }
 
@@ -76,7 +76,7 @@ impl LiveRecorderLink {
         Ok((Self { service, n_dropped, presence, _subscribers: subscribers, session }, samples))
     }
 
-    /// Returns where it is told which starts of the notifier are there, come and go.
+    /// Returns the channel that reports which starts of the notifier are present, appear and disappear.
     pub fn presence(&self) -> &flume::Receiver<LiveMessage> {
         &self.presence
     }
@@ -91,7 +91,7 @@ impl LiveRecorderLink {
         self.n_dropped.load(Ordering::Relaxed)
     }
 
-    /// Checks that the connection is there; to be asked now and then, because no event tells it.
+    /// Checks that the connection is open. Call it regularly: no event reports that it has closed.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Keys that are a robot's own: where it puts what it observes, and where it is told what is said.
+//! A robot's own keys: where it publishes observations, and where it receives what is said.
 
 use std::fmt;
 
@@ -20,9 +20,9 @@ const OURS: &str = "leadtime/";
 pub struct RobotKeys {
     /// Where it puts what it observes.
     pub observations: String,
-    /// Where it is told what is said; `None` where it is not.
+    /// The key on which it receives what is said; `None` if it receives nothing.
     pub say: Option<String>,
-    /// Where it is told what the notifier does.
+    /// The key on which it receives the notifier's status.
     pub status: Option<String>,
     /// Signs of presence that its own software looks for.
     pub tokens: Vec<String>,
@@ -54,7 +54,7 @@ impl RobotKeys {
     }
 }
 
-/// Where a robot is told what is said.
+/// Publishes what is said, and the status, on a robot's own keys.
 pub(super) struct RobotPort {
     say: Option<Publisher<'static>>,
     status: Option<Publisher<'static>>,

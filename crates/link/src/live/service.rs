@@ -18,7 +18,7 @@ use crate::answer::{Answers, PendingReply};
 use crate::pubsub::{appear, take_questions, watch_tokens};
 use crate::{Error, ListenSettings, Result, session};
 
-/// The most questions and news of clients that wait; a question beyond is told to come again.
+/// The most questions and presence events of clients that wait; the client of a question beyond that is asked to try again.
 const MAX_EVENTS: usize = 1_024;
 /// Threads that answer questions.
 const N_ANSWERERS: usize = 1;
@@ -82,7 +82,7 @@ pub struct LiveServiceLink {
     token: LivelinessToken,
     _questions: [Queryable<()>; 2],
     _clients: Subscriber<()>,
-    /// Last, because fields are dropped in this order: what was declared on it goes while it is there.
+    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
     session: Session,
 }
 
@@ -168,7 +168,7 @@ impl LiveServiceLink {
         LivePort::open(&self.session, &self.service, client, say_raw, robot, wake)
     }
 
-    /// Checks that it can still be reached; to be asked now and then, because no event tells it.
+    /// Checks that clients can still reach this notifier. Call it regularly: no event reports that they cannot.
     ///
     /// # Errors
     ///

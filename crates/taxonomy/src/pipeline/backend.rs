@@ -193,7 +193,7 @@ pub trait Embedder: Debug {
     fn embed(&mut self, text: &str) -> Result<Embedding, BackendError>;
 }
 
-/// Stands for whoever made a log: it has their name, and asks no model.
+/// Replaces the model that made a call log: it has that model's name, and asks nobody.
 #[derive(Debug)]
 pub(super) struct LoggedBackend {
     pub(super) id: String,

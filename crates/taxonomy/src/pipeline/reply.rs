@@ -11,7 +11,7 @@ pub(super) struct Proposals {
     pub(super) cut: Option<String>,
 }
 
-/// Reads the sentences of a generation reply; none if there are none.
+/// Reads the sentences of a generation reply, which may have none.
 ///
 /// A JSON list of strings is taken as it is, whatever stands around it; otherwise every line is a sentence, less
 /// numbering, bullets and quotes. The last sentence of a reply that ran into its limit is not trusted.

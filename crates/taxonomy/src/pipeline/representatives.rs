@@ -61,7 +61,7 @@ pub(super) fn choose(
 
 /// Chooses the medoids of a cell: the pinned first members, and of the rest who stands best for it.
 ///
-/// Who stands for most comes first, of equals who was proposed first.
+/// The sentence that represents most comes first; of equals, the one that was proposed first.
 fn representatives(members: &[(usize, Embedding)], n_pinned: usize, keep: usize) -> Vec<usize> {
     let n_pinned = n_pinned.min(members.len());
     let distance = |a: usize, b: usize| 1.0 - members[a].1.cosine(&members[b].1);

@@ -55,7 +55,7 @@ impl PageServer {
     /// Returns the page's link.
     fn link(&self) -> String {
         let address = self.server.address();
-        // Where all addresses are listened on, the one that works here is told.
+        // Where the page listens on all addresses, the one that works on this machine is printed.
         let is_any = address.ip().is_unspecified();
         let shown =
             if is_any { SocketAddr::from(([127, 0, 0, 1], address.port())) } else { address };

@@ -22,7 +22,7 @@ pub(super) struct Pairs {
     pending: Leaves,
     /// The tree is worse than before since its last optimization.
     worse: bool,
-    /// Nothing moved in the last frame, so that a leaf that moves is inserted anew.
+    /// Nothing moved in the last frame, so a leaf that moves has to be inserted again.
     reinsert: bool,
     /// The bodies that are paired with the ground, in the order of their appearance.
     order: Vec<usize>,
