@@ -51,6 +51,8 @@ const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
 /// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 40 a second.
 const MAX_PULLS: usize = 4;
+/// The most assignments that wait while one is being restored, and the most repetitions of one. A learner gives a few.
+const MAX_ORDERS: usize = 64;
 /// The pause between two lines in the log about a learner that does not answer.
 const LOG_PAUSE: Duration = Duration::from_mins(1);
 /// How long the first and the last hellos to a learner that was lost may take, search and answer included: where many
@@ -404,9 +406,14 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         } else if let Some(restoring) =
             self.restoring.as_mut().filter(|r| (r.generation, r.epoch) == (generation, epoch))
         {
-            restoring.replies.push(reply);
+            if restoring.replies.len() < MAX_ORDERS {
+                restoring.replies.push(reply);
+            }
         } else if epoch > self.newest_epoch() {
-            self.orders.push_back((assignment, reply));
+            // One beyond is dropped without an answer, so its learner gives it again.
+            if self.orders.len() < MAX_ORDERS {
+                self.orders.push_back((assignment, reply));
+            }
         } else {
             self.answer(reply);
         }

@@ -356,6 +356,11 @@ impl Coordinator {
         if sender.cut_off {
             return;
         }
+        // A hello costs nothing, and what is entered in the books stays in every checkpoint. An honest actor's rollouts may
+        // overtake its token: they come again.
+        if !sender.has_been_member() {
+            return;
+        }
         let (limit, made_before) = (sender.limit, sender.made_before);
         // Sequence and credit come before the payload: they cost nothing, and a copy must not be read a second time.
         if header.sequence <= heard {

@@ -81,6 +81,11 @@ impl SenderState {
         (self.n_quiet_ticks, self.n_astray) = (0, 0);
     }
 
+    /// Returns whether it has ever been a member.
+    pub(crate) fn has_been_member(&self) -> bool {
+        self.membership != MembershipNumber::default()
+    }
+
     /// Returns its refused messages by cause.
     pub(crate) fn causes(&self) -> &BTreeMap<RefusalCause, u64> {
         &self.causes

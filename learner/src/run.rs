@@ -271,7 +271,10 @@ impl RunLoop {
                     self.network(event);
                 }
             }
-            LearnerWake::Trained(updated) => self.trained((*updated)?)?,
+            LearnerWake::Trained(updated) => {
+                self.is_training = false;
+                self.trained((*updated)?)?;
+            }
             LearnerWake::Evaluated(evaluated) => {
                 take_in(evaluated, &mut self.record.held_out, self.sink.as_mut());
             }
@@ -399,7 +402,6 @@ impl RunLoop {
     }
 
     fn trained(&mut self, updated: Updated) -> Result<(), Error> {
-        self.is_training = false;
         self.phases.trained(self.sink.as_mut(), &updated);
         let started = Instant::now();
         self.version = updated.version;

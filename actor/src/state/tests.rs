@@ -155,6 +155,18 @@ fn an_assignment_is_restored_answered_adopted_collected_and_sent() {
 }
 
 #[test]
+fn orders_that_nobody_could_follow_in_time_are_dropped_and_given_again() {
+    let mut bench = Bench::with_weights(0..=0);
+    bench.assign(0, 1, &[0]);
+    for epoch in 2..10 * MAX_ORDERS as u64 {
+        bench.assign(0, epoch, &[0]);
+        bench.assign(0, 1, &[0]);
+    }
+    assert_eq!(bench.actor.orders.len(), MAX_ORDERS);
+    assert_eq!(bench.actor.restoring.as_ref().unwrap().replies.len(), MAX_ORDERS);
+}
+
+#[test]
 fn a_wait_is_named_after_what_is_missing() {
     let mut bench = Bench::with_weights(0..=0);
     assert_eq!(bench.actor.waits_for(), Some(CollectWait::Environments));

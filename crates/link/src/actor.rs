@@ -31,6 +31,7 @@ use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
 use crate::ask::{self, Inquiry, InquiryEnd, ask_for};
+use crate::discovery::{self, RETRY};
 use crate::error::RUN_IS_ENDING;
 use crate::event::ActorEvent;
 use crate::keys::{INCARNATION, Key, Keys, Member};
@@ -38,12 +39,10 @@ use crate::latest::{Events, Latest};
 use crate::lock::lock;
 use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, ControlResponder, Error, Result, discovery, session, wire};
+use crate::{ConnectSettings, ControlResponder, Error, Result, session, wire};
 
 /// Threads that answer orders; there is one learner to answer.
 const N_ANSWERING: usize = 1;
-/// How long a run that was named may be missing while others are there.
-const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
 /// How long to wait for an earlier start of this actor to disappear.
 const TAKEN_GRACE: Duration = Duration::from_secs(2);
 /// How long hellos that reach nobody are repeated before an access list is blamed: longer than a dead learner stays visible.
@@ -57,8 +56,6 @@ const RELAY_PAUSE: Duration = Duration::from_secs(30);
 /// How long a connection may have nobody at its other end before another is opened beside it. The library looks for the other
 /// end again by itself, but not where a connection ended while the library was still noting that it had begun.
 const STRANDED: Duration = Duration::from_secs(10);
-/// First and longest pause between attempts to find a run.
-const RETRY: (Duration, Duration) = (Duration::from_millis(20), Duration::from_millis(500));
 
 /// What an actor holds in a run before it is welcome.
 #[derive(Debug)]
@@ -164,7 +161,12 @@ impl ActorLink {
         let mut unheard = None;
         loop {
             self.renew().await;
+            let looked = Instant::now();
             let run = self.find(run, started, timeout).await?;
+            if looked.elapsed() > HELLO_GRACE {
+                // The learner was gone meanwhile, so it is no access list that was in the way before.
+                unheard = None;
+            }
             self.join(&run)?;
             let key = Key::Hello(&run).to_string();
             let (header, payload) = wire::seal(Schema::Hello, self.incarnation, hello)?;
@@ -181,6 +183,7 @@ impl ActorLink {
                 InquiryEnd::Good(HelloReply::Taken)
                     if started.elapsed() < timeout.min(TAKEN_GRACE) =>
                 {
+                    unheard = None;
                     tokio::time::sleep(RETRY.1).await;
                 }
                 InquiryEnd::Good(reply) => return self.answered(run, reply),
@@ -318,10 +321,6 @@ impl ActorLink {
         self.settings.identity.as_ref()?.shown.name.as_ref()
     }
 
-    fn endpoints(&self) -> String {
-        session::describe(&self.settings.endpoints)
-    }
-
     /// Replaces a connection that has had nobody at its other end for [`STRANDED`], if one attempt opens another.
     async fn renew(&self) {
         let before = self.session();
@@ -362,36 +361,14 @@ impl ActorLink {
         started: Instant,
         timeout: Duration,
     ) -> Result<RunName> {
-        let mut pause = RETRY.0;
-        loop {
-            let mut runs = discovery::runs(&self.session()).await?;
-            match wanted {
-                Some(run) if runs.contains(run) => return Ok(run.clone()),
-                None if runs.len() > 1 => {
-                    let runs = runs.into_iter().collect();
-                    return Err(Error::SeveralRuns { endpoints: self.endpoints(), runs });
-                }
-                None if let Some(run) = runs.pop_first() => return Ok(run),
-                _ => {}
+        let settings = ConnectSettings { timeout, ..self.settings.clone() };
+        let found = discovery::find(&self.session(), &settings, wanted, started).await;
+        found.map_err(|error| match (error, self.name().cloned()) {
+            (Error::NoLearner { endpoints, timeout }, Some(name)) => {
+                Error::Unlisted { endpoints, name, timeout }
             }
-            let waited = started.elapsed();
-            let patience = if runs.is_empty() { timeout } else { timeout.min(WRONG_RUN_GRACE) };
-            if waited >= patience {
-                let endpoints = self.endpoints();
-                return Err(match wanted {
-                    Some(run) if !runs.is_empty() => {
-                        let present = runs.into_iter().collect();
-                        Error::RunNotFound { run: run.clone(), endpoints, present }
-                    }
-                    _ => match self.name().cloned() {
-                        Some(name) => Error::Unlisted { endpoints, name, timeout },
-                        None => Error::NoLearner { endpoints, timeout },
-                    },
-                });
-            }
-            tokio::time::sleep(pause.min(patience.saturating_sub(waited))).await;
-            pause = (pause * 2).min(RETRY.1);
-        }
+            (error, _) => error,
+        })
     }
 
     /// Declares presence, orders and credit, before the hello: what follows it cannot be missed.

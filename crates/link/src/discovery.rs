@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fmt;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use leadtime_proto::RunName;
 use zenoh::Wait as _;
@@ -10,10 +10,15 @@ use zenoh::key_expr::OwnedKeyExpr;
 use zenoh::session::Session;
 
 use crate::keys::{self, Keys};
-use crate::{Error, Result};
+use crate::{ConnectSettings, Error, Result, session};
 
 /// Longest wait for one answer to "which learners are there?".
 const LOOK: Duration = Duration::from_secs(1);
+/// How long a run that was named may be missing while others are there.
+const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
+/// First and longest pause between attempts to find a run.
+pub(crate) const RETRY: (Duration, Duration) =
+    (Duration::from_millis(20), Duration::from_millis(500));
 /// Most learners at one address that are looked at.
 const MAX_LEARNERS: usize = 1_024;
 
@@ -22,6 +27,49 @@ pub(crate) async fn runs(session: &Session) -> Result<BTreeSet<RunName>> {
     let (keys, action) = (Keys::Learners, "look for learners on");
     let found = tokens(session, keys, action, LOOK, MAX_LEARNERS).await?;
     Ok(found.iter().filter_map(|key| keys::parse_alive(key)).map(|alive| alive.run).collect())
+}
+
+/// Finds a run: the named one, or the only one present. Looks until `settings.timeout` has passed since `started`, and for
+/// [`WRONG_RUN_GRACE`] while only other runs are present.
+///
+/// # Errors
+///
+/// [`Error::SeveralRuns`] if none was named and several are present, [`Error::RunNotFound`] if only others than the named one
+/// are; [`Error::NoLearner`] if none is.
+pub(crate) async fn find(
+    session: &Session,
+    settings: &ConnectSettings,
+    wanted: Option<&RunName>,
+    started: Instant,
+) -> Result<RunName> {
+    let timeout = settings.timeout;
+    let endpoints = || session::describe(&settings.endpoints);
+    let mut pause = RETRY.0;
+    loop {
+        let mut runs = runs(session).await?;
+        match wanted {
+            Some(run) if runs.contains(run) => return Ok(run.clone()),
+            None if runs.len() > 1 => {
+                let runs = runs.into_iter().collect();
+                return Err(Error::SeveralRuns { endpoints: endpoints(), runs });
+            }
+            None if let Some(run) = runs.pop_first() => return Ok(run),
+            _ => {}
+        }
+        let waited = started.elapsed();
+        let patience = if runs.is_empty() { timeout } else { timeout.min(WRONG_RUN_GRACE) };
+        if waited >= patience {
+            return Err(match wanted {
+                Some(run) if !runs.is_empty() => {
+                    let present = runs.into_iter().collect();
+                    Error::RunNotFound { run: run.clone(), endpoints: endpoints(), present }
+                }
+                _ => Error::NoLearner { endpoints: endpoints(), timeout },
+            });
+        }
+        tokio::time::sleep(pause.min(patience.saturating_sub(waited))).await;
+        pause = (pause * 2).min(RETRY.1);
+    }
 }
 
 /// Lists the keys of the tokens that are present now, at most `most`; `look` is the longest wait for one answer.

@@ -16,7 +16,7 @@
 //! * Nothing here waits, and nothing grows with what strangers send: names, places, bytes and counts have limits.
 //! * Every refusal is either an event in the queue or part of [`RolloutIntake::take_uncounted`], never both.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
@@ -39,11 +39,8 @@ const MAX_COUNTS: usize = 1_024;
 /// Refused messages that are no events, by the name in their key and by cause.
 pub type RefusalCounts = BTreeMap<(Option<ActorId>, RefusalCause), u64>;
 
-#[derive(Debug, Default)]
-struct SenderShare {
-    usage: Arc<QueueUsage>,
-    cut_off: Option<Incarnation>,
-}
+/// The most starts of actors whose messages are dropped unread. Those of more are read and refused by the coordinator.
+const MAX_CUT_OFF: usize = 1_024;
 
 /// Admits messages from the network's callback to the event queue.
 #[derive(Debug)]
@@ -54,7 +51,8 @@ pub(crate) struct RolloutIntake {
     bytes_per_actor: usize,
     pool_bytes: usize,
     all: Arc<QueueUsage>,
-    senders: Mutex<BTreeMap<Option<ActorId>, SenderShare>>,
+    senders: Mutex<BTreeMap<Option<ActorId>, Arc<QueueUsage>>>,
+    cut_off: Mutex<BTreeSet<(ActorId, Incarnation)>>,
     uncounted: Mutex<RefusalCounts>,
 }
 
@@ -72,6 +70,7 @@ impl RolloutIntake {
             pool_bytes: half,
             all: Arc::default(),
             senders: Mutex::default(),
+            cut_off: Mutex::default(),
             uncounted: Mutex::default(),
         };
         (intake, receiver)
@@ -87,7 +86,7 @@ impl RolloutIntake {
             Ok(header) => header,
             Err(refusal) => return self.refuse(Some(actor), refusal),
         };
-        if self.is_cut_off(&actor, header.incarnation) {
+        if lock(&self.cut_off).contains(&(actor.clone(), header.incarnation)) {
             return self.count(Some(actor), RefusalCause::CutOff);
         }
         let Some(permit) = self.permit(Some(&actor), sample.payload().len()) else {
@@ -131,8 +130,8 @@ impl RolloutIntake {
     /// Returns the bytes of rollouts that wait, by the name in their keys.
     pub(crate) fn queued_bytes(&self) -> BTreeMap<ActorId, usize> {
         let senders = lock(&self.senders);
-        let named = senders.iter().filter_map(|(actor, share)| {
-            Some((actor.clone()?, share.usage.n_bytes.load(Ordering::Relaxed)))
+        let named = senders.iter().filter_map(|(actor, usage)| {
+            Some((actor.clone()?, usage.n_bytes.load(Ordering::Relaxed)))
         });
         named.filter(|(_, n_bytes)| *n_bytes > 0).collect()
     }
@@ -144,13 +143,11 @@ impl RolloutIntake {
 
     /// Takes nothing more from this start of the actor.
     pub(crate) fn cut_off(&self, actor: &ActorId, incarnation: Incarnation) {
-        lock(&self.senders).entry(Some(actor.clone())).or_default().cut_off = Some(incarnation);
-    }
-
-    fn is_cut_off(&self, actor: &ActorId, incarnation: Incarnation) -> bool {
-        let senders = lock(&self.senders);
-        let known = senders.get(&Some(actor.clone()));
-        known.is_some_and(|sender| sender.cut_off == Some(incarnation))
+        let mut cut_off = lock(&self.cut_off);
+        cut_off.insert((actor.clone(), incarnation));
+        if cut_off.len() > MAX_CUT_OFF {
+            cut_off.pop_first();
+        }
     }
 
     /// Takes room for a message of `len` bytes. Nobody's messages share one allowance.
@@ -158,15 +155,12 @@ impl RolloutIntake {
         let mut senders = lock(&self.senders);
         let actor = actor.cloned();
         if !senders.contains_key(&actor) && senders.len() > self.max_actors {
-            senders.retain(|_, sender| {
-                let n_queued = sender.usage.n_messages.load(Ordering::Relaxed);
-                sender.cut_off.is_some() || n_queued > 0
-            });
+            senders.retain(|_, usage| usage.n_messages.load(Ordering::Relaxed) > 0);
             if senders.len() > self.max_actors {
                 return None;
             }
         }
-        let usage = &senders.entry(actor).or_default().usage;
+        let usage = senders.entry(actor).or_default();
         let load = |n: &std::sync::atomic::AtomicUsize| n.load(Ordering::Relaxed);
         let fits = |used: usize, limit: usize| used.saturating_add(len) <= limit;
         let in_share = fits(load(&usage.n_bytes), self.bytes_per_actor);
@@ -246,6 +240,11 @@ mod tests {
         for i in 0..2 * MAX_COUNTS {
             intake.count(Some(actor(&format!("a{i}"))), RefusalCause::Overflow);
         }
+        for i in 0..2 * MAX_CUT_OFF {
+            intake.cut_off(&actor(&format!("a{i}")), Incarnation(1));
+        }
+        assert_eq!(lock(&intake.cut_off).len(), MAX_CUT_OFF);
+        assert!(intake.permit(Some(&actor("later")), 0).is_some(), "they take no places");
         let counts = intake.take_uncounted();
         assert!(counts.len() <= MAX_COUNTS + 1);
         assert_eq!(counts.values().sum::<u64>(), 2 * MAX_COUNTS as u64);

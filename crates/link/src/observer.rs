@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use leadtime_proto::message::Announcement;
 use leadtime_proto::receive::{self, ABOUT, ANNOUNCEMENT, HISTORY, METRICS};
 use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
-use tokio::time::sleep;
 use tracing::warn;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
@@ -19,12 +18,10 @@ use crate::latest::{Events, Latest};
 use crate::lock::lock;
 use crate::pubsub::{subscribe, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, Error, Result, ask, discovery, session, wire};
+use crate::{ConnectSettings, Result, ask, discovery, session, wire};
 
 /// Places in the event queue for metrics.
 const N_BULK: usize = 4_096;
-/// Pause between two looks for a run.
-const LOOK_PAUSE: Duration = Duration::from_millis(500);
 /// How long a learner may take to say what its run is.
 const ABOUT_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long it may take to read its history: a long one is a large file, and one question is answered at a time.
@@ -99,27 +96,7 @@ impl ObserverLink {
         settings: &ConnectSettings,
         wanted: Option<RunName>,
     ) -> Result<RunName> {
-        let (started, timeout) = (Instant::now(), settings.timeout);
-        let endpoints = || session::describe(&settings.endpoints);
-        loop {
-            let present = self.runs().await?;
-            match (&wanted, present.len()) {
-                (Some(run), _) if present.contains(run) => return Ok(run.clone()),
-                (Some(run), 1..) => {
-                    let (run, present) = (run.clone(), present.into_iter().collect());
-                    return Err(Error::RunNotFound { run, endpoints: endpoints(), present });
-                }
-                (None, 2..) => {
-                    let runs = present.into_iter().collect();
-                    return Err(Error::SeveralRuns { endpoints: endpoints(), runs });
-                }
-                (None, 1) => return present.into_iter().next().ok_or(Error::NoEndpoint),
-                (_, 0) if started.elapsed() >= timeout => {
-                    return Err(Error::NoLearner { endpoints: endpoints(), timeout });
-                }
-                (_, 0) => sleep(LOOK_PAUSE).await,
-            }
-        }
+        discovery::find(&self.session, settings, wanted.as_ref(), Instant::now()).await
     }
 
     /// Follows a run from now on, whether it is there already or not.

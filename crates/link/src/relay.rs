@@ -36,8 +36,8 @@ const MAX_PULLS: usize = 16;
 const MAX_BYTES: usize = 256 << 20;
 
 type Digest = [u8; 32];
-/// The result of a pull: the digest and version that it asked for, and the weights.
-type Pulled = (Digest, PolicyVersion, Result<Vec<u8>>);
+/// The result of a pull: the digest that it asked for, and the weights.
+type Pulled = (Digest, Result<Vec<u8>>);
 
 /// What a relay did since it started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -101,7 +101,7 @@ struct Desk {
     answers: Answers,
     shelf: RelayCache,
     /// Who waits for weights that are on their way.
-    waiting: BTreeMap<Digest, Vec<Query>>,
+    waiting: BTreeMap<Digest, Vec<(Query, PolicyVersion)>>,
     n_waiting: usize,
     pulls: JoinSet<Pulled>,
     counts: tokio::sync::watch::Sender<RelayCounts>,
@@ -129,38 +129,39 @@ impl Desk {
                 .refuse(query, "a pull has to say which version and digest it wants".to_owned());
         };
         if let Some((header, weights)) = self.shelf.take(&asked.sha256) {
-            return self.answer(query, header, weights);
+            return self.answer(query, Header { version: asked.version, ..header }, weights);
         }
         if self.n_waiting >= MAX_QUESTIONS {
             return self.refuse(query, "too many questions wait here".to_owned());
         }
         if let Some(others) = self.waiting.get_mut(&asked.sha256) {
-            others.push(query);
+            others.push((query, asked.version));
         } else if self.pulls.len() >= MAX_PULLS {
             return self.refuse(query, "too many versions are pulled at once".to_owned());
         } else {
-            self.waiting.insert(asked.sha256, vec![query]);
+            self.waiting.insert(asked.sha256, vec![(query, asked.version)]);
             self.pulls.spawn(pull(self.session.clone(), asked));
         }
         self.n_waiting += 1;
     }
 
-    fn deliver(&mut self, (sha256, version, pulled): Pulled) {
+    fn deliver(&mut self, (sha256, pulled): Pulled) {
         let waiting = self.waiting.remove(&sha256).unwrap_or_default();
         self.n_waiting -= waiting.len();
         match pulled {
             Ok(weights) => {
                 self.counts.send_modify(|counts| counts.pulled += 1);
                 let header = Header::plain(Schema::Weights, Incarnation(0), &weights);
-                let (header, weights) = (Header { version, ..header }, Bytes::from(weights));
+                let weights = Bytes::from(weights);
                 self.shelf.put(sha256, header, weights.clone());
-                for query in waiting {
-                    self.answer(query, header, weights.clone());
+                // Another run, or a fork, may have the same weights under another number.
+                for (query, version) in waiting {
+                    self.answer(query, Header { version, ..header }, weights.clone());
                 }
             }
             Err(error) => {
                 debug!(%error, "weights could not be pulled for a region");
-                for query in waiting {
+                for (query, _) in waiting {
                     self.refuse(query, error.to_string());
                 }
             }
@@ -171,7 +172,7 @@ impl Desk {
     fn give_up(&mut self, reason: &str) {
         debug!(reason, "a pull of weights broke off");
         self.n_waiting = 0;
-        for query in std::mem::take(&mut self.waiting).into_values().flatten() {
+        for (query, _) in std::mem::take(&mut self.waiting).into_values().flatten() {
             self.refuse(query, reason.to_owned());
         }
     }
@@ -191,7 +192,7 @@ async fn pull(session: Session, asked: Asked) -> Pulled {
     let Asked { run, domain, version, sha256 } = asked;
     let key = Key::Weights(&run, &domain);
     let pulled = ask::pull(&session, key, Incarnation(0), version, sha256, ask::PULL_TIMEOUT).await;
-    (sha256, version, pulled)
+    (sha256, pulled)
 }
 
 /// What a question at a relay's key asks for.

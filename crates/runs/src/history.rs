@@ -12,8 +12,9 @@
 //! lines that cannot be read, such as a torn last one.
 
 use std::collections::VecDeque;
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{self, BufRead as _, BufReader, Seek as _, SeekFrom, Write as _};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -113,17 +114,21 @@ pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
 pub struct JournalTail {
     path: PathBuf,
     offset: u64,
+    /// The file that was read last, by its device and number: a rewind puts another one in its place.
+    file: Option<(u64, u64)>,
 }
 
 impl JournalTail {
     /// Begins at the beginning.
     pub fn new(directory: &Path) -> Self {
-        Self { path: directory.join("metrics.jsonl"), offset: 0 }
+        Self { path: directory.join("metrics.jsonl"), offset: 0, file: None }
     }
 
     /// Skips everything that is in the file now.
     pub fn skip_to_end(&mut self) {
-        self.offset = std::fs::metadata(&self.path).map_or(0, |found| found.len());
+        let found = std::fs::metadata(&self.path).ok();
+        self.offset = found.as_ref().map_or(0, Metadata::len);
+        self.file = found.map(|found| (found.dev(), found.ino()));
     }
 
     /// Returns the whole lines that were appended since the last call; `None` if the file was rewound.
@@ -136,8 +141,10 @@ impl JournalTail {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Vec::new())),
             file => file?,
         };
-        let length = file.metadata()?.len();
-        if length < self.offset {
+        let metadata = file.metadata()?;
+        let (length, found) = (metadata.len(), (metadata.dev(), metadata.ino()));
+        let is_another = self.file.replace(found).is_some_and(|before| before != found);
+        if is_another || length < self.offset {
             self.offset = length;
             return Ok(None);
         }
@@ -281,6 +288,11 @@ mod tests {
         assert_eq!(tail.new_lines().unwrap().unwrap()[0]["update"], 4, "the rest of the torn line");
         fs::write(&path, line(1)).unwrap();
         assert_eq!(tail.new_lines().unwrap(), None);
+        // Rewound, and longer again before anybody looked.
+        leadtime_learner::write_atomically(&path, (1..9).map(line).collect::<String>().as_bytes())
+            .unwrap();
+        assert_eq!(tail.new_lines().unwrap(), None);
+        assert_eq!(tail.new_lines().unwrap(), Some(Vec::new()));
     }
 
     #[test]

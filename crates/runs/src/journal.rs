@@ -30,14 +30,15 @@ impl Journal {
 
     /// Drops every line about an update after `n_updates`, and a torn last line.
     pub(crate) fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
-        let text = fs::read_to_string(&self.path)?;
-        let belongs = |line: &&str| {
+        let bytes = fs::read(&self.path)?;
+        let belongs = |line: &&[u8]| {
             let update =
-                serde_json::from_str(line).ok().and_then(|line: Value| line["update"].as_u64());
+                serde_json::from_slice(line).ok().and_then(|line: Value| line["update"].as_u64());
             update.is_some_and(|update| update <= n_updates)
         };
-        let kept: String = text.split_inclusive('\n').filter(belongs).collect();
-        leadtime_learner::write_atomically(&self.path, kept.as_bytes())?;
+        let kept: Vec<&[u8]> =
+            bytes.split_inclusive(|&byte| byte == b'\n').filter(belongs).collect();
+        leadtime_learner::write_atomically(&self.path, &kept.concat())?;
         self.file = OpenOptions::new().append(true).open(&self.path)?;
         Ok(())
     }
@@ -54,8 +55,9 @@ impl Journal {
 ///
 /// If the file cannot be read.
 pub fn read(run_directory: &Path) -> io::Result<Vec<Map<String, Value>>> {
-    let text = fs::read_to_string(run_directory.join("metrics.jsonl"))?;
-    Ok(text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect())
+    let bytes = fs::read(run_directory.join("metrics.jsonl"))?;
+    let lines = bytes.split(|&byte| byte == b'\n');
+    Ok(lines.filter_map(|line| serde_json::from_slice(line).ok()).collect())
 }
 
 /// The longest end of a journal that is read to find its last line, in bytes.
@@ -113,6 +115,9 @@ mod tests {
         (1..=600).for_each(|update| append(&mut journal, update));
         journal.file.write_all(b"{\"update\": 601, \"ste").unwrap();
         assert_eq!(last_steps(dir.path()), 600 * 128);
+        // A power cut may leave bytes that are no text at all.
+        journal.file.write_all(b"\xff\xfe\0\n").unwrap();
+        assert_eq!(read(dir.path()).unwrap().len(), 600);
         journal.rewind(3).unwrap();
         append(&mut journal, 4);
         let lines = read(dir.path()).unwrap();

@@ -111,11 +111,11 @@ async fn watch(
             () = shutdown.cancelled() => return Ended::Stopped,
             _ = ticks.tick() => {}
         }
-        let n_restarts = learner.n_restarts;
+        let n_deaths = learner.n_deaths;
         if let ChildHealth::Gone(code) = learner.poll(&plan.run) {
             return Ended::Learner(code);
         }
-        if learner.n_restarts != n_restarts {
+        if learner.n_deaths != n_deaths {
             call_back(plan, actors);
         }
         let health: Vec<ChildHealth> =
@@ -185,7 +185,10 @@ struct ChildHandle {
     stderr_log: Option<PathBuf>,
     process: Option<ChildProcess>,
     health: ChildHealth,
+    /// Restarts since it was last healthy.
     n_restarts: u32,
+    /// Its ends of all kinds, which health does not forgive.
+    n_deaths: u64,
     /// When it is to be started; `None` while it runs.
     start_at: Option<Instant>,
     started: Instant,
@@ -207,6 +210,7 @@ impl ChildHandle {
             process: None,
             health: ChildHealth::Alive,
             n_restarts: 0,
+            n_deaths: 0,
             start_at: Some(now),
             started: now,
             updates_before: 0,
@@ -261,6 +265,7 @@ impl ChildHandle {
         // Killed from outside, crashed, or not started: worth another try. A learner that ended with an error would only
         // repeat it.
         let again = code.is_none_or(|code| self.is_actor && RETRIED.contains(&code));
+        self.n_deaths += 1;
         if self.was_healthy(run) {
             self.n_restarts = 0;
         }
@@ -271,8 +276,8 @@ impl ChildHandle {
             return ChildHealth::Alive;
         }
         if again {
-            let n_deaths = self.n_restarts + 1;
-            tracing::error!("{} died {n_deaths} times and is given up ({how})", self.name);
+            let n_in_a_row = self.n_restarts + 1;
+            tracing::error!("{} died {n_in_a_row} times and is given up ({how})", self.name);
         } else if self.is_actor && code != Some(0) {
             tracing::error!("{} ended and is not restarted ({how})", self.name);
         }
@@ -385,6 +390,10 @@ mod tests {
         );
         let mut learner = ChildHandle::new("learner", &["-c".into(), once.into()], None);
         learner.program = || Ok("sh".into());
+        // It was restarted before and has been healthy since: its next death counts as the first again.
+        learner.start(run.path()).unwrap();
+        learner.n_restarts = 1;
+        learner.started = Instant::now().checked_sub(HEALTHY_TIME).unwrap();
         let gone = |health| {
             let program: fn() -> io::Result<PathBuf> = || Ok("true".into());
             ChildHandle { health, program, start_at: None, ..actor() }

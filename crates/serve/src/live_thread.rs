@@ -1,7 +1,7 @@
 //! A thread that speaks for up to 16 sessions: it sleeps until something arrives or is due, and never waits for anything else.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -38,8 +38,6 @@ pub(crate) enum ThreadOrder {
     Presence(ClientName, Incarnation, bool),
     /// A client's session is replaced by another one.
     Remove(ClientName),
-    /// End the work of the thread.
-    Stop,
 }
 
 /// What a thread reports.
@@ -146,10 +144,13 @@ impl LiveThread {
         Arc::new(move || thread.unpark())
     }
 
-    /// Ends the thread and waits for it.
+    /// Ends the thread, once it has followed its orders, and waits for it.
     pub(crate) fn stop(self) {
-        self.order(ThreadOrder::Stop);
-        drop(self.handle.join());
+        let Self { orders, handle } = self;
+        // Without whoever could give more orders the thread ends, however many wait.
+        drop(orders);
+        handle.thread().unpark();
+        drop(handle.join());
     }
 }
 
@@ -208,17 +209,15 @@ struct Loop {
 impl Loop {
     fn run(mut self, orders: &Receiver<ThreadOrder>) {
         loop {
-            while let Ok(order) = orders.try_recv() {
-                match order {
-                    ThreadOrder::Add(hosted) => self.hosted.push(*hosted),
-                    ThreadOrder::Remove(client) => self.remove(&client),
-                    ThreadOrder::Presence(client, start, is_here) => {
+            loop {
+                match orders.try_recv() {
+                    Ok(ThreadOrder::Add(hosted)) => self.hosted.push(*hosted),
+                    Ok(ThreadOrder::Remove(client)) => self.remove(&client),
+                    Ok(ThreadOrder::Presence(client, start, is_here)) => {
                         self.note_presence(&client, start, is_here);
                     }
-                    ThreadOrder::Stop => {
-                        self.end();
-                        return;
-                    }
+                    Err(TryRecvError::Empty) => break,
+                    Err(TryRecvError::Disconnected) => return self.end(),
                 }
             }
             for hosted in &mut self.hosted {
@@ -254,12 +253,12 @@ impl Loop {
         let now = self.clock.now();
         let reports = &self.reports;
         self.hosted.retain(|hosted| {
-            let is_over = hosted.session.is_over(now);
-            if is_over {
-                let (client, id) = (hosted.client.clone(), hosted.session.id().to_owned());
-                drop(reports.try_send(ThreadReport::Over { client, id }));
+            if !hosted.session.is_over(now) {
+                return true;
             }
-            !is_over
+            let (client, id) = (hosted.client.clone(), hosted.session.id().to_owned());
+            // Without room it is reported at the next look: nothing else frees the session's place.
+            reports.try_send(ThreadReport::Over { client, id }).is_err()
         });
         if now >= self.snapshots_due {
             self.snapshots_due = now + SNAPSHOT_EVERY;

@@ -358,6 +358,24 @@ fn a_resumed_learner_rolls_back_what_was_lost_and_supersedes_what_was_made_befor
 }
 
 #[test]
+fn rollouts_of_who_was_never_a_member_enter_no_books() {
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    let before = c.books().clone();
+    c.hello(&hello("stranger", 0, 1)).unwrap();
+    send(&mut c, "stranger", 1, 1, &rollout(0, 0, 0));
+    assert_eq!(*c.books(), before);
+    // Its rollout overtook its token: it comes again and is entered.
+    c.joined(actor("stranger"), Incarnation(1));
+    send(&mut c, "stranger", 1, 1, &rollout(0, 0, 0));
+    assert_eq!(c.books().superseded, before.superseded + 1);
+    // Whoever has left is acknowledged what was on its way.
+    c.left(actor("stranger"), Incarnation(1));
+    send(&mut c, "stranger", 2, 1, &rollout(0, 0, 0));
+    assert_eq!(c.books().superseded, before.superseded + 2);
+    close_balanced(&mut c);
+}
+
+#[test]
 fn a_full_queue_gives_no_more_credit_until_it_is_used() {
     let mut c = coordinator(1, Schedule::Async { staleness_max: 0 }, &["a"]);
     assert_eq!(credits(&mut c), [(0, 2)], "two updates' worth, not a window");

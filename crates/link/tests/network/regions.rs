@@ -80,6 +80,15 @@ async fn each_version_is_pulled_once_for_a_region_and_without_its_relay_from_the
         assert_eq!(router.relay_counts(), counts);
     }
 
+    // A fork begins with weights that the relay has under another number.
+    let (again, sha256) = (PolicyVersion(VERSIONS + 1), learner.announcement().versions[0].1);
+    let (first, _) = learner.announcement().versions[0];
+    let weights = vec![first.0 as u8; 70_000];
+    learner.offer_weights(again, weights.clone().into()).unwrap();
+    assert_eq!(actors[0].pull_weights(again, sha256).await.unwrap(), weights);
+    assert_eq!(routers[0].relay_counts().pulled, VERSIONS, "it had them");
+    assert_eq!(routers[0].relay_counts().answered, 3 * VERSIONS + 1);
+
     // What the learner does not keep, the relay says no to, and the learner as well.
     let error = actors[0].pull_weights(PolicyVersion(99), [0; 32]).await.unwrap_err();
     assert!(error.to_string().contains("version 99 is not kept"), "{error}");
@@ -90,6 +99,6 @@ async fn each_version_is_pulled_once_for_a_region_and_without_its_relay_from_the
     let stray = actor("stray", &at_top, "nowhere", &events).await;
     let (version, sha256) = *learner.announcement().versions.last().unwrap();
     let pulled = tokio::time::timeout(Duration::from_secs(5), stray.pull_weights(version, sha256));
-    assert_eq!(pulled.await.unwrap().unwrap(), vec![VERSIONS as u8; 70_000]);
+    assert_eq!(pulled.await.unwrap().unwrap(), weights);
     drop(top);
 }
