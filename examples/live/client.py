@@ -12,6 +12,8 @@ import time
 
 import zenoh
 
+if len(sys.argv) < 2:
+    sys.exit("which notifier? client.py tcp/HOST:PORT [SECONDS PER STEP]")
 ENDPOINT = sys.argv[1]
 STEP = float(sys.argv[2]) if len(sys.argv) > 2 else 0.3
 CLIENT, KEY = "robot-1", "leadtime/live/1/notifier/robot-1"
@@ -50,14 +52,20 @@ def on_presence(sample):
 
 config = zenoh.Config.from_json5(json.dumps({
     "mode": "client", "connect": {"endpoints": [ENDPOINT]}, "scouting": {"multicast": {"enabled": False}}}))
-with zenoh.open(config) as session:
+try:
+    session = zenoh.open(config)
+except zenoh.ZError:
+    sys.exit(f"nobody answers at {ENDPOINT}: start `leadtime serve` there first")
+with session:
     # Kept as long as it speaks: without it, nobody knows that this robot is there.
     token = session.liveliness().declare_token(f"{KEY}/alive/{START}")
     session.declare_subscriber(f"{KEY}/say", on_say)
     session.declare_subscriber(f"{KEY}/status", on_status)
     session.liveliness().declare_subscriber("leadtime/live/1/notifier/alive/*", on_presence, history=True)
     question = {"protocol": 1, "domain": "lander", "seconds_per_step": STEP, "incarnation": START, "seed": 1}
-    (reply,) = session.get(f"{KEY}/open", payload=json.dumps(question))
+    reply = next(iter(session.get(f"{KEY}/open", payload=json.dumps(question))), None)
+    if reply is None:
+        sys.exit(f"no notifier is at work at {ENDPOINT}: a learner and a router answer there, too")
     if reply.ok is None:
         sys.exit(f"refused: {reply.err.payload.to_string()}")
     answer = json.loads(reply.ok.payload.to_string())

@@ -2,12 +2,12 @@ use leadtime_eval::measure::Difference;
 use leadtime_learner::write_atomically;
 use leadtime_numerics::stats::{Bootstrap, Interval};
 use leadtime_policy::Parameters;
-use leadtime_proto::DomainName;
+use leadtime_proto::{DomainName, hex};
 use serde_json::json;
 
 use super::*;
 use crate::journal::Journal;
-use crate::policy_file::{VERSION, metadata};
+use crate::policy_file::{Fork, PolicyFileError, VERSION, WEIGHTS_SHA256, metadata};
 use crate::{ProgramBuild, QUICK_UPDATES, RunDir};
 
 fn config(runs: &Path, base: &str, set: &[&str]) -> Config {
@@ -27,6 +27,7 @@ fn train(config: &Config, first: u64, last: u64) -> RunFiles {
     let mut entries = metadata(config, "a");
     entries.insert(VERSION.to_owned(), last.to_string());
     let parameters = Parameters::initialize(&config.policy, 1).unwrap();
+    entries.insert(WEIGHTS_SHA256.to_owned(), hex::encode(&parameters.digest().unwrap()));
     let bytes = parameters.to_safetensors(&entries).unwrap();
     write_atomically(&directory.join(LAST_POLICY), &bytes).unwrap();
     RunFiles::read(&directory).unwrap()
@@ -35,6 +36,24 @@ fn train(config: &Config, first: u64, last: u64) -> RunFiles {
 fn load(run: &RunFiles) -> LoadedPolicy {
     let registry = Tasks::new().registry;
     LoadedPolicy::load(&registry, &run.directory, &run.directory, &[]).unwrap()
+}
+
+#[test]
+fn a_policy_in_which_a_bit_has_changed_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = config(dir.path(), "cartpole", &[]);
+    let run = train(&config, 1, 5);
+    load(&run);
+    let path = run.directory.join(LAST_POLICY);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let n = bytes.len();
+    bytes[n - 400] ^= 1;
+    std::fs::write(&path, bytes).unwrap();
+    let registry = Tasks::new().registry;
+    let refused = LoadedPolicy::load(&registry, &run.directory, &run.directory, &[]);
+    assert!(matches!(refused, Err(PolicyFileError::Damaged(_))), "{refused:?}");
+    let forked = Fork::read(&config, Path::new("a"));
+    assert!(matches!(forked, Err(PolicyFileError::Damaged(_))), "{forked:?}");
 }
 
 const REQUEST: EvaluationRequest = EvaluationRequest { episodes: Some(2), action: None, seed: 1 };

@@ -27,6 +27,9 @@ const CONFIG: &str = "config";
 /// Metadata key of the optimiser iterations that made the policy.
 pub(crate) const VERSION: &str = "policy_version";
 
+/// Metadata key of the digest over the weights; files of earlier releases do not have it.
+pub(crate) const WEIGHTS_SHA256: &str = "weights_sha256";
+
 /// Why a policy cannot be used.
 #[derive(Debug, Error)]
 pub enum PolicyFileError {
@@ -44,6 +47,9 @@ pub enum PolicyFileError {
     /// The configuration in the file, or a change of it, is refused.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// The weights are not those that were written.
+    #[error("{} is damaged: its weights are not those that were written; take the file from a copy", .0.display())]
+    Damaged(PathBuf),
     /// The weights are not those of the task's networks.
     #[error("{} does not fit its task", path.display())]
     Misfit {
@@ -90,6 +96,7 @@ impl LoadedPolicy {
         let config = Config::stored(&place, text, changes, registry)?;
         match Parameters::from_safetensors(&bytes, &config.policy) {
             Ok(parameters) => {
+                check_weights(&path, &metadata, &parameters)?;
                 let n_updates = metadata.get(VERSION).and_then(|version| version.parse().ok());
                 let (n_updates, sha256) = (n_updates.unwrap_or(0), sha256(&bytes));
                 Ok(Self { path, config, parameters, n_updates, sha256 })
@@ -130,9 +137,10 @@ impl Fork {
     /// [`PolicyFileError`] if there are none, or if they do not fit the new run's networks.
     pub fn read(config: &Config, run: &Path) -> Result<Self, PolicyFileError> {
         let path = find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY])?;
-        let (bytes, _) = read(&path)?;
+        let (bytes, metadata) = read(&path)?;
         match weights_digest(&bytes, &config.policy) {
             Ok(weights_sha256) => {
+                check_digest(&path, &metadata, &weights_sha256)?;
                 let origin = ForkOrigin { run: run.display().to_string(), weights_sha256 };
                 Ok(Self { origin, bytes })
             }
@@ -206,6 +214,29 @@ fn read(path: &Path) -> Result<(Vec<u8>, BTreeMap<String, String>), PolicyFileEr
     match read_metadata(&bytes) {
         Ok(metadata) => Ok((bytes, metadata)),
         Err(error) => Err(foreign(path, &what_it_is(&bytes, &error))),
+    }
+}
+
+/// Checks weights by the digest that was written with them.
+fn check_weights(
+    path: &Path,
+    metadata: &BTreeMap<String, String>,
+    parameters: &Parameters,
+) -> Result<(), PolicyFileError> {
+    let digest = parameters.digest();
+    let digest =
+        digest.map_err(|source| PolicyFileError::Misfit { path: path.to_owned(), source })?;
+    check_digest(path, metadata, &hex::encode(&digest))
+}
+
+fn check_digest(
+    path: &Path,
+    metadata: &BTreeMap<String, String>,
+    digest: &str,
+) -> Result<(), PolicyFileError> {
+    match metadata.get(WEIGHTS_SHA256) {
+        Some(written) if written != digest => Err(PolicyFileError::Damaged(path.to_owned())),
+        _ => Ok(()),
     }
 }
 

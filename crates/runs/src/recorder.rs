@@ -8,12 +8,12 @@ use leadtime_config::Config;
 use leadtime_learner::{HeldOutMeans, RatedPolicy, UpdateProgress, write_atomically};
 use leadtime_link::Archive;
 use leadtime_policy::Parameters;
-use leadtime_proto::PolicySpec;
+use leadtime_proto::{PolicySpec, hex};
 use serde_json::{Value, json};
 use toml::Table;
 
 use crate::journal::Journal;
-use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION};
+use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION, WEIGHTS_SHA256};
 use crate::tensorboard::EventFile;
 use crate::{clock, held_out, history, metrics};
 
@@ -149,7 +149,10 @@ impl RunRecorder {
         let held_out = policy.held_out.iter().flat_map(held_out::scalars);
         metadata.extend(held_out.map(|(name, value)| (name.replace('/', "_"), value.to_string())));
         let parameters = Parameters::from_safetensors(&policy.weights, &self.policy);
-        let bytes = parameters.and_then(|parameters| parameters.to_safetensors(&metadata));
+        let bytes = parameters.and_then(|parameters| {
+            metadata.insert(WEIGHTS_SHA256.to_owned(), hex::encode(&parameters.digest()?));
+            parameters.to_safetensors(&metadata)
+        });
         write_atomically(&self.directory.join(name), &bytes.map_err(io::Error::other)?)
     }
 }

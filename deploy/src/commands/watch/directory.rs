@@ -22,7 +22,7 @@ use crate::exit::{Blame as _, ExitCode, Failure};
 /// Pause between two looks at the directory.
 const LOOK_PAUSE: Duration = Duration::from_secs(1);
 /// A run whose metrics are older may have been left, which its locks tell.
-const QUIET: Duration = Duration::from_mins(2);
+const QUIET: Duration = Duration::from_secs(10);
 /// The shortest time between two tries of its locks: a process that wants one at that very moment is refused.
 const LOCK_PAUSE: Duration = Duration::from_secs(10);
 
