@@ -16,11 +16,10 @@ const THREADS: &str = "learner.threads";
 const FREE_IN_PYTHON: [&str; 2] = ["world.batch", "world.step_timeout"];
 /// Settings of the learner that may change while a run goes on: they decide how it learns from there on. The others decide
 /// what its state is, such as the number of its environments.
-pub const CHANGEABLE: [&str; 15] = [
+pub const CHANGEABLE: [&str; 14] = [
     "learner.anneal",
     "learner.clip",
     "learner.entropy_coef",
-    "learner.entropy_coef_end",
     "learner.gae_lambda",
     "learner.gamma",
     "learner.learning_rate",

@@ -41,13 +41,12 @@ pub(crate) struct LossSettings {
     value_coef: f32,
 }
 
-impl LossSettings {
-    /// Returns those of the update that leads to version `index + 1`.
-    pub(crate) fn at(settings: &LearnerSettings, index: u64) -> Self {
+impl From<&LearnerSettings> for LossSettings {
+    fn from(settings: &LearnerSettings) -> Self {
         Self {
             clip: settings.clip as f32,
             value_clip: settings.value_clip,
-            entropy_coef: settings.entropy_coef_at(index) as f32,
+            entropy_coef: settings.entropy_coef as f32,
             value_coef: settings.value_coef as f32,
         }
     }

@@ -61,8 +61,6 @@ pub struct LearnerSettings {
     pub normalize_advantages: bool,
     /// Weight of the entropy bonus. Default 0.01; more keeps the policy random for longer.
     pub entropy_coef: f64,
-    /// The same at the end of the run, where it goes in equal steps. Default: it stays.
-    pub entropy_coef_end: Option<f64>,
     /// Weight of the value loss. Default 0.5.
     pub value_coef: f64,
     /// Largest global gradient norm; longer gradients are shortened to it. Default 0.5.
@@ -102,7 +100,6 @@ impl Default for LearnerSettings {
             value_clip: true,
             normalize_advantages: true,
             entropy_coef: 0.01,
-            entropy_coef_end: None,
             value_coef: 0.5,
             max_grad_norm: 0.5,
             target_kl: None,
@@ -146,7 +143,7 @@ impl LearnerSettings {
         let n_samples = self.n_envs.saturating_mul(self.n_steps);
         let minibatches_fit = (1..=n_samples).contains(&self.n_minibatches);
         let lag_fits = (1..=limits::MAX_LAG).contains(&self.lag);
-        let rules: [(bool, &'static str, &'static str); 18] = [
+        let rules: [(bool, &'static str, &'static str); 17] = [
             ((1..=limits::MAX_ENVS).contains(&self.n_envs), "n_envs", "from 1 to 65536"),
             ((1..=limits::MAX_ROLLOUT_STEPS).contains(&self.n_steps), "n_steps", "from 1 to 65536"),
             (self.total_steps > 0, "total_steps", "at least 1"),
@@ -157,11 +154,6 @@ impl LearnerSettings {
             (self.n_epochs > 0, "n_epochs", "at least 1"),
             (positive(self.clip), "clip", ABOVE_0),
             (not_negative(self.entropy_coef), "entropy_coef", "from 0 to 1000000"),
-            (
-                self.entropy_coef_end.is_none_or(not_negative),
-                "entropy_coef_end",
-                "from 0 to 1000000",
-            ),
             (not_negative(self.value_coef), "value_coef", "from 0 to 1000000"),
             (positive(self.max_grad_norm), "max_grad_norm", ABOVE_0),
             (self.target_kl.is_none_or(positive), "target_kl", ABOVE_0),
@@ -199,19 +191,6 @@ impl LearnerSettings {
         let index = index.min(n_updates - 1);
         (1.0 - index as f64 / n_updates as f64) * self.learning_rate
     }
-
-    /// Returns the weight of the entropy bonus in the update that leads to version `index + 1`: `entropy_coef` in the run's
-    /// first update, `entropy_coef_end` in its last and after it.
-    pub fn entropy_coef_at(&self, index: u64) -> f64 {
-        let Some(end) = self.entropy_coef_end else {
-            return self.entropy_coef;
-        };
-        let last = self.n_updates() - 1;
-        if index >= last {
-            return end;
-        }
-        self.entropy_coef + index as f64 / last as f64 * (end - self.entropy_coef)
-    }
 }
 
 #[cfg(test)]
@@ -224,20 +203,6 @@ mod tests {
         assert_eq!(settings.n_updates(), 4);
         let rates: Vec<f64> = (0..6).map(|i| settings.learning_rate_at(i) / 2.5e-4).collect();
         assert_eq!(rates, [1.0, 0.75, 0.5, 0.25, 0.25, 0.25]);
-    }
-
-    #[test]
-    fn the_entropy_bonus_goes_to_its_end_in_equal_steps_or_stays() {
-        let settings = LearnerSettings { total_steps: 5 * 512, ..LearnerSettings::default() };
-        let weights = |settings: &LearnerSettings| -> Vec<f64> {
-            (0..7).map(|index| settings.entropy_coef_at(index)).collect()
-        };
-        assert_eq!(weights(&settings), [0.01; 7]);
-        let falling =
-            LearnerSettings { entropy_coef: 0.5, entropy_coef_end: Some(0.0), ..settings.clone() };
-        assert_eq!(weights(&falling), [0.5, 0.375, 0.25, 0.125, 0.0, 0.0, 0.0]);
-        let single = LearnerSettings { total_steps: 1, ..falling };
-        assert_eq!(single.entropy_coef_at(0), 0.0);
     }
 
     #[test]

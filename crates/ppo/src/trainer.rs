@@ -308,7 +308,7 @@ impl Trainer {
         let advantages = indices.iter().map(|&i| batch.samples.advantages[i]);
         let loss = PpoLoss {
             distribution: &self.distribution,
-            settings: LossSettings::at(&self.settings, self.version.0),
+            settings: LossSettings::from(&self.settings),
             samples: &batch.samples,
             scale: self.settings.normalize_advantages.then(|| AdvantageScale::of(advantages)),
             n_rows: indices.len(),

@@ -255,26 +255,6 @@ fn a_target_kl_ends_an_update_early() {
 }
 
 #[test]
-fn an_update_takes_the_entropy_bonus_of_its_place_in_the_run() {
-    let after = |end: Option<f64>| {
-        let (policy, _) = specs();
-        let settings = LearnerSettings { entropy_coef_end: end, ..settings(Mode::Sync) };
-        let mut trainer = Trainer::new(&policy, &settings, 1).unwrap();
-        let mut update = || {
-            let (rollouts, _) = collect(&trainer, trainer.version().0);
-            trainer.update(&rollouts).unwrap();
-            trainer.state().unwrap()
-        };
-        (update(), update())
-    };
-    let constant = after(None);
-    let falling = after(Some(0.0));
-    assert_eq!(constant, after(Some(settings(Mode::Sync).entropy_coef)));
-    assert_eq!(constant.0, falling.0, "the first update has the weight of the beginning");
-    assert_ne!(constant.1, falling.1);
-}
-
-#[test]
 fn a_state_of_another_architecture_is_refused() {
     let state = trainer(Mode::Sync, 1).state().unwrap();
     let (mut policy, _) = specs();

@@ -163,17 +163,11 @@ fn stop_in_time(stop_after: StopAfter, shutdown: &CancellationToken) -> Cancella
 
 /// Says how a run that goes on differs from what it was.
 fn tell_changes(run_dir: &RunDir, config: &Config) {
-    let schedules = [
-        ("learner.anneal = true the learning rate changes", config.learner.anneal),
-        ("learner.entropy_coef_end its weight changes", config.learner.entropy_coef_end.is_some()),
-    ];
-    for (schedule, _) in schedules.into_iter().filter(|(_, is_set)| *is_set) {
-        if let Some(grown) = &run_dir.grown {
-            tracing::warn!(
-                "{grown}: with {schedule} over the new length from here on, so the weights will differ from those of a \
-                 run that has this length from the start"
-            );
-        }
+    if let (Some(grown), true) = (&run_dir.grown, config.learner.anneal) {
+        tracing::warn!(
+            "{grown}: with learner.anneal = true the learning rate falls over the new length from here on, so the \
+             weights will differ from those of a run that has this length from the start"
+        );
     }
     for change in &run_dir.record.changes {
         tracing::info!("changed while it went on: {change}");
